@@ -1,0 +1,3 @@
+from pixelid.cli.main import run
+
+run()

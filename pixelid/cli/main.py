@@ -1,0 +1,68 @@
+"""The command line: a thin skin over the library.  Each command lives in its own file and loads when used."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+
+import click
+
+from pixelid.errors import PixelidError
+
+COMMANDS = {
+    "models": "List the shipped circuits, or print one with units and gauge.",
+    "inspect": "Health of a recording, no stimulus needed.",
+    "convert": "Any readable recording to .h5, and back to text or npz.",
+    "simulate": "Events of a circuit under a stimulus.",
+    "fit": "Fit a circuit to recordings.",
+    "report": "A one-page report.html for any result folder.",
+    "demo": "The whole story on embedded data, minutes on a laptop.",
+}
+
+
+class LazyGroup(click.Group):
+    """A group whose commands are modules `pixelid.cli.<name>_command`, imported only when invoked."""
+
+    def list_commands(self, ctx):
+        return list(COMMANDS)
+
+    def get_command(self, ctx, cmd_name):
+        if cmd_name not in COMMANDS:
+            return None
+        return importlib.import_module(f"pixelid.cli.{cmd_name}_command").command
+
+    def format_commands(self, ctx, formatter):
+        with formatter.section("Commands"):
+            formatter.write_dl(list(COMMANDS.items()))
+
+    def resolve_command(self, ctx, args):
+        if args and args[0] not in COMMANDS:
+            raise click.UsageError(f"no command {args[0]!r}; known: {', '.join(COMMANDS)}")
+        return super().resolve_command(ctx, args)
+
+
+@click.group(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(package_name="pixelid")
+def cli() -> None:
+    """Identify the circuit of an event camera's pixel from its events."""
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run the command line; return the exit code (0 done, 1 not trustworthy, 2 bad input or usage)."""
+    try:
+        code = cli.main(args=argv, prog_name="pixelid", standalone_mode=False)
+        return code if isinstance(code, int) else 0
+    except PixelidError as error:
+        print(f"pixelid: {error}", file=sys.stderr)
+        return error.exit_code
+    except click.ClickException as error:
+        print(f"pixelid: {error.format_message()}", file=sys.stderr)
+        return 2
+    except (click.Abort, KeyboardInterrupt):
+        print("pixelid: interrupted; nothing was left half written", file=sys.stderr)
+        return 130
+
+
+def run() -> None:
+    """Console entry point."""
+    sys.exit(main())

@@ -1,0 +1,113 @@
+"""The events of one recording, as immutable columns."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from pixelid.errors import InputError
+
+NS_PER_UNIT = {"ns": 1, "us": 1_000, "ms": 1_000_000, "s": 1_000_000_000}
+
+
+@dataclass(frozen=True)
+class Events:
+    """Address events of a `width` × `height` sensor.
+
+    t: (n,) int64, nanoseconds from the recording's time zero, non-decreasing
+    x, y: (n,) uint16, pixel column and row
+    p: (n,) uint8, 1 for ON (brighter), 0 for OFF (darker)
+    tick_ns: the unit in which the source counted time (1 for ns files, 1000 for µs files)
+    """
+
+    t: np.ndarray
+    x: np.ndarray
+    y: np.ndarray
+    p: np.ndarray
+    width: int
+    height: int
+    tick_ns: int = 1
+
+    def __len__(self) -> int:
+        return len(self.t)
+
+    @cached_property
+    def pixel(self) -> np.ndarray:
+        """(n,) int64 flat pixel index, y · width + x."""
+        return self.y.astype(np.int64) * self.width + self.x
+
+    @property
+    def duration_s(self) -> float:
+        """Seconds between the first and the last event (0 when there are fewer than two)."""
+        return float(self.t[-1] - self.t[0]) * 1e-9 if len(self) > 1 else 0.0
+
+    def select(self, keep: np.ndarray) -> Events:
+        """The events where `keep` (boolean or index array) holds, on the same sensor."""
+        return Events(
+            self.t[keep], self.x[keep], self.y[keep], self.p[keep], self.width, self.height, self.tick_ns
+        )
+
+    @staticmethod
+    def empty(width: int, height: int) -> Events:
+        """No events on a sensor of the given size."""
+        return Events.from_columns(
+            np.empty(0, np.int64),
+            np.empty(0, np.uint16),
+            np.empty(0, np.uint16),
+            np.empty(0, np.uint8),
+            width,
+            height,
+        )
+
+    @staticmethod
+    def from_columns(t, x, y, p, width: int, height: int, *, tick_ns: int = 1, where: str = "events") -> Events:
+        """Validated events from array-likes; `t` in nanoseconds.
+
+        Raises InputError naming `where` for unequal lengths, non-integer or negative or decreasing
+        times, pixels outside the sensor, and polarities other than 0 and 1.  Equal timestamps of one
+        pixel with equal polarity (a duplicated event) are refused too.
+        """
+        t, x, y, p = (np.asarray(c) for c in (t, x, y, p))
+        lengths = {len(c) for c in (t, x, y, p)}
+        if len(lengths) != 1:
+            raise InputError(
+                f"{where}: t, x, y, p must have one length, found {len(t)}, {len(x)}, {len(y)}, {len(p)}"
+            )
+        for name, column in (("t", t), ("x", x), ("y", y)):
+            if column.dtype.kind not in "iu":
+                raise InputError(f"{where}/{name}: expected integers, found {column.dtype}")
+        if t.dtype.kind == "u" and len(t) and int(t.max()) > np.iinfo(np.int64).max:
+            raise InputError(f"{where}/t: {int(t.max())} does not fit a signed 64-bit integer")
+        if width <= 0 or height <= 0:
+            raise InputError(f"{where}: sensor size must be positive, found {width} x {height}")
+        t = t.astype(np.int64, copy=False)
+        if len(t):
+            if t[0] < 0:
+                raise InputError(f"{where}/t: times must not be negative, first is {int(t[0])} ns")
+            falling = np.flatnonzero(np.diff(t) < 0)
+            if len(falling):
+                k = int(falling[0]) + 1
+                raise InputError(f"{where}/t: timestamps must not decrease, event {k} is earlier than event {k - 1}")
+            for name, column, limit in (("x", x, width), ("y", y, height)):
+                bad = np.flatnonzero((column < 0) | (column >= limit))
+                if len(bad):
+                    k = int(bad[0])
+                    raise InputError(
+                        f"{where}/{name}: event {k} has {name} = {int(column[k])}, expected 0..{limit - 1}"
+                    )
+            polarity = p.astype(np.uint8) if p.dtype == bool else p
+            bad = np.flatnonzero((polarity != 0) & (polarity != 1))
+            if len(bad):
+                k = int(bad[0])
+                raise InputError(f"{where}/p: polarity must be 1 (ON) or 0 (OFF), event {k} has {polarity[k]}")
+        return Events(
+            t,
+            x.astype(np.uint16, copy=False),
+            y.astype(np.uint16, copy=False),
+            p.astype(np.uint8, copy=False),
+            int(width),
+            int(height),
+            int(tick_ns),
+        )

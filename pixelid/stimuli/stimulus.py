@@ -1,0 +1,75 @@
+"""What the light did: radiance over time, full-field or one value per pixel."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pixelid.errors import InputError
+
+UNITS = ("relative", "lux", "fA", "shape")
+INTERPOLATIONS = ("linear", "previous")
+
+
+@dataclass(frozen=True)
+class Stimulus:
+    """Radiance sampled at `t`.
+
+    t: (n,) float64 seconds, strictly increasing, same time zero as the events
+    radiance: (n,) full-field, or (n, height, width) per pixel; > 0 except for unit "shape" (≥ 0)
+    unit: "relative" | "lux" | "fA" | "shape" (known up to offset and gain)
+    interpolation: "linear" (log radiance is linear between samples) or "previous" (held)
+    """
+
+    t: np.ndarray
+    radiance: np.ndarray
+    unit: str = "relative"
+    interpolation: str = "linear"
+
+    @property
+    def full_field(self) -> bool:
+        """Whether one radiance serves every pixel."""
+        return self.radiance.ndim == 1
+
+    @property
+    def duration_s(self) -> float:
+        """Seconds from the first to the last sample."""
+        return float(self.t[-1] - self.t[0])
+
+    @staticmethod
+    def from_arrays(t, radiance, unit="relative", interpolation="linear", *, where="stimulus") -> Stimulus:
+        """A validated stimulus.
+
+        Raises InputError naming `where` for too few samples, times that do not increase, shapes that do
+        not match, NaN or infinite values, radiance ≤ 0 (< 0 for "shape"), and unknown unit or interpolation.
+        """
+        t = np.asarray(t, dtype=np.float64)
+        radiance = np.asarray(radiance)
+        if radiance.dtype.kind not in "fiu":
+            raise InputError(f"{where}/radiance: expected numbers, found {radiance.dtype}")
+        if radiance.dtype not in (np.float32, np.float64):
+            radiance = radiance.astype(np.float64)
+        if unit not in UNITS:
+            raise InputError(f"{where}: unit must be one of {', '.join(UNITS)}, found {unit!r}")
+        if interpolation not in INTERPOLATIONS:
+            raise InputError(
+                f"{where}: interpolation must be one of {', '.join(INTERPOLATIONS)}, found {interpolation!r}"
+            )
+        if t.ndim != 1 or len(t) < 2:
+            raise InputError(f"{where}/t: expected at least two samples, found shape {t.shape}")
+        if radiance.ndim not in (1, 3) or radiance.shape[0] != len(t):
+            raise InputError(
+                f"{where}/radiance: expected ({len(t)},) or ({len(t)}, height, width), found {radiance.shape}"
+            )
+        if not np.isfinite(t).all():
+            raise InputError(f"{where}/t: sample {int(np.argmin(np.isfinite(t)))} is not finite")
+        if not (np.diff(t) > 0).all():
+            k = int(np.argmin(np.diff(t) > 0)) + 1
+            raise InputError(f"{where}/t: times must increase, sample {k} does not follow sample {k - 1}")
+        if not np.isfinite(radiance).all():
+            raise InputError(f"{where}/radiance: contains NaN or infinite values")
+        low = float(radiance.min())
+        if low < 0 or (low == 0 and unit != "shape"):
+            raise InputError(f"{where}/radiance: must be positive, found {low:g}")
+        return Stimulus(t, radiance, unit, interpolation)
