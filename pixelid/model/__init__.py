@@ -1,0 +1,1 @@
+"""Models: circuits as immutable values, read from and written to `models/*.toml`."""

@@ -1,0 +1,173 @@
+"""A model: a photoreceptor kind, the effects present, and their parameters.  Immutable."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
+
+from pixelid import stages
+from pixelid.errors import InputError
+from pixelid.parameters.gauge import Gauge
+from pixelid.parameters.invariants import Physical
+from pixelid.parameters.parameter import Parameter
+from pixelid.stages import Circuit, comparator, photoreceptor
+
+DELAY = Parameter("delay_s", 0.0, "s", -10.0, 10.0, "linear", free=False, source="clock of events minus stimulus")
+
+
+@dataclass(frozen=True)
+class Model:
+    """A circuit design with values.
+
+    photoreceptor: "second_order" | "one_pole" | "unlimited";  effects: names present, in signal order;
+    parameters: name → Parameter, exactly those of the photoreceptor, the comparator, the clock and the effects;
+    physical, gauge: nominal circuit values and the statements that make them unique, when known.
+    """
+
+    name: str
+    photoreceptor: str
+    effects: tuple[str, ...]
+    parameters: Mapping[str, Parameter]
+    summary: str = ""
+    linearisation: str = "midpoint"
+    radiance_unit: str = "radiance"
+    physical: Physical | None = None
+    physical_source: str = ""
+    gauge: Gauge = field(default_factory=Gauge)
+
+    def __post_init__(self) -> None:
+        if self.linearisation not in ("midpoint", "newer"):
+            raise InputError(f"{self.name}: linearisation must be 'midpoint' or 'newer', found {self.linearisation!r}")
+        expected = expected_parameters(self.photoreceptor, self.effects)
+        missing = [name for name in expected if name not in self.parameters]
+        surplus = [name for name in self.parameters if name not in expected]
+        if missing or surplus:
+            raise InputError(
+                f"model {self.name}: "
+                + "; ".join(
+                    ([f"missing parameters {', '.join(missing)}"] if missing else [])
+                    + ([f"parameters without their effect: {', '.join(surplus)}"] if surplus else [])
+                )
+            )
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Parameter values by name."""
+        return {name: parameter.value for name, parameter in self.parameters.items()}
+
+    @property
+    def free(self) -> list[str]:
+        """Names of the free parameters, in order."""
+        return [name for name, parameter in self.parameters.items() if parameter.free]
+
+    def has(self, effect: str) -> bool:
+        """Whether the effect is part of this model, by name or by the structure of its photoreceptor."""
+        stages.effect(effect)
+        return effect in self.effects or (
+            effect == "second_order_photoreceptor" and self.photoreceptor == "second_order"
+        )
+
+    def circuit(self, values: Mapping[str, float] | None = None) -> Circuit:
+        """The circuit at these parameter values (default: the model's own); values may be complex."""
+        values = {**self.values, **(values or {})}
+        circuit = Circuit(linearisation=self.linearisation, delay=values["delay_s"])
+        circuit = photoreceptor.apply(self.photoreceptor, circuit, values)
+        circuit = comparator.apply(circuit, values)
+        for name in self.effects:
+            circuit = stages.effect(name).apply(circuit, values)
+        return circuit
+
+    def set(self, values: Mapping[str, float]) -> Model:
+        """The model at other values.  Raises InputError for unknown names and values out of bounds."""
+        parameters = dict(self.parameters)
+        for name, value in values.items():
+            parameters[name] = self.parameter(name).at(value)
+        return replace(self, parameters=parameters)
+
+    def fix(self, values: Mapping[str, float | None]) -> Model:
+        """The model with these parameters held fixed, at the given value or (None) where they are."""
+        model = self.set({name: value for name, value in values.items() if value is not None})
+        parameters = dict(model.parameters)
+        for name in values:
+            parameters[name] = model.parameter(name).fixed()
+        return replace(model, parameters=parameters)
+
+    def release(self, names: Iterable[str]) -> Model:
+        """The model with these parameters free."""
+        parameters = dict(self.parameters)
+        for name in names:
+            parameters[name] = self.parameter(name).freed()
+        return replace(self, parameters=parameters)
+
+    def parameter(self, name: str) -> Parameter:
+        """One parameter.  Raises InputError listing the known names."""
+        try:
+            return self.parameters[name]
+        except KeyError:
+            raise InputError(
+                f"model {self.name} has no parameter {name!r}; it has {', '.join(self.parameters)}"
+            ) from None
+
+    def with_effect(self, name: str, values: Mapping[str, float] | None = None) -> Model:
+        """The model with an effect added (or its values changed when it is there already).
+
+        `values`: parameter → value, by full name or by the part after the dot; given values stay free.
+        Raises InputError for unknown effects and parameters.
+        """
+        new = stages.effect(name)
+        known = {p.name: p for p in new.parameters}
+        full = {}
+        for key, value in (values or {}).items():
+            long = key if key in known else f"{name}.{key}"
+            if long not in known:
+                raise InputError(f"effect {name} has no parameter {key!r}; it has {', '.join(known)}")
+            full[long] = value
+        if self.has(name):
+            return self.set(full)
+        parameters = {**self.parameters, **known}
+        kind = self.photoreceptor
+        effects = self.effects
+        if name == "second_order_photoreceptor":
+            kind = "second_order"
+            parameters.pop("alpha_over_beta", None)
+        else:
+            order = list(stages.LIBRARY)
+            effects = tuple(sorted((*effects, name), key=order.index))
+        wanted = expected_parameters(kind, effects)
+        model = replace(
+            self, photoreceptor=kind, effects=effects, parameters={key: parameters[key] for key in wanted}
+        )
+        return model.set(full)
+
+    def without_effect(self, name: str) -> Model:
+        """The model without an effect; unchanged when it has none.  Raises InputError for unknown effects."""
+        stages.effect(name)
+        if name == "second_order_photoreceptor" and self.photoreceptor == "second_order":
+            ratio = self.parameters["alpha"].value / self.parameters["beta"].value
+            one_pole = photoreceptor.ONE_POLE[0].at(ratio)
+            parameters = {**self.parameters, one_pole.name: one_pole}
+            kind, effects = "one_pole", self.effects
+        elif name in self.effects:
+            kind, effects = self.photoreceptor, tuple(e for e in self.effects if e != name)
+            parameters = dict(self.parameters)
+        else:
+            return self
+        wanted = expected_parameters(kind, effects)
+        return replace(self, photoreceptor=kind, effects=effects, parameters={key: parameters[key] for key in wanted})
+
+
+def expected_parameters(kind: str, effects: Iterable[str]) -> dict[str, Parameter]:
+    """The parameters a model of this structure must have, with their library defaults, in signal order."""
+    expected = {p.name: p for p in photoreceptor.parameters(kind)}
+    by_stage: list[Parameter] = []
+    for name in effects:
+        if name == "second_order_photoreceptor":
+            raise InputError("second_order_photoreceptor is a photoreceptor kind: set photoreceptor = 'second_order'")
+        by_stage.extend(stages.effect(name).parameters)
+    plain = [p for p in by_stage if "." not in p.name]
+    dotted = [p for p in by_stage if "." in p.name]
+    filters = [p for p in plain if p.name.endswith("cutoff_hz")]
+    rest = [p for p in plain if p not in filters]
+    for p in (*filters, *comparator.PARAMETERS, *rest, DELAY, *dotted):
+        expected[p.name] = p
+    return expected

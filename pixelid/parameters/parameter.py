@@ -1,0 +1,83 @@
+"""One parameter of a circuit: value, unit, bounds, transform, prior, and whether a fit may move it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+from pixelid.errors import InputError
+
+
+@dataclass(frozen=True)
+class Prior:
+    """A Gaussian prior in the parameter's fitting coordinate (the log for "log" parameters)."""
+
+    mean: float
+    sd: float
+
+    def __post_init__(self) -> None:
+        if not (self.sd > 0 and math.isfinite(self.mean)):
+            raise InputError(f"prior: expected finite mean and sd > 0, found mean {self.mean}, sd {self.sd}")
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A named value with everything a fit needs to know about it.
+
+    unit: in words ("1/s²/radiance", "Hz", …);  lower, upper: bounds in that unit;
+    transform: fitting coordinate, "log" (value > 0) or "linear";
+    free: whether a fit moves it by default;  source: where the number comes from.
+
+    Raises InputError for bounds that do not contain the value and for a log parameter that can reach 0.
+    """
+
+    name: str
+    value: float
+    unit: str = "1"
+    lower: float = -math.inf
+    upper: float = math.inf
+    transform: str = "linear"
+    prior: Prior | None = None
+    free: bool = True
+    source: str = ""
+
+    def __post_init__(self) -> None:
+        if self.transform not in ("log", "linear"):
+            raise InputError(f"{self.name}: transform must be 'log' or 'linear', found {self.transform!r}")
+        if not math.isfinite(self.value):
+            raise InputError(f"{self.name}: the value must be finite, found {self.value}")
+        if self.transform == "log" and not self.lower > 0:
+            raise InputError(f"{self.name}: a log parameter needs a lower bound above 0, found {self.lower}")
+        if not self.lower <= self.value <= self.upper:
+            raise InputError(f"{self.name}: {self.value:g} lies outside its bounds {self.lower:g}..{self.upper:g}")
+
+    def to_coordinate(self, value: float) -> float:
+        """`value` in the fitting coordinate."""
+        return math.log(value) if self.transform == "log" else value
+
+    def from_coordinate(self, coordinate):
+        """The value at a fitting coordinate; accepts complex steps."""
+        if self.transform == "linear":
+            return coordinate
+        if isinstance(coordinate, complex):
+            scale = math.exp(coordinate.real)
+            return complex(scale * math.cos(coordinate.imag), scale * math.sin(coordinate.imag))
+        return math.exp(coordinate)
+
+    def coordinate_bounds(self) -> tuple[float, float]:
+        """(lower, upper) in the fitting coordinate."""
+        if self.transform == "log":
+            return math.log(self.lower), (math.log(self.upper) if math.isfinite(self.upper) else math.inf)
+        return self.lower, self.upper
+
+    def at(self, value: float) -> Parameter:
+        """The same parameter at another value."""
+        return replace(self, value=float(value))
+
+    def fixed(self) -> Parameter:
+        """The same parameter, not to be moved by fits."""
+        return replace(self, free=False)
+
+    def freed(self) -> Parameter:
+        """The same parameter, to be moved by fits."""
+        return replace(self, free=True)

@@ -1,0 +1,85 @@
+"""Comparator: ON and OFF thresholds, their spread, noise and drift, and the dead time after an event."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from pixelid.parameters.parameter import Parameter
+from pixelid.stages.circuit import Circuit
+from pixelid.stages.effect import Effect
+
+PARAMETERS = (
+    Parameter("on_threshold", 0.2, "log radiance", 1e-3, 10.0, "log"),
+    Parameter("off_threshold", 0.2, "log radiance", 1e-3, 10.0, "log"),
+)
+
+
+def apply(circuit: Circuit, values: Mapping[str, float]) -> Circuit:
+    """The circuit with its mean thresholds."""
+    return circuit.with_(on_threshold=values["on_threshold"], off_threshold=values["off_threshold"])
+
+
+class ThresholdMismatch(Effect):
+    name = "threshold_mismatch"
+    stage = "comparator"
+    sentence = "Thresholds differ from pixel to pixel."
+    equation = "C_i = C (1 + σ ξ_i), ξ_i standard normal, ON and OFF independent"
+    source = "Lichtsteiner, Posch & Delbruck, JSSC 2008 (2.1 % of log units per pixel)"
+    parameters = (Parameter("threshold_mismatch.sigma", 0.03, "1", 1e-4, 1.0, "log"),)
+
+    def apply(self, circuit: Circuit, values: Mapping[str, float]) -> Circuit:
+        return circuit.with_(mismatch=values["threshold_mismatch.sigma"])
+
+
+class ThresholdNoise(Effect):
+    name = "threshold_noise"
+    stage = "comparator"
+    sentence = "The threshold of a pixel varies from event to event."
+    equation = "C → C + σ ξ, one draw per event and polarity"
+    source = "DESIGN §4"
+    parameters = (Parameter("threshold_sigma", 0.01, "log radiance", 1e-5, 1.0, "log"),)
+
+    def apply(self, circuit: Circuit, values: Mapping[str, float]) -> Circuit:
+        return circuit.with_(noise=values["threshold_sigma"])
+
+
+class ThresholdDrift(Effect):
+    name = "threshold_drift"
+    stage = "comparator"
+    sentence = "Thresholds drift during the recording."
+    equation = "C(t) = C (1 + d t)"
+    source = "DESIGN §6"
+    parameters = (Parameter("threshold_drift.per_s", 0.05, "1/s", -10.0, 10.0, "linear"),)
+
+    def apply(self, circuit: Circuit, values: Mapping[str, float]) -> Circuit:
+        return circuit.with_(threshold_drift=values["threshold_drift.per_s"])
+
+
+class RefractoryPeriod(Effect):
+    name = "refractory_period"
+    stage = "comparator"
+    sentence = "After each event the pixel is held in reset for a dead time."
+    equation = "no event and no integration for refractory_s after an event"
+    source = "Lichtsteiner, Posch & Delbruck, JSSC 2008; DESIGN §1"
+    parameters = (Parameter("refractory_s", 1e-4, "s", 1e-8, 1.0, "log"),)
+
+    def apply(self, circuit: Circuit, values: Mapping[str, float]) -> Circuit:
+        return circuit.with_(refractory=values["refractory_s"])
+
+
+class HotPixels(Effect):
+    name = "hot_pixels"
+    stage = "comparator"
+    sentence = "A few pixels fire regardless of the light."
+    equation = "count pixels fire extra ON events as a Poisson process at rate_hz"
+    source = "DESIGN §6"
+    parameters = (
+        Parameter("hot_pixels.rate_hz", 100.0, "Hz", 1e-3, 1e6, "log"),
+        Parameter("hot_pixels.count", 1.0, "pixels", 0.0, 1e7, "linear", free=False),
+    )
+
+    def apply(self, circuit: Circuit, values: Mapping[str, float]) -> Circuit:
+        return circuit.with_(hot_hz=values["hot_pixels.rate_hz"], hot_count=int(round(values["hot_pixels.count"])))
+
+
+EFFECTS = (ThresholdMismatch(), ThresholdNoise(), ThresholdDrift(), RefractoryPeriod(), HotPixels())

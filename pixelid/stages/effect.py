@@ -1,0 +1,30 @@
+"""What an effect is: a named deviation of one stage, with its parameters and its sentence."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from typing import ClassVar
+
+from pixelid.parameters.parameter import Parameter
+from pixelid.stages.circuit import Circuit
+
+
+class Effect(ABC):
+    """One effect of DESIGN §6.  Subclasses are final; an instance has no state.
+
+    name: the stable identifier;  stage: where it sits on the signal path;
+    sentence: one line for the report;  equation, source: what it does and who says so;
+    parameters: with shipped value, unit, bounds and transform.
+    """
+
+    name: ClassVar[str]
+    stage: ClassVar[str]
+    sentence: ClassVar[str]
+    equation: ClassVar[str]
+    source: ClassVar[str]
+    parameters: ClassVar[tuple[Parameter, ...]]
+
+    @abstractmethod
+    def apply(self, circuit: Circuit, values: Mapping[str, float]) -> Circuit:
+        """The circuit with this effect in it; `values` maps full parameter names to values."""

@@ -1,0 +1,48 @@
+"""Readout: from comparator to timestamp."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from pixelid.parameters.parameter import Parameter
+from pixelid.stages.circuit import Circuit
+from pixelid.stages.effect import Effect
+
+
+class ReadoutLatency(Effect):
+    name = "readout_latency"
+    stage = "readout"
+    sentence = "One arbiter serves all pixels: events queue and are stamped when they leave."
+    equation = "departure_k = max(arrival_k, departure_{k−1}) + service_s, first come first served"
+    source = "DESIGN §6"
+    parameters = (Parameter("readout_latency.service_s", 1e-6, "s", 1e-10, 1e-1, "log"),)
+
+    def apply(self, circuit: Circuit, values: Mapping[str, float]) -> Circuit:
+        return circuit.with_(service=values["readout_latency.service_s"])
+
+
+class TimestampJitter(Effect):
+    name = "timestamp_jitter"
+    stage = "readout"
+    sentence = "Timestamps jitter."
+    equation = "t → t + σ ξ"
+    source = "DESIGN §6"
+    parameters = (Parameter("timestamp_jitter.sigma_s", 5e-5, "s", 1e-10, 1e-1, "log"),)
+
+    def apply(self, circuit: Circuit, values: Mapping[str, float]) -> Circuit:
+        return circuit.with_(jitter=values["timestamp_jitter.sigma_s"])
+
+
+class TimestampQuantisation(Effect):
+    name = "timestamp_quantisation"
+    stage = "readout"
+    sentence = "Timestamps sit on a grid: a clock tick or a readout scan."
+    equation = "t → tick · round(t / tick)"
+    source = "DESIGN §6"
+    parameters = (Parameter("timestamp_quantisation.tick_s", 1e-6, "s", 1e-9, 1e-1, "log", free=False),)
+
+    def apply(self, circuit: Circuit, values: Mapping[str, float]) -> Circuit:
+        return circuit.with_(tick=values["timestamp_quantisation.tick_s"])
+
+
+EFFECTS = (ReadoutLatency(), TimestampJitter(), TimestampQuantisation())
