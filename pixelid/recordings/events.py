@@ -45,9 +45,7 @@ class Events:
 
     def select(self, keep: np.ndarray) -> Events:
         """The events where `keep` (boolean or index array) holds, on the same sensor."""
-        return Events(
-            self.t[keep], self.x[keep], self.y[keep], self.p[keep], self.width, self.height, self.tick_ns
-        )
+        return Events(self.t[keep], self.x[keep], self.y[keep], self.p[keep], self.width, self.height, self.tick_ns)
 
     @staticmethod
     def empty(width: int, height: int) -> Events:
@@ -66,15 +64,12 @@ class Events:
         """Validated events from array-likes; `t` in nanoseconds.
 
         Raises InputError naming `where` for unequal lengths, non-integer or negative or decreasing
-        times, pixels outside the sensor, and polarities other than 0 and 1.  Equal timestamps of one
-        pixel with equal polarity (a duplicated event) are refused too.
+        times, pixels outside the sensor, and polarities other than 0 and 1.
         """
         t, x, y, p = (np.asarray(c) for c in (t, x, y, p))
         lengths = {len(c) for c in (t, x, y, p)}
         if len(lengths) != 1:
-            raise InputError(
-                f"{where}: t, x, y, p must have one length, found {len(t)}, {len(x)}, {len(y)}, {len(p)}"
-            )
+            raise InputError(f"{where}: t, x, y, p must have one length, found {len(t)}, {len(x)}, {len(y)}, {len(p)}")
         for name, column in (("t", t), ("x", x), ("y", y)):
             if column.dtype.kind not in "iu":
                 raise InputError(f"{where}/{name}: expected integers, found {column.dtype}")
@@ -86,22 +81,20 @@ class Events:
         if len(t):
             if t[0] < 0:
                 raise InputError(f"{where}/t: times must not be negative, first is {int(t[0])} ns")
-            falling = np.flatnonzero(np.diff(t) < 0)
+            falling = np.flatnonzero(t[1:] < t[:-1])
             if len(falling):
                 k = int(falling[0]) + 1
                 raise InputError(f"{where}/t: timestamps must not decrease, event {k} is earlier than event {k - 1}")
             for name, column, limit in (("x", x, width), ("y", y, height)):
-                bad = np.flatnonzero((column < 0) | (column >= limit))
-                if len(bad):
-                    k = int(bad[0])
+                if column.min() < 0 or column.max() >= limit:
+                    k = int(np.argmax((column < 0) | (column >= limit)))
                     raise InputError(
                         f"{where}/{name}: event {k} has {name} = {int(column[k])}, expected 0..{limit - 1}"
                     )
-            polarity = p.astype(np.uint8) if p.dtype == bool else p
-            bad = np.flatnonzero((polarity != 0) & (polarity != 1))
-            if len(bad):
-                k = int(bad[0])
-                raise InputError(f"{where}/p: polarity must be 1 (ON) or 0 (OFF), event {k} has {polarity[k]}")
+            if p.dtype != bool and not ((p == 0) | (p == 1)).all():
+                k = int(np.argmin((p == 0) | (p == 1)))
+                hint = "; the coding looks like -1/1, write -1 as 0" if p.min() == -1 and p.max() <= 1 else ""
+                raise InputError(f"{where}/p: polarity must be 1 (ON) or 0 (OFF), event {k} has {p[k]}{hint}")
         return Events(
             t,
             x.astype(np.uint16, copy=False),

@@ -5,9 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+import numpy as np
+
 from pixelid.errors import InputError
 from pixelid.recordings.events import Events
 from pixelid.stimuli.stimulus import Stimulus
+
+LATENCY_S = 1e-3
 
 
 @dataclass(frozen=True)
@@ -35,20 +39,33 @@ class Recording:
         return self.source.stem if self.source else (self.condition or "recording")
 
     def check_stimulus_covers_events(self) -> None:
-        """Raise InputError when an event lies outside the stimulus, or there is no stimulus."""
+        """Raise InputError when an event lies outside the stimulus, or there is no stimulus.
+
+        Three kinds of late events are legitimate: a stimulus of interpolation "previous" holds its last value;
+        latency and jitter carry an event past the last sample by one sample or `LATENCY_S`; and a saturated
+        readout empties its queue after the stimulus has ended, at its service rate, the fastest of the recording.
+        """
         if self.stimulus is None:
             raise InputError(f"{self.name}: no stimulus; this needs to know what the light did")
         if len(self.events) == 0:
             return
-        t = self.events.t
-        end_ns = self.stimulus.t[-1] * 1e9
-        held = self.stimulus.interpolation == "previous"
-        if t[0] < self.stimulus.t[0] * 1e9 - 0.5 or (t[-1] > end_ns + 0.5 and not held):
+        t, s = self.events.t, self.stimulus.t
+        end = s[-1] + max(s[-1] - s[-2], LATENCY_S)
+        late = self.stimulus.interpolation != "previous" and t[-1] * 1e-9 > end
+        if t[0] * 1e-9 < s[0] - LATENCY_S or (late and not _drains(t, t[np.searchsorted(t, s[-1] * 1e9) :])):
             raise InputError(
-                f"{self.name}: the stimulus covers {self.stimulus.t[0]:g}..{self.stimulus.t[-1]:g} s, "
-                f"events span {t[0] * 1e-9:g}..{t[-1] * 1e-9:g} s"
+                f"{self.source or self.name}: stimulus: expected to cover the events "
+                f"{t[0] * 1e-9:g}..{t[-1] * 1e-9:g} s, found {s[0]:g}..{s[-1]:g} s"
             )
 
     def with_stimulus(self, stimulus: Stimulus) -> Recording:
         """The same events beside another stimulus."""
         return replace(self, stimulus=stimulus)
+
+
+def _drains(t: np.ndarray, late: np.ndarray) -> bool:
+    """Whether the `late` ones of all event times `t` follow each other at the recording's shortest interval."""
+    if len(late) < 10:
+        return False
+    slowest = np.percentile(np.diff(late), 95)
+    return bool(slowest <= 1.5 * max(np.percentile(np.diff(t), 5), 1))

@@ -1,0 +1,84 @@
+"""Open any readable recording: look at the file's first bytes, then hand it to the reader of its format."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+
+from pixelid.errors import InputError
+from pixelid.recordings.recording import Recording
+
+BINARY_SUFFIXES = (".h5", ".hdf5", ".npz", ".aedat4", ".aedat", ".raw", ".dat", ".es")
+TEXT_SUFFIXES = (".csv", ".txt")
+READABLE = ", ".join(BINARY_SUFFIXES + TEXT_SUFFIXES)
+
+
+def open_recording(path: str | Path) -> Recording:
+    """The recording in the file `path`, whatever its format.
+
+    Reads pixelid and DSEC HDF5, npz, AEDAT4, AEDAT2 (DAVIS), Prophesee RAW (EVT2, EVT2.1, EVT3) and DAT, ES, and
+    text.  Times become int64 nanoseconds; `events.tick_ns` remembers the unit of the source.
+
+    Raises InputError (one plain line: file, field, expected, found) for a missing, empty, truncated or unknown
+    file, a missing column, unsorted times, pixels outside the sensor, another polarity coding than 1/0, times
+    that do not fit 64 bits in nanoseconds, and a stimulus that is invalid or does not cover the events.
+    """
+    path = Path(path)
+    if not path.exists():
+        raise InputError(f"{path}: no such file")
+    if path.is_dir():
+        raise InputError(f"{path}: expected a recording file, found a folder")
+    try:
+        with path.open("rb") as file:
+            head = file.read(16)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror})") from error
+    if not head:
+        raise InputError(f"{path}: expected a recording, found an empty file")
+    recording = _reader(path, head)(path)
+    if recording.stimulus is not None:
+        recording.check_stimulus_covers_events()
+    return recording
+
+
+def open_recordings(paths: Iterable[str | Path]) -> list[Recording]:
+    """Every recording of `paths`; a folder stands for the recordings in it, sorted by name.
+
+    Text files of a folder (often notes) count only when it holds nothing else.
+    Raises InputError as `open_recording` does, and for a folder without recordings.
+    """
+    return [open_recording(file) for path in paths for file in _files(Path(path))]
+
+
+def _files(path: Path) -> list[Path]:
+    if not path.is_dir():
+        return [path]
+    files = sorted(file for file in path.iterdir() if file.is_file() and not file.name.startswith("."))
+    for suffixes in (BINARY_SUFFIXES, TEXT_SUFFIXES):
+        found = [file for file in files if file.suffix.lower() in suffixes]
+        if found:
+            return found
+    raise InputError(f"{path}: expected a folder with recordings ({READABLE}), found none")
+
+
+def _reader(path: Path, head: bytes):
+    """The function that reads files beginning with `head`."""
+    from pixelid.recordings import aedat2, decoded, hdf5, npz, text
+
+    suffix = path.suffix.lower()
+    if head.startswith(b"\x89HDF\r\n\x1a\n") or suffix in (".h5", ".hdf5"):
+        return hdf5.read
+    if suffix == ".npz":
+        return npz.read
+    if head.startswith(b"#!AER-DAT2"):
+        return aedat2.read
+    if head.startswith((b"#!AER-DAT4", b"Event Stream")) or suffix in (".aedat4", ".raw", ".dat", ".es"):
+        return decoded.read
+    if suffix in TEXT_SUFFIXES:
+        return text.read
+    if head.startswith(b"SQLite format 3") or suffix == ".db3":
+        raise InputError(f"{path}: ROS 2 bags are not read; export the events to one of {READABLE}")
+    if head.startswith(b"#!AER-DAT"):
+        found = head.splitlines()[0].decode("latin1")
+        raise InputError(f"{path}: expected AER-DAT2.0 or AER-DAT4.0, found {found}")
+    raise InputError(f"{path}: expected a recording ({READABLE}), found {suffix or 'a file without extension'}")

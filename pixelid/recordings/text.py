@@ -1,0 +1,108 @@
+"""Recordings as text: one event per line, `t x y p`, separated by spaces or commas.
+
+Lines that begin with `#` are comments; a line of column names may say another order.  Integer times are
+microseconds, times with a decimal point are seconds (the layout of the Event Camera Dataset's events.txt).
+The project's own files carry a line `# {JSON}` with everything else, and the stimulus in `# stimulus {JSON}`.
+"""
+
+from __future__ import annotations
+
+import json
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+
+from pixelid.errors import InputError
+from pixelid.recordings import metadata
+from pixelid.recordings.columns import sensor_size, to_nanoseconds
+from pixelid.recordings.events import Events
+from pixelid.recordings.npz import NAMES, seconds_to_ns
+from pixelid.recordings.recording import Recording
+
+LINES_AT_ONCE = 1 << 19
+
+
+def read(path: Path) -> Recording:
+    """The recording in a text file; raises InputError for lines that are not four numbers."""
+    where = f"{path}: events"
+    try:
+        with path.open(encoding="utf-8") as file:
+            meta, stimulus, order, first = _header(file, path)
+            if first is None:
+                blocks = [np.empty((0, 4), np.int64)]
+                seconds = False
+            else:
+                seconds = any(c in first.replace(",", " ").split()[order[0]] for c in ".eE")
+                blocks = list(_blocks(file, first, order, seconds, where))
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: expected text, found binary data") from error
+    t, x, y, p = (np.concatenate([block[k] for block in blocks]) if first else blocks[0][:, k] for k in range(4))
+    unit = "ns" if seconds else meta.get("unit", "us")
+    tick_ns = int(meta.get("tick_ns", 1 if unit == "ns" else 1000))
+    width, height = sensor_size(x, y, meta.get("width"), meta.get("height"))
+    t = to_nanoseconds(t, unit, where)
+    events = Events.from_columns(t, x, y, p, width, height, tick_ns=tick_ns, where=where)
+    return metadata.assemble(meta, events, stimulus, path, str(path))
+
+
+def _header(file, path: Path):
+    """Metadata, stimulus (t, radiance) or None, column order of t, x, y, p, and the first line of numbers."""
+    meta, stimulus, order = {}, None, [0, 1, 2, 3]
+    for line in file:
+        line = line.strip()
+        if line.startswith("# {"):
+            meta = metadata.from_json(line[2:], f"{path}: header")
+        elif line.startswith("# stimulus {"):
+            told = json.loads(line[len("# stimulus ") :])
+            stimulus = np.array(told["t"]), np.array(told["radiance"], dtype=told["dtype"])
+        elif line and not line.startswith("#"):
+            if not line[0].isalpha():
+                return meta, stimulus, order, line
+            order = _order(line, path)
+    return meta, stimulus, order, None
+
+
+def _order(line: str, path: Path) -> list[int]:
+    names = [name.strip().lower() for name in line.replace(",", " ").split()]
+    found = [next((k for k, name in enumerate(names) if name in NAMES[letter]), None) for letter in "txyp"]
+    if any(k is None for k in found):
+        raise InputError(f"{path}: header: expected columns t, x, y, p, found {', '.join(names)[:80]}")
+    return [k for k in found if k is not None]
+
+
+def _blocks(file, first: str, order: list[int], seconds: bool, where: str):
+    """The columns (t int64 [ns when `seconds`], x, y, p) of successive blocks of lines."""
+    delimiter = "," if "," in first else None
+    lines, done = [first], 0
+    kinds = {"names": list("txyp"), "formats": [np.float64 if seconds else np.int64, np.int32, np.int32, np.int8]}
+    while True:
+        lines += islice(file, LINES_AT_ONCE - len(lines))
+        if not lines:
+            return
+        try:
+            block = np.loadtxt(lines, dtype=np.dtype(kinds), delimiter=delimiter, usecols=order, ndmin=1)
+        except (ValueError, OverflowError) as error:
+            reason = str(error).splitlines()[0]
+            raise InputError(f"{where}: expected lines of t x y p after event {done}, found: {reason}") from error
+        t = seconds_to_ns(block["t"], where) if seconds else block["t"]
+        yield t, block["x"].copy(), block["y"].copy(), block["p"].copy()
+        done, lines = done + len(block), []
+
+
+def write(recording: Recording, path: Path) -> None:
+    """Write `recording` as text, t in nanoseconds; a per-pixel stimulus is refused (use .h5 or .npz)."""
+    events, stimulus = recording.events, recording.stimulus
+    if stimulus is not None and not stimulus.full_field:
+        raise InputError(f"{path.name}: text holds no per-pixel stimulus; write .h5 or .npz")
+    separator = "," if path.suffix.lower() == ".csv" else " "
+    with path.open("w", encoding="utf-8") as file:
+        file.write(f"# {metadata.to_json(recording)}\n")
+        if stimulus is not None:
+            told = {"t": stimulus.t.tolist(), "radiance": stimulus.radiance.tolist()}
+            file.write(f"# stimulus {json.dumps(told | {'dtype': stimulus.radiance.dtype.name})}\n")
+        file.write(separator.join("txyp") + "\n")
+        for k in range(0, len(events), LINES_AT_ONCE):
+            part = slice(k, k + LINES_AT_ONCE)
+            rows = zip(*(c[part].tolist() for c in (events.t, events.x, events.y, events.p)), strict=True)
+            file.writelines(f"{t}{separator}{x}{separator}{y}{separator}{p}\n" for t, x, y, p in rows)
