@@ -61,7 +61,7 @@ def derivative_low_pass(output, drive, cutoff):
 #                     c0' ε_y + c1' ε_v + Σ m_i w/(w − w_i) exp(−w_i τ) + m exp(−w τ)
 #
 # (c0', c1') solves  −a c1' + w c0' = w c0,  c0' + (w − b2) c1' = w c1, i.e. the drive's transfer function at
-# −w.  The solution exists while no two poles coincide; the engines step around coincidences (see scan.py).
+# −w.  The solution exists while no two poles coincide; near coincidences the engines use `coincident.py`.
 # ---------------------------------------------------------------------------------------------------------
 
 

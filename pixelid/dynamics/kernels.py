@@ -9,22 +9,22 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from pixelid.dynamics import equations
+from pixelid.dynamics import coincident, equations
 from pixelid.dynamics.equations import PRESENT_BELOW
 
-_step_two_poles = njit(equations.step_two_poles, inline="always")
-_step_full_chain = njit(equations.step_full_chain, inline="always")
+_step_two_poles = njit(equations.step_two_poles, inline="always", error_model="numpy")
+_step_full_chain = njit(equations.step_full_chain, inline="always", error_model="numpy")
 
-# The closed form divides by differences of poles.  Poles closer than COINCIDENCE (relatively) are stepped
-# around: the step is an analytic function of the cutoffs, so it is evaluated at cutoffs moved by ±h, ±2h, ±3h
-# (each stage by its own multiple, so that no pair stays together) and interpolated back to zero displacement.
-# Error O(h⁶) ≈ 1e-12 of the step's change; the exactly coincident case is covered like any other.
+# The closed form divides by differences of poles and loses the digits of the product of a pole's relative gaps to
+# all others; and it subtracts the ramp's delay r/ω, which for a steep ramp and a slow stage exceeds everything else.
+# Where the gaps multiply to less than COINCIDENCE × (1 or the delays / STEEP, whichever is larger), error about
+# 2e-10, the step is taken by the exponential of the small matrix instead (`coincident.py`): twenty times slower,
+# indifferent to both.
 COINCIDENCE = 1e-3
-NUDGE = 0.004
-NUDGE_WEIGHTS = (0.75, -0.3, 0.05)
+STEEP = 1e3
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def photoreceptor_factors(a, b2, tau):
     """(f1, f2, g) that propagate (ε_y, ε_v) over `tau`: exp of [[0, 1], [−a, −b2]] τ = [[f1, g], [−a g, f2]].
 
@@ -65,27 +65,37 @@ def photoreceptor_factors(a, b2, tau):
     return f + b * g, f - b * g, g
 
 
-@njit(cache=True)
-def _near(a, b2, w):
-    """Whether the low-pass at `w` nearly coincides with a photoreceptor pole."""
-    return abs((a + w * (w - b2)).real) < COINCIDENCE * (w * w + a).real
+@njit(inline="always", error_model="numpy")
+def gap_to_photoreceptor(a, b2, w):
+    """Relative gap of the low-pass at `w` to the photoreceptor poles (their product), at most 1."""
+    return min(abs((a + w * (w - b2)).real) / (w * w + a).real, 1.0)
 
 
-@njit(cache=True)
-def _near_pair(w, other):
-    return abs((w - other).real) < COINCIDENCE * (w + other).real
+@njit(inline="always", error_model="numpy")
+def gap(w, other):
+    """Relative gap of two cutoffs, at most 1."""
+    return abs((w - other).real) / (w + other).real
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def cutoffs_coincide(w1, w2, wh, wd):
-    """Whether two of the first-order stages nearly coincide (this does not depend on the light)."""
-    close = _near_pair(w1, wd) or _near_pair(w1, w2) or _near_pair(w2, wd)
+    """Whether first-order stages nearly coincide among themselves (this does not depend on the light)."""
+    return _smallest_gap(1.0, 1.0, 1.0, 1.0, w1, w2, wh, wd) < COINCIDENCE
+
+
+@njit(cache=True, error_model="numpy")
+def _smallest_gap(q1, q2, qh, qd, w1, w2, wh, wd):
+    """The smallest product of one pole's gaps to the others; q: the gaps to the photoreceptor."""
+    g12, g1d, g2d = gap(w1, w2), gap(w1, wd), gap(w2, wd)
+    g1h, g2h, ghd = 1.0, 1.0, 1.0
     if wh.real > 0:
-        close = close or _near_pair(wh, w1) or _near_pair(wh, w2) or _near_pair(wh, wd)
-    return close
+        g1h, g2h, ghd = gap(w1, wh), gap(w2, wh), gap(wh, wd)
+    return min(
+        q1 * q2 * qh * qd, q1 * g12 * g1d * g1h, q2 * g12 * g2d * g2h, qd * g1d * g2d * ghd, qh * g1h * g2h * ghd
+    )
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _closed_form(v, y, s, e, z, d, u0, r, tau, a, b2, w1, w2, wh, wd, pr):
     k1 = np.exp(-w1 * tau)
     kd = np.exp(-wd * tau)
@@ -97,50 +107,37 @@ def _closed_form(v, y, s, e, z, d, u0, r, tau, a, b2, w1, w2, wh, wd, pr):
     )
 
 
-@njit(cache=True)
-def _stepped_around(v, y, s, e, z, d, u0, r, tau, a, b2, w1, w2, wh, wd, pr):
-    zero = v * 0.0
-    v1, y1, s1, e1, z1, d1 = zero, zero, zero, zero, zero, zero
-    for j in range(3):
-        for sign in (-1.0, 1.0):
-            h = sign * (j + 1) * NUDGE
-            weight = NUDGE_WEIGHTS[j]
-            nv, ny, ns, ne, nz, nd = _closed_form(
-                v, y, s, e, z, d, u0, r, tau, a, b2,
-                w1 * (1.0 + h), w2 * (1.0 - 1.5 * h), wh * (1.0 + 2.0 * h), wd * (1.0 - h), pr,
-            )  # fmt: skip
-            v1 += weight * nv
-            y1 += weight * ny
-            s1 += weight * ns
-            e1 += weight * ne
-            z1 += weight * nz
-            d1 += weight * nd
-    return v1, y1, s1, e1, z1, d1
-
-
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def advance(state, u0, r, tau, a, b2, w1, w2, wh, wd, coincide):
     """The six-component state after `tau` of the input ramp u0 + r τ; `coincide` from `cutoffs_coincide`."""
+    if coincide:
+        return coincident.advance(state, u0, r, tau, a, b2, w1, w2, wh, wd)
+    q1, qd = gap_to_photoreceptor(a, b2, w1), gap_to_photoreceptor(a, b2, wd)
+    delay = b2 / a + 1.0 / w1 + 1.0 / wd
+    if w2.real > PRESENT_BELOW and wh.real == 0:
+        g = gap(w1, wd)
+        smallest = min(q1 * qd, q1 * g, qd * g)
+    else:
+        delay += 1.0 / w2
+        qh = 1.0
+        if wh.real > 0:
+            delay += 1.0 / wh
+            qh = gap_to_photoreceptor(a, b2, wh)
+        smallest = _smallest_gap(q1, gap_to_photoreceptor(a, b2, w2), qh, qd, w1, w2, wh, wd)
+    if smallest < COINCIDENCE * max(1.0, abs((r * delay).real) / STEEP):
+        return coincident.advance(state, u0, r, tau, a, b2, w1, w2, wh, wd)
     v, y, s, e, z, d = state
     pr = photoreceptor_factors(a, b2, tau)
-    if (
-        coincide
-        or _near(a, b2, w1)
-        or _near(a, b2, wd)
-        or (w2.real < PRESENT_BELOW and _near(a, b2, w2))
-        or (wh.real > 0 and _near(a, b2, wh))
-    ):
-        return _stepped_around(v, y, s, e, z, d, u0, r, tau, a, b2, w1, w2, wh, wd, pr)
     return _closed_form(v, y, s, e, z, d, u0, r, tau, a, b2, w1, w2, wh, wd, pr)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def linearised_at(L0, L1, midpoint):
     """The radiance at which a step's photoreceptor is linearised: geometric midpoint, or the newer sample."""
     return np.sqrt(L0 * L1) if midpoint else L1
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def scan(t, u, L, dynamics, midpoint, states):
     """Run the chain from steady state at the first sample; fills `states` (n, 6) in place."""
     alpha, beta, gamma, w1, w2, wh, wd = dynamics
@@ -164,7 +161,7 @@ def scan(t, u, L, dynamics, midpoint, states):
         states[k, 0], states[k, 1], states[k, 2], states[k, 3], states[k, 4], states[k, 5] = state
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def within_step(tq, k, t, u, L, dynamics, coincide, midpoint, states):
     """State at time tq inside step k (t[k] ≤ tq ≤ t[k+1]); past the last sample the input is held."""
     alpha, beta, gamma, w1, w2, wh, wd = dynamics
@@ -182,7 +179,7 @@ def within_step(tq, k, t, u, L, dynamics, coincide, midpoint, states):
     return advance(state, u[k], r, tau, alpha * lin, beta + gamma * lin, w1, w2, wh, wd, coincide)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def reference_and_slopes(state, dynamics, u_slope):
     """(reset level, amplifier output, its slope) of a state.
 

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from pixelid.dynamics import equations, kernels
+from pixelid.dynamics import equations, kernels, vectorised
 from pixelid.errors import InputError
 
 STAGES = ("photoreceptor_slope", "photoreceptor", "source_follower", "extra_pole", "lower_cutoff", "differencing")
@@ -75,7 +75,7 @@ class Trajectory:
         return out
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _at(times, t, u, L, dynamics, midpoint, states, out):
     coincide = kernels.cutoffs_coincide(dynamics[3], dynamics[4], dynamics[5], dynamics[6])
     for i in range(len(times)):
@@ -106,5 +106,6 @@ def integrate(t, radiance, dynamics: Dynamics, *, linearisation: str = "midpoint
     u = np.log(radiance)
     states = np.empty((len(t), 6), dtype=dtype)
     midpoint = linearisation == "midpoint"
-    kernels.scan(t, u, radiance, values, midpoint, states)
+    run = vectorised.scan if dtype is np.float64 and vectorised.applicable(values) else kernels.scan
+    run(t, u, radiance, values, midpoint, states)
     return Trajectory(t, u, radiance, Dynamics(*values), midpoint, states)

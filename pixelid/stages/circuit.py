@@ -43,7 +43,7 @@ class Circuit:
     on_threshold: float = math.nan
     off_threshold: float = math.nan
     mismatch: float = 0.0  # pixel-to-pixel standard deviation, relative to the threshold
-    noise: float = 0.0  # event-to-event standard deviation, log radiance
+    noise: float = 0.0  # event-to-event standard deviation, relative to the threshold
     threshold_drift: float = 0.0  # relative, per second
     refractory: float = 0.0
     hot_count: int = 0

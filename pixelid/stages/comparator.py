@@ -35,9 +35,9 @@ class ThresholdNoise(Effect):
     name = "threshold_noise"
     stage = "comparator"
     sentence = "The threshold of a pixel varies from event to event."
-    equation = "C → C + σ ξ, one draw per event and polarity"
+    equation = "C → C (1 + σ ξ), one draw per event and polarity"
     source = "DESIGN §4"
-    parameters = (Parameter("threshold_sigma", 0.01, "log radiance", 1e-5, 1.0, "log"),)
+    parameters = (Parameter("threshold_sigma", 0.04, "1", 1e-5, 1.0, "log"),)
 
     def apply(self, circuit: Circuit, values: Mapping[str, float]) -> Circuit:
         return circuit.with_(noise=values["threshold_sigma"])

@@ -1,0 +1,161 @@
+"""The four-state step (photoreceptor, follower, differencing amplifier) in vector form.
+
+Same closed form as `kernels.advance`, arranged so that LLVM runs four steps or pixels at a time: transcendental
+functions from `vector_math`, selections instead of branches.  Steps whose poles nearly coincide are flagged for
+`kernels.advance`.  Real values only; photoreceptor of one or two poles.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from pixelid.dynamics import equations, kernels
+from pixelid.dynamics.equations import PRESENT_BELOW
+from pixelid.dynamics.vector_math import vexp, vsincos
+
+BLOCK = 256
+_low_pass_response = njit(equations.low_pass_response, inline="always", error_model="numpy")
+
+
+@njit(inline="always", error_model="numpy")
+def factors(a, b2, tau):
+    """(f1, f2, g) as `kernels.photoreceptor_factors`, without branches."""
+    b = 0.5 * b2
+    disc = b * b - a
+    overdamped = disc > 0.0
+    root = np.sqrt(abs(disc)) + 1e-200
+    fast = b + root if overdamped else b
+    slow = a / fast if overdamped else b
+    e_slow = vexp(-slow * tau)
+    e_fast = vexp(-fast * tau)
+    phase = 0.0 if overdamped else root * tau
+    sine, cosine = vsincos(phase)
+    half = 0.5 / root
+    g_real = (e_slow - e_fast) * half
+    g_far = g_real if overdamped else 2.0 * half * e_slow * sine
+    f1_far = (fast * e_slow - slow * e_fast) * half if overdamped else e_slow * cosine + b * g_far
+    f2_far = (fast * e_fast - slow * e_slow) * half if overdamped else e_slow * cosine - b * g_far
+    x = disc * tau * tau
+    near = abs(x) < 0.3
+    x = x if near else 0.0
+    eb = np.sqrt(e_slow * e_fast)
+    c = 1.0 + x * (0.5 + x * (1 / 24 + x * (1 / 720 + x * (1 / 40320 + x * (1 / 3628800 + x / 479001600)))))
+    s = 1.0 + x * (1 / 6 + x * (1 / 120 + x * (1 / 5040 + x * (1 / 362880 + x * (1 / 39916800 + x / 6227020800)))))
+    g_near = eb * tau * s
+    f_near = eb * c
+    f1 = f_near + b * g_near if near else f1_far
+    f2 = f_near - b * g_near if near else f2_far
+    return f1, f2, g_near if near else g_far
+
+
+@njit(inline="always", error_model="numpy")
+def near_coincidence(a, b2, w1, wd, gap_1d):
+    """Whether `kernels.advance` would leave the closed form: products of the poles' relative gaps."""
+    q1 = min(abs(a + w1 * (w1 - b2)) / (w1 * w1 + a), 1.0)
+    qd = min(abs(a + wd * (wd - b2)) / (wd * wd + a), 1.0)
+    return min(q1 * qd, q1 * gap_1d, qd * gap_1d) < kernels.COINCIDENCE
+
+
+# The loops below are kept apart, few arrays each: LLVM gives up on vectorising a loop that would need too many
+# run-time checks for overlapping arrays, or an index such as k − 1.
+
+
+@njit(cache=True, error_model="numpy", fastmath={"contract"})
+def linearise(alpha, beta, gamma, L0, L1, midpoint, a, b2):
+    """Fill a = ωn² and b2 = 2ζωn of steps between radiances L0 and L1."""
+    if midpoint:
+        for k in range(len(a)):
+            lin = np.sqrt(L0[k] * L1[k])
+            a[k] = alpha * lin
+            b2[k] = beta + gamma * lin
+    else:
+        for k in range(len(a)):
+            a[k] = alpha * L1[k]
+            b2[k] = beta + gamma * L1[k]
+
+
+@njit(cache=True, error_model="numpy", fastmath={"contract"})
+def fill_factors(a, b2, tau, f1, f2, g):
+    """Fill the photoreceptor's propagators."""
+    for k in range(len(a)):
+        f1[k], f2[k], g[k] = factors(a[k], b2[k], tau[k])
+
+
+@njit(cache=True, error_model="numpy", fastmath={"contract"})
+def fill_responses(a, b2, w1, wd, p0, p1, q0, q1, close):
+    """Fill the follower's and the amplifier's response coefficients, and where poles nearly coincide."""
+    gap_1d = abs(w1 - wd) / (w1 + wd)
+    for k in range(len(a)):
+        x0, x1 = _low_pass_response(1.0, 0.0, a[k], b2[k], w1)
+        p0[k] = x0
+        p1[k] = x1
+        q0[k], q1[k] = _low_pass_response(x0, x1, a[k], b2[k], wd)
+        close[k] = 1.0 if near_coincidence(a[k], b2[k], w1, wd, gap_1d) else 0.0
+
+
+def applicable(dynamics) -> bool:
+    """Whether these dynamics (real tuple) have the plain four-state structure this module handles."""
+    alpha, beta, gamma, w1, w2, wh, wd = dynamics
+    if isinstance(alpha, complex) or w2 < PRESENT_BELOW or wh > 0 or (beta > PRESENT_BELOW and gamma == 0):
+        return False
+    return not kernels.cutoffs_coincide(w1, w2, wh, wd)
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+def scan(t, u, L, dynamics, midpoint, states):
+    """As `kernels.scan`: coefficients of a block of steps in vector form, then the recurrence through the block."""
+    alpha, beta, gamma, w1, w2, wh, wd = dynamics
+    n = len(t)
+    tau_, a_, b2_, close = np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK)
+    f1_, f2_, g_ = np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK)
+    p0_, p1_, q0_, q1_ = np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK)
+    v, y, s, d = 0.0, u[0], u[0], u[0]
+    states[0, 0], states[0, 1], states[0, 2], states[0, 3], states[0, 4], states[0, 5] = v, y, s, s, 0.0, d
+    inv1, invd, gain = 1.0 / w1, 1.0 / wd, wd / (wd - w1)
+    tau_before, k1, kd = -1.0, 0.0, 0.0
+    for start in range(1, n, BLOCK):
+        size = min(BLOCK, n - start)
+        before, after = t[start - 1 : start - 1 + size], t[start : start + size]
+        for j in range(size):
+            tau_[j] = after[j] - before[j]
+        linearise(
+            alpha, beta, gamma, L[start - 1 : start - 1 + size], L[start : start + size], midpoint,
+            a_[:size], b2_[:size],
+        )  # fmt: skip
+        fill_factors(a_[:size], b2_[:size], tau_[:size], f1_, f2_, g_)
+        fill_responses(a_[:size], b2_[:size], w1, wd, p0_, p1_, q0_, q1_, close)
+        for j in range(size):
+            k = start + j
+            tau = tau_[j]
+            if tau > 0.0:
+                r = (u[k] - u[k - 1]) / tau
+                if close[j] > 0.0:
+                    v, y, s, _, _, d = kernels.advance(
+                        (v, y, s, s, 0.0, d), u[k - 1], r, tau, a_[j], b2_[j], w1, w2, wh, wd, False
+                    )
+                else:
+                    if abs(tau - tau_before) > 1e-13 * tau:
+                        k1, kd = np.exp(-w1 * tau), np.exp(-wd * tau)
+                        tau_before = tau
+                    ramp_y = u[k - 1] - r * b2_[j] / a_[j]
+                    ramp_s = ramp_y - r * inv1
+                    ramp_d = ramp_s - r * invd
+                    grown = r * tau
+                    ev = v - r
+                    ey = y - ramp_y
+                    m = s - ramp_s - p0_[j] * ey - p1_[j] * ev
+                    m1 = m * gain
+                    rest = d - ramp_d - q0_[j] * ey - q1_[j] * ev - m1
+                    ey1 = f1_[j] * ey + g_[j] * ev
+                    ev1 = f2_[j] * ev - a_[j] * g_[j] * ey
+                    v = r + ev1
+                    y = ramp_y + grown + ey1
+                    s = ramp_s + grown + p0_[j] * ey1 + p1_[j] * ev1 + m * k1
+                    d = ramp_d + grown + q0_[j] * ey1 + q1_[j] * ev1 + m1 * k1 + rest * kd
+            states[k, 0] = v
+            states[k, 1] = y
+            states[k, 2] = s
+            states[k, 3] = s
+            states[k, 4] = 0.0
+            states[k, 5] = d

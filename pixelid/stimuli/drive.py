@@ -1,0 +1,71 @@
+"""The light as the photoreceptor receives it: a stimulus turned into samples of effective radiance."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pixelid.errors import InputError
+from pixelid.stages.circuit import Circuit
+from pixelid.stimuli.stimulus import Stimulus
+
+
+@dataclass(frozen=True)
+class Drive:
+    """Effective radiance (n,) > 0 at times t (n,) seconds, non-decreasing; log radiance is linear in between.
+
+    Two samples may share a time: the light jumps there.
+    """
+
+    t: np.ndarray
+    radiance: np.ndarray
+
+
+def knots(stimulus: Stimulus, until_s: float | None = None) -> tuple[np.ndarray, np.ndarray]:
+    """(t, index): where a full-field stimulus has knots, and which sample each takes its radiance from.
+
+    A held stimulus ("previous") gets two knots per change, so that it jumps; its last value holds to `until_s`.
+    """
+    t = stimulus.t
+    index = np.arange(len(t))
+    if stimulus.interpolation == "previous":
+        t = np.repeat(t, 2)[1:]
+        index = np.repeat(index, 2)[:-1]
+    if until_s is not None and until_s > t[-1]:
+        t, index = np.append(t, until_s), np.append(index, index[-1])
+    return t, index
+
+
+def refined(t: np.ndarray, longest_step: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(t, left, weight): knots refined to steps ≤ longest_step; a new knot mixes log radiance of left and left+1."""
+    gaps = np.diff(t)
+    parts = np.maximum(np.ceil(gaps / longest_step - 1e-9), 1).astype(np.int64)
+    left = np.repeat(np.arange(len(gaps)), parts)
+    first = np.concatenate([[0], np.cumsum(parts)[:-1]])
+    weight = (np.arange(len(left)) - first[left]) / parts[left]
+    return (
+        np.append(t[left] + weight * gaps[left], t[-1]),
+        np.append(left, len(t) - 2),
+        np.append(weight, 1.0),
+    )
+
+
+def drive(stimulus: Stimulus, circuit: Circuit, until_s: float | None = None) -> Drive:
+    """The effective radiance of a full-field stimulus under a circuit: dark current and flicker included.
+
+    Mains flicker is sampled at least 64 times per cycle.  Values may be complex.
+    Raises InputError for a per-pixel stimulus, and for radiance that dark current leaves at 0.
+    """
+    if not stimulus.full_field:
+        raise InputError("this needs a full-field stimulus, found one radiance per pixel")
+    t, index = knots(stimulus, until_s)
+    radiance = stimulus.radiance[index].astype(np.float64)
+    if circuit.flicker_modulation != 0:
+        t, left, weight = refined(t, 1.0 / (64 * circuit.flicker_hz.real))
+        logs = np.log(radiance)
+        radiance = np.exp((1 - weight) * logs[left] + weight * logs[left + 1])
+        radiance = radiance * (
+            1 + circuit.flicker_modulation * np.sin(2 * np.pi * circuit.flicker_hz * t + circuit.flicker_phase)
+        )
+    return Drive(t, radiance + circuit.dark)
