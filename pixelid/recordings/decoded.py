@@ -12,8 +12,8 @@ from pixelid.recordings.columns import to_nanoseconds
 from pixelid.recordings.events import Events
 from pixelid.recordings.recording import Recording
 
-TYPES = {".aedat4": "aedat", ".raw": "evt", ".dat": "dat", ".es": "es"}
-VERSIONS = {"2.0": "evt2", "2.1": "evt2.1", "3.0": "evt3", "2": "evt2", "3": "evt3"}
+TYPES: dict = {".aedat4": "aedat", ".raw": "evt", ".dat": "dat", ".es": "es"}
+VERSIONS: dict = {"2.0": "evt2", "2.1": "evt2.1", "3.0": "evt3", "2": "evt2", "3": "evt3"}
 
 
 def read(path: Path) -> Recording:

@@ -83,7 +83,7 @@ def _scalar(archive, name: str) -> int | None:
 def write(recording: Recording, path: Path) -> None:
     """Write `recording` to a compressed .npz with t in nanoseconds and everything else in `metadata`."""
     events, stimulus = recording.events, recording.stimulus
-    columns = {"t": events.t, "x": events.x, "y": events.y, "p": events.p}
+    columns: dict = {"t": events.t, "x": events.x, "y": events.y, "p": events.p}
     if stimulus is not None:
         columns |= {"stimulus_t": stimulus.t, "stimulus_radiance": stimulus.radiance}
     np.savez_compressed(path, metadata=np.array(metadata.to_json(recording)), **columns)

@@ -42,7 +42,7 @@ class Recording:
         """Raise InputError when an event lies outside the stimulus, or there is no stimulus.
 
         Three kinds of late events are legitimate: a stimulus of interpolation "previous" holds its last value;
-        latency and jitter carry an event past the last sample by one sample or `LATENCY_S`; and a saturated
+        latency and jitter carry an event past the last sample by up to `LATENCY_S`; and a saturated
         readout empties its queue after the stimulus has ended, at its service rate, the fastest of the recording.
         """
         if self.stimulus is None:
@@ -50,7 +50,7 @@ class Recording:
         if len(self.events) == 0:
             return
         t, s = self.events.t, self.stimulus.t
-        end = s[-1] + max(s[-1] - s[-2], LATENCY_S)
+        end = s[-1] + LATENCY_S
         late = self.stimulus.interpolation != "previous" and t[-1] * 1e-9 > end
         if t[0] * 1e-9 < s[0] - LATENCY_S or (late and not _drains(t, t[np.searchsorted(t, s[-1] * 1e9) :])):
             raise InputError(

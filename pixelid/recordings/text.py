@@ -29,15 +29,12 @@ def read(path: Path) -> Recording:
     try:
         with path.open(encoding="utf-8") as file:
             meta, stimulus, order, first = _header(file, path)
-            if first is None:
-                blocks = [np.empty((0, 4), np.int64)]
-                seconds = False
-            else:
-                seconds = any(c in first.replace(",", " ").split()[order[0]] for c in ".eE")
-                blocks = list(_blocks(file, first, order, seconds, where))
+            seconds = first is not None and any(c in first.replace(",", " ").split()[order[0]] for c in ".eE")
+            blocks = [] if first is None else list(_blocks(file, first, order, seconds, where))
     except UnicodeDecodeError as error:
         raise InputError(f"{path}: expected text, found binary data") from error
-    t, x, y, p = (np.concatenate([block[k] for block in blocks]) if first else blocks[0][:, k] for k in range(4))
+    empty = np.empty(0, np.int64)
+    t, x, y, p = (np.concatenate([block[k] for block in blocks]) if blocks else empty for k in range(4))
     unit = "ns" if seconds else meta.get("unit", "us")
     tick_ns = int(meta.get("tick_ns", 1 if unit == "ns" else 1000))
     width, height = sensor_size(x, y, meta.get("width"), meta.get("height"))
@@ -75,13 +72,14 @@ def _blocks(file, first: str, order: list[int], seconds: bool, where: str):
     """The columns (t int64 [ns when `seconds`], x, y, p) of successive blocks of lines."""
     delimiter = "," if "," in first else None
     lines, done = [first], 0
-    kinds = {"names": list("txyp"), "formats": [np.float64 if seconds else np.int64, np.int32, np.int32, np.int8]}
+    time = np.float64 if seconds else np.int64
+    kinds = np.dtype([("t", time), ("x", np.int32), ("y", np.int32), ("p", np.int8)])
     while True:
         lines += islice(file, LINES_AT_ONCE - len(lines))
         if not lines:
             return
         try:
-            block = np.loadtxt(lines, dtype=np.dtype(kinds), delimiter=delimiter, usecols=order, ndmin=1)
+            block = np.loadtxt(lines, dtype=kinds, delimiter=delimiter, usecols=order, ndmin=1)
         except (ValueError, OverflowError) as error:
             reason = str(error).splitlines()[0]
             raise InputError(f"{where}: expected lines of t x y p after event {done}, found: {reason}") from error
