@@ -74,6 +74,15 @@ def test_a_few_shorter_intervals_do_not_move_the_dead_time():
         assert found.value_s == pytest.approx(1e-3, rel=0.01)
 
 
+@pytest.mark.parametrize(("jitter_us", "tolerance"), [(5, 0.03), (30, 0.04)])
+def test_jitter_of_the_timestamps_leaves_the_dead_time_in_place(jitter_us, tolerance):
+    for seed in range(5):
+        intervals = pixel_intervals(poisson_events(seed, rate_hz=300, dead_s=1e-3, tick_ns=1000))
+        noise = np.random.default_rng(seed).normal(0, jitter_us * np.sqrt(2), len(intervals))
+        found = find_dead_time(intervals + np.rint(noise).astype(np.int64) * 1000, 1e-6)
+        assert found.value_s == pytest.approx(1e-3, rel=tolerance)
+
+
 def test_no_dead_time_is_found_where_there_is_none():
     for seed in range(25):
         for tick_ns in (1, 1000, 100_000):

@@ -10,7 +10,11 @@ the sorted intervals and stops at the first that
    slower than the cube of the interval would give (binomial tail);
 3. where some intervals lie below: is sharp, the density just above it ten times that below.  The slow onset that
    regular firing gives to the intervals is not sharp;
-4. is full at once, or lies far below the median interval: otherwise it is the lower end of regular firing.
+4. is full at once, or rises to a plateau, or lies far below the median interval: otherwise it is the lower end
+   of regular firing.
+
+An edge that rises to a plateau is a sharp one blurred by jitter of the timestamps, which leaves its half height
+in place.
 """
 
 from __future__ import annotations
@@ -28,6 +32,8 @@ CLOSE = 1.05
 SLOWEST_GROWTH = 3.0
 SHARP = 10.0
 BROAD = 5.0
+COARSE = 0.02
+WIDEST_BLUR = 1.3
 EDGE_LEVEL = 5e-4
 
 
@@ -68,9 +74,13 @@ def find_dead_time(intervals: np.ndarray, tick_s: float | None) -> DeadTime:
     counted = {"intervals": n, "below": i, "above": above}
     if int(edge / tick + 0.5) <= 1:
         return DeadTime(None, None, f"intervals reach down to one tick of {tick * 1e-3:g} µs", **counted)
-    if x[n // 2] < BROAD * edge and close / (CLOSE - 1) < 0.5 * above / (ABOVE - 1):
+    full = close / (CLOSE - 1) >= 0.5 * above / (ABOVE - 1)
+    blurred = None if full or tick > COARSE * edge else _half_height(x, edge)
+    if not full and blurred is None and x[n // 2] < BROAD * edge:
         return DeadTime(None, None, "intervals are regular: their lower end follows the rate", **counted)
-    if tick > 0.02 * edge:
+    if blurred is not None:
+        value, low, high = blurred
+    elif tick > COARSE * edge:
         value, low, high = _between_ticks(intervals, int(edge / tick + 0.5), tick)
     else:
         # A constant density above the edge puts the first interval an exponential distance beyond it.
@@ -109,6 +119,21 @@ def _change(x: np.ndarray, first: int) -> int:
     j = np.arange(first, max(int(np.searchsorted(x, CLOSE * x[first])), first + 1))
     likelihood = j * np.log(j / x[j]) + (total - j) * np.log(np.maximum(total - j, 1) / (end - x[j]))
     return int(j[np.argmax(likelihood)])
+
+
+def _half_height(x: np.ndarray, edge: float) -> tuple[float, float, float] | None:
+    """Where the density above `edge` reaches half its plateau, with bounds; None when it rises slowly or on and on."""
+    bins = edge * np.linspace(1, 1.6, 25)
+    density = np.diff(np.searchsorted(x, bins)) / np.diff(bins)
+    plateau = float(np.median(density[12:]))
+    wide = edge * np.geomspace(1, 20, 30)
+    if np.max(np.diff(np.searchsorted(x, wide)) / np.diff(wide)) > 1.5 * plateau:
+        return None
+    rise = np.maximum.accumulate(density)
+    half, most = (int(np.argmax(rise >= share * plateau)) for share in (0.5, 0.9))
+    if bins[most + 1] > WIDEST_BLUR * edge:
+        return None
+    return float(0.5 * (bins[half] + bins[half + 1])), edge, float(bins[most + 1])
 
 
 def _between_ticks(intervals: np.ndarray, level: int, tick: float) -> tuple[float, float, float]:

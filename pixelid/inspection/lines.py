@@ -1,9 +1,10 @@
 """Global periodic lines: light or readout that makes the whole sensor fire in time.
 
-The events of each polarity are counted in fine bins; in their spectrum (Hann taper) a line is a bin that stands
-out from the smooth background, the median over neighbouring frequencies: of a stationary process without lines
-every bin is exponential about it (Brillinger, Time Series, 1981, ch. 5).  Polarities are looked at apart, because
-a lamp makes them alternate and their sum shows twice its frequency.  Harmonics are joined to their fundamental.
+The events of each polarity, and of both, are counted in fine bins; in their spectrum (Hann taper) a line is a bin
+that stands out from the smooth background, the median over neighbouring frequencies: of a stationary process
+without lines every bin is exponential about it (Brillinger, Time Series, 1981, ch. 5).  Polarities are looked at
+apart as well because a lamp makes them alternate, so that their sum shows twice its frequency.  Harmonics are
+joined to their fundamental.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ HIGHEST_HZ = 2500.0
 MOST_BINS = 1 << 22
 FEWEST_CYCLES = 6
 FEWEST_EVENTS = 200
-FALSE_ALARM = 1e-4
+FALSE_ALARM = 1e-3
 REFINE_BINS = 1 << 19
 
 
@@ -29,7 +30,7 @@ class Line:
     """One periodic line of the global event rate.
 
     frequency_hz, uncertainty_hz: the fundamental and its standard deviation
-    modulation: amplitude of the fundamental relative to the mean rate, of the polarity that shows it best
+    modulation: amplitude of the fundamental relative to the mean rate, of the polarity, or both, that shows it best
     strength: power over the background
     p_value: chance of a line as strong anywhere in the spectrum
     harmonics_hz: multiples of the fundamental that stand out as well
@@ -55,8 +56,8 @@ def find_lines(events: Events, tick_s: float | None = None) -> list[Line]:
         return []
     resolution = 1 / (length * BIN_S)
     ratio, modulation, series = None, None, []
-    for polarity in (1, 0):
-        counts = _counts(events, polarity, bins)
+    apart = [_counts(events, polarity, bins) for polarity in (1, 0)]
+    for counts in (*apart, apart[0] + apart[1]):
         if counts.sum() < FEWEST_EVENTS:
             continue
         power, relative = _spectrum(counts, segments, length)
