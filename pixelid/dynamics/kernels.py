@@ -186,7 +186,7 @@ def reference_and_slopes(state, dynamics, u_slope):
     The reset level is what the amplifier restarts from: the follower output, or behind a lower cutoff h = e − z.
     Where the amplifier has no pole its output is that level itself.
     """
-    alpha, beta, gamma, w1, w2, wh, wd = dynamics
+    _, beta, gamma, w1, w2, wh, wd = dynamics
     v, y, s, e, z, d = state
     level = e - z
     if wd.real < PRESENT_BELOW:
@@ -195,9 +195,7 @@ def reference_and_slopes(state, dynamics, u_slope):
         slope = w2 * (s - e)
     elif w1.real < PRESENT_BELOW:
         slope = w1 * (y - s)
-    elif beta.real < PRESENT_BELOW:
-        slope = v
-    elif gamma.real > 0:  # one-pole photoreceptor: y' = v
+    elif beta.real < PRESENT_BELOW or gamma.real > 0:  # two poles or one: y' = v
         slope = v
     else:
         slope = u_slope
