@@ -90,7 +90,7 @@ def first_order_hold(dynamics: Dynamics, radiance: float, dt: float) -> Hold:
     """The coefficients of one step of `dt` seconds, the photoreceptor linearised at `radiance`.
 
     Any combination of stages: photoreceptor of no, one or two poles, follower, extra pole, lower cutoff,
-    differencing amplifier.  Relative error below 1e-12 for real poles and positive coefficients; coefficients
+    differencing amplifier.  Relative error below 1e-11 (1e-14 above e^−50) for real poles and positive coefficients; coefficients
     that oscillate or change sign are as accurate relative to their envelope, and the phase ωΔt of an oscillation
     is as good as float64 can hold it.
 
