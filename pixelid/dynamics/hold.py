@@ -90,9 +90,9 @@ def first_order_hold(dynamics: Dynamics, radiance: float, dt: float) -> Hold:
     """The coefficients of one step of `dt` seconds, the photoreceptor linearised at `radiance`.
 
     Any combination of stages: photoreceptor of no, one or two poles, follower, extra pole, lower cutoff,
-    differencing amplifier.  Relative error below 1e-11 (1e-14 above e^−50) for real poles and positive coefficients; coefficients
-    that oscillate or change sign are as accurate relative to their envelope, and the phase ωΔt of an oscillation
-    is as good as float64 can hold it.
+    differencing amplifier.  Relative error below 1e-11 for real poles and positive coefficients, down to the
+    underflow; coefficients that oscillate or change sign are as accurate relative to their envelope, as far as
+    float64 can hold the phase ωΔt of an oscillation.
 
     Raises InputError for radiance ≤ 0, dt < 0, or dynamics without any pole (nothing to discretise).
     """
