@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from pixelid.dynamics import kernels
+from pixelid.dynamics import kernels, vectorised
 from pixelid.dynamics.equations import PRESENT_BELOW
 from pixelid.dynamics.of_circuit import dynamics_of
 from pixelid.dynamics.trajectory import Trajectory, integrate
@@ -23,6 +23,8 @@ from pixelid.likelihood.sequences import Sequences
 from pixelid.recordings.recording import Recording
 from pixelid.stages.circuit import Circuit
 from pixelid.stimuli.drive import drive
+
+BLOCK = 64  # samples whose extremes are kept together
 
 
 @dataclass(frozen=True)
@@ -32,7 +34,7 @@ class Changes:
     change, slope: (n,) at the event;  drift, drift_slope: (n,) leak at the event, in C_on and C_on/s
     opposite: (n,) extreme of −sign·change before the event, and opposite_drift there
     rise, rise_drift, fall, fall_drift: (m,) extremes of +change and −change over the censored last intervals
-    valid: whether every event comes after its pixel's release
+    early: (n,) whether the event comes before its pixel's release (impossible under the model)
     """
 
     change: np.ndarray
@@ -45,7 +47,7 @@ class Changes:
     rise_drift: np.ndarray
     fall: np.ndarray
     fall_drift: np.ndarray
-    valid: bool
+    early: np.ndarray
 
 
 @njit(cache=True, error_model="numpy")
@@ -77,159 +79,163 @@ def _light_integral(tau, k, t, u, L):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _cumulative_light(t, u, L, out):
-    out[0] = L[0] * 0.0
-    for k in range(1, len(t)):
-        out[k] = out[k - 1] + _light_integral(t[k] - t[k - 1], k - 1, t, u, L)
+def _locate_all(t, times, hints, out):
+    for i in range(len(times)):
+        out[i] = _locate(t, times[i].real, hints[i])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _states_one_by_one(times, step, t, u, L, dynamics, midpoint, states, out):
+    coincide = kernels.cutoffs_coincide(dynamics[3], dynamics[4], dynamics[5], dynamics[6])
+    for i in range(len(times)):
+        state = kernels.within_step(times[i], step[i], t, u, L, dynamics, coincide, midpoint, states)
+        for j in range(6):
+            out[i, j] = state[j]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _prepare(t, u, L, dynamics, states, output, highest, lowest, lights):
+    """Fill the amplifier output at every sample, its extremes per block, and the running light integral."""
+    finite = dynamics[6].real < PRESENT_BELOW
+    for k in range(len(t)):
+        output[k] = states[k, 5] if finite else states[k, 3] - states[k, 4]
+        block = k // BLOCK
+        value = output[k].real
+        if k % BLOCK == 0:
+            highest[block] = value
+            lowest[block] = value
+        highest[block] = max(highest[block], value)
+        lowest[block] = min(lowest[block], value)
+    if len(lights) > 1:
+        lights[0] = L[0] * 0.0
+        for k in range(1, len(t)):
+            lights[k] = lights[k - 1] + _light_integral(t[k] - t[k - 1], k - 1, t, u, L)
 
 
 @njit(cache=True, error_model="numpy")
-def _release(tr, kr, t, u, L, dynamics, coincide, midpoint, states):
-    state = kernels.within_step(tr, kr, t, u, L, dynamics, coincide, midpoint, states)
-    level, d, _ = kernels.reference_and_slopes(state, dynamics, u[0] * 0.0)
-    offset = d - level if dynamics[6].real < PRESENT_BELOW else level * 0.0
-    return level, offset
-
-
-@njit(cache=True, error_model="numpy")
-def _at_sample(k, tr, level, offset, lights, light_r, t, dynamics, states, leak, parasitic, single):
-    """(change, drift) at stimulus sample k."""
-    wd = dynamics[6]
-    if wd.real < PRESENT_BELOW:
-        change = states[k, 5] - level
-        x = wd * (t[k] - tr)
-        if x.real < 40.0:
-            change = change - offset * np.exp(-x)
-    else:
-        change = states[k, 3] - states[k, 4] - level
+def _at_sample(k, tr, level, offset, light_r, t, wd, output, lights, leak, parasitic):
+    """(change, drift) at stimulus sample k of an interval released at tr."""
+    change = output[k] - level
+    x = wd * (t[k] - tr)
+    if x.real < 40.0:
+        change = change - offset * np.exp(-x)
     drift = leak * (t[k] - tr)
-    if single:
+    if len(lights) > 1:
         drift = drift + parasitic * (lights[k] - light_r)
     return change, drift
 
 
+@njit(cache=True, error_model="numpy")
+def _extreme(sign, low, high, tr, level, offset, light_r, t, wd, output, highest, lowest, lights, leak, parasitic, on):
+    """The sample in low..high where sign · change is largest, −1 where it never exceeds 0 (its value at release).
+
+    Once the reset has decayed, and without leak, change differs from the output by a constant, and whole blocks
+    are judged by their extremes.
+    """
+    best, where = 0.0, -1
+    k = low
+    plain = leak.real == 0.0 and parasitic.real == 0.0
+    while k <= high:
+        settled = wd.real * (t[k] - tr) >= 40.0
+        if plain and settled and k % BLOCK == 0 and k + BLOCK - 1 <= high:
+            block = k // BLOCK
+            peak = (highest[block] if sign > 0 else lowest[block]) - level.real
+            if sign * peak <= best:
+                k += BLOCK
+                continue
+        change, drift = _at_sample(k, tr, level, offset, light_r, t, wd, output, lights, leak, parasitic)
+        value = sign * (change + on * drift).real
+        if value > best:
+            best, where = value, k
+        k += 1
+    return where
+
+
+@njit(cache=True, error_model="numpy")
+def _released(i, state_r, kr, tr, t, u, L, dynamics, lights):
+    """(level, offset, light) an interval starts from."""
+    level = state_r[i, 3] - state_r[i, 4]
+    offset = state_r[i, 5] - level if dynamics[6].real < PRESENT_BELOW else level * 0.0
+    light = u[0] * 0.0
+    if len(lights) > 1:
+        light = lights[kr] + _light_integral(tr - t[kr], kr, t, u, L)
+    return level, offset, light
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
 def _events(
-    previous, time, sign, hint_previous, hint_time, extreme_at, find_extremes,
-    t, u, L, lights, dynamics, midpoint, states, leak, parasitic, on_scale, refractory, delay,
+    release, time, sign, step_r, step_e, state_r, state_e, extreme_at, locate,
+    t, u, L, dynamics, output, highest, lowest, lights, leak, parasitic, on,
     change, slope, drift, drift_slope, opposite, opposite_drift,
 ):  # fmt: skip
-    """Fill the per-interval arrays; returns the number of events that precede their release."""
-    coincide = kernels.cutoffs_coincide(dynamics[3], dynamics[4], dynamics[5], dynamics[6])
+    """Fill the per-interval arrays."""
     wd = dynamics[6]
-    finite = wd.real < PRESENT_BELOW
-    with_light = parasitic.real != 0
-    early = 0
+    zero = u[0] * 0.0
     for i in range(len(time)):
-        tr = previous[i] + refractory - delay
-        te = time[i] - delay
-        if te.real <= tr.real:
-            early += 1
-        kr = _locate(t, tr.real, hint_previous[i])
-        ke = _locate(t, te.real, hint_time[i])
-        level, offset = _release(tr, kr, t, u, L, dynamics, coincide, midpoint, states)
-        state = kernels.within_step(te, ke, t, u, L, dynamics, coincide, midpoint, states)
-        u_slope = (u[ke + 1] - u[ke]) / (t[ke + 1] - t[ke]) if ke + 1 < len(t) else u[0] * 0.0
-        _, d, ds = kernels.reference_and_slopes(state, dynamics, u_slope)
-        c = d - level
-        if finite:
-            decay = offset * np.exp(-wd * (te - tr))
-            c = c - decay
-            ds = ds + wd * decay
-        dr = leak * (te - tr)
-        drs = leak
-        light_r = u[0] * 0.0
-        if with_light:
-            light_r = lights[kr] + _light_integral(tr - t[kr], kr, t, u, L)
-            dr = dr + parasitic * (lights[ke] + _light_integral(te - t[ke], ke, t, u, L) - light_r)
-            drs = drs + parasitic * np.exp(u[ke] + u_slope * (te - t[ke]))
-        change[i] = c
-        slope[i] = ds
-        drift[i] = dr
-        drift_slope[i] = drs
-        # the other polarity's extreme: 0 at release, the stimulus samples in between
-        if find_extremes:
-            best = 0.0
-            where = -1
-            if kr < ke:
-                for k in range(kr + 1, ke + 1):
-                    ck, dk = _at_sample(
-                        k, tr, level, offset, lights, light_r, t, dynamics, states, leak, parasitic, with_light
-                    )
-                    value = -sign[i] * (ck + on_scale * dk).real
-                    if value > best:
-                        best = value
-                        where = k
-            extreme_at[i] = where
-        where = extreme_at[i]
-        if where >= 0:
-            ck, dk = _at_sample(
-                where, tr, level, offset, lights, light_r, t, dynamics, states, leak, parasitic, with_light
-            )
-            opposite[i] = -sign[i] * ck
-            opposite_drift[i] = -sign[i] * dk
-        else:
-            opposite[i] = u[0] * 0.0
-            opposite_drift[i] = u[0] * 0.0
-    return early
+        tr, te, kr, ke = release[i], time[i], step_r[i], step_e[i]
+        level, offset, light_r = _released(i, state_r, kr, tr, t, u, L, dynamics, lights)
+        rate = (u[ke + 1] - u[ke]) / (t[ke + 1] - t[ke]) if ke + 1 < len(t) else zero
+        state = (state_e[i, 0], state_e[i, 1], state_e[i, 2], state_e[i, 3], state_e[i, 4], state_e[i, 5])
+        _, d, ds = kernels.reference_and_slopes(state, dynamics, rate)
+        decay = offset * np.exp(-wd * (te - tr))
+        change[i] = d - level - decay
+        slope[i] = ds + wd * decay if wd.real < PRESENT_BELOW else ds
+        drift[i] = leak * (te - tr)
+        drift_slope[i] = leak
+        if len(lights) > 1:
+            drift[i] += parasitic * (lights[ke] + _light_integral(te - t[ke], ke, t, u, L) - light_r)
+            drift_slope[i] += parasitic * np.exp(u[ke] + rate * (te - t[ke]))
+        if locate:
+            extreme_at[i] = _extreme(
+                -sign[i], kr + 1, ke, tr, level, offset, light_r, t, wd, output, highest, lowest,
+                lights, leak, parasitic, on,
+            )  # fmt: skip
+        opposite[i], opposite_drift[i] = zero, zero
+        if extreme_at[i] >= 0:
+            c, f = _at_sample(extreme_at[i], tr, level, offset, light_r, t, wd, output, lights, leak, parasitic)
+            opposite[i], opposite_drift[i] = -sign[i] * c, -sign[i] * f
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _censored(
-    last, end, hints, rise_at, fall_at, find_extremes,
-    t, u, L, lights, dynamics, midpoint, states, leak, parasitic, on_scale, refractory, delay,
+    release, step_r, state_r, last_sample, rise_at, fall_at, locate,
+    t, u, L, dynamics, output, highest, lowest, lights, leak, parasitic, on,
     rise, rise_drift, fall, fall_drift,
 ):  # fmt: skip
-    coincide = kernels.cutoffs_coincide(dynamics[3], dynamics[4], dynamics[5], dynamics[6])
-    with_light = parasitic.real != 0
+    """Fill the extremes of the intervals that the end of the recording cuts off."""
+    wd = dynamics[6]
     zero = u[0] * 0.0
-    for i in range(len(last)):
-        tr = last[i] + refractory - delay
-        kr = _locate(t, tr.real, hints[i])
-        level, offset = _release(tr, kr, t, u, L, dynamics, coincide, midpoint, states)
-        light_r = zero
-        if with_light:
-            light_r = lights[kr] + _light_integral(tr - t[kr], kr, t, u, L)
-        if find_extremes:
-            high, low = 0.0, 0.0
-            rise_at[i], fall_at[i] = -1, -1
-            for k in range(kr + 1, len(t)):
-                if t[k] > end:
-                    break
-                ck, dk = _at_sample(
-                    k, tr, level, offset, lights, light_r, t, dynamics, states, leak, parasitic, with_light
-                )
-                value = (ck + on_scale * dk).real
-                if value > high:
-                    high = value
-                    rise_at[i] = k
-                if value < low:
-                    low = value
-                    fall_at[i] = k
+    for i in range(len(release)):
+        tr, kr = release[i], step_r[i]
+        level, offset, light_r = _released(i, state_r, kr, tr, t, u, L, dynamics, lights)
+        for sign, at in ((1.0, rise_at), (-1.0, fall_at)):
+            if locate:
+                at[i] = _extreme(
+                    sign, kr + 1, last_sample, tr, level, offset, light_r, t, wd, output, highest, lowest,
+                    lights, leak, parasitic, on,
+                )  # fmt: skip
         rise[i], rise_drift[i], fall[i], fall_drift[i] = zero, zero, zero, zero
         if rise_at[i] >= 0:
             rise[i], rise_drift[i] = _at_sample(
-                rise_at[i], tr, level, offset, lights, light_r, t, dynamics, states, leak, parasitic, with_light
+                rise_at[i], tr, level, offset, light_r, t, wd, output, lights, leak, parasitic
             )
         if fall_at[i] >= 0:
-            ck, dk = _at_sample(
-                fall_at[i], tr, level, offset, lights, light_r, t, dynamics, states, leak, parasitic, with_light
-            )
-            fall[i], fall_drift[i] = -ck, -dk
+            c, f = _at_sample(fall_at[i], tr, level, offset, light_r, t, wd, output, lights, leak, parasitic)
+            fall[i], fall_drift[i] = -c, -f
 
 
 class ChangeEvaluator:
     """Evaluates `Changes` of one recording for many circuits, remembering where samples and extremes lie.
 
-    The positions of the extremes come from the latest real-valued evaluation; a complex-step evaluation reuses
-    them (at an extreme the derivative does not see the position: envelope theorem).
+    The positions of the extremes come from the latest real-valued evaluation that located them; a complex step or
+    a difference quotient reuses them (at an extreme the derivative does not see the position: envelope theorem).
     """
 
     def __init__(self, recording: Recording, intervals: Sequences) -> None:
         recording.check_stimulus_covers_events()
         self.recording = recording
         self.intervals = intervals
-        t = recording.stimulus.t
+        t = drive(recording.stimulus, Circuit(), intervals.end_s).t
         self._hints = tuple(
             np.maximum(np.searchsorted(t, when, side="right") - 1, 0)
             for when in (intervals.previous_s, intervals.time_s, intervals.last_s)
@@ -243,39 +249,54 @@ class ChangeEvaluator:
         light = drive(self.recording.stimulus, circuit, self.intervals.end_s)
         return integrate(light.t, light.radiance, dynamics_of(circuit), linearisation=circuit.linearisation)
 
-    def __call__(self, circuit: Circuit) -> Changes:
-        """The changes of every interval under `circuit`, whose values may be complex."""
+    def __call__(self, circuit: Circuit, locate: bool = True) -> Changes:
+        """The changes of every interval under `circuit`, whose values may be complex.
+
+        `locate=False` keeps the extremes at the samples of the latest evaluation that located them.
+        """
         trajectory = self.trajectory(circuit)
-        scalars = [
-            circuit.leak_hz,
-            circuit.leak_hz_per_radiance,
-            circuit.on_threshold,
-            circuit.refractory,
-            circuit.delay,
-        ]
-        complex_step = np.iscomplexobj(trajectory.states) or any(isinstance(s, complex) for s in scalars)
+        scalars = (circuit.leak_hz, circuit.leak_hz_per_radiance, circuit.on_threshold)
+        clock = (circuit.refractory, circuit.delay)
+        complex_step = np.iscomplexobj(trajectory.states) or any(isinstance(s, complex) for s in (*scalars, *clock))
         dtype = np.complex128 if complex_step else np.float64
-        leak, parasitic, on_scale, refractory, delay = (dtype(s) for s in scalars)
+        t = trajectory.t
         states = trajectory.states.astype(dtype, copy=False)
         u = trajectory.u.astype(dtype, copy=False)
         radiance = trajectory.radiance.astype(dtype, copy=False)
         dynamics = tuple(dtype(value) for value in trajectory.dynamics)
-        lights = np.empty(len(u) if circuit.leak_hz_per_radiance != 0 else 1, dtype)
-        if len(lights) > 1:
-            _cumulative_light(trajectory.t, u, radiance, lights)
-        n, m = len(self.intervals), len(self.intervals.last_s)
-        per_event = np.empty((6, n), dtype)
-        per_pixel = np.empty((4, m), dtype)
-        common = (
-            trajectory.t, u, radiance, lights, dynamics, trajectory.midpoint, states,
-            leak, parasitic, on_scale, refractory, delay,
-        )  # fmt: skip
+        refractory, delay = (dtype(value) for value in clock)
+
+        blocks = (len(t) + BLOCK - 1) // BLOCK
+        output, highest, lowest = np.empty(len(t), dtype), np.empty(blocks), np.empty(blocks)
+        lights = np.empty(len(t) if circuit.leak_hz_per_radiance != 0 else 1, dtype)
+        _prepare(t, u, radiance, dynamics, states, output, highest, lowest, lights)
+
+        fast = not complex_step and vectorised.applicable(dynamics)
+        states_at = vectorised.states_at if fast else _states_one_by_one
+
+        def states_of(times, hints):
+            step = np.empty(len(times), np.int64)
+            _locate_all(t, times, hints, step)
+            out = np.empty((len(times), 6), dtype)
+            states_at(times, step, t, u, radiance, dynamics, trajectory.midpoint, states, out)
+            return step, out
+
         iv = self.intervals
-        early = _events(
-            iv.previous_s, iv.time_s, iv.sign, self._hints[0], self._hints[1], self._extreme_at, not complex_step,
-            *common, *per_event,
+        release, time, last = iv.previous_s + refractory - delay, iv.time_s - delay, iv.last_s + refractory - delay
+        step_r, state_r = states_of(release, self._hints[0])
+        step_e, state_e = states_of(time, self._hints[1])
+        step_l, state_l = states_of(last, self._hints[2])
+        last_sample = int(np.searchsorted(t, iv.end_s, side="right")) - 1
+        common = (
+            t, u, radiance, dynamics, output, highest, lowest, lights, *(dtype(value) for value in scalars),
         )  # fmt: skip
-        _censored(
-            iv.last_s, iv.end_s, self._hints[2], self._rise_at, self._fall_at, not complex_step, *common, *per_pixel
+        locate = locate and not complex_step
+        per_event = np.empty((6, len(iv)), dtype)
+        per_pixel = np.empty((4, len(iv.last_s)), dtype)
+        _events(
+            release, time, iv.sign, step_r, step_e, state_r, state_e, self._extreme_at, locate, *common, *per_event
         )
-        return Changes(*per_event, *per_pixel, valid=early == 0)
+        _censored(
+            last, step_l, state_l, last_sample, self._rise_at, self._fall_at, locate, *common, *per_pixel
+        )
+        return Changes(*per_event, *per_pixel, early=np.real(time - release) <= 0)

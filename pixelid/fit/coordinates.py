@@ -1,0 +1,90 @@
+"""Fitting coordinates: the free parameters of a model, and nuisances of the recordings, as one vector."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from pixelid.errors import InputError
+from pixelid.model.model import Model
+from pixelid.parameters.parameter import Parameter
+
+
+@dataclass(frozen=True)
+class Coordinates:
+    """The map between free parameters and a vector (log coordinates where the transform says so).
+
+    model: fixed and free parameters of the circuit;  nuisances: parameters of the recordings (delays, light
+    levels, background), all by name;  parameters: the free ones of both, in the order of the vector.
+    """
+
+    model: Model
+    nuisances: Mapping[str, Parameter]
+    parameters: tuple[Parameter, ...]
+
+    @staticmethod
+    def of(model: Model, nuisances: tuple[Parameter, ...] = ()) -> Coordinates:
+        """Coordinates of everything free.  Raises InputError when nothing is."""
+        free = [p for p in (*model.parameters.values(), *nuisances) if p.free]
+        if not free:
+            raise InputError(f"model {model.name}: every parameter is fixed, there is nothing to fit")
+        return Coordinates(model, {p.name: p for p in nuisances}, tuple(free))
+
+    def __len__(self) -> int:
+        return len(self.parameters)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the free parameters."""
+        return tuple(p.name for p in self.parameters)
+
+    @property
+    def start(self) -> np.ndarray:
+        """The parameters' own values as a vector."""
+        return np.array([p.to_coordinate(p.value) for p in self.parameters])
+
+    def bounds(self) -> tuple[np.ndarray, np.ndarray]:
+        """(lower, upper) of every coordinate."""
+        pairs = [p.coordinate_bounds() for p in self.parameters]
+        return np.array([p[0] for p in pairs]), np.array([p[1] for p in pairs])
+
+    def values(self, x: np.ndarray) -> dict:
+        """Values of all parameters, fixed and free, at a coordinate vector, real or with complex steps."""
+        convert = complex if np.iscomplexobj(x) else float
+        free = {p.name: p.from_coordinate(convert(c)) for p, c in zip(self.parameters, x, strict=True)}
+        fixed = {name: p.value for name, p in self.nuisances.items()}
+        return {**self.model.values, **fixed, **free}
+
+    def circuit(self, x: np.ndarray):
+        """The circuit at a coordinate vector."""
+        return self.model.circuit(self.values(x))
+
+    def model_at(self, x: np.ndarray) -> Model:
+        """The model at a coordinate vector; bounds widen where the vector sits on them."""
+        values = self.values(x)
+        inside = {p.name: min(max(values[p.name], p.lower), p.upper) for p in self.model.parameters.values()}
+        return self.model.set(inside)
+
+    def nuisances_at(self, x: np.ndarray) -> dict[str, float]:
+        """Values of the nuisances at a coordinate vector."""
+        values = self.values(x)
+        return {name: values[name] for name in self.nuisances}
+
+    def log_prior(self, x: np.ndarray) -> float:
+        """Log prior density, up to a constant."""
+        return sum(
+            -0.5 * ((c - p.prior.mean) / p.prior.sd) ** 2
+            for p, c in zip(self.parameters, x, strict=True)
+            if p.prior is not None
+        )
+
+    def prior_gradient_and_curvature(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """First derivative and negated second derivative of the log prior, per coordinate."""
+        gradient, curvature = np.zeros(len(self)), np.zeros(len(self))
+        for i, (p, c) in enumerate(zip(self.parameters, x, strict=True)):
+            if p.prior is not None:
+                gradient[i] = -(c - p.prior.mean) / p.prior.sd**2
+                curvature[i] = 1.0 / p.prior.sd**2
+        return gradient, curvature

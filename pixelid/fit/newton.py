@@ -1,0 +1,89 @@
+"""Maximise a log posterior: damped Newton steps on the information matrix, inside bounds.
+
+Levenberg–Marquardt with Nielsen's damping update (Madsen, Nielsen & Tingleff 2004, §3.2), steps clipped to the
+bounds; coordinates that sit on a bound and are pushed outwards leave the step.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from pixelid.fit.objective import Local, Objective
+
+
+@dataclass(frozen=True)
+class Optimum:
+    """Where the climb ended.
+
+    x: coordinates;  local: value, gradient, information there;  converged: whether the expected gain of one more
+    step is below the tolerance;  on_bound: (n,) coordinates held by a bound;  evaluations, steps: what it took.
+    """
+
+    x: np.ndarray
+    local: Local
+    converged: bool
+    on_bound: np.ndarray
+    steps: int
+
+
+def maximise(
+    objective: Objective,
+    start: np.ndarray,
+    *,
+    tolerance: float = 1e-6,
+    max_steps: int = 200,
+    max_move: float = 1.0,
+    progress: Callable[[int, float], None] | None = None,
+) -> Optimum:
+    """Climb from `start` until one more step promises less than `tolerance` nats.
+
+    max_move: longest move of one coordinate per step.  progress(step, value) is called after every step.
+    Raises ValueError when the start is impossible under the data.
+    """
+    lower, upper = objective.coordinates.bounds()
+    x = np.clip(np.asarray(start, dtype=float), lower, upper)
+    here = objective.local(x)
+    damping, growth = 1e-3, 2.0
+    converged = False
+    steps = 0
+    held = np.zeros(len(x), dtype=bool)
+    while steps < max_steps:
+        held = ((x <= lower) & (here.gradient < 0)) | ((x >= upper) & (here.gradient > 0))
+        free = ~held
+        if not free.any():
+            converged = True
+            break
+        H = here.information[np.ix_(free, free)]
+        g = here.gradient[free]
+        scale = np.maximum(np.diag(H), 1e-8 * max(np.diag(H).max(), 1e-300))
+        move = np.zeros(len(x))
+        move[free] = np.linalg.solve(H + damping * np.diag(scale), g)
+        longest = np.abs(move).max()
+        if longest > max_move:
+            move *= max_move / longest
+        trial = np.clip(x + move, lower, upper)
+        move = trial - x
+        predicted = here.gradient @ move - 0.5 * move @ here.information @ move
+        steps += 1
+        if damping <= 1.0 and predicted < tolerance:
+            converged = True
+            break
+        value = objective.value(trial)
+        gain = value - here.value
+        if np.isfinite(value) and gain > 1e-4 * predicted:
+            x, here = trial, objective.local(trial)
+            ratio = gain / predicted
+            damping *= max(1.0 / 3.0, 1.0 - (2.0 * ratio - 1.0) ** 3)
+            damping = max(damping, 1e-10)
+            growth = 2.0
+        else:
+            damping *= growth
+            growth *= 2.0
+            if damping > 1e12:
+                break
+        if progress:
+            progress(steps, here.value)
+    return Optimum(x, here, converged, held, steps)

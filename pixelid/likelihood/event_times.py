@@ -1,0 +1,245 @@
+"""Per-pixel event-time likelihood (DESIGN §4): what the measured times say, each previous event given.
+
+With z_k = sign · change(t_k) and rate r_k = dz/dt at event k, a threshold C_i of pixel i and polarity that is
+drawn anew for each event with standard deviation s_k, the density of the event time is
+
+    N(z_k; C_i, s_k²) · r_k · Φ((C_i' − m_k)/s')
+
+the last factor being the chance that the other polarity's threshold C_i' stayed above the extreme m_k that
+−z reached on the way.  (That t_k is the first crossing needs no factor: had an earlier z exceeded the threshold
+drawn, z_k could not equal it.)  The interval that the end of the recording cuts off contributes the chance that
+neither threshold was reached.
+
+s_k² = (σ C)² + r_k² (tick²/12 + jitter²): a timestamp's width is noise in time.
+
+Pixel-to-pixel mismatch, C_i ~ N(C, τ²), is integrated out in closed form.  For a group (pixel, polarity) with
+weights 1/s_k², W their sum and z̄ the weighted mean,
+
+    ∫ Π N(z_k; C_i, s_k²) N(C_i; C, τ²) dC_i
+        = Π N(z_k; z̄, s_k²) · √(2π/W) · N(z̄; C, τ² + 1/W).
+
+The survival factors use the group's posterior mean and variance of C_i in place of C_i.
+
+**Strays.**  A pixel also fires now and then for reasons no circuit explains.  Each polarity of each pixel has a
+background of STRAY_HZ; an event better explained by it (falling change, or a level many σ from its threshold)
+counts as a stray: it contributes log STRAY_HZ and says nothing about thresholds.  So a model that misses an effect
+pays a bounded price per event it cannot explain, instead of bending every parameter to it.  Under a true model
+one event in 10⁵ or fewer is called a stray.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+
+from pixelid.errors import InputError
+from pixelid.likelihood.changes import ChangeEvaluator, Changes
+from pixelid.likelihood.normal import log_ndtr
+from pixelid.likelihood.sequences import Sequences, sequences
+from pixelid.recordings.recording import Recording
+from pixelid.stages.circuit import Circuit
+
+_POOL = ThreadPoolExecutor(os.cpu_count() or 1)
+
+STRAY_HZ = 1e-3
+
+
+@dataclass(frozen=True)
+class Terms:
+    """The pieces of the log-likelihood, and what residual plots and diagnostics need.
+
+    z, log_rate, scale: (n,) level at the event, log of its rate, its standard deviation
+    stray: (n,) events left to the background
+    weighted_mean, weight_sum: (g,) of z per (pixel, polarity) group;  centre: (g,) population threshold
+    mean_variance: (g,) variance of weighted_mean about centre
+    group_mean, group_variance: (g,) posterior of each group's threshold
+    per_pixel: (pixels,) log-likelihood;  total: their sum
+    """
+
+    z: np.ndarray
+    log_rate: np.ndarray
+    scale: np.ndarray
+    stray: np.ndarray
+    weighted_mean: np.ndarray
+    weight_sum: np.ndarray
+    centre: np.ndarray
+    mean_variance: np.ndarray
+    group_mean: np.ndarray
+    group_variance: np.ndarray
+    per_pixel: np.ndarray
+    total: complex | float
+
+
+class EventTimes:
+    """The event-time likelihood of one or more recordings of the same pixels.
+
+    Recordings of the same sensor and size share pixels, and so pixel thresholds.
+    Raises InputError for pooled recordings, a missing stimulus, or fewer than two events in any pixel.
+    """
+
+    def __init__(self, recordings: Sequence[Recording]) -> None:
+        self.recordings = tuple(recordings)
+        for recording in self.recordings:
+            if recording.pooled:
+                raise InputError(f"{recording.name}: pooled events have no pixels; use the pooled-rate likelihood")
+            if recording.stimulus is not None and not recording.stimulus.full_field:
+                raise InputError(f"{recording.name}: the fit needs a full-field stimulus, found one per pixel")
+        self.intervals = tuple(sequences(recording) for recording in self.recordings)
+        self._evaluators = tuple(
+            ChangeEvaluator(r, s) for r, s in zip(self.recordings, self.intervals, strict=True)
+        )
+        if sum(map(len, self.intervals)) == 0:
+            raise InputError("no pixel has two events: there is no interval to explain")
+        self._index_pixels()
+
+    def _index_pixels(self) -> None:
+        sensors: dict[tuple, int] = {}
+        keys, last_keys = [], []
+        for recording, iv in zip(self.recordings, self.intervals, strict=True):
+            size = (recording.sensor, recording.events.width, recording.events.height)
+            base = sensors.setdefault(size, len(sensors)) << 40
+            keys.append(base + iv.pixel)
+            last_keys.append(base + iv.last_pixel)
+        every = np.concatenate([*keys, *last_keys])
+        self.pixel_keys, index = np.unique(every, return_inverse=True)
+        n = sum(map(len, keys))
+        self.pixel = index[:n]
+        self.last_pixel = index[n:]
+        self.sign = np.concatenate([iv.sign for iv in self.intervals])
+        self.time_s = np.concatenate([iv.time_s for iv in self.intervals])
+        self.tick_s = np.concatenate([np.full(len(iv), iv.tick_s) for iv in self.intervals])
+        self.recording_of_event = np.repeat(np.arange(len(self.intervals)), [len(iv) for iv in self.intervals])
+        self.group = 2 * self.pixel + (self.sign > 0)
+
+    @property
+    def events(self) -> int:
+        """Number of intervals with an event at their end."""
+        return len(self.sign)
+
+    @property
+    def pixels(self) -> int:
+        """Number of distinct pixels with events."""
+        return len(self.pixel_keys)
+
+    def shortest_interval_s(self) -> float:
+        """The shortest time between two events of a pixel: no dead time can be longer."""
+        return min(float((iv.time_s - iv.previous_s).min()) for iv in self.intervals if len(iv))
+
+    def changes(self, circuit: Circuit, locate: bool = True) -> list[Changes]:
+        """`Changes` of every recording under a circuit; `locate=False` keeps the extremes where they were."""
+        return list(_POOL.map(lambda evaluate: evaluate(circuit, locate), self._evaluators))
+
+    def gathered(self, circuit: Circuit, locate: bool = True) -> np.ndarray:
+        """All recordings' `Changes` as one vector, in the order `terms` reads it."""
+        parts = self.changes(circuit, locate)
+        names = (*_PER_EVENT, *_PER_PIXEL)
+        return np.concatenate([np.concatenate([getattr(part, name) for part in parts]) for name in names])
+
+    def terms(self, circuit: Circuit, gathered: np.ndarray | None = None) -> Terms:
+        """The likelihood's pieces under a circuit; `gathered` is `gathered(circuit)` when it is known already."""
+        if gathered is None:
+            gathered = self.gathered(circuit)
+        n, m = self.events, len(self.last_pixel)
+        change, slope, drift, drift_slope, opposite, opposite_drift, early = gathered[: 7 * n].reshape(7, n)
+        rise, rise_drift, fall, fall_drift = gathered[7 * n :].reshape(4, m)
+        on, off = circuit.on_threshold, circuit.off_threshold
+        mean = np.where(self.sign > 0, on, off)
+        growth = 1.0 + circuit.threshold_drift * self.time_s
+        z = self.sign * (change + on * drift) / growth
+        rate = self.sign * (slope + on * drift_slope) / growth
+        falling = (rate.real <= 0) | (early.real > 0)
+        rate = np.where(falling, 1.0, rate)
+        log_rate = np.log(rate)
+        variance = (circuit.noise * mean) ** 2 + rate * rate * (self.tick_s**2 / 12.0 + circuit.jitter**2)
+        weight = 1.0 / variance
+        group_on = np.arange(2 * self.pixels) % 2 == 1
+        C = np.where(group_on, on, off)
+        spread = (circuit.mismatch * C) ** 2
+        stray = self._strays(falling, z.real, log_rate.real, variance.real, spread.real, C.real)
+        weight = np.where(stray, 0.0, weight)
+
+        W = sum_by(self.group, weight, len(C))
+        Wz = sum_by(self.group, weight * z, len(C))
+        seen = W.real > 0
+        safe = np.where(seen, W, 1.0)
+        z_bar = Wz / safe
+        mean_variance = spread + 1.0 / safe
+        group_term = np.where(
+            seen,
+            0.5 * np.log(1.0 / (safe * mean_variance)) - 0.5 * (z_bar - C) ** 2 / mean_variance,
+            0.0,
+        )
+        # posterior of each group's threshold: prior N(C, spread) times the events
+        group_variance = np.where(seen, spread / (1.0 + spread * W), spread)
+        group_mean = np.where(seen, (C + spread * Wz) / (1.0 + spread * W), C)
+
+        within = z - z_bar[self.group]
+        event_term = np.where(
+            stray,
+            np.log(STRAY_HZ),
+            -0.5 * np.log(2.0 * np.pi * variance) - 0.5 * within * within * weight + log_rate,
+        )
+        survival_sd = np.sqrt((circuit.noise * C) ** 2 + group_variance)
+        other = self.group ^ 1
+        reached = (opposite + on * opposite_drift) / growth
+        event_term = event_term + np.where(
+            reached.real > 0, log_ndtr((group_mean[other] - reached) / survival_sd[other]), 0.0
+        )
+        last_on, last_off = 2 * self.last_pixel + 1, 2 * self.last_pixel
+        censored = log_ndtr((group_mean[last_on] - rise - on * rise_drift) / survival_sd[last_on]) + log_ndtr(
+            (group_mean[last_off] - fall - on * fall_drift) / survival_sd[last_off]
+        )
+        per_pixel = (
+            sum_by(self.pixel, event_term, self.pixels)
+            + sum_by(self.last_pixel, censored, self.pixels)
+            + group_term.reshape(self.pixels, 2).sum(axis=1)
+        )
+        return Terms(
+            z=z,
+            log_rate=log_rate,
+            scale=np.sqrt(variance),
+            stray=stray,
+            weighted_mean=z_bar,
+            weight_sum=W,
+            centre=C,
+            mean_variance=mean_variance,
+            group_mean=group_mean,
+            group_variance=group_variance,
+            per_pixel=per_pixel,
+            total=per_pixel.sum(),
+        )
+
+    def _strays(self, falling, z, log_rate, variance, spread, C) -> np.ndarray:
+        """(n,) events that the background explains better: first against the population, then their own group."""
+        group = self.group
+        stray = falling
+        centre, extra = C, spread
+        for _ in range(2):
+            total = variance + extra[group]
+            density = log_rate - 0.5 * np.log(2.0 * np.pi * total) - 0.5 * (z - centre[group]) ** 2 / total
+            stray = falling | (density < np.log(STRAY_HZ))
+            weight = np.where(stray, 0.0, 1.0 / variance)
+            W = np.bincount(group, weight, len(C))
+            shrink = 1.0 + spread * W
+            centre = (C + spread * np.bincount(group, weight * z, len(C))) / shrink
+            extra = spread / shrink
+        return stray
+
+    def log_likelihood(self, circuit: Circuit) -> float:
+        """The log-likelihood."""
+        return float(self.terms(circuit).total)
+
+
+_PER_EVENT = ("change", "slope", "drift", "drift_slope", "opposite", "opposite_drift", "early")
+_PER_PIXEL = ("rise", "rise_drift", "fall", "fall_drift")
+
+
+def sum_by(index: np.ndarray, values: np.ndarray, size: int) -> np.ndarray:
+    """(size,) sums of `values` by index; values may be complex."""
+    if np.iscomplexobj(values):
+        return np.bincount(index, values.real, size) + 1j * np.bincount(index, values.imag, size)
+    return np.bincount(index, values, size)

@@ -1,0 +1,152 @@
+"""Pooled-rate likelihood (DESIGN §4): event counts of many pixels, or of one pixel with many events per edge.
+
+In the fluid limit a pixel whose amplifier output rises at ẏ emits ON events at ẏ/C_on.  N pooled pixels, dead time ρ
+and a background b per polarity give
+
+    λ_on = N (ẏ⁺/C_on) / (1 + ρ |ẏ|/C) + b_on        λ_off likewise with ẏ⁻
+
+Counts in bins are Poisson about ∫ λ dt.  Within a bin ∫ẏ⁺ is the rise of the output between the bin's edges.
+
+C/N alone is visible without dead time: N is a gauge, `pooled.pixels`, fixed unless told.  Real pools are more
+variable than Poisson; `dispersion` measures by how much, and errors are scaled by it (quasi-Poisson; McCullagh &
+Nelder 1989, §9.2).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import gammaln
+
+from pixelid.dynamics.of_circuit import dynamics_of
+from pixelid.dynamics.trajectory import integrate
+from pixelid.errors import InputError
+from pixelid.parameters.parameter import Parameter
+from pixelid.recordings.recording import Recording
+from pixelid.stages.circuit import Circuit
+from pixelid.stimuli.drive import drive
+from pixelid.stimuli.stimulus import Stimulus
+
+BIN_S = 50e-6
+MOST_BINS = 2_000_000
+
+
+@dataclass(frozen=True)
+class Counts:
+    """Binned events of one recording.  edges: (n+1,) seconds;  on, off: (n,) counts."""
+
+    edges: np.ndarray
+    on: np.ndarray
+    off: np.ndarray
+
+
+def binned(recording: Recording, bin_s: float) -> Counts:
+    """Counts per bin over the stretch that both events and stimulus cover."""
+    assert recording.stimulus is not None
+    t = recording.events.t * 1e-9
+    start, end = float(recording.stimulus.t[0]), float(recording.stimulus.t[-1])
+    n = max(int((end - start) / bin_s), 1)
+    edges = start + bin_s * np.arange(n + 1)
+    index = np.floor((t - start) / bin_s).astype(np.int64)
+    inside = (index >= 0) & (index < n)
+    on = recording.events.p == 1
+    return Counts(
+        edges,
+        np.bincount(index[inside & on], minlength=n).astype(float),
+        np.bincount(index[inside & ~on], minlength=n).astype(float),
+    )
+
+
+class PooledRate:
+    """The pooled-rate likelihood of one or more recordings.
+
+    nuisances: delay per recording, background per polarity, pooled pixels, and for "shape" stimuli the light
+    L = offset + gain · shape, of which `stimulus.offset` is fixed (it sets the unit of radiance).
+
+    Raises InputError for a missing or per-pixel stimulus, or too many bins.
+    """
+
+    def __init__(self, recordings: Sequence[Recording], bin_s: float = BIN_S) -> None:
+        self.recordings = tuple(recordings)
+        for recording in self.recordings:
+            if recording.stimulus is None:
+                raise InputError(f"{recording.name}: no stimulus; a fit needs to know what the light did")
+            if not recording.stimulus.full_field:
+                raise InputError(f"{recording.name}: the pooled fit needs a full-field stimulus")
+            if recording.stimulus.duration_s / bin_s > MOST_BINS:
+                raise InputError(f"{recording.name}: more than {MOST_BINS} bins of {bin_s:g} s; use wider bins")
+        self.counts = tuple(binned(recording, bin_s) for recording in self.recordings)
+        self.observed = np.concatenate([np.concatenate([c.on, c.off]) for c in self.counts])
+        if self.observed.sum() < 100:
+            raise InputError("fewer than 100 events during the stimulus: nothing to fit")
+        self._constant = gammaln(self.observed + 1.0).sum()
+        self._width = bin_s
+
+    @property
+    def events(self) -> int:
+        """Events counted."""
+        return int(self.observed.sum())
+
+    def nuisances(self) -> tuple[Parameter, ...]:
+        """The recordings' own parameters, with starting values."""
+        rate = self.observed.mean() / self._width
+        found = [
+            Parameter("pooled.background_on_hz", 0.1 * rate, "Hz", 1e-6 * rate, 1e3 * rate, "log"),
+            Parameter("pooled.background_off_hz", 0.1 * rate, "Hz", 1e-6 * rate, 1e3 * rate, "log"),
+            Parameter("pooled.pixels", 1.0, "pixels", 1e-3, 1e9, "log", free=False),
+        ]
+        found += [
+            Parameter(delay_name(self.recordings, i), 0.0, "s", -0.05, 0.05, "linear")
+            for i in range(1, len(self.recordings))
+        ]
+        if any(r.stimulus is not None and r.stimulus.unit == "shape" for r in self.recordings):
+            found += [
+                Parameter("stimulus.offset", 1.0, "radiance", 1e-9, 1e9, "log", free=False),
+                Parameter("stimulus.gain", 2.0, "radiance", 1e-3, 1e4, "log"),
+            ]
+        return tuple(found)
+
+    def output(self, i: int, circuit: Circuit, values: Mapping[str, float]) -> np.ndarray:
+        """(n+1,) amplifier output at the bin edges of recording i."""
+        recording, counts = self.recordings[i], self.counts[i]
+        stimulus = recording.stimulus
+        assert stimulus is not None
+        if stimulus.unit == "shape":
+            light = values["stimulus.offset"] + values["stimulus.gain"] * stimulus.radiance
+            stimulus = Stimulus(stimulus.t, light, "relative", stimulus.interpolation)
+        wave = drive(stimulus, circuit, counts.edges[-1] + 0.1)
+        trajectory = integrate(wave.t, wave.radiance, dynamics_of(circuit), linearisation=circuit.linearisation)
+        delay = values[delay_name(self.recordings, i)]
+        states = trajectory.at(np.maximum(counts.edges - delay, wave.t[0]))
+        return states[:, 5]
+
+    def expected(self, circuit: Circuit, values: Mapping[str, float]) -> np.ndarray:
+        """(bins,) expected counts, per recording ON then OFF."""
+        parts = []
+        for i in range(len(self.recordings)):
+            change = np.diff(self.output(i, circuit, values))
+            rise, fall = np.maximum(change, 0.0), np.maximum(-change, 0.0)
+            on, off = rise / circuit.on_threshold, fall / circuit.off_threshold
+            thinning = values["pooled.pixels"] / (1.0 + circuit.refractory * (on + off) / self._width)
+            parts.append(on * thinning + values["pooled.background_on_hz"] * self._width)
+            parts.append(off * thinning + values["pooled.background_off_hz"] * self._width)
+        return np.concatenate(parts)
+
+    def log_likelihood(self, expected: np.ndarray) -> float:
+        """Poisson log-likelihood of the counts about `expected`."""
+        return float((self.observed * np.log(expected) - expected).sum() - self._constant)
+
+    def dispersion(self, expected: np.ndarray) -> float:
+        """Pearson χ² per bin, among bins grouped until each expects at least 5 counts: 1 for Poisson counts."""
+        group = np.floor(np.cumsum(expected) / 5.0).astype(np.int64)
+        observed = np.bincount(group, self.observed)
+        mean = np.bincount(group, expected)
+        keep = mean > 1.0
+        return float(((observed - mean)[keep] ** 2 / mean[keep]).mean())
+
+
+def delay_name(recordings: Sequence[Recording], i: int) -> str:
+    """The name of recording i's delay: "delay_s" for the first, "delay_s[name]" for the others."""
+    return "delay_s" if i == 0 else f"delay_s[{recordings[i].name}]"
