@@ -1,0 +1,54 @@
+# Needs Python >= 3.11 and make, nothing else.  `make PYTHON=python3.12` picks the interpreter of a new environment,
+# `make VENV=path` uses (or makes) an environment elsewhere.
+
+PYTHON ?= python3
+VENV ?= .venv
+BIN := $(VENV)/bin
+STAMP := $(VENV)/.pixelid-installed
+PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
+# Where pip finds a CPU build of torch, when the default index has only the CUDA one (Linux without an NVIDIA GPU):
+# `make TORCH_INDEX=https://download.pytorch.org/whl/cpu`.
+TORCH_INDEX ?=
+# Test processes.
+WORKERS ?= 2
+
+.PHONY: help setup demo test test-all bench lint clean
+.DEFAULT_GOAL := help
+
+help:
+	@echo "make demo       the whole story on embedded data, written to demo-out/"
+	@echo "make test       every test that is not slow"
+	@echo "make test-all   every test"
+	@echo "make bench      the benchmarks"
+	@echo "make lint       ruff and pyright"
+	@echo "make clean      remove what make and the tests have made, the environment included"
+
+setup: $(STAMP)
+
+# torch first and pinned: a bare `torch` may pull gigabytes of CUDA where the pinned one has a CPU build.
+$(STAMP): pyproject.toml constraints.txt
+	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	$(PIP) $(if $(TORCH_INDEX),--extra-index-url $(TORCH_INDEX)) $$(grep '^torch==' constraints.txt)
+	$(PIP) -c constraints.txt -e ".[dev]"
+	touch $@
+
+demo: $(STAMP)
+	$(BIN)/pixelid demo --out demo-out --overwrite
+
+test: $(STAMP)
+	$(BIN)/python -m pytest -n $(WORKERS) -m "not slow"
+
+test-all: $(STAMP)
+	$(BIN)/python -m pytest -n $(WORKERS)
+
+bench: $(STAMP)
+	set -e; for script in benchmarks/*.py; do echo "== $$script"; $(BIN)/python $$script; done
+
+lint: $(STAMP)
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/pyright --pythonpath $(BIN)/python
+
+clean:
+	rm -rf .venv build dist demo-out out .pytest_cache .ruff_cache .numba_cache *.egg-info
+	find pixelid tests benchmarks -name __pycache__ -type d -prune -exec rm -rf {} +
