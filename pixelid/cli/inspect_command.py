@@ -29,8 +29,8 @@ def command(file: Path, as_json: bool, out: Path | None, overwrite: bool, seed: 
     import json
 
     from pixelid.inspection import inspect
-    from pixelid.inspection.provenance import provenance
     from pixelid.outputs import plain, refuse_existing, whole_folder, write_json
+    from pixelid.provenance import provenance
     from pixelid.recordings import open_recording
 
     if out is not None:

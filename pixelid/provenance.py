@@ -1,0 +1,42 @@
+"""What a result was made of: versions, and hashes of its inputs.  Versions are looked up without importing anything."""
+
+from __future__ import annotations
+
+import hashlib
+import platform
+from collections.abc import Iterable
+from importlib import metadata
+from pathlib import Path
+
+from pixelid import __version__
+
+PACKAGES = ("numpy", "scipy", "numba", "casadi", "torch", "torchdiffeq", "emcee", "arviz", "h5py", "faery")
+
+
+def versions() -> dict[str, str]:
+    """Versions of pixelid, Python and the installed packages that numbers depend on."""
+    found = {"pixelid": __version__, "python": platform.python_version()}
+    for name in PACKAGES:
+        try:
+            found[name] = metadata.version(name)
+        except metadata.PackageNotFoundError:
+            continue
+    return found
+
+
+def sha256(path: Path) -> str:
+    """Hex SHA-256 of a file."""
+    with Path(path).open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def input_hashes(paths: Iterable[Path | None]) -> dict[str, str]:
+    """File name → SHA-256 of the inputs that are files; files of one name appear under their paths as given."""
+    files = [Path(path) for path in dict.fromkeys(paths) if path is not None and Path(path).is_file()]
+    names = [path.name for path in files]
+    return {str(path) if names.count(path.name) > 1 else path.name: sha256(path) for path in files}
+
+
+def provenance(*inputs: Path) -> dict[str, dict[str, str]]:
+    """The two keys every result's JSON carries: `versions` and `inputs_sha256`."""
+    return {"versions": versions(), "inputs_sha256": input_hashes(inputs)}
