@@ -108,4 +108,4 @@ def integrate(t, radiance, dynamics: Dynamics, *, linearisation: str = "midpoint
     midpoint = linearisation == "midpoint"
     run = vectorised.scan if dtype is np.float64 and vectorised.applicable(values) else kernels.scan
     run(t, u, radiance, values, midpoint, states)
-    return Trajectory(t, u, radiance, Dynamics(*values), midpoint, states)
+    return Trajectory(t, u, radiance, Dynamics._make(values), midpoint, states)
