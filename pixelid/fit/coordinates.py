@@ -50,6 +50,10 @@ class Coordinates:
         pairs = [p.coordinate_bounds() for p in self.parameters]
         return np.array([p[0] for p in pairs]), np.array([p[1] for p in pairs])
 
+    def longest_moves(self) -> np.ndarray:
+        """The longest sensible step of every coordinate: a factor e, a millisecond, or one unit."""
+        return np.array([1e-3 if p.transform == "linear" and p.unit == "s" else 1.0 for p in self.parameters])
+
     def values(self, x: np.ndarray) -> dict:
         """Values of all parameters, fixed and free, at a coordinate vector, real or with complex steps."""
         convert = complex if np.iscomplexobj(x) else float

@@ -35,15 +35,14 @@ def maximise(
     *,
     tolerance: float = 1e-6,
     max_steps: int = 200,
-    max_move: float = 1.0,
     progress: Callable[[int, float], None] | None = None,
 ) -> Optimum:
     """Climb from `start` until one more step promises less than `tolerance` nats.
 
-    max_move: longest move of one coordinate per step.  progress(step, value) is called after every step.
-    Raises ValueError when the start is impossible under the data.
+    progress(step, value) is called after every step.
     """
     lower, upper = objective.coordinates.bounds()
+    longest = objective.coordinates.longest_moves()
     x = np.clip(np.asarray(start, dtype=float), lower, upper)
     here = objective.local(x)
     damping, growth = 1e-3, 2.0
@@ -61,9 +60,7 @@ def maximise(
         scale = np.maximum(np.diag(H), 1e-8 * max(np.diag(H).max(), 1e-300))
         move = np.zeros(len(x))
         move[free] = np.linalg.solve(H + damping * np.diag(scale), g)
-        longest = np.abs(move).max()
-        if longest > max_move:
-            move *= max_move / longest
+        move /= max(1.0, np.abs(move / longest).max())
         trial = np.clip(x + move, lower, upper)
         move = trial - x
         predicted = here.gradient @ move - 0.5 * move @ here.information @ move

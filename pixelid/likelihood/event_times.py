@@ -125,9 +125,9 @@ class EventTimes:
         """Number of distinct pixels with events."""
         return len(self.pixel_keys)
 
-    def shortest_interval_s(self) -> float:
-        """The shortest time between two events of a pixel: no dead time can be longer."""
-        return min(float((iv.time_s - iv.previous_s).min()) for iv in self.intervals if len(iv))
+    def shortest_intervals_s(self, quantile: float) -> float:
+        """A low quantile of the times between two events of a pixel: dead time can hardly be longer."""
+        return float(np.quantile(np.concatenate([iv.time_s - iv.previous_s for iv in self.intervals]), quantile))
 
     def changes(self, circuit: Circuit, locate: bool = True) -> list[Changes]:
         """`Changes` of every recording under a circuit; `locate=False` keeps the extremes where they were."""
@@ -151,8 +151,10 @@ class EventTimes:
         growth = 1.0 + circuit.threshold_drift * self.time_s
         z = self.sign * (change + on * drift) / growth
         rate = self.sign * (slope + on * drift_slope) / growth
-        falling = (rate.real <= 0) | (early.real > 0)
+        # a change beyond any sensible level comes from parameters far outside physics: not worth its digits
+        falling = ~(rate.real > 0) | (early.real > 0) | ~(np.abs(z.real) < 1e6) | ~(rate.real < 1e12)
         rate = np.where(falling, 1.0, rate)
+        z = np.where(falling, 0.0, z)
         log_rate = np.log(rate)
         variance = (circuit.noise * mean) ** 2 + rate * rate * (self.tick_s**2 / 12.0 + circuit.jitter**2)
         weight = 1.0 / variance

@@ -14,8 +14,9 @@ Nelder 1989, §9.2).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import gammaln
@@ -42,11 +43,12 @@ class Counts:
     off: np.ndarray
 
 
-def binned(recording: Recording, bin_s: float) -> Counts:
-    """Counts per bin over the stretch that both events and stimulus cover."""
+def binned(recording: Recording, bin_s: float, first_s: float) -> Counts:
+    """Counts per bin over the first seconds that both events and stimulus cover."""
     assert recording.stimulus is not None
     t = recording.events.t * 1e-9
     start, end = float(recording.stimulus.t[0]), float(recording.stimulus.t[-1])
+    end = min(end, start + first_s)
     n = max(int((end - start) / bin_s), 1)
     edges = start + bin_s * np.arange(n + 1)
     index = np.floor((t - start) / bin_s).astype(np.int64)
@@ -65,19 +67,20 @@ class PooledRate:
     nuisances: delay per recording, background per polarity, pooled pixels, and for "shape" stimuli the light
     L = offset + gain · shape, of which `stimulus.offset` is fixed (it sets the unit of radiance).
 
+    bin_s: width of the bins;  first_s: how much of each recording to look at.
     Raises InputError for a missing or per-pixel stimulus, or too many bins.
     """
 
-    def __init__(self, recordings: Sequence[Recording], bin_s: float = BIN_S) -> None:
+    def __init__(self, recordings: Sequence[Recording], bin_s: float = BIN_S, first_s: float = math.inf) -> None:
         self.recordings = tuple(recordings)
         for recording in self.recordings:
             if recording.stimulus is None:
                 raise InputError(f"{recording.name}: no stimulus; a fit needs to know what the light did")
             if not recording.stimulus.full_field:
                 raise InputError(f"{recording.name}: the pooled fit needs a full-field stimulus")
-            if recording.stimulus.duration_s / bin_s > MOST_BINS:
+            if min(recording.stimulus.duration_s, first_s) / bin_s > MOST_BINS:
                 raise InputError(f"{recording.name}: more than {MOST_BINS} bins of {bin_s:g} s; use wider bins")
-        self.counts = tuple(binned(recording, bin_s) for recording in self.recordings)
+        self.counts = tuple(binned(recording, bin_s, first_s) for recording in self.recordings)
         self.observed = np.concatenate([np.concatenate([c.on, c.off]) for c in self.counts])
         if self.observed.sum() < 100:
             raise InputError("fewer than 100 events during the stimulus: nothing to fit")
@@ -116,7 +119,11 @@ class PooledRate:
         if stimulus.unit == "shape":
             light = values["stimulus.offset"] + values["stimulus.gain"] * stimulus.radiance
             stimulus = Stimulus(stimulus.t, light, "relative", stimulus.interpolation)
-        wave = drive(stimulus, circuit, counts.edges[-1] + 0.1)
+        until = counts.edges[-1] + 0.1
+        shown = stimulus.t <= until
+        if not shown.all():
+            stimulus = replace(stimulus, t=stimulus.t[shown], radiance=stimulus.radiance[shown])
+        wave = drive(stimulus, circuit, until)
         trajectory = integrate(wave.t, wave.radiance, dynamics_of(circuit), linearisation=circuit.linearisation)
         delay = values[delay_name(self.recordings, i)]
         states = trajectory.at(np.maximum(counts.edges - delay, wave.t[0]))

@@ -1,0 +1,256 @@
+"""Fit a circuit to recordings: from observation model to intervals, one function."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from pixelid.errors import InputError
+from pixelid.fit.coordinates import Coordinates
+from pixelid.fit.event_times import EventTimesObjective
+from pixelid.fit.identifiability import read_curvature
+from pixelid.fit.newton import Optimum, maximise
+from pixelid.fit.objective import Objective
+from pixelid.fit.pooled_rate import PooledRateObjective
+from pixelid.fit.result import FitResult, Stopwatch, estimates_of
+from pixelid.fit.starts import align, feasible, match_counts, random_starts
+from pixelid.likelihood.event_times import EventTimes
+from pixelid.likelihood.pooled_rate import PooledRate
+from pixelid.model.model import Model
+from pixelid.parameters.gauge import Gauge
+from pixelid.provenance import input_hashes, versions
+from pixelid.recordings.recording import Recording
+from pixelid.stimuli.resample import resampled
+
+Progress = Callable[[str, float], None]
+STARTS = 2  # random starts beside the model's own
+SCOUT_EVENTS = 6_000  # events the search from afar looks at
+SCOUT_S = 1.0  # seconds of each pooled recording it looks at
+
+
+def fit(
+    recordings: Sequence[Recording],
+    model: Model,
+    *,
+    gauge: Gauge | None = None,
+    starts: int = STARTS,
+    between: str = "auto",
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> FitResult:
+    """Fit the model's free parameters to the recordings, all in one problem.
+
+    Recordings with pixel addresses use the event-time likelihood, pooled ones the pooled-rate likelihood (all or
+    none).  The search starts from the model's values and `starts` random points around them.
+    between: how recorded stimuli run between their samples, "linear", "smooth", or "auto": whichever explains the
+    events better.  gauge: statements that make physical values unique, instead of the model's own; refused when
+    incomplete or over-determined.  progress(what, fraction) reports.
+
+    Raises InputError for recordings that cannot be fitted together, and for an impossible gauge.
+    """
+    watch = Stopwatch()
+    report = progress or (lambda what, fraction: None)
+    if not recordings:
+        raise InputError("no recordings to fit")
+    if gauge is not None:
+        if model.physical is None:
+            raise InputError(f"model {model.name} has no [physical] values, so a gauge has nothing to map to")
+        gauge.check(model.physical)
+        model = replace(model, gauge=gauge)
+    pooled = [recording.pooled for recording in recordings]
+    if any(pooled) and not all(pooled):
+        raise InputError("some recordings are pooled and some have pixels; fit them separately")
+    for recording in recordings:
+        recording.check_stimulus_covers_events()
+    rng = np.random.default_rng(seed)
+    if all(pooled):
+        objective, optimum, details, pixels = _fit_pooled(recordings, model, report)
+        dispersion = details["dispersion"]
+    else:
+        objective, optimum, details, pixels = _fit_event_times(recordings, model, starts, between, rng, report)
+        dispersion = 1.0
+    report("standard errors", 0.9)
+    curvature = -objective.hessian(optimum.x, optimum.local) / dispersion
+    if not _positive(curvature):
+        curvature = optimum.local.information / dispersion
+        details["curvature"] = "information matrix (the Hessian is not positive definite)"
+    else:
+        details["curvature"] = "Hessian"
+    coordinates = objective.coordinates
+    reading = read_curvature(coordinates, curvature, optimum.on_bound)
+    fitted = coordinates.model_at(optimum.x)
+    physical, why = _physical(fitted, gauge is not None)
+    status, advice = _status(optimum, details)
+    report("done", 1.0)
+    return FitResult(
+        status=status,
+        advice=advice,
+        model=fitted,
+        engine="scipy",
+        observation="pooled_rate" if all(pooled) else "event_times",
+        coordinates=coordinates,
+        x=optimum.x,
+        covariance=reading.covariance,
+        estimates=estimates_of(coordinates, optimum.x, reading.sd, reading.identified),
+        unidentified=(*reading.sentences, *details.pop("caveats", ())),
+        physical=physical,
+        physical_why=why,
+        log_likelihood=optimum.local.value - coordinates.log_prior(optimum.x),
+        events=objective.likelihood.events,
+        pixels=pixels,
+        recordings=tuple(recording.name for recording in recordings),
+        seconds=watch.seconds(),
+        seed=seed,
+        details=details,
+        versions=versions(),
+        inputs_sha256=input_hashes(recording.source for recording in recordings),
+    )
+
+
+def _fit_event_times(recordings, model, starts, between, rng, report):
+    if "threshold_noise" not in model.effects:
+        raise InputError(
+            f"model {model.name}: the event-time likelihood needs threshold_noise (add it with --with threshold_noise)"
+        )
+    full = EventTimes(recordings)
+    scout = EventTimes(_few_pixels(recordings, rng))
+    model = feasible(model, scout)
+    coordinates = Coordinates.of(model)
+    report("searching", 0.05)
+    ends: list[Optimum] = []
+    points = [coordinates.start, *random_starts(coordinates.start, starts, rng)]
+    for i, point in enumerate(points):
+        begun = coordinates.start if i == 0 else Coordinates.of(feasible(coordinates.model_at(point), scout)).start
+        ends.append(maximise(EventTimesObjective(scout, coordinates), begun, tolerance=1e-2, max_steps=80))
+        report("searching", 0.05 + 0.45 * (i + 1) / len(points))
+    best = max(ends, key=lambda end: end.local.value)
+    agree = sum(end.local.value > best.local.value - 1.0 for end in ends)
+    candidates = {}
+    x = best.x
+    for kind in ("linear", "smooth") if between == "auto" else (between,):
+        finer = [r.with_stimulus(resampled(r.stimulus, kind)) for r in recordings]
+        likelihood = EventTimes(finer)
+        objective = EventTimesObjective(likelihood, coordinates)
+        candidates[kind] = objective, maximise(objective, x, max_steps=60)
+        x = candidates[kind][1].x
+        report("refining", 0.5 + 0.2 * len(candidates))
+    kind = max(candidates, key=lambda k: candidates[k][1].local.value)
+    objective, optimum = candidates[kind]
+    strays = objective.likelihood.terms(coordinates.circuit(optimum.x)).stray
+    details = {
+        "stimulus_between_samples": kind,
+        "starts": len(ends),
+        "starts_at_this_optimum": agree,
+        "steps": optimum.steps,
+        "strays": int(strays.sum()),
+        "stray_fraction": float(strays.mean()),
+    }
+    if len(candidates) == 2:
+        details["smooth_minus_linear_nats"] = float(
+            candidates["smooth"][1].local.value - candidates["linear"][1].local.value
+        )
+    return objective, optimum, details, full.pixels
+
+
+def _fit_pooled(recordings, model, report):
+    for effect in ("threshold_noise", "threshold_mismatch", "refractory_period"):
+        model = model.without_effect(effect)
+    model = model.release(["delay_s"])
+    scout = PooledRate(recordings, first_s=SCOUT_S)
+    nuisances = {p.name: p for p in scout.nuisances()}
+    start = {**model.values, **{name: p.value for name, p in nuisances.items()}}
+    report("aligning clocks", 0.05)
+    start |= align(scout, model, start)
+    start |= match_counts(scout, model, start)
+    model = model.set({name: value for name, value in start.items() if name in model.parameters})
+    coordinates = Coordinates.of(model, tuple(p.at(start[name]) for name, p in nuisances.items()))
+    report("searching", 0.1)
+    found = maximise(
+        PooledRateObjective(scout, coordinates),
+        coordinates.start,
+        tolerance=1.0,
+        max_steps=60,
+        progress=lambda step, value: report("searching", 0.1 + 0.4 * step / 60),
+    )
+    likelihood = PooledRate(recordings)
+    objective = PooledRateObjective(likelihood, coordinates)
+    optimum = maximise(
+        objective,
+        found.x,
+        tolerance=1e-1,
+        max_steps=40,
+        progress=lambda step, value: report("fitting", 0.5 + 0.4 * step / 40),
+    )
+    dispersion = likelihood.dispersion(objective.expected(optimum.x))
+    caveats = [
+        "number of pooled pixels × thresholds: only their ratio is visible (pooled.pixels is a gauge, chosen so that "
+        f"on_threshold started at {model.values['on_threshold']:g})",
+        "threshold noise, mismatch and dead time: pooled counts do not show them (left out of the model)",
+    ]
+    if "stimulus.offset" in nuisances:
+        caveats.append(
+            "light levels: radiance is in units of the light that is on all the time (stimulus.offset = 1 is a gauge), "
+            "so alpha and gamma are in that unit too"
+        )
+    details = {
+        "dispersion": dispersion,
+        "bin_s": float(np.diff(likelihood.counts[0].edges[:2])[0]),
+        "steps": optimum.steps,
+        "caveats": caveats,
+    }
+    return objective, optimum, details, 1
+
+
+def _few_pixels(recordings: Sequence[Recording], rng: np.random.Generator) -> list[Recording]:
+    """The recordings cut down to as many pixels as hold about `SCOUT_EVENTS` events, chosen at random."""
+    total = sum(len(r.events) for r in recordings)
+    if total <= SCOUT_EVENTS:
+        return list(recordings)
+    pixels = np.unique(np.concatenate([np.unique(r.events.pixel) for r in recordings]))
+    counts = np.zeros(len(pixels))
+    for r in recordings:
+        found, n = np.unique(r.events.pixel, return_counts=True)
+        counts[np.searchsorted(pixels, found)] += n
+    order = rng.permutation(len(pixels))
+    keep = pixels[order[: max(int(np.searchsorted(np.cumsum(counts[order]), SCOUT_EVENTS)), 2)]]
+    return [replace(r, events=r.events.select(np.isin(r.events.pixel, keep))) for r in recordings]
+
+
+def _physical(model: Model, demanded: bool) -> tuple[dict[str, float] | None, str]:
+    if model.physical is None or model.photoreceptor != "second_order":
+        return None, "the model has no second-order photoreceptor with [physical] values"
+    try:
+        values = model.gauge.physical(*(model.values[name] for name in ("alpha", "beta", "gamma")), model.physical)
+    except InputError as error:
+        if demanded:
+            raise
+        return None, str(error)
+    return values.as_dict(), ""
+
+
+def _positive(matrix: np.ndarray) -> bool:
+    try:
+        np.linalg.cholesky(matrix + 0.0)
+    except np.linalg.LinAlgError:
+        return False
+    return bool(np.isfinite(matrix).all())
+
+
+def _status(optimum: Optimum, details: dict) -> tuple[str, str]:
+    advice = []
+    if details.get("stray_fraction", 0.0) > 1e-3:
+        advice.append(
+            f"{details['strays']} events ({100 * details['stray_fraction']:.2g} %) do not fit the model at all: "
+            "it misses an effect"
+        )
+    if details.get("dispersion", 1.0) > 3.0:
+        advice.append(
+            f"counts vary {details['dispersion']:.1f} times more about the model than Poisson counts would: "
+            "errors are scaled for it, but the model misses an effect"
+        )
+    if optimum.converged:
+        return "converged", "; ".join(advice)
+    advice.insert(0, "the search ended before it settled: fix a parameter that is not identified, or start closer")
+    return "not converged", "; ".join(advice)

@@ -1,0 +1,68 @@
+"""What the data pinned and what they left open, from the curvature at the optimum."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pixelid.fit.coordinates import Coordinates
+
+OPEN_SD = 0.5  # a log coordinate known no better than a factor e^±0.5 (a standard deviation) counts as not identified
+CONDITION = 1e13
+
+
+@dataclass(frozen=True)
+class Identified:
+    """Covariance in fitting coordinates and its reading.
+
+    sd: (n,) standard errors;  identified: (n,) whether each parameter is pinned;  sentences: what is not, in words
+    """
+
+    covariance: np.ndarray
+    sd: np.ndarray
+    identified: np.ndarray
+    sentences: tuple[str, ...]
+
+
+def read_curvature(coordinates: Coordinates, curvature: np.ndarray, on_bound: np.ndarray) -> Identified:
+    """Covariance and unidentified directions of a negated Hessian (n, n).
+
+    A direction counts as open when it is known no better than `OPEN_SD` in the scale of the coordinates (logs;
+    a millisecond for delays).  Parameters on a bound are one-sided: they are reported, and held in the covariance.
+    """
+    n = len(curvature)
+    scale = coordinates.longest_moves()
+    K = curvature * np.outer(scale, scale)
+    free = ~on_bound
+    covariance = np.zeros((n, n))
+    sd = np.full(n, np.inf)
+    sentences = []
+    if free.any():
+        eigenvalues, vectors = np.linalg.eigh(K[np.ix_(free, free)])
+        floor = max(eigenvalues.max(), 1e-300) / CONDITION
+        safe = np.maximum(eigenvalues, floor)
+        covariance[np.ix_(free, free)] = (vectors / safe) @ vectors.T
+        sd[free] = np.sqrt(np.diag(covariance)[free])
+        names = [name for name, keep in zip(coordinates.names, free, strict=True) if keep]
+        for value, vector in zip(eigenvalues, vectors.T, strict=True):
+            width = 1.0 / np.sqrt(max(value, floor))
+            if width > OPEN_SD:
+                sentences.append(_in_words(names, vector, width))
+    for name, held in zip(coordinates.names, on_bound, strict=True):
+        if held:
+            sentences.append(f"{name} sits on its bound: the data only limit it from one side")
+    identified = free & (sd < OPEN_SD)
+    return Identified(covariance * np.outer(scale, scale), sd * scale, identified, tuple(sentences))
+
+
+def _in_words(names: list[str], vector: np.ndarray, width: float) -> str:
+    order = np.argsort(-np.abs(vector))
+    lead = vector[order[0]]
+    parts = [
+        f"{names[i]} × k" + (f"^{vector[i] / lead:.2g}" if i != order[0] else "")
+        for i in order
+        if abs(vector[i] / lead) > 0.15
+    ]
+    known = f"k is known only within a factor {np.exp(min(1.96 * width * abs(lead), 50.0)):.2g}"
+    return f"scaling {' with '.join(parts)}: {known} (95 %)"

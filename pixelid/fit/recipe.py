@@ -1,0 +1,127 @@
+"""Fit recipes: a whole fit as a value, from the command line or from a TOML file.
+
+    [fit]
+    recordings = ["session/"]       files or folders, relative to the recipe
+    model = "dvs128"                a shipped name, a model file or a fit folder
+    with = ["leak:rate_hz=0.1"]     effects to add
+    without = ["refractory_period"] effects to remove
+    fix = ["gamma=1.12"]            parameters to hold
+    gauge = ["q_in=0.875"]          statements for physical values
+    between = "auto"                "linear", "smooth" or "auto"
+    seed = 0
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from pixelid.model.options import assignment, changed
+from pixelid.errors import InputError
+from pixelid.fit.fit import fit
+from pixelid.fit.result import FitResult
+from pixelid.model.files import read_toml
+from pixelid.model.model import Model
+from pixelid.model.shipped import find_model
+from pixelid.outputs import whole_folder
+from pixelid.parameters.gauge import Gauge
+from pixelid.recordings import open_recordings
+
+_KEYS = {"recordings", "model", "with", "without", "fix", "gauge", "between", "seed"}
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """Everything a fit needs to run again."""
+
+    recordings: tuple[Path, ...]
+    model: str
+    with_: tuple[str, ...] = ()
+    without: tuple[str, ...] = ()
+    fix: tuple[str, ...] = ()
+    gauge: tuple[str, ...] = ()
+    between: str = "auto"
+    seed: int = 0
+
+    @staticmethod
+    def of(recordings, model, with_, without, fix, gauge, between, seed) -> Recipe:
+        """A recipe from sequences of command-line words."""
+        return Recipe(
+            tuple(map(Path, recordings)), model, tuple(with_), tuple(without), tuple(fix), tuple(gauge), between, seed
+        )
+
+    def prepared_model(self) -> tuple[Model, list[str]]:
+        """The model with effects changed and parameters held, and remarks for the user."""
+        model, remarks = changed(find_model(self.model), self.with_, self.without, ())
+        return model.fix(dict(assignment(text) for text in self.fix)), remarks
+
+    def remarks(self) -> list[str]:
+        """What the user should know about the options."""
+        return self.prepared_model()[1]
+
+    def prepared_gauge(self) -> Gauge | None:
+        """The gauge demanded, or None."""
+        statements = {}
+        for text in self.gauge:
+            name, sign, value = text.partition("=")
+            if not sign:
+                raise InputError(f"--gauge: expected name=value, found {text!r}")
+            statements[name.strip()] = value.strip()
+        return Gauge.parse(statements) if statements else None
+
+    def run(self, out: Path, overwrite: bool = False, progress: Callable[[str, float], None] | None = None) -> FitResult:
+        """Fit and write the result folder; nothing is left behind when it fails."""
+        from pixelid.fit.figures import write_figures
+        from pixelid.report.html import write_report
+
+        model, _ = self.prepared_model()
+        gauge = self.prepared_gauge()
+        recordings = open_recordings(self.recordings)
+        result = fit(recordings, model, gauge=gauge, between=self.between, seed=self.seed, progress=progress)
+        with whole_folder(out, overwrite) as folder:
+            result.save(folder)
+            write_figures(result, recordings, folder)
+            write_report(folder)
+        return result
+
+
+def read_recipe(path: Path) -> Recipe:
+    """The recipe of a TOML file.  Raises InputError naming the file and the key that is wrong."""
+    document = read_toml(path).get("fit")
+    if not isinstance(document, dict):
+        raise InputError(f"{path}: expected a [fit] table")
+    unknown = set(document) - _KEYS
+    if unknown:
+        raise InputError(f"{path}: unknown keys {', '.join(sorted(unknown))}; known: {', '.join(sorted(_KEYS))}")
+    for key in ("recordings", "model"):
+        if key not in document:
+            raise InputError(f"{path}: [fit] {key} is missing")
+
+    def words(key: str) -> tuple[str, ...]:
+        value = document.get(key, [])
+        if not isinstance(value, list) or not all(isinstance(word, str) for word in value):
+            raise InputError(f"{path}: [fit] {key} must be a list of strings")
+        return tuple(value)
+
+    base = path.resolve().parent
+    model = str(document["model"])
+    if (base / model).exists():
+        model = str(base / model)
+    return Recipe(
+        tuple(base / name for name in words("recordings")),
+        model,
+        words("with"),
+        words("without"),
+        words("fix"),
+        words("gauge"),
+        str(document.get("between", "auto")),
+        _whole_number(document.get("seed", 0), path),
+    )
+
+
+def _whole_number(value, path: Path) -> int:
+    if not isinstance(value, int) or isinstance(value, bool):
+        raise InputError(f"{path}: [fit] seed must be a whole number, found {value!r}")
+    return value
+

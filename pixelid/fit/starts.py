@@ -1,0 +1,94 @@
+"""Where a fit starts: the model's own values, made feasible for the data, and random starts around them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pixelid.likelihood.event_times import EventTimes
+from pixelid.likelihood.pooled_rate import PooledRate, delay_name
+from pixelid.model.model import Model
+
+
+def feasible(model: Model, likelihood: EventTimes) -> Model:
+    """The model with dead time below the observed intervals and thresholds that match the levels it predicts.
+
+    Thresholds start at the median level at the events, threshold noise at its spread; fixed parameters stay.
+    """
+    changes: dict[str, float] = {}
+    if "refractory_s" in model.free:
+        limit = 0.9 * likelihood.shortest_intervals_s(1e-3)
+        parameter = model.parameter("refractory_s")
+        changes["refractory_s"] = max(min(parameter.value, limit), parameter.lower)
+        model = model.set(changes)
+    terms = likelihood.terms(model.circuit())
+    on = likelihood.sign > 0
+    levels = {}
+    for name, chosen in (("on_threshold", on), ("off_threshold", ~on)):
+        parameter = model.parameter(name)
+        levels[name] = parameter.value
+        if chosen.any() and parameter.free:
+            median = float(np.median(terms.z[chosen]))
+            levels[name] = float(np.clip(median, 0.1 * parameter.value, 10.0 * parameter.value))
+    relative = np.abs(terms.z / np.where(on, levels["on_threshold"], levels["off_threshold"]) - 1.0)
+    if "threshold_sigma" in model.free:
+        levels["threshold_sigma"] = float(np.clip(1.48 * np.median(relative), 0.02, 0.5))
+    return model.set({name: value for name, value in levels.items() if name in model.free})
+
+
+def random_starts(start: np.ndarray, count: int, rng: np.random.Generator, spread: float = 0.5) -> list[np.ndarray]:
+    """`start` moved by independent uniform factors e^±spread, `count` times."""
+    return [start + rng.uniform(-spread, spread, len(start)) for _ in range(count)]
+
+
+def align(likelihood: PooledRate, model: Model, values: dict[str, float]) -> dict[str, float]:
+    """The delays of the recordings, and for light of unknown level its scale, that suit the counts best.
+
+    A delay that is off by more than an edge's width, or a bandwidth that is off by decades, has no useful gradient:
+    both are searched on a grid (±2 ms; four decades of radiance scale, which moves α and γ together), by the share of
+    the counts' variance that the rises and falls of the amplifier output explain.
+    """
+    unknown_light = "stimulus.offset" in values and model.photoreceptor == "second_order"
+    best: tuple[float, dict[str, float]] = (-1.0, {})
+    for scale in np.logspace(0, 4, 9) if unknown_light else (1.0,):
+        trial = dict(values)
+        if unknown_light:
+            trial |= {name: values[name] * float(scale) for name in ("alpha", "gamma")}
+        circuit = model.circuit(trial)
+        found, score = {}, 0.0
+        for i, counts in enumerate(likelihood.counts):
+            name = delay_name(likelihood.recordings, i)
+            scores = {}
+            for delay in np.arange(-2e-3, 2.01e-3, 1e-4):
+                change = np.diff(likelihood.output(i, circuit, {**trial, name: float(delay)}))
+                scores[float(delay)] = _explained(counts.on, change) + _explained(counts.off, -change)
+            found[name] = max(scores, key=scores.__getitem__)
+            score += scores[found[name]]
+        if score > best[0]:
+            best = score, {**found, **{name: trial[name] for name in ("alpha", "gamma") if unknown_light}}
+    return best[1]
+
+
+def _explained(counts: np.ndarray, change: np.ndarray) -> float:
+    """Squared correlation of counts with the positive part of a change."""
+    rise = np.maximum(change, 0.0)
+    if rise.std() == 0 or counts.std() == 0:
+        return 0.0
+    return float(np.corrcoef(counts, rise)[0, 1]) ** 2
+
+
+def match_counts(likelihood: PooledRate, model: Model, values: dict[str, float]) -> dict[str, float]:
+    """The number of pixels and the OFF threshold that make expected ON and OFF counts equal the observed ones."""
+    circuit = model.circuit(values)
+    rise = fall = 0.0
+    for i in range(len(likelihood.counts)):
+        change = np.diff(likelihood.output(i, circuit, values))
+        rise += np.maximum(change, 0.0).sum()
+        fall += np.maximum(-change, 0.0).sum()
+    on = max(sum(c.on.sum() for c in likelihood.counts), 1.0)
+    off = max(sum(c.off.sum() for c in likelihood.counts), 1.0)
+    pixels = on * values["on_threshold"] / max(rise, 1e-12)
+    parameter = model.parameter("off_threshold")
+    return {
+        "pooled.pixels": float(pixels),
+        "off_threshold": float(np.clip(pixels * fall / off, parameter.lower, parameter.upper)),
+    }
