@@ -50,5 +50,5 @@ lint: $(STAMP)
 	$(BIN)/pyright --pythonpath $(BIN)/python
 
 clean:
-	rm -rf .venv build dist demo-out out .pytest_cache .ruff_cache .numba_cache *.egg-info
+	rm -rf .venv build dist demo-out out .pytest_cache .ruff_cache .numba_cache .hypothesis *.egg-info
 	find pixelid tests benchmarks -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -41,16 +41,15 @@ class Gauge:
         for name, value in statements.items():
             if name not in PHYSICAL_NAMES:
                 raise InputError(f"gauge: unknown name {name!r}; known: {', '.join(PHYSICAL_NAMES)}")
-            try:
-                fixed[name] = float(value)
-            except ValueError:
+            number = _number(value)
+            if number is not None:
+                fixed[name] = number
+            else:
                 match = _RELATION.match(str(value))
-                if not match or match[2] not in PHYSICAL_NAMES or match[2] == name:
-                    raise InputError(
-                        f"gauge: {name} = {value!r} is neither a number nor a ratio like '0.7 A_amp'"
-                    ) from None
-                ratios[name] = (float(match[1]), match[2])
-            number = fixed[name] if name in fixed else ratios[name][0]
+                number = _number(match[1]) if match else None
+                if match is None or number is None or match[2] not in PHYSICAL_NAMES or match[2] == name:
+                    raise InputError(f"gauge: {name} = {value!r} is neither a number nor a ratio like '0.7 A_amp'")
+                ratios[name] = (number, match[2])
             if not (number > 0 and np.isfinite(number)):
                 raise InputError(f"gauge: {name} = {value} must be positive and finite")
         return Gauge(fixed, ratios)
@@ -118,6 +117,16 @@ class Gauge:
         return Physical(**dict(zip(PHYSICAL_NAMES, np.exp(solution.x).tolist(), strict=True)))
 
 
+def _number(value: object) -> float | None:
+    """`value` as a number, None when it is none."""
+    if isinstance(value, bool) or not isinstance(value, (int, float, str)):
+        return None
+    try:
+        return float(value)
+    except ValueError:
+        return None
+
+
 def _sparse_basis(null: np.ndarray) -> np.ndarray:
     """The null space in reduced row-echelon form, so that each direction names few parameters."""
     basis = null.copy()
@@ -138,7 +147,7 @@ def _sparse_basis(null: np.ndarray) -> np.ndarray:
 
 
 def _in_words(direction: np.ndarray) -> str:
-    """'A_amp × k with tau_out × k^0.82 and q_mil × k^−0.4 changes nothing measurable'."""
+    """'scaling A_amp × k together with tau_out × k^0.82, q_mil × k^-0.4 changes no event'."""
     terms = [
         f"{name} × k^{power:.3g}" if abs(power - 1) > 1e-6 else f"{name} × k"
         for name, power in zip(PHYSICAL_NAMES, direction, strict=True)
