@@ -1,0 +1,88 @@
+"""`pixelid models`: the shipped circuits, or one of them in full."""
+
+from __future__ import annotations
+
+import click
+
+EXAMPLE = """
+\b
+Example:
+    pixelid models
+    pixelid models dvs128
+"""
+
+
+@click.command("models", epilog=EXAMPLE)
+@click.argument("name", required=False)
+@click.option("--json", "as_json", is_flag=True, help="Print JSON instead of a table.")
+@click.option("--seed", type=int, default=0, help="Accepted everywhere; nothing here is random.")
+@click.option("--quiet", is_flag=True, help="Print names and values only.")
+def command(name: str | None, as_json: bool, seed: int, quiet: bool) -> None:
+    """List the shipped circuits, or print the circuit NAME (shipped, .toml file or fit folder) with units and gauge."""
+    import json
+
+    from pixelid.model.files import load_model, to_document
+    from pixelid.model.shipped import find_model, shipped_models
+
+    models = [load_model(path) for path in shipped_models().values()] if name is None else [find_model(name)]
+    if as_json:
+        documents = [to_document(model) for model in models]
+        click.echo(json.dumps(documents if name is None else documents[0], indent=2, ensure_ascii=False))
+    elif quiet and name is None:
+        click.echo("\n".join(model.name for model in models))
+    elif quiet:
+        click.echo("\n".join(f"{key} = {value:.10g}" for key, value in models[0].values.items()))
+    else:
+        from rich.console import Console
+
+        console = Console()
+        if name is None:
+            console.print(_overview(models))
+        else:
+            _print_one(console, models[0])
+
+
+def _overview(models):
+    from rich.table import Table
+
+    table = Table("model", "photoreceptor", "effects", "summary", title="shipped circuits")
+    for model in models:
+        table.add_row(model.name, model.photoreceptor, "\n".join(model.effects) or "none", model.summary)
+    return table
+
+
+def _print_one(console, model) -> None:
+    from rich.table import Table
+
+    from pixelid import stages
+
+    console.print(f"[bold]{model.name}[/bold]  {model.summary}", highlight=False)
+    console.print(
+        f"photoreceptor {model.photoreceptor}, linearised at the {model.linearisation} of each step, "
+        f"radiance in {model.radiance_unit}",
+        highlight=False,
+    )
+    table = Table("parameter", "value", "unit", "bounds", "free", "source")
+    for parameter in model.parameters.values():
+        table.add_row(
+            parameter.name,
+            f"{parameter.value:.6g}",
+            parameter.unit,
+            f"{parameter.lower:g} .. {parameter.upper:g}",
+            "yes" if parameter.free else "no",
+            parameter.source,
+        )
+    console.print(table)
+    effects = Table("effect", "what it does", "equation", "source")
+    for name in model.effects:
+        effect = stages.effect(name)
+        effects.add_row(name, effect.sentence, effect.equation, effect.source)
+    console.print(effects)
+    if model.physical is not None:
+        physical = Table("physical value", "nominal", "gauge", title=model.physical_source)
+        gauge = model.gauge.statements()
+        for name, value in model.physical.as_dict().items():
+            physical.add_row(name, f"{value:.6g}", str(gauge.get(name, "")))
+        console.print(physical)
+    elif model.gauge.statements():
+        console.print("gauge: " + ", ".join(f"{key} = {value}" for key, value in model.gauge.statements().items()))

@@ -1,0 +1,126 @@
+"""The comparator of each pixel: thresholds, reset, dead time, and the events of one step.
+
+State of n pixels, `comparators` (7, n) float64 and `drawn` (n,) int64, carried from step to step:
+
+    LEVEL    what the amplifier restarted from, less the drift since: change = d − level − decay
+    DECAY    what is left of (d − level at release) e^{−ωd (t − tr)}
+    RELEASE  end of the dead time in progress [s]; +∞ when the pixel is live
+    ON, OFF  the thresholds of the next event, without drift;   BASE_ON, BASE_OFF  the pixel's means
+    drawn    how many threshold pairs this pixel has drawn
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from pixelid.dynamics.equations import PRESENT_BELOW
+from pixelid.simulate import random
+from pixelid.simulate.crossing import first_crossing
+from pixelid.simulate.step import light_integral, probe
+
+LEVEL, DECAY, RELEASE, ON, OFF, BASE_ON, BASE_OFF = range(7)
+FIELDS = 7
+LEAST = 0.01  # relative draws of thresholds are repeated until they exceed this
+_RETRY = 1 << 40  # counters of repeated draws
+
+
+@njit(inline="always", error_model="numpy")
+def _relative(key, pixel, counter, sigma):
+    """Two independent draws of 1 + σ ξ, each truncated to stay above LEAST."""
+    first, second = random.normal_pair(key, pixel, counter)
+    a, b = 1.0 + sigma * first, 1.0 + sigma * second
+    attempt = 0
+    while min(a, b) < LEAST and attempt < 1000:
+        attempt += 1
+        first, second = random.normal_pair(key, pixel, counter + attempt * _RETRY)
+        a = 1.0 + sigma * first if a < LEAST else a
+        b = 1.0 + sigma * second if b < LEAST else b
+    return max(a, LEAST), max(b, LEAST)
+
+
+@njit(inline="always", error_model="numpy")
+def draw_thresholds(pixel, place, comparators, drawn, key, noise):
+    """Fresh ON and OFF thresholds for the next event of `pixel`, held at column `place`."""
+    on, off = 1.0, 1.0
+    if noise > 0.0:
+        on, off = _relative(key, pixel, drawn[place], noise)
+        drawn[place] += 1
+    comparators[ON, place] = comparators[BASE_ON, place] * on
+    comparators[OFF, place] = comparators[BASE_OFF, place] * off
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def start(first_pixel, on, off, mismatch, noise, seed, synchronous, level, out, comparators, drawn):
+    """Fill the comparators of pixels first_pixel, … at the first sample; level, out: (n,) reset level and output.
+
+    Synchronous: every reference is taken there.  Otherwise each pixel starts part of the way to its next event:
+    its change begins at a value uniform between −C_off and C_on, as if its last event were long ago.
+    """
+    spread, event = random.stream_key(seed, random.MISMATCH), random.stream_key(seed, random.THRESHOLD)
+    phase = random.stream_key(seed, random.PHASE)
+    for i in range(comparators.shape[1]):
+        pixel = first_pixel + i
+        a, b = _relative(spread, pixel, 0, mismatch)
+        comparators[BASE_ON, i], comparators[BASE_OFF, i] = on * a, off * b
+        drawn[i] = 0
+        draw_thresholds(pixel, i, comparators, drawn, event, noise)
+        comparators[RELEASE, i] = np.inf
+        if synchronous:
+            comparators[LEVEL, i], comparators[DECAY, i] = level[i], out[i] - level[i]
+        else:
+            span = comparators[ON, i] + comparators[OFF, i]
+            offset = random.uniform(phase, pixel, 0) * span - comparators[OFF, i]
+            comparators[LEVEL, i], comparators[DECAY, i] = out[i] - offset, 0.0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def events_in_step(pixel, place, t0, t1, step, chain, comparators, drawn, laws, found, count, scratch):
+    """Carry one pixel through the step t0 … t1, with its release, crossings and resets in the order they happen.
+
+    laws: (refractory, leak, parasitic, threshold drift, noise, threshold key), leak and parasitic in log radiance
+    per second (and radiance);  found: (times (m,) s, pixels (m,), polarities (m,)), grown as needed.
+    Returns (found, count).
+    """
+    refractory, leak, parasitic, drift, noise, key = laws
+    times, pixels, polarities = found
+    tau, wd = step[4], chain[3]
+    x = 0.0
+    level, decay = comparators[LEVEL, place], comparators[DECAY, place]
+    release = comparators[RELEASE, place]
+    if release < np.inf:
+        if release > t1:
+            return found, count
+        x = min(max(release - t0, 0.0), tau)
+        level, d, _, _ = probe(x, step, chain)
+        decay = d - level if wd < PRESENT_BELOW else 0.0
+        comparators[RELEASE, place] = np.inf
+    while True:
+        at, polarity = first_crossing(
+            x, step, chain, (level, decay, x, leak, parasitic),
+            comparators[ON, place] * (1.0 + drift * t0), comparators[ON, place] * drift,
+            comparators[OFF, place] * (1.0 + drift * t0), comparators[OFF, place] * drift, scratch,
+        )  # fmt: skip
+        if polarity < 0:
+            break
+        if count == len(times):
+            size = 2 * count
+            longer_t, longer_i, longer_p = np.empty(size), np.empty(size, np.int64), np.empty(size, np.uint8)
+            longer_t[:count], longer_i[:count], longer_p[:count] = times, pixels, polarities
+            times, pixels, polarities = longer_t, longer_i, longer_p
+        times[count], pixels[count], polarities[count] = t0 + at, pixel, polarity
+        count += 1
+        draw_thresholds(pixel, place, comparators, drawn, key, noise)
+        if t0 + at + refractory > t1:
+            comparators[RELEASE, place] = t0 + at + refractory
+            comparators[LEVEL, place], comparators[DECAY, place] = np.nan, 0.0
+            return (times, pixels, polarities), count
+        x = min(at + refractory, tau)
+        level, d, _, _ = probe(x, step, chain)
+        decay = d - level if wd < PRESENT_BELOW else 0.0
+    level -= leak * (tau - x)
+    if parasitic > 0.0:
+        level -= parasitic * light_integral(step[7], step[8], x, tau)
+    comparators[LEVEL, place] = level
+    comparators[DECAY, place] = decay * np.exp(-wd * (tau - x)) if decay != 0.0 else 0.0
+    return (times, pixels, polarities), count

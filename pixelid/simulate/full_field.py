@@ -1,0 +1,186 @@
+"""Full-field light: one trajectory, shared by all pixels; each pixel only compares and resets (DESIGN §1)."""
+
+from __future__ import annotations
+
+from concurrent.futures import Executor
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from pixelid.dynamics import kernels
+from pixelid.dynamics.trajectory import integrate
+from pixelid.simulate import comparator, slew
+from pixelid.simulate.comparator import DECAY, LEVEL, OFF, ON, RELEASE, events_in_step
+from pixelid.simulate.crossing import DEPTH
+from pixelid.simulate.laws import Rules
+from pixelid.simulate.step import light_integral, settled, slope_bound
+from pixelid.stimuli.drive import Drive, drive, refined
+from pixelid.stimuli.stimulus import Stimulus
+
+TILE = 256  # pixels worked on by one thread at a time
+WORK = 1 << 24  # pixel steps between two deliveries of sorted events
+FIRST_CAPACITY = 1024
+
+
+@dataclass(frozen=True)
+class Shared:
+    """The trajectory that all pixels share, and what each of its n − 1 steps can do.
+
+    t, u, radiance: (n,) knots;  states: (n, 6);  high, low: (n − 1,) bounds on the amplifier's output in a step;
+    fade: (n − 1,) e^{−ωd Δt};  drift: (n − 1,) leak over the step, log radiance
+    """
+
+    t: np.ndarray
+    u: np.ndarray
+    radiance: np.ndarray
+    states: np.ndarray
+    high: np.ndarray
+    low: np.ndarray
+    fade: np.ndarray
+    drift: np.ndarray
+
+
+class FullField:
+    """The sensor's pixels under full-field light: one trajectory, one comparator each."""
+
+    def __init__(self, stimulus: Stimulus, rules: Rules, pixels: int) -> None:
+        self._rules = rules
+        light = drive(stimulus, rules.circuit)
+        if rules.slewing:
+            light = _refined(light, slew.longest_step(rules.chain[:4], stimulus.duration_s))
+        self._shared = shared_trajectory(light, rules)
+        self._comparators = np.empty((comparator.FIELDS, pixels))
+        self._drawn = np.empty(pixels, np.int64)
+        circuit, state = rules.circuit, self._shared.states[0]
+        comparator.start(
+            0, circuit.on_threshold, circuit.off_threshold, circuit.mismatch, circuit.noise, np.int64(rules.seed),
+            rules.synchronous, np.full(pixels, state[3] - state[4]), np.full(pixels, state[5]),
+            self._comparators, self._drawn,
+        )  # fmt: skip
+
+    def run(self, pool: Executor):
+        """(event lists of tiles, time up to which they are complete, whether that is all), some steps at a time."""
+        t, pixels = self._shared.t, len(self._drawn)
+        last, size = len(t) - 1, max(1, WORK // pixels)
+        for k in range(0, last, size):
+            steps = range(k, min(k + size, last))
+            parts = pool.map(
+                lambda first, steps=steps: self._events(first, min(first + TILE, pixels), steps),
+                range(0, pixels, TILE),
+            )
+            yield parts, float(t[steps.stop]), steps.stop == last
+
+    def _events(self, first: int, after: int, steps: range):
+        """(times (m,) s, pixels (m,), polarities (m,)) of pixels first … after − 1, pixel by pixel."""
+        shared, rules = self._shared, self._rules
+        return _pixel_events(
+            first, after, steps.start, steps.stop, shared.t, shared.u, shared.radiance, shared.states,
+            shared.high, shared.low, shared.fade, shared.drift,
+            tuple(rules.dynamics), rules.chain, rules.circuit.linearisation == "midpoint", rules.laws,
+            self._comparators, self._drawn,
+        )  # fmt: skip
+
+
+def _refined(light: Drive, longest_step: float) -> Drive:
+    """The same light with knots at most `longest_step` apart."""
+    t, left, weight = refined(light.t, longest_step)
+    logs = np.log(light.radiance)
+    return Drive(t, np.exp((1 - weight) * logs[left] + weight * logs[left + 1]))
+
+
+def shared_trajectory(light: Drive, rules: Rules) -> Shared:
+    """The trajectory under full-field light.  Light for a slew-limited follower must come in steps `slew` resolves."""
+    midpoint = rules.circuit.linearisation == "midpoint"
+    if rules.slewing:
+        t, radiance = np.ascontiguousarray(light.t), np.ascontiguousarray(light.radiance)
+        u, states = np.log(radiance), slew.slewed_states(light.t, light.radiance, rules)
+    else:
+        run = integrate(light.t, light.radiance, rules.dynamics, linearisation=rules.circuit.linearisation)
+        t, u, radiance, states = run.t, run.u, run.radiance, run.states
+    high, low, fade, drift = (np.empty(len(t) - 1) for _ in range(4))
+    dynamics = tuple(rules.dynamics)
+    _bounds(t, u, radiance, states, dynamics, rules.chain, midpoint, rules.laws, high, low, fade, drift)
+    return Shared(t, u, radiance, states, high, low, fade, drift)
+
+
+@njit(inline="always", error_model="numpy")
+def _step(k, t, u, radiance, states, dynamics, chain, midpoint):
+    """The `step` tuple of step k, see `step.py`."""
+    alpha, beta, gamma = dynamics[0], dynamics[1], dynamics[2]
+    w1, w2, wh, wd, _, smooth = chain
+    tau = t[k + 1] - t[k]
+    r = (u[k + 1] - u[k]) / tau
+    light = kernels.linearised_at(radiance[k], radiance[k + 1], midpoint)
+    a, b2 = alpha * light, beta + gamma * light
+    begin = (states[k, 0], states[k, 1], states[k, 2], states[k, 3], states[k, 4], states[k, 5])
+    after = k + 1
+    end = (
+        states[after, 0], states[after, 1], states[after, 2],
+        states[after, 3], states[after, 4], states[after, 5],
+    )  # fmt: skip
+    if not smooth:
+        begin = settled(begin, u[k], r, a, b2, w1, w2, wh, wd)
+    return begin, end, u[k], r, tau, a, b2, radiance[k], r
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _bounds(t, u, radiance, states, dynamics, chain, midpoint, laws, high, low, fade, drift):
+    w1, w2, wh, wd, _, smooth = chain
+    for k in range(len(t) - 1):
+        tau = t[k + 1] - t[k]
+        high[k], low[k], fade[k], drift[k] = -np.inf, np.inf, 1.0, 0.0
+        if tau <= 0.0:
+            continue
+        begin, end, u0, r, tau, a, b2, light, _ = _step(k, t, u, radiance, states, dynamics, chain, midpoint)
+        d0, d1 = begin[5], end[5]
+        if smooth:
+            # a cubic exceeds its end values by at most 4/27 of the length times the slopes that point outward
+            s0, s1 = begin[0], end[0]
+            if wd < 1e29:
+                s0, s1 = wd * (begin[3] - begin[4] - d0), wd * (end[3] - end[4] - d1)
+            high[k] = max(d0, d1) + 4.0 / 27.0 * tau * (max(s0, 0.0) + max(-s1, 0.0))
+            low[k] = min(d0, d1) - 4.0 / 27.0 * tau * (max(-s0, 0.0) + max(s1, 0.0))
+        else:
+            spare = 0.5 * tau * slope_bound(begin, u0, r, a, b2, w1, w2, wh, wd)
+            high[k] = 0.5 * (d0 + d1) + spare
+            low[k] = 0.5 * (d0 + d1) - spare
+        fade[k] = np.exp(-wd * tau)
+        drift[k] = laws[1] * tau
+        if laws[2] > 0.0:
+            drift[k] += laws[2] * light_integral(light, r, 0.0, tau)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _pixel_events(
+    first, last, k_first, k_last, t, u, radiance, states, high, low, fade, drift,
+    dynamics, chain, midpoint, laws, comparators, drawn,
+):  # fmt: skip
+    scratch = np.empty((6, DEPTH))
+    found = (np.empty(FIRST_CAPACITY), np.empty(FIRST_CAPACITY, np.int64), np.empty(FIRST_CAPACITY, np.uint8))
+    count = 0
+    growth = laws[3]
+    for i in range(first, last):
+        level, decay, release = comparators[LEVEL, i], comparators[DECAY, i], comparators[RELEASE, i]
+        on, off = comparators[ON, i], comparators[OFF, i]
+        for k in range(k_first, k_last):
+            t0, t1 = t[k], t[k + 1]
+            if release < np.inf:
+                if release > t1 or t1 == t0:
+                    continue
+            else:
+                faded = decay * fade[k]
+                factor = 1.0 + growth * (t1 if growth < 0.0 else t0)
+                upper = high[k] - level + drift[k] - min(decay, faded)
+                lower = low[k] - level - max(decay, faded)
+                if (upper < on * factor and lower > -off * factor) or t1 == t0:
+                    decay = faded if abs(faded) > 1e-15 else 0.0
+                    level -= drift[k]
+                    continue
+            comparators[LEVEL, i], comparators[DECAY, i] = level, decay
+            step = _step(k, t, u, radiance, states, dynamics, chain, midpoint)
+            found, count = events_in_step(i, i, t0, t1, step, chain, comparators, drawn, laws, found, count, scratch)
+            level, decay, release = comparators[LEVEL, i], comparators[DECAY, i], comparators[RELEASE, i]
+            on, off = comparators[ON, i], comparators[OFF, i]
+        comparators[LEVEL, i], comparators[DECAY, i] = level, decay
+    return found[0][:count], found[1][:count], found[2][:count]

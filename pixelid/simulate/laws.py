@@ -1,0 +1,72 @@
+"""What a circuit's numbers mean to the compiled simulator."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from pixelid.dynamics import kernels
+from pixelid.dynamics.equations import PRESENT_BELOW
+from pixelid.dynamics.of_circuit import dynamics_of
+from pixelid.dynamics.trajectory import Dynamics
+from pixelid.errors import InputError
+from pixelid.simulate import random
+from pixelid.stages.circuit import Circuit
+
+
+class Laws(NamedTuple):
+    """The comparator's laws as the kernels want them; see `comparator.events_in_step`."""
+
+    refractory: float
+    leak: float
+    parasitic: float
+    drift: float
+    noise: float
+    key: np.uint64
+
+
+class Rules(NamedTuple):
+    """Everything constant about a simulation.
+
+    chain: (w1, w2, wh, wd, coincide, smooth), see `step.py`;  smooth: the follower is slew limited
+    """
+
+    circuit: Circuit
+    dynamics: Dynamics
+    chain: tuple
+    laws: Laws
+    seed: int
+    synchronous: bool
+
+    @property
+    def slewing(self) -> bool:
+        """Whether the follower is slew limited."""
+        return self.chain[5]
+
+
+def rules_of(circuit: Circuit, seed: int, synchronous: bool, t_end: float) -> Rules:
+    """The rules of a circuit.  Raises InputError for thresholds that are absent or drift to zero before t_end."""
+    if not (circuit.on_threshold > 0 and circuit.off_threshold > 0):
+        raise InputError("thresholds must be positive")
+    if 1.0 + circuit.threshold_drift * t_end <= 0.01:
+        raise InputError(f"threshold_drift.per_s = {circuit.threshold_drift:g} brings the thresholds to zero")
+    slewing = math.isfinite(circuit.slew_rise) or math.isfinite(circuit.slew_fall)
+    if slewing and not math.isfinite(circuit.follower):
+        raise InputError("slew_limit needs source_follower_pole: without it there is nothing to slew")
+    dynamics = Dynamics(*dynamics_of(circuit.with_(slew_rise=math.inf, slew_fall=math.inf)).uniform())
+    w1, w2, wh, wd = dynamics[3:]
+    unlimited = circuit.photoreceptor == "unlimited" and min(w1, w2, wd) > PRESENT_BELOW
+    if circuit.shot_density > 0 and unlimited:
+        raise InputError("shot_noise needs a bandwidth limit: white noise on ln L has no finite level without one")
+    chain = (w1, w2, wh, wd, bool(kernels.cutoffs_coincide(w1, w2, wh, wd)), slewing)
+    laws = Laws(
+        circuit.refractory,
+        circuit.leak_hz * circuit.on_threshold,
+        circuit.leak_hz_per_radiance * circuit.on_threshold,
+        circuit.threshold_drift,
+        circuit.noise,
+        random.stream_key(seed, random.THRESHOLD),
+    )
+    return Rules(circuit, dynamics, chain, laws, seed, synchronous)

@@ -1,0 +1,131 @@
+"""Light for per-pixel trajectories, in blocks of gaps between frames: bounded memory, however long the video.
+
+Each gap is cut into equal steps, log radiance linear between the frames, by what happens within it:
+
+    mains flicker   64 steps per cycle (as `drive`)
+    shot noise      `noise_step`: white noise, drawn per knot and linear in between, must reach well beyond the
+                    photoreceptor's bandwidth at the brightest pixel of the gap
+    slew limit      `slew.longest_step`
+
+The cutting depends on the gap alone, so results do not depend on the blocks.  It happens inside the compiled loop
+over a tile: refined frames are never held in memory.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from itertools import islice
+
+import numpy as np
+
+from pixelid.dynamics.equations import PRESENT_BELOW
+from pixelid.errors import InputError
+from pixelid.simulate import slew
+from pixelid.simulate.laws import Rules
+from pixelid.stimuli.stimulus import Stimulus
+
+FLICKER_STEPS = 64
+WORK = 1 << 24  # pixel steps per block
+MOST_STEPS = 500_000_000
+
+
+@dataclass(frozen=True)
+class Block:
+    """Consecutive gaps between frames.
+
+    t: (m + 1,) s, increasing;  frames: (m + 1, pixels), or (m + 1, 1) full-field, radiance > 0 before dark current
+    parts: (m,) int64 steps per gap;  before, after: s, lengths of the steps next to the block (0: none)
+    first: number of steps before the block
+    """
+
+    t: np.ndarray
+    frames: np.ndarray
+    parts: np.ndarray
+    before: float
+    after: float
+    first: int
+
+    @property
+    def last(self) -> bool:
+        """Whether the stimulus ends with this block."""
+        return self.after == 0
+
+
+def noise_step(rules: Rules, radiance: float) -> float:
+    """The longest step [s] that resolves shot noise at a radiance: 1/10 of the photoreceptor's 1/ωn.
+
+    Linear interpolation lowers the spectrum by sinc⁴(f Δt).  Behind two poles that costs of the order of (ωn Δt)² of
+    the variance; behind a single pole ω, where the tail counts, 0.47 ω Δt, hence 1/50 there.  Without photoreceptor
+    the slowest pole that follows takes its place.
+    """
+    circuit = rules.circuit
+    if circuit.photoreceptor == "second_order":
+        return 0.1 / np.sqrt(circuit.alpha * radiance)
+    if circuit.photoreceptor == "one_pole":
+        return 0.02 / (circuit.corner * radiance)
+    w1, w2, _, wd = rules.chain[:4]
+    return 0.02 / min(w for w in (w1, w2, wd) if w < PRESENT_BELOW)
+
+
+def _parts(t, frames, rules: Rules) -> np.ndarray:
+    """(m,) into how many steps each gap is cut."""
+    circuit = rules.circuit
+    longest = np.full(len(t) - 1, np.inf)
+    if circuit.flicker_modulation != 0:
+        longest[:] = 1.0 / (FLICKER_STEPS * circuit.flicker_hz)
+    if rules.slewing:
+        longest = np.minimum(longest, slew.longest_step(rules.chain[:4], float(t[-1] - t[0])))
+    if circuit.shot_density > 0:
+        bright = frames.max(axis=1) * (1 + abs(circuit.flicker_modulation)) + circuit.dark
+        steps = [noise_step(rules, float(radiance)) for radiance in np.maximum(bright[1:], bright[:-1])]
+        longest = np.minimum(longest, steps)
+    parts = np.maximum(np.ceil(np.diff(t) / longest - 1e-9), 1)
+    if parts.sum() > MOST_STEPS:
+        raise InputError(f"{parts.sum():.3g} steps are needed to resolve noise or slewing: shorten the stimulus")
+    return parts.astype(np.int64)
+
+
+def blocks(source: Stimulus | Iterable, rules: Rules) -> Iterator[Block]:
+    """The light of a stimulus, or of an iterable of (t, radiance of any one shape), in blocks.
+
+    Raises InputError for radiance that is not positive and finite, frames that change shape, times that do not
+    increase, and fewer than two frames.
+    """
+    before, first = 0.0, 0
+    pending: Block | None = None
+    for t, frames in _runs(source):
+        parts = _parts(t, frames, rules)
+        if pending is not None:
+            after = float(t[1] - t[0]) / parts[0]
+            yield Block(pending.t, pending.frames, pending.parts, pending.before, after, pending.first)
+        pending = Block(t, frames, parts, before, 0.0, first)
+        before = float(t[-1] - t[-2]) / parts[-1]
+        first += int(parts.sum())
+    if pending is None:
+        raise InputError("stimulus: expected at least two frames")
+    yield pending
+
+
+def _runs(source):
+    """(t (m + 1,), frames (m + 1, pixels)) of successive runs that share their end frames."""
+    if isinstance(source, Stimulus):
+        frames = source.radiance.reshape(len(source.t), -1)
+        size = max(1, WORK // frames.shape[1])
+        for k in range(0, len(frames) - 1, size):
+            yield source.t[k : k + size + 1], frames[k : k + size + 1]
+        return
+    stream = iter(source)
+    head = list(islice(stream, 1))
+    while True:
+        size = max(1, WORK // max(1, np.size(head[0][1]))) if head else 1
+        run = head + list(islice(stream, size))
+        if len(run) < 2:
+            return
+        shapes = {np.shape(frame) for _, frame in run}
+        if len(shapes) != 1:
+            raise InputError(f"stimulus: frames must have one shape, found {sorted(shapes)}")
+        t, radiance = np.array([time for time, _ in run]), np.stack([np.ravel(frame) for _, frame in run])
+        valid = Stimulus.from_arrays(t, radiance[:, None, :])
+        yield valid.t, valid.radiance[:, 0, :]
+        head = run[-1:]

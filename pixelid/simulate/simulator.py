@@ -1,0 +1,148 @@
+"""Events of a circuit under a stimulus.
+
+Light enters as one trajectory shared by all pixels (`full_field.py`) or one per pixel (`tiles.py`: video, and shot
+noise, which is each pixel's own).  Comparators turn it into events; hot pixels add theirs; the readout stamps them.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+
+from pixelid import __version__
+from pixelid.errors import InputError
+from pixelid.model.model import Model
+from pixelid.recordings.events import Events
+from pixelid.recordings.recording import Recording
+from pixelid.simulate import light
+from pixelid.simulate.full_field import FullField
+from pixelid.simulate.hot_pixels import HotPixels
+from pixelid.simulate.laws import Rules, rules_of
+from pixelid.simulate.ordering import Ordering
+from pixelid.simulate.readout import Readout
+from pixelid.simulate.tiles import Tiles
+from pixelid.stages.circuit import Circuit
+from pixelid.stimuli.stimulus import Stimulus
+
+MOST_PIXELS = 65536
+
+
+def simulate(
+    model: Model | Circuit,
+    stimulus: Stimulus,
+    *,
+    width: int | None = None,
+    height: int | None = None,
+    seed: int = 0,
+    synchronous: bool = False,
+    threads: int | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> Recording:
+    """The recording of a width × height sensor (a video's own size) whose pixels are all `model`.
+
+    synchronous: every pixel takes its first reference at the first sample.  Otherwise each starts part of the way to
+    its next event (see `comparator.start`), so that pixels are out of step.
+    threads: default one per core; the events do not depend on it.
+    progress: called with the fraction done.
+
+    Events up to the last stimulus sample; readout latency and jitter may carry a few past it.  Event times are exact
+    to 1 ns for the stimulus as sampled (log radiance linear in between).
+    Raises InputError for a stimulus of unit "shape", a sensor size that does not fit the video, a circuit that cannot
+    be simulated (see `laws.rules_of`), and an empty sensor.
+    """
+    start, duration = float(stimulus.t[0]), stimulus.duration_s
+    chunks = []
+    for until_s, chunk in _chunks(model, stimulus, width, height, seed, synchronous, threads):
+        chunks.append(chunk)
+        if progress is not None:
+            progress((until_s - start) / duration)
+    events = Events(
+        *(np.concatenate([getattr(chunk, name) for chunk in chunks]) for name in "txyp"),
+        chunks[0].width,
+        chunks[0].height,
+        chunks[0].tick_ns,
+    )
+    attributes: dict = {"simulator": f"pixelid {__version__}", "seed": seed, "synchronous": synchronous}
+    if isinstance(model, Model):
+        attributes |= {"model": model.name, "effects": list(model.effects), "parameters": model.values}
+    return Recording(events, stimulus, sensor="simulated", attributes=attributes)
+
+
+def simulate_stream(
+    model: Model | Circuit,
+    stimulus: Stimulus | Iterable[tuple[float, np.ndarray]],
+    *,
+    width: int | None = None,
+    height: int | None = None,
+    seed: int = 0,
+    synchronous: bool = False,
+    threads: int | None = None,
+) -> Iterator[Events]:
+    """The same events in consecutive chunks, in order of time; memory does not grow with the stimulus.
+
+    stimulus: a Stimulus, or an iterable of frames (t in s, radiance (height, width)), log radiance linear in between.
+    Raises InputError as `simulate`, and for invalid frames when they are reached.
+    """
+    for _, chunk in _chunks(model, stimulus, width, height, seed, synchronous, threads):
+        yield chunk
+
+
+def _chunks(model, stimulus, width, height, seed, synchronous, threads) -> Iterator[tuple[float, Events]]:
+    """(time up to which all is done, sorted events) after each block of work."""
+    circuit = model.circuit() if isinstance(model, Model) else model
+    shared = isinstance(stimulus, Stimulus) and stimulus.full_field
+    if not isinstance(stimulus, Stimulus):
+        stream = iter(stimulus)
+        head = next(stream, None)
+        if head is None:
+            raise InputError("stimulus: expected at least two frames")
+        start, shape = float(head[0]), np.shape(head[1])
+        stimulus = _again(head, stream)
+    else:
+        if stimulus.unit == "shape":
+            raise InputError('stimulus: unit "shape" is known only up to offset and gain; give radiance to simulate')
+        start, shape = float(stimulus.t[0]), stimulus.radiance.shape[1:]
+    width, height = _size(shape, width, height)
+    rules = rules_of(circuit, seed, synchronous, float(stimulus.t[-1]) if isinstance(stimulus, Stimulus) else start)
+    pixels = width * height
+    hot = HotPixels(circuit, pixels, seed, start)
+    ordering, readout = Ordering(width, height, circuit.delay), Readout(circuit, seed)
+    with ThreadPoolExecutor(threads or os.cpu_count() or 1) as pool:
+        if shared and circuit.shot_density == 0:
+            work = FullField(stimulus, rules, pixels).run(pool)
+        else:
+            work = _tiled(stimulus, rules, pixels, pool)
+        for parts, until_s, last in work:
+            events = ordering.merge([*parts, hot.until(until_s)], until_s, last)
+            yield until_s, readout(events, round((until_s + circuit.delay) * 1e9), last)
+
+
+def _tiled(stimulus, rules: Rules, pixels: int, pool):
+    """(event lists, time up to which they are complete, whether that is all), block by block."""
+    held = isinstance(stimulus, Stimulus) and stimulus.interpolation == "previous"
+    tiles = Tiles(rules, pixels, held)
+    for block in light.blocks(stimulus, rules):
+        parts = pool.map(lambda first, block=block: tiles.events(first, block), tiles.firsts)
+        yield parts, float(block.t[-1]), block.last
+
+
+def _again(head, stream):
+    yield head
+    yield from stream
+
+
+def _size(shape: tuple, width: int | None, height: int | None) -> tuple[int, int]:
+    """(width, height) of the sensor."""
+    if len(shape) == 2:
+        if (width or shape[1], height or shape[0]) != (shape[1], shape[0]):
+            raise InputError(f"sensor: the video has {shape[1]} x {shape[0]} pixels, found {width} x {height}")
+        width, height = shape[1], shape[0]
+    elif len(shape) != 0:
+        raise InputError(f"stimulus: expected frames of shape (height, width), found {shape}")
+    width, height = 1 if width is None else width, 1 if height is None else height
+    if not (1 <= width <= MOST_PIXELS and 1 <= height <= MOST_PIXELS):
+        raise InputError(f"sensor: expected 1..{MOST_PIXELS} pixels a side, found {width} x {height}")
+    return width, height

@@ -1,0 +1,131 @@
+"""One stimulus step as the comparator sees it: the amplifier at any time inside, and bounds on what it can do.
+
+Compiled helpers pass three tuples:
+
+    step   (state, end, u0, r, tau, a, b2, light, light_r)
+           six-component states at both ends, input ramp u0 + r τ of length tau, photoreceptor coefficients
+           (αL, β + γL) of the step, and the radiance light · exp(light_r τ)
+    chain  (w1, w2, wh, wd, coincide, smooth)
+           the cutoffs; `smooth`: no closed form (slew limit), interpolate h and d by cubics instead; the states are
+           then (dh/dt, 0, h, h, 0, d)
+    reset  (level, decay, x0, leak, parasitic)
+           since the position x0 in the step:  change = d − level − decay e^{−ωd (x − x0)} + ∫ (leak + parasitic L)
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from pixelid.dynamics import kernels
+from pixelid.dynamics.equations import PRESENT_BELOW
+
+
+@njit(inline="always", error_model="numpy")
+def settled(state, u, r, a, b2, w1, w2, wh, wd):
+    """The state just after a jump of the input to u + r τ: stages without a pole follow at once."""
+    v, y, s, e, z, d = state
+    corner = a / b2
+    if corner > PRESENT_BELOW:
+        v, y = r, u
+    elif b2 > PRESENT_BELOW:
+        v = corner * (u - y)
+    s = y if w1 > PRESENT_BELOW else s
+    e = s if w2 > PRESENT_BELOW else e
+    d = e - z if wd > PRESENT_BELOW else d
+    return v, y, s, e, z, d
+
+
+@njit(inline="always", error_model="numpy")
+def slope_bound(state, u, r, a, b2, w1, w2, wh, wd):
+    """A bound on |dd/dt| from here to the end of the step.
+
+    About the delayed ramp the photoreceptor's deviation ε obeys ε'' + b2 ε' + a ε = 0, so ε'² + a ε² never grows:
+    |y'| ≤ |r| + √((v − r)² + a ε²).  A low-pass output's slope is a weighted mean of its own initial slope and the
+    past slopes of its input, so it is bounded by the larger of the two.
+    """
+    v, y, s, e, z, d = state
+    corner = a / b2
+    if b2 < PRESENT_BELOW:
+        deviation = y - u + r * b2 / a
+        bound = abs(r) + np.sqrt((v - r) * (v - r) + a * deviation * deviation)
+    elif corner < PRESENT_BELOW:
+        bound = abs(r) + abs(corner * (y - u) + r)
+    else:
+        bound = abs(r)
+    if w1 < PRESENT_BELOW:
+        bound = max(bound, w1 * abs(y - s))
+    if w2 < PRESENT_BELOW:
+        bound = max(bound, w2 * abs(s - e))
+    if wh > 0.0:
+        bound += max(bound, wh * abs(e - z))
+    if wd < PRESENT_BELOW:
+        bound = max(bound, wd * abs(e - z - d))
+    return bound
+
+
+@njit(inline="always", error_model="numpy")
+def light_integral(light, rate, start, end):
+    """∫ light · exp(rate τ) dτ from start to end."""
+    x = rate * (end - start)
+    mean = 1.0 + x * (0.5 + x * (1.0 / 6.0 + x / 24.0)) if abs(x) < 1e-3 else np.expm1(x) / x
+    return light * np.exp(rate * start) * (end - start) * mean
+
+
+@njit(inline="always", error_model="numpy")
+def cubic(p, h, f0, f1, s0, s1):
+    """(value, slope) at the fraction p of a cubic over length h with these end values and slopes."""
+    q = 1.0 - p
+    value = f0 * (1.0 + 2.0 * p) * q * q + f1 * (1.0 + 2.0 * q) * p * p + h * p * q * (s0 * q - s1 * p)
+    slope = 6.0 * p * q * (f1 - f0) / h + s0 * q * (q - 2.0 * p) + s1 * p * (p - 2.0 * q)
+    return value, slope
+
+
+@njit(cache=True, error_model="numpy")
+def probe(x, step, chain):
+    """(reset level, d, dd/dt, bound on |dd/dt| from here on) at x in [0, tau] of the step."""
+    state, end, u0, r, tau, a, b2, _, _ = step
+    w1, w2, wh, wd, coincide, smooth = chain
+    if smooth:
+        h0, h1, d0, d1 = state[3] - state[4], end[3] - end[4], state[5], end[5]
+        level, level_slope = cubic(x / tau, tau, h0, h1, state[0], end[0])
+        if wd < PRESENT_BELOW:
+            d, slope = cubic(x / tau, tau, d0, d1, wd * (h0 - d0), wd * (h1 - d1))
+        else:
+            d, slope = level, level_slope
+        return level, d, slope, np.inf
+    if x >= tau:
+        state = end
+    elif x > 0.0:
+        state = kernels.advance(state, u0, r, x, a, b2, w1, w2, wh, wd, coincide)
+    v, y, s, e, z, d = state
+    level = e - z
+    if wd < PRESENT_BELOW:
+        slope = wd * (level - d)
+    elif w2 < PRESENT_BELOW:
+        slope = w2 * (s - e)
+    elif w1 < PRESENT_BELOW:
+        slope = w1 * (y - s)
+    elif a / b2 < PRESENT_BELOW:
+        slope = v
+    else:
+        slope = r
+    if wd > PRESENT_BELOW and wh > 0.0:
+        slope -= wh * level
+    return level, d, slope, slope_bound(state, u0 + r * x, r, a, b2, w1, w2, wh, wd)
+
+
+@njit(inline="always", error_model="numpy")
+def change(x, d, slope, step, wd, reset):
+    """(change, its slope, decaying part, drift) at x, where the amplifier is at d with that slope."""
+    level, decay, x0, leak, parasitic = reset
+    fading, fading_slope = 0.0, 0.0
+    if decay != 0.0:
+        fading = decay * np.exp(-wd * (x - x0))
+        fading_slope = wd * fading
+    drift = leak * (x - x0)
+    drift_slope = leak
+    if parasitic > 0.0:
+        drift += parasitic * light_integral(step[7], step[8], x0, x)
+        drift_slope += parasitic * step[7] * np.exp(step[8] * x)
+    return d - level - fading + drift, slope + fading_slope + drift_slope, fading, drift
