@@ -50,8 +50,13 @@ def from_document(document: dict) -> Model:
     head = document.get("model")
     if not isinstance(head, dict) or "name" not in head:
         raise InputError("expected a [model] table with a name")
+    for table in ("parameters", "physical", "gauge"):
+        if not isinstance(document.get(table, {}), dict):
+            raise InputError(f"[{table}]: expected a table, found {document[table]!r}")
     kind = head.get("photoreceptor", "second_order")
-    effects = tuple(head.get("effects", ()))
+    effects = head.get("effects", [])
+    if not isinstance(effects, list) or not all(isinstance(name, str) for name in effects):
+        raise InputError(f"[model] effects: expected a list of names, found {effects!r}")
     parameters = dict(expected_parameters(kind, effects))
     for name, entry in document.get("parameters", {}).items():
         if name not in parameters:
@@ -61,7 +66,7 @@ def from_document(document: dict) -> Model:
     return Model(
         name=str(head["name"]),
         photoreceptor=kind,
-        effects=effects,
+        effects=tuple(effects),
         parameters=parameters,
         summary=str(head.get("summary", "")),
         linearisation=str(head.get("linearisation", "midpoint")),
@@ -91,6 +96,8 @@ def _parameter(default: Parameter, entry) -> Parameter:
             if not isinstance(changes[key], (int, float)) or isinstance(changes[key], bool):
                 raise InputError(f"[parameters] {default.name}.{key}: expected a number, found {changes[key]!r}")
             changes[key] = float(changes[key])
+    if not isinstance(changes.get("free", True), bool):
+        raise InputError(f"[parameters] {default.name}.free: expected true or false, found {changes['free']!r}")
     return replace(default, **changes)
 
 

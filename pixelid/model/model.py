@@ -38,6 +38,9 @@ class Model:
     def __post_init__(self) -> None:
         if self.linearisation not in ("midpoint", "newer"):
             raise InputError(f"{self.name}: linearisation must be 'midpoint' or 'newer', found {self.linearisation!r}")
+        twice = sorted({name for name in self.effects if self.effects.count(name) > 1})
+        if twice:
+            raise InputError(f"model {self.name}: effects listed twice: {', '.join(twice)}")
         expected = expected_parameters(self.photoreceptor, self.effects)
         missing = [name for name in expected if name not in self.parameters]
         surplus = [name for name in self.parameters if name not in expected]
@@ -134,9 +137,7 @@ class Model:
             order = list(stages.LIBRARY)
             effects = tuple(sorted((*effects, name), key=order.index))
         wanted = expected_parameters(kind, effects)
-        model = replace(
-            self, photoreceptor=kind, effects=effects, parameters={key: parameters[key] for key in wanted}
-        )
+        model = replace(self, photoreceptor=kind, effects=effects, parameters={key: parameters[key] for key in wanted})
         return model.set(full)
 
     def without_effect(self, name: str) -> Model:
