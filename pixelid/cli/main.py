@@ -55,9 +55,19 @@ def main(argv: list[str] | None = None) -> int:
     except PixelidError as error:
         print(f"pixelid: {error}", file=sys.stderr)
         return error.exit_code
+    except click.exceptions.NoArgsIsHelpError as error:
+        print(error.format_message(), file=sys.stderr)
+        return 2
     except click.ClickException as error:
         print(f"pixelid: {error.format_message()}", file=sys.stderr)
         return 2
+    except OSError as error:
+        where = f"{error.filename}: " if error.filename else ""
+        print(f"pixelid: {where}{error.strerror or error}", file=sys.stderr)
+        return 2
+    except MemoryError as error:
+        print(f"pixelid: not enough memory{f' ({error})' if str(error) else ''}", file=sys.stderr)
+        return 1
     except (click.Abort, KeyboardInterrupt):
         print("pixelid: interrupted; nothing was left half written", file=sys.stderr)
         return 130

@@ -35,7 +35,7 @@ def command(name: str | None, as_json: bool, seed: int, quiet: bool) -> None:
     else:
         from rich.console import Console
 
-        console = Console()
+        console = Console(markup=False)  # sources contain words in brackets
         if name is None:
             console.print(_overview(models))
         else:
@@ -43,26 +43,32 @@ def command(name: str | None, as_json: bool, seed: int, quiet: bool) -> None:
 
 
 def _overview(models):
-    from rich.table import Table
+    from rich.table import Column, Table
 
-    table = Table("model", "photoreceptor", "effects", "summary", title="shipped circuits")
+    table = Table(
+        Column("model", no_wrap=True),
+        "photoreceptor",
+        Column("effects", no_wrap=True),
+        "summary",
+        title="shipped circuits",
+    )
     for model in models:
         table.add_row(model.name, model.photoreceptor, "\n".join(model.effects) or "none", model.summary)
     return table
 
 
 def _print_one(console, model) -> None:
-    from rich.table import Table
+    from rich.table import Column, Table
 
     from pixelid import stages
 
-    console.print(f"[bold]{model.name}[/bold]  {model.summary}", highlight=False)
+    console.print(f"{model.name}: {model.summary}", style="bold", highlight=False)
     console.print(
         f"photoreceptor {model.photoreceptor}, linearised at the {model.linearisation} of each step, "
         f"radiance in {model.radiance_unit}",
         highlight=False,
     )
-    table = Table("parameter", "value", "unit", "bounds", "free", "source")
+    table = Table(Column("parameter", no_wrap=True), "value", "unit", "bounds", "free", "source")
     for parameter in model.parameters.values():
         table.add_row(
             parameter.name,
@@ -73,7 +79,7 @@ def _print_one(console, model) -> None:
             parameter.source,
         )
     console.print(table)
-    effects = Table("effect", "what it does", "equation", "source")
+    effects = Table(Column("effect", no_wrap=True), "what it does", "equation", "source")
     for name in model.effects:
         effect = stages.effect(name)
         effects.add_row(name, effect.sentence, effect.equation, effect.source)

@@ -1,0 +1,142 @@
+"""The command line: instant help, plain refusals, and the listing of circuits."""
+
+import importlib.util
+import json
+import subprocess
+import sys
+
+import click
+import pytest
+
+from pixelid.cli import main as command_line
+from pixelid.cli.main import COMMANDS, main
+from pixelid.errors import UntrustworthyResult
+from pixelid.model.shipped import shipped_models
+
+HEAVY = {"torch", "casadi", "numba", "matplotlib", "scipy", "numpy", "arviz", "emcee", "pandas", "h5py", "faery"}
+PRESENT = [name for name in COMMANDS if importlib.util.find_spec(f"pixelid.cli.{name}_command")]
+
+
+@pytest.mark.parametrize("words", [[], *([name] for name in PRESENT)], ids=" ".join)
+def test_help_imports_nothing_heavy(words):
+    code = (
+        "import sys\n"
+        "from pixelid.cli.main import main\n"
+        f"code = main({[*words, '--help']!r})\n"
+        "print(*sorted(name for name in sys.modules if '.' not in name), file=sys.stderr)\n"
+        "sys.exit(code)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert "Usage: pixelid" in done.stdout
+    assert not HEAVY & set(done.stderr.split())
+
+
+@pytest.mark.parametrize("name", PRESENT)
+def test_help_shows_an_example_of_the_command(name, capsys):
+    assert main([name, "--help"]) == 0
+    printed = capsys.readouterr().out
+    assert f"pixelid {name}" in printed.partition("Example:")[2]
+    assert {"--seed", "--quiet"} <= {option for p in _command(name).params for option in p.opts}
+
+
+def _command(name: str) -> click.Command:
+    command = command_line.cli.get_command(click.Context(command_line.cli), name)
+    assert command is not None
+    return command
+
+
+def test_every_listed_command_is_there(capsys):
+    assert main(["--help"]) == 0
+    printed = capsys.readouterr().out
+    for name in COMMANDS:
+        assert f"  {name} " in printed
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["develop"], "no command 'develop'; known: models, inspect, convert"),
+        (["models", "--colour"], "--colour"),
+        (["models", "dvs128", "ideal"], "unexpected extra argument"),
+        (["convert", "one.h5"], "Missing argument"),
+        (["models", "--seed", "x"], "'x' is not a valid integer"),
+        (["models", "dvs129"], "no model 'dvs129': expected a .toml file, a fit folder, or one of dvs128"),
+    ],
+)
+def test_wrong_usage_is_one_plain_line(words, says, capsys):
+    assert main(words) == 2
+    printed = capsys.readouterr()
+    assert printed.out == ""
+    assert printed.err.startswith("pixelid: ")
+    assert printed.err.count("\n") == 1
+    assert says in printed.err
+
+
+def test_no_command_shows_the_commands(capsys):
+    assert main([]) == 2
+    printed = capsys.readouterr()
+    assert (printed.out + printed.err).startswith("Usage: pixelid")
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "says"),
+    [
+        (KeyboardInterrupt(), 130, "interrupted; nothing was left half written"),
+        (UntrustworthyResult("no optimum", "start elsewhere"), 1, "no optimum"),
+        (MemoryError(), 1, "not enough memory"),
+        (PermissionError(13, "Permission denied", "models"), 2, "models: Permission denied"),
+    ],
+)
+def test_interruption_and_distrust_have_their_exit_codes(error, code, says, monkeypatch, capsys):
+    def stop():
+        raise error
+
+    monkeypatch.setattr("pixelid.model.shipped.shipped_models", stop)
+    assert main(["models"]) == code
+    printed = capsys.readouterr().err
+    assert says in printed
+    assert printed.strip().count("\n") == 0
+
+
+def test_the_installed_program_ends_with_the_exit_code():
+    done = subprocess.run([sys.executable, "-m", "pixelid", "models", "dvs129"], capture_output=True, text=True)
+    assert done.returncode == 2
+    assert "Traceback" not in done.stderr
+
+
+def test_version(capsys):
+    from pixelid import __version__
+
+    assert main(["--version"]) == 0
+    assert __version__ in capsys.readouterr().out
+
+
+# --- models -----------------------------------------------------------------------------------------------------
+
+
+def test_models_lists_the_shipped_circuits(capsys):
+    assert main(["models", "--quiet"]) == 0
+    assert capsys.readouterr().out.split() == sorted(shipped_models())
+    assert main(["models"]) == 0
+    printed = capsys.readouterr().out
+    for name in shipped_models():
+        assert name in printed
+
+
+@pytest.mark.parametrize("name", sorted(shipped_models()))
+def test_one_model_in_full(name, capsys):
+    assert main(["models", name, "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert document["model"]["name"] == name
+    assert main(["models", name]) == 0
+    printed = capsys.readouterr().out
+    assert name in printed
+    for parameter in document["parameters"]:
+        assert parameter in printed
+
+
+def test_a_model_shows_units_and_gauge(capsys):
+    assert main(["models", "dvs128"]) == 0
+    printed = capsys.readouterr().out
+    for word in ("1/s²/fA", "Hz", "0.7 A_amp", "second_order", "[physical]"):
+        assert word in printed
