@@ -135,7 +135,8 @@ def test_one_model_in_full(name, capsys):
         assert parameter in printed
 
 
-def test_a_model_shows_units_and_gauge(capsys):
+def test_a_model_shows_units_and_gauge(capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "300")
     assert main(["models", "dvs128"]) == 0
     printed = capsys.readouterr().out
     for word in ("1/s²/fA", "Hz", "0.7 A_amp", "second_order", "[physical]"):

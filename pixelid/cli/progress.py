@@ -1,4 +1,4 @@
-"""Progress on stderr: a bar with the time left, or nothing when quiet."""
+"""Progress on stderr: a bar with the time left, or nothing when quiet or not a terminal."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ def bar(quiet: bool) -> Iterator[Callable[[str, float], None]]:
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
     columns = (TextColumn("{task.description:>20}"), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
+    console = Console(stderr=True)
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
         task = progress.add_task("starting", total=1.0)
         yield lambda what, fraction: progress.update(task, description=what, completed=fraction)

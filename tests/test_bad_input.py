@@ -1,0 +1,240 @@
+"""Bad input on the command line: exit code 2, one or two plain lines that name it, and nothing half written."""
+
+import importlib.util
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from pixelid.cli.main import main
+from pixelid.recordings import Events, Recording, write_recording
+from pixelid.stimuli.stimulus import Stimulus
+
+FIT = "fit {file} --model dvs128 --out {out}"
+COMMANDS = {
+    "inspect": "inspect {file} --out {out}",
+    "convert": "convert {file} {out}.h5",
+    "simulate": "simulate dvs128 --stimulus {file} --out {out}.h5",
+    "fit": FIT,
+}
+PRESENT = [name for name in COMMANDS if importlib.util.find_spec(f"pixelid.cli.{name}_command")]
+
+
+def good(path: Path) -> Path:
+    """A small recording of four pixels under one second of changing light."""
+    rng = np.random.default_rng(3)
+    n = 200
+    t = np.sort(rng.choice(10**6, n, replace=False)) * 1000
+    events = Events.from_columns(
+        t, rng.integers(0, 2, n), rng.integers(0, 2, n), rng.integers(0, 2, n), 2, 2, tick_ns=1000
+    )
+    write_recording(Recording(events, Stimulus.from_arrays(np.linspace(0, 1, 50), 20 + rng.random(50), "fA")), path)
+    return path
+
+
+def edit(path: Path, name: str, change) -> None:
+    """Replace one column of a recording by change(column)."""
+    with h5py.File(path, "r+") as file:
+        attributes, values = dict(file[name].attrs), change(file[name][()])
+        del file[name]
+        file[name] = values
+        file[name].attrs.update(attributes)
+
+
+def remove(path: Path, name: str) -> None:
+    with h5py.File(path, "r+") as file:
+        del file[name]
+
+
+def with_nan(column):
+    return np.where(np.arange(len(column)) == 7, np.nan, column)
+
+
+# what is wrong → (how to make the file, what the message says)
+FILES = {
+    "empty file": (lambda path: path.write_bytes(b""), "empty file"),
+    "truncated HDF5": (lambda path: path.write_bytes(good(path).read_bytes()[:3000]), "truncated or damaged HDF5"),
+    "text for HDF5": (lambda path: path.write_text("t,x,y,p\n"), "expected an HDF5 file"),
+    "missing file": (lambda path: None, "no such file"),
+    "folder without recordings": (lambda path: path.mkdir(), "folder"),
+    "unsorted timestamps": (lambda path: edit(good(path), "events/t", np.flip), "timestamps must not decrease"),
+    "negative timestamps": (lambda path: edit(good(path), "events/t", lambda t: t - 10**9), "must not be negative"),
+    "64-bit overflow": (
+        lambda path: edit(good(path), "events/t", lambda t: t.astype(np.uint64) + np.uint64(2**63)),
+        "fit",
+    ),
+    "wrong polarity coding": (
+        lambda path: edit(good(path), "events/p", lambda p: 2 * p.astype(np.int8) - 1),
+        "polarity must be 1 (ON) or 0 (OFF)",
+    ),
+    "pixel out of range": (lambda path: edit(good(path), "events/x", lambda x: x + 1), "expected 0..1"),
+    "missing column": (lambda path: remove(good(path), "events/p"), "events/p: missing"),
+    "NaN stimulus": (lambda path: edit(good(path), "stimulus/radiance", with_nan), "NaN"),
+    "negative radiance": (lambda path: edit(good(path), "stimulus/radiance", np.negative), "must be positive"),
+    "stimulus times that stand still": (
+        lambda path: edit(good(path), "stimulus/t", lambda t: 0 * t),
+        "times must increase",
+    ),
+    "stimulus shorter than the events": (
+        lambda path: edit(good(path), "stimulus/t", lambda t: t / 2),
+        "expected to cover the events",
+    ),
+}
+
+
+def refused(words: list[str], folder: Path, capsys) -> str:
+    """Run the command line, check that it refuses plainly and leaves the folder as it was; the message."""
+    before = snapshot(folder)
+    code = main(words)
+    printed = capsys.readouterr()
+    assert code == 2, printed.err
+    assert printed.out == ""
+    assert "Traceback" not in printed.err
+    lines = printed.err.splitlines()
+    assert 1 <= len(lines) <= 2
+    assert lines[0].startswith("pixelid: ")
+    assert snapshot(folder) == before
+    return printed.err
+
+
+def snapshot(folder: Path) -> dict[str, bytes | None]:
+    return {
+        str(path.relative_to(folder)): path.read_bytes() if path.is_file() else None
+        for path in sorted(folder.rglob("*"))
+    }
+
+
+def words(template: str, **names) -> list[str]:
+    return [word.format(**names) for word in template.split()]
+
+
+@pytest.mark.parametrize("command", PRESENT)
+@pytest.mark.parametrize("wrong", FILES)
+def test_a_bad_recording_is_refused(command, wrong, tmp_path, capsys):
+    make, says = FILES[wrong]
+    make(tmp_path / "bad.h5")
+    message = refused(words(COMMANDS[command], file=tmp_path / "bad.h5", out=tmp_path / "out"), tmp_path, capsys)
+    if command == "simulate" and wrong in ("missing file", "folder without recordings"):
+        says = "no stimulus"  # there the word may also be a built-in name
+    assert says in message
+    assert "bad.h5" in message
+
+
+@pytest.mark.parametrize("command", PRESENT)
+def test_an_existing_result_is_kept(command, tmp_path, capsys):
+    good(tmp_path / "good.h5")
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "precious").write_text("numbers")
+    (tmp_path / "out.h5").write_text("precious")
+    message = refused(words(COMMANDS[command], file=tmp_path / "good.h5", out=tmp_path / "out"), tmp_path, capsys)
+    assert "exists already" in message
+    assert "--overwrite" in message
+
+
+@pytest.mark.parametrize("command", PRESENT)
+def test_a_missing_folder_is_refused(command, tmp_path, capsys):
+    good(tmp_path / "good.h5")
+    message = refused(
+        words(COMMANDS[command], file=tmp_path / "good.h5", out=tmp_path / "missing" / "out"), tmp_path, capsys
+    )
+    assert "does not exist" in message
+
+
+SIMULATE = "simulate dvs128 --stimulus {file} --out {out}.h5 "
+USAGE = {
+    "models: unknown circuit": ("models dvs129", "no model 'dvs129'"),
+    "simulate: unknown circuit": (SIMULATE.replace("dvs128", "dvs129"), "no model 'dvs129'"),
+    "simulate: unknown effect": (SIMULATE + "--with glow", "unknown effect 'glow'; known: dark_current"),
+    "simulate: unknown effect removed": (SIMULATE + "--without glow", "unknown effect 'glow'"),
+    "simulate: unknown parameter of an effect": (SIMULATE + "--with leak:speed=1", "has no parameter 'speed'"),
+    "simulate: parameter out of bounds": (SIMULATE + "--set on_threshold=-1", "outside its bounds"),
+    "simulate: parameter without value": (SIMULATE + "--set on_threshold", "expected name=value"),
+    "simulate: NaN parameter": (SIMULATE + "--set on_threshold=nan", "finite"),
+    "simulate: no pixels": (SIMULATE + "--pixels 0", "--pixels"),
+    "simulate: unknown stimulus": ("simulate dvs128 --stimulus sawtooth --out {out}.h5", "no stimulus 'sawtooth'"),
+    "simulate: unknown format": ("simulate dvs128 --stimulus {file} --out {out}.mp3", "mp3"),
+    "fit: unknown circuit": (FIT.replace("dvs128", "dvs129"), "no model 'dvs129'"),
+    "fit: no circuit": ("fit {file} --out {out}", "--model"),
+    "fit: unknown effect": (FIT + " --with glow", "unknown effect 'glow'; known: dark_current"),
+    "fit: unknown effect removed": (FIT + " --without glow", "unknown effect 'glow'"),
+    "fit: unknown parameter held": (FIT + " --fix speed=1", "has no parameter 'speed'"),
+    "fit: value out of bounds": (FIT + " --fix on_threshold=-1", "outside its bounds"),
+    "fit: incomplete gauge": (FIT + " --gauge q_in=0.875", "2 directions left flat"),
+    "fit: over-determined gauge": (
+        FIT + " --gauge q_in=0.875 --gauge q_mil=0.015 --gauge A_loop=98 --gauge A_amp=140",
+        "over-determined",
+    ),
+    "fit: impossible gauge name": (FIT + " --gauge q_out=1", "unknown name 'q_out'"),
+    "fit: gauge without value": (FIT + " --gauge q_in", "expected name=value"),
+    "fit: gauge of nonsense": (FIT + " --gauge q_in=much", "neither a number nor a ratio"),
+    "fit: missing recipe": ("fit {out}.toml --out {out}", "cannot be read"),
+}
+
+
+@pytest.mark.parametrize("case", [case for case in USAGE if case.partition(":")[0] in [*PRESENT, "models"]])
+def test_bad_usage_is_refused(case, tmp_path, capsys):
+    template, says = USAGE[case]
+    good(tmp_path / "good.h5")
+    message = refused(words(template, file=tmp_path / "good.h5", out=tmp_path / "out"), tmp_path, capsys)
+    assert says in message
+
+
+@pytest.mark.skipif("fit" not in PRESENT, reason="no fit command")
+@pytest.mark.parametrize(
+    ("recipe", "says"),
+    [
+        ("", "[fit] table"),
+        ("[fit", "not valid TOML"),
+        ('[fit]\nmodel = "dvs128"', "recordings is missing"),
+        ('[fit]\nrecordings = ["good.h5"]', "model is missing"),
+        ('[fit]\nrecordings = "good.h5"\nmodel = "dvs128"', "list of strings"),
+        ('[fit]\nrecordings = ["gone.h5"]\nmodel = "dvs128"', "gone.h5: no such file"),
+        ('[fit]\nrecordings = ["good.h5"]\nmodel = "dvs128"\nspeed = 1', "unknown keys speed"),
+        ('[fit]\nrecordings = ["good.h5"]\nmodel = "dvs128"\nseed = "x"', "seed must be a whole number"),
+        ('[fit]\nrecordings = ["good.h5"]\nmodel = "dvs128"\nbetween = "cubic"', "cubic"),
+        ('[fit]\nrecordings = []\nmodel = "dvs128"', "recording"),
+    ],
+)
+def test_a_bad_recipe_is_refused(recipe, says, tmp_path, capsys):
+    good(tmp_path / "good.h5")
+    (tmp_path / "recipe.toml").write_text(recipe)
+    message = refused(["fit", str(tmp_path / "recipe.toml"), "--out", str(tmp_path / "out")], tmp_path, capsys)
+    assert says in message
+
+
+def test_fit_needs_a_stimulus(tmp_path, capsys):
+    pytest.importorskip("pixelid.cli.fit_command")
+    remove(good(tmp_path / "good.h5"), "stimulus")
+    message = refused(words(FIT, file=tmp_path / "good.h5", out=tmp_path / "out"), tmp_path, capsys)
+    assert "no stimulus" in message
+
+
+@pytest.mark.parametrize(
+    ("toml", "says"),
+    [
+        ("", "[stimulus] table"),
+        ('[stimulus]\nkind = "triangle"', "found 'triangle'"),
+        ('[stimulus]\nkind = "sine"\ncolour = 3', "has no parameter 'colour'"),
+        ('[stimulus]\nkind = "sine"\nlevel = "high"', "expected a number"),
+        ('[stimulus]\nkind = "sine"\nlevel = -1.0', "positive"),
+        ('[stimulus]\nkind = "sine"\nlevel = nan', "light.toml"),
+    ],
+)
+def test_a_bad_stimulus_file_is_refused(toml, says, tmp_path, capsys):
+    pytest.importorskip("pixelid.cli.simulate_command")
+    (tmp_path / "light.toml").write_text(toml)
+    message = refused(words(SIMULATE, file=tmp_path / "light.toml", out=tmp_path / "out"), tmp_path, capsys)
+    assert says in message
+    assert "light.toml" in message
+
+
+@pytest.mark.skipif("simulate" not in PRESENT, reason="no simulate command")
+def test_a_bad_model_file_is_refused_by_name(tmp_path, capsys):
+    good(tmp_path / "good.h5")
+    (tmp_path / "mine.toml").write_text('[model]\nname = "mine"\neffects = ["glow"]\n')
+    message = refused(
+        words(SIMULATE.replace("dvs128", "{model}"), file=tmp_path / "good.h5", out=tmp_path / "out",
+              model=tmp_path / "mine.toml"), tmp_path, capsys
+    )  # fmt: skip
+    assert "mine.toml: unknown effect 'glow'" in message
