@@ -174,7 +174,7 @@ def within_step(tq, k, t, u, L, dynamics, coincide, midpoint, states):
         r = u[k] * 0.0
         lin = L[k]
     tau = tq - t[k]
-    if tau.real <= 0:
+    if tau.real < 0 or tau == 0:
         return state
     return advance(state, u[k], r, tau, alpha * lin, beta + gamma * lin, w1, w2, wh, wd, coincide)
 

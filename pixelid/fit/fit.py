@@ -12,7 +12,6 @@ from pixelid.fit.coordinates import Coordinates
 from pixelid.fit.event_times import EventTimesObjective
 from pixelid.fit.identifiability import read_curvature
 from pixelid.fit.newton import Optimum, maximise
-from pixelid.fit.objective import Objective
 from pixelid.fit.pooled_rate import PooledRateObjective
 from pixelid.fit.result import FitResult, Stopwatch, estimates_of
 from pixelid.fit.starts import align, feasible, match_counts, random_starts

@@ -1,14 +1,14 @@
 """Fit recipes: a whole fit as a value, from the command line or from a TOML file.
 
-    [fit]
-    recordings = ["session/"]       files or folders, relative to the recipe
-    model = "dvs128"                a shipped name, a model file or a fit folder
-    with = ["leak:rate_hz=0.1"]     effects to add
-    without = ["refractory_period"] effects to remove
-    fix = ["gamma=1.12"]            parameters to hold
-    gauge = ["q_in=0.875"]          statements for physical values
-    between = "auto"                "linear", "smooth" or "auto"
-    seed = 0
+[fit]
+recordings = ["session/"]       files or folders, relative to the recipe
+model = "dvs128"                a shipped name, a model file or a fit folder
+with = ["leak:rate_hz=0.1"]     effects to add
+without = ["refractory_period"] effects to remove
+fix = ["gamma=1.12"]            parameters to hold
+gauge = ["q_in=0.875"]          statements for physical values
+between = "auto"                "linear", "smooth" or "auto"
+seed = 0
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from pixelid.model.options import assignment, changed
 from pixelid.errors import InputError
 from pixelid.fit.fit import fit
 from pixelid.fit.result import FitResult
 from pixelid.model.files import read_toml
 from pixelid.model.model import Model
+from pixelid.model.options import assignment, changed
 from pixelid.model.shipped import find_model
 from pixelid.outputs import whole_folder
 from pixelid.parameters.gauge import Gauge
@@ -70,7 +70,9 @@ class Recipe:
             statements[name.strip()] = value.strip()
         return Gauge.parse(statements) if statements else None
 
-    def run(self, out: Path, overwrite: bool = False, progress: Callable[[str, float], None] | None = None) -> FitResult:
+    def run(
+        self, out: Path, overwrite: bool = False, progress: Callable[[str, float], None] | None = None
+    ) -> FitResult:
         """Fit and write the result folder; nothing is left behind when it fails."""
         from pixelid.fit.figures import write_figures
         from pixelid.report.html import write_report
@@ -124,4 +126,3 @@ def _whole_number(value, path: Path) -> int:
     if not isinstance(value, int) or isinstance(value, bool):
         raise InputError(f"{path}: [fit] seed must be a whole number, found {value!r}")
     return value
-

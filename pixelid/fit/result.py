@@ -108,7 +108,7 @@ class FitResult:
 def estimates_of(
     coordinates: Coordinates, x: np.ndarray, sd: np.ndarray, identified: np.ndarray
 ) -> dict[str, Estimate]:
-    """Estimates of all parameters: free ones with errors mapped from the fitting coordinates, fixed ones as they are."""
+    """Estimates of all parameters: free ones with errors mapped from the fitting coordinates, fixed ones as is."""
     values = coordinates.values(x)
     index = {name: i for i, name in enumerate(coordinates.names)}
     everything = {**coordinates.model.parameters, **coordinates.nuisances}

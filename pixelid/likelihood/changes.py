@@ -136,7 +136,7 @@ def _extreme(sign, low, high, tr, level, offset, light_r, t, wd, output, highest
     k = low
     plain = leak.real == 0.0 and parasitic.real == 0.0
     while k <= high:
-        settled = wd.real * (t[k] - tr) >= 40.0
+        settled = wd.real * (t[k] - tr.real) >= 40.0
         if plain and settled and k % BLOCK == 0 and k + BLOCK - 1 <= high:
             block = k // BLOCK
             peak = (highest[block] if sign > 0 else lowest[block]) - level.real
@@ -293,10 +293,6 @@ class ChangeEvaluator:
         locate = locate and not complex_step
         per_event = np.empty((6, len(iv)), dtype)
         per_pixel = np.empty((4, len(iv.last_s)), dtype)
-        _events(
-            release, time, iv.sign, step_r, step_e, state_r, state_e, self._extreme_at, locate, *common, *per_event
-        )
-        _censored(
-            last, step_l, state_l, last_sample, self._rise_at, self._fall_at, locate, *common, *per_pixel
-        )
+        _events(release, time, iv.sign, step_r, step_e, state_r, state_e, self._extreme_at, locate, *common, *per_event)
+        _censored(last, step_l, state_l, last_sample, self._rise_at, self._fall_at, locate, *common, *per_pixel)
         return Changes(*per_event, *per_pixel, early=np.real(time - release) <= 0)

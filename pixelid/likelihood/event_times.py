@@ -39,7 +39,7 @@ import numpy as np
 from pixelid.errors import InputError
 from pixelid.likelihood.changes import ChangeEvaluator, Changes
 from pixelid.likelihood.normal import log_ndtr
-from pixelid.likelihood.sequences import Sequences, sequences
+from pixelid.likelihood.sequences import sequences
 from pixelid.recordings.recording import Recording
 from pixelid.stages.circuit import Circuit
 
@@ -89,9 +89,7 @@ class EventTimes:
             if recording.stimulus is not None and not recording.stimulus.full_field:
                 raise InputError(f"{recording.name}: the fit needs a full-field stimulus, found one per pixel")
         self.intervals = tuple(sequences(recording) for recording in self.recordings)
-        self._evaluators = tuple(
-            ChangeEvaluator(r, s) for r, s in zip(self.recordings, self.intervals, strict=True)
-        )
+        self._evaluators = tuple(ChangeEvaluator(r, s) for r, s in zip(self.recordings, self.intervals, strict=True))
         if sum(map(len, self.intervals)) == 0:
             raise InputError("no pixel has two events: there is no interval to explain")
         self._index_pixels()

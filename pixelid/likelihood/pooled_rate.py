@@ -107,7 +107,7 @@ class PooledRate:
         if any(r.stimulus is not None and r.stimulus.unit == "shape" for r in self.recordings):
             found += [
                 Parameter("stimulus.offset", 1.0, "radiance", 1e-9, 1e9, "log", free=False),
-                Parameter("stimulus.gain", 2.0, "radiance", 1e-3, 1e4, "log"),
+                Parameter("stimulus.gain", 2.0, "radiance", 0.05, 1e4, "log"),
             ]
         return tuple(found)
 

@@ -41,7 +41,8 @@ figcaption { font-size: .85rem; color: #555 } .small { font-size: .8rem; color: 
 <ul>{% for s in fit.unidentified %}<li>{{ s }}</li>{% endfor %}</ul>{% endif %}
 <h2>Physical values under the gauge</h2>
 {% if fit.physical %}<p>Assuming {% for k, v in fit.gauge.fixed.items() %}{{ k }} = {{ v }}{{ ", " if not loop.last }}
-{% endfor %}: {% for k, v in fit.physical.items() %}{{ k }} = {{ number(v) }}{{ ", " if not loop.last }}{% endfor %}.</p>
+{% endfor %}:
+{% for k, v in fit.physical.items() %}{{ k }} = {{ number(v) }}{{ ", " if not loop.last }}{% endfor %}.</p>
 {% else %}<p>None: {{ fit.gauge.why_no_physical }}.</p>{% endif %}
 {% for name, image, caption in figures %}
 <figure><img alt="{{ name }}" src="data:image/png;base64,{{ image }}"><figcaption>{{ caption }}</figcaption></figure>

@@ -1,0 +1,246 @@
+"""The event-time likelihood against independent arithmetic: integrals, quadrature, differences, brute force."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.integrate import quad, solve_ivp
+from scipy.stats import norm
+
+from pixelid.errors import InputError
+from pixelid.fit.coordinates import Coordinates
+from pixelid.fit.event_times import EventTimesObjective
+from pixelid.likelihood.changes import ChangeEvaluator
+from pixelid.likelihood.event_times import STRAY_HZ, EventTimes
+from pixelid.likelihood.normal import log_ndtr
+from pixelid.likelihood.sequences import sequences
+from pixelid.model.shipped import find_model
+from pixelid.recordings import Events, Recording
+from pixelid.stimuli.stimulus import Stimulus
+
+MODEL = find_model("dvs128")
+
+
+def sine_light(level=200.0, frequency=20.0, modulation=0.6, duration=0.1, dt=2e-5):
+    t = np.arange(0.0, duration, dt)
+    return Stimulus(t, level * (1 + modulation * np.sin(2 * np.pi * frequency * t)))
+
+
+def recording_of(times_s, polarities, stimulus, pixels=None, width=4):
+    order = np.argsort(times_s, kind="stable")
+    n = len(times_s)
+    x = np.zeros(n, int) if pixels is None else np.asarray(pixels)
+    events = Events.from_columns(
+        np.round(np.asarray(times_s)[order] * 1e9).astype(np.int64), x[order], np.zeros(n, int),
+        np.asarray(polarities)[order], width, 1,
+    )  # fmt: skip
+    return Recording(events, stimulus, sensor="test")
+
+
+def brute_force_change(circuit, stimulus, t_previous, t_event):
+    """change(t_event) of DESIGN §1 by an adaptive ODE solver on the same piecewise log-linear light."""
+    u = lambda t: np.interp(t, stimulus.t, np.log(stimulus.radiance))  # noqa: E731
+
+    def rhs(t, x):
+        light = np.exp(u(t))
+        v, y, s, d = x
+        return [
+            circuit.alpha * light * (u(t) - y) - (circuit.beta + circuit.gamma * light) * v,
+            v,
+            circuit.follower * (y - s),
+            circuit.differencing * (s - d),
+        ]
+
+    u0 = u(0.0)
+    release = t_previous + circuit.refractory
+    solution = solve_ivp(
+        rhs, (0, t_event), [0, u0, u0, u0], method="LSODA", rtol=1e-10, atol=1e-12, max_step=2e-5, dense_output=True
+    )
+    s_r, d_r = solution.sol(release)[2:]
+    return solution.sol(t_event)[3] - s_r - (d_r - s_r) * np.exp(-circuit.differencing * (t_event - release))
+
+
+def test_changes_equal_an_adaptive_solver_and_the_leak_integral():
+    stimulus = sine_light(duration=0.05)
+    circuit = MODEL.circuit().with_(leak_hz=3.0, leak_hz_per_radiance=0.02)
+    recording = recording_of([0.0101, 0.0153, 0.0302, 0.0411], [1, 1, 0, 1], stimulus)
+    changes = ChangeEvaluator(recording, sequences(recording))(circuit)
+    for k, (a, b) in enumerate([(0.0101, 0.0153), (0.0153, 0.0302), (0.0302, 0.0411)]):
+        assert changes.change[k] == pytest.approx(brute_force_change(circuit, stimulus, a, b), abs=2e-6)
+        light = quad(lambda t: np.interp(t, stimulus.t, stimulus.radiance), a + 1e-4, b, epsabs=1e-9, limit=500)[0]
+        assert changes.drift[k] == pytest.approx(3.0 * (b - a - 1e-4) + 0.02 * light, rel=1e-4)
+
+
+def test_slope_is_the_derivative_of_change():
+    stimulus = sine_light()
+    circuit = MODEL.circuit().with_(leak_hz=2.0)
+    at = np.linspace(0.012, 0.09, 23)
+    recording = recording_of([0.01, *at], [1] * 24, stimulus)
+    intervals = replace(sequences(recording), previous_s=np.full(23, 0.01))
+    values = {
+        h: ChangeEvaluator(recording, replace(intervals, time_s=intervals.time_s + h))(circuit)
+        for h in (-1e-8, 0.0, 1e-8)
+    }
+    difference = (values[1e-8].change - values[-1e-8].change) / 2e-8
+    np.testing.assert_allclose(values[0.0].slope, difference, rtol=1e-5, atol=1e-4)
+
+
+@pytest.mark.parametrize("effect", [None, "lower_cutoff", "extra_pole"])
+def test_complex_step_equals_difference_quotient(effect):
+    model = MODEL if effect is None else MODEL.with_effect(effect)
+    stimulus = sine_light(duration=0.05)
+    recording = recording_of([0.0101, 0.0153, 0.0302, 0.0411], [1, 1, 0, 1], stimulus)
+    evaluate = ChangeEvaluator(recording, sequences(recording))
+    for name in [n for n in model.free if "threshold" not in n]:
+        value = model.values[name]
+        stepped = evaluate(model.circuit({name: complex(value, value * 1e-30)})).change.imag / 1e-30
+        h = 1e-5
+        quotient = (
+            evaluate(model.circuit({name: value * (1 + h)})).change
+            - evaluate(model.circuit({name: value * (1 - h)})).change
+        ) / (2 * h)
+        np.testing.assert_allclose(stepped, quotient, rtol=1e-5, atol=2e-9)
+
+
+def test_density_of_the_next_event_integrates_to_one():
+    """ON density + OFF density over all times + chance of no event = 1: rate factor, survival and censoring agree."""
+    stimulus = sine_light(level=400.0, frequency=40.0, modulation=0.25, duration=0.06, dt=1e-5)
+    model = MODEL.without_effect("threshold_mismatch").set(
+        {"threshold_sigma": 0.15, "on_threshold": 0.3, "off_threshold": 0.25}
+    )
+    circuit = model.circuit()
+    first = 0.0101
+
+    def log_likelihood(events):
+        return EventTimes([recording_of(*zip(*events, strict=True), stimulus)]).terms(circuit)
+
+    def conditional(t, p):
+        """Density of the event (t, p) after `first`, without the interval after it."""
+        terms = log_likelihood([(first, 1), (t, p)])
+        return 0.0 if terms.stray.any() else float(np.exp(terms.total - _censored_part(circuit, t, stimulus)))
+
+    def _censored_part(circuit, t, stimulus):
+        changes = ChangeEvaluator(r := recording_of([first, t], [1, 1], stimulus), sequences(r))(circuit)
+        sd_on, sd_off = circuit.noise * circuit.on_threshold, circuit.noise * circuit.off_threshold
+        return float(
+            log_ndtr((circuit.on_threshold - changes.rise) / sd_on)[0]
+            + log_ndtr((circuit.off_threshold - changes.fall) / sd_off)[0]
+        )
+
+    grid = np.arange(first + 1.2e-4, 0.0599, 2e-5)
+    # an event of a polarity can only happen at a new extreme of its own change
+    changes = [
+        float(ChangeEvaluator(r := recording_of([first, t], [1, 1], stimulus), sequences(r))(circuit).change[0])
+        for t in grid
+    ]
+    running_high = np.maximum.accumulate(np.maximum(changes, 0.0))
+    running_low = np.minimum.accumulate(np.minimum(changes, 0.0))
+    total = 0.0
+    for i, t in enumerate(grid):
+        if changes[i] >= running_high[i] > 0:
+            total += conditional(t, 1) * 2e-5
+        if changes[i] <= running_low[i] < 0:
+            total += conditional(t, 0) * 2e-5
+    none = np.exp(
+        norm.logcdf((0.3 - running_high[-1]) / (0.15 * 0.3)) + norm.logcdf((0.25 + running_low[-1]) / (0.15 * 0.25))
+    )
+    assert none < 0.5  # the integral has something to do
+    assert total + none == pytest.approx(1.0, abs=0.01)
+
+
+def small_session(seed=3, effects=()):
+    from pixelid.simulate import simulate
+    from pixelid.stimuli.shapes import chirp, steps
+
+    model = MODEL.set({"on_threshold": 0.2, "off_threshold": 0.22})
+    for name in effects:
+        model = model.with_effect(name)
+    return model, [
+        simulate(model, chirp(level=100.0, duration_s=0.3, stop_hz=200.0), width=2, height=2, seed=seed),
+        simulate(model, steps(level=10.0, duration_s=0.3), width=2, height=2, seed=seed),
+    ]
+
+
+def test_marginal_threshold_equals_quadrature():
+    """The closed-form integral over pixel thresholds equals a numerical one, pixel by pixel."""
+    model, recordings = small_session()
+    likelihood = EventTimes(recordings)
+    circuit = model.circuit()
+    marginal = likelihood.terms(circuit)
+    assert not marginal.stray.any()
+    for group in range(2 * likelihood.pixels):
+        chosen = likelihood.group == group
+        if chosen.sum() < 2:
+            continue
+        C = circuit.on_threshold if group % 2 else circuit.off_threshold
+        z, s = marginal.z[chosen], marginal.scale[chosen]
+        best = marginal.group_mean[group]
+
+        def integrand(c, z=z, s=s, C=C, best=best):
+            return np.exp(norm.logpdf(z, c, s).sum() - norm.logpdf(z, best, s).sum()) * norm.pdf(
+                c, C, circuit.mismatch * C
+            )
+
+        numeric = np.log(quad(integrand, best - 0.05, best + 0.05, epsabs=0, epsrel=1e-10, points=[best])[0])
+        numeric += norm.logpdf(z, best, s).sum()
+        W, mean = marginal.weight_sum[group], marginal.weighted_mean[group]
+        closed = norm.logpdf(z, mean, s).sum() + 0.5 * np.log(2 * np.pi / W)
+        closed += norm.logpdf(mean, C, np.sqrt(marginal.mean_variance[group]))
+        assert closed == pytest.approx(numeric, abs=1e-6)
+
+
+@pytest.mark.parametrize("effects", [(), ("leak", "dark_current"), ("threshold_drift", "timestamp_jitter")])
+def test_gradient_and_hessian_against_differences_of_the_value(effects):
+    model, recordings = small_session(effects=effects)
+    objective = EventTimesObjective(EventTimes(recordings), Coordinates.of(model))
+    x = objective.coordinates.start + 0.01
+    local = objective.local(x)
+    assert local.value == pytest.approx(objective.value(x), rel=1e-13)
+    scale = 1.0 / np.sqrt(np.diag(local.information))
+    for i in range(len(x)):
+        h = np.zeros(len(x))
+        h[i] = min(0.05 * scale[i], 1e-4)
+        quotient = (objective.value(x + h) - objective.value(x - h)) / (2 * h[i])
+        assert local.gradient[i] == pytest.approx(quotient, abs=2e-3 / scale[i])
+    assert np.linalg.eigvalsh(local.information).min() > -1e-9 * np.linalg.eigvalsh(local.information).max()
+
+
+def test_a_stray_event_costs_a_bounded_price():
+    model, recordings = small_session()
+    likelihood = EventTimes(recordings)
+    base = likelihood.log_likelihood(model.circuit())
+    events = recordings[1].events
+    quiet = int(np.argmax(np.diff(events.t)))
+    t = np.insert(events.t, quiet + 1, (events.t[quiet] + events.t[quiet + 1]) // 2)
+    extra = Events(
+        t, np.insert(events.x, quiet + 1, events.x[quiet]), np.insert(events.y, quiet + 1, events.y[quiet]),
+        np.insert(events.p, quiet + 1, 1), events.width, events.height, events.tick_ns,
+    )  # fmt: skip
+    spoiled = EventTimes([recordings[0], Recording(extra, recordings[1].stimulus)])
+    lost = base - spoiled.log_likelihood(model.circuit())
+    terms = spoiled.terms(model.circuit())
+    strays = int(terms.stray.sum())
+    best = np.max((terms.log_rate - np.log(terms.scale))[~terms.stray])  # the log density of the sharpest event
+    assert 1 <= strays <= 4  # the false event, and those whose reference it took away
+    assert 0 < lost < (strays + 1) * (best - np.log(STRAY_HZ))
+
+
+def test_no_event_is_called_stray_under_the_truth():
+    model, recordings = small_session()
+    assert EventTimes(recordings).terms(model.circuit()).stray.sum() == 0
+
+
+def test_log_ndtr_complex_step():
+    x = np.array([-40.0, -5.0, 0.0, 3.0])
+    step = log_ndtr(x + 1e-30j).imag / 1e-30
+    np.testing.assert_allclose(step, (log_ndtr(x + 1e-6) - log_ndtr(x - 1e-6)) / 2e-6, rtol=1e-6)
+
+
+def test_pooled_or_empty_recordings_are_refused():
+    stimulus = sine_light()
+    with pytest.raises(InputError, match="no pixels"):
+        EventTimes([Recording(recording_of([0.01, 0.02], [1, 1], stimulus).events, stimulus, pooled=True)])
+    with pytest.raises(InputError, match="two events"):
+        EventTimes([recording_of([0.01], [1], stimulus)])
