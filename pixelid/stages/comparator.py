@@ -79,7 +79,7 @@ class HotPixels(Effect):
     )
 
     def apply(self, circuit: Circuit, values: Mapping[str, float]) -> Circuit:
-        return circuit.with_(hot_hz=values["hot_pixels.rate_hz"], hot_count=int(round(values["hot_pixels.count"])))
+        return circuit.with_(hot_hz=values["hot_pixels.rate_hz"], hot_count=round(values["hot_pixels.count"]))
 
 
 EFFECTS = (ThresholdMismatch(), ThresholdNoise(), ThresholdDrift(), RefractoryPeriod(), HotPixels())

@@ -34,17 +34,13 @@ def parameters(kind: str) -> tuple[Parameter, ...]:
     try:
         return {"second_order": SECOND_ORDER, "one_pole": ONE_POLE, "unlimited": ()}[kind]
     except KeyError:
-        raise InputError(
-            f"photoreceptor must be 'second_order', 'one_pole' or 'unlimited', found {kind!r}"
-        ) from None
+        raise InputError(f"photoreceptor must be 'second_order', 'one_pole' or 'unlimited', found {kind!r}") from None
 
 
 def apply(kind: str, circuit: Circuit, values: Mapping[str, float]) -> Circuit:
     """The circuit with this kind of photoreceptor."""
     if kind == "second_order":
-        return circuit.with_(
-            photoreceptor=kind, alpha=values["alpha"], beta=values["beta"], gamma=values["gamma"]
-        )
+        return circuit.with_(photoreceptor=kind, alpha=values["alpha"], beta=values["beta"], gamma=values["gamma"])
     if kind == "one_pole":
         return circuit.with_(photoreceptor=kind, corner=values["alpha_over_beta"])
     return circuit.with_(photoreceptor=kind)

@@ -1,0 +1,57 @@
+"""Imports point one way, as docs/architecture.md draws them."""
+
+import ast
+from pathlib import Path
+
+import pytest
+
+PACKAGE = Path(__file__).resolve().parents[1] / "pixelid"
+BASE = {"errors", "outputs", "provenance"}
+MAY_IMPORT = {
+    "errors": set(),
+    "outputs": {"errors"},
+    "provenance": set(),
+    "parameters": BASE,
+    "stages": BASE | {"parameters"},
+    "model": BASE | {"parameters", "stages"},
+    "stimuli": BASE | {"stages"},
+    "recordings": BASE | {"stimuli"},
+    "dynamics": BASE | {"parameters", "stages"},
+}
+MAY_IMPORT["simulate"] = MAY_IMPORT["likelihood"] = set(MAY_IMPORT)
+MAY_IMPORT["fit"] = {*MAY_IMPORT["simulate"], "simulate", "likelihood"}
+MAY_IMPORT["inspection"] = BASE | {"recordings", "stimuli"}
+MAY_IMPORT["report"] = {*MAY_IMPORT["fit"], "fit", "inspection"}
+MAY_IMPORT["demo"] = {*MAY_IMPORT["report"], "report"}
+MAY_IMPORT["cli"] = {*MAY_IMPORT["demo"], "demo"}
+
+
+def imported(path: Path) -> set[str]:
+    """Folders (or lone modules) of pixelid that a file imports at its top level."""
+    found: set[str] = set()
+    for node in ast.parse(path.read_text()).body:
+        if isinstance(node, ast.Import):
+            found |= {alias.name.split(".")[1] for alias in node.names if alias.name.startswith("pixelid.")}
+        elif isinstance(node, ast.ImportFrom) and node.module == "pixelid":
+            found |= {alias.name for alias in node.names if not alias.name.startswith("__")}
+        elif isinstance(node, ast.ImportFrom) and (node.module or "").startswith("pixelid."):
+            found.add(str(node.module).split(".")[1])
+        assert not (isinstance(node, ast.ImportFrom) and node.level), f"{path}: relative import"
+    return found
+
+
+@pytest.mark.parametrize("path", sorted(PACKAGE.rglob("*.py")), ids=lambda path: str(path.relative_to(PACKAGE)))
+def test_imports_point_one_way(path):
+    home = path.relative_to(PACKAGE).parts[0].removesuffix(".py")
+    if home.startswith("__"):
+        return
+    backwards = imported(path) - MAY_IMPORT[home] - {home}
+    assert not backwards, f"{home} must not import {backwards}"
+
+
+def test_every_folder_is_on_the_plan():
+    folders = {path.name for path in PACKAGE.iterdir() if (path / "__init__.py").is_file()}
+    assert folders <= set(MAY_IMPORT)
+    plan = (PACKAGE.parent / "docs" / "architecture.md").read_text()
+    for folder in folders:
+        assert f"`{folder}/`" in plan
