@@ -87,6 +87,7 @@ class FitResult:
                 "flat_directions": [],
                 "why_no_physical": self.physical_why,
             },
+            "covariance": {"names": list(self.coordinates.names), "matrix": self.covariance},
             "unidentified": list(self.unidentified),
             "log_likelihood": self.log_likelihood,
             "events": self.events,

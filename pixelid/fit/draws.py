@@ -1,0 +1,70 @@
+"""Circuits as uncertain as a fit left them: draws from the normal distribution around its optimum."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+
+from pixelid.errors import InputError
+from pixelid.model.model import Model
+
+Z95 = 1.959963984540054
+WIDEST = 1.0  # standard deviation, in fitting coordinates, beyond which an open direction is not followed
+
+
+def read_fit(folder: Path) -> dict | None:
+    """The fit.json of a fit folder, or None when `folder` is no folder or holds no fit.
+
+    Raises InputError when the file is not a fit's.
+    """
+    path = Path(folder) / "fit.json"
+    if not path.is_file():
+        return None
+    try:
+        found = json.loads(path.read_text())
+        found["parameters"].items()
+    except (ValueError, KeyError, TypeError, AttributeError):
+        raise InputError(f"{path}: not the fit.json of a fit") from None
+    return found
+
+
+def uncertainty(fit: dict, model: Model) -> tuple[list[str], np.ndarray]:
+    """(names, covariance (n, n) in their fitting coordinates) of the model's parameters that the fit left free.
+
+    From the covariance in fit.json; where that is missing, from the intervals, as if they were independent.
+    """
+    listed = fit.get("covariance")
+    if listed:
+        matrix = np.array(listed["matrix"], dtype=float)
+        keep = [i for i, name in enumerate(listed["names"]) if name in model.parameters]
+        if np.isfinite(matrix).all():
+            return [listed["names"][i] for i in keep], matrix[np.ix_(keep, keep)]
+    names, variances = [], []
+    for name, entry in fit["parameters"].items():
+        if name in model.parameters and entry.get("interval_95") and not entry.get("fixed"):
+            low, high = (model.parameters[name].to_coordinate(value) for value in entry["interval_95"])
+            names.append(name)
+            variances.append(((high - low) / (2 * Z95)) ** 2)
+    return names, np.diag(variances)
+
+
+def drawn(model: Model, names: list[str], covariance: np.ndarray, count: int, rng: np.random.Generator) -> list[Model]:
+    """`count` models drawn around `model`; values stay inside their bounds, open directions within `WIDEST`."""
+    if not names:
+        return [model] * count
+    eigenvalues, vectors = np.linalg.eigh(covariance)
+    root = vectors * np.sqrt(np.clip(eigenvalues, 0.0, WIDEST**2))
+    centre = np.array([model.parameters[name].to_coordinate(model.parameters[name].value) for name in names])
+    points = centre + rng.standard_normal((count, len(names))) @ root.T
+    return [model.set(_inside(model, names, point)) for point in points]
+
+
+def _inside(model: Model, names: list[str], point: np.ndarray) -> dict[str, float]:
+    values = {}
+    for name, coordinate in zip(names, point, strict=True):
+        parameter = model.parameters[name]
+        value = parameter.from_coordinate(float(coordinate))
+        values[name] = min(max(value, parameter.lower), parameter.upper)
+    return values
