@@ -91,17 +91,17 @@ def test_slope_is_the_derivative_of_change():
 def test_complex_step_equals_difference_quotient(effect):
     model = MODEL if effect is None else MODEL.with_effect(effect)
     stimulus = sine_light(duration=0.05)
-    recording = recording_of([0.0101, 0.0153, 0.0302, 0.0411], [1, 1, 0, 1], stimulus)
+    recording = recording_of([0.01013, 0.01531, 0.03021, 0.04117], [1, 1, 0, 1], stimulus)
     evaluate = ChangeEvaluator(recording, sequences(recording))
     for name in [n for n in model.free if "threshold" not in n]:
         value = model.values[name]
         stepped = evaluate(model.circuit({name: complex(value, value * 1e-30)})).change.imag / 1e-30
-        h = 1e-5
+        h = 1e-4
         quotient = (
             evaluate(model.circuit({name: value * (1 + h)})).change
             - evaluate(model.circuit({name: value * (1 - h)})).change
         ) / (2 * h)
-        np.testing.assert_allclose(stepped, quotient, rtol=1e-5, atol=2e-9)
+        np.testing.assert_allclose(stepped, quotient, rtol=1e-5, atol=5e-9)
 
 
 def test_density_of_the_next_event_integrates_to_one():
@@ -178,13 +178,10 @@ def test_marginal_threshold_equals_quadrature():
         z, s = marginal.z[chosen], marginal.scale[chosen]
         best = marginal.group_mean[group]
 
-        def integrand(c, z=z, s=s, C=C, best=best):
-            return np.exp(norm.logpdf(z, c, s).sum() - norm.logpdf(z, best, s).sum()) * norm.pdf(
-                c, C, circuit.mismatch * C
-            )
-
-        numeric = np.log(quad(integrand, best - 0.05, best + 0.05, epsabs=0, epsrel=1e-10, points=[best])[0])
-        numeric += norm.logpdf(z, best, s).sum()
+        grid = best + np.linspace(-12, 12, 4001) * np.sqrt(marginal.group_variance[group])
+        at_best = norm.logpdf(z, best, s).sum()
+        exponent = (-0.5 * ((z - grid[:, None]) / s) ** 2 + 0.5 * ((z - best) / s) ** 2).sum(axis=1)
+        numeric = at_best + np.log(np.trapezoid(np.exp(exponent) * norm.pdf(grid, C, circuit.mismatch * C), grid))
         W, mean = marginal.weight_sum[group], marginal.weighted_mean[group]
         closed = norm.logpdf(z, mean, s).sum() + 0.5 * np.log(2 * np.pi / W)
         closed += norm.logpdf(mean, C, np.sqrt(marginal.mean_variance[group]))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -34,6 +34,7 @@ def fit(
     model: Model,
     *,
     gauge: Gauge | None = None,
+    fixed: Mapping[str, float] | None = None,
     starts: int = STARTS,
     between: str = "auto",
     seed: int = 0,
@@ -44,7 +45,8 @@ def fit(
     Recordings with pixel addresses use the event-time likelihood, pooled ones the pooled-rate likelihood (all or
     none).  The search starts from the model's values and `starts` random points around them.
     between: how recorded stimuli run between their samples, "linear", "smooth", or "auto": whichever explains the
-    events better.  gauge: statements that make physical values unique, instead of the model's own; refused when
+    events better.  fixed: nuisances of the recordings to hold ("stimulus.gain", "pooled.pixels").
+    gauge: statements that make physical values unique, instead of the model's own; refused when
     incomplete or over-determined.  progress(what, fraction) reports.
 
     Raises InputError for recordings that cannot be fitted together, and for an impossible gauge.
@@ -65,9 +67,11 @@ def fit(
         recording.check_stimulus_covers_events()
     rng = np.random.default_rng(seed)
     if all(pooled):
-        objective, optimum, details, pixels = _fit_pooled(recordings, model, report)
+        objective, optimum, details, pixels = _fit_pooled(recordings, model, fixed or {}, report)
         dispersion = details["dispersion"]
     else:
+        if fixed:
+            raise InputError(f"--fix {next(iter(fixed))}: the model {model.name} has no such parameter")
         objective, optimum, details, pixels = _fit_event_times(recordings, model, starts, between, rng, report)
         dispersion = 1.0
     report("standard errors", 0.9)
@@ -153,16 +157,20 @@ def _fit_event_times(recordings, model, starts, between, rng, report):
     return objective, optimum, details, full.pixels
 
 
-def _fit_pooled(recordings, model, report):
+def _fit_pooled(recordings, model, fixed, report):
     for effect in ("threshold_noise", "threshold_mismatch", "refractory_period"):
         model = model.without_effect(effect)
     model = model.release(["delay_s"])
     scout = PooledRate(recordings, first_s=SCOUT_S)
     nuisances = {p.name: p for p in scout.nuisances()}
+    for name, value in fixed.items():
+        if name not in nuisances:
+            raise InputError(f"--fix {name}: neither the model nor these recordings have it")
+        nuisances[name] = nuisances[name].at(value).fixed()
     start = {**model.values, **{name: p.value for name, p in nuisances.items()}}
     report("aligning clocks", 0.05)
     start |= align(scout, model, start)
-    start |= match_counts(scout, model, start)
+    start |= {name: value for name, value in match_counts(scout, model, start).items() if name not in fixed}
     model = model.set({name: value for name, value in start.items() if name in model.parameters})
     coordinates = Coordinates.of(model, tuple(p.at(start[name]) for name, p in nuisances.items()))
     report("searching", 0.1)

@@ -54,7 +54,12 @@ class Recipe:
     def prepared_model(self) -> tuple[Model, list[str]]:
         """The model with effects changed and parameters held, and remarks for the user."""
         model, remarks = changed(find_model(self.model), self.with_, self.without, ())
-        return model.fix(dict(assignment(text) for text in self.fix)), remarks
+        held = {name: value for name, value in map(assignment, self.fix) if name in model.parameters}
+        return model.fix(held), remarks
+
+    def held_nuisances(self, model: Model) -> dict[str, float]:
+        """Values of `fix` that are not the model's: light levels, background, pooled pixels of the recordings."""
+        return {name: value for name, value in map(assignment, self.fix) if name not in model.parameters}
 
     def remarks(self) -> list[str]:
         """What the user should know about the options."""
@@ -80,7 +85,15 @@ class Recipe:
         model, _ = self.prepared_model()
         gauge = self.prepared_gauge()
         recordings = open_recordings(self.recordings)
-        result = fit(recordings, model, gauge=gauge, between=self.between, seed=self.seed, progress=progress)
+        result = fit(
+            recordings,
+            model,
+            gauge=gauge,
+            fixed=self.held_nuisances(model),
+            between=self.between,
+            seed=self.seed,
+            progress=progress,
+        )
         with whole_folder(out, overwrite) as folder:
             result.save(folder)
             write_figures(result, recordings, folder)
