@@ -18,12 +18,16 @@ MAY_IMPORT = {
     "recordings": BASE | {"stimuli"},
     "dynamics": BASE | {"parameters", "stages"},
 }
-MAY_IMPORT["simulate"] = MAY_IMPORT["likelihood"] = set(MAY_IMPORT)
-MAY_IMPORT["fit"] = {*MAY_IMPORT["simulate"], "simulate", "likelihood"}
 MAY_IMPORT["inspection"] = BASE | {"recordings", "stimuli"}
-MAY_IMPORT["report"] = {*MAY_IMPORT["fit"], "fit", "inspection"}
-MAY_IMPORT["demo"] = {*MAY_IMPORT["report"], "report"}
-MAY_IMPORT["cli"] = {*MAY_IMPORT["demo"], "demo"}
+MAY_IMPORT["rates"] = BASE | {"parameters"}
+MAY_IMPORT["simulate"] = MAY_IMPORT["likelihood"] = set(MAY_IMPORT) - {"inspection", "rates"}
+MAY_IMPORT["identify"] = MAY_IMPORT["sensors"] = MAY_IMPORT["simulate"] | {"simulate", "likelihood"}
+MAY_IMPORT["fit"] = MAY_IMPORT["identify"] | {"identify"}
+for folder in ("sample", "compare", "lowlight", "design"):  # what follows from a fit
+    MAY_IMPORT[folder] = MAY_IMPORT["fit"] | {"fit", "sample"}
+MAY_IMPORT["report"] = set(MAY_IMPORT)
+MAY_IMPORT["demo"] = set(MAY_IMPORT)
+MAY_IMPORT["cli"] = set(MAY_IMPORT)
 
 
 def imported(path: Path) -> set[str]:

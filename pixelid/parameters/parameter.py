@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import overload
 
 from pixelid.errors import InputError
 
@@ -55,6 +56,10 @@ class Parameter:
         """`value` in the fitting coordinate."""
         return math.log(value) if self.transform == "log" else value
 
+    @overload
+    def from_coordinate(self, coordinate: float) -> float: ...
+    @overload
+    def from_coordinate(self, coordinate: complex) -> complex: ...
     def from_coordinate(self, coordinate):
         """The value at a fitting coordinate; accepts complex steps."""
         if self.transform == "linear":
