@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pixelid.fit.coordinates import Coordinates
+if TYPE_CHECKING:
+    from pixelid.fit.coordinates import Coordinates
 
 OPEN_SD = 0.5  # a log coordinate known no better than a factor e^±0.5 (a standard deviation) counts as not identified
 CONDITION = 1e13
@@ -17,12 +19,16 @@ class Identified:
     """Covariance in fitting coordinates and its reading.
 
     sd: (n,) standard errors;  identified: (n,) whether each parameter is pinned;  sentences: what is not, in words
+    condition: ratio of the largest to the smallest eigenvalue of the curvature
+    directions: best known to least known, {"in_words", "sd"} each, sd in the scale of the coordinates (logs)
     """
 
     covariance: np.ndarray
     sd: np.ndarray
     identified: np.ndarray
     sentences: tuple[str, ...]
+    condition: float = 1.0
+    directions: tuple[dict, ...] = ()
 
 
 def read_curvature(coordinates: Coordinates, curvature: np.ndarray, on_bound: np.ndarray) -> Identified:
@@ -38,6 +44,8 @@ def read_curvature(coordinates: Coordinates, curvature: np.ndarray, on_bound: np
     covariance = np.zeros((n, n))
     sd = np.full(n, np.inf)
     sentences = []
+    directions = []
+    condition = 1.0
     if free.any():
         eigenvalues, vectors = np.linalg.eigh(K[np.ix_(free, free)])
         floor = max(eigenvalues.max(), 1e-300) / CONDITION
@@ -45,18 +53,23 @@ def read_curvature(coordinates: Coordinates, curvature: np.ndarray, on_bound: np
         covariance[np.ix_(free, free)] = (vectors / safe) @ vectors.T
         sd[free] = np.sqrt(np.diag(covariance)[free])
         names = [name for name, keep in zip(coordinates.names, free, strict=True) if keep]
-        for value, vector in zip(eigenvalues, vectors.T, strict=True):
+        condition = float(eigenvalues.max() / max(eigenvalues.min(), floor))
+        for value, vector in zip(eigenvalues[::-1], vectors.T[::-1], strict=True):
             width = 1.0 / np.sqrt(max(value, floor))
+            directions.append({"in_words": combination(names, vector), "sd": float(width)})
             if width > OPEN_SD:
                 sentences.append(_in_words(names, vector, width))
     for name, held in zip(coordinates.names, on_bound, strict=True):
         if held:
             sentences.append(f"{name} sits on its bound: the data only limit it from one side")
     identified = free & (sd < OPEN_SD)
-    return Identified(covariance * np.outer(scale, scale), sd * scale, identified, tuple(sentences))
+    return Identified(
+        covariance * np.outer(scale, scale), sd * scale, identified, tuple(sentences), condition, tuple(directions)
+    )
 
 
-def _in_words(names: list[str], vector: np.ndarray, width: float) -> str:
+def combination(names: list[str], vector: np.ndarray) -> str:
+    """An eigenvector in words: "alpha × k with beta × k^0.9"."""
     order = np.argsort(-np.abs(vector))
     lead = vector[order[0]]
     parts = [
@@ -64,5 +77,10 @@ def _in_words(names: list[str], vector: np.ndarray, width: float) -> str:
         for i in order
         if abs(vector[i] / lead) > 0.15
     ]
-    known = f"k is known only within a factor {np.exp(min(1.96 * width * abs(lead), 50.0)):.2g}"
-    return f"scaling {' with '.join(parts)}: {known} (95 %)"
+    return " with ".join(parts)
+
+
+def _in_words(names: list[str], vector: np.ndarray, width: float) -> str:
+    lead = np.abs(vector).max()
+    known = f"k is known only within a factor {np.exp(min(1.96 * width * lead, 50.0)):.2g}"
+    return f"scaling {combination(names, vector)}: {known} (95 %)"
