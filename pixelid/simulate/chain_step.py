@@ -90,7 +90,8 @@ def advance(u0, u1, L0, L1, tau, dynamics, midpoint, begin, end, a, b2, r, spare
     f1, f2, g, p0, p1, q0, q1 = work[0], work[1], work[2], work[3], work[4], work[5], work[6]
     close, tau_, ey, ev, ey1, ev1 = work[7], work[8], work[9], work[10], work[11], work[12]
     m, n, ramp = work[13], work[14], work[15]
-    tau_[:] = tau
+    for i in range(len(tau_)):
+        tau_[i] = tau
     delay_s = 1.0 / w1
     delay_d = delay_s + 1.0 / wd
     gain = wd / (wd - w1)

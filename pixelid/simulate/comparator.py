@@ -25,7 +25,7 @@ LEAST = 0.01  # relative draws of thresholds are repeated until they exceed this
 _RETRY = 1 << 40  # counters of repeated draws
 
 
-@njit(inline="always", error_model="numpy")
+@njit(forceinline=True, error_model="numpy")
 def _relative(key, pixel, counter, sigma):
     """Two independent draws of 1 + σ ξ, each truncated to stay above LEAST."""
     first, second = random.normal_pair(key, pixel, counter)
@@ -39,7 +39,7 @@ def _relative(key, pixel, counter, sigma):
     return max(a, LEAST), max(b, LEAST)
 
 
-@njit(inline="always", error_model="numpy")
+@njit(forceinline=True, error_model="numpy")
 def draw_thresholds(pixel, place, comparators, drawn, key, noise):
     """Fresh ON and OFF thresholds for the next event of `pixel`, held at column `place`."""
     on, off = 1.0, 1.0
@@ -75,6 +75,21 @@ def start(first_pixel, on, off, mismatch, noise, seed, synchronous, level, out, 
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def room(size):
+    """Empty lists of events: times [s], pixels, polarities."""
+    return np.empty(size), np.empty(size, np.int64), np.empty(size, np.uint8)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def grown(found):
+    """The same events with twice the room."""
+    times, pixels, polarities = room(2 * len(found[0]))
+    for k in range(len(found[0])):
+        times[k], pixels[k], polarities[k] = found[0][k], found[1][k], found[2][k]
+    return times, pixels, polarities
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def events_in_step(pixel, place, t0, t1, step, chain, comparators, drawn, laws, found, count, scratch):
     """Carry one pixel through the step t0 … t1, with its release, crossings and resets in the order they happen.
 
@@ -83,7 +98,6 @@ def events_in_step(pixel, place, t0, t1, step, chain, comparators, drawn, laws, 
     Returns (found, count).
     """
     refractory, leak, parasitic, drift, noise, key = laws
-    times, pixels, polarities = found
     tau, wd = step[4], chain[3]
     x = 0.0
     level, decay = comparators[LEVEL, place], comparators[DECAY, place]
@@ -92,35 +106,34 @@ def events_in_step(pixel, place, t0, t1, step, chain, comparators, drawn, laws, 
         if release > t1:
             return found, count
         x = min(max(release - t0, 0.0), tau)
-        level, d, _, _ = probe(x, step, chain)
-        decay = d - level if wd < PRESENT_BELOW else 0.0
+        here = probe(x, step, chain)
+        level, decay = here[0], here[1] - here[0] if wd < PRESENT_BELOW else 0.0
         comparators[RELEASE, place] = np.inf
+    else:
+        here = probe(x, step, chain)
     while True:
         at, polarity = first_crossing(
-            x, step, chain, (level, decay, x, leak, parasitic),
+            x, here, step, chain, (level, decay, x, leak, parasitic),
             comparators[ON, place] * (1.0 + drift * t0), comparators[ON, place] * drift,
             comparators[OFF, place] * (1.0 + drift * t0), comparators[OFF, place] * drift, scratch,
         )  # fmt: skip
         if polarity < 0:
             break
-        if count == len(times):
-            size = 2 * count
-            longer_t, longer_i, longer_p = np.empty(size), np.empty(size, np.int64), np.empty(size, np.uint8)
-            longer_t[:count], longer_i[:count], longer_p[:count] = times, pixels, polarities
-            times, pixels, polarities = longer_t, longer_i, longer_p
-        times[count], pixels[count], polarities[count] = t0 + at, pixel, polarity
+        if count == len(found[0]):
+            found = grown(found)
+        found[0][count], found[1][count], found[2][count] = t0 + at, pixel, polarity
         count += 1
         draw_thresholds(pixel, place, comparators, drawn, key, noise)
         if t0 + at + refractory > t1:
             comparators[RELEASE, place] = t0 + at + refractory
             comparators[LEVEL, place], comparators[DECAY, place] = np.nan, 0.0
-            return (times, pixels, polarities), count
+            return found, count
         x = min(at + refractory, tau)
-        level, d, _, _ = probe(x, step, chain)
-        decay = d - level if wd < PRESENT_BELOW else 0.0
+        here = probe(x, step, chain)
+        level, decay = here[0], here[1] - here[0] if wd < PRESENT_BELOW else 0.0
     level -= leak * (tau - x)
     if parasitic > 0.0:
         level -= parasitic * light_integral(step[7], step[8], x, tau)
     comparators[LEVEL, place] = level
     comparators[DECAY, place] = decay * np.exp(-wd * (tau - x)) if decay != 0.0 else 0.0
-    return (times, pixels, polarities), count
+    return found, count

@@ -13,15 +13,17 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from pixelid.dynamics.equations import PRESENT_BELOW
 from pixelid.simulate.step import change, cubic, probe
 
 DEPTH = 64
-SMALLEST = 1e-11  # seconds: pieces are not halved below, roots are found to a fraction of it
+SMALLEST = 1e-11  # seconds: pieces are not halved below
+ACCURACY = 1e-14  # seconds, of a root: its error moves the reset level, and with it every later event
 TRUST = 1e-3  # of the smaller threshold: agreement of cubic and closed form at the midpoint of a piece
 NOTHING = -1.0
 
 
-@njit(inline="always", error_model="numpy")
+@njit(forceinline=True, error_model="numpy")
 def _margin(x, sign, step, chain, reset, threshold, rate):
     """(g, dg/dt) at x, g = sign · change − threshold(x): an event fires when g ≥ 0."""
     _, d, slope, _ = probe(x, step, chain)
@@ -29,33 +31,61 @@ def _margin(x, sign, step, chain, reset, threshold, rate):
     return sign * c - threshold - rate * x, sign * cs - rate
 
 
-@njit(cache=True, error_model="numpy")
-def _root(xa, ga, sa, xb, gb, sb, sign, step, chain, reset, threshold, rate):
-    """The root of g in [xa, xb], g(xa) < 0 ≤ g(xb): Newton's method from the cubic's root, kept in the bracket."""
-    h = xb - xa
+@njit(forceinline=True, error_model="numpy")
+def _cubic_root(h, ga, sa, gb, sb):
+    """Fraction of h at which a cubic with g(0) < 0 ≤ g(h) crosses zero: Newton's method kept in its bracket.
+
+    A move out of the bracket goes to its end, where a root may sit within rounding, and halves it the next time.
+    """
     low, high, p = 0.0, 1.0, ga / (ga - gb)
-    for _ in range(6):
+    clamped = False
+    for _ in range(100):
         value, slope = cubic(p, h, ga, gb, sa, sb)
         low, high = (p, high) if value < 0.0 else (low, p)
-        p -= value / (slope * h)
-        if not low < p < high:
-            p = 0.5 * (low + high)
-    x = xa + p * h
-    for _ in range(100):
+        move = value / (slope * h)
+        after = p - move
+        if abs(move) < 1e-7 or high - low < 1e-15:
+            return min(max(after, 0.0), 1.0)
+        if low < after < high:
+            clamped = False
+        elif not clamped and after == after:
+            after = low if after <= low else high
+            clamped = True
+        else:
+            after = 0.5 * (low + high)
+            clamped = False
+        p = after
+    return p
+
+
+@njit(cache=True, error_model="numpy")
+def _root(xa, ga, sa, xb, gb, sb, sign, step, chain, reset, threshold, rate):
+    """The root of g in [xa, xb], g(xa) < 0 ≤ g(xb): of cubics through ever closer values of the closed form.
+
+    A cubic through [xa, xb] errs by about K (x − xa)² (x − xb)².  Each value found tells K, and with it the error of
+    the next root; the loop ends when that is below ACCURACY.
+    """
+    x = xa + _cubic_root(xb - xa, ga, sa, gb, sb) * (xb - xa)
+    for _ in range(60):
+        h = xb - xa
+        p = (x - xa) / h
         g, s = _margin(x, sign, step, chain, reset, threshold, rate)
-        xa, xb = (x, xb) if g < 0.0 else (xa, x)
-        move = -g / s
-        if abs(move) < SMALLEST:
-            return min(max(x + move, xa), xb)
-        x += move
-        if not xa < x < xb:
-            x = 0.5 * (xa + xb)
-            if xb - xa < SMALLEST:
-                break
+        around = (x - xa) * (xb - x)
+        K = abs(g - cubic(p, h, ga, gb, sa, sb)[0]) / (around * around)
+        if g < 0.0:
+            xa, ga, sa = x, g, s
+        else:
+            xb, gb, sb = x, g, s
+        after = xa + _cubic_root(xb - xa, ga, sa, gb, sb) * (xb - xa)
+        around = (after - xa) * (xb - after)
+        if K * around * around < ACCURACY * abs(s) or xb - xa < ACCURACY:
+            return after
+        # a cubic that leaves more than half of the bracket is no better than halving
+        x = 0.5 * (xa + xb) if xb - xa > 0.5 * h and abs(after - x) > 0.25 * h else after
     return x
 
 
-@njit(inline="always", error_model="numpy")
+@njit(forceinline=True, error_model="numpy")
 def _summit(h, fa, fb, sa, sb):
     """Fraction in (0, 1) at which the cubic has its local maximum, or −1."""
     # slope(p) = sa + 2 k p + m p²
@@ -97,17 +127,29 @@ def _search(xa, ga, sa, xb, gb, sb, sign, step, chain, reset, threshold, rate, s
     return _root(xa, ga, sa, last, g_last, s_last, sign, step, chain, reset, threshold, rate)
 
 
+@njit(forceinline=True, error_model="numpy")
+def _predicted(h, ca, sa, cb, sb, on_a, on_b, off_a, off_b):
+    """Fraction of the piece at which to compare cubic and closed form: its crossing where it ends beyond a threshold,
+    else the middle."""
+    p = 0.5
+    if cb >= on_b:
+        p = _cubic_root(h, ca - on_a, sa, cb - on_b, sb)
+    elif -cb >= off_b:
+        p = _cubic_root(h, -ca - off_a, -sa, -cb - off_b, -sb)
+    return min(max(p, 0.05), 0.95)
+
+
 @njit(cache=True, error_model="numpy")
-def first_crossing(x0, step, chain, reset, on, on_rate, off, off_rate, scratch):
+def first_crossing(x0, here, step, chain, reset, on, on_rate, off, off_rate, scratch):
     """(x, polarity) of the first event after x0 ≤ tau: polarity 1 ON, 0 OFF, −1 none.
 
-    on, off: thresholds at the start of the step, growing at on_rate, off_rate per second;
+    here: `probe` at x0;  on, off: thresholds at the start of the step, growing at on_rate, off_rate per second;
     scratch: (6, DEPTH) work space.
     """
     tau, wd = step[4], chain[3]
     level = reset[0]
     trust = TRUST * min(on, off)
-    _, da, slope, bound = probe(x0, step, chain)
+    _, da, slope, bound = here
     ca, sa, fa, _ = change(x0, da, slope, step, wd, reset)
     xa = x0
     if ca >= on + on_rate * x0:
@@ -131,12 +173,15 @@ def first_crossing(x0, step, chain, reset, on, on_rate, off, off_rate, scratch):
         lower = reach - spare - level - max(fa, fb) + min(drift_a, drift_b)
         on_a, on_b, off_a, off_b = on + on_rate * xa, on + on_rate * xb, off + off_rate * xa, off + off_rate * xb
         if upper >= min(on_a, on_b) or -lower >= min(off_a, off_b):
-            xm = xa + 0.5 * h
+            p = _predicted(h, ca, sa, cb, sb, on_a, on_b, off_a, off_b)
+            xm = xa + p * h
             _, dm, slope, bound_m = probe(xm, step, chain)
             cm, sm, fm, _ = change(xm, dm, slope, step, wd, reset)
-            predicted, _ = cubic(0.5, h, ca, cb, sa, sb)
-            swing = h * h * step[5] if step[6] < 1e29 and not chain[5] else 0.0
-            if (abs(predicted - cm) > trust or (swing > 16.0 and spare > trust)) and h > SMALLEST and top + 1 < DEPTH:
+            predicted, _ = cubic(p, h, ca, cb, sa, sb)
+            # K of the cubic's error K (x − xa)² (x − xb)², at its largest in the middle of the piece
+            error = abs(predicted - cm) * 0.0625 / (p * p * (1.0 - p) * (1.0 - p))
+            swing = h * h * step[5] if step[6] < PRESENT_BELOW and not chain[5] else 0.0
+            if (error > trust or (swing > 16.0 and spare > trust)) and h > SMALLEST and top + 1 < DEPTH:
                 top += 1
                 scratch[0, top], scratch[1, top], scratch[2, top] = xm, dm, cm
                 scratch[3, top], scratch[4, top], scratch[5, top] = sm, fm, bound_m

@@ -104,7 +104,7 @@ def shared_trajectory(light: Drive, rules: Rules) -> Shared:
     return Shared(t, u, radiance, states, high, low, fade, drift)
 
 
-@njit(inline="always", error_model="numpy")
+@njit(forceinline=True, error_model="numpy")
 def _step(k, t, u, radiance, states, dynamics, chain, midpoint):
     """The `step` tuple of step k, see `step.py`."""
     alpha, beta, gamma = dynamics[0], dynamics[1], dynamics[2]
@@ -157,8 +157,7 @@ def _pixel_events(
     dynamics, chain, midpoint, laws, comparators, drawn,
 ):  # fmt: skip
     scratch = np.empty((6, DEPTH))
-    found = (np.empty(FIRST_CAPACITY), np.empty(FIRST_CAPACITY, np.int64), np.empty(FIRST_CAPACITY, np.uint8))
-    count = 0
+    found, count = comparator.room(FIRST_CAPACITY), 0
     growth = laws[3]
     for i in range(first, last):
         level, decay, release = comparators[LEVEL, i], comparators[DECAY, i], comparators[RELEASE, i]

@@ -7,6 +7,7 @@ from numba import njit
 
 from pixelid.errors import InputError
 from pixelid.simulate import random
+from pixelid.simulate.comparator import grown, room
 from pixelid.stages.circuit import Circuit
 
 
@@ -30,8 +31,7 @@ class HotPixels:
         """(times (m,) s, pixels (m,), polarities (m,)) up to `until_s`, since the last call."""
         if not len(self.pixels):
             return np.empty(0), np.empty(0, np.int64), np.empty(0, np.uint8)
-        times, pixels = _fire(self._seed, self.pixels, self._mean, self._last, self._drawn, until_s)
-        return times, pixels, np.ones(len(times), np.uint8)
+        return _fire(self._seed, self.pixels, self._mean, self._last, self._drawn, until_s)
 
 
 @njit(cache=True)
@@ -47,7 +47,7 @@ def _places(seed, pixels):
 def _fire(seed, pixels, mean, last, drawn, until):
     """Exponential intervals, one counter per pixel; `last` and `drawn` are moved on to the last event ≤ until."""
     key = random.stream_key(seed, random.HOT_TIME)
-    times, places, count = np.empty(64), np.empty(64, np.int64), 0
+    found, count = room(64), 0
     for i in range(len(pixels)):
         while True:
             t = last[i] - mean * np.log(random.uniform(key, pixels[i], drawn[i]))
@@ -55,10 +55,8 @@ def _fire(seed, pixels, mean, last, drawn, until):
                 break
             last[i] = t
             drawn[i] += 1
-            if count == len(times):
-                longer_t, longer_i = np.empty(2 * count), np.empty(2 * count, np.int64)
-                longer_t[:count], longer_i[:count] = times, places
-                times, places = longer_t, longer_i
-            times[count], places[count] = t, pixels[i]
+            if count == len(found[0]):
+                found = grown(found)
+            found[0][count], found[1][count], found[2][count] = t, pixels[i], 1
             count += 1
-    return times[:count], places[:count]
+    return found[0][:count], found[1][:count], found[2][:count]

@@ -110,10 +110,11 @@ def blocks(source: Stimulus | Iterable, rules: Rules) -> Iterator[Block]:
 def _runs(source):
     """(t (m + 1,), frames (m + 1, pixels)) of successive runs that share their end frames."""
     if isinstance(source, Stimulus):
-        frames = source.radiance.reshape(len(source.t), -1)
+        t = np.ascontiguousarray(source.t)
+        frames = np.ascontiguousarray(source.radiance).reshape(len(t), -1)
         size = max(1, WORK // frames.shape[1])
         for k in range(0, len(frames) - 1, size):
-            yield source.t[k : k + size + 1], frames[k : k + size + 1]
+            yield t[k : k + size + 1], frames[k : k + size + 1]
         return
     stream = iter(source)
     head = list(islice(stream, 1))

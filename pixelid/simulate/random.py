@@ -20,7 +20,7 @@ _MIX_1, _MIX_2 = np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)
 _30, _27, _31 = np.uint64(30), np.uint64(27), np.uint64(31)
 
 
-@njit(inline="always", error_model="numpy")
+@njit(forceinline=True, error_model="numpy")
 def mix(z):
     """splitmix64's finaliser: a bijection of 64 bits that looks random."""
     z = (z ^ (z >> _30)) * _MIX_1
@@ -28,25 +28,25 @@ def mix(z):
     return z ^ (z >> _31)
 
 
-@njit(inline="always", error_model="numpy")
+@njit(forceinline=True, error_model="numpy")
 def stream_key(seed, stream):
     """The 64-bit key of one stream under a seed (both integers)."""
     return mix(mix(np.uint64(seed) + _GOLDEN) + np.uint64(stream) * _GOLDEN)
 
 
-@njit(inline="always", error_model="numpy")
+@njit(forceinline=True, error_model="numpy")
 def bits(key, pixel, counter):
     """64 random bits."""
     return mix(mix(key + np.uint64(pixel) * _GOLDEN) + np.uint64(counter) * _GOLDEN)
 
 
-@njit(inline="always", error_model="numpy")
+@njit(forceinline=True, error_model="numpy")
 def uniform(key, pixel, counter):
     """Uniform in (0, 1)."""
     return unit_interval(bits(key, pixel, counter))
 
 
-@njit(inline="always", error_model="numpy")
+@njit(forceinline=True, error_model="numpy")
 def normal_pair(key, pixel, counter):
     """Two independent standard normals (Box & Muller 1958); |value| < 8.6."""
     first = bits(key, pixel, counter)

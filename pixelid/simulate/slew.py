@@ -36,7 +36,7 @@ def longest_step(cutoffs, duration_s: float) -> float:
     return RESOLUTION / fastest
 
 
-@njit(inline="always", error_model="numpy")
+@njit(forceinline=True, error_model="numpy")
 def _derivatives(y, s, e, z, d, rates):
     """Slopes of the stages behind the photoreceptor; an absent stage's output is its input and has no slope."""
     w1, w2, wh, wd, rise, fall = rates
@@ -70,7 +70,7 @@ def slewed_step(state, u0, r, tau, a, b2, rates):
     return v1, y1, s, e, z, d
 
 
-@njit(inline="always", error_model="numpy")
+@njit(forceinline=True, error_model="numpy")
 def smooth_state(state, rates):
     """(dh/dt, 0, h, h, 0, d) with h = e − z: what the amplifier is driven by and reset to."""
     _, y, s, e, z, d = state

@@ -21,7 +21,7 @@ from pixelid.dynamics import kernels
 from pixelid.dynamics.equations import PRESENT_BELOW
 
 
-@njit(inline="always", error_model="numpy")
+@njit(forceinline=True, error_model="numpy")
 def settled(state, u, r, a, b2, w1, w2, wh, wd):
     """The state just after a jump of the input to u + r τ: stages without a pole follow at once."""
     v, y, s, e, z, d = state
@@ -36,7 +36,7 @@ def settled(state, u, r, a, b2, w1, w2, wh, wd):
     return v, y, s, e, z, d
 
 
-@njit(inline="always", error_model="numpy")
+@njit(forceinline=True, error_model="numpy")
 def slope_bound(state, u, r, a, b2, w1, w2, wh, wd):
     """A bound on |dd/dt| from here to the end of the step.
 
@@ -64,7 +64,7 @@ def slope_bound(state, u, r, a, b2, w1, w2, wh, wd):
     return bound
 
 
-@njit(inline="always", error_model="numpy")
+@njit(forceinline=True, error_model="numpy")
 def light_integral(light, rate, start, end):
     """∫ light · exp(rate τ) dτ from start to end."""
     x = rate * (end - start)
@@ -72,7 +72,7 @@ def light_integral(light, rate, start, end):
     return light * np.exp(rate * start) * (end - start) * mean
 
 
-@njit(inline="always", error_model="numpy")
+@njit(forceinline=True, error_model="numpy")
 def cubic(p, h, f0, f1, s0, s1):
     """(value, slope) at the fraction p of a cubic over length h with these end values and slopes."""
     q = 1.0 - p
@@ -115,7 +115,7 @@ def probe(x, step, chain):
     return level, d, slope, slope_bound(state, u0 + r * x, r, a, b2, w1, w2, wh, wd)
 
 
-@njit(inline="always", error_model="numpy")
+@njit(forceinline=True, error_model="numpy")
 def change(x, d, slope, step, wd, reset):
     """(change, its slope, decaying part, drift) at x, where the amplifier is at d with that slope."""
     level, decay, x0, leak, parasitic = reset

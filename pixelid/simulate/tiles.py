@@ -65,18 +65,33 @@ class Tiles:
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
 def _load(frame, first, live, out):
     """The radiance of a tile's pixels; full-field frames serve all, places beyond the sensor repeat its last pixel."""
-    if len(frame) == 1:
-        out[:] = frame[0]
-        return
-    for i in range(live):
-        out[i] = frame[first + i]
-    out[live:] = out[live - 1]
+    last = len(frame) - 1
+    for i in range(len(out)):
+        out[i] = frame[min(first + min(i, live - 1), last)]
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+def _effective(radiance, gain, dark, out):
+    for i in range(len(out)):
+        out[i] = radiance[i] * gain + dark
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
 def _logs(x, out):
     for i in range(len(x)):
         out[i] = vlog(x[i])
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+def _scaled(x, factor, out):
+    for i in range(len(out)):
+        out[i] = x[i] * factor
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+def _lowered(x, drift):
+    for i in range(len(x)):
+        x[i] = x[i] - drift
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
@@ -92,7 +107,7 @@ def _normals(key, first, knot, out, spare):
     for i in range(len(out)):
         out[i], spare[i] = random.normal_pair(key, first + i, knot >> 1)
     if knot & 1:
-        out[:] = spare
+        _scaled(spare, 1.0, out)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
@@ -115,12 +130,6 @@ def _possible(d0, d1, spare, level, decay, kd, on, off, release, drift, t1, flag
         flag[i] = 1.0 if -low >= off[i] else flag[i]
     for i in range(len(flag)):
         flag[i] = 1.0 if release[i] <= t1 else flag[i]
-
-
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
-def _scaled(x, factor):
-    for i in range(len(x)):
-        x[i] = x[i] * factor
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -150,7 +159,7 @@ def _general(u0, u1, L0, L1, tau, dynamics, midpoint, rates, chain, begin, end, 
             end[j, i] = after[j]
 
 
-@njit(inline="always", error_model="numpy")
+@njit(forceinline=True, error_model="numpy")
 def _state(states, i, plain, smooth, rates):
     """The six components of one pixel as `step.probe` reads them."""
     v, y, s, d = states[0, i], states[1, i], states[2, i], states[5, i]
@@ -187,13 +196,13 @@ def _tile(
     a, b2, r, spare, flag = np.empty(TILE), np.empty(TILE), np.empty(TILE), np.empty(TILE), np.empty(TILE)
     xi, xi_spare, F0, F1 = np.empty(TILE), np.empty(TILE), np.empty(TILE), np.empty(TILE)
     on, off = np.empty(TILE), np.empty(TILE)
+    which, old_level, old_decay = np.empty(TILE, np.int64), np.empty(TILE), np.empty(TILE)
     scratch = np.empty((6, DEPTH))
-    found = (np.empty(CAPACITY), np.empty(CAPACITY, np.int64), np.empty(CAPACITY, np.uint8))
-    count = 0
+    found, count = comparator.room(CAPACITY), 0
 
     gain = 1.0 + modulation * np.sin(omega * t[0] + phase)
     _load(frames[0], first, live, F1)
-    L1[:] = F1 * gain + dark
+    _effective(F1, gain, dark, L1)
     _logs(L1, u1)
     if knot == 0:
         _start(u1, wh, end)
@@ -223,12 +232,12 @@ def _tile(
             weight = (m + 1) / steps
             gain = 1.0 + modulation * np.sin(omega * t1 + phase)
             if held and m == 0:
-                L0[:] = F0 * (1.0 + modulation * np.sin(omega * t0 + phase)) + dark
+                _effective(F0, 1.0 + modulation * np.sin(omega * t0 + phase), dark, L0)
                 _logs(L0, u0)
             if held:
-                L1[:] = F0 * gain + dark
+                _effective(F0, gain, dark, L1)
             elif m + 1 == steps:
-                L1[:] = F1 * gain + dark
+                _effective(F1, gain, dark, L1)
             else:
                 _between(lf0, lf1, weight, gain, dark, L1)
             _logs(L1, u1)
@@ -255,29 +264,43 @@ def _tile(
             kd = np.exp(-wd * tau) if wd < PRESENT_BELOW else 0.0
             drift = leak * tau
             if parasitic > 0.0:
-                drift += parasitic * tau * max(L0.max(), L1.max())
+                most = 0.0
+                for i in range(TILE):
+                    most = max(most, max(L0[i], L1[i]))
+                drift += parasitic * tau * most
             factor = 1.0 + growth * (t1 if growth < 0.0 else t0)
-            on[:], off[:] = local[ON], local[OFF]
-            if growth != 0.0:
-                _scaled(on, factor)
-                _scaled(off, factor)
+            _scaled(local[ON], factor, on)
+            _scaled(local[OFF], factor, off)
             _possible(begin[5], end[5], spare, local[LEVEL], local[DECAY], kd, on, off, local[RELEASE], drift, t1, flag)
+            possible = 0
             for i in range(live):
                 if flag[i] > 0.0:
+                    which[possible] = i
+                    old_level[possible], old_decay[possible] = local[LEVEL, i], local[DECAY, i]
+                    possible += 1
+            _scaled(local[DECAY], kd, local[DECAY])
+            if parasitic > 0.0:
+                for i in range(live):
                     light_rate = np.log(L1[i] / L0[i]) / tau
-                    step = (
-                        _state(begin, i, plain, smooth, rates), _state(end, i, plain, smooth, rates),
-                        u0[i], r[i], tau, a[i], b2[i], L0[i], light_rate,
-                    )  # fmt: skip
-                    found, count = events_in_step(
-                        first + i, i, t0, t1, step, chain, local, count_drawn, laws, found, count, scratch
-                    )
-                else:
-                    local[DECAY, i] *= kd
-                    if parasitic > 0.0:
-                        light_rate = np.log(L1[i] / L0[i]) / tau
-                        local[LEVEL, i] -= parasitic * light_integral(L0[i], light_rate, 0.0, tau)
-                    local[LEVEL, i] -= leak * tau
+                    local[LEVEL, i] -= parasitic * light_integral(L0[i], light_rate, 0.0, tau)
+            if leak > 0.0:
+                _lowered(local[LEVEL], leak * tau)
+            for j in range(possible):
+                i = which[j]
+                local[LEVEL, i], local[DECAY, i] = old_level[j], old_decay[j]
+                light_rate = np.log(L1[i] / L0[i]) / tau if parasitic > 0.0 else 0.0
+                step = (
+                    _state(begin, i, plain, smooth, rates), _state(end, i, plain, smooth, rates),
+                    u0[i], r[i], tau, a[i], b2[i], L0[i], light_rate,
+                )  # fmt: skip
+                found, count = events_in_step(
+                    first + i, i, t0, t1, step, chain, local, count_drawn, laws, found, count, scratch
+                )
             length_before = length
-    states[:], comparators[:], drawn[:] = end, local, count_drawn
+    for i in range(TILE):
+        for j in range(len(states)):
+            states[j, i] = end[j, i]
+        for j in range(len(comparators)):
+            comparators[j, i] = local[j, i]
+        drawn[i] = count_drawn[i]
     return found[0][:count], found[1][:count], found[2][:count]
