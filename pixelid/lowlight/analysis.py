@@ -1,0 +1,110 @@
+"""The whole low-light analysis of one model, with or without recordings, as one dictionary."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+
+from pixelid.lowlight import beside, curves, poles, radii
+from pixelid.model.model import Model
+from pixelid.recordings.recording import Recording
+
+LEVELS_SHOWN = (0.05, 0.43, 1.0, 7.0)  # of Bode and step plots, in units of β²/α
+
+
+def analyse(
+    model: Model,
+    recordings: Sequence[Recording] = (),
+    *,
+    draws: Sequence[Model] = (),
+    seed: int = 0,
+    progress: Callable[[str, float], None] | None = None,
+) -> dict:
+    """The content of lowlight.json but for provenance (docs/lowlight.md).
+
+    draws: models drawn from the uncertainty of a fit, for bands.  Raises InputError for a photoreceptor without
+    bandwidth.
+    """
+    began = time.perf_counter()
+    report = progress or (lambda what, fraction: None)
+    circuit = model.circuit()
+    poles.check(circuit)
+    report("radii", 0.0)
+    errors = radii.all_radii(circuit)
+    report("curves", 0.3)
+    found = {
+        "status": "done",
+        "advice": "",
+        "model": model.name,
+        "photoreceptor": model.photoreceptor,
+        "radiance_unit": model.radiance_unit,
+        "dark_radiance": circuit.dark,
+        "alpha_over_beta": poles.ratio(circuit),
+        "errors": errors,
+        "regimes": radii.regimes(circuit) | {"levels": levels(circuit)},
+        "curves": curves.all_curves(circuit),
+        "bands": None,
+        "measured": [],
+    }
+    if draws:
+        report("bands", 0.4)
+        found["bands"] = curves.bands(circuit, [drawn.circuit() for drawn in draws])
+    if recordings:
+        found["measured"] = beside.compare(recordings, model, seed, lambda done: report("recordings", 0.6 + 0.4 * done))
+    found["advice"] = _advice(found)
+    found["seconds"] = time.perf_counter() - began
+    report("done", 1.0)
+    return found
+
+
+def levels(circuit) -> list[dict]:
+    """The regime at the radiances that the Bode and step plots show."""
+    centre = radii.natural_radiance(circuit)
+    listed = []
+    for factor in LEVELS_SHOWN:
+        radiance = factor * centre
+        pair = poles.pair(circuit, radiance)
+        entry = {"radiance": radiance, "photoreceptor_poles": [[p.real, p.imag] for p in pair]}
+        if circuit.photoreceptor == "second_order":
+            effective = radiance + circuit.dark
+            entry |= {
+                "epsilon": circuit.alpha * effective / circuit.beta**2,
+                "gamma_ratio": circuit.gamma * effective / circuit.beta,
+                "damping": float((pair.sum() / (2 * abs(pair[0] * pair[1]) ** 0.5)).real),
+                "complex": bool(abs(pair[0].imag) > 0),
+            }
+        listed.append(entry)
+    return listed
+
+
+def sentences(found: dict) -> list[str]:
+    """The regime map in words."""
+    unit, map_ = found["radiance_unit"], found["regimes"]
+    if found["photoreceptor"] == "one_pole":
+        return ["The model's photoreceptor is the one-pole approximation itself: there is no error to speak of."]
+    said = [f"One pole is the limit far below {map_['epsilon_one']:.3g} {unit} (ε = αL/β² = 1 there)."]
+    if map_["critical"]:
+        low, high = map_["critical"]
+        said.append(
+            f"Between {low:.3g} and {high:.3g} {unit} the two photoreceptor poles are a complex pair (damping down to "
+            f"{map_['lowest_damping']:.2g}) and no single pole describes it."
+            if low > 0
+            else f"From the dark up to {high:.3g} {unit} the photoreceptor poles are a complex pair."
+        )
+    else:
+        said.append("The two photoreceptor poles are real at every radiance.")
+    first = found["errors"]["one_pole"]["dominant_pole"]["photoreceptor"]["levels"]
+    radii_said = [f"{level} from {entry['first']:.3g} {unit}" for level, entry in first.items() if entry["first"]]
+    dark = [level for level, entry in first.items() if entry["first"] == 0.0]
+    if dark:
+        radii_said.insert(0, f"{', '.join(dark)} already in the dark")
+    if radii_said:
+        said.append(f"ωc = (α/β) L misses the slowest pole by {', '.join(radii_said)}.")
+    return said
+
+
+def _advice(found: dict) -> str:
+    missing = [entry for entry in found["measured"] if entry["value"] is None]
+    if found["measured"] and len(missing) == len(found["measured"]):
+        return "no recording shows a bandwidth or step time: record a chirp past the bandwidth, or steps that settle"
+    return ""

@@ -1,0 +1,95 @@
+"""The low-light analysis as tables for the terminal."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from pixelid.lowlight.radii import LEVELS
+
+NAMES = {"one_pole": "one pole", "at_dark": "dark tangent"}
+QUANTITIES = {"bandwidth_hz": "−3 dB [Hz]", "step_time_s": "63 % [s]", None: "–"}
+
+
+def number(value: float | None) -> str:
+    """Three significant digits, or a dash."""
+    return "–" if value is None else f"{value:.3g}"
+
+
+def radii_rows(found: dict) -> list[list[str]]:
+    """One row per approximation, quantity and scope: largest errors and first radii."""
+    rows = []
+    for kind, by_quantity in found["errors"].items():
+        if kind == "at_dark" and found["dark_radiance"] == 0:
+            continue  # the same line as one_pole
+        for quantity, by_scope in by_quantity.items():
+            for scope, entry in by_scope.items():
+                first = [entry["levels"][f"{100 * level:g}%"]["first"] for level in LEVELS]
+                rows.append(
+                    [NAMES[kind], _named(quantity, scope)]
+                    + ["dark" if value == 0 else number(value) for value in first]
+                    + [f"{100 * entry['largest_under']:.0f} %", _over(entry["largest_over"])]
+                )
+    return rows
+
+
+def _named(quantity: str, scope: str) -> str:
+    return "slowest pole" if quantity == "dominant_pole" else f"{quantity.replace('_', ' ')}, {scope}"
+
+
+def _over(error: float) -> str:
+    return f"+{100 * error:.0f} %" if error < 10 else "> 10×"
+
+
+def measured_rows(found: dict) -> list[list[str]]:
+    """One row per recording."""
+    rows = []
+    for entry in found["measured"]:
+        interval, model = entry["interval_95"], entry["model"] or {}
+        rows.append(
+            [
+                entry["recording"],
+                number(entry["radiance"]),
+                QUANTITIES[entry["quantity"]],
+                number(entry["value"]),
+                f"{number(interval[0])} … {number(interval[1])}" if interval else "–",
+                number(model.get("same_light")),
+                number(model.get("same_light_one_pole")),
+                number(model.get("small_signal")),
+            ]
+        )
+    return rows
+
+
+def not_measurable(found: dict) -> list[str]:
+    """Why a recording gave no number, or no interval; one sentence each."""
+    return [
+        f"{e['recording']}: {'not measurable: ' * (e['value'] is None)}{e['why']}"
+        for e in found["measured"]
+        if e["why"]
+    ]
+
+
+RADII_HEADINGS = ("approx.", "quantity", "1 %", "10 %", "50 %", "under", "over")
+MEASURED_HEADINGS = ("recording", "radiance", "quantity", "measured", "95 %", "model", "one pole", "small signal")
+
+
+def lowlight_tables(found: dict):
+    """The rich tables: radii in `radiance_unit`, and what was measured beside the model."""
+    title = f"{found['model']}: radiance [{found['radiance_unit']}] from which approximations err by 1, 10, 50 %"
+    tables = [_table(title, RADII_HEADINGS, radii_rows(found), len(RADII_HEADINGS))]
+    if found["measured"]:
+        title = "measured, and the model under the same light"
+        tables.append(_table(title, MEASURED_HEADINGS, measured_rows(found), 1))
+    return tables
+
+
+def _table(title: str, headings: Sequence[str], rows: list[list[str]], whole: int):
+    """A rich table whose first `whole` columns are never broken."""
+    from rich.table import Table
+
+    table = Table(title=title)
+    for k, heading in enumerate(headings):
+        table.add_column(heading, no_wrap=k < whole)
+    for row in rows:
+        table.add_row(*row)
+    return table
