@@ -1,0 +1,37 @@
+"""Figures of a recommended experiment."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+
+def write_figures(found: dict, folder: Path) -> None:
+    """Write ranking.png and widths.png into `folder`."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    ranking = found["ranking"][::-1]
+    figure, axis = plt.subplots(figsize=(7, 0.3 * len(ranking) + 1), layout="constrained")
+    axis.barh(
+        [entry["name"] for entry in ranking],
+        [entry["score"] for entry in ranking],
+        xerr=[entry["score_error"] for entry in ranking],
+        color="tab:blue",
+    )
+    axis.set_xlabel(f"score by {found['criterion']} [nats]")
+    figure.savefig(folder / "ranking.png", dpi=110)
+    plt.close(figure)
+
+    names = list(found["widths_before"])[::-1]
+    figure, axis = plt.subplots(figsize=(7, 0.35 * len(names) + 1), layout="constrained")
+    for row, name in enumerate(names):
+        ends = [found[key][name]["std_coordinate"] for key in ("widths_before", "widths_after")]
+        axis.annotate("", (ends[1], row), (ends[0], row), arrowprops={"arrowstyle": "->", "color": "tab:blue"})
+        axis.plot(ends[0], row, "o", color="grey")
+        axis.plot(ends[1], row, "o", color="tab:blue")
+    axis.set_yticks(range(len(names)), names)
+    axis.set(xscale="log", xlabel="standard error in the fitting coordinate (grey before, blue after)")
+    figure.savefig(folder / "widths.png", dpi=110)
+    plt.close(figure)
