@@ -15,6 +15,11 @@ COMMANDS = {
     "convert": "Any readable recording to .h5, and back to text or npz.",
     "simulate": "Events of a circuit under a stimulus.",
     "fit": "Fit a circuit to recordings.",
+    "sensor": "Maps of thresholds and bandwidth over a whole sensor.",
+    "rates": "Fit tables of event rate against the frequency of a light.",
+    "flicker": "What mains flicker alone says about the pixels.",
+    "lowlight": "Dominant-pole analysis over radiance.",
+    "design": "Which stimulus to record next, and why.",
     "report": "A one-page report.html for any result folder.",
     "demo": "The whole story on embedded data, minutes on a laptop.",
 }
