@@ -67,6 +67,6 @@ def rules_of(circuit: Circuit, seed: int, synchronous: bool, t_end: float) -> Ru
         circuit.leak_hz_per_radiance * circuit.on_threshold,
         circuit.threshold_drift,
         circuit.noise,
-        random.stream_key(seed, random.THRESHOLD),
+        np.uint64(random.stream_key(seed, random.THRESHOLD)),  # as int, compiled code would overflow from some seeds on
     )
     return Rules(circuit, dynamics, chain, laws, seed, synchronous)
