@@ -33,19 +33,24 @@ def _margin(x, sign, step, chain, reset, threshold, rate):
 
 @njit(forceinline=True, error_model="numpy")
 def _cubic_root(h, ga, sa, gb, sb):
-    """Fraction of h at which a cubic with g(0) < 0 ≤ g(h) crosses zero: Newton's method kept in its bracket.
+    """(fraction of h, slope there) where a cubic with g(0) < 0 ≤ g(h) crosses zero: Newton's method in its bracket.
 
     A move out of the bracket goes to its end, where a root may sit within rounding, and halves it the next time.
     """
+    slope_a, slope_b = h * sa, h * sb
+    quadratic = 3.0 * (gb - ga) - 2.0 * slope_a - slope_b
+    third = slope_a + slope_b - 2.0 * (gb - ga)
     low, high, p = 0.0, 1.0, ga / (ga - gb)
-    clamped = False
+    slope, clamped = 0.0, False
     for _ in range(100):
-        value, slope = cubic(p, h, ga, gb, sa, sb)
+        value = ga + p * (slope_a + p * (quadratic + p * third))
+        slope = slope_a + p * (2.0 * quadratic + 3.0 * p * third)
         low, high = (p, high) if value < 0.0 else (low, p)
-        move = value / (slope * h)
+        move = value / slope
         after = p - move
         if abs(move) < 1e-7 or high - low < 1e-15:
-            return min(max(after, 0.0), 1.0)
+            p = min(max(after, 0.0), 1.0)
+            break
         if low < after < high:
             clamped = False
         elif not clamped and after == after:
@@ -55,34 +60,37 @@ def _cubic_root(h, ga, sa, gb, sb):
             after = 0.5 * (low + high)
             clamped = False
         p = after
-    return p
+    return p, slope / h
 
 
 @njit(cache=True, error_model="numpy")
-def _root(xa, ga, sa, xb, gb, sb, sign, step, chain, reset, threshold, rate):
+def _root(xa, ga, sa, xb, gb, sb, K, sign, step, chain, reset, threshold, rate):
     """The root of g in [xa, xb], g(xa) < 0 ≤ g(xb): of cubics through ever closer values of the closed form.
 
-    A cubic through [xa, xb] errs by about K (x − xa)² (x − xb)².  Each value found tells K, and with it the error of
-    the next root; the loop ends when that is below ACCURACY.
+    A cubic through [xa, xb] errs by about K (x − xa)² (x − xb)².  Each value found tells K; the loop ends when the
+    error of the root is below ACCURACY.
     """
-    x = xa + _cubic_root(xb - xa, ga, sa, gb, sb) * (xb - xa)
     for _ in range(60):
         h = xb - xa
-        p = (x - xa) / h
-        g, s = _margin(x, sign, step, chain, reset, threshold, rate)
+        p, slope = _cubic_root(h, ga, sa, gb, sb)
+        x = xa + p * h
         around = (x - xa) * (xb - x)
+        if K * around * around < ACCURACY * abs(slope) or h < ACCURACY:
+            return x
+        g, s = _margin(x, sign, step, chain, reset, threshold, rate)
         K = abs(g - cubic(p, h, ga, gb, sa, sb)[0]) / (around * around)
         if g < 0.0:
             xa, ga, sa = x, g, s
         else:
             xb, gb, sb = x, g, s
-        after = xa + _cubic_root(xb - xa, ga, sa, gb, sb) * (xb - xa)
-        around = (after - xa) * (xb - after)
-        if K * around * around < ACCURACY * abs(s) or xb - xa < ACCURACY:
-            return after
-        # a cubic that leaves more than half of the bracket is no better than halving
-        x = 0.5 * (xa + xb) if xb - xa > 0.5 * h and abs(after - x) > 0.25 * h else after
-    return x
+        if xb - xa > 0.9 * h:  # halve what is left, or a root near one end keeps the other far
+            x = 0.5 * (xa + xb)
+            g, s = _margin(x, sign, step, chain, reset, threshold, rate)
+            if g < 0.0:
+                xa, ga, sa = x, g, s
+            else:
+                xb, gb, sb = x, g, s
+    return xb
 
 
 @njit(forceinline=True, error_model="numpy")
@@ -103,8 +111,8 @@ def _summit(h, fa, fb, sa, sb):
 
 
 @njit(cache=True, error_model="numpy")
-def _search(xa, ga, sa, xb, gb, sb, sign, step, chain, reset, threshold, rate, slack):
-    """The first crossing of a piece that its cubic describes to within `slack`, or `NOTHING`."""
+def _search(xa, ga, sa, xb, gb, sb, K, sign, step, chain, reset, threshold, rate, slack):
+    """The first crossing of a piece that its cubic describes to within `slack`, or `NOTHING`; K: see `_root`."""
     last, g_last, s_last = xb, gb, sb
     for _ in range(12):
         h = xb - xa
@@ -116,7 +124,7 @@ def _search(xa, ga, sa, xb, gb, sb, sign, step, chain, reset, threshold, rate, s
         x = xa + p * h
         g, s = _margin(x, sign, step, chain, reset, threshold, rate)
         if g >= 0.0:
-            return _root(xa, ga, sa, x, g, s, sign, step, chain, reset, threshold, rate)
+            return _root(xa, ga, sa, x, g, s, K, sign, step, chain, reset, threshold, rate)
         if s > 0.0:
             xa, ga, sa = x, g, s
         else:
@@ -124,7 +132,7 @@ def _search(xa, ga, sa, xb, gb, sb, sign, step, chain, reset, threshold, rate, s
         slack *= 0.1
     if g_last < 0.0:
         return NOTHING
-    return _root(xa, ga, sa, last, g_last, s_last, sign, step, chain, reset, threshold, rate)
+    return _root(xa, ga, sa, last, g_last, s_last, K, sign, step, chain, reset, threshold, rate)
 
 
 @njit(forceinline=True, error_model="numpy")
@@ -133,9 +141,9 @@ def _predicted(h, ca, sa, cb, sb, on_a, on_b, off_a, off_b):
     else the middle."""
     p = 0.5
     if cb >= on_b:
-        p = _cubic_root(h, ca - on_a, sa, cb - on_b, sb)
+        p = _cubic_root(h, ca - on_a, sa, cb - on_b, sb)[0]
     elif -cb >= off_b:
-        p = _cubic_root(h, -ca - off_a, -sa, -cb - off_b, -sb)
+        p = _cubic_root(h, -ca - off_a, -sa, -cb - off_b, -sb)[0]
     return min(max(p, 0.05), 0.95)
 
 
@@ -178,8 +186,9 @@ def first_crossing(x0, here, step, chain, reset, on, on_rate, off, off_rate, scr
             _, dm, slope, bound_m = probe(xm, step, chain)
             cm, sm, fm, _ = change(xm, dm, slope, step, wd, reset)
             predicted, _ = cubic(p, h, ca, cb, sa, sb)
-            # K of the cubic's error K (x − xa)² (x − xb)², at its largest in the middle of the piece
-            error = abs(predicted - cm) * 0.0625 / (p * p * (1.0 - p) * (1.0 - p))
+            around = p * (1.0 - p) * h * h
+            K = abs(predicted - cm) / (around * around)  # of the cubic's error K (x − xa)² (x − xb)²
+            error = 0.0625 * K * h * h * h * h
             swing = h * h * step[5] if step[6] < PRESENT_BELOW and not chain[5] else 0.0
             if (error > trust or (swing > 16.0 and spare > trust)) and h > SMALLEST and top + 1 < DEPTH:
                 top += 1
@@ -189,14 +198,17 @@ def first_crossing(x0, here, step, chain, reset, on, on_rate, off, off_rate, scr
             for half in range(2):
                 xl, cl, sl = (xa, ca, sa) if half == 0 else (xm, cm, sm)
                 xr, cr, sr = (xm, cm, sm) if half == 0 else (xb, cb, sb)
-                rise = _search(
-                    xl, cl - on - on_rate * xl, sl - on_rate, xr, cr - on - on_rate * xr, sr - on_rate,
-                    1.0, step, chain, reset, on, on_rate, trust,
-                )  # fmt: skip
-                fall = _search(
-                    xl, -cl - off - off_rate * xl, -sl - off_rate, xr, -cr - off - off_rate * xr, -sr - off_rate,
-                    -1.0, step, chain, reset, off, off_rate, trust,
-                )  # fmt: skip
+                rise, fall = NOTHING, NOTHING
+                if upper >= min(on_a, on_b):
+                    rise = _search(
+                        xl, cl - on - on_rate * xl, sl - on_rate, xr, cr - on - on_rate * xr, sr - on_rate,
+                        K, 1.0, step, chain, reset, on, on_rate, trust,
+                    )  # fmt: skip
+                if -lower >= min(off_a, off_b):
+                    fall = _search(
+                        xl, -cl - off - off_rate * xl, -sl - off_rate, xr, -cr - off - off_rate * xr, -sr - off_rate,
+                        K, -1.0, step, chain, reset, off, off_rate, trust,
+                    )  # fmt: skip
                 if rise >= 0.0 and (fall < 0.0 or rise <= fall):
                     return rise, 1
                 if fall >= 0.0:

@@ -27,6 +27,7 @@ from pixelid.stimuli.stimulus import Stimulus
 
 FLICKER_STEPS = 64
 WORK = 1 << 24  # pixel steps per block
+MOST_GAPS = 8192  # per block: a tile copies its pixels' light
 MOST_STEPS = 500_000_000
 
 
@@ -86,40 +87,50 @@ def _parts(t, frames, rules: Rules) -> np.ndarray:
     return parts.astype(np.int64)
 
 
-def blocks(source: Stimulus | Iterable, rules: Rules) -> Iterator[Block]:
-    """The light of a stimulus, or of an iterable of (t, radiance of any one shape), in blocks.
+def blocks(source: Stimulus | Iterable, rules: Rules, pixels: int) -> Iterator[Block]:
+    """The light of a stimulus, or of an iterable of (t, radiance of any one shape), on so many pixels, in blocks.
 
     Raises InputError for radiance that is not positive and finite, frames that change shape, times that do not
     increase, and fewer than two frames.
     """
     before, first = 0.0, 0
     pending: Block | None = None
-    for t, frames in _runs(source):
+    for t, frames in _runs(source, min(max(1, WORK // pixels), MOST_GAPS)):
         parts = _parts(t, frames, rules)
-        if pending is not None:
-            after = float(t[1] - t[0]) / parts[0]
-            yield Block(pending.t, pending.frames, pending.parts, pending.before, after, pending.first)
-        pending = Block(t, frames, parts, before, 0.0, first)
-        before = float(t[-1] - t[-2]) / parts[-1]
-        first += int(parts.sum())
+        for begin, end in _cuts(parts, pixels):
+            some = slice(begin, end)
+            if pending is not None:
+                after = float(t[begin + 1] - t[begin]) / parts[begin]
+                yield Block(pending.t, pending.frames, pending.parts, pending.before, after, pending.first)
+            pending = Block(t[begin : end + 1], frames[begin : end + 1], parts[some], before, 0.0, first)
+            before = float(t[end] - t[end - 1]) / parts[end - 1]
+            first += int(parts[some].sum())
     if pending is None:
         raise InputError("stimulus: expected at least two frames")
     yield pending
 
 
-def _runs(source):
-    """(t (m + 1,), frames (m + 1, pixels)) of successive runs that share their end frames."""
+def _cuts(parts: np.ndarray, pixels: int) -> Iterator[tuple[int, int]]:
+    """Ranges of gaps of about `WORK` pixel steps each."""
+    done = np.cumsum(parts) * pixels
+    begin, spent = 0, 0
+    while begin < len(parts):
+        end = max(begin + 1, int(np.searchsorted(done, spent + WORK, side="right")))
+        yield begin, end
+        begin, spent = end, int(done[end - 1])
+
+
+def _runs(source, size: int):
+    """(t (m + 1,), frames (m + 1, pixels)), m ≤ size, of successive runs that share their end frames."""
     if isinstance(source, Stimulus):
         t = np.ascontiguousarray(source.t)
         frames = np.ascontiguousarray(source.radiance).reshape(len(t), -1)
-        size = max(1, WORK // frames.shape[1])
         for k in range(0, len(frames) - 1, size):
             yield t[k : k + size + 1], frames[k : k + size + 1]
         return
     stream = iter(source)
     head = list(islice(stream, 1))
     while True:
-        size = max(1, WORK // max(1, np.size(head[0][1]))) if head else 1
         run = head + list(islice(stream, size))
         if len(run) < 2:
             return

@@ -124,7 +124,7 @@ def _tiled(stimulus, rules: Rules, pixels: int, pool):
     """(event lists, time up to which they are complete, whether that is all), block by block."""
     held = isinstance(stimulus, Stimulus) and stimulus.interpolation == "previous"
     tiles = Tiles(rules, pixels, held)
-    for block in light.blocks(stimulus, rules):
+    for block in light.blocks(stimulus, rules, pixels):
         parts = pool.map(lambda first, block=block: tiles.events(first, block), tiles.firsts)
         yield parts, float(block.t[-1]), block.last
 

@@ -49,9 +49,12 @@ class Tiles:
         """(times (m,) s, pixels (m,), polarities (m,)) of the tile that begins at pixel `first`."""
         rules, circuit = self._rules, self._rules.circuit
         place = slice(first, first + TILE)
+        live = min(TILE, self._pixels - first)
+        radiance = np.empty((len(block.t), TILE))
+        _load(block.frames, first, live, radiance)
         return _tile(
-            first, min(TILE, self._pixels - first),
-            (block.t, block.frames, block.parts, block.before, block.after, block.first, self._held),
+            first, live,
+            (block.t, radiance, block.parts, block.before, block.after, block.first, self._held),
             (circuit.dark, circuit.flicker_modulation, 2 * np.pi * circuit.flicker_hz, circuit.flicker_phase),
             (circuit.shot_density, np.uint64(random.stream_key(rules.seed, random.SHOT))),
             tuple(rules.dynamics), circuit.linearisation == "midpoint", self._plain, rates_of(rules), rules.chain,
@@ -63,11 +66,15 @@ class Tiles:
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
-def _load(frame, first, live, out):
-    """The radiance of a tile's pixels; full-field frames serve all, places beyond the sensor repeat its last pixel."""
-    last = len(frame) - 1
-    for i in range(len(out)):
-        out[i] = frame[min(first + min(i, live - 1), last)]
+def _load(frames, first, live, out):
+    """The radiance of a tile's pixels, out (m, TILE), as float64.
+
+    Full-field frames (m, 1) serve all pixels; places beyond the sensor repeat its last pixel.
+    """
+    last = frames.shape[1] - 1
+    for k in range(len(out)):
+        for i in range(out.shape[1]):
+            out[k, i] = frames[k, min(first + min(i, live - 1), last)]
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
@@ -194,15 +201,14 @@ def _tile(
         np.empty(TILE), np.empty(TILE), np.empty(TILE), np.empty(TILE), np.empty(TILE), np.empty(TILE)
     )  # fmt: skip
     a, b2, r, spare, flag = np.empty(TILE), np.empty(TILE), np.empty(TILE), np.empty(TILE), np.empty(TILE)
-    xi, xi_spare, F0, F1 = np.empty(TILE), np.empty(TILE), np.empty(TILE), np.empty(TILE)
+    xi, xi_spare = np.empty(TILE), np.empty(TILE)
     on, off = np.empty(TILE), np.empty(TILE)
     which, old_level, old_decay = np.empty(TILE, np.int64), np.empty(TILE), np.empty(TILE)
     scratch = np.empty((6, DEPTH))
     found, count = comparator.room(CAPACITY), 0
 
     gain = 1.0 + modulation * np.sin(omega * t[0] + phase)
-    _load(frames[0], first, live, F1)
-    _effective(F1, gain, dark, L1)
+    _effective(frames[0], gain, dark, L1)
     _logs(L1, u1)
     if knot == 0:
         _start(u1, wh, end)
@@ -217,8 +223,7 @@ def _tile(
     for k in range(len(t) - 1):
         steps = parts[k]
         length = (t[k + 1] - t[k]) / steps
-        F0, F1 = F1, F0
-        _load(frames[k + 1], first, live, F1)
+        F0, F1 = frames[k], frames[k + 1]
         if steps > 1 or held:
             _logs(F0, lf0)
             _logs(F1, lf1)
