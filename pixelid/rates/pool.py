@@ -1,0 +1,116 @@
+"""Events of a light's whole image per cycle: many pixels, dim ones at the rim, each with a bandwidth of its own.
+
+A photoreceptor's bandwidth is proportional to its light (DESIGN §1), and a lamp's image has a halo: glare that falls
+with
+distance r from its centre as r^−k lights an area ∝ L^−2/k more brightly than L.  So the pixels' cutoffs are spread as
+
+    number of pixels with cutoff above c  =  N (c / c_max)^−p,     p = 2/k,  c ≤ c_max
+
+and the pool answers with  N ∫ p (c/c_max)^−p n(f; c) d ln c, n of `model.edge_events` for both edges.  Where n is a
+low-pass
+in f/c, the integral falls as f^−p far below c_max however steep the pixels themselves are.
+
+A pool of identical pixels is the limit p → ∞; it is fitted beside for comparison.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pixelid.errors import InputError
+from pixelid.parameters.parameter import Parameter
+from pixelid.rates.fit import Regression, regress
+from pixelid.rates.model import after_hysteresis, edge_events
+
+DEPTH = 14.0  # how far below c_max cutoffs go, in natural logs
+NODES, WEIGHTS = np.polynomial.legendre.leggauss(48)
+
+
+@dataclass(frozen=True)
+class PoolTable:
+    """Events per cycle of a light's image.
+
+    frequency_hz: (n,) of the light's cycles;  conditions: m labels;  per_cycle, spread: (n, m) mean and standard
+    deviation over cycles, NaN where not measured
+    """
+
+    frequency_hz: np.ndarray
+    conditions: tuple[str, ...]
+    per_cycle: np.ndarray
+    spread: np.ndarray
+
+    def __post_init__(self) -> None:
+        shape = (len(self.frequency_hz), len(self.conditions))
+        if self.per_cycle.shape != shape or self.spread.shape != shape:
+            raise InputError(f"pool: expected {shape} values, found {self.per_cycle.shape} and {self.spread.shape}")
+        if not (self.frequency_hz > 0).all() or not (np.nan_to_num(self.per_cycle) >= 0).all():
+            raise InputError("pool: expected frequencies above 0 and event counts of at least 0")
+
+
+@dataclass(frozen=True)
+class PoolFit:
+    """A fitted pool table: the regression over its measured cells (row, column); `identical`: all pixels alike."""
+
+    table: PoolTable
+    row: np.ndarray
+    column: np.ndarray
+    regression: Regression
+    identical: bool
+
+
+def pool_events(frequency_hz, pixels, top_hz, spread, swing, dead_s) -> np.ndarray:
+    """Events per cycle of the pool; one-dimensional arguments (cells,) or scalars.
+
+    pixels: N;  top_hz: c_max;  spread: p (inf: all pixels at c_max);  swing, dead_s: as in `edge_events`.
+    """
+    f, pixels, top, p, swing, dead = np.broadcast_arrays(
+        *np.atleast_1d(frequency_hz, pixels, top_hz, spread, swing, dead_s)
+    )
+    if np.isinf(p).all():
+        return 2.0 * pixels * after_hysteresis(edge_events(swing, 1 / (2 * np.pi * top), dead, 0.5 / f), 1.0)
+    # from c_max down to where even a bright pixel's swing stays below one threshold
+    lowest = np.minimum(f / (2.0 * swing), 0.5 * top)
+    length = np.minimum(np.log(top / lowest), DEPTH)
+    down = 0.5 * length[:, None] * (1.0 + NODES)
+    cutoff = top[:, None] * np.exp(-down)
+    n = after_hysteresis(
+        edge_events(swing[:, None], 1.0 / (2.0 * np.pi * cutoff), dead[:, None], 0.5 / f[:, None]), 1.0
+    )
+    return 2.0 * pixels * 0.5 * length * (WEIGHTS * p[:, None] * np.exp(p[:, None] * down) * n).sum(1)
+
+
+def fit_pool(table: PoolTable, identical: bool = False) -> PoolFit:
+    """Fit pixels and c_max per condition; p, swing and dead time shared by all, and a floor.
+
+    floor: events per cycle that the way of counting adds (cycles were found by their peaks: none counts as 0).
+    Each cell's spread over cycles counts as its error: the number of cycles is not in the table.
+    """
+    row, column = np.nonzero(np.isfinite(table.per_cycle))
+    observed, frequency = table.per_cycle[row, column], table.frequency_hz[row]
+    known = np.nan_to_num(table.spread[row, column] / np.maximum(observed, 1e-9))
+    m = len(table.conditions)
+    parameters = [
+        Parameter(
+            f"pixels[{name}]", max(float(np.nanmax(table.per_cycle[:, k])) / 40.0, 1e-3), "pixels", 1e-4, 1e7, "log"
+        )
+        for k, name in enumerate(table.conditions)
+    ]
+    parameters += [Parameter(f"top_cutoff_hz[{name}]", 3e3, "Hz", 1.0, 1e7, "log") for name in table.conditions]
+    parameters += [
+        Parameter("swing_over_threshold", 20.0, "thresholds", 1.5, 200.0, "log"),
+        Parameter("dead_time_s", 1e-5, "s", 1e-7, 3e-3, "log"),
+        Parameter("floor_per_cycle", 1.0, "events", 0.05, 20.0, "log"),
+    ]
+    if not identical:
+        parameters.append(Parameter("cutoff_exponent", 0.9, "1", 0.1, 3.0, "log"))
+
+    def predict(x: np.ndarray) -> np.ndarray:
+        v = np.exp(x)
+        p = np.inf if identical else v[2 * m + 3]
+        return pool_events(frequency, v[:m][column], v[m : 2 * m][column], p, v[2 * m], v[2 * m + 1]) + v[2 * m + 2]
+
+    slots = [column, m + column, *(np.full(len(row), k) for k in range(2 * m, len(parameters)))]
+    fit = regress(tuple(parameters), predict, observed, 1e-3, slots, known)
+    return PoolFit(table, row, column, fit, identical)

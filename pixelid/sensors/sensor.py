@@ -1,0 +1,213 @@
+"""Fit every pixel of a sensor: estimates tile by tile, then the population, then each pixel shrunk towards it."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from pixelid.errors import InputError
+from pixelid.model.model import Model
+from pixelid.outputs import plain
+from pixelid.provenance import input_hashes, versions
+from pixelid.recordings.recording import Recording
+from pixelid.sensors.profile import REACH, Plan, estimate_tile
+from pixelid.sensors.shrinkage import Population, bootstrap, population, shrink
+from pixelid.sensors.tiles import common_size, tiles_of
+from pixelid.sensors.work import Where, connected, run_tasks
+
+CHUNK = 20  # bootstrap replicates per task
+
+
+@dataclass(frozen=True)
+class Map:
+    """One parameter over the sensor; logs are natural.
+
+    raw, raw_sd: (h, w) each pixel's (or block's) own log estimate and standard error, NaN and inf where there is none
+    log, sd: (h, w) shrunk towards the population;  population, interval: in log coordinates, interval of mean and
+    spread
+    """
+
+    name: str
+    unit: str
+    raw: np.ndarray
+    raw_sd: np.ndarray
+    log: np.ndarray
+    sd: np.ndarray
+    population: Population
+    mean_interval: tuple[float, float]
+    spread_interval: tuple[float, float]
+
+    @property
+    def value(self) -> np.ndarray:
+        """(h, w) shrunk values in the parameter's unit."""
+        return np.exp(self.log)
+
+    def as_dict(self) -> dict:
+        """The entry in sensor.json."""
+        p = self.population
+        return {
+            "unit": self.unit,
+            "mean": np.exp(p.mean),
+            "mean_interval_95": [np.exp(v) for v in self.mean_interval],
+            "relative_spread": p.spread,
+            "relative_spread_interval_95": list(self.spread_interval),
+            "estimates": p.count,
+            "without_estimate": int(self.raw.size - p.count),
+            "typical_error_before": float(np.median(self.raw_sd[np.isfinite(self.raw_sd)])) if p.count else None,
+            "typical_error_after": float(np.median(self.sd)) if p.count else None,
+            "identified": bool(p.count > 1),
+        }
+
+
+@dataclass(frozen=True)
+class SensorFit:
+    """Maps by parameter name, events per pixel (h, w), and how they came about."""
+
+    maps: Mapping[str, Map]
+    events: np.ndarray
+    tiles: int
+    block: int
+    model: Model
+    seconds: float
+    seed: int
+    inputs_sha256: Mapping[str, str]
+
+    def as_dict(self) -> dict:
+        """The content of sensor.json."""
+        empty = [name for name, m in self.maps.items() if not m.population.count]
+        height, width = self.events.shape
+        return {
+            "status": "converged" if not empty else "not identified",
+            "advice": ""
+            if not empty
+            else f"no pixel's events hold {', '.join(empty)}: record more, or use larger --block",
+            "model": self.model.name,
+            "width": width,
+            "height": height,
+            "block": self.block,
+            "tiles": self.tiles,
+            "events": int(self.events.sum()),
+            "pixels_with_events": int((self.events > 0).sum()),
+            "maps": {name: m.as_dict() for name, m in self.maps.items()},
+            "seconds": self.seconds,
+            "seed": self.seed,
+            "versions": versions(),
+            "inputs_sha256": dict(self.inputs_sha256),
+        }
+
+
+def fit_sensor(
+    recordings: list[Recording],
+    model: Model,
+    *,
+    bandwidth: str = "sf_cutoff_hz",
+    block: int = 1,
+    tile: int = 32,
+    replicates: int = 200,
+    reach: float = REACH,
+    where: Where = Where(),
+    keep: Path | None = None,
+    seed: int = 0,
+    progress: Callable[[str, float], None] | None = None,
+) -> SensorFit:
+    """Maps of both thresholds and of one bandwidth parameter over a sensor under full-field light.
+
+    model: the population's values (a fitted model); bandwidth: the parameter mapped, "" for thresholds alone;
+    block: side of the groups of pixels that share a bandwidth;  tile: side of the units of work;
+    replicates: of the bootstrap over pixels;  reach: half width of the scan in log bandwidth;
+    keep: folder where finished tiles stay, so that an interrupted run goes on (it belongs to one set of inputs).
+
+    Raises InputError for recordings or options that do not fit together.
+    """
+    begun = time.perf_counter()
+    report = progress or (lambda what, fraction: None)
+    width, height = common_size(recordings)
+    if block < 1 or tile < 1 or replicates < 0:
+        raise InputError(f"expected block ≥ 1, tile ≥ 1, replicates ≥ 0, found {block}, {tile}, {replicates}")
+    tile = -(-tile // block) * block
+    plan = Plan(model, bandwidth, block, width, reach)
+    plan.check()
+    tiles = tiles_of(width, height, tile)
+    if keep is not None:
+        _claim(keep, recordings, plan, tile)
+    with connected(where) as client:
+        parts = run_tasks(
+            estimate_tile,
+            len(tiles),
+            lambda i: (plan, [tiles[i].cut(r) for r in recordings]),
+            client=client,
+            keep=keep,
+            progress=lambda done: report("tiles", 0.9 * done),
+        )
+        events = np.zeros(height * width, np.int64)
+        for part in parts:
+            events[part["pixel"]] = part["events"]
+        blocks = (-(-height // block), -(-width // block))
+        shapes = {"on_threshold": ("on", (height, width)), "off_threshold": ("off", (height, width))}
+        if bandwidth:
+            shapes[bandwidth] = ("bandwidth", blocks)
+        maps = {}
+        for k, (name, (column, shape)) in enumerate(shapes.items()):
+            index = "block" if column == "bandwidth" else "pixel"
+            raw, sd = np.full(shape[0] * shape[1], np.nan), np.full(shape[0] * shape[1], np.inf)
+            for part in parts:
+                raw[part[index]], sd[part[index]] = part[column], part[f"{column}_sd"]
+            maps[name] = _map(name, model.parameter(name).unit, raw, sd, shape, replicates, seed + k, client)
+            report("population", 0.9 + 0.1 * (k + 1) / len(shapes))
+    return SensorFit(
+        maps,
+        events.reshape(height, width),
+        len(tiles),
+        block,
+        model,
+        time.perf_counter() - begun,
+        seed,
+        input_hashes(r.source for r in recordings),
+    )
+
+
+def _map(name, unit, raw, sd, shape, replicates, seed, client) -> Map:
+    found = population(raw, sd)
+    mean_interval = spread_interval = (np.nan, np.nan)
+    if replicates and found.count > 1:
+        seeds = np.random.SeedSequence(seed).generate_state(replicates)
+        chunks = [seeds[i : i + CHUNK] for i in range(0, replicates, CHUNK)]
+        drawn = run_tasks(_replicates, len(chunks), lambda i: (raw, sd, chunks[i]), client=client)
+        samples = np.concatenate([d["samples"] for d in drawn])
+        low, high = np.percentile(samples, [2.5, 97.5], axis=0)
+        mean_interval, spread_interval = (low[0], high[0]), (low[1], high[1])
+    log, after = shrink(raw, sd, found)
+    return Map(
+        name, unit, raw.reshape(shape), sd.reshape(shape), log.reshape(shape), after.reshape(shape), found,
+        mean_interval, spread_interval,
+    )  # fmt: skip
+
+
+def _replicates(raw: np.ndarray, sd: np.ndarray, seeds: np.ndarray) -> dict[str, np.ndarray]:
+    return {"samples": bootstrap(raw, sd, seeds)}
+
+
+def _claim(keep: Path, recordings: list[Recording], plan: Plan, tile: int) -> None:
+    """Make the folder of finished tiles, or check that it belongs to this very problem."""
+    digest = hashlib.sha256()
+    for r in recordings:
+        assert r.stimulus is not None
+        for column in (r.events.t, r.events.x, r.events.y, r.events.p, r.stimulus.t, r.stimulus.radiance):
+            digest.update(np.ascontiguousarray(column).tobytes())
+    problem = {
+        "data": digest.hexdigest(),
+        "model": {**plan.model.values, "photoreceptor": plan.model.photoreceptor, "effects": plan.model.effects},
+        "plan": [plan.bandwidth, plan.block, plan.reach, tile],
+    }
+    text = json.dumps(plain(problem), sort_keys=True)
+    keep.mkdir(exist_ok=True)
+    note = keep / "problem.json"
+    if note.is_file() and note.read_text() != text:
+        raise InputError(f"{keep}: holds tiles of another run; delete it, or choose another --out")
+    note.write_text(text)

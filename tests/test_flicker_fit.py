@@ -1,0 +1,153 @@
+"""Flicker fits: phase tables count right, known truth comes back, and one frequency fixes little of a circuit."""
+
+import json
+
+import numpy as np
+import pytest
+
+from pixelid.cli.main import main
+from pixelid.flicker.circuit import read, response
+from pixelid.flicker.noisy import BINS, NAMES, fit_group, rates, shape_at
+from pixelid.flicker.phases import PhaseTable, locked_frequency, phase_table, quiet_windows
+from pixelid.model.shipped import find_model
+from pixelid.recordings.events import Events
+from pixelid.recordings.recording import Recording
+from pixelid.recordings.writing import write_recording
+
+F = 120.0
+TRUTH = np.array([np.log(0.9), np.log(0.8), 0.3, np.log(0.35), np.log(30.0), np.log(0.5), np.log(0.8), 0.6])
+
+
+def _simulated(x=TRUTH, pixels=800, duration=1.5, seed=0, width=40) -> Events:
+    """Events of noisy comparators with the rates of `noisy.rates`, drawn by thinning."""
+    rng = np.random.default_rng(seed)
+    rate = rates(x, "sine")
+    top = rate.sum(0).max()
+    t, p, pixel = [], [], []
+    for k in range(pixels):
+        now, reset = 0.0, int(rng.integers(BINS))
+        while True:
+            now += rng.exponential(1 / top)
+            if now > duration:
+                break
+            here = int(now * F % 1 * BINS)
+            on, off = rate[0, reset, here], rate[1, reset, here]
+            u = rng.uniform(0, top)
+            if u < on + off:
+                t.append(now), p.append(int(u < on)), pixel.append(k)
+                reset = here
+    order = np.argsort(t)
+    t, p, pixel = (np.array(c)[order] for c in (t, p, pixel))
+    return Events.from_columns(
+        np.rint(t * 1e9).astype(np.int64), pixel % width, pixel // width, p, width, pixels // width
+    )
+
+
+@pytest.fixture(scope="module")
+def events():
+    return _simulated()
+
+
+def test_a_phase_table_holds_every_interval_and_every_second(events):
+    window = (float(events.t[0] * 1e-9), 1.2)
+    table = phase_table(events, np.ones(800, bool), F, [window])
+    t, total, counted = events.t * 1e-9, 0.0, 0
+    for k in range(800):
+        mine = t[(events.pixel == k) & (t < window[1])]
+        total += window[1] - mine[0] if len(mine) else 0.0
+        counted += max(len(mine) - 1, 0)
+    assert table.exposure.sum() == pytest.approx(total, rel=1e-9)
+    assert table.on.sum() + table.off.sum() == counted == table.events
+
+
+def test_the_frequency_is_found(events):
+    frequency, error = locked_frequency(events, 119.0, quiet_windows(events))
+    assert error < 0.05
+    assert frequency == pytest.approx(F, abs=max(4 * error, 0.02))
+
+
+def test_known_amplitude_phase_and_noise_come_back(events):
+    table = phase_table(events, np.ones(800, bool), F, [(float(events.t[0] * 1e-9), 1.5)])
+    fit = fit_group(table)
+    sd = np.sqrt(np.diag(np.linalg.inv(fit.information)))
+    assert fit.converged
+    assert np.all(np.abs((fit.x - TRUTH) / sd) < 4), dict(zip(NAMES, (fit.x - TRUTH) / sd, strict=True))
+    assert fit.dispersion == pytest.approx(1.0, abs=0.2)
+    assert fit.log_likelihood > fit_group(table, memory=1.0).log_likelihood + 5
+
+
+def test_the_right_shape_wins():
+    x = TRUTH.copy()
+    x[0] = np.log(1.5)
+    exposure = np.full((BINS, BINS), 5.0)
+    counts = np.random.default_rng(0).poisson(rates(x, "rectified") * exposure)
+    table = PhaseTable(counts[0], counts[1], exposure, 1, int(counts.sum()))
+    found = {shape: fit_group(table, shape).log_likelihood for shape in ("sine", "deep sine", "rectified")}
+    assert max(found, key=lambda s: found[s]) == "rectified"
+
+
+def test_shapes_are_normalised():
+    for shape in ("sine", "deep sine", "rectified"):
+        g = shape_at(shape, np.arange(4096) / 4096)
+        assert g.mean() == pytest.approx(0, abs=1e-12)
+        assert np.ptp(g) == pytest.approx(2)
+
+
+def test_one_frequency_leaves_the_circuit_open():
+    model = find_model("dvs128")
+    information = [1e4 * np.eye(4)] * 3
+    reading = read(F, information, model.values, np.array([10.0, 50.0, 300.0]), equal_contrast=False)
+    for name in ("alpha", "beta", "gamma", "sf_cutoff_hz", "diff_cutoff_hz", "on_threshold", "lamp_phase_cycles"):
+        assert np.isinf(reading.sd[name])
+    # 3 groups: 3 amplitudes, 3 phases, one ratio of thresholds, one of noise
+    assert reading.fixed == 8
+    assert reading.fixed + reading.blind == len(reading.sd)
+
+
+def test_the_response_matches_the_simulated_trajectory():
+    from pixelid.dynamics.of_circuit import dynamics_of
+    from pixelid.dynamics.trajectory import integrate
+
+    model = find_model("dvs128")
+    t = np.arange(0, 0.1, 1e-5)
+    u = np.log(100.0) + 0.01 * np.sin(2 * np.pi * F * t)
+    run = integrate(t, np.exp(u), dynamics_of(model.circuit()))
+    late = t > 0.1 - 5 / F
+    basis = np.stack([np.sin(2 * np.pi * F * t), np.cos(2 * np.pi * F * t), np.ones_like(t)], 1)[late]
+    a, b, _ = np.linalg.lstsq(basis, run.stage("differencing")[late], rcond=None)[0]
+    assert (a + 1j * b) / 0.01 == pytest.approx(response(F, 100.0, model.values), rel=2e-3)
+
+
+def test_command_on_a_simulated_recording(tmp_path, events):
+    write_recording(Recording(events, condition="lamp"), tmp_path / "lamp.h5")
+    out = tmp_path / "flicker"
+    arguments = ["flicker", str(tmp_path / "lamp.h5"), "--groups", "2x1", "--quiet", "--out", str(out)]
+    assert main(arguments) == 0
+    found = json.loads((out / "flicker.json").read_text())
+    assert found["shape"] == "sine"
+    assert not any(found["parameters"][name]["identified"] for name in ("alpha", "beta", "gamma", "sf_cutoff_hz"))
+    assert (out / "phases.png").is_file()
+    assert (out / "maps.png").is_file()
+
+
+def test_bad_input_is_one_plain_line(tmp_path, events, capsys):
+    write_recording(Recording(events.select(events.t < 3e8)), tmp_path / "short.h5")
+    base = ["flicker", str(tmp_path / "short.h5"), "--out", str(tmp_path / "o"), "--quiet"]
+    for extra, expected in (([], "at least 1 s"), (["--groups", "8"], "8x6"), (["--model", "none"], "no model")):
+        assert main([*base, *extra]) == 2
+        error = capsys.readouterr().err
+        assert expected in error
+        assert error.count("\n") == 1
+
+
+@pytest.mark.slow
+def test_real_flicker(shared, tmp_path):
+    source = shared / "recordings" / "flicker120_gen31.npz"
+    if not source.is_file():
+        pytest.skip(f"no {source}")
+    assert main(["flicker", str(source), "--out", str(tmp_path / "o"), "--groups", "4x3", "--quiet"]) == 0
+    found = json.loads((tmp_path / "o" / "flicker.json").read_text())
+    assert found["frequency_hz"]["value"] == pytest.approx(120.0, abs=0.1)
+    assert not any(found["parameters"][name]["identified"] for name in ("alpha", "beta", "gamma", "on_threshold"))
+    locked = [g for g in found["groups"] if g["amplitude_over_on_threshold"]["identified"]]
+    assert len(locked) >= 3

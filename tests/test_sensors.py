@@ -1,0 +1,170 @@
+"""Whole sensors: known maps recovered, shrinkage helps, and clusters, deaths and interruptions change nothing."""
+
+import json
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pixelid.cli.main import main
+from pixelid.errors import InputError
+from pixelid.model.shipped import find_model
+from pixelid.recordings import write_recording
+from pixelid.recordings.events import Events
+from pixelid.recordings.recording import Recording
+from pixelid.sensors import fit_sensor
+from pixelid.sensors.shrinkage import population, shrink
+from pixelid.sensors.work import Where, connected, run_tasks
+from pixelid.simulate import simulate
+from pixelid.stimuli import shapes
+
+SIDE = 8
+
+
+@pytest.fixture(scope="module")
+def model():
+    """The population: a source follower slow enough to show in little data."""
+    return find_model("dvs128").set({"sf_cutoff_hz": 600.0, "threshold_sigma": 0.15})
+
+
+@pytest.fixture(scope="module")
+def sensor(model):
+    """(recording, truth by parameter (SIDE, SIDE)) of a sensor whose pixels all differ; some 40 events each."""
+    rng = np.random.default_rng(3)
+    spreads = {"sf_cutoff_hz": 0.25, "on_threshold": 0.05, "off_threshold": 0.05}
+    truth = {n: model.values[n] * np.exp(s * rng.standard_normal((SIDE, SIDE))) for n, s in spreads.items()}
+    light = shapes.chirp(400.0, start_hz=50.0, stop_hz=600.0, duration_s=0.03)
+    alone = model.without_effect("threshold_mismatch")
+    columns = {name: [] for name in "txyp"}
+    for pixel in range(SIDE * SIDE):
+        y, x = divmod(pixel, SIDE)
+        circuit = alone.set({name: float(values[y, x]) for name, values in truth.items()})
+        events = simulate(circuit, light, width=1, height=1, seed=pixel, threads=1).events
+        for name, column in zip(
+            "txyp", (events.t, np.full(len(events), x), np.full(len(events), y), events.p), strict=True
+        ):
+            columns[name].append(column)
+    t, x, y, p = (np.concatenate(columns[name]) for name in "txyp")
+    order = np.argsort(t, kind="stable")
+    events = Events.from_columns(t[order], x[order], y[order], p[order], SIDE, SIDE, tick_ns=1)
+    return Recording(events, light, sensor="test"), truth
+
+
+@pytest.fixture(scope="module")
+def serial(sensor, model):
+    return fit_sensor([sensor[0]], model, tile=4, replicates=40)
+
+
+def test_known_maps_are_recovered_and_shrinkage_lowers_their_error(sensor, serial):
+    for name, truth in sensor[1].items():
+        m, log = serial.maps[name], np.log(truth)
+        pull = ((m.raw - log) / m.raw_sd)[np.isfinite(m.raw)]
+        assert 0.7 < pull.std() < 1.4
+        assert np.corrcoef(m.log.ravel(), log.ravel())[0, 1] > 0.6
+        alone = np.where(np.isfinite(m.raw), m.raw, m.population.mean)
+        before, after = (np.sqrt(np.mean((values - log) ** 2)) for values in (alone, m.log))
+        assert after < before
+        assert m.population.spread == pytest.approx(log.std(), rel=0.4)
+        assert m.mean_interval[0] < m.population.mean < m.mean_interval[1]
+        assert abs(m.population.mean - log.mean()) < 4 * log.std() / SIDE
+
+
+def test_population_and_shrinkage_of_known_numbers():
+    rng = np.random.default_rng(0)
+    sd = rng.uniform(0.05, 0.6, 4000)
+    truth = 1.0 + 0.2 * rng.standard_normal(4000)
+    seen = truth + sd * rng.standard_normal(4000)
+    of = population(np.append(seen, np.nan), np.append(sd, np.inf))
+    assert of.count == 4000
+    assert of.mean == pytest.approx(1.0, abs=0.02)
+    assert of.spread == pytest.approx(0.2, abs=0.02)
+    mean, error = shrink(np.append(seen, np.nan), np.append(sd, np.inf), of)
+    assert mean[-1] == of.mean
+    assert error[-1] == of.spread
+    assert np.std((mean[:-1] - truth) / error[:-1]) == pytest.approx(1.0, abs=0.05)
+    assert np.mean((mean[:-1] - truth) ** 2) < 0.4 * np.mean((seen - truth) ** 2)
+
+
+def test_identical_pixels_have_no_spread():
+    sd = np.full(200, 0.1)
+    of = population(0.3 + 0.05 * np.cos(np.arange(200.0)), sd)
+    assert of.spread == 0.0
+    assert np.allclose(shrink(np.full(200, 0.3), sd, of)[0], of.mean)
+
+
+def test_blocks_share_a_bandwidth(sensor, model):
+    fit = fit_sensor([sensor[0]], model, block=4, tile=6, replicates=0)
+    assert fit.maps["sf_cutoff_hz"].log.shape == (2, 2)
+    assert fit.maps["on_threshold"].log.shape == (SIDE, SIDE)
+    assert fit.tiles == 1
+    assert np.median(fit.maps["sf_cutoff_hz"].raw_sd) < 0.1
+
+
+def test_dask_gives_the_same_numbers(sensor, model, serial):
+    fit = fit_sensor([sensor[0]], model, tile=4, replicates=40, where=Where(workers=2))
+    for name, m in serial.maps.items():
+        for field in ("raw", "raw_sd", "log", "sd"):
+            assert np.array_equal(getattr(fit.maps[name], field), getattr(m, field), equal_nan=True)
+        assert fit.maps[name].spread_interval == m.spread_interval
+
+
+def _dies_once(i: int, folder: str):
+    marker = Path(folder) / "died"
+    if i == 3 and not marker.exists():
+        marker.touch()
+        os._exit(1)
+    return {"square": np.array(i * i)}
+
+
+def test_a_dying_worker_changes_nothing(tmp_path):
+    with connected(Where(workers=2)) as client:
+        results = run_tasks(_dies_once, 8, lambda i: (i, str(tmp_path)), client=client)
+    assert (tmp_path / "died").exists()
+    assert [int(r["square"]) for r in results] == [i * i for i in range(8)]
+
+
+def test_an_interrupted_run_goes_on_where_it_stopped(tmp_path, sensor, model, serial):
+    keep = tmp_path / "maps.tiles"
+
+    def interrupt(what, fraction):
+        if fraction >= 0.45:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        fit_sensor([sensor[0]], model, tile=4, replicates=40, keep=keep, progress=interrupt)
+    kept = {path: path.stat().st_mtime_ns for path in keep.glob("*.npz")}
+    assert len(kept) == 2
+    fit = fit_sensor([sensor[0]], model, tile=4, replicates=40, keep=keep)
+    assert {path: path.stat().st_mtime_ns for path in kept} == kept
+    assert np.array_equal(fit.maps["on_threshold"].log, serial.maps["on_threshold"].log)
+    with pytest.raises(InputError, match="another run"):
+        fit_sensor([sensor[0]], model.set({"beta": 2000.0}), tile=4, keep=keep)
+
+
+def test_command_writes_maps(tmp_path, sensor, capsys):
+    write_recording(sensor[0], tmp_path / "r.h5")
+    arguments = ["sensor", str(tmp_path / "r.h5"), "--model", "dvs128", "--bandwidth", "none", "--bootstrap", "20"]
+    assert main([*arguments, "--out", str(tmp_path / "maps"), "--quiet"]) == 0
+    found = json.loads((tmp_path / "maps" / "sensor.json").read_text())
+    assert found["maps"]["on_threshold"]["estimates"] > 0.5 * SIDE * SIDE
+    assert (tmp_path / "maps" / "on_threshold.png").stat().st_size > 1000
+    with np.load(tmp_path / "maps" / "maps.npz") as maps:
+        assert maps["off_threshold"].shape == (SIDE, SIDE)
+    assert not (tmp_path / "maps.tiles").exists()
+    assert main([*arguments, "--out", str(tmp_path / "maps"), "--quiet"]) == 2
+    assert "exists already" in capsys.readouterr().err
+
+
+def test_bad_input_is_one_plain_line(tmp_path, sensor, capsys):
+    write_recording(sensor[0], tmp_path / "r.h5")
+    base = ["sensor", str(tmp_path / "r.h5"), "--model", "dvs128", "--out", str(tmp_path / "maps"), "--quiet"]
+    for extra, expected in (
+        (["--bandwidth", "on_threshold"], "expected a cutoff"),
+        (["--bandwidth", "nonsense"], "nonsense"),
+        (["--workers", "1", "--cluster", "tcp://127.0.0.1:1"], "exclude"),
+    ):
+        assert main([*base, *extra]) == 2
+        error = capsys.readouterr().err
+        assert expected in error
+        assert error.count("\n") == 1
