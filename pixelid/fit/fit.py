@@ -8,13 +8,15 @@ from dataclasses import replace
 import numpy as np
 
 from pixelid.errors import InputError
+from pixelid.fit.caveats import tested
 from pixelid.fit.coordinates import Coordinates
 from pixelid.fit.event_times import EventTimesObjective
-from pixelid.fit.identifiability import read_curvature
 from pixelid.fit.newton import Optimum, maximise
 from pixelid.fit.pooled_rate import PooledRateObjective
 from pixelid.fit.result import FitResult, Stopwatch, estimates_of
 from pixelid.fit.starts import align, feasible, match_counts, random_starts
+from pixelid.identify.curvature import read_curvature
+from pixelid.identify.small_sample import intervals
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.likelihood.pooled_rate import PooledRate
 from pixelid.model.model import Model
@@ -83,6 +85,10 @@ def fit(
         details["curvature"] = "Hessian"
     coordinates = objective.coordinates
     reading = read_curvature(coordinates, curvature, optimum.on_bound)
+    report("testing what the stimuli can tell", 0.95)
+    identified, limits = tested(objective, optimum.x, reading.identified, recordings)
+    details["condition_number"] = reading.condition
+    details["directions_best_to_least_known"] = list(reading.directions)
     fitted = coordinates.model_at(optimum.x)
     physical, why = _physical(fitted, gauge is not None)
     status, advice = _status(optimum, details)
@@ -96,8 +102,14 @@ def fit(
         coordinates=coordinates,
         x=optimum.x,
         covariance=reading.covariance,
-        estimates=estimates_of(coordinates, optimum.x, reading.sd, reading.identified),
-        unidentified=(*reading.sentences, *details.pop("caveats", ())),
+        estimates=estimates_of(
+            coordinates,
+            optimum.x,
+            reading.sd,
+            identified,
+            intervals(coordinates.names, optimum.x, reading.sd, pixels),
+        ),
+        unidentified=(*reading.sentences, *limits, *details.pop("caveats", ())),
         physical=physical,
         physical_why=why,
         log_likelihood=optimum.local.value - coordinates.log_prior(optimum.x),

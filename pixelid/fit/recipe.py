@@ -24,11 +24,11 @@ from pixelid.model.files import read_toml
 from pixelid.model.model import Model
 from pixelid.model.options import assignment, changed
 from pixelid.model.shipped import find_model
-from pixelid.outputs import whole_folder
+from pixelid.outputs import refuse_existing, whole_folder
 from pixelid.parameters.gauge import Gauge
 from pixelid.recordings import open_recordings
 
-_KEYS = {"recordings", "model", "with", "without", "fix", "gauge", "between", "seed"}
+_KEYS = {"recordings", "model", "with", "without", "fix", "gauge", "between", "seed", "sample", "profile"}
 
 
 @dataclass(frozen=True)
@@ -43,13 +43,16 @@ class Recipe:
     gauge: tuple[str, ...] = ()
     between: str = "auto"
     seed: int = 0
+    sample: bool = False
+    profile: bool = False
 
     @staticmethod
-    def of(recordings, model, with_, without, fix, gauge, between, seed) -> Recipe:
+    def of(
+        recordings, model, with_, without, fix, gauge, between, seed, sample: bool = False, profile: bool = False
+    ) -> Recipe:
         """A recipe from sequences of command-line words."""
-        return Recipe(
-            tuple(map(Path, recordings)), model, tuple(with_), tuple(without), tuple(fix), tuple(gauge), between, seed
-        )
+        options = tuple(with_), tuple(without), tuple(fix), tuple(gauge)
+        return Recipe(tuple(map(Path, recordings)), model, *options, between, seed, sample, profile)
 
     def prepared_model(self) -> tuple[Model, list[str]]:
         """The model with effects changed and parameters held, and remarks for the user."""
@@ -85,6 +88,7 @@ class Recipe:
         model, _ = self.prepared_model()
         gauge = self.prepared_gauge()
         recordings = open_recordings(self.recordings)
+        refuse_existing(out, overwrite)
         result = fit(
             recordings,
             model,
@@ -94,11 +98,24 @@ class Recipe:
             seed=self.seed,
             progress=progress,
         )
+        if self.profile:
+            from pixelid.fit.profiles import profiled
+
+            result = profiled(result, recordings, progress)
         with whole_folder(out, overwrite) as folder:
+            if self.sample:
+                from pixelid.sample.step import sampled
+
+                result = sampled(result, recordings, folder, chain_beside(out), progress)
             result.save(folder)
             write_figures(result, recordings, folder)
             write_report(folder)
         return result
+
+
+def chain_beside(out: Path) -> Path:
+    """Where the chains of an unfinished sampling wait to be continued: beside the result folder, hidden."""
+    return out.with_name(f".{out.name}.chain.h5")
 
 
 def read_recipe(path: Path) -> Recipe:
@@ -132,10 +149,19 @@ def read_recipe(path: Path) -> Recipe:
         words("gauge"),
         str(document.get("between", "auto")),
         _whole_number(document.get("seed", 0), path),
+        _yes_or_no(document, "sample", path),
+        _yes_or_no(document, "profile", path),
     )
 
 
 def _whole_number(value, path: Path) -> int:
     if not isinstance(value, int) or isinstance(value, bool):
         raise InputError(f"{path}: [fit] seed must be a whole number, found {value!r}")
+    return value
+
+
+def _yes_or_no(document: dict, key: str, path: Path) -> bool:
+    value = document.get(key, False)
+    if not isinstance(value, bool):
+        raise InputError(f"{path}: [fit] {key} must be true or false, found {value!r}")
     return value

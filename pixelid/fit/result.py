@@ -14,8 +14,6 @@ from pixelid.model.files import save_model
 from pixelid.model.model import Model
 from pixelid.outputs import write_json
 
-Z95 = 1.959963984540054
-
 
 @dataclass(frozen=True)
 class Estimate:
@@ -107,9 +105,16 @@ class FitResult:
 
 
 def estimates_of(
-    coordinates: Coordinates, x: np.ndarray, sd: np.ndarray, identified: np.ndarray
+    coordinates: Coordinates,
+    x: np.ndarray,
+    sd: np.ndarray,
+    identified: np.ndarray,
+    limits: tuple[np.ndarray, np.ndarray],
 ) -> dict[str, Estimate]:
-    """Estimates of all parameters: free ones with errors mapped from the fitting coordinates, fixed ones as is."""
+    """Estimates of all parameters: free ones with errors mapped from the fitting coordinates, fixed ones as is.
+
+    x, sd: (d,) optimum and standard errors;  limits: lower and upper 95 % limits, (d,) each
+    """
     values = coordinates.values(x)
     index = {name: i for i, name in enumerate(coordinates.names)}
     everything = {**coordinates.model.parameters, **coordinates.nuisances}
@@ -121,7 +126,8 @@ def estimates_of(
             continue
         value, s = values[name], float(sd[i])
         if np.isfinite(s):
-            bounds = [parameter.from_coordinate(float(x[i] + side * min(Z95 * s, 300.0))) for side in (-1, 1)]
+            reach = np.clip([limits[0][i], limits[1][i]], x[i] - 300.0, x[i] + 300.0)
+            bounds = [parameter.from_coordinate(float(c)) for c in reach]
             interval = (max(bounds[0], parameter.lower), min(bounds[1], parameter.upper))
             std = s * value if parameter.transform == "log" else s
         else:

@@ -58,6 +58,7 @@ class Terms:
     mean_variance: (g,) variance of weighted_mean about centre
     group_mean, group_variance: (g,) posterior of each group's threshold
     per_pixel: (pixels,) log-likelihood;  total: their sum
+    per_recording: (recordings,) log-likelihood given the thresholds' posterior; what is left of the total is theirs
     """
 
     z: np.ndarray
@@ -72,6 +73,7 @@ class Terms:
     group_variance: np.ndarray
     per_pixel: np.ndarray
     total: complex | float
+    per_recording: np.ndarray
 
 
 class EventTimes:
@@ -111,6 +113,7 @@ class EventTimes:
         self.time_s = np.concatenate([iv.time_s for iv in self.intervals])
         self.tick_s = np.concatenate([np.full(len(iv), iv.tick_s) for iv in self.intervals])
         self.recording_of_event = np.repeat(np.arange(len(self.intervals)), [len(iv) for iv in self.intervals])
+        self._recording_of_last = np.repeat(np.arange(len(self.intervals)), [len(iv.last_s) for iv in self.intervals])
         self.group = 2 * self.pixel + (self.sign > 0)
 
     @property
@@ -211,6 +214,8 @@ class EventTimes:
             group_variance=group_variance,
             per_pixel=per_pixel,
             total=per_pixel.sum(),
+            per_recording=sum_by(self.recording_of_event, event_term, len(self.recordings))
+            + sum_by(self._recording_of_last, censored, len(self.recordings)),
         )
 
     def _strays(self, falling, z, log_rate, variance, spread, C) -> np.ndarray:

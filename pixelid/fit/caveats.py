@@ -1,0 +1,66 @@
+"""What a fit must not claim: the limits of the stimuli, put to the test where curvature alone would mislead."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from pixelid.fit.event_times import EventTimesObjective
+from pixelid.fit.newton import maximise
+from pixelid.fit.objective import Objective
+from pixelid.fit.profiles import DROP, at_fixed
+from pixelid.identify.design import caveats, design_of, exchanged_poles
+from pixelid.recordings.recording import Recording
+
+DISTANCE = 0.5  # of a log coordinate: a parameter that may move so far is not identified
+KINETIC = ("alpha", "beta", "gamma", "alpha_over_beta", "sf_cutoff_hz", "extra_pole.cutoff_hz", "diff_cutoff_hz")
+
+
+def tested(
+    objective: Objective, x: np.ndarray, identified: np.ndarray, recordings: Sequence[Recording]
+) -> tuple[np.ndarray, list[str]]:
+    """(identified (d,), sentences): the reading of the curvature, corrected by what the stimuli can tell.
+
+    A poor design (one level, or one frequency) is distrusted: every bandwidth that curvature calls identified is moved
+    by a factor e^±0.5 with all else fitted again, and where two poles could have changed places the other assignment
+    is tried.  What then falls by less than 1.92 nats (95 %) is not identified.
+    """
+    design = design_of(recordings)
+    coordinates = objective.coordinates
+    sentences = caveats(design, coordinates.values(x))
+    identified = identified.copy()
+    if not design.poor or not isinstance(objective, EventTimesObjective):
+        return identified, sentences
+    lower, upper = coordinates.bounds()
+    top = objective.value(x)
+    for i, name in enumerate(coordinates.names):
+        if name not in KINETIC or not identified[i]:
+            continue
+        for sign in (-1, 1):
+            moved = x.copy()
+            moved[i] = np.clip(x[i] + sign * DISTANCE, lower[i], upper[i])
+            if top - at_fixed(objective, moved, i)[0] < DROP:
+                identified[i] = False
+                sentences.append(f"{name}: a factor {np.exp(sign * DISTANCE):.2g} fits as well once the rest follows")
+                break
+    if design.one_level:
+        names = ("alpha", "beta", "gamma", "sf_cutoff_hz")
+        values = coordinates.values(x)
+        level = float(np.exp(np.mean(np.log(design.levels))))
+        index = {name: i for i, name in enumerate(coordinates.names)}
+        if all(name in index for name in names):
+            for other in exchanged_poles(values, level):
+                moved = x.copy()
+                for name in names:
+                    moved[index[name]] = np.log(other[name])
+                moved = np.clip(moved, lower, upper)
+                end = maximise(objective, moved, tolerance=1e-2, max_steps=25)
+                if top - end.local.value < DROP and np.abs(end.x - x)[[index[n] for n in names]].max() > 0.1:
+                    found = coordinates.values(end.x)
+                    for name in names:
+                        identified[index[name]] = False
+                    sentences.append(
+                        "exchanged poles fit as well: " + ", ".join(f"{name} {found[name]:.4g}" for name in names)
+                    )
+    return identified, sentences

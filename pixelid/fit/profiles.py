@@ -1,0 +1,167 @@
+"""Profile likelihoods: one parameter moved, all others fitted again; what curvature at the optimum cannot see.
+
+A 95 % limit is where the profile has dropped by χ²₁(0.95)/2 = 1.92 (Raue et al. 2009, Bioinformatics 25, 1923).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pixelid.fit.coordinates import Coordinates
+from pixelid.fit.event_times import EventTimesObjective
+from pixelid.fit.newton import maximise
+from pixelid.fit.pooled_rate import PooledRateObjective
+from pixelid.fit.result import FitResult
+from pixelid.likelihood.event_times import EventTimes
+from pixelid.likelihood.pooled_rate import PooledRate
+from pixelid.parameters.parameter import Parameter
+from pixelid.recordings.recording import Recording
+from pixelid.stimuli.resample import resampled
+
+DROP = 1.9207  # nats
+MOST_STEPS = 14  # per side
+
+
+@dataclass(frozen=True)
+class Profile:
+    """One parameter's profile.
+
+    kind: "bounded" | "one-sided" | "flat";  interval_95: in the parameter's unit, None where a side stays open
+    values, drops: (m,) points tried, sorted, and how far the log posterior fell there
+    """
+
+    name: str
+    kind: str
+    interval_95: tuple[float | None, float | None]
+    values: tuple[float, ...]
+    drops: tuple[float, ...]
+
+    def as_dict(self) -> dict:
+        """The entry in fit.json."""
+        return {"kind": self.kind, "interval_95": list(self.interval_95), "values": self.values, "drops": self.drops}
+
+    def sentence(self) -> str:
+        """What it says, in words; empty when the parameter is bounded."""
+        low, high = self.interval_95
+        if self.kind == "flat":
+            return f"{self.name}: its profile likelihood is flat, any value between its bounds fits"
+        if self.kind == "one-sided":
+            limit = f"at least {low:.4g}" if low is not None else f"at most {high:.4g}"
+            return f"{self.name}: its profile likelihood is one-sided, the data only say {limit} (95 %)"
+        return ""
+
+
+def profile(
+    objective: EventTimesObjective | PooledRateObjective,
+    x: np.ndarray,
+    name: str,
+    covariance: np.ndarray,
+    dispersion: float = 1.0,
+) -> Profile:
+    """The profile of one free parameter around an optimum x (d,) with its Laplace covariance (d, d).
+
+    dispersion: by which drops are divided, 1 for event times.
+    """
+    coordinates = objective.coordinates
+    i = coordinates.names.index(name)
+    parameter = coordinates.parameters[i]
+    top = objective.value(x)
+    scale = float(coordinates.longest_moves()[i])
+    variance = covariance[i, i]
+    sd = min(np.sqrt(variance), scale) if variance > 0 else 0.3 * scale
+    along = covariance[:, i] / variance if variance > 0 else np.eye(len(x))[i]
+    points = {0.0: 0.0}
+    limits = []
+    for sign in (-1, 1):
+        limits.append(_side(objective, x, i, sign, sd, along, top, dispersion, points))
+    order = sorted(points)
+    to_value: Callable[[float], float] = lambda move: float(parameter.from_coordinate(float(x[i] + move)))  # noqa: E731
+    low, high = (None if limit is None else to_value(limit) for limit in limits)
+    kind = "bounded" if None not in (low, high) else "flat" if low is None and high is None else "one-sided"
+    return Profile(name, kind, (low, high), tuple(to_value(m) for m in order), tuple(points[m] for m in order))
+
+
+def _side(objective, x, i, sign, sd, along, top, dispersion, points) -> float | None:
+    """The signed move at which the profile has dropped by DROP, None when the bound comes first."""
+    lower, upper = objective.coordinates.bounds()
+    bound = abs((upper if sign > 0 else lower)[i] - x[i])
+    move, last, start = min(1.96 * sd, bound), (0.0, 0.0), x
+    for _ in range(MOST_STEPS):
+        if move <= 0:
+            return None
+        guess = np.clip(start + sign * (move - abs(start[i] - x[i])) * along, lower, upper)
+        guess[i] = x[i] + sign * move
+        value, start = at_fixed(objective, guess, i)
+        drop = max(top - value, 0.0) / dispersion
+        points[sign * move] = drop
+        if drop >= DROP:
+            a, b = np.sqrt(last[1]), np.sqrt(drop)
+            return sign * float(last[0] + (move - last[0]) * (np.sqrt(DROP) - a) / (b - a))
+        if move >= bound:
+            return None
+        last = move, drop
+        growth = 1.15 * np.sqrt(DROP / drop) if drop > 0.05 else 4.0
+        move = min(move * float(np.clip(growth, 1.1, 4.0)), bound)
+    return None
+
+
+def at_fixed(objective, x: np.ndarray, i: int) -> tuple[float, np.ndarray]:
+    """(log posterior, coordinates) with coordinate i held at x[i] and all others climbing from x."""
+    held = _holding(objective.coordinates, i, float(x[i]))
+    others = np.arange(len(x)) != i
+    end = maximise(type(objective)(objective.likelihood, held), x[others], tolerance=1e-2, max_steps=25)
+    full = x.copy()
+    full[others] = end.x
+    return end.local.value + _own_prior(objective.coordinates.parameters[i], float(x[i])), full
+
+
+def _own_prior(parameter: Parameter, c: float) -> float:
+    return 0.0 if parameter.prior is None else -0.5 * ((c - parameter.prior.mean) / parameter.prior.sd) ** 2
+
+
+def _holding(coordinates: Coordinates, i: int, c: float) -> Coordinates:
+    """The coordinates without number i, which keeps the value at c."""
+    p = coordinates.parameters[i]
+    value = min(max(float(p.from_coordinate(c)), p.lower), p.upper)
+    rest = tuple(q for q in coordinates.parameters if q.name != p.name)
+    if p.name in coordinates.nuisances:
+        nuisances = {**coordinates.nuisances, p.name: p.at(value).fixed()}
+        return replace(coordinates, nuisances=nuisances, parameters=rest)
+    return replace(coordinates, model=coordinates.model.fix({p.name: value}), parameters=rest)
+
+
+def objective_of(result: FitResult, recordings: Sequence[Recording]) -> EventTimesObjective | PooledRateObjective:
+    """The objective whose optimum a result is."""
+    if result.observation == "pooled_rate":
+        return PooledRateObjective(PooledRate(recordings), result.coordinates)
+    between = result.details.get("stimulus_between_samples", "linear")
+    finer = [r.with_stimulus(resampled(r.stimulus, between)) for r in recordings if r.stimulus is not None]
+    return EventTimesObjective(EventTimes(finer), result.coordinates)
+
+
+def profiled(
+    result: FitResult, recordings: Sequence[Recording], progress: Callable[[str, float], None] | None = None
+) -> FitResult:
+    """The result with every free parameter profiled: `details["profiles"]`, and identified only where bounded."""
+    objective = objective_of(result, recordings)
+    dispersion = float(result.details.get("dispersion", 1.0))
+    found = {}
+    names = result.coordinates.names
+    for i, name in enumerate(names):
+        if progress:
+            progress(f"profiling {name}", i / len(names))
+        found[name] = profile(objective, result.x, name, result.covariance, dispersion)
+    estimates = {
+        name: replace(e, identified=e.identified and found[name].kind == "bounded") if name in found else e
+        for name, e in result.estimates.items()
+    }
+    sentences = tuple(p.sentence() for p in found.values() if p.sentence())
+    return replace(
+        result,
+        estimates=estimates,
+        unidentified=(*result.unidentified, *sentences),
+        details={**result.details, "profiles": {name: p.as_dict() for name, p in found.items()}},
+    )

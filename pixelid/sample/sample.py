@@ -1,0 +1,178 @@
+"""Sample the posterior of a fit: one function from a fit to converged draws, or a plain statement that they are not."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from pixelid.errors import InputError
+from pixelid.fit.result import FitResult, Stopwatch
+from pixelid.identify.small_sample import MISMATCH, mismatch_shares
+from pixelid.recordings.recording import Recording
+from pixelid.sample.convergence import ENOUGH_TAU, Convergence, convergence
+from pixelid.sample.ensembles import CHUNK, Ensembles, moves
+from pixelid.sample.library import arviz
+from pixelid.sample.posterior import Posterior
+from pixelid.sample.proposal import Proposal, shaped
+from pixelid.sample.target import Target
+
+PILOT = 60  # exact evaluations that judge the proposal
+GOOD = 0.6  # efficiency of importance weights from which the Laplace shape is kept
+EXPLORE = 120  # steps that shape a better one
+WANTED = 1000  # effective samples per parameter
+
+
+def sample(
+    result: FitResult,
+    recordings: Sequence[Recording],
+    *,
+    seed: int = 0,
+    wanted: int = WANTED,
+    ensembles: int = 2,
+    max_steps: int = 4000,
+    chain_file: Path | None = None,
+    progress: Callable[[str, float], None] | None = None,
+) -> Posterior:
+    """Draws of the exact posterior of a fit's free parameters.
+
+    result, recordings: a fit and what it was fitted to;  wanted: effective samples per parameter;
+    chain_file: HDF5 file of the chains; an unfinished one of the same fit and seed is continued.
+    It stops when N > 50 τ, the nested R̂ < 1.01 and `wanted` effective samples are there for every parameter, or at
+    `max_steps`: then `status` says that it did not converge.
+
+    Raises InputError for fewer than two ensembles.
+    """
+    if ensembles < 2:
+        raise InputError(f"sample: expected at least 2 independent ensembles, found {ensembles}")
+    watch = Stopwatch()
+    report = progress or (lambda what, fraction: None)
+    target = Target(result, recordings)
+    coordinates = result.coordinates
+    d = len(coordinates)
+    report("shaping the proposal", 0.0)
+    names = list(coordinates.names)
+    proposal = shaped(
+        target.value,
+        result.x,
+        result.covariance,
+        target.lower,
+        target.upper,
+        coordinates.longest_moves(),
+        mismatch_shares(names, result.x, np.sqrt(np.diag(result.covariance)), result.pixels),
+        names.index(MISMATCH) if MISMATCH in names else 0,
+        lambda x: target.objective.local(x).gradient,
+    )
+    walkers = max(2 * d, 8)
+    starts, trust, pilot = _pilot(target, proposal, ensembles, walkers, seed)
+    if pilot["proposal_efficiency"] < GOOD:
+        report("refitting the proposal", 0.0)
+        proposal = proposal.refitted(_explored(target, proposal, starts.reshape(-1, d), seed))
+        starts, trust, pilot = _pilot(target, proposal, ensembles, walkers, seed + 1)
+        pilot["proposal_refitted"] = True
+    identity = {
+        "x": np.round(result.x, 5).tolist(),
+        "names": coordinates.names,
+        "inputs": dict(result.inputs_sha256),
+        "seed": seed,
+        "shape": [ensembles, walkers, d],
+        "events": result.events,
+    }
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(chain_file) if chain_file is not None else Path(folder) / "chain.h5"
+        run = Ensembles(target, starts, proposal, trust, seed, path, identity)
+        burn, found = _until_converged(run, wanted, max_steps, report)
+        chain, log_prob, pieces = run.chain(burn), run.log_prob(burn), run.pieces(burn)
+        acceptance, resumed = run.acceptance(), run.resumed
+        run.finish()
+    enough = found.done and found.effective.min() >= wanted
+    return Posterior(
+        status="converged" if enough else "not converged",
+        advice="" if enough else _advice(found, coordinates.names, wanted),
+        coordinates=coordinates,
+        chain=chain,
+        log_prob=log_prob,
+        pieces=pieces,
+        convergence=found,
+        details={
+            "ensembles": ensembles,
+            "walkers": walkers,
+            "burn_in": burn,
+            "steps": found.steps,
+            "acceptance": acceptance,
+            "exact_evaluations": target.evaluations,
+            "resumed": resumed,
+            "seed": seed,
+            "seconds": watch.seconds(),
+            **pilot,
+        },
+    )
+
+
+def _pilot(target: Target, proposal: Proposal, ensembles: int, walkers: int, seed: int):
+    """(starts (ensembles, walkers, d), trust in the proposal, what the pilot found).
+
+    The starts are draws of the proposal, wider than the posterior; their importance ratios tell how good it is.
+    """
+    rng = np.random.RandomState([seed, 20240711])
+    need = ensembles * walkers
+    points, values = [], []
+    for _ in range(200):
+        for x in proposal.draw(need, rng):
+            value = target.value(x)
+            if np.isfinite(value):
+                points.append(x)
+                values.append(value)
+        if len(points) >= max(need, PILOT):
+            break
+    if len(points) < need:
+        raise InputError("sample: the posterior is finite almost nowhere around the fit; fit again before sampling")
+    x, logp = np.array(points), np.array(values)
+    ratio = logp - proposal.log_density(x)
+    weight = np.exp(ratio - ratio.max())
+    efficiency = float(weight.sum() ** 2 / (weight**2).sum() / len(weight))
+    trust = 0.9 if efficiency > GOOD else 0.7 if efficiency > 0.15 else 0.3
+    starts = x[:need].reshape(ensembles, walkers, -1)
+    return starts, trust, {"proposal_efficiency": efficiency, "proposal_k_hat": k_hat(ratio), "proposal_share": trust}
+
+
+def _explored(target: Target, proposal: Proposal, starts: np.ndarray, seed: int) -> np.ndarray:
+    """(n, d) draws of a short exact run from `starts`, good enough to shape a proposal and thrown away after."""
+    import emcee
+
+    sampler = emcee.EnsembleSampler(*starts.shape, target.value, moves=moves(proposal, 0.3))
+    sampler.random_state = np.random.RandomState([seed, 7]).get_state()
+    sampler.run_mcmc(starts, EXPLORE, skip_initial_state_check=True)
+    return sampler.get_chain(discard=EXPLORE // 2, flat=True)
+
+
+def k_hat(log_ratio: np.ndarray) -> float:
+    """Pareto shape of importance ratios (Vehtari et al. 2024, JMLR 25, PSIS): below 0.7 they can be relied on."""
+    return float(arviz().psislw(np.asarray(log_ratio, dtype=float))[1])
+
+
+def _until_converged(run: Ensembles, wanted: int, max_steps: int, report) -> tuple[int, Convergence]:
+    """(burn-in, convergence after it)."""
+    until = CHUNK * max(1, run.steps // CHUNK)
+    while True:
+        run.advance(until)
+        chain = run.chain()
+        found = convergence(chain[:, until // 10 :])
+        burn = int(min(max(np.ceil(3.0 * np.nan_to_num(found.tau.max(), posinf=until)), 5), until // 2))
+        found = convergence(chain[:, burn:])
+        share = min(found.steps / (ENOUGH_TAU * found.tau.max()), found.effective.min() / wanted, 1.0)
+        report("sampling", share)
+        if (found.done and found.effective.min() >= wanted) or until >= max_steps:
+            return burn, found
+        until = min(max(until + CHUNK, CHUNK * int(1.1 * until // CHUNK)), max_steps)
+
+
+def _advice(found: Convergence, names: tuple[str, ...], wanted: int) -> str:
+    slow, apart = int(found.tau.argmax()), int(found.r_hat.argmax())
+    return (
+        f"the posterior did not converge: {names[slow]} has τ = {found.tau[slow]:.3g} steps of {found.steps} (needs "
+        f"{ENOUGH_TAU:g} τ) and {found.effective.min():.0f} of {wanted} effective samples, the ensembles differ most "
+        f"in {names[apart]} (nested R̂ {found.r_hat[apart]:.3f}): fix what the data leave open, or record richer light"
+    )
