@@ -24,7 +24,7 @@ from pixelid.recordings.recording import Recording
 from pixelid.stages.circuit import Circuit
 from pixelid.stimuli.drive import drive
 
-BLOCK = 64  # samples whose extremes are kept together
+BLOCK = 16  # samples whose extremes are kept together
 
 
 @dataclass(frozen=True)
@@ -135,18 +135,23 @@ def _extreme(sign, low, high, tr, level, offset, light_r, t, wd, output, highest
     best, where = 0.0, -1
     k = low
     plain = leak.real == 0.0 and parasitic.real == 0.0
-    while k <= high:
-        settled = wd.real * (t[k] - tr.real) >= 40.0
-        if plain and settled and k % BLOCK == 0 and k + BLOCK - 1 <= high:
-            block = k // BLOCK
-            peak = (highest[block] if sign > 0 else lowest[block]) - level.real
-            if sign * peak <= best:
-                k += BLOCK
-                continue
+    while k <= high and not (plain and wd.real * (t[k] - tr.real) >= 40.0):
         change, drift = _at_sample(k, tr, level, offset, light_r, t, wd, output, lights, leak, parasitic)
         value = sign * (change + on * drift).real
         if value > best:
             best, where = value, k
+        k += 1
+    bound = best + sign * level.real
+    while k <= high:
+        if k % BLOCK == 0 and k + BLOCK - 1 <= high:
+            block = k // BLOCK
+            peak = highest[block] if sign > 0 else -lowest[block]
+            if peak <= bound:
+                k += BLOCK
+                continue
+        value = sign * output[k].real
+        if value > bound:
+            bound, where = value, k
         k += 1
     return where
 
@@ -243,18 +248,36 @@ class ChangeEvaluator:
         self._extreme_at = np.full(len(intervals), -1)
         self._rise_at = np.full(len(intervals.last_s), -1)
         self._fall_at = np.full(len(intervals.last_s), -1)
+        self._latest: tuple[tuple, Trajectory] | None = None
 
-    def trajectory(self, circuit: Circuit) -> Trajectory:
-        """The pixel's trajectory under this recording's stimulus."""
+    def trajectory(self, circuit: Circuit, keep: bool = False) -> Trajectory:
+        """The pixel's trajectory under this recording's stimulus.
+
+        `keep` remembers it, for circuits that differ in thresholds, dead time, leak or delay only.
+        """
+        key = (
+            dynamics_of(circuit), circuit.linearisation, circuit.dark, circuit.flicker_modulation,
+            circuit.flicker_hz, circuit.flicker_phase,
+        )  # fmt: skip
+        if self._latest is not None and self._latest[0] == key:
+            return self._latest[1]
         light = drive(self.recording.stimulus, circuit, self.intervals.end_s)
-        return integrate(light.t, light.radiance, dynamics_of(circuit), linearisation=circuit.linearisation)
+        trajectory = integrate(light.t, light.radiance, key[0], linearisation=circuit.linearisation)
+        if keep:
+            self._latest = key, trajectory
+        return trajectory
+
+    @property
+    def extremes_at(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Samples of the extremes as last located: (n,) opposite, (m,) rise, fall; −1 none."""
+        return self._extreme_at, self._rise_at, self._fall_at
 
     def __call__(self, circuit: Circuit, locate: bool = True) -> Changes:
         """The changes of every interval under `circuit`, whose values may be complex.
 
         `locate=False` keeps the extremes at the samples of the latest evaluation that located them.
         """
-        trajectory = self.trajectory(circuit)
+        trajectory = self.trajectory(circuit, keep=locate)
         scalars = (circuit.leak_hz, circuit.leak_hz_per_radiance, circuit.on_threshold)
         clock = (circuit.refractory, circuit.delay)
         complex_step = np.iscomplexobj(trajectory.states) or any(isinstance(s, complex) for s in (*scalars, *clock))

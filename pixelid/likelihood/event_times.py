@@ -24,7 +24,8 @@ The survival factors use the group's posterior mean and variance of C_i in place
 background of STRAY_HZ; an event better explained by it (falling change, or a level many σ from its threshold)
 counts as a stray: it contributes log STRAY_HZ and says nothing about thresholds.  So a model that misses an effect
 pays a bounded price per event it cannot explain, instead of bending every parameter to it.  Under a true model
-one event in 10⁵ or fewer is called a stray.
+one event in 10⁵ or fewer is called a stray.  Likewise a crossing goes missing with probability MISSED, which bounds
+the price of an event that the model expects and the recording lacks.
 """
 
 from __future__ import annotations
@@ -38,6 +39,7 @@ import numpy as np
 
 from pixelid.errors import InputError
 from pixelid.likelihood.changes import ChangeEvaluator, Changes
+from pixelid.likelihood.density import density
 from pixelid.likelihood.normal import log_ndtr
 from pixelid.likelihood.sequences import sequences
 from pixelid.recordings.recording import Recording
@@ -46,6 +48,7 @@ from pixelid.stages.circuit import Circuit
 _POOL = ThreadPoolExecutor(os.cpu_count() or 1)
 
 STRAY_HZ = 1e-3
+MISSED = 1e-6
 
 
 @dataclass(frozen=True)
@@ -115,6 +118,11 @@ class EventTimes:
         self.recording_of_event = np.repeat(np.arange(len(self.intervals)), [len(iv) for iv in self.intervals])
         self._recording_of_last = np.repeat(np.arange(len(self.intervals)), [len(iv.last_s) for iv in self.intervals])
         self.group = 2 * self.pixel + (self.sign > 0)
+
+    @property
+    def evaluators(self) -> tuple[ChangeEvaluator, ...]:
+        """What computes the changes of each recording."""
+        return self._evaluators
 
     @property
     def events(self) -> int:
@@ -190,10 +198,10 @@ class EventTimes:
         other = self.group ^ 1
         reached = (opposite + on * opposite_drift) / growth
         event_term = event_term + np.where(
-            reached.real > 0, log_ndtr((group_mean[other] - reached) / survival_sd[other]), 0.0
+            reached.real > 0, _survived((group_mean[other] - reached) / survival_sd[other]), 0.0
         )
         last_on, last_off = 2 * self.last_pixel + 1, 2 * self.last_pixel
-        censored = log_ndtr((group_mean[last_on] - rise - on * rise_drift) / survival_sd[last_on]) + log_ndtr(
+        censored = _survived((group_mean[last_on] - rise - on * rise_drift) / survival_sd[last_on]) + _survived(
             (group_mean[last_off] - fall - on * fall_drift) / survival_sd[last_off]
         )
         per_pixel = (
@@ -236,11 +244,16 @@ class EventTimes:
 
     def log_likelihood(self, circuit: Circuit) -> float:
         """The log-likelihood."""
-        return float(self.terms(circuit).total)
+        return density(self, circuit, self.gathered(circuit)).total
 
 
 _PER_EVENT = ("change", "slope", "drift", "drift_slope", "opposite", "opposite_drift", "early")
 _PER_PIXEL = ("rise", "rise_drift", "fall", "fall_drift")
+
+
+def _survived(margin: np.ndarray) -> np.ndarray:
+    """Log chance that a threshold `margin` standard deviations above the extreme was not reached, or its event lost."""
+    return np.log(MISSED + (1.0 - MISSED) * np.exp(log_ndtr(margin)))
 
 
 def sum_by(index: np.ndarray, values: np.ndarray, size: int) -> np.ndarray:

@@ -1,0 +1,218 @@
+"""The CasADi engine: IPOPT on exact derivatives.
+
+Two forms of the same objective (`form`):
+
+    "symbolic"  the whole likelihood, scan included, as one CasADi expression: exact gradient by reverse and exact
+                Hessian by forward-over-reverse differentiation of the mapped accumulation.  The discrete choices
+                (`frozen.py`) are refreshed between solves.
+    "compiled"  IPOPT driven by the compiled objective: its value, gradient and Gauss–Newton information.
+    "auto"      symbolic up to `EXPRESSION_SIZE` samples and events and where every effect has a symbolic form,
+                compiled beyond: CasADi's virtual machine takes ten times as long per exact Hessian there.
+
+Warm start: IPOPT begins at the start (barrier 1e-8, bounds hardly pushed), in coordinates scaled to about one standard
+error, so that its tolerance means a fraction of a standard error.
+"""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+
+from pixelid.errors import InputError
+from pixelid.fit.engines.casadi_operations import CasadiOperations
+from pixelid.fit.engines.engine import (
+    EXPRESSION_SIZE,
+    Engine,
+    Progress,
+    held_by_bounds,
+    parameter_values,
+    promised,
+    scales,
+)
+from pixelid.fit.engines.expression import log_likelihood
+from pixelid.fit.engines.frozen import freeze
+from pixelid.fit.event_times import EventTimesObjective
+from pixelid.fit.newton import Optimum, maximise
+from pixelid.fit.objective import Local, Objective
+
+FORMS = ("auto", "symbolic", "compiled")
+REACH = 3.0  # how far, in longest moves, one solve may go
+MOST_SOLVES = 10
+
+
+def symbolic(objective: EventTimesObjective, x: np.ndarray) -> tuple[ca.MX, ca.MX]:
+    """(vector of coordinates, log posterior) as CasADi expressions, the discrete choices frozen at x."""
+    coordinates = objective.coordinates
+    at = ca.MX.sym("x", len(coordinates))
+    circuit = coordinates.model.circuit(parameter_values(coordinates, at, ca.exp))
+    value = log_likelihood(CasadiOperations(), freeze(objective, x), circuit)
+    for i, p in enumerate(coordinates.parameters):
+        if p.prior is not None:
+            value = value - 0.5 * ((at[i] - p.prior.mean) / p.prior.sd) ** 2
+    return at, value
+
+
+class CasadiEngine(Engine):
+    """form: see the module.  `value`, `gradient` and `hessian` are symbolic whenever the objective has that form."""
+
+    name = "casadi"
+
+    def __init__(self, form: str = "auto") -> None:
+        if form not in FORMS:
+            raise InputError(f"form must be one of {', '.join(FORMS)}, found {form!r}")
+        self.form = form
+
+    def value(self, objective: Objective, x: np.ndarray) -> float:
+        if not isinstance(objective, EventTimesObjective):
+            return objective.value(x)
+        at, value = symbolic(objective, x)
+        return float(ca.Function("value", [at], [value])(x))
+
+    def gradient(self, objective: Objective, x: np.ndarray) -> np.ndarray:
+        if not isinstance(objective, EventTimesObjective):
+            return objective.local(x).gradient
+        at, value = symbolic(objective, x)
+        return np.array(ca.Function("gradient", [at], [ca.gradient(value, at)])(x)).ravel()
+
+    def hessian(self, objective: Objective, x: np.ndarray) -> np.ndarray:
+        if not isinstance(objective, EventTimesObjective):
+            return objective.hessian(x)
+        at, value = symbolic(objective, x)
+        return np.array(ca.Function("hessian", [at], [ca.hessian(value, at)[0]])(x))
+
+    def _form(self, objective: Objective, x: np.ndarray) -> str:
+        if not isinstance(objective, EventTimesObjective):
+            return "compiled"
+        if self.form != "auto":
+            return self.form
+        try:
+            frozen = freeze(objective, x)
+        except InputError:
+            return "compiled"
+        return "symbolic" if frozen.samples + len(frozen.time) <= EXPRESSION_SIZE else "compiled"
+
+    def maximise(
+        self, objective: Objective, start: np.ndarray, *, tolerance: float = 1e-6, max_steps: int = 200,
+        progress: Progress | None = None,
+    ) -> Optimum:  # fmt: skip
+        """As `Engine.maximise`.  Where IPOPT does not arrive, damped Newton steps finish."""
+        lower, upper = objective.coordinates.bounds()
+        x = np.clip(np.asarray(start, dtype=float), lower, upper)
+        form = self._form(objective, x)
+        local, steps = objective.local(x), 0
+        for _ in range(MOST_SOLVES):
+            moved, taken = _solve(objective, x, local, form, tolerance, max_steps - steps)
+            steps += taken
+            there = objective.local(moved) if np.isfinite(moved).all() else local
+            if not there.value >= local.value:
+                break
+            x, local = moved, there
+            held = held_by_bounds(x, local, lower, upper)
+            if progress:
+                progress(steps, local.value)
+            if promised(local, held) < tolerance:
+                return Optimum(x, local, True, held, steps)
+            if steps >= max_steps:
+                break
+        rest = maximise(objective, x, tolerance=tolerance, max_steps=max(max_steps - steps, 1), progress=progress)
+        return Optimum(rest.x, rest.local, rest.converged, rest.on_bound, steps + rest.steps)
+
+
+def _solve(objective, x0, local: Local, form: str, tolerance: float, max_steps: int) -> tuple[np.ndarray, int]:
+    """One IPOPT solve around x0: (where it ended, iterations)."""
+    lower, upper = objective.coordinates.bounds()
+    longest = objective.coordinates.longest_moves()
+    scale = scales(local, longest)
+    low, high = np.maximum(lower, x0 - REACH * longest), np.minimum(upper, x0 + REACH * longest)
+    q = ca.MX.sym("q", len(x0))
+    keep: list = []
+    options = {
+        "print_time": False,
+        "error_on_fail": False,
+        "show_eval_warnings": False,
+        "ipopt": {
+            "print_level": 0, "sb": "yes", "max_iter": max(max_steps, 1), "mu_init": 1e-8, "bound_push": 1e-8,
+            "bound_frac": 1e-8, "nlp_scaling_method": "none", "tol": float(np.sqrt(2.0 * tolerance / len(x0))),
+            "acceptable_iter": 0, "bound_relax_factor": 0.0, "mu_strategy": "monotone",
+        },
+    }  # fmt: skip
+    if form == "symbolic":
+        at, value = symbolic(objective, x0)
+        f = ca.Function("f", [at], [-value])(x0 + scale * q)
+    else:
+        function, gradient, hessian = _callbacks(objective, x0, scale)
+        keep += [function, gradient, hessian]
+        f = function(q)
+        options |= {"grad_f": gradient, "hess_lag": hessian}
+    solver = ca.nlpsol("solver", "ipopt", {"x": q, "f": f}, options)
+    found = solver(x0=np.zeros(len(x0)), lbx=(low - x0) / scale, ubx=(high - x0) / scale)
+    x = x0 + scale * np.array(found["x"]).ravel()
+    near = 1e-6 * longest
+    x = np.where(x - lower < near, lower, np.where(upper - x < near, upper, x))
+    return x, int(solver.stats()["iter_count"])
+
+
+def _callbacks(objective: Objective, x0: np.ndarray, scale: np.ndarray):
+    """CasADi functions of q, x = x0 + scale · q: (−f; −f and gradient; Gauss–Newton Hessian of the Lagrangian)."""
+    n = len(x0)
+    memory: dict[bytes, Local] = {}
+
+    def local(q) -> Local:
+        x = x0 + scale * np.array(q).ravel()
+        key = x.tobytes()
+        if key not in memory:
+            memory.clear()
+            memory[key] = objective.local(x)
+        return memory[key]
+
+    class Callback(ca.Callback):
+        def __init__(self, name, inputs, outputs, evaluate, slope=None):
+            ca.Callback.__init__(self)
+            self.inputs, self.outputs, self.evaluate, self.slope = inputs, outputs, evaluate, slope
+            self.construct(name, {})
+
+        def get_n_in(self):
+            return len(self.inputs)
+
+        def get_n_out(self):
+            return len(self.outputs)
+
+        def get_sparsity_in(self, i):
+            return self.inputs[i]
+
+        def get_sparsity_out(self, i):
+            return self.outputs[i]
+
+        def eval(self, arg):
+            return self.evaluate(*arg)
+
+        def has_jacobian(self):
+            return self.slope is not None
+
+        def get_jacobian(self, name, inames, onames, opts):
+            self.jacobian_callback = Callback(name, [*self.inputs, *self.outputs], [row], self.slope)
+            return self.jacobian_callback
+
+    vector, row, one = ca.Sparsity.dense(n, 1), ca.Sparsity.dense(1, n), ca.Sparsity.dense(1, 1)
+    none, empty = ca.Sparsity(0, 1), ca.Sparsity(0, 0)
+
+    def value(q):
+        x = x0 + scale * np.array(q).ravel()
+        return [-objective.value(x)]
+
+    def slope(q, f):
+        return [ca.DM(-scale * local(q).gradient).T]
+
+    def gradient(q, p):
+        here = local(q)
+        return [-here.value, ca.DM(-scale * here.gradient)]
+
+    def hessian(q, p, factor, multipliers):
+        curvature = local(q).information * np.outer(scale, scale)
+        return [ca.triu(ca.DM(float(factor) * curvature))]
+
+    return (
+        Callback("value", [vector], [one], value, slope),
+        Callback("grad_f", [vector, empty], [one, vector], gradient),
+        Callback("hess_lag", [vector, empty, one, none], [ca.Sparsity.upper(n)], hessian),
+    )

@@ -1,0 +1,274 @@
+"""The event-time log-likelihood as one expression, for any engine with vectors and elementary functions.
+
+The same mathematics as `likelihood/{changes,event_times}.py`, written over whole vectors without branches, from the
+same closed-form step (`dynamics/equations.py`).  An engine brings its `Operations`; CasADi symbols and torch tensors
+both fit.  Inside a step all levels are relative to the log radiance at its beginning, which loses no digits to the DC
+level.  Poles closer than the closed form can divide by are left to the compiled engine.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, Protocol
+
+import numpy as np
+
+from pixelid.dynamics import equations
+from pixelid.dynamics.equations import PRESENT_BELOW
+from pixelid.dynamics.of_circuit import dynamics_of
+from pixelid.dynamics.trajectory import Dynamics
+from pixelid.fit.engines.frozen import Frozen, FrozenRecording
+from pixelid.likelihood.event_times import MISSED, STRAY_HZ
+
+
+class Operations(Protocol):
+    """What an engine provides: elementwise functions of vectors, and four operations on whole vectors."""
+
+    def constant(self, values: np.ndarray) -> Any: ...
+    def exp(self, x: Any) -> Any: ...
+    def log(self, x: Any) -> Any: ...
+    def sqrt(self, x: Any) -> Any: ...
+    def sin(self, x: Any) -> Any: ...
+    def cos(self, x: Any) -> Any: ...
+    def abs(self, x: Any) -> Any: ...
+    def normal_cdf(self, x: Any) -> Any: ...
+    def where(self, condition: Any, a: Any, b: Any) -> Any: ...
+    def take(self, x: Any, index: np.ndarray) -> Any: ...
+    def join(self, parts: list) -> Any: ...
+    def sum_by(self, index: np.ndarray, x: Any, size: int) -> Any: ...
+    def spread(self, x: Any, at: np.ndarray, size: int) -> Any: ...
+    def total(self, x: Any) -> Any: ...
+    def cumulate(self, x: Any) -> Any: ...
+
+    def recur(self, A: list[list[Any]], c: list[Any]) -> list[Any]:
+        """Four vectors (n + 1,) of x[0] = 0, x[k+1] = A[k] x[k] + c[k]; A: 4 × 4 of vectors (n,), or 0.0."""
+        ...
+
+
+def factors(op: Operations, a, b2, tau):
+    """(f1, f2, g) of `kernels.photoreceptor_factors`, by selection; unselected branches stay finite."""
+    b = 0.5 * b2
+    disc = b * b - a
+    x = disc * tau * tau
+    near = op.abs(x) < 0.3
+    away = op.where(near, 1.0 + 0.0 * disc, disc)
+    over = away > 0.0
+    root = op.sqrt(op.abs(away))
+    half = 0.5 / root
+    fast = b + op.where(over, root, 0.0 * root)
+    slow = op.where(over, a / fast, b)
+    e_fast, e_slow = op.exp(-fast * tau), op.exp(-slow * tau)
+    phase = op.where(over, 0.0 * tau, root * tau)
+    g_far = op.where(over, (e_slow - e_fast) * half, e_slow * op.sin(phase) * 2.0 * half)
+    f1_far = op.where(over, (fast * e_slow - slow * e_fast) * half, e_slow * op.cos(phase) + b * g_far)
+    f2_far = op.where(over, (fast * e_fast - slow * e_slow) * half, e_slow * op.cos(phase) - b * g_far)
+    x = op.where(near, x, 0.0 * x)
+    c = 1.0 + x / 2.0 * (1.0 + x / 12.0 * (1.0 + x / 30.0 * (1.0 + x / 56.0 * (1.0 + x / 90.0 * (1.0 + x / 132.0)))))
+    s = 1.0 + x / 6.0 * (1.0 + x / 20.0 * (1.0 + x / 42.0 * (1.0 + x / 72.0 * (1.0 + x / 110.0 * (1.0 + x / 156.0)))))
+    eb = op.exp(-op.where(near, b, 0.0 * b) * tau)
+    g_near = eb * tau * s
+    return (
+        op.where(near, eb * c + b * g_near, f1_far),
+        op.where(near, eb * c - b * g_near, f2_far),
+        op.where(near, g_near, g_far),
+    )
+
+
+def step(op: Operations, state, r, tau, light, dynamics: Dynamics):
+    """States (v, y, s, d) after `tau` of the ramp r τ, from `state` relative to its foot."""
+    a, b2 = equations.photoreceptor(dynamics.alpha, dynamics.beta, dynamics.gamma, light)
+    k1, kd = op.exp(-dynamics.follower * tau), op.exp(-dynamics.differencing * tau)
+    pr = factors(op, a, b2, tau)
+    return equations.step_two_poles(state, 0.0, r, tau, a, b2, dynamics.follower, dynamics.differencing, pr, k1, kd)
+
+
+class Light:
+    """A recording's light as the photoreceptor gets it: vectors over samples (n,) and steps (n − 1,)."""
+
+    def __init__(self, op: Operations, frozen: FrozenRecording, circuit, midpoint: bool) -> None:
+        n = len(frozen.t)
+        gaps = np.diff(frozen.t)
+        before, after = np.arange(n - 1), np.arange(1, n)
+        self.tau = op.constant(gaps)
+        self.radiance = op.constant(frozen.radiance) + circuit.dark
+        self.u = op.log(self.radiance)
+        self.rise = op.take(self.u, after) - op.take(self.u, before)
+        self.slope = self.rise * op.constant(np.where(gaps > 0, 1.0 / np.where(gaps > 0, gaps, 1.0), 0.0))
+        newer = op.take(self.radiance, after)
+        self.linearised = op.sqrt(op.take(self.radiance, before) * newer) if midpoint else newer
+
+    def at(self, op: Operations, index: np.ndarray):
+        """(slope, linearised radiance) of the steps `index`; past the last sample the light is held."""
+        last = np.minimum(index, len_of(self) - 1)
+        held = op.constant((index < len_of(self)).astype(float))
+        return op.take(self.slope, last) * held, op.take(self.linearised, last) * held + op.take(
+            self.radiance, index
+        ) * (1.0 - held)
+
+
+def len_of(light: Light) -> int:
+    """Number of steps of a light."""
+    return int(light.tau.shape[0])
+
+
+def trajectory(op: Operations, light: Light, dynamics: Dynamics) -> list[Any]:
+    """Four vectors (n,): v and y, s, d relative to u, at every sample."""
+    zero = 0.0 * light.tau
+    columns = []
+    a, b2 = equations.photoreceptor(dynamics.alpha, dynamics.beta, dynamics.gamma, light.linearised)
+    k1, kd = op.exp(-dynamics.follower * light.tau), op.exp(-dynamics.differencing * light.tau)
+    pr = factors(op, a, b2, light.tau)
+
+    def stepped(state, r):
+        w1, wd = dynamics.follower, dynamics.differencing
+        return equations.step_two_poles(state, 0.0, r, light.tau, a, b2, w1, wd, pr, k1, kd)
+
+    for j in range(4):
+        unit = [1.0 + zero if i == j else zero for i in range(4)]
+        columns.append(stepped(tuple(unit), zero))
+    driven = stepped((zero, zero, zero, zero), light.slope)
+    A: list[list[Any]] = [[columns[j][i] if j <= max(i, 1) else 0.0 for j in range(4)] for i in range(4)]
+    return op.recur(A, [driven[0], *(driven[i] - light.rise for i in (1, 2, 3))])
+
+
+def changes(op: Operations, frozen: FrozenRecording, circuit, real, midpoint: bool, states_of=None) -> dict[str, Any]:
+    """The fields of `likelihood.changes.Changes` as vectors.
+
+    circuit: engine numbers;  real: the real circuit, which tells what is present
+    states_of(light, dynamics): another integrator's (samples, at), see `continuous`; None: the closed-form step
+    """
+    dynamics, present = dynamics_of(circuit), dynamics_of(real)
+    finite = present.differencing < PRESENT_BELOW
+    parasitic = real.leak_hz_per_radiance != 0
+    light = Light(op, frozen, circuit, midpoint)
+    if states_of is None:
+        samples = trajectory(op, light, dynamics)
+
+        def at(index, tau):
+            r, linearised = light.at(op, index)
+            return step(op, tuple(op.take(x, index) for x in samples), r, tau, linearised, dynamics), r
+
+    else:
+        samples, at = states_of(light, dynamics)
+    lights = op.cumulate(light_integral(op, op.take(light.radiance, np.arange(len_of(light))), light.slope, light.tau))
+    t = frozen.t
+
+    def start(index, when):
+        """What an interval starts from: (level, offset, light integral) at release."""
+        tau = when - op.constant(t[index])
+        tau = op.where(tau > 0.0, tau, 0.0 * tau)
+        (_, _, s, d), r = at(index, tau)
+        shone = 0.0
+        if parasitic:
+            shone = op.take(lights, index) + light_integral(op, op.take(light.radiance, index), r, tau)
+        return op.take(light.u, index) + s, (d - s if finite else 0.0 * s), shone
+
+    def sample(index, when, begun):
+        """(change, drift) at the samples `index` (those ≥ 0) of intervals released at `when`."""
+        level, offset, shone = begun
+        some = np.flatnonzero(index >= 0)
+        k = index[some]
+        since = op.constant(t[k]) - op.take(when, some)
+        output = op.take(light.u, k) + op.take(samples[3 if finite else 2], k)
+        change = output - op.take(level, some)
+        if finite:
+            change = change - op.take(offset, some) * op.exp(-dynamics.differencing * since)
+        drift = circuit.leak_hz * since
+        if parasitic:
+            drift = drift + circuit.leak_hz_per_radiance * (op.take(lights, k) - op.take(shone, some))
+        return op.spread(change, some, len(index)), op.spread(drift, some, len(index))
+
+    release = op.constant(frozen.previous) + (circuit.refractory - circuit.delay)
+    time = op.constant(frozen.time) - circuit.delay
+    begun = start(frozen.step_r, release)
+    level, offset, shone = begun
+    tau = time - op.constant(t[frozen.step_e])
+    tau = op.where(tau > 0.0, tau, 0.0 * tau)
+    (v, y, s, d), r = at(frozen.step_e, tau)
+    foot = op.take(light.u, frozen.step_e)
+    since = time - release
+    found: dict[str, Any] = {}
+    if finite:
+        decay = offset * op.exp(-dynamics.differencing * since)
+        found["change"] = foot + d - level - decay
+        found["slope"] = dynamics.differencing * (s - d + decay)
+    else:
+        found["change"] = foot + s - level
+        found["slope"] = dynamics.follower * (y - s) if present.follower < PRESENT_BELOW else v
+    found["drift"] = circuit.leak_hz * since
+    found["drift_slope"] = circuit.leak_hz + 0.0 * since
+    if parasitic:
+        radiance = op.take(light.radiance, frozen.step_e)
+        seen = op.take(lights, frozen.step_e) + light_integral(op, radiance, r, tau)
+        found["drift"] = found["drift"] + circuit.leak_hz_per_radiance * (seen - shone)
+        found["drift_slope"] = found["drift_slope"] + circuit.leak_hz_per_radiance * radiance * op.exp(r * tau)
+    sign = op.constant(-frozen.sign)
+    c, f = sample(frozen.opposite_at, release, begun)
+    found["opposite"], found["opposite_drift"] = sign * c, sign * f
+    last = op.constant(frozen.last) + (circuit.refractory - circuit.delay)
+    begun = start(frozen.step_l, last)
+    found["rise"], found["rise_drift"] = sample(frozen.rise_at, last, begun)
+    c, f = sample(frozen.fall_at, last, begun)
+    found["fall"], found["fall_drift"] = -c, -f
+    return found
+
+
+def light_integral(op: Operations, radiance, r, tau):
+    """∫ L dt over the first `tau` of steps that start at `radiance` and ramp at r."""
+    x = r * tau
+    near = op.abs(x) < 1e-4
+    safe = op.where(near, 1.0 + 0.0 * x, x)
+    return radiance * tau * op.where(near, 1.0 + x / 2.0 + x * x / 6.0, (op.exp(safe) - 1.0) / safe)
+
+
+def log_likelihood(op: Operations, frozen: Frozen, circuit, changes_of=None) -> Any:
+    """The log-likelihood of `EventTimes`, a scalar of the engine, at the circuit's numbers.
+
+    changes_of(recording) replaces `changes` (another integrator).
+    """
+    midpoint = frozen.circuit.linearisation == "midpoint"
+    made = changes_of or (lambda recording: changes(op, recording, circuit, frozen.circuit, midpoint))
+    parts = [made(recording) for recording in frozen.recordings]
+    kept, survived, group = frozen.kept, frozen.survived, frozen.group
+    groups = 2 * frozen.pixels
+    on, off = circuit.on_threshold, circuit.off_threshold
+
+    def gathered(name, index):
+        return op.take(op.join([part[name] for part in parts]), index)
+
+    is_on = op.constant((np.arange(groups) % 2 == 1).astype(float))
+    C = on * is_on + off * (1.0 - is_on)
+    S = (circuit.mismatch * C) * (circuit.mismatch * C)
+    sign = op.constant(frozen.sign[kept])
+    growth = 1.0 + circuit.threshold_drift * op.constant(frozen.time[kept])
+    z = sign * (gathered("change", kept) + on * gathered("drift", kept)) / growth
+    rate = sign * (gathered("slope", kept) + on * gathered("drift_slope", kept)) / growth
+    sd = circuit.noise * op.take(C, group[kept])
+    width = op.constant(frozen.tick[kept] ** 2 / 12.0) + circuit.jitter * circuit.jitter
+    variance = sd * sd + rate * rate * width
+    weight = 1.0 / variance
+    W, A = op.sum_by(group[kept], weight, groups), op.sum_by(group[kept], weight * z, groups)
+    seen = np.bincount(group[kept], minlength=groups) > 0
+    safe = W + op.constant(1.0 - seen)
+    z_bar = A / safe
+    q = 1.0 + S * W
+    miss = (z_bar - C) * op.constant(seen.astype(float))
+    within = z - op.take(z_bar, group[kept])
+    total = (
+        op.total(op.log(rate) - 0.5 * op.log(2.0 * math.pi * variance) - 0.5 * within * within * weight)
+        + op.total(-0.5 * op.log(q) - 0.5 * miss * miss / (S + 1.0 / safe))
+        + frozen.strays * math.log(STRAY_HZ)
+    )
+    mean, sd = (C + S * A) / q, op.sqrt((circuit.noise * C) * (circuit.noise * C) + S / q)
+
+    def survival(group_index, reached):
+        margin = (op.take(mean, group_index) - reached) / op.take(sd, group_index)
+        return op.total(op.log(MISSED + (1.0 - MISSED) * op.normal_cdf(margin)))
+
+    if len(survived):
+        reached = gathered("opposite", survived) + on * gathered("opposite_drift", survived)
+        reached = reached / (1.0 + circuit.threshold_drift * op.constant(frozen.time[survived]))
+        total = total + survival(group[survived] ^ 1, reached)
+    every = np.arange(len(frozen.last_pixel))
+    total = total + survival(2 * frozen.last_pixel + 1, gathered("rise", every) + on * gathered("rise_drift", every))
+    return total + survival(2 * frozen.last_pixel, gathered("fall", every) + on * gathered("fall_drift", every))

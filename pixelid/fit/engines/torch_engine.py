@@ -1,0 +1,178 @@
+"""The torch engine: the same expression on float64 tensors, on any device, climbed by L-BFGS or Adam.
+
+Two forms of the same objective (`form`):
+
+    "tensors"   the likelihood in torch operations (`torch_operations.py`): no loop over samples, autograd through all
+    "compiled"  `torch.autograd.Function` around the compiled objective and its gradient
+    "auto"      tensors up to `EXPRESSION_SIZE` samples and events or on a CUDA device, compiled beyond
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import torch
+
+from pixelid.errors import InputError
+from pixelid.fit.engines.engine import (
+    EXPRESSION_SIZE,
+    Engine,
+    Progress,
+    held_by_bounds,
+    parameter_values,
+    promised,
+    scales,
+)
+from pixelid.fit.engines.expression import log_likelihood
+from pixelid.fit.engines.frozen import Frozen, freeze
+from pixelid.fit.engines.torch_operations import TorchOperations
+from pixelid.fit.event_times import EventTimesObjective
+from pixelid.fit.newton import Optimum
+from pixelid.fit.objective import Objective
+
+FORMS = ("auto", "tensors", "compiled")
+OPTIMISERS = ("lbfgs", "adam")
+ROUND = 20  # L-BFGS iterations between refreshes of the discrete choices and of the scaling
+
+
+class Compiled(torch.autograd.Function):
+    """The log posterior of any objective as a differentiable function of a coordinate tensor (p,)."""
+
+    @staticmethod
+    def forward(ctx: Any, x: torch.Tensor, objective: Objective) -> torch.Tensor:
+        local = objective.local(x.detach().cpu().numpy())
+        ctx.save_for_backward(torch.as_tensor(local.gradient, device=x.device))
+        return x.new_tensor(local.value)
+
+    @staticmethod
+    def backward(ctx: Any, *by_value: torch.Tensor):
+        (gradient,) = ctx.saved_tensors
+        return by_value[0] * gradient, None
+
+
+def log_posterior(objective: EventTimesObjective, frozen: Frozen, x: torch.Tensor) -> torch.Tensor:
+    """The log posterior at a coordinate tensor (p,), differentiable; discrete choices from `frozen`."""
+    coordinates = objective.coordinates
+    circuit = coordinates.model.circuit(parameter_values(coordinates, x, torch.exp))
+    value = log_likelihood(TorchOperations(x.device), frozen, circuit)
+    for i, p in enumerate(coordinates.parameters):
+        if p.prior is not None:
+            value = value - 0.5 * ((x[i] - p.prior.mean) / p.prior.sd) ** 2
+    return value
+
+
+class TorchEngine(Engine):
+    """form, optimiser: see the module;  device: of the tensors, "cpu" or "cuda"."""
+
+    name = "torch"
+
+    def __init__(self, form: str = "auto", device: str = "cpu", optimiser: str = "lbfgs") -> None:
+        for value, known in ((form, FORMS), (optimiser, OPTIMISERS)):
+            if value not in known:
+                raise InputError(f"expected one of {', '.join(known)}, found {value!r}")
+        self.form, self.optimiser, self.device = form, optimiser, torch.device(device)
+
+    def _tensor(self, x: np.ndarray) -> torch.Tensor:
+        return torch.tensor(np.asarray(x, dtype=float), device=self.device, requires_grad=True)
+
+    def value(self, objective: Objective, x: np.ndarray) -> float:
+        if not isinstance(objective, EventTimesObjective):
+            return objective.value(x)
+        with torch.no_grad():
+            return float(log_posterior(objective, freeze(objective, x), self._tensor(x)))
+
+    def gradient(self, objective: Objective, x: np.ndarray) -> np.ndarray:
+        if not isinstance(objective, EventTimesObjective):
+            return objective.local(x).gradient
+        at = self._tensor(x)
+        log_posterior(objective, freeze(objective, x), at).backward()
+        assert at.grad is not None
+        return at.grad.cpu().numpy()
+
+    def hessian(self, objective: Objective, x: np.ndarray) -> np.ndarray:
+        if not isinstance(objective, EventTimesObjective):
+            return objective.hessian(x)
+        frozen = freeze(objective, x)
+        H = torch.autograd.functional.hessian(lambda at: log_posterior(objective, frozen, at), self._tensor(x))
+        assert isinstance(H, torch.Tensor)
+        return H.cpu().numpy()
+
+    def _form(self, objective: Objective, x: np.ndarray) -> str:
+        if not isinstance(objective, EventTimesObjective):
+            return "compiled"
+        if self.form != "auto":
+            return self.form
+        try:
+            frozen = freeze(objective, x)
+        except InputError:
+            return "compiled"
+        small = frozen.samples + len(frozen.time) <= EXPRESSION_SIZE
+        return "tensors" if small or self.device.type == "cuda" else "compiled"
+
+    def maximise(
+        self, objective: Objective, start: np.ndarray, *, tolerance: float = 1e-6, max_steps: int = 200,
+        progress: Progress | None = None,
+    ) -> Optimum:  # fmt: skip
+        lower, upper = objective.coordinates.bounds()
+        longest = objective.coordinates.longest_moves()
+        x = np.clip(np.asarray(start, dtype=float), lower, upper)
+        form = self._form(objective, x)
+        local, steps = objective.local(x), 0
+        held = held_by_bounds(x, local, lower, upper)
+        while steps < max_steps:
+            taken, moved = self._round(objective, x, local, scales(local, longest), (lower, upper), form, held)
+            steps += taken
+            there = objective.local(moved) if np.isfinite(moved).all() else local
+            stuck = not there.value > local.value
+            if not stuck:
+                x, local = moved, there
+            held = held_by_bounds(x, local, lower, upper)
+            if progress:
+                progress(steps, local.value)
+            if promised(local, held) < tolerance:
+                return Optimum(x, local, True, held, steps)
+            if stuck:
+                break
+        return Optimum(x, local, False, held, steps)
+
+    def _round(self, objective, x0, local, scale, bounds, form, held) -> tuple[int, np.ndarray]:
+        """Some iterations in coordinates whitened by the information at x0: (iterations, where they ended)."""
+        free = np.flatnonzero(~held)
+        correlated = (local.information * np.outer(scale, scale))[np.ix_(free, free)] + 1e-10 * np.eye(len(free))
+        mixing = np.zeros((len(x0), len(free)))
+        mixing[free] = np.linalg.inv(np.linalg.cholesky(correlated)).T * scale[free, None]
+        base, mix = (torch.as_tensor(part, device=self.device) for part in (x0, mixing))
+        lower, upper = (torch.as_tensor(part, device=self.device) for part in bounds)
+        frozen = freeze(objective, x0) if form == "tensors" else None
+        q = torch.zeros(len(free), dtype=torch.float64, device=self.device, requires_grad=True)
+        if self.optimiser == "lbfgs":
+            climb: torch.optim.Optimizer = torch.optim.LBFGS(
+                [q], lr=1.0, max_iter=ROUND, tolerance_grad=1e-5, tolerance_change=0.0, line_search_fn="strong_wolfe"
+            )
+        else:
+            climb = torch.optim.Adam([q], lr=0.1 * max(1.0, float(np.sqrt(2.0 * promised(local, held) / len(free)))))
+        worst = float(local.value) - 1e12
+
+        def closure():
+            climb.zero_grad()
+            x = torch.clamp(base + mix @ q, lower, upper)
+            value = log_posterior(objective, frozen, x) if frozen is not None else Compiled.apply(x, objective)
+            assert isinstance(value, torch.Tensor)
+            if not torch.isfinite(value):  # a step far outside: any large finite number sends the search back
+                value = worst - (q * q).sum()
+            loss = -(value - local.value)
+            loss.backward()
+            return float(loss.detach())
+
+        taken = ROUND
+        if self.optimiser == "adam":
+            decay = torch.optim.lr_scheduler.ExponentialLR(climb, 0.9)
+            for _ in range(ROUND):
+                climb.step(closure)
+                decay.step()
+        else:
+            climb.step(closure)
+            taken = int(climb.state[q].get("n_iter", ROUND))
+        with torch.no_grad():
+            return taken, torch.clamp(base + mix @ q, lower, upper).cpu().numpy()
