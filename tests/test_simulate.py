@@ -310,3 +310,16 @@ def test_bad_frames_of_a_stream_are_named():
         list(simulate_stream(PLAIN, [(0.0, np.ones((2, 2))), (1.0, np.ones((3, 2)))]))
     with pytest.raises(InputError, match="two frames"):
         list(simulate_stream(PLAIN, frames[:1]))
+
+
+def test_the_sensor_seed_names_the_pixels_and_the_seed_their_luck():
+    model = find_model("dvs128").set({"threshold_sigma": 1e-5, "threshold_mismatch.sigma": 0.2})
+    light = shapes.chirp(level=100.0, duration_s=0.2, stop_hz=50.0)
+    counts = [
+        np.bincount(simulate(model, light, width=8, height=8, seed=a, sensor_seed=b).events.pixel, minlength=64)
+        for a, b in ((1, 7), (2, 7), (1, 8))
+    ]
+    assert np.corrcoef(counts[0], counts[1])[0, 1] > 0.9
+    assert np.corrcoef(counts[0], counts[2])[0, 1] < 0.5
+    with pytest.raises(InputError, match="sensor_seed"):
+        simulate(model, light, width=1, height=1, sensor_seed=-1)

@@ -54,9 +54,8 @@ def calibration_session(model: Model, seed: int) -> tuple[Recording, ...]:
     }
     return tuple(
         replace(
-            simulate(model, stimulus, width=SIDE, height=SIDE, seed=seed + i),
+            simulate(model, stimulus, width=SIDE, height=SIDE, seed=seed + i, sensor_seed=seed),
             condition=name,
-            sensor=f"demo camera {seed}",
         )
         for i, (name, stimulus) in enumerate(stimuli.items())
     )

@@ -71,7 +71,12 @@ class Trajectory:
         """(m, 6) states at `times` (m,) seconds, by the closed form of the step that holds each."""
         times = np.asarray(times, dtype=np.float64)
         out = np.empty((len(times), 6), dtype=self.states.dtype)
-        _at(times, self.t, self.u, self.radiance, self.dynamics.uniform(), self.midpoint, self.states, out)
+        values = Dynamics(*self.dynamics).uniform()
+        if self.states.dtype == np.float64 and vectorised.applicable(values):
+            step = np.maximum(np.searchsorted(self.t, times, side="right") - 1, 0)
+            vectorised.states_at(times, step, self.t, self.u, self.radiance, values, self.midpoint, self.states, out)
+        else:
+            _at(times, self.t, self.u, self.radiance, values, self.midpoint, self.states, out)
         return out
 
 

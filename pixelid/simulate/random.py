@@ -11,13 +11,14 @@ import numpy as np
 from numba import njit
 
 from pixelid.dynamics.vector_math import unit_interval, vlog, vsincos
+from pixelid.errors import InputError
 
 # One stream per purpose.
 MISMATCH, THRESHOLD, PHASE, SHOT, HOT_PLACE, HOT_TIME, JITTER = range(1, 8)
 
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 _MIX_1, _MIX_2 = np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)
-_30, _27, _31 = np.uint64(30), np.uint64(27), np.uint64(31)
+_30, _27, _31, _32 = np.uint64(30), np.uint64(27), np.uint64(31), np.uint64(32)
 
 
 @njit(forceinline=True, error_model="numpy")
@@ -30,8 +31,19 @@ def mix(z):
 
 @njit(forceinline=True, error_model="numpy")
 def stream_key(seed, stream):
-    """The 64-bit key of one stream under a seed (both integers)."""
-    return mix(mix(np.uint64(seed) + _GOLDEN) + np.uint64(stream) * _GOLDEN)
+    """The 64-bit key of one stream under `both_seeds`: what belongs to the sensor hangs on the sensor's seed only."""
+    own = np.uint64(seed)
+    if stream in (MISMATCH, HOT_PLACE):
+        own = own >> _32
+    return mix(mix(own + _GOLDEN) + np.uint64(stream) * _GOLDEN)
+
+
+def both_seeds(seed: int, sensor_seed: int) -> int:
+    """The two seeds in one number.  Raises InputError unless both lie in 0 … 2³¹ − 1."""
+    for name, value in (("seed", seed), ("sensor_seed", sensor_seed)):
+        if not 0 <= value < 1 << 31:
+            raise InputError(f"{name}: expected 0..{(1 << 31) - 1}, found {value}")
+    return sensor_seed << 32 | seed
 
 
 @njit(forceinline=True, error_model="numpy")

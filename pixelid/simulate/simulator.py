@@ -17,7 +17,7 @@ from pixelid.errors import InputError
 from pixelid.model.model import Model
 from pixelid.recordings.events import Events
 from pixelid.recordings.recording import Recording
-from pixelid.simulate import light
+from pixelid.simulate import light, random
 from pixelid.simulate.full_field import FullField
 from pixelid.simulate.hot_pixels import HotPixels
 from pixelid.simulate.laws import Rules, rules_of
@@ -37,12 +37,15 @@ def simulate(
     width: int | None = None,
     height: int | None = None,
     seed: int = 0,
+    sensor_seed: int | None = None,
     synchronous: bool = False,
     threads: int | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Recording:
     """The recording of a width × height sensor (a video's own size) whose pixels are all `model`.
 
+    seed: of everything that differs from recording to recording;  sensor_seed: of what belongs to the sensor (its
+    pixels' thresholds, its hot pixels), by default `seed`.  Recordings of one camera share the sensor_seed.
     synchronous: every pixel takes its first reference at the first sample.  Otherwise each starts part of the way to
     its next event (see `comparator.start`), so that pixels are out of step.
     threads: default one per core; the events do not depend on it.
@@ -53,9 +56,11 @@ def simulate(
     Raises InputError for a stimulus of unit "shape", a sensor size that does not fit the video, a circuit that cannot
     be simulated (see `laws.rules_of`), and an empty sensor.
     """
+    sensor_seed = seed if sensor_seed is None else sensor_seed
+    seeds = random.both_seeds(seed, sensor_seed)
     start, duration = float(stimulus.t[0]), stimulus.duration_s
     chunks = []
-    for until_s, chunk in _chunks(model, stimulus, width, height, seed, synchronous, threads):
+    for until_s, chunk in _chunks(model, stimulus, width, height, seeds, synchronous, threads):
         chunks.append(chunk)
         if progress is not None:
             progress((until_s - start) / duration)
@@ -65,10 +70,11 @@ def simulate(
         chunks[0].height,
         chunks[0].tick_ns,
     )
-    attributes: dict = {"simulator": f"pixelid {__version__}", "seed": seed, "synchronous": synchronous}
+    attributes: dict = {"simulator": f"pixelid {__version__}", "seed": seed, "sensor_seed": sensor_seed}
+    attributes["synchronous"] = synchronous
     if isinstance(model, Model):
         attributes |= {"model": model.name, "effects": list(model.effects), "parameters": model.values}
-    return Recording(events, stimulus, sensor="simulated", attributes=attributes)
+    return Recording(events, stimulus, sensor=f"simulated camera {sensor_seed}", attributes=attributes)
 
 
 def simulate_stream(
@@ -78,6 +84,7 @@ def simulate_stream(
     width: int | None = None,
     height: int | None = None,
     seed: int = 0,
+    sensor_seed: int | None = None,
     synchronous: bool = False,
     threads: int | None = None,
 ) -> Iterator[Events]:
@@ -86,7 +93,8 @@ def simulate_stream(
     stimulus: a Stimulus, or an iterable of frames (t in s, radiance (height, width)), log radiance linear in between.
     Raises InputError as `simulate`, and for invalid frames when they are reached.
     """
-    for _, chunk in _chunks(model, stimulus, width, height, seed, synchronous, threads):
+    seeds = random.both_seeds(seed, seed if sensor_seed is None else sensor_seed)
+    for _, chunk in _chunks(model, stimulus, width, height, seeds, synchronous, threads):
         yield chunk
 
 

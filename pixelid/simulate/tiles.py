@@ -1,6 +1,6 @@
 """Light that differs from pixel to pixel: every pixel has its own trajectory.
 
-Work goes tile by tile (`TILE` pixels, states in arrays that stay in the first-level cache) and step by step.  All
+Work goes tile by tile (up to `TILE` pixels, whose states stay in cache) and step by step.  All
 pixels of a tile advance together; those whose bounds allow an event are then searched one by one.  The four-state
 chain advances in vector form (`chain_step.py`), any other by `kernels.advance` or, slew limited, `slew.slewed_step`.
 """
@@ -21,7 +21,8 @@ from pixelid.simulate.light import Block
 from pixelid.simulate.slew import rates_of, slewed_step, smooth_state
 from pixelid.simulate.step import light_integral, settled, slope_bound
 
-TILE = 128  # a multiple of every vector length, so that no pixel falls into a loop's remainder
+TILE = 512
+LANES = 16  # tiles are multiples of every vector length, so that no pixel falls into a loop's remainder
 CAPACITY = 1024
 
 
@@ -31,7 +32,8 @@ class Tiles:
     def __init__(self, rules: Rules, pixels: int, held: bool) -> None:
         """held: light jumps from frame to frame instead of log radiance running linearly between them."""
         self._rules, self._held, self._pixels = rules, held, pixels
-        padded = -(-pixels // TILE) * TILE
+        self._tile = min(TILE, -(-pixels // (4 * LANES)) * LANES)  # four tiles at least, for the threads
+        padded = -(-pixels // self._tile) * self._tile
         self._states = np.empty((6, padded))
         self._comparators = np.empty((FIELDS, padded))
         self._drawn = np.empty(padded, np.int64)
@@ -43,14 +45,14 @@ class Tiles:
     @property
     def firsts(self) -> range:
         """The first pixel of every tile."""
-        return range(0, len(self._drawn), TILE)
+        return range(0, len(self._drawn), self._tile)
 
     def events(self, first: int, block: Block):
         """(times (m,) s, pixels (m,), polarities (m,)) of the tile that begins at pixel `first`."""
         rules, circuit = self._rules, self._rules.circuit
-        place = slice(first, first + TILE)
-        live = min(TILE, self._pixels - first)
-        radiance = np.empty((len(block.t), TILE))
+        place = slice(first, first + self._tile)
+        live = min(self._tile, self._pixels - first)
+        radiance = np.empty((len(block.t), self._tile))
         _load(block.frames, first, live, radiance)
         return _tile(
             first, live,
@@ -67,7 +69,7 @@ class Tiles:
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
 def _load(frames, first, live, out):
-    """The radiance of a tile's pixels, out (m, TILE), as float64.
+    """The radiance of a tile's pixels, out (m, tile), as float64.
 
     Full-field frames (m, 1) serve all pixels; places beyond the sensor repeat its last pixel.
     """
@@ -195,15 +197,16 @@ def _tile(
     density, key = noise
     wh, wd, smooth = chain[2], chain[3], chain[5]
     _, leak, parasitic, growth, _, _ = laws
+    size = states.shape[1]
     begin, end, local, count_drawn = states.copy(), states.copy(), comparators.copy(), drawn.copy()
-    work = np.empty((chain_step.WORK_ROWS, TILE))
+    work = np.empty((chain_step.WORK_ROWS, size))
     L0, L1, u0, u1, lf0, lf1 = (
-        np.empty(TILE), np.empty(TILE), np.empty(TILE), np.empty(TILE), np.empty(TILE), np.empty(TILE)
+        np.empty(size), np.empty(size), np.empty(size), np.empty(size), np.empty(size), np.empty(size)
     )  # fmt: skip
-    a, b2, r, spare, flag = np.empty(TILE), np.empty(TILE), np.empty(TILE), np.empty(TILE), np.empty(TILE)
-    xi, xi_spare = np.empty(TILE), np.empty(TILE)
-    on, off = np.empty(TILE), np.empty(TILE)
-    which, old_level, old_decay = np.empty(TILE, np.int64), np.empty(TILE), np.empty(TILE)
+    a, b2, r, spare, flag = np.empty(size), np.empty(size), np.empty(size), np.empty(size), np.empty(size)
+    xi, xi_spare = np.empty(size), np.empty(size)
+    on, off = np.empty(size), np.empty(size)
+    which, old_level, old_decay = np.empty(size, np.int64), np.empty(size), np.empty(size)
     scratch = np.empty((6, DEPTH))
     found, count = comparator.room(CAPACITY), 0
 
@@ -270,7 +273,7 @@ def _tile(
             drift = leak * tau
             if parasitic > 0.0:
                 most = 0.0
-                for i in range(TILE):
+                for i in range(size):
                     most = max(most, max(L0[i], L1[i]))
                 drift += parasitic * tau * most
             factor = 1.0 + growth * (t1 if growth < 0.0 else t0)
@@ -302,7 +305,7 @@ def _tile(
                     first + i, i, t0, t1, step, chain, local, count_drawn, laws, found, count, scratch
                 )
             length_before = length
-    for i in range(TILE):
+    for i in range(size):
         for j in range(len(states)):
             states[j, i] = end[j, i]
         for j in range(len(comparators)):
