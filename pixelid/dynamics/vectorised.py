@@ -159,3 +159,89 @@ def scan(t, u, L, dynamics, midpoint, states):
             states[k, 3] = s
             states[k, 4] = 0.0
             states[k, 5] = d
+
+
+@njit(cache=True, error_model="numpy", fastmath={"contract"})
+def _decay(rate, tau, out):
+    for k in range(len(out)):
+        out[k] = vexp(-rate * tau[k])
+
+
+@njit(cache=True, error_model="numpy", fastmath={"contract"})
+def _advance_photoreceptor(v, y, r, a, b2, f1, f2, g, ev, ey):
+    """In: slope v and output deviation y of the block; out: their deviations before (v, y) and after (ev, ey)."""
+    for k in range(len(v)):
+        before_v = v[k] - r[k]
+        before_y = y[k] + r[k] * b2[k] / a[k]
+        v[k] = before_v
+        y[k] = before_y
+        ey[k] = f1[k] * before_y + g[k] * before_v
+        ev[k] = f2[k] * before_v - a[k] * g[k] * before_y
+
+
+@njit(cache=True, error_model="numpy", fastmath={"contract"})
+def _advance_follower(s, v, y, ev, ey, p0, p1, k1, m):
+    """In: s relative to its ramp; out: s after, and m, the amplitude of its own exponential."""
+    for k in range(len(s)):
+        m[k] = s[k] - p0[k] * y[k] - p1[k] * v[k]
+        s[k] = p0[k] * ey[k] + p1[k] * ev[k] + m[k] * k1[k]
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+def states_at(times, step, t, u, L, dynamics, midpoint, states, out):
+    """Fill out (m, 6) with the states at `times`, each inside the step that begins at sample step[i].
+
+    As `kernels.within_step`, in vector form over blocks of times.
+    """
+    alpha, beta, gamma, w1, w2, wh, wd = dynamics
+    inv1, invd, gain = 1.0 / w1, 1.0 / wd, wd / (wd - w1)
+    table = np.empty((20, BLOCK))
+    for start in range(0, len(times), BLOCK):
+        size = min(BLOCK, len(times) - start)
+        tau, r, u0, L0, L1 = table[0, :size], table[1, :size], table[2, :size], table[3, :size], table[4, :size]
+        v, y, s, d = table[5, :size], table[6, :size], table[7, :size], table[8, :size]
+        a, b2, f1, f2, g = table[9, :size], table[10, :size], table[11, :size], table[12, :size], table[13, :size]
+        p0, p1, q0, q1 = table[14, :size], table[15, :size], table[16, :size], table[17, :size]
+        close, k1 = table[18, :size], table[19, :size]
+        for j in range(size):
+            k = step[start + j]
+            after = min(k + 1, len(t) - 1)
+            tau[j] = max(times[start + j] - t[k], 0.0)
+            width = t[after] - t[k]
+            u0[j] = u[k]
+            r[j] = (u[after] - u[k]) / width if width > 0.0 else 0.0
+            L0[j], L1[j] = L[k], L[after]
+            v[j], y[j], s[j], d[j] = states[k, 0], states[k, 1] - u[k], states[k, 2], states[k, 5]
+        linearise(alpha, beta, gamma, L0, L1, midpoint, a, b2)
+        fill_factors(a, b2, tau, f1, f2, g)
+        fill_responses(a, b2, w1, wd, p0, p1, q0, q1, close)
+        _decay(w1, tau, k1)
+        ev, ey, kd = L0, L1, g  # reused: no longer needed under their names
+        _advance_photoreceptor(v, y, r, a, b2, f1, f2, g, ev, ey)
+        _decay(wd, tau, kd)
+        m = f1
+        for j in range(size):
+            delay = b2[j] / a[j] + inv1
+            f2[j] = delay
+            s[j] = s[j] - u0[j] + r[j] * delay
+        _advance_follower(s, v, y, ev, ey, p0, p1, k1, m)
+        for j in range(size):
+            i = start + j
+            if close[j] > 0.0:
+                k = step[i]
+                lv, ly, ls, _, _, ld = kernels.advance(
+                    (states[k, 0], states[k, 1], states[k, 2], states[k, 3], 0.0, states[k, 5]),
+                    u0[j], r[j], tau[j], a[j], b2[j], w1, w2, wh, wd, False,
+                )  # fmt: skip
+                out[i, 0], out[i, 1], out[i, 2], out[i, 3], out[i, 4], out[i, 5] = lv, ly, ls, ls, 0.0, ld
+                continue
+            delay = f2[j]
+            m1 = m[j] * gain
+            rest = d[j] - u0[j] + r[j] * (delay + invd) - q0[j] * y[j] - q1[j] * v[j] - m1
+            here = u0[j] + r[j] * tau[j]
+            out[i, 0] = r[j] + ev[j]
+            out[i, 1] = here - r[j] * (delay - inv1) + ey[j]
+            out[i, 2] = here - r[j] * delay + s[j]
+            out[i, 3] = out[i, 2]
+            out[i, 4] = 0.0
+            out[i, 5] = here - r[j] * (delay + invd) + q0[j] * ey[j] + q1[j] * ev[j] + m1 * k1[j] + rest * kd[j]
