@@ -10,6 +10,8 @@ import numpy as np
 from pixelid.errors import InputError
 from pixelid.fit.caveats import tested
 from pixelid.fit.coordinates import Coordinates
+from pixelid.fit.engines import Engine
+from pixelid.fit.engines import engine as engine_named
 from pixelid.fit.event_times import EventTimesObjective
 from pixelid.fit.newton import Optimum, maximise
 from pixelid.fit.pooled_rate import PooledRateObjective
@@ -39,6 +41,7 @@ def fit(
     fixed: Mapping[str, float] | None = None,
     starts: int = STARTS,
     between: str = "auto",
+    engine: str = "casadi",
     seed: int = 0,
     progress: Progress | None = None,
 ) -> FitResult:
@@ -48,12 +51,14 @@ def fit(
     none).  The search starts from the model's values and `starts` random points around them.
     between: how recorded stimuli run between their samples, "linear", "smooth", or "auto": whichever explains the
     events better.  fixed: nuisances of the recordings to hold ("stimulus.gain", "pooled.pixels").
+    engine: what climbs (`fit.engines`); all engines find the same optimum.
     gauge: statements that make physical values unique, instead of the model's own; refused when
     incomplete or over-determined.  progress(what, fraction) reports.
 
     Raises InputError for recordings that cannot be fitted together, and for an impossible gauge.
     """
     watch = Stopwatch()
+    climber = engine_named(engine)
     report = progress or (lambda what, fraction: None)
     if not recordings:
         raise InputError("no recordings to fit")
@@ -69,12 +74,12 @@ def fit(
         recording.check_stimulus_covers_events()
     rng = np.random.default_rng(seed)
     if all(pooled):
-        objective, optimum, details, pixels = _fit_pooled(recordings, model, fixed or {}, report)
+        objective, optimum, details, pixels = _fit_pooled(recordings, model, fixed or {}, climber, report)
         dispersion = details["dispersion"]
     else:
         if fixed:
             raise InputError(f"--fix {next(iter(fixed))}: the model {model.name} has no such parameter")
-        objective, optimum, details, pixels = _fit_event_times(recordings, model, starts, between, rng, report)
+        objective, optimum, details, pixels = _fit_event_times(recordings, model, starts, between, climber, rng, report)
         dispersion = 1.0
     report("standard errors", 0.9)
     curvature = -objective.hessian(optimum.x, optimum.local) / dispersion
@@ -97,7 +102,7 @@ def fit(
         status=status,
         advice=advice,
         model=fitted,
-        engine="scipy",
+        engine=climber.name,
         observation="pooled_rate" if all(pooled) else "event_times",
         coordinates=coordinates,
         x=optimum.x,
@@ -124,7 +129,7 @@ def fit(
     )
 
 
-def _fit_event_times(recordings, model, starts, between, rng, report):
+def _fit_event_times(recordings, model, starts, between, climber: Engine, rng, report):
     if "threshold_noise" not in model.effects:
         raise InputError(
             f"model {model.name}: the event-time likelihood needs threshold_noise (add it with --with threshold_noise)"
@@ -134,11 +139,12 @@ def _fit_event_times(recordings, model, starts, between, rng, report):
     model = feasible(model, scout)
     coordinates = Coordinates.of(model)
     report("searching", 0.05)
+    searcher = engine_named("scipy") if climber.name == "torch" else climber  # far starts need curvature
     ends: list[Optimum] = []
     points = [coordinates.start, *random_starts(coordinates.start, starts, rng)]
     for i, point in enumerate(points):
         begun = coordinates.start if i == 0 else Coordinates.of(feasible(coordinates.model_at(point), scout)).start
-        ends.append(maximise(EventTimesObjective(scout, coordinates), begun, tolerance=1e-2, max_steps=80))
+        ends.append(searcher.maximise(EventTimesObjective(scout, coordinates), begun, tolerance=1e-2, max_steps=80))
         report("searching", 0.05 + 0.45 * (i + 1) / len(points))
     best = max(ends, key=lambda end: end.local.value)
     agree = sum(end.local.value > best.local.value - 1.0 for end in ends)
@@ -148,7 +154,7 @@ def _fit_event_times(recordings, model, starts, between, rng, report):
         finer = [r.with_stimulus(resampled(r.stimulus, kind)) for r in recordings]
         likelihood = EventTimes(finer)
         objective = EventTimesObjective(likelihood, coordinates)
-        candidates[kind] = objective, maximise(objective, x, max_steps=60)
+        candidates[kind] = objective, climber.maximise(objective, x, max_steps=60)
         x = candidates[kind][1].x
         report("refining", 0.5 + 0.2 * len(candidates))
     kind = max(candidates, key=lambda k: candidates[k][1].local.value)
@@ -169,7 +175,7 @@ def _fit_event_times(recordings, model, starts, between, rng, report):
     return objective, optimum, details, full.pixels
 
 
-def _fit_pooled(recordings, model, fixed, report):
+def _fit_pooled(recordings, model, fixed, climber: Engine, report):
     for effect in ("threshold_noise", "threshold_mismatch", "refractory_period"):
         model = model.without_effect(effect)
     model = model.release(["delay_s"])
@@ -195,7 +201,7 @@ def _fit_pooled(recordings, model, fixed, report):
     )
     likelihood = PooledRate(recordings)
     objective = PooledRateObjective(likelihood, coordinates)
-    optimum = maximise(
+    optimum = climber.maximise(
         objective,
         found.x,
         tolerance=1e-1,
