@@ -56,7 +56,7 @@ def _entry(recording: Recording, model: Model, seed: int) -> dict:
     if isinstance(light, str):
         return entry | {"why": light}
     light = replace(light, radiance=light.radiance - circuit.dark)
-    thresholds = circuit.on_threshold, circuit.off_threshold, circuit.refractory
+    thresholds = circuit.on_threshold, circuit.off_threshold, circuit.refractory + 1.0 / circuit.differencing
     found = measure(recording.events, light, *thresholds)
     entry |= {
         "kind": "sweep" if isinstance(light, Sweep) else "steps",

@@ -92,7 +92,7 @@ def _errors(found: dict, circuit: Circuit, kinds: list[str], path: Path) -> None
                 error = radii.error_function(circuit, kind, name, scope)
                 axis.plot(
                     radiance,
-                    [100 * error(float(L)) for L in radiance],
+                    100 * error(radiance),
                     color=STYLES[kind][0],
                     linestyle="-" if scope == "photoreceptor" else "--",
                     label=f"{LABELS[kind]}, {scope}",

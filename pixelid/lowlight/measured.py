@@ -11,8 +11,10 @@ averaged over pixels and both polarities (leak adds to ON what it takes from OFF
 step time is when that passes 63.2 %, from the middle of the light's edge.  An edge that reverses the one before
 starts, by the same argument, one threshold late on average: one threshold is added.
 
-*Dead time ρ.*  What the signal does during it is lost.  Between two events of one polarity, Δt apart, it climbs C in
-Δt − ρ; so such an interval counts C Δt/(Δt − ρ).  A recording in which that more than doubles the sum is refused.
+*Dead time ρ.*  What the signal does during it is lost, and so is the amplifier's lag 1/ωd: at release its output
+starts from the follower's, ahead of where it would have been (DESIGN §1).  Both count as ρ.  Between two events of
+one polarity, Δt apart, the signal climbs C in Δt − ρ; so such an interval counts C Δt/(Δt − ρ).  A recording in which
+that more than doubles the sum is refused.
 
 Intervals are percentiles of 300 bootstrap samples over pixels.
 """
@@ -49,11 +51,11 @@ class Measured:
 
 
 def measure(
-    events: Events, light: Sweep | Steps, on_threshold: float, off_threshold: float, refractory_s: float = 0.0
+    events: Events, light: Sweep | Steps, on_threshold: float, off_threshold: float, dead_s: float = 0.0
 ) -> Measured:
-    """Bandwidth of a sweep, step time of steps; thresholds in log radiance."""
+    """Bandwidth of a sweep, step time of steps; thresholds in log radiance; dead_s: see above."""
     pixels, pixel = np.unique(events.pixel, return_inverse=True)
-    climbed = _climbed(events, on_threshold, off_threshold, refractory_s)
+    climbed = _climbed(events, on_threshold, off_threshold, dead_s)
     quantity = "bandwidth_hz" if isinstance(light, Sweep) else "step_time_s"
     if not len(pixels):
         return _not(quantity, "no events")

@@ -22,7 +22,7 @@ QUANTITIES = ("dominant_pole", "bandwidth", "step_time")
 SEARCHED = (1e-5, 1e6)  # in units of the natural radiance
 GRID = {"dominant_pole": 4001, "bandwidth": 221, "step_time": 221}
 
-Function = Callable[[float], float]
+Function = Callable[..., np.ndarray]
 
 
 def natural_radiance(circuit: Circuit) -> float:
@@ -38,14 +38,15 @@ def quantity(name: str, at: np.ndarray) -> float:
 
 
 def error_function(circuit: Circuit, approximation: str, name: str, scope: str) -> Function:
-    """radiance → signed relative error."""
+    """radiance (…) → signed relative error (…)."""
     if name == "dominant_pole":
-        return lambda L: float(poles.corner(circuit, L, approximation) / poles.dominant(circuit, L)) - 1.0
-    return lambda L: (
-        quantity(name, poles.approximate(circuit, L, scope, approximation))
-        / quantity(name, poles.exact(circuit, L, scope))
-        - 1.0
-    )
+        return lambda L: poles.corner(circuit, L, approximation) / poles.dominant(circuit, L) - 1.0
+
+    def at(L: float) -> float:
+        wrong = quantity(name, poles.approximate(circuit, L, scope, approximation))
+        return wrong / quantity(name, poles.exact(circuit, L, scope)) - 1.0
+
+    return np.vectorize(at, otypes=[float])
 
 
 def crossings(error: Function, low: float, high: float, points: int, levels=LEVELS) -> dict:
@@ -56,7 +57,7 @@ def crossings(error: Function, low: float, high: float, points: int, levels=LEVE
     radiance grows: "leaves" (the error's size passes the level outwards) or "returns".
     """
     logs = np.linspace(np.log(low), np.log(high), points)
-    values = np.array([error(float(np.exp(x))) for x in logs])
+    values = error(np.exp(logs))
     found: dict = {
         "searched": [low, high],
         "at_lowest": values[0],
@@ -69,7 +70,7 @@ def crossings(error: Function, low: float, high: float, points: int, levels=LEVE
         for signed in (-level, level):
             above = values > signed
             for k in np.flatnonzero(above[1:] != above[:-1]):
-                root = brentq(lambda x, s=signed: error(float(np.exp(x))) - s, logs[k], logs[k + 1], xtol=1e-13)
+                root = brentq(lambda x, s=signed: float(error(np.exp(x))) - s, logs[k], logs[k + 1], xtol=1e-13)
                 outward = bool(above[k]) == (signed < 0)
                 here.append(
                     {
