@@ -15,6 +15,7 @@ COMMANDS = {
     "convert": "Any readable recording to .h5, and back to text or npz.",
     "simulate": "Events of a circuit under a stimulus.",
     "fit": "Fit a circuit to recordings.",
+    "compare": "Which of several models the recordings support.",
     "sensor": "Maps of thresholds and bandwidth over a whole sensor.",
     "rates": "Fit tables of event rate against the frequency of a light.",
     "flicker": "What mains flicker alone says about the pixels.",

@@ -88,24 +88,32 @@ def _side(objective, x, i, sign, sd, along, top, dispersion, points) -> float | 
     """The signed move at which the profile has dropped by DROP, None when the bound comes first."""
     lower, upper = objective.coordinates.bounds()
     bound = abs((upper if sign > 0 else lower)[i] - x[i])
-    move, last, start = min(1.96 * sd, bound), (0.0, 0.0), x
+    move, near, far, start = min(1.96 * sd, bound), (0.0, 0.0), None, x
     for _ in range(MOST_STEPS):
         if move <= 0:
             return None
         guess = np.clip(start + sign * (move - abs(start[i] - x[i])) * along, lower, upper)
         guess[i] = x[i] + sign * move
-        value, start = at_fixed(objective, guess, i)
+        value, end = at_fixed(objective, guess, i)
         drop = max(top - value, 0.0) / dispersion
         points[sign * move] = drop
-        if drop >= DROP:
-            a, b = np.sqrt(last[1]), np.sqrt(drop)
-            return sign * float(last[0] + (move - last[0]) * (np.sqrt(DROP) - a) / (b - a))
-        if move >= bound:
-            return None
-        last = move, drop
-        growth = 1.15 * np.sqrt(DROP / drop) if drop > 0.05 else 4.0
-        move = min(move * float(np.clip(growth, 1.1, 4.0)), bound)
-    return None
+        if drop < DROP:
+            if move >= bound:
+                return None
+            near, start = (move, drop), end
+        else:
+            far = move, drop
+            if drop < 2.0 * DROP:
+                break
+        if far is not None:
+            move = 0.5 * (near[0] + far[0])
+        else:
+            growth = 1.15 * np.sqrt(DROP / drop) if drop > 0.05 else 2.0
+            move = min(move * float(np.clip(growth, 1.1, 2.0)), bound)
+    if far is None:
+        return None
+    a, b = np.sqrt(near[1]), np.sqrt(far[1])
+    return sign * float(near[0] + (far[0] - near[0]) * (np.sqrt(DROP) - a) / (b - a))
 
 
 def at_fixed(objective, x: np.ndarray, i: int) -> tuple[float, np.ndarray]:

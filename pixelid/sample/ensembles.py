@@ -64,7 +64,7 @@ class Ensembles:
         for k in range(count):
             backend = emcee.backends.HDFBackend(str(self._live), name=f"ensemble_{k}")
             sampler = emcee.EnsembleSampler(walkers, d, target, backend=backend, moves=moves(proposal, trust))
-            if not self.resumed:
+            if int(backend.iteration) == 0:
                 sampler.random_state = np.random.RandomState([seed, k, 20240711]).get_state()
             self.samplers.append(sampler)
         self._starts = starts

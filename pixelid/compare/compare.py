@@ -1,0 +1,142 @@
+"""Model comparison: log-likelihood of pixels that a fit has not seen, BIC, and PSIS-LOO from posteriors.
+
+Pixels are the exchangeable unit (DESIGN §6): events of one pixel share its thresholds and are not independent, so
+whole pixels are held out, and differences between models are paired over pixels.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pixelid.errors import InputError
+from pixelid.fit import FitResult, fit
+from pixelid.likelihood.event_times import EventTimes
+from pixelid.model.model import Model
+from pixelid.recordings.recording import Recording
+from pixelid.stimuli.resample import resampled
+
+CLEAR = 2.0  # standard errors by which a held-out difference decides
+
+
+@dataclass(frozen=True)
+class Contender:
+    """One model: its fit to everything, bic (smaller is better), held_out (pixels,) log-likelihood, and PSIS-LOO
+    {"elpd", "se", "worst_k_hat"} when posteriors were drawn."""
+
+    result: FitResult
+    bic: float
+    held_out: np.ndarray
+    loo: Mapping[str, float] | None = None
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """contenders by name;  best: highest held-out log-likelihood;  sentence: what to conclude."""
+
+    contenders: Mapping[str, Contender]
+    best: str
+    sentence: str
+
+    def as_dict(self) -> dict:
+        """The content of compare.json."""
+        best = self.contenders[self.best]
+        table = {}
+        for name, c in self.contenders.items():
+            gain = c.held_out - best.held_out
+            table[name] = {
+                "status": c.result.status,
+                "log_likelihood": c.result.log_likelihood,
+                "free_parameters": len(c.result.coordinates),
+                "bic": c.bic,
+                "held_out_log_likelihood": float(c.held_out.sum()),
+                "behind_best_nats": float(gain.sum()),
+                "behind_best_se": standard_error(gain),
+                "loo": None if c.loo is None else dict(c.loo),
+            }
+        return {"best": self.best, "sentence": self.sentence, "models": table}
+
+
+def standard_error(differences: np.ndarray) -> float:
+    """Standard error of the sum of paired differences over pixels."""
+    return float(np.sqrt(len(differences)) * differences.std(ddof=1)) if len(differences) > 1 else float("inf")
+
+
+def compare(
+    recordings: Sequence[Recording],
+    models: Sequence[Model],
+    *,
+    folds: int = 2,
+    between: str = "auto",
+    seed: int = 0,
+    posteriors: bool = False,
+    progress: Callable[[str, float], None] | None = None,
+) -> Comparison:
+    """Fit every model and judge it on held-out pixels.
+
+    folds: the pixels are dealt at random into so many parts, each predicted by a fit to the others;
+    posteriors: also PSIS-LOO over pixels, from draws (slower).  progress(what, fraction) reports.
+
+    Raises InputError for fewer than two models, two of one name, and fewer pixels than folds.
+    """
+    names = [model.name for model in models]
+    if len(models) < 2 or len(set(names)) < len(names):
+        raise InputError(f"compare: expected two or more models of different names, found {', '.join(names) or 'none'}")
+    report = progress or (lambda what, fraction: None)
+    pixels = np.unique(np.concatenate([r.events.pixel for r in recordings]))
+    if len(pixels) < folds or folds < 2:
+        raise InputError(f"compare: expected at least 2 folds and as many pixels, found {folds} and {len(pixels)}")
+    part = np.random.default_rng(seed).permutation(len(pixels)) % folds
+    contenders = {}
+    for i, model in enumerate(models):
+        report(f"fitting {model.name}", i / len(models))
+        result = fit(recordings, model, between=between, seed=seed)
+        kind = result.details["stimulus_between_samples"]
+        held_out = []
+        for fold in range(folds):
+            report(f"holding out pixels of {model.name}", (i + (fold + 1) / (folds + 1)) / len(models))
+            seen, unseen = pixels[part != fold], pixels[part == fold]
+            trained = fit(_only(recordings, seen), result.model, starts=0, between=kind, seed=seed)
+            finer = [r.with_stimulus(resampled(r.stimulus, kind)) for r in _only(recordings, unseen) if r.stimulus]
+            held_out.append(EventTimes(finer).terms(trained.coordinates.circuit(trained.x)).per_pixel.real)
+        bic = len(result.coordinates) * np.log(result.events) - 2.0 * result.log_likelihood
+        loo = _loo(result, recordings, seed) if posteriors else None
+        contenders[model.name] = Contender(result, float(bic), np.concatenate(held_out), loo)
+    best = max(contenders, key=lambda name: contenders[name].held_out.sum())
+    report("done", 1.0)
+    return Comparison(contenders, best, _sentence(contenders, best))
+
+
+def _only(recordings: Sequence[Recording], pixels: np.ndarray) -> list[Recording]:
+    return [replace(r, events=r.events.select(np.isin(r.events.pixel, pixels))) for r in recordings]
+
+
+def _loo(result: FitResult, recordings: Sequence[Recording], seed: int) -> dict[str, float]:
+    """PSIS-LOO over pixels (Vehtari, Gelman & Gabry 2017, Stat. Comput. 27)."""
+    import warnings
+
+    from pixelid.sample import sample
+    from pixelid.sample.groups import inference_data
+    from pixelid.sample.library import arviz
+
+    data = inference_data(sample(result, recordings, seed=seed), result, recordings, predictive_draws=0)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        found = arviz().loo(data, var_name="pixel", pointwise=True)
+    return {"elpd": float(found.elpd_loo), "se": float(found.se), "worst_k_hat": float(found.pareto_k.max())}
+
+
+def _sentence(contenders: Mapping[str, Contender], best: str) -> str:
+    rivals = {name: c for name, c in contenders.items() if name != best}
+    gains = {name: contenders[best].held_out - c.held_out for name, c in rivals.items()}
+    nearest = min(gains, key=lambda name: gains[name].sum())
+    gain, error = float(gains[nearest].sum()), standard_error(gains[nearest])
+    if gain > CLEAR * error:
+        return (
+            f"the data support {best}: held-out pixels are {gain:.4g} ± {error:.2g} nats likelier than under {nearest}"
+        )
+    simpler = min((best, nearest), key=lambda name: len(contenders[name].result.coordinates))
+    margin = f"{gain:.3g} ± {error:.2g} nats"
+    return f"the data do not decide between {best} and {nearest} ({margin}): take the simpler, {simpler}"

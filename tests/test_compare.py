@@ -1,0 +1,39 @@
+"""Model comparison finds the order that made the data."""
+
+import numpy as np
+import pytest
+
+from pixelid.compare import compare
+from pixelid.errors import InputError
+from pixelid.model.shipped import find_model
+from pixelid.simulate import simulate
+from pixelid.stimuli.shapes import chirp
+
+
+@pytest.fixture(scope="module")
+def outcome():
+    truth = find_model("dvs128").without_effect("threshold_mismatch")
+    recording = simulate(truth, chirp(24.0, duration_s=0.4, dt=2e-4), width=4, height=1, seed=3)
+    held = ("refractory_s", "diff_cutoff_hz")
+    second = truth.fix({name: None for name in held})
+    first = find_model("dvs128_low_light").without_effect("threshold_mismatch").fix({name: None for name in held})
+    return compare([recording], [first, second], between="linear")
+
+
+def test_second_order_data_support_the_second_order_model(outcome):
+    assert outcome.best == "dvs128"
+    assert outcome.sentence.startswith("the data support dvs128")
+    table = outcome.as_dict()["models"]
+    assert table["dvs128"]["bic"] < table["dvs128_low_light"]["bic"]
+    assert table["dvs128_low_light"]["behind_best_nats"] < -10
+
+
+def test_every_pixel_is_predicted_once(outcome):
+    for contender in outcome.contenders.values():
+        assert contender.held_out.shape == (4,)
+        assert np.isfinite(contender.held_out).all()
+
+
+def test_comparisons_that_make_no_sense():
+    with pytest.raises(InputError, match="two or more models"):
+        compare([], [find_model("dvs128")])

@@ -1,0 +1,111 @@
+"""Identifiability: designs that cannot tell are said so, and their parameters are not called known."""
+
+import numpy as np
+import pytest
+
+from pixelid.fit import fit
+from pixelid.fit.profiles import objective_of, profile
+from pixelid.identify.curvature import combination
+from pixelid.identify.design import caveats, design_of, exchanged_poles
+from pixelid.identify.small_sample import intervals
+from pixelid.model.shipped import find_model
+from pixelid.recordings.events import Events
+from pixelid.recordings.recording import Recording
+from pixelid.simulate import simulate
+from pixelid.stimuli.shapes import chirp, sine, steps
+from pixelid.stimuli.stimulus import Stimulus
+
+
+def under(*stimuli):
+    return [Recording(Events.empty(1, 1), stimulus) for stimulus in stimuli]
+
+
+def test_designs():
+    one = design_of(under(sine(50.0, 0.3, 20.0, 0.5)))
+    assert one.one_level and one.one_frequency
+    assert one.frequency_hz == pytest.approx(20.0, rel=0.05)
+    rich = design_of(under(chirp(5.0), steps(100.0)))
+    assert not rich.poor
+    assert design_of(under(chirp(50.0), steps(50.0))).one_level
+    assert not design_of(under(sine(50.0, 0.3, 20.0), sine(50.0, 0.3, 80.0))).one_frequency
+    shape = design_of(under(Stimulus.from_arrays([0.0, 1.0], [0.0, 1.0], "shape")))
+    assert shape.shape and not shape.poor
+
+
+def test_exchanged_poles_have_the_same_characteristic_polynomial():
+    values = {"alpha": 1e4, "beta": 3000.0, "gamma": 1.0, "sf_cutoff_hz": 300.0}
+    level = 100.0
+
+    def polynomial(v):
+        pair = [1.0, v["beta"] + v["gamma"] * level, v["alpha"] * level]
+        return np.polymul(pair, [1.0, 2 * np.pi * v["sf_cutoff_hz"]])
+
+    found = exchanged_poles(values, level)
+    assert len(found) == 2
+    for other in found:
+        np.testing.assert_allclose(polynomial(other), polynomial(values), rtol=1e-12)
+        assert other["sf_cutoff_hz"] != pytest.approx(300.0)
+    assert exchanged_poles({**values, "alpha": 1e6}, level) == []  # a complex pair has no pole to give away
+
+
+def test_caveats_in_words():
+    values = {"alpha": 1e4, "beta": 3000.0, "gamma": 1.0, "sf_cutoff_hz": 300.0}
+    said = " ".join(caveats(design_of(under(sine(100.0, 0.3, 20.0, 0.5))), values))
+    for words in ("one radiance level", "exchanged", "one frequency", "contrast × threshold"):
+        assert words in said
+    assert caveats(design_of(under(chirp(5.0), steps(100.0))), values) == []
+
+
+def test_eigenvectors_in_words():
+    assert combination(["alpha", "beta", "gamma"], np.array([0.8, -0.4, 0.01])) == "alpha × k with beta × k^-0.5"
+
+
+def test_few_pixels_widen_thresholds_and_only_them():
+    """Toy: n thresholds of unknown mean and spread.  Normal intervals miss too often, the corrected ones do not."""
+    rng = np.random.default_rng(0)
+    n, spread, hits, plain = 9, 0.05, np.zeros(2), 0
+    names = ["alpha", "on_threshold", "off_threshold", "threshold_mismatch.sigma"]
+    for _ in range(4000):
+        thresholds = spread * rng.normal(size=(2, n))
+        found = np.sqrt(thresholds.var(axis=1).mean())  # maximum likelihood, one spread for ON and OFF
+        x = np.array([0.0, *thresholds.mean(axis=1), np.log(found)])
+        sd = np.array([0.1, found / np.sqrt(n), found / np.sqrt(n), 1 / np.sqrt(4 * n)])
+        low, high = intervals(names, x, sd, n)
+        hits += [low[1] <= 0 <= high[1], low[3] <= np.log(spread) <= high[3]]
+        plain += abs(x[1]) < 1.96 * sd[1]
+        assert high[0] == pytest.approx(0.196, rel=1e-3)
+    assert plain / 4000 < 0.93
+    assert 0.94 < hits[0] / 4000 < 0.965
+    assert 0.935 < hits[1] / 4000 < 0.965
+
+
+@pytest.fixture(scope="module")
+def single():
+    """One level, one frequency: what data cannot say."""
+    model = find_model("dvs128").without_effect("threshold_mismatch")
+    recording = simulate(model, sine(24.0, 0.5, 20.0, 0.5, dt=2e-4), width=3, height=1, seed=1)
+    return [recording], fit([recording], model, starts=0, between="linear")
+
+
+def test_one_level_one_frequency_is_not_reported_as_known(single):
+    _, result = single
+    for name in ("alpha", "beta", "gamma", "sf_cutoff_hz", "diff_cutoff_hz"):
+        assert not result.estimates[name].identified, name
+    said = " ".join(result.as_dict()["unidentified"])
+    for words in ("one radiance level", "one frequency", "exchanged", "contrast × threshold"):
+        assert words in said
+    assert result.details["condition_number"] > 1e3
+    assert result.details["directions_best_to_least_known"][-1]["sd"] > 0.5
+
+
+def test_profiles_tell_bounded_from_open(single):
+    recordings, result = single
+    objective = objective_of(result, recordings)
+    threshold = profile(objective, result.x, "threshold_sigma", result.covariance)
+    assert threshold.kind == "bounded"
+    low, high = threshold.interval_95
+    assert low < result.estimates["threshold_sigma"].value < high
+    open_one = profile(objective, result.x, "gamma", result.covariance)
+    low, high = open_one.interval_95
+    assert low is None or high is None or high > 2.0 * low
+    assert bool(open_one.sentence()) == (open_one.kind != "bounded")
