@@ -26,7 +26,8 @@ def commands(recordings: Path, out: Path) -> dict[str, list[str]]:
             "rates", str(recordings / "rate_vs_frequency_gen31.csv"), "--unit", "mev/s", "--out", str(out / "gen31"),
         ],
         "led_rate_vs_frequency_evk4.npz": [
-            "rates", str(FITS / "led_rate_vs_frequency_evk4.toml"), "--data", str(recordings), "--out", str(out / "evk4"),
+            "rates", str(FITS / "led_rate_vs_frequency_evk4.toml"), "--data", str(recordings),
+            "--out", str(out / "evk4"),
         ],
     }  # fmt: skip
 

@@ -101,8 +101,15 @@ def test_blocks_share_a_bandwidth(sensor, model):
     assert np.median(fit.maps["sf_cutoff_hz"].raw_sd) < 0.1
 
 
-def test_dask_gives_the_same_numbers(sensor, model, serial):
-    fit = fit_sensor([sensor[0]], model, tile=4, replicates=40, where=Where(workers=2))
+@pytest.fixture(scope="module")
+def client():
+    with connected(Where(workers=2)) as client:
+        yield client
+
+
+def test_a_cluster_gives_the_same_numbers(sensor, model, serial, client):
+    where = Where(cluster=client.scheduler.address)
+    fit = fit_sensor([sensor[0]], model, tile=4, replicates=40, where=where)
     for name, m in serial.maps.items():
         for field in ("raw", "raw_sd", "log", "sd"):
             assert np.array_equal(getattr(fit.maps[name], field), getattr(m, field), equal_nan=True)
@@ -117,9 +124,8 @@ def _dies_once(i: int, folder: str):
     return {"square": np.array(i * i)}
 
 
-def test_a_dying_worker_changes_nothing(tmp_path):
-    with connected(Where(workers=2)) as client:
-        results = run_tasks(_dies_once, 8, lambda i: (i, str(tmp_path)), client=client)
+def test_a_dying_worker_changes_nothing(tmp_path, client):
+    results = run_tasks(_dies_once, 8, lambda i: (i, str(tmp_path)), client=client)
     assert (tmp_path / "died").exists()
     assert [int(r["square"]) for r in results] == [i * i for i in range(8)]
 

@@ -140,13 +140,16 @@ def fit_flicker(
     for k, shape in enumerate(SHAPES):
         fits[shape] = {}
         for j, (where, table) in enumerate(tables.items()):
-            start = fits["sine"][where].x if shape != "sine" else None
+            start = fits["sine"][where].x if shape == "deep sine" else None
             fits[shape][where] = fit_group(table, shape, start)
             report(f"groups, {shape}", 0.1 + 0.85 * (k + (j + 1) / len(tables)) / len(SHAPES))
         totals[shape] = float(sum(fit.log_likelihood for fit in fits[shape].values()))
     best = max(totals, key=lambda shape: totals[shape])
     groups = tuple(Group(c, r, table, fits[best][c, r]) for (c, r), table in tables.items())
-    perfect = sum(fit_group(g.table, best, g.fit.x, memory=1.0).log_likelihood for g in groups)
+    perfect = max(
+        sum(fit_group(table, shape, fits[shape][where].x, memory=1.0).log_likelihood for where, table in tables.items())
+        for shape in SHAPES
+    )
     information = [_of_seen(g.fit.information) for g in groups]
     nominal = {**model.values, "diff_cutoff_hz": model.values.get("diff_cutoff_hz", 1e5)}
     level = np.geomspace(10.0, 1000.0, len(groups))
@@ -212,8 +215,8 @@ def _open_sentences(fit: FlickerFit) -> list[str]:
         "contrast × bandwidth / threshold: only their product is the amplitude, so thresholds and "
         "contrasts stay unknown",
         "absolute phase lag: the lamp's own phase is unknown, only differences between groups are seen",
-        f"if every group saw the same contrast, {fit.equal.fixed} instead of {fit.free.fixed} directions would be fixed"
-        + (", and still none of the circuit's parameters by itself" if not _circuit_known(fit.equal) else ""),
+        f"if every group saw the same contrast, {fit.equal.fixed} of {fit.equal.fixed + fit.equal.blind} directions "
+        "would be fixed" + (", and still none of the circuit's parameters" if not _circuit_known(fit.equal) else ""),
     ]
 
 
@@ -241,17 +244,19 @@ def _disagreements(fit: FlickerFit) -> list[str]:
             f"{worst.column}, {worst.row}): pixels within a group differ; errors are scaled for it"
         )
     order = sorted(fit.shapes, key=lambda s: -fit.shapes[s])
+    behind = [
+        f"{s!r} is {(fit.shapes[order[0]] - fit.shapes[s]) / max(typical, 1.0):.0f} nats worse" for s in order[1:]
+    ]
     found.append(
-        f"the light looks like {order[0]!r}: "
-        + ", ".join(f"{s!r} is {fit.shapes[order[0]] - fit.shapes[s]:.0f} nats worse" for s in order[1:])
-        + f" (over {len(fit.groups)} groups)"
+        f"the light looks like {order[0]!r}: {', '.join(behind)} (over {len(fit.groups)} groups, scatter allowed for)"
     )
-    if fit.memory_gain > 10.0:
+    gain = fit.memory_gain / max(typical, 1.0)
+    if gain > 10.0:
         memory = np.median([g.fit.values["memory"] for g in fit.groups])
         found.append(
             f"the level of the last event is remembered by {memory:.2f} only (median; 1 is the model's "
             f"comparator, which is "
-            f"{fit.memory_gain:.0f} nats worse): a lower cutoff near the flicker's frequency, or events that noise "
+            f"{gain:.0f} nats worse): a lower cutoff near the flicker's frequency, or events that noise "
             "triggers, would do that, and this recording cannot tell which"
         )
     known = [g for g in fit.groups if g.sd[0] < OPEN_SD and g.sd[2] < 0.05]
@@ -263,7 +268,8 @@ def _disagreements(fit: FlickerFit) -> list[str]:
             f"would give −1; "
             "the rest is contrast that varies over the scene"
         )
-        if np.ptp(lag) > 0.25:
+        error = float(np.hypot(known[lag.argmax()].sd[2], known[lag.argmin()].sd[2]))
+        if np.ptp(lag) > 0.25 + 2.0 * error:
             found.append(
                 f"lags differ by {np.ptp(lag):.2f} cycles, more than the 0.25 that one pole can give: "
                 "dim pixels need at least two"
