@@ -77,7 +77,9 @@ def command(recordings, model, out, bandwidth, block, tile, bootstrap, workers, 
 
         table = Table(title=f"{found['pixels_with_events']} pixels, {found['events']} events, {found['seconds']:.1f} s")
         for heading in ("parameter", "mean", "spread", "error alone", "error shrunk", "pixels without"):
-            table.add_column(heading, justify="left" if heading == "parameter" else "right")
+            table.add_column(
+                heading, justify="left" if heading == "parameter" else "right", no_wrap=heading == "parameter"
+            )
         for name, entry in found["maps"].items():
             percent = [entry["relative_spread"], entry["typical_error_before"], entry["typical_error_after"]]
             cells = ["–" if v is None else f"{100 * v:.2g} %" for v in percent]
