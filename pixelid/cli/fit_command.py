@@ -27,12 +27,16 @@ Example:
 @click.option("--gauge", multiple=True, metavar="NAME=VALUE", help='E.g. q_in=0.875 or "A_loop=0.7 A_amp".')
 @click.option("--between", type=click.Choice(["auto", "linear", "smooth"]), default="auto", show_default=True,
               help="How a sampled stimulus runs between its samples; auto asks the events.")  # fmt: skip
+@click.option("--engine", type=click.Choice(["casadi", "torch", "scipy"]),
+              help="What climbs (default: casadi); all find the same optimum.")  # fmt: skip
 @click.option("--sample", is_flag=True, help="Also draw from the posterior: posterior.nc, corner and trace plots.")
 @click.option("--profile", is_flag=True, help="Also profile every parameter: bounded, one-sided or flat.")
 @click.option("--overwrite", is_flag=True, help="Replace --out when it exists.")
 @click.option("--seed", type=int, default=0, show_default=True)
 @click.option("--quiet", is_flag=True, help="No progress, no table.")
-def command(recordings, model, out, with_, without, fix, gauge, between, sample, profile, overwrite, seed, quiet):
+def command(
+    recordings, model, out, with_, without, fix, gauge, between, engine, sample, profile, overwrite, seed, quiet
+):
     """Fit a circuit to RECORDINGS (files or folders), or run a RECIPE.toml of fits/.
 
     Recordings with pixels use the event-time likelihood, pooled ones the pooled-rate likelihood.
@@ -53,6 +57,8 @@ def command(recordings, model, out, with_, without, fix, gauge, between, sample,
         if not model:
             raise InputError("--model is missing: a shipped model (see `pixelid models`), a file or a fit folder")
         recipe = Recipe.of(recordings, model, with_, without, fix, gauge, between, seed, sample, profile)
+    if engine:
+        recipe = replace(recipe, engine=engine)
     with bar(quiet) as report:
         result = recipe.run(out, overwrite, report)
     if not quiet:

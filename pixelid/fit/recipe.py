@@ -8,6 +8,7 @@ without = ["refractory_period"] effects to remove
 fix = ["gamma=1.12"]            parameters to hold
 gauge = ["q_in=0.875"]          statements for physical values
 between = "auto"                "linear", "smooth" or "auto"
+engine = "casadi"               "casadi", "torch" or "scipy"
 seed = 0
 """
 
@@ -18,6 +19,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from pixelid.errors import InputError
+from pixelid.fit.engines import ENGINES
 from pixelid.fit.fit import fit
 from pixelid.fit.result import FitResult
 from pixelid.model.files import read_toml
@@ -28,7 +30,7 @@ from pixelid.outputs import refuse_existing, whole_folder
 from pixelid.parameters.gauge import Gauge
 from pixelid.recordings import open_recordings
 
-_KEYS = {"recordings", "model", "with", "without", "fix", "gauge", "between", "seed", "sample", "profile"}
+_KEYS = {"recordings", "model", "with", "without", "fix", "gauge", "between", "seed", "sample", "profile", "engine"}
 
 
 @dataclass(frozen=True)
@@ -45,6 +47,7 @@ class Recipe:
     seed: int = 0
     sample: bool = False
     profile: bool = False
+    engine: str = "casadi"
 
     @staticmethod
     def of(
@@ -95,6 +98,7 @@ class Recipe:
             gauge=gauge,
             fixed=self.held_nuisances(model),
             between=self.between,
+            engine=self.engine,
             seed=self.seed,
             progress=progress,
         )
@@ -151,7 +155,15 @@ def read_recipe(path: Path) -> Recipe:
         _whole_number(document.get("seed", 0), path),
         _yes_or_no(document, "sample", path),
         _yes_or_no(document, "profile", path),
+        _engine(document, path),
     )
+
+
+def _engine(document, path: Path) -> str:
+    value = document.get("engine", "casadi")
+    if value not in ENGINES:
+        raise InputError(f"{path}: [fit] engine must be one of {', '.join(ENGINES)}, found {value!r}")
+    return value
 
 
 def _whole_number(value, path: Path) -> int:

@@ -267,6 +267,10 @@ class ChangeEvaluator:
             self._latest = key, trajectory
         return trajectory
 
+    def forget(self) -> None:
+        """Drop the remembered trajectory."""
+        self._latest = None
+
     @property
     def extremes_at(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Samples of the extremes as last located: (n,) opposite, (m,) rise, fall; −1 none."""

@@ -1,0 +1,75 @@
+"""One evaluation of the event-time likelihood, single-threaded, beside the plain way of doing the same.
+
+Session: one recording, 500 000 stimulus samples, about 200 000 events.  The plain way: the scan one step at a time by
+the scalar kernel, the state at every event by the scalar kernel, the density in NumPy (`EventTimes.terms`).
+Times are CPU seconds of the thread; their ratio is what a busy machine leaves comparable.
+"""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+
+from pixelid.dynamics import kernels, vectorised
+from pixelid.likelihood import changes
+from pixelid.likelihood.density import density
+from pixelid.likelihood.event_times import EventTimes
+from pixelid.model.shipped import find_model
+from pixelid.simulate import simulate
+from pixelid.stimuli.stimulus import Stimulus
+
+SAMPLES, SECONDS = 500_000, 20.0
+
+
+def session():
+    """About 200 000 events of 88 pixels."""
+    t = np.linspace(0.0, SECONDS, SAMPLES)
+    log_light = np.log(200.0) + np.sin(2 * np.pi * 6 * t) + 0.3 * np.sin(2 * np.pi * 31 * t)
+    return simulate(find_model("dvs128"), Stimulus(t, np.exp(log_light), "fA"), width=11, height=8, seed=1)
+
+
+def best_of(function, repeats: int = 7) -> float:
+    """Least CPU milliseconds of this thread over some calls, the first left out (it compiles)."""
+    function()
+    times = []
+    for _ in range(repeats):
+        start = time.thread_time()
+        function()
+        times.append(time.thread_time() - start)
+    return 1e3 * min(times)
+
+
+def main() -> None:
+    likelihood = EventTimes([session()])
+    circuit = find_model("dvs128").circuit()
+    evaluate = likelihood.evaluators[0]
+
+    def gathered(locate=True):
+        evaluate.forget()
+        part = evaluate(circuit, locate)
+        names = (*changes_fields(), "rise", "rise_drift", "fall", "fall_drift")
+        return np.concatenate([getattr(part, name) for name in names])
+
+    known = gathered()
+    full = best_of(lambda: density(likelihood, circuit, gathered()).total)
+    frozen = best_of(lambda: density(likelihood, circuit, gathered(False)).total)
+    alone = best_of(lambda: density(likelihood, circuit, known).total)
+    fast, at = vectorised.scan, vectorised.states_at
+    vectorised.scan, vectorised.states_at = kernels.scan, changes._states_one_by_one
+    plain = best_of(lambda: likelihood.terms(circuit, gathered()).total, 2)
+    vectorised.scan, vectorised.states_at = fast, at
+    print(f"{likelihood.events} events, {SAMPLES} samples")
+    print(f"likelihood with its gradient by changes   {full:8.1f} ms   (target 40 ms)")
+    print(f"  with extremes where they were           {frozen:8.1f} ms")
+    print(f"  density alone                           {alone:8.1f} ms")
+    print(f"plain: scalar kernels, NumPy density      {plain:8.1f} ms   ({plain / full:.1f} times)")
+
+
+def changes_fields() -> tuple[str, ...]:
+    """Per-event fields in the order of `EventTimes.gathered`."""
+    return ("change", "slope", "drift", "drift_slope", "opposite", "opposite_drift", "early")
+
+
+if __name__ == "__main__":
+    main()
