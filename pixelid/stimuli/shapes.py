@@ -25,6 +25,13 @@ def _times(duration_s: float, dt: float) -> np.ndarray:
     return np.arange(math.floor(duration_s / dt + 1e-9) + 1) * dt
 
 
+def _positive(**values: float) -> None:
+    """Raises InputError naming the first value that is not positive and finite."""
+    for name, value in values.items():
+        if not 0 < value < math.inf:
+            raise InputError(f"stimulus: {name} must be positive, found {value:g}")
+
+
 def constant(level=100.0, duration_s=1.5) -> Stimulus:
     """Constant light, two samples."""
     return Stimulus.from_arrays(_times(duration_s, duration_s), np.full(2, level), where="constant")
@@ -59,9 +66,10 @@ def chirp(level=100.0, modulation=0.75, start_hz=3.0, stop_hz=400.0, duration_s=
 def steps(level=100.0, modulation=0.9, hold_s=0.02, edge_s=2e-4, duration_s=0.8, dt=5e-5, seed=0) -> Stimulus:
     """Random levels, ln L uniform within ± modulation of ln level, each held; logistic edges about 5 edge_s wide."""
     t = _times(duration_s, dt)
+    _positive(hold_s=hold_s, edge_s=edge_s, level=level)
     count = math.ceil(duration_s / hold_s) + 1
     logs = np.random.default_rng(seed).uniform(-modulation, modulation, count)
-    u = np.full(len(t), math.log(level) if level > 0 else math.nan) + logs[0]
+    u = np.full(len(t), math.log(level)) + logs[0]
     for k in range(1, count):
         u += (logs[k] - logs[k - 1]) * 0.5 * (1 + np.tanh(0.5 * (t - k * hold_s) / edge_s))
     return Stimulus.from_arrays(t, np.exp(u), where="steps")
@@ -70,6 +78,7 @@ def steps(level=100.0, modulation=0.9, hold_s=0.02, edge_s=2e-4, duration_s=0.8,
 def pulse(level=100.0, modulation=4.0, width_s=5e-3, duration_s=0.5, dt=5e-5) -> Stimulus:
     """One Gaussian pulse in the middle, level (1 + modulation exp(−½ ((t − T/2)/width)²))."""
     t = _times(duration_s, dt)
+    _positive(width_s=width_s)
     radiance = level * (1 + modulation * np.exp(-0.5 * ((t - duration_s / 2) / width_s) ** 2))
     return Stimulus.from_arrays(t, radiance, where="pulse")
 
@@ -86,6 +95,7 @@ def grating(
 ) -> Stimulus:
     """A video: vertical sine grating moving to the right, `frequency_hz` cycles per second past each pixel."""
     t = _times(duration_s, dt)
+    _positive(period_px=period_px)
     if width < 1 or height < 1 or len(t) * width * height > 4e9:
         raise InputError(f"grating: {len(t)} frames of {width} x {height} pixels cannot be held in memory")
     phase = 2 * np.pi * (frequency_hz * t[:, None] - np.arange(width)[None, :] / period_px)
