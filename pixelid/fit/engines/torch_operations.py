@@ -17,7 +17,7 @@ class TorchOperations:
     total = staticmethod(torch.sum)
     join = staticmethod(torch.cat)
 
-    def __init__(self, device="cpu") -> None:
+    def __init__(self, device: str | torch.device = "cpu") -> None:
         self.device = torch.device(device)
 
     def constant(self, values):
