@@ -15,8 +15,8 @@ def outcome():
     truth = find_model("dvs128").without_effect("threshold_mismatch")
     recording = simulate(truth, chirp(24.0, duration_s=0.4, dt=2e-4), width=4, height=1, seed=3)
     held = ("refractory_s", "diff_cutoff_hz")
-    second = truth.fix({name: None for name in held})
-    first = find_model("dvs128_low_light").without_effect("threshold_mismatch").fix({name: None for name in held})
+    second = truth.fix(dict.fromkeys(held))
+    first = find_model("dvs128_low_light").without_effect("threshold_mismatch").fix(dict.fromkeys(held))
     return compare([recording], [first, second], between="linear")
 
 

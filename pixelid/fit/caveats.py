@@ -28,7 +28,7 @@ def tested(
     """
     design = design_of(recordings)
     coordinates = objective.coordinates
-    sentences = caveats(design, coordinates.values(x))
+    sentences = caveats(design, coordinates.values(x), coordinates.names)
     identified = identified.copy()
     if not design.poor or not isinstance(objective, EventTimesObjective):
         return identified, sentences

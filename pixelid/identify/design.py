@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -95,10 +95,10 @@ def _slow(u: np.ndarray, peak: int, duration_s: float) -> float | None:
     return float(found) if found is not None and best > 0.99 else None
 
 
-def caveats(design: Design, values: Mapping[str, float]) -> list[str]:
-    """What the design leaves open, one sentence each."""
+def caveats(design: Design, values: Mapping[str, float], free: Collection[str]) -> list[str]:
+    """What the design leaves open of the free parameters, one sentence each."""
     found = []
-    second_order = "alpha" in values
+    second_order = {"alpha", "beta", "gamma"} <= set(free)
     if design.one_level and second_order:
         level = float(np.exp(np.mean(np.log(design.levels))))
         how = "gently modulated, " if design.stretch < STRETCH else ""
@@ -107,7 +107,7 @@ def caveats(design: Design, values: Mapping[str, float]) -> list[str]:
             "and tell alpha, beta and gamma apart only by how the response bends with the modulation; record a second "
             "level, a factor 10 away"
         )
-        if "sf_cutoff_hz" in values:
+        if "sf_cutoff_hz" in free:
             found.append(_exchange(values, level))
     if design.one_frequency:
         found.append(

@@ -10,6 +10,8 @@ FILE = "fit.json"
 CAPTIONS = {
     "conditions": "Events per pixel and second over time, per recording: measured (filled) and simulated by the fitted "
     "model (lines); ON up, OFF down.",
+    "corner": "Posterior: every parameter against every other, with the contours of 68 and 95 %.",
+    "trace": "Posterior: mean and 5 to 95 % range of the walkers at every step, one colour per ensemble.",
     "residuals": "What is left: level at each event minus its pixel's threshold, in standard deviations. Points that "
     "leave zero by more than their bars show an effect the model lacks.",
     "edges": "Average response to the light's steps: measured (filled) and fitted (lines).",

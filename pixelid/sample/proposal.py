@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-FREEDOM = 20.0  # tails heavier than the posterior's, near enough to accept most
+FREEDOM = 40.0  # tails heavier than the posterior's, near enough to accept most
 REFITTED_FREEDOM = 8.0
 SOFT, RIDGE = 3, 1.2  # axes that may be ridges, and how far along them their bend is measured
 DEEPEST, SHALLOWEST = 8.0, 0.5  # nats; drops outside this range say little about a scale
