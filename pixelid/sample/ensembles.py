@@ -64,7 +64,7 @@ class Ensembles:
         for k in range(count):
             backend = emcee.backends.HDFBackend(str(self._live), name=f"ensemble_{k}")
             sampler = emcee.EnsembleSampler(walkers, d, target, backend=backend, moves=moves(proposal, trust))
-            if int(backend.iteration) == 0:
+            if _steps(sampler) == 0:
                 sampler.random_state = np.random.RandomState([seed, k, 20240711]).get_state()
             self.samplers.append(sampler)
         self._starts = starts
@@ -97,12 +97,12 @@ class Ensembles:
     @property
     def steps(self) -> int:
         """Steps that every ensemble has made."""
-        return min(int(sampler.backend.iteration) for sampler in self.samplers)
+        return min(_steps(sampler) for sampler in self.samplers)
 
     def advance(self, until: int) -> None:
         """Step every ensemble to `until` steps, and save now and then."""
         for k, sampler in enumerate(self.samplers):
-            while (done := int(sampler.backend.iteration)) < until:
+            while (done := _steps(sampler)) < until:
                 start = self._starts[k] if done == 0 else sampler.get_last_sample()
                 sampler.run_mcmc(start, min(until - done, CHUNK), skip_initial_state_check=True)
                 if time.monotonic() - self._saved > SAVE_S:
@@ -137,3 +137,7 @@ class Ensembles:
     def acceptance(self) -> float:
         """Fraction of accepted moves."""
         return float(np.mean([s.acceptance_fraction.mean() for s in self.samplers]))
+
+
+def _steps(sampler) -> int:
+    return int(sampler.backend.iteration)

@@ -142,10 +142,10 @@ def _explored(target: Target, proposal: Proposal, starts: np.ndarray, seed: int)
     """(n, d) draws of a short exact run from `starts`, good enough to shape a proposal and thrown away after."""
     import emcee
 
-    sampler = emcee.EnsembleSampler(*starts.shape, target.value, moves=moves(proposal, 0.3))
+    sampler = emcee.EnsembleSampler(starts.shape[0], starts.shape[1], target.value, moves=moves(proposal, 0.3))
     sampler.random_state = np.random.RandomState([seed, 7]).get_state()
     sampler.run_mcmc(starts, EXPLORE, skip_initial_state_check=True)
-    return sampler.get_chain(discard=EXPLORE // 2, flat=True)
+    return np.asarray(sampler.get_chain(discard=EXPLORE // 2, flat=True))
 
 
 def k_hat(log_ratio: np.ndarray) -> float:
