@@ -101,6 +101,7 @@ def events_in_step(pixel, place, t0, t1, step, chain, comparators, drawn, laws, 
     tau, wd = step[4], chain[3]
     x = 0.0
     level, decay = comparators[LEVEL, place], comparators[DECAY, place]
+    decay = decay if abs(decay) > 1e-15 else 0.0
     release = comparators[RELEASE, place]
     if release < np.inf:
         if release > t1:

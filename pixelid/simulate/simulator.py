@@ -64,12 +64,9 @@ def simulate(
         chunks.append(chunk)
         if progress is not None:
             progress((until_s - start) / duration)
-    events = Events(
-        *(np.concatenate([getattr(chunk, name) for chunk in chunks]) for name in "txyp"),
-        chunks[0].width,
-        chunks[0].height,
-        chunks[0].tick_ns,
-    )
+    first = chunks[0]
+    t, x, y, p = (np.concatenate([getattr(chunk, name) for chunk in chunks]) for name in "txyp")
+    events = Events(t, x, y, p, first.width, first.height, first.tick_ns)
     attributes: dict = {"simulator": f"pixelid {__version__}", "seed": seed, "sensor_seed": sensor_seed}
     attributes["synchronous"] = synchronous
     if isinstance(model, Model):
@@ -101,7 +98,6 @@ def simulate_stream(
 def _chunks(model, stimulus, width, height, seed, synchronous, threads) -> Iterator[tuple[float, Events]]:
     """(time up to which all is done, sorted events) after each block of work."""
     circuit = model.circuit() if isinstance(model, Model) else model
-    shared = isinstance(stimulus, Stimulus) and stimulus.full_field
     if not isinstance(stimulus, Stimulus):
         stream = iter(stimulus)
         head = next(stream, None)
@@ -119,7 +115,7 @@ def _chunks(model, stimulus, width, height, seed, synchronous, threads) -> Itera
     hot = HotPixels(circuit, pixels, seed, start)
     ordering, readout = Ordering(width, height, circuit.delay), Readout(circuit, seed)
     with ThreadPoolExecutor(threads or os.cpu_count() or 1) as pool:
-        if shared and circuit.shot_density == 0:
+        if isinstance(stimulus, Stimulus) and stimulus.full_field and circuit.shot_density == 0:
             work = FullField(stimulus, rules, pixels).run(pool)
         else:
             work = _tiled(stimulus, rules, pixels, pool)
