@@ -81,7 +81,7 @@ def _conditions(result: FitResult, recordings: Sequence[Recording], path: Path) 
 def standardised(result: FitResult, recordings: Sequence[Recording]) -> tuple[EventTimes, np.ndarray, np.ndarray]:
     """(likelihood, residuals, kept): (z − threshold) / σ of every interval, and which are not strays."""
     between = result.details.get("stimulus_between_samples", "linear")
-    likelihood = EventTimes([r.with_stimulus(resampled(r.stimulus, between)) for r in recordings])
+    likelihood = EventTimes([r.with_stimulus(resampled(r.stimulus, between)) for r in recordings if r.stimulus])
     objective = EventTimesObjective(likelihood, result.coordinates)
     terms = likelihood.terms(objective.coordinates.circuit(result.x))
     residual = (terms.z - terms.group_mean[likelihood.group]) / terms.scale

@@ -247,7 +247,8 @@ def _physical(model: Model, demanded: bool) -> tuple[dict[str, float] | None, st
     if model.physical is None or model.photoreceptor != "second_order":
         return None, "the model has no second-order photoreceptor with [physical] values"
     try:
-        values = model.gauge.physical(*(model.values[name] for name in ("alpha", "beta", "gamma")), model.physical)
+        v = model.values
+        values = model.gauge.physical(v["alpha"], v["beta"], v["gamma"], model.physical)
     except InputError as error:
         if demanded:
             raise

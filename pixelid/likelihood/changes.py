@@ -125,6 +125,20 @@ def _at_sample(k, tr, level, offset, light_r, t, wd, output, lights, leak, paras
     return change, drift
 
 
+@njit(cache=True, error_model="numpy", fastmath={"nnan", "nsz"})
+def _stays_below(limit, sign, low, high, level, highest, lowest):
+    """Whether sign · (output − level) stays below `limit` in every block that low..high touches."""
+    first, last = low // BLOCK, high // BLOCK
+    peak = -np.inf
+    if sign > 0:
+        for block in highest[first : last + 1]:
+            peak = max(peak, block)
+    else:
+        for block in lowest[first : last + 1]:
+            peak = max(peak, -block)
+    return peak - sign * level < limit
+
+
 @njit(cache=True, error_model="numpy")
 def _extreme(sign, low, high, tr, level, offset, light_r, t, wd, output, highest, lowest, lights, leak, parasitic, on):
     """The sample in low..high where sign · change is largest, −1 where it never exceeds 0 (its value at release).
@@ -135,7 +149,8 @@ def _extreme(sign, low, high, tr, level, offset, light_r, t, wd, output, highest
     best, where = 0.0, -1
     k = low
     plain = leak.real == 0.0 and parasitic.real == 0.0
-    while k <= high and not (plain and wd.real * (t[k] - tr.real) >= 40.0):
+    settled = tr.real + min(max(np.log(abs(offset) + 1e-300) + 30.0, 0.0), 40.0) / wd.real  # offset decayed to 1e-13
+    while k <= high and not (plain and t[k] >= settled):
         change, drift = _at_sample(k, tr, level, offset, light_r, t, wd, output, lights, leak, parasitic)
         value = sign * (change + on * drift).real
         if value > best:
@@ -170,10 +185,11 @@ def _released(i, state_r, kr, tr, t, u, L, dynamics, lights):
 @njit(cache=True, nogil=True, error_model="numpy")
 def _events(
     release, time, sign, step_r, step_e, state_r, state_e, extreme_at, locate,
-    t, u, L, dynamics, output, highest, lowest, lights, leak, parasitic, on,
+    near_on, near_off, t, u, L, dynamics, output, highest, lowest, lights, leak, parasitic, on,
     change, slope, drift, drift_slope, opposite, opposite_drift,
 ):  # fmt: skip
-    """Fill the per-interval arrays."""
+    """Fill the per-interval arrays.  Extremes below near_on, near_off cannot reach a threshold: not looked for."""
+    plain = leak.real == 0.0 and parasitic.real == 0.0
     wd = dynamics[6]
     zero = u[0] * 0.0
     for i in range(len(time)):
@@ -191,6 +207,10 @@ def _events(
             drift[i] += parasitic * (lights[ke] + _light_integral(te - t[ke], ke, t, u, L) - light_r)
             drift_slope[i] += parasitic * np.exp(u[ke] + rate * (te - t[ke]))
         if locate:
+            extreme_at[i] = -1
+            limit = near_off if sign[i] > 0 else near_on
+            limit -= abs(offset)  # what the reset leaves is at most its offset
+        if locate and not (plain and _stays_below(limit, -sign[i], kr, ke, level.real, highest, lowest)):
             extreme_at[i] = _extreme(
                 -sign[i], kr + 1, ke, tr, level, offset, light_r, t, wd, output, highest, lowest,
                 lights, leak, parasitic, on,
@@ -240,7 +260,9 @@ class ChangeEvaluator:
         recording.check_stimulus_covers_events()
         self.recording = recording
         self.intervals = intervals
-        t = drive(recording.stimulus, Circuit(), intervals.end_s).t
+        assert recording.stimulus is not None
+        self._stimulus = recording.stimulus
+        t = drive(self._stimulus, Circuit(), intervals.end_s).t
         self._hints = tuple(
             np.maximum(np.searchsorted(t, when, side="right") - 1, 0)
             for when in (intervals.previous_s, intervals.time_s, intervals.last_s)
@@ -261,7 +283,7 @@ class ChangeEvaluator:
         )  # fmt: skip
         if self._latest is not None and self._latest[0] == key:
             return self._latest[1]
-        light = drive(self.recording.stimulus, circuit, self.intervals.end_s)
+        light = drive(self._stimulus, circuit, self.intervals.end_s)
         trajectory = integrate(light.t, light.radiance, key[0], linearisation=circuit.linearisation)
         if keep:
             self._latest = key, trajectory
@@ -320,6 +342,14 @@ class ChangeEvaluator:
         locate = locate and not complex_step
         per_event = np.empty((6, len(iv)), dtype)
         per_pixel = np.empty((4, len(iv.last_s)), dtype)
-        _events(release, time, iv.sign, step_r, step_e, state_r, state_e, self._extreme_at, locate, *common, *per_event)
+        # below this the chance of having reached a threshold is under 1e-15, whatever the pixel
+        closest = 1.0 - 8.0 * float(np.hypot(np.real(circuit.noise), np.real(circuit.mismatch)))
+        near = (closest * float(np.real(circuit.on_threshold)), closest * float(np.real(circuit.off_threshold)))
+        if circuit.threshold_drift != 0:
+            near = (-np.inf, -np.inf)
+        _events(
+            release, time, iv.sign, step_r, step_e, state_r, state_e, self._extreme_at, locate, *near,
+            *common, *per_event,
+        )  # fmt: skip
         _censored(last, step_l, state_l, last_sample, self._rise_at, self._fall_at, locate, *common, *per_pixel)
         return Changes(*per_event, *per_pixel, early=np.real(time - release) <= 0)

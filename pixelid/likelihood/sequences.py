@@ -1,4 +1,4 @@
-"""Events in the order the likelihood reads them: pixel by pixel, each event after its predecessor."""
+"""Events in the order the likelihood reads them: each with its pixel's previous event, in order of time."""
 
 from __future__ import annotations
 
@@ -46,6 +46,7 @@ def sequences(recording: Recording) -> Sequences:
     same = pixel[1:] == pixel[:-1]
     last = np.flatnonzero(np.append(~same, True)) if len(pixel) else np.empty(0, np.int64)
     follows = np.flatnonzero(same) + 1
+    follows = follows[np.argsort(time[follows], kind="stable")]  # in order of time: neighbours share stimulus samples
     end = float(recording.stimulus.t[-1]) if recording.stimulus is not None else 0.0
     if len(time):
         end = max(end, float(events.t[-1]) * 1e-9)
