@@ -19,10 +19,11 @@ MAY_IMPORT = {
     "dynamics": BASE | {"parameters", "stages"},
 }
 MAY_IMPORT["inspection"] = BASE | {"recordings", "stimuli"}
-MAY_IMPORT["rates"] = BASE | {"parameters"}
+MAY_IMPORT["rates"] = BASE | {"parameters", "stages", "model"}
 MAY_IMPORT["simulate"] = MAY_IMPORT["likelihood"] = set(MAY_IMPORT) - {"inspection", "rates"}
 MAY_IMPORT["identify"] = MAY_IMPORT["sensors"] = MAY_IMPORT["simulate"] | {"simulate", "likelihood"}
 MAY_IMPORT["fit"] = MAY_IMPORT["identify"] | {"identify"}
+MAY_IMPORT["flicker"] = MAY_IMPORT["simulate"] | {"rates", "identify"}
 for folder in ("sample", "compare", "lowlight", "design"):  # what follows from a fit
     MAY_IMPORT[folder] = MAY_IMPORT["fit"] | {"fit", "sample"}
 MAY_IMPORT["report"] = set(MAY_IMPORT)

@@ -78,7 +78,7 @@ def fit(
         dispersion = details["dispersion"]
     else:
         if fixed:
-            raise InputError(f"--fix {next(iter(fixed))}: the model {model.name} has no such parameter")
+            raise InputError(f"model {model.name} has no parameter {next(iter(fixed))!r} to hold")
         objective, optimum, details, pixels = _fit_event_times(recordings, model, starts, between, climber, rng, report)
         dispersion = 1.0
     report("standard errors", 0.9)
