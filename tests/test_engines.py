@@ -99,7 +99,6 @@ def test_symbolic_gradient_and_hessian_equal_differences(plain, optimum):
         ("scipy", {}),
         pytest.param("torch", {"form": "tensors"}, marks=pytest.mark.slow),
         pytest.param("scipy", {"method": "lbfgs"}, marks=pytest.mark.slow),
-        pytest.param("torch", {"form": "compiled", "optimiser": "adam"}, marks=pytest.mark.slow),
     ],
 )
 def test_engines_find_the_same_optimum(plain, optimum, name, options):
@@ -107,7 +106,7 @@ def test_engines_find_the_same_optimum(plain, optimum, name, options):
     found = engine(name, **options).maximise(plain, start, tolerance=1e-8, max_steps=400)
     sd = np.sqrt(np.diag(np.linalg.inv(optimum.local.information)))
     assert found.converged
-    assert np.abs((found.x - optimum.x) / sd).max() < (1e-3 if "optimiser" not in options else 1e-2)
+    assert np.abs((found.x - optimum.x) / sd).max() < 1e-3
 
 
 def test_density_gradient_equals_complex_steps(plain):

@@ -198,7 +198,8 @@ def _events(
         rate = (u[ke + 1] - u[ke]) / (t[ke + 1] - t[ke]) if ke + 1 < len(t) else zero
         state = (state_e[i, 0], state_e[i, 1], state_e[i, 2], state_e[i, 3], state_e[i, 4], state_e[i, 5])
         _, d, ds = kernels.reference_and_slopes(state, dynamics, rate)
-        decay = offset * np.exp(-wd * (te - tr))
+        since = wd * (te - tr)
+        decay = offset * np.exp(-since) if since.real < 40.0 else zero
         change[i] = d - level - decay
         slope[i] = ds + wd * decay if wd.real < PRESENT_BELOW else ds
         drift[i] = leak * (te - tr)

@@ -55,7 +55,8 @@ def log_posterior(objective: EventTimesObjective, frozen: Frozen, x: torch.Tenso
     """The log posterior at a coordinate tensor (p,), differentiable; discrete choices from `frozen`."""
     coordinates = objective.coordinates
     circuit = coordinates.model.circuit(parameter_values(coordinates, x, torch.exp))
-    value = log_likelihood(TorchOperations(x.device), frozen, circuit)
+    operations: Any = TorchOperations(x.device)
+    value = log_likelihood(operations, frozen, circuit)
     for i, p in enumerate(coordinates.parameters):
         if p.prior is not None:
             value = value - 0.5 * ((x[i] - p.prior.mean) / p.prior.sd) ** 2
