@@ -19,7 +19,7 @@ help:
 	@echo "make demo       the whole story on embedded data, written to demo-out/"
 	@echo "make test       every test that is not slow"
 	@echo "make test-all   every test"
-	@echo "make bench      the benchmarks"
+	@echo "make bench      the speed benchmarks (coverage: benchmarks/interval_coverage.py, an hour)"
 	@echo "make lint       ruff and pyright"
 	@echo "make clean      remove what make and the tests have made, the environment included"
 
@@ -42,7 +42,7 @@ test-all: $(STAMP)
 	$(BIN)/python -m pytest -n $(WORKERS)
 
 bench: $(STAMP)
-	set -e; for script in benchmarks/*.py; do echo "== $$script"; $(BIN)/python $$script; done
+	set -e; for script in benchmarks/*_speed.py; do echo "== $$script"; $(BIN)/python $$script; done
 
 lint: $(STAMP)
 	$(BIN)/ruff check .
