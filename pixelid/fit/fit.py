@@ -179,6 +179,9 @@ def _fit_pooled(recordings, model, fixed, climber: Engine, report):
     for effect in ("threshold_noise", "threshold_mismatch", "refractory_period"):
         model = model.without_effect(effect)
     model = model.release(["delay_s"])
+    exchange = {"sf_cutoff_hz", "diff_cutoff_hz"} <= set(model.free)
+    if exchange:
+        model = model.fix({"diff_cutoff_hz": None})
     scout = PooledRate(recordings, first_s=SCOUT_S)
     nuisances = {p.name: p for p in scout.nuisances()}
     for name, value in fixed.items():
@@ -199,14 +202,15 @@ def _fit_pooled(recordings, model, fixed, climber: Engine, report):
         max_steps=60,
         progress=lambda step, value: report("searching", 0.1 + 0.4 * step / 60),
     )
+    noisy = scout.dispersion(PooledRateObjective(scout, coordinates).expected(found.x))
     likelihood = PooledRate(recordings)
     objective = PooledRateObjective(likelihood, coordinates)
-    optimum = climber.maximise(
+    optimum = maximise(
         objective,
         found.x,
-        tolerance=1e-1,
-        max_steps=40,
-        progress=lambda step, value: report("fitting", 0.5 + 0.4 * step / 40),
+        tolerance=0.1 * max(noisy, 1.0),  # a tenth of a nat, for counts this noisy
+        max_steps=80,
+        progress=lambda step, value: report("fitting", 0.5 + 0.4 * step / 80),
     )
     dispersion = likelihood.dispersion(objective.expected(optimum.x))
     caveats = [
@@ -214,6 +218,11 @@ def _fit_pooled(recordings, model, fixed, climber: Engine, report):
         f"on_threshold started at {model.values['on_threshold']:g})",
         "threshold noise, mismatch and dead time: pooled counts do not show them (left out of the model)",
     ]
+    if exchange:
+        caveats.append(
+            "source follower and differencing pole: pooled counts do not show the reset that tells them apart, so they "
+            "can change places; diff_cutoff_hz is held where it was"
+        )
     if "stimulus.offset" in nuisances:
         caveats.append(
             "light levels: radiance is in units of the light that is on all the time (stimulus.offset = 1 is a gauge), "
