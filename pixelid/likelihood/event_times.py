@@ -57,6 +57,7 @@ class Terms:
 
     z, log_rate, scale: (n,) level at the event, log of its rate, its standard deviation
     stray: (n,) events left to the background
+    reached: (n,) extreme that the other polarity's level had reached before the event
     weighted_mean, weight_sum: (g,) of z per (pixel, polarity) group;  centre: (g,) population threshold
     mean_variance: (g,) variance of weighted_mean about centre
     group_mean, group_variance: (g,) posterior of each group's threshold
@@ -68,6 +69,7 @@ class Terms:
     log_rate: np.ndarray
     scale: np.ndarray
     stray: np.ndarray
+    reached: np.ndarray
     weighted_mean: np.ndarray
     weight_sum: np.ndarray
     centre: np.ndarray
@@ -83,6 +85,7 @@ class EventTimes:
     """The event-time likelihood of one or more recordings of the same pixels.
 
     Recordings of the same sensor and size share pixels, and so pixel thresholds.
+    threshold_factor: (events,) what each event's threshold is multiplied by beside all that the circuit says, or None.
     Raises InputError for pooled recordings, a missing stimulus, or fewer than two events in any pixel.
     """
 
@@ -94,6 +97,7 @@ class EventTimes:
             if recording.stimulus is not None and not recording.stimulus.full_field:
                 raise InputError(f"{recording.name}: the fit needs a full-field stimulus, found one per pixel")
         self.intervals = tuple(sequences(recording) for recording in self.recordings)
+        self.threshold_factor: np.ndarray | None = None
         self._evaluators = tuple(ChangeEvaluator(r, s) for r, s in zip(self.recordings, self.intervals, strict=True))
         if sum(map(len, self.intervals)) == 0:
             raise InputError("no pixel has two events: there is no interval to explain")
@@ -146,7 +150,11 @@ class EventTimes:
         """All recordings' `Changes` as one vector, in the order `terms` reads it."""
         parts = self.changes(circuit, locate)
         names = (*_PER_EVENT, *_PER_PIXEL)
-        return np.concatenate([np.concatenate([getattr(part, name) for part in parts]) for name in names])
+        every = np.concatenate([np.concatenate([getattr(part, name) for part in parts]) for name in names])
+        if self.threshold_factor is not None:
+            n = self.events
+            every[: _OF_LEVEL * n].reshape(_OF_LEVEL, n)[:] /= self.threshold_factor
+        return every
 
     def terms(self, circuit: Circuit, gathered: np.ndarray | None = None) -> Terms:
         """The likelihood's pieces under a circuit; `gathered` is `gathered(circuit)` when it is known already."""
@@ -214,6 +222,7 @@ class EventTimes:
             log_rate=log_rate,
             scale=np.sqrt(variance),
             stray=stray,
+            reached=reached,
             weighted_mean=z_bar,
             weight_sum=W,
             centre=C,
@@ -248,6 +257,7 @@ class EventTimes:
 
 
 _PER_EVENT = ("change", "slope", "drift", "drift_slope", "opposite", "opposite_drift", "early")
+_OF_LEVEL = 4  # the first of them that belong to the level of the event's own polarity
 _PER_PIXEL = ("rise", "rise_drift", "fall", "fall_drift")
 
 

@@ -58,6 +58,13 @@ class Recording:
                 f"{t[0] * 1e-9:g}..{t[-1] * 1e-9:g} s, found {s[0]:g}..{s[-1]:g} s"
             )
 
+    def within_stimulus(self) -> Recording:
+        """The recording without the events that a latency carried past the end of the stimulus."""
+        if self.stimulus is None or self.stimulus.interpolation == "previous":
+            return self
+        inside = self.events.t <= self.stimulus.t[-1] * 1e9
+        return self if inside.all() else replace(self, events=self.events.select(inside))
+
     def with_stimulus(self, stimulus: Stimulus) -> Recording:
         """The same events beside another stimulus."""
         return replace(self, stimulus=stimulus)

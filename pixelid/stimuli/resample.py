@@ -8,9 +8,9 @@ line.  Both errors reach fits: at 50 µs samples of a 400-level chirp they move 
 from __future__ import annotations
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from pixelid.errors import InputError
+from pixelid.stimuli.course import course
 from pixelid.stimuli.stimulus import Stimulus
 
 LARGEST_CHANGE = 0.02  # of log radiance within one step
@@ -21,8 +21,9 @@ MOST_PARTS = 64
 def resampled(stimulus: Stimulus, between: str = "linear", largest_change: float = LARGEST_CHANGE) -> Stimulus:
     """The stimulus with steps split until each changes log radiance by at most `largest_change`.
 
-    between: "linear", log radiance is linear between the samples; "smooth", it follows the cubic spline through
-    them.  Held stimuli, videos, "shape" stimuli and stimuli of fewer than four samples come back as they are.
+    between: "linear", log radiance is linear between the samples; "smooth", it follows cubic splines through them
+    that meet at its corners (`course`).  Held stimuli, videos, "shape" stimuli and stimuli of fewer than four samples
+    come back as they are.
     Raises InputError for an unknown `between`.
     """
     if between not in ("linear", "smooth"):
@@ -34,10 +35,10 @@ def resampled(stimulus: Stimulus, between: str = "linear", largest_change: float
     u = np.log(stimulus.radiance.astype(np.float64))
     gaps = np.diff(stimulus.t)
     wanted = np.abs(np.diff(u)) / largest_change
-    spline = None
+    smooth = None
     if between == "smooth":
-        spline = CubicSpline(stimulus.t, u)
-        curvature = np.abs(spline(stimulus.t, 2))
+        smooth = course(stimulus.t, u)
+        curvature = np.abs(smooth(stimulus.t, 2))
         bend = np.maximum(curvature[1:], curvature[:-1]) * gaps**2 / 8.0
         wanted = np.maximum(wanted, np.sqrt(bend / LARGEST_BEND))
     parts = np.clip(np.ceil(wanted), 1, MOST_PARTS).astype(np.int64)
@@ -45,8 +46,9 @@ def resampled(stimulus: Stimulus, between: str = "linear", largest_change: float
     first = np.concatenate([[0], np.cumsum(parts)[:-1]])
     weight = (np.arange(len(left)) - first[left]) / parts[left]
     t = np.append(stimulus.t[left] + weight * gaps[left], stimulus.t[-1])
-    if spline is not None:
-        fine = spline(t)
+    if smooth is not None:
+        t = np.union1d(t, smooth.corners)
+        fine = smooth(t)
     else:
         fine = np.append((1.0 - weight) * u[left] + weight * u[left + 1], u[-1])
     return Stimulus(t, np.exp(fine), stimulus.unit, stimulus.interpolation)

@@ -1,0 +1,63 @@
+"""What might be missing: for every effect of the library the models that have it, at a few strengths to start from."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from pixelid import stages
+from pixelid.errors import InputError
+from pixelid.likelihood.event_times import EventTimes
+from pixelid.model.model import Model
+
+DECADES = (-2.0, -1.5, -1.0, -0.5, 0.0, 0.5, 1.0, 1.5)  # strengths tried, about the shipped value
+MAINS_HZ = (100.0, 120.0)
+PHASES = (0.0, 0.5 * math.pi, math.pi, 1.5 * math.pi)
+UNSEEN = {"shot_noise", "hot_pixels", "readout_latency", "timestamp_quantisation", "slew_limit"}
+
+
+def missing(model: Model) -> list[str]:
+    """Effects of the library that the model lacks and the event-time likelihood knows."""
+    return [name for name in stages.LIBRARY if name not in UNSEEN and not model.has(name)]
+
+
+def strongest_start(likelihood: EventTimes, model: Model, effect: str) -> Model | None:
+    """The model with the effect, at the strength among those tried that explains the events best; None if none can."""
+    best, top = None, -np.inf
+    for trial in variants(model, effect):
+        try:
+            value = likelihood.log_likelihood(trial.circuit())
+        except (InputError, FloatingPointError):
+            continue
+        if np.isfinite(value) and value > top:
+            best, top = trial, value
+    return best
+
+
+def variants(model: Model, effect: str) -> Iterator[Model]:
+    """The model with the effect at each strength to try, its own parameters free."""
+    grown = model.with_effect(effect)
+    if effect == "second_order_photoreceptor":
+        corner = model.values["alpha_over_beta"]
+        for decade in DECADES:
+            beta = grown.parameter("beta").value * 10.0**decade
+            yield grown.set({"alpha": corner * beta, "beta": beta})
+        return
+    names = [p.name for p in stages.effect(effect).parameters if p.free]
+    strength = grown.parameter(names[0])
+    sizes = [10.0**d for d in DECADES]
+    signs = (1.0,) if strength.transform == "log" else (1.0, -1.0)
+    for size in sizes:
+        for sign in signs:
+            value = sign * size * strength.value
+            if not strength.lower < value < strength.upper:
+                continue
+            sized = grown.set({strength.name: value})
+            if effect != "mains_flicker":
+                yield sized
+                continue
+            for hz in MAINS_HZ:
+                for phase in PHASES:
+                    yield sized.set({"mains_flicker.frequency_hz": hz, "mains_flicker.phase_rad": phase})

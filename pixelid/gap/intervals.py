@@ -1,0 +1,33 @@
+"""95 % intervals of the parameters of a climbed model, in their own units."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pixelid.fit.coordinates import Coordinates
+from pixelid.fit.event_times import EventTimesObjective
+from pixelid.gap.climb import Climbed
+from pixelid.identify.small_sample import intervals
+from pixelid.likelihood.event_times import EventTimes
+
+
+def limits(likelihood: EventTimes, end: Climbed) -> dict[str, tuple[float, float]]:
+    """name → (low, high) of every free parameter, from the Hessian (information matrix where it is not positive)."""
+    objective = EventTimesObjective(likelihood, end.coordinates)
+    curvature = -objective.hessian(end.x)
+    try:
+        covariance = np.linalg.inv(curvature)
+        if not (np.diag(covariance) > 0).all() or not np.isfinite(covariance).all():
+            raise np.linalg.LinAlgError
+        np.linalg.cholesky(curvature)
+    except np.linalg.LinAlgError:
+        covariance = np.linalg.pinv(end.information)
+    sd = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    lower, upper = intervals(end.coordinates.names, end.x, sd, likelihood.pixels)
+    return {name: _own(end.coordinates, i, lower[i], upper[i]) for i, name in enumerate(end.coordinates.names)}
+
+
+def _own(coordinates: Coordinates, i: int, low: float, high: float) -> tuple[float, float]:
+    p = coordinates.parameters[i]
+    low, high = (p.from_coordinate(float(np.clip(c, -300.0, 300.0))) for c in (low, high))
+    return max(low, p.lower), min(high, p.upper)

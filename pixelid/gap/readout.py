@@ -1,0 +1,104 @@
+"""Fingerprints of the readout: what timestamps alone give away, before any model is fitted.
+
+**One server** (`readout_latency`): with service time s no two events leave less than s apart, and whoever had to wait
+leaves exactly s after the one before.  Of the waits between successive events of different pixels, none is shorter
+than s, and an atom sits at s on a density that is smooth elsewhere.
+
+**A grid** (`timestamp_quantisation`): all timestamps are multiples of a tick that is coarser than the file's own, or
+the waits of single pixels are multiples of a scan period (`inspection.tick`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import poisson
+
+from pixelid.inspection.intervals import pixel_intervals
+from pixelid.inspection.tick import find_tick
+from pixelid.recordings.recording import Recording
+
+FEWEST = 20  # events in an atom
+SURE = 1e-12  # chance of an atom by accident
+LEAST_GRID = 1.5  # times the file's own unit
+
+
+@dataclass(frozen=True)
+class Fingerprint:
+    """effect, parameter: names;  value, interval: in s;  p: chance of it by accident;  nats_per_event: what knowing
+    it gains per event concerned;  concerned: share of events concerned;  where: in words"""
+
+    effect: str
+    parameter: str
+    value: float
+    interval: tuple[float, float]
+    p: float
+    nats_per_event: float
+    concerned: float
+    where: str
+
+
+def fingerprints(recordings: Sequence[Recording]) -> list[Fingerprint]:
+    """What the timestamps of the recordings (of one sensor) give away."""
+    found = [service(recordings), grid(recordings)]
+    return [f for f in found if f is not None]
+
+
+def service(recordings: Sequence[Recording]) -> Fingerprint | None:
+    """The service time of one server; None where there is no sign of it."""
+    waits = []
+    for r in recordings:
+        other = np.diff(r.events.pixel) != 0
+        waits.append(np.diff(r.events.t)[other])
+    wait = np.concatenate(waits) if waits else np.empty(0, np.int64)
+    unit = max((r.events.tick_ns for r in recordings), default=1)
+    if len(wait) < 5 * FEWEST:
+        return None
+    least = int(wait.min())
+    if least < 2 * unit:
+        return None
+    width = 2 * unit  # rounding of two timestamps
+    atom = wait[(wait >= least) & (wait <= least + width)]
+    reach = max(20 * width, least)
+    beyond = np.count_nonzero((wait > least + width) & (wait <= least + width + reach))
+    density = max(beyond, 1) / reach  # per ns
+    expected = density * (width + unit)
+    p = float(poisson.sf(len(atom) - 1, expected))
+    if len(atom) < FEWEST or p > SURE:
+        return None
+    value = float(atom.mean()) * 1e-9
+    error = max(float(atom.std()), 0.29 * unit) * 1e-9 / np.sqrt(len(atom))
+    gain = float(np.log(len(atom) / expected) + density * least / len(atom))
+    share = len(atom) / sum(len(r.events) for r in recordings)
+    return Fingerprint(
+        "readout_latency", "readout_latency.service_s", value, (value - 1.96 * error, value + 1.96 * error), p, gain,
+        share,
+        f"no two pixels' events are less than {1e6 * value:.4g} µs apart, and {100 * share:.0f} % of all events come "
+        "exactly that after the one before",
+    )  # fmt: skip
+
+
+def grid(recordings: Sequence[Recording]) -> Fingerprint | None:
+    """The tick of the timestamps, where it is coarser than the unit that the files count in."""
+    ticks, units, events = [], [], 0
+    for r in recordings:
+        found = find_tick(r.events, pixel_intervals(r.events))
+        if found.tick_s is not None:
+            ticks.append(found.tick_s)
+            units.append(r.events.tick_ns * 1e-9)
+            events += len(r.events)
+    if not ticks:
+        return None
+    tick, unit = float(np.median(ticks)), max(units)
+    alike = np.abs(np.array(ticks) / tick - 1.0) < 0.05
+    # a common divisor of few timestamps is coarse by chance: every recording must agree, and some be large
+    if tick < LEAST_GRID * unit or not alike.all() or round(tick / 1e-9) in (1, 10, 100, 1000):
+        return None
+    gain = float(np.log(tick / unit))
+    spread = max(float(np.std(ticks)), 1e-12)
+    return Fingerprint(
+        "timestamp_quantisation", "timestamp_quantisation.tick_s", tick, (tick - 1.96 * spread, tick + 1.96 * spread),
+        float(np.exp(-min(gain * events, 700.0))), gain, 1.0, f"all timestamps are multiples of {1e6 * tick:.6g} µs",
+    )  # fmt: skip

@@ -1,0 +1,87 @@
+"""What to record next: the stimulus of the menu that shows most of what these recordings cannot tell apart."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from pixelid.design.information import simulated
+from pixelid.design.menu import Candidate, default_menu
+from pixelid.errors import InputError
+from pixelid.gap.climb import Climbed
+from pixelid.gap.directions import Direction, Space, direction, space
+from pixelid.likelihood.event_times import EventTimes
+from pixelid.model.model import Model
+from pixelid.stimuli.resample import resampled
+
+
+def recommended(at: Space, model: Model, effect: str, rival: str | None, why: str, seed: int) -> dict:
+    """The candidate under which the effect, cleared of the free parameters and the rival, would show most.
+
+    Returns what gap.json says: name, kind and parameters of the stimulus, why, and the expected doubled nats of the
+    effect at its typical strength with the recordings at hand and with the candidate added.
+    """
+    have = _gram(at, effect, rival)
+    best: tuple[float, Candidate] | None = None
+    for candidate in default_menu(model):
+        if candidate.name.startswith("long_"):
+            continue
+        try:
+            there = _candidate_space(at.climbed, candidate, seed)
+            gram = None if there is None else _gram(there, effect, rival)
+        except InputError:
+            continue
+        if gram is None:
+            continue
+        scale = at.likelihood.pixels / max(there.likelihood.pixels, 1) if there is not None else 1.0
+        value = _seen(scale * gram if have is None else have + scale * gram)
+        if best is None or value > best[0]:
+            best = value, candidate
+    now = 0.0 if have is None else _seen(have)
+    if best is None:
+        return {"why": why, "stimulus": None, "would_show": None, "shows_now": now}
+    return {"why": why, "stimulus": best[1].as_dict(), "would_show": best[0], "shows_now": now}
+
+
+def _candidate_space(end: Climbed, candidate: Candidate, seed: int) -> Space | None:
+    recording = simulated(end.model, candidate.stimulus, seed)
+    if len(recording.events) < 20:
+        return None
+    likelihood = EventTimes([recording.with_stimulus(resampled(candidate.stimulus))])
+    return space(likelihood, end)
+
+
+def _gram(at: Space, effect: str, rival: str | None) -> np.ndarray | None:
+    """Inner products of [effect, rival, J …], directions scaled to typical strength; None when the effect is unseen."""
+    own = direction(at, effect)
+    if own is None:
+        return None
+    columns = [_typical(own)]
+    if rival is not None:
+        other = direction(at, rival)
+        if other is not None:
+            columns.append(_typical(other))
+        else:
+            columns.append(np.zeros(len(own.raw)))
+    J = np.column_stack([*columns, *(at.demeaned(column) for column in at.J.T)])
+    return J.T @ J
+
+
+def _typical(d: Direction) -> np.ndarray:
+    size = float(np.sum(d.clear**2))
+    return d.raw * (np.sqrt(d.seen / size) if size > 0 else 0.0)
+
+
+def _seen(gram: np.ndarray) -> float:
+    """What of the first column is left after projection off the others."""
+    rest = gram[1:, 1:]
+    scale = np.sqrt(np.maximum(np.diag(rest), 1e-300))
+    inverse = np.linalg.pinv(rest / np.outer(scale, scale), rcond=1e-10)
+    along = gram[0, 1:] / scale
+    return float(max(gram[0, 0] - along @ inverse @ along, 0.0))
+
+
+def blindest(found: Sequence[Direction]) -> Direction | None:
+    """The effect that would show least at its typical strength."""
+    return min(found, key=lambda d: d.seen, default=None)

@@ -1,0 +1,74 @@
+"""Lock: which pixels fit, which select, which confirm, decided by a seed before anything is looked at.
+
+Pixels are the exchangeable unit (DESIGN §6): events of one pixel share its thresholds.  Five of twelve fit the
+candidates, a quarter judges between them, and the last third is not touched until the verdict is in.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pixelid.errors import InputError
+from pixelid.recordings.recording import Recording
+
+FEWEST = 8  # pixels below which nothing can be set aside
+SCOUT_EVENTS = 6_000  # events of the pixels that a first search looks at
+
+
+@dataclass(frozen=True)
+class Split:
+    """Pixels by flat index, per sensor size shared by all recordings.
+
+    fit, select, confirm: (k,) pixel indices;  apart: whether the three differ (False: too few pixels, all in each)
+    """
+
+    fit: np.ndarray
+    select: np.ndarray
+    confirm: np.ndarray
+    apart: bool
+
+    @property
+    def train(self) -> np.ndarray:
+        """Everything that may be looked at before confirmation."""
+        return np.union1d(self.fit, self.select)
+
+
+def locked(recordings: Sequence[Recording], seed: int) -> Split:
+    """The split of the pixels that have events.
+
+    Raises InputError when the recordings come from sensors of different size, or hold no events.
+    """
+    sizes = {(r.sensor, r.events.width, r.events.height) for r in recordings}
+    if len(sizes) > 1:
+        raise InputError("the recordings come from different sensors; look for the gap of one sensor at a time")
+    pixels = np.unique(np.concatenate([r.events.pixel for r in recordings]))
+    if len(pixels) == 0:
+        raise InputError("the recordings hold no events")
+    if len(pixels) < FEWEST:
+        return Split(pixels, pixels, pixels, False)
+    order = np.random.default_rng(seed).permutation(pixels)
+    last = -(-len(order) // 3)
+    first = len(order) - last - len(order) // 4
+    return Split(np.sort(order[:first]), np.sort(order[first:-last]), np.sort(order[-last:]), True)
+
+
+def only(recordings: Sequence[Recording], pixels: np.ndarray) -> list[Recording]:
+    """The recordings with the events of these pixels only."""
+    return [replace(r, events=r.events.select(np.isin(r.events.pixel, pixels))) for r in recordings]
+
+
+def few(recordings: Sequence[Recording], seed: int) -> list[Recording]:
+    """The recordings cut down to as many pixels, at least two, as hold about `SCOUT_EVENTS` events."""
+    total = sum(len(r.events) for r in recordings)
+    pixels = np.unique(np.concatenate([r.events.pixel for r in recordings]))
+    if total <= SCOUT_EVENTS or len(pixels) <= 2:
+        return list(recordings)
+    counts = np.zeros(len(pixels))
+    for r in recordings:
+        counts += np.bincount(np.searchsorted(pixels, r.events.pixel), minlength=len(pixels))
+    order = np.random.default_rng(seed).permutation(len(pixels))
+    enough = max(int(np.searchsorted(np.cumsum(counts[order]), SCOUT_EVENTS)) + 1, 2)
+    return only(recordings, pixels[order[:enough]])

@@ -1,0 +1,117 @@
+"""Everything the search works on: recordings as the fit reads them, cut into pools of pixels, and the base model."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import poisson
+
+from pixelid.errors import InputError
+from pixelid.fit.starts import feasible
+from pixelid.gap.attribute import Pools
+from pixelid.gap.climb import Climbed, climbed
+from pixelid.gap.covariates import Factor, factors
+from pixelid.gap.maps import Maps, maps
+from pixelid.gap.residuals import Residuals, residuals, tangents
+from pixelid.gap.split import Split, few, only
+from pixelid.likelihood.event_times import EventTimes
+from pixelid.model.model import Model
+from pixelid.recordings.recording import Recording
+from pixelid.stimuli.resample import resampled
+
+BETWEEN = ("smooth", "linear")
+STRAYS_EXPECTED = 1e-4  # fraction of events that a true model may leave without a cause
+STRAYS_SIGNIFICANT = 1e-9  # chance of so many strays
+
+
+@dataclass(frozen=True)
+class Workbench:
+    """recordings: with stimuli resampled as `between` says;  pools: for screening, fitting, judging;
+    train: the pixels of all three;  nominal: the base model at its shipped values, feasible for these events"""
+
+    recordings: tuple[Recording, ...]
+    between: str
+    split: Split
+    pools: Pools
+    train: EventTimes
+    nominal: Model
+    seed: int
+
+
+@dataclass(frozen=True)
+class Look:
+    """What the training events look like under a fitted model.  p: of the whole, maps and strays."""
+
+    residual: Residuals
+    factors: tuple[Factor, ...]
+    maps: Maps
+    p: float
+
+    @property
+    def stray_fraction(self) -> float:
+        """Events without a cause."""
+        return float(self.residual.stray.mean())
+
+
+def workbench(recordings: Sequence[Recording], split: Split, model: Model, between: str, seed: int) -> Workbench:
+    """The workbench of recordings whose stimuli run `between` their samples as said ("smooth", "linear")."""
+    fine = tuple(r.with_stimulus(resampled(_stimulus(r), between)) for r in recordings)
+    fitted = only(fine, split.fit)
+    pools = Pools(EventTimes(few(fitted, seed)), EventTimes(fitted), EventTimes(only(fine, split.select)))
+    return Workbench(
+        fine, between, split, pools, EventTimes(only(fine, split.train)), feasible(model, pools.scout), seed
+    )
+
+
+def based(recordings: Sequence[Recording], split: Split, model: Model, seed: int) -> tuple[Workbench, Climbed]:
+    """The workbench on which the base model fits best, and the base fitted to its training pixels."""
+    best: tuple[Workbench, Climbed] | None = None
+    start = None
+    for between in BETWEEN:
+        bench = workbench(recordings, split, model, between, seed)
+        if start is None:
+            start = climbed(bench.pools.scout, bench.nominal, tolerance=0.1, max_steps=40).model
+        end = climbed(bench.train, start, tolerance=0.05, max_steps=25)
+        if best is None or end.value > best[1].value:
+            best = bench, end
+    assert best is not None
+    return best
+
+
+def reconsidered(
+    bench: Workbench, recordings: Sequence[Recording], model: Model, current: Climbed
+) -> tuple[Workbench, Climbed]:
+    """The workbench with the other reading of the stimuli, where the grown model fits better there."""
+    other = workbench(recordings, bench.split, model, BETWEEN[1 - BETWEEN.index(bench.between)], bench.seed)
+    end = climbed(other.train, current.model, tolerance=0.05, max_steps=8)
+    if end.value <= current.value:
+        return bench, current
+    return other, climbed(other.train, end.model, tolerance=0.01, max_steps=40)
+
+
+def look(bench: Workbench, current: Climbed, trust_strays: bool = True) -> Look:
+    """The residuals and maps of the training events under a fitted model.
+
+    trust_strays: events without a cause speak against the model (not where their times had to be restored).
+    """
+    here = residuals(bench.train, current.model.circuit())
+    tangent = tangents(bench.train, current.coordinates, current.x, here)
+    sorted_by = tuple(factors(bench.train, here))
+    found = maps(bench.train, here, tangent, sorted_by, bench.seed)
+    n = len(here.e)
+    expected = STRAYS_EXPECTED * n
+    many = float(poisson.sf(found.strays - 1, expected)) if found.strays else 1.0
+    return Look(here, sorted_by, found, min(found.p, many) if trust_strays and many < STRAYS_SIGNIFICANT else found.p)
+
+
+def _stimulus(recording: Recording):
+    if recording.stimulus is None:
+        raise InputError(f"{recording.name}: no stimulus; the gap is between a model's events and the measured ones")
+    return recording.stimulus
+
+
+def relative_noise(model: Model) -> float:
+    """The relative threshold noise of a model, the unit of residuals."""
+    return float(np.real(model.circuit().noise))
