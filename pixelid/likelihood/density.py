@@ -95,7 +95,7 @@ def _strays(z, rate, variance, group, C, S, log_stray, falling, stray, W, A):
 
 
 @njit(cache=True, error_model="numpy")
-def _survived(margin, missed):
+def survived(margin, missed):
     """(log chance of survival, its derivative) at `margin` standard deviations."""
     if margin > 8.5:
         return 0.0, 0.0
@@ -153,7 +153,7 @@ def _density(
         if reached > 0.0:
             o = group[k] ^ 1
             margin = (M[o] - reached) / sd[o]
-            log_chance, slope = _survived(margin, missed)
+            log_chance, slope = survived(margin, missed)
             if slope != 0.0 or log_chance != 0.0:
                 value += log_chance
                 slope /= sd[o]
@@ -167,7 +167,7 @@ def _density(
         for side in range(2):
             g = 2 * last_pixel[i] + 1 - side
             margin = (M[g] - pixel[2 * side, i] - on * pixel[2 * side + 1, i]) / sd[g]
-            log_chance, slope = _survived(margin, missed)
+            log_chance, slope = survived(margin, missed)
             value += log_chance
             slope /= sd[g]
             by_M[g] += slope

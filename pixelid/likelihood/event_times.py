@@ -38,10 +38,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from pixelid.errors import InputError
-from pixelid.likelihood.changes import ChangeEvaluator, Changes
-from pixelid.likelihood.density import density
+from pixelid.likelihood import plain_changes
+from pixelid.likelihood.changes import PER_EVENT, PER_PIXEL, ChangeEvaluator, Changes
 from pixelid.likelihood.normal import log_ndtr
 from pixelid.likelihood.sequences import sequences
+from pixelid.likelihood.value import value
 from pixelid.recordings.recording import Recording
 from pixelid.stages.circuit import Circuit
 
@@ -116,8 +117,12 @@ class EventTimes:
         self.time_s = np.concatenate([iv.time_s for iv in self.intervals])
         self.tick_s = np.concatenate([np.full(len(iv), iv.tick_s) for iv in self.intervals])
         self.recording_of_event = np.repeat(np.arange(len(self.intervals)), [len(iv) for iv in self.intervals])
-        self._recording_of_last = np.repeat(np.arange(len(self.intervals)), [len(iv.last_s) for iv in self.intervals])
+        self.recording_of_last = np.repeat(np.arange(len(self.intervals)), [len(iv.last_s) for iv in self.intervals])
         self.group = 2 * self.pixel + (self.sign > 0)
+        self._ends = tuple(
+            np.cumsum([len(part) for part in parts])[:-1]
+            for parts in (self.intervals, [iv.last_s for iv in self.intervals])
+        )
 
     @property
     def evaluators(self) -> tuple[ChangeEvaluator, ...]:
@@ -144,9 +149,19 @@ class EventTimes:
 
     def gathered(self, circuit: Circuit, locate: bool = True) -> np.ndarray:
         """All recordings' `Changes` as one vector, in the order `terms` reads it."""
-        parts = self.changes(circuit, locate)
-        names = (*_PER_EVENT, *_PER_PIXEL)
-        return np.concatenate([np.concatenate([getattr(part, name) for part in parts]) for name in names])
+        if not plain_changes.applicable(circuit):
+            parts = self.changes(circuit, locate)
+            names = (*PER_EVENT, *PER_PIXEL)
+            return np.concatenate([np.concatenate([getattr(part, name) for part in parts]) for name in names])
+        n, m = self.events, len(self.last_pixel)
+        together = np.empty(7 * n + 4 * m)
+        events = np.split(together[: 7 * n].reshape(7, n), self._ends[0], axis=1)
+        pixels = np.split(together[7 * n :].reshape(4, m), self._ends[1], axis=1)
+        list(
+            _POOL.map(lambda e, per_event, per_pixel: e.fill(circuit, locate, per_event, per_pixel),
+                      self._evaluators, events, pixels)
+        )  # fmt: skip
+        return together
 
     def terms(self, circuit: Circuit, gathered: np.ndarray | None = None) -> Terms:
         """The likelihood's pieces under a circuit; `gathered` is `gathered(circuit)` when it is known already."""
@@ -223,7 +238,7 @@ class EventTimes:
             per_pixel=per_pixel,
             total=per_pixel.sum(),
             per_recording=sum_by(self.recording_of_event, event_term, len(self.recordings))
-            + sum_by(self._recording_of_last, censored, len(self.recordings)),
+            + sum_by(self.recording_of_last, censored, len(self.recordings)),
         )
 
     def _strays(self, falling, z, log_rate, variance, spread, C) -> np.ndarray:
@@ -244,11 +259,7 @@ class EventTimes:
 
     def log_likelihood(self, circuit: Circuit) -> float:
         """The log-likelihood."""
-        return density(self, circuit, self.gathered(circuit)).total
-
-
-_PER_EVENT = ("change", "slope", "drift", "drift_slope", "opposite", "opposite_drift", "early")
-_PER_PIXEL = ("rise", "rise_drift", "fall", "fall_drift")
+        return value(self, circuit, self.gathered(circuit)).total
 
 
 def _survived(margin: np.ndarray) -> np.ndarray:
