@@ -82,6 +82,16 @@ def _logs(rate, variance, extra, group, out):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def _own_variance(group, C, own, noise, variance):
+    """Noise that scales with each group's own threshold instead of the population's C."""
+    more = np.empty(len(C))
+    for g in range(len(C)):
+        more[g] = (noise * own[g]) ** 2 - (noise * C[g]) ** 2
+    for k in range(len(group)):
+        variance[k] += more[group[k]]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def _sum(
     group, time, recording, opposite, opposite_drift, last_pixel, recording_of_last, pixel, numbers,
     log_stray, missed, z, rate, variance, falling, per_pixel, per_recording,
@@ -112,10 +122,20 @@ def _sum(
             q = 1.0 + S[g] * W[g]
             centre[g] = (C[g] + S[g] * A[g]) / q
             extra[g] = S[g] / q
+    _own_variance(group, C, centre, noise, variance)
+    W[:] = 0.0
+    A[:] = 0.0
+    for k in range(n):
+        if not stray[k]:
+            w = 1.0 / variance[k]
+            W[group[k]] += w
+            A[group[k]] += z[k] * w
     # groups
     mean, sd, own = np.zeros(groups), np.empty(groups), np.zeros(groups)
     for g in range(groups):
-        sd[g] = math.sqrt((noise * C[g]) ** 2 + extra[g])
+        q = 1.0 + S[g] * W[g]
+        centre[g] = (C[g] + S[g] * A[g]) / q
+        sd[g] = math.sqrt((noise * centre[g]) ** 2 + S[g] / q)
         if W[g] > 0.0:
             mean[g] = A[g] / W[g]
             away = mean[g] - C[g]
