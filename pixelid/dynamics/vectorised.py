@@ -15,6 +15,7 @@ from pixelid.dynamics.equations import PRESENT_BELOW
 from pixelid.dynamics.vector_math import vexp, vsincos
 
 BLOCK = 256
+RESOLVED = 2.5  # largest |D τ²| for which the propagators are summed as power series
 _low_pass_response = njit(equations.low_pass_response, inline="always", error_model="numpy")
 
 
@@ -52,9 +53,10 @@ def factors(a, b2, tau):
 @njit(inline="always", error_model="numpy")
 def near_coincidence(a, b2, w1, wd, gap_1d):
     """Whether `kernels.advance` would leave the closed form: products of the poles' relative gaps."""
-    q1 = min(abs(a + w1 * (w1 - b2)) / (w1 * w1 + a), 1.0)
-    qd = min(abs(a + wd * (wd - b2)) / (wd * wd + a), 1.0)
-    return min(q1 * qd, q1 * gap_1d, qd * gap_1d) < kernels.COINCIDENCE
+    full1, fulld = w1 * w1 + a, wd * wd + a
+    gap1, gapd = min(abs(a + w1 * (w1 - b2)), full1), min(abs(a + wd * (wd - b2)), fulld)
+    least = kernels.COINCIDENCE
+    return gap1 * gapd < least * full1 * fulld or gap1 * gap_1d < least * full1 or gapd * gap_1d < least * fulld
 
 
 # The loops below are kept apart, few arrays each: LLVM gives up on vectorising a loop that would need too many
@@ -80,6 +82,52 @@ def fill_factors(a, b2, tau, f1, f2, g):
     """Fill the photoreceptor's propagators."""
     for k in range(len(a)):
         f1[k], f2[k], g[k] = factors(a[k], b2[k], tau[k])
+
+
+@njit(cache=True, error_model="numpy", fastmath={"contract", "nnan"})
+def largest_phase(a, b2, tau):
+    """The largest |D τ²| of the steps, D = b² − a: what the propagators' arguments are squares of."""
+    largest = 0.0
+    for k in range(len(a)):
+        largest = max(largest, abs(0.25 * b2[k] * b2[k] - a[k]) * tau[k] * tau[k])
+    return largest
+
+
+@njit(cache=True, error_model="numpy", fastmath={"contract"})
+def fill_resolved_factors(a, b2, tau, f1, f2, g):
+    """As `fill_factors` for |D τ²| ≤ RESOLVED: power series of cosh √x and sinh √x / √x, to 2e-16."""
+    for k in range(len(a)):
+        b = 0.5 * b2[k]
+        x = (b * b - a[k]) * tau[k] * tau[k]
+        eb = vexp(-b * tau[k])
+        c = 1.0 / 2432902008176640000.0
+        c = c * x + 1.0 / 6402373705728000.0
+        c = c * x + 1.0 / 20922789888000.0
+        c = c * x + 1.0 / 87178291200.0
+        c = c * x + 1.0 / 479001600.0
+        c = c * x + 1.0 / 3628800.0
+        c = c * x + 1.0 / 40320.0
+        c = c * x + 1.0 / 720.0
+        c = c * x + 1.0 / 24.0
+        c = c * x + 0.5
+        c = c * x + 1.0
+        s = 1.0 / 51090942171709440000.0
+        s = s * x + 1.0 / 121645100408832000.0
+        s = s * x + 1.0 / 355687428096000.0
+        s = s * x + 1.0 / 1307674368000.0
+        s = s * x + 1.0 / 6227020800.0
+        s = s * x + 1.0 / 39916800.0
+        s = s * x + 1.0 / 362880.0
+        s = s * x + 1.0 / 5040.0
+        s = s * x + 1.0 / 120.0
+        s = s * x + 1.0 / 6.0
+        s = s * x + 1.0
+        f2[k] = eb * c
+        g[k] = eb * s * tau[k]
+    for k in range(len(a)):
+        f1[k] = f2[k] + 0.5 * b2[k] * g[k]
+    for k in range(len(a)):
+        f2[k] = f2[k] - 0.5 * b2[k] * g[k]
 
 
 @njit(cache=True, error_model="numpy", fastmath={"contract"})
@@ -123,7 +171,10 @@ def scan(t, u, L, dynamics, midpoint, states):
             alpha, beta, gamma, L[start - 1 : start - 1 + size], L[start : start + size], midpoint,
             a_[:size], b2_[:size],
         )  # fmt: skip
-        fill_factors(a_[:size], b2_[:size], tau_[:size], f1_, f2_, g_)
+        if largest_phase(a_[:size], b2_[:size], tau_[:size]) < RESOLVED:
+            fill_resolved_factors(a_[:size], b2_[:size], tau_[:size], f1_, f2_, g_)
+        else:
+            fill_factors(a_[:size], b2_[:size], tau_[:size], f1_, f2_, g_)
         fill_responses(a_[:size], b2_[:size], w1, wd, p0_, p1_, q0_, q1_, close)
         for j in range(size):
             k = start + j
@@ -188,6 +239,20 @@ def _advance_follower(s, v, y, ev, ey, p0, p1, k1, m):
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+def _gather(times, step, t, u, L, states, tau, r, u0, L0, L1, v, y, s, d):
+    """Where in its step each time lies, the light there, and the state the step begins with; y relative to u0."""
+    for j in range(len(times)):
+        k = step[j]
+        after = min(k + 1, len(t) - 1)
+        tau[j] = max(times[j] - t[k], 0.0)
+        width = t[after] - t[k]
+        u0[j] = u[k]
+        r[j] = (u[after] - u[k]) / width if width > 0.0 else 0.0
+        L0[j], L1[j] = L[k], L[after]
+        v[j], y[j], s[j], d[j] = states[k, 0], states[k, 1] - u[k], states[k, 2], states[k, 5]
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
 def states_at(times, step, t, u, L, dynamics, midpoint, states, out):
     """Fill out (m, 6) with the states at `times`, each inside the step that begins at sample step[i].
 
@@ -203,17 +268,13 @@ def states_at(times, step, t, u, L, dynamics, midpoint, states, out):
         a, b2, f1, f2, g = table[9, :size], table[10, :size], table[11, :size], table[12, :size], table[13, :size]
         p0, p1, q0, q1 = table[14, :size], table[15, :size], table[16, :size], table[17, :size]
         close, k1 = table[18, :size], table[19, :size]
-        for j in range(size):
-            k = step[start + j]
-            after = min(k + 1, len(t) - 1)
-            tau[j] = max(times[start + j] - t[k], 0.0)
-            width = t[after] - t[k]
-            u0[j] = u[k]
-            r[j] = (u[after] - u[k]) / width if width > 0.0 else 0.0
-            L0[j], L1[j] = L[k], L[after]
-            v[j], y[j], s[j], d[j] = states[k, 0], states[k, 1] - u[k], states[k, 2], states[k, 5]
+        place = slice(start, start + size)
+        _gather(times[place], step[place], t, u, L, states, tau, r, u0, L0, L1, v, y, s, d)
         linearise(alpha, beta, gamma, L0, L1, midpoint, a, b2)
-        fill_factors(a, b2, tau, f1, f2, g)
+        if largest_phase(a, b2, tau) < RESOLVED:
+            fill_resolved_factors(a, b2, tau, f1, f2, g)
+        else:
+            fill_factors(a, b2, tau, f1, f2, g)
         fill_responses(a, b2, w1, wd, p0, p1, q0, q1, close)
         _decay(w1, tau, k1)
         ev, ey, kd = L0, L1, g  # reused: no longer needed under their names
@@ -245,3 +306,64 @@ def states_at(times, step, t, u, L, dynamics, midpoint, states, out):
             out[i, 3] = out[i, 2]
             out[i, 4] = 0.0
             out[i, 5] = here - r[j] * (delay + invd) + q0[j] * ey[j] + q1[j] * ev[j] + m1 * k1[j] + rest * kd[j]
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+def _relative_to_ramp(s, u0, r, a, b2, inv1, delay):
+    """Fill the delay of the follower's ramp, and take s relative to it."""
+    for k in range(len(s)):
+        delay[k] = b2[k] / a[k] + inv1
+    for k in range(len(s)):
+        s[k] = s[k] - u0[k] + r[k] * delay[k]
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+def _advance_amplifier(s, d, u0, r, tau, delay, invd, y, v, ey, ev, q0, q1, m, gain, k1, kd):
+    """In: s after (relative to its ramp), d before; out: follower s and amplifier d after."""
+    for k in range(len(d)):
+        m[k] = m[k] * gain
+    for k in range(len(d)):
+        d[k] = d[k] - u0[k] + r[k] * (delay[k] + invd) - q0[k] * y[k] - q1[k] * v[k] - m[k]
+    for k in range(len(d)):
+        d[k] = q0[k] * ey[k] + q1[k] * ev[k] + m[k] * k1[k] + d[k] * kd[k]
+    for k in range(len(d)):
+        s[k] = s[k] + u0[k] + r[k] * (tau[k] - delay[k])
+    for k in range(len(d)):
+        d[k] = d[k] + u0[k] + r[k] * (tau[k] - delay[k] - invd)
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+def outputs_at(times, step, t, u, L, dynamics, midpoint, states, follower, amplifier):
+    """Fill the follower's and the amplifier's outputs (m,) at `times`; otherwise as `states_at`."""
+    alpha, beta, gamma, w1, w2, wh, wd = dynamics
+    inv1, invd, gain = 1.0 / w1, 1.0 / wd, wd / (wd - w1)
+    table = np.empty((19, BLOCK))
+    for start in range(0, len(times), BLOCK):
+        size = min(BLOCK, len(times) - start)
+        place = slice(start, start + size)
+        tau, r, u0, L0, L1 = table[0, :size], table[1, :size], table[2, :size], table[3, :size], table[4, :size]
+        v, y, delay, m, close = table[5, :size], table[6, :size], table[7, :size], table[8, :size], table[9, :size]
+        a, b2, f1, f2, g = table[10, :size], table[11, :size], table[12, :size], table[13, :size], table[14, :size]
+        p0, p1, q0, q1 = table[15, :size], table[16, :size], table[17, :size], table[18, :size]
+        s, d = follower[place], amplifier[place]
+        _gather(times[place], step[place], t, u, L, states, tau, r, u0, L0, L1, v, y, s, d)
+        linearise(alpha, beta, gamma, L0, L1, midpoint, a, b2)
+        if largest_phase(a, b2, tau) < RESOLVED:
+            fill_resolved_factors(a, b2, tau, f1, f2, g)
+        else:
+            fill_factors(a, b2, tau, f1, f2, g)
+        fill_responses(a, b2, w1, wd, p0, p1, q0, q1, close)
+        ev, ey, k1, kd = L0, L1, f1, f2  # reused: no longer needed under their names
+        _advance_photoreceptor(v, y, r, a, b2, f1, f2, g, ev, ey)
+        _decay(w1, tau, k1)
+        _decay(wd, tau, kd)
+        _relative_to_ramp(s, u0, r, a, b2, inv1, delay)
+        _advance_follower(s, v, y, ev, ey, p0, p1, k1, m)
+        _advance_amplifier(s, d, u0, r, tau, delay, invd, y, v, ey, ev, q0, q1, m, gain, k1, kd)
+        for j in range(size):
+            if close[j] > 0.0:
+                k = step[start + j]
+                _, _, s[j], _, _, d[j] = kernels.advance(
+                    (states[k, 0], states[k, 1], states[k, 2], states[k, 3], 0.0, states[k, 5]),
+                    u0[j], r[j], tau[j], a[j], b2[j], w1, w2, wh, wd, False,
+                )  # fmt: skip

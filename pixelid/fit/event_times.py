@@ -111,7 +111,10 @@ class _Information:
         self.centre = np.where(self.is_on, circuit.on_threshold, circuit.off_threshold)
         self.seen = here.weight_sum > 0
         self.safe = np.where(self.seen, here.weight_sum, 1.0)
-        self.mean_variance = (circuit.mismatch * self.centre) ** 2 + 1.0 / self.safe
+        spread = (circuit.mismatch * self.centre) ** 2
+        self.mean_variance = spread + 1.0 / self.safe
+        self.share = spread / self.mean_variance  # of a group's own threshold that its events tell
+        self.own = self.centre + self.share * (here.weighted_mean - self.centre)
         self.events = np.zeros((count, 3, len(self.kept)))
         self.groups = np.zeros((count, 2, groups))
 
@@ -128,11 +131,12 @@ class _Information:
             dz, dr = dz - growing * self.z, dr - growing * self.rate
         d_centre = np.where(self.is_on, d_on, d_off)
         c = self.circuit
-        noise = 2.0 * c.noise * self.centre * (d_noise * self.centre + c.noise * d_centre)
-        d_variance = noise[self.group] + 2.0 * self.rate * dr * self.width + 2.0 * self.rate**2 * c.jitter * d_jitter
         weight = 1.0 / self.variance
         groups = len(self.seen)
         mean = np.where(self.seen, sum_by(self.group, weight * dz, groups) / self.safe, 0.0)
+        d_own = d_centre + np.where(self.seen, self.share * (mean - d_centre), 0.0)
+        noise = 2.0 * c.noise * self.own * (d_noise * self.own + c.noise * d_own)
+        d_variance = noise[self.group] + 2.0 * self.rate * dr * self.width + 2.0 * self.rate**2 * c.jitter * d_jitter
         d_weights = -sum_by(self.group, d_variance * weight * weight, groups)
         spread = 2.0 * c.mismatch * self.centre * (d_mismatch * self.centre + c.mismatch * d_centre)
         d_mean_variance = spread - d_weights / self.safe**2

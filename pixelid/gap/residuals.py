@@ -49,7 +49,7 @@ def residuals(likelihood: EventTimes, circuit: Circuit, gathered: np.ndarray | N
     terms = likelihood.terms(circuit, gathered)
     group, other = likelihood.group, likelihood.group ^ 1
     own = (terms.group_mean[group] - terms.z) / terms.scale
-    spread = np.sqrt((circuit.noise * terms.centre) ** 2 + terms.group_variance)
+    spread = np.sqrt((circuit.noise * terms.group_mean) ** 2 + terms.group_variance)
     rival = (terms.group_mean[other] - terms.reached) / spread[other]
     log_survival = log_ndtr(own) + np.where(terms.reached > 0, log_ndtr(rival), 0.0)
     e = np.clip(-ndtri_exp(np.minimum(log_survival, -1e-300)), -40.0, 40.0)

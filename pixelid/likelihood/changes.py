@@ -19,11 +19,15 @@ from pixelid.dynamics import kernels, vectorised
 from pixelid.dynamics.equations import PRESENT_BELOW
 from pixelid.dynamics.of_circuit import dynamics_of
 from pixelid.dynamics.trajectory import Trajectory, integrate
+from pixelid.likelihood import plain_changes
+from pixelid.likelihood.plain_changes import Plain, locate
 from pixelid.likelihood.sequences import Sequences
 from pixelid.recordings.recording import Recording
 from pixelid.stages.circuit import Circuit
-from pixelid.stimuli.drive import drive
+from pixelid.stimuli.drive import Drive, drive
 
+PER_EVENT = ("change", "slope", "drift", "drift_slope", "opposite", "opposite_drift", "early")
+PER_PIXEL = ("rise", "rise_drift", "fall", "fall_drift")
 BLOCK = 16  # samples whose extremes are kept together
 
 
@@ -51,20 +55,6 @@ class Changes:
 
 
 @njit(cache=True, error_model="numpy")
-def _locate(t, time, hint):
-    """Index k with t[k] ≤ time < t[k+1], walking from a hint."""
-    k = hint
-    last = len(t) - 1
-    if k > last or k < 0:
-        k = 0
-    if time < t[k] or (k + 16 < last and time > t[k + 16]):
-        k = max(np.searchsorted(t, time, side="right") - 1, 0)
-    while k < last and t[k + 1] <= time:
-        k += 1
-    return k
-
-
-@njit(cache=True, error_model="numpy")
 def _light_integral(tau, k, t, u, L):
     """∫ L dt over the first `tau` of step k, log radiance linear."""
     if k + 1 >= len(t):
@@ -81,7 +71,7 @@ def _light_integral(tau, k, t, u, L):
 @njit(cache=True, nogil=True, error_model="numpy")
 def _locate_all(t, times, hints, out):
     for i in range(len(times)):
-        out[i] = _locate(t, times[i].real, hints[i])
+        out[i] = locate(t, times[i].real, hints[i])
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -272,19 +262,21 @@ class ChangeEvaluator:
         self._rise_at = np.full(len(intervals.last_s), -1)
         self._fall_at = np.full(len(intervals.last_s), -1)
         self._latest: tuple[tuple, Trajectory] | None = None
+        self._light: tuple[tuple, Drive] | None = None
+        self._plain: Plain | None = None
 
     def trajectory(self, circuit: Circuit, keep: bool = False) -> Trajectory:
         """The pixel's trajectory under this recording's stimulus.
 
         `keep` remembers it, for circuits that differ in thresholds, dead time, leak or delay only.
         """
-        key = (
-            dynamics_of(circuit), circuit.linearisation, circuit.dark, circuit.flicker_modulation,
-            circuit.flicker_hz, circuit.flicker_phase,
-        )  # fmt: skip
+        reaching = (circuit.dark, circuit.flicker_modulation, circuit.flicker_hz, circuit.flicker_phase)
+        key = (dynamics_of(circuit), circuit.linearisation, *reaching)
         if self._latest is not None and self._latest[0] == key:
             return self._latest[1]
-        light = drive(self._stimulus, circuit, self.intervals.end_s)
+        if self._light is None or self._light[0] != reaching:
+            self._light = reaching, drive(self._stimulus, circuit, self.intervals.end_s)
+        light = self._light[1]
         trajectory = integrate(light.t, light.radiance, key[0], linearisation=circuit.linearisation)
         if keep:
             self._latest = key, trajectory
@@ -292,7 +284,7 @@ class ChangeEvaluator:
 
     def forget(self) -> None:
         """Drop the remembered trajectory."""
-        self._latest = None
+        self._latest, self._plain = None, None
 
     @property
     def extremes_at(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -304,6 +296,10 @@ class ChangeEvaluator:
 
         `locate=False` keeps the extremes at the samples of the latest evaluation that located them.
         """
+        if plain_changes.applicable(circuit):
+            rows = np.empty((7, len(self.intervals))), np.empty((4, len(self.intervals.last_s)))
+            if self._fill_plain(circuit, locate, *rows):
+                return Changes(*rows[0][:6], *rows[1], early=rows[0][6] > 0)
         trajectory = self.trajectory(circuit, keep=locate)
         scalars = (circuit.leak_hz, circuit.leak_hz_per_radiance, circuit.on_threshold)
         clock = (circuit.refractory, circuit.delay)
@@ -343,14 +339,46 @@ class ChangeEvaluator:
         locate = locate and not complex_step
         per_event = np.empty((6, len(iv)), dtype)
         per_pixel = np.empty((4, len(iv.last_s)), dtype)
-        # below this the chance of having reached a threshold is under 1e-15, whatever the pixel
-        closest = 1.0 - 8.0 * float(np.hypot(np.real(circuit.noise), np.real(circuit.mismatch)))
-        near = (closest * float(np.real(circuit.on_threshold)), closest * float(np.real(circuit.off_threshold)))
-        if circuit.threshold_drift != 0:
-            near = (-np.inf, -np.inf)
         _events(
-            release, time, iv.sign, step_r, step_e, state_r, state_e, self._extreme_at, locate, *near,
+            release, time, iv.sign, step_r, step_e, state_r, state_e, self._extreme_at, locate, *_near(circuit),
             *common, *per_event,
         )  # fmt: skip
         _censored(last, step_l, state_l, last_sample, self._rise_at, self._fall_at, locate, *common, *per_pixel)
         return Changes(*per_event, *per_pixel, early=np.real(time - release) <= 0)
+
+    def fill(self, circuit: Circuit, locate: bool, events: np.ndarray, pixels: np.ndarray) -> None:
+        """Write the changes under a real circuit into rows (7, n) and (4, m), in the order of `Changes`."""
+        if plain_changes.applicable(circuit) and self._fill_plain(circuit, locate, events, pixels):
+            return
+        found = self(circuit, locate)
+        for row, name in zip((*events, *pixels), (*PER_EVENT, *PER_PIXEL), strict=True):
+            row[:] = getattr(found, name)
+
+    def _fill_plain(self, circuit: Circuit, locate: bool, events: np.ndarray, pixels: np.ndarray) -> bool:
+        """As `fill`, for a pixel of four states; returns whether it is one."""
+        trajectory = self.trajectory(circuit, keep=locate)
+        if not Plain.describes(trajectory):
+            return False
+        plain = self._plain
+        if plain is None or plain.trajectory is not trajectory:
+            plain = Plain(trajectory)
+            self._plain = plain if locate else self._plain
+        iv = self.intervals
+        release, time = iv.previous_s + (circuit.refractory - circuit.delay), iv.time_s - circuit.delay
+        last = iv.last_s + (circuit.refractory - circuit.delay)
+        last_sample = int(np.searchsorted(trajectory.t, iv.end_s, side="right")) - 1
+        plain.events(
+            (release, self._hints[0]), (time, self._hints[1]), iv.sign, self._extreme_at,
+            _near(circuit) if locate else None, events[:6],
+        )  # fmt: skip
+        plain.censored((last, self._hints[2]), last_sample, self._rise_at, self._fall_at, locate, pixels)
+        np.less_equal(time, release, out=events[6])
+        return True
+
+
+def _near(circuit: Circuit) -> tuple[float, float]:
+    """Changes (ON, OFF) below which the chance of having reached a threshold is under 1e-15, whatever the pixel."""
+    if circuit.threshold_drift != 0:
+        return -np.inf, -np.inf
+    closest = 1.0 - 8.0 * float(np.hypot(np.real(circuit.noise), np.real(circuit.mismatch)))
+    return closest * float(np.real(circuit.on_threshold)), closest * float(np.real(circuit.off_threshold))

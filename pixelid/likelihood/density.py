@@ -12,6 +12,8 @@ With W = Σ w, A = Σ w z, z̄ = A/W, D = (z̄ − C)/(S + 1/W), S = τ² the sp
 and, of the posterior M = (C + S A)/(1 + S W), G = S/(1 + S W) in the survival factors,
 
     ∂M/∂A = S/q   ∂M/∂W = −M S/q   ∂M/∂S = (A − C W)/q²   ∂M/∂C = 1/q   ∂G/∂S = 1/q²   ∂G/∂W = −S²/q²   (q = 1 + S W)
+
+The threshold that scales a group's noise is such an M too (`own`), from weights in which the population's C scales it.
 """
 
 from __future__ import annotations
@@ -95,7 +97,7 @@ def _strays(z, rate, variance, group, C, S, log_stray, falling, stray, W, A):
 
 
 @njit(cache=True, error_model="numpy")
-def _survived(margin, missed):
+def survived(margin, missed):
     """(log chance of survival, its derivative) at `margin` standard deviations."""
     if margin > 8.5:
         return 0.0, 0.0
@@ -125,6 +127,17 @@ def _density(
         rate[k] = 1.0 if falling[k] else rk
         variance[k] = (noise * C[group[k]]) ** 2 + rate[k] * rate[k] * (tick[k] * tick[k] / 12.0 + jitter * jitter)
     _strays(z, rate, variance, group, C, S, log_stray, falling, stray, W, A)
+    W0, A0, own = W.copy(), A.copy(), np.empty(groups)
+    for g in range(groups):
+        own[g] = (C[g] + S[g] * A[g]) / (1.0 + S[g] * W[g])
+    W[:] = 0.0
+    A[:] = 0.0
+    for k in range(n):
+        g = group[k]
+        variance[k] += (noise * own[g]) ** 2 - (noise * C[g]) ** 2
+        if not stray[k]:
+            W[g] += 1.0 / variance[k]
+            A[g] += z[k] / variance[k]
 
     # groups: value, derivatives by their sums
     value = 0.0
@@ -134,7 +147,7 @@ def _density(
     for g in range(groups):
         q = 1.0 + S[g] * W[g]
         M[g] = (C[g] + S[g] * A[g]) / q
-        sd[g] = math.sqrt((noise * C[g]) ** 2 + S[g] / q)
+        sd[g] = math.sqrt((noise * M[g]) ** 2 + S[g] / q)
         z_bar[g] = 0.0
         if W[g] > 0.0:
             z_bar[g] = A[g] / W[g]
@@ -153,7 +166,7 @@ def _density(
         if reached > 0.0:
             o = group[k] ^ 1
             margin = (M[o] - reached) / sd[o]
-            log_chance, slope = _survived(margin, missed)
+            log_chance, slope = survived(margin, missed)
             if slope != 0.0 or log_chance != 0.0:
                 value += log_chance
                 slope /= sd[o]
@@ -167,7 +180,7 @@ def _density(
         for side in range(2):
             g = 2 * last_pixel[i] + 1 - side
             margin = (M[g] - pixel[2 * side, i] - on * pixel[2 * side + 1, i]) / sd[g]
-            log_chance, slope = _survived(margin, missed)
+            log_chance, slope = survived(margin, missed)
             value += log_chance
             slope /= sd[g]
             by_M[g] += slope
@@ -181,8 +194,9 @@ def _density(
     for g in range(groups):
         q = 1.0 + S[g] * W[g]
         half = by_sd[g] / (2.0 * sd[g])
-        by_C[g] += by_M[g] / q + half * 2.0 * noise * noise * C[g]
-        by_noise += half * 2.0 * noise * C[g] * C[g]
+        by_M[g] += half * 2.0 * noise * noise * M[g]
+        by_C[g] += by_M[g] / q
+        by_noise += half * 2.0 * noise * M[g] * M[g]
         by_A[g] = by_M[g] * S[g] / q
         by_S[g] += by_M[g] * (A[g] - C[g] * W[g]) / (q * q) + half / (q * q)
         by_W[g] += -by_M[g] * M[g] * S[g] / q - half * S[g] * S[g] / (q * q)
@@ -190,6 +204,7 @@ def _density(
         by_C[g] += by_S[g] * 2.0 * mismatch * mismatch * C[g]
 
     # events
+    by_own = np.zeros(groups)
     for k in range(n):
         if stray[k]:
             value += log_stray
@@ -202,10 +217,31 @@ def _density(
         by_z = -w * off_mean - D[g] * w / W[g] + by_A[g] * w
         by_w = -0.5 * off_mean * off_mean - D[g] * off_mean / W[g] + by_W[g] + by_A[g] * z[k]
         by_V = -by_w * w * w - 0.5 * w
+        by_noise += by_V * 2.0 * noise * own[g] * own[g]
+        by_own[g] += by_V * 2.0 * noise * noise * own[g]
+        by_jitter += by_V * r * r * 2.0 * jitter
+        by_event[0, k] = by_z
+        by_event[1, k] = 1.0 / r + by_V * 2.0 * r * (tick[k] * tick[k] / 12.0 + jitter * jitter)
+
+    # back through the thresholds that scale the noise
+    for g in range(groups):
+        q = 1.0 + S[g] * W0[g]
+        by_C[g] += by_own[g] / q
+        by_spread = by_own[g] * (A0[g] - C[g] * W0[g]) / (q * q)
+        by_mismatch += by_spread * 2.0 * mismatch * C[g] * C[g]
+        by_C[g] += by_spread * 2.0 * mismatch * mismatch * C[g]
+        by_own[g] *= S[g] / q
+    for k in range(n):
+        if stray[k]:
+            continue
+        g = group[k]
+        V, r = variance[k] - (noise * own[g]) ** 2 + (noise * C[g]) ** 2, rate[k]
+        by_z = by_event[0, k] + by_own[g] / V
+        by_V = -by_own[g] * (z[k] - own[g]) / (V * V)
         by_noise += by_V * 2.0 * noise * C[g] * C[g]
         by_C[g] += by_V * 2.0 * noise * noise * C[g]
         by_jitter += by_V * r * r * 2.0 * jitter
-        by_rate = 1.0 / r + by_V * 2.0 * r * (tick[k] * tick[k] / 12.0 + jitter * jitter)
+        by_rate = by_event[1, k] + by_V * 2.0 * r * (tick[k] * tick[k] / 12.0 + jitter * jitter)
         growth = 1.0 + drift * time[k]
         dz, dr = sign[k] * by_z / growth, sign[k] * by_rate / growth
         by_event[0, k] = dz

@@ -12,56 +12,8 @@ from numba import njit
 
 from pixelid.dynamics import kernels, vectorised
 from pixelid.dynamics.equations import PRESENT_BELOW
-from pixelid.dynamics.vector_math import vexp
 
 WORK_ROWS = 16
-RESOLVED = 2.5  # largest |D τ²| for which the propagators are summed as power series
-
-
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nnan"})
-def _largest_phase(a, b2, tau):
-    """The largest |D τ²| of the tile, D = b² − a: what the propagators' arguments are squares of."""
-    largest = 0.0
-    for i in range(len(a)):
-        largest = max(largest, abs(0.25 * b2[i] * b2[i] - a[i]))
-    return largest * tau * tau
-
-
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
-def _resolved_factors(a, b2, tau, f1, f2, g):
-    """`kernels.photoreceptor_factors` for |D τ²| ≤ RESOLVED: power series of cosh √x and sinh √x / √x, to 2e-16."""
-    for i in range(len(a)):
-        b = 0.5 * b2[i]
-        x = (b * b - a[i]) * tau * tau
-        eb = vexp(-b * tau)
-        c = 1.0 / 2432902008176640000.0
-        c = c * x + 1.0 / 6402373705728000.0
-        c = c * x + 1.0 / 20922789888000.0
-        c = c * x + 1.0 / 87178291200.0
-        c = c * x + 1.0 / 479001600.0
-        c = c * x + 1.0 / 3628800.0
-        c = c * x + 1.0 / 40320.0
-        c = c * x + 1.0 / 720.0
-        c = c * x + 1.0 / 24.0
-        c = c * x + 0.5
-        c = c * x + 1.0
-        s = 1.0 / 51090942171709440000.0
-        s = s * x + 1.0 / 121645100408832000.0
-        s = s * x + 1.0 / 355687428096000.0
-        s = s * x + 1.0 / 1307674368000.0
-        s = s * x + 1.0 / 6227020800.0
-        s = s * x + 1.0 / 39916800.0
-        s = s * x + 1.0 / 362880.0
-        s = s * x + 1.0 / 5040.0
-        s = s * x + 1.0 / 120.0
-        s = s * x + 1.0 / 6.0
-        s = s * x + 1.0
-        f2[i] = eb * c
-        g[i] = eb * s * tau
-    for i in range(len(a)):
-        f1[i] = f2[i] + 0.5 * b2[i] * g[i]
-    for i in range(len(a)):
-        f2[i] = f2[i] - 0.5 * b2[i] * g[i]
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
@@ -146,8 +98,8 @@ def advance(u0, u1, L0, L1, tau, dynamics, midpoint, begin, end, a, b2, r, spare
     k1, kd = np.exp(-w1 * tau), np.exp(-wd * tau)
     _slopes(u0, u1, tau, r)
     vectorised.linearise(alpha, beta, gamma, L0, L1, midpoint, a, b2)
-    if _largest_phase(a, b2, tau) < RESOLVED:
-        _resolved_factors(a, b2, tau, f1, f2, g)
+    if vectorised.largest_phase(a, b2, tau_) < vectorised.RESOLVED:
+        vectorised.fill_resolved_factors(a, b2, tau_, f1, f2, g)
     else:
         vectorised.fill_factors(a, b2, tau_, f1, f2, g)
     vectorised.fill_responses(a, b2, w1, wd, p0, p1, q0, q1, close)

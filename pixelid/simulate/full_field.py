@@ -14,7 +14,7 @@ from pixelid.simulate import comparator, slew
 from pixelid.simulate.comparator import DECAY, LEVEL, OFF, ON, RELEASE, events_in_step
 from pixelid.simulate.crossing import DEPTH
 from pixelid.simulate.laws import Rules
-from pixelid.simulate.step import light_integral, settled, slope_bound
+from pixelid.simulate.step import light_integral, modes, settled, slope_bound
 from pixelid.stimuli.drive import Drive, drive, refined
 from pixelid.stimuli.stimulus import Stimulus
 
@@ -121,7 +121,7 @@ def _step(k, t, u, radiance, states, dynamics, chain, midpoint):
     )  # fmt: skip
     if not smooth:
         begin = settled(begin, u[k], r, a, b2, w1, w2, wh, wd)
-    return begin, end, u[k], r, tau, a, b2, radiance[k], r
+    return begin, end, u[k], r, tau, a, b2, radiance[k], r, modes(begin, u[k], r, a, b2, chain)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -132,7 +132,7 @@ def _bounds(t, u, radiance, states, dynamics, chain, midpoint, laws, high, low, 
         high[k], low[k], fade[k], drift[k] = -np.inf, np.inf, 1.0, 0.0
         if tau <= 0.0:
             continue
-        begin, end, u0, r, tau, a, b2, light, _ = _step(k, t, u, radiance, states, dynamics, chain, midpoint)
+        begin, end, u0, r, tau, a, b2, light, _, _ = _step(k, t, u, radiance, states, dynamics, chain, midpoint)
         d0, d1 = begin[5], end[5]
         if smooth:
             # a cubic exceeds its end values by at most 4/27 of the length times the slopes that point outward

@@ -31,8 +31,7 @@ class Ordering:
                 self._waiting, (times, [part[1] for part in parts], [part[2] for part in parts]), strict=True
             )
         )
-        order = _order(t, pixel, p, self._size[0] * self._size[1])
-        t, pixel, p = t[order], pixel[order], p[order]
+        t, pixel, p = _sorted(t, pixel, p, self._size[0] * self._size[1])
         ready = len(t) if final else int(np.searchsorted(t, round((until_s + self._delay) * 1e9)))
         self._waiting = t[ready:], pixel[ready:], p[ready:]
         width, height = self._size
@@ -42,11 +41,16 @@ class Ordering:
         return Events(t, x.astype(np.uint16), y.astype(np.uint16), p, width, height)
 
 
-def _order(t: np.ndarray, pixel: np.ndarray, p: np.ndarray, pixels: int) -> np.ndarray:
-    """Indices that sort by (t, pixel, p): one 64-bit key where it fits."""
+def _sorted(t: np.ndarray, pixel: np.ndarray, p: np.ndarray, pixels: int) -> tuple:
+    """(t, pixel, p) in the order of (t, pixel, p): all three packed into one 64-bit number where they fit."""
     if not len(t):
-        return np.empty(0, np.int64)
-    start, end = int(t.min()), int(t.max())
-    if (end - start + 1) * pixels * 2 < np.iinfo(np.int64).max:
-        return np.argsort(((t - start) * pixels + pixel) * 2 + p)
-    return np.lexsort((p, pixel, t))
+        return t, pixel, p
+    start, bits = int(t.min()), (pixels - 1).bit_length() + 1
+    if (int(t.max()) - start).bit_length() + bits > 62:
+        order = np.lexsort((p, pixel, t))
+        return t[order], pixel[order], p[order]
+    key = (t - start) << bits
+    key |= pixel << 1
+    key |= p
+    key.sort()
+    return (key >> bits) + start, (key & ((1 << bits) - 1)) >> 1, (key & 1).astype(np.uint8)

@@ -19,7 +19,7 @@ from pixelid.simulate.crossing import DEPTH
 from pixelid.simulate.laws import Rules
 from pixelid.simulate.light import Block
 from pixelid.simulate.slew import rates_of, slewed_step, smooth_state
-from pixelid.simulate.step import light_integral, settled, slope_bound
+from pixelid.simulate.step import light_integral, modes, settled, slope_bound
 
 TILE = 512
 LANES = 16  # tiles are multiples of every vector length, so that no pixel falls into a loop's remainder
@@ -297,9 +297,10 @@ def _tile(
                 i = which[j]
                 local[LEVEL, i], local[DECAY, i] = old_level[j], old_decay[j]
                 light_rate = np.log(L1[i] / L0[i]) / tau if parasitic > 0.0 else 0.0
+                state = _state(begin, i, plain, smooth, rates)
                 step = (
-                    _state(begin, i, plain, smooth, rates), _state(end, i, plain, smooth, rates),
-                    u0[i], r[i], tau, a[i], b2[i], L0[i], light_rate,
+                    state, _state(end, i, plain, smooth, rates), u0[i], r[i], tau, a[i], b2[i], L0[i], light_rate,
+                    modes(state, u0[i], r[i], a[i], b2[i], chain),
                 )  # fmt: skip
                 found, count = events_in_step(
                     first + i, i, t0, t1, step, chain, local, count_drawn, laws, found, count, scratch

@@ -245,6 +245,9 @@ def log_likelihood(op: Operations, frozen: Frozen, circuit, changes_of=None) -> 
     rate = sign * (gathered("slope", kept) + on * gathered("drift_slope", kept)) / growth
     sd = circuit.noise * op.take(C, group[kept])
     width = op.constant(frozen.tick[kept] ** 2 / 12.0) + circuit.jitter * circuit.jitter
+    weight = 1.0 / (sd * sd + rate * rate * width)
+    own = C + S * op.sum_by(group[kept], weight * z, groups)
+    sd = circuit.noise * op.take(own / (1.0 + S * op.sum_by(group[kept], weight, groups)), group[kept])
     variance = sd * sd + rate * rate * width
     weight = 1.0 / variance
     W, A = op.sum_by(group[kept], weight, groups), op.sum_by(group[kept], weight * z, groups)
@@ -259,7 +262,8 @@ def log_likelihood(op: Operations, frozen: Frozen, circuit, changes_of=None) -> 
         + op.total(-0.5 * op.log(q) - 0.5 * miss * miss / (S + 1.0 / safe))
         + frozen.strays * math.log(STRAY_HZ)
     )
-    mean, sd = (C + S * A) / q, op.sqrt((circuit.noise * C) * (circuit.noise * C) + S / q)
+    mean = (C + S * A) / q
+    sd = op.sqrt((circuit.noise * mean) * (circuit.noise * mean) + S / q)
 
     def survival(group_index, reached):
         margin = (op.take(mean, group_index) - reached) / op.take(sd, group_index)

@@ -1,0 +1,72 @@
+"""The compiled plain pixel against the general loops and the readable sums: same changes, extremes, likelihood."""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+
+from pixelid.likelihood import plain_changes
+from pixelid.likelihood.changes import ChangeEvaluator
+from pixelid.likelihood.event_times import EventTimes
+from pixelid.likelihood.sequences import sequences
+from pixelid.likelihood.value import value
+from pixelid.model.shipped import find_model
+from pixelid.simulate import simulate
+from pixelid.stimuli.stimulus import Stimulus
+
+MODEL = find_model("dvs128").set({"threshold_sigma": 0.15})  # noisy, so that many extremes come near a threshold
+
+
+def light(kind: str) -> Stimulus:
+    rng = np.random.default_rng(3)
+    t = np.arange(0.0, 0.4, 5e-5)
+    u = {
+        "sines": np.sin(2 * np.pi * 6 * t) + 0.3 * np.sin(2 * np.pi * 31 * t),
+        "jitter": 0.8 * np.sin(2 * np.pi * 15 * t) + 0.05 * rng.normal(size=len(t)),
+        "steps": 1.2 * ((t * 40).astype(int) % 2),
+    }[kind]
+    return Stimulus(t, 150.0 * np.exp(u), "fA")
+
+
+def session(kind: str, seed: int = 5):
+    return simulate(MODEL, light(kind), width=3, height=2, seed=seed)
+
+
+@pytest.mark.parametrize("refractory", [1e-6, 1e-4, 2e-3])
+@pytest.mark.parametrize("kind", ["sines", "jitter", "steps"])
+def test_changes_and_extremes_equal_the_general_loops(kind, refractory, monkeypatch):
+    recording = session(kind)
+    circuit = MODEL.circuit().with_(refractory=refractory)
+    fast, general = (ChangeEvaluator(recording, sequences(recording)) for _ in range(2))
+    found = fast(circuit)
+    monkeypatch.setattr(plain_changes, "applicable", lambda circuit: False)
+    expected = general(circuit)
+    possible = ~expected.early  # before its release, a change is an extrapolation to e^(many time constants)
+    for field in fields(found):
+        pair = getattr(found, field.name), getattr(expected, field.name)
+        if field.name in ("change", "slope"):
+            pair = pair[0][possible], pair[1][possible]
+        np.testing.assert_allclose(*pair, rtol=0, atol=1e-7 if field.name == "slope" else 1e-12, err_msg=field.name)
+    assert (np.concatenate(fast.extremes_at) >= 0).sum() > 5
+    for where, there in zip(fast.extremes_at, general.extremes_at, strict=True):
+        np.testing.assert_array_equal(where >= 0, there >= 0)
+
+
+@pytest.mark.parametrize("effects", [(), ("leak",), ("timestamp_jitter",), ("threshold_drift",)])
+def test_the_sums_without_derivatives_equal_the_readable_ones(effects):
+    recordings = [replace(session(kind, seed), condition=kind) for seed, kind in enumerate(("sines", "steps"), 1)]
+    likelihood = EventTimes(recordings)
+    model = MODEL
+    for effect in effects:
+        model = model.with_effect(effect)
+    for refractory in (1e-4, 3e-3):  # the second makes strays: events before their pixel's release
+        circuit = model.circuit().with_(refractory=refractory)
+        gathered = likelihood.gathered(circuit)
+        found, terms = value(likelihood, circuit, gathered), likelihood.terms(circuit, gathered)
+        assert terms.stray.any() == (refractory > 1e-3)
+        assert found.total == pytest.approx(terms.total, rel=1e-11)
+        np.testing.assert_allclose(found.per_pixel, terms.per_pixel, rtol=1e-10)
+        np.testing.assert_allclose(found.per_recording, terms.per_recording, rtol=1e-10)
+        assert likelihood.log_likelihood(circuit) == found.total
