@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 from pixelid.dynamics.equations import ABSENT_DIFFERENCING, ABSENT_EXTRA, ABSENT_FOLLOWER
+from pixelid.dynamics.slew import slews
 from pixelid.dynamics.trajectory import Dynamics
 from pixelid.errors import InputError
 from pixelid.stages.circuit import Circuit
@@ -13,9 +14,9 @@ from pixelid.stages.circuit import Circuit
 def dynamics_of(circuit: Circuit) -> Dynamics:
     """`Dynamics` of a circuit; infinite cutoffs become absent stages.
 
-    Raises InputError for a slew limit: a slew-limited follower is not linear (see `simulate`).
+    Raises InputError for a slew limit: a slew-limited follower is not linear (see `slew.py`).
     """
-    if math.isfinite(circuit.slew_rise) or math.isfinite(circuit.slew_fall):
+    if slews(circuit):
         raise InputError("slew_limit: a slew-limited follower has no linear dynamics")
     stages = {
         "follower": _finite(circuit.follower, ABSENT_FOLLOWER),

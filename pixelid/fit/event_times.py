@@ -104,7 +104,8 @@ class _Information:
         self.on = circuit.on_threshold
         self.growth = 1.0 + circuit.threshold_drift * self.time
         self.z, self.rate, self.variance = (part[self.kept] for part in (here.z, here.rate, here.variance))
-        self.width = likelihood.tick_s[self.kept] ** 2 / 12.0 + circuit.jitter**2
+        self.clock_share = likelihood.clock_share[self.kept]
+        self.width = self.clock_share * (likelihood.tick_s[self.kept] ** 2 / 12.0 + circuit.jitter**2)
         self.circuit, self.n = circuit, n
         groups = len(here.weight_sum)
         self.is_on = np.arange(groups) % 2 == 1
@@ -136,7 +137,11 @@ class _Information:
         mean = np.where(self.seen, sum_by(self.group, weight * dz, groups) / self.safe, 0.0)
         d_own = d_centre + np.where(self.seen, self.share * (mean - d_centre), 0.0)
         noise = 2.0 * c.noise * self.own * (d_noise * self.own + c.noise * d_own)
-        d_variance = noise[self.group] + 2.0 * self.rate * dr * self.width + 2.0 * self.rate**2 * c.jitter * d_jitter
+        d_variance = (
+            noise[self.group]
+            + 2.0 * self.rate * dr * self.width
+            + 2.0 * self.rate**2 * self.clock_share * c.jitter * d_jitter
+        )
         d_weights = -sum_by(self.group, d_variance * weight * weight, groups)
         spread = 2.0 * c.mismatch * self.centre * (d_mismatch * self.centre + c.mismatch * d_centre)
         d_mean_variance = spread - d_weights / self.safe**2

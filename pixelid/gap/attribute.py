@@ -21,6 +21,7 @@ from pixelid.likelihood.event_times import EventTimes
 from pixelid.model.model import Model
 
 LEADERS = 4  # effects fitted to all fit pixels
+SCREEN_STEPS = 6
 WORTH = 3.0  # nats below which a screened effect is not looked at again
 DISTINCT = 5.0  # nats by which the winner must lead on the fit pixels
 SECURE = 1.0  # standard errors (paired over pixels) by which held-out gains must lead
@@ -81,15 +82,17 @@ def attribute(
     """
     base_scout = climbed(pools.scout, model, tolerance=0.1, max_steps=25)
     base_fit = climbed(pools.fit, model, tolerance=0.05, max_steps=25)
+    for part in (pools.scout, pools.fit, pools.select):
+        part.weigh_clock(base_fit.model.circuit())
     effects = [name for name in missing(model) if name not in skip]
     screened: dict[str, Climbed] = {}
     for effect in effects:
         report(effect)
         for origin in (base_scout.model, restart):
-            start = None if origin is None else strongest_start(pools.scout, origin, effect)
+            start = None if origin is None else strongest_start(pools.scout, origin, effect, base_scout.value)
             if start is None:
                 continue
-            end = climbed(pools.scout, start, tolerance=0.3, max_steps=12)
+            end = climbed(pools.scout, start, tolerance=0.3, max_steps=SCREEN_STEPS)
             if effect not in screened or end.value > screened[effect].value:
                 screened[effect] = end
     gains = {effect: end.value - base_scout.value for effect, end in screened.items()}

@@ -13,18 +13,28 @@ from pixelid.likelihood.event_times import EventTimes
 from pixelid.model.model import Model
 
 DECADES = (-2.0, -1.5, -1.0, -0.5, 0.0, 0.5, 1.0, 1.5)  # strengths tried, about the shipped value
+WORTH_A_FIT = 0.5  # nats
 MAINS_HZ = (100.0, 120.0)
 PHASES = (0.0, 0.5 * math.pi, math.pi, 1.5 * math.pi)
-UNSEEN = {"shot_noise", "hot_pixels", "readout_latency", "timestamp_quantisation", "slew_limit"}
+# What no density of single events knows: read off the timestamps (`readout.py`), off the pixels, or not at all.
+UNSEEN = {"shot_noise", "hot_pixels", "readout_latency", "timestamp_quantisation"}
+SLEWS_THROUGH = ("source_follower_pole", "differencing_pole")  # what the likelihood of slew_limit needs
 
 
 def missing(model: Model) -> list[str]:
     """Effects of the library that the model lacks and the event-time likelihood knows."""
-    return [name for name in stages.LIBRARY if name not in UNSEEN and not model.has(name)]
+
+    def usable(name: str) -> bool:
+        return name != "slew_limit" or all(model.has(pole) for pole in SLEWS_THROUGH)
+
+    return [name for name in stages.LIBRARY if name not in UNSEEN and not model.has(name) and usable(name)]
 
 
-def strongest_start(likelihood: EventTimes, model: Model, effect: str) -> Model | None:
-    """The model with the effect, at the strength among those tried that explains the events best; None if none can."""
+def strongest_start(likelihood: EventTimes, model: Model, effect: str, least: float = -np.inf) -> Model | None:
+    """The model with the effect, at the strength among those tried that explains the events best.
+
+    None if none can be evaluated, or (slew_limit, slow to fit, harmless when weak) none explains more than `least`.
+    """
     best, top = None, -np.inf
     for trial in variants(model, effect):
         try:
@@ -33,6 +43,8 @@ def strongest_start(likelihood: EventTimes, model: Model, effect: str) -> Model 
             continue
         if np.isfinite(value) and value > top:
             best, top = trial, value
+    if effect == "slew_limit" and top <= least + WORTH_A_FIT:
+        return None
     return best
 
 
@@ -55,6 +67,8 @@ def variants(model: Model, effect: str) -> Iterator[Model]:
             if not strength.lower < value < strength.upper:
                 continue
             sized = grown.set({strength.name: value})
+            if effect == "slew_limit":
+                sized = sized.set({"slew_limit.fall_per_s": value})
             if effect != "mains_flicker":
                 yield sized
                 continue

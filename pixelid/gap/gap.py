@@ -23,12 +23,12 @@ from pixelid.gap.maps import Cell
 from pixelid.gap.readout import Fingerprint, fingerprints
 from pixelid.gap.recommend import blindest, recommended
 from pixelid.gap.residuals import residuals
-from pixelid.gap.restored import restored
+from pixelid.gap.restored import restored, unjittered
 from pixelid.gap.result import GapReport, Named
 from pixelid.gap.split import locked
 from pixelid.gap.verdict import Shadow, sentence, shadowed, verdict
 from pixelid.gap.words import where
-from pixelid.gap.workbench import STRAYS_EXPECTED, Look, Workbench, based, look, reconsidered, relative_noise
+from pixelid.gap.workbench import STRAYS_EXPECTED, Look, Workbench, based, look, reconsidered, relative_noise, workbench
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.model.model import Model
 from pixelid.provenance import input_hashes, versions
@@ -78,6 +78,8 @@ def gap(
     report("timestamps", 0.06)
     prints = fingerprints(recordings)
     lost: tuple[str, ...] = ()
+    told: dict[str, tuple[float, float]] = {}  # intervals of what is held from then on
+    jitter, jittered = 0.0, ()  # what true times have been drawn behind, and so is no longer in the likelihood
     for found in prints:
         rounds.append(_stamped(found, model.has(found.effect)))
         kept = restored(timely, found, model, seed, lambda what: report(what, 0.08))
@@ -95,7 +97,7 @@ def gap(
         share = 0.1 + 0.6 * turn / MOST_ROUNDS
         bent = seen.stray_fraction > STRAYS_EXPECTED or not current.converged
         found = attribute(
-            bench.pools, current.model, alpha, restart=start if bent else None,
+            bench.pools, current.model, alpha, skip=jittered, restart=start if bent else None,
             report=lambda what, turn=turn, share=share: report(f"round {turn + 1}: {what}", share),
         )  # fmt: skip
         entry = _entry(turn, current, seen, found)
@@ -111,9 +113,20 @@ def gap(
             Step(winner, found, where(seen.maps, bench.train, seen.residual.stray, relative_noise(current.model)))
         )
         start = start.with_effect(winner.effect)
+        bench.train.weigh_clock(current.model.circuit())
         current = climbed(bench.train, winner.end.model, tolerance=0.01, max_steps=40)
         bench, current = reconsidered(bench, timely, model, current)
-        seen = look(bench, current, trust_strays=not prints)
+        if winner.effect == "timestamp_jitter":
+            bench.train.weigh_clock(current.model.circuit())
+            current = climbed(bench.train, current.model, tolerance=0.01, max_steps=20)
+            jitter = current.values["timestamp_jitter.sigma_s"]
+            told["timestamp_jitter.sigma_s"] = limits(bench.train, current)["timestamp_jitter.sigma_s"]
+            timely = unjittered(timely, jitter, current.model, seed)
+            jittered = ("timestamp_jitter",)
+            exact = current.model.without_effect(jittered[0])
+            bench = workbench(timely, split, exact, bench.between, seed)
+            current = climbed(bench.train, exact, tolerance=0.01, max_steps=40)
+        seen = look(bench, current, trust_strays=not (prints or jittered))
         rivals = found.rivals
         if rivals:
             break
@@ -126,13 +139,14 @@ def gap(
     said = verdict(bool(steps or new), bool(rivals), remainder, shadow)
     report("intervals", 0.8)
     selected = sum(int(np.isin(r.events.pixel, split.select).sum()) for r in recordings)
-    effects = (*(_printed(f, selected) for f in new), *_effects(bench, at, current, steps))
+    whole = current.model if not jittered else current.model.with_effect(*jittered, {"sigma_s": jitter})
+    effects = (*(_printed(f, selected) for f in new), *_effects(bench, at, current, whole, steps, told))
     report("free run", 0.85)
     run = None
     if effects:
         fine = [r.with_stimulus(resampled(r.stimulus, bench.between)) for r in recordings]  # type: ignore[arg-type]
         sensor = len(np.union1d(split.train, split.confirm))
-        run = free_run(fine, split.confirm, sensor, len(split.train), base.model, current.model, seed)
+        run = free_run(fine, split.confirm, sensor, len(split.train), base.model, whole, seed)
     report("what to record next", 0.95)
     place = where(seen.maps, bench.train, seen.residual.stray, relative_noise(current.model))
     advice = _advice(at, current, directions, steps, rivals, shadow, remainder, seen, bench)
@@ -147,7 +161,7 @@ def gap(
         free_run=run,
         rounds=tuple(rounds),
         base=base.model,
-        model=replace(current.model, name=f"{model.name}_grown") if effects else current.model,
+        model=replace(whole, name=f"{model.name}_grown") if effects else whole,
         term=term,
         recommended_next=advice,
         seconds=watch.seconds(),
@@ -225,16 +239,24 @@ def _shifted(likelihood: EventTimes, current: Climbed, term: Flexible, sigma: fl
     return moved
 
 
-def _effects(bench: Workbench, at: Space, current: Climbed, steps: Sequence[Step]) -> tuple[Named, ...]:
+def _effects(
+    bench: Workbench,
+    at: Space,
+    current: Climbed,
+    whole: Model,
+    steps: Sequence[Step],
+    told: dict[str, tuple[float, float]],
+) -> tuple[Named, ...]:
     if not steps:
         return ()
-    interval = limits(bench.train, current)
+    interval = {**limits(bench.train, current), **told}
     found = []
     for step in steps:
         name = step.winner.effect
         others = [c for c in step.found.candidates if c.effect != name]
         second = max(others, key=lambda c: c.heldout_gain, default=None)
-        alike = similarities(at, name, missing(current.model))
+        named_here = current.model.has(name)
+        alike = similarities(at, name, missing(current.model)) if named_here else {}
         nearest = max(alike, key=lambda k: alike[k], default="")
         found.append(
             Named(
@@ -246,7 +268,7 @@ def _effects(bench: Workbench, at: Space, current: Climbed, steps: Sequence[Step
                 max_cosine=alike.get(nearest, 0.0),
                 max_cosine_with=nearest,
                 parameters={
-                    p.name: (current.values[p.name], interval.get(p.name)) for p in stages.effect(name).parameters
+                    p.name: (whole.values[p.name], interval.get(p.name)) for p in stages.effect(name).parameters
                 },
                 where=step.where,
             )

@@ -14,7 +14,16 @@ import numpy as np
 
 from pixelid.fit.starts import feasible
 from pixelid.gap.climb import climbed
-from pixelid.gap.latent import Windows, beginning, drawn, queue_windows, ranked, tick_windows, with_times
+from pixelid.gap.latent import (
+    Windows,
+    beginning,
+    drawn,
+    jitter_windows,
+    queue_windows,
+    ranked,
+    tick_windows,
+    with_times,
+)
 from pixelid.gap.readout import Fingerprint
 from pixelid.gap.split import few
 from pixelid.likelihood.event_times import EventTimes
@@ -26,6 +35,7 @@ from pixelid.stimuli.resample import resampled
 SHORT, LONG = 20.0, 200.0  # of the service time: windows (9 of 10) of the first stage, and of the second
 SWEEPS = (20, 8)  # rounds of draws and refits in each stage
 SETTLING = 60  # draws without refits before the second stage
+JITTER_SWEEPS = 30  # draws of jittered times
 WIDTH = 0.5  # standard deviation of the prior on log filters
 FILTERS = ("alpha", "beta", "gamma", "alpha_over_beta", "sf_cutoff_hz", "diff_cutoff_hz")
 TORN = 0.01  # share of a recording's events without a cause from which on its times count as lost
@@ -85,6 +95,18 @@ def restored(
     fine, times = ([x for x, gone in zip(each, torn, strict=True) if not gone] for each in (fine, times))
     back = [r.with_stimulus(recordings[i].stimulus) for r, i in zip(with_times(fine, times), kept, strict=True)]  # type: ignore[arg-type]
     return Restored(tuple(back), lost)
+
+
+def unjittered(recordings: Sequence[Recording], sigma_s: float, model: Model, seed: int) -> list[Recording]:
+    """The recordings with true times drawn behind jittered timestamps, under a fitted model."""
+    fine = [r.with_stimulus(resampled(r.stimulus, "smooth")) for r in recordings]  # type: ignore[arg-type]
+    windows = [jitter_windows(r, sigma_s) for r in fine]
+    exact = model.without_effect("timestamp_jitter")
+    times = beginning(fine, windows, False)
+    rng = np.random.default_rng(seed)
+    for _ in range(JITTER_SWEEPS):
+        times = drawn(fine, windows, times, exact, rng)
+    return [r.with_stimulus(o.stimulus) for r, o in zip(with_times(fine, times), recordings, strict=True)]  # type: ignore[arg-type]
 
 
 def _torn(recordings: Sequence[Recording], model: Model) -> np.ndarray:

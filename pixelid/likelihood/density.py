@@ -64,8 +64,8 @@ def density(likelihood: EventTimes, circuit: Circuit, gathered: np.ndarray) -> D
     z, rate, variance, stray = np.empty(n), np.empty(n), np.empty(n), np.empty(n, np.bool_)
     W, z_bar = np.empty(groups), np.empty(groups)
     total = _density(
-        likelihood.sign, likelihood.group, likelihood.time_s, likelihood.tick_s, likelihood.last_pixel,
-        gathered[: 7 * n].reshape(7, n), gathered[7 * n :].reshape(4, m), numbers,
+        likelihood.sign, likelihood.group, likelihood.time_s, likelihood.tick_s, likelihood.clock_share,
+        likelihood.last_pixel, gathered[: 7 * n].reshape(7, n), gathered[7 * n :].reshape(4, m), numbers,
         math.log(STRAY_HZ), MISSED,
         by_change[: 7 * n].reshape(7, n), by_change[7 * n :].reshape(4, m), by_number,
         z, rate, variance, stray, W, z_bar,
@@ -108,7 +108,7 @@ def survived(margin, missed):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _density(
-    sign, group, time, tick, last_pixel, event, pixel, numbers, log_stray, missed,
+    sign, group, time, tick, share, last_pixel, event, pixel, numbers, log_stray, missed,
     by_event, by_pixel, by_number, z, rate, variance, stray, W, z_bar,
 ):  # fmt: skip
     on, off, noise, mismatch, drift, jitter = numbers
@@ -125,7 +125,9 @@ def _density(
         falling[k] = (not rk > 0.0) or event[6, k] > 0.0 or (not abs(zk) < 1e6) or (not rk < 1e12)
         z[k] = 0.0 if falling[k] else zk
         rate[k] = 1.0 if falling[k] else rk
-        variance[k] = (noise * C[group[k]]) ** 2 + rate[k] * rate[k] * (tick[k] * tick[k] / 12.0 + jitter * jitter)
+        variance[k] = (noise * C[group[k]]) ** 2 + rate[k] * rate[k] * share[k] * (
+            tick[k] * tick[k] / 12.0 + jitter * jitter
+        )
     _strays(z, rate, variance, group, C, S, log_stray, falling, stray, W, A)
     W0, A0, own = W.copy(), A.copy(), np.empty(groups)
     for g in range(groups):
@@ -219,9 +221,9 @@ def _density(
         by_V = -by_w * w * w - 0.5 * w
         by_noise += by_V * 2.0 * noise * own[g] * own[g]
         by_own[g] += by_V * 2.0 * noise * noise * own[g]
-        by_jitter += by_V * r * r * 2.0 * jitter
+        by_jitter += by_V * r * r * share[k] * 2.0 * jitter
         by_event[0, k] = by_z
-        by_event[1, k] = 1.0 / r + by_V * 2.0 * r * (tick[k] * tick[k] / 12.0 + jitter * jitter)
+        by_event[1, k] = 1.0 / r + by_V * 2.0 * r * share[k] * (tick[k] * tick[k] / 12.0 + jitter * jitter)
 
     # back through the thresholds that scale the noise
     for g in range(groups):
@@ -240,8 +242,8 @@ def _density(
         by_V = -by_own[g] * (z[k] - own[g]) / (V * V)
         by_noise += by_V * 2.0 * noise * C[g] * C[g]
         by_C[g] += by_V * 2.0 * noise * noise * C[g]
-        by_jitter += by_V * r * r * 2.0 * jitter
-        by_rate = by_event[1, k] + by_V * 2.0 * r * (tick[k] * tick[k] / 12.0 + jitter * jitter)
+        by_jitter += by_V * r * r * share[k] * 2.0 * jitter
+        by_rate = by_event[1, k] + by_V * 2.0 * r * share[k] * (tick[k] * tick[k] / 12.0 + jitter * jitter)
         growth = 1.0 + drift * time[k]
         dz, dr = sign[k] * by_z / growth, sign[k] * by_rate / growth
         by_event[0, k] = dz

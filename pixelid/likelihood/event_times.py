@@ -10,10 +10,11 @@ the last factor being the chance that the other polarity's threshold C_i' stayed
 drawn, z_k could not equal it.)  The interval that the end of the recording cuts off contributes the chance that
 neither threshold was reached.
 
-s_k² = (σ C_i)² + r_k² (tick²/12 + jitter²): threshold noise scales with the pixel's own threshold, and a timestamp's
-width is noise in time.  For C_i in s_k stands its posterior mean under s_k² with the population's C, known to a few
-tenths of a percent where a pixel has a hundred events.  (With the population's C there, the scatter of events would
-pretend to tell the population's thresholds, and their intervals would be some 10 % too short.)
+s_k² = (σ C_i)² + q_k r_k² (tick²/12 + jitter²): threshold noise scales with the pixel's own threshold, and a
+timestamp's width is noise in time (q_k: `weigh_clock`).  For C_i in s_k stands its posterior mean under s_k² with the
+population's C, known to a few tenths of a percent where a pixel has a hundred events.  (With the population's C there,
+the scatter of events would pretend to tell the population's thresholds, and their intervals would be some 10 % too
+short.)
 
 Pixel-to-pixel mismatch, C_i ~ N(C, τ²), is integrated out in closed form.  For a group (pixel, polarity) with
 weights 1/s_k², W their sum and z̄ the weighted mean,
@@ -53,6 +54,8 @@ _POOL = ThreadPoolExecutor(os.cpu_count() or 1)
 
 STRAY_HZ = 1e-3
 MISSED = 1e-6
+NUDGE_S = 1e-7  # of the release, to find how a level depends on it
+MOST_SHARE = 100.0
 OF_LEVEL = 4  # the first rows of `Changes` per event: those that belong to the level of the event's own polarity
 
 
@@ -90,7 +93,8 @@ class EventTimes:
     """The event-time likelihood of one or more recordings of the same pixels.
 
     Recordings of the same sensor and size share pixels, and so pixel thresholds.
-    threshold_factor: (events,) what each event's threshold is multiplied by beside all that the circuit says, or None.
+    threshold_factor: (events,) what each event's threshold is multiplied by beside all that the circuit says, or None;
+    clock_share: (events,) how often timestamp noise counts, see `weigh_clock`.
     Raises InputError for pooled recordings, a missing stimulus, or fewer than two events in any pixel.
     """
 
@@ -127,10 +131,22 @@ class EventTimes:
         self.recording_of_event = np.repeat(np.arange(len(self.intervals)), [len(iv) for iv in self.intervals])
         self.recording_of_last = np.repeat(np.arange(len(self.intervals)), [len(iv.last_s) for iv in self.intervals])
         self.group = 2 * self.pixel + (self.sign > 0)
+        self.clock_share = np.ones(len(self.sign))
         self._ends = tuple(
             np.cumsum([len(part) for part in parts])[:-1]
             for parts in (self.intervals, [iv.last_s for iv in self.intervals])
         )
+
+    def weigh_clock(self, circuit: Circuit) -> None:
+        """Count timestamp noise twice: at the event, and at the reset before, whose time is as uncertain.
+
+        With g_k the rate at which level k falls as its release moves, clock_share becomes q_k = 1 + (g_k/r_k)² under
+        this circuit (at most `MOST_SHARE`); until then it is 1.
+        """
+        later = circuit.with_(refractory=circuit.refractory + NUDGE_S)
+        here, there = self.terms(circuit), self.terms(later, self.gathered(later, locate=False))
+        moved = np.where(here.stray | there.stray, 0.0, there.z - here.z) / NUDGE_S
+        self.clock_share = 1.0 + np.minimum((moved * np.exp(-here.log_rate)) ** 2, MOST_SHARE - 1.0)
 
     @property
     def evaluators(self) -> tuple[ChangeEvaluator, ...]:
@@ -195,14 +211,16 @@ class EventTimes:
         rate = np.where(falling, 1.0, rate)
         z = np.where(falling, 0.0, z)
         log_rate = np.log(rate)
-        width = rate * rate * (self.tick_s**2 / 12.0 + circuit.jitter**2)
+        width = rate * rate * self.clock_share * (self.tick_s**2 / 12.0 + circuit.jitter**2)
         variance = (circuit.noise * mean) ** 2 + width
         group_on = np.arange(2 * self.pixels) % 2 == 1
         C = np.where(group_on, on, off)
         spread = (circuit.mismatch * C) ** 2
         stray = self._strays(falling, z.real, log_rate.real, variance.real, spread.real, C.real)
         weight = np.where(stray, 0.0, 1.0 / variance)
-        own = (C + spread * sum_by(self.group, weight * z, len(C))) / (1.0 + spread * sum_by(self.group, weight, len(C)))
+        own = (C + spread * sum_by(self.group, weight * z, len(C))) / (
+            1.0 + spread * sum_by(self.group, weight, len(C))
+        )
         variance = (circuit.noise * own[self.group]) ** 2 + width
         weight = np.where(stray, 0.0, 1.0 / variance)
 

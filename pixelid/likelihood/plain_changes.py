@@ -13,6 +13,7 @@ import numpy as np
 from numba import njit
 
 from pixelid.dynamics import vectorised
+from pixelid.dynamics.slew import slews
 from pixelid.dynamics.trajectory import Trajectory
 from pixelid.stages.circuit import Circuit
 
@@ -24,7 +25,7 @@ DECAYED = 40.0  # time constants after which nothing is left of a reset
 def applicable(circuit: Circuit) -> bool:
     """Whether the changes of this circuit are its output's own: nothing leaks, nothing is complex."""
     leaks = circuit.leak_hz != 0 or circuit.leak_hz_per_radiance != 0
-    return not leaks and not any(isinstance(value, complex) for value in vars(circuit).values())
+    return not leaks and not slews(circuit) and not any(isinstance(value, complex) for value in vars(circuit).values())
 
 
 class Plain:

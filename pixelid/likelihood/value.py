@@ -43,7 +43,18 @@ def value(likelihood: EventTimes, circuit: Circuit, gathered: np.ndarray) -> Val
     per_pixel, per_recording = np.zeros(likelihood.pixels), np.zeros(len(likelihood.recordings))
     event = gathered[: 7 * n].reshape(7, n)
     z, rate, variance, falling = np.empty(n), np.empty(n), np.empty(n), np.empty(n, np.bool_)
-    _levels(likelihood.sign, likelihood.time_s, likelihood.tick_s, event, numbers, z, rate, variance, falling)
+    _levels(
+        likelihood.sign,
+        likelihood.time_s,
+        likelihood.tick_s,
+        likelihood.clock_share,
+        event,
+        numbers,
+        z,
+        rate,
+        variance,
+        falling,
+    )
     _sum(
         likelihood.group, likelihood.time_s, likelihood.recording_of_event, event[4], event[5],
         likelihood.last_pixel, likelihood.recording_of_last, gathered[7 * n :].reshape(4, m), numbers,
@@ -53,7 +64,7 @@ def value(likelihood: EventTimes, circuit: Circuit, gathered: np.ndarray) -> Val
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _levels(sign, time, tick, event, numbers, z, rate, variance, falling):
+def _levels(sign, time, tick, share, event, numbers, z, rate, variance, falling):
     """Fill level, its rate, its variance, and whether the event cannot be the circuit's; as in `density._density`."""
     on, off, noise, _, drift, jitter = numbers
     noise_on, noise_off = (noise * on) ** 2, (noise * off) ** 2
@@ -68,7 +79,7 @@ def _levels(sign, time, tick, event, numbers, z, rate, variance, falling):
         z[k] = 0.0 if falling[k] else z[k]
         rate[k] = 1.0 if falling[k] else rate[k]
     for k in range(len(z)):
-        width = tick[k] * tick[k] / 12.0 + jitter * jitter
+        width = share[k] * (tick[k] * tick[k] / 12.0 + jitter * jitter)
         variance[k] = (noise_on if sign[k] > 0.0 else noise_off) + rate[k] * rate[k] * width
 
 

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from pixelid.dynamics import kernels
+from pixelid.dynamics import kernels, slew
 from pixelid.dynamics.trajectory import integrate
-from pixelid.simulate import comparator, slew
+from pixelid.simulate import comparator
 from pixelid.simulate.comparator import DECAY, LEVEL, OFF, ON, RELEASE, events_in_step
 from pixelid.simulate.crossing import DEPTH
 from pixelid.simulate.laws import Rules
@@ -94,7 +94,7 @@ def shared_trajectory(light: Drive, rules: Rules) -> Shared:
     midpoint = rules.circuit.linearisation == "midpoint"
     if rules.slewing:
         t, radiance = np.ascontiguousarray(light.t), np.ascontiguousarray(light.radiance)
-        u, states = np.log(radiance), slew.slewed_states(light.t, light.radiance, rules)
+        u, states = np.log(radiance), slew.slewed_states(t, radiance, rules.dynamics, rules.rates, midpoint)
     else:
         run = integrate(light.t, light.radiance, rules.dynamics, linearisation=rules.circuit.linearisation)
         t, u, radiance, states = run.t, run.u, run.radiance, run.states

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pixelid.dynamics import kernels
+from pixelid.dynamics import kernels, slew
 from pixelid.dynamics.equations import PRESENT_BELOW
 from pixelid.dynamics.of_circuit import dynamics_of
 from pixelid.dynamics.trajectory import Dynamics
@@ -45,6 +45,11 @@ class Rules(NamedTuple):
         """Whether the follower is slew limited."""
         return self.chain[5]
 
+    @property
+    def rates(self) -> tuple:
+        """The cutoffs and slew rates as `dynamics.slew` wants them."""
+        return slew.rates_of(self.circuit, self.dynamics)
+
 
 def rules_of(circuit: Circuit, seed: int, synchronous: bool, t_end: float) -> Rules:
     """The rules of a circuit.  Raises InputError for thresholds that are absent or drift to zero before t_end."""
@@ -52,7 +57,7 @@ def rules_of(circuit: Circuit, seed: int, synchronous: bool, t_end: float) -> Ru
         raise InputError("thresholds must be positive")
     if 1.0 + circuit.threshold_drift * t_end <= 0.01:
         raise InputError(f"threshold_drift.per_s = {circuit.threshold_drift:g} brings the thresholds to zero")
-    slewing = math.isfinite(circuit.slew_rise) or math.isfinite(circuit.slew_fall)
+    slewing = slew.slews(circuit)
     if slewing and not math.isfinite(circuit.follower):
         raise InputError("slew_limit needs source_follower_pole: without it there is nothing to slew")
     dynamics = Dynamics(*dynamics_of(circuit.with_(slew_rise=math.inf, slew_fall=math.inf)).uniform())

@@ -19,9 +19,9 @@ from itertools import islice
 
 import numpy as np
 
+from pixelid.dynamics import slew
 from pixelid.dynamics.equations import PRESENT_BELOW
 from pixelid.errors import InputError
-from pixelid.simulate import slew
 from pixelid.simulate.laws import Rules
 from pixelid.stimuli.stimulus import Stimulus
 

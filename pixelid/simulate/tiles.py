@@ -12,13 +12,13 @@ from numba import njit
 
 from pixelid.dynamics import kernels, vectorised
 from pixelid.dynamics.equations import PRESENT_BELOW
+from pixelid.dynamics.slew import slewed_step, smooth_state
 from pixelid.dynamics.vector_math import vexp, vlog
 from pixelid.simulate import chain_step, comparator, random
 from pixelid.simulate.comparator import DECAY, FIELDS, LEVEL, OFF, ON, RELEASE, events_in_step
 from pixelid.simulate.crossing import DEPTH
 from pixelid.simulate.laws import Rules
 from pixelid.simulate.light import Block
-from pixelid.simulate.slew import rates_of, slewed_step, smooth_state
 from pixelid.simulate.step import light_integral, modes, settled, slope_bound
 
 TILE = 512
@@ -59,7 +59,7 @@ class Tiles:
             (block.t, radiance, block.parts, block.before, block.after, block.first, self._held),
             (circuit.dark, circuit.flicker_modulation, 2 * np.pi * circuit.flicker_hz, circuit.flicker_phase),
             (circuit.shot_density, np.uint64(random.stream_key(rules.seed, random.SHOT))),
-            tuple(rules.dynamics), circuit.linearisation == "midpoint", self._plain, rates_of(rules), rules.chain,
+            tuple(rules.dynamics), circuit.linearisation == "midpoint", self._plain, rules.rates, rules.chain,
             rules.laws,
             (circuit.on_threshold, circuit.off_threshold, circuit.mismatch, circuit.noise),
             np.int64(rules.seed), rules.synchronous,

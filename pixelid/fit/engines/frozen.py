@@ -50,7 +50,7 @@ class Frozen:
 
     circuit: the real circuit at the point, which tells what is present
     kept: indices of events that are not strays;  strays: how many are;  survived: indices with a survival factor
-    sign, time, tick: (n,);  group: (n,) of 2 · pixel + ON;  last_pixel: (m,)
+    sign, time, tick, clock_share: (n,);  group: (n,) of 2 · pixel + ON;  last_pixel: (m,)
     """
 
     circuit: Circuit
@@ -61,6 +61,7 @@ class Frozen:
     sign: np.ndarray
     time: np.ndarray
     tick: np.ndarray
+    clock_share: np.ndarray
     group: np.ndarray
     pixels: int
     last_pixel: np.ndarray
@@ -103,6 +104,7 @@ def freeze(objective: EventTimesObjective, x: np.ndarray) -> Frozen:
         sign=likelihood.sign,
         time=likelihood.time_s,
         tick=likelihood.tick_s,
+        clock_share=likelihood.clock_share,
         group=likelihood.group,
         pixels=likelihood.pixels,
         last_pixel=likelihood.last_pixel,

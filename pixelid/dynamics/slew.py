@@ -7,6 +7,8 @@ these steps h and d are cubics, which is what `step.probe` reads from `smooth_st
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numba import njit
 
@@ -19,21 +21,22 @@ from pixelid.dynamics.equations import (
     derivative_low_pass,
 )
 from pixelid.errors import InputError
+from pixelid.stages.circuit import Circuit
 
 RESOLUTION = 0.1  # steps per time constant of the fastest stage: local error (ω Δt)^5/120 = 1e-7
 MOST_STEPS = 500_000_000
 _low_pass = njit(derivative_low_pass, inline="always", error_model="numpy")
 
 
-def longest_step(cutoffs, duration_s: float) -> float:
+def longest_step(cutoffs, duration_s: float, resolution: float = RESOLUTION) -> float:
     """The longest step [s] that resolves these cutoffs (rad/s).  Raises InputError when that needs too many."""
     fastest = max(w for w in cutoffs if w < PRESENT_BELOW)
-    if duration_s * fastest / RESOLUTION > MOST_STEPS:
+    if duration_s * fastest / resolution > MOST_STEPS:
         raise InputError(
             f"slew_limit: {duration_s:g} s with a pole at {fastest / (2 * np.pi):.3g} Hz needs more than "
             f"{MOST_STEPS:g} steps; shorten the stimulus or lower the cutoff"
         )
-    return RESOLUTION / fastest
+    return resolution / fastest
 
 
 @njit(forceinline=True, error_model="numpy")
@@ -79,16 +82,40 @@ def smooth_state(state, rates):
     return slope - dz, 0.0, e - z, e - z, 0.0, d
 
 
-def slewed_states(t, radiance, rules) -> np.ndarray:
-    """(n, 6) `smooth_state` at knots t (n,) under radiance (n,), from steady state at the first."""
+def slewed_states(t, radiance, dynamics, rates, midpoint: bool) -> np.ndarray:
+    """(n, 6) `smooth_state` at knots t (n,) under radiance (n,), from steady state at the first.
+
+    dynamics: of the circuit without its slew limit;  rates: `rates_of` it
+    """
     states = np.empty((len(t), 6))
-    _slewed(t, radiance, tuple(rules.dynamics), rates_of(rules), rules.circuit.linearisation == "midpoint", states)
+    _slewed(t, radiance, tuple(dynamics), rates, midpoint, states)
     return states
 
 
-def rates_of(rules) -> tuple:
+def slews(circuit: Circuit) -> bool:
+    """Whether the follower of a circuit is slew limited."""
+    return math.isfinite(np.real(circuit.slew_rise)) or math.isfinite(np.real(circuit.slew_fall))
+
+
+def rates_of(circuit: Circuit, dynamics) -> tuple:
     """(w1, w2, wh, wd, rise, fall) as `slewed_step` wants them."""
-    return (*rules.chain[:4], float(rules.circuit.slew_rise), float(rules.circuit.slew_fall))
+    return (*tuple(dynamics)[3:], float(circuit.slew_rise), float(circuit.slew_fall))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def smooth_at(times, step, t, states, wd, out):
+    """(m, 6) smooth states at times (m,) within steps (m,), by cubics through values and slopes at both ends."""
+    for i in range(len(times)):
+        k = min(step[i], len(t) - 2)
+        tau = t[k + 1] - t[k]
+        x = (times[i] - t[k]) / tau if tau > 0.0 else 0.0
+        x = min(max(x, 0.0), 1.0)
+        a, b = (1.0 + 2.0 * x) * (1.0 - x) ** 2, x * x * (3.0 - 2.0 * x)
+        c, e = x * (1.0 - x) ** 2 * tau, -x * x * (1.0 - x) * tau
+        h0, h1, d0, d1 = states[k, 3], states[k + 1, 3], states[k, 5], states[k + 1, 5]
+        h = a * h0 + b * h1 + c * states[k, 0] + e * states[k + 1, 0]
+        d = a * d0 + b * d1 + c * wd * (h0 - d0) + e * wd * (h1 - d1)
+        out[i, 0], out[i, 1], out[i, 2], out[i, 3], out[i, 4], out[i, 5] = states[k, 0], 0.0, h, h, 0.0, d
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
