@@ -28,7 +28,6 @@ from pixelid.model.shipped import find_model
 from pixelid.recordings.events import Events
 from pixelid.recordings.recording import Recording
 from pixelid.simulate import simulate
-from pixelid.stimuli.resample import resampled
 from pixelid.stimuli.shapes import chirp, steps
 from pixelid.stimuli.stimulus import Stimulus
 
@@ -45,13 +44,13 @@ def hidden_circuit(seed: int) -> Model:
 
 
 def stimuli(seed: int) -> dict[str, Stimulus]:
-    """A chirp and random steps at each level, sampled so finely that a step is linear."""
+    """A chirp and random steps at each level."""
     found = {}
     for k, level in enumerate(LEVELS):
         stop = 40.0 * np.sqrt(level)
         found[f"chirp_{level:g}"] = chirp(level, modulation=0.6, stop_hz=stop, duration_s=0.3, dt=1e-4)
         found[f"steps_{level:g}"] = steps(level, duration_s=0.3, dt=1e-4, seed=seed + k)
-    return {name: resampled(stimulus, "linear") for name, stimulus in found.items()}
+    return found
 
 
 def session(truth: Model, seed: int) -> list[Recording]:

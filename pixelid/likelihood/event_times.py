@@ -190,7 +190,9 @@ class EventTimes:
         spread = (circuit.mismatch * C) ** 2
         stray = self._strays(falling, z.real, log_rate.real, variance.real, spread.real, C.real)
         weight = np.where(stray, 0.0, 1.0 / variance)
-        own = (C + spread * sum_by(self.group, weight * z, len(C))) / (1.0 + spread * sum_by(self.group, weight, len(C)))
+        own = (C + spread * sum_by(self.group, weight * z, len(C))) / (
+            1.0 + spread * sum_by(self.group, weight, len(C))
+        )
         variance = (circuit.noise * own[self.group]) ** 2 + width
         weight = np.where(stray, 0.0, 1.0 / variance)
 
