@@ -141,7 +141,7 @@ def _runs(states, output, run):
 def _changes(release, time, level, offset, s, d, wd, change, slope):
     for i in range(len(change)):
         since = wd * (time[i] - release[i])
-        left = offset[i] * np.exp(-since) if since < DECAYED else 0.0
+        left = offset[i] * np.exp(min(-since, DECAYED)) if since < DECAYED else 0.0  # before release: only finite
         change[i] = d[i] - level[i] - left
         slope[i] = wd * (s[i] - d[i] + left)
 
