@@ -19,7 +19,7 @@ help:
 	@echo "make demo       the whole story on embedded data, written to demo-out/"
 	@echo "make test       every test that is not slow"
 	@echo "make test-all   every test"
-	@echo "make bench      the speed benchmarks (coverage: benchmarks/interval_coverage.py, an hour)"
+	@echo "make bench      the speed benchmarks (statistics: interval_coverage.py, posterior_ranks.py)"
 	@echo "make lint       ruff and pyright"
 	@echo "make clean      remove what make and the tests have made, the environment included"
 

@@ -28,7 +28,6 @@ from pixelid.model.shipped import find_model
 from pixelid.recordings.events import Events
 from pixelid.recordings.recording import Recording
 from pixelid.simulate import simulate
-from pixelid.stimuli.resample import resampled
 from pixelid.stimuli.shapes import chirp, steps
 from pixelid.stimuli.stimulus import Stimulus
 
@@ -45,24 +44,24 @@ def hidden_circuit(seed: int) -> Model:
 
 
 def stimuli(seed: int) -> dict[str, Stimulus]:
-    """A chirp and random steps at each level, sampled so finely that a step is linear."""
+    """A chirp and random steps at each level."""
     found = {}
     for k, level in enumerate(LEVELS):
         stop = 40.0 * np.sqrt(level)
         found[f"chirp_{level:g}"] = chirp(level, modulation=0.6, stop_hz=stop, duration_s=0.3, dt=1e-4)
         found[f"steps_{level:g}"] = steps(level, duration_s=0.3, dt=1e-4, seed=seed + k)
-    return {name: resampled(stimulus, "linear") for name, stimulus in found.items()}
+    return found
 
 
-def session(truth: Model, seed: int) -> list[Recording]:
-    """Recordings of the same SIDE × SIDE pixels, whose thresholds are drawn once and kept."""
+def session(truth: Model, seed: int, shown: dict[str, Stimulus] | None = None, side: int = SIDE) -> list[Recording]:
+    """Recordings of the same side × side pixels, whose thresholds are drawn once and kept."""
     rng = np.random.default_rng([seed, 2])
     spread = truth.values["threshold_mismatch.sigma"]
-    pixels = SIDE * SIDE
+    pixels = side * side
     factors = 1.0 + spread * rng.normal(size=(pixels, 2))
     plain = truth.without_effect("threshold_mismatch")
     recordings = []
-    for name, stimulus in stimuli(seed).items():
+    for name, stimulus in (shown or stimuli(seed)).items():
         columns = []
         for i in range(pixels):
             pixel = plain.set(
@@ -72,17 +71,16 @@ def session(truth: Model, seed: int) -> list[Recording]:
                 }
             )
             events = simulate(pixel, stimulus, seed=int(rng.integers(2**31)), threads=1).events
-            columns.append((events.t, np.full(len(events), i % SIDE), np.full(len(events), i // SIDE), events.p))
+            columns.append((events.t, np.full(len(events), i % side), np.full(len(events), i // side), events.p))
         t, x, y, p = (np.concatenate(parts) for parts in zip(*columns, strict=True))
         order = np.argsort(t, kind="stable")
-        together = Events.from_columns(t[order], x[order], y[order], p[order], SIDE, SIDE)
+        together = Events.from_columns(t[order], x[order], y[order], p[order], side, side)
         recordings.append(Recording(together, stimulus, sensor="simulated", condition=name))
     return recordings
 
 
 def one(seed: int) -> dict:
     """Truth, estimate and interval of every free parameter of one session, in fitting coordinates."""
-    os.environ["OMP_NUM_THREADS"] = "1"
     begun = time.perf_counter()
     truth = hidden_circuit(seed)
     recordings = session(truth, seed)
@@ -142,6 +140,7 @@ def run(count: int, processes: int, path: Path) -> dict:
     """Fit sessions 0 … count − 1 that `path` does not hold yet; returns the summary."""
     done = json.loads(path.read_text())["sessions"] if path.exists() else []
     missing = sorted(set(range(count)) - {s["seed"] for s in done})
+    os.environ["OMP_NUM_THREADS"] = "1"  # of the processes to come: their matrices are small
     with multiprocessing.get_context("spawn").Pool(processes) as pool:
         for k, found in enumerate(pool.imap_unordered(one, missing)):
             done.append(found)

@@ -29,7 +29,7 @@ def objective_of(effects=(), samples=401, pixels=4):
     for effect in effects:
         model = model.with_effect(effect)
     shown = [light(60, 25, samples), light(300, 80, samples)]
-    recordings = [simulate(model, s, width=pixels, height=1, seed=i) for i, s in enumerate(shown)]
+    recordings = [simulate(model, s, width=pixels, height=1, seed=i, as_sampled=True) for i, s in enumerate(shown)]
     # so few events do not pin the amplifier's pole: held, so that there is one optimum to agree on; with effects it is
     # free and only values and derivatives are compared
     model = model.release(["delay_s"]) if effects else model.fix({"diff_cutoff_hz": None})

@@ -128,6 +128,9 @@ def test_command_on_a_simulated_recording(tmp_path, events):
     assert not any(found["parameters"][name]["identified"] for name in ("alpha", "beta", "gamma", "sf_cutoff_hz"))
     assert (out / "phases.png").is_file()
     assert (out / "maps.png").is_file()
+    page = (out / "report.html").read_text()
+    assert page.count("data:image/png") == 2
+    assert found["unidentified"][0][:30] in page
 
 
 def test_bad_input_is_one_plain_line(tmp_path, events, capsys):

@@ -1,10 +1,14 @@
 """Identifiability: designs that cannot tell are said so, and their parameters are not called known."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from pixelid.fit import fit
-from pixelid.fit.profiles import objective_of, profile
+from pixelid.fit.coordinates import Coordinates
+from pixelid.fit.newton import maximise
+from pixelid.fit.profiles import objective_of, profile, profiled
 from pixelid.identify.curvature import combination
 from pixelid.identify.design import caveats, design_of, exchanged_poles
 from pixelid.identify.small_sample import intervals
@@ -101,14 +105,44 @@ def test_one_level_one_frequency_is_not_reported_as_known(single):
     assert result.details["directions_best_to_least_known"][-1]["sd"] > 0.5
 
 
-def test_profiles_tell_bounded_from_open(single):
+def test_profiles_are_bounded_one_sided_or_flat(single):
     recordings, result = single
+    truth = find_model("dvs128").values
     objective = objective_of(result, recordings)
-    threshold = profile(objective, result.x, "threshold_sigma", result.covariance)
-    assert threshold.kind == "bounded"
-    low, high = threshold.interval_95
-    assert low < result.estimates["threshold_sigma"].value < high
-    open_one = profile(objective, result.x, "gamma", result.covariance)
-    low, high = open_one.interval_95
-    assert low is None or high is None or high > 2.0 * low
-    assert bool(open_one.sentence()) == (open_one.kind != "bounded")
+    for name in ("threshold_sigma", "on_threshold", "off_threshold"):
+        threshold = profile(objective, result.x, name, result.covariance)
+        assert threshold.kind == "bounded"
+        low, high = threshold.interval_95
+        assert low < truth[name] < high
+        assert threshold.sentence() == ""
+    at_least = profile(objective, result.x, "diff_cutoff_hz", result.covariance)
+    assert at_least.kind == "one-sided"
+    low, high = at_least.interval_95
+    assert high is None
+    assert low < truth["diff_cutoff_hz"]
+    assert "at least" in at_least.sentence()
+    at_most = profile(objective, result.x, "refractory_s", result.covariance)
+    assert at_most.kind == "one-sided"
+    assert at_most.interval_95[0] is None
+    assert truth["refractory_s"] < at_most.interval_95[1]
+    # within these bounds a slow light says nothing about the amplifier's pole
+    model = result.model.set({"diff_cutoff_hz": 16e3})
+    narrow = replace(model.parameter("diff_cutoff_hz"), lower=5e3, upper=1e5)
+    model = replace(model, parameters={**model.parameters, "diff_cutoff_hz": narrow})
+    within = type(objective)(objective.likelihood, Coordinates.of(model))
+    end = maximise(within, within.coordinates.start, max_steps=400)
+    flat = profile(within, end.x, "diff_cutoff_hz", result.covariance)
+    assert flat.kind == "flat"
+    assert flat.interval_95 == (None, None)
+    assert "flat" in flat.sentence()
+
+
+@pytest.mark.slow
+def test_profiles_reach_the_result(single):
+    recordings, result = single
+    found = profiled(result, recordings)
+    kinds = {name: entry["kind"] for name, entry in found.as_dict()["details"]["profiles"].items()}
+    assert set(kinds) == set(result.coordinates.names)
+    for name, kind in kinds.items():
+        assert not found.estimates[name].identified or kind == "bounded"
+    assert any("one-sided" in sentence for sentence in found.unidentified)

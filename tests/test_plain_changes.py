@@ -54,6 +54,23 @@ def test_changes_and_extremes_equal_the_general_loops(kind, refractory, monkeypa
         np.testing.assert_array_equal(where >= 0, there >= 0)
 
 
+@pytest.mark.parametrize(
+    "absent",
+    [("differencing_pole",), ("source_follower_pole",), ("source_follower_pole", "differencing_pole")],
+)
+def test_stages_without_a_pole_have_the_slopes_of_the_general_loops(absent, monkeypatch):
+    recording, model = session("sines"), MODEL
+    for effect in absent:
+        model = model.without_effect(effect)
+    circuit = model.circuit()
+    found = ChangeEvaluator(recording, sequences(recording))(circuit)
+    monkeypatch.setattr(plain_changes, "applicable", lambda circuit: False)
+    expected = ChangeEvaluator(recording, sequences(recording))(circuit)
+    np.testing.assert_allclose(found.change, expected.change, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(found.slope, expected.slope, rtol=1e-9, atol=1e-7)
+    assert (found.slope * np.sign(found.change) > 0).mean() > 0.5
+
+
 @pytest.mark.parametrize("effects", [(), ("leak",), ("timestamp_jitter",), ("threshold_drift",)])
 def test_the_sums_without_derivatives_equal_the_readable_ones(effects):
     recordings = [replace(session(kind, seed), condition=kind) for seed, kind in enumerate(("sines", "steps"), 1)]

@@ -120,6 +120,9 @@ def test_real_gen31_table(shared, tmp_path):
     assert main(["rates", str(source), "--unit", "mev/s", "--out", str(out), "--quiet"]) == 0
     found = json.loads((out / "rates.json").read_text())
     assert (out / "rates.png").stat().st_size > 1000
+    page = (out / "report.html").read_text()
+    assert "data:image/png" in page
+    assert "decimal point" in page
     cutoffs = [found["parameters"][f"cutoff_hz[fo{b}]"]["value"] for b in (1477, 1399, 1299)]
     assert cutoffs == sorted(cutoffs)
     assert 80 < cutoffs[0] < 110

@@ -165,7 +165,7 @@ def test_brute_force_finds_the_same_events(changes, interpolation):
     t = np.cumsum(np.concatenate([[0.0], np.random.default_rng(3).uniform(2e-4, 8e-3, 24)]))
     radiance = np.exp(np.random.default_rng(4).normal(3.5, 0.35, len(t)))
     stimulus = Stimulus.from_arrays(t, radiance, interpolation=interpolation)
-    events = simulate(circuit, stimulus, synchronous=True).events
+    events = simulate(circuit, stimulus, synchronous=True, as_sampled=True).events
     if interpolation == "previous":
         t, radiance = np.repeat(t, 2)[1:], np.repeat(radiance, 2)[:-1]
     times, signs = brute_force(circuit, t, radiance, t[-1])
@@ -205,7 +205,7 @@ def test_video_of_uniform_light_equals_full_field(name, held):
     if held:
         stimulus = Stimulus.from_arrays(stimulus.t[::20], stimulus.radiance[::20], interpolation="previous")
     light, video = full_field_and_video(stimulus)
-    shared = simulate(model, light, width=20, height=13, seed=3).events
+    shared = simulate(model, light, width=20, height=13, seed=3, as_sampled=True).events
     own = simulate(model, video, seed=3).events
     assert len(shared) > 1000
     assert len(own) == len(shared)

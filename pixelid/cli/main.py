@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import importlib
+import os
 import sys
 
 import click
 
 from pixelid.errors import PixelidError
+
+# Recordings already share out the cores; BLAS threads for ten by ten matrices spin on them.  Before NumPy is imported.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 COMMANDS = {
     "models": "List the shipped circuits, or print one with units and gauge.",

@@ -27,7 +27,7 @@ def command(source, out, unit, data, overwrite, seed, quiet):
     """Fit SOURCE: a CSV (freq_hz, one column per setting; one pixel) or a recipe .toml (a light's whole image).
 
     A CSV gives bandwidth, dead time and noise per column; a recipe gives how the image's pixels spread in bandwidth.
-    Writes rates.json (with the cells that disagree, in words) and rates.png.
+    Writes rates.json (with the cells that disagree, in words), rates.png and report.html.
     """
     from pixelid.errors import InputError
     from pixelid.outputs import refuse_existing, whole_folder
@@ -36,6 +36,7 @@ def command(source, out, unit, data, overwrite, seed, quiet):
     from pixelid.rates.recipe import read_pool_recipe
     from pixelid.rates.report import save_pixel, save_pool
     from pixelid.rates.table import read_table
+    from pixelid.report.html import write_report
 
     refuse_existing(out, overwrite)
     if not source.is_file():
@@ -45,10 +46,12 @@ def command(source, out, unit, data, overwrite, seed, quiet):
         fit = fit_pool(table)
         with whole_folder(out, overwrite) as folder:
             found = save_pool(fit, folder, file)
+            write_report(folder)
     else:
         pixel = fit_pixel(read_table(source, unit))
         with whole_folder(out, overwrite) as folder:
             found = save_pixel(pixel, folder)
+            write_report(folder)
     if not quiet:
         for name, v in found["parameters"].items():
             known = "" if v["identified"] else "   not identified"

@@ -68,12 +68,11 @@ def command(
         raise InputError("--pixels: a video stimulus sets the size of the sensor itself")
     width, height = nearly_square(25 if pixels is None else pixels) if light.full_field else (None, None)
     from pixelid.simulate import simulate
-    from pixelid.stimuli.resample import resampled
 
     with bar(quiet) as report:
         recording = simulate(
             circuit_model,
-            resampled(light),  # finer steps, the same light: linearising the photoreceptor per step must not show
+            light,
             width=width,
             height=height,
             seed=_own_luck(seed, light),
@@ -82,7 +81,7 @@ def command(
             threads=threads,
             progress=lambda done: report("simulating", done),
         )
-    recording = replace(recording, stimulus=light, condition=condition or Path(stimulus).stem)
+    recording = replace(recording, condition=condition or Path(stimulus).stem)
     write_recording(recording, out, overwrite=overwrite)
     if not quiet:
         for remark in remarks:

@@ -20,7 +20,6 @@ from pixelid.outputs import write_json
 from pixelid.recordings import Recording, write_recording
 from pixelid.report.html import write_report
 from pixelid.simulate import simulate
-from pixelid.stimuli.resample import resampled
 from pixelid.stimuli.shapes import chirp, slow, steps
 
 HIDDEN = ("alpha", "beta", "gamma", "sf_cutoff_hz", "diff_cutoff_hz", "on_threshold", "off_threshold", "refractory_s")
@@ -55,8 +54,7 @@ def calibration_session(model: Model, seed: int) -> tuple[Recording, ...]:
     }
     return tuple(
         replace(
-            simulate(model, resampled(stimulus), width=SIDE, height=SIDE, seed=seed + i, sensor_seed=seed),
-            stimulus=stimulus,
+            simulate(model, stimulus, width=SIDE, height=SIDE, seed=seed + i, sensor_seed=seed),
             condition=name,
         )
         for i, (name, stimulus) in enumerate(stimuli.items())

@@ -9,11 +9,12 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numba import njit
 
 from pixelid.fit.coordinates import Coordinates
 from pixelid.fit.objective import Local, Objective
 from pixelid.likelihood.density import NUMBERS, Density, density
-from pixelid.likelihood.event_times import EventTimes, sum_by
+from pixelid.likelihood.event_times import EventTimes
 from pixelid.stages.circuit import Circuit
 
 # Circuit numbers that leave the trajectories and changes alone and act in the density only.
@@ -52,20 +53,30 @@ class EventTimesObjective(Objective):
     def value(self, x: np.ndarray) -> float:
         return self.density(x)[1].total + self.coordinates.log_prior(x)
 
+    def gradient(self, x: np.ndarray) -> np.ndarray:
+        return self._differentiated(x, None)
+
     def local(self, x: np.ndarray) -> Local:
+        gathered, here = self.density(x)
+        information = _Information(self.likelihood, self.coordinates.circuit(x), gathered, here, len(x))
+        gradient = self._differentiated(x, information)
+        value = here.total + self.coordinates.log_prior(x)
+        prior_curvature = self.coordinates.prior_gradient_and_curvature(x)[1]
+        return Local(value, gradient, information.matrix() + np.diag(prior_curvature))
+
+    def _differentiated(self, x: np.ndarray, information: _Information | None) -> np.ndarray:
+        """The gradient at x; the tangents it is made of also go to `information`."""
         circuit = self.coordinates.circuit(x)
         gathered, here = self.density(x)
-        prior_gradient, prior_curvature = self.coordinates.prior_gradient_and_curvature(x)
-        information = _Information(self.likelihood, circuit, gathered, here, len(x))
-        gradient = prior_gradient.copy()
+        gradient = self.coordinates.prior_gradient_and_curvature(x)[0].copy()
         for i in range(len(x)):
             tangent = self._tangent(x, i, circuit, gathered)
             gradient[i] += here.by_number @ tangent.numbers
             if tangent.gathered is not None:
                 gradient[i] += here.by_change @ tangent.gathered
-            information.add(i, tangent)
-        value = here.total + self.coordinates.log_prior(x)
-        return Local(value, gradient, information.matrix() + np.diag(prior_curvature))
+            if information is not None:
+                information.add(i, tangent)
+        return gradient
 
     def _tangent(self, x: np.ndarray, i: int, circuit: Circuit, gathered: np.ndarray) -> Tangent:
         stepped = x.astype(complex)
@@ -76,8 +87,11 @@ class EventTimesObjective(Objective):
             return Tangent(None, numbers)
         moved = x.copy()
         moved[i] += STEP * self.coordinates.longest_moves()[i]
-        forward = self.likelihood.gathered(self.coordinates.circuit(moved), locate=False)
-        difference = np.nan_to_num((forward - gathered) / (moved[i] - x[i]), posinf=0.0, neginf=0.0)
+        difference = self.likelihood.gathered(self.coordinates.circuit(moved), locate=False)
+        difference -= gathered
+        difference /= moved[i] - x[i]
+        if not np.isfinite(difference.sum()):
+            np.nan_to_num(difference, copy=False, posinf=0.0, neginf=0.0)
         n = self.likelihood.events
         difference[6 * n : 7 * n] = 0.0  # whether an event comes too early is not differentiable
         return Tangent(difference, numbers)
@@ -122,32 +136,26 @@ class _Information:
     def add(self, i: int, tangent: Tangent) -> None:
         """Fill column i."""
         d_on, d_off, d_noise, d_mismatch, d_drift, d_jitter = tangent.numbers
-        dz, dr = d_on * self.event[2], d_on * self.event[3]
-        if tangent.gathered is not None:
-            moved = tangent.gathered[: 7 * self.n].reshape(7, self.n)[:4][:, self.kept]
-            dz, dr = dz + moved[0] + self.on * moved[2], dr + moved[1] + self.on * moved[3]
-        dz, dr = self.sign * dz / self.growth, self.sign * dr / self.growth
-        if d_drift != 0.0:
-            growing = d_drift * self.time / self.growth
-            dz, dr = dz - growing * self.z, dr - growing * self.rate
+        weight, groups = 1.0 / self.variance, len(self.seen)
+        dz, dr, sums = np.empty(len(self.kept)), np.empty(len(self.kept)), np.zeros(groups)
+        gathered = tangent.gathered
+        moved = np.empty((4, 0)) if gathered is None else gathered[: 4 * self.n].reshape(4, self.n)
+        _levels_along(
+            self.kept, moved, gathered is not None, self.event, self.sign, self.group, self.time, self.growth,
+            self.z, self.rate, weight, self.on, d_on, d_drift, dz, dr, sums,
+        )  # fmt: skip
+        mean = np.where(self.seen, sums / self.safe, 0.0)
         d_centre = np.where(self.is_on, d_on, d_off)
         c = self.circuit
-        weight = 1.0 / self.variance
-        groups = len(self.seen)
-        mean = np.where(self.seen, sum_by(self.group, weight * dz, groups) / self.safe, 0.0)
         d_own = d_centre + np.where(self.seen, self.share * (mean - d_centre), 0.0)
         noise = 2.0 * c.noise * self.own * (d_noise * self.own + c.noise * d_own)
-        d_variance = (
-            noise[self.group]
-            + 2.0 * self.rate * dr * self.width
-            + 2.0 * self.rate**2 * self.clock_share * c.jitter * d_jitter
-        )
-        d_weights = -sum_by(self.group, d_variance * weight * weight, groups)
+        d_weights = np.zeros(groups)
+        _residuals_along(
+            self.group, self.rate, self.width, self.clock_share, weight, mean, noise, 2.0 * c.jitter * d_jitter, dz, dr,
+            self.events[i], d_weights,
+        )  # fmt: skip
         spread = 2.0 * c.mismatch * self.centre * (d_mismatch * self.centre + c.mismatch * d_centre)
         d_mean_variance = spread - d_weights / self.safe**2
-        self.events[i, 0] = (dz - mean[self.group]) * np.sqrt(weight)
-        self.events[i, 1] = dr / self.rate
-        self.events[i, 2] = np.sqrt(0.5) * d_variance * weight
         self.groups[i, 0] = np.where(self.seen, (mean - d_centre) / np.sqrt(self.mean_variance), 0.0)
         self.groups[i, 1] = np.where(self.seen, np.sqrt(0.5) * d_mean_variance / self.mean_variance, 0.0)
 
@@ -156,3 +164,33 @@ class _Information:
         events = self.events.reshape(len(self.events), -1)
         groups = self.groups.reshape(len(self.groups), -1)
         return events @ events.T + groups @ groups.T
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _levels_along(
+    kept, moved, there, event, sign, group, time, growth, z, rate, weight, on, d_on, d_drift, dz, dr, sums
+):  # fmt: skip
+    """Fill the derivatives of level and rate of the events kept, and the groups' weighted sums of dz."""
+    for k in range(len(kept)):
+        level, slope = d_on * event[2, k], d_on * event[3, k]
+        if there:
+            j = kept[k]
+            level += moved[0, j] + on * moved[2, j]
+            slope += moved[1, j] + on * moved[3, j]
+        growing = d_drift * time[k] / growth[k]
+        dz[k] = sign[k] * level / growth[k] - growing * z[k]
+        dr[k] = sign[k] * slope / growth[k] - growing * rate[k]
+        sums[group[k]] += weight[k] * dz[k]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _residuals_along(group, rate, width, share, weight, mean, noise, d_jitter, dz, dr, rows, d_weights):
+    """Fill a column's three rows: level within its group, log rate, log scale; and how the groups' weights change."""
+    half = np.sqrt(0.5)
+    for k in range(len(dz)):
+        g, w = group[k], weight[k]
+        d_variance = noise[g] + 2.0 * rate[k] * dr[k] * width[k] + rate[k] * rate[k] * share[k] * d_jitter
+        rows[0, k] = (dz[k] - mean[g]) * np.sqrt(w)
+        rows[1, k] = dr[k] / rate[k]
+        rows[2, k] = half * d_variance * w
+        d_weights[g] -= d_variance * w * w

@@ -51,7 +51,8 @@ def fit(
     none).  The search starts from the model's values and `starts` random points around them.
     between: how recorded stimuli run between their samples, "linear", "smooth", or "auto": whichever explains the
     events better.  fixed: nuisances of the recordings to hold ("stimulus.gain", "pooled.pixels").
-    engine: what climbs (`fit.engines`); all engines find the same optimum.
+    engine: what climbs the event-time likelihood (`fit.engines`); all engines find the same optimum.  Pooled counts,
+    whose likelihood has kinks, are always climbed by the damped Newton steps of `newton.py`, and the result says so.
     gauge: statements that make physical values unique, instead of the model's own; refused when
     incomplete or over-determined.  progress(what, fraction) reports.
 
@@ -74,7 +75,7 @@ def fit(
         recording.check_stimulus_covers_events()
     rng = np.random.default_rng(seed)
     if all(pooled):
-        objective, optimum, details, pixels = _fit_pooled(recordings, model, fixed or {}, climber, report)
+        objective, optimum, details, pixels = _fit_pooled(recordings, model, fixed or {}, report)
         dispersion = details["dispersion"]
     else:
         if fixed:
@@ -102,7 +103,7 @@ def fit(
         status=status,
         advice=advice,
         model=fitted,
-        engine=climber.name,
+        engine="newton" if all(pooled) else climber.name,
         observation="pooled_rate" if all(pooled) else "event_times",
         coordinates=coordinates,
         x=optimum.x,
@@ -175,7 +176,7 @@ def _fit_event_times(recordings, model, starts, between, climber: Engine, rng, r
     return objective, optimum, details, full.pixels
 
 
-def _fit_pooled(recordings, model, fixed, climber: Engine, report):
+def _fit_pooled(recordings, model, fixed, report):
     for effect in ("threshold_noise", "threshold_mismatch", "refractory_period"):
         model = model.without_effect(effect)
     model = model.release(["delay_s"])

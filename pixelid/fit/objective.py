@@ -32,17 +32,21 @@ class Objective(ABC):
     def local(self, x: np.ndarray) -> Local:
         """Value, gradient and information at x."""
 
+    def gradient(self, x: np.ndarray) -> np.ndarray:
+        """The gradient at x."""
+        return self.local(x).gradient
+
     def hessian(self, x: np.ndarray, here: Local | None = None) -> np.ndarray:
         """Second derivatives of the log posterior at x: differences of the exact gradient, symmetrised.
 
         One-sided (relative error ~1e-4, plenty for standard errors); `here` is `local(x)` when it is known.
         """
-        base = (here or self.local(x)).gradient
+        base = self.gradient(x) if here is None else here.gradient
         steps = 1e-4 * self.coordinates.longest_moves()
         rows = []
         for i, h in enumerate(steps):
             moved = x.copy()
             moved[i] += h
-            rows.append((self.local(moved).gradient - base) / h)
+            rows.append((self.gradient(moved) - base) / h)
         H = np.array(rows)
         return 0.5 * (H + H.T)

@@ -57,6 +57,7 @@ MISSED = 1e-6
 NUDGE_S = 1e-7  # of the release, to find how a level depends on it
 MOST_SHARE = 100.0
 OF_LEVEL = 4  # the first rows of `Changes` per event: those that belong to the level of the event's own polarity
+LARGE = 60_000  # samples and events, a few milliseconds of work, from which handing it to other threads pays
 
 
 @dataclass(frozen=True)
@@ -111,6 +112,8 @@ class EventTimes:
         if sum(map(len, self.intervals)) == 0:
             raise InputError("no pixel has two events: there is no interval to explain")
         self._index_pixels()
+        samples = sum(len(r.stimulus.t) for r in self.recordings if r.stimulus is not None)
+        self._large = samples + self.events > LARGE
 
     def _index_pixels(self) -> None:
         sensors: dict[tuple, int] = {}
@@ -169,7 +172,11 @@ class EventTimes:
 
     def changes(self, circuit: Circuit, locate: bool = True) -> list[Changes]:
         """`Changes` of every recording under a circuit; `locate=False` keeps the extremes where they were."""
-        return list(_POOL.map(lambda evaluate: evaluate(circuit, locate), self._evaluators))
+        return self._each(lambda evaluate: evaluate(circuit, locate), self._evaluators)
+
+    def _each(self, work, *arguments) -> list:
+        """[work(…) of every recording], on all cores unless there is too little to share out."""
+        return list((_POOL.map if self._large else map)(work, *arguments))
 
     def gathered(self, circuit: Circuit, locate: bool = True) -> np.ndarray:
         """All recordings' `Changes` as one vector, in the order `terms` reads it."""
@@ -188,10 +195,7 @@ class EventTimes:
         together = np.empty(7 * n + 4 * m)
         events = np.split(together[: 7 * n].reshape(7, n), self._ends[0], axis=1)
         pixels = np.split(together[7 * n :].reshape(4, m), self._ends[1], axis=1)
-        list(
-            _POOL.map(lambda e, per_event, per_pixel: e.fill(circuit, locate, per_event, per_pixel),
-                      self._evaluators, events, pixels)
-        )  # fmt: skip
+        self._each(lambda e, *rows: e.fill(circuit, locate, *rows), self._evaluators, events, pixels)
         return together
 
     def terms(self, circuit: Circuit, gathered: np.ndarray | None = None) -> Terms:

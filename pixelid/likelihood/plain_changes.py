@@ -13,6 +13,7 @@ import numpy as np
 from numba import njit
 
 from pixelid.dynamics import vectorised
+from pixelid.dynamics.equations import PRESENT_BELOW
 from pixelid.dynamics.slew import slews
 from pixelid.dynamics.trajectory import Trajectory
 from pixelid.stages.circuit import Circuit
@@ -42,8 +43,10 @@ class Plain:
 
     @staticmethod
     def describes(trajectory: Trajectory) -> bool:
-        """Whether a trajectory is one of four real states."""
-        return trajectory.states.dtype == np.float64 and vectorised.applicable(tuple(trajectory.dynamics))
+        """Whether a trajectory is one of real numbers, with an amplifier of finite bandwidth at its end."""
+        real = trajectory.states.dtype == np.float64
+        present = trajectory.dynamics[6] < PRESENT_BELOW  # otherwise the change's slope is that of an earlier stage
+        return bool(real and present and vectorised.applicable(tuple(trajectory.dynamics)))
 
     def outputs(self, times: np.ndarray, step: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """(step, follower, amplifier) at `times` (m,); step: guesses of the steps they lie in, corrected in place."""
@@ -142,7 +145,7 @@ def _runs(states, output, run):
 def _changes(release, time, level, offset, s, d, wd, change, slope):
     for i in range(len(change)):
         since = wd * (time[i] - release[i])
-        left = offset[i] * np.exp(-since) if since < DECAYED else 0.0
+        left = offset[i] * np.exp(min(-since, DECAYED)) if since < DECAYED else 0.0  # before release: only finite
         change[i] = d[i] - level[i] - left
         slope[i] = wd * (s[i] - d[i] + left)
 

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from pixelid.errors import InputError
 
-PAGES = ("gap_page", "fit_page", "lowlight_page", "design_page")
+PAGES = ("gap_page", "fit_page", "lowlight_page", "design_page", "rates_page", "flicker_page")
 
 _SHELL = """<!doctype html>
 <html lang="en"><head><meta charset="utf-8"><title>{{ title }}</title><style>
@@ -28,7 +28,8 @@ BODY
 {% for name, image, caption in figures %}
 <figure><img alt="{{ name }}" src="data:image/png;base64,{{ image }}"><figcaption>{{ caption }}</figcaption></figure>
 {% endfor %}
-<p class="small">Seed {{ result.seed }}; {% for k, v in result.versions.items() %}{{ k }} {{ v }}
+<p class="small">{% if result.seed is defined %}Seed {{ result.seed }}; {% endif %}
+{% for k, v in result.versions.items() %}{{ k }} {{ v }}
 {{- ", " if not loop.last }} {% endfor %}. Inputs:
 {% for k, v in result.inputs_sha256.items() %}{{ k }} {{ v[:12] }}{{ ", " if not loop.last }}{% endfor %}.</p>
 </body></html>

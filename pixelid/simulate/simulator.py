@@ -25,6 +25,7 @@ from pixelid.simulate.ordering import Ordering
 from pixelid.simulate.readout import Readout
 from pixelid.simulate.tiles import Tiles
 from pixelid.stages.circuit import Circuit
+from pixelid.stimuli.resample import resampled
 from pixelid.stimuli.stimulus import Stimulus
 
 MOST_PIXELS = 65536
@@ -39,6 +40,7 @@ def simulate(
     seed: int = 0,
     sensor_seed: int | None = None,
     synchronous: bool = False,
+    as_sampled: bool = False,
     threads: int | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Recording:
@@ -48,11 +50,14 @@ def simulate(
     pixels' thresholds, its hot pixels), by default `seed`.  Recordings of one camera share the sensor_seed.
     synchronous: every pixel takes its first reference at the first sample.  Otherwise each starts part of the way to
     its next event (see `comparator.start`), so that pixels are out of step.
+    as_sampled: the photoreceptor is linearised once per step of a full-field stimulus as it is sampled.  Otherwise
+    steps are split until each changes log radiance by at most 0.02 (`resample.resampled`), as fits read a recording.
+    The frames of a video are always taken as sampled.
     threads: default one per core; the events do not depend on it.
     progress: called with the fraction done.
 
     Events up to the last stimulus sample; readout latency and jitter may carry a few past it.  Event times are exact
-    to 1 ns for the stimulus as sampled (log radiance linear in between).
+    to 1 ns for these steps (log radiance linear in between).
     Raises InputError for a stimulus of unit "shape", a sensor size that does not fit the video, a circuit that cannot
     be simulated (see `laws.rules_of`), and an empty sensor.
     """
@@ -60,7 +65,7 @@ def simulate(
     seeds = random.both_seeds(seed, sensor_seed)
     start, duration = float(stimulus.t[0]), stimulus.duration_s
     chunks = []
-    for until_s, chunk in _chunks(model, stimulus, width, height, seeds, synchronous, threads):
+    for until_s, chunk in _chunks(model, stimulus, width, height, seeds, synchronous, as_sampled, threads):
         chunks.append(chunk)
         if progress is not None:
             progress((until_s - start) / duration)
@@ -83,6 +88,7 @@ def simulate_stream(
     seed: int = 0,
     sensor_seed: int | None = None,
     synchronous: bool = False,
+    as_sampled: bool = False,
     threads: int | None = None,
 ) -> Iterator[Events]:
     """The same events in consecutive chunks, in order of time; memory does not grow with the stimulus.
@@ -91,11 +97,11 @@ def simulate_stream(
     Raises InputError as `simulate`, and for invalid frames when they are reached.
     """
     seeds = random.both_seeds(seed, seed if sensor_seed is None else sensor_seed)
-    for _, chunk in _chunks(model, stimulus, width, height, seeds, synchronous, threads):
+    for _, chunk in _chunks(model, stimulus, width, height, seeds, synchronous, as_sampled, threads):
         yield chunk
 
 
-def _chunks(model, stimulus, width, height, seed, synchronous, threads) -> Iterator[tuple[float, Events]]:
+def _chunks(model, stimulus, width, height, seed, synchronous, as_sampled, threads) -> Iterator[tuple[float, Events]]:
     """(time up to which all is done, sorted events) after each block of work."""
     circuit = model.circuit() if isinstance(model, Model) else model
     if not isinstance(stimulus, Stimulus):
@@ -109,6 +115,7 @@ def _chunks(model, stimulus, width, height, seed, synchronous, threads) -> Itera
         if stimulus.unit == "shape":
             raise InputError('stimulus: unit "shape" is known only up to offset and gain; give radiance to simulate')
         start, shape = float(stimulus.t[0]), stimulus.radiance.shape[1:]
+        stimulus = stimulus if as_sampled else resampled(stimulus)
     width, height = _size(shape, width, height)
     rules = rules_of(circuit, seed, synchronous, float(stimulus.t[-1]) if isinstance(stimulus, Stimulus) else start)
     pixels = width * height

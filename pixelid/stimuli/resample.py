@@ -42,6 +42,8 @@ def resampled(stimulus: Stimulus, between: str = "linear", largest_change: float
         bend = np.maximum(curvature[1:], curvature[:-1]) * gaps**2 / 8.0
         wanted = np.maximum(wanted, np.sqrt(bend / LARGEST_BEND))
     parts = np.clip(np.ceil(wanted), 1, MOST_PARTS).astype(np.int64)
+    if smooth is None and parts.max() == 1:
+        return stimulus
     left = np.repeat(np.arange(len(gaps)), parts)
     first = np.concatenate([[0], np.cumsum(parts)[:-1]])
     weight = (np.arange(len(left)) - first[left]) / parts[left]
