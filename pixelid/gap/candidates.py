@@ -75,3 +75,17 @@ def variants(model: Model, effect: str) -> Iterator[Model]:
             for hz in MAINS_HZ:
                 for phase in PHASES:
                     yield sized.set({"mains_flicker.frequency_hz": hz, "mains_flicker.phase_rad": phase})
+
+
+def canonical(model: Model, nominal: Model) -> Model:
+    """The model with the poles of follower and extra_pole in the order that suits the nominal follower better.
+
+    Two first-order poles in a row change places without a trace: which is which is a convention.
+    """
+    if not (model.has("extra_pole") and model.has("source_follower_pole") and nominal.has("source_follower_pole")):
+        return model
+    follower, extra = model.values["sf_cutoff_hz"], model.values["extra_pole.cutoff_hz"]
+    usual = nominal.values["sf_cutoff_hz"]
+    if abs(math.log(extra / usual)) >= abs(math.log(follower / usual)):
+        return model
+    return model.set({"sf_cutoff_hz": extra, "extra_pole.cutoff_hz": follower})

@@ -1,14 +1,19 @@
 """The free-run gap: the model simulated under the same light, against what was measured.
 
-Cells are the counts of a pixel per recording and polarity: in the whole recording, its halves, quarters and eighths,
-and by the wait since the event before.  With n_b the mean count of the P measured pixels in cell b, μ_b and v_b mean
-and pixel-to-pixel variance of M simulated ones, and F pixels behind the fitted mean thresholds,
+Each measured pixel gets twins: simulated pixels with its thresholds as the model reads them from its events, let go
+where its first event let it go, and free from then on.  What differs beyond the noise of their thresholds is the
+model's fault.  (Under a shared readout, where pixels do not run alone, whole simulated sensors stand in for the twins,
+and differences between pixels count as chance.)
 
-    G = mean_b (n_b − μ_b)² / (v_b (1/P + 1/M + 1/F))
+Cells are the counts of a pixel per recording and polarity: in the whole recording, its halves, quarters and eighths,
+and by the wait since the event before.  With n_b the count of all P measured pixels in cell b, μ_b and v_b mean and
+variance of their twins',
+
+    G = mean_b (n_b − μ_b)² / v_b
 
 first over the cells of one size, then over sizes, polarities and recordings: the squared disagreement in units of
 chance, about 1 when model and measurement are the same thing.  The yardstick v is that of the grown model for before,
-after and floor; the floor is the same G of groups of P pixels simulated by the grown model.
+after and floor; the floor is the same G of a set of twins of the grown model, once more simulated.
 """
 
 from __future__ import annotations
@@ -18,16 +23,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pixelid.gap.split import only
+from pixelid.likelihood.event_times import EventTimes
 from pixelid.model.model import Model
 from pixelid.recordings.recording import Recording
-from pixelid.simulate import simulate
+from pixelid.simulate import Twins, simulate
 
-METRIC = "mean squared difference of counts per pixel, in units of chance (about 1: none)"
+METRIC = "mean squared difference of event counts, in units of chance (about 1: none)"
 PARTS, WAITS = (1, 2, 4, 8), 6
-SIMULATED = 96  # pixels
-GROUPS = 8  # of simulated pixels behind the floor
+COPIES = 24  # twins of each pixel, or sensors
+GROUPS = 8  # of twins behind the floor
 RESAMPLES = 400
-LEAST_VARIANCE = 0.05  # of a count per pixel: cells that hardly vary
+LEAST_VARIANCE = 0.02  # of a pixel's count: cells that hardly vary
 
 
 @dataclass(frozen=True)
@@ -68,8 +75,18 @@ class FreeRun:
         }  # fmt: skip
 
 
+@dataclass(frozen=True)
+class Expected:
+    """What a model expects of each pixel: mean, variance (P, cells), and whole sets of twins (sets, P, cells)."""
+
+    mean: np.ndarray
+    variance: np.ndarray
+    sets: np.ndarray
+
+
 def free_run(
     recordings: Sequence[Recording],
+    timely: Sequence[Recording],
     pixels: np.ndarray,
     sensor: int,
     fitted: int,
@@ -77,36 +94,41 @@ def free_run(
     after: Model,
     seed: int,
 ) -> FreeRun:
-    """The gap of two models on the events of `pixels`; recordings with their stimuli as the fit reads them.
+    """The gap of two models on the events of `pixels` (P,).
 
+    recordings: with their stimuli as the fit reads them;  timely: the same with what the readout did undone
     sensor: active pixels of the sensor, which share one readout;  fitted: pixels behind the models' values
     """
     edges = [_wait_edges(r) for r in recordings]
-    measured = counted(recordings, pixels, edges)
+    alone = not after.has("readout_latency")
+    measured = counted(recordings, pixels, edges, after_first=alone)
+    expected = {}
+    for name, model, salt in (("before", before, 1), ("after", after, 2)):
+        tables = (
+            _twins(recordings, timely, pixels, model, edges, seed + 1000 * salt)
+            if alone
+            else _sensors(recordings, len(pixels), sensor, model, edges, seed + 1000 * salt)
+        )
+        expected[name] = _expected(tables, 0.0 if alone else len(pixels) / fitted)
+    variance = np.maximum(expected["after"].variance, LEAST_VARIANCE)
+    totals = sum(part.mean.sum(axis=0) for part in expected.values())
+    weights = _weights(measured, (measured.table.sum(axis=0) + totals) > 0)
+
+    def gap(rows, observed, name):
+        """Squares (cells,) of the difference of `observed` (P, cells) from a model, over the pixels `rows`."""
+        off = observed[rows].sum(axis=0) - expected[name].mean[rows].sum(axis=0)
+        return off**2 / variance[rows].sum(axis=0)
+
+    def gaps(rows):
+        floors = [gap(rows, one, "after") for one in expected["after"].sets]
+        return gap(rows, measured.table, "before"), gap(rows, measured.table, "after"), np.mean(floors, axis=0)
+
     P = len(pixels)
-    simulated = {}
-    for name, model, width, salt in (
-        ("before", before, SIMULATED, 1), ("after", after, SIMULATED, 2), ("floor", after, GROUPS * P, 3),
-    ):  # fmt: skip
-        simulated[name] = _simulated(recordings, model, sensor, width, edges, seed + 1000 * salt)
-    typical = simulated["after"]
-    scale = np.maximum(typical.var(axis=0, ddof=1), LEAST_VARIANCE) * (1 / P + 1 / SIMULATED + 1 / fitted)
-    weights = _weights(measured, (measured.table.sum(0) + typical.sum(0) + simulated["before"].sum(0)) > 0)
-    mean = {name: table.mean(axis=0) for name, table in simulated.items()}
-
-    def squares(observed, model):
-        return (observed - mean[model]) ** 2 / scale
-
-    def gaps(rows, floor_rows):
-        seen = measured.table[rows].mean(axis=0)
-        floors = [squares(simulated["floor"][g * P + floor_rows].mean(axis=0), "after") for g in range(GROUPS)]
-        return squares(seen, "before"), squares(seen, "after"), np.mean(floors, axis=0)
-
-    found = gaps(np.arange(P), np.arange(P))
+    found = gaps(np.arange(P))
     G = [float(weights @ part) for part in found]
     rng = np.random.default_rng(seed)
     draws = [
-        _closed(*(float(weights @ part) for part in gaps(rng.integers(P, size=P), rng.integers(P, size=P))))
+        _closed(*(float(weights @ part) for part in gaps(rng.integers(P, size=P))))
         for _ in range(RESAMPLES if P > 1 else 0)
     ]
     closed = _closed(*G)
@@ -122,17 +144,61 @@ def free_run(
     return FreeRun(*G, closed, interval, per_recording)  # type: ignore[arg-type]
 
 
-def _simulated(recordings, model: Model, sensor: int, pixels: int, edges, seed: int) -> np.ndarray:
-    """(pixels, cells) counts of simulated pixels, as many sensors as it takes."""
-    width = sensor if model.has("readout_latency") else min(sensor, SIMULATED)
+def _expected(tables: np.ndarray, shared: float) -> Expected:
+    """From sets of twins (copies, P, cells): the last `GROUPS` stand aside as sets to compare with.
+
+    shared: what fitted pixels add to the variance of a sum over P pixels, in units of it
+    """
+    behind, sets = tables[:-GROUPS], tables[-GROUPS:]
+    spread = behind.var(axis=0, ddof=1)
+    if shared:  # pixels stand for each other: their own differences are part of chance
+        spread = np.broadcast_to(behind.reshape(-1, behind.shape[2]).var(axis=0, ddof=1), spread.shape)
+        mean = np.broadcast_to(behind.mean(axis=(0, 1)), spread.shape)
+        return Expected(mean, spread * (1.0 + 1.0 / len(behind) + shared), sets)
+    return Expected(behind.mean(axis=0), spread * (1.0 + 1.0 / len(behind)), sets)
+
+
+def _twins(recordings, timely, pixels: np.ndarray, model: Model, edges, seed: int) -> np.ndarray:
+    """(copies, P, cells) counts of twins of the measured pixels."""
+    named = {r.name: r for r in timely}
+    mine = only([named.get(r.name, r) for r in recordings], pixels)
+    on, off = _thresholds(mine, pixels, model)
+    copies = COPIES + GROUPS
+    exact = model.without_effect("threshold_mismatch")
+    dead = float(np.real(model.circuit().refractory))
+    runs = []
+    for i, (recording, own) in enumerate(zip(recordings, mine, strict=True)):
+        released = np.full(len(pixels), np.inf)
+        first = np.unique(own.events.pixel, return_index=True)
+        released[np.searchsorted(pixels, first[0])] = own.events.t[first[1]] * 1e-9 + dead
+        twins = Twins(np.tile(on, copies), np.tile(off, copies), np.tile(released, copies))
+        runs.append(simulate(exact, recording.stimulus, width=len(twins.on), height=1, seed=seed + i, twins=twins))
+    table = counted(runs, np.arange(copies * len(pixels)), edges).table
+    return table.reshape(copies, len(pixels), -1)
+
+
+def _thresholds(recordings, pixels: np.ndarray, model: Model) -> tuple[np.ndarray, np.ndarray]:
+    """Each pixel's ON and OFF thresholds (P,) as the model reads them from its events."""
+    circuit = model.circuit()
+    on = np.full(len(pixels), float(np.real(circuit.on_threshold)))
+    off = np.full(len(pixels), float(np.real(circuit.off_threshold)))
+    likelihood = EventTimes(recordings)
+    means = likelihood.terms(circuit).group_mean.reshape(-1, 2)
+    where = np.searchsorted(pixels, likelihood.pixel_keys)
+    off[where], on[where] = np.real(means[:, 0]), np.real(means[:, 1])
+    return on, off
+
+
+def _sensors(recordings, P: int, sensor: int, model: Model, edges, seed: int) -> np.ndarray:
+    """(copies, P, cells) counts of P pixels of each of many simulated sensors."""
     tables = []
-    for copy in range(-(-pixels // width)):
+    for copy in range(COPIES + GROUPS):
         runs = [
-            simulate(model, r.stimulus, width=width, height=1, seed=seed + 101 * copy + i, sensor_seed=seed + copy)
+            simulate(model, r.stimulus, width=sensor, height=1, seed=seed + 101 * copy + i, sensor_seed=seed + copy)
             for i, r in enumerate(recordings)
         ]
-        tables.append(counted(runs, np.arange(width), edges).table)
-    return np.concatenate(tables)[:pixels]
+        tables.append(counted(runs, np.arange(sensor), edges).table[:P])
+    return np.stack(tables)
 
 
 def _weights(counts: Counts, shown: np.ndarray) -> np.ndarray:
@@ -151,8 +217,10 @@ def _closed(before, after, floor) -> float | None:
     return float(1.0 - (after - floor) / (before - floor)) if before > floor else None
 
 
-def counted(recordings: Sequence[Recording], pixels: np.ndarray, wait_edges: Sequence[np.ndarray]) -> Counts:
-    """The counts of the given pixels in the cells of each recording."""
+def counted(
+    recordings: Sequence[Recording], pixels: np.ndarray, wait_edges: Sequence[np.ndarray], after_first: bool = False
+) -> Counts:
+    """The counts of the given pixels in the cells of each recording; after_first: without each pixel's first event."""
     tables, home, blocks = [], [], []
     highest = max([int(pixels.max(initial=0)), *(int(r.events.pixel.max(initial=0)) for r in recordings)])
     place = np.full(highest + 1, -1)
@@ -162,6 +230,8 @@ def counted(recordings: Sequence[Recording], pixels: np.ndarray, wait_edges: Seq
         assert stimulus is not None
         row = place[events.pixel]
         mine = row >= 0
+        if after_first:
+            mine[np.unique(events.pixel, return_index=True)[1]] = False
         row, t, p = row[mine], events.t[mine] * 1e-9, events.p[mine].astype(np.int64)
         span = stimulus.t[-1] - stimulus.t[0]
         sorted_by = []

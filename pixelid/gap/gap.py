@@ -12,7 +12,7 @@ from pixelid import stages
 from pixelid.errors import InputError
 from pixelid.fit.result import Stopwatch
 from pixelid.gap.attribute import Attribution, Candidate, Pools, attribute, secure
-from pixelid.gap.candidates import missing
+from pixelid.gap.candidates import canonical, missing
 from pixelid.gap.climb import Climbed, climbed, per_pixel
 from pixelid.gap.covariates import factors
 from pixelid.gap.directions import Direction, Space, direction, similarities, space
@@ -56,11 +56,13 @@ def gap(
     *,
     alpha: float = ALPHA,
     seed: int = 0,
+    leave_out: Sequence[str] = (),
     progress: Progress | None = None,
 ) -> GapReport:
     """Search the recordings for effects that the model lacks.
 
     recordings: of one sensor, full-field stimuli;  model: the base, at its shipped values
+    leave_out: effects that the library is to lack (to see what is said of what it does not know)
     alpha: chance of naming anything, or of "unknown", when the model is right;  progress(what, fraction) reports.
     Raises InputError for recordings without pixels or stimulus, of several sensors, and a model that the event-time
     likelihood cannot use.
@@ -76,7 +78,7 @@ def gap(
     rounds: list[dict] = []
     steps: list[Step] = []
     report("timestamps", 0.06)
-    prints = fingerprints(recordings)
+    prints = [f for f in fingerprints(recordings) if f.effect not in leave_out]
     lost: tuple[str, ...] = ()
     told: dict[str, tuple[float, float]] = {}  # intervals of what is held from then on
     jitter, jittered = 0.0, ()  # what true times have been drawn behind, and so is no longer in the likelihood
@@ -97,7 +99,7 @@ def gap(
         share = 0.1 + 0.6 * turn / MOST_ROUNDS
         bent = seen.stray_fraction > STRAYS_EXPECTED or not current.converged
         found = attribute(
-            bench.pools, current.model, alpha, skip=jittered, restart=start if bent else None,
+            bench.pools, current.model, alpha, skip=(*jittered, *leave_out), restart=start if bent else None,
             report=lambda what, turn=turn, share=share: report(f"round {turn + 1}: {what}", share),
         )  # fmt: skip
         entry = _entry(turn, current, seen, found)
@@ -114,16 +116,22 @@ def gap(
         )
         start = start.with_effect(winner.effect)
         bench.train.weigh_clock(current.model.circuit())
-        current = climbed(bench.train, winner.end.model, tolerance=0.01, max_steps=40)
+        current = climbed(bench.train, canonical(winner.end.model, model), tolerance=0.01, max_steps=40)
         bench, current = reconsidered(bench, timely, model, current)
         if winner.effect == "timestamp_jitter":
             bench.train.weigh_clock(current.model.circuit())
             current = climbed(bench.train, current.model, tolerance=0.01, max_steps=20)
             jitter = current.values["timestamp_jitter.sigma_s"]
             told["timestamp_jitter.sigma_s"] = limits(bench.train, current)["timestamp_jitter.sigma_s"]
-            timely = unjittered(timely, jitter, current.model, seed)
+            first_guess = jitter
+            timely, jitter, exact = unjittered(timely, jitter, current.model, seed)
+            low, high = told["timestamp_jitter.sigma_s"]
+            # two estimates, by the width of levels and by the draws: what they differ by belongs to the interval
+            told["timestamp_jitter.sigma_s"] = (
+                min(low, low * jitter / first_guess),
+                max(high, high * jitter / first_guess),
+            )
             jittered = ("timestamp_jitter",)
-            exact = current.model.without_effect(jittered[0])
             bench = workbench(timely, split, exact, bench.between, seed)
             current = climbed(bench.train, exact, tolerance=0.01, max_steps=40)
         seen = look(bench, current, trust_strays=not (prints or jittered))
@@ -146,7 +154,8 @@ def gap(
     if effects:
         fine = [r.with_stimulus(resampled(r.stimulus, bench.between)) for r in recordings]  # type: ignore[arg-type]
         sensor = len(np.union1d(split.train, split.confirm))
-        run = free_run(fine, split.confirm, sensor, len(split.train), base.model, whole, seed)
+        undone = [r.with_stimulus(resampled(r.stimulus, bench.between)) for r in timely]  # type: ignore[arg-type]
+        run = free_run(fine, undone, split.confirm, sensor, len(split.train), base.model, whole, seed)
     report("what to record next", 0.95)
     place = where(seen.maps, bench.train, seen.residual.stray, relative_noise(current.model))
     advice = _advice(at, current, directions, steps, rivals, shadow, remainder, seen, bench)

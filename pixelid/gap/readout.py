@@ -22,6 +22,7 @@ from pixelid.recordings.recording import Recording
 
 FEWEST = 20  # events in an atom
 SURE = 1e-12  # chance of an atom by accident
+FEWEST_STAMPS = 100
 LEAST_GRID = 1.5  # times the file's own unit
 
 
@@ -82,23 +83,19 @@ def service(recordings: Sequence[Recording]) -> Fingerprint | None:
 
 def grid(recordings: Sequence[Recording]) -> Fingerprint | None:
     """The tick of the timestamps, where it is coarser than the unit that the files count in."""
-    ticks, units, events = [], [], 0
-    for r in recordings:
-        found = find_tick(r.events, pixel_intervals(r.events))
-        if found.tick_s is not None:
-            ticks.append(found.tick_s)
-            units.append(r.events.tick_ns * 1e-9)
-            events += len(r.events)
-    if not ticks:
+    t = np.concatenate([r.events.t for r in recordings]) if recordings else np.empty(0, np.int64)
+    unit = max((r.events.tick_ns for r in recordings), default=1) * 1e-9
+    if len(t) < FEWEST_STAMPS:
         return None
-    tick, unit = float(np.median(ticks)), max(units)
-    alike = np.abs(np.array(ticks) / tick - 1.0) < 0.05
-    # a common divisor of few timestamps is coarse by chance: every recording must agree, and some be large
-    if tick < LEAST_GRID * unit or not alike.all() or round(tick / 1e-9) in (1, 10, 100, 1000):
-        return None
+    tick, error = float(np.gcd.reduce(t)) * 1e-9, 0.5e-9
+    if tick < LEAST_GRID * unit:
+        largest = max(recordings, key=lambda r: len(r.events)).events
+        found = find_tick(largest, pixel_intervals(largest))
+        if found.scan_s is None or found.scan_s < LEAST_GRID * unit:
+            return None
+        tick, error = found.scan_s, float(found.scan_jitter_s or 0.0) / np.sqrt(len(largest))
     gain = float(np.log(tick / unit))
-    spread = max(float(np.std(ticks)), 1e-12)
     return Fingerprint(
-        "timestamp_quantisation", "timestamp_quantisation.tick_s", tick, (tick - 1.96 * spread, tick + 1.96 * spread),
-        float(np.exp(-min(gain * events, 700.0))), gain, 1.0, f"all timestamps are multiples of {1e6 * tick:.6g} µs",
+        "timestamp_quantisation", "timestamp_quantisation.tick_s", tick, (tick - 1.96 * error, tick + 1.96 * error),
+        float(np.exp(-min(gain * len(t), 700.0))), gain, 1.0, f"all timestamps are multiples of {1e6 * tick:.6g} µs",
     )  # fmt: skip

@@ -97,16 +97,31 @@ def restored(
     return Restored(tuple(back), lost)
 
 
-def unjittered(recordings: Sequence[Recording], sigma_s: float, model: Model, seed: int) -> list[Recording]:
-    """The recordings with true times drawn behind jittered timestamps, under a fitted model."""
+def unjittered(
+    recordings: Sequence[Recording], sigma_s: float, model: Model, seed: int
+) -> tuple[list[Recording], float, Model]:
+    """(recordings with true times drawn behind jittered timestamps, the jitter that they show, the model refitted).
+
+    model: fitted with timestamp_jitter, of about sigma_s
+    """
     fine = [r.with_stimulus(resampled(r.stimulus, "smooth")) for r in recordings]  # type: ignore[arg-type]
-    windows = [jitter_windows(r, sigma_s) for r in fine]
-    exact = model.without_effect("timestamp_jitter")
-    times = beginning(fine, windows, False)
+    observed = [r.events.t.astype(float) for r in recordings]
+    model = model.without_effect("timestamp_jitter")
+    times = observed
     rng = np.random.default_rng(seed)
-    for _ in range(JITTER_SWEEPS):
-        times = drawn(fine, windows, times, exact, rng)
-    return [r.with_stimulus(o.stimulus) for r, o in zip(with_times(fine, times), recordings, strict=True)]  # type: ignore[arg-type]
+    shown = []
+    for turn in range(JITTER_SWEEPS):
+        windows = [jitter_windows(r, sigma_s) for r in fine]
+        for _ in range(2):
+            times = drawn(fine, windows, times, model, rng)
+        likelihood = EventTimes(with_times(fine, times))
+        model = climbed(likelihood, model, tolerance=0.5, max_steps=4).model
+        away = np.concatenate([t - o for t, o in zip(times, observed, strict=True)])
+        sigma_s = 1e-9 * float(np.sqrt(np.mean(away**2)))
+        if turn >= JITTER_SWEEPS // 2:
+            shown.append(sigma_s)
+    back = [r.with_stimulus(o.stimulus) for r, o in zip(with_times(fine, times), recordings, strict=True)]  # type: ignore[arg-type]
+    return back, float(np.mean(shown)), model
 
 
 def _torn(recordings: Sequence[Recording], model: Model) -> np.ndarray:

@@ -1,5 +1,6 @@
 """Simulation: events of a circuit under a stimulus, exact in time, with every effect of the library."""
 
+from pixelid.simulate.full_field import Twins
 from pixelid.simulate.simulator import simulate, simulate_stream
 
-__all__ = ["simulate", "simulate_stream"]
+__all__ = ["Twins", "simulate", "simulate_stream"]

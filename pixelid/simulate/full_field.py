@@ -41,10 +41,23 @@ class Shared:
     drift: np.ndarray
 
 
+@dataclass(frozen=True)
+class Twins:
+    """Pixels that are to be like measured ones.
+
+    on, off: (n,) thresholds, log radiance;  released_s: (n,) when each is released from its first reset; infinite
+    where it has none, so that it starts at random as any pixel does
+    """
+
+    on: np.ndarray
+    off: np.ndarray
+    released_s: np.ndarray
+
+
 class FullField:
     """The sensor's pixels under full-field light: one trajectory, one comparator each."""
 
-    def __init__(self, stimulus: Stimulus, rules: Rules, pixels: int) -> None:
+    def __init__(self, stimulus: Stimulus, rules: Rules, pixels: int, twins: Twins | None = None) -> None:
         self._rules = rules
         light = drive(stimulus, rules.circuit)
         if rules.slewing:
@@ -58,6 +71,19 @@ class FullField:
             rules.synchronous, np.full(pixels, state[3] - state[4]), np.full(pixels, state[5]),
             self._comparators, self._drawn,
         )  # fmt: skip
+        if twins is not None:
+            self._imitate(twins)
+
+    def _imitate(self, twins: Twins) -> None:
+        state = self._comparators
+        for drawn, base, own in (
+            (comparator.ON, comparator.BASE_ON, twins.on), (comparator.OFF, comparator.BASE_OFF, twins.off),
+        ):  # fmt: skip
+            state[drawn] *= own / state[base]
+            state[base] = own
+        waiting = np.isfinite(twins.released_s)
+        state[RELEASE, waiting] = twins.released_s[waiting]
+        state[LEVEL, waiting], state[DECAY, waiting] = np.nan, 0.0
 
     def run(self, pool: Executor):
         """(event lists of tiles, time up to which they are complete, whether that is all), some steps at a time."""

@@ -18,7 +18,7 @@ from pixelid.model.model import Model
 from pixelid.recordings.events import Events
 from pixelid.recordings.recording import Recording
 from pixelid.simulate import light, random
-from pixelid.simulate.full_field import FullField
+from pixelid.simulate.full_field import FullField, Twins
 from pixelid.simulate.hot_pixels import HotPixels
 from pixelid.simulate.laws import Rules, rules_of
 from pixelid.simulate.ordering import Ordering
@@ -41,6 +41,7 @@ def simulate(
     sensor_seed: int | None = None,
     synchronous: bool = False,
     as_sampled: bool = False,
+    twins: Twins | None = None,
     threads: int | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Recording:
@@ -53,6 +54,7 @@ def simulate(
     as_sampled: the photoreceptor is linearised once per step of a full-field stimulus as it is sampled.  Otherwise
     steps are split until each changes log radiance by at most 0.02 (`resample.resampled`), as fits read a recording.
     The frames of a video are always taken as sampled.
+    twins: thresholds and first resets that the pixels take over from measured ones (full-field light).
     threads: default one per core; the events do not depend on it.
     progress: called with the fraction done.
 
@@ -65,7 +67,7 @@ def simulate(
     seeds = random.both_seeds(seed, sensor_seed)
     start, duration = float(stimulus.t[0]), stimulus.duration_s
     chunks = []
-    for until_s, chunk in _chunks(model, stimulus, width, height, seeds, synchronous, as_sampled, threads):
+    for until_s, chunk in _chunks(model, stimulus, width, height, seeds, synchronous, as_sampled, threads, twins):
         chunks.append(chunk)
         if progress is not None:
             progress((until_s - start) / duration)
@@ -101,7 +103,9 @@ def simulate_stream(
         yield chunk
 
 
-def _chunks(model, stimulus, width, height, seed, synchronous, as_sampled, threads) -> Iterator[tuple[float, Events]]:
+def _chunks(
+    model, stimulus, width, height, seed, synchronous, as_sampled, threads, twins: Twins | None = None
+) -> Iterator[tuple[float, Events]]:
     """(time up to which all is done, sorted events) after each block of work."""
     circuit = model.circuit() if isinstance(model, Model) else model
     if not isinstance(stimulus, Stimulus):
@@ -119,11 +123,16 @@ def _chunks(model, stimulus, width, height, seed, synchronous, as_sampled, threa
     width, height = _size(shape, width, height)
     rules = rules_of(circuit, seed, synchronous, float(stimulus.t[-1]) if isinstance(stimulus, Stimulus) else start)
     pixels = width * height
+    if twins is not None and (
+        not isinstance(stimulus, Stimulus) or not stimulus.full_field or circuit.shot_density > 0
+        or len(twins.on) != pixels
+    ):  # fmt: skip
+        raise InputError("twins: expected full-field light, no shot noise, and a threshold for each pixel")
     hot = HotPixels(circuit, pixels, seed, start)
     ordering, readout = Ordering(width, height, circuit.delay), Readout(circuit, seed)
     with ThreadPoolExecutor(threads or os.cpu_count() or 1) as pool:
         if isinstance(stimulus, Stimulus) and stimulus.full_field and circuit.shot_density == 0:
-            work = FullField(stimulus, rules, pixels).run(pool)
+            work = FullField(stimulus, rules, pixels, twins).run(pool)
         else:
             work = _tiled(stimulus, rules, pixels, pool)
         for parts, until_s, last in work:

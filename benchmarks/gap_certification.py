@@ -1,0 +1,175 @@
+"""Certify the search for the gap on simulated sessions: false naming, confusion, what goes by another name.
+
+    python benchmarks/gap_certification.py --nulls 200 --repeats 3 --out docs/gap_certification.json [--workers N]
+
+Sessions are small (9 pixels × 6 short recordings).  Null sessions hold nothing the model lacks.  Each effect of the
+library is planted at graded strengths about its typical one, and found with the whole library and with itself left out
+of it: then only `unknown` or `ambiguous` is right.  Results are added line by line, so a run can be interrupted and
+continued; `--workers` runs on Dask.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from collections import defaultdict
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from scipy.stats import beta
+
+from pixelid.gap.gap import gap
+from pixelid.model.model import Model
+from pixelid.model.shipped import find_model
+from pixelid.recordings.recording import Recording
+from pixelid.simulate import simulate
+from pixelid.stimuli.resample import resampled
+from pixelid.stimuli.shapes import chirp, constant, slow, steps
+
+SIDE = 3
+STRENGTHS = {  # effect → parameters at its typical strength; graded by the factors below
+    "dark_current": {"radiance": 4.0},
+    "mains_flicker": {"modulation": 0.05},
+    "extra_pole": {"cutoff_hz": 1000.0},
+    "lower_cutoff": {"cutoff_hz": 0.5},
+    "leak": {"rate_hz": 0.5},
+    "parasitic_photocurrent": {"rate_hz_per_radiance": 3e-3},
+    "threshold_drift": {"per_s": 0.05},
+    "timestamp_jitter": {"sigma_s": 5e-5},
+    "readout_latency": {"service_s": 1e-5},
+    "timestamp_quantisation": {"tick_s": 2e-4},
+}
+FACTORS = (0.1, 0.3, 1.0)
+ALPHA = 0.01
+
+
+def camera(seed: int) -> Model:
+    """The shipped pixel with filters, thresholds and dead time of its own."""
+    rng = np.random.default_rng(seed)
+    model = find_model("dvs128")
+    filters = ("alpha", "beta", "sf_cutoff_hz", "diff_cutoff_hz")
+    values = {name: model.values[name] * float(np.exp(rng.uniform(-0.3, 0.3))) for name in filters}
+    values |= {name: float(rng.uniform(0.17, 0.24)) for name in ("on_threshold", "off_threshold")}
+    values |= {
+        "threshold_sigma": 0.02,
+        "threshold_mismatch.sigma": 0.035,
+        "refractory_s": float(rng.uniform(1e-4, 3e-4)),
+    }
+    return model.set(values)
+
+
+def session(model: Model, seed: int) -> list[Recording]:
+    """Six short recordings of one small sensor; the light is smooth, the stimulus its samples."""
+    lights = {
+        "chirp_24": chirp(24.0, stop_hz=200.0), "steps_24": steps(24.0, seed=seed), "slow_24": slow(24.0, seed=seed + 1),
+        "constant_24": constant(24.0), "chirp_400": chirp(400.0, stop_hz=400.0), "steps_400": steps(400.0, seed=seed + 2),
+    }  # fmt: skip
+    found = []
+    for i, (name, light) in enumerate(lights.items()):
+        r = simulate(model, resampled(light, "smooth"), width=SIDE, height=SIDE, seed=1000 * seed + i, sensor_seed=seed)
+        found.append(replace(r, stimulus=light, condition=name, attributes={}, events=replace(r.events, tick_ns=1)))
+    return found
+
+
+def run(job: dict) -> dict:
+    """One search: job {"effect", "factor", "seed", "left_out"} and what it found."""
+    model = camera(job["seed"])
+    if job["effect"]:
+        values = {name: value * job["factor"] for name, value in STRENGTHS[job["effect"]].items()}
+        model = model.with_effect(job["effect"], values)
+    left_out = (job["effect"],) if job["left_out"] else ()
+    began = time.perf_counter()
+    found = gap(session(model, job["seed"]), find_model("dvs128"), alpha=ALPHA, seed=job["seed"], leave_out=left_out)
+    names = [effect.name for effect in found.effects]
+    return {
+        **job,
+        "verdict": found.verdict,
+        "named": names,
+        "p": found.global_p,
+        "seconds": time.perf_counter() - began,
+    }
+
+
+def jobs(nulls: int, repeats: int) -> list[dict]:
+    """Nulls first, then every effect at every strength, then with the effect left out of the library."""
+    plan = [{"effect": "", "factor": 0.0, "seed": 1000 + i, "left_out": False} for i in range(nulls)]
+    for left_out in (False, True):
+        for i in range(repeats):
+            for effect in STRENGTHS:
+                for factor in FACTORS if not left_out else FACTORS[-1:]:
+                    plan.append({"effect": effect, "factor": factor, "seed": 5000 + i, "left_out": left_out})
+    return plan
+
+
+def summary(rows: list[dict]) -> dict:
+    """Counts: false naming with its 95 % interval (Clopper–Pearson), confusion matrices, power per strength."""
+    nulls = [r for r in rows if not r["effect"]]
+    false = sum(r["verdict"] != "none" for r in nulls)
+    n = len(nulls)
+    interval = [
+        float(beta.ppf(0.025, false, n - false + 1)) if false else 0.0,
+        float(beta.ppf(0.975, false + 1, n - false)) if false < n else 1.0,
+    ]
+    confusion: dict[str, dict] = {"whole library": {}, "effect left out": {}}
+    power: dict[str, dict] = defaultdict(dict)
+    for row in rows:
+        if not row["effect"]:
+            continue
+        said = "+".join(row["named"]) if row["verdict"] == "named" else row["verdict"]
+        key = f"{row['effect']} x{row['factor']:g}"
+        table = confusion["effect left out" if row["left_out"] else "whole library"].setdefault(key, defaultdict(int))
+        table[said] += 1
+        if not row["left_out"]:
+            hits, tries = power[row["effect"]].get(f"{row['factor']:g}", (0, 0))
+            power[row["effect"]][f"{row['factor']:g}"] = (hits + (row["named"] == [row["effect"]]), tries + 1)
+    return {
+        "alpha": ALPHA,
+        "nulls": {"false": false, "n": n, "rate_interval_95": interval},
+        "named_exactly_of_tries": power,
+        "confusion": confusion,
+    }
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--nulls", type=int, default=200)
+    parser.add_argument("--repeats", type=int, default=3)
+    parser.add_argument("--out", type=Path, default=Path("gap_certification.json"))
+    parser.add_argument("--workers", type=int, default=0, help="Dask workers; 0: here")
+    parser.add_argument("--minutes", type=float, default=1e9, help="stop after so long; run again to go on")
+    options = parser.parse_args()
+    rows = json.loads(options.out.read_text())["runs"] if options.out.exists() else []
+    done = {(r["effect"], r["factor"], r["seed"], r["left_out"]) for r in rows}
+    plan = [j for j in jobs(options.nulls, options.repeats) if tuple(j.values()) not in done]
+    until = time.monotonic() + 60.0 * options.minutes
+
+    def keep(row: dict) -> None:
+        rows.append(row)
+        options.out.write_text(json.dumps({"summary": summary(rows), "runs": rows}, indent=1) + "\n")
+        print(
+            row["effect"] or "null",
+            row["factor"],
+            "->",
+            row["verdict"],
+            row["named"],
+            f"{row['seconds']:.0f} s",
+            flush=True,
+        )
+
+    if options.workers:
+        from distributed import Client, as_completed
+
+        with Client(n_workers=options.workers, threads_per_worker=1) as client:
+            for _, row in as_completed(client.map(run, plan, pure=False), with_results=True):
+                keep(row)
+        return
+    for job in plan:
+        if time.monotonic() > until:
+            break
+        keep(run(job))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,285 @@
+"""The gap: residuals that are normal when the model is right, fingerprints, windows that hold the truth, verdicts."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy import stats
+from scipy.interpolate import CubicSpline
+
+from pixelid.cli.main import main
+from pixelid.errors import InputError
+from pixelid.fit.coordinates import Coordinates
+from pixelid.gap.attribute import secure
+from pixelid.gap.candidates import canonical, missing
+from pixelid.gap.covariates import factors
+from pixelid.gap.distance import free_run
+from pixelid.gap.gap import gap
+from pixelid.gap.latent import queue_windows
+from pixelid.gap.maps import maps
+from pixelid.gap.readout import grid, service
+from pixelid.gap.residuals import residuals, tangents
+from pixelid.gap.split import locked, only
+from pixelid.likelihood.event_times import EventTimes
+from pixelid.model.shipped import find_model
+from pixelid.recordings import Events, Recording, write_recording
+from pixelid.simulate import Twins, simulate
+from pixelid.stimuli.course import course
+from pixelid.stimuli.resample import resampled
+from pixelid.stimuli.shapes import chirp, constant, slow, steps
+
+CASES = Path(__file__).resolve().parents[2] / "shared" / "gap_cases"
+MODEL = find_model("dvs128")
+
+
+def session(model, side=3, seed=0, lights=None):
+    """A small session of one camera: conditions → recordings whose stimuli are as recorded, not as simulated."""
+    lights = lights or {
+        "chirp_24": chirp(24.0, stop_hz=200.0), "steps_24": steps(24.0, seed=1), "slow_24": slow(24.0, seed=2),
+        "constant_24": constant(24.0), "chirp_400": chirp(400.0, stop_hz=400.0), "steps_400": steps(400.0, seed=3),
+    }  # fmt: skip
+    found = []
+    for i, (name, light) in enumerate(lights.items()):
+        r = simulate(model, resampled(light, "smooth"), width=side, height=side, seed=100 * seed + i, sensor_seed=seed)
+        found.append(replace(r, stimulus=light, condition=name, attributes={}))
+    return found
+
+
+def likelihood_of(recordings):
+    return EventTimes([r.with_stimulus(resampled(r.stimulus, "smooth")) for r in recordings])
+
+
+# --- the light between its samples ---
+
+
+def test_corners_between_samples_are_found():
+    t = np.arange(0.0, 0.05, 5e-5)
+    corners = np.array([0.0, 0.00512, 0.00533, 0.02017, 0.02051, 0.05])
+    values = np.array([0.0, 0.0, 0.7, 0.7, -0.2, -0.2])
+    found = course(t, np.interp(t, corners, values))
+    np.testing.assert_allclose(found.corners, corners[1:-1], atol=1e-9)
+    fine = np.linspace(0.0, t[-1], 7001)
+    np.testing.assert_allclose(found(fine), np.interp(fine, corners, values), atol=1e-9)
+
+
+def test_smooth_light_is_a_spline_and_a_jump_a_straight_line():
+    t = np.arange(0.0, 0.05, 5e-5)
+    u = np.sin(2 * np.pi * 90 * t)
+    fine = np.linspace(0.0, t[-1], 3001)
+    np.testing.assert_allclose(course(t, u)(fine), CubicSpline(t, u)(fine), atol=1e-12)
+    jump = np.where(t < 0.0201, 1.0, 2.0)
+    between = course(t, jump)(np.array([t[401], 0.5 * (t[401] + t[402]), t[402]]))
+    assert np.all(np.diff(between) >= 0)
+    assert between[0] in (1.0, 2.0)
+
+
+# --- residuals ---
+
+
+def test_residuals_of_the_truth_are_standard_normal():
+    model = MODEL.set({"threshold_sigma": 0.03})
+    likelihood = likelihood_of(session(model, side=4))
+    found = residuals(likelihood, model.circuit())
+    assert found.stray.sum() == 0
+    n = len(found.e)
+    assert n > 3000
+    assert abs(found.e.mean()) < 4 / np.sqrt(n)
+    assert abs(found.e.std() - 1.0) < 4 / np.sqrt(2 * n) + 16 * 2 / n  # each group's threshold is its own estimate
+    assert stats.kstest(found.e, "norm").pvalue > 1e-3
+
+
+def test_maps_find_a_shift_where_it_is_and_nothing_where_there_is_none():
+    recordings = session(MODEL, side=4, seed=3)
+    likelihood = likelihood_of(recordings)
+    coordinates = Coordinates.of(MODEL)
+    here = residuals(likelihood, MODEL.circuit())
+    tangent = tangents(likelihood, coordinates, coordinates.start, here)
+    cells = factors(likelihood, here)
+    assert maps(likelihood, here, tangent, cells, 0).p > 0.01
+    pair = cells[0]
+    moved = replace(here, e=here.e + 0.5 * (pair.cell == pair.labels.index("ON after OFF")))
+    found = maps(likelihood, moved, tangent, cells, 0)
+    assert found.p < 0.01
+    top = next(c for c in found.cells if c.response == "level")
+    assert top.factor == "the previous event's polarity"
+    assert top.label.startswith("ON after")
+
+
+def test_secure_needs_a_lead_beyond_its_scatter():
+    assert secure(np.array([3.0, 2.0, 4.0]))
+    assert not secure(np.array([9.0, -8.0, 1.0]))
+
+
+# --- readout ---
+
+
+def test_service_time_is_read_off_the_timestamps():
+    queued = MODEL.with_effect("readout_latency", {"service_s": 2.5e-5})
+    found = service(session(queued, side=5))
+    assert found is not None
+    assert found.p < 1e-12
+    assert found.value == pytest.approx(2.5e-5, rel=1e-3)
+    assert service(session(MODEL, side=5)) is None
+
+
+def test_grid_of_timestamps():
+    ticked = MODEL.with_effect("timestamp_quantisation", {"tick_s": 2e-4})
+    recordings = [replace(r, events=replace(r.events, tick_ns=1)) for r in session(ticked, side=4)]
+    found = grid(recordings)
+    assert found is not None
+    assert found.value == pytest.approx(2e-4, rel=1e-3)
+    assert grid(session(MODEL, side=4)) is None
+
+
+def test_queue_windows_hold_the_arrivals():
+    light = {"steps_400": steps(400.0, seed=3)}
+    arrivals = session(MODEL, side=5, lights=light)[0].events
+    queued = MODEL.with_effect("readout_latency", {"service_s": 3e-5})
+    recording = session(queued, side=5, lights=light)[0]
+    window = queue_windows(recording, 3e-5)
+    assert len(arrivals) == len(window.lo)  # first come, first served: departures keep the order
+    assert (arrivals.t >= window.lo - 2).all()
+    assert (arrivals.t <= window.hi + 2).all()
+    exact = window.hi == window.lo
+    assert 0.02 < exact.mean() < 1.0
+    np.testing.assert_allclose(arrivals.t[exact], window.lo[exact], atol=2)
+
+
+# --- slew limit in the likelihood, twins in the simulator ---
+
+
+def test_levels_at_events_of_a_slewing_pixel_are_its_thresholds():
+    exact = MODEL.without_effect("threshold_mismatch").set({"threshold_sigma": 1e-5})
+    slewing = exact.with_effect("slew_limit", {"rise_per_s": 400.0, "fall_per_s": 250.0})
+    recordings = session(slewing, side=1, lights={"steps_400": steps(400.0, seed=3)})
+    likelihood = likelihood_of(recordings)
+    terms = likelihood.terms(slewing.set({"threshold_sigma": 0.01}).circuit())
+    np.testing.assert_allclose(terms.z, np.where(likelihood.sign > 0, 0.25, 0.25), rtol=2e-3)
+    plain = likelihood.terms(exact.set({"threshold_sigma": 0.01}).circuit())
+    assert np.abs(plain.z - 0.25).max() > 0.02  # the limit matters here
+
+
+def test_twins_keep_their_thresholds_and_wait_for_their_release():
+    light = slow(24.0, seed=2)
+    exact = MODEL.without_effect("threshold_mismatch").set({"threshold_sigma": 1e-5})
+    twins = Twins(np.array([0.1, 0.4]), np.array([0.1, 0.4]), np.array([0.2, 0.5]))
+    events = simulate(exact, resampled(light), width=2, height=1, seed=1, twins=twins).events
+    for pixel, released in enumerate(twins.released_s):
+        assert (events.t[events.pixel == pixel] * 1e-9 > released).all()
+    assert np.sum(events.pixel == 0) > 2 * np.sum(events.pixel == 1)
+    with pytest.raises(InputError, match="twins"):
+        simulate(exact, light, width=3, height=1, twins=twins)
+
+
+def test_free_run_gap_of_the_truth_is_chance_and_of_a_wrong_model_is_not():
+    leaking = MODEL.with_effect("leak", {"rate_hz": 3.0})
+    recordings = session(leaking, side=3, seed=5)
+    fine = [r.with_stimulus(resampled(r.stimulus, "smooth")) for r in recordings]
+    run = free_run(fine, fine, np.arange(9), 9, 16, MODEL, leaking, 0)
+    assert run.after < 2.5 < run.before
+    assert run.closed is not None
+    assert run.closed > 0.8
+
+
+# --- the whole search ---
+
+
+def test_split_is_by_pixels_and_repeatable():
+    recordings = session(MODEL, side=5)
+    split = locked(recordings, 7)
+    parts = np.concatenate([split.fit, split.select, split.confirm])
+    assert len(np.unique(parts)) == len(parts) == 25
+    assert split.apart
+    np.testing.assert_array_equal(locked(recordings, 7).confirm, split.confirm)
+    assert set(only(recordings, split.confirm)[0].events.pixel) <= set(split.confirm)
+
+
+def test_poles_that_commute_are_named_by_convention():
+    grown = MODEL.with_effect("extra_pole", {"cutoff_hz": 3100.0}).set({"sf_cutoff_hz": 900.0})
+    assert canonical(grown, MODEL).values["extra_pole.cutoff_hz"] == 900.0
+    assert "leak" in missing(MODEL)
+    assert "refractory_period" not in missing(MODEL)
+
+
+@pytest.mark.slow
+def test_leak_is_found_and_nothing_in_its_absence():
+    leaking = MODEL.with_effect("leak", {"rate_hz": 3.0})
+    found = gap(session(leaking, side=4, seed=1), MODEL)
+    assert (found.verdict, [e.name for e in found.effects]) == ("named", ["leak"])
+    value, interval = found.effects[0].parameters["leak.rate_hz"]
+    assert interval[0] < 3.0 < interval[1]
+    assert value == pytest.approx(3.0, rel=0.1)
+    assert found.free_run.closed > 0.8
+    nothing = gap(session(MODEL, side=4, seed=2), MODEL)
+    assert (nothing.verdict, nothing.effects, nothing.remainder) == ("none", (), False)
+
+
+def test_command_writes_what_it_promises(tmp_path):
+    for r in session(MODEL, side=3, seed=4, lights={"slow_24": slow(24.0, seed=2), "steps_24": steps(24.0, seed=1)}):
+        write_recording(r, tmp_path / f"{r.condition}.h5")
+    files = [str(p) for p in sorted(tmp_path.glob("*.h5"))]
+    out = tmp_path / "gap"
+    assert main(["gap", *files, "--model", "dvs128", "--out", str(out), "--quiet"]) == 0
+    told = json.loads((out / "gap.json").read_text())
+    for key in ("verdict", "sentence", "remainder", "global_p", "alpha", "effects", "gap", "rounds", "model",
+                "recommended_next", "seconds"):  # fmt: skip
+        assert key in told
+    assert told["verdict"] in ("none", "named", "ambiguous", "unknown")
+    assert (out / "report.html").is_file()
+    assert find_model(out / "model.toml").effects == MODEL.effects
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--with", "leek"], "leek"),
+        (["--without", "threshold_noise"], "threshold_noise"),
+        (["--alpha", "0.9"], "alpha"),
+    ],
+)
+def test_bad_input(tmp_path, capsys, options, words):
+    recording = session(MODEL, side=2, lights={"slow_24": slow(24.0, seed=2)})[0]
+    write_recording(recording, tmp_path / "r.h5")
+    out = tmp_path / "gap"
+    assert main(["gap", str(tmp_path / "r.h5"), "--model", "dvs128", "--out", str(out), "--quiet", *options]) == 2
+    assert words in capsys.readouterr().err
+    assert not out.exists()
+
+
+def test_pooled_and_empty_recordings_are_refused():
+    light = slow(24.0, seed=2)
+    with pytest.raises(InputError, match="pooled"):
+        gap([Recording(Events.empty(1, 1), light, pooled=True)], MODEL)
+    with pytest.raises(InputError, match="no events"):
+        gap([Recording(Events.empty(2, 2), light)], MODEL)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not CASES.is_dir(), reason="the practice cases are not here")
+@pytest.mark.parametrize(
+    "case", ["null", "leak", "dark_current", "refractory", "lower_cutoff", "queue", "polarity_memory"]
+)
+def test_practice_cases(case):
+    from pixelid.recordings import open_recordings
+
+    truth = json.loads((CASES / "truth.json").read_text())[case]
+    model = MODEL
+    for effect in truth["without"]:
+        model = model.without_effect(effect)
+    found = gap(open_recordings([CASES / case]), model)
+    if not truth["hidden"]:
+        assert found.verdict == "none"
+    elif truth["hidden"] == ["unknown"]:
+        assert found.verdict == "unknown"
+        assert not found.effects
+        assert "previous event's polarity" in found.sentence
+    else:
+        assert (found.verdict, [e.name for e in found.effects]) == ("named", truth["hidden"])
+        (_, (value, interval)), *_ = found.effects[0].parameters.items()
+        (strength,) = truth["effects"].values()
+        assert value == pytest.approx(strength, rel=0.1)
+        assert interval[0] - 1e-9 <= strength <= interval[1] + 1e-9
+        assert found.free_run.closed >= 0.9
+        assert found.free_run.interval[0] >= 0.75
