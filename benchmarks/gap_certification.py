@@ -62,10 +62,10 @@ def camera(seed: int) -> Model:
 
 def session(model: Model, seed: int) -> list[Recording]:
     """Six short recordings of one small sensor; the light is smooth, the stimulus its samples."""
-    lights = {
-        "chirp_24": chirp(24.0, stop_hz=200.0), "steps_24": steps(24.0, seed=seed), "slow_24": slow(24.0, seed=seed + 1),
-        "constant_24": constant(24.0), "chirp_400": chirp(400.0, stop_hz=400.0), "steps_400": steps(400.0, seed=seed + 2),
-    }  # fmt: skip
+    lights = {"constant_24": constant(24.0), "slow_24": slow(24.0, seed=seed + 1)}
+    for k, (level, stop) in enumerate(((24.0, 200.0), (400.0, 400.0))):
+        lights[f"chirp_{level:g}"] = chirp(level, stop_hz=stop)
+        lights[f"steps_{level:g}"] = steps(level, seed=seed + 2 * k)
     found = []
     for i, (name, light) in enumerate(lights.items()):
         r = simulate(model, resampled(light, "smooth"), width=SIDE, height=SIDE, seed=1000 * seed + i, sensor_seed=seed)

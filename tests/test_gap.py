@@ -209,6 +209,9 @@ def test_leak_is_found_and_nothing_in_its_absence():
     found = gap(session(leaking, side=4, seed=1), MODEL)
     assert (found.verdict, [e.name for e in found.effects]) == ("named", ["leak"])
     value, interval = found.effects[0].parameters["leak.rate_hz"]
+    assert interval is not None
+    assert found.free_run is not None
+    assert found.free_run.closed is not None
     assert interval[0] < 3.0 < interval[1]
     assert value == pytest.approx(3.0, rel=0.1)
     assert found.free_run.closed > 0.8
@@ -278,8 +281,13 @@ def test_practice_cases(case):
     else:
         assert (found.verdict, [e.name for e in found.effects]) == ("named", truth["hidden"])
         (_, (value, interval)), *_ = found.effects[0].parameters.items()
+        assert interval is not None
+        run = found.free_run
+        assert run is not None
+        assert run.closed is not None
+        assert run.interval is not None
         (strength,) = truth["effects"].values()
         assert value == pytest.approx(strength, rel=0.1)
         assert interval[0] - 1e-9 <= strength <= interval[1] + 1e-9
-        assert found.free_run.closed >= 0.9
-        assert found.free_run.interval[0] >= 0.75
+        assert run.closed >= 0.9
+        assert run.interval[0] >= 0.75

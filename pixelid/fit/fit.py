@@ -73,6 +73,7 @@ def fit(
         raise InputError("some recordings are pooled and some have pixels; fit them separately")
     for recording in recordings:
         recording.check_stimulus_covers_events()
+    recordings = [recording.within_stimulus() for recording in recordings]
     rng = np.random.default_rng(seed)
     if all(pooled):
         objective, optimum, details, pixels = _fit_pooled(recordings, model, fixed or {}, report)
@@ -154,6 +155,8 @@ def _fit_event_times(recordings, model, starts, between, climber: Engine, rng, r
     for kind in ("linear", "smooth") if between == "auto" else (between,):
         finer = [r.with_stimulus(resampled(r.stimulus, kind)) for r in recordings]
         likelihood = EventTimes(finer)
+        if "timestamp_jitter" in model.effects:
+            likelihood.weigh_clock(coordinates.circuit(x))
         objective = EventTimesObjective(likelihood, coordinates)
         candidates[kind] = objective, climber.maximise(objective, x, max_steps=60)
         x = candidates[kind][1].x

@@ -68,8 +68,8 @@ def _log_light(recording, intervals) -> np.ndarray:
 
 def _levels(likelihood: EventTimes) -> tuple[np.ndarray, list[str]]:
     """((recordings,) radiance level of each recording, names): recordings within a factor 1.5 share one."""
-    typical = np.array([float(np.exp(np.mean(np.log(np.maximum(r.stimulus.radiance, 1e-300)))))
-                        for r in likelihood.recordings])  # fmt: skip
+    lights = [np.maximum(r.stimulus.radiance, 1e-300) for r in likelihood.recordings if r.stimulus is not None]
+    typical = np.array([float(np.exp(np.mean(np.log(light)))) for light in lights])
     order = np.argsort(typical)
     new = np.concatenate([[0], np.cumsum(np.diff(np.log(typical[order])) > np.log(1.5))])
     level = np.empty(len(typical), np.int64)

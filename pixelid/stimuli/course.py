@@ -103,4 +103,4 @@ def _meeting(left: CubicSpline, right: CubicSpline, begin: float, end: float) ->
         return begin if a == 0.0 else end
     if a * b > 0:
         return None
-    return float(brentq(apart, begin, end, xtol=1e-12))
+    return float(np.asarray(brentq(apart, begin, end, xtol=1e-12)))
