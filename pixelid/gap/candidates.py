@@ -25,6 +25,8 @@ def missing(model: Model) -> list[str]:
     """Effects of the library that the model lacks and the event-time likelihood knows."""
 
     def usable(name: str) -> bool:
+        if name == "extra_pole":  # the one more is the follower's own where that is missing
+            return model.has("source_follower_pole")
         return name != "slew_limit" or all(model.has(pole) for pole in SLEWS_THROUGH)
 
     return [name for name in stages.LIBRARY if name not in UNSEEN and not model.has(name) and usable(name)]
