@@ -21,6 +21,7 @@ COMMANDS = {
     "flicker": "What mains flicker alone says about the pixels.",
     "lowlight": "Dominant-pole analysis over radiance.",
     "design": "Which stimulus to record next, and why.",
+    "reconstruct": "A sharp scene from motion-blurred events.",
     "report": "A one-page report.html for any result folder.",
     "demo": "The whole story on embedded data, minutes on a laptop.",
 }

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from pixelid.errors import InputError
 
-PAGES = ("fit_page", "lowlight_page", "design_page")
+PAGES = ("fit_page", "lowlight_page", "design_page", "reconstruction_page")
 
 _SHELL = """<!doctype html>
 <html lang="en"><head><meta charset="utf-8"><title>{{ title }}</title><style>
