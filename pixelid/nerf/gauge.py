@@ -5,7 +5,8 @@ that is free drifts: a brighter scene is a faster pixel, so that a blurred scene
 
     "background"   by the radiance behind the scene, where the views show one value along their borders (white behind
                    transparent ones);
-    "level"        otherwise by the mean log radiance over the validation (else training) views: one number per colour.
+    "level"        otherwise by the mean log radiance over the validation (else training) views: one number per colour;
+    "free"         by nothing, on request, to see what happens.
 """
 
 from __future__ import annotations
@@ -38,11 +39,13 @@ class Gauge:
         return self.kind != "background"
 
 
-def gauge_of(dataset: Dataset, background: float | None = None) -> Gauge:
-    """The gauge of a dataset; `background` overrides what its views show."""
+def gauge_of(dataset: Dataset, background: float | None = None, free: bool = False) -> Gauge:
+    """The gauge of a dataset; `background` overrides what its views show, `free` pins nothing."""
     reference = next(dataset.views[stage] for stage in ("val", "train", "test") if stage in dataset.views)
     level = np.log(np.maximum(reference.images, 1e-3)).mean(axis=(0, 1, 2))
     channels = dataset.calibration.channels
+    if free:
+        return Gauge("free", np.exp(level), level, reference)
     if background is not None:
         return Gauge("background", np.full(channels, background), level, reference)
     shown = np.full(channels, reference.peak) if reference.transparent else _border(reference)

@@ -38,14 +38,14 @@ class Recipe:
     what no event asks for;  level: λ of the mean log radiance when the gauge needs it;  engine: of `render`, `respond`
     """
 
-    iterations: int = 1000
+    iterations: int = 1200
     batch: int = 160
     vertices: tuple[int, ...] = (33, 49, 65)
     rate: float = 0.1
     last_rate: float = 0.01
     weights: Weights = dataclasses.field(default_factory=Weights)
     roughness: float = 0.0
-    emptiness: float = 0.005
+    emptiness: float = 0.01
     level: float = 10.0
     engine: str = "auto"
     seed: int = 0
