@@ -85,4 +85,4 @@ def command(
         )
         if result.advice:
             click.echo(f"- {result.advice}")
-    return 0 if result.status == "done" else 1
+    return 0 if result.status == "done" or not first else 1

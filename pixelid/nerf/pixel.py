@@ -76,7 +76,7 @@ class Pixel(torch.nn.Module):
 
     def slowest(self, darkest: float) -> float:
         """The slowest dominant pole [rad/s] at a radiance, the amplifier's reset left out."""
-        dynamics = Dynamics(*(float(x) for x in self.dynamics))
+        dynamics = Dynamics(*(float(x) for x in self.dynamics.detach()))
         a, b2 = dynamics.alpha * darkest, dynamics.beta + dynamics.gamma * darkest
         disc = 0.25 * b2 * b2 - a
         pole = a / (0.5 * b2 + math.sqrt(disc)) if disc >= 0 else math.sqrt(a)
@@ -84,5 +84,5 @@ class Pixel(torch.nn.Module):
 
     def values(self) -> dict[str, float]:
         """The dynamics in use, by name."""
-        used = Dynamics(*(float(x) for x in self.dynamics))
+        used = Dynamics(*(float(x) for x in self.dynamics.detach()))
         return {name: getattr(used, name) for name in TRAINED}

@@ -6,6 +6,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache
@@ -119,7 +120,8 @@ def _tensors(grid: torch.Tensor, background: torch.Tensor, rays: Rays, box: Box)
     found = F.grid_sample(
         grid.permute(3, 0, 1, 2)[None], (2 * point.flip(1) - 1)[None, :, None, None], align_corners=True
     )[0, :, :, 0, 0]  # fmt: skip
-    sigma = torch.exp(found[0].clamp(max=kernels.HIGHEST))
+    shown = found[0] > math.log(kernels.CLEAR / box.step)
+    sigma = torch.exp(found[0].clamp(max=kernels.HIGHEST)) * shown
     value = found[1:].gather(0, channel[ray][None])[0] if len(found) > 2 else found[1]
     colour = torch.exp(value.clamp(max=kernels.HIGHEST))
     depth = torch.zeros(inside.shape, device=device).index_put((ray, sample), sigma * box.step)

@@ -6,8 +6,8 @@ With step h, density σ_i, radiance c_i, transmittance T_i = exp(−h Σ_{j<i} �
     L = Σ_i (T_i − T_{i+1}) c_i + T_n b
     ∂L/∂c_i = T_i − T_{i+1}        ∂L/∂σ_i = h (T_{i+1} c_i − R_i),   R_i what the ray still collects after sample i
 
-so one more march with L known gives all gradients, and nothing is stored per sample.  Empty blocks are skipped; a ray
-ends where T falls below `OPAQUE`.  Source: Max, IEEE TVCG 1995 (compositing).
+so one more march with L known gives all gradients, and nothing is stored per sample.  Empty blocks are skipped, clear
+samples too; a ray ends where T falls below `OPAQUE`.  Source: Max, IEEE TVCG 1995 (compositing).
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ import numpy as np
 from numba import njit
 
 OPAQUE = 1e-3
+CLEAR = 1e-3  # opacity of a step below which a sample is passed over
 BLOCK = 4  # cells per side of an occupancy block
 HIGHEST = 12.0  # of log density and log radiance
 
@@ -69,7 +70,7 @@ def forward(origins, directions, channels, offsets, grid, occupied, low, high, s
     """
     nx, ny, nz, depth = grid.shape
     stride_z, stride_y, stride_x = depth, nz * depth, ny * nz * depth
-    flat = grid.reshape(-1)
+    flat, floor = grid.reshape(-1), np.float32(math.log(CLEAR / step))
     sx, sy, sz = (nx - 1) / (high[0] - low[0]), (ny - 1) / (high[1] - low[1]), (nz - 1) / (high[2] - low[2])
     for i in range(len(origins)):
         o, d, c = origins[i], directions[i], channels[i]
@@ -86,13 +87,14 @@ def forward(origins, directions, channels, offsets, grid, occupied, low, high, s
                     fx, fy, fz = np.float32(x - ix), np.float32(y - iy), np.float32(z - iz)
                     at = ix * stride_x + iy * stride_y + iz * stride_z
                     density = _interpolated(flat, at, stride_x, stride_y, stride_z, fx, fy, fz)
-                    value = _interpolated(flat, at + 1 + c, stride_x, stride_y, stride_z, fx, fy, fz)
-                    sigma = math.exp(min(density, np.float32(HIGHEST)))
-                    T_next = T * math.exp(-np.float32(step) * sigma)
-                    L += (T - T_next) * math.exp(min(value, np.float32(HIGHEST)))
-                    T = T_next
-                    if T < OPAQUE:
-                        break
+                    if density > floor:
+                        value = _interpolated(flat, at + 1 + c, stride_x, stride_y, stride_z, fx, fy, fz)
+                        sigma = math.exp(min(density, np.float32(HIGHEST)))
+                        T_next = T * math.exp(-np.float32(step) * sigma)
+                        L += (T - T_next) * math.exp(min(value, np.float32(HIGHEST)))
+                        T = T_next
+                        if T < OPAQUE:
+                            break
                 t += step
         radiance[i] = L + T * background[c]
         opacity[i] = 1.0 - T
@@ -106,7 +108,7 @@ def backward(
     """Add to by_grid (as grid) and by_background (C,) the gradient of Σ by_radiance · radiance; see `forward`."""
     nx, ny, nz, depth = grid.shape
     stride_z, stride_y, stride_x = depth, nz * depth, ny * nz * depth
-    flat = grid.reshape(-1)
+    flat, floor = grid.reshape(-1), np.float32(math.log(CLEAR / step))
     sx, sy, sz = (nx - 1) / (high[0] - low[0]), (ny - 1) / (high[1] - low[1]), (nz - 1) / (high[2] - low[2])
     by_flat = by_grid.reshape(-1)
     for i in range(len(origins)):
@@ -127,21 +129,22 @@ def backward(
                     fx, fy, fz = np.float32(x - ix), np.float32(y - iy), np.float32(z - iz)
                     at = ix * stride_x + iy * stride_y + iz * stride_z
                     density = _interpolated(flat, at, stride_x, stride_y, stride_z, fx, fy, fz)
-                    value = _interpolated(flat, at + 1 + c, stride_x, stride_y, stride_z, fx, fy, fz)
-                    sigma = math.exp(min(density, np.float32(HIGHEST)))
-                    colour = math.exp(min(value, np.float32(HIGHEST)))
-                    T_next = T * math.exp(-np.float32(step) * sigma)
-                    left -= (T - T_next) * colour
-                    by_density = g * np.float32(step) * (T_next * colour - left) * sigma
-                    by_value = g * (T - T_next) * colour
-                    if density >= HIGHEST:
-                        by_density = np.float32(0.0)
-                    if value >= HIGHEST:
-                        by_value = np.float32(0.0)
-                    _spread(by_flat, at, 1 + c, stride_x, stride_y, stride_z, fx, fy, fz, by_density, by_value)
-                    T = T_next
-                    if T < OPAQUE:
-                        break
+                    if density > floor:
+                        value = _interpolated(flat, at + 1 + c, stride_x, stride_y, stride_z, fx, fy, fz)
+                        sigma = math.exp(min(density, np.float32(HIGHEST)))
+                        colour = math.exp(min(value, np.float32(HIGHEST)))
+                        T_next = T * math.exp(-np.float32(step) * sigma)
+                        left -= (T - T_next) * colour
+                        by_density = g * np.float32(step) * (T_next * colour - left) * sigma
+                        by_value = g * (T - T_next) * colour
+                        if density >= HIGHEST:
+                            by_density = np.float32(0.0)
+                        if value >= HIGHEST:
+                            by_value = np.float32(0.0)
+                        _spread(by_flat, at, 1 + c, stride_x, stride_y, stride_z, fx, fy, fz, by_density, by_value)
+                        T = T_next
+                        if T < OPAQUE:
+                            break
                 t += step
         by_background[c] += g * T
 

@@ -25,7 +25,7 @@ from pixelid.nerf.scan import respond
 from pixelid.nerf.trajectory import Trajectory
 from pixelid.stages.circuit import Circuit
 
-EPSILON = 1e-3  # least radiance, in the unit of the views (the paper's)
+EPSILON = 1e-3  # least radiance, dark current included, in the unit of the views (the paper's)
 
 
 @dataclass(frozen=True)
@@ -127,8 +127,8 @@ def predict(problem: Problem, state: State, batch: Chains, rng: np.random.Genera
     """(change (runs, CHAIN), level (n,), log radiance (n,)) of a batch."""
     rays = sample_rays(problem, batch, rng)
     radiance, _ = state.field(rays, engine)
-    dark = torch.as_tensor(np.maximum(problem.dark, EPSILON)[rays.channels], device=radiance.device)
-    u = torch.log(radiance.double() + dark)
+    dark = torch.as_tensor(problem.dark[rays.channels], device=radiance.device)
+    u = torch.log((radiance.double() + dark).clamp(min=EPSILON))
     if not state.pixel.filtering:
         return changes(u, u, batch, None), u, u
     dynamics = state.pixel.dynamics
