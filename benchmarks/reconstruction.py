@@ -73,14 +73,18 @@ def fitted(work: Path, seed: int) -> Path:
 
 
 def arms(name: str, work: Path, setting: str, seed: int):
-    """(arm, dataset, options of `reconstruct`) of an experiment."""
+    """(arm, dataset or what makes it, options of `reconstruct`) of an experiment."""
     if name in ("bandwidth", "samples", "joint"):
         data = dataset(work, setting, seed)
         circuit = data.calibration.circuit
     if name == "bandwidth":
         yield "on", data, {}
         yield "off", data, {"bandwidth": Bandwidth("off")}
-        yield "ideal", dataset(work, setting, seed, "_ideal", fast_camera(setting)), {"bandwidth": Bandwidth("off")}
+        yield (
+            "ideal",
+            lambda: dataset(work, setting, seed, "_ideal", fast_camera(setting)),
+            {"bandwidth": Bandwidth("off")},
+        )
     elif name == "samples":
         for samples in SAMPLES:
             yield f"S={samples}", data, {"bandwidth": Bandwidth("on", samples)}
@@ -113,9 +117,12 @@ def arms(name: str, work: Path, setting: str, seed: int):
         yield "free, joint with prior", data, {"free_scale": True, "bandwidth": Bandwidth("joint", prior_sd=sharp)}
 
 
-def run(name: str, work: Path, setting: str, seed: int, iterations: int | None) -> None:
+def run(name: str, work: Path, setting: str, seed: int, iterations: int | None, only: list[str] | None) -> None:
     recipe = replace(Recipe(), iterations=iterations) if iterations else Recipe()
-    for arm, data, options in arms(name, work, setting, seed):
+    for arm, make, options in arms(name, work, setting, seed):
+        if only and arm not in only:
+            continue
+        data = make() if callable(make) else make
         used = time.process_time()
         result = reconstruct(data, recipe=recipe, seed=seed, **options)
         row = {
@@ -158,6 +165,7 @@ def main() -> None:
     parser.add_argument("experiments", nargs="*", choices=[*names, []], default=[])
     parser.add_argument("--settings", nargs="+", choices=list(SETTINGS), default=["hard"])
     parser.add_argument("--seeds", nargs="+", type=int, default=[0])
+    parser.add_argument("--arms", nargs="+", help="only these")
     parser.add_argument("--iterations", type=int)
     parser.add_argument("--work", type=Path, default=Path("out/reconstruction"))
     options = parser.parse_args()
@@ -165,7 +173,7 @@ def main() -> None:
     for name in options.experiments:
         for setting in options.settings:
             for seed in options.seeds:
-                run(name, options.work, setting, seed, options.iterations)
+                run(name, options.work, setting, seed, options.iterations, options.arms)
     if (options.work / "results.jsonl").is_file():
         print(table(options.work))
 

@@ -131,3 +131,24 @@ def test_modelling_the_pixel_pays_on_the_hard_scene(tmp_path):
         mode: reconstruct(data, bandwidth=Bandwidth(mode), recipe=recipe).scores.psnr.mean() for mode in ("on", "off")
     }
     assert psnr["on"] > psnr["off"] + 3.0
+
+
+@pytest.mark.slow
+def test_a_scene_of_posed_images_stands_for_the_truth(shared):
+    """Fitted to some of the posed pictures, it shows the others."""
+    from pixelid.nerf.camera import Camera
+    from pixelid.nerf.posed import scene_of_images
+    from pixelid.nerf.views import LUMA, OPENGL
+
+    data = np.load(shared / "recordings" / "lego_views_100px.npz")
+    images, poses, focal = data["images"], data["poses"], float(data["focal"])
+    held = np.arange(0, len(images), 10)
+    kept = np.setdiff1d(np.arange(len(images)), held)
+    scene = scene_of_images(images[kept], poses[kept], focal, iterations=300)
+    height, width = images.shape[1:3]
+    intrinsics = np.array([[focal, 0, width / 2 - 0.5], [0, focal, height / 2 - 0.5], [0, 0, 1]])
+    camera = Camera(intrinsics, width, height, np.empty(0))
+    found = scene.render(camera, poses[held, :3, 3], poses[held, :3, :3] @ OPENGL)
+    alpha = images[held, ..., 3:] / 255.0
+    truth = (alpha * images[held, ..., :3] / 255.0 + 1 - alpha) @ LUMA
+    assert 10 * np.log10(1 / ((found - truth) ** 2).mean()) > 23

@@ -10,6 +10,7 @@ import json
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 
@@ -18,7 +19,7 @@ from pixelid.model.shipped import find_model
 from pixelid.nerf import calibration as layout
 from pixelid.nerf.camera import Camera, pinhole
 from pixelid.nerf.dataset import EVENTS, POSES
-from pixelid.nerf.scenes import Scene, procedural, random_views, spiral
+from pixelid.nerf.scenes import procedural, random_views, spiral
 from pixelid.nerf.trajectory import Trajectory
 from pixelid.nerf.views import FOLDER, OPENGL, RENDERER
 from pixelid.outputs import whole_folder
@@ -28,6 +29,12 @@ from pixelid.stages.photoreceptor import NOMINAL
 
 FIELD_OF_VIEW = 0.6911  # rad, as of the published synthetic scenes
 SPLITS = (("train", 8, 1), ("val", 8, 2), ("test", 8, 3))
+
+
+class Renders(Protocol):
+    """Anything that can be filmed: images (n, height, width) of cameras at position (n, 3), rotation (n, 3, 3)."""
+
+    def render(self, camera: Camera, position, rotation, supersample: int) -> np.ndarray: ...
 
 
 @dataclass(frozen=True)
@@ -58,6 +65,7 @@ def make_dataset(
     setting: Setting | str = "hard",
     *,
     seed: int = 0,
+    scene: Renders | None = None,
     side: int = 64,
     revolutions: float = 4.0,
     model: Model | None = None,
@@ -69,12 +77,13 @@ def make_dataset(
 ) -> Path:
     """Write a dataset folder of a procedural scene.
 
-    model: the camera that makes the events, radiance in fA (default `camera_model`);  nominal: the circuit values that
-    the calibration file quotes, which need not be the camera's;  frames_per_turn: of the rendered light, log radiance
-    linear in between;  supersample: rays per pixel and side.
+    scene: what is filmed (default `scenes.procedural(seed)`);  model: the camera that makes the events, radiance in fA
+    (default `camera_model`);  nominal: the circuit values that the calibration file quotes, which need not be the
+    camera's;  frames_per_turn: of the rendered light, log radiance linear in between;  supersample: rays per pixel and
+    side.
     """
     setting = SETTINGS[setting] if isinstance(setting, str) else setting
-    scene, camera = procedural(seed), pinhole(side, side, FIELD_OF_VIEW)
+    scene, camera = procedural(seed) if scene is None else scene, pinhole(side, side, FIELD_OF_VIEW)
     model = camera_model(setting) if model is None else model
     trajectory = spiral(revolutions / setting.revolutions_per_s, revolutions)
     frames = round(revolutions * frames_per_turn) + 1
@@ -128,7 +137,7 @@ def _write_calibration(folder: Path, camera: Camera, model: Model, setting: Sett
     )  # fmt: skip
 
 
-def write_views(folder: Path, scene: Scene, camera: Camera, seed: int, supersample: int = 4) -> None:
+def write_views(folder: Path, scene: Renders, camera: Camera, seed: int, supersample: int = 4) -> None:
     """Write `views/` of a scene: train, val and test, each from its own random places, 32-bit linear TIFF."""
     from skimage.io import imsave
 
