@@ -11,6 +11,7 @@ tied to the dataset's by q_in, which both quote (the fit in its gauge).
 
 from __future__ import annotations
 
+import json
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -136,6 +137,26 @@ def of_fit(calibration: Calibration, folder: Path, scale: float | None = None) -
     else:
         dark, circuit = calibration.dark, circuit.with_(dark=float(calibration.dark.mean()))
     return Calibration(calibration.camera, calibration.bayer, circuit, dark, calibration.q_in)
+
+
+def uncertainty_of_fit(folder: Path) -> dict[str, float]:
+    """Standard deviations of the logs of what `Pixel` may train, from fit.json; empty where there is none.
+
+    What the fit held fixed is known to 0.1 %; what it could not identify is left out.
+    """
+    file = Path(folder) / "fit.json"
+    if not file.is_file():
+        return {}
+    try:
+        parameters = json.loads(file.read_text())["parameters"]
+        found = {
+            ours: 1e-3 if entry.get("fixed") else float(entry["std"]) / float(entry["value"])
+            for ours, theirs in (("alpha", "alpha"), ("beta", "beta"), ("gamma", "gamma"), ("follower", "sf_cutoff_hz"))
+            if (entry := parameters.get(theirs)) and (entry.get("fixed") or entry.get("std"))
+        }
+    except (ValueError, KeyError, TypeError, AttributeError, ZeroDivisionError):
+        raise InputError(f"{file}: parameters: expected value and std of each") from None
+    return {name: max(sd, 1e-3) for name, sd in found.items()}
 
 
 def _scale(calibration: Calibration, model: Model, file: Path) -> float:

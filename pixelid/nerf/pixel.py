@@ -22,7 +22,8 @@ PRIOR_SD = 1.5  # of ln(factor), when no fit says better
 
 @dataclass(frozen=True)
 class Bandwidth:
-    """How the pixel enters: mode "on", "off" or "joint";  samples: S of the past;  prior_sd: per name of `TRAINED`."""
+    """How the pixel enters: mode "on", "off" or "joint";  samples: S of the past;  prior_sd: of ln(factor), per name of
+    `TRAINED` (default `PRIOR_SD`)."""
 
     mode: str = "on"
     samples: int = 30

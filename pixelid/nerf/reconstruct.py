@@ -12,7 +12,7 @@ import torch
 
 from pixelid.errors import InputError
 from pixelid.nerf import checkpoint, parallel
-from pixelid.nerf.calibration import Calibration, of_fit
+from pixelid.nerf.calibration import Calibration, of_fit, uncertainty_of_fit
 from pixelid.nerf.dataset import Dataset
 from pixelid.nerf.evaluate import Scores, evaluate, render_views
 from pixelid.nerf.pixel import Bandwidth
@@ -121,12 +121,14 @@ def reconstruct(
     """
     watch = time.perf_counter()
     bandwidth = Bandwidth() if bandwidth is None else bandwidth
-    recipe = replace(Recipe() if recipe is None else recipe, seed=seed)
+    recipe = replace(Recipe() if recipe is None else recipe, seed=seed).for_sensor(dataset.calibration.camera.width)
     device = ("cuda" if torch.cuda.is_available() else "cpu") if device == "auto" else device
     if device == "cuda" and not torch.cuda.is_available():
         raise InputError("--device cuda: no CUDA device is available")
     if calibration is None:
         calibration = of_fit(dataset.calibration, fit, radiance_scale) if fit else dataset.calibration
+    if fit and bandwidth.mode == "joint" and bandwidth.prior_sd is None:
+        bandwidth = replace(bandwidth, prior_sd=uncertainty_of_fit(Path(fit)))
     problem = problem_of(dataset, calibration, background=background, free_scale=free_scale, box=box, seed=seed)
     files = [*dataset.files, *([Path(fit) / "model.toml" if Path(fit).is_dir() else Path(fit)] if fit else [])]
     inputs = input_hashes(files)

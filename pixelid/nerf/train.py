@@ -25,6 +25,7 @@ from pixelid.nerf.scan import respond
 from pixelid.nerf.trajectory import Trajectory
 from pixelid.stages.circuit import Circuit
 
+MOST_CELLS = (32, 160)  # per side
 EPSILON = 1e-3  # least radiance, dark current included, in the unit of the views (the paper's)
 
 
@@ -33,14 +34,14 @@ class Recipe:
     """How to train.
 
     iterations: steps;  batch: chains per step (over all processes);  vertices: grid sizes, each for an equal share of
-    the steps;  rate, last_rate: learning rate, decaying exponentially;  weights: λ;  roughness: λ of the grid's total
-    variation;  emptiness: λ of the mean log density, which clears
-    what no event asks for;  level: λ of the mean log radiance when the gauge needs it;  engine: of `render`, `respond`
+    the steps (empty: `for_sensor` chooses);  rate, last_rate: learning rate, decaying exponentially;  weights: λ;
+    roughness: λ of the grid's total variation;  emptiness: λ of the mean log density, which clears what no event asks
+    for;  level: λ of the mean log radiance when the gauge needs it;  engine: of `render` and `respond`
     """
 
     iterations: int = 1200
     batch: int = 160
-    vertices: tuple[int, ...] = (33, 49, 65)
+    vertices: tuple[int, ...] = ()
     rate: float = 0.1
     last_rate: float = 0.01
     weights: Weights = dataclasses.field(default_factory=Weights)
@@ -49,6 +50,12 @@ class Recipe:
     level: float = 10.0
     engine: str = "auto"
     seed: int = 0
+
+    def for_sensor(self, width: int) -> Recipe:
+        """The recipe with grid sizes for a sensor `width` pixels wide: about one cell per pixel in the end."""
+        cells = min(max(width, MOST_CELLS[0]), MOST_CELLS[1])
+        sizes = tuple(cells * k // 4 + 1 for k in (2, 3, 4))
+        return self if self.vertices else dataclasses.replace(self, vertices=sizes)
 
     def vertices_at(self, iteration: int) -> int:
         """The grid size in use at a step."""

@@ -9,7 +9,7 @@ Transparent parts show white.
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -30,7 +30,7 @@ class Views:
     """Images and where they were taken.
 
     images: (n, H, W, C) radiance;  position: (n, 3), rotation: (n, 3, 3), camera to world;  names: n;
-    exposure: (n,) exposure × gain relative to their mean;  transparent: whether white shows through;
+    exposure: (n,) exposure × gain, relative to the mean over all stages;  transparent: whether white shows through;
     peak: the largest value an image can have
     """
 
@@ -74,7 +74,8 @@ def read_views(dataset: Path, channels: int) -> dict[str, Views]:
     }
     if not found:
         raise InputError(f"{folder}: transforms_test.json: missing")
-    return found
+    usual = float(np.mean(np.concatenate([views.exposure for views in found.values()])))
+    return {stage: replace(views, exposure=views.exposure / usual) for stage, views in found.items()}
 
 
 def _log_eps(file: Path) -> float:
@@ -111,7 +112,7 @@ def _stage(file: Path, channels: int, log_eps: float) -> Views:
     camera = _camera(file, document, images.shape[2], images.shape[1])
     short = tuple(Path(name).name for name in names)
     return Views(
-        images, poses[:, :3, 3], poses[:, :3, :3] @ OPENGL, camera, short, exposure / exposure.mean(),
+        images, poses[:, :3, 3], poses[:, :3, :3] @ OPENGL, camera, short, exposure,
         stack.shape[-1] == 4, peak,
     )  # fmt: skip
 
