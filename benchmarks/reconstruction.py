@@ -8,7 +8,8 @@ samples     S of the past: 1, 5, 15, 30, 50
 joint       the filter trained with the scene from a start wrong by 3 in α and the source follower; the same start held
 pixel       the camera differs from nominal by 2 in α and the source follower: true, nominal, fitted, and twice too fast
 effect      a camera with 2 ms dead time: reconstructed with and without the effect
-scale       radiance unit pinned, free, and free with the pixel trained under the prior of a fit
+scale       radiance unit pinned by the background, by the views' mean level, free, and free with the pixel trained
+            under the prior of a fit
 
 Scenes and fits are kept in --work and reused; results are appended to results.jsonl there, and printed as a table.
 """
@@ -113,8 +114,9 @@ def arms(name: str, work: Path, setting: str, seed: int):
         data = dataset(work, setting, seed)
         sharp = {"alpha": 0.01, "beta": 0.01, "gamma": 0.05, "follower": 0.02}
         yield "pinned", data, {}
-        yield "free", data, {"free_scale": True}
-        yield "free, joint with prior", data, {"free_scale": True, "bandwidth": Bandwidth("joint", prior_sd=sharp)}
+        yield "level", data, {"scale": "level"}
+        yield "free", data, {"scale": "free"}
+        yield "free, joint with prior", data, {"scale": "free", "bandwidth": Bandwidth("joint", prior_sd=sharp)}
 
 
 def run(name: str, work: Path, setting: str, seed: int, iterations: int | None, only: list[str] | None) -> None:

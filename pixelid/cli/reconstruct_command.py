@@ -26,6 +26,8 @@ Example:
 @click.option("--iterations", type=click.IntRange(1), help="Training steps.")
 @click.option("--background", type=click.FloatRange(min=0, min_open=True),
               help="Radiance behind the scene; by default what the views show.")  # fmt: skip
+@click.option("--scale", type=click.Choice(["auto", "level", "free"]), default="auto", show_default=True,
+              help="What pins the radiance unit: the background (else the views' level), the level, nothing.")  # fmt: skip
 @click.option("--box", nargs=6, type=float, metavar="X0 Y0 Z0 X1 Y1 Z1",
               help="Corners of the scene; by default a cube where the views look.")  # fmt: skip
 @click.option("--radiance-scale", type=click.FloatRange(min=0, min_open=True),
@@ -36,8 +38,8 @@ Example:
 @click.option("--seed", type=int, default=0, show_default=True)
 @click.option("--quiet", is_flag=True, help="No progress, no table.")
 def command(
-    dataset, out, fit, bandwidth, samples, iterations, background, box, radiance_scale, checkpoint, device, overwrite,
-    seed, quiet,
+    dataset, out, fit, bandwidth, samples, iterations, background, scale, box, radiance_scale, checkpoint, device,
+    overwrite, seed, quiet,
 ):  # fmt: skip
     """Reconstruct the scene of DATASET, a folder in the published layout of Robust e-NeRF and Deblur e-NeRF.
 
@@ -68,7 +70,7 @@ def command(
     with bar(quiet or not first) as report:
         result = reconstruct(
             data, fit=fit, bandwidth=Bandwidth(bandwidth, samples), recipe=recipe, background=background,
-            box=box or None, radiance_scale=radiance_scale, resume=checkpoint, device=device, seed=seed,
+            scale=scale, box=box or None, radiance_scale=radiance_scale, resume=checkpoint, device=device, seed=seed,
             progress=report,
         )  # fmt: skip
         if first:

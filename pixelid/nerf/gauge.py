@@ -19,6 +19,7 @@ from pixelid.nerf.dataset import Dataset
 from pixelid.nerf.trajectory import Trajectory
 from pixelid.nerf.views import Views
 
+SCALES = ("auto", "level", "free")
 UNIFORM = 0.03  # standard deviation of ln L along the borders, below which they show a background
 BORDER = 0.5  # share of border pixels that must agree
 
@@ -39,13 +40,16 @@ class Gauge:
         return self.kind != "background"
 
 
-def gauge_of(dataset: Dataset, background: float | None = None, free: bool = False) -> Gauge:
-    """The gauge of a dataset; `background` overrides what its views show, `free` pins nothing."""
+def gauge_of(dataset: Dataset, background: float | None = None, scale: str = "auto") -> Gauge:
+    """The gauge of a dataset.
+
+    background: overrides what its views show;  scale: one of `SCALES`, "auto" for the background where there is one
+    """
     reference = next(dataset.views[stage] for stage in ("val", "train", "test") if stage in dataset.views)
     level = np.log(np.maximum(reference.images, 1e-3)).mean(axis=(0, 1, 2))
     channels = dataset.calibration.channels
-    if free:
-        return Gauge("free", np.exp(level), level, reference)
+    if scale != "auto":
+        return Gauge(scale, np.exp(level), level, reference)
     if background is not None:
         return Gauge("background", np.full(channels, background), level, reference)
     shown = np.full(channels, reference.peak) if reference.transparent else _border(reference)

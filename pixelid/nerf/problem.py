@@ -22,7 +22,7 @@ def problem_of(
     calibration: Calibration | None = None,
     *,
     background: float | None = None,
-    free_scale: bool = False,
+    scale: str = "auto",
     box: Sequence[float] | None = None,
     held_out: float = HELD_OUT,
     seed: int = 0,
@@ -48,7 +48,7 @@ def problem_of(
     y, x = np.divmod(np.arange(camera.width * camera.height), camera.width)
     return Problem(
         training, held, dataset.trajectory, camera.all_directions(), calibration.channel_of(x, y), calibration.dark,
-        calibration.circuit, gauge_of(dataset, background, free_scale), low, high,
+        calibration.circuit, gauge_of(dataset, background, scale), low, high,
     )  # fmt: skip
 
 

@@ -103,7 +103,7 @@ def reconstruct(
     bandwidth: Bandwidth | None = None,
     recipe: Recipe | None = None,
     background: float | None = None,
-    free_scale: bool = False,
+    scale: str = "auto",
     box: tuple[float, ...] | None = None,
     radiance_scale: float | None = None,
     resume: Path | None = None,
@@ -114,7 +114,7 @@ def reconstruct(
     """Reconstruct the scene of a dataset.
 
     fit: folder (or model file) of a fit whose pixel replaces the dataset's;  calibration: another pixel altogether;
-    background, free_scale, box: see `gauge`;  radiance_scale: the fit's radiance units per unit of the views;
+    background, scale, box: see `gauge`;  radiance_scale: the fit's radiance units per unit of the views;
     resume: a checkpoint, continued when it exists and written as training goes on;  device: "cpu", "cuda" or "auto"
     Under `torchrun` every process takes its share of each batch; all return the same.
     Raises InputError for input that cannot be used.
@@ -129,7 +129,7 @@ def reconstruct(
         calibration = of_fit(dataset.calibration, fit, radiance_scale) if fit else dataset.calibration
     if fit and bandwidth.mode == "joint" and bandwidth.prior_sd is None:
         bandwidth = replace(bandwidth, prior_sd=uncertainty_of_fit(Path(fit)))
-    problem = problem_of(dataset, calibration, background=background, free_scale=free_scale, box=box, seed=seed)
+    problem = problem_of(dataset, calibration, background=background, scale=scale, box=box, seed=seed)
     files = [*dataset.files, *([Path(fit) / "model.toml" if Path(fit).is_dir() else Path(fit)] if fit else [])]
     inputs = input_hashes(files)
     validation, test = evaluation_views(dataset)
