@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from pixelid.cli.main import main
 from pixelid.model.files import save_model
 from pixelid.model.shipped import find_model
-from pixelid.nerf.calibration import of_fit
+from pixelid.nerf.calibration import CIRCUIT, of_fit
 from pixelid.nerf.dataset import read_dataset
 from pixelid.nerf.gauge import gauge_of, scene_box
 from pixelid.nerf.problem import evaluation_views
@@ -143,6 +143,17 @@ def test_a_fit_replaces_the_pixel_in_the_datasets_unit(made, tmp_path):
     assert (found.on_threshold, found.off_threshold, found.refractory) == (0.3, 0.25, 2e-4)
     assert found.dark == pytest.approx(0.2)  # the fit has no dark current: the file's stays
     assert of_fit(data.calibration, tmp_path / "fit", 40.0).circuit.alpha == pytest.approx(3e4 * 40)
+
+
+def test_without_circuit_constants_only_the_pixel_of_a_fit_or_none_will_do(scene, tmp_path, capsys):
+    """Data sets of Robust e-NeRF."""
+    edit(scene / "camera_calibration.npz", **dict.fromkeys(CIRCUIT))
+    data = read_dataset(scene)
+    assert data.calibration.circuit.photoreceptor == "unlimited"
+    assert main(["reconstruct", str(scene), "--out", str(tmp_path / "out")]) == 2
+    assert "input_time_const_eff_it_prod: missing" in capsys.readouterr().err
+    words = ["--bandwidth", "off", "--iterations", "2", "--quiet"]
+    assert main(["reconstruct", str(scene), "--out", str(tmp_path / "out"), *words]) in (0, 1)
 
 
 EVENTS, POSES, CALIBRATION = "raw_events.npz", "camera_poses.npz", "camera_calibration.npz"

@@ -27,7 +27,7 @@ Example:
 @click.option("--background", type=click.FloatRange(min=0, min_open=True),
               help="Radiance behind the scene; by default what the views show.")  # fmt: skip
 @click.option("--scale", type=click.Choice(["auto", "level", "free"]), default="auto", show_default=True,
-              help="What pins the radiance unit: the background (else the views' level), the level, nothing.")  # fmt: skip
+              help="What pins the radiance unit; auto: the views' background, else their level.")  # fmt: skip
 @click.option("--box", nargs=6, type=float, metavar="X0 Y0 Z0 X1 Y1 Z1",
               help="Corners of the scene; by default a cube where the views look.")  # fmt: skip
 @click.option("--radiance-scale", type=click.FloatRange(min=0, min_open=True),

@@ -25,6 +25,15 @@ def read_arrays(file: Path, keys: Iterable[str]) -> dict[str, np.ndarray]:
         raise InputError(f"{file}: expected an npz file of plain arrays ({str(error).splitlines()[0][:80]})") from None
 
 
+def has_none(file: Path, keys: Iterable[str]) -> bool:
+    """Whether an npz file is there and has none of these keys."""
+    try:
+        with np.load(file, allow_pickle=False) as found:
+            return not set(keys) & set(found.files)
+    except (zipfile.BadZipFile, OSError, EOFError, ValueError, AttributeError):
+        return False
+
+
 def scalar(file: Path, found: dict, key: str, *, above=None, least=None, finite: bool = True) -> float:
     """One number of an npz file.  Raises InputError for several, for NaN, and for values out of range."""
     values = np.asarray(found[key])

@@ -21,7 +21,7 @@ import numpy as np
 from pixelid.errors import InputError
 from pixelid.model.model import Model
 from pixelid.model.shipped import find_model
-from pixelid.nerf.arrays import read_arrays, scalar
+from pixelid.nerf.arrays import has_none, read_arrays, scalar
 from pixelid.nerf.camera import DISTORTIONS, Camera
 from pixelid.parameters.invariants import Physical
 from pixelid.stages.circuit import Circuit
@@ -42,7 +42,8 @@ class Calibration:
 
     camera: of the event sensor;  bayer: "" (monochrome) or four letters, the 2 × 2 colours row by row;
     circuit: in the views' radiance unit, `dark` included;  dark: (C,) black level per colour channel;
-    q_in: the input time constant × radiance [unit·s], which ties fits of other units to this one
+    q_in: the input time constant × radiance [unit·s], which ties fits of other units to this one;
+    known: whether the file has the circuit (data sets of Robust e-NeRF have thresholds and dead time only)
     """
 
     camera: Camera
@@ -50,6 +51,7 @@ class Calibration:
     circuit: Circuit
     dark: np.ndarray
     q_in: float
+    known: bool
 
     @property
     def channels(self) -> int:
@@ -67,17 +69,20 @@ class Calibration:
 def read_calibration(path: Path) -> Calibration:
     """The calibration of a dataset folder.  Raises InputError naming file and key."""
     file = Path(path) / FILE
-    found = read_arrays(file, (*GEOMETRY, *COMPARATOR, *CIRCUIT))
+    known = not has_none(file, CIRCUIT)
+    found = read_arrays(file, (*GEOMETRY, *COMPARATOR, *(CIRCUIT if known else ())))
     camera = _camera(file, found)
     bayer = str(found["bayer_pattern"])
     if bayer and (len(bayer) != 4 or set(bayer) != set(COLOURS)):
         raise InputError(f"{file}: bayer_pattern: expected '' or four letters of {COLOURS}, found {bayer!r}")
+    if not known:
+        return Calibration(camera, bayer, _comparator(file, found), np.zeros(3 if bayer else 1), 0.0, False)
     circuit, q_in = _circuit(file, found)
     dark = np.atleast_1d(np.asarray(found["black_level"], dtype=np.float64)).ravel()
     if len(dark) not in (1, 3) or not (np.isfinite(dark) & (dark >= 0)).all():
         raise InputError(f"{file}: black_level: expected one or three numbers ≥ 0, found {dark}")
     dark = np.resize(dark if bayer else dark.mean(), 3 if bayer else 1)
-    return Calibration(camera, bayer, circuit.with_(dark=float(dark.mean())), dark, q_in)
+    return Calibration(camera, bayer, circuit.with_(dark=float(dark.mean())), dark, q_in, True)
 
 
 def _camera(file: Path, found: dict[str, np.ndarray]) -> Camera:
@@ -98,23 +103,27 @@ def _camera(file: Path, found: dict[str, np.ndarray]) -> Camera:
 
 def _circuit(file: Path, found: dict[str, np.ndarray]) -> tuple[Circuit, float]:
     """The circuit of the file's values, and its q_in."""
-    on, off = (scalar(file, found, name, above=0) for name in COMPARATOR[:2])
-    refractory = scalar(file, found, "refractory_period", least=0) * 1e-9
     q_in, q_mil, tau_out = (scalar(file, found, name, least=0) for name in (CIRCUIT[0], CIRCUIT[1], CIRCUIT[5]))
     gain, closed = (scalar(file, found, name, above=0, finite=False) for name in ("amplifier_gain", "closed_loop_gain"))
     lower = scalar(file, found, "lower_cutoff_freq", least=0)
     follower, differencing = (scalar(file, found, name, above=0, finite=False) for name in CIRCUIT[7:])
-    circuit = Circuit(
-        follower=2 * math.pi * follower, differencing=2 * math.pi * differencing, lower_cutoff=2 * math.pi * lower,
-        on_threshold=on, off_threshold=off, refractory=refractory,
+    circuit = _comparator(file, found).with_(
+        follower=2 * math.pi * follower, differencing=2 * math.pi * differencing, lower_cutoff=2 * math.pi * lower
     )  # fmt: skip
     loop = gain / closed
     if not math.isfinite(gain) or q_in + q_mil == 0:
-        return circuit.with_(photoreceptor="unlimited"), q_in
+        return circuit, q_in
     if tau_out == 0:
         return circuit.with_(photoreceptor="one_pole", corner=(loop + 1) / (q_in + (gain + 1) * q_mil)), q_in
     alpha, beta, gamma = Physical(gain, loop, tau_out, q_in, q_mil).invariants()
-    return circuit.with_(alpha=alpha, beta=beta, gamma=gamma), q_in
+    return circuit.with_(photoreceptor="second_order", alpha=alpha, beta=beta, gamma=gamma), q_in
+
+
+def _comparator(file: Path, found: dict[str, np.ndarray]) -> Circuit:
+    """A circuit without bandwidth limit: thresholds and dead time alone."""
+    on, off = (scalar(file, found, name, above=0) for name in COMPARATOR[:2])
+    refractory = scalar(file, found, "refractory_period", least=0) * 1e-9
+    return Circuit(photoreceptor="unlimited", on_threshold=on, off_threshold=off, refractory=refractory)
 
 
 def of_fit(calibration: Calibration, folder: Path, scale: float | None = None) -> Calibration:
@@ -136,7 +145,7 @@ def of_fit(calibration: Calibration, folder: Path, scale: float | None = None) -
         dark = np.full(calibration.channels, circuit.dark)
     else:
         dark, circuit = calibration.dark, circuit.with_(dark=float(calibration.dark.mean()))
-    return Calibration(calibration.camera, calibration.bayer, circuit, dark, calibration.q_in)
+    return Calibration(calibration.camera, calibration.bayer, circuit, dark, calibration.q_in, True)
 
 
 def uncertainty_of_fit(folder: Path) -> dict[str, float]:

@@ -22,6 +22,7 @@ from pixelid.nerf.calibration import Calibration, read_calibration
 from pixelid.nerf.trajectory import Trajectory
 from pixelid.nerf.views import RENDERER, Views, read_views
 
+SLACK = 1000  # ns by which rounded clocks may disagree
 EVENTS, POSES = "raw_events.npz", "camera_poses.npz"
 FILES = (EVENTS, POSES, CALIBRATION, RENDERER)
 
@@ -57,7 +58,7 @@ def read_dataset(path: Path) -> Dataset:
     trajectory, zero = _poses(path / POSES)
     t, x, y, on = _events(path / EVENTS, calibration)
     begin, end = zero, round(trajectory.t[-1] * 1e9) + zero
-    if t[0] < begin or t[-1] > end:
+    if t[0] < begin - SLACK or t[-1] > end + SLACK:
         raise InputError(
             f"{path / POSES}: T_wc_timestamp: poses cover {begin} … {end} ns, "
             f"but timestamp of {EVENTS} runs {t[0]} … {t[-1]} ns"

@@ -12,8 +12,8 @@ import torch
 
 from pixelid.errors import InputError
 from pixelid.nerf import checkpoint, parallel
-from pixelid.nerf.calibration import Calibration, of_fit, uncertainty_of_fit
-from pixelid.nerf.dataset import Dataset
+from pixelid.nerf.calibration import CIRCUIT, Calibration, of_fit, uncertainty_of_fit
+from pixelid.nerf.dataset import CALIBRATION, Dataset
 from pixelid.nerf.evaluate import Scores, evaluate, render_views
 from pixelid.nerf.pixel import Bandwidth
 from pixelid.nerf.problem import evaluation_views, problem_of
@@ -127,6 +127,11 @@ def reconstruct(
         raise InputError("--device cuda: no CUDA device is available")
     if calibration is None:
         calibration = of_fit(dataset.calibration, fit, radiance_scale) if fit else dataset.calibration
+    if bandwidth.mode != "off" and not calibration.known:
+        raise InputError(
+            f"{dataset.path / CALIBRATION}: {CIRCUIT[0]}: missing, like all circuit constants; give the pixel by "
+            "--fit, or --bandwidth off"
+        )
     if fit and bandwidth.mode == "joint" and bandwidth.prior_sd is None:
         bandwidth = replace(bandwidth, prior_sd=uncertainty_of_fit(Path(fit)))
     problem = problem_of(dataset, calibration, background=background, scale=scale, box=box, seed=seed)
