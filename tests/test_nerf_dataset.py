@@ -9,9 +9,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from pixelid.cli.main import main
+from pixelid.errors import InputError
 from pixelid.model.files import save_model
 from pixelid.model.shipped import find_model
-from pixelid.nerf.calibration import CIRCUIT, of_fit
+from pixelid.nerf.calibration import CIRCUIT, of_fit, uncertainty_of_fit
 from pixelid.nerf.dataset import read_dataset
 from pixelid.nerf.gauge import gauge_of, scene_box
 from pixelid.nerf.problem import evaluation_views
@@ -264,3 +265,16 @@ def test_an_existing_result_is_kept(made, tmp_path, capsys):
     (tmp_path / "out").mkdir()
     assert main(["reconstruct", str(made), "--out", str(tmp_path / "out")]) == 2
     assert "exists already" in capsys.readouterr().err
+
+
+def test_what_a_fit_leaves_uncertain_is_the_prior(tmp_path):
+    entries = {
+        "alpha": {"value": 5e4, "std": 500.0, "fixed": False},
+        "beta": {"value": 1800.0, "std": None, "fixed": True},
+        "gamma": {"value": 1.1, "std": None, "fixed": False},
+    }
+    (tmp_path / "fit.json").write_text(json.dumps({"parameters": entries}))
+    assert uncertainty_of_fit(tmp_path) == pytest.approx({"alpha": 0.01, "beta": 1e-3})
+    (tmp_path / "fit.json").write_text("{}")
+    with pytest.raises(InputError, match=r"fit\.json: parameters"):
+        uncertainty_of_fit(tmp_path)
