@@ -15,13 +15,14 @@ import numpy as np
 import torch
 
 from pixelid.nerf import raycast
+from pixelid.nerf.camera import sub_pixel_directions
 from pixelid.nerf.dataset import Dataset, read_dataset
 from pixelid.nerf.intervals import chains
 from pixelid.nerf.losses import changes, residual_rms
 from pixelid.nerf.pixel import Bandwidth, Pixel
 from pixelid.nerf.problem import problem_of
 from pixelid.nerf.scan import respond
-from pixelid.nerf.scenes import procedural, sub_pixel_directions
+from pixelid.nerf.scenes import procedural
 from pixelid.nerf.synthetic import SETTINGS, make_dataset
 from pixelid.nerf.train import EPSILON
 

@@ -55,6 +55,15 @@ def pinhole(width: int, height: int, horizontal_fov: float) -> Camera:
     return Camera(intrinsics, width, height, np.empty(0))
 
 
+def sub_pixel_directions(camera: Camera, supersample: int) -> np.ndarray:
+    """(pixels · supersample², 3) directions on a regular sub-grid of every pixel, a pixel's rays together."""
+    y, x = np.mgrid[: camera.height, : camera.width]
+    offset = (np.arange(supersample) + 0.5) / supersample - 0.5
+    dy, dx = np.meshgrid(offset, offset, indexing="ij")
+    xy = np.stack([x.reshape(-1, 1) + dx.ravel(), y.reshape(-1, 1) + dy.ravel()], axis=-1)
+    return np.ascontiguousarray(camera.directions(xy.reshape(-1, 2)))
+
+
 def _undo_radial(distorted: np.ndarray, coefficients: np.ndarray) -> np.ndarray:
     k1, k2, p1, p2, k3 = (*coefficients, *np.zeros(5 - len(coefficients)))
     at = distorted.copy()

@@ -47,7 +47,7 @@ def problem_of(
             raise InputError(f"--box: expected low corner below high corner, found {list(box)}")
     y, x = np.divmod(np.arange(camera.width * camera.height), camera.width)
     return Problem(
-        training, held, dataset.trajectory, camera.all_directions(), calibration.channel_of(x, y), calibration.dark,
+        training, held, dataset.trajectory, camera, calibration.channel_of(x, y), calibration.dark,
         calibration.circuit, gauge_of(dataset, background, scale), low, high,
     )  # fmt: skip
 

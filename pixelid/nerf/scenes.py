@@ -14,7 +14,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from pixelid.nerf import raycast
-from pixelid.nerf.camera import Camera
+from pixelid.nerf.camera import Camera, sub_pixel_directions
 from pixelid.nerf.trajectory import Trajectory
 
 BACKGROUND = 0.4
@@ -55,15 +55,6 @@ class Scene:
         with ThreadPoolExecutor(workers) as pool:
             list(pool.map(part, range(len(edges) - 1)))
         return out.reshape(len(position), camera.height, camera.width)
-
-
-def sub_pixel_directions(camera: Camera, supersample: int) -> np.ndarray:
-    """(pixels · supersample², 3) directions on a regular sub-grid of every pixel, a pixel's rays together."""
-    y, x = np.mgrid[: camera.height, : camera.width]
-    offset = (np.arange(supersample) + 0.5) / supersample - 0.5
-    dy, dx = np.meshgrid(offset, offset, indexing="ij")
-    xy = np.stack([x.reshape(-1, 1) + dx.ravel(), y.reshape(-1, 1) + dy.ravel()], axis=-1)
-    return np.ascontiguousarray(camera.directions(xy.reshape(-1, 2)))
 
 
 def procedural(seed: int, objects: int = 7) -> Scene:

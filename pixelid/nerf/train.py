@@ -15,6 +15,7 @@ import numpy as np
 import torch
 
 from pixelid.nerf import parallel
+from pixelid.nerf.camera import Camera, sub_pixel_directions
 from pixelid.nerf.field import Field
 from pixelid.nerf.gauge import Gauge
 from pixelid.nerf.intervals import Chains, Intervals, chains
@@ -36,7 +37,8 @@ class Recipe:
     iterations: steps;  batch: chains per step (over all processes);  vertices: grid sizes, each for an equal share of
     the steps (empty: `for_sensor` chooses);  rate, last_rate: learning rate, decaying exponentially;  weights: λ;
     roughness: λ of the grid's total variation;  emptiness: λ of the mean log density, which clears what no event asks
-    for;  level: λ of the mean log radiance when the gauge needs it;  engine: of `render` and `respond`
+    for;  level: λ of the mean log radiance when the gauge needs it;  engine: of `render` and `respond`;
+    supersample: rays per pixel and side
     """
 
     iterations: int = 1200
@@ -49,6 +51,7 @@ class Recipe:
     emptiness: float = 0.01
     level: float = 10.0
     engine: str = "auto"
+    supersample: int = 1
     seed: int = 0
 
     def for_sensor(self, width: int) -> Recipe:
@@ -71,14 +74,14 @@ class Recipe:
 class Problem:
     """What is reconstructed from.
 
-    training, held_out: intervals;  directions: (pixels, 3) in the camera frame;  channel: (pixels,);  dark: (C,) added
-    to the field's radiance;  circuit: of the pixel;  gauge: what pins the radiance unit;  low, high: the box
+    training, held_out: intervals;  camera: of the sensor;  channel: (pixels,);  dark: (C,) added to the field's
+    radiance;  circuit: of the pixel;  gauge: what pins the radiance unit;  low, high: the box
     """
 
     training: Intervals
     held_out: Intervals
     trajectory: Trajectory
-    directions: np.ndarray
+    camera: Camera
     channel: np.ndarray
     dark: np.ndarray
     circuit: Circuit
@@ -89,11 +92,15 @@ class Problem:
 
 @dataclass
 class State:
-    """Everything that a step reads and changes."""
+    """Everything that a step reads and changes.
+
+    inside: (pixels · rays, 3) directions in the camera frame, a pixel's together
+    """
 
     field: Field
     pixel: Pixel
     optimiser: torch.optim.Optimizer
+    inside: np.ndarray
     iteration: int
     rays: int = 0
     history: list[dict[str, float]] = dataclasses.field(default_factory=list)
@@ -108,7 +115,8 @@ def start(problem: Problem, recipe: Recipe, bandwidth: Bandwidth, device: str = 
         free_background=gauge.free_background, level=float(np.exp(gauge.level.mean())),
     ).to(device)  # fmt: skip
     pixel = Pixel(problem.circuit, bandwidth).to(device)
-    return State(scene, pixel, optimiser_of(scene, pixel, recipe), 0)
+    inside = sub_pixel_directions(problem.camera, recipe.supersample)
+    return State(scene, pixel, optimiser_of(scene, pixel, recipe), inside, 0)
 
 
 def optimiser_of(scene: Field, pixel: Pixel, recipe: Recipe) -> torch.optim.Optimizer:
@@ -121,21 +129,22 @@ def optimiser_of(scene: Field, pixel: Pixel, recipe: Recipe) -> torch.optim.Opti
     return torch.optim.Adam(groups, betas=(0.9, 0.99), eps=1e-15, fused=True)
 
 
-def sample_rays(problem: Problem, batch: Chains, rng: np.random.Generator) -> Rays:
-    """The rays of all samples of a batch: through pixel centres, all of a chain starting at one offset."""
-    length = np.diff(batch.first)
-    pixel = np.repeat(batch.pixel, length)
-    origins, directions = problem.trajectory.rays(batch.t, problem.directions[pixel])
-    offsets = np.repeat(rng.random(len(length), dtype=np.float32), length)
+def sample_rays(problem: Problem, inside: np.ndarray, batch: Chains, rng: np.random.Generator) -> Rays:
+    """The rays of all samples of a batch, a sample's together; all of a chain start at one offset."""
+    each, length = len(inside) // len(problem.channel), np.diff(batch.first)
+    pixel = np.repeat(np.repeat(batch.pixel, length), each)
+    sub = np.tile(np.arange(each), len(batch.t))
+    origins, directions = problem.trajectory.rays(np.repeat(batch.t, each), inside[pixel * each + sub])
+    offsets = np.repeat(rng.random(len(length), dtype=np.float32), length * each)
     return Rays(origins, directions, problem.channel[pixel], offsets)
 
 
 def predict(problem: Problem, state: State, batch: Chains, rng: np.random.Generator, engine: str = "auto"):
     """(change (runs, CHAIN), level (n,), log radiance (n,)) of a batch."""
-    rays = sample_rays(problem, batch, rng)
-    radiance, _ = state.field(rays, engine)
-    dark = torch.as_tensor(problem.dark[rays.channels], device=radiance.device)
-    u = torch.log((radiance.double() + dark).clamp(min=EPSILON))
+    rays = sample_rays(problem, state.inside, batch, rng)
+    radiance = state.field(rays, engine)[0].reshape(len(batch.t), -1).mean(dim=1)
+    dark = torch.as_tensor(problem.dark[problem.channel[np.repeat(batch.pixel, np.diff(batch.first))]])
+    u = torch.log((radiance.double() + dark.to(radiance.device)).clamp(min=EPSILON))
     if not state.pixel.filtering:
         return changes(u, u, batch, None), u, u
     dynamics = state.pixel.dynamics
@@ -180,7 +189,7 @@ def step(problem: Problem, recipe: Recipe, state: State) -> dict[str, float]:
     parallel.average_gradients(p for group in state.optimiser.param_groups for p in group["params"])
     state.optimiser.step()
     state.iteration += 1
-    state.rays += len(batch.t)
+    state.rays += len(batch.t) * recipe.supersample**2
     if state.iteration % 16 == 0 and state.iteration >= 64:
         state.field.look_for_empty_blocks()
     return {"loss": float(loss.detach()), **{name: float(value.detach()) for name, value in found.items()}}
