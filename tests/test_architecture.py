@@ -27,6 +27,7 @@ MAY_IMPORT["flicker"] = MAY_IMPORT["simulate"] | {"rates", "identify"}
 for folder in ("sample", "compare", "lowlight", "design"):  # what follows from a fit
     MAY_IMPORT[folder] = MAY_IMPORT["fit"] | {"fit", "sample"}
 MAY_IMPORT["gap"] = MAY_IMPORT["fit"] | {"fit", "design", "inspection"}
+MAY_IMPORT["nerf"] = MAY_IMPORT["identify"]  # nothing but report, demo and cli uses it
 MAY_IMPORT["report"] = set(MAY_IMPORT)
 MAY_IMPORT["demo"] = set(MAY_IMPORT)
 MAY_IMPORT["cli"] = set(MAY_IMPORT)

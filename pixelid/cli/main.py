@@ -26,6 +26,7 @@ COMMANDS = {
     "lowlight": "Dominant-pole analysis over radiance.",
     "design": "Which stimulus to record next, and why.",
     "gap": "Which effect a model lacks: find it, name it, add it.",
+    "reconstruct": "A sharp scene from motion-blurred events.",
     "report": "A one-page report.html for any result folder.",
     "demo": "The whole story on embedded data, minutes on a laptop.",
 }

@@ -13,7 +13,15 @@ from pathlib import Path
 
 from pixelid.errors import InputError
 
-PAGES = ("gap_page", "fit_page", "lowlight_page", "design_page", "rates_page", "flicker_page")
+PAGES = (
+    "gap_page",
+    "fit_page",
+    "lowlight_page",
+    "design_page",
+    "rates_page",
+    "flicker_page",
+    "reconstruction_page",
+)
 
 _SHELL = """<!doctype html>
 <html lang="en"><head><meta charset="utf-8"><title>{{ title }}</title><style>

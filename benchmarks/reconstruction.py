@@ -1,0 +1,184 @@
+"""Ablations of the reconstruction on procedural scenes: PSNR of test views, one line per run.
+
+    python benchmarks/reconstruction.py bandwidth --settings hard hard8 --seeds 0 1 2
+    python benchmarks/reconstruction.py samples joint pixel effect scale --settings hard8 --seeds 0
+
+bandwidth   on, off, and `ideal`: the same field trained on events of a camera without bandwidth limit
+samples     S of the past: 1, 5, 15, 30, 50
+joint       the filter trained with the scene from a start wrong by 3 in α and the source follower; the same start held
+pixel       the camera differs from nominal by 2 in α and the source follower: true, nominal, fitted, and twice too fast
+effect      a camera with 2 ms dead time: reconstructed with and without the effect
+scale       radiance unit pinned by the background, by the views' mean level, free, and free with the pixel trained
+            under the prior of a fit
+
+Scenes and fits are kept in --work and reused; results are appended to results.jsonl there, and printed as a table.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from pixelid.demo.demo import calibration_session
+from pixelid.fit import fit
+from pixelid.model.model import Model
+from pixelid.model.shipped import find_model
+from pixelid.nerf.calibration import in_unit, of_fit
+from pixelid.nerf.dataset import Dataset, read_dataset
+from pixelid.nerf.pixel import Bandwidth
+from pixelid.nerf.reconstruct import reconstruct
+from pixelid.nerf.synthetic import SETTINGS, camera_model, make_dataset
+from pixelid.nerf.train import Recipe
+
+SAMPLES = (1, 5, 15, 30, 50)
+SLOW = 0.5  # α and source follower of the camera that differs from nominal
+CHANGED = ("alpha", "sf_cutoff_hz")
+
+
+def dataset(work: Path, setting: str, seed: int, label: str = "", model: Model | None = None) -> Dataset:
+    """A scene's dataset, made when it is not there yet."""
+    path = work / f"{setting}_{seed}{label}"
+    if not path.is_dir():
+        make_dataset(path, setting, seed=seed, model=model)
+    return read_dataset(path)
+
+
+def fast_camera(setting: str) -> Model:
+    """The same camera without bandwidth limit: dark current, mismatch, threshold noise and dead time stay."""
+    limited, model = camera_model(SETTINGS[setting]), find_model("ideal")
+    for effect in ("dark_current", "threshold_mismatch", "threshold_noise", "refractory_period"):
+        model = model.with_effect(effect)
+    return model.set({name: value for name, value in limited.values.items() if name in model.parameters})
+
+
+def slow_camera(setting: str) -> Model:
+    """A camera that differs from nominal by `SLOW` in α and the source follower."""
+    model = camera_model(SETTINGS[setting])
+    return model.set({name: SLOW * model.values[name] for name in CHANGED})
+
+
+def fitted(work: Path, seed: int) -> Path:
+    """The fit of a calibration session of that camera, its radiance in fA; α and follower unknown to the fit."""
+    folder = work / f"fit_{seed}"
+    if not folder.is_dir():
+        truth = slow_camera("hard").without_effect("dark_current")
+        result = fit(calibration_session(truth, seed), find_model("dvs128"), seed=seed)
+        folder.mkdir()
+        result.save(folder)
+    return folder
+
+
+def arms(name: str, work: Path, setting: str, seed: int):
+    """(arm, dataset or what makes it, options of `reconstruct`) of an experiment."""
+    if name in ("bandwidth", "samples", "joint"):
+        data = dataset(work, setting, seed)
+        circuit = data.calibration.circuit
+    if name == "bandwidth":
+        yield "on", data, {}
+        yield "off", data, {"bandwidth": Bandwidth("off")}
+        yield (
+            "ideal",
+            lambda: dataset(work, setting, seed, "_ideal", fast_camera(setting)),
+            {"bandwidth": Bandwidth("off")},
+        )
+    elif name == "samples":
+        for samples in SAMPLES:
+            yield f"S={samples}", data, {"bandwidth": Bandwidth("on", samples)}
+        yield "off", data, {"bandwidth": Bandwidth("off")}
+    elif name == "joint":
+        wrong = replace(data.calibration, circuit=circuit.with_(alpha=circuit.alpha * 3, follower=circuit.follower * 3))
+        yield "joint from x3", data, {"calibration": wrong, "bandwidth": Bandwidth("joint")}
+        yield "held at x3", data, {"calibration": wrong}
+    elif name == "pixel":
+        data = dataset(work, setting, seed, "_slow", slow_camera(setting))
+        circuit = data.calibration.circuit  # nominal: the file quotes it
+        true = in_unit(slow_camera(setting).circuit(), SETTINGS[setting].white_fa)
+        yield "true", data, {"calibration": replace(data.calibration, circuit=true)}
+        yield "fitted", data, {"calibration": of_fit(data.calibration, fitted(work, seed))}
+        yield "nominal", data, {}
+        double = circuit.with_(alpha=circuit.alpha * 2, follower=circuit.follower * 2)
+        yield "2x nominal", data, {"calibration": replace(data.calibration, circuit=double)}
+        yield "off", data, {"bandwidth": Bandwidth("off")}
+    elif name == "effect":
+        model = camera_model(SETTINGS[setting]).set({"refractory_s": 2e-3})
+        data = dataset(work, setting, seed, "_dead", model)
+        ignored = replace(data.calibration, circuit=data.calibration.circuit.with_(refractory=0.0))
+        yield "dead time known", data, {}
+        yield "dead time ignored", data, {"calibration": ignored}
+    elif name == "scale":
+        data = dataset(work, setting, seed)
+        sharp = {"alpha": 0.01, "beta": 0.01, "gamma": 0.05, "follower": 0.02}
+        yield "pinned", data, {}
+        yield "level", data, {"scale": "level"}
+        yield "free", data, {"scale": "free"}
+        yield "free, joint with prior", data, {"scale": "free", "bandwidth": Bandwidth("joint", prior_sd=sharp)}
+
+
+def run(name: str, work: Path, setting: str, seed: int, iterations: int | None, only: list[str] | None) -> None:
+    recipe = replace(Recipe(), iterations=iterations) if iterations else Recipe()
+    for arm, make, options in arms(name, work, setting, seed):
+        if only and arm not in only:
+            continue
+        data = make() if callable(make) else make
+        used = time.process_time()
+        result = reconstruct(data, recipe=recipe, seed=seed, **options)
+        row = {
+            "experiment": name, "setting": setting, "seed": seed, "arm": arm,
+            "psnr": round(float(result.scores.psnr.mean()), 3), "ssim": round(float(result.scores.ssim.mean()), 4),
+            "held_out": round(result.held_out, 4), "seconds": round(result.seconds, 1),
+            "cpu_seconds": round(time.process_time() - used, 1), "rays_per_second": round(result.rays_per_second),
+            "iterations": recipe.iterations, "pixel": result.state.pixel.values(),
+        }  # fmt: skip
+        with (work / "results.jsonl").open("a") as file:
+            file.write(json.dumps(row) + "\n")
+        print(
+            f"{name:10} {setting:7} seed {seed}  {arm:22} {row['psnr']:6.2f} dB  SSIM {row['ssim']:.3f}  "
+            f"{row['seconds']:5.0f} s wall, {row['cpu_seconds']:5.0f} s CPU",
+            flush=True,
+        )
+
+
+def table(work: Path) -> str:
+    """Mean ± sd over seeds of every arm, as Markdown; the last run of an arm and seed counts."""
+    rows: dict = {}
+    for line in (work / "results.jsonl").read_text().splitlines():
+        row = json.loads(line)
+        rows.setdefault((row["experiment"], row["setting"], row["arm"]), {})[row["seed"]] = row
+    lines = ["| experiment | setting | arm | PSNR [dB] | SSIM | seeds | CPU s |", "|---|---|---|---|---|---|---|"]
+    for (name, setting, arm), seeds in rows.items():
+        psnr = np.array([row["psnr"] for row in seeds.values()])
+        spread = f" ± {psnr.std(ddof=1):.2f}" if len(psnr) > 1 else ""
+        ssim = np.mean([row["ssim"] for row in seeds.values()])
+        cpu = np.mean([row["cpu_seconds"] for row in seeds.values()])
+        lines.append(
+            f"| {name} | {setting} | {arm} | {psnr.mean():.2f}{spread} | {ssim:.3f} | {len(psnr)} | {cpu:.0f} |"
+        )
+    return "\n".join(lines)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    names = ("bandwidth", "samples", "joint", "pixel", "effect", "scale")
+    parser.add_argument("experiments", nargs="*", choices=[*names, []], default=[])
+    parser.add_argument("--settings", nargs="+", choices=list(SETTINGS), default=["hard"])
+    parser.add_argument("--seeds", nargs="+", type=int, default=[0])
+    parser.add_argument("--arms", nargs="+", help="only these")
+    parser.add_argument("--iterations", type=int)
+    parser.add_argument("--work", type=Path, default=Path("out/reconstruction"))
+    options = parser.parse_args()
+    options.work.mkdir(parents=True, exist_ok=True)
+    for name in options.experiments:
+        for setting in options.settings:
+            for seed in options.seeds:
+                run(name, options.work, setting, seed, options.iterations, options.arms)
+    if (options.work / "results.jsonl").is_file():
+        print(table(options.work))
+
+
+if __name__ == "__main__":
+    main()

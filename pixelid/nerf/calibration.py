@@ -1,0 +1,187 @@
+"""`camera_calibration.npz`: the camera's geometry and its pixel's circuit, in the radiance unit of the views.
+
+The file quotes circuit values with the photocurrent per unit of image intensity divided out:
+
+    input_time_const_eff_it_prod   q_in = τ_in L       miller_time_const_eff_it_prod   q_mil = τ_mil L
+    A_loop = amplifier_gain / closed_loop_gain         black_level = dark current in units of image intensity
+
+They enter through the invariants α, β, γ (DESIGN §2).  A fit of the same camera may replace them: its radiance unit is
+tied to the dataset's by q_in, which both quote (the fit in its gauge).
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from pixelid.errors import InputError
+from pixelid.model.model import Model
+from pixelid.model.shipped import find_model
+from pixelid.nerf.arrays import has_none, read_arrays, scalar
+from pixelid.nerf.camera import DISTORTIONS, Camera
+from pixelid.parameters.invariants import Physical
+from pixelid.stages.circuit import Circuit
+
+FILE = "camera_calibration.npz"
+GEOMETRY = ("intrinsics", "distortion_params", "distortion_model", "img_height", "img_width", "bayer_pattern")
+COMPARATOR = ("pos_contrast_threshold", "neg_contrast_threshold", "refractory_period")
+CIRCUIT = (
+    "input_time_const_eff_it_prod", "miller_time_const_eff_it_prod", "black_level", "amplifier_gain",
+    "closed_loop_gain", "output_time_const", "lower_cutoff_freq", "sf_cutoff_freq", "diff_amp_cutoff_freq",
+)  # fmt: skip
+COLOURS = "RGB"
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """Geometry and pixel of a dataset.
+
+    camera: of the event sensor;  bayer: "" (monochrome) or four letters, the 2 × 2 colours row by row;
+    circuit: in the views' radiance unit, `dark` included;  dark: (C,) black level per colour channel;
+    q_in: the input time constant × radiance [unit·s], which ties fits of other units to this one;
+    known: whether the file has the circuit (data sets of Robust e-NeRF have thresholds and dead time only)
+    """
+
+    camera: Camera
+    bayer: str
+    circuit: Circuit
+    dark: np.ndarray
+    q_in: float
+    known: bool
+
+    @property
+    def channels(self) -> int:
+        """1 for a monochrome sensor, 3 behind a colour filter array."""
+        return 3 if self.bayer else 1
+
+    def channel_of(self, x, y) -> np.ndarray:
+        """The colour channel (n,) of pixels at integer positions x, y (n,)."""
+        if not self.bayer:
+            return np.zeros(len(x), np.int64)
+        pattern = np.array([COLOURS.index(letter) for letter in self.bayer])
+        return pattern[(np.asarray(x) % 2) + 2 * (np.asarray(y) % 2)]
+
+
+def read_calibration(path: Path) -> Calibration:
+    """The calibration of a dataset folder.  Raises InputError naming file and key."""
+    file = Path(path) / FILE
+    known = not has_none(file, CIRCUIT)
+    found = read_arrays(file, (*GEOMETRY, *COMPARATOR, *(CIRCUIT if known else ())))
+    camera = _camera(file, found)
+    bayer = str(found["bayer_pattern"])
+    if bayer and (len(bayer) != 4 or set(bayer) != set(COLOURS)):
+        raise InputError(f"{file}: bayer_pattern: expected '' or four letters of {COLOURS}, found {bayer!r}")
+    if not known:
+        return Calibration(camera, bayer, _comparator(file, found), np.zeros(3 if bayer else 1), 0.0, False)
+    circuit, q_in = _circuit(file, found)
+    dark = np.atleast_1d(np.asarray(found["black_level"], dtype=np.float64)).ravel()
+    if len(dark) not in (1, 3) or not (np.isfinite(dark) & (dark >= 0)).all():
+        raise InputError(f"{file}: black_level: expected one or three numbers ≥ 0, found {dark}")
+    dark = np.resize(dark if bayer else dark.mean(), 3 if bayer else 1)
+    return Calibration(camera, bayer, circuit.with_(dark=float(dark.mean())), dark, q_in, True)
+
+
+def _camera(file: Path, found: dict[str, np.ndarray]) -> Camera:
+    intrinsics = np.asarray(found["intrinsics"], dtype=np.float64)
+    if intrinsics.shape != (3, 3) or not np.isfinite(intrinsics).all() or abs(np.linalg.det(intrinsics)) < 1e-12:
+        raise InputError(
+            f"{file}: intrinsics: expected a finite invertible 3 × 3 matrix, found shape {intrinsics.shape}"
+        )
+    distortion = np.atleast_1d(np.asarray(found["distortion_params"], dtype=np.float64)).ravel()
+    model = str(found["distortion_model"])
+    if len(distortion) not in (0, 4, 5) or not np.isfinite(distortion).all():
+        raise InputError(f"{file}: distortion_params: expected 0, 4 or 5 finite numbers, found {distortion}")
+    if np.any(distortion != 0) and (model not in DISTORTIONS or (model == "equidistant" and len(distortion) != 4)):
+        raise InputError(f"{file}: distortion_model: expected one of {', '.join(DISTORTIONS)}, found {model!r}")
+    height, width = (scalar(file, found, name, above=0) for name in ("img_height", "img_width"))
+    return Camera(intrinsics, round(width), round(height), distortion, model)
+
+
+def _circuit(file: Path, found: dict[str, np.ndarray]) -> tuple[Circuit, float]:
+    """The circuit of the file's values, and its q_in."""
+    q_in, q_mil, tau_out = (scalar(file, found, name, least=0) for name in (CIRCUIT[0], CIRCUIT[1], CIRCUIT[5]))
+    gain, closed = (scalar(file, found, name, above=0, finite=False) for name in ("amplifier_gain", "closed_loop_gain"))
+    lower = scalar(file, found, "lower_cutoff_freq", least=0)
+    follower, differencing = (scalar(file, found, name, above=0, finite=False) for name in CIRCUIT[7:])
+    circuit = _comparator(file, found).with_(
+        follower=2 * math.pi * follower, differencing=2 * math.pi * differencing, lower_cutoff=2 * math.pi * lower
+    )  # fmt: skip
+    loop = gain / closed
+    if not math.isfinite(gain) or q_in + q_mil == 0:
+        return circuit, q_in
+    if tau_out == 0:
+        return circuit.with_(photoreceptor="one_pole", corner=(loop + 1) / (q_in + (gain + 1) * q_mil)), q_in
+    alpha, beta, gamma = Physical(gain, loop, tau_out, q_in, q_mil).invariants()
+    return circuit.with_(photoreceptor="second_order", alpha=alpha, beta=beta, gamma=gamma), q_in
+
+
+def _comparator(file: Path, found: dict[str, np.ndarray]) -> Circuit:
+    """A circuit without bandwidth limit: thresholds and dead time alone."""
+    on, off = (scalar(file, found, name, above=0) for name in COMPARATOR[:2])
+    refractory = scalar(file, found, "refractory_period", least=0) * 1e-9
+    return Circuit(photoreceptor="unlimited", on_threshold=on, off_threshold=off, refractory=refractory)
+
+
+def of_fit(calibration: Calibration, folder: Path, scale: float | None = None) -> Calibration:
+    """The calibration with the pixel of a fit in place of the file's.
+
+    scale: the fit's radiance units per unit of the views; by default from q_in, which the fit's gauge (or nominal
+    physical values) and the dataset both quote.  Raises InputError when neither tells.
+    """
+    folder = Path(folder)
+    file = folder / "model.toml" if folder.is_dir() else folder
+    if not file.is_file():
+        raise InputError(f"{file}: no such file; expected --fit to be the folder of a fit")
+    model = find_model(file)
+    scale = _scale(calibration, model, file) if scale is None else scale
+    circuit = in_unit(model.circuit(), scale)
+    if not math.isfinite(circuit.on_threshold) or not math.isfinite(circuit.off_threshold):
+        raise InputError(f"{file}: on_threshold, off_threshold: missing")
+    if "dark_current" in model.effects:
+        dark = np.full(calibration.channels, circuit.dark)
+    else:
+        dark, circuit = calibration.dark, circuit.with_(dark=float(calibration.dark.mean()))
+    return Calibration(calibration.camera, calibration.bayer, circuit, dark, calibration.q_in, True)
+
+
+def uncertainty_of_fit(folder: Path) -> dict[str, float]:
+    """Standard deviations of the logs of what `Pixel` may train, from fit.json; empty where there is none.
+
+    What the fit held fixed is known to 0.1 %; what it could not identify is left out.
+    """
+    file = Path(folder) / "fit.json"
+    if not file.is_file():
+        return {}
+    try:
+        parameters = json.loads(file.read_text())["parameters"]
+        found = {
+            ours: 1e-3 if entry.get("fixed") else float(entry["std"]) / float(entry["value"])
+            for ours, theirs in (("alpha", "alpha"), ("beta", "beta"), ("gamma", "gamma"), ("follower", "sf_cutoff_hz"))
+            if (entry := parameters.get(theirs)) and (entry.get("fixed") or entry.get("std"))
+        }
+    except (ValueError, KeyError, TypeError, AttributeError, ZeroDivisionError):
+        raise InputError(f"{file}: parameters: expected value and std of each") from None
+    return {name: max(sd, 1e-3) for name, sd in found.items()}
+
+
+def _scale(calibration: Calibration, model: Model, file: Path) -> float:
+    q_in = model.gauge.fixed.get("q_in") or (model.physical.q_in if model.physical else None)
+    if not q_in or not calibration.q_in > 0:
+        raise InputError(
+            f"{file}: radiance unit: expected q_in in its [gauge] and input_time_const_eff_it_prod > 0 in {FILE}, "
+            "which tie the two units; or give --radiance-scale"
+        )
+    return q_in / calibration.q_in
+
+
+def in_unit(circuit: Circuit, scale: float) -> Circuit:
+    """The same circuit for radiance in units that are `scale` times larger: L' = L / scale."""
+    return circuit.with_(
+        alpha=circuit.alpha * scale, gamma=circuit.gamma * scale, corner=circuit.corner * scale,
+        dark=circuit.dark / scale, shot_density=circuit.shot_density / scale,
+        leak_hz_per_radiance=circuit.leak_hz_per_radiance * scale,
+    )  # fmt: skip

@@ -1,0 +1,60 @@
+"""Predictions are known up to a translated gamma; views tell which: image ≈ exposure · (a L^b − c), per colour.
+
+a and b start from the log-affine fit (c = 0); then at most 20 steps of Levenberg–Marquardt in a trust region
+(`scipy.optimize.least_squares`, method "trf").  Source: Low & Lee, arXiv 2409.17988, supplement.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import least_squares
+
+STEPS = 20
+SMALLEST = 1e-4
+
+
+@dataclass(frozen=True)
+class Correction:
+    """a, b, c: (C,)."""
+
+    a: np.ndarray
+    b: np.ndarray
+    c: np.ndarray
+
+    def __call__(self, radiance: np.ndarray, exposure: np.ndarray) -> np.ndarray:
+        """Images (n, H, W, C) from radiance of that shape; exposure: (n,), exposure × gain of each."""
+        scale = exposure.reshape(-1, 1, 1, 1)
+        return scale * (self.a * np.maximum(radiance, SMALLEST) ** self.b - self.c)
+
+
+def fit_correction(radiance: np.ndarray, images: np.ndarray, exposure: np.ndarray) -> Correction:
+    """The correction that takes predicted radiance (n, H, W, C) closest to images (n, H, W, C), exposure (n,)."""
+    found = [
+        _one_colour(radiance[..., k].reshape(len(images), -1), images[..., k].reshape(len(images), -1), exposure)
+        for k in range(images.shape[-1])
+    ]
+    a, b, c = np.array(found).T
+    return Correction(a, b, c)
+
+
+def _one_colour(radiance, image, exposure) -> tuple[float, float, float]:
+    L = np.maximum(radiance, SMALLEST).ravel()
+    scale = np.repeat(exposure, radiance.shape[1])
+    y = image.ravel()
+    x, z = np.log(L), np.log(np.maximum(y / scale, SMALLEST))
+    spread = ((x - x.mean()) ** 2).sum()
+    b = float(((x - x.mean()) * (z - z.mean())).sum() / spread) if spread > 1e-12 else 1.0
+    b = min(max(b, 0.05), 5.0)
+    a = float(np.exp(z.mean() - b * x.mean()))
+
+    def residual(p):
+        return scale * (np.exp(p[0]) * L ** p[1] - p[2]) - y
+
+    def jacobian(p):
+        power = scale * np.exp(p[0]) * L ** p[1]
+        return np.column_stack([power, power * x, -scale])
+
+    solution = least_squares(residual, [np.log(a), b, 0.0], jac=jacobian, method="trf", max_nfev=STEPS + 1)  # type: ignore[arg-type]
+    return float(np.exp(solution.x[0])), float(solution.x[1]), float(solution.x[2])

@@ -1,0 +1,138 @@
+"""A dataset folder in the published layout of Robust e-NeRF and Deblur e-NeRF, after preprocessing.
+
+raw_events.npz           position (N, 2) x, y;  timestamp (N,) ns;  polarity (N,) bool, 0/1 or ±1
+camera_poses.npz         T_wc_position (K, 3);  T_wc_orientation (K, 4) x, y, z, w or (K, 3, 3);  T_wc_timestamp (K,) ns
+camera_calibration.npz   see `calibration`
+views/                   see `views`; here or one level up
+renderer_params.npz      interm_color_space, log_eps (synthetic data)
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from pixelid.errors import InputError
+from pixelid.nerf.arrays import finite, read_arrays
+from pixelid.nerf.calibration import FILE as CALIBRATION
+from pixelid.nerf.calibration import Calibration, read_calibration
+from pixelid.nerf.trajectory import Trajectory
+from pixelid.nerf.views import RENDERER, Views, read_views
+
+SLACK = 1000  # ns by which rounded clocks may disagree
+EVENTS, POSES = "raw_events.npz", "camera_poses.npz"
+FILES = (EVENTS, POSES, CALIBRATION, RENDERER)
+
+
+@dataclass(frozen=True)
+class Dataset:
+    """Everything a reconstruction starts from.  Time zero is the first pose.
+
+    t: (N,) s, non-decreasing;  x, y: (N,);  on: (N,) bool;  views: stage → views
+    """
+
+    path: Path
+    t: np.ndarray
+    x: np.ndarray
+    y: np.ndarray
+    on: np.ndarray
+    trajectory: Trajectory
+    calibration: Calibration
+    views: dict[str, Views]
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """The files it was read from, pictures aside."""
+        return tuple(self.path / name for name in FILES if (self.path / name).is_file())
+
+
+def read_dataset(path: Path) -> Dataset:
+    """Read and validate a dataset folder.  Raises InputError naming the file and the key that is wrong."""
+    path = Path(path)
+    if not path.is_dir():
+        raise InputError(f"{path}: no such folder; expected a dataset with {EVENTS}, {POSES}, {CALIBRATION} and views/")
+    calibration = read_calibration(path)
+    trajectory, zero = _poses(path / POSES)
+    t, x, y, on = _events(path / EVENTS, calibration)
+    begin, end = zero, round(trajectory.t[-1] * 1e9) + zero
+    if t[0] < begin - SLACK or t[-1] > end + SLACK:
+        raise InputError(
+            f"{path / POSES}: T_wc_timestamp: poses cover {begin} … {end} ns, "
+            f"but timestamp of {EVENTS} runs {t[0]} … {t[-1]} ns"
+        )
+    views = read_views(path, calibration.channels)
+    return Dataset(path, (t - zero) * 1e-9, x, y, on, trajectory, calibration, views)
+
+
+def _whole_ns(file: Path, key: str, values: np.ndarray) -> np.ndarray:
+    """Timestamps (n,) as int64 ns."""
+    if values.ndim != 1 or values.dtype.kind not in "iuf":
+        raise InputError(f"{file}: {key}: expected one column of numbers, found {values.dtype} of shape {values.shape}")
+    if values.dtype.kind == "f":
+        values = np.rint(finite(file, key, values))
+    return values.astype(np.int64)
+
+
+def _events(file: Path, calibration: Calibration):
+    """(timestamp ns, x, y, on) sorted by time."""
+    found = read_arrays(file, ("position", "timestamp", "polarity"))
+    position, polarity = found["position"], found["polarity"]
+    t = _whole_ns(file, "timestamp", found["timestamp"])
+    if len(t) == 0:
+        raise InputError(f"{file}: timestamp: no events")
+    if position.ndim != 2 or position.shape[1] != 2:
+        raise InputError(f"{file}: position: expected (N, 2) x and y, found shape {position.shape}")
+    if position.dtype.kind not in "iuf":
+        raise InputError(f"{file}: position: expected numbers, found {position.dtype}")
+    for key, column in (("position", position), ("polarity", polarity)):
+        if len(np.atleast_1d(column)) != len(t):
+            raise InputError(
+                f"{file}: {key}: expected {len(t)} rows as in timestamp, found {len(np.atleast_1d(column))}"
+            )
+    camera = calibration.camera
+    x, y = finite(file, "position", position).astype(np.int64).T
+    outside = (x < 0) | (x >= camera.width) | (y < 0) | (y >= camera.height)
+    if outside.any():
+        k = int(np.argmax(outside))
+        raise InputError(
+            f"{file}: position: row {k} is ({x[k]}, {y[k]}), outside the {camera.width} × {camera.height} pixels of "
+            f"{CALIBRATION} (img_width, img_height)"
+        )
+    values = set(np.unique(polarity).tolist()) if polarity.ndim == 1 and polarity.dtype.kind in "biuf" else {None}
+    if not (values <= {0, 1} or values <= {-1, 1}):
+        raise InputError(f"{file}: polarity: expected booleans, 0 and 1, or −1 and 1, found {str(values)[:60]}")
+    order = np.argsort(t, kind="stable")
+    return t[order], x[order], y[order], (polarity > 0)[order]
+
+
+def _poses(file: Path) -> tuple[Trajectory, int]:
+    """The trajectory in seconds from its first pose, and the first pose's timestamp [ns]."""
+    found = read_arrays(file, ("T_wc_position", "T_wc_orientation", "T_wc_timestamp"))
+    t = _whole_ns(file, "T_wc_timestamp", found["T_wc_timestamp"])
+    position, orientation = found["T_wc_position"], found["T_wc_orientation"]
+    if len(t) < 2:
+        raise InputError(f"{file}: T_wc_timestamp: expected at least two poses, found {len(t)}")
+    if not (np.diff(t) > 0).all():
+        raise InputError(f"{file}: T_wc_timestamp: must increase, row {int(np.argmin(np.diff(t) > 0)) + 1} does not")
+    if position.shape != (len(t), 3):
+        raise InputError(f"{file}: T_wc_position: expected ({len(t)}, 3), found {position.shape}")
+    if orientation.shape not in ((len(t), 4), (len(t), 3, 3)):
+        raise InputError(
+            f"{file}: T_wc_orientation: expected ({len(t)}, 4) or ({len(t)}, 3, 3), found {orientation.shape}"
+        )
+    position = finite(file, "T_wc_position", position)
+    orientation = finite(file, "T_wc_orientation", orientation)
+    if orientation.ndim == 3:
+        if np.abs(orientation @ orientation.transpose(0, 2, 1) - np.eye(3)).max() > 1e-2:
+            raise InputError(f"{file}: T_wc_orientation: expected rotation matrices")
+        orientation = Rotation.from_matrix(orientation).as_quat()
+    norm = np.linalg.norm(orientation, axis=1, keepdims=True)
+    if np.abs(norm - 1).max() > 1e-2:
+        raise InputError(
+            f"{file}: T_wc_orientation: expected unit quaternions, found norms {norm.min():.3g} … {norm.max():.3g}"
+        )
+    seconds = (t - t[0]) * 1e-9
+    return Trajectory(seconds, np.ascontiguousarray(position), np.ascontiguousarray(orientation / norm)), int(t[0])

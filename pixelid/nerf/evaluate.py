@@ -1,0 +1,133 @@
+"""Views rendered from the field, corrected on validation views, compared with test views."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+import torch
+
+from pixelid.nerf.correction import Correction, fit_correction
+from pixelid.nerf.field import Field
+from pixelid.nerf.render import Rays
+from pixelid.nerf.views import Views
+
+
+@dataclass(frozen=True)
+class Scores:
+    """Per test view, and their means.
+
+    psnr, ssim: (n,);  lpips: (n,) or None where its weights are not installed;  images: (n, H, W, C) corrected views
+    """
+
+    psnr: np.ndarray
+    ssim: np.ndarray
+    lpips: np.ndarray | None
+    images: np.ndarray
+    correction: Correction
+
+    def as_dict(self, views: Views) -> dict:
+        """The entry "views" of reconstruction.json."""
+        per_view = [
+            {
+                "name": views.names[k],
+                "psnr": float(self.psnr[k]),
+                "ssim": float(self.ssim[k]),
+                "lpips": None if self.lpips is None else float(self.lpips[k]),
+            }
+            for k in range(len(views))
+        ]
+        return {
+            "psnr": float(self.psnr.mean()),
+            "ssim": float(self.ssim.mean()),
+            "lpips": None if self.lpips is None else float(self.lpips.mean()),
+            "per_view": per_view,
+        }
+
+
+def render_views(field: Field, views: Views, dark, *, supersample: int = 1, engine: str = "auto") -> np.ndarray:
+    """(n, H, W, C) predicted radiance, the black level `dark` (C,) included, `supersample`² rays per pixel."""
+    camera = views.camera
+    y, x = np.mgrid[: camera.height, : camera.width]
+    offset = (np.arange(supersample) + 0.5) / supersample - 0.5
+    inside = [camera.directions(np.column_stack([x.ravel() + dx, y.ravel() + dy])) for dy in offset for dx in offset]
+    channels = len(np.atleast_1d(dark))
+    out = np.zeros((len(views), camera.height, camera.width, channels))
+    with torch.no_grad():
+        for k in range(len(views)):
+            for directions in inside:
+                world = (directions @ views.rotation[k].T).astype(np.float32)
+                origins = np.repeat(views.position[k : k + 1].astype(np.float32), len(world), axis=0)
+                half = np.full(len(world), 0.5, np.float32)
+                for c in range(channels):
+                    rays = Rays(origins, world, np.full(len(world), c), half)
+                    out[k, :, :, c] += field(rays, engine)[0].cpu().numpy().reshape(camera.height, camera.width)
+    return out / len(inside) + np.asarray(dark)
+
+
+def score(predicted: np.ndarray, views: Views, correction: Correction) -> Scores:
+    """Predictions (n, H, W, C) against test views, after correction, both clipped to [0, peak]."""
+    images = np.clip(correction(predicted, views.exposure), 0.0, views.peak)
+    truth = np.clip(views.images, 0.0, views.peak)
+    error = ((images - truth) ** 2).mean(axis=(1, 2, 3))
+    psnr = 10 * np.log10(views.peak**2 / np.maximum(error, 1e-12))
+    return Scores(
+        psnr, ssim(images, truth, views.peak), lpips(images / views.peak, truth / views.peak), images, correction
+    )
+
+
+def evaluate(field: Field, validation: Views, test: Views, dark, supersample: int = 1) -> Scores:
+    """Correct on the validation views, score on the test views."""
+    correction = fit_correction(
+        render_views(field, validation, dark, supersample=supersample), validation.images, validation.exposure
+    )
+    return score(render_views(field, test, dark, supersample=supersample), test, correction)
+
+
+def ssim(images, truth, peak: float) -> np.ndarray:
+    """(n,) structural similarity as its authors compute it: Gaussian window, σ = 1.5 (scikit-image)."""
+    from skimage.metrics import structural_similarity
+
+    return np.array(
+        [
+            structural_similarity(
+                a,
+                b,
+                data_range=peak,
+                channel_axis=-1,
+                gaussian_weights=True,
+                sigma=1.5,
+                use_sample_covariance=False,
+                win_size=11 if min(a.shape[:2]) >= 11 else (min(a.shape[:2]) - 1) | 1,
+            )
+            for a, b in zip(images, truth, strict=True)
+        ]
+    )
+
+
+@lru_cache(maxsize=1)
+def _lpips_network():
+    """The AlexNet metric, or None where the package or its weights are not on this computer (nothing is fetched)."""
+    try:
+        import lpips as package  # type: ignore[import-not-found]
+    except ImportError:
+        return None
+    from pathlib import Path
+
+    cached = Path(torch.hub.get_dir()) / "checkpoints"
+    if not any(cached.glob("alexnet-*.pth")):
+        return None
+    return package.LPIPS(net="alex", verbose=False)
+
+
+def lpips(images: Sequence[np.ndarray] | np.ndarray, truth) -> np.ndarray | None:
+    """(n,) LPIPS of images in [0, 1], or None (see `_lpips_network`)."""
+    network = _lpips_network()
+    if network is None:
+        return None
+    a, b = (torch.as_tensor(np.moveaxis(np.asarray(x), -1, 1) * 2 - 1, dtype=torch.float32) for x in (images, truth))
+    a, b = (x.expand(-1, 3, -1, -1) if x.shape[1] == 1 else x for x in (a, b))
+    with torch.no_grad():
+        return network(a, b).reshape(-1).numpy()

@@ -1,0 +1,89 @@
+"""The radiance field: log density and log radiance at the vertices of a dense grid, refined as training goes on.
+
+Chosen by measurement (docs/reconstruction.md): on a CPU the compiled march through a dense grid is an order of
+magnitude faster than a hash grid with a small network, and 64 × 64 pixels do not ask for more resolution.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+
+from pixelid.nerf import render_kernels
+from pixelid.nerf.render import Box, Rays, render
+
+EMPTY = 0.02  # opacity of one step below which a block is skipped
+
+
+class Field(torch.nn.Module):
+    """A box of vertices.
+
+    low, high: (3,) corners;  vertices: per side;  channels: colours;  background: (C,) radiance behind the box, held
+    unless `free_background`;  level: radiance that the grid starts from
+    """
+
+    def __init__(
+        self, low, high, vertices: int, channels: int, background, *, free_background=False, level=None
+    ) -> None:
+        super().__init__()
+        self.low, self.high = np.asarray(low, dtype=np.float64), np.asarray(high, dtype=np.float64)
+        grid = torch.empty(vertices, vertices, vertices, 1 + channels)
+        side = float((self.high - self.low).max())
+        grid[..., 0] = math.log(0.3 / side)
+        grid[..., 1:] = math.log(level if level is not None else 0.5 * float(np.mean(background)))
+        self.grid = torch.nn.Parameter(grid)
+        log_background = torch.log(torch.as_tensor(np.atleast_1d(background), dtype=torch.float32))
+        self.log_background = torch.nn.Parameter(log_background, requires_grad=free_background)
+        self.occupied = np.ones(_blocks(vertices), np.uint8)
+
+    @property
+    def vertices(self) -> int:
+        """Per side."""
+        return self.grid.shape[0]
+
+    @property
+    def step(self) -> float:
+        """Of the march: one cell."""
+        return float((self.high - self.low).max()) / (self.vertices - 1)
+
+    def box(self) -> Box:
+        """What the renderer needs beside the grid."""
+        return Box(self.low, self.high, self.step, self.occupied)
+
+    def forward(self, rays: Rays, engine: str = "auto") -> tuple[torch.Tensor, torch.Tensor]:
+        """(radiance, opacity), (n,) each."""
+        return render(self.grid, torch.exp(self.log_background), rays, self.box(), engine)
+
+    def look_for_empty_blocks(self) -> float:
+        """Renew which blocks are visited; the share of them."""
+        floor = math.log(-math.log1p(-EMPTY) / self.step)
+        values = self.grid.detach().cpu().numpy()
+        render_kernels.occupancy(values, floor, self.occupied)
+        return float(self.occupied.mean())
+
+    def refine(self, vertices: int) -> None:
+        """Interpolate to more vertices, in place."""
+        with torch.no_grad():
+            fine = F.interpolate(
+                self.grid.permute(3, 0, 1, 2)[None], size=(vertices,) * 3, mode="trilinear", align_corners=True
+            )
+            self.grid = torch.nn.Parameter(fine[0].permute(1, 2, 3, 0).contiguous())
+        self.occupied = np.ones(_blocks(vertices), np.uint8)
+
+    def roughness(self) -> torch.Tensor:
+        """Mean absolute difference of neighbouring log radiances plus that of opacities, over the grid."""
+        value = torch.cat(
+            [1 - torch.exp(-self.step * torch.exp(self.grid[..., :1].clamp(max=8))), self.grid[..., 1:]], dim=-1
+        )
+        total = value.new_zeros(())
+        for axis in range(3):
+            total = total + torch.diff(value, dim=axis).abs().mean()
+        return total
+
+
+def _blocks(vertices: int) -> tuple[int, int, int]:
+    number = -(-(vertices - 1) // render_kernels.BLOCK)
+    return number, number, number

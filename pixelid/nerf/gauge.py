@@ -1,0 +1,81 @@
+"""What events alone leave open, and what pins it: the box the scene is in, and the radiance unit.
+
+Without a bandwidth limit a common factor on all radiance changes no event.  With one it does, but weakly, and a scale
+that is free drifts: a brighter scene is a faster pixel, so that a blurred scene can explain the events.  It is pinned
+
+    "background"   by the radiance behind the scene, where the views show one value along their borders (white behind
+                   transparent ones);
+    "level"        otherwise by the mean log radiance over the validation (else training) views: one number per colour;
+    "free"         by nothing, on request, to see what happens.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pixelid.nerf.dataset import Dataset
+from pixelid.nerf.trajectory import Trajectory
+from pixelid.nerf.views import Views
+
+SCALES = ("auto", "level", "free")
+UNIFORM = 0.03  # standard deviation of ln L along the borders, below which they show a background
+BORDER = 0.5  # share of border pixels that must agree
+
+
+@dataclass(frozen=True)
+class Gauge:
+    """kind: "background", "level" or "free";  background: (C,) radiance behind the box;  level: (C,) mean log radiance
+    over the views `reference`, whose rays pin it"""
+
+    kind: str
+    background: np.ndarray
+    level: np.ndarray
+    reference: Views
+
+    @property
+    def free_background(self) -> bool:
+        """Whether the background is trained."""
+        return self.kind != "background"
+
+
+def gauge_of(dataset: Dataset, background: float | None = None, scale: str = "auto") -> Gauge:
+    """The gauge of a dataset.
+
+    background: overrides what its views show;  scale: one of `SCALES`, "auto" for the background where there is one
+    """
+    reference = next(dataset.views[stage] for stage in ("val", "train", "test") if stage in dataset.views)
+    level = np.log(np.maximum(reference.images, 1e-3)).mean(axis=(0, 1, 2))
+    channels = dataset.calibration.channels
+    if scale != "auto":
+        return Gauge(scale, np.exp(level), level, reference)
+    if background is not None:
+        return Gauge("background", np.full(channels, background), level, reference)
+    shown = np.full(channels, reference.peak) if reference.transparent else _border(reference)
+    if shown is not None:
+        return Gauge("background", shown, level, reference)
+    return Gauge("level", np.exp(level), level, reference)
+
+
+def _border(views: Views) -> np.ndarray | None:
+    """(C,) the value that most border pixels of the views agree on, or None."""
+    logs = np.log(np.maximum(views.images, 1e-4))
+    edge = np.concatenate(
+        [logs[:, 0], logs[:, -1], logs[:, :, 0], logs[:, :, -1]], axis=1
+    ).reshape(-1, logs.shape[-1])  # fmt: skip
+    middle = np.median(edge, axis=0)
+    agree = (np.abs(edge - middle) < UNIFORM).all(axis=1)
+    return np.exp(edge[agree].mean(axis=0)) if agree.mean() > BORDER else None
+
+
+def scene_box(trajectory: Trajectory, half_angle: float) -> tuple[np.ndarray, np.ndarray]:
+    """(low, high) of a cube about the point nearest to all optical axes, as large as the views are wide there."""
+    some = np.linspace(trajectory.t[0], trajectory.t[-1], 256)
+    position, rotation = trajectory.at(some)
+    axis = rotation[:, :, 2]
+    across = np.eye(3) - axis[:, :, None] * axis[:, None, :]
+    centre = np.linalg.lstsq(across.sum(axis=0), (across @ position[:, :, None]).sum(axis=0)[:, 0], rcond=None)[0]
+    depth = np.median(np.linalg.norm(position - centre, axis=1))
+    half = depth * np.tan(half_angle)
+    return centre - half, centre + half

@@ -1,0 +1,46 @@
+"""Several processes, each with its share of every batch: what `torchrun` starts.  One process needs none of this."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable
+
+import torch
+
+
+def launched() -> bool:
+    """Whether `torchrun` started this process among others."""
+    return int(os.environ.get("WORLD_SIZE", "1")) > 1
+
+
+def join() -> None:
+    """Meet the other processes, when there are any: gloo on CPU, NCCL on CUDA."""
+    if launched() and not torch.distributed.is_initialized():
+        torch.distributed.init_process_group("nccl" if torch.cuda.is_available() else "gloo")
+
+
+def leave() -> None:
+    """Part from them."""
+    if torch.distributed.is_available() and torch.distributed.is_initialized():
+        torch.distributed.destroy_process_group()
+
+
+def rank() -> int:
+    """Which process this is; 0 when alone."""
+    return int(os.environ.get("RANK", "0")) if launched() else 0
+
+
+def world() -> int:
+    """How many there are."""
+    return int(os.environ.get("WORLD_SIZE", "1")) if launched() else 1
+
+
+def average_gradients(parameters: Iterable[torch.Tensor]) -> None:
+    """Replace every gradient by its mean over the processes."""
+    if not (launched() and torch.distributed.is_initialized()):
+        return
+    for parameter in parameters:
+        if parameter.grad is None:
+            parameter.grad = torch.zeros_like(parameter)
+        torch.distributed.all_reduce(parameter.grad)
+        parameter.grad /= world()

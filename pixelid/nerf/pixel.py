@@ -1,0 +1,89 @@
+"""The pixel that training assumes: a circuit's dynamics and thresholds as tensors, fixed or trained with the scene.
+
+Trained parameters are factors e^x on the invariants α, β, γ and the source follower, with a Gaussian prior on x: what a
+fit leaves uncertain, or a wide one.  The invariants are what the data can say (DESIGN §2); fixing q_in, as the paper
+does, would leave flat directions.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import torch
+
+from pixelid.dynamics.of_circuit import dynamics_of
+from pixelid.dynamics.trajectory import Dynamics
+from pixelid.stages.circuit import Circuit
+
+TRAINED = ("alpha", "beta", "gamma", "follower")
+PRIOR_SD = 1.5  # of ln(factor), when no fit says better
+
+
+@dataclass(frozen=True)
+class Bandwidth:
+    """How the pixel enters: mode "on", "off" or "joint";  samples: S of the past;  prior_sd: of ln(factor), per name of
+    `TRAINED` (default `PRIOR_SD`)."""
+
+    mode: str = "on"
+    samples: int = 30
+    prior_sd: dict[str, float] | None = None
+
+
+class Pixel(torch.nn.Module):
+    """A circuit as tensors.  factors: (4,) logs of what multiplies `TRAINED`, trained in mode "joint"."""
+
+    nominal: torch.Tensor
+    prior_sd: torch.Tensor
+    on: torch.Tensor
+    off: torch.Tensor
+
+    def __init__(self, circuit: Circuit, bandwidth: Bandwidth) -> None:
+        super().__init__()
+        self.circuit, self.bandwidth = circuit, bandwidth
+        dynamics = dynamics_of(circuit.with_(slew_rise=math.inf, slew_fall=math.inf))
+        self.register_buffer("nominal", torch.tensor(dynamics.uniform(), dtype=torch.float64))
+        sd = [(bandwidth.prior_sd or {}).get(name, PRIOR_SD) for name in TRAINED]
+        self.register_buffer("prior_sd", torch.tensor(sd, dtype=torch.float64))
+        self.factors = torch.nn.Parameter(
+            torch.zeros(len(TRAINED), dtype=torch.float64), requires_grad=bandwidth.mode == "joint"
+        )
+        self.register_buffer("on", torch.tensor(float(circuit.on_threshold), dtype=torch.float64))
+        self.register_buffer("off", torch.tensor(float(circuit.off_threshold), dtype=torch.float64))
+
+    @property
+    def filtering(self) -> bool:
+        """Whether light is filtered at all: not when off, and not with a single sample."""
+        return self.bandwidth.mode != "off" and self.bandwidth.samples > 1
+
+    @property
+    def has_amplifier_pole(self) -> bool:
+        """Whether the differencing amplifier has one."""
+        return math.isfinite(self.circuit.differencing)
+
+    @property
+    def dynamics(self) -> torch.Tensor:
+        """(7,) numbers of `Dynamics`."""
+        nominal = self.nominal
+        if self.bandwidth.mode != "joint":
+            return nominal
+        one = torch.ones(1, dtype=torch.float64, device=nominal.device)
+        scale = torch.exp(self.factors)
+        return nominal * torch.cat([scale[:4], one, one, one])
+
+    def penalty(self) -> torch.Tensor:
+        """−ln prior of the factors."""
+        return 0.5 * ((self.factors / self.prior_sd) ** 2).sum()
+
+    def slowest(self, darkest: float) -> float:
+        """The slowest dominant pole [rad/s] at a radiance, the amplifier's reset left out."""
+        dynamics = Dynamics(*(float(x) for x in self.dynamics.detach()))
+        a, b2 = dynamics.alpha * darkest, dynamics.beta + dynamics.gamma * darkest
+        disc = 0.25 * b2 * b2 - a
+        pole = a / (0.5 * b2 + math.sqrt(disc)) if disc >= 0 else math.sqrt(a)
+        return min(pole, dynamics.follower, dynamics.extra_pole)
+
+    def values(self) -> dict[str, float]:
+        """The dynamics in use, by name."""
+        used = Dynamics(*(float(x) for x in self.dynamics.detach()))
+        return {name: getattr(used, name) for name in TRAINED}

@@ -1,0 +1,82 @@
+"""A scene from posed images: a field fitted to them, which then stands for the truth and is rendered like any scene."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from pixelid.errors import InputError
+from pixelid.nerf.camera import Camera
+from pixelid.nerf.evaluate import render_views
+from pixelid.nerf.field import Field
+from pixelid.nerf.render import Rays
+from pixelid.nerf.views import LUMA, OPENGL, Views
+
+VERTICES = (33, 65, 97)
+BATCH = 8192
+DARKEST = 5e-3
+
+
+@dataclass(frozen=True)
+class PosedScene:
+    """A fitted field before a uniform background; renders as `scenes.Scene` does."""
+
+    field: Field
+    background: float
+
+    def render(self, camera: Camera, position, rotation, supersample: int = 1) -> np.ndarray:
+        """Images (n, height, width) of cameras at position (n, 3), rotation (n, 3, 3) to world."""
+        position, rotation = np.atleast_2d(position), np.asarray(rotation).reshape(-1, 3, 3)
+        n = len(position)
+        blank = np.empty((n, camera.height, camera.width, 1))
+        views = Views(blank, position, rotation, camera, ("",) * n, np.ones(n), False, 1.0)
+        images = render_views(self.field, views, np.zeros(1), supersample=supersample)[..., 0]
+        return np.maximum(images, DARKEST)
+
+
+def scene_of_images(
+    images: np.ndarray, poses: np.ndarray, focal: float, *, iterations: int = 600, half: float = 1.5, seed: int = 0
+) -> PosedScene:
+    """Fit a grey scene to images (n, H, W, 3 or 4) of 8 bits with OpenGL poses (n, 4, 4), over white where transparent.
+
+    focal: pixels;  half: half the side of the box about the origin.  Raises InputError for shapes that do not match.
+    """
+    if images.ndim != 4 or images.shape[3] not in (3, 4) or poses.shape != (len(images), 4, 4):
+        raise InputError(f"posed images: expected (n, H, W, 3 or 4) and (n, 4, 4), found {images.shape}, {poses.shape}")
+    values = images[..., :3] / 255.0
+    if images.shape[3] == 4:
+        alpha = images[..., 3:] / 255.0
+        values = alpha * values + 1.0 - alpha
+    grey = np.maximum(values @ LUMA, DARKEST)
+    height, width = grey.shape[1:]
+    intrinsics = np.array([[focal, 0, width / 2 - 0.5], [0, focal, height / 2 - 0.5], [0, 0, 1]])
+    inside = Camera(intrinsics, width, height, np.empty(0)).all_directions()
+    rotation, position = poses[:, :3, :3] @ OPENGL, poses[:, :3, 3]
+    rng = np.random.default_rng(seed)
+    field = Field(np.full(3, -half), np.full(3, half), VERTICES[0], 1, [1.0], level=0.5)
+    optimiser = torch.optim.Adam([field.grid], lr=0.1, eps=1e-15)
+    for k in range(iterations):
+        vertices = VERTICES[k * len(VERTICES) // iterations]
+        if vertices != field.vertices:
+            field.refine(vertices)
+            optimiser = torch.optim.Adam([field.grid], lr=0.1, eps=1e-15)
+        optimiser.param_groups[0]["lr"] = 0.1 * 0.1 ** (k / iterations)
+        which, pixel = rng.integers(0, len(grey), BATCH), rng.integers(0, height * width, BATCH)
+        directions = np.einsum("nij,nj->ni", rotation[which], inside[pixel]).astype(np.float32)
+        rays = Rays(
+            position[which].astype(np.float32),
+            directions,
+            np.zeros(BATCH, np.int64),
+            rng.random(BATCH, dtype=np.float32),
+        )
+        found, _ = field(rays)
+        truth = torch.from_numpy(grey.reshape(len(grey), -1)[which, pixel].astype(np.float32))
+        loss = ((found - truth) ** 2).mean() + 1e-4 * field.grid[..., 0].clamp(min=-6).mean()
+        optimiser.zero_grad(set_to_none=True)
+        loss.backward()
+        optimiser.step()
+        if k >= 64 and k % 16 == 0:
+            field.look_for_empty_blocks()
+    return PosedScene(field, 1.0)

@@ -1,0 +1,65 @@
+"""From a dataset to what training needs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from pixelid.errors import InputError
+from pixelid.nerf.calibration import Calibration
+from pixelid.nerf.dataset import Dataset
+from pixelid.nerf.gauge import gauge_of, scene_box
+from pixelid.nerf.intervals import intervals, split
+from pixelid.nerf.train import Problem
+from pixelid.nerf.views import Views
+
+HELD_OUT = 0.03  # share of pixels whose events are kept from training
+
+
+def problem_of(
+    dataset: Dataset,
+    calibration: Calibration | None = None,
+    *,
+    background: float | None = None,
+    scale: str = "auto",
+    box: Sequence[float] | None = None,
+    held_out: float = HELD_OUT,
+    seed: int = 0,
+) -> Problem:
+    """The problem of a dataset under its own calibration or another one (a fit's).
+
+    Raises InputError when no pixel has two events.
+    """
+    calibration = dataset.calibration if calibration is None else calibration
+    camera = calibration.camera
+    found = intervals(dataset.t, dataset.x, dataset.y, dataset.on, camera.width)
+    if len(found.ends) == 0:
+        raise InputError(f"{dataset.path}: raw_events.npz: timestamp: no pixel has two events, nothing to learn from")
+    training, held = split(found, held_out, np.random.default_rng([seed, 77]))
+    if len(training.ends) == 0:
+        training, held = found, found.of(np.zeros(len(found.ends), bool))
+    if box is None:
+        low, high = scene_box(dataset.trajectory, camera.half_angle)
+    else:
+        low, high = np.asarray(box[:3], dtype=float), np.asarray(box[3:], dtype=float)
+        if not (high > low).all():
+            raise InputError(f"--box: expected low corner below high corner, found {list(box)}")
+    y, x = np.divmod(np.arange(camera.width * camera.height), camera.width)
+    return Problem(
+        training, held, dataset.trajectory, camera, calibration.channel_of(x, y), calibration.dark,
+        calibration.circuit, gauge_of(dataset, background, scale), low, high,
+    )  # fmt: skip
+
+
+def evaluation_views(dataset: Dataset) -> tuple[Views, Views]:
+    """(views that fix the correction, views that are scored), apart from each other.
+
+    Test views are scored and validation views correct them; a missing stage is stood in for by the next, a single one
+    is halved.
+    """
+    stages = [dataset.views[stage] for stage in ("test", "val", "train") if stage in dataset.views]
+    if len(stages) == 1:
+        every = np.arange(len(stages[0]))
+        return (stages[0], stages[0]) if len(every) == 1 else (stages[0].some(every[1::2]), stages[0].some(every[::2]))
+    return stages[1], stages[0]

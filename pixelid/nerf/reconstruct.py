@@ -1,0 +1,195 @@
+"""From a dataset to a scene: train, evaluate, write."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from pixelid.errors import InputError
+from pixelid.nerf import checkpoint, parallel
+from pixelid.nerf.calibration import CIRCUIT, Calibration, of_fit, uncertainty_of_fit
+from pixelid.nerf.dataset import CALIBRATION, Dataset
+from pixelid.nerf.evaluate import Scores, evaluate, render_views
+from pixelid.nerf.pixel import Bandwidth
+from pixelid.nerf.problem import evaluation_views, problem_of
+from pixelid.nerf.train import Problem, Recipe, State, held_out_rms, start, train
+from pixelid.nerf.views import Views
+from pixelid.outputs import write_json
+from pixelid.provenance import input_hashes, versions
+
+LEARNED = 0.9  # held-out residual, in thresholds, above which the field explains too little (nothing explained: 1)
+LOOKS = 10  # running PSNR, per run
+SAVE_EVERY = 100  # steps between checkpoints
+
+
+@dataclass(frozen=True)
+class Reconstruction:
+    """What a reconstruction found.
+
+    status: "done" or why it must not be trusted;  scores: of the test views;  held_out: residual of held-out pixels in
+    thresholds;  truth: the test views;  history: loss terms, rays/s and running PSNR over the steps
+    """
+
+    status: str
+    advice: str
+    bandwidth: Bandwidth
+    state: State
+    problem: Problem
+    scores: Scores
+    truth: Views
+    held_out: float
+    seconds: float
+    rays_per_second: float
+    device: str
+    seed: int
+    inputs: Mapping[str, str]
+
+    def as_dict(self) -> dict:
+        """The content of reconstruction.json (COMMANDS.md)."""
+        correction = self.scores.correction
+        one = len(correction.a) == 1
+        return {
+            "status": self.status,
+            "advice": self.advice,
+            "bandwidth": self.bandwidth.mode,
+            "views": self.scores.as_dict(self.truth),
+            "correction": {
+                name: float(value[0]) if one else value.tolist()
+                for name, value in (("a", correction.a), ("b", correction.b), ("c", correction.c))
+            },
+            "lpips_note": "" if self.scores.lpips is not None else "LPIPS or its weights are not installed",
+            "iterations": self.state.iteration,
+            "seconds": self.seconds,
+            "device": self.device,
+            "rays_per_second": self.rays_per_second,
+            "samples": self.bandwidth.samples,
+            "held_out_residual": self.held_out,
+            "gauge": {"kind": self.problem.gauge.kind, "background": self.problem.gauge.background},
+            "box": {"low": self.problem.low, "high": self.problem.high},
+            "pixel": {
+                **self.state.pixel.values(),
+                "differencing": self.problem.circuit.differencing,
+                "on_threshold": self.problem.circuit.on_threshold,
+                "off_threshold": self.problem.circuit.off_threshold,
+                "refractory_s": self.problem.circuit.refractory,
+                "dark": self.problem.dark,
+            },
+            "history": self.state.history,
+            "seed": self.seed,
+            "versions": versions(),
+            "inputs_sha256": dict(self.inputs),
+        }
+
+    def save(self, folder: Path) -> None:
+        """Write reconstruction.json and field.npz into an existing folder."""
+        write_json(folder / "reconstruction.json", self.as_dict())
+        scene = self.state.field
+        np.savez_compressed(
+            folder / "field.npz", grid=scene.grid.detach().cpu().numpy().astype(np.float16), low=scene.low,
+            high=scene.high, background=np.exp(scene.log_background.detach().cpu().numpy()),
+        )  # fmt: skip
+
+
+def reconstruct(
+    dataset: Dataset,
+    *,
+    fit: Path | None = None,
+    calibration: Calibration | None = None,
+    bandwidth: Bandwidth | None = None,
+    recipe: Recipe | None = None,
+    background: float | None = None,
+    scale: str = "auto",
+    box: tuple[float, ...] | None = None,
+    radiance_scale: float | None = None,
+    resume: Path | None = None,
+    device: str = "auto",
+    seed: int = 0,
+    progress: Callable[[str, float], None] = lambda what, share: None,
+) -> Reconstruction:
+    """Reconstruct the scene of a dataset.
+
+    fit: folder (or model file) of a fit whose pixel replaces the dataset's;  calibration: another pixel altogether;
+    background, scale, box: see `gauge`;  radiance_scale: the fit's radiance units per unit of the views;
+    resume: a checkpoint, continued when it exists and written as training goes on;  device: "cpu", "cuda" or "auto"
+    Under `torchrun` every process takes its share of each batch; all return the same.
+    Raises InputError for input that cannot be used.
+    """
+    watch = time.perf_counter()
+    bandwidth = Bandwidth() if bandwidth is None else bandwidth
+    recipe = replace(Recipe() if recipe is None else recipe, seed=seed).for_sensor(dataset.calibration.camera.width)
+    device = ("cuda" if torch.cuda.is_available() else "cpu") if device == "auto" else device
+    if device == "cuda" and not torch.cuda.is_available():
+        raise InputError("--device cuda: no CUDA device is available")
+    if calibration is None:
+        calibration = of_fit(dataset.calibration, fit, radiance_scale) if fit else dataset.calibration
+    if bandwidth.mode != "off" and not calibration.known:
+        raise InputError(
+            f"{dataset.path / CALIBRATION}: {CIRCUIT[0]}: missing, like all circuit constants; give the pixel by "
+            "--fit, or --bandwidth off"
+        )
+    if fit and bandwidth.mode == "joint" and bandwidth.prior_sd is None:
+        bandwidth = replace(bandwidth, prior_sd=uncertainty_of_fit(Path(fit)))
+    problem = problem_of(dataset, calibration, background=background, scale=scale, box=box, seed=seed)
+    files = [*dataset.files, *([Path(fit) / "model.toml" if Path(fit).is_dir() else Path(fit)] if fit else [])]
+    inputs = input_hashes(files)
+    validation, test = evaluation_views(dataset)
+    mark = checkpoint.fingerprint(problem, recipe, bandwidth, inputs)
+    parallel.join()
+    if resume is not None and Path(resume).exists():
+        state = checkpoint.load(resume, problem, recipe, bandwidth, mark, device)
+    else:
+        state = start(problem, recipe, bandwidth, device)
+    before, spent = state.rays, time.perf_counter()
+
+    def report(now: State, found: dict[str, float]) -> None:
+        rate = (now.rays - before) / max(time.perf_counter() - spent, 1e-9)
+        if now.iteration % max(recipe.iterations // LOOKS, 1) == 0:
+            psnr = _running(now, problem, validation)
+            entry = {"iteration": now.iteration, **found, "rays_per_second": rate, "running_psnr": psnr}
+            now.history.append({name: float(value) for name, value in entry.items()})
+        last = now.history[-1]["running_psnr"] if now.history else float("nan")
+        words = f"loss {found['loss']:.3f}, {rate / 1e3:.0f}k rays/s, {last:.1f} dB"
+        progress(words, 0.95 * now.iteration / recipe.iterations)
+        if resume is not None and parallel.rank() == 0 and now.iteration % SAVE_EVERY == 0:
+            checkpoint.save(Path(resume), now, mark)
+
+    train(problem, recipe, state, report=report)
+    rate = (state.rays - before) * parallel.world() / max(time.perf_counter() - spent, 1e-9)
+    if resume is not None and parallel.rank() == 0:
+        checkpoint.save(Path(resume), state, mark)
+    progress("evaluating", 0.95)
+    scores = evaluate(state.field, validation, test, problem.dark)
+    held_out = held_out_rms(problem, state)
+    status, advice = _verdict(held_out, scores)
+    return Reconstruction(
+        status, advice, bandwidth, state, problem, scores, test, held_out, time.perf_counter() - watch, rate, device,
+        seed, inputs,
+    )  # fmt: skip
+
+
+def _running(state: State, problem: Problem, validation: Views) -> float:
+    """PSNR of one validation view, corrected on another (or on itself when it is alone)."""
+    first, second = validation.some([0]), validation.some([len(validation) - 1])
+    return float(evaluate(state.field, first, second, problem.dark).psnr.mean())
+
+
+def _verdict(held_out: float, scores: Scores) -> tuple[str, str]:
+    if not np.isfinite(scores.psnr).all():
+        return "diverged", "the field holds NaN: lower the learning rate, or check thresholds and dead time"
+    if held_out > LEARNED:
+        return "not_learned", (
+            f"events of held-out pixels are missed by {held_out:.2f} thresholds rms (1 would be no scene at all): "
+            "check poses, polarity, thresholds and --box, or train longer"
+        )
+    return "done", ""
+
+
+def rendered(reconstruction: Reconstruction) -> np.ndarray:
+    """(n, H, W, C) corrected images of the test views."""
+    r = reconstruction
+    return r.scores.correction(render_views(r.state.field, r.truth, r.problem.dark), r.truth.exposure)

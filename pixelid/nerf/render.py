@@ -1,0 +1,147 @@
+"""Rendering rays of a voxel field: one function, two engines that agree, both differentiable.
+
+"compiled"   `render_kernels` behind a `torch.autograd.Function`, on CPU threads: the default there
+"tensors"    torch operations (grid_sample), on any device: the default on CUDA
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from concurrent.futures import ThreadPoolExecutor
+from functools import lru_cache
+from itertools import pairwise
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+
+from pixelid.nerf import render_kernels as kernels
+
+
+class Box(NamedTuple):
+    """Where a field lives and how it is marched: corners (3,) each, step length, blocks worth visiting (bx, by, bz)."""
+
+    low: np.ndarray
+    high: np.ndarray
+    step: float
+    occupied: np.ndarray
+
+
+class Rays(NamedTuple):
+    """origins, directions (n, 3) float32;  channels (n,) int64;  offsets (n,) float32 of the first sample, in steps."""
+
+    origins: np.ndarray
+    directions: np.ndarray
+    channels: np.ndarray
+    offsets: np.ndarray
+
+
+@lru_cache(maxsize=1)
+def pool() -> ThreadPoolExecutor:
+    """The threads that render and scan, as many as torch may use."""
+    return ThreadPoolExecutor(threads())
+
+
+def threads() -> int:
+    """How many threads compiled loops use."""
+    return max(1, min(torch.get_num_threads(), os.cpu_count() or 1))
+
+
+def parts(n: int) -> list[slice]:
+    """`n` items cut into one range per thread; the cut depends on the number of threads alone."""
+    edges = np.linspace(0, n, threads() + 1).astype(int)
+    return [slice(int(a), int(b)) for a, b in pairwise(edges)]
+
+
+class _Compiled(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, grid: torch.Tensor, background: torch.Tensor, rays: Rays, box: Box):
+        values, behind = grid.detach().numpy(), background.detach().numpy()
+        radiance, opacity = np.empty(len(rays.origins), np.float32), np.empty(len(rays.origins), np.float32)
+
+        def part(some: slice) -> None:
+            kernels.forward(
+                *(column[some] for column in rays), values, box.occupied, box.low, box.high, box.step, behind,
+                radiance[some], opacity[some],
+            )  # fmt: skip
+
+        list(pool().map(part, parts(len(radiance))))
+        ctx.save_for_backward(grid, background)
+        ctx.rays, ctx.box, ctx.radiance = rays, box, radiance
+        out, covered = torch.from_numpy(radiance), torch.from_numpy(opacity)
+        ctx.mark_non_differentiable(covered)
+        return out, covered
+
+    @staticmethod
+    def backward(ctx: Any, *by_outputs: torch.Tensor):
+        grid, background = ctx.saved_tensors
+        rays, box, behind = ctx.rays, ctx.box, background.detach().numpy()
+        values, by_radiance = grid.detach().numpy(), np.ascontiguousarray(by_outputs[0].numpy())
+        cuts = parts(len(by_radiance))
+        by_grid = [np.zeros(values.shape, np.float32) for _ in cuts]
+        by_behind = [np.zeros(behind.shape, np.float32) for _ in cuts]
+
+        def part(k: int) -> None:
+            some = cuts[k]
+            kernels.backward(
+                *(column[some] for column in rays), values, box.occupied, box.low, box.high, box.step, behind,
+                ctx.radiance[some], by_radiance[some], by_grid[k], by_behind[k],
+            )  # fmt: skip
+
+        list(pool().map(part, range(len(cuts))))
+        total = torch.from_numpy(by_grid[0])
+        for other in by_grid[1:]:
+            total += torch.from_numpy(other)
+        return total, torch.from_numpy(np.sum(by_behind, axis=0)), None, None
+
+
+def _tensors(grid: torch.Tensor, background: torch.Tensor, rays: Rays, box: Box):
+    """The same sum with all samples at once; occupancy decides which samples are looked up."""
+    device = grid.device
+    o, d, offset = (torch.as_tensor(a, device=device) for a in (rays.origins, rays.directions, rays.offsets))
+    channel = torch.as_tensor(rays.channels, device=device)
+    low, high = (torch.as_tensor(a, dtype=torch.float32, device=device) for a in (box.low, box.high))
+    safe = torch.where(d.abs() < 1e-9, torch.full_like(d, 1e-9), d)
+    a, b = (low - o) / safe, (high - o) / safe
+    near = torch.minimum(a, b).amax(dim=1).clamp(min=0.0)
+    far = torch.maximum(a, b).amin(dim=1)
+    most = max(int(torch.ceil((far - near).clamp(min=0).max() / box.step).item()), 1) + 1
+    t = near[:, None] + (offset[:, None] + torch.arange(most, device=device)) * box.step
+    inside = (t < far[:, None]) & (far > near)[:, None]
+    ray, sample = torch.nonzero(inside, as_tuple=True)
+    point = (o[ray] + t[ray, sample][:, None] * d[ray] - low) / (high - low)  # 0 … 1 in the box
+    shape = torch.tensor(grid.shape[:3], device=device)
+    block = torch.minimum((point * (shape - 1)).long().clamp(min=0), shape - 2) // kernels.BLOCK
+    occupied = torch.as_tensor(box.occupied, device=device)
+    keep = occupied[block[:, 0], block[:, 1], block[:, 2]] > 0
+    ray, sample, point = ray[keep], sample[keep], point[keep]
+    found = F.grid_sample(
+        grid.permute(3, 0, 1, 2)[None], (2 * point.flip(1) - 1)[None, :, None, None], align_corners=True
+    )[0, :, :, 0, 0]  # fmt: skip
+    shown = found[0] > math.log(kernels.CLEAR / box.step)
+    sigma = torch.exp(found[0].clamp(max=kernels.HIGHEST)) * shown
+    value = found[1:].gather(0, channel[ray][None])[0] if len(found) > 2 else found[1]
+    colour = torch.exp(value.clamp(max=kernels.HIGHEST))
+    depth = torch.zeros(inside.shape, device=device).index_put((ray, sample), sigma * box.step)
+    after = torch.exp(-depth.cumsum(dim=1))
+    before = torch.cat([torch.ones_like(after[:, :1]), after[:, :-1]], dim=1)
+    seen = (before >= kernels.OPAQUE).float()
+    weight = (before - after) * seen
+    radiance = torch.zeros(len(o), device=device).index_add(0, ray, weight[ray, sample] * colour)
+    # transmittance where the march stopped: the last sample that was still visited
+    last = (seen.cumsum(dim=1) - 1).clamp(min=0).argmax(dim=1)
+    T = after.gather(1, last[:, None])[:, 0]
+    T = torch.where(far > near, T, torch.ones_like(T))
+    return radiance + T * background[channel], (1 - T).detach()
+
+
+def render(grid: torch.Tensor, background: torch.Tensor, rays: Rays, box: Box, engine: str = "auto"):
+    """(radiance (n,), opacity (n,)) of rays through grid (nx, ny, nz, 1 + C) before background (C,).
+
+    Radiance is differentiable in grid and background.  engine: "compiled", "tensors" or "auto" (by device).
+    """
+    if engine == "tensors" or (engine == "auto" and grid.device.type != "cpu"):
+        return _tensors(grid, background, rays, box)
+    return _Compiled.apply(grid, background, rays, box)

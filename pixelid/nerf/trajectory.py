@@ -1,0 +1,99 @@
+"""Where the camera was: linear position and slerped orientation between pose samples, and the rays of its pixels.
+
+Camera axes as in computer vision: x right, y down, z forward.  Pixel centres are at integer coordinates.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """Camera-to-world poses, constant rate in between and held outside.
+
+    t: (K,) s, increasing;  position: (K, 3);  orientation: (K, 4) unit quaternions x, y, z, w
+    """
+
+    t: np.ndarray
+    position: np.ndarray
+    orientation: np.ndarray
+
+    def at(self, times) -> tuple[np.ndarray, np.ndarray]:
+        """Positions (n, 3) and rotation matrices (n, 3, 3) at `times` (n,) s."""
+        times = np.ascontiguousarray(np.atleast_1d(times), dtype=np.float64)
+        position, rotation = np.empty((len(times), 3)), np.empty((len(times), 3, 3))
+        _poses(times, self.t, self.position, self.orientation, position, rotation)
+        return position, rotation
+
+    def rays(self, times, directions, threads_slice=slice(None)) -> tuple[np.ndarray, np.ndarray]:
+        """World origins and unit directions (n, 3) float32 of camera-frame unit directions (n, 3) at times (n,) s."""
+        times = np.ascontiguousarray(times, dtype=np.float64)[threads_slice]
+        origins, out = np.empty((len(times), 3), np.float32), np.empty((len(times), 3), np.float32)
+        _rays(
+            times,
+            np.ascontiguousarray(directions)[threads_slice],
+            self.t,
+            self.position,
+            self.orientation,
+            origins,
+            out,
+        )
+        return origins, out
+
+
+@njit(cache=True, nogil=True)
+def _pose(time, t, position, orientation):
+    """(px, py, pz, qx, qy, qz, qw) at one time."""
+    k = min(max(np.searchsorted(t, time, side="right") - 1, 0), len(t) - 2)
+    f = min(max((time - t[k]) / (t[k + 1] - t[k]), 0.0), 1.0)
+    dot = 0.0
+    for j in range(4):
+        dot += orientation[k, j] * orientation[k + 1, j]
+    sign = 1.0 if dot >= 0.0 else -1.0
+    angle = np.arccos(min(abs(dot), 1.0))
+    if angle < 1e-4:  # sin x = x to 1e-9
+        w0, w1 = 1.0 - f, f * sign
+    else:
+        w0, w1 = np.sin((1.0 - f) * angle) / np.sin(angle), sign * np.sin(f * angle) / np.sin(angle)
+    q0 = w0 * orientation[k, 0] + w1 * orientation[k + 1, 0]
+    q1 = w0 * orientation[k, 1] + w1 * orientation[k + 1, 1]
+    q2 = w0 * orientation[k, 2] + w1 * orientation[k + 1, 2]
+    q3 = w0 * orientation[k, 3] + w1 * orientation[k + 1, 3]
+    n = 1.0 / np.sqrt(q0 * q0 + q1 * q1 + q2 * q2 + q3 * q3)
+    return (
+        position[k, 0] + f * (position[k + 1, 0] - position[k, 0]),
+        position[k, 1] + f * (position[k + 1, 1] - position[k, 1]),
+        position[k, 2] + f * (position[k + 1, 2] - position[k, 2]),
+        q0 * n, q1 * n, q2 * n, q3 * n,
+    )  # fmt: skip
+
+
+@njit(cache=True, nogil=True)
+def rotate(x, y, z, w, a, b, c):
+    """Vector (a, b, c) rotated by the unit quaternion (x, y, z, w)."""
+    u, v, s = 2.0 * (y * c - z * b), 2.0 * (z * a - x * c), 2.0 * (x * b - y * a)
+    return a + w * u + y * s - z * v, b + w * v + z * u - x * s, c + w * s + x * v - y * u
+
+
+@njit(cache=True, nogil=True)
+def _poses(times, t, position, orientation, out_position, out_rotation):
+    for i in range(len(times)):
+        p0, p1, p2, x, y, z, w = _pose(times[i], t, position, orientation)
+        out_position[i, 0], out_position[i, 1], out_position[i, 2] = p0, p1, p2
+        for j in range(3):
+            e0, e1, e2 = 1.0 * (j == 0), 1.0 * (j == 1), 1.0 * (j == 2)
+            r0, r1, r2 = rotate(x, y, z, w, e0, e1, e2)
+            out_rotation[i, 0, j], out_rotation[i, 1, j], out_rotation[i, 2, j] = r0, r1, r2
+
+
+@njit(cache=True, nogil=True)
+def _rays(times, directions, t, position, orientation, origins, out):
+    for i in range(len(times)):
+        p0, p1, p2, x, y, z, w = _pose(times[i], t, position, orientation)
+        d0, d1, d2 = rotate(x, y, z, w, directions[i, 0], directions[i, 1], directions[i, 2])
+        origins[i, 0], origins[i, 1], origins[i, 2] = p0, p1, p2
+        out[i, 0], out[i, 1], out[i, 2] = d0, d1, d2

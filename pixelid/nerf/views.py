@@ -1,0 +1,228 @@
+"""Posed images: `views/transforms_{train,val,test}.json` and the pictures they list.
+
+Poses are OpenGL (x right, y up, z backward) and become x right, y down, z forward.  Pixel centres are at integer
+coordinates, so the principal point of `camera_angle_x` is (W/2 − 0.5, H/2 − 0.5).  Quantised images of D bits hold x
+for values in [x, x + 1): they become (x + 0.5) / 2^D.  Unquantised ones (linear colour) get `log_eps` added.
+Transparent parts show white.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from pixelid.errors import InputError
+from pixelid.nerf.arrays import read_arrays
+from pixelid.nerf.camera import Camera
+
+FOLDER = "views"
+STAGES = ("train", "val", "test")
+RENDERER = "renderer_params.npz"
+LUMA = np.array([0.299, 0.587, 0.114])  # ITU-R BT.601
+OPENGL = np.diag([1.0, -1.0, -1.0])
+
+
+@dataclass(frozen=True)
+class Views:
+    """Images and where they were taken.
+
+    images: (n, H, W, C) radiance;  position: (n, 3), rotation: (n, 3, 3), camera to world;  names: n;
+    exposure: (n,) exposure × gain, relative to the mean over all stages;  transparent: whether white shows through;
+    peak: the largest value an image can have
+    """
+
+    images: np.ndarray
+    position: np.ndarray
+    rotation: np.ndarray
+    camera: Camera
+    names: tuple[str, ...]
+    exposure: np.ndarray
+    transparent: bool
+    peak: float
+
+    def __len__(self) -> int:
+        return len(self.images)
+
+    def some(self, which) -> Views:
+        """The views of these indices."""
+        names = tuple(np.array(self.names, dtype=object)[which])
+        return Views(
+            self.images[which], self.position[which], self.rotation[which], self.camera, names, self.exposure[which],
+            self.transparent, self.peak,
+        )  # fmt: skip
+
+
+def views_folder(dataset: Path) -> Path:
+    """`views/` in the dataset's folder or one level up.  Raises InputError when there is none."""
+    for folder in (Path(dataset) / FOLDER, Path(dataset).resolve().parent / FOLDER):
+        if folder.is_dir():
+            return folder
+    raise InputError(f"{Path(dataset) / FOLDER}: no such folder, here or one level up")
+
+
+def read_views(dataset: Path, channels: int) -> dict[str, Views]:
+    """The views of every stage that the dataset has, in `channels` colours (1 or 3).  Raises InputError."""
+    folder = views_folder(dataset)
+    log_eps = _log_eps(Path(dataset) / RENDERER)
+    found = {
+        stage: _stage(folder / f"transforms_{stage}.json", channels, log_eps)
+        for stage in STAGES
+        if (folder / f"transforms_{stage}.json").is_file()
+    }
+    if not found:
+        raise InputError(f"{folder}: transforms_test.json: missing")
+    usual = float(np.mean(np.concatenate([views.exposure for views in found.values()])))
+    return {stage: replace(views, exposure=views.exposure / usual) for stage, views in found.items()}
+
+
+def _log_eps(file: Path) -> float:
+    if not file.is_file():
+        return 0.0
+    found = read_arrays(file, ("interm_color_space", "log_eps"))
+    space = str(found["interm_color_space"])
+    if space not in ("display", "linear"):
+        raise InputError(f"{file}: interm_color_space: expected 'display' or 'linear', found {space!r}")
+    value = np.asarray(found["log_eps"], dtype=np.float64)
+    if value.size != 1 or not np.isfinite(value).all() or value.ravel()[0] < 0:
+        raise InputError(f"{file}: log_eps: expected one number ≥ 0, found {value}")
+    return float(value.ravel()[0])
+
+
+def _stage(file: Path, channels: int, log_eps: float) -> Views:
+    try:
+        document = json.loads(file.read_text())
+    except (OSError, ValueError) as error:
+        raise InputError(f"{file}: not valid JSON ({str(error)[:80]})") from None
+    frames = document.get("frames") if isinstance(document, dict) else None
+    if not isinstance(frames, list) or not frames:
+        raise InputError(f"{file}: frames: expected a list of at least one view")
+    poses = np.array([_pose(file, k, frame) for k, frame in enumerate(frames)])
+    names = [str(frame["file_path"]) for frame in frames]
+    raw = [_image(_picture(file, name)) for name in names]
+    if len({image.shape for image in raw}) != 1 or len({image.dtype for image in raw}) != 1:
+        raise InputError(f"{file}: file_path: the pictures differ in size, channels or type")
+    stack = np.stack(raw)
+    images, peak = _radiance(file, stack, document, log_eps, channels)
+    exposure = np.array([float(f.get("exposure_time", 1.0)) * float(f.get("gain", 1.0)) for f in frames])
+    if not (np.isfinite(exposure) & (exposure > 0)).all():
+        raise InputError(f"{file}: exposure_time, gain: expected positive numbers")
+    camera = _camera(file, document, images.shape[2], images.shape[1])
+    short = tuple(Path(name).name for name in names)
+    return Views(
+        images, poses[:, :3, 3], poses[:, :3, :3] @ OPENGL, camera, short, exposure,
+        stack.shape[-1] == 4, peak,
+    )  # fmt: skip
+
+
+def _pose(file: Path, k: int, frame) -> np.ndarray:
+    for key in ("file_path", "transform_matrix"):
+        if not isinstance(frame, dict) or key not in frame:
+            raise InputError(f"{file}: frames[{k}].{key}: missing")
+    try:
+        pose = np.array(frame["transform_matrix"], dtype=np.float64)
+    except (TypeError, ValueError):
+        pose = np.empty(0)
+    if pose.shape not in ((4, 4), (3, 4)) or not np.isfinite(pose).all():
+        raise InputError(f"{file}: frames[{k}].transform_matrix: expected a finite 4 × 4 matrix")
+    if np.abs(pose[:3, :3] @ pose[:3, :3].T - np.eye(3)).max() > 1e-2:
+        raise InputError(f"{file}: frames[{k}].transform_matrix: expected a rotation in its first three columns")
+    return pose[:3]
+
+
+def _picture(file: Path, name: str) -> Path:
+    """The picture of a `file_path`, with or without its extension."""
+    exact = file.parent / name
+    if exact.is_file():
+        return exact
+    found = sorted(exact.parent.glob(f"{exact.name}.*"))
+    if not found:
+        raise InputError(f"{exact}: no such picture (file_path of {file.name})")
+    return found[0]
+
+
+def _image(path: Path) -> np.ndarray:
+    """(H, W, 1, 3 or 4) as stored: integers when quantised."""
+    try:
+        if path.suffix == ".npy":
+            image = np.load(path, allow_pickle=False)
+        elif path.suffix.lower() == ".exr":
+            image = _exr(path)
+        else:
+            from skimage.io import imread
+
+            image = imread(path)
+    except InputError:
+        raise
+    except Exception as error:  # readers of many formats, each with its own exceptions
+        raise InputError(
+            f"{path}: not a readable picture ({str(error).splitlines()[0][:80] if str(error) else ''})"
+        ) from None
+    image = np.asarray(image)
+    image = image[..., None] if image.ndim == 2 else image
+    if image.ndim == 3 and image.shape[2] == 2:
+        image = np.concatenate([np.repeat(image[..., :1], 3, axis=2), image[..., 1:]], axis=2)
+    if image.ndim != 3 or image.shape[2] not in (1, 3, 4) or image.dtype.kind not in "uf":
+        raise InputError(f"{path}: expected a grey, RGB or RGBA picture, found {image.dtype} of shape {image.shape}")
+    return image
+
+
+def _exr(path: Path) -> np.ndarray:
+    import os
+
+    os.environ.setdefault("OPENCV_IO_ENABLE_OPENEXR", "1")
+    try:
+        import cv2  # type: ignore[import-not-found]
+    except ImportError:
+        raise InputError(f"{path}: reading EXR needs OpenCV (pip install opencv-python-headless)") from None
+    image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+    if image is None:
+        raise InputError(f"{path}: OpenCV cannot read it")
+    return image if image.ndim == 2 else image[..., [2, 1, 0, *range(3, image.shape[2])]]
+
+
+def _radiance(file: Path, stack, document: dict, log_eps: float, channels: int) -> tuple[np.ndarray, float]:
+    """(n, H, W, channels) radiance of stored pictures, and its peak."""
+    quantised = stack.dtype.kind == "u"
+    levels = 1.0
+    if quantised:
+        bits = document.get("bit_depth", 8 * stack.dtype.itemsize)
+        if not isinstance(bits, int) or not 1 <= bits <= 16:
+            raise InputError(f"{file}: bit_depth: expected 1..16, found {bits!r}")
+        levels = float(2**bits)
+    elif not np.isfinite(stack).all() or stack.min() < 0:
+        raise InputError(f"{file}: file_path: a picture holds negative or non-finite values")
+    values = stack.astype(np.float64)
+    if stack.shape[-1] == 4:
+        alpha, colour = values[..., 3:], values[..., :3]
+        if quantised:  # straight alpha
+            alpha = alpha / (levels - 1)
+            values = alpha * colour + (1 - alpha) * (levels - 1)
+        else:  # premultiplied
+            values = colour + (1 - alpha)
+    if values.shape[-1] == 3 and channels == 1:
+        values = (values @ LUMA)[..., None]
+    elif values.shape[-1] == 1 and channels == 3:
+        values = np.repeat(values, 3, axis=-1)
+    if quantised:
+        return (values + 0.5) / levels, 1.0
+    values = values + log_eps
+    return values, max(1.0, float(np.quantile(values, 0.999)) if values.max() > 4.0 else 1.0)
+
+
+def _camera(file: Path, document: dict, width: int, height: int) -> Camera:
+    if "camera_angle_x" in document:
+        angle = document["camera_angle_x"]
+        if not isinstance(angle, (int, float)) or not 0 < angle < np.pi:
+            raise InputError(f"{file}: camera_angle_x: expected an angle between 0 and π, found {angle!r}")
+        f = width / 2 / np.tan(angle / 2)
+        intrinsics = np.array([[f, 0, width / 2 - 0.5], [0, f, height / 2 - 0.5], [0, 0, 1]])
+    elif "intrinsics" in document:
+        intrinsics = np.array(document["intrinsics"], dtype=np.float64)
+        if intrinsics.shape != (3, 3) or not np.isfinite(intrinsics).all():
+            raise InputError(f"{file}: intrinsics: expected a finite 3 × 3 matrix")
+    else:
+        raise InputError(f"{file}: camera_angle_x: missing, and no intrinsics either")
+    return Camera(intrinsics, width, height, np.empty(0))

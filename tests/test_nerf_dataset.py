@@ -1,0 +1,280 @@
+"""The published layout: what is read, how, and what is refused in one or two plain lines."""
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from pixelid.cli.main import main
+from pixelid.errors import InputError
+from pixelid.model.files import save_model
+from pixelid.model.shipped import find_model
+from pixelid.nerf.calibration import CIRCUIT, of_fit, uncertainty_of_fit
+from pixelid.nerf.dataset import read_dataset
+from pixelid.nerf.gauge import gauge_of, scene_box
+from pixelid.nerf.problem import evaluation_views
+from pixelid.nerf.scenes import BACKGROUND
+from pixelid.nerf.synthetic import SETTINGS, camera_model, make_dataset
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory) -> Path:
+    """A dataset of 16 × 16 pixels."""
+    return make_dataset(
+        tmp_path_factory.mktemp("scene") / "hard", "hard", seed=3, side=16, revolutions=1.0, frames_per_turn=300
+    )
+
+
+@pytest.fixture
+def scene(made, tmp_path) -> Path:
+    """A copy to break."""
+    return Path(shutil.copytree(made, tmp_path / "scene"))
+
+
+def edit(path: Path, **changes) -> None:
+    """Replace keys of an npz file by change(array), or remove them (None)."""
+    with np.load(path) as found:
+        arrays = {key: found[key] for key in found.files}
+    for key, change in changes.items():
+        value = arrays.pop(key)
+        if change is not None:
+            arrays[key] = change(value)
+    np.savez(path, **arrays)
+
+
+def with_nan(values):
+    values = np.array(values, dtype=float)
+    values[5] = np.nan
+    return values
+
+
+def test_what_is_written_is_read(made):
+    data = read_dataset(made)
+    assert len(data.t) > 200
+    assert 0.2 < data.on.mean() < 0.8
+    assert data.t.min() >= 0
+    assert data.t.max() <= data.trajectory.t[-1]
+    assert set(data.views) == {"train", "val", "test"}
+    assert data.views["test"].images.shape == (8, 16, 16, 1)
+    # in the unit of the views, the circuit is the camera's with its radiance divided out
+    model, circuit = camera_model(SETTINGS["hard"]), data.calibration.circuit
+    assert circuit.alpha == pytest.approx(model.values["alpha"] * 20)
+    assert circuit.beta == pytest.approx(model.values["beta"])
+    assert circuit.gamma == pytest.approx(model.values["gamma"] * 20)
+    assert circuit.dark == pytest.approx(0.2)
+    assert circuit.refractory == pytest.approx(1e-4)
+
+
+def test_gauge_box_and_views(made):
+    data = read_dataset(made)
+    gauge = gauge_of(data)
+    assert gauge.kind == "background"
+    assert gauge.background == pytest.approx([BACKGROUND], rel=1e-4)
+    low, high = scene_box(data.trajectory, data.calibration.camera.half_angle)
+    np.testing.assert_allclose(low + high, 0, atol=1e-4)
+    assert 1.3 < high[0] < 1.6
+    validation, test = evaluation_views(data)
+    apart = np.linalg.norm(validation.position[:, None] - test.position[None], axis=2)
+    assert apart.min() > 1e-3
+
+
+@pytest.mark.parametrize(
+    "coding", [lambda p: p, lambda p: p.astype(np.uint8), lambda p: 2 * p.astype(np.int8) - 1, lambda p: p * 1.0]
+)
+def test_polarity_codings(made, scene, coding):
+    edit(scene / "raw_events.npz", polarity=coding)
+    np.testing.assert_array_equal(read_dataset(scene).on, read_dataset(made).on)
+
+
+def test_orientations_as_matrices_and_other_clocks(made, scene):
+    edit(scene / "camera_poses.npz", T_wc_orientation=lambda q: Rotation.from_quat(q).as_matrix())
+    edit(scene / "camera_poses.npz", T_wc_timestamp=lambda t: t + 10**12)
+    edit(scene / "raw_events.npz", timestamp=lambda t: t + 10**12)
+    data, expected = read_dataset(scene), read_dataset(made)
+    np.testing.assert_allclose(data.t, expected.t, atol=1e-12)
+    times = np.linspace(0, data.trajectory.t[-1], 7)
+    np.testing.assert_allclose(data.trajectory.at(times)[1], expected.trajectory.at(times)[1], atol=1e-9)
+
+
+def test_views_one_level_up_and_quantised(scene):
+    """8-bit RGBA over white, next to the dataset's folder."""
+    from skimage.io import imsave
+
+    views = scene / "views"
+    document = json.loads((views / "transforms_test.json").read_text())
+    picture = np.zeros((16, 16, 4), np.uint8)
+    picture[4:9, 4:9] = (200, 100, 50, 255)
+    for k in range(len(document["frames"])):
+        (views / "test" / f"r_{k}.tiff").unlink()
+        imsave(views / "test" / f"r_{k}.png", picture, check_contrast=False)
+    shutil.move(views, scene.parent / "views")
+    (scene / "renderer_params.npz").unlink()
+    found = read_dataset(scene).views["test"]
+    luma = 0.299 * 200 + 0.587 * 100 + 0.114 * 50
+    assert found.images[0, 5, 5, 0] == pytest.approx((luma + 0.5) / 256)
+    assert found.images[0, 0, 0, 0] == pytest.approx(255.5 / 256)
+    assert found.transparent
+    edit(scene / "camera_calibration.npz", bayer_pattern=lambda _: np.array("RGGB"))
+    data = read_dataset(scene)
+    assert data.views["test"].images[0, 5, 5] == pytest.approx((np.array([200, 100, 50]) + 0.5) / 256)
+    assert data.calibration.channel_of(np.array([0, 1, 0, 1]), np.array([0, 0, 1, 1])).tolist() == [0, 1, 1, 2]
+    assert gauge_of(data).kind == "background"
+
+
+def test_infinite_cutoffs_are_absent_stages(scene):
+    inf = lambda _: np.array(np.inf)  # noqa: E731
+    edit(scene / "camera_calibration.npz", sf_cutoff_freq=inf, diff_amp_cutoff_freq=inf, amplifier_gain=inf)
+    circuit = read_dataset(scene).calibration.circuit
+    assert circuit.photoreceptor == "unlimited"
+    assert np.isinf(circuit.follower)
+
+
+def test_a_fit_replaces_the_pixel_in_the_datasets_unit(made, tmp_path):
+    (tmp_path / "fit").mkdir()
+    model = find_model("dvs128").set({"alpha": 3e4, "sf_cutoff_hz": 1500.0, "on_threshold": 0.3, "refractory_s": 2e-4})
+    save_model(model, tmp_path / "fit" / "model.toml")
+    data = read_dataset(made)
+    found = of_fit(data.calibration, tmp_path / "fit").circuit
+    assert found.alpha == pytest.approx(3e4 * 20)
+    assert found.gamma == pytest.approx(model.values["gamma"] * 20)
+    assert found.follower == pytest.approx(2 * np.pi * 1500)
+    assert (found.on_threshold, found.off_threshold, found.refractory) == (0.3, 0.25, 2e-4)
+    assert found.dark == pytest.approx(0.2)  # the fit has no dark current: the file's stays
+    assert of_fit(data.calibration, tmp_path / "fit", 40.0).circuit.alpha == pytest.approx(3e4 * 40)
+
+
+def test_without_circuit_constants_only_the_pixel_of_a_fit_or_none_will_do(scene, tmp_path, capsys):
+    """Data sets of Robust e-NeRF."""
+    edit(scene / "camera_calibration.npz", **dict.fromkeys(CIRCUIT))
+    data = read_dataset(scene)
+    assert data.calibration.circuit.photoreceptor == "unlimited"
+    assert main(["reconstruct", str(scene), "--out", str(tmp_path / "out")]) == 2
+    assert "input_time_const_eff_it_prod: missing" in capsys.readouterr().err
+    words = ["--bandwidth", "off", "--iterations", "2", "--quiet"]
+    assert main(["reconstruct", str(scene), "--out", str(tmp_path / "out"), *words]) in (0, 1)
+
+
+EVENTS, POSES, CALIBRATION = "raw_events.npz", "camera_poses.npz", "camera_calibration.npz"
+BROKEN = {
+    "no events file": (lambda s: (s / EVENTS).unlink(), (EVENTS, "no such file")),
+    "no npz": (lambda s: (s / EVENTS).write_text("x"), (EVENTS, "npz")),
+    "truncated": (lambda s: (s / EVENTS).write_bytes((s / EVENTS).read_bytes()[:1000]), (EVENTS, "npz")),
+    "no polarity": (lambda s: edit(s / EVENTS, polarity=None), (EVENTS, "polarity: missing")),
+    "no timestamp": (lambda s: edit(s / EVENTS, timestamp=None), (EVENTS, "timestamp: missing")),
+    "fewer polarities": (lambda s: edit(s / EVENTS, polarity=lambda p: p[:-3]), (EVENTS, "polarity: expected")),
+    "fewer positions": (lambda s: edit(s / EVENTS, position=lambda p: p[:-3]), (EVENTS, "position: expected")),
+    "transposed positions": (lambda s: edit(s / EVENTS, position=lambda p: p.T), (EVENTS, "position: expected")),
+    "pixel outside": (lambda s: edit(s / EVENTS, position=lambda p: p + 9), (EVENTS, "position: row")),
+    "polarity of 2": (lambda s: edit(s / EVENTS, polarity=lambda p: 2 * p.astype(int)), (EVENTS, "polarity")),
+    "NaN timestamps": (lambda s: edit(s / EVENTS, timestamp=with_nan), (EVENTS, "timestamp: row 5")),
+    "no event": (
+        lambda s: edit(s / EVENTS, timestamp=lambda t: t[:0], position=lambda p: p[:0], polarity=lambda p: p[:0]),
+        (EVENTS, "no events"),
+    ),
+    "no poses": (lambda s: (s / POSES).unlink(), (POSES, "no such file")),
+    "no orientation": (lambda s: edit(s / POSES, T_wc_orientation=None), (POSES, "T_wc_orientation: missing")),
+    "NaN position": (lambda s: edit(s / POSES, T_wc_position=with_nan), (POSES, "T_wc_position: row 5")),
+    "NaN orientation": (lambda s: edit(s / POSES, T_wc_orientation=with_nan), (POSES, "T_wc_orientation: row 5")),
+    "fewer positions of poses": (lambda s: edit(s / POSES, T_wc_position=lambda p: p[:-1]), (POSES, "T_wc_position")),
+    "fewer orientations": (lambda s: edit(s / POSES, T_wc_orientation=lambda q: q[:-1]), (POSES, "T_wc_orientation")),
+    "no unit quaternions": (lambda s: edit(s / POSES, T_wc_orientation=lambda q: 2 * q), (POSES, "unit quaternions")),
+    "poses that stop early": (
+        lambda s: edit(s / POSES, T_wc_timestamp=lambda t: t // 2),
+        (POSES, "T_wc_timestamp: poses cover"),
+    ),
+    "poses that start late": (
+        lambda s: edit(s / POSES, T_wc_timestamp=lambda t: t + 10**8),
+        (POSES, "T_wc_timestamp: poses cover"),
+    ),
+    "poses out of order": (lambda s: edit(s / POSES, T_wc_timestamp=np.flip), (POSES, "must increase")),
+    "no intrinsics": (lambda s: edit(s / CALIBRATION, intrinsics=None), (CALIBRATION, "intrinsics: missing")),
+    "no threshold": (
+        lambda s: edit(s / CALIBRATION, pos_contrast_threshold=None),
+        (CALIBRATION, "pos_contrast_threshold: missing"),
+    ),
+    "negative threshold": (
+        lambda s: edit(s / CALIBRATION, neg_contrast_threshold=np.negative),
+        (CALIBRATION, "neg_contrast_threshold"),
+    ),
+    "no gain": (lambda s: edit(s / CALIBRATION, amplifier_gain=None), (CALIBRATION, "amplifier_gain: missing")),
+    "unknown colours": (lambda s: edit(s / CALIBRATION, bayer_pattern=lambda _: np.array("XYZW")), ("bayer_pattern",)),
+    "NaN cutoff": (lambda s: edit(s / CALIBRATION, sf_cutoff_freq=lambda f: f * np.nan), ("sf_cutoff_freq",)),
+    "no views": (lambda s: shutil.rmtree(s / "views"), ("views", "no such folder")),
+    "no transforms": (
+        lambda s: [path.unlink() for path in (s / "views").glob("*.json")],
+        ("transforms_test.json", "missing"),
+    ),
+    "transforms of nonsense": (
+        lambda s: (s / "views" / "transforms_test.json").write_text("{"),
+        ("transforms_test.json", "not valid JSON"),
+    ),
+    "transforms without angle": (
+        lambda s: (s / "views" / "transforms_val.json").write_text(
+            json.dumps({"frames": json.loads((s / "views" / "transforms_val.json").read_text())["frames"]})
+        ),
+        ("transforms_val.json", "camera_angle_x"),
+    ),
+    "missing picture": (lambda s: (s / "views" / "test" / "r_3.tiff").unlink(), ("r_3", "no such picture")),
+    "damaged picture": (lambda s: (s / "views" / "test" / "r_3.tiff").write_bytes(b"II*\x00x"), ("r_3.tiff",)),
+    "unknown colour space": (
+        lambda s: edit(s / "renderer_params.npz", interm_color_space=lambda _: np.array("sRGB")),
+        ("renderer_params.npz", "interm_color_space"),
+    ),
+    "no folder": (shutil.rmtree, ("no such folder",)),
+}
+
+
+@pytest.mark.parametrize("wrong", BROKEN)
+def test_a_broken_dataset_is_refused(wrong, scene, capsys):
+    change, says = BROKEN[wrong]
+    change(scene)
+    assert main(["reconstruct", str(scene), "--out", str(scene.parent / "out")]) == 2
+    printed = capsys.readouterr().err
+    lines = printed.splitlines()
+    assert 1 <= len(lines) <= 2, printed
+    assert lines[0].startswith("pixelid: ")
+    assert "Traceback" not in printed
+    for word in says:
+        assert word in printed
+    assert not (scene.parent / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        (["--fit", "nowhere"], "nowhere"),
+        (["--bandwidth", "maybe"], "maybe"),
+        (["--samples", "0"], "--samples"),
+        (["--box", "1", "1", "1", "0", "0", "0"], "--box"),
+        (["--checkpoint", "missing/x.pt"], "does not exist"),
+        (["--seed", "-1"], "--seed"),
+    ],
+)
+def test_bad_usage_is_refused(made, tmp_path, capsys, options, says):
+    assert main(["reconstruct", str(made), "--out", str(tmp_path / "out"), *options]) == 2
+    printed = capsys.readouterr().err
+    assert says in printed
+    assert 1 <= len(printed.splitlines()) <= 2
+    assert not (tmp_path / "out").exists()
+
+
+def test_an_existing_result_is_kept(made, tmp_path, capsys):
+    (tmp_path / "out").mkdir()
+    assert main(["reconstruct", str(made), "--out", str(tmp_path / "out")]) == 2
+    assert "exists already" in capsys.readouterr().err
+
+
+def test_what_a_fit_leaves_uncertain_is_the_prior(tmp_path):
+    entries = {
+        "alpha": {"value": 5e4, "std": 500.0, "fixed": False},
+        "beta": {"value": 1800.0, "std": None, "fixed": True},
+        "gamma": {"value": 1.1, "std": None, "fixed": False},
+    }
+    (tmp_path / "fit.json").write_text(json.dumps({"parameters": entries}))
+    assert uncertainty_of_fit(tmp_path) == pytest.approx({"alpha": 0.01, "beta": 1e-3})
+    (tmp_path / "fit.json").write_text("{}")
+    with pytest.raises(InputError, match=r"fit\.json: parameters"):
+        uncertainty_of_fit(tmp_path)

@@ -1,0 +1,160 @@
+"""Rendering: a slab with a known answer, two engines that agree, gradients, scenes and cameras."""
+
+import numpy as np
+import pytest
+import torch
+from scipy.spatial.transform import Rotation, Slerp
+
+from pixelid.nerf.camera import Camera, pinhole
+from pixelid.nerf.correction import fit_correction
+from pixelid.nerf.field import Field
+from pixelid.nerf.render import Box, Rays, render
+from pixelid.nerf.scenes import procedural, random_views, spiral
+from pixelid.nerf.trajectory import Trajectory
+
+LOW, HIGH = np.full(3, -1.0), np.full(3, 1.0)
+
+
+def random_rays(n: int, channels: int, seed=0) -> Rays:
+    rng = np.random.default_rng(seed)
+    position, rotation = random_views(n, seed)
+    inside = pinhole(64, 64, 0.6).directions(rng.uniform(0, 63, (n, 2)))
+    world = np.einsum("nij,nj->ni", rotation, inside)
+    offsets = rng.random(n).astype(np.float32)
+    return Rays(position.astype(np.float32), world.astype(np.float32), rng.integers(0, channels, n), offsets)
+
+
+@pytest.mark.parametrize("engine", ["compiled", "tensors"])
+def test_a_uniform_box_absorbs_exponentially(engine):
+    grid = torch.zeros(17, 17, 17, 2)
+    grid[..., 0], grid[..., 1] = np.log(0.7), np.log(2.0)
+    rays = Rays(
+        np.array([[-3, 0.1, 0.2]], np.float32), np.array([[1, 0, 0]], np.float32), np.zeros(1, int),
+        np.full(1, 0.5, np.float32),
+    )  # fmt: skip
+    box = Box(LOW, HIGH, 2 / 64, np.ones((4, 4, 4), np.uint8))
+    radiance, opacity = render(grid, torch.tensor([5.0]), rays, box, engine)
+    through = np.exp(-0.7 * 2)
+    assert float(radiance) == pytest.approx(2.0 * (1 - through) + 5.0 * through, rel=1e-4)
+    assert float(opacity) == pytest.approx(1 - through, rel=1e-4)
+
+
+@pytest.mark.parametrize("channels", [1, 3])
+def test_both_engines_agree_with_their_gradients(channels):
+    rng = np.random.default_rng(0)
+    values = rng.normal(0, 1, (13, 13, 13, 1 + channels)).astype(np.float32)
+    rays = random_rays(500, channels)
+    box = Box(LOW, HIGH, 0.11, (rng.random((3, 3, 3)) < 0.8).astype(np.uint8))
+    found = []
+    for engine in ("compiled", "tensors"):
+        grid, behind = torch.tensor(values, requires_grad=True), torch.full((channels,), 0.4, requires_grad=True)
+        radiance, opacity = render(grid, behind, rays, box, engine)
+        (radiance * torch.linspace(-1, 1, len(radiance))).sum().backward()
+        found.append((radiance.detach(), opacity, grid.grad, behind.grad))
+    for compiled, tensors in zip(*found, strict=True):
+        torch.testing.assert_close(compiled, tensors, rtol=1e-3, atol=1e-4)
+
+
+def test_gradients_are_those_of_finite_differences():
+    rng = np.random.default_rng(1)
+    values = rng.normal(0, 0.5, (9, 9, 9, 2)).astype(np.float32)
+    rays, box = random_rays(200, 1), Box(LOW, HIGH, 0.25, np.ones((2, 2, 2), np.uint8))
+    behind, weight = torch.tensor([0.4]), torch.tensor(rng.normal(size=200))
+
+    def value(array):
+        return float((render(torch.tensor(array), behind, rays, box)[0].double() * weight).sum())
+
+    grid = torch.tensor(values, requires_grad=True)
+    (render(grid, behind, rays, box)[0].double() * weight).sum().backward()
+    assert grid.grad is not None
+    strongest = np.argsort(-grid.grad.abs().numpy().ravel())[:12]
+    for flat in strongest:
+        up, down = values.copy().ravel(), values.copy().ravel()
+        up[flat] += 0.01
+        down[flat] -= 0.01
+        slope = (value(up.reshape(values.shape)) - value(down.reshape(values.shape))) / 0.02
+        assert float(grid.grad.ravel()[flat]) == pytest.approx(slope, rel=2e-2)
+
+
+def test_skipping_empty_blocks_changes_nothing_that_shows():
+    field = Field(LOW, HIGH, 17, 1, [0.4])
+    with torch.no_grad():
+        field.grid[..., 0] = -12.0
+        field.grid[5:9, 6:11, 7:12, 0] = 3.0
+    rays = random_rays(300, 1)
+    before = field(rays)[0]
+    assert field.look_for_empty_blocks() < 0.5
+    torch.testing.assert_close(field(rays)[0], before, rtol=1e-3, atol=1e-3)
+
+
+def test_refining_keeps_the_scene():
+    field = Field(LOW, HIGH, 17, 1, [0.4])
+    with torch.no_grad():
+        field.grid += 0.5 * torch.randn(field.grid.shape, generator=torch.Generator().manual_seed(0))
+    at = field.grid[::2, ::2, ::2].clone()
+    field.refine(33)
+    torch.testing.assert_close(field.grid[::4, ::4, ::4], at)
+
+
+def test_poses_are_interpolated_linearly_and_by_slerp():
+    rng = np.random.default_rng(2)
+    t, rotations = np.array([0.0, 0.3, 1.0]), Rotation.random(3, random_state=4)
+    quaternions = rotations.as_quat() * np.array([[1], [-1], [1]])
+    trajectory = Trajectory(t, rng.normal(size=(3, 3)), quaternions)
+    times = np.linspace(0, 1, 23)
+    position, rotation = trajectory.at(times)
+    np.testing.assert_allclose(rotation, Slerp(t, rotations)(times).as_matrix(), atol=1e-9)
+    for j in range(3):
+        np.testing.assert_allclose(position[:, j], np.interp(times, t, trajectory.position[:, j]), atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("model", "numbers"), [("plumb_bob", [-0.3, 0.1, 1e-3, -2e-3, 0.02]), ("equidistant", [0.02, -0.01, 0.003, -0.001])]
+)
+def test_lens_distortion_is_undone(model, numbers):
+    ideal = pinhole(64, 48, 1.0)
+    k = np.array(numbers)
+    camera = Camera(ideal.intrinsics, 64, 48, k, model)
+    rng = np.random.default_rng(0)
+    x, y = rng.uniform(-0.4, 0.4, (2, 50))
+    r2 = x * x + y * y
+    if model == "plumb_bob":
+        radial = 1 + k[0] * r2 + k[1] * r2**2 + k[4] * r2**3
+        xd = x * radial + 2 * k[2] * x * y + k[3] * (r2 + 2 * x * x)
+        yd = y * radial + k[2] * (r2 + 2 * y * y) + 2 * k[3] * x * y
+    else:
+        theta = np.arctan(np.sqrt(r2))
+        bent = theta * (1 + k[0] * theta**2 + k[1] * theta**4 + k[2] * theta**6 + k[3] * theta**8)
+        xd, yd = x * bent / np.sqrt(r2), y * bent / np.sqrt(r2)
+    pixels = np.column_stack([xd, yd, np.ones(50)]) @ ideal.intrinsics.T
+    found = camera.directions(pixels[:, :2])
+    np.testing.assert_allclose(found[:, :2] / found[:, 2:], np.column_stack([x, y]), atol=1e-8)
+
+
+def test_scenes_are_deterministic_and_hdr():
+    camera = pinhole(32, 32, 0.6911)
+    position, rotation = random_views(4, 1)
+    images = procedural(5).render(camera, position, rotation)
+    np.testing.assert_array_equal(images, procedural(5).render(camera, position, rotation))
+    assert np.abs(images - procedural(6).render(camera, position, rotation)).max() > 0.1
+    assert images.max() / images.min() > 100
+    assert len(procedural(5).items) >= 5
+
+
+def test_the_spiral_looks_at_the_scene():
+    trajectory = spiral(2.0, 3)
+    position, rotation = trajectory.at([0.0, 0.71, 2.0])
+    axis = rotation[:, :, 2]
+    np.testing.assert_allclose(axis, -position / np.linalg.norm(position, axis=1, keepdims=True), atol=1e-3)
+    assert (rotation[:, 2, 1] < 0).all()  # y points down
+
+
+def test_the_correction_is_found():
+    rng = np.random.default_rng(0)
+    radiance = rng.uniform(0.02, 2.0, (3, 8, 8, 2))
+    exposure = np.array([1.0, 0.5, 1.5])
+    a, b, c = np.array([0.7, 1.3]), np.array([0.8, 1.4]), np.array([0.05, 0.1])
+    images = exposure[:, None, None, None] * (a * radiance**b - c)
+    found = fit_correction(radiance, images, exposure)
+    np.testing.assert_allclose([found.a, found.b, found.c], [a, b, c], rtol=1e-3)
+    np.testing.assert_allclose(found(radiance, exposure), images, atol=1e-4)
