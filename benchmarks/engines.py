@@ -19,17 +19,15 @@ from pixelid.likelihood.event_times import EventTimes
 from pixelid.model.shipped import find_model
 from pixelid.recordings import open_recordings
 from pixelid.simulate import simulate
-from pixelid.stimuli.stimulus import Stimulus
+from pixelid.stimuli.shapes import chirp, steps
 
 ENGINES = (("scipy", {}), ("casadi", {"form": "compiled"}), ("torch", {"form": "compiled"}))
 
 
 def session():
     """Two recordings of 16 pixels."""
-    model, t = find_model("dvs128"), np.linspace(0.0, 0.4, 4001)
-    shown = [(20.0, 10.0), (400.0, 40.0)]
-    light = [Stimulus(t, level * np.exp(np.sin(2 * np.pi * f * t)), "fA") for level, f in shown]
-    return [simulate(model, s, width=4, height=4, seed=i) for i, s in enumerate(light)]
+    light = [chirp(20.0, stop_hz=200.0, duration_s=0.4, dt=1e-4), steps(400.0, duration_s=0.4, dt=1e-4)]
+    return [simulate(find_model("dvs128"), s, width=4, height=4, seed=i, as_sampled=True) for i, s in enumerate(light)]
 
 
 def timed(function):

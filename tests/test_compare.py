@@ -34,6 +34,24 @@ def test_every_pixel_is_predicted_once(outcome):
         assert np.isfinite(contender.held_out).all()
 
 
+@pytest.mark.slow
+def test_leave_one_pixel_out_agrees_with_held_out_pixels():
+    truth = find_model("dvs128").without_effect("threshold_mismatch")
+    recording = simulate(truth, chirp(24.0, duration_s=0.2, dt=2e-4), width=20, height=1, seed=3)
+    held = dict.fromkeys(("refractory_s", "diff_cutoff_hz", "sf_cutoff_hz"))
+    second = truth.fix(held)
+    first = find_model("dvs128_low_light").without_effect("threshold_mismatch").fix(held)
+    found = compare([recording], [first, second], between="linear", posteriors=True).contenders
+    for contender in found.values():
+        assert contender.loo is not None
+        assert contender.loo["se"] > 0
+    assert found["dvs128"].loo["worst_k_hat"] < 0.7  # else the importance weights of a pixel cannot be relied on
+    gain = found["dvs128"].loo["elpd"] - found["dvs128_low_light"].loo["elpd"]
+    held_out = found["dvs128"].held_out.sum() - found["dvs128_low_light"].held_out.sum()
+    assert gain > 10
+    assert gain == pytest.approx(held_out, rel=0.5)
+
+
 def test_comparisons_that_make_no_sense():
     with pytest.raises(InputError, match="two or more models"):
         compare([], [find_model("dvs128")])

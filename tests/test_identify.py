@@ -105,6 +105,20 @@ def test_one_level_one_frequency_is_not_reported_as_known(single):
     assert result.details["directions_best_to_least_known"][-1]["sd"] > 0.5
 
 
+@pytest.mark.parametrize("seed", [1, 2])
+def test_one_frequency_at_two_levels_gives_no_tight_wrong_numbers(seed):
+    truth = find_model("dvs128")
+    light = [sine(level, 0.5, 25.0, 0.4, dt=2e-4) for level in (10.0, 300.0)]
+    recordings = [simulate(truth, s, width=4, height=2, seed=10 * seed + i, sensor_seed=seed)
+                  for i, s in enumerate(light)]  # fmt: skip
+    result = fit(recordings, truth, starts=1, between="linear", seed=seed)
+    assert "one frequency" in " ".join(result.unidentified)
+    assert not result.estimates["diff_cutoff_hz"].identified
+    for name in ("alpha", "beta", "gamma", "sf_cutoff_hz"):
+        e = result.estimates[name]
+        assert not e.identified or abs(np.log(e.value / truth.values[name])) < 4.0 * e.std / e.value, name
+
+
 def test_profiles_are_bounded_one_sided_or_flat(single):
     recordings, result = single
     truth = find_model("dvs128").values

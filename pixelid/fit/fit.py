@@ -29,6 +29,7 @@ from pixelid.stimuli.resample import resampled
 
 Progress = Callable[[str, float], None]
 STARTS = 2  # random starts beside the model's own
+MORE_STARTS, FAR = 6, 1.0  # tried one after the other, factors e^±FAR away, while the best end has not converged
 SCOUT_EVENTS = 6_000  # events the search from afar looks at
 SCOUT_S = 1.0  # seconds of each pooled recording it looks at
 
@@ -48,7 +49,8 @@ def fit(
     """Fit the model's free parameters to the recordings, all in one problem.
 
     Recordings with pixel addresses use the event-time likelihood, pooled ones the pooled-rate likelihood (all or
-    none).  The search starts from the model's values and `starts` random points around them.
+    none).  The search starts from the model's values and `starts` random points around them, and from a few more while
+    the best has not converged.
     between: how recorded stimuli run between their samples, "linear", "smooth", or "auto": whichever explains the
     events better.  fixed: nuisances of the recordings to hold ("stimulus.gain", "pooled.pixels").
     engine: what climbs the event-time likelihood (`fit.engines`); all engines find the same optimum.  Pooled counts,
@@ -143,11 +145,19 @@ def _fit_event_times(recordings, model, starts, between, climber: Engine, rng, r
     report("searching", 0.05)
     searcher = engine_named("scipy") if climber.name == "torch" else climber  # far starts need curvature
     ends: list[Optimum] = []
-    points = [coordinates.start, *random_starts(coordinates.start, starts, rng)]
-    for i, point in enumerate(points):
-        begun = coordinates.start if i == 0 else Coordinates.of(feasible(coordinates.model_at(point), scout)).start
+
+    def search(begun: np.ndarray) -> None:
         ends.append(searcher.maximise(EventTimesObjective(scout, coordinates), begun, tolerance=1e-2, max_steps=80))
-        report("searching", 0.05 + 0.45 * (i + 1) / len(points))
+        report("searching", 0.05 + 0.45 * len(ends) / (len(ends) + starts + 1))
+
+    def feasible_start(point: np.ndarray) -> np.ndarray:
+        return Coordinates.of(feasible(coordinates.model_at(point), scout)).start
+
+    search(coordinates.start)
+    for point in random_starts(coordinates.start, starts, rng):
+        search(feasible_start(point))
+    while not max(ends, key=lambda end: end.local.value).converged and len(ends) <= starts + MORE_STARTS:
+        search(feasible_start(random_starts(coordinates.start, 1, rng, FAR)[0]))
     best = max(ends, key=lambda end: end.local.value)
     agree = sum(end.local.value > best.local.value - 1.0 for end in ends)
     candidates = {}
