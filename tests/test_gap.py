@@ -291,3 +291,16 @@ def test_practice_cases(case):
         assert interval[0] - 1e-9 <= strength <= interval[1] + 1e-9
         assert run.closed >= 0.9
         assert run.interval[0] >= 0.75
+
+
+def test_hot_pixels_stand_out_where_others_are_silent():
+    from pixelid.gap.hot import hot_pixels
+
+    burning = MODEL.with_effect("hot_pixels", {"rate_hz": 8.0, "count": 2})
+    found = hot_pixels(session(burning, side=4, seed=6))
+    assert found is not None
+    assert len(found.pixels) == 2
+    low, high = found.print.interval
+    assert low < 8.0 < high
+    assert hot_pixels(session(MODEL, side=4, seed=6)) is None
+    assert hot_pixels(session(MODEL.with_effect("leak", {"rate_hz": 2.0}), side=4, seed=6)) is None

@@ -19,7 +19,7 @@ after and floor; the floor is the same G of a set of twins of the grown model, o
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -93,11 +93,13 @@ def free_run(
     before: Model,
     after: Model,
     seed: int,
+    hot: np.ndarray | None = None,
 ) -> FreeRun:
     """The gap of two models on the events of `pixels` (P,).
 
     recordings: with their stimuli as the fit reads them;  timely: the same with what the readout did undone
     sensor: active pixels of the sensor, which share one readout;  fitted: pixels behind the models' values
+    hot: (P,) which of the pixels are hot: their twins fire the extra events of the model's hot_pixels
     """
     edges = [_wait_edges(r) for r in recordings]
     alone = not after.has("readout_latency")
@@ -105,7 +107,7 @@ def free_run(
     expected = {}
     for name, model, salt in (("before", before, 1), ("after", after, 2)):
         tables = (
-            _twins(recordings, timely, pixels, model, edges, seed + 1000 * salt)
+            _twins(recordings, timely, pixels, model, edges, seed + 1000 * salt, hot)
             if alone
             else _sensors(recordings, len(pixels), sensor, model, edges, seed + 1000 * salt)
         )
@@ -158,13 +160,15 @@ def _expected(tables: np.ndarray, shared: float) -> Expected:
     return Expected(behind.mean(axis=0), spread * (1.0 + 1.0 / len(behind)), sets)
 
 
-def _twins(recordings, timely, pixels: np.ndarray, model: Model, edges, seed: int) -> np.ndarray:
+def _twins(recordings, timely, pixels: np.ndarray, model: Model, edges, seed: int, hot=None) -> np.ndarray:
     """(copies, P, cells) counts of twins of the measured pixels."""
     named = {r.name: r for r in timely}
     mine = only([named.get(r.name, r) for r in recordings], pixels)
     on, off = _thresholds(mine, pixels, model)
     copies = COPIES + GROUPS
-    exact = model.without_effect("threshold_mismatch")
+    exact = model.without_effect("threshold_mismatch").without_effect("hot_pixels")
+    extra_hz = model.circuit().hot_hz if hot is not None else 0.0
+    burning = np.flatnonzero(np.tile(hot, copies)) if hot is not None and extra_hz > 0 else np.empty(0, np.int64)
     dead = float(np.real(model.circuit().refractory))
     runs = []
     for i, (recording, own) in enumerate(zip(recordings, mine, strict=True)):
@@ -172,9 +176,23 @@ def _twins(recordings, timely, pixels: np.ndarray, model: Model, edges, seed: in
         first = np.unique(own.events.pixel, return_index=True)
         released[np.searchsorted(pixels, first[0])] = own.events.t[first[1]] * 1e-9 + dead
         twins = Twins(np.tile(on, copies), np.tile(off, copies), np.tile(released, copies))
-        runs.append(simulate(exact, recording.stimulus, width=len(twins.on), height=1, seed=seed + i, twins=twins))
+        run = simulate(exact, recording.stimulus, width=len(twins.on), height=1, seed=seed + i, twins=twins)
+        runs.append(_burning(run, burning, extra_hz, seed + i) if len(burning) else run)
     table = counted(runs, np.arange(copies * len(pixels)), edges).table
     return table.reshape(copies, len(pixels), -1)
+
+
+def _burning(recording: Recording, pixels: np.ndarray, rate_hz: float, seed: int) -> Recording:
+    """The recording with ON events of a Poisson process in some pixels."""
+    assert recording.stimulus is not None
+    rng, events = np.random.default_rng(seed), recording.events
+    start, span = float(recording.stimulus.t[0]), recording.stimulus.duration_s
+    x = np.repeat(pixels, rng.poisson(rate_hz * span, len(pixels)))
+    t = np.concatenate([events.t, ((start + span * rng.random(len(x))) * 1e9).astype(np.int64)])
+    order = np.argsort(t, kind="stable")
+    x = np.concatenate([events.x, x.astype(np.uint16)])[order]
+    p = np.concatenate([events.p, np.ones(len(t) - len(events), np.uint8)])[order]
+    return replace(recording, events=replace(events, t=t[order], x=x, y=np.zeros(len(t), np.uint16), p=p))
 
 
 def _thresholds(recordings, pixels: np.ndarray, model: Model) -> tuple[np.ndarray, np.ndarray]:
@@ -184,8 +202,9 @@ def _thresholds(recordings, pixels: np.ndarray, model: Model) -> tuple[np.ndarra
     off = np.full(len(pixels), float(np.real(circuit.off_threshold)))
     likelihood = EventTimes(recordings)
     means = likelihood.terms(circuit).group_mean.reshape(-1, 2)
-    where = np.searchsorted(pixels, likelihood.pixel_keys)
-    off[where], on[where] = np.real(means[:, 0]), np.real(means[:, 1])
+    seen = np.isin(likelihood.pixel_keys, pixels)
+    where = np.searchsorted(pixels, likelihood.pixel_keys[seen])
+    off[where], on[where] = np.real(means[seen, 0]), np.real(means[seen, 1])
     return on, off
 
 

@@ -18,6 +18,7 @@ from pixelid.gap.covariates import factors
 from pixelid.gap.directions import Direction, Space, direction, similarities, space
 from pixelid.gap.distance import free_run
 from pixelid.gap.flexible import Flexible, flexible
+from pixelid.gap.hot import hot_pixels
 from pixelid.gap.intervals import limits
 from pixelid.gap.maps import Cell
 from pixelid.gap.readout import Fingerprint, fingerprints
@@ -25,7 +26,7 @@ from pixelid.gap.recommend import blindest, recommended
 from pixelid.gap.residuals import residuals
 from pixelid.gap.restored import restored, unjittered
 from pixelid.gap.result import GapReport, Named
-from pixelid.gap.split import locked
+from pixelid.gap.split import locked, only
 from pixelid.gap.verdict import Shadow, sentence, shadowed, verdict
 from pixelid.gap.words import where
 from pixelid.gap.workbench import STRAYS_EXPECTED, Look, Workbench, based, look, reconsidered, relative_noise, workbench
@@ -82,18 +83,25 @@ def gap(
     lost: tuple[str, ...] = ()
     told: dict[str, tuple[float, float]] = {}  # intervals of what is held from then on
     jitter, jittered = 0.0, ()  # what true times have been drawn behind, and so is no longer in the likelihood
+    hot = None if "hot_pixels" in leave_out or model.has("hot_pixels") else hot_pixels(timely)
+    if hot is not None:
+        rounds.append(_stamped(hot.print, False))
+        split = split.without(hot.pixels)
+        timely = only(timely, split.everyone)
     for found in prints:
         rounds.append(_stamped(found, model.has(found.effect)))
         kept = restored(timely, found, model, seed, lambda what: report(what, 0.08))
         timely, lost = list(kept.recordings), lost + kept.lost
         model = model.with_effect(found.effect, {found.parameter: found.value}).fix({found.parameter: None})
-    if prints:
+    if prints or hot:
         bench, current = based(timely, split, model, seed)
-        seen = look(bench, current, trust_strays=False)
+        seen = look(bench, current, trust_strays=not prints)
     else:
         current = base
     start = bench.nominal
     new = [f for f in prints if f.effect not in base.model.effects]
+    if hot is not None:
+        new.append(hot.print)
     rivals: tuple[Candidate, ...] = ()
     for turn in range(MOST_ROUNDS):
         share = 0.1 + 0.6 * turn / MOST_ROUNDS
@@ -148,6 +156,8 @@ def gap(
     report("intervals", 0.8)
     selected = sum(int(np.isin(r.events.pixel, split.select).sum()) for r in recordings)
     whole = current.model if not jittered else current.model.with_effect(*jittered, {"sigma_s": jitter})
+    if hot is not None:
+        whole = whole.with_effect("hot_pixels", {"rate_hz": hot.print.value, "count": len(hot.pixels)})
     effects = (*(_printed(f, selected) for f in new), *_effects(bench, at, current, whole, steps, told))
     report("free run", 0.85)
     run = None
@@ -155,7 +165,9 @@ def gap(
         fine = [r.with_stimulus(resampled(r.stimulus, bench.between)) for r in recordings]  # type: ignore[arg-type]
         sensor = len(np.union1d(split.train, split.confirm))
         undone = [r.with_stimulus(resampled(r.stimulus, bench.between)) for r in timely]  # type: ignore[arg-type]
-        run = free_run(fine, undone, split.confirm, sensor, len(split.train), base.model, whole, seed)
+        watched = split.confirm if hot is None else np.union1d(split.confirm, hot.pixels)
+        sick = np.isin(watched, hot.pixels) if hot is not None else None
+        run = free_run(fine, undone, watched, sensor, len(split.train), base.model, whole, seed, sick)
     report("what to record next", 0.95)
     place = where(seen.maps, bench.train, seen.residual.stray, relative_noise(current.model))
     advice = _advice(at, current, directions, steps, rivals, shadow, remainder, seen, bench)

@@ -30,6 +30,16 @@ class Split:
     confirm: np.ndarray
     apart: bool
 
+    def without(self, pixels: np.ndarray) -> Split:
+        """The split when some pixels are set aside for good."""
+        parts = (np.setdiff1d(part, pixels) for part in (self.fit, self.select, self.confirm))
+        return Split(*parts, self.apart)
+
+    @property
+    def everyone(self) -> np.ndarray:
+        """All pixels of the split."""
+        return np.union1d(self.train, self.confirm)
+
     @property
     def train(self) -> np.ndarray:
         """Everything that may be looked at before confirmation."""
