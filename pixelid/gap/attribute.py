@@ -22,6 +22,8 @@ from pixelid.model.model import Model
 
 LEADERS = 4  # effects fitted to all fit pixels
 SCREEN_STEPS = 6
+FIT_STEPS = (30, 10)  # of the leading effect, and of the others: they start where the screening left them
+HOPEFUL = 0.05  # of the best screened gain: below it, a third effect has no chance
 WORTH = 3.0  # nats below which a screened effect is not looked at again
 DISTINCT = 5.0  # nats by which the winner must lead on the fit pixels
 SECURE = 1.0  # standard errors (paired over pixels) by which held-out gains must lead
@@ -97,11 +99,13 @@ def attribute(
                 screened[effect] = end
     gains = {effect: end.value - base_scout.value for effect, end in screened.items()}
     leaders = sorted((e for e in gains if gains[e] > WORTH), key=lambda e: -gains[e])[:LEADERS]
+    leaders = [e for i, e in enumerate(leaders) if i < 2 or gains[e] > HOPEFUL * gains[leaders[0]]]
     before = per_pixel(pools.select, base_fit.model)
     found = []
     for effect in leaders:
         report(effect)
-        end = climbed(pools.fit, screened[effect].model, tolerance=0.02, max_steps=30)
+        steps = FIT_STEPS[0] if effect == leaders[0] else FIT_STEPS[1]
+        end = climbed(pools.fit, screened[effect].model, tolerance=0.02, max_steps=steps)
         gain = end.value - base_fit.value
         degrees = sum(p.free for p in stages.effect(effect).parameters)
         p = min(1.0, 0.5 * len(effects) * float(chi2.sf(2.0 * max(gain, 0.0), degrees)))

@@ -43,7 +43,9 @@ class Fingerprint:
 
 def fingerprints(recordings: Sequence[Recording]) -> list[Fingerprint]:
     """What the timestamps of the recordings (of one sensor) give away."""
-    found = [service(recordings), grid(recordings)]
+    queue = service(recordings)
+    # a busy server stamps its pixels a whole number of service times apart: then only a common divisor is a grid
+    found = [queue, grid(recordings, scans=queue is None)]
     return [f for f in found if f is not None]
 
 
@@ -81,14 +83,19 @@ def service(recordings: Sequence[Recording]) -> Fingerprint | None:
     )  # fmt: skip
 
 
-def grid(recordings: Sequence[Recording]) -> Fingerprint | None:
-    """The tick of the timestamps, where it is coarser than the unit that the files count in."""
+def grid(recordings: Sequence[Recording], scans: bool = True) -> Fingerprint | None:
+    """The tick of the timestamps, where it is coarser than the unit that the files count in.
+
+    scans: also look for the period of a scan in the waits of single pixels
+    """
     t = np.concatenate([r.events.t for r in recordings]) if recordings else np.empty(0, np.int64)
     unit = max((r.events.tick_ns for r in recordings), default=1) * 1e-9
     if len(t) < FEWEST_STAMPS:
         return None
     tick, error = float(np.gcd.reduce(t)) * 1e-9, 0.5e-9
     if tick < LEAST_GRID * unit:
+        if not scans:
+            return None
         largest = max(recordings, key=lambda r: len(r.events)).events
         found = find_tick(largest, pixel_intervals(largest))
         if found.scan_s is None or found.scan_s < LEAST_GRID * unit:
