@@ -32,8 +32,8 @@ class Split:
 
     def without(self, pixels: np.ndarray) -> Split:
         """The split when some pixels are set aside for good."""
-        parts = (np.setdiff1d(part, pixels) for part in (self.fit, self.select, self.confirm))
-        return Split(*parts, self.apart)
+        fit, select, confirm = (np.setdiff1d(part, pixels) for part in (self.fit, self.select, self.confirm))
+        return Split(fit, select, confirm, self.apart)
 
     @property
     def everyone(self) -> np.ndarray:
