@@ -39,6 +39,7 @@ from pixelid.stimuli.resample import resampled
 Progress = Callable[[str, float], None]
 ALPHA = 0.01
 MOST_ROUNDS = 4
+CLOSES = 0.1  # of the gap that effects found on the way to `unknown` must close, or they are withdrawn
 REMAINS = 0.5  # of its gain an effect must keep beside a nameless term that gains more than it does
 
 
@@ -168,6 +169,10 @@ def gap(
         watched = split.confirm if hot is None else np.union1d(split.confirm, hot.pixels)
         sick = np.isin(watched, hot.pixels) if hot is not None else None
         run = free_run(fine, undone, watched, sensor, len(split.train), base.model, whole, seed, sick)
+    withdrawn: list[str] = []
+    if remainder and run is not None and run.closed is not None and run.closed < CLOSES:
+        withdrawn = [effect.name for effect in effects]
+        effects, run, whole = (), None, base.model
     report("what to record next", 0.95)
     place = where(seen.maps, bench.train, seen.residual.stray, relative_noise(current.model))
     advice = _advice(at, current, directions, steps, rivals, shadow, remainder, seen, bench)
@@ -191,6 +196,7 @@ def gap(
             "stimulus_between_samples": bench.between,
             "pixels": {"fit": len(split.fit), "select": len(split.select), "confirm": len(split.confirm)},
             "held_out": split.apart,
+            "withdrawn": withdrawn,
             "recordings_whose_times_are_lost": list(lost),
             "remaining_p": seen.p,
             "remaining": [_cell(c) for c in seen.maps.cells[:8]],
