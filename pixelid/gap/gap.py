@@ -116,7 +116,7 @@ def gap(
         winner = found.winner
         if winner is None:
             break
-        if not _stands_beside_nameless(bench, current, seen, winner, alpha):
+        if not _stands_beside_nameless(bench, current, winner, alpha):
             entry["refused"] = f"{winner.effect}: a nameless term explains more, and leaves it little to explain"
             break
         entry["named"] = winner.effect
@@ -149,7 +149,7 @@ def gap(
             break
     report("what these stimuli can tell", 0.75)
     remainder = seen.p < alpha
-    term = nameless(bench, current, seen) if remainder else None
+    term = nameless(bench, current) if remainder else None
     at = space(bench.train, current)
     directions = [d for d in (direction(at, name) for name in missing(current.model)) if d is not None]
     shadow = shadowed(at, directions) if not steps and not new and not remainder else None
@@ -221,7 +221,7 @@ def _check(recordings: Sequence[Recording], model: Model, alpha: float) -> None:
         recording.check_stimulus_covers_events()
 
 
-def nameless(bench: Workbench, current: Climbed, seen: Look) -> Flexible | None:
+def nameless(bench: Workbench, current: Climbed) -> Flexible | None:
     """The nameless term on what the fit pixels leave, judged on the select pixels."""
     held = bench.pools.select
     fit = bench.pools.fit
@@ -232,13 +232,13 @@ def nameless(bench: Workbench, current: Climbed, seen: Look) -> Flexible | None:
     return flexible(parts[0], parts[1])
 
 
-def _stands_beside_nameless(bench: Workbench, current: Climbed, seen: Look, winner: Candidate, alpha: float) -> bool:
+def _stands_beside_nameless(bench: Workbench, current: Climbed, winner: Candidate, alpha: float) -> bool:
     """Whether the winner is still wanted when a nameless term may take its place.
 
     Asked only where the nameless term gains more on held-out pixels than the winner: then the term's shifts become
     part of the thresholds, the model is fitted with and without the effect, and the effect must keep enough gain.
     """
-    term = nameless(bench, current, seen)
+    term = nameless(bench, current)
     if term is None or float(term.held_out.sum()) < winner.heldout_gain:
         return True
     sigma = relative_noise(current.model)
@@ -257,8 +257,10 @@ def _stands_beside_nameless(bench: Workbench, current: Climbed, seen: Look, winn
 def _shifted(likelihood: EventTimes, current: Climbed, term: Flexible, sigma: float) -> EventTimes:
     """The same events with the nameless term's shifts as part of their thresholds."""
     here = residuals(likelihood, current.model.circuit())
-    factor = next(f for f in factors(likelihood, here) if f.name == term.factor and len(f.labels) > 0
-                  and set(f.labels) & set(term.labels))  # fmt: skip
+    alike = (f for f in factors(likelihood, here) if f.name == term.factor and set(f.labels) & set(term.labels))
+    factor = next(alike, None)
+    if factor is None:  # slices follow the quantiles of each pool: these share none with the term's
+        return likelihood
     shift = dict(zip(term.labels, term.shift, strict=True))
     by_cell = np.array([shift.get(label, 0.0) for label in factor.labels])
     moved = EventTimes(likelihood.recordings)

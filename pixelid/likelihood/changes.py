@@ -18,19 +18,17 @@ from numba import njit
 from pixelid.dynamics import kernels, slew, vectorised
 from pixelid.dynamics.equations import PRESENT_BELOW
 from pixelid.dynamics.of_circuit import dynamics_of
-from pixelid.dynamics.trajectory import Dynamics, Trajectory, integrate
-from pixelid.errors import InputError
+from pixelid.dynamics.trajectory import Trajectory, integrate
 from pixelid.likelihood import plain_changes
 from pixelid.likelihood.plain_changes import Plain, locate
 from pixelid.likelihood.sequences import Sequences
+from pixelid.likelihood.slewing import slewed
 from pixelid.recordings.recording import Recording
 from pixelid.stages.circuit import Circuit
-from pixelid.stimuli.drive import Drive, drive, refined
+from pixelid.stimuli.drive import Drive, drive
 
 PER_EVENT = ("change", "slope", "drift", "drift_slope", "opposite", "opposite_drift", "early")
 PER_PIXEL = ("rise", "rise_drift", "fall", "fall_drift")
-SLEW_FASTEST = 2 * np.pi * 4e4  # rad/s: poles of a slew-limited pixel beyond this are taken as this
-SLEW_RESOLUTION = 0.5  # steps per time constant of the fastest stage of a slew-limited pixel
 BLOCK = 16  # samples whose extremes are kept together
 
 
@@ -241,30 +239,6 @@ def _censored(
         if fall_at[i] >= 0:
             c, f = _at_sample(fall_at[i], tr, level, offset, light_r, t, wd, output, lights, leak, parasitic)
             fall[i], fall_drift[i] = -c, -f
-
-
-def slewed(light: Drive, circuit: Circuit, dynamics: Dynamics) -> Trajectory:
-    """The trajectory of a slew-limited follower, in steps that resolve every pole (`SLEW_RESOLUTION`).
-
-    Raises InputError without source follower or differencing pole: the first would have nothing to slew, the second is
-    what the level at an event is read through.  Poles beyond `SLEW_FASTEST` are taken as that: a fit that
-    walks there must not ask for nanosecond steps.
-    """
-    if not (np.isfinite(np.real(circuit.follower)) and np.isfinite(np.real(circuit.differencing))):
-        raise InputError("slew_limit: its likelihood needs source_follower_pole and differencing_pole")
-    photoreceptor, poles = tuple(dynamics)[:3], tuple(dynamics)[3:]
-    values = tuple(float(np.real(v)) for v in photoreceptor) + tuple(
-        min(float(np.real(w)), SLEW_FASTEST) if w < PRESENT_BELOW else w for w in poles
-    )
-    span = float(light.t[-1] - light.t[0])
-    t, radiance = light.t, light.radiance
-    if np.ptp(radiance) > 0:
-        t, left, weight = refined(light.t, slew.longest_step(values[3:], span, SLEW_RESOLUTION))
-        logs = np.log(light.radiance)
-        radiance = np.exp((1.0 - weight) * logs[left] + weight * logs[left + 1])
-    midpoint = circuit.linearisation == "midpoint"
-    states = slew.slewed_states(t, radiance, values, slew.rates_of(circuit, values), midpoint)
-    return Trajectory(t, np.log(radiance), radiance, Dynamics._make(values), midpoint, states)
 
 
 class ChangeEvaluator:
