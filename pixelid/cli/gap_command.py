@@ -29,7 +29,7 @@ def command(recordings, model, out, with_, without, alpha, overwrite, seed, quie
     """Find where a model and RECORDINGS (files or folders) disagree, and which effect is missing.
 
     The verdict is none, named, ambiguous or unknown.  Writes gap.json, model.toml (the grown model), figures and
-    report.html.
+    report.html.  Interrupted, it keeps the fits it has made, and goes on there when called again.
     """
     from pixelid.cli.progress import bar
     from pixelid.gap.figures import write_figures
@@ -44,7 +44,8 @@ def command(recordings, model, out, with_, without, alpha, overwrite, seed, quie
     base, remarks = changed(find_model(model), with_, without, ())
     found = open_recordings(recordings)
     with bar(quiet) as report:
-        result = gap(found, base, alpha=alpha, seed=seed, progress=report)
+        # interrupted and called again, the search reads back the fits it has made
+        result = gap(found, base, alpha=alpha, seed=seed, progress=report, resume=out.with_name(f".{out.name}.fits"))
     with whole_folder(out, overwrite) as folder:
         result.save(folder)
         write_figures(result, found, folder)

@@ -21,7 +21,8 @@ from pixelid.likelihood.event_times import EventTimes
 from pixelid.model.model import Model
 
 LEADERS = 4  # effects fitted to all fit pixels
-SCREEN_STEPS = 6
+SCREEN_STEPS = (6, 15)  # of any effect, and of poles, which trade places with those that the model has
+POLES = ("source_follower_pole", "extra_pole", "differencing_pole")
 FIT_STEPS = (30, 10)  # of the leading effect, and of the others: they start where the screening left them
 HOPEFUL = 0.05  # of the best screened gain: below it, a third effect has no chance
 WORTH = 3.0  # nats below which a screened effect is not looked at again
@@ -94,7 +95,7 @@ def attribute(
             start = None if origin is None else strongest_start(pools.scout, origin, effect, base_scout.value)
             if start is None:
                 continue
-            end = climbed(pools.scout, start, tolerance=0.3, max_steps=SCREEN_STEPS)
+            end = climbed(pools.scout, start, tolerance=0.3, max_steps=SCREEN_STEPS[effect in POLES])
             if effect not in screened or end.value > screened[effect].value:
                 screened[effect] = end
     gains = {effect: end.value - base_scout.value for effect, end in screened.items()}
@@ -106,6 +107,10 @@ def attribute(
         report(effect)
         steps = FIT_STEPS[0] if effect == leaders[0] else FIT_STEPS[1]
         end = climbed(pools.fit, screened[effect].model, tolerance=0.02, max_steps=steps)
+        if effect == leaders[0]:  # the model without it may owe its lower place to its other parameters
+            again = climbed(pools.fit, end.model.without_effect(effect), tolerance=0.1, max_steps=10)
+            if again.value > base_fit.value:
+                base_fit, before = again, per_pixel(pools.select, again.model)
         gain = end.value - base_fit.value
         degrees = sum(p.free for p in stages.effect(effect).parameters)
         p = min(1.0, 0.5 * len(effects) * float(chi2.sf(2.0 * max(gain, 0.0), degrees)))

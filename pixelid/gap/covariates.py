@@ -7,6 +7,7 @@ polarity before, time since the last event, place in the recording, log radiance
 from __future__ import annotations
 
 import itertools
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,15 +24,20 @@ class Factor:
     """One way to sort events into cells.
 
     name: what sorts them;  cell: (n,) cell of each event;  labels: what each cell is, in words
+    cuts: where a sliced factor cuts each home (recording and polarity);  () for the others
     """
 
     name: str
     cell: np.ndarray
     labels: tuple[str, ...]
+    cuts: tuple[np.ndarray, ...] = ()
 
 
-def factors(likelihood: EventTimes, residual: Residuals) -> list[Factor]:
-    """All factors of a likelihood's events."""
+def factors(likelihood: EventTimes, residual: Residuals, like: Sequence[Factor] = ()) -> list[Factor]:
+    """All factors of a likelihood's events.
+
+    like: factors of other pixels in the same recordings, whose cells are to be used; else quantiles make new ones
+    """
     on = (likelihood.sign > 0).astype(np.int64)
     before = (np.concatenate([iv.previous_sign for iv in likelihood.intervals]) > 0).astype(np.int64)
     where = likelihood.recording_of_event
@@ -56,7 +62,9 @@ def factors(likelihood: EventTimes, residual: Residuals) -> list[Factor]:
         ("log radiance", light, LIGHTS, "at log radiance {:.3g}–{:.3g}"),
         ("speed of the change", residual.log_rate, SPEEDS, "at log speed {:.3g}–{:.3g}"),
     ):
-        found.append(_sliced(name, home, home_labels, value, parts, words))
+        known = next((f.cuts for f in like if f.name == name), None)
+        cuts = _cuts(home, len(home_labels), value, parts) if known is None else known
+        found.append(_sliced(name, home, home_labels, value, cuts, words))
     return found
 
 
@@ -82,18 +90,23 @@ def _crossed(name, outer, outer_names, inner, inner_labels) -> Factor:
     return Factor(name, cell, tuple(f"{a}, {o}" for o in outer_names for a in inner_labels))
 
 
-def _sliced(name, home, home_labels, value, parts, words) -> Factor:
-    """`value` cut at its quantiles within each home cell."""
+def _cuts(home, homes, value, parts) -> tuple[np.ndarray, ...]:
+    """Quantiles of `value` within each home; from −∞ to ∞ where nothing happens."""
+    found = []
+    for h in range(homes):
+        inside = value[home == h]
+        edges = np.unique(np.quantile(inside, np.linspace(0, 1, parts + 1))) if len(inside) else np.array([])
+        found.append(edges if len(edges) > 1 else np.array([-np.inf, np.inf]))
+    return tuple(found)
+
+
+def _sliced(name, home, home_labels, value, cuts, words) -> Factor:
+    """`value` cut at the given edges within each home; what lies beyond them counts to the outermost slices."""
     cell = np.empty(len(value), np.int64)
     labels: list[str] = []
-    for h, label in enumerate(home_labels):
+    for h, (label, edges) in enumerate(zip(home_labels, cuts, strict=True)):
         inside = np.flatnonzero(home == h)
-        if len(inside) == 0:
-            continue
-        edges = np.unique(np.quantile(value[inside], np.linspace(0, 1, parts + 1)))
-        if len(edges) < 2:
-            edges = np.array([edges[0], edges[0]])
         which = np.clip(np.searchsorted(edges, value[inside], side="right") - 1, 0, len(edges) - 2)
         cell[inside] = len(labels) + which
         labels += [f"{label}, {words.format(a, b)}" for a, b in itertools.pairwise(edges)]
-    return Factor(name, cell, tuple(labels))
+    return Factor(name, cell, tuple(labels), cuts)

@@ -47,7 +47,7 @@ class Flexible:
 def flexible(
     fit: tuple[EventTimes, Residuals, Sequence[Factor]], held: tuple[EventTimes, Residuals, Sequence[Factor]]
 ) -> Flexible | None:
-    """The factor that gains most on the held-out pixels; None when none gains anything."""
+    """The factor that gains most on held-out pixels; None when none gains anything.  Both sides share their cells."""
     best: Flexible | None = None
     for mine, theirs in zip(fit[2], held[2], strict=True):
         term = _term(*fit[:2], mine, *held[:2], theirs)
@@ -77,8 +77,6 @@ def _term(likelihood, residual, factor, other, other_residual, other_factor) -> 
     se = 1.0 / np.sqrt(count + best[1])
     gain = float(np.sum(shift * total - 0.5 * count * shift**2))
     _, _, e = _sums(other, other_residual, other_factor)
-    index = {label: i for i, label in enumerate(factor.labels)}
-    there = np.array([shift[index[label]] if label in index else 0.0 for label in other_factor.labels])
-    b = there[other_factor.cell] * ~other_residual.stray
+    b = shift[other_factor.cell] * ~other_residual.stray
     held_out = np.bincount(other.pixel, b * e - 0.5 * b * b, other.pixels)
     return Flexible(factor.name, factor.labels, shift, se, gain, held_out)

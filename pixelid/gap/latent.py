@@ -26,7 +26,6 @@ from pixelid.recordings.recording import Recording
 from pixelid.simulate import simulate
 
 CROWD = 400  # simulated pixels behind an expected number of events
-FAR = 6.0  # standard deviations: as far as jitter reaches
 NUDGE_S = 1e-7  # of the release, to find its slope
 
 
@@ -35,12 +34,10 @@ class Windows:
     """One recording's windows.
 
     lo, hi: (n,) ns, in the order of its events; equal where the time is exact
-    sd_s: of a normal about the middle of each window that the times have beforehand; infinite: any time is as good
     """
 
     lo: np.ndarray
     hi: np.ndarray
-    sd_s: float = np.inf
 
 
 def queue_windows(recording: Recording, service_s: float) -> Windows:
@@ -59,12 +56,6 @@ def tick_windows(recording: Recording, tick_s: float) -> Windows:
     t = recording.events.t.astype(float)
     half = 0.5e9 * tick_s
     return Windows(t - half, t + half)
-
-
-def jitter_windows(recording: Recording, sigma_s: float) -> Windows:
-    """When events of jittered timestamps can have come."""
-    t = recording.events.t.astype(float)
-    return Windows(t - FAR * sigma_s * 1e9, t + FAR * sigma_s * 1e9, sigma_s)
 
 
 def beginning(recordings: Sequence[Recording], windows: Sequence[Windows], early: bool) -> list[np.ndarray]:
@@ -140,10 +131,6 @@ def drawn(
             np.add.at(push, ends, rate[part] * pull[part])
             np.add.at(precision, begins, release[part] ** 2 * weight[part])
             np.add.at(push, begins, release[part] * pull[part])
-            if np.isfinite(window.sd_s):
-                away = 1e-9 * (0.5 * (window.lo + window.hi) - times[i])
-                precision += 1.0 / window.sd_s**2
-                push += away / window.sd_s**2
             mine = (_rank(recording, times[i]) % 2 == parity) & (window.hi > window.lo)
             adrift = np.flatnonzero(mine & (precision == 0))
             # nothing speaks for any time: start anew between the pixel's events before and after

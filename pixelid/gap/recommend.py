@@ -9,11 +9,42 @@ import numpy as np
 from pixelid.design.information import simulated
 from pixelid.design.menu import Candidate, default_menu
 from pixelid.errors import InputError
-from pixelid.gap.climb import Climbed
+from pixelid.gap.climb import Climbed, climbed
 from pixelid.gap.directions import Direction, Space, direction, space
+from pixelid.gap.search import Search
+from pixelid.gap.verdict import Shadow
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.model.model import Model
 from pixelid.stimuli.resample import resampled
+
+
+def advice(search: Search, at: Space, directions: Sequence[Direction], shadow: Shadow | None, remainder: bool) -> dict:
+    """What gap.json recommends to record next.
+
+    at: the residual space of the final model;  directions: of the effects that it lacks
+    """
+    state = search.state
+    model, seed = state.current.model, search.seed
+    if remainder:
+        cells = state.seen.maps.cells
+        place = cells[0].label if cells else "the recordings as they are"
+        return {
+            "why": f"the remainder is clearest here: {place}; record more pixels and longer there",
+            "stimulus": None,
+        }
+    if shadow is not None:
+        why = f"to tell {shadow.effect} from unequal thresholds"
+        return recommended(at, model, shadow.effect, None, why, seed)
+    if search.rivals:
+        winner, rival = search.steps[-1].winner.effect, search.rivals[0].effect
+        without = model.without_effect(winner)
+        lacking = space(state.bench.train, climbed(state.bench.train, without, tolerance=0.1, max_steps=5))
+        return recommended(lacking, without, winner, rival, f"to tell {winner} from {rival}", seed)
+    blind = blindest(directions)
+    if blind is None:
+        return {"why": "nothing: every effect of the library is in the model", "stimulus": None}
+    why = f"to see {blind.effect}, the effect these recordings would show least at its typical strength"
+    return recommended(at, model, blind.effect, None, why, seed)
 
 
 def recommended(at: Space, model: Model, effect: str, rival: str | None, why: str, seed: int) -> dict:

@@ -18,7 +18,6 @@ from pixelid.gap.latent import (
     Windows,
     beginning,
     drawn,
-    jitter_windows,
     queue_windows,
     ranked,
     tick_windows,
@@ -35,7 +34,6 @@ from pixelid.stimuli.resample import resampled
 SHORT, LONG = 20.0, 200.0  # of the service time: windows (9 of 10) of the first stage, and of the second
 SWEEPS = (20, 8)  # rounds of draws and refits in each stage
 SETTLING = 60  # draws without refits before the second stage
-JITTER_SWEEPS = 30  # draws of jittered times
 WIDTH = 0.5  # standard deviation of the prior on log filters
 FILTERS = ("alpha", "beta", "gamma", "alpha_over_beta", "sf_cutoff_hz", "diff_cutoff_hz")
 TORN = 0.01  # share of a recording's events without a cause from which on its times count as lost
@@ -95,33 +93,6 @@ def restored(
     fine, times = ([x for x, gone in zip(each, torn, strict=True) if not gone] for each in (fine, times))
     back = [r.with_stimulus(recordings[i].stimulus) for r, i in zip(with_times(fine, times), kept, strict=True)]  # type: ignore[arg-type]
     return Restored(tuple(back), lost)
-
-
-def unjittered(
-    recordings: Sequence[Recording], sigma_s: float, model: Model, seed: int
-) -> tuple[list[Recording], float, Model]:
-    """(recordings with true times drawn behind jittered timestamps, the jitter that they show, the model refitted).
-
-    model: fitted with timestamp_jitter, of about sigma_s
-    """
-    fine = [r.with_stimulus(resampled(r.stimulus, "smooth")) for r in recordings]  # type: ignore[arg-type]
-    observed = [r.events.t.astype(float) for r in recordings]
-    model = model.without_effect("timestamp_jitter")
-    times = observed
-    rng = np.random.default_rng(seed)
-    shown = []
-    for turn in range(JITTER_SWEEPS):
-        windows = [jitter_windows(r, sigma_s) for r in fine]
-        for _ in range(2):
-            times = drawn(fine, windows, times, model, rng)
-        likelihood = EventTimes(with_times(fine, times))
-        model = climbed(likelihood, model, tolerance=0.5, max_steps=4).model
-        away = np.concatenate([t - o for t, o in zip(times, observed, strict=True)])
-        sigma_s = 1e-9 * float(np.sqrt(np.mean(away**2)))
-        if turn >= JITTER_SWEEPS // 2:
-            shown.append(sigma_s)
-    back = [r.with_stimulus(o.stimulus) for r, o in zip(with_times(fine, times), recordings, strict=True)]  # type: ignore[arg-type]
-    return back, float(np.mean(shown)), model
 
 
 def _torn(recordings: Sequence[Recording], model: Model) -> np.ndarray:

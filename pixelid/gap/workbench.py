@@ -11,7 +11,7 @@ from scipy.stats import poisson
 from pixelid.errors import InputError
 from pixelid.fit.starts import feasible
 from pixelid.gap.attribute import Pools
-from pixelid.gap.climb import Climbed, climbed
+from pixelid.gap.climb import Climbed, climbed, settled
 from pixelid.gap.covariates import Factor, factors
 from pixelid.gap.maps import Maps, maps
 from pixelid.gap.residuals import Residuals, residuals, tangents
@@ -72,8 +72,8 @@ def based(recordings: Sequence[Recording], split: Split, model: Model, seed: int
     for between in BETWEEN:
         bench = workbench(recordings, split, model, between, seed)
         if start is None:
-            start = climbed(bench.pools.scout, bench.nominal, tolerance=0.1, max_steps=40).model
-        end = climbed(bench.train, start, tolerance=0.05, max_steps=25)
+            start = settled(bench.pools.scout, bench.nominal, bench.nominal, tolerance=0.1, max_steps=40).model
+        end = settled(bench.train, start, bench.nominal, tolerance=0.05, max_steps=25)
         if best is None or end.value > best[1].value:
             best = bench, end
     assert best is not None

@@ -1,0 +1,251 @@
+"""The search itself: undo what the readout did, then detect, attribute, add, and again, until nothing is left to name.
+
+`Search` holds where the search stands: the workbench, the fitted model, what is left under it, the effects named so
+far.  `gap.py` starts it and reads the report off it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from pixelid.gap.attribute import Attribution, Candidate, attribute
+from pixelid.gap.candidates import canonical
+from pixelid.gap.climb import Climbed, climbed, settled
+from pixelid.gap.hot import Hot, hot_pixels
+from pixelid.gap.intervals import limits
+from pixelid.gap.nameless import standing
+from pixelid.gap.readout import Fingerprint, fingerprints
+from pixelid.gap.replicas import APPROXIMATE, Corrected, corrected
+from pixelid.gap.restored import restored
+from pixelid.gap.split import Split, locked, only
+from pixelid.gap.words import where
+from pixelid.gap.workbench import STRAYS_EXPECTED, Look, Workbench, based, look, reconsidered, relative_noise
+from pixelid.model.model import Model
+from pixelid.recordings.recording import Recording
+
+Progress = Callable[[str, float], None]
+MOST_ROUNDS = 4
+
+
+@dataclass(frozen=True)
+class Step:
+    """One effect named: the candidate, what was tried beside it, where the model was wrong before (in words), and
+    whether it is wanted even when a nameless term may take its place."""
+
+    winner: Candidate
+    found: Attribution
+    where: str
+    firm: bool
+
+
+@dataclass(frozen=True)
+class State:
+    """Where the search stands: the workbench, the model fitted on it, what is left under that model, what
+    simulation has corrected of both (None where the likelihood is exact), and the base with every effect named."""
+
+    bench: Workbench
+    current: Climbed
+    seen: Look
+    corrected: Corrected | None
+    start: Model
+
+    @property
+    def model(self) -> Model:
+        """The fitted model, corrected where it has to be."""
+        return self.corrected.model if self.corrected else self.current.model
+
+    def limits(self) -> dict[str, tuple[float, float]]:
+        """95 % intervals of the free parameters."""
+        plain = limits(self.bench.train, self.current)
+        if self.corrected is None:
+            return plain
+        moved = {}
+        coordinates = self.current.coordinates
+        for p, x, shift in zip(coordinates.parameters, self.current.x, self.corrected.shift, strict=True):
+            edges = (p.to_coordinate(edge) for edge in plain[p.name])
+            spread = self.corrected.spread
+            low, high = (float(p.from_coordinate(float(x + shift + spread * (edge - x)))) for edge in edges)
+            moved[p.name] = (max(low, p.lower), min(high, p.upper))
+        return moved
+
+
+@dataclass
+class Search:
+    """A search under way.
+
+    recordings: as they came;  timely: with what the readout did undone;  model: the base, as shipped, with the
+    effects read off timestamps;  base: fitted;  first: what was left under it;  prints, hot: effects found without the
+    likelihood;  global_p: of anything being amiss at all;  lost: recordings whose true times could not be restored;  steps, rivals: what the rounds found
+    """
+
+    recordings: Sequence[Recording]
+    model: Model
+    alpha: float
+    seed: int
+    leave_out: tuple[str, ...]
+    report: Progress
+    split: Split = field(init=False)
+    timely: list[Recording] = field(init=False)
+    base: Climbed = field(init=False)
+    first: Look = field(init=False)
+    state: State = field(init=False)
+    prints: list[Fingerprint] = field(default_factory=list)
+    hot: Hot | None = None
+    lost: tuple[str, ...] = ()
+    steps: list[Step] = field(default_factory=list)
+    rivals: tuple[Candidate, ...] = ()
+    rounds: list[dict] = field(default_factory=list)
+    global_p: float = 1.0
+    before_doubt: tuple[State, int] | None = None  # the state before the first effect that is not firm, its number
+
+    def begin(self) -> None:
+        """Lock the split, fit the base model, look at what is left."""
+        self.split = locked(self.recordings, self.seed)
+        self.report("base model", 0.02)
+        self.timely = [r.within_stimulus() for r in self.recordings]
+        bench, self.base = based(self.timely, self.split, self.model, self.seed)
+        self.first = look(bench, self.base)
+        self.state = State(bench, self.base, self.first, None, bench.nominal)
+
+    def read_timestamps(self) -> None:
+        """Find what timestamps and single pixels give away; undo it; fit the base model again."""
+        self.report("timestamps", 0.06)
+        self.prints = [f for f in fingerprints(self.recordings) if f.effect not in self.leave_out]
+        if "hot_pixels" not in self.leave_out and not self.model.has("hot_pixels"):
+            self.hot = hot_pixels(self.timely)
+        if self.hot is not None:
+            self.rounds.append(_stamped(self.hot.print, False))
+            self.split = self.split.without(self.hot.pixels)
+            self.timely = only(self.timely, self.split.everyone)
+        for found in self.prints:
+            self.rounds.append(_stamped(found, self.model.has(found.effect)))
+            kept = restored(self.timely, found, self.model, self.seed, lambda what: self.report(what, 0.08))
+            self.timely, self.lost = list(kept.recordings), self.lost + kept.lost
+            model = self.model.with_effect(found.effect, {found.parameter: found.value})
+            self.model = model.fix({found.parameter: None})
+        if self.prints or self.hot:
+            bench, current = based(self.timely, self.split, self.model, self.seed)
+            self.state = State(bench, current, self._looked(bench, current), None, bench.nominal)
+
+    def go_on(self) -> None:
+        """Round after round, until nothing more can be named."""
+        for turn in range(MOST_ROUNDS):
+            if not self._round(turn):
+                break
+        if self.remainder() and self.before_doubt is not None:
+            # what is left is no accident, and these effects only stood in for it
+            self.state, kept = self.before_doubt
+            for step in self.steps[kept:]:
+                self._entry_of(step.winner.effect)["withdrawn"] = "a nameless term leaves it little to explain"
+            self.steps, self.rivals = self.steps[:kept], ()
+
+    def remainder(self) -> bool:
+        """Whether something significant is left."""
+        return self.state.seen.p < self.each
+
+    @property
+    def each(self) -> float:
+        """What either test, of the maps and of the best candidate, may err by, so that both err by alpha."""
+        return 0.5 * self.alpha
+
+    def _round(self, turn: int) -> bool:
+        """One round; whether there may be another."""
+        state, share = self.state, 0.1 + 0.6 * turn / MOST_ROUNDS
+        if state.corrected is not None and not self.remainder():
+            return False  # the likelihood is approximate: only what replicas do not show is worth a name
+        bent = state.seen.stray_fraction > STRAYS_EXPECTED or not state.current.converged
+        found = attribute(
+            state.bench.pools, state.current.model, self.each, skip=self.leave_out,
+            restart=state.start if bent else None,
+            report=lambda what: self.report(f"round {turn + 1}: {what}", share),
+        )  # fmt: skip
+        entry = _entry(turn, state.current, state.seen, found)
+        self.rounds.append(entry)
+        winner = found.winner
+        if turn == 0:
+            chances = [self.first.p, *(c.p for c in found.candidates), *(f.p for f in self.new_prints())]
+            self.global_p = min(1.0, 2.0 * min(chances))
+        if winner is None:
+            return False
+        stands = standing(state.bench, state.current, state.seen, winner, self.each)
+        if stands.hopeless:
+            entry["refused"] = f"{winner.effect}: a nameless term explains more, and leaves it little to explain"
+            return False
+        if not stands.firm and self.before_doubt is None:
+            self.before_doubt = state, len(self.steps)
+        entry["named"] = winner.effect
+        noise = relative_noise(state.current.model)
+        place = where(state.seen.maps, state.bench.train, state.seen.residual.stray, noise)
+        self.steps.append(Step(winner, found, place, stands.firm))
+        self.state = self._grown(winner)
+        self.rivals = found.rivals
+        return not self.rivals
+
+    def _grown(self, winner: Candidate) -> State:
+        """The state with the winner added."""
+        bench = self.state.bench
+        start = self.state.start.with_effect(winner.effect)
+        bench.train.weigh_clock(self.state.current.model.circuit())
+        grown = canonical(winner.end.model, self.model)
+        current = settled(bench.train, grown, start, tolerance=0.01, max_steps=40)
+        bench, current = reconsidered(bench, self.timely, self.model, current)
+        if any(current.model.has(name) for name in APPROXIMATE):
+            bench.train.weigh_clock(current.model.circuit())
+            current = climbed(bench.train, current.model, tolerance=0.01, max_steps=20)
+            seen = self._looked(bench, current)
+            self.report("replicas", 0.5)
+            right = corrected(bench, current, seen, self.seed)
+            return State(bench, current, right.look, right, start)
+        return State(bench, current, self._looked(bench, current), None, start)
+
+    def _looked(self, bench: Workbench, current: Climbed) -> Look:
+        return look(bench, current, trust_strays=not self.prints)
+
+    def _entry_of(self, effect: str) -> dict:
+        return next(entry for entry in self.rounds if entry["named"] == effect)
+
+    def new_prints(self) -> list[Fingerprint]:
+        """Effects found without the likelihood that the base model lacked."""
+        found = [f for f in self.prints if f.effect not in self.base.model.effects]
+        return [*found, self.hot.print] if self.hot is not None else found
+
+    def grown_model(self) -> Model:
+        """The base with everything found."""
+        model = self.state.model
+        if self.hot is not None:
+            model = model.with_effect("hot_pixels", {"rate_hz": self.hot.print.value, "count": len(self.hot.pixels)})
+        return replace(model, name=f"{self.base.model.name}_grown")
+
+    def watched(self) -> np.ndarray:
+        """The pixels that confirm: set aside from the beginning, and the hot ones."""
+        return self.split.confirm if self.hot is None else np.union1d(self.split.confirm, self.hot.pixels)
+
+
+def _stamped(found: Fingerprint, known: bool) -> dict:
+    return {
+        "round": 0,
+        "p": found.p,
+        "timestamps": found.where,
+        "candidates": [],
+        "named": None if known else found.effect,
+        "refused": None,
+    }
+
+
+def _entry(turn: int, current: Climbed, seen: Look, found: Attribution) -> dict:
+    return {
+        "round": turn + 1,
+        "p": seen.p,
+        "strays": seen.maps.strays,
+        "model_effects": list(current.model.effects),
+        "screened_nats": found.screened,
+        "candidates": [
+            {"name": c.effect, "gain_nats": c.gain, "p_value": c.p, "heldout_gain_nats": c.heldout_gain}
+            for c in found.candidates
+        ],
+        "named": None,
+        "refused": None,
+    }
