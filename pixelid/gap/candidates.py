@@ -14,6 +14,7 @@ from pixelid.model.model import Model
 
 DECADES = (-2.0, -1.5, -1.0, -0.5, 0.0, 0.5, 1.0, 1.5)  # strengths tried, about the shipped value
 WORTH_A_FIT = 0.5  # nats
+HOPELESS = 20.0  # nats
 MAINS_HZ = (100.0, 120.0)
 PHASES = (0.0, 0.5 * math.pi, math.pi, 1.5 * math.pi)
 # What no density of single events knows: read off the timestamps (`readout.py`), off the pixels, or not at all.
@@ -45,6 +46,8 @@ def strongest_start(likelihood: EventTimes, model: Model, effect: str, least: fl
             continue
         if np.isfinite(value) and value > top:
             best, top = trial, value
+        elif effect == "slew_limit" and value < top - HOPELESS:
+            break  # the tighter the limit, the worse from here on
     if effect == "slew_limit" and top <= least + WORTH_A_FIT:
         return None
     return best
@@ -61,7 +64,7 @@ def variants(model: Model, effect: str) -> Iterator[Model]:
         return
     names = [p.name for p in stages.effect(effect).parameters if p.free]
     strength = grown.parameter(names[0])
-    sizes = [10.0**d for d in DECADES]
+    sizes = [10.0**d for d in (reversed(DECADES) if effect == "slew_limit" else DECADES)]  # weak ones first
     signs = (1.0,) if strength.transform == "log" else (1.0, -1.0)
     for size in sizes:
         for sign in signs:

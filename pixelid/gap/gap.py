@@ -41,6 +41,7 @@ def gap(
     leave_out: Sequence[str] = (),
     progress: Progress | None = None,
     resume: Path | None = None,
+    recommend: bool = True,
 ) -> GapReport:
     """Search the recordings for effects that the model lacks.
 
@@ -48,17 +49,17 @@ def gap(
     leave_out: effects that the library is to lack (to see what is said of what it does not know)
     alpha: chance of naming anything, or of "unknown", when the model is right;  progress(what, fraction) reports.
     resume: a file that keeps the fits made so far: a search interrupted and called again reads them back and comes to
-    the same result; it is removed at the end
+    the same result; it is removed at the end;  recommend: also work out what to record next
     Raises InputError for recordings without pixels or stimulus, of several sensors, and a model that the event-time
     likelihood cannot use.
     """
     _check(recordings, model, alpha)
     report = progress or (lambda what, fraction: None)
     with remembering(resume):
-        return _searched(Search(recordings, model, alpha, seed, tuple(leave_out), report))
+        return _searched(Search(recordings, model, alpha, seed, tuple(leave_out), report), recommend)
 
 
-def _searched(search: Search) -> GapReport:
+def _searched(search: Search, recommend: bool) -> GapReport:
     watch, report, alpha = Stopwatch(), search.report, search.alpha
     search.begin()
     search.read_timestamps()
@@ -96,7 +97,7 @@ def _searched(search: Search) -> GapReport:
         base=search.base.model,
         model=search.grown_model() if effects else search.base.model,
         term=term,
-        recommended_next=advice(search, at, directions, shadow, remainder),
+        recommended_next=advice(search, at, directions, shadow, remainder) if recommend else {},
         seconds=watch.seconds(),
         seed=search.seed,
         details=_details(search, directions, withdrawn),

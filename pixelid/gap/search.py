@@ -78,7 +78,8 @@ class Search:
 
     recordings: as they came;  timely: with what the readout did undone;  model: the base, as shipped, with the
     effects read off timestamps;  base: fitted;  first: what was left under it;  prints, hot: effects found without the
-    likelihood;  global_p: of anything being amiss at all;  lost: recordings whose true times could not be restored;  steps, rivals: what the rounds found
+    likelihood;  global_p: of anything being amiss at all;  lost: recordings whose true times could
+    not be restored;  steps, rivals: what the rounds found
     """
 
     recordings: Sequence[Recording]
