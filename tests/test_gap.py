@@ -10,6 +10,7 @@ from scipy import stats
 from scipy.interpolate import CubicSpline
 
 from pixelid.cli.main import main
+from pixelid.design.menu import candidate
 from pixelid.errors import InputError
 from pixelid.fit.coordinates import Coordinates
 from pixelid.gap.attribute import secure
@@ -28,7 +29,7 @@ from pixelid.recordings import Events, Recording, write_recording
 from pixelid.simulate import Twins, simulate
 from pixelid.stimuli.course import course
 from pixelid.stimuli.resample import resampled
-from pixelid.stimuli.shapes import chirp, constant, slow, steps
+from pixelid.stimuli.shapes import chirp, constant, sine, slow, steps
 
 CASES = Path(__file__).resolve().parents[2] / "shared" / "gap_cases"
 MODEL = find_model("dvs128")
@@ -96,7 +97,7 @@ def test_maps_find_a_shift_where_it_is_and_nothing_where_there_is_none():
     coordinates = Coordinates.of(MODEL)
     here = residuals(likelihood, MODEL.circuit())
     tangent = tangents(likelihood, coordinates, coordinates.start, here)
-    cells = factors(likelihood, here)
+    cells = factors(likelihood, MODEL.circuit(), here)
     assert maps(likelihood, here, tangent, cells, 0).p > 0.01
     pair = cells[0]
     moved = replace(here, e=here.e + 0.5 * (pair.cell == pair.labels.index("ON after OFF")))
@@ -217,6 +218,51 @@ def test_leak_is_found_and_nothing_in_its_absence():
     assert found.free_run.closed > 0.8
     nothing = gap(session(MODEL, side=4, seed=2), MODEL)
     assert (nothing.verdict, nothing.effects, nothing.remainder) == ("none", (), False)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("truth", "resolved"),
+    [
+        (MODEL.set({"on_threshold": 0.24, "off_threshold": 0.26}), ("none", [])),
+        (MODEL.with_effect("leak", {"rate_hz": 0.5}), ("named", ["leak"])),
+    ],
+)
+def test_one_sine_cannot_tell_leak_from_unequal_thresholds_and_the_recommended_stimulus_can(truth, resolved):
+    lights = {"sine_400": sine(400.0, frequency_hz=2.0)}
+    first = gap(session(truth, side=5, seed=4, lights=lights), MODEL)
+    assert first.verdict == "ambiguous"
+    assert "leak and unequal thresholds look the same" in first.sentence
+    advised = first.recommended_next["stimulus"]
+    lights[advised["name"]] = candidate(advised["name"], advised["kind"], **advised["parameters"]).stimulus
+    then = gap(session(truth, side=5, seed=4, lights=lights), MODEL)
+    assert (then.verdict, [e.name for e in then.effects]) == resolved
+
+
+def test_maps_of_a_true_model_under_one_sine_show_nothing():
+    # late events gather where waits are long, and the speed at an event depends on how late it is: neither may show
+    found = gap(session(MODEL, side=4, seed=3, lights={"sine_400": sine(400.0, frequency_hz=20.0)}), MODEL)
+    assert (found.verdict, found.remainder) == ("none", False)
+
+
+def test_an_interrupted_search_goes_on(tmp_path):
+    recordings = session(MODEL, side=3, seed=4, lights={"slow_24": slow(24.0, seed=2), "steps_24": steps(24.0, seed=1)})
+    book = tmp_path / "fits"
+
+    def stop(what, fraction):
+        if fraction > 0.7:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        gap(recordings, MODEL, progress=stop, resume=book)
+    made = book.read_text().count("key")
+    assert made > 3
+    book.write_text(book.read_text()[:-7])  # cut off within a line
+    again = gap(recordings, MODEL, resume=book)
+    assert not book.exists()
+    plain = gap(recordings, MODEL)
+    assert again.base.values == plain.base.values
+    assert (again.verdict, again.global_p, again.rounds) == (plain.verdict, plain.global_p, plain.rounds)
 
 
 def test_command_writes_what_it_promises(tmp_path):

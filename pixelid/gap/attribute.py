@@ -117,7 +117,7 @@ def attribute(
         found.append(Candidate(effect, end, gain, p, per_pixel(pools.select, end.model) - before))
     found.sort(key=lambda c: -c.gain)
     winner = next((c for c in found[:1] if c.p < alpha and secure(c.held_out)), None)
-    rivals = tuple(c for c in found[1:] if winner is not None and c.p < alpha and not _beaten(c, winner))
+    rivals = tuple(c for c in found[1:] if winner is not None and _rivals(c, winner, alpha))
     return Attribution(tuple(found), gains, winner, rivals)
 
 
@@ -128,5 +128,8 @@ def secure(differences: np.ndarray) -> bool:
     return bool(differences.sum() > SECURE * spread)
 
 
-def _beaten(rival: Candidate, winner: Candidate) -> bool:
-    return winner.gain - rival.gain > DISTINCT and secure(winner.held_out - rival.held_out)
+def _rivals(other: Candidate, winner: Candidate, alpha: float) -> bool:
+    """Whether another effect explains the events about as well: nearly the same gain, or its own on unseen pixels."""
+    if winner.gain - other.gain <= DISTINCT:
+        return True
+    return other.p < alpha and not secure(winner.held_out - other.held_out)

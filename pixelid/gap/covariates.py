@@ -1,7 +1,9 @@
 """Where an event stands: the cells in which residuals are summed.
 
-Every factor sorts the events into cells by things known without looking at the residual: recording, polarity, the
-polarity before, time since the last event, place in the recording, log radiance, speed of the change.
+Every factor sorts the events into cells by things known before the event came: recording, polarity, the polarity
+before, and, of the moment when the model expected it, the time since the last event, the place in the recording, log
+radiance, speed of the change.  (Sorted by when it did come, late events would gather in the cells of long waits, and a
+true model would look wrong there.)
 """
 
 from __future__ import annotations
@@ -12,8 +14,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pixelid.gap.residuals import Residuals
+from pixelid.gap.residuals import Residuals, expected_log_rate
 from pixelid.likelihood.event_times import EventTimes
+from pixelid.stages.circuit import Circuit
 
 TIMES, WAITS, LIGHTS, SPEEDS = 8, 5, 5, 4  # cells per recording and polarity
 POLARITY = ("OFF", "ON")
@@ -33,19 +36,20 @@ class Factor:
     cuts: tuple[np.ndarray, ...] = ()
 
 
-def factors(likelihood: EventTimes, residual: Residuals, like: Sequence[Factor] = ()) -> list[Factor]:
+def factors(likelihood: EventTimes, circuit: Circuit, residual: Residuals, like: Sequence[Factor] = ()) -> list[Factor]:
     """All factors of a likelihood's events.
 
+    circuit: the model behind the residuals
     like: factors of other pixels in the same recordings, whose cells are to be used; else quantiles make new ones
     """
     on = (likelihood.sign > 0).astype(np.int64)
     before = (np.concatenate([iv.previous_sign for iv in likelihood.intervals]) > 0).astype(np.int64)
     where = likelihood.recording_of_event
     names = [r.name for r in likelihood.recordings]
-    wait = np.concatenate([iv.time_s - iv.previous_s for iv in likelihood.intervals])
-    light = np.concatenate(
-        [_log_light(r, iv) for r, iv in zip(likelihood.recordings, likelihood.intervals, strict=True)]
-    )
+    last = np.concatenate([iv.previous_s for iv in likelihood.intervals])
+    time = np.maximum(likelihood.time_s - residual.late, last)
+    parts = np.split(time, np.cumsum([len(iv) for iv in likelihood.intervals])[:-1])
+    light = np.concatenate([_log_light(r, t) for r, t in zip(likelihood.recordings, parts, strict=True)])
     level, level_names = _levels(likelihood)
     pair = 2 * on + before
     pair_labels = tuple(f"{POLARITY[p]} after {POLARITY[b]}" for p in (0, 1) for b in (0, 1))
@@ -56,22 +60,22 @@ def factors(likelihood: EventTimes, residual: Residuals, like: Sequence[Factor] 
     ]
     home = 2 * where + on
     home_labels = [f"{POLARITY[p]} in {name}" for name in names for p in (0, 1)]
-    for name, value, parts, words in (
-        ("time in the recording", likelihood.time_s, TIMES, "at {:.3g}–{:.3g} s"),
-        ("time since the last event", wait, WAITS, "{:.3g}–{:.3g} s after the last event"),
+    for name, value, slices, words in (
+        ("time in the recording", time, TIMES, "at {:.3g}–{:.3g} s"),
+        ("time since the last event", time - last, WAITS, "{:.3g}–{:.3g} s after the last event"),
         ("log radiance", light, LIGHTS, "at log radiance {:.3g}–{:.3g}"),
-        ("speed of the change", residual.log_rate, SPEEDS, "at log speed {:.3g}–{:.3g}"),
+        ("speed of the change", expected_log_rate(likelihood, circuit, residual), SPEEDS, "at log speed {:.3g}–{:.3g}"),
     ):
         known = next((f.cuts for f in like if f.name == name), None)
-        cuts = _cuts(home, len(home_labels), value, parts) if known is None else known
+        cuts = _cuts(home, len(home_labels), value, slices) if known is None else known
         found.append(_sliced(name, home, home_labels, value, cuts, words))
     return found
 
 
-def _log_light(recording, intervals) -> np.ndarray:
-    """(n,) log radiance of the stimulus at each event."""
+def _log_light(recording, time_s) -> np.ndarray:
+    """(n,) log radiance of the stimulus at some times."""
     stimulus = recording.stimulus
-    return np.interp(intervals.time_s, stimulus.t, np.log(np.maximum(stimulus.radiance, 1e-300)))
+    return np.interp(time_s, stimulus.t, np.log(np.maximum(stimulus.radiance, 1e-300)))
 
 
 def _levels(likelihood: EventTimes) -> tuple[np.ndarray, list[str]]:

@@ -24,6 +24,7 @@ from pixelid.model.model import Model
 
 SMALL = 0.2  # rms residual of the strength taken as small
 COLLINEAR = 0.9
+PRIOR_SD = 1.0  # of coordinates (a factor e), where these recordings say nothing of them
 # effects that weaken as their first parameter grows
 INVERSE = {"second_order_photoreceptor", "source_follower_pole", "extra_pole", "slew_limit", "differencing_pole"}
 
@@ -94,13 +95,22 @@ def direction(at: Space, effect: str) -> Direction | None:
     raw = at.demeaned(v)
     J = np.column_stack([at.demeaned(column) for column in at.J.T])
     inner, *_ = np.linalg.lstsq(J, raw, rcond=1e-10)
-    bias, *_ = np.linalg.lstsq(at.J, v, rcond=1e-10)  # pixel means included: what shifts all pixels, thresholds imitate
+    # pixel means included: what shifts all pixels, thresholds imitate; a wide prior holds what the data do not know
+    bias = np.linalg.solve(at.J.T @ at.J + np.eye(at.J.shape[1]) / PRIOR_SD**2, at.J.T @ v)
     clear = raw - J @ inner
     ratio = stages.effect(effect).parameters[0].value / trial.values[name]
     ratio = 1.0 / ratio if effect in INVERSE else ratio
     total = float(np.sum(v**2))
     hidden = float(np.sqrt(max(0.0, 1.0 - np.sum(clear**2) / total))) if total > 0 else 1.0
-    return Direction(effect, trial.values[name], raw, clear, -bias, float(np.sum(clear**2)) * ratio**2, hidden)
+    return Direction(
+        effect,
+        trial.values[name],
+        raw,
+        clear,
+        bias,
+        float(np.sum(clear**2)) * ratio**2,
+        hidden,
+    )
 
 
 def cosine(a: np.ndarray, b: np.ndarray) -> float:

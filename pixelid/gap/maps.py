@@ -27,6 +27,7 @@ from pixelid.likelihood.event_times import EventTimes, sum_by
 
 FLIPS = 1999
 FEWEST_EVENTS = 30  # in a cell
+CLEAR = 0.1  # of a cell that must be left when the parameters are projected off: less is known to first order only
 ENOUGH_PIXELS = 8  # to flip signs
 LARGE = 8.0  # residuals beyond count as this: one event must not make a map
 
@@ -116,7 +117,7 @@ class _Basis:
         square = (joint * (1.0 - joint / self.size[:, None])).sum(axis=0)
         project = np.stack([np.bincount(factor.cell, q, k) for q in self.Q.T])  # (d, cells)
         variance = square - (project**2).sum(axis=0)
-        usable = (count >= FEWEST_EVENTS) & (variance > 1e-3 * np.maximum(count, 1.0))
+        usable = (count >= FEWEST_EVENTS) & (variance > CLEAR * np.maximum(square, 1.0))
         sums = (own - self.along.T @ project)[:, usable] / np.sqrt(variance[usable])
         raw = np.bincount(factor.cell, self.value, k) / np.maximum(count, 1.0)
         total = sums.sum(axis=0)

@@ -41,7 +41,7 @@ def nameless(bench: Workbench, current: Climbed, seen: Look) -> Flexible | None:
     parts = []
     for likelihood in (fit, held):
         here = residuals(likelihood, current.model.circuit())
-        parts.append((likelihood, here, factors(likelihood, here, like=seen.factors)))
+        parts.append((likelihood, here, factors(likelihood, current.model.circuit(), here, like=seen.factors)))
     return flexible(parts[0], parts[1])
 
 
@@ -75,7 +75,9 @@ def standing(bench: Workbench, current: Climbed, seen: Look, winner: Candidate, 
 def _shifted(likelihood: EventTimes, current: Climbed, seen: Look, term: Flexible, sigma: float) -> EventTimes:
     """The same events with the nameless term's shifts as part of their thresholds."""
     here = residuals(likelihood, current.model.circuit())
-    factor = next(f for f in factors(likelihood, here, like=seen.factors) if f.labels == term.labels)
+    factor = next(
+        f for f in factors(likelihood, current.model.circuit(), here, like=seen.factors) if f.labels == term.labels
+    )
     moved = EventTimes(likelihood.recordings)
     moved.threshold_factor = np.exp(sigma * term.shift[factor.cell])
     return moved

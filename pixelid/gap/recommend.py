@@ -34,28 +34,29 @@ def advice(search: Search, at: Space, directions: Sequence[Direction], shadow: S
         }
     if shadow is not None:
         why = f"to tell {shadow.effect} from unequal thresholds"
-        return recommended(at, model, shadow.effect, None, why, seed)
+        return recommended(at, search.model, shadow.effect, None, why, seed)
     if search.rivals:
         winner, rival = search.steps[-1].winner.effect, search.rivals[0].effect
         without = model.without_effect(winner)
         lacking = space(state.bench.train, climbed(state.bench.train, without, tolerance=0.1, max_steps=5))
-        return recommended(lacking, without, winner, rival, f"to tell {winner} from {rival}", seed)
+        return recommended(lacking, search.model, winner, rival, f"to tell {winner} from {rival}", seed)
     blind = blindest(directions)
     if blind is None:
         return {"why": "nothing: every effect of the library is in the model", "stimulus": None}
     why = f"to see {blind.effect}, the effect these recordings would show least at its typical strength"
-    return recommended(at, model, blind.effect, None, why, seed)
+    return recommended(at, search.model, blind.effect, None, why, seed)
 
 
-def recommended(at: Space, model: Model, effect: str, rival: str | None, why: str, seed: int) -> dict:
+def recommended(at: Space, nominal: Model, effect: str, rival: str | None, why: str, seed: int) -> dict:
     """The candidate under which the effect, cleared of the free parameters and the rival, would show most.
 
+    nominal: the base as shipped, whose menu is used (fitted values may be unknown to the recordings at hand)
     Returns what gap.json says: name, kind and parameters of the stimulus, why, and the expected doubled nats of the
     effect at its typical strength with the recordings at hand and with the candidate added.
     """
     have = _gram(at, effect, rival)
     best: tuple[float, Candidate] | None = None
-    for candidate in default_menu(model):
+    for candidate in default_menu(nominal):
         if candidate.name.startswith("long_"):
             continue
         try:

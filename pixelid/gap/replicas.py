@@ -81,7 +81,7 @@ def _refitted(bench: Workbench, truth: Model, current: Climbed, seen: Look, seed
     refit = climbed(likelihood, current.model, tolerance=0.05, max_steps=25)
     here = residuals(likelihood, refit.model.circuit())
     tangent = tangents(likelihood, refit.coordinates, refit.x, here)
-    found = maps(likelihood, here, tangent, factors(likelihood, here, like=seen.factors), seed)
+    found = maps(likelihood, here, tangent, factors(likelihood, refit.model.circuit(), here, like=seen.factors), seed)
     return refit, {(c.response, c.label): c.score for c in found.cells}
 
 

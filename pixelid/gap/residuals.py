@@ -21,18 +21,24 @@ from pixelid.fit.coordinates import Coordinates
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.stages.circuit import Circuit
 
+NUDGE_S = 1e-6  # to find how fast the speed itself changes
 STEP = 1e-4  # of a coordinate's longest move, for derivatives of the residuals
 
 
 @dataclass(frozen=True)
 class Residuals:
     """e: (n,) residuals, 0 for strays;  log_scale: (n,) log of the spread they are measured in;
-    log_rate: (n,) log speed of the change at the event;  stray: (n,) events left to the background."""
+    log_rate: (n,) log speed of the change at the event;  stray: (n,) events left to the background;
+    late: (n,) s by which each event comes after the model's expectation"""
 
     e: np.ndarray
     log_scale: np.ndarray
     log_rate: np.ndarray
     stray: np.ndarray
+
+    @property
+    def late(self) -> np.ndarray:
+        return np.where(self.stray, 0.0, self.e * np.exp(self.log_scale - self.log_rate))
 
 
 @dataclass(frozen=True)
@@ -56,6 +62,15 @@ def residuals(likelihood: EventTimes, circuit: Circuit, gathered: np.ndarray | N
     return Residuals(np.where(terms.stray, 0.0, e), np.log(terms.scale), terms.log_rate, terms.stray)
 
 
+def expected_log_rate(likelihood: EventTimes, circuit: Circuit, here: Residuals) -> np.ndarray:
+    """(n,) log speed of the change at the time when each event was expected."""
+    earlier = circuit.with_(delay=circuit.delay + NUDGE_S)
+    there = likelihood.terms(earlier, likelihood.gathered(earlier, locate=False))
+    rate = np.exp(here.log_rate)
+    growing = np.where(here.stray | there.stray, 0.0, (rate - np.exp(there.log_rate)) / NUDGE_S)
+    return np.log(np.clip(rate - growing * here.late, 0.01 * rate, 100.0 * rate))
+
+
 def tangents(likelihood: EventTimes, coordinates: Coordinates, x: np.ndarray, here: Residuals) -> Tangents:
     """Derivatives of the residuals by every coordinate at x, by differences; 0 for strays."""
     moves = STEP * coordinates.longest_moves()
@@ -72,6 +87,11 @@ def tangents(likelihood: EventTimes, coordinates: Coordinates, x: np.ndarray, he
 
 
 def moved_by(here: Residuals, there: Residuals) -> tuple[np.ndarray, np.ndarray]:
-    """(shift of the level (n,) in units of its scale, change of its log scale (n,)) from one model to another."""
+    """(shift of the level (n,) in units of its scale, change of its log scale (n,)) from one model to another.
+
+    The shift is that of the moment when the event was expected, which does not know the residual: at the event itself
+    it is larger by the residual times what the speed changed by.
+    """
     log_scale = there.log_scale - here.log_scale
-    return there.e - here.e + 0.5 * (there.e + here.e) * log_scale, log_scale
+    level = there.e - here.e + 0.5 * (there.e + here.e) * log_scale
+    return level - here.e * (there.log_rate - here.log_rate), log_scale

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from pixelid.gap.attribute import Attribution, Candidate, attribute
+from pixelid.gap.attribute import Attribution, Candidate, attribute, secure
 from pixelid.gap.candidates import canonical
 from pixelid.gap.climb import Climbed, climbed, settled
 from pixelid.gap.hot import Hot, hot_pixels
@@ -167,7 +167,8 @@ class Search:
         self.rounds.append(entry)
         winner = found.winner
         if turn == 0:
-            chances = [self.first.p, *(c.p for c in found.candidates), *(f.p for f in self.new_prints())]
+            held = (c.p for c in found.candidates if secure(c.held_out))
+            chances = [self.first.p, *held, *(f.p for f in self.new_prints())]
             self.global_p = min(1.0, 2.0 * min(chances))
         if winner is None:
             return False

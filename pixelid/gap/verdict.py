@@ -14,7 +14,7 @@ from pixelid.gap.distance import FreeRun
 from pixelid.gap.flexible import Flexible
 from pixelid.gap.result import Named
 
-FAINT = 5.0  # nats below which an effect of typical strength would go unseen
+FAINT = 5.0  # nats below which an effect goes unseen
 SIGNIFICANT = 3.0  # standard errors
 
 
@@ -33,8 +33,8 @@ class Shadow:
 def shadowed(at: Space, directions: Sequence[Direction]) -> Shadow | None:
     """The effect that may hide behind the thresholds' asymmetry; None when there is none.
 
-    It must act on the thresholds only (moved by it: little else), be invisible at its typical strength, and
-    explain the asymmetry found, in sign and with a strength no larger than its bounds.
+    It must move the two thresholds apart, hide behind the free parameters, and explain the asymmetry found: in sign,
+    within its bounds, and unseen by these recordings at that strength.
     """
     names = at.climbed.coordinates.names
     if "on_threshold" not in names or "off_threshold" not in names:
@@ -46,14 +46,13 @@ def shadowed(at: Space, directions: Sequence[Direction]) -> Shadow | None:
     if abs(asymmetry) < SIGNIFICANT * error:
         return None
     for found in directions:
-        if found.hidden < COLLINEAR or 0.5 * found.seen > FAINT:
-            continue
         moved = float(found.bias[on] - found.bias[off])
-        if moved == 0.0 or np.abs(found.bias[[on, off]]).max() < 0.5 * np.abs(found.bias).max():
+        if found.hidden < COLLINEAR or abs(moved) <= abs(float(found.bias[on] + found.bias[off])):
             continue
         strength = asymmetry / moved * found.strength
         parameter = next(p for p in stages.effect(found.effect).parameters if p.free)
-        if parameter.lower < strength < parameter.upper:
+        would_show = 0.5 * found.seen * (strength / parameter.value) ** 2
+        if parameter.lower < strength < parameter.upper and would_show <= FAINT:
             return Shadow(found.effect, strength, asymmetry)
     return None
 

@@ -98,7 +98,7 @@ def look(bench: Workbench, current: Climbed, trust_strays: bool = True) -> Look:
     """
     here = residuals(bench.train, current.model.circuit())
     tangent = tangents(bench.train, current.coordinates, current.x, here)
-    sorted_by = tuple(factors(bench.train, here))
+    sorted_by = tuple(factors(bench.train, current.model.circuit(), here))
     found = maps(bench.train, here, tangent, sorted_by, bench.seed)
     n = len(here.e)
     expected = STRAYS_EXPECTED * n
