@@ -299,7 +299,7 @@ def test_bad_input(tmp_path, capsys, options, words):
 
 def test_pooled_and_empty_recordings_are_refused():
     light = slow(24.0, seed=2)
-    with pytest.raises(InputError, match="pooled"):
+    with pytest.raises(InputError, match="100 events"):
         gap([Recording(Events.empty(1, 1), light, pooled=True)], MODEL)
     with pytest.raises(InputError, match="no events"):
         gap([Recording(Events.empty(2, 2), light)], MODEL)

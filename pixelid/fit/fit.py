@@ -13,14 +13,13 @@ from pixelid.fit.coordinates import Coordinates
 from pixelid.fit.engines import Engine
 from pixelid.fit.engines import engine as engine_named
 from pixelid.fit.event_times import EventTimesObjective
-from pixelid.fit.newton import Optimum, maximise
-from pixelid.fit.pooled_rate import PooledRateObjective
+from pixelid.fit.newton import Optimum
+from pixelid.fit.pooled import fit_pooled
 from pixelid.fit.result import FitResult, Stopwatch, estimates_of
-from pixelid.fit.starts import align, feasible, match_counts, random_starts
+from pixelid.fit.starts import feasible, random_starts
 from pixelid.identify.curvature import read_curvature
 from pixelid.identify.small_sample import intervals
 from pixelid.likelihood.event_times import EventTimes
-from pixelid.likelihood.pooled_rate import PooledRate
 from pixelid.model.model import Model
 from pixelid.parameters.gauge import Gauge
 from pixelid.provenance import input_hashes, versions
@@ -31,7 +30,6 @@ Progress = Callable[[str, float], None]
 STARTS = 2  # random starts beside the model's own
 MORE_STARTS, FAR = 6, 1.0  # tried one after the other, factors e^±FAR away, while the best end has not converged
 SCOUT_EVENTS = 6_000  # events the search from afar looks at
-SCOUT_S = 1.0  # seconds of each pooled recording it looks at
 
 
 def fit(
@@ -78,7 +76,7 @@ def fit(
     recordings = [recording.within_stimulus() for recording in recordings]
     rng = np.random.default_rng(seed)
     if all(pooled):
-        objective, optimum, details, pixels = _fit_pooled(recordings, model, fixed or {}, report)
+        objective, optimum, details, pixels = fit_pooled(recordings, model, fixed or {}, report)
         dispersion = details["dispersion"]
     else:
         if fixed:
@@ -187,68 +185,6 @@ def _fit_event_times(recordings, model, starts, between, climber: Engine, rng, r
             candidates["smooth"][1].local.value - candidates["linear"][1].local.value
         )
     return objective, optimum, details, full.pixels
-
-
-def _fit_pooled(recordings, model, fixed, report):
-    for effect in ("threshold_noise", "threshold_mismatch", "refractory_period"):
-        model = model.without_effect(effect)
-    model = model.release(["delay_s"])
-    exchange = {"sf_cutoff_hz", "diff_cutoff_hz"} <= set(model.free)
-    if exchange:
-        model = model.fix({"diff_cutoff_hz": None})
-    scout = PooledRate(recordings, first_s=SCOUT_S)
-    nuisances = {p.name: p for p in scout.nuisances()}
-    for name, value in fixed.items():
-        if name not in nuisances:
-            raise InputError(f"--fix {name}: neither the model nor these recordings have it")
-        nuisances[name] = nuisances[name].at(value).fixed()
-    start = {**model.values, **{name: p.value for name, p in nuisances.items()}}
-    report("aligning clocks", 0.05)
-    start |= align(scout, model, start)
-    start |= {name: value for name, value in match_counts(scout, model, start).items() if name not in fixed}
-    model = model.set({name: value for name, value in start.items() if name in model.parameters})
-    coordinates = Coordinates.of(model, tuple(p.at(start[name]) for name, p in nuisances.items()))
-    report("searching", 0.1)
-    found = maximise(
-        PooledRateObjective(scout, coordinates),
-        coordinates.start,
-        tolerance=1.0,
-        max_steps=60,
-        progress=lambda step, value: report("searching", 0.1 + 0.4 * step / 60),
-    )
-    noisy = scout.dispersion(PooledRateObjective(scout, coordinates).expected(found.x))
-    likelihood = PooledRate(recordings)
-    objective = PooledRateObjective(likelihood, coordinates)
-    optimum = maximise(
-        objective,
-        found.x,
-        tolerance=0.1 * max(noisy, 1.0),  # a tenth of a nat, for counts this noisy
-        max_steps=80,
-        progress=lambda step, value: report("fitting", 0.5 + 0.4 * step / 80),
-    )
-    dispersion = likelihood.dispersion(objective.expected(optimum.x))
-    caveats = [
-        "number of pooled pixels × thresholds: only their ratio is visible (pooled.pixels is a gauge, chosen so that "
-        f"on_threshold started at {model.values['on_threshold']:g})",
-        "threshold noise, mismatch and dead time: pooled counts do not show them (left out of the model)",
-    ]
-    if exchange:
-        caveats.append(
-            "source follower and differencing pole: pooled counts do not show the reset that tells them apart, so they "
-            "can change places; diff_cutoff_hz is held where it was"
-        )
-    if "stimulus.offset" in nuisances:
-        caveats.append(
-            "light levels: radiance is in units of the light that is on all the time (stimulus.offset = 1 is a gauge), "
-            "so alpha and gamma are in that unit too"
-        )
-    details = {
-        "dispersion": dispersion,
-        "bin_s": float(np.diff(likelihood.counts[0].edges[:2])[0]),
-        "steps": optimum.steps,
-        "caveats": caveats,
-    }
-    return objective, optimum, details, 1
 
 
 def _few_pixels(recordings: Sequence[Recording], rng: np.random.Generator) -> list[Recording]:

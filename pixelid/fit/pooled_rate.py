@@ -35,10 +35,11 @@ class PooledRateObjective(Objective):
             up[i] += step
             down[i] -= step
             columns.append((self.expected(up) - self.expected(down)) / (2.0 * step))
-        J = np.stack(columns, axis=1)
+        kept = self.likelihood.kept
+        J, here_kept = np.stack(columns, axis=1)[kept], here[kept]
         gradient, curvature = self.coordinates.prior_gradient_and_curvature(x)
         return Local(
             self.likelihood.log_likelihood(here) + self.coordinates.log_prior(x),
-            J.T @ (self.likelihood.observed / here - 1.0) + gradient,
-            (J / here[:, None]).T @ J + np.diag(curvature),
+            J.T @ (self.likelihood.observed[kept] / here_kept - 1.0) + gradient,
+            (J / here_kept[:, None]).T @ J + np.diag(curvature),
         )

@@ -119,6 +119,21 @@ def cosine(a: np.ndarray, b: np.ndarray) -> float:
     return abs(float(a @ b)) / size if size > 0 else 0.0
 
 
+def confusion(found: Sequence[Direction]) -> dict[str, dict]:
+    """What these stimuli would take each missing effect for.
+
+    effect → its |cos| with every other, the most alike one, and by how many nats it would be told apart from that one
+    at its typical strength (below 5: `ambiguous`).
+    """
+    table = {}
+    for own in found:
+        alike = {other.effect: cosine(own.clear, other.clear) for other in found if other is not own}
+        nearest = max(alike, key=lambda name: alike[name], default="")
+        apart = 0.5 * own.seen * (1.0 - alike.get(nearest, 0.0) ** 2)
+        table[own.effect] = {"most_alike": nearest, "told_apart_nats": apart, "cosines": alike}
+    return table
+
+
 def similarities(at: Space, effect: str, rivals: Sequence[str]) -> dict[str, float]:
     """|cos| between an effect that the fitted model has and every rival that it lacks, by name."""
     name = next(p.name for p in stages.effect(effect).parameters if p.free)

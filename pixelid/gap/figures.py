@@ -20,7 +20,9 @@ def write_figures(report: GapReport, recordings: Sequence[Recording], folder: Pa
     figures = [_map(report, folder / "map.png")]
     if any(entry["candidates"] for entry in report.rounds):
         figures.append(_forest(report, folder / "forest.png"))
-    if report.free_run is not None:
+    if "after_jumps" in report.details:
+        figures.append(_after_jumps(report, folder / "edges.png"))
+    elif report.free_run is not None:
         figures.append(_per_recording(report, folder / "closed.png"))
         figures.append(_before_after(report, recordings, folder / "before_after.png"))
     if report.term is not None:
@@ -120,6 +122,23 @@ def _before_after(report: GapReport, recordings: Sequence[Recording], path: Path
         axis.legend(fontsize=6, loc="upper right")
     figure.supxlabel("time [s]", fontsize=8)
     figure.supylabel("events per pixel and second, ON up, OFF down (filled: measured)", fontsize=8)
+    return _save(figure, path)
+
+
+def _after_jumps(report: GapReport, path: Path) -> Path:
+    """Pooled counts by the time since the light jumped, over what the base and the grown model expect."""
+    rows = report.details["after_jumps"]
+    figure, axes = _new(9, 1.0 + 0.16 * len(rows))
+    axis = axes[0, 0]
+    at = np.arange(len(rows))[::-1]
+    for key, colour, mark in (("base", "0.5", "o"), ("grown", "tab:green", "|")):
+        axis.plot(
+            [r["measured"] / max(r[key], 1.0) for r in rows], at, mark, color=colour, label=f"measured / {key} model"
+        )
+    axis.set_yticks(at, [r["where"] for r in rows], fontsize=5)
+    axis.set_xscale("log")
+    axis.axvline(1, color="k", linewidth=0.6)
+    axis.legend(fontsize=7)
     return _save(figure, path)
 
 

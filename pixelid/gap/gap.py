@@ -11,11 +11,12 @@ from pixelid import stages
 from pixelid.errors import InputError
 from pixelid.fit.result import Stopwatch
 from pixelid.gap.candidates import missing
-from pixelid.gap.directions import Direction, Space, direction, similarities, space
+from pixelid.gap.directions import Direction, Space, confusion, direction, similarities, space
 from pixelid.gap.distance import FreeRun, free_run
 from pixelid.gap.ledger import remembering
 from pixelid.gap.maps import Cell
 from pixelid.gap.nameless import nameless
+from pixelid.gap.pooled import pooled_gap
 from pixelid.gap.readout import Fingerprint
 from pixelid.gap.recommend import advice
 from pixelid.gap.result import GapReport, Named
@@ -55,6 +56,8 @@ def gap(
     """
     _check(recordings, model, alpha)
     report = progress or (lambda what, fraction: None)
+    if all(r.pooled for r in recordings):
+        return pooled_gap(recordings, model, alpha, seed, tuple(leave_out), report)
     with remembering(resume):
         return _searched(Search(recordings, model, alpha, seed, tuple(leave_out), report), recommend)
 
@@ -111,11 +114,12 @@ def _check(recordings: Sequence[Recording], model: Model, alpha: float) -> None:
         raise InputError("no recordings to look at")
     if not 0.0 < alpha < 0.5:
         raise InputError(f"--alpha: expected a chance between 0 and 0.5, found {alpha:g}")
-    if "threshold_noise" not in model.effects:
+    pooled = [r.pooled for r in recordings]
+    if any(pooled) and not all(pooled):
+        raise InputError("some recordings are pooled and some have pixels; look for the gap of one kind at a time")
+    if not all(pooled) and "threshold_noise" not in model.effects:
         raise InputError(f"model {model.name}: the search needs threshold_noise (add it with --with threshold_noise)")
     for recording in recordings:
-        if recording.pooled:
-            raise InputError(f"{recording.name}: pooled events have no pixels; the search compares pixels")
         recording.check_stimulus_covers_events()
 
 
@@ -183,6 +187,7 @@ def _details(search: Search, directions: Sequence[Direction], withdrawn: Sequenc
         "remaining": [_cell(c) for c in seen.maps.cells[:8]],
         "seen_before": [_cell(c) for c in search.first.maps.cells[:8]],
         "shows_at_typical_strength_nats": {d.effect: 0.5 * d.seen for d in directions},
+        "confusion": confusion(directions),
     }
 
 

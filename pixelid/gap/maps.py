@@ -83,7 +83,7 @@ def maps(likelihood: EventTimes, residual: Residuals, tangent: Tangents, factors
     order = np.argsort(-np.abs(scores))
     top = float(np.abs(scores).max(initial=0.0))
     p_normal = float(min(1.0, len(cells) * 2.0 * norm.sf(top)))
-    p_pixels = _flipped(sums, seed)
+    p_pixels = flipped(sums, seed)
     return Maps(tuple(cells[i] for i in order), max(p_normal, p_pixels or 0.0), p_normal, p_pixels, int((~kept).sum()))
 
 
@@ -154,8 +154,9 @@ def _memory(e, last, factor: Factor, pixel) -> tuple[list[Cell], np.ndarray]:
     return cells, sums
 
 
-def _flipped(sums: np.ndarray, seed: int) -> float | None:
-    """p of the largest studentised |Σ over pixels| under random signs of whole pixels; None for too few pixels."""
+def flipped(sums: np.ndarray, seed: int) -> float | None:
+    """p of the largest studentised |Σ over units| of sums (units, cells) under random signs of whole units (pixels, or
+    stretches of time); None for too few units."""
     shown = sums[np.abs(sums).sum(axis=1) > 0]
     if len(shown) < ENOUGH_PIXELS:
         return None

@@ -16,14 +16,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import gammaln
 
 from pixelid.dynamics.of_circuit import dynamics_of
+from pixelid.dynamics.slew import slews
 from pixelid.dynamics.trajectory import integrate
 from pixelid.errors import InputError
+from pixelid.likelihood.slewing import slewed
 from pixelid.parameters.parameter import Parameter
 from pixelid.recordings.recording import Recording
 from pixelid.stages.circuit import Circuit
@@ -67,7 +70,8 @@ class PooledRate:
     nuisances: delay per recording, background per polarity, pooled pixels, and for "shape" stimuli the light
     L = offset + gain · shape, of which `stimulus.offset` is fixed (it sets the unit of radiance).
 
-    bin_s: width of the bins;  first_s: how much of each recording to look at.
+    bin_s: width of the bins;  first_s: how much of each recording to look at;  kept: (bins,) those that count, all
+    unless changed (`of_bins`).
     Raises InputError for a missing or per-pixel stimulus, or too many bins.
     """
 
@@ -84,13 +88,20 @@ class PooledRate:
         self.observed = np.concatenate([np.concatenate([c.on, c.off]) for c in self.counts])
         if self.observed.sum() < 100:
             raise InputError("fewer than 100 events during the stimulus: nothing to fit")
-        self._constant = gammaln(self.observed + 1.0).sum()
+        self._log_factorial = gammaln(self.observed + 1.0)
         self._width = bin_s
+        self.kept = np.ones(len(self.observed), dtype=bool)
 
     @property
     def events(self) -> int:
         """Events counted."""
-        return int(self.observed.sum())
+        return int(self.observed[self.kept].sum())
+
+    def of_bins(self, kept: np.ndarray) -> PooledRate:
+        """The same likelihood with only the bins that `kept` (bins,) says counting."""
+        part = copy(self)
+        part.kept = kept
+        return part
 
     def nuisances(self) -> tuple[Parameter, ...]:
         """The recordings' own parameters, with starting values."""
@@ -124,7 +135,11 @@ class PooledRate:
         if not shown.all():
             stimulus = replace(stimulus, t=stimulus.t[shown], radiance=stimulus.radiance[shown])
         wave = drive(stimulus, circuit, until)
-        trajectory = integrate(wave.t, wave.radiance, dynamics_of(circuit), linearisation=circuit.linearisation)
+        if slews(circuit):
+            linear = circuit.with_(slew_rise=math.inf, slew_fall=math.inf)
+            trajectory = slewed(wave, circuit, dynamics_of(linear))
+        else:
+            trajectory = integrate(wave.t, wave.radiance, dynamics_of(circuit), linearisation=circuit.linearisation)
         delay = values[delay_name(self.recordings, i)]
         states = trajectory.at(np.maximum(counts.edges - delay, wave.t[0]))
         return states[:, 5]
@@ -133,7 +148,7 @@ class PooledRate:
         """(bins,) expected counts, per recording ON then OFF."""
         parts = []
         for i in range(len(self.recordings)):
-            change = np.diff(self.output(i, circuit, values))
+            change = np.diff(self.output(i, circuit, values)) + circuit.on_threshold * self._leaked(i, circuit)
             rise, fall = np.maximum(change, 0.0), np.maximum(-change, 0.0)
             on, off = rise / circuit.on_threshold, fall / circuit.off_threshold
             thinning = values["pooled.pixels"] / (1.0 + circuit.refractory * (on + off) / self._width)
@@ -141,14 +156,28 @@ class PooledRate:
             parts.append(off * thinning + values["pooled.background_off_hz"] * self._width)
         return np.concatenate(parts)
 
+    def _leaked(self, i: int, circuit: Circuit) -> np.ndarray | float:
+        """What leaks in each bin of recording i, in ON thresholds."""
+        stimulus, edges = self.recordings[i].stimulus, self.counts[i].edges
+        assert stimulus is not None
+        if circuit.leak_hz_per_radiance == 0:
+            return circuit.leak_hz * self._width
+        light = np.interp(0.5 * (edges[1:] + edges[:-1]), stimulus.t, stimulus.radiance)
+        return (circuit.leak_hz + circuit.leak_hz_per_radiance * light) * self._width
+
     def log_likelihood(self, expected: np.ndarray) -> float:
         """Poisson log-likelihood of the counts about `expected`."""
-        return float((self.observed * np.log(expected) - expected).sum() - self._constant)
+        return float(self.per_bin(expected)[self.kept].sum())
+
+    def per_bin(self, expected: np.ndarray) -> np.ndarray:
+        """(bins,) log-likelihood of each bin, also of those that do not count."""
+        return self.observed * np.log(expected) - expected - self._log_factorial
 
     def dispersion(self, expected: np.ndarray) -> float:
         """Pearson χ² per bin, among bins grouped until each expects at least 5 counts: 1 for Poisson counts."""
+        expected, observed = expected[self.kept], self.observed[self.kept]
         group = np.floor(np.cumsum(expected) / 5.0).astype(np.int64)
-        observed = np.bincount(group, self.observed)
+        observed = np.bincount(group, observed)
         mean = np.bincount(group, expected)
         keep = mean > 1.0
         return float(((observed - mean)[keep] ** 2 / mean[keep]).mean())

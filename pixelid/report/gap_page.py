@@ -12,6 +12,7 @@ CAPTIONS = {
     "forest": "Log-likelihood that each effect gains: on pixels no fit has seen (dots), on the pixels fitted (ticks).",
     "closed": "Free-run gap per recording on the pixels set aside: before, after, and chance alone.",
     "before_after": "The recordings with the largest gap: measured (filled), base model, grown model.",
+    "edges": "Measured counts over what the base and the grown model expect, by the time since the light jumped.",
     "unknown": "The nameless term: threshold shift that would explain the remainder, with 95 % bars.",
 }
 
@@ -43,12 +44,19 @@ fitted.</b>{% endif %}</p>
 <p>Thresholds that depend on {{ result.unknown_term.depends_on }} would gain
 {{ number(result.unknown_term.heldout_gain_nats) }} nats on pixels not used to find them. That is a description, not
 a cause.</p>{% endif %}
-<h2>What these recordings can show</h2>
+{% if result.details.confusion is defined %}<h2>What these recordings can show, and take for what</h2>
 <p>Nats by which each effect still missing from the model would show at its typical strength, beside all free
-parameters; below 5 it would go unseen.</p>
-<table><tr><th>effect</th><th>nats</th></tr>
-{% for k, v in result.details.shows_at_typical_strength_nats.items() %}<tr><td>{{ k }}</td><td>{{ number(v) }}</td></tr>
-{% endfor %}</table>
+parameters (below 5 it would go unseen); the effect it looks most like under these stimuli; and the nats that would tell
+the two apart (below 5: ambiguous).</p>
+<table><tr><th>effect</th><th>would show</th><th>most alike (|cos|)</th><th>told apart by</th></tr>
+{% for k, v in result.details.confusion.items() %}<tr><td>{{ k }}</td>
+<td>{{ number(result.details.shows_at_typical_strength_nats[k]) }} nats</td>
+<td>{% if v.most_alike %}{{ v.most_alike }} ({{ "%.2f" | format(v.cosines[v.most_alike]) }}){% else %}–{% endif %}</td>
+<td>{{ number(v.told_apart_nats) }} nats</td></tr>{% endfor %}</table>{% endif %}
+{% if result.details.after_jumps is defined %}<h2>Counts after the light jumped</h2>
+<table><tr><th>where</th><th>measured</th><th>base model</th><th>grown model</th></tr>
+{% for row in result.details.after_jumps %}<tr><td>{{ row.where }}</td><td>{{ number(row.measured) }}</td>
+<td>{{ number(row.base) }}</td><td>{{ number(row.grown) }}</td></tr>{% endfor %}</table>{% endif %}
 <h2>What to record next</h2>
 <p>{% if result.recommended_next.stimulus %}{{ result.recommended_next.stimulus.name }}
 ({{ result.recommended_next.stimulus.kind }},

@@ -1,0 +1,86 @@
+"""Fit a circuit to pooled event counts: align clocks, match counts, climb on a part, climb on all."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+
+from pixelid.errors import InputError
+from pixelid.fit.coordinates import Coordinates
+from pixelid.fit.newton import Optimum, maximise
+from pixelid.fit.pooled_rate import PooledRateObjective
+from pixelid.fit.starts import align, match_counts
+from pixelid.likelihood.pooled_rate import PooledRate
+from pixelid.model.model import Model
+from pixelid.recordings.recording import Recording
+
+SCOUT_S = 1.0  # seconds of each recording that the search from afar looks at
+
+
+def fit_pooled(
+    recordings: Sequence[Recording], model: Model, fixed: Mapping[str, float], report: Callable[[str, float], None]
+) -> tuple[PooledRateObjective, Optimum, dict, int]:
+    """(objective, optimum, details, 1) of the model fitted to pooled counts.
+
+    fixed: nuisances of the recordings to hold.  Raises InputError for a name in it that is none.
+    """
+    for effect in ("threshold_noise", "threshold_mismatch", "refractory_period"):
+        model = model.without_effect(effect)
+    model = model.release(["delay_s"])
+    exchange = {"sf_cutoff_hz", "diff_cutoff_hz"} <= set(model.free)
+    if exchange:
+        model = model.fix({"diff_cutoff_hz": None})
+    scout = PooledRate(recordings, first_s=SCOUT_S)
+    nuisances = {p.name: p for p in scout.nuisances()}
+    for name, value in fixed.items():
+        if name not in nuisances:
+            raise InputError(f"--fix {name}: neither the model nor these recordings have it")
+        nuisances[name] = nuisances[name].at(value).fixed()
+    start = {**model.values, **{name: p.value for name, p in nuisances.items()}}
+    report("aligning clocks", 0.05)
+    start |= align(scout, model, start)
+    start |= {name: value for name, value in match_counts(scout, model, start).items() if name not in fixed}
+    model = model.set({name: value for name, value in start.items() if name in model.parameters})
+    coordinates = Coordinates.of(model, tuple(p.at(start[name]) for name, p in nuisances.items()))
+    report("searching", 0.1)
+    found = maximise(
+        PooledRateObjective(scout, coordinates),
+        coordinates.start,
+        tolerance=1.0,
+        max_steps=60,
+        progress=lambda step, value: report("searching", 0.1 + 0.4 * step / 60),
+    )
+    noisy = scout.dispersion(PooledRateObjective(scout, coordinates).expected(found.x))
+    likelihood = PooledRate(recordings)
+    objective = PooledRateObjective(likelihood, coordinates)
+    optimum = maximise(
+        objective,
+        found.x,
+        tolerance=0.1 * max(noisy, 1.0),  # a tenth of a nat, for counts this noisy
+        max_steps=80,
+        progress=lambda step, value: report("fitting", 0.5 + 0.4 * step / 80),
+    )
+    dispersion = likelihood.dispersion(objective.expected(optimum.x))
+    caveats = [
+        "number of pooled pixels × thresholds: only their ratio is visible (pooled.pixels is a gauge, chosen so that "
+        f"on_threshold started at {model.values['on_threshold']:g})",
+        "threshold noise, mismatch and dead time: pooled counts do not show them (left out of the model)",
+    ]
+    if exchange:
+        caveats.append(
+            "source follower and differencing pole: pooled counts do not show the reset that tells them apart, so they "
+            "can change places; diff_cutoff_hz is held where it was"
+        )
+    if "stimulus.offset" in nuisances:
+        caveats.append(
+            "light levels: radiance is in units of the light that is on all the time (stimulus.offset = 1 is a gauge), "
+            "so alpha and gamma are in that unit too"
+        )
+    details = {
+        "dispersion": dispersion,
+        "bin_s": float(np.diff(likelihood.counts[0].edges[:2])[0]),
+        "steps": optimum.steps,
+        "caveats": caveats,
+    }
+    return objective, optimum, details, 1

@@ -1,0 +1,67 @@
+"""The gap of pooled recordings: what many simulated pixels fire together, their addresses forgotten."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pixelid.errors import InputError
+from pixelid.gap.gap import gap
+from pixelid.model.shipped import find_model
+from pixelid.recordings import Recording
+from pixelid.simulate import simulate
+from pixelid.stimuli.stimulus import Stimulus
+
+MODEL = find_model("dvs128")
+POOL = MODEL.set({"on_threshold": 0.06, "off_threshold": 0.06, "threshold_mismatch.sigma": 0.15, "refractory_s": 1e-6})
+
+
+def bits(model, pixels=150, seed=1):
+    """A pool of pixels under a random sequence of two light levels."""
+    t = np.arange(0.0, 1.6, 0.004)
+    light = np.where(np.random.default_rng(seed).random(len(t)) > 0.5, 300.0, 60.0)
+    stimulus = Stimulus(t, light, "relative", "previous")
+    run = simulate(model, stimulus, width=pixels, height=1, seed=seed)
+    events = replace(run.events, x=np.zeros(len(run.events), np.uint16), width=1)
+    return Recording(events, stimulus, condition="bits", pooled=True)
+
+
+@pytest.fixture(scope="module")
+def plain():
+    return gap([bits(POOL)], MODEL)
+
+
+def test_nothing_is_named_where_nothing_is_missing(plain):
+    assert plain.effects == ()
+    assert plain.model.effects == plain.base.effects
+    assert plain.verdict in ("none", "unknown")  # the pooled rate is a limit: what it misses it may not name
+
+
+def test_report_says_what_was_looked_at(plain):
+    told = plain.as_dict()
+    assert told["details"]["dispersion"] >= 1.0
+    assert "threshold_noise" in told["details"]["not_in_pooled_counts"]
+    rows = told["details"]["after_jumps"]
+    assert sum(row["measured"] for row in rows) > 0.9 * len(bits(POOL).events)
+
+
+def test_a_high_pass_is_found_and_closes_most_of_the_gap():
+    found = gap([bits(POOL.with_effect("lower_cutoff", {"cutoff_hz": 20.0}))], MODEL)
+    assert [e.name for e in found.effects] == ["lower_cutoff"]
+    value, interval = found.effects[0].parameters["lower_cutoff.cutoff_hz"]
+    assert interval is not None
+    assert value == pytest.approx(20.0, rel=0.15)
+    assert found.free_run is not None
+    assert found.free_run.closed is not None
+    assert found.free_run.closed > 0.6
+
+
+def test_an_effect_left_out_is_not_found():
+    found = gap([bits(POOL.with_effect("lower_cutoff", {"cutoff_hz": 20.0}))], MODEL, leave_out=["lower_cutoff"])
+    assert found.verdict == "unknown"
+
+
+def test_pooled_and_other_recordings_do_not_mix():
+    recording = bits(POOL, pixels=5)
+    with pytest.raises(InputError, match="pooled"):
+        gap([recording, replace(recording, pooled=False)], MODEL)
