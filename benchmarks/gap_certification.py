@@ -103,15 +103,17 @@ def run(job: dict) -> dict:
 
 
 def jobs(nulls: int, repeats: int) -> list[dict]:
-    """Nulls, and every effect: at its typical strength, left out of the library, and weaker, half as often."""
+    """Nulls; every effect at its typical strength, in the library and left out of it; then weaker, half as often."""
     plan = [{"effect": "", "factor": 0.0, "seed": 1000 + i, "left_out": False} for i in range(nulls)]
+    effects = (*(e for e in STRENGTHS if e != "slew_limit"), *WITHHELD, "slew_limit")  # the slowest last
     for i in range(repeats):
-        for effect in (*STRENGTHS, *WITHHELD):
-            for factor in FACTORS if effect in STRENGTHS else FACTORS[-1:]:
-                if factor == 1.0 or i % 2 == 0:
-                    plan.append({"effect": effect, "factor": factor, "seed": 5000 + i, "left_out": False})
-            if i % 3 < 2:
-                plan.append({"effect": effect, "factor": 1.0, "seed": 5000 + i, "left_out": True})
+        for effect in effects:
+            for left_out in (False, True):
+                plan.append({"effect": effect, "factor": 1.0, "seed": 5000 + i, "left_out": left_out})
+    for i in range(0, repeats, 2):
+        for effect in effects[: -len(WITHHELD) - 1]:
+            for factor in FACTORS[:-1]:
+                plan.append({"effect": effect, "factor": factor, "seed": 5000 + i, "left_out": False})
     return plan
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from pixelid import stages
-from pixelid.gap.candidates import missing, strongest_start
+from pixelid.gap.candidates import INVERSE, missing, strongest_start
 from pixelid.gap.climb import Climbed, climbed, per_pixel
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.model.model import Model
@@ -26,6 +26,9 @@ POLES = ("source_follower_pole", "extra_pole", "differencing_pole")
 FIT_STEPS = (30, 10)  # of the leading effect, and of the others: they start where the screening left them
 HOPEFUL = 0.05  # of the best screened gain: below it, a third effect has no chance
 WORTH = 3.0  # nats below which a screened effect is not looked at again
+TRIED_AT = {"mains_flicker": 2.0}  # amplitude and phase have no boundary between them, and two frequencies are tried
+NEGLIGIBLE = 0.01  # of the typical strength: weaker effects are an error of the model or the stimulus, not a finding
+FAINTEST = {"mains_flicker": 0.05}  # likewise: a modulation of 0.25 %
 DISTINCT = 5.0  # nats by which the winner must lead on the fit pixels
 SECURE = 1.0  # standard errors (paired over pixels) by which held-out gains must lead
 
@@ -113,10 +116,10 @@ def attribute(
                 base_fit, before = again, per_pixel(pools.select, again.model)
         gain = end.value - base_fit.value
         degrees = sum(p.free for p in stages.effect(effect).parameters)
-        p = min(1.0, 0.5 * len(effects) * float(chi2.sf(2.0 * max(gain, 0.0), degrees)))
+        p = min(1.0, TRIED_AT.get(effect, 0.5) * len(effects) * float(chi2.sf(2.0 * max(gain, 0.0), degrees)))
         found.append(Candidate(effect, end, gain, p, per_pixel(pools.select, end.model) - before))
     found.sort(key=lambda c: -c.gain)
-    winner = next((c for c in found[:1] if c.p < alpha and secure(c.held_out)), None)
+    winner = next((c for c in found[:1] if c.p < alpha and secure(c.held_out) and not _negligible(c)), None)
     rivals = tuple(c for c in found[1:] if winner is not None and _rivals(c, winner, alpha))
     return Attribution(tuple(found), gains, winner, rivals)
 
@@ -126,6 +129,15 @@ def secure(differences: np.ndarray) -> bool:
     n = len(differences)
     spread = differences.std(ddof=1) * np.sqrt(n) if n > 1 else 0.0
     return bool(differences.sum() > SECURE * spread)
+
+
+def _negligible(found: Candidate) -> bool:
+    """Whether the effect is far weaker than it ever is in a camera."""
+    strength = next(p for p in stages.effect(found.effect).parameters if p.free)
+    value = abs(found.end.values[strength.name])
+    return (strength.value / value if found.effect in INVERSE else value / strength.value) < FAINTEST.get(
+        found.effect, NEGLIGIBLE
+    )
 
 
 def _rivals(other: Candidate, winner: Candidate, alpha: float) -> bool:

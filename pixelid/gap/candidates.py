@@ -19,6 +19,8 @@ MAINS_HZ = (100.0, 120.0)
 PHASES = (0.0, 0.5 * math.pi, math.pi, 1.5 * math.pi)
 # What no density of single events knows: read off the timestamps (`readout.py`), off the pixels, or not at all.
 UNSEEN = {"shot_noise", "hot_pixels", "readout_latency", "timestamp_quantisation"}
+# effects that weaken as their first parameter grows
+INVERSE = {"second_order_photoreceptor", "source_follower_pole", "extra_pole", "slew_limit", "differencing_pole"}
 SLEWS_THROUGH = ("source_follower_pole", "differencing_pole")  # what the likelihood of slew_limit needs
 
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from pixelid import stages
 from pixelid.errors import InputError
-from pixelid.gap.candidates import variants
+from pixelid.gap.candidates import INVERSE, variants
 from pixelid.gap.climb import Climbed
 from pixelid.gap.residuals import Residuals, moved_by, residuals, tangents
 from pixelid.likelihood.event_times import EventTimes, sum_by
@@ -25,8 +25,6 @@ from pixelid.model.model import Model
 SMALL = 0.2  # rms residual of the strength taken as small
 COLLINEAR = 0.9
 PRIOR_SD = 1.0  # of coordinates (a factor e), where these recordings say nothing of them
-# effects that weaken as their first parameter grows
-INVERSE = {"second_order_photoreceptor", "source_follower_pole", "extra_pole", "slew_limit", "differencing_pole"}
 
 
 @dataclass(frozen=True)

@@ -2,8 +2,8 @@
 
 Each measured pixel gets twins: simulated pixels with its thresholds as the model reads them from its events, let go
 where its first event let it go, and free from then on.  What differs beyond the noise of their thresholds is the
-model's fault.  (Under a shared readout, where pixels do not run alone, whole simulated sensors stand in for the twins,
-and differences between pixels count as chance.)
+model's fault.  (Under a shared readout, where pixels do not run alone, and under shot noise, whole simulated sensors
+stand in for the twins, and differences between pixels count as chance.)
 
 Cells are the counts of a pixel per recording and polarity: in the whole recording, its halves, quarters and eighths,
 and by the wait since the event before.  With n_b the count of all P measured pixels in cell b, μ_b and v_b mean and
@@ -102,7 +102,7 @@ def free_run(
     hot: (P,) which of the pixels are hot: their twins fire the extra events of the model's hot_pixels
     """
     edges = [_wait_edges(r) for r in recordings]
-    alone = not after.has("readout_latency")
+    alone = not (after.has("readout_latency") or after.has("shot_noise"))
     measured = counted(recordings, pixels, edges, after_first=alone)
     expected = {}
     for name, model, salt in (("before", before, 1), ("after", after, 2)):

@@ -16,6 +16,7 @@ from pixelid.gap.distance import FreeRun, free_run
 from pixelid.gap.ledger import remembering
 from pixelid.gap.maps import Cell
 from pixelid.gap.nameless import nameless
+from pixelid.gap.noise import STRENGTH
 from pixelid.gap.pooled import pooled_gap
 from pixelid.gap.readout import Fingerprint
 from pixelid.gap.recommend import advice
@@ -73,11 +74,11 @@ def _searched(search: Search, recommend: bool) -> GapReport:
     report("what these stimuli can tell", 0.75)
     at = space(state.bench.train, state.current)
     directions = [d for d in (direction(at, name) for name in missing(state.current.model)) if d is not None]
-    found = bool(search.steps or new)
+    found = bool(search.steps or new or search.noise)
     shadow = shadowed(at, directions) if not found and not remainder else None
     said = verdict(found, bool(search.rivals), remainder, shadow)
     report("intervals", 0.8)
-    effects = (*(_printed(f, search) for f in new), *_effects(at, search))
+    effects = (*(_printed(f, search) for f in new), *_effects(at, search), *_noise(search))
     report("free run", 0.85)
     run = _free_run(search) if effects else None
     withdrawn: list[str] = []
@@ -173,6 +174,16 @@ def _printed(found: Fingerprint, search: Search) -> Named:
     gain = found.nats_per_event * found.concerned * selected
     strength = {found.parameter: (found.value, found.interval)}
     return Named(found.effect, found.p, gain, None, None, 0.0, "", strength, found.where)
+
+
+def _noise(search: Search) -> tuple[Named, ...]:
+    """The entry of shot noise, whose gain is that of maps, not of a likelihood."""
+    found = search.noise
+    if found is None:
+        return ()
+    place = where(search.first.maps, search.state.bench.train, search.first.residual.stray, 1.0)
+    strength = {STRENGTH: (found.density, found.interval)}
+    return (Named("shot_noise", search.noise_p, found.gain, None, None, 0.0, "", strength, place),)
 
 
 def _details(search: Search, directions: Sequence[Direction], withdrawn: Sequence[str]) -> dict:

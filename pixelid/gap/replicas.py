@@ -9,6 +9,7 @@ Renault 1993, J. Appl. Econometrics 8, S85), and of the maps only what the simul
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -44,32 +45,45 @@ class Corrected:
     look: Look
 
 
+@dataclass(frozen=True)
+class Replica:
+    """The model fitted to one simulated session: vector x, map (response, label) → score, events without a cause."""
+
+    x: np.ndarray
+    scores: dict[tuple[str, str], float]
+    strays: int
+
+
 def corrected(bench: Workbench, current: Climbed, seen: Look, seed: int) -> Corrected:
     """The fitted model and its maps, cleared of what the approximation puts into them."""
     coordinates = current.coordinates
     lower, upper = coordinates.bounds()
-    error = np.sqrt(np.maximum(np.diag(np.linalg.pinv(current.information)), 0.0))
-    known = (error > 0) & (error < KNOWN)
+    known = well_known(current)
     truth, bias = current.x, []
-    scores: list[dict] = []
+    made: list[Replica] = []
     for turn, copies in enumerate(REPLICAS):
-        scores = []
+        made = []
         for copy in range(copies):
-            refit, found = _refitted(bench, coordinates.model_at(truth), current, seen, seed + 7919 * (1 + turn) + copy)
-            bias.append(np.where(known, refit.x - truth, 0.0))
-            scores.append(found)
+            model = coordinates.model_at(truth)
+            made.append(replica(bench, model, current, seen, seed + 7919 * (1 + turn) + copy))
+            bias.append(np.where(known, made[-1].x - truth, 0.0))
         shift = np.clip(-np.mean(bias, axis=0), -FARTHEST, FARTHEST)
         truth = np.clip(current.x + shift, lower, upper)
     spread = float(np.sqrt(1.0 + 1.0 / len(bias)))
-    cells = sorted(_cleared(seen.maps.cells, scores), key=lambda c: -abs(c.score))
-    top = abs(cells[0].score) if cells else 0.0
-    p = max(seen.maps.p, float(min(1.0, len(cells) * 2.0 * norm.sf(top))))
-    look = replace(seen, maps=replace(seen.maps, cells=tuple(cells), p=p), p=p)
+    cells, p = cleared(seen, made)
+    p = max(seen.maps.p, p)
+    look = replace(seen, maps=replace(seen.maps, cells=cells, p=p), p=p)
     return Corrected(coordinates.model_at(truth), truth - current.x, spread, look)
 
 
-def _refitted(bench: Workbench, truth: Model, current: Climbed, seen: Look, seed: int) -> tuple[Climbed, dict]:
-    """(the model fitted to one simulated session, its map: (response, label) → score)."""
+def well_known(current: Climbed) -> np.ndarray:
+    """(d,) which coordinates the events hold."""
+    error = np.sqrt(np.maximum(np.diag(np.linalg.pinv(current.information)), 0.0))
+    return (error > 0) & (error < KNOWN)
+
+
+def replica(bench: Workbench, truth: Model, current: Climbed, seen: Look, seed: int) -> Replica:
+    """A session of as many pixels under the same light, simulated under `truth`, fitted like the one measured."""
     runs = []
     for i, r in enumerate(bench.train.recordings):
         assert r.stimulus is not None
@@ -82,7 +96,14 @@ def _refitted(bench: Workbench, truth: Model, current: Climbed, seen: Look, seed
     here = residuals(likelihood, refit.model.circuit())
     tangent = tangents(likelihood, refit.coordinates, refit.x, here)
     found = maps(likelihood, here, tangent, factors(likelihood, refit.model.circuit(), here, like=seen.factors), seed)
-    return refit, {(c.response, c.label): c.score for c in found.cells}
+    return Replica(refit.x, {(c.response, c.label): c.score for c in found.cells}, found.strays)
+
+
+def cleared(seen: Look, made: Sequence[Replica]) -> tuple[tuple[Cell, ...], float]:
+    """(the cells by |score| with what replicas show taken out, p of the largest)."""
+    cells = sorted(_cleared(seen.maps.cells, [r.scores for r in made]), key=lambda c: -abs(c.score))
+    top = abs(cells[0].score) if cells else 0.0
+    return tuple(cells), float(min(1.0, len(cells) * 2.0 * norm.sf(top)))
 
 
 def _cleared(cells: tuple[Cell, ...], scores: list[dict]) -> list[Cell]:

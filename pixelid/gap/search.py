@@ -17,6 +17,7 @@ from pixelid.gap.climb import Climbed, climbed, settled
 from pixelid.gap.hot import Hot, hot_pixels
 from pixelid.gap.intervals import limits
 from pixelid.gap.nameless import standing
+from pixelid.gap.noise import EFFECT, ShotNoise, shot_noise
 from pixelid.gap.readout import Fingerprint, fingerprints
 from pixelid.gap.replicas import APPROXIMATE, Corrected, corrected
 from pixelid.gap.restored import restored
@@ -79,7 +80,8 @@ class Search:
     recordings: as they came;  timely: with what the readout did undone;  model: the base, as shipped, with the
     effects read off timestamps;  base: fitted;  first: what was left under it;  prints, hot: effects found without the
     likelihood;  global_p: of anything being amiss at all;  lost: recordings whose true times could
-    not be restored;  steps, rivals: what the rounds found
+    not be restored;  steps, rivals: what the rounds found;  noise, noise_p: shot noise, and the chance of what
+    it explains
     """
 
     recordings: Sequence[Recording]
@@ -98,8 +100,11 @@ class Search:
     lost: tuple[str, ...] = ()
     steps: list[Step] = field(default_factory=list)
     rivals: tuple[Candidate, ...] = ()
+    noise: ShotNoise | None = None
+    noise_p: float = 1.0
     rounds: list[dict] = field(default_factory=list)
     global_p: float = 1.0
+    beginning: State | None = None  # the state before the first round
     before_doubt: tuple[State, int] | None = None  # the state before the first effect that is not firm, its number
 
     def begin(self) -> None:
@@ -133,15 +138,46 @@ class Search:
 
     def go_on(self) -> None:
         """Round after round, until nothing more can be named."""
+        self.beginning = self.state
         for turn in range(MOST_ROUNDS):
             if not self._round(turn):
                 break
+        self._try_noise()
         if self.remainder() and self.before_doubt is not None:
             # what is left is no accident, and these effects only stood in for it
             self.state, kept = self.before_doubt
             for step in self.steps[kept:]:
                 self._entry_of(step.winner.effect)["withdrawn"] = "a nameless term leaves it little to explain"
             self.steps, self.rivals = self.steps[:kept], ()
+
+    def _try_noise(self) -> None:
+        """Ask simulation whether shot noise explains what the library's likelihoods leave.
+
+        First in place of whatever the rounds have named, which may only stand in for it, then beside it.
+        """
+        if EFFECT in self.leave_out or not self.remainder():
+            return
+        for state, kept in ((self.beginning, 0), (self.state, len(self.steps)))[0 if self.steps else 1 :]:
+            if state is None or state.corrected is not None or state.current.model.has(EFFECT):
+                continue
+            self.report("shot noise", 0.7)
+            found = shot_noise(state.bench, state.current, state.seen, self.seed)
+            if found is None:
+                continue
+            left = found.corrected.look.p
+            entry = {
+                "round": len(self.rounds) + 1, "p": state.seen.p, "candidates": [], "named": None, "refused": None,
+                "by_simulation": {"name": EFFECT, "density": found.density, "p_of_what_is_left": left},
+            }  # fmt: skip
+            self.rounds.append(entry)
+            if left >= self.each:
+                entry["named"] = EFFECT
+                for step in self.steps[kept:]:
+                    self._entry_of(step.winner.effect)["withdrawn"] = f"{EFFECT} explains it"
+                self.steps, self.rivals, self.before_doubt = self.steps[:kept], (), None
+                self.noise, self.noise_p = found, state.seen.p
+                self.state = replace(state, seen=found.corrected.look, corrected=found.corrected)
+                return
 
     def remainder(self) -> bool:
         """Whether something significant is left."""
