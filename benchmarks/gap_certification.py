@@ -150,17 +150,58 @@ def _rate(count: int, of: int) -> dict:
     return {"count": count, "of": of, "interval_95": [low, high]}
 
 
+SAID = ("right name", "with others", "other name", "ambiguous", "unknown", "none")
+
+
+def said(row: dict) -> str:
+    """One of `SAID`."""
+    if row["verdict"] != "named":
+        return row["verdict"]
+    if row["named"] == [row["effect"]]:
+        return SAID[0]
+    return SAID[1] if row["effect"] in row["named"] else SAID[2]
+
+
+def draw(rows: list[dict], path: Path) -> None:
+    """What was said of what: planted effects by strength, in the library and left out of it."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    figure, axes = plt.subplots(1, 2, figsize=(13, 8), layout="constrained")
+    for axis, left_out in zip(axes, (False, True), strict=True):
+        mine = [r for r in rows if r["left_out"] == left_out]
+        keys = sorted({(r["effect"] or "(nothing)", r["factor"]) for r in mine})
+        table = np.zeros((len(keys), len(SAID)))
+        for r in mine:
+            table[keys.index((r["effect"] or "(nothing)", r["factor"])), SAID.index(said(r))] += 1
+        axis.imshow(
+            table / np.maximum(table.sum(axis=1, keepdims=True), 1), cmap="Greens", vmin=0, vmax=1, aspect="auto"
+        )
+        for i, j in zip(*np.nonzero(table), strict=True):
+            axis.text(j, i, f"{table[i, j]:.0f}", ha="center", va="center", fontsize=8)
+        axis.set_xticks(range(len(SAID)), SAID, rotation=30, ha="right", fontsize=8)
+        axis.set_yticks(range(len(keys)), [f"{e} × {f:g}" if f else e for e, f in keys], fontsize=7)
+        axis.set_title("left out of the library" if left_out else "in the library", fontsize=9)
+    figure.savefig(path, dpi=80)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--nulls", type=int, default=200)
     parser.add_argument("--repeats", type=int, default=3)
     parser.add_argument("--out", type=Path, default=Path("gap_certification.json"))
     parser.add_argument("--workers", type=int, default=0, help="Dask workers; 0: here")
+    parser.add_argument("--figure", type=Path, help="draw the confusion matrix of what --out holds, run nothing")
     parser.add_argument("--only", nargs="*", default=[], help="effects to plant (no nulls)")
     parser.add_argument("--minutes", type=float, default=1e9, help="stop after so long; run again to go on")
     options = parser.parse_args()
     rows = json.loads(options.out.read_text())["runs"] if options.out.exists() else []
     done = {(r["effect"], r["factor"], r["seed"], r["left_out"]) for r in rows}
+    if options.figure:
+        draw(rows, options.figure)
+        return
     plan = [j for j in jobs(options.nulls, options.repeats) if tuple(j.values()) not in done]
     plan = [j for j in plan if not options.only or j["effect"] in options.only]
     until = time.monotonic() + 60.0 * options.minutes
