@@ -52,8 +52,8 @@ class Condition:
     duration_s: of the recording, from pixels with `FEWEST` intervals or more;  None with fewer than 20 such pixels
     duration_at_least_s: the longest sum of a pixel's shortest possible intervals
     fast: how many pixels have `FEWEST` intervals or more;  fast_share: of all intervals that is theirs
-    rate_hz: of the median pixel;  cv: of a pixel's own intervals;  cv_of_poisson: what Poisson pixels of the same number
-    of events would show the same way (bins and few intervals bias it);  None where too few
+    rate_hz: of the median pixel;  cv: of a pixel's own intervals;  None where too few
+    cv_of_poisson: of Poisson pixels with the same numbers of events, found the same way
     slow: the fit to pixels with few intervals, for which rate_hz and cv are then quoted;  None where most are fast
     second_event_hz: where nothing repeats, the rate below which it must lie (95 %)
     kind: "regular" | "irregular" | "silent"

@@ -67,15 +67,12 @@ def static_noise_table(found: StaticNoise):
     caption = "\n".join((*found.findings, *(f"not known: {s}" for s in found.unknown)))
     table = Table(title="noise of a still scene", box=box.SIMPLE, title_justify="left", caption=caption)
     table.caption_justify = "left"
-    for name in ("light", "", "intervals", "pixels without", "length [s]", "rate [Hz]", "cv", "cv if Poisson", "kind"):
-        table.add_column(name)
+    for name in ("light", "intervals", "length [s]", "rate [Hz]", "cv"):
+        table.add_column(name, no_wrap=True)
     for c in found.conditions:
         rate = f"< {c.second_event_hz:.2g}" if c.second_event_hz is not None else _value(c.rate_hz)
-        poisson = f"{c.cv_of_poisson:.2g}" if c.cv_of_poisson is not None else "1" if c.slow else "–"
-        table.add_row(
-            f"{c.lux:g} lux", c.polarity, str(c.intervals), f"{100 * c.without_intervals:.1f} %", _value(c.duration_s),
-            rate, _value(c.cv), poisson, c.kind,
-        )  # fmt: skip
+        length = f"{c.duration_s[0]:.3g}" if c.duration_s else "–"
+        table.add_row(f"{c.lux:g} lux {c.polarity}", str(c.intervals), length, rate, _value(c.cv, 2))
     return table
 
 
@@ -83,5 +80,5 @@ def _slope(by_light: LeakByLight) -> tuple[float, float, float]:
     return by_light.parasitic_hz_per_lux, *by_light.parasitic_interval
 
 
-def _value(value: tuple[float, float, float] | None) -> str:
-    return "–" if value is None else f"{value[0]:.3g} ({value[1]:.3g}…{value[2]:.3g})"
+def _value(value: tuple[float, float, float] | None, digits: int = 3) -> str:
+    return "–" if value is None else "{:.{n}g} ({:.{n}g}…{:.{n}g})".format(*value, n=digits)
