@@ -38,9 +38,9 @@ def command(files: tuple[Path, ...], as_json: bool, out: Path | None, overwrite:
     if all(file.suffix == ".npy" for file in files):
         _still_scene(files, as_json, out, overwrite, seed, quiet)
         return
-    if len(files) > 1:
-        raise InputError(f"{files[1]}: one recording at a time; only .npy histograms of intervals come together")
-    file = files[0]
+    file, *more = files
+    if more:
+        raise InputError(f"{more[0]}: one recording at a time; only .npy histograms of intervals come together")
     from pixelid.inspection import inspect
     from pixelid.outputs import plain, refuse_existing, whole_folder, write_json
     from pixelid.provenance import provenance
