@@ -6,28 +6,41 @@ from pathlib import Path
 
 import click
 
+from pixelid.errors import InputError
+
 EXAMPLE = """
 \b
 Example:
     pixelid inspect recording.h5 --out health
     pixelid inspect recording.aedat4 --json
+    pixelid inspect static_noise_pos_161lux.npy static_noise_neg_161lux.npy static_noise_pos_3klux.npy
 """
 
 
 @click.command("inspect", epilog=EXAMPLE)
-@click.argument("file", type=click.Path(path_type=Path))
+@click.argument("files", metavar="FILE...", nargs=-1, required=True, type=click.Path(path_type=Path))
 @click.option("--json", "as_json", is_flag=True, help="Print JSON on stdout instead of a table.")
 @click.option("--out", type=click.Path(path_type=Path), help="Folder for inspect.json and the figures.")
 @click.option("--overwrite", is_flag=True, help="Replace --out when it exists.")
-@click.option("--seed", type=int, default=0, show_default=True, help="Noted in the JSON; nothing here is random.")
+@click.option(
+    "--seed", type=int, default=0, show_default=True, help="Of the resampling of .npy histograms; else noted."
+)
 @click.option("--quiet", is_flag=True, help="Print no table.")
-def command(file: Path, as_json: bool, out: Path | None, overwrite: bool, seed: int, quiet: bool) -> None:
+def command(files: tuple[Path, ...], as_json: bool, out: Path | None, overwrite: bool, seed: int, quiet: bool) -> None:
     """Show events, rates, ON/OFF balance, dead time, timestamp tick, periodic lines, hot pixels and readout ceiling.
 
-    FILE is any readable recording: .h5, .npz, .aedat4, .aedat, .raw, .dat, .es, .csv, .txt.
+    FILE is any readable recording: .h5, .npz, .aedat4, .aedat, .raw, .dat, .es, .csv, .txt.  Files in .npy are
+    histograms of intervals of a still scene, names ending in pos_161lux, neg_3klux, …: they are inspected
+    together, for leak, parasitic photocurrent and noise.
     """
     import json
 
+    if all(file.suffix == ".npy" for file in files):
+        _still_scene(files, as_json, out, overwrite, seed, quiet)
+        return
+    file, *more = files
+    if more:
+        raise InputError(f"{more[0]}: one recording at a time; only .npy histograms of intervals come together")
     from pixelid.inspection import inspect
     from pixelid.outputs import plain, refuse_existing, whole_folder, write_json
     from pixelid.provenance import provenance
@@ -52,3 +65,32 @@ def command(file: Path, as_json: bool, out: Path | None, overwrite: bool, seed: 
         from pixelid.inspection.table import health_table
 
         Console().print(health_table(health))
+
+
+def _still_scene(
+    files: tuple[Path, ...], as_json: bool, out: Path | None, overwrite: bool, seed: int, quiet: bool
+) -> None:
+    """Histograms of intervals of a still scene: table, static_noise.json."""
+    import json
+    from dataclasses import asdict
+
+    from pixelid.inspection.static_noise import read_interval_counts, static_noise
+    from pixelid.outputs import plain, refuse_existing, whole_folder, write_json
+    from pixelid.provenance import input_hashes, versions
+
+    if out is not None:
+        refuse_existing(out, overwrite)
+    found = static_noise([read_interval_counts(file) for file in files], seed)
+    hashes = input_hashes(files)
+    result = plain({**asdict(found), "seed": seed, "versions": versions(), "inputs_sha256": hashes})
+    if out is not None:
+        with whole_folder(out, overwrite) as folder:
+            write_json(folder / "static_noise.json", result)
+    if as_json:
+        click.echo(json.dumps(result, indent=2))
+    elif not quiet:
+        from rich.console import Console
+
+        from pixelid.inspection.static_noise_words import static_noise_table
+
+        Console().print(static_noise_table(found))

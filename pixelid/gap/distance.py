@@ -34,6 +34,7 @@ PARTS, WAITS = (1, 2, 4, 8), 6
 COPIES = 24  # twins of each pixel, or sensors
 GROUPS = 8  # of twins behind the floor
 RESAMPLES = 400
+CLOSES = 0.1  # of the gap: next to nothing
 LEAST_VARIANCE = 0.02  # of a pixel's count: cells that hardly vary
 
 
@@ -73,6 +74,16 @@ class FreeRun:
             "per_recording": {k: dict(zip(("before", "after", "floor"), v, strict=True))
                               for k, v in self.per_recording.items()},
         }  # fmt: skip
+
+
+def closes_nothing(run: FreeRun, remainder: bool) -> bool:
+    """Whether the effects behind a free run have to be withdrawn.
+
+    They surely close next to nothing of the gap, or seem to beside something significant that is left.
+    """
+    if run.closed is None or run.interval is None:
+        return False
+    return run.interval[1] < CLOSES or (remainder and run.closed < CLOSES)
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from pixelid.errors import InputError
 from pixelid.fit.result import Stopwatch
 from pixelid.gap.candidates import missing
 from pixelid.gap.directions import Direction, Space, confusion, direction, similarities, space
-from pixelid.gap.distance import FreeRun, free_run
+from pixelid.gap.distance import FreeRun, closes_nothing, free_run
 from pixelid.gap.ledger import remembering
 from pixelid.gap.maps import Cell
 from pixelid.gap.nameless import nameless
@@ -31,7 +31,6 @@ from pixelid.recordings.recording import Recording
 from pixelid.stimuli.resample import resampled
 
 ALPHA = 0.01
-CLOSES = 0.1  # of the gap that effects found on the way to `unknown` must close, or they are withdrawn
 
 
 def gap(
@@ -82,9 +81,9 @@ def _searched(search: Search, recommend: bool) -> GapReport:
     report("free run", 0.85)
     run = _free_run(search) if effects else None
     withdrawn: list[str] = []
-    if remainder and run is not None and run.closed is not None and run.closed < CLOSES:
+    if run is not None and closes_nothing(run, remainder):
         withdrawn = [effect.name for effect in effects]
-        effects, run = (), None
+        effects, run, remainder, said = (), None, True, "unknown"
     report("what to record next", 0.95)
     noise = relative_noise(state.current.model)
     place = where(state.seen.maps, state.bench.train, state.seen.residual.stray, noise)

@@ -16,11 +16,13 @@ from scipy.stats import norm
 
 from pixelid import stages
 from pixelid.gap.climb import Climbed
-from pixelid.gap.replicas import FARTHEST, Corrected, Replica, cleared, replica, well_known
+from pixelid.gap.replicas import FARTHEST, Corrected, Replica, cleared, replica, strays_of, well_known
 from pixelid.gap.workbench import Look, Workbench
 from pixelid.model.model import Model
 
 EFFECT, STRENGTH, NOISE = "shot_noise", "shot_noise.density", "threshold_sigma"
+NONE = 0.02  # as good as no shot noise
+CLEAR, LEFT = 20.0, 0.3  # nats by which replicas without shot noise must be off; part of that which may remain with it
 SHARES = (0.3, 0.6, 0.8, 0.95)
 TRIES, ENOUGH, TOO_MUCH = 4, 0.1, 2.0  # relative growth of the noise variance by which the first replica must differ
 FINAL = 4  # replicas at the share taken
@@ -41,22 +43,30 @@ class ShotNoise:
 
 
 def shot_noise(bench: Workbench, current: Climbed, seen: Look, seed: int) -> ShotNoise | None:
-    """Shot noise that explains what is left under a fitted model; None where a replica's noise cannot be told."""
+    """Shot noise that explains what is left under a fitted model.
+
+    None where a replica's noise cannot be told, or replicas with it come little nearer than those without.
+    """
     if NOISE not in current.coordinates.names:
         return None
     shared = _Shared(bench, current, seen, seed)
     if not shared.calibrated():
         return None
-    far = [_distance(seen, shared.replica(share)) for share in SHARES]
+    strays = strays_of(bench.train, seen.residual.stray)
+    nothing, *far = [_distance(seen, strays, shared.replica(share)) for share in (NONE, *SHARES)]
     a, b, _ = np.polyfit(SHARES, far, 2)
     share = float(np.clip(-b / (2.0 * a), 0.05, 0.97)) if a > 0 else SHARES[int(np.argmin(far))]
     shared.replica(share)
     model, density = shared.truth(share)
     final = [replica(bench, model, current, seen, seed + 2003 + i) for i in range(FINAL)]
+    floor = 0.5 * (len(seen.maps.cells) + len(strays))
+    excess, left = nothing - floor, float(np.mean([_distance(seen, strays, r) for r in final])) - floor
+    if excess < CLEAR or left > LEFT * excess:
+        return None
     cells, p = cleared(seen, final)
-    usual = float(np.mean([r.strays for r in final]))
+    usual = np.mean([r.strays for r in final], axis=0)
     chance = np.sqrt(UNEVEN * (usual + 1.0) * (1.0 + 1.0 / FINAL))
-    p = min(p, 2.0 * float(norm.sf(abs(seen.maps.strays - usual) / chance)))
+    p = min(p, 2.0 * len(usual) * float(norm.sf(np.abs((strays - usual) / chance).max())))
     look = replace(seen, maps=replace(seen.maps, cells=cells, p=p), p=p)
     error = max(1.96 * (1.0 / np.sqrt(a) if a > 0 else 1.0) * np.sqrt(1.0 + 1.0 / FINAL) / share, UNSURE)
     interval = (max(1.0 - error, 0.0) * density, (1.0 + error) * density)
@@ -122,8 +132,8 @@ def _with(model: Model, density: float) -> Model:
     return model.with_effect(EFFECT, {"density": density}).fix({STRENGTH: None})
 
 
-def _distance(seen: Look, one: Replica) -> float:
+def _distance(seen: Look, observed: np.ndarray, one: Replica) -> float:
     """Half the squared distance of the measured maps and strays from a replica's, in the chance of their difference."""
     pairs = [(c.score, one.scores.get((c.response, c.label))) for c in seen.maps.cells]
-    strays = (seen.maps.strays - one.strays) ** 2 / (2.0 * UNEVEN * (one.strays + 1.0))
-    return 0.5 * (sum(min((a - b) ** 2 / 2.0, FAR**2) for a, b in pairs if b is not None) + strays)
+    strays = np.minimum((observed - one.strays) ** 2 / (2.0 * UNEVEN * (one.strays + 1.0)), FAR**2)
+    return 0.5 * float(sum(min((a - b) ** 2 / 2.0, FAR**2) for a, b in pairs if b is not None) + strays.sum())

@@ -20,6 +20,7 @@ from pixelid.fit.pooled_rate import PooledRateObjective
 from pixelid.fit.result import Stopwatch
 from pixelid.gap.attribute import LEADERS, WORTH, secure
 from pixelid.gap.candidates import missing, variants
+from pixelid.gap.distance import closes_nothing
 from pixelid.gap.result import GapReport, Named
 from pixelid.gap.stretches import (
     Fitted,
@@ -42,7 +43,6 @@ UNSEEN = {"leak", "parasitic_photocurrent", "timestamp_jitter", "threshold_drift
           "refractory_period", "threshold_mismatch", "threshold_noise", "slew_limit"}  # fmt: skip
 MOST_ROUNDS, STEPS = 3, 12
 FLUID = "Part of it may be the pooled rate itself, a limit of many small thresholds that forgets the last one crossed."
-CLOSES = 0.1  # of the gap that effects found on the way to `unknown` must close, or they are withdrawn
 
 
 @dataclass(frozen=True)
@@ -104,10 +104,9 @@ def pooled_gap(
     remainder = seen.p < alpha
     run = closed_gap(search, cells[0], base, current, seed) if steps else None
     withdrawn: list[str] = []
-    if remainder and run is not None and run.closed is not None and run.closed < CLOSES:
+    if run is not None and closes_nothing(run, remainder):
         withdrawn = [step.winner.effect for step in steps]
-        steps, current, run = [], base, None
-        seen = first
+        steps, current, run, seen, remainder = [], base, None, first, True
     effects = tuple(_named(step, current, _errors(search, current)) for step in steps)
     said = verdict(bool(effects), bool(rivals), remainder, None)
     report("done", 1.0)

@@ -92,7 +92,7 @@ def grid(recordings: Sequence[Recording], scans: bool = True) -> Fingerprint | N
     unit = max((r.events.tick_ns for r in recordings), default=1) * 1e-9
     if len(t) < FEWEST_STAMPS:
         return None
-    tick, error = float(np.gcd.reduce(t)) * 1e-9, 0.5e-9
+    tick, error, of = float(np.gcd.reduce(t)) * 1e-9, 0.5e-9, "all timestamps"
     if tick < LEAST_GRID * unit:
         if not scans:
             return None
@@ -100,9 +100,10 @@ def grid(recordings: Sequence[Recording], scans: bool = True) -> Fingerprint | N
         found = find_tick(largest, pixel_intervals(largest))
         if found.scan_s is None or found.scan_s < LEAST_GRID * unit:
             return None
-        tick, error = found.scan_s, float(found.scan_jitter_s or 0.0) / np.sqrt(len(largest))
+        tick, error = found.scan_s, float(found.scan_jitter_s or 0.0) / float(np.sqrt(len(largest)))
+        of = "the intervals of single pixels"
     gain = float(np.log(tick / unit))
     return Fingerprint(
         "timestamp_quantisation", "timestamp_quantisation.tick_s", tick, (tick - 1.96 * error, tick + 1.96 * error),
-        float(np.exp(-min(gain * len(t), 700.0))), gain, 1.0, f"all timestamps are multiples of {1e6 * tick:.6g} µs",
+        float(np.exp(-min(gain * len(t), 700.0))), gain, 1.0, f"{of} are multiples of {1e6 * tick:.6g} µs",
     )  # fmt: skip

@@ -47,11 +47,14 @@ class Corrected:
 
 @dataclass(frozen=True)
 class Replica:
-    """The model fitted to one simulated session: vector x, map (response, label) → score, events without a cause."""
+    """The model fitted to one simulated session.
+
+    x: where;  scores: its map, (response, label) → score;  strays: (2,) OFF and ON events without a cause
+    """
 
     x: np.ndarray
     scores: dict[tuple[str, str], float]
-    strays: int
+    strays: np.ndarray
 
 
 def corrected(bench: Workbench, current: Climbed, seen: Look, seed: int) -> Corrected:
@@ -96,7 +99,12 @@ def replica(bench: Workbench, truth: Model, current: Climbed, seen: Look, seed: 
     here = residuals(likelihood, refit.model.circuit())
     tangent = tangents(likelihood, refit.coordinates, refit.x, here)
     found = maps(likelihood, here, tangent, factors(likelihood, refit.model.circuit(), here, like=seen.factors), seed)
-    return Replica(refit.x, {(c.response, c.label): c.score for c in found.cells}, found.strays)
+    return Replica(refit.x, {(c.response, c.label): c.score for c in found.cells}, strays_of(likelihood, here.stray))
+
+
+def strays_of(likelihood: EventTimes, stray: np.ndarray) -> np.ndarray:
+    """(2,) OFF and ON events without a cause."""
+    return np.bincount((likelihood.sign > 0).astype(np.int64), stray, 2)
 
 
 def cleared(seen: Look, made: Sequence[Replica]) -> tuple[tuple[Cell, ...], float]:

@@ -16,7 +16,7 @@ from pixelid.gap.candidates import canonical
 from pixelid.gap.climb import Climbed, climbed, settled
 from pixelid.gap.hot import Hot, hot_pixels
 from pixelid.gap.intervals import limits
-from pixelid.gap.nameless import standing
+from pixelid.gap.nameless import nameless, standing
 from pixelid.gap.noise import EFFECT, ShotNoise, shot_noise
 from pixelid.gap.readout import Fingerprint, fingerprints
 from pixelid.gap.replicas import APPROXIMATE, Corrected, corrected
@@ -104,8 +104,7 @@ class Search:
     noise_p: float = 1.0
     rounds: list[dict] = field(default_factory=list)
     global_p: float = 1.0
-    beginning: State | None = None  # the state before the first round
-    before_doubt: tuple[State, int] | None = None  # the state before the first effect that is not firm, its number
+    before: list[State] = field(default_factory=list)  # the state before each step
 
     def begin(self) -> None:
         """Lock the split, fit the base model, look at what is left."""
@@ -138,17 +137,27 @@ class Search:
 
     def go_on(self) -> None:
         """Round after round, until nothing more can be named."""
-        self.beginning = self.state
         for turn in range(MOST_ROUNDS):
             if not self._round(turn):
                 break
         self._try_noise()
-        if self.remainder() and self.before_doubt is not None:
-            # what is left is no accident, and these effects only stood in for it
-            self.state, kept = self.before_doubt
-            for step in self.steps[kept:]:
-                self._entry_of(step.winner.effect)["withdrawn"] = "a nameless term leaves it little to explain"
-            self.steps, self.rivals = self.steps[:kept], ()
+        if self.remainder():
+            self._withdraw()
+
+    def _withdraw(self) -> None:
+        """Take back effects that only stand in for what is left, which is no accident.
+
+        Those that a nameless term leaves little to explain, and those that explain less than is left.
+        """
+        term = nameless(self.state.bench, self.state.current, self.state.seen)
+        left = 0.0 if term is None else float(term.held_out.sum())
+        weak = (i for i, step in enumerate(self.steps) if not step.firm or step.winner.heldout_gain < left)
+        kept = next(weak, None)
+        if kept is None:
+            return
+        for step in self.steps[kept:]:
+            self._entry_of(step.winner.effect)["withdrawn"] = "it may only stand in for what is left"
+        self.state, self.steps, self.rivals = self.before[kept], self.steps[:kept], ()
 
     def _try_noise(self) -> None:
         """Ask simulation whether shot noise explains what the library's likelihoods leave.
@@ -157,8 +166,8 @@ class Search:
         """
         if EFFECT in self.leave_out or not self.remainder():
             return
-        for state, kept in ((self.beginning, 0), (self.state, len(self.steps)))[0 if self.steps else 1 :]:
-            if state is None or state.corrected is not None or state.current.model.has(EFFECT):
+        for state, kept in (*((early, 0) for early in self.before[:1]), (self.state, len(self.steps))):
+            if state.corrected is not None or state.current.model.has(EFFECT):
                 continue
             self.report("shot noise", 0.7)
             found = shot_noise(state.bench, state.current, state.seen, self.seed)
@@ -174,7 +183,7 @@ class Search:
                 entry["named"] = EFFECT
                 for step in self.steps[kept:]:
                     self._entry_of(step.winner.effect)["withdrawn"] = f"{EFFECT} explains it"
-                self.steps, self.rivals, self.before_doubt = self.steps[:kept], (), None
+                self.steps, self.rivals = self.steps[:kept], ()
                 self.noise, self.noise_p = found, state.seen.p
                 self.state = replace(state, seen=found.corrected.look, corrected=found.corrected)
                 return
@@ -212,8 +221,7 @@ class Search:
         if stands.hopeless:
             entry["refused"] = f"{winner.effect}: a nameless term explains more, and leaves it little to explain"
             return False
-        if not stands.firm and self.before_doubt is None:
-            self.before_doubt = state, len(self.steps)
+        self.before.append(state)
         entry["named"] = winner.effect
         noise = relative_noise(state.current.model)
         place = where(state.seen.maps, state.bench.train, state.seen.residual.stray, noise)
