@@ -9,6 +9,7 @@ maps come nearest is taken, and shot noise is named when nothing then tells meas
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -52,21 +53,24 @@ def shot_noise(bench: Workbench, current: Climbed, seen: Look, seed: int) -> Sho
     shared = _Shared(bench, current, seen, seed)
     if not shared.calibrated():
         return None
-    strays = strays_of(bench.train, seen.residual.stray)
-    nothing, *far = [_distance(seen, strays, shared.replica(share)) for share in (NONE, *SHARES)]
+    scores = {(c.response, c.label): c.score for c in seen.maps.cells}
+    measured = Replica(current.x, scores, strays_of(bench.train, seen.residual.stray))
+    nothing, *far = [_distance(measured, shared.replica(share)) for share in (NONE, *SHARES)]
     a, b, _ = np.polyfit(SHARES, far, 2)
     share = float(np.clip(-b / (2.0 * a), 0.05, 0.97)) if a > 0 else SHARES[int(np.argmin(far))]
     shared.replica(share)
     model, density = shared.truth(share)
     final = [replica(bench, model, current, seen, seed + 2003 + i) for i in range(FINAL)]
-    floor = 0.5 * (len(seen.maps.cells) + len(strays))
-    excess, left = nothing - floor, float(np.mean([_distance(seen, strays, r) for r in final])) - floor
-    if excess < CLEAR or left > LEFT * excess:
+    among = [_distance(one, other) for one, other in itertools.combinations(final, 2)]
+    floor, off = float(np.mean(among)), float(np.mean([_distance(measured, r) for r in final]))
+    if nothing - floor < CLEAR or off - floor > LEFT * (nothing - floor):
         return None
-    cells, p = cleared(seen, final)
+    cells, _ = cleared(seen, final)
+    # replicas scatter about each other as the measurement scatters about them, heavy tails of single cells and all
+    p = 2.0 * float(norm.sf(max(off - floor, 0.0) / max(float(np.std(among, ddof=1)), np.sqrt(0.5 * len(scores)))))
     usual = np.mean([r.strays for r in final], axis=0)
     chance = np.sqrt(UNEVEN * (usual + 1.0) * (1.0 + 1.0 / FINAL))
-    p = min(p, 2.0 * len(usual) * float(norm.sf(np.abs((strays - usual) / chance).max())))
+    p = min(p, 2.0 * len(usual) * float(norm.sf(np.abs((measured.strays - usual) / chance).max())), 1.0)
     look = replace(seen, maps=replace(seen.maps, cells=cells, p=p), p=p)
     error = max(1.96 * (1.0 / np.sqrt(a) if a > 0 else 1.0) * np.sqrt(1.0 + 1.0 / FINAL) / share, UNSURE)
     interval = (max(1.0 - error, 0.0) * density, (1.0 + error) * density)
@@ -132,8 +136,10 @@ def _with(model: Model, density: float) -> Model:
     return model.with_effect(EFFECT, {"density": density}).fix({STRENGTH: None})
 
 
-def _distance(seen: Look, observed: np.ndarray, one: Replica) -> float:
-    """Half the squared distance of the measured maps and strays from a replica's, in the chance of their difference."""
-    pairs = [(c.score, one.scores.get((c.response, c.label))) for c in seen.maps.cells]
-    strays = np.minimum((observed - one.strays) ** 2 / (2.0 * UNEVEN * (one.strays + 1.0)), FAR**2)
-    return 0.5 * float(sum(min((a - b) ** 2 / 2.0, FAR**2) for a, b in pairs if b is not None) + strays.sum())
+def _distance(one: Replica, other: Replica) -> float:
+    """Half the squared distance of two maps and their strays, in the chance of their difference."""
+    maps = sum(
+        min((score - other.scores[key]) ** 2 / 2.0, FAR**2) for key, score in one.scores.items() if key in other.scores
+    )
+    strays = np.minimum((one.strays - other.strays) ** 2 / (2.0 * UNEVEN * (other.strays + 1.0)), FAR**2)
+    return 0.5 * float(maps + strays.sum())

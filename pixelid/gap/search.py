@@ -179,7 +179,8 @@ class Search:
                 "by_simulation": {"name": EFFECT, "density": found.density, "p_of_what_is_left": left},
             }  # fmt: skip
             self.rounds.append(entry)
-            if left >= self.each:
+            # effects named before, in a likelihood that misread the noise, must weigh more than the noise does
+            if left >= self.each and all(step.winner.heldout_gain > found.gain for step in self.steps[:kept]):
                 entry["named"] = EFFECT
                 for step in self.steps[kept:]:
                     self._entry_of(step.winner.effect)["withdrawn"] = f"{EFFECT} explains it"
