@@ -109,8 +109,10 @@ def chains(found: Intervals, starts, samples: int, rate: float, rng: np.random.G
         end, weight, which, sub, share,
     )  # fmt: skip
     f = found.found
-    columns = [column[which] for column in (f.rise, f.fall, f.variance, f.reset, f.burst)]
-    return Chains(t[:n].copy(), first, f.pixel[first_of_run], begin, end, weight, *columns, sub, share)
+    return Chains(
+        t[:n].copy(), first, f.pixel[first_of_run], begin, end, weight, f.rise[which], f.fall[which],
+        f.variance[which], f.reset[which], f.burst[which], sub, share,
+    )  # fmt: skip
 
 
 @njit(cache=True, nogil=True)
