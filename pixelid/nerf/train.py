@@ -198,7 +198,10 @@ def step(problem: Problem, recipe: Recipe, state: State) -> dict[str, float]:
 def _off_level(
     problem: Problem, state: State, engine: str, rng: np.random.Generator, number: int = 512
 ) -> torch.Tensor:
-    """Squared distance of the mean log radiance over random rays of the reference views from the gauge's level."""
+    """Squared distance of the mean log light over random rays from that of the reference views.
+
+    Dark current is part of the light: below it the events say nothing, and a mean of logs would be full of it.
+    """
     views = problem.gauge.reference
     which = rng.integers(0, len(views), number)
     x, y = rng.integers(0, views.camera.width, number), rng.integers(0, views.camera.height, number)
@@ -207,8 +210,9 @@ def _off_level(
     directions = np.einsum("nij,nj->ni", views.rotation[which], inside).astype(np.float32)
     rays = Rays(views.position[which].astype(np.float32), directions, channel, rng.random(number, dtype=np.float32))
     radiance, _ = state.field(rays, engine)
-    target = torch.as_tensor(np.log(np.maximum(views.images[which, y, x, channel], EPSILON)), device=radiance.device)
-    return (torch.log(radiance.double() + EPSILON) - target).mean() ** 2
+    floor = np.maximum(problem.dark, EPSILON)[channel]
+    target = torch.as_tensor(np.log(views.images[which, y, x, channel] + floor), device=radiance.device)
+    return (torch.log(radiance.double() + torch.as_tensor(floor, device=radiance.device)) - target).mean() ** 2
 
 
 def held_out_residual(problem: Problem, state: State, runs: int = 512) -> float:
