@@ -134,13 +134,13 @@ def test_two_processes_share_a_batch(made, tmp_path):
 
 @pytest.mark.slow
 def test_modelling_the_pixel_pays_on_the_hard_scene(tmp_path):
-    """Less than half of the default training, 64 × 64 pixels in the dark: 5.2 dB between on and off when written."""
+    """Less than half of the default training, 64 × 64 pixels in the dark: 25.5 and 19.4 dB when written."""
     data = read_dataset(make_dataset(tmp_path / "hard", "hard8", seed=0))
     recipe = Recipe(iterations=500)
     psnr = {
         mode: reconstruct(data, bandwidth=Bandwidth(mode), recipe=recipe).scores.psnr.mean() for mode in ("on", "off")
     }
-    assert psnr["on"] > psnr["off"] + 4.0
+    assert psnr["on"] > psnr["off"] + 5.0
 
 
 @pytest.mark.slow
