@@ -3,7 +3,8 @@
     python benchmarks/reconstruction.py bandwidth --settings hard hard8 --seeds 0 1 2
     python benchmarks/reconstruction.py samples joint pixel effect scale --settings hard8 --seeds 0
 
-bandwidth   on, off, and `ideal`: the same field trained on events of a camera without bandwidth limit
+bandwidth   on, off, and `ideal`: the same field trained on events of a camera without bandwidth limit; `ideal, no dead
+            time`: and without dead time
 samples     S of the past: 1, 5, 15, 30, 50
 joint       the filter trained with the scene from a start wrong by 3 in α and the source follower; the same start held
 pixel       the camera differs from nominal by 2 in α and the source follower: true, nominal, fitted, and twice too fast
@@ -12,6 +13,7 @@ scale       radiance unit pinned by the background, by the views' mean level, fr
             under the prior of a fit
 
 Scenes and fits are kept in --work and reused; results are appended to results.jsonl there, and printed as a table.
+docs/reconstruction.json is made by --save.
 """
 
 from __future__ import annotations
@@ -86,6 +88,12 @@ def arms(name: str, work: Path, setting: str, seed: int):
             lambda: dataset(work, setting, seed, "_ideal", fast_camera(setting)),
             {"bandwidth": Bandwidth("off")},
         )
+        tireless = fast_camera(setting).without_effect("refractory_period")
+        yield (
+            "ideal, no dead time",
+            lambda: dataset(work, setting, seed, "_ideal_nodead", tireless),
+            {"bandwidth": Bandwidth("off")},
+        )
     elif name == "samples":
         for samples in SAMPLES:
             yield f"S={samples}", data, {"bandwidth": Bandwidth("on", samples)}
@@ -143,20 +151,37 @@ def run(name: str, work: Path, setting: str, seed: int, iterations: int | None, 
         )
 
 
-def table(work: Path) -> str:
-    """Mean ± sd over seeds of every arm, as Markdown; the last run of an arm and seed counts."""
+def last_runs(work: Path) -> dict[tuple, dict[int, dict]]:
+    """Per experiment, setting, arm and number of steps: the last run of every seed."""
     rows: dict = {}
     for line in (work / "results.jsonl").read_text().splitlines():
         row = json.loads(line)
-        rows.setdefault((row["experiment"], row["setting"], row["arm"]), {})[row["seed"]] = row
-    lines = ["| experiment | setting | arm | PSNR [dB] | SSIM | seeds | CPU s |", "|---|---|---|---|---|---|---|"]
-    for (name, setting, arm), seeds in rows.items():
+        key = row["experiment"], row["setting"], row["arm"], row["iterations"]
+        rows.setdefault(key, {})[row["seed"]] = row
+    return rows
+
+
+def save(work: Path, path: Path) -> None:
+    """Write the last runs, a line each, without what differs from computer to computer."""
+    names = ("experiment", "setting", "arm", "seed", "iterations", "psnr", "ssim", "cpu_seconds", "pixel")
+    runs = [{name: row[name] for name in names} for seeds in last_runs(work).values() for row in seeds.values()]
+    path.write_text("[\n" + ",\n".join(json.dumps(row) for row in runs) + "\n]\n")
+
+
+def table(work: Path) -> str:
+    """Mean ± sd over seeds of every arm, as Markdown."""
+    lines = [
+        "| experiment | setting | arm | steps | PSNR [dB] | SSIM | seeds | CPU s |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    for (name, setting, arm, steps), seeds in last_runs(work).items():
         psnr = np.array([row["psnr"] for row in seeds.values()])
         spread = f" ± {psnr.std(ddof=1):.2f}" if len(psnr) > 1 else ""
         ssim = np.mean([row["ssim"] for row in seeds.values()])
         cpu = np.mean([row["cpu_seconds"] for row in seeds.values()])
         lines.append(
-            f"| {name} | {setting} | {arm} | {psnr.mean():.2f}{spread} | {ssim:.3f} | {len(psnr)} | {cpu:.0f} |"
+            f"| {name} | {setting} | {arm} | {steps} | {psnr.mean():.2f}{spread} | {ssim:.3f} | {len(psnr)} "
+            f"| {cpu:.0f} |"
         )
     return "\n".join(lines)
 
@@ -169,6 +194,7 @@ def main() -> None:
     parser.add_argument("--seeds", nargs="+", type=int, default=[0])
     parser.add_argument("--arms", nargs="+", help="only these")
     parser.add_argument("--iterations", type=int)
+    parser.add_argument("--save", type=Path, help="write all results of --work to a JSON file")
     parser.add_argument("--work", type=Path, default=Path("out/reconstruction"))
     options = parser.parse_args()
     options.work.mkdir(parents=True, exist_ok=True)
@@ -178,6 +204,8 @@ def main() -> None:
                 run(name, options.work, setting, seed, options.iterations, options.arms)
     if (options.work / "results.jsonl").is_file():
         print(table(options.work))
+        if options.save:
+            save(options.work, options.save)
 
 
 if __name__ == "__main__":

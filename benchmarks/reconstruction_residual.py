@@ -18,7 +18,7 @@ from pixelid.nerf import raycast
 from pixelid.nerf.camera import sub_pixel_directions
 from pixelid.nerf.dataset import Dataset, read_dataset
 from pixelid.nerf.intervals import chains
-from pixelid.nerf.losses import changes, residual_rms
+from pixelid.nerf.losses import changes, unexplained
 from pixelid.nerf.pixel import Bandwidth, Pixel
 from pixelid.nerf.problem import problem_of
 from pixelid.nerf.scan import respond
@@ -55,14 +55,14 @@ def main() -> None:
         if not path.is_dir():
             make_dataset(path, setting, seed=options.seed)
         data = read_dataset(path)
-        problem = problem_of(data)
+        problem = problem_of(data, close=0.0)
         for bandwidth in (Bandwidth("off"), Bandwidth("on", 10), Bandwidth("on", 30), Bandwidth("on", 100)):
             pixel = Pixel(problem.circuit, bandwidth)
             samples = bandwidth.samples if pixel.filtering else 1
             rng = np.random.default_rng(0)
             slowest = pixel.slowest(max(float(problem.dark.min()), EPSILON))
-            starts = rng.integers(0, len(problem.training.ends), CHAINS)
-            batch = chains(problem.training, starts, problem.circuit.refractory, samples, slowest, rng)
+            starts = rng.integers(0, len(problem.training.starts), CHAINS)
+            batch = chains(problem.training, starts, samples, slowest, rng)
             which = np.repeat(batch.pixel, np.diff(batch.first))
             found = []
             for supersample in (1, 2):
@@ -72,7 +72,7 @@ def main() -> None:
                     level, output = respond(u, pixel.dynamics, batch.t, batch.first)
                     cutoff = pixel.dynamics[6]
                 change = changes(level, output, batch, cutoff).numpy()
-                found.append(residual_rms(change, batch, float(pixel.on), float(pixel.off)))
+                found.append(unexplained(change, batch, *(float(x) for x in pixel.thresholds)))
             rays = len(batch.t) / batch.weight.sum()
             print(
                 f"{setting:7} {bandwidth.mode:3} S={samples:3}  1 ray {found[0]:.3f}  4 rays {found[1]:.3f}  "

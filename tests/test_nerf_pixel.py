@@ -148,13 +148,13 @@ def test_changes_reset_at_the_end_of_the_dead_time():
             at_release = truth.at([release])[0]
     t, on = np.array(times), np.array(polarity)
     zero = np.zeros(len(t), int)
-    found = intervals(t, zero, zero, on, 1)
-    assert len(found.ends) == len(t) - 1
-    batch = chains(found, np.array([20]), dead, 300, 130.0, np.random.default_rng(0))
+    found = intervals(t, zero, zero, on, 1, dead=dead)
+    assert len(found.starts) == len(t) - 1
+    batch = chains(found, np.array([20]), 300, 130.0, np.random.default_rng(0))
     numbers, u = tensor(HARD), torch.tensor(np.log(light(batch.t)))
     level, output = respond(u, numbers, batch.t, batch.first)
     change = changes(level, output, batch, numbers[6])
-    signed = torch.where(torch.tensor(batch.on), threshold, -threshold)
+    signed = threshold * torch.tensor(batch.rise - batch.fall)
     assert batch.weight.sum() == CHAIN
     assert float((change - signed).abs().max()) < 0.02 * threshold
     parts = terms(change, level, batch, torch.tensor(threshold), torch.tensor(threshold))
@@ -162,13 +162,14 @@ def test_changes_reset_at_the_end_of_the_dead_time():
     assert float(parts["chain"]) < 1e-3
 
 
-def test_chains_are_sorted_padded_and_within_one_pixel():
+@pytest.mark.parametrize("shortest", [0.0, 4e-3])
+def test_chains_are_sorted_padded_and_within_one_pixel(shortest):
     rng = np.random.default_rng(3)
     t = np.sort(rng.uniform(0, 1, 400))
     x = rng.integers(0, 3, 400)
-    found = intervals(t, x, np.zeros(400, int), rng.random(400) < 0.5, 3)
-    starts = np.arange(0, len(found.ends), 5)
-    batch = chains(found, starts, 1e-3, 30, 100.0, rng)
+    found = intervals(t, x, np.zeros(400, int), rng.random(400) < 0.5, 3, dead=1e-3, shortest=shortest)
+    starts = np.arange(0, len(found.starts), 5)
+    batch = chains(found, starts, 30, 100.0, rng)
     for run in range(len(starts)):
         some = slice(batch.first[run], batch.first[run + 1])
         assert (np.diff(batch.t[some]) >= 0).all()
@@ -181,7 +182,7 @@ def test_chains_are_sorted_padded_and_within_one_pixel():
     assert (batch.sub >= batch.begin[..., None])[ends].all()
     assert (batch.sub < np.maximum(batch.end, batch.begin + 1)[..., None])[ends].all()
     assert ((batch.share >= 0) & (batch.share <= 1)).all()
-    last_of_pixel = found.pixel[found.ends[starts]] == batch.pixel
+    last_of_pixel = found.found.pixel[found.starts[starts]] == batch.pixel
     assert last_of_pixel.all()
 
 

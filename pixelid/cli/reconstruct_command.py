@@ -23,6 +23,8 @@ Example:
 @click.option("--bandwidth", type=click.Choice(["on", "off", "joint"]), default="on", show_default=True,
               help="The pixel's filter: known, ignored, or trained with the scene.")  # fmt: skip
 @click.option("--samples", type=click.IntRange(1, 1000), default=30, show_default=True, help="S, of the pixel's past.")
+@click.option("--train", "comparator", multiple=True, type=click.Choice(["threshold", "ratio", "refractory"]),
+              help="Trained too, with --bandwidth joint: mean threshold, ON/OFF ratio, dead time.")  # fmt: skip
 @click.option("--iterations", type=click.IntRange(1), help="Training steps.")
 @click.option("--background", type=click.FloatRange(min=0, min_open=True),
               help="Radiance behind the scene; by default what the views show.")  # fmt: skip
@@ -38,8 +40,8 @@ Example:
 @click.option("--seed", type=int, default=0, show_default=True)
 @click.option("--quiet", is_flag=True, help="No progress, no table.")
 def command(
-    dataset, out, fit, bandwidth, samples, iterations, background, scale, box, radiance_scale, checkpoint, device,
-    overwrite, seed, quiet,
+    dataset, out, fit, bandwidth, samples, comparator, iterations, background, scale, box, radiance_scale, checkpoint,
+    device, overwrite, seed, quiet,
 ):  # fmt: skip
     """Reconstruct the scene of DATASET, a folder in the published layout of Robust e-NeRF and Deblur e-NeRF.
 
@@ -52,6 +54,8 @@ def command(
     from pixelid.outputs import refuse_existing, whole_folder
 
     refuse_existing(out, overwrite)
+    if comparator and bandwidth != "joint":
+        raise InputError(f"--train {comparator[0]}: needs --bandwidth joint, found {bandwidth}")
     if checkpoint is not None and not checkpoint.parent.exists():
         raise InputError(f"{checkpoint}: the folder {checkpoint.parent} does not exist")
     if seed < 0:
@@ -59,19 +63,19 @@ def command(
     from pixelid.nerf import parallel
     from pixelid.nerf.dataset import read_dataset
     from pixelid.nerf.figures import write_figures
-    from pixelid.nerf.pixel import Bandwidth
+    from pixelid.nerf.pixel import FILTER, Bandwidth
     from pixelid.nerf.reconstruct import reconstruct
     from pixelid.nerf.train import Recipe
     from pixelid.report.html import write_report
 
     data = read_dataset(dataset)
     recipe = replace(Recipe(), iterations=iterations) if iterations else Recipe()
+    pixel = Bandwidth(bandwidth, samples, trained=(*FILTER, *comparator))
     first = parallel.rank() == 0
     with bar(quiet or not first) as report:
         result = reconstruct(
-            data, fit=fit, bandwidth=Bandwidth(bandwidth, samples), recipe=recipe, background=background,
-            scale=scale, box=box or None, radiance_scale=radiance_scale, resume=checkpoint, device=device, seed=seed,
-            progress=report,
+            data, fit=fit, bandwidth=pixel, recipe=recipe, background=background, scale=scale, box=box or None,
+            radiance_scale=radiance_scale, resume=checkpoint, device=device, seed=seed, progress=report,
         )  # fmt: skip
         if first:
             with whole_folder(out, overwrite) as folder:
@@ -83,7 +87,8 @@ def command(
         scores = result.scores
         click.echo(
             f"{result.status}: {scores.psnr.mean():.2f} dB, SSIM {scores.ssim.mean():.3f} over {len(scores.psnr)} test "
-            f"views, held-out residual {result.held_out:.2f} thresholds, {result.seconds:.0f} s; {out / 'report.html'}"
+            f"views, {result.held_out:.2f} of held-out changes unexplained, {result.seconds:.0f} s; "
+            f"{out / 'report.html'}"
         )
         if result.advice:
             click.echo(f"- {result.advice}")

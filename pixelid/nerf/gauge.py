@@ -15,6 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pixelid.nerf.camera import Camera
 from pixelid.nerf.dataset import Dataset
 from pixelid.nerf.trajectory import Trajectory
 from pixelid.nerf.views import Views
@@ -79,3 +80,25 @@ def scene_box(trajectory: Trajectory, half_angle: float) -> tuple[np.ndarray, np
     depth = np.median(np.linalg.norm(position - centre, axis=1))
     half = depth * np.tan(half_angle)
     return centre - half, centre + half
+
+
+def crossing_time(trajectory: Trajectory, camera: Camera, low, high, number: int = 2000) -> float:
+    """Seconds in which the image of the box moves by one pixel; 0 for a camera that stands still.
+
+    A pixel over the root mean square speed of points spread over the ball inside the box and over the trajectory.
+    low, high: (3,)
+    """
+    rng = np.random.default_rng(0)
+    t = rng.uniform(trajectory.t[0], trajectory.t[-1], number)
+    ball = rng.normal(size=(number, 3))
+    ball *= (rng.random(number) ** (1 / 3) / np.linalg.norm(ball, axis=1))[:, None]
+    points = 0.5 * (low + high) + 0.5 * ball * (high - low)
+    step = 1e-5 * (trajectory.t[-1] - trajectory.t[0])
+    seen = []
+    for time in (t, t + step):
+        position, rotation = trajectory.at(time)
+        inside = np.einsum("nij,ni->nj", rotation, points - position)
+        seen.append(inside[:, :2] / np.maximum(inside[:, 2:], 1e-9))
+    moved = np.linalg.norm(seen[1] - seen[0], axis=1)[inside[:, 2] > 0] * camera.intrinsics[0, 0]
+    speed = np.sqrt((moved**2).mean()) / step if len(moved) else 0.0
+    return float(1.0 / speed) if speed > 0 else 0.0

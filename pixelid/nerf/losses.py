@@ -1,12 +1,13 @@
 """What training minimises, from the pixel's response at the samples of a batch of chains.
 
-    change_k = yd(t_k) − ys(s_k) − (yd(s_k) − ys(s_k)) exp(−ωd (t_k − s_k))         DESIGN §1: reset at the start s_k
-    ℓ_diff   = Huber((change_k − p C_p)/C̄)                                         Low & Lee, arXiv 2409.17988
-    ℓ_tv     = |ys(b) − ys(a)|/C̄ over a random sub-interval (a, b)                 the same
-    ℓ_chain  = Huber of the running sum of (change_k − p C_p)/C̄ along a chain, minus its mean over the chain
+    change_k = yd(t_k) − ys(s_k) − (yd(s_k) − ys(s_k)) exp(−ωd (t_k − s_k))   of an interval: reset at its start s_k
+               ys(t_k) − ys(s_k)                                              of a burst or part of an interval
+    rest_k   = (change_k − rise_k C_on + fall_k C_off)/C̄                      rise 1 or fall 1 for an interval
+    ℓ_diff   = Huber(rest_k/√(1 + v_k)), v_k the variance of rise and fall    Low & Lee, arXiv 2409.17988, for v = 0
+    ℓ_tv     = |ys(b) − ys(a)|/C̄ over a random part (a, b), bursts left out   the same
+    ℓ_chain  = Huber of the running sum of rest_k along a chain minus its mean, over √(1 + Σ v/6)
 
-Single differences barely feel an error that is spread over many events; the centred running sum does.  Light that
-changes within a dead time is in no term.
+Single differences barely feel an error that is spread over many events; the centred running sum does.
 """
 
 from __future__ import annotations
@@ -25,19 +26,30 @@ class Weights(NamedTuple):
 
     diff: float = 1.0
     tv: float = 0.1
-    chain: float = 0.1
+    chain: float = 0.5
 
 
-def changes(level: torch.Tensor, output: torch.Tensor, chains: Chains, cutoff: torch.Tensor | None) -> torch.Tensor:
-    """(runs, CHAIN) change of the amplifier over every interval.
+def changes(
+    level: torch.Tensor, output: torch.Tensor, chains: Chains, cutoff: torch.Tensor | None,
+    later: torch.Tensor | None = None,
+) -> torch.Tensor:  # fmt: skip
+    """(runs, CHAIN) change over every stretch: of the amplifier since its reset, of the level over merged events.
 
-    level, output: (n,) of `scan.respond`;  cutoff: ωd, None for an amplifier without a pole
+    level, output: (n,) of `scan.respond`;  cutoff: ωd, None for an amplifier without a pole;  later: s by which the
+    resets are later than the chains say, to first order
     """
-    begin, end = (torch.as_tensor(a, device=level.device) for a in (chains.begin, chains.end))
-    if cutoff is None:
-        return level[end] - level[begin]
+    begin, end, reset = (torch.as_tensor(a, device=level.device) for a in (chains.begin, chains.end, chains.reset))
     length = torch.as_tensor(chains.t[chains.end] - chains.t[chains.begin], device=level.device)
-    return output[end] - level[begin] - (output[begin] - level[begin]) * torch.exp(-cutoff * length)
+    since = level[end] - level[begin]
+    if cutoff is not None:
+        amplified = output[end] - level[begin] - (output[begin] - level[begin]) * torch.exp(-cutoff * length)
+        since = torch.where(reset, amplified, since)
+    if later is not None:
+        after = torch.as_tensor(np.minimum(chains.begin + 1, chains.end), device=level.device)
+        step = torch.as_tensor(chains.t, device=level.device)
+        slope = (level[after] - level[begin]) / (step[after] - step[begin]).clamp(min=1e-9)
+        since = since - torch.where(reset, slope * later, torch.zeros_like(slope))
+    return since
 
 
 def terms(
@@ -45,20 +57,28 @@ def terms(
 ) -> dict[str, torch.Tensor]:
     """The means of ℓ_diff, ℓ_tv and ℓ_chain over the batch."""
     device = level.device
-    weight, on = torch.as_tensor(chains.weight, device=device), torch.as_tensor(chains.on, device=device)
-    mean = 0.5 * (on_threshold + off_threshold)
-    rest = (change - torch.where(on, on_threshold, -off_threshold)) / mean
+    weight, rise, fall, variance, burst = (
+        torch.as_tensor(a, device=device)
+        for a in (chains.weight, chains.rise, chains.fall, chains.variance, chains.burst)
+    )
+    mean = (0.5 * (on_threshold + off_threshold)).detach()  # or a larger threshold would lessen every loss
+    rest = (change - rise * on_threshold + fall * off_threshold) / mean
     number = weight.sum().clamp(min=1.0)
-    diff = (F.huber_loss(rest, torch.zeros_like(rest), reduction="none") * weight).sum() / number
+    diff = (_huber(rest / torch.sqrt(1.0 + variance)) * weight).sum() / number
     sub, share = torch.as_tensor(chains.sub, device=device), torch.as_tensor(chains.share, device=device)
     after = torch.clamp(sub + 1, max=len(level) - 1)
     at = level[sub] + share * (level[after] - level[sub])
-    tv = ((at[..., 1] - at[..., 0]).abs() / mean * weight).sum() / number
+    quiet = weight * ~burst
+    tv = ((at[..., 1] - at[..., 0]).abs() / mean * quiet).sum() / number
     running = torch.cumsum(rest * weight, dim=1)
     centre = (running * weight).sum(dim=1, keepdim=True) / weight.sum(dim=1, keepdim=True).clamp(min=1.0)
-    apart = (running - centre) * weight
-    chain = F.huber_loss(apart, torch.zeros_like(apart), reduction="sum") / number
+    spread = (variance * weight).sum(dim=1, keepdim=True) / 6  # of a centred random walk
+    chain = (_huber((running - centre) / torch.sqrt(1.0 + spread)) * weight).sum() / number
     return {"diff": diff, "tv": tv, "chain": chain}
+
+
+def _huber(x: torch.Tensor) -> torch.Tensor:
+    return F.huber_loss(x, torch.zeros_like(x), reduction="none")
 
 
 def total(found: dict[str, torch.Tensor], weights: Weights) -> torch.Tensor:
@@ -66,8 +86,8 @@ def total(found: dict[str, torch.Tensor], weights: Weights) -> torch.Tensor:
     return weights.diff * found["diff"] + weights.tv * found["tv"] + weights.chain * found["chain"]
 
 
-def residual_rms(change: np.ndarray, chains: Chains, on_threshold: float, off_threshold: float) -> float:
-    """Root mean square of (change − p C_p) in units of the mean threshold."""
-    rest = change - np.where(chains.on, on_threshold, -off_threshold)
+def unexplained(change: np.ndarray, chains: Chains, on_threshold: float, off_threshold: float) -> float:
+    """Root mean square of what events say beyond `change`, as a share of what they say (single events: a threshold)."""
+    said = chains.rise * on_threshold - chains.fall * off_threshold
     weight = chains.weight
-    return float(np.sqrt((rest**2 * weight).sum() / weight.sum()) / (0.5 * (on_threshold + off_threshold)))
+    return float(np.sqrt(((change - said) ** 2 * weight).sum() / (said**2 * weight).sum()))

@@ -1,8 +1,9 @@
 """The pixel that training assumes: a circuit's dynamics and thresholds as tensors, fixed or trained with the scene.
 
-Trained parameters are factors e^x on the invariants α, β, γ and the source follower, with a Gaussian prior on x: what a
-fit leaves uncertain, or a wide one.  The invariants are what the data can say (DESIGN §2); fixing q_in, as the paper
-does, would leave flat directions.
+Trained parameters are factors e^x, positive, with a Gaussian prior on x: what a fit leaves uncertain, or a wide one.
+The invariants α, β, γ and the source follower are what the data can say of the filter (DESIGN §2); fixing q_in, as the
+paper does, would leave flat directions.  On request the comparator is trained too: mean threshold, ON/OFF ratio and
+dead time, the last to first order, by moving where intervals begin.
 """
 
 from __future__ import annotations
@@ -16,27 +17,32 @@ from pixelid.dynamics.of_circuit import dynamics_of
 from pixelid.dynamics.trajectory import Dynamics
 from pixelid.stages.circuit import Circuit
 
-TRAINED = ("alpha", "beta", "gamma", "follower")
+FILTER = ("alpha", "beta", "gamma", "follower")
+COMPARATOR = ("threshold", "ratio", "refractory")
+TRAINED = FILTER + COMPARATOR
 PRIOR_SD = 1.5  # of ln(factor), when no fit says better
 
 
 @dataclass(frozen=True)
 class Bandwidth:
-    """How the pixel enters: mode "on", "off" or "joint";  samples: S of the past;  prior_sd: of ln(factor), per name of
-    `TRAINED` (default `PRIOR_SD`)."""
+    """How the pixel enters.
+
+    mode: "on", "off" or "joint";  samples: S of the past;  prior_sd: of ln(factor), per name of `TRAINED` (default
+    `PRIOR_SD`);  trained: names of `TRAINED` that "joint" trains
+    """
 
     mode: str = "on"
     samples: int = 30
     prior_sd: dict[str, float] | None = None
+    trained: tuple[str, ...] = FILTER
 
 
 class Pixel(torch.nn.Module):
-    """A circuit as tensors.  factors: (4,) logs of what multiplies `TRAINED`, trained in mode "joint"."""
+    """A circuit as tensors.  factors: (7,) logs of what multiplies `TRAINED`, trained in mode "joint"."""
 
     nominal: torch.Tensor
     prior_sd: torch.Tensor
-    on: torch.Tensor
-    off: torch.Tensor
+    moves: torch.Tensor
 
     def __init__(self, circuit: Circuit, bandwidth: Bandwidth) -> None:
         super().__init__()
@@ -48,8 +54,8 @@ class Pixel(torch.nn.Module):
         self.factors = torch.nn.Parameter(
             torch.zeros(len(TRAINED), dtype=torch.float64), requires_grad=bandwidth.mode == "joint"
         )
-        self.register_buffer("on", torch.tensor(float(circuit.on_threshold), dtype=torch.float64))
-        self.register_buffer("off", torch.tensor(float(circuit.off_threshold), dtype=torch.float64))
+        moves = [float(bandwidth.mode == "joint" and name in bandwidth.trained) for name in TRAINED]
+        self.register_buffer("moves", torch.tensor(moves, dtype=torch.float64))
 
     @property
     def filtering(self) -> bool:
@@ -68,8 +74,23 @@ class Pixel(torch.nn.Module):
         if self.bandwidth.mode != "joint":
             return nominal
         one = torch.ones(1, dtype=torch.float64, device=nominal.device)
-        scale = torch.exp(self.factors)
-        return nominal * torch.cat([scale[:4], one, one, one])
+        return nominal * torch.cat([self._scale[: len(FILTER)], one, one, one])
+
+    @property
+    def _scale(self) -> torch.Tensor:
+        return torch.exp(self.factors * self.moves)
+
+    @property
+    def thresholds(self) -> tuple[torch.Tensor, torch.Tensor]:
+        """(ON, OFF), both positive [ln L]."""
+        on, off = float(self.circuit.on_threshold), float(self.circuit.off_threshold)
+        mean, ratio = 0.5 * (on + off) * self._scale[4], on / off * self._scale[5]
+        return 2 * mean * ratio / (1 + ratio), 2 * mean / (1 + ratio)
+
+    @property
+    def longer_dead_time(self) -> torch.Tensor:
+        """Seconds by which the dead time in use exceeds the circuit's."""
+        return float(self.circuit.refractory) * (self._scale[6] - 1)
 
     def penalty(self) -> torch.Tensor:
         """−ln prior of the factors."""
@@ -84,6 +105,9 @@ class Pixel(torch.nn.Module):
         return min(pole, dynamics.follower, dynamics.extra_pole)
 
     def values(self) -> dict[str, float]:
-        """The dynamics in use, by name."""
+        """The numbers in use, by name."""
         used = Dynamics(*(float(x) for x in self.dynamics.detach()))
-        return {name: getattr(used, name) for name in TRAINED}
+        on, off = (float(x.detach()) for x in self.thresholds)
+        dead = self.circuit.refractory + float(self.longer_dead_time.detach())
+        filtered = {name: getattr(used, name) for name in FILTER}
+        return {**filtered, "on_threshold": on, "off_threshold": off, "refractory_s": dead}

@@ -9,11 +9,12 @@ import numpy as np
 from pixelid.errors import InputError
 from pixelid.nerf.calibration import Calibration
 from pixelid.nerf.dataset import Dataset
-from pixelid.nerf.gauge import gauge_of, scene_box
+from pixelid.nerf.gauge import crossing_time, gauge_of, scene_box
 from pixelid.nerf.intervals import intervals, split
 from pixelid.nerf.train import Problem
 from pixelid.nerf.views import Views
 
+CLOSE = 0.5  # pixels: about half the width of the field's edges
 HELD_OUT = 0.03  # share of pixels whose events are kept from training
 
 
@@ -25,26 +26,32 @@ def problem_of(
     scale: str = "auto",
     box: Sequence[float] | None = None,
     held_out: float = HELD_OUT,
+    close: float = CLOSE,
     seed: int = 0,
 ) -> Problem:
     """The problem of a dataset under its own calibration or another one (a fit's).
 
+    close: events are merged while the image moves by less than that [pixels]
     Raises InputError when no pixel has two events.
     """
     calibration = dataset.calibration if calibration is None else calibration
     camera = calibration.camera
-    found = intervals(dataset.t, dataset.x, dataset.y, dataset.on, camera.width)
-    if len(found.ends) == 0:
-        raise InputError(f"{dataset.path}: raw_events.npz: timestamp: no pixel has two events, nothing to learn from")
-    training, held = split(found, held_out, np.random.default_rng([seed, 77]))
-    if len(training.ends) == 0:
-        training, held = found, found.of(np.zeros(len(found.ends), bool))
     if box is None:
         low, high = scene_box(dataset.trajectory, camera.half_angle)
     else:
         low, high = np.asarray(box[:3], dtype=float), np.asarray(box[3:], dtype=float)
         if not (high > low).all():
             raise InputError(f"--box: expected low corner below high corner, found {list(box)}")
+    circuit = calibration.circuit
+    found = intervals(
+        dataset.t, dataset.x, dataset.y, dataset.on, camera.width, dead=circuit.refractory,
+        lag=1 / circuit.differencing, shortest=close * crossing_time(dataset.trajectory, camera, low, high),
+    )  # fmt: skip
+    if len(found.starts) == 0:
+        raise InputError(f"{dataset.path}: raw_events.npz: timestamp: no pixel has two events, nothing to learn from")
+    training, held = split(found, held_out, np.random.default_rng([seed, 77]))
+    if len(training.starts) == 0:
+        training, held = found, found.of(np.zeros(len(found.starts), bool))
     y, x = np.divmod(np.arange(camera.width * camera.height), camera.width)
     return Problem(
         training, held, dataset.trajectory, camera, calibration.channel_of(x, y), calibration.dark,

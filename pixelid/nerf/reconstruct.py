@@ -17,12 +17,12 @@ from pixelid.nerf.dataset import CALIBRATION, Dataset
 from pixelid.nerf.evaluate import Scores, evaluate, render_views
 from pixelid.nerf.pixel import Bandwidth
 from pixelid.nerf.problem import evaluation_views, problem_of
-from pixelid.nerf.train import Problem, Recipe, State, held_out_rms, start, train
+from pixelid.nerf.train import Problem, Recipe, State, held_out_residual, start, train
 from pixelid.nerf.views import Views
 from pixelid.outputs import write_json
 from pixelid.provenance import input_hashes, versions
 
-LEARNED = 0.9  # held-out residual, in thresholds, above which the field explains too little (nothing explained: 1)
+LEARNED = 0.9  # share of held-out changes left unexplained, above which the field explains too little
 LOOKS = 10  # running PSNR, per run
 SAVE_EVERY = 100  # steps between checkpoints
 
@@ -31,8 +31,8 @@ SAVE_EVERY = 100  # steps between checkpoints
 class Reconstruction:
     """What a reconstruction found.
 
-    status: "done" or why it must not be trusted;  scores: of the test views;  held_out: residual of held-out pixels in
-    thresholds;  truth: the test views;  history: loss terms, rays/s and running PSNR over the steps
+    status: "done" or why it must not be trusted;  scores: of the test views;  held_out: share of held-out changes
+    left unexplained;  truth: the test views;  history: loss terms, rays/s and running PSNR over the steps
     """
 
     status: str
@@ -74,9 +74,6 @@ class Reconstruction:
             "pixel": {
                 **self.state.pixel.values(),
                 "differencing": self.problem.circuit.differencing,
-                "on_threshold": self.problem.circuit.on_threshold,
-                "off_threshold": self.problem.circuit.off_threshold,
-                "refractory_s": self.problem.circuit.refractory,
                 "dark": self.problem.dark,
             },
             "history": self.state.history,
@@ -164,7 +161,7 @@ def reconstruct(
         checkpoint.save(Path(resume), state, mark)
     progress("evaluating", 0.95)
     scores = evaluate(state.field, validation, test, problem.dark)
-    held_out = held_out_rms(problem, state)
+    held_out = held_out_residual(problem, state)
     status, advice = _verdict(held_out, scores)
     return Reconstruction(
         status, advice, bandwidth, state, problem, scores, test, held_out, time.perf_counter() - watch, rate, device,
@@ -183,7 +180,7 @@ def _verdict(held_out: float, scores: Scores) -> tuple[str, str]:
         return "diverged", "the field holds NaN: lower the learning rate, or check thresholds and dead time"
     if held_out > LEARNED:
         return "not_learned", (
-            f"events of held-out pixels are missed by {held_out:.2f} thresholds rms (1 would be no scene at all): "
+            f"what events of held-out pixels tell is missed by {held_out:.2f} of its size (1 would be no scene): "
             "check poses, polarity, thresholds and --box, or train longer"
         )
     return "done", ""

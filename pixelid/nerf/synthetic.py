@@ -49,6 +49,7 @@ class Setting:
 SETTINGS = {
     "easy": Setting(0.25, 200_000.0),
     "medium": Setting(2.0, 2_000.0),
+    "medium8": Setting(8.0, 2_000.0),
     "hard": Setting(4.0, 20.0),
     "hard8": Setting(8.0, 20.0),
 }

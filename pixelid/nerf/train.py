@@ -19,7 +19,7 @@ from pixelid.nerf.camera import Camera, sub_pixel_directions
 from pixelid.nerf.field import Field
 from pixelid.nerf.gauge import Gauge
 from pixelid.nerf.intervals import Chains, Intervals, chains
-from pixelid.nerf.losses import Weights, changes, residual_rms, terms, total
+from pixelid.nerf.losses import Weights, changes, terms, total, unexplained
 from pixelid.nerf.pixel import Bandwidth, Pixel
 from pixelid.nerf.render import Rays
 from pixelid.nerf.scan import respond
@@ -42,7 +42,7 @@ class Recipe:
     """
 
     iterations: int = 1200
-    batch: int = 160
+    batch: int = 320
     vertices: tuple[int, ...] = ()
     rate: float = 0.1
     last_rate: float = 0.01
@@ -145,13 +145,14 @@ def predict(problem: Problem, state: State, batch: Chains, rng: np.random.Genera
     radiance = state.field(rays, engine)[0].reshape(len(batch.t), -1).mean(dim=1)
     dark = torch.as_tensor(problem.dark[problem.channel[np.repeat(batch.pixel, np.diff(batch.first))]])
     u = torch.log((radiance.double() + dark.to(radiance.device)).clamp(min=EPSILON))
+    later = state.pixel.longer_dead_time if state.pixel.moves[-1] else None
     if not state.pixel.filtering:
-        return changes(u, u, batch, None), u, u
+        return changes(u, u, batch, None, later), u, u
     dynamics = state.pixel.dynamics
     midpoint = problem.circuit.linearisation == "midpoint"
     level, output = respond(u, dynamics, batch.t, batch.first, midpoint=midpoint, engine=engine)
     cutoff = dynamics[6] if state.pixel.has_amplifier_pole else None
-    return changes(level, output, batch, cutoff), level, u
+    return changes(level, output, batch, cutoff, later), level, u
 
 
 def draw(problem: Problem, state: State, found: Intervals, runs: int, rng: np.random.Generator) -> Chains:
@@ -159,8 +160,7 @@ def draw(problem: Problem, state: State, found: Intervals, runs: int, rng: np.ra
     bandwidth = state.pixel.bandwidth
     samples = bandwidth.samples if state.pixel.filtering else 1
     slowest = state.pixel.slowest(float(np.maximum(problem.dark, EPSILON).min()))
-    starts = rng.integers(0, len(found.ends), runs)
-    return chains(found, starts, problem.circuit.refractory, samples, slowest, rng)
+    return chains(found, rng.integers(0, len(found.starts), runs), samples, slowest, rng)
 
 
 def step(problem: Problem, recipe: Recipe, state: State) -> dict[str, float]:
@@ -174,7 +174,7 @@ def step(problem: Problem, recipe: Recipe, state: State) -> dict[str, float]:
     rng = np.random.default_rng([recipe.seed, parallel.rank(), state.iteration])  # nothing to carry between steps
     batch = draw(problem, state, problem.training, max(recipe.batch // parallel.world(), 1), rng)
     change, level, _ = predict(problem, state, batch, rng, recipe.engine)
-    found = terms(change, level, batch, state.pixel.on, state.pixel.off)
+    found = terms(change, level, batch, *state.pixel.thresholds)
     loss = total(found, recipe.weights)
     if recipe.roughness > 0:
         loss = loss + recipe.roughness * state.field.roughness()
@@ -183,7 +183,7 @@ def step(problem: Problem, recipe: Recipe, state: State) -> dict[str, float]:
     if problem.gauge.kind == "level":
         loss = loss + recipe.level * _off_level(problem, state, recipe.engine, rng)
     if state.pixel.factors.requires_grad:
-        loss = loss + state.pixel.penalty() / max(len(problem.training.ends), 1)
+        loss = loss + state.pixel.penalty() / max(len(problem.training.starts), 1)
     state.optimiser.zero_grad(set_to_none=True)
     loss.backward()
     parallel.average_gradients(p for group in state.optimiser.param_groups for p in group["params"])
@@ -198,7 +198,10 @@ def step(problem: Problem, recipe: Recipe, state: State) -> dict[str, float]:
 def _off_level(
     problem: Problem, state: State, engine: str, rng: np.random.Generator, number: int = 512
 ) -> torch.Tensor:
-    """Squared distance of the mean log radiance over random rays of the reference views from the gauge's level."""
+    """Squared distance of the mean log light over random rays from that of the reference views.
+
+    Dark current is part of the light: below it the events say nothing, and a mean of logs would be full of it.
+    """
     views = problem.gauge.reference
     which = rng.integers(0, len(views), number)
     x, y = rng.integers(0, views.camera.width, number), rng.integers(0, views.camera.height, number)
@@ -207,19 +210,21 @@ def _off_level(
     directions = np.einsum("nij,nj->ni", views.rotation[which], inside).astype(np.float32)
     rays = Rays(views.position[which].astype(np.float32), directions, channel, rng.random(number, dtype=np.float32))
     radiance, _ = state.field(rays, engine)
-    target = torch.as_tensor(np.log(np.maximum(views.images[which, y, x, channel], EPSILON)), device=radiance.device)
-    return (torch.log(radiance.double() + EPSILON) - target).mean() ** 2
+    floor = np.maximum(problem.dark, EPSILON)[channel]
+    target = torch.as_tensor(np.log(views.images[which, y, x, channel] + floor), device=radiance.device)
+    return (torch.log(radiance.double() + torch.as_tensor(floor, device=radiance.device)) - target).mean() ** 2
 
 
-def held_out_rms(problem: Problem, state: State, runs: int = 512) -> float:
-    """Residual of held-out chains in units of the threshold, at fixed random chains."""
-    if len(problem.held_out.ends) == 0:
+def held_out_residual(problem: Problem, state: State, runs: int = 512) -> float:
+    """What is left unexplained of held-out chains (see `unexplained`), at fixed random ones."""
+    if len(problem.held_out.starts) == 0:
         return math.nan
     rng = np.random.default_rng(1)
     with torch.no_grad():
         batch = draw(problem, state, problem.held_out, runs, rng)
         change, _, _ = predict(problem, state, batch, rng)
-    return residual_rms(change.cpu().numpy(), batch, float(state.pixel.on), float(state.pixel.off))
+        on, off = state.pixel.thresholds
+    return unexplained(change.cpu().numpy(), batch, float(on), float(off))
 
 
 def train(

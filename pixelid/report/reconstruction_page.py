@@ -22,7 +22,7 @@ Bandwidth {{ result.bandwidth }}, {{ result.iterations }} steps, {{ "%.0f" | for
 <tr><th>mean</th><th>{{ "%.2f" | format(result.views.psnr) }}</th><th>{{ "%.3f" | format(result.views.ssim) }}</th>
 <th>{{ number(result.views.lpips) }}</th></tr></table>
 {% if result.lpips_note %}<p class="small">{{ result.lpips_note }}.</p>{% endif %}
-<p>Events of held-out pixels are met within {{ number(result.held_out_residual) }} thresholds rms.
+<p>Of the changes that events of held-out pixels tell, {{ number(result.held_out_residual) }} (rms) is left unexplained.
 The radiance unit is pinned by the {{ result.gauge.kind }}.</p>
 <h2>Pixel</h2>
 <table>{% for name, value in pixel %}<tr><td>{{ name }}</td><td>{{ value }}</td></tr>{% endfor %}</table>

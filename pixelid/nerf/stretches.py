@@ -1,0 +1,127 @@
+"""What events say about the light, in pieces that a field can follow: quiet intervals, and bursts taken as one.
+
+A sharp edge crosses many thresholds while the image moves by a fraction of a pixel.  Where within the edge each event
+falls is beyond a field whose cells are pixels, and losses of single differences are then least when the edge has lost
+its contrast: the many events inside are missed either way, and the one long interval after them by less.  So events
+with less than `shortest` between them are merged into a burst, whose ends lie half of that away in the quiet before
+and after; the quiet interval's own threshold is shared out in proportion to time.  The light's change over a burst is
+the sum of its thresholds and of what happened within dead times, when the pixel did not look.
+
+Dead times.  A threshold that took T seconds of looking to reach (less the amplifier's lag after its reset) means a
+slope of 1/T thresholds per second.  Through a dead time goes the steeper of the slopes before and after, if both have
+one sign: an interval's mean slope says little about its end next to a faster one.
+
+Events that stand alone stay as they are: intervals from the end of a dead time to the next event.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+NOISE = 0.03  # thresholds per event: mismatch between pixels, noise between events
+INSIDE = 0.3  # thresholds: of a level interpolated between two events
+GUESSED = 0.3  # of what is put into a dead time, as a share of it
+
+
+class Stretches(NamedTuple):
+    """(M,) each, by pixel and time.
+
+    begin, end: s;  pixel: row-major index;  rise, fall: how many ON and OFF thresholds the level crosses in between,
+    shares and dead times included;  variance: of that count, thresholds²;  reset: whether it is a single whole
+    interval, at whose begin the amplifier was reset;  burst: whether it is a merged burst
+    """
+
+    begin: np.ndarray
+    end: np.ndarray
+    pixel: np.ndarray
+    rise: np.ndarray
+    fall: np.ndarray
+    variance: np.ndarray
+    reset: np.ndarray
+    burst: np.ndarray
+
+
+def stretches(t, pixel, on, dead: float, lag: float, shortest: float) -> Stretches:
+    """Stretches of events sorted by (pixel, time).
+
+    t: (N,) s;  pixel: (N,);  on: (N,) bool;  dead: s;  lag: s, time constant of the amplifier after its reset;
+    shortest: s, intervals shorter than that are merged (0: none)
+    """
+    most = 2 * len(t)
+    times, counts = np.empty((most, 2)), np.zeros((most, 3))
+    of, kind = np.empty(most, np.int64), np.empty((most, 2), bool)
+    n = _cut(t, pixel, on, dead, lag, shortest, times, counts, of, kind)
+    columns = (*times[:n].T, pixel[of[:n]], *counts[:n].T, *kind[:n].T)
+    return Stretches(*(np.ascontiguousarray(column) for column in columns))
+
+
+@njit(cache=True, nogil=True)
+def _looking(t, i, dead, lag):
+    """Seconds from the reset before event i to the event, the amplifier's lag taken off."""
+    length = max(t[i] - t[i - 1] - dead, 0.0)
+    if lag > 0.0:
+        length -= lag * (1.0 - np.exp(-length / lag))
+    return max(length, 1e-7)
+
+
+@njit(cache=True, nogil=True)
+def _burst(t, on, first, k, j, last, dead, lag, counts):
+    """Fill counts (3,) with rise, fall and variance from just after event k to the end of the dead time of event j.
+
+    first, last: events of the pixel
+    """
+    for i in range(k, j + 1):
+        crossed = 1.0 if i > k else 0.0
+        if i < last and on[i] == on[i + 1]:
+            looked = _looking(t, i + 1, dead, lag)
+            if i > first and on[i - 1] == on[i]:
+                looked = min(looked, _looking(t, i, dead, lag))
+            crossed += dead / looked
+            counts[2] += (GUESSED * dead / looked) ** 2
+        counts[0 if on[i] else 1] += crossed
+        counts[2] += NOISE**2
+
+
+@njit(cache=True, nogil=True)
+def _cut(t, pixel, on, dead, lag, shortest, times, counts, of, kind):
+    """Fill times (M, 2), counts (M, 3), of (M,): an event of its pixel, kind (M, 2): reset, burst; how many."""
+    n, first, away = 0, 0, 0.5 * shortest
+    while first < len(t):
+        last = first
+        while last + 1 < len(t) and pixel[last + 1] == pixel[first]:
+            last += 1
+        k, before = first, 0.0  # the burst that begins with event k, and how much of its threshold is the burst's
+        while True:
+            j = k
+            while j < last and t[j + 1] - t[j] - dead < shortest:
+                j += 1
+            length = t[j + 1] - t[j] - dead if j < last else 0.0  # of the quiet interval after it
+            after = away / length if j > k and j < last else 0.0
+            if j > k:
+                times[n, 0] = t[k] - (away if before > 0.0 else 0.0)
+                times[n, 1] = t[j] + dead + away if j < last else t[j]
+                _burst(t, on, first, k, j, last, dead, lag, counts[n])
+                counts[n, 0 if on[k] else 1] += before
+                if j < last:
+                    counts[n, 0 if on[j + 1] else 1] += after
+                counts[n, 2] += ((before > 0.0) + (after > 0.0)) * INSIDE**2
+                of[n], kind[n, 0], kind[n, 1] = k, False, True
+                n += 1
+            if j == last:
+                break
+            ends_at_burst = j + 1 < last and t[j + 2] - t[j + 1] - dead < shortest
+            k, before = j + 1, away / length if ends_at_burst else 0.0
+            begin = t[j] + dead + (away if after > 0.0 else 0.0)
+            end = t[k] - (away if ends_at_burst else 0.0)
+            if end > begin:
+                times[n, 0], times[n, 1] = begin, end
+                counts[n, 0 if on[k] else 1] = 1.0 - before - after
+                whole = before == 0.0 and after == 0.0
+                counts[n, 2] = NOISE**2 + (0.0 if whole else INSIDE**2)
+                of[n], kind[n, 0], kind[n, 1] = k, whole, False
+                n += 1
+        first = last + 1
+    return n

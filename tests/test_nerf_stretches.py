@@ -1,0 +1,119 @@
+"""Bursts of events as one change of the light, dead times included; the comparator trained with the scene."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from pixelid.dynamics.trajectory import Dynamics, integrate
+from pixelid.model.shipped import find_model
+from pixelid.nerf.gauge import crossing_time
+from pixelid.nerf.intervals import chains, intervals
+from pixelid.nerf.losses import changes, terms
+from pixelid.nerf.pixel import Bandwidth, Pixel
+from pixelid.nerf.scan import respond
+from pixelid.nerf.scenes import spiral
+from pixelid.nerf.stretches import stretches
+from pixelid.nerf.synthetic import FIELD_OF_VIEW, pinhole
+
+QUICK = Dynamics(alpha=2.5e7, beta=1851.0, gamma=450.0, follower=19616.1, differencing=100531.0)
+
+
+def comparator(log_light, t, on: float, off: float, dead: float):
+    """(times, polarities) of events of an ideal pixel without a filter at finely sampled light."""
+    times, polarity, release, level = [], [], -math.inf, log_light[0]
+    held = False
+    for now, value in zip(t, log_light, strict=True):
+        if held and now >= release:
+            level, held = value, False
+        if not held and (value - level >= on or level - value >= off):
+            times.append(now)
+            polarity.append(value > level)
+            release, held = now + dead, True
+    return np.array(times), np.array(polarity)
+
+
+def test_an_edge_with_dead_times_keeps_its_contrast():
+    """A ramp of 6 in ln L within 8 ms, thresholds of 0.25, dead times of 0.1 ms: a quarter of it goes unseen.
+
+    The ends are open to a threshold each: what came after the last event, and where in the quiet it came.
+    """
+    t = np.arange(0, 0.1, 1e-6)
+    light = 0.3 * np.sin(40 * t) + 6 * np.clip((t - 0.05) / 8e-3, 0, 1)
+    when, on = comparator(light, t, 0.25, 0.25, 1e-4)
+    found = stretches(when, np.zeros(len(when), int), on, 1e-4, 0.0, 2e-3)
+    assert found.burst.sum() == 1
+    burst = int(np.flatnonzero(found.burst)[0])
+    inside = (when > found.begin[burst]) & (when < found.end[burst])
+    truth = np.interp(found.end[burst], t, light) - np.interp(found.begin[burst], t, light)
+    assert truth > 5.9
+    assert 0.25 * inside.sum() < 0.8 * truth  # what events alone say
+    assert 0.25 * (found.rise - found.fall)[burst] == pytest.approx(truth, abs=0.5)
+    assert found.variance[burst] > 0.03**2 * inside.sum()
+
+
+def test_events_that_stand_alone_are_left_alone():
+    t = np.arange(20) * 1e-2
+    on = np.arange(20) % 3 > 0
+    found = stretches(t, np.zeros(20, int), on, 1e-3, 1e-5, 5e-3)
+    assert found.reset.all()
+    np.testing.assert_allclose(found.begin, t[:-1] + 1e-3)
+    np.testing.assert_allclose(found.end, t[1:])
+    np.testing.assert_array_equal(found.rise, on[1:])
+    np.testing.assert_array_equal(found.fall, ~on[1:])
+
+
+def test_merging_loses_no_threshold():
+    """Without dead time the counts of a pixel sum to those of its events after the first, however they are merged."""
+    rng = np.random.default_rng(0)
+    pixel = np.repeat([3, 5, 9], [50, 1, 80])
+    t = np.concatenate([np.sort(rng.exponential(size=n).cumsum()) for n in (50, 1, 80)])
+    on = rng.random(131) < 0.5
+    for shortest in (0.0, 0.3, 1.0, 100.0):
+        found = stretches(t, pixel, on, 0.0, 0.0, shortest)
+        for one in (3, 9):
+            some, events = found.pixel == one, np.flatnonzero(pixel == one)[1:]
+            assert found.rise[some].sum() == pytest.approx(on[events].sum())
+            assert found.fall[some].sum() == pytest.approx((~on[events]).sum())
+            assert (found.begin[some][1:] >= found.end[some][:-1] - 1e-12).all()
+        assert not (found.pixel == 5).any()
+        assert (found.end > found.begin).all()
+
+
+def test_crossing_time_is_that_of_the_image():
+    """A scene seen at 4 units from an orbit of 2 turns per second crosses a pixel in a few milliseconds."""
+    camera, box = pinhole(64, 64, FIELD_OF_VIEW), np.full(3, 1.4)
+    found = crossing_time(spiral(0.5, 1.0), camera, -box, box)
+    assert 2e-3 < found < 1e-2
+    assert crossing_time(spiral(0.25, 1.0), camera, -box, box) == pytest.approx(found / 2, rel=1e-6)
+
+
+def test_thresholds_and_dead_time_are_trained_with_the_rest():
+    """On the true light, from a start 30 % off: mean threshold, ON/OFF ratio and dead time come back."""
+    t = np.linspace(0.0, 1.0, 500_001)
+    light = 1 + 0.6 * np.sin(2 * np.pi * 37 * t) + 0.3 * np.sin(2 * np.pi * 90 * t + 1)
+    smooth = integrate(t[::10], light[::10], QUICK).at(t)[:, 2]  # the follower's output
+    when, on = comparator(smooth, t, 0.18, 0.12, 4e-4)
+    circuit = find_model("dvs128").circuit().with_(
+        alpha=QUICK.alpha, beta=QUICK.beta, gamma=QUICK.gamma, follower=QUICK.follower, differencing=math.inf,
+        on_threshold=0.19, off_threshold=0.17, refractory=5.2e-4,
+    )  # fmt: skip
+    zero = np.zeros(len(when), int)
+    pixel = Pixel(circuit, Bandwidth("joint", trained=("threshold", "ratio", "refractory")))
+    found = intervals(when, zero, zero, on, 1, dead=circuit.refractory)
+    batch = chains(found, np.arange(0, len(found.starts) - 16, 8), 100, 1000.0, np.random.default_rng(0))
+    u = torch.tensor(np.log(np.interp(batch.t, t, light)))
+    optimiser = torch.optim.Adam([pixel.factors], lr=0.02)
+    for _ in range(250):
+        level, output = respond(u, pixel.dynamics, batch.t, batch.first)
+        change = changes(level, output, batch, None, pixel.longer_dead_time)
+        loss = terms(change, level, batch, *pixel.thresholds)["diff"]
+        optimiser.zero_grad()
+        loss.backward()
+        optimiser.step()
+    values = pixel.values()
+    assert values["on_threshold"] == pytest.approx(0.18, rel=0.02)
+    assert values["off_threshold"] == pytest.approx(0.12, rel=0.02)
+    assert values["refractory_s"] == pytest.approx(4e-4, rel=0.1)
+    assert values["alpha"] == circuit.alpha  # was not to be trained
