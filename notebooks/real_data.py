@@ -89,12 +89,18 @@ def readout(name: str) -> Callable[[Path, Path], int]:
     return inspected
 
 
-# A file that must be there → what to do with the folder of recordings.  A search for the gap in pooled recordings
-# (led_uart_504hz_30m.h5, led_uart_3125hz_30m.h5) belongs here too.
+def led(recordings: Path, out: Path) -> int:
+    """The gap of the blinking LED, all pixels pooled: both recordings, or the one that is there."""
+    files = [str(f) for f in sorted(recordings.glob("led_uart_*hz_30m.h5"))]
+    return main(["gap", *files, "--model", "dvs128", "--out", str(out / "led"), "--overwrite"])
+
+
+# A file that must be there → what to do with the folder of recordings
 INSPECTIONS: dict[str, Callable[[Path, Path], int]] = {
     "static_noise_pos_3klux.npy": still_scene,
     "dvxplorer_scan.aedat4": readout("dvxplorer_scan.aedat4"),
     "davis346_aps.aedat4": readout("davis346_aps.aedat4"),
+    "led_uart_504hz_30m.h5": led,
 }
 
 
