@@ -15,8 +15,9 @@ from pixelid.errors import InputError
 from pixelid.fit.coordinates import Coordinates
 from pixelid.gap.attribute import secure
 from pixelid.gap.candidates import canonical, missing
+from pixelid.gap.climb import climbed, settled
 from pixelid.gap.covariates import factors
-from pixelid.gap.distance import free_run
+from pixelid.gap.distance import FreeRun, closes_nothing, free_run
 from pixelid.gap.gap import gap
 from pixelid.gap.latent import queue_windows
 from pixelid.gap.maps import maps
@@ -218,6 +219,53 @@ def test_leak_is_found_and_nothing_in_its_absence():
     assert found.free_run.closed > 0.8
     nothing = gap(session(MODEL, side=4, seed=2), MODEL)
     assert (nothing.verdict, nothing.effects, nothing.remainder) == ("none", (), False)
+
+
+@pytest.mark.slow
+def test_jitter_is_found_through_replicas_and_nothing_is_left():
+    found = gap(session(MODEL.with_effect("timestamp_jitter", {"sigma_s": 2e-5}), side=5, seed=5), MODEL)
+    assert (found.verdict, [e.name for e in found.effects]) == ("named", ["timestamp_jitter"])
+    value, _ = found.effects[0].parameters["timestamp_jitter.sigma_s"]
+    assert value == pytest.approx(2e-5, rel=0.05)
+
+
+@pytest.mark.slow
+def test_shot_noise_is_found_by_simulation():
+    found = gap(session(MODEL.with_effect("shot_noise", {"density": 3.2e-5}), side=4, seed=4), MODEL)
+    assert (found.verdict, [e.name for e in found.effects]) == ("named", ["shot_noise"])
+    value, interval = found.effects[0].parameters["shot_noise.density"]
+    assert interval is not None
+    assert interval[0] < 3.2e-5 < interval[1]
+    assert value == pytest.approx(3.2e-5, rel=0.35)
+
+
+def test_a_pole_that_ran_away_comes_back():
+    likelihood = likelihood_of(session(MODEL, side=4, seed=3))
+    without = climbed(likelihood, MODEL.without_effect("differencing_pole"), tolerance=1e-3, max_steps=60)
+    away = without.model.with_effect("differencing_pole", {"diff_cutoff_hz": 1e8})
+    assert climbed(likelihood, away, tolerance=0.05, max_steps=25).values["diff_cutoff_hz"] > 1e7
+    assert settled(likelihood, away, MODEL, tolerance=0.05, max_steps=25).values["diff_cutoff_hz"] < 5e4
+
+
+def test_cells_of_one_pool_serve_another():
+    mine, theirs = (likelihood_of(session(MODEL, side=side, seed=3)) for side in (4, 3))
+    circuit = MODEL.circuit()
+    first = factors(mine, circuit, residuals(mine, circuit))
+    other = factors(theirs, circuit, residuals(theirs, circuit), like=first)
+    assert [f.labels for f in first] == [f.labels for f in other]
+    for factor in other:
+        assert factor.cell.min() >= 0
+        assert factor.cell.max() < len(factor.labels)
+
+
+def test_a_free_run_that_closes_nothing_withdraws_a_name():
+    def run(closed, interval):
+        return FreeRun(9.0, 9.0, 1.0, closed, interval, {})
+
+    assert closes_nothing(run(-3.0, (-20.0, -0.1)), False)
+    assert not closes_nothing(run(-0.2, (-20.0, 3.0)), False)  # a gap too small to tell
+    assert closes_nothing(run(0.05, (-1.0, 0.6)), True)
+    assert not closes_nothing(run(0.6, (0.5, 0.7)), True)
 
 
 @pytest.mark.slow
