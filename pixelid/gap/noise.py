@@ -28,6 +28,7 @@ SHARES = (0.3, 0.6, 0.8, 0.95)
 TRIES, ENOUGH, TOO_MUCH = 4, 0.1, 2.0  # relative growth of the noise variance by which the first replica must differ
 FINAL = 4  # replicas at the share taken
 FAR = 10.0  # standard deviations: cells that differ by more count as this
+COARSE = 0.05  # part of what shot noise explains by which replicas of the best density may be off
 UNSURE = 0.3  # relative half width of the interval at least: single replicas calibrate the density
 UNEVEN = 2.0  # variance of the number of strays over Poisson's: pixels share thresholds
 
@@ -62,12 +63,14 @@ def shot_noise(bench: Workbench, current: Climbed, seen: Look, seed: int) -> Sho
     model, density = shared.truth(share)
     final = [replica(bench, model, current, seen, seed + 2003 + i) for i in range(FINAL)]
     among = [_distance(one, other) for one, other in itertools.combinations(final, 2)]
-    floor, off = float(np.mean(among)), float(np.mean([_distance(measured, r) for r in final]))
+    floor, off = float(np.median(among)), float(np.median([_distance(measured, r) for r in final]))
     if nothing - floor < CLEAR or off - floor > LEFT * (nothing - floor):
         return None
     cells, _ = cleared(seen, final)
-    # replicas scatter about each other as the measurement scatters about them, heavy tails of single cells and all
-    p = 2.0 * float(norm.sf(max(off - floor, 0.0) / max(float(np.std(among, ddof=1)), np.sqrt(0.5 * len(scores)))))
+    # replicas scatter about each other as the measurement about them, heavy tails of cells and all; and what they
+    # are simulated from is itself known to a part of what it explains only
+    chance = np.hypot(max(float(np.std(among, ddof=1)), np.sqrt(0.5 * len(scores))), COARSE * (nothing - floor))
+    p = 2.0 * float(norm.sf(max(off - floor, 0.0) / chance))
     usual = np.mean([r.strays for r in final], axis=0)
     chance = np.sqrt(UNEVEN * (usual + 1.0) * (1.0 + 1.0 / FINAL))
     p = min(p, 2.0 * len(usual) * float(norm.sf(np.abs((measured.strays - usual) / chance).max())), 1.0)

@@ -30,6 +30,7 @@ APPROXIMATE = ("timestamp_jitter",)
 REPLICAS = (2, 4)  # of the fitted model, then of the corrected one
 KNOWN = 0.3  # standard error (log units) of a coordinate beyond which it is left where it is: nothing pulls it back
 FARTHEST = 0.3  # shift of a coordinate
+STUCK = 3.0  # times the measured number of strays: more than a replica should have
 POOLED = 10.0  # degrees of freedom that all cells of a kind lend to the spread of one
 
 
@@ -96,6 +97,12 @@ def replica(bench: Workbench, truth: Model, current: Climbed, seen: Look, seed: 
     likelihood = EventTimes(runs)
     likelihood.weigh_clock(truth.circuit())
     refit = climbed(likelihood, current.model, tolerance=0.05, max_steps=25)
+    if refit.strays > STUCK * (seen.maps.strays + STUCK):  # a climb that lost its way: from the truth, then
+        start = current.coordinates.model_at(current.x).set(
+            {name: truth.values[name] for name in current.coordinates.names if name in truth.values}
+        )
+        again = climbed(likelihood, start, tolerance=0.05, max_steps=40)
+        refit = again if again.value > refit.value else refit
     here = residuals(likelihood, refit.model.circuit())
     tangent = tangents(likelihood, refit.coordinates, refit.x, here)
     found = maps(likelihood, here, tangent, factors(likelihood, refit.model.circuit(), here, like=seen.factors), seed)
