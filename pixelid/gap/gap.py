@@ -180,7 +180,8 @@ def _noise(search: Search) -> tuple[Named, ...]:
     found = search.noise
     if found is None:
         return ()
-    place = where(search.first.maps, search.state.bench.train, search.first.residual.stray, 1.0)
+    noise, stray = relative_noise(search.state.current.model), search.state.seen.residual.stray
+    place = where(search.first.maps, search.state.bench.train, stray, noise)
     strength = {STRENGTH: (found.density, found.interval)}
     return (Named("shot_noise", search.noise_p, found.gain, None, None, 0.0, "", strength, place),)
 

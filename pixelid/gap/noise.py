@@ -79,8 +79,9 @@ def shot_noise(bench: Workbench, current: Climbed, seen: Look, seed: int) -> Sho
     interval = (max(1.0 - error, 0.0) * density, (1.0 + error) * density)
     before = 0.5 * sum(min(c.score**2, FAR**2) for c in seen.maps.cells)
     after = 0.5 * sum(min(c.score**2, FAR**2) for c in cells)
-    shift = np.array([p.to_coordinate(model.values[p.name]) for p in current.coordinates.parameters]) - current.x
-    return ShotNoise(density, interval, Corrected(model, shift, 1.0, look), before - after)
+    return ShotNoise(
+        density, interval, Corrected(model, _vector(model, current) - current.x, 1.0, look), before - after
+    )
 
 
 class _Shared:
@@ -122,8 +123,7 @@ class _Shared:
     def replica(self, share: float) -> Replica:
         """One replica at a share, which the next ones learn from."""
         model, density = self.truth(share)
-        x = np.array([p.to_coordinate(model.values[p.name]) for p in self.current.coordinates.parameters])
-        return self._learn(model, x, density)
+        return self._learn(model, _vector(model, self.current), density)
 
     def _learn(self, model: Model, x: np.ndarray, density: float) -> Replica:
         self.copies += 1
@@ -137,6 +137,11 @@ class _Shared:
 
 def _with(model: Model, density: float) -> Model:
     return model.with_effect(EFFECT, {"density": density}).fix({STRENGTH: None})
+
+
+def _vector(model: Model, current: Climbed) -> np.ndarray:
+    """(d,) the model's values in the coordinates of the fit."""
+    return np.array([p.to_coordinate(model.values[p.name]) for p in current.coordinates.parameters])
 
 
 def _distance(one: Replica, other: Replica) -> float:

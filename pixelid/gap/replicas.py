@@ -98,9 +98,7 @@ def replica(bench: Workbench, truth: Model, current: Climbed, seen: Look, seed: 
     likelihood.weigh_clock(truth.circuit())
     refit = climbed(likelihood, current.model, tolerance=0.05, max_steps=25)
     if refit.strays > STUCK * (seen.maps.strays + STUCK):  # a climb that lost its way: from the truth, then
-        start = current.coordinates.model_at(current.x).set(
-            {name: truth.values[name] for name in current.coordinates.names if name in truth.values}
-        )
+        start = current.model.set({name: truth.values[name] for name in current.coordinates.names})
         again = climbed(likelihood, start, tolerance=0.05, max_steps=40)
         refit = again if again.value > refit.value else refit
     here = residuals(likelihood, refit.model.circuit())

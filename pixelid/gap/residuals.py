@@ -28,8 +28,7 @@ STEP = 1e-4  # of a coordinate's longest move, for derivatives of the residuals
 @dataclass(frozen=True)
 class Residuals:
     """e: (n,) residuals, 0 for strays;  log_scale: (n,) log of the spread they are measured in;
-    log_rate: (n,) log speed of the change at the event;  stray: (n,) events left to the background;
-    late: (n,) s by which each event comes after the model's expectation"""
+    log_rate: (n,) log speed of the change at the event;  stray: (n,) events left to the background."""
 
     e: np.ndarray
     log_scale: np.ndarray
@@ -38,6 +37,7 @@ class Residuals:
 
     @property
     def late(self) -> np.ndarray:
+        """(n,) s by which each event comes after the model's expectation, to first order."""
         return np.where(self.stray, 0.0, self.e * np.exp(self.log_scale - self.log_rate))
 
 
