@@ -127,6 +127,22 @@ def advance(state, u0, r, tau, a, b2, w1, w2, wh, wd, coincide):
     return _closed_form(v, y, s, e, z, d, u0, r, tau, a, b2, w1, w2, wh, wd, pr)
 
 
+@njit(forceinline=True, error_model="numpy")
+def photoreceptor_slope_bound(v, y, u, r, a, b2):
+    """A bound on |dy/dt| from here on, under the ramp u + r τ.
+
+    About the delayed ramp the deviation ε obeys ε'' + b2 ε' + a ε = 0, so ε'² + a ε² never grows:
+    |y'| ≤ |r| + √((v − r)² + a ε²).
+    """
+    corner = a / b2
+    if b2 < PRESENT_BELOW:
+        deviation = y - u + r * b2 / a
+        return abs(r) + np.sqrt((v - r) * (v - r) + a * deviation * deviation)
+    if corner < PRESENT_BELOW:
+        return abs(r) + abs(corner * (y - u) + r)
+    return abs(r)
+
+
 @njit(cache=True, error_model="numpy")
 def linearised_at(L0, L1, midpoint):
     """The radiance at which a step's photoreceptor is linearised: geometric midpoint, or the newer sample."""

@@ -103,22 +103,6 @@ def rates_of(circuit: Circuit, dynamics) -> tuple:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def smooth_at(times, step, t, states, wd, out):
-    """(m, 6) smooth states at times (m,) within steps (m,), by cubics through values and slopes at both ends."""
-    for i in range(len(times)):
-        k = min(step[i], len(t) - 2)
-        tau = t[k + 1] - t[k]
-        x = (times[i] - t[k]) / tau if tau > 0.0 else 0.0
-        x = min(max(x, 0.0), 1.0)
-        a, b = (1.0 + 2.0 * x) * (1.0 - x) ** 2, x * x * (3.0 - 2.0 * x)
-        c, e = x * (1.0 - x) ** 2 * tau, -x * x * (1.0 - x) * tau
-        h0, h1, d0, d1 = states[k, 3], states[k + 1, 3], states[k, 5], states[k + 1, 5]
-        h = a * h0 + b * h1 + c * states[k, 0] + e * states[k + 1, 0]
-        d = a * d0 + b * d1 + c * wd * (h0 - d0) + e * wd * (h1 - d1)
-        out[i, 0], out[i, 1], out[i, 2], out[i, 3], out[i, 4], out[i, 5] = states[k, 0], 0.0, h, h, 0.0, d
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
 def _slewed(t, radiance, dynamics, rates, midpoint, states):
     u = np.log(radiance[0])
     rest = u if rates[2] > 0.0 else 0.0

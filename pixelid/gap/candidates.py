@@ -22,14 +22,15 @@ UNSEEN = {"shot_noise", "hot_pixels", "readout_latency", "timestamp_quantisation
 # effects that weaken as their first parameter grows
 INVERSE = {"second_order_photoreceptor", "source_follower_pole", "extra_pole", "slew_limit", "differencing_pole"}
 SLEWS_THROUGH = ("source_follower_pole", "differencing_pole")  # what the likelihood of slew_limit needs
+USUAL_POLES = ("source_follower_pole", "differencing_pole")  # a pole more is one of these while one of them is missing
 
 
 def missing(model: Model) -> list[str]:
     """Effects of the library that the model lacks and the event-time likelihood knows."""
 
     def usable(name: str) -> bool:
-        if name == "extra_pole":  # the one more is the follower's own where that is missing
-            return model.has("source_follower_pole")
+        if name == "extra_pole":
+            return all(model.has(pole) for pole in USUAL_POLES)
         return name != "slew_limit" or all(model.has(pole) for pole in SLEWS_THROUGH)
 
     return [name for name in stages.LIBRARY if name not in UNSEEN and not model.has(name) and usable(name)]

@@ -2,8 +2,8 @@
 
 Each measured pixel gets twins: simulated pixels with its thresholds as the model reads them from its events, let go
 where its first event let it go, and free from then on.  What differs beyond the noise of their thresholds is the
-model's fault.  (Under a shared readout, where pixels do not run alone, and under shot noise, whole simulated sensors
-stand in for the twins, and differences between pixels count as chance.)
+model's fault.  (Pixels that share a readout get a whole sensor of twins.  Under shot noise, where thresholds cannot be
+read off single events, sensors of other pixels stand in for the twins, and differences between pixels count as chance.)
 
 Cells are the counts of a pixel per recording and polarity: in the whole recording, its halves, quarters and eighths,
 and by the wait since the event before.  With n_b the count of all P measured pixels in cell b, μ_b and v_b mean and
@@ -35,6 +35,7 @@ COPIES = 24  # twins of each pixel, or sensors
 GROUPS = 8  # of twins behind the floor
 RESAMPLES = 400
 CLOSES = 0.1  # of the gap: next to nothing
+VISIBLE = 2.0  # standard deviations of chance by which a gap must exceed its floor, to speak of closing it
 LEAST_VARIANCE = 0.02  # of a pixel's count: cells that hardly vary
 
 
@@ -99,7 +100,7 @@ def free_run(
     recordings: Sequence[Recording],
     timely: Sequence[Recording],
     pixels: np.ndarray,
-    sensor: int,
+    everyone: np.ndarray,
     fitted: int,
     before: Model,
     after: Model,
@@ -109,20 +110,20 @@ def free_run(
     """The gap of two models on the events of `pixels` (P,).
 
     recordings: with their stimuli as the fit reads them;  timely: the same with what the readout did undone
-    sensor: active pixels of the sensor, which share one readout;  fitted: pixels behind the models' values
+    everyone: the active pixels of the sensor, which share one readout;  fitted: how many are behind the models' values
     hot: (P,) which of the pixels are hot: their twins fire the extra events of the model's hot_pixels
     """
     edges = [_wait_edges(r) for r in recordings]
-    alone = not (after.has("readout_latency") or after.has("shot_noise"))
-    measured = counted(recordings, pixels, edges, after_first=alone)
+    alike = not after.has("shot_noise")
+    measured = counted(recordings, pixels, edges, after_first=alike)
     expected = {}
     for name, model, salt in (("before", before, 1), ("after", after, 2)):
         tables = (
-            _twins(recordings, timely, pixels, model, edges, seed + 1000 * salt, hot)
-            if alone
-            else _sensors(recordings, len(pixels), sensor, model, edges, seed + 1000 * salt)
+            _twins(recordings, timely, pixels, everyone, model, edges, seed + 1000 * salt, hot)
+            if alike
+            else _sensors(recordings, len(pixels), len(everyone), model, edges, seed + 1000 * salt)
         )
-        expected[name] = _expected(tables, 0.0 if alone else len(pixels) / fitted)
+        expected[name] = _expected(tables, 0.0 if alike else len(pixels) / fitted)
     variance = np.maximum(expected["after"].variance, LEAST_VARIANCE)
     totals = sum(part.mean.sum(axis=0) for part in expected.values())
     weights = _weights(measured, (measured.table.sum(axis=0) + totals) > 0)
@@ -144,7 +145,8 @@ def free_run(
         _closed(*(float(weights @ part) for part in gaps(rng.integers(P, size=P))))
         for _ in range(RESAMPLES if P > 1 else 0)
     ]
-    closed = _closed(*G)
+    chance = np.std([float(weights @ gap(np.arange(P), one, "after")) for one in expected["after"].sets], ddof=1)
+    closed = _closed(*G) if G[0] > G[2] + VISIBLE * chance else None
     interval = None
     usable = [d for d in draws if d is not None]
     if closed is not None and usable:
@@ -171,25 +173,34 @@ def _expected(tables: np.ndarray, shared: float) -> Expected:
     return Expected(behind.mean(axis=0), spread * (1.0 + 1.0 / len(behind)), sets)
 
 
-def _twins(recordings, timely, pixels: np.ndarray, model: Model, edges, seed: int, hot=None) -> np.ndarray:
+def _twins(
+    recordings, timely, pixels: np.ndarray, everyone: np.ndarray, model: Model, edges, seed: int, hot=None
+) -> np.ndarray:
     """(copies, P, cells) counts of twins of the measured pixels."""
+    queue = model.has("readout_latency")
+    crowd = np.union1d(everyone, pixels) if queue else pixels
     named = {r.name: r for r in timely}
-    mine = only([named.get(r.name, r) for r in recordings], pixels)
-    on, off = _thresholds(mine, pixels, model)
+    mine = only([named.get(r.name, r) for r in recordings], crowd)  # true times are lost in some
+    on, off = _thresholds(only(timely, crowd), crowd, model)
     copies = COPIES + GROUPS
     exact = model.without_effect("threshold_mismatch").without_effect("hot_pixels")
     extra_hz = model.circuit().hot_hz if hot is not None else 0.0
-    burning = np.flatnonzero(np.tile(hot, copies)) if hot is not None and extra_hz > 0 else np.empty(0, np.int64)
     dead = float(np.real(model.circuit().refractory))
-    runs = []
+    sensors, each = (copies, 1) if queue else (1, copies)  # sensors of twins, twins of each pixel in a sensor
+    place = np.searchsorted(crowd, pixels)
+    watched = (np.arange(each)[:, None] * len(crowd) + place).ravel()
+    burning = watched[np.tile(hot, each)] if hot is not None and extra_hz > 0 else np.empty(0, np.int64)
+    runs: list[list[Recording]] = [[] for _ in range(sensors)]
     for i, (recording, own) in enumerate(zip(recordings, mine, strict=True)):
-        released = np.full(len(pixels), np.inf)
+        released = np.full(len(crowd), np.inf)
         first = np.unique(own.events.pixel, return_index=True)
-        released[np.searchsorted(pixels, first[0])] = own.events.t[first[1]] * 1e-9 + dead
-        twins = Twins(np.tile(on, copies), np.tile(off, copies), np.tile(released, copies))
-        run = simulate(exact, recording.stimulus, width=len(twins.on), height=1, seed=seed + i, twins=twins)
-        runs.append(_burning(run, burning, extra_hz, seed + i) if len(burning) else run)
-    table = counted(runs, np.arange(copies * len(pixels)), edges).table
+        released[np.searchsorted(crowd, first[0])] = own.events.t[first[1]] * 1e-9 + dead
+        twins = Twins(np.tile(on, each), np.tile(off, each), np.tile(released, each))
+        for k, done in enumerate(runs):
+            own_seed = seed + i + 101 * k
+            run = simulate(exact, recording.stimulus, width=len(twins.on), height=1, seed=own_seed, twins=twins)
+            done.append(_burning(run, burning, extra_hz, own_seed) if len(burning) else run)
+    table = np.stack([counted(done, watched, edges).table for done in runs])
     return table.reshape(copies, len(pixels), -1)
 
 

@@ -130,9 +130,9 @@ def _free_run(search: Search) -> FreeRun:
     undone = [r.with_stimulus(resampled(r.stimulus, between)) for r in search.timely]  # type: ignore[arg-type]
     watched = search.watched()
     sick = np.isin(watched, search.hot.pixels) if search.hot is not None else None
-    sensor = len(np.union1d(split.train, split.confirm))
+    everyone = np.union1d(split.train, split.confirm)
     return free_run(
-        fine, undone, watched, sensor, len(split.train), search.base.model, search.grown_model(), search.seed, sick
+        fine, undone, watched, everyone, len(split.train), search.base.model, search.grown_model(), search.seed, sick
     )
 
 

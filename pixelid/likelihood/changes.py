@@ -18,11 +18,11 @@ from numba import njit
 from pixelid.dynamics import kernels, slew, vectorised
 from pixelid.dynamics.equations import PRESENT_BELOW
 from pixelid.dynamics.of_circuit import dynamics_of
+from pixelid.dynamics.slewed import SlewedTrajectory, slewed
 from pixelid.dynamics.trajectory import Trajectory, integrate
 from pixelid.likelihood import plain_changes
 from pixelid.likelihood.plain_changes import Plain, locate
 from pixelid.likelihood.sequences import Sequences
-from pixelid.likelihood.slewing import slewed
 from pixelid.recordings.recording import Recording
 from pixelid.stages.circuit import Circuit
 from pixelid.stimuli.drive import Drive, drive
@@ -262,11 +262,11 @@ class ChangeEvaluator:
         self._extreme_at = np.full(len(intervals), -1)
         self._rise_at = np.full(len(intervals.last_s), -1)
         self._fall_at = np.full(len(intervals.last_s), -1)
-        self._latest: tuple[tuple, Trajectory] | None = None
+        self._latest: tuple[tuple, Trajectory | SlewedTrajectory] | None = None
         self._light: tuple[tuple, Drive] | None = None
         self._plain: Plain | None = None
 
-    def trajectory(self, circuit: Circuit, keep: bool = False) -> Trajectory:
+    def trajectory(self, circuit: Circuit, keep: bool = False) -> Trajectory | SlewedTrajectory:
         """The pixel's trajectory under this recording's stimulus.
 
         `keep` remembers it, for circuits that differ in thresholds, dead time, leak or delay only.
@@ -281,7 +281,7 @@ class ChangeEvaluator:
             self._light = reaching, drive(self._stimulus, circuit, self.intervals.end_s)
         light = self._light[1]
         if slew.slews(circuit):
-            trajectory = slewed(light, circuit, key[0])
+            trajectory = slewed(light.t, light.radiance, circuit, key[0])
         else:
             trajectory = integrate(light.t, light.radiance, key[0], linearisation=circuit.linearisation)
         if keep:
@@ -329,11 +329,10 @@ class ChangeEvaluator:
         def states_of(times, hints):
             step = np.empty(len(times), np.int64)
             _locate_all(t, times, hints, step)
+            if isinstance(trajectory, SlewedTrajectory):
+                return step, trajectory.at(np.real(times), step).astype(dtype, copy=False)
             out = np.empty((len(times), 6), dtype)
-            if slew.slews(circuit):
-                slew.smooth_at(times, step, t, states, dynamics[6], out)
-            else:
-                states_at(times, step, t, u, radiance, dynamics, trajectory.midpoint, states, out)
+            states_at(times, step, t, u, radiance, dynamics, trajectory.midpoint, states, out)
             return step, out
 
         iv = self.intervals

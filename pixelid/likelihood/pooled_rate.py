@@ -24,9 +24,9 @@ from scipy.special import gammaln
 
 from pixelid.dynamics.of_circuit import dynamics_of
 from pixelid.dynamics.slew import slews
+from pixelid.dynamics.slewed import slewed
 from pixelid.dynamics.trajectory import integrate
 from pixelid.errors import InputError
-from pixelid.likelihood.slewing import slewed
 from pixelid.parameters.parameter import Parameter
 from pixelid.recordings.recording import Recording
 from pixelid.stages.circuit import Circuit
@@ -137,7 +137,7 @@ class PooledRate:
         wave = drive(stimulus, circuit, until)
         if slews(circuit):
             linear = circuit.with_(slew_rise=math.inf, slew_fall=math.inf)
-            trajectory = slewed(wave, circuit, dynamics_of(linear))
+            trajectory = slewed(wave.t, wave.radiance, circuit, dynamics_of(linear))
         else:
             trajectory = integrate(wave.t, wave.radiance, dynamics_of(circuit), linearisation=circuit.linearisation)
         delay = values[delay_name(self.recordings, i)]

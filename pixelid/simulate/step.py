@@ -43,19 +43,11 @@ def settled(state, u, r, a, b2, w1, w2, wh, wd):
 def slope_bound(state, u, r, a, b2, w1, w2, wh, wd):
     """A bound on |dd/dt| from here to the end of the step.
 
-    About the delayed ramp the photoreceptor's deviation ε obeys ε'' + b2 ε' + a ε = 0, so ε'² + a ε² never grows:
-    |y'| ≤ |r| + √((v − r)² + a ε²).  A low-pass output's slope is a weighted mean of its own initial slope and the
-    past slopes of its input, so it is bounded by the larger of the two.
+    A low-pass output's slope is a weighted mean of its own initial slope and the past slopes of its input, so it is
+    bounded by the larger of the two.
     """
     v, y, s, e, z, d = state
-    corner = a / b2
-    if b2 < PRESENT_BELOW:
-        deviation = y - u + r * b2 / a
-        bound = abs(r) + np.sqrt((v - r) * (v - r) + a * deviation * deviation)
-    elif corner < PRESENT_BELOW:
-        bound = abs(r) + abs(corner * (y - u) + r)
-    else:
-        bound = abs(r)
+    bound = kernels.photoreceptor_slope_bound(v, y, u, r, a, b2)
     if w1 < PRESENT_BELOW:
         bound = max(bound, w1 * abs(y - s))
     if w2 < PRESENT_BELOW:

@@ -1,0 +1,84 @@
+"""The closed-form trajectory of a slew-limited follower against the simulator's Runge-Kutta integration of it."""
+
+import numpy as np
+import pytest
+
+from pixelid.dynamics import slew
+from pixelid.dynamics.of_circuit import dynamics_of
+from pixelid.dynamics.slewed import slewed
+from pixelid.dynamics.trajectory import integrate
+from pixelid.errors import InputError
+from pixelid.model.shipped import find_model
+from pixelid.stimuli.drive import Drive, drive, refined
+from pixelid.stimuli.resample import resampled
+from pixelid.stimuli.shapes import chirp, steps
+
+DVS128 = find_model("dvs128")
+CHAINS = {
+    "plain": {},
+    "high-pass": {"lower_cutoff": {"cutoff_hz": 2.0}},
+    "extra pole": {"extra_pole": {"cutoff_hz": 1500.0}},
+    "both": {"extra_pole": {"cutoff_hz": 1500.0}, "lower_cutoff": {"cutoff_hz": 2.0}},
+}
+
+
+def chain(name):
+    model = DVS128
+    for effect, values in CHAINS[name].items():
+        model = model.with_effect(effect, values)
+    return model
+
+
+def limited(model, rise, fall):
+    return model.with_effect("slew_limit", {"rise_per_s": rise, "fall_per_s": fall}).circuit()
+
+
+def trajectory(light, circuit, dynamics):
+    return slewed(light.t, light.radiance, circuit, dynamics)
+
+
+def shown(light, resolution=0.05):
+    """(as read, as the Runge-Kutta steps need it) of one light."""
+    read = drive(resampled(light, "smooth"), DVS128.circuit(), float(light.t[-1]))
+    t, left, weight = refined(read.t, slew.longest_step(tuple(dynamics_of(DVS128.circuit()))[3:], 1.0, resolution))
+    logs = np.log(read.radiance)
+    return read, Drive(t, np.exp((1 - weight) * logs[left] + weight * logs[left + 1]))
+
+
+@pytest.mark.parametrize("limits", [(400.0, 250.0), (1200.0, 900.0), (30.0, 1000.0)], ids=str)
+@pytest.mark.parametrize("name", CHAINS)
+def test_states_equal_runge_kutta(name, limits):
+    model = chain(name)
+    _, fine = shown(steps(400.0, duration_s=0.25, seed=3))
+    circuit, dynamics = limited(model, *limits), dynamics_of(model.circuit())
+    found = trajectory(fine, circuit, dynamics)
+    wanted = slew.slewed_states(fine.t, fine.radiance, tuple(dynamics), slew.rates_of(circuit, dynamics), True)
+    assert len(found.change_s) >= 2
+    np.testing.assert_allclose(found.states[:, 3] - found.states[:, 4], wanted[:, 3], atol=1e-6)
+    np.testing.assert_allclose(found.states[:, 5], wanted[:, 5], atol=1e-6)
+    free = integrate(fine.t, fine.radiance, dynamics).states
+    assert np.abs(free[:, 5] - wanted[:, 5]).max() > 0.01  # the limit acts
+
+
+@pytest.mark.parametrize("light", [steps(400.0, duration_s=0.25, seed=3), chirp(400.0, duration_s=0.25, stop_hz=400.0)])
+def test_between_coarse_samples_switches_are_found(light):
+    """Excursions within one long step, ringing included, as in steps that resolve everything."""
+    circuit, dynamics = limited(DVS128, 400.0, 250.0), dynamics_of(DVS128.circuit())
+    read, fine = shown(light)
+    found, wanted = trajectory(read, circuit, dynamics).at(fine.t), trajectory(fine, circuit, dynamics).states
+    np.testing.assert_allclose(found[:, 1:], wanted[:, 1:], atol=1e-4)  # a missed switch: 5e-3
+
+
+def test_a_limit_out_of_reach_changes_nothing():
+    dynamics = dynamics_of(DVS128.circuit())
+    read, _ = shown(steps(24.0, duration_s=0.25, seed=1))
+    found = trajectory(read, limited(DVS128, 1e7, 1e7), dynamics)
+    assert len(found.change_s) == 0
+    np.testing.assert_allclose(found.states[:, 1:], integrate(read.t, read.radiance, dynamics).states[:, 1:], atol=1e-9)
+
+
+@pytest.mark.parametrize("missing", ["source_follower_pole", "differencing_pole"])
+def test_its_likelihood_needs_both_poles(missing):
+    circuit = limited(DVS128.without_effect(missing), 400.0, 400.0)
+    with pytest.raises(InputError, match="slew_limit"):
+        slewed([0.0, 1.0], [1.0, 2.0], circuit, dynamics_of(circuit))
