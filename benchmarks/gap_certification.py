@@ -103,17 +103,17 @@ def run(job: dict) -> dict:
 
 
 def jobs(nulls: int, repeats: int) -> list[dict]:
-    """Nulls; every effect at its typical strength, in the library and left out of it; then weaker, half as often."""
+    """Nulls; every effect at its typical strength and, half as often, left out of the library; then weaker."""
     plan = [{"effect": "", "factor": 0.0, "seed": 1000 + i, "left_out": False} for i in range(nulls)]
     effects = (*(e for e in STRENGTHS if e != "slew_limit"), *WITHHELD, "slew_limit")  # the slowest last
+    first = {effect: 5000 + 100 * k for k, effect in enumerate(sorted(effects))}  # no two effects share their noise
     for i in range(repeats):
-        for effect in effects:
-            for left_out in (False, True):
-                plan.append({"effect": effect, "factor": 1.0, "seed": 5000 + i, "left_out": left_out})
+        for left_out in (False, True)[: 2 - i % 2]:
+            plan += [{"effect": e, "factor": 1.0, "seed": first[e] + i, "left_out": left_out} for e in effects]
     for i in range(0, repeats, 2):
         for effect in effects[: -len(WITHHELD) - 1]:
             for factor in FACTORS[:-1]:
-                plan.append({"effect": effect, "factor": factor, "seed": 5000 + i, "left_out": False})
+                plan.append({"effect": effect, "factor": factor, "seed": first[effect] + i, "left_out": False})
     return plan
 
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from pixelid.gap.attribute import Attribution, Candidate, attribute, secure
+from pixelid.gap.attribute import DISTINCT, Attribution, Candidate, attribute, secure
 from pixelid.gap.candidates import canonical
 from pixelid.gap.climb import Climbed, climbed, settled
 from pixelid.gap.hot import Hot, hot_pixels
@@ -232,12 +232,19 @@ class Search:
         return not self.rivals
 
     def _grown(self, winner: Candidate) -> State:
-        """The state with the winner added."""
+        """The state with the winner added, and without what the winner leaves nothing to explain."""
         bench = self.state.bench
         start = self.state.start.with_effect(winner.effect)
         bench.train.weigh_clock(self.state.current.model.circuit())
         grown = canonical(winner.end.model, self.model)
         current = settled(bench.train, grown, start, tolerance=0.01, max_steps=40)
+        for k in reversed(range(len(self.steps) - 1)):
+            earlier = self.steps[k].winner.effect
+            less = climbed(bench.train, current.model.without_effect(earlier), tolerance=0.05, max_steps=25)
+            if current.value - less.value < DISTINCT:
+                current, start = less, start.without_effect(earlier)
+                self._entry_of(earlier)["withdrawn"] = f"{winner.effect} explains it"
+                del self.steps[k], self.before[k + 1]
         bench, current = reconsidered(bench, self.timely, self.model, current)
         if any(current.model.has(name) for name in APPROXIMATE):
             bench.train.weigh_clock(current.model.circuit())
