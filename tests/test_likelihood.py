@@ -9,6 +9,8 @@ import pytest
 from scipy.integrate import quad, solve_ivp
 from scipy.stats import norm
 
+from pixelid.dynamics.of_circuit import dynamics_of
+from pixelid.dynamics.trajectory import integrate
 from pixelid.errors import InputError
 from pixelid.fit.coordinates import Coordinates
 from pixelid.fit.event_times import EventTimesObjective
@@ -71,6 +73,17 @@ def test_changes_equal_an_adaptive_solver_and_the_leak_integral():
         assert changes.change[k] == pytest.approx(brute_force_change(circuit, stimulus, a, b), abs=2e-6)
         light = quad(lambda t: np.interp(t, stimulus.t, stimulus.radiance), a + 1e-4, b, epsabs=1e-9, limit=500)[0]
         assert changes.drift[k] == pytest.approx(3.0 * (b - a - 1e-4) + 0.02 * light, rel=1e-4)
+
+
+@pytest.mark.parametrize("ratio", [1.0, 1.00002, 1.003])
+def test_an_extra_pole_close_to_the_follower_is_as_good_as_a_little_apart(ratio):
+    """What the likelihood reads of two coinciding poles, beside the trajectory that lets them coincide."""
+    circuit = MODEL.with_effect("extra_pole", {"cutoff_hz": ratio * MODEL.values["sf_cutoff_hz"]}).circuit()
+    recording = recording_of([0.01, 0.05], [1, 0], sine_light(frequency=200.0))
+    read = ChangeEvaluator(recording, sequences(recording)).trajectory(circuit)
+    exact = integrate(read.t, read.radiance, dynamics_of(circuit))
+    assert read.dynamics != dynamics_of(circuit)
+    np.testing.assert_allclose(read.at(exact.t)[:, 3:], exact.states[:, 3:], atol=4e-6)
 
 
 def test_slope_is_the_derivative_of_change():

@@ -88,8 +88,9 @@ class EventTimesObjective(Objective):
         moved = x.copy()
         moved[i] += STEP * self.coordinates.longest_moves()[i]
         difference = self.likelihood.gathered(self.coordinates.circuit(moved), locate=False)
-        difference -= gathered
-        difference /= moved[i] - x[i]
+        with np.errstate(over="ignore", invalid="ignore"):  # intervals whose density is zero
+            difference -= gathered
+            difference /= moved[i] - x[i]
         if not np.isfinite(difference.sum()):
             np.nan_to_num(difference, copy=False, posinf=0.0, neginf=0.0)
         n = self.likelihood.events
