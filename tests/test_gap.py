@@ -23,10 +23,11 @@ from pixelid.gap.latent import queue_windows
 from pixelid.gap.maps import maps
 from pixelid.gap.readout import grid, service
 from pixelid.gap.residuals import residuals, tangents
-from pixelid.gap.split import locked, only
+from pixelid.gap.split import locked
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.model.shipped import find_model
 from pixelid.recordings import Events, Recording, write_recording
+from pixelid.recordings.selection import only
 from pixelid.simulate import Twins, simulate
 from pixelid.stimuli.course import course
 from pixelid.stimuli.resample import resampled

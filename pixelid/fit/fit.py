@@ -24,6 +24,7 @@ from pixelid.model.model import Model
 from pixelid.parameters.gauge import Gauge
 from pixelid.provenance import input_hashes, versions
 from pixelid.recordings.recording import Recording
+from pixelid.recordings.selection import few
 from pixelid.stimuli.resample import resampled
 
 Progress = Callable[[str, float], None]
@@ -137,7 +138,7 @@ def _fit_event_times(recordings, model, starts, between, climber: Engine, rng, r
             f"model {model.name}: the event-time likelihood needs threshold_noise (add it with --with threshold_noise)"
         )
     full = EventTimes(recordings)
-    scout = EventTimes(_few_pixels(recordings, rng))
+    scout = EventTimes(few(recordings, SCOUT_EVENTS, rng))
     model = feasible(model, scout)
     coordinates = Coordinates.of(model)
     report("searching", 0.05)
@@ -185,21 +186,6 @@ def _fit_event_times(recordings, model, starts, between, climber: Engine, rng, r
             candidates["smooth"][1].local.value - candidates["linear"][1].local.value
         )
     return objective, optimum, details, full.pixels
-
-
-def _few_pixels(recordings: Sequence[Recording], rng: np.random.Generator) -> list[Recording]:
-    """The recordings cut down to as many pixels as hold about `SCOUT_EVENTS` events, chosen at random."""
-    total = sum(len(r.events) for r in recordings)
-    if total <= SCOUT_EVENTS:
-        return list(recordings)
-    pixels = np.unique(np.concatenate([np.unique(r.events.pixel) for r in recordings]))
-    counts = np.zeros(len(pixels))
-    for r in recordings:
-        found, n = np.unique(r.events.pixel, return_counts=True)
-        counts[np.searchsorted(pixels, found)] += n
-    order = rng.permutation(len(pixels))
-    keep = pixels[order[: max(int(np.searchsorted(np.cumsum(counts[order]), SCOUT_EVENTS)), 2)]]
-    return [replace(r, events=r.events.select(np.isin(r.events.pixel, keep))) for r in recordings]
 
 
 def _physical(model: Model, demanded: bool) -> tuple[dict[str, float] | None, str]:

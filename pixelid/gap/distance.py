@@ -23,10 +23,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pixelid.gap.split import only
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.model.model import Model
 from pixelid.recordings.recording import Recording
+from pixelid.recordings.selection import only
 from pixelid.simulate import Twins, simulate
 
 METRIC = "mean squared difference of event counts, in units of chance (about 1: none)"

@@ -75,7 +75,9 @@ def _searched(search: Search, recommend: bool) -> GapReport:
     directions = [d for d in (direction(at, name) for name in missing(state.current.model)) if d is not None]
     found = bool(search.steps or new or search.noise)
     shadow = shadowed(at, directions) if not found and not remainder else None
-    said = verdict(found, bool(search.rivals), remainder, shadow)
+    doubtful = search.doubtful
+    rivals = (doubtful[1],) if doubtful is not None else ()
+    said = verdict(found, bool(rivals), remainder, shadow)
     report("intervals", 0.8)
     effects = (*(_printed(f, search) for f in new), *_effects(at, search), *_noise(search))
     report("free run", 0.85)
@@ -90,7 +92,7 @@ def _searched(search: Search, recommend: bool) -> GapReport:
     report("done", 1.0)
     return GapReport(
         verdict=said,
-        sentence=sentence(said, effects, search.rivals, shadow, run, place, term, state.seen.p),
+        sentence=sentence(said, effects, rivals, shadow, run, place, term, state.seen.p),
         remainder=remainder,
         global_p=search.global_p,
         alpha=alpha,

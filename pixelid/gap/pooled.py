@@ -40,7 +40,7 @@ from pixelid.recordings.recording import Recording
 
 MOST_S = 3.0  # of each recording that the search looks at
 UNSEEN = {"leak", "parasitic_photocurrent", "timestamp_jitter", "threshold_drift", "differencing_pole",
-          "refractory_period", "threshold_mismatch", "threshold_noise", "slew_limit"}  # fmt: skip
+          "refractory_period", "threshold_mismatch", "threshold_noise"}  # fmt: skip
 MOST_ROUNDS, STEPS = 3, 12
 FLUID = "Part of it may be the pooled rate itself, a limit of many small thresholds that forgets the last one crossed."
 

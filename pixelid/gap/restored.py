@@ -24,14 +24,15 @@ from pixelid.gap.latent import (
     with_times,
 )
 from pixelid.gap.readout import Fingerprint
-from pixelid.gap.split import few
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.model.model import Model
 from pixelid.parameters.parameter import Prior
 from pixelid.recordings.recording import Recording
+from pixelid.recordings.selection import few
 from pixelid.stimuli.resample import resampled
 
 SHORT, LONG = 20.0, 200.0  # of the service time: windows (9 of 10) of the first stage, and of the second
+SCOUT_EVENTS = 6_000  # events of the pixels that a first fit looks at
 SWEEPS = (20, 8)  # rounds of draws and refits in each stage
 SETTLING = 60  # draws without refits before the second stage
 WIDTH = 0.5  # standard deviation of the prior on log filters
@@ -75,7 +76,8 @@ def restored(
     short = [i for i in range(len(fine)) if reach[kept[i]] <= SHORT * unit]
     model = _reined(model)
     pixels = len(np.unique(np.concatenate([r.events.pixel for r in recordings])))
-    scout = EventTimes(few(with_times([fine[i] for i in short] or fine, [times[i] for i in short] or times), seed))
+    timed = with_times([fine[i] for i in short] or fine, [times[i] for i in short] or times)
+    scout = EventTimes(few(timed, SCOUT_EVENTS, np.random.default_rng(seed)))
     model = climbed(scout, feasible(model, scout), tolerance=0.1, max_steps=30).model
     if sum(len(windows[i].hi) for i in short) >= 100:
         part = [fine[i] for i in short], [windows[i] for i in short]

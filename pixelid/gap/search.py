@@ -21,11 +21,12 @@ from pixelid.gap.noise import EFFECT, ShotNoise, shot_noise
 from pixelid.gap.readout import Fingerprint, fingerprints
 from pixelid.gap.replicas import APPROXIMATE, Corrected, corrected
 from pixelid.gap.restored import restored
-from pixelid.gap.split import Split, locked, only
+from pixelid.gap.split import Split, locked
 from pixelid.gap.words import where
 from pixelid.gap.workbench import STRAYS_EXPECTED, Look, Workbench, based, look, reconsidered, relative_noise
 from pixelid.model.model import Model
 from pixelid.recordings.recording import Recording
+from pixelid.recordings.selection import only
 
 Progress = Callable[[str, float], None]
 MOST_ROUNDS = 4
@@ -80,7 +81,7 @@ class Search:
     recordings: as they came;  timely: with what the readout did undone;  model: the base, as shipped, with the
     effects read off timestamps;  base: fitted;  first: what was left under it;  prints, hot: effects found without the
     likelihood;  global_p: of anything being amiss at all;  lost: recordings whose true times could
-    not be restored;  steps, rivals: what the rounds found;  noise, noise_p: shot noise, and the chance of what
+    not be restored;  steps: what the rounds found;  noise, noise_p: shot noise, and the chance of what
     it explains
     """
 
@@ -99,7 +100,6 @@ class Search:
     hot: Hot | None = None
     lost: tuple[str, ...] = ()
     steps: list[Step] = field(default_factory=list)
-    rivals: tuple[Candidate, ...] = ()
     noise: ShotNoise | None = None
     noise_p: float = 1.0
     rounds: list[dict] = field(default_factory=list)
@@ -157,7 +157,7 @@ class Search:
             return
         for step in self.steps[kept:]:
             self._entry_of(step.winner.effect)["withdrawn"] = "it may only stand in for what is left"
-        self.state, self.steps, self.rivals = self.before[kept], self.steps[:kept], ()
+        self.state, self.steps = self.before[kept], self.steps[:kept]
 
     def _try_noise(self) -> None:
         """Ask simulation whether shot noise explains what the library's likelihoods leave.
@@ -184,7 +184,7 @@ class Search:
                 entry["named"] = EFFECT
                 for step in self.steps[kept:]:
                     self._entry_of(step.winner.effect)["withdrawn"] = f"{EFFECT} explains it"
-                self.steps, self.rivals = self.steps[:kept], ()
+                self.steps = self.steps[:kept]
                 self.noise, self.noise_p = found, state.seen.p
                 self.state = replace(state, seen=found.corrected.look, corrected=found.corrected)
                 return
@@ -192,6 +192,13 @@ class Search:
     def remainder(self) -> bool:
         """Whether something significant is left."""
         return self.state.seen.p < self.each
+
+    @property
+    def doubtful(self) -> tuple[Step, Candidate] | None:
+        """A step, and an effect that explains as well what it does and that no later round has named beside it."""
+        named = {step.winner.effect for step in self.steps}
+        pairs = ((step, rival) for step in self.steps for rival in step.found.rivals if rival.effect not in named)
+        return next(pairs, None)
 
     @property
     def each(self) -> float:
@@ -228,8 +235,7 @@ class Search:
         place = where(state.seen.maps, state.bench.train, state.seen.residual.stray, noise)
         self.steps.append(Step(winner, found, place, stands.firm))
         self.state = self._grown(winner)
-        self.rivals = found.rivals
-        return not self.rivals
+        return True
 
     def _grown(self, winner: Candidate) -> State:
         """The state with the winner added, and without what the winner leaves nothing to explain."""

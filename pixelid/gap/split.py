@@ -7,7 +7,7 @@ candidates, a quarter judges between them, and the last third is not touched unt
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -15,7 +15,6 @@ from pixelid.errors import InputError
 from pixelid.recordings.recording import Recording
 
 FEWEST = 8  # pixels below which nothing can be set aside
-SCOUT_EVENTS = 6_000  # events of the pixels that a first search looks at
 
 
 @dataclass(frozen=True)
@@ -63,22 +62,3 @@ def locked(recordings: Sequence[Recording], seed: int) -> Split:
     last = -(-len(order) // 3)
     first = len(order) - last - len(order) // 4
     return Split(np.sort(order[:first]), np.sort(order[first:-last]), np.sort(order[-last:]), True)
-
-
-def only(recordings: Sequence[Recording], pixels: np.ndarray) -> list[Recording]:
-    """The recordings with the events of these pixels only."""
-    return [replace(r, events=r.events.select(np.isin(r.events.pixel, pixels))) for r in recordings]
-
-
-def few(recordings: Sequence[Recording], seed: int) -> list[Recording]:
-    """The recordings cut down to as many pixels, at least two, as hold about `SCOUT_EVENTS` events."""
-    total = sum(len(r.events) for r in recordings)
-    pixels = np.unique(np.concatenate([r.events.pixel for r in recordings]))
-    if total <= SCOUT_EVENTS or len(pixels) <= 2:
-        return list(recordings)
-    counts = np.zeros(len(pixels))
-    for r in recordings:
-        counts += np.bincount(np.searchsorted(pixels, r.events.pixel), minlength=len(pixels))
-    order = np.random.default_rng(seed).permutation(len(pixels))
-    enough = max(int(np.searchsorted(np.cumsum(counts[order]), SCOUT_EVENTS)) + 1, 2)
-    return only(recordings, pixels[order[:enough]])

@@ -16,13 +16,15 @@ from pixelid.gap.climb import Climbed, climbed, settled
 from pixelid.gap.covariates import Factor, factors
 from pixelid.gap.maps import Maps, maps
 from pixelid.gap.residuals import Residuals, residuals, tangents
-from pixelid.gap.split import Split, few, only
+from pixelid.gap.split import Split
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.model.model import Model
 from pixelid.recordings.recording import Recording
+from pixelid.recordings.selection import few, only
 from pixelid.stimuli.resample import resampled
 
 BETWEEN = ("smooth", "linear")
+SCOUT_EVENTS = 6_000  # events of the pixels that a first search looks at
 STRAYS_EXPECTED = 1e-4  # fraction of events that a true model may leave without a cause
 STRAYS_SIGNIFICANT = 1e-9  # chance of so many strays
 ELSEWHERE, BETTER = 3, 5.0  # random starts, and nats by which one must be better, where there are
@@ -61,7 +63,8 @@ def workbench(recordings: Sequence[Recording], split: Split, model: Model, betwe
     """The workbench of recordings whose stimuli run `between` their samples as said ("smooth", "linear")."""
     fine = tuple(r.with_stimulus(resampled(_stimulus(r), between)) for r in recordings)
     fitted = only(fine, split.fit)
-    pools = Pools(EventTimes(few(fitted, seed)), EventTimes(fitted), EventTimes(only(fine, split.select)))
+    scout = few(fitted, SCOUT_EVENTS, np.random.default_rng(seed))
+    pools = Pools(EventTimes(scout), EventTimes(fitted), EventTimes(only(fine, split.select)))
     return Workbench(
         fine, between, split, pools, EventTimes(only(fine, split.train)), feasible(model, pools.scout), seed
     )
