@@ -223,6 +223,27 @@ def test_leak_is_found_and_nothing_in_its_absence():
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize(
+    "planted",
+    [
+        {"parasitic_photocurrent": {"rate_hz_per_radiance": 5e-3}, "threshold_drift": {"per_s": 0.1}},
+        {"slew_limit": {"rise_per_s": 600.0, "fall_per_s": 300.0}},
+    ],
+    ids="+".join,
+)
+def test_all_that_is_missing_is_named_and_nothing_else(planted):
+    """Two effects that explain about as much as each other, and a strong limit, which once left a remainder."""
+    truth = MODEL
+    for effect, values in planted.items():
+        truth = truth.with_effect(effect, values)
+    found = gap(session(truth, side=5, seed=23), MODEL)
+    assert (found.verdict, sorted(e.name for e in found.effects)) == ("named", sorted(planted))
+    for effect in found.effects:
+        for name, (value, _) in effect.parameters.items():
+            assert value == pytest.approx(truth.values[name], rel=0.1), name
+
+
+@pytest.mark.slow
 def test_jitter_is_found_through_replicas_and_nothing_is_left():
     found = gap(session(MODEL.with_effect("timestamp_jitter", {"sigma_s": 2e-5}), side=5, seed=5), MODEL)
     assert (found.verdict, [e.name for e in found.effects]) == ("named", ["timestamp_jitter"])

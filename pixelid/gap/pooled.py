@@ -1,8 +1,7 @@
 """The gap of pooled recordings: events without pixels, counted in bins, explained by the pooled rate.
 
 What pooled counts cannot show is not tried: thresholds of single pixels, dead time, leaks (a background per polarity is
-always fitted); nor is slew_limit, whose trajectories cap poles that pooled counts let run away.  `stretches.py` holds
-the counts, their cells and their maps.
+always fitted).  `stretches.py` holds the counts, their cells and their maps.
 """
 
 from __future__ import annotations
