@@ -166,7 +166,8 @@ class Search:
         """
         if EFFECT in self.leave_out or not self.remainder():
             return
-        for state, kept in (*((early, 0) for early in self.before[:1]), (self.state, len(self.steps))):
+        tries = [*((early, 0) for early in self.before[:1]), (self.state, len(self.steps))]
+        for state, kept in tries:  # which may grow by one
             if state.corrected is not None or state.current.model.has(EFFECT):
                 continue
             self.report("shot noise", 0.7)
@@ -179,15 +180,27 @@ class Search:
                 "by_simulation": {"name": EFFECT, "density": found.density, "p_of_what_is_left": left},
             }  # fmt: skip
             self.rounds.append(entry)
+            if left < self.each:
+                continue
             # effects named before, in a likelihood that misread the noise, must weigh more than the noise does
-            if left >= self.each and all(step.winner.heldout_gain > found.gain for step in self.steps[:kept]):
-                entry["named"] = EFFECT
-                for step in self.steps[kept:]:
-                    self._entry_of(step.winner.effect)["withdrawn"] = f"{EFFECT} explains it"
-                self.steps = self.steps[:kept]
-                self.noise, self.noise_p = found, state.seen.p
-                self.state = replace(state, seen=found.corrected.look, corrected=found.corrected)
-                return
+            if any(step.winner.heldout_gain <= found.gain for step in self.steps[:kept]):
+                tries.append((self._bare(state), 0))
+                continue
+            entry["named"] = EFFECT
+            for step in self.steps[kept:]:
+                self._entry_of(step.winner.effect)["withdrawn"] = f"{EFFECT} explains it"
+            self.steps = self.steps[:kept]
+            self.noise, self.noise_p = found, state.seen.p
+            self.state = replace(state, seen=found.corrected.look, corrected=found.corrected)
+            return
+
+    def _bare(self, state: State) -> State:
+        """The state without the effects named, its base fitted again from where they have led it."""
+        model, start = state.current.model, state.start
+        for step in self.steps:
+            model, start = model.without_effect(step.winner.effect), start.without_effect(step.winner.effect)
+        current = climbed(state.bench.train, model, tolerance=0.01, max_steps=40)
+        return State(state.bench, current, self._looked(state.bench, current), None, start)
 
     def remainder(self) -> bool:
         """Whether something significant is left."""
