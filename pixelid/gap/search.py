@@ -20,7 +20,7 @@ from pixelid.gap.nameless import nameless, standing
 from pixelid.gap.noise import EFFECT, ShotNoise, shot_noise
 from pixelid.gap.readout import Fingerprint, fingerprints
 from pixelid.gap.replicas import APPROXIMATE, Corrected, corrected
-from pixelid.gap.restored import restored
+from pixelid.gap.restored import FINEST_S, restored
 from pixelid.gap.split import Split, locked
 from pixelid.gap.words import where
 from pixelid.gap.workbench import STRAYS_EXPECTED, Look, Workbench, based, look, reconsidered, relative_noise
@@ -225,7 +225,7 @@ class Search:
             return False  # the likelihood is approximate: only what replicas do not show is worth a name
         bent = state.seen.stray_fraction > STRAYS_EXPECTED or not state.current.converged
         found = attribute(
-            state.bench.pools, state.current.model, self.each, skip=self.leave_out,
+            state.bench.pools, state.current.model, self.each, skip=(*self.leave_out, *self._untellable()),
             restart=state.start if bent else None,
             report=lambda what: self.report(f"round {turn + 1}: {what}", share),
         )  # fmt: skip
@@ -249,6 +249,11 @@ class Search:
         self.steps.append(Step(winner, found, place, stands.firm))
         self.state = self._grown(winner)
         return True
+
+    def _untellable(self) -> tuple[str, ...]:
+        """Effects that the times at hand cannot show: drawn ones scatter as the drawing made them."""
+        drawn = any(f.effect == "readout_latency" or f.value >= FINEST_S for f in self.prints)
+        return ("timestamp_jitter",) if drawn else ()
 
     def _grown(self, winner: Candidate) -> State:
         """The state with the winner added, and without what the winner leaves nothing to explain."""
