@@ -79,10 +79,10 @@ class Search:
     """A search under way.
 
     recordings: as they came;  timely: with what the readout did undone;  model: the base, as shipped, with the
-    effects read off timestamps;  base: fitted;  first: what was left under it;  prints, hot: effects found without the
-    likelihood;  global_p: of anything being amiss at all;  lost: recordings whose true times could
-    not be restored;  steps: what the rounds found;  noise, noise_p: shot noise, and the chance of what
-    it explains
+    effects read off timestamps;  base: fitted;  first: what was left under it
+    marks, prints: what timestamps show, and what of it the library has;  hot: pixels found by others' silence
+    global_p: of anything being amiss at all;  lost: recordings whose true times could not be restored
+    steps: what the rounds found;  noise, noise_p: shot noise, and the chance of what it explains
     """
 
     recordings: Sequence[Recording]
@@ -96,6 +96,7 @@ class Search:
     base: Climbed = field(init=False)
     first: Look = field(init=False)
     state: State = field(init=False)
+    marks: list[Fingerprint] = field(default_factory=list)
     prints: list[Fingerprint] = field(default_factory=list)
     hot: Hot | None = None
     lost: tuple[str, ...] = ()
@@ -118,7 +119,8 @@ class Search:
     def read_timestamps(self) -> None:
         """Find what timestamps and single pixels give away; undo it; fit the base model again."""
         self.report("timestamps", 0.06)
-        self.prints = [f for f in fingerprints(self.recordings) if f.effect not in self.leave_out]
+        self.marks = fingerprints(self.recordings)
+        self.prints = [f for f in self.marks if f.effect not in self.leave_out]
         if "hot_pixels" not in self.leave_out and not self.model.has("hot_pixels"):
             self.hot = hot_pixels(self.timely)
         if self.hot is not None:
@@ -251,9 +253,10 @@ class Search:
         return True
 
     def _untellable(self) -> tuple[str, ...]:
-        """Effects that the times at hand cannot show: drawn ones scatter as the drawing made them."""
-        drawn = any(f.effect == "readout_latency" or f.value >= FINEST_S for f in self.prints)
-        return ("timestamp_jitter",) if drawn else ()
+        """Effects that the times at hand cannot show: what the readout has put on a grid or in a queue does not jitter,
+        and times drawn behind it scatter as the drawing made them."""
+        coarse = any(f.effect == "readout_latency" or f.value >= FINEST_S for f in self.marks)
+        return ("timestamp_jitter",) if coarse else ()
 
     def _grown(self, winner: Candidate) -> State:
         """The state with the winner added, and without what the winner leaves nothing to explain."""
