@@ -176,11 +176,11 @@ def draw(rows: list[dict], path: Path) -> None:
         table = np.zeros((len(keys), len(SAID)))
         for r in mine:
             table[keys.index((r["effect"] or "(nothing)", r["factor"])), SAID.index(said(r))] += 1
-        axis.imshow(
-            table / np.maximum(table.sum(axis=1, keepdims=True), 1), cmap="Greens", vmin=0, vmax=1, aspect="auto"
-        )
+        share = table / np.maximum(table.sum(axis=1, keepdims=True), 1)
+        axis.imshow(share, cmap="Greens", vmin=0, vmax=1, aspect="auto")
         for i, j in zip(*np.nonzero(table), strict=True):
-            axis.text(j, i, f"{table[i, j]:.0f}", ha="center", va="center", fontsize=8)
+            colour = "white" if share[i, j] > 0.5 else "black"
+            axis.text(j, i, f"{table[i, j]:.0f}", ha="center", va="center", fontsize=8, color=colour)
         axis.set_xticks(range(len(SAID)), SAID, rotation=30, ha="right", fontsize=8)
         axis.set_yticks(range(len(keys)), [f"{e} × {f:g}" if f else e for e, f in keys], fontsize=7)
         axis.set_title("left out of the library" if left_out else "in the library", fontsize=9)
