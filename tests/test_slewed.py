@@ -66,7 +66,7 @@ def test_between_coarse_samples_switches_are_found(light):
     circuit, dynamics = limited(DVS128, 400.0, 250.0), dynamics_of(DVS128.circuit())
     read, fine = shown(light)
     found, wanted = trajectory(read, circuit, dynamics).at(fine.t), trajectory(fine, circuit, dynamics).states
-    np.testing.assert_allclose(found[:, 1:], wanted[:, 1:], atol=1e-4)  # a missed switch: 5e-3
+    np.testing.assert_allclose(found[:, 1:], wanted[:, 1:], atol=5e-5)  # a missed switch: 5e-3
 
 
 def test_a_limit_out_of_reach_changes_nothing():

@@ -18,7 +18,7 @@ _step_full_chain = njit(equations.step_full_chain, inline="always", error_model=
 # The closed form divides by differences of poles and loses the digits of the product of a pole's relative gaps to
 # all others; and it subtracts the ramp's delay r/ω, which for a steep ramp and a slow stage exceeds everything else.
 # Where the gaps multiply to less than COINCIDENCE × (1 or the delays / STEEP, whichever is larger), error about
-# 2e-10, the step is taken by the exponential of the small matrix instead (`coincident.py`): ten times slower,
+# 2e-10, the step is taken by the exponential of the small matrix instead (`coincident.py`): some ten times slower,
 # indifferent to both.
 COINCIDENCE = 1e-3
 STEEP = 1e3

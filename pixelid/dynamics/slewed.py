@@ -2,8 +2,8 @@
 
 Within a step of the light the follower is either free, and the chain linear, or at its limit: then s is a ramp, the
 photoreceptor goes on as ever, and the stages behind it answer a ramp.  All three have the closed form of `kernels`;
-the moments between them are roots of ωsf (y − s) = limit.  A step that the limit does not touch costs what it costs
-without one.  (The simulator integrates the same equation another way, see `slew.py`.)
+the moments between them are roots of ωsf (y − s) = limit.  A step that the limit does not touch is one closed form
+and a look at its end.  (The simulator integrates the same equation another way, see `slew.py`.)
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from pixelid.dynamics.equations import (
     ABSENT_PHOTORECEPTOR,
     PRESENT_BELOW,
 )
-from pixelid.dynamics.trajectory import Dynamics
+from pixelid.dynamics.trajectory import Dynamics, Trajectory
 from pixelid.errors import InputError
 from pixelid.stages.circuit import Circuit
 
@@ -32,21 +32,15 @@ FASTEST = 2 * np.pi * 4e4  # rad/s: what is faster follows the rest
 
 
 @dataclass(frozen=True)
-class SlewedTrajectory:
-    """As `Trajectory`, and per step of the light whether the follower is limited, and where that changes.
+class SlewedTrajectory(Trajectory):
+    """A trajectory, and per step of the light whether the follower is limited, and where that changes.
 
-    t, u, radiance: (n,);  states: (n, 6) at t, see `trajectory.STAGES`;  mode: (n,) of the step that begins at each:
-    0 free, +1 rising at the limit, −1 falling;  first: (n + 1,) which changes belong to step k: first[k]…first[k+1]
+    mode: (n,) of the step that begins at each sample: 0 free, +1 rising at the limit, −1 falling
+    first: (n + 1,) which changes belong to step k: first[k]…first[k+1]
     change_s: (m,) since the beginning of their step;  change_mode, change_states: (m,), (m, 6) from there on
     rates: (w1, w2, wh, wd, rise, fall)
     """
 
-    t: np.ndarray
-    u: np.ndarray
-    radiance: np.ndarray
-    dynamics: Dynamics
-    midpoint: bool
-    states: np.ndarray
     rates: tuple
     mode: np.ndarray
     first: np.ndarray

@@ -75,8 +75,7 @@ def _searched(search: Search, recommend: bool) -> GapReport:
     directions = [d for d in (direction(at, name) for name in missing(state.current.model)) if d is not None]
     found = bool(search.steps or new or search.noise)
     shadow = shadowed(at, directions) if not found and not remainder else None
-    doubtful = search.doubtful
-    rivals = (doubtful[1],) if doubtful is not None else ()
+    rivals = [rival for _, rival in search.doubts]
     said = verdict(found, bool(rivals), remainder, shadow)
     report("intervals", 0.8)
     effects = (*(_printed(f, search) for f in new), *_effects(at, search), *_noise(search))

@@ -35,8 +35,9 @@ def advice(search: Search, at: Space, directions: Sequence[Direction], shadow: S
     if shadow is not None:
         why = f"to tell {shadow.effect} from unequal thresholds"
         return recommended(at, search.model, shadow.effect, None, why, seed)
-    if search.doubtful is not None:
-        winner, rival = (candidate.effect for candidate in (search.doubtful[0].winner, search.doubtful[1]))
+    if search.doubts:
+        step, other = search.doubts[0]
+        winner, rival = step.winner.effect, other.effect
         without = model.without_effect(winner)
         lacking = space(state.bench.train, climbed(state.bench.train, without, tolerance=0.1, max_steps=5))
         return recommended(lacking, search.model, winner, rival, f"to tell {winner} from {rival}", seed)

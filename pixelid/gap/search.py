@@ -209,11 +209,10 @@ class Search:
         return self.state.seen.p < self.each
 
     @property
-    def doubtful(self) -> tuple[Step, Candidate] | None:
-        """A step, and an effect that explains as well what it does and that no later round has named beside it."""
+    def doubts(self) -> list[tuple[Step, Candidate]]:
+        """Steps, each with an effect that explains as well what it does and that no later round has named beside it."""
         named = {step.winner.effect for step in self.steps}
-        pairs = ((step, rival) for step in self.steps for rival in step.found.rivals if rival.effect not in named)
-        return next(pairs, None)
+        return [(step, rival) for step in self.steps for rival in step.found.rivals if rival.effect not in named]
 
     @property
     def each(self) -> float:

@@ -263,11 +263,11 @@ class ChangeEvaluator:
         self._extreme_at = np.full(len(intervals), -1)
         self._rise_at = np.full(len(intervals.last_s), -1)
         self._fall_at = np.full(len(intervals.last_s), -1)
-        self._latest: tuple[tuple, Trajectory | SlewedTrajectory] | None = None
+        self._latest: tuple[tuple, Trajectory] | None = None
         self._light: tuple[tuple, Drive] | None = None
         self._plain: Plain | None = None
 
-    def trajectory(self, circuit: Circuit, keep: bool = False) -> Trajectory | SlewedTrajectory:
+    def trajectory(self, circuit: Circuit, keep: bool = False) -> Trajectory:
         """The pixel's trajectory under this recording's stimulus.
 
         `keep` remembers it, for circuits that differ in thresholds, dead time, leak or delay only.
@@ -367,7 +367,7 @@ class ChangeEvaluator:
     def _fill_plain(self, circuit: Circuit, locate: bool, events: np.ndarray, pixels: np.ndarray) -> bool:
         """As `fill`, for a pixel of four states; returns whether it is one."""
         trajectory = self.trajectory(circuit, keep=locate)
-        if isinstance(trajectory, SlewedTrajectory) or not Plain.describes(trajectory):
+        if not Plain.describes(trajectory):
             return False
         plain = self._plain
         if plain is None or plain.trajectory is not trajectory:
