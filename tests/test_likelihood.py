@@ -100,6 +100,40 @@ def test_slope_is_the_derivative_of_change():
     np.testing.assert_allclose(values[0.0].slope, difference, rtol=1e-5, atol=1e-4)
 
 
+def test_rate_of_the_level_counts_the_drift_of_the_threshold():
+    """dz/dt of each pixel's one interval, by moving its event, where light and thresholds move about as fast."""
+    model = MODEL.with_effect("leak", {"rate_hz": 0.5}).with_effect("threshold_drift", {"per_s": 0.4})
+    stimulus = Stimulus(np.array([0.0, 2.0]), np.array([100.0, 105.0]))
+
+    def level(later_s):
+        at = [0.5, 0.5, 1.5 + later_s, 1.8 + later_s]
+        r = recording_of(at, [1, 1, 1, 1], stimulus, pixels=[0, 1, 0, 1])
+        return EventTimes([r]).terms(model.circuit())
+
+    here, difference = level(0.0), (level(1e-4).z - level(-1e-4).z) / 2e-4
+    assert np.all(np.abs(here.z * 0.4 / 1.6) > 0.3 * np.abs(difference))  # the drift's part is no trifle
+    np.testing.assert_allclose(np.exp(here.log_rate), difference, rtol=1e-4)
+
+
+def test_what_the_end_cuts_off_is_held_against_the_threshold_of_then():
+    """A change of 1.5 thresholds without an event: hopeless, but for a threshold that has doubled meanwhile."""
+    model = MODEL.without_effect("threshold_mismatch").set({"on_threshold": 0.2, "threshold_sigma": 0.1})
+    t = np.array([0.0, 1.0, 9.0, 10.0])
+
+    def log_survival(per_s, change=0.3):
+        circuit = model.with_effect("threshold_drift", {"per_s": per_s}).circuit()
+        rising, flat = (Stimulus(t, 1000.0 * np.exp(np.array([0.0, 0.0, end, end]))) for end in (change, 0.0))
+        events = [0.4, 0.5], [1, 1]  # before it begins
+        totals = [EventTimes([recording_of(*events, light)]).terms(circuit).total for light in (rising, flat)]
+        return totals[0] - totals[1]
+
+    assert log_survival(0.0) < -5.0
+    for change, sign in ((0.3, 1), (-0.3, -1)):
+        threshold = model.values["on_threshold" if sign > 0 else "off_threshold"]
+        expected = norm.logcdf((threshold - 0.3 / 2.0) / (0.1 * threshold))
+        assert log_survival(0.1, change) == pytest.approx(expected, abs=2e-3)
+
+
 @pytest.mark.parametrize("effect", [None, "lower_cutoff", "extra_pole"])
 def test_complex_step_equals_difference_quotient(effect):
     model = MODEL if effect is None else MODEL.with_effect(effect)

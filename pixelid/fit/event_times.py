@@ -137,17 +137,16 @@ class _Information:
     def add(self, i: int, tangent: Tangent) -> None:
         """Fill column i."""
         d_on, d_off, d_noise, d_mismatch, d_drift, d_jitter = tangent.numbers
-        weight, groups = 1.0 / self.variance, len(self.seen)
+        c, weight, groups = self.circuit, 1.0 / self.variance, len(self.seen)
         dz, dr, sums = np.empty(len(self.kept)), np.empty(len(self.kept)), np.zeros(groups)
         gathered = tangent.gathered
         moved = np.empty((4, 0)) if gathered is None else gathered[: 4 * self.n].reshape(4, self.n)
         _levels_along(
             self.kept, moved, gathered is not None, self.event, self.sign, self.group, self.time, self.growth,
-            self.z, self.rate, weight, self.on, d_on, d_drift, dz, dr, sums,
+            self.z, self.rate, weight, self.on, c.threshold_drift, d_on, d_drift, dz, dr, sums,
         )  # fmt: skip
         mean = np.where(self.seen, sums / self.safe, 0.0)
         d_centre = np.where(self.is_on, d_on, d_off)
-        c = self.circuit
         d_own = d_centre + np.where(self.seen, self.share * (mean - d_centre), 0.0)
         noise = 2.0 * c.noise * self.own * (d_noise * self.own + c.noise * d_own)
         d_weights = np.zeros(groups)
@@ -169,7 +168,7 @@ class _Information:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _levels_along(
-    kept, moved, there, event, sign, group, time, growth, z, rate, weight, on, d_on, d_drift, dz, dr, sums
+    kept, moved, there, event, sign, group, time, growth, z, rate, weight, on, drift, d_on, d_drift, dz, dr, sums
 ):  # fmt: skip
     """Fill the derivatives of level and rate of the events kept, and the groups' weighted sums of dz."""
     for k in range(len(kept)):
@@ -180,7 +179,7 @@ def _levels_along(
             slope += moved[1, j] + on * moved[3, j]
         growing = d_drift * time[k] / growth[k]
         dz[k] = sign[k] * level / growth[k] - growing * z[k]
-        dr[k] = sign[k] * slope / growth[k] - growing * rate[k]
+        dr[k] = sign[k] * slope / growth[k] - growing * rate[k] - (dz[k] * drift + z[k] * d_drift) / growth[k]
         sums[group[k]] += weight[k] * dz[k]
 
 

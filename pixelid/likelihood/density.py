@@ -65,7 +65,7 @@ def density(likelihood: EventTimes, circuit: Circuit, gathered: np.ndarray) -> D
     W, z_bar = np.empty(groups), np.empty(groups)
     total = _density(
         likelihood.sign, likelihood.group, likelihood.time_s, likelihood.tick_s, likelihood.clock_share,
-        likelihood.last_pixel, gathered[: 7 * n].reshape(7, n), gathered[7 * n :].reshape(4, m), numbers,
+        likelihood.last_pixel, likelihood.last_time_s, gathered[: 7 * n].reshape(7, n), gathered[7 * n :].reshape(4, m), numbers,
         math.log(STRAY_HZ), MISSED,
         by_change[: 7 * n].reshape(7, n), by_change[7 * n :].reshape(4, m), by_number,
         z, rate, variance, stray, W, z_bar,
@@ -108,7 +108,7 @@ def survived(margin, missed):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _density(
-    sign, group, time, tick, share, last_pixel, event, pixel, numbers, log_stray, missed,
+    sign, group, time, tick, share, last_pixel, last_time, event, pixel, numbers, log_stray, missed,
     by_event, by_pixel, by_number, z, rate, variance, stray, W, z_bar,
 ):  # fmt: skip
     on, off, noise, mismatch, drift, jitter = numbers
@@ -121,7 +121,7 @@ def _density(
     for k in range(n):
         growth = 1.0 + drift * time[k]
         zk = sign[k] * (event[0, k] + on * event[2, k]) / growth
-        rk = sign[k] * (event[1, k] + on * event[3, k]) / growth
+        rk = sign[k] * (event[1, k] + on * event[3, k]) / growth - zk * drift / growth
         falling[k] = (not rk > 0.0) or event[6, k] > 0.0 or (not abs(zk) < 1e6) or (not rk < 1e12)
         z[k] = 0.0 if falling[k] else zk
         rate[k] = 1.0 if falling[k] else rk
@@ -161,7 +161,7 @@ def _density(
             by_W[g] = -0.5 * S[g] / q - 0.5 * D[g] * D[g] / (W[g] * W[g])
 
     # survival of the other polarity, and the intervals that the end cuts off
-    by_on, by_growth_time = 0.0, 0.0
+    by_on, by_drift = 0.0, 0.0
     for k in range(n):
         growth = 1.0 + drift * time[k]
         reached = (event[4, k] + on * event[5, k]) / growth
@@ -177,19 +177,22 @@ def _density(
                 by_event[4, k] = -slope / growth
                 by_event[5, k] = -slope * on / growth
                 by_on -= slope * event[5, k] / growth
-                by_growth_time += slope * reached / growth * time[k]
+                by_drift += slope * reached / growth * time[k]
     for i in range(len(last_pixel)):
+        growth = 1.0 + drift * last_time[i]
         for side in range(2):
             g = 2 * last_pixel[i] + 1 - side
-            margin = (M[g] - pixel[2 * side, i] - on * pixel[2 * side + 1, i]) / sd[g]
+            reached = (pixel[2 * side, i] + on * pixel[2 * side + 1, i]) / growth
+            margin = (M[g] - reached) / sd[g]
             log_chance, slope = survived(margin, missed)
             value += log_chance
             slope /= sd[g]
             by_M[g] += slope
             by_sd[g] -= slope * margin
-            by_pixel[2 * side, i] = -slope
-            by_pixel[2 * side + 1, i] = -slope * on
-            by_on -= slope * pixel[2 * side + 1, i]
+            by_pixel[2 * side, i] = -slope / growth
+            by_pixel[2 * side + 1, i] = -slope * on / growth
+            by_on -= slope * pixel[2 * side + 1, i] / growth
+            by_drift += slope * reached / growth * last_time[i]
 
     # back through the groups' posteriors
     by_noise, by_mismatch, by_jitter = 0.0, 0.0, 0.0
@@ -245,13 +248,14 @@ def _density(
         by_jitter += by_V * r * r * share[k] * 2.0 * jitter
         by_rate = by_event[1, k] + by_V * 2.0 * r * share[k] * (tick[k] * tick[k] / 12.0 + jitter * jitter)
         growth = 1.0 + drift * time[k]
+        by_z -= by_rate * drift / growth
         dz, dr = sign[k] * by_z / growth, sign[k] * by_rate / growth
         by_event[0, k] = dz
         by_event[1, k] = dr
         by_event[2, k] = on * dz
         by_event[3, k] = on * dr
         by_on += event[2, k] * dz + event[3, k] * dr
-        by_growth_time -= (by_z * z[k] + by_rate * r) / growth * time[k]
+        by_drift -= ((by_z * z[k] + by_rate * r) * time[k] + by_rate * z[k]) / growth
     by_off = 0.0
     for g in range(groups):
         if g % 2 == 1:
@@ -259,5 +263,5 @@ def _density(
         else:
             by_off += by_C[g]
     by_number[0], by_number[1], by_number[2] = by_on, by_off, by_noise
-    by_number[3], by_number[4], by_number[5] = by_mismatch, by_growth_time, by_jitter
+    by_number[3], by_number[4], by_number[5] = by_mismatch, by_drift, by_jitter
     return value

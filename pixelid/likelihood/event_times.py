@@ -10,6 +10,8 @@ the last factor being the chance that the other polarity's threshold C_i' stayed
 drawn, z_k could not equal it.)  The interval that the end of the recording cuts off contributes the chance that
 neither threshold was reached.
 
+Where thresholds drift, C(t) = C (1 + d·t), z is the change over 1 + d·t, whose rate has a part −z·d/(1 + d·t).
+
 s_k² = (σ C_i)² + q_k r_k² (tick²/12 + jitter²): threshold noise scales with the pixel's own threshold, and a
 timestamp's width is noise in time (q_k: `weigh_clock`).  For C_i in s_k stands its posterior mean under s_k² with the
 population's C, known to a few tenths of a percent where a pixel has a hundred events.  (With the population's C there,
@@ -132,6 +134,7 @@ class EventTimes:
         self.time_s = np.concatenate([iv.time_s for iv in self.intervals])
         self.tick_s = np.concatenate([np.full(len(iv), iv.tick_s) for iv in self.intervals])
         self.recording_of_event = np.repeat(np.arange(len(self.intervals)), [len(iv) for iv in self.intervals])
+        self.last_time_s = np.concatenate([np.full(len(iv.last_s), iv.end_s) for iv in self.intervals])
         self.recording_of_last = np.repeat(np.arange(len(self.intervals)), [len(iv.last_s) for iv in self.intervals])
         self.group = 2 * self.pixel + (self.sign > 0)
         self.clock_share = np.ones(len(self.sign))
@@ -209,7 +212,7 @@ class EventTimes:
         mean = np.where(self.sign > 0, on, off)
         growth = 1.0 + circuit.threshold_drift * self.time_s
         z = self.sign * (change + on * drift) / growth
-        rate = self.sign * (slope + on * drift_slope) / growth
+        rate = self.sign * (slope + on * drift_slope) / growth - z * circuit.threshold_drift / growth
         # a change beyond any sensible level comes from parameters far outside physics: not worth its digits
         falling = ~(rate.real > 0) | (early.real > 0) | ~(np.abs(z.real) < 1e6) | ~(rate.real < 1e12)
         rate = np.where(falling, 1.0, rate)
@@ -256,8 +259,10 @@ class EventTimes:
             reached.real > 0, _survived((group_mean[other] - reached) / survival_sd[other]), 0.0
         )
         last_on, last_off = 2 * self.last_pixel + 1, 2 * self.last_pixel
-        censored = _survived((group_mean[last_on] - rise - on * rise_drift) / survival_sd[last_on]) + _survived(
-            (group_mean[last_off] - fall - on * fall_drift) / survival_sd[last_off]
+        grown = 1.0 + circuit.threshold_drift * self.last_time_s
+        rise, fall = (rise + on * rise_drift) / grown, (fall + on * fall_drift) / grown
+        censored = _survived((group_mean[last_on] - rise) / survival_sd[last_on]) + _survived(
+            (group_mean[last_off] - fall) / survival_sd[last_off]
         )
         per_pixel = (
             sum_by(self.pixel, event_term, self.pixels)

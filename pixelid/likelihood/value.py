@@ -57,7 +57,7 @@ def value(likelihood: EventTimes, circuit: Circuit, gathered: np.ndarray) -> Val
     )
     _sum(
         likelihood.group, likelihood.time_s, likelihood.recording_of_event, event[4], event[5],
-        likelihood.last_pixel, likelihood.recording_of_last, gathered[7 * n :].reshape(4, m), numbers,
+        likelihood.last_pixel, likelihood.last_time_s, likelihood.recording_of_last, gathered[7 * n :].reshape(4, m), numbers,
         math.log(STRAY_HZ), MISSED, z, rate, variance, falling, per_pixel, per_recording,
     )  # fmt: skip
     return Value(float(per_pixel.sum()), per_pixel, per_recording)
@@ -70,9 +70,10 @@ def _levels(sign, time, tick, share, event, numbers, z, rate, variance, falling)
     noise_on, noise_off = (noise * on) ** 2, (noise * off) ** 2
     change, slope, leak, leak_rate, early = event[0], event[1], event[2], event[3], event[6]
     for k in range(len(z)):
-        scale = sign[k] / (1.0 + drift * time[k])
+        growth = 1.0 + drift * time[k]
+        scale = sign[k] / growth
         z[k] = scale * (change[k] + on * leak[k])
-        rate[k] = scale * (slope[k] + on * leak_rate[k])
+        rate[k] = scale * (slope[k] + on * leak_rate[k]) - z[k] * drift / growth
     for k in range(len(z)):
         falling[k] = (not rate[k] > 0.0) or early[k] > 0.0 or (not abs(z[k]) < 1e6) or (not rate[k] < 1e12)
     for k in range(len(z)):
@@ -104,7 +105,7 @@ def _own_variance(group, C, own, noise, variance):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _sum(
-    group, time, recording, opposite, opposite_drift, last_pixel, recording_of_last, pixel, numbers,
+    group, time, recording, opposite, opposite_drift, last_pixel, last_time, recording_of_last, pixel, numbers,
     log_stray, missed, z, rate, variance, falling, per_pixel, per_recording,
 ):  # fmt: skip
     on, off, noise, mismatch, drift, _ = numbers
@@ -168,7 +169,7 @@ def _sum(
     for i in range(len(last_pixel)):
         for side in range(2):
             g = 2 * last_pixel[i] + 1 - side
-            reached = pixel[2 * side, i] + on * pixel[2 * side + 1, i]
+            reached = (pixel[2 * side, i] + on * pixel[2 * side + 1, i]) / (1.0 + drift * last_time[i])
             term = survived((centre[g] - reached) / sd[g], missed)[0]
             own[g] += term
             given[recording_of_last[i]] += term

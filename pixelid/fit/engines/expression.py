@@ -243,6 +243,7 @@ def log_likelihood(op: Operations, frozen: Frozen, circuit, changes_of=None) -> 
     growth = 1.0 + circuit.threshold_drift * op.constant(frozen.time[kept])
     z = sign * (gathered("change", kept) + on * gathered("drift", kept)) / growth
     rate = sign * (gathered("slope", kept) + on * gathered("drift_slope", kept)) / growth
+    rate = rate - z * circuit.threshold_drift / growth
     sd = circuit.noise * op.take(C, group[kept])
     share = frozen.clock_share[kept]
     width = op.constant(share * frozen.tick[kept] ** 2 / 12.0) + circuit.jitter * circuit.jitter * op.constant(share)
@@ -275,5 +276,7 @@ def log_likelihood(op: Operations, frozen: Frozen, circuit, changes_of=None) -> 
         reached = reached / (1.0 + circuit.threshold_drift * op.constant(frozen.time[survived]))
         total = total + survival(group[survived] ^ 1, reached)
     every = np.arange(len(frozen.last_pixel))
-    total = total + survival(2 * frozen.last_pixel + 1, gathered("rise", every) + on * gathered("rise_drift", every))
-    return total + survival(2 * frozen.last_pixel, gathered("fall", every) + on * gathered("fall_drift", every))
+    grown = 1.0 + circuit.threshold_drift * op.constant(frozen.last_time)
+    rise, fall = (gathered(name, every) + on * gathered(f"{name}_drift", every) for name in ("rise", "fall"))
+    total = total + survival(2 * frozen.last_pixel + 1, rise / grown)
+    return total + survival(2 * frozen.last_pixel, fall / grown)

@@ -65,6 +65,7 @@ class Frozen:
     group: np.ndarray
     pixels: int
     last_pixel: np.ndarray
+    last_time: np.ndarray
     circuit_of: Callable
 
     @property
@@ -108,6 +109,7 @@ def freeze(objective: EventTimesObjective, x: np.ndarray) -> Frozen:
         group=likelihood.group,
         pixels=likelihood.pixels,
         last_pixel=likelihood.last_pixel,
+        last_time=likelihood.last_time_s,
         circuit_of=objective.coordinates.model.circuit,
     )
 
