@@ -19,7 +19,7 @@ from pixelid.gap.climb import climbed, settled
 from pixelid.gap.covariates import factors
 from pixelid.gap.distance import FreeRun, closes_nothing, free_run
 from pixelid.gap.gap import gap
-from pixelid.gap.latent import queue_windows
+from pixelid.gap.latent import drawn, jitter_windows, queue_windows, with_times
 from pixelid.gap.maps import maps
 from pixelid.gap.readout import grid, service
 from pixelid.gap.residuals import residuals, tangents
@@ -244,11 +244,49 @@ def test_all_that_is_missing_is_named_and_nothing_else(planted):
 
 
 @pytest.mark.slow
-def test_jitter_is_found_through_replicas_and_nothing_is_left():
-    found = gap(session(MODEL.with_effect("timestamp_jitter", {"sigma_s": 2e-5}), side=5, seed=5), MODEL)
+@pytest.mark.parametrize(("sigma_s", "dead_s"), [(2e-5, 1e-4), (5e-5, 2.5e-4)])
+def test_true_times_behind_a_jitter_are_found_and_nothing_is_left(sigma_s, dead_s):
+    truth = MODEL.with_effect("timestamp_jitter", {"sigma_s": sigma_s}).set({"refractory_s": dead_s})
+    found = gap(session(truth, side=5, seed=5), MODEL)
     assert (found.verdict, [e.name for e in found.effects]) == ("named", ["timestamp_jitter"])
     value, _ = found.effects[0].parameters["timestamp_jitter.sigma_s"]
-    assert value == pytest.approx(2e-5, rel=0.05)
+    assert value == pytest.approx(sigma_s, rel=0.04)
+
+
+@pytest.mark.slow
+def test_times_are_drawn_again_under_a_model_that_has_gained_an_effect():
+    """Drawn once, under a base without dark current, times behind a tick hide an eighth of it."""
+    truth = MODEL.with_effect("dark_current", {"radiance": 2.0})
+    truth = truth.with_effect("timestamp_quantisation", {"tick_s": 5e-5})
+    found = gap(session(truth, side=5, seed=6), MODEL)
+    assert (found.verdict, {e.name for e in found.effects}) == ("named", {"timestamp_quantisation", "dark_current"})
+    dark = next(e for e in found.effects if e.name == "dark_current")
+    assert dark.parameters["dark_current.radiance"][0] == pytest.approx(2.0, rel=0.03)
+
+
+def test_draws_of_times_have_the_density_that_they_should():
+    """One event of a pixel, all others known: many exact draws against its density by quadrature."""
+    model, sd, rng = MODEL.set({"refractory_s": 2e-4}), 4e5, np.random.default_rng(0)
+    recording = session(model, side=1, seed=4, lights={"sine": sine(200.0, frequency_hz=40.0)})[0]
+    recording = recording.with_stimulus(resampled(recording.stimulus, "smooth"))
+    window = jitter_windows(recording, 1e-9 * sd)
+    t = window.stamp
+    k = 1 + int(np.argmax(np.abs(np.diff(t, 2))))  # where the waits before and after differ most
+    mine = np.arange(len(t)) == k
+    window = replace(window, lo=np.where(mine, window.lo, t), hi=np.where(mine, window.hi, t))
+    now, draws = [t], []
+    for _ in range(1500):
+        now = drawn([recording], [window], now, model, rng, exact=True).times
+        draws.append(now[0][k])
+    grid = np.linspace(t[k - 1] + 2e5, t[k + 1] - 2e5, 401)[1:-1]
+    moved = [[np.where(mine, at, t)] for at in grid]
+    total = [EventTimes(with_times([recording], times)).terms(model.circuit()).total for times in moved]
+    log_density = np.array(total) - 0.5 * ((grid - t[k]) / sd) ** 2
+    weight = np.exp(log_density - log_density.max())
+    mean = float(weight @ grid / weight.sum())
+    spread = float(np.sqrt(weight @ (grid - mean) ** 2 / weight.sum()))
+    assert np.mean(draws) == pytest.approx(mean, abs=0.15 * spread)
+    assert np.std(draws) == pytest.approx(spread, rel=0.1)
 
 
 @pytest.mark.slow

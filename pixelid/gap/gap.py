@@ -128,7 +128,7 @@ def _free_run(search: Search) -> FreeRun:
     """The gap before and after, on the pixels that nothing has looked at."""
     between, split = search.state.bench.between, search.split
     fine = [r.with_stimulus(resampled(r.stimulus, between)) for r in search.recordings]  # type: ignore[arg-type]
-    undone = [r.with_stimulus(resampled(r.stimulus, between)) for r in search.timely]  # type: ignore[arg-type]
+    undone = [r.with_stimulus(resampled(r.stimulus, between)) for r in search.state.timely]  # type: ignore[arg-type]
     watched = search.watched()
     sick = np.isin(watched, search.hot.pixels) if search.hot is not None else None
     everyone = np.union1d(split.train, split.confirm)
@@ -148,7 +148,7 @@ def _effects(at: Space, search: Search) -> tuple[Named, ...]:
         name = step.winner.effect
         others = [c for c in step.found.candidates if c.effect != name]
         second = max(others, key=lambda c: c.heldout_gain, default=None)
-        alike = similarities(at, name, missing(state.current.model))
+        alike = similarities(at, name, missing(state.current.model)) if state.current.model.has(name) else {}
         nearest = max(alike, key=lambda k: alike[k], default="")
         found.append(
             Named(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from pixelid.fit.coordinates import Coordinates
@@ -10,9 +12,17 @@ from pixelid.gap.climb import Climbed
 from pixelid.identify.small_sample import intervals
 from pixelid.likelihood.event_times import EventTimes
 
+# Variance that unknown times add, over that of refits to successive draws of them, which remember each other: at most.
+MISSING = 2.0
 
-def limits(likelihood: EventTimes, end: Climbed) -> dict[str, tuple[float, float]]:
-    """name → (low, high) of every free parameter, from the Hessian (information matrix where it is not positive)."""
+
+def limits(
+    likelihood: EventTimes, end: Climbed, scatter: Mapping[str, float] | None = None
+) -> dict[str, tuple[float, float]]:
+    """name → (low, high) of every free parameter, from the Hessian (information matrix where it is not positive).
+
+    scatter: standard deviation of coordinates between draws of times behind a readout
+    """
     objective = EventTimesObjective(likelihood, end.coordinates)
     curvature = -objective.hessian(end.x)
     try:
@@ -23,6 +33,8 @@ def limits(likelihood: EventTimes, end: Climbed) -> dict[str, tuple[float, float
     except np.linalg.LinAlgError:
         covariance = np.linalg.pinv(end.information)
     sd = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    drawn = np.array([(scatter or {}).get(name, 0.0) for name in end.coordinates.names])
+    sd = np.sqrt(sd**2 + MISSING * drawn**2)
     lower, upper = intervals(end.coordinates.names, end.x, sd, likelihood.pixels)
     return {name: _own(end.coordinates, i, lower[i], upper[i]) for i, name in enumerate(end.coordinates.names)}
 

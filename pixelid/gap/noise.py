@@ -79,9 +79,7 @@ def shot_noise(bench: Workbench, current: Climbed, seen: Look, seed: int) -> Sho
     interval = (max(1.0 - error, 0.0) * density, (1.0 + error) * density)
     before = 0.5 * sum(min(c.score**2, FAR**2) for c in seen.maps.cells)
     after = 0.5 * sum(min(c.score**2, FAR**2) for c in cells)
-    return ShotNoise(
-        density, interval, Corrected(model, _vector(model, current) - current.x, 1.0, look), before - after
-    )
+    return ShotNoise(density, interval, Corrected(model, _vector(model, current) - current.x, look), before - after)
 
 
 class _Shared:

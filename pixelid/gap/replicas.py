@@ -1,10 +1,8 @@
-"""What an approximate likelihood gets wrong, found by simulation and taken back (indirect inference).
+"""What a likelihood that does not know an effect makes of it, found by simulation (indirect inference).
 
-Some effects enter the density of single events approximately (`APPROXIMATE`): a jittered timestamp hides when the pixel
-was reset, which ties neighbouring events together.  The fit then settles a little off, and its residuals show cells
-that no missing effect has made.  Both can be measured: the grown model is simulated, with as many pixels under the same
-light, and fitted in the same way.  What the refit is off by is taken back from the parameters (Gouriéroux, Monfort &
-Renault 1993, J. Appl. Econometrics 8, S85), and of the maps only what the simulated maps do not show counts.
+The model with the effect is simulated, with as many pixels under the same light, and fitted in the same way as the
+measurement.  What the refit is off by is taken back from the parameters (Gouriéroux, Monfort & Renault 1993, J. Appl.
+Econometrics 8, S85), and of the maps only what the simulated maps do not show counts.
 """
 
 from __future__ import annotations
@@ -26,8 +24,6 @@ from pixelid.likelihood.event_times import EventTimes
 from pixelid.model.model import Model
 from pixelid.simulate import simulate
 
-APPROXIMATE = ("timestamp_jitter",)
-REPLICAS = (2, 4)  # of the fitted model, then of the corrected one
 KNOWN = 0.3  # standard error (log units) of a coordinate beyond which it is left where it is: nothing pulls it back
 FARTHEST = 0.3  # shift of a coordinate
 STUCK = 3.0  # times the measured number of strays: more than a replica should have
@@ -37,12 +33,11 @@ POOLED = 10.0  # degrees of freedom that all cells of a kind lend to the spread 
 @dataclass(frozen=True)
 class Corrected:
     """model: such that a fit to what it simulates gives the fitted model;  shift: (d,) from fitted to corrected;
-    spread: what the shift's own uncertainty multiplies standard errors by;  look: with only what replicas do not show
+    look: with only what replicas do not show
     """
 
     model: Model
     shift: np.ndarray
-    spread: float
     look: Look
 
 
@@ -56,28 +51,6 @@ class Replica:
     x: np.ndarray
     scores: dict[tuple[str, str], float]
     strays: np.ndarray
-
-
-def corrected(bench: Workbench, current: Climbed, seen: Look, seed: int) -> Corrected:
-    """The fitted model and its maps, cleared of what the approximation puts into them."""
-    coordinates = current.coordinates
-    lower, upper = coordinates.bounds()
-    known = well_known(current)
-    truth, bias = current.x, []
-    made: list[Replica] = []
-    for turn, copies in enumerate(REPLICAS):
-        made = []
-        for copy in range(copies):
-            model = coordinates.model_at(truth)
-            made.append(replica(bench, model, current, seen, seed + 7919 * (1 + turn) + copy))
-            bias.append(np.where(known, made[-1].x - truth, 0.0))
-        shift = np.clip(-np.mean(bias, axis=0), -FARTHEST, FARTHEST)
-        truth = np.clip(current.x + shift, lower, upper)
-    spread = float(np.sqrt(1.0 + 1.0 / len(bias)))
-    cells, p = cleared(seen, made)
-    p = max(seen.maps.p, p)
-    look = replace(seen, maps=replace(seen.maps, cells=cells, p=p), p=p)
-    return Corrected(coordinates.model_at(truth), truth - current.x, spread, look)
 
 
 def well_known(current: Climbed) -> np.ndarray:

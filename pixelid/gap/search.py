@@ -19,17 +19,27 @@ from pixelid.gap.intervals import limits
 from pixelid.gap.nameless import nameless, standing
 from pixelid.gap.noise import EFFECT, ShotNoise, shot_noise
 from pixelid.gap.readout import Fingerprint, fingerprints
-from pixelid.gap.replicas import APPROXIMATE, Corrected, corrected
-from pixelid.gap.restored import FINEST_S, restored
+from pixelid.gap.replicas import Corrected
+from pixelid.gap.restored import FINEST_S, JITTER, SIGMA, Restored, restored, unjittered
 from pixelid.gap.split import Split, locked
 from pixelid.gap.words import where
-from pixelid.gap.workbench import STRAYS_EXPECTED, Look, Workbench, based, look, reconsidered, relative_noise
+from pixelid.gap.workbench import (
+    STRAYS_EXPECTED,
+    Look,
+    Workbench,
+    based,
+    look,
+    reconsidered,
+    relative_noise,
+    workbench,
+)
 from pixelid.model.model import Model
 from pixelid.recordings.recording import Recording
 from pixelid.recordings.selection import only
 
 Progress = Callable[[str, float], None]
 MOST_ROUNDS = 4
+STRAYS_JITTERED = 5e-3  # fraction of events whose times behind a jitter may not be found
 
 
 @dataclass(frozen=True)
@@ -45,31 +55,42 @@ class Step:
 
 @dataclass(frozen=True)
 class State:
-    """Where the search stands: the workbench, the model fitted on it, what is left under that model, what
-    simulation has corrected of both (None where the likelihood is exact), and the base with every effect named."""
+    """Where the search stands: the recordings, with what the readout did undone, the workbench made of them, the model
+    fitted on it, what is left under that model, and the base with every effect named.
 
+    corrected: what simulation has corrected of model and maps (None where the likelihood is exact)
+    jitter: (standard deviation, s, its relative standard error) of the timestamps, where it is among what was undone
+    scatter: by parameter, what its coordinate differs by between draws of the times
+    """
+
+    timely: tuple[Recording, ...]
     bench: Workbench
     current: Climbed
     seen: Look
-    corrected: Corrected | None
     start: Model
+    corrected: Corrected | None = None
+    jitter: tuple[float, float] | None = None
+    scatter: dict[str, float] = field(default_factory=dict)
 
     @property
     def model(self) -> Model:
         """The fitted model, corrected where it has to be."""
-        return self.corrected.model if self.corrected else self.current.model
+        model = self.corrected.model if self.corrected else self.current.model
+        return model if self.jitter is None else model.with_effect(JITTER, {SIGMA: self.jitter[0]}).fix({SIGMA: None})
 
     def limits(self) -> dict[str, tuple[float, float]]:
-        """95 % intervals of the free parameters."""
-        plain = limits(self.bench.train, self.current)
+        """95 % intervals of the free parameters, and of the jitter."""
+        plain = limits(self.bench.train, self.current, self.scatter)
+        if self.jitter is not None:
+            sigma, error = self.jitter
+            plain[SIGMA] = (sigma * (1.0 - 1.96 * error), sigma * (1.0 + 1.96 * error))
         if self.corrected is None:
             return plain
         moved = {}
         coordinates = self.current.coordinates
-        for p, x, shift in zip(coordinates.parameters, self.current.x, self.corrected.shift, strict=True):
+        for p, shift in zip(coordinates.parameters, self.corrected.shift, strict=True):
             edges = (p.to_coordinate(edge) for edge in plain[p.name])
-            spread = self.corrected.spread
-            low, high = (float(p.from_coordinate(float(x + shift + spread * (edge - x)))) for edge in edges)
+            low, high = (float(p.from_coordinate(float(shift + edge))) for edge in edges)
             moved[p.name] = (max(low, p.lower), min(high, p.upper))
         return moved
 
@@ -78,8 +99,8 @@ class State:
 class Search:
     """A search under way.
 
-    recordings: as they came;  timely: with what the readout did undone;  model: the base, as shipped, with the
-    effects read off timestamps;  base: fitted;  first: what was left under it
+    recordings: as they came;  model: the base, as shipped, with the effects read off timestamps;  base: fitted;
+    first: what was left under it;  latent: the true times behind the readout, where they had to be drawn
     marks, prints: what timestamps show, and what of it the library has;  hot: pixels found by others' silence
     global_p: of anything being amiss at all;  lost: recordings whose true times could not be restored
     steps: what the rounds found;  noise, noise_p: shot noise, and the chance of what it explains
@@ -92,13 +113,13 @@ class Search:
     leave_out: tuple[str, ...]
     report: Progress
     split: Split = field(init=False)
-    timely: list[Recording] = field(init=False)
     base: Climbed = field(init=False)
     first: Look = field(init=False)
     state: State = field(init=False)
     marks: list[Fingerprint] = field(default_factory=list)
     prints: list[Fingerprint] = field(default_factory=list)
     hot: Hot | None = None
+    latent: Restored | None = None
     lost: tuple[str, ...] = ()
     steps: list[Step] = field(default_factory=list)
     noise: ShotNoise | None = None
@@ -111,10 +132,10 @@ class Search:
         """Lock the split, fit the base model, look at what is left."""
         self.split = locked(self.recordings, self.seed)
         self.report("base model", 0.02)
-        self.timely = [r.within_stimulus() for r in self.recordings]
-        bench, self.base = based(self.timely, self.split, self.model, self.seed)
+        timely = tuple(r.within_stimulus() for r in self.recordings)
+        bench, self.base = based(timely, self.split, self.model, self.seed)
         self.first = look(bench, self.base)
-        self.state = State(bench, self.base, self.first, None, bench.nominal)
+        self.state = State(timely, bench, self.base, self.first, bench.nominal)
 
     def read_timestamps(self) -> None:
         """Find what timestamps and single pixels give away; undo it; fit the base model again."""
@@ -122,20 +143,21 @@ class Search:
         self.marks = fingerprints(self.recordings)
         self.prints = [f for f in self.marks if f.effect not in self.leave_out]
         if "hot_pixels" not in self.leave_out and not self.model.has("hot_pixels"):
-            self.hot = hot_pixels(self.timely)
+            self.hot = hot_pixels(self.state.timely)
+        timely = self.state.timely
         if self.hot is not None:
             self.rounds.append(_stamped(self.hot.print, False))
             self.split = self.split.without(self.hot.pixels)
-            self.timely = only(self.timely, self.split.everyone)
+            timely = tuple(only(timely, self.split.everyone))
         for found in self.prints:
             self.rounds.append(_stamped(found, self.model.has(found.effect)))
-            kept = restored(self.timely, found, self.model, self.seed, lambda what: self.report(what, 0.08))
-            self.timely, self.lost = list(kept.recordings), self.lost + kept.lost
+            self.latent = restored(timely, found, self.model, self.seed, lambda what: self.report(what, 0.08))
+            timely, self.lost = tuple(self.latent.recordings), self.lost + self.latent.lost
             model = self.model.with_effect(found.effect, {found.parameter: found.value})
             self.model = model.fix({found.parameter: None})
         if self.prints or self.hot:
-            bench, current = based(self.timely, self.split, self.model, self.seed)
-            self.state = State(bench, current, self._looked(bench, current), None, bench.nominal)
+            bench, current = based(timely, self.split, self.model, self.seed)
+            self.state = State(timely, bench, current, self._looked(bench, current), bench.nominal)
 
     def go_on(self) -> None:
         """Round after round, until nothing more can be named."""
@@ -149,11 +171,16 @@ class Search:
     def _withdraw(self) -> None:
         """Take back effects that only stand in for what is left, which is no accident.
 
-        Those that a nameless term leaves little to explain, and those that explain less than is left.
+        Those that a nameless term leaves little to explain, those that explain less than is left, and a jitter, for
+        which any scatter passes.
         """
         term = nameless(self.state.bench, self.state.current, self.state.seen)
         left = 0.0 if term is None else float(term.held_out.sum())
-        weak = (i for i, step in enumerate(self.steps) if not step.firm or step.winner.heldout_gain < left)
+        weak = (
+            i
+            for i, step in enumerate(self.steps)
+            if not step.firm or step.winner.heldout_gain < left or step.winner.effect == JITTER
+        )
         kept = next(weak, None)
         if kept is None:
             return
@@ -202,7 +229,7 @@ class Search:
         for step in self.steps:
             model, start = model.without_effect(step.winner.effect), start.without_effect(step.winner.effect)
         current = climbed(state.bench.train, model, tolerance=0.01, max_steps=40)
-        return State(state.bench, current, self._looked(state.bench, current), None, start)
+        return replace(state, current=current, seen=self._looked(state.bench, current), start=start, corrected=None)
 
     def remainder(self) -> bool:
         """Whether something significant is left."""
@@ -222,8 +249,6 @@ class Search:
     def _round(self, turn: int) -> bool:
         """One round; whether there may be another."""
         state, share = self.state, 0.1 + 0.6 * turn / MOST_ROUNDS
-        if state.corrected is not None and not self.remainder():
-            return False  # the likelihood is approximate: only what replicas do not show is worth a name
         bent = state.seen.stray_fraction > STRAYS_EXPECTED or not state.current.converged
         found = attribute(
             state.bench.pools, state.current.model, self.each, skip=(*self.leave_out, *self._untellable()),
@@ -243,46 +268,73 @@ class Search:
         if stands.hopeless:
             entry["refused"] = f"{winner.effect}: a nameless term explains more, and leaves it little to explain"
             return False
+        steadied = self._steadied(winner) if winner.effect == JITTER else None
+        if winner.effect == JITTER and steadied is None:
+            entry["refused"] = f"{winner.effect}: what it would take of the times does not look like one"
+            return False
         self.before.append(state)
         entry["named"] = winner.effect
         noise = relative_noise(state.current.model)
         place = where(state.seen.maps, state.bench.train, state.seen.residual.stray, noise)
         self.steps.append(Step(winner, found, place, stands.firm))
-        self.state = self._grown(winner)
+        self.state = steadied or self._grown(winner)
         return True
 
     def _untellable(self) -> tuple[str, ...]:
         """Effects that the times at hand cannot show: what the readout has put on a grid or in a queue does not jitter,
-        and times drawn behind it scatter as the drawing made them."""
+        and times drawn behind it, or behind a jitter, scatter as the drawing made them."""
         coarse = any(f.effect == "readout_latency" or f.value >= FINEST_S for f in self.marks)
-        return ("timestamp_jitter",) if coarse else ()
+        return (JITTER,) if coarse or self.state.jitter is not None else ()
 
     def _grown(self, winner: Candidate) -> State:
         """The state with the winner added, and without what the winner leaves nothing to explain."""
-        bench = self.state.bench
-        start = self.state.start.with_effect(winner.effect)
-        bench.train.weigh_clock(self.state.current.model.circuit())
+        state, bench = self.state, self.state.bench
+        start = state.start.with_effect(winner.effect)
+        bench.train.weigh_clock(state.current.model.circuit())
         grown = canonical(winner.end.model, self.model)
         current = settled(bench.train, grown, start, tolerance=0.01, max_steps=40)
         for k in reversed(range(len(self.steps) - 1)):
             earlier = self.steps[k].winner.effect
+            if not current.model.has(earlier):
+                continue
             less = climbed(bench.train, current.model.without_effect(earlier), tolerance=0.05, max_steps=25)
             if current.value - less.value < DISTINCT:
                 current, start = less, start.without_effect(earlier)
                 self._entry_of(earlier)["withdrawn"] = f"{winner.effect} explains it"
                 del self.steps[k], self.before[k + 1]
-        bench, current = reconsidered(bench, self.timely, self.model, current)
-        if any(current.model.has(name) for name in APPROXIMATE):
-            bench.train.weigh_clock(current.model.circuit())
-            current = climbed(bench.train, current.model, tolerance=0.01, max_steps=20)
-            seen = self._looked(bench, current)
-            self.report("replicas", 0.5)
-            right = corrected(bench, current, seen, self.seed)
-            return State(bench, current, right.look, right, start)
-        return State(bench, current, self._looked(bench, current), None, start)
+        if self.latent is not None and self.latent.windows:
+            return self._redrawn(self.latent.again(current.model), start, state)
+        bench, current = reconsidered(bench, state.timely, self.model, current)
+        return replace(
+            state, bench=bench, current=current, seen=self._looked(bench, current), start=start, corrected=None
+        )
 
-    def _looked(self, bench: Workbench, current: Climbed) -> Look:
-        return look(bench, current, trust_strays=not self.prints)
+    def _steadied(self, winner: Candidate) -> State | None:
+        """The state at the times behind a jitter; None where what is drawn does not look like one."""
+        state = self.state
+        self.latent, model = unjittered(
+            state.timely, winner.end.model, state.start, state.bench.between, self.seed,
+            lambda what: self.report(what, 0.5),
+        )  # fmt: skip
+        if self.latent.uneven():
+            self.latent = None
+            return None
+        return self._redrawn(model, state.start, state)
+
+    def _redrawn(self, model: Model, start: Model, state: State) -> State:
+        """The state with the times drawn last, and the model they were drawn under fitted to them."""
+        assert self.latent is not None
+        timely = tuple(self.latent.recordings)
+        bench = workbench(timely, self.split, self.model, state.bench.between, self.seed)
+        values = {name: model.values[name] for name in start.free if name in model.values}
+        current = settled(bench.train, start.set(values), start, tolerance=0.01, max_steps=40)
+        jitter = (self.latent.sigma_s, self.latent.error) if self.latent.effect == JITTER else None
+        seen = self._looked(bench, current, jitter is not None)
+        return State(timely, bench, current, seen, start, None, jitter, self.latent.scatter)
+
+    def _looked(self, bench: Workbench, current: Climbed, jitter: bool = False) -> Look:
+        expected = STRAYS_JITTERED if jitter else None if self.prints else STRAYS_EXPECTED
+        return look(bench, current, expected)
 
     def _entry_of(self, effect: str) -> dict:
         return next(entry for entry in self.rounds if entry["named"] == effect)

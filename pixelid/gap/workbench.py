@@ -115,19 +115,19 @@ def reconsidered(
     return other, climbed(other.train, end.model, tolerance=0.01, max_steps=40)
 
 
-def look(bench: Workbench, current: Climbed, trust_strays: bool = True) -> Look:
+def look(bench: Workbench, current: Climbed, strays_expected: float | None = STRAYS_EXPECTED) -> Look:
     """The residuals and maps of the training events under a fitted model.
 
-    trust_strays: events without a cause speak against the model (not where their times had to be restored).
+    strays_expected: fraction of events that a true model may leave without a cause; None: they do not speak against it
     """
     here = residuals(bench.train, current.model.circuit())
     tangent = tangents(bench.train, current.coordinates, current.x, here)
     sorted_by = tuple(factors(bench.train, current.model.circuit(), here))
     found = maps(bench.train, here, tangent, sorted_by, bench.seed)
-    n = len(here.e)
-    expected = STRAYS_EXPECTED * n
-    many = float(poisson.sf(found.strays - 1, expected)) if found.strays else 1.0
-    return Look(here, sorted_by, found, min(found.p, many) if trust_strays and many < STRAYS_SIGNIFICANT else found.p)
+    many = 1.0
+    if found.strays and strays_expected is not None:
+        many = float(poisson.sf(found.strays - 1, strays_expected * len(here.e)))
+    return Look(here, sorted_by, found, min(found.p, many) if many < STRAYS_SIGNIFICANT else found.p)
 
 
 def _stimulus(recording: Recording):

@@ -65,8 +65,8 @@ def density(likelihood: EventTimes, circuit: Circuit, gathered: np.ndarray) -> D
     W, z_bar = np.empty(groups), np.empty(groups)
     total = _density(
         likelihood.sign, likelihood.group, likelihood.time_s, likelihood.tick_s, likelihood.clock_share,
-        likelihood.last_pixel, likelihood.last_time_s, gathered[: 7 * n].reshape(7, n), gathered[7 * n :].reshape(4, m), numbers,
-        math.log(STRAY_HZ), MISSED,
+        likelihood.last_pixel, likelihood.last_time_s, gathered[: 7 * n].reshape(7, n),
+        gathered[7 * n :].reshape(4, m), numbers, math.log(STRAY_HZ), MISSED,
         by_change[: 7 * n].reshape(7, n), by_change[7 * n :].reshape(4, m), by_number,
         z, rate, variance, stray, W, z_bar,
     )  # fmt: skip

@@ -57,8 +57,9 @@ def value(likelihood: EventTimes, circuit: Circuit, gathered: np.ndarray) -> Val
     )
     _sum(
         likelihood.group, likelihood.time_s, likelihood.recording_of_event, event[4], event[5],
-        likelihood.last_pixel, likelihood.last_time_s, likelihood.recording_of_last, gathered[7 * n :].reshape(4, m), numbers,
-        math.log(STRAY_HZ), MISSED, z, rate, variance, falling, per_pixel, per_recording,
+        likelihood.last_pixel, likelihood.last_time_s, likelihood.recording_of_last,
+        gathered[7 * n :].reshape(4, m), numbers, math.log(STRAY_HZ), MISSED,
+        z, rate, variance, falling, per_pixel, per_recording,
     )  # fmt: skip
     return Value(float(per_pixel.sum()), per_pixel, per_recording)
 
