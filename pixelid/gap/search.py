@@ -197,8 +197,8 @@ class Search:
             return
         tries = [*((early, 0) for early in self.before[:1]), (self.state, len(self.steps))]
         for state, kept in tries:  # which may grow by one
-            if state.corrected is not None or state.current.model.has(EFFECT):
-                continue
+            if state.corrected is not None or state.jitter is not None or state.current.model.has(EFFECT):
+                continue  # drawn times scatter as the drawing made them: replicas know nothing of that
             self.report("shot noise", 0.7)
             found = shot_noise(state.bench, state.current, state.seen, self.seed)
             if found is None:
