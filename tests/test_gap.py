@@ -258,7 +258,8 @@ def test_times_are_drawn_again_under_a_model_that_has_gained_an_effect():
     """Drawn once, under a base without dark current, times behind a tick hide an eighth of it."""
     truth = MODEL.with_effect("dark_current", {"radiance": 2.0})
     truth = truth.with_effect("timestamp_quantisation", {"tick_s": 5e-5})
-    found = gap(session(truth, side=5, seed=6), MODEL)
+    as_in_files = [replace(r, events=replace(r.events, tick_ns=1)) for r in session(truth, side=5, seed=6)]
+    found = gap(as_in_files, MODEL)
     assert (found.verdict, {e.name for e in found.effects}) == ("named", {"timestamp_quantisation", "dark_current"})
     dark = next(e for e in found.effects if e.name == "dark_current")
     assert dark.parameters["dark_current.radiance"][0] == pytest.approx(2.0, rel=0.03)

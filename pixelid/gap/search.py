@@ -39,6 +39,7 @@ from pixelid.recordings.selection import only
 
 Progress = Callable[[str, float], None]
 MOST_ROUNDS = 4
+LOOKS, APART = 3, 4  # draws of times that are looked at, and rounds between them
 STRAYS_JITTERED = 5e-3  # fraction of events whose times behind a jitter may not be found
 
 
@@ -322,6 +323,15 @@ class Search:
         return self._redrawn(model, state.start, state)
 
     def _redrawn(self, model: Model, start: Model, state: State) -> State:
+        """The state at times drawn under a model: of several draws, the one with the middle p."""
+        assert self.latent is not None
+        scatter, made = self.latent.scatter, []
+        for turn in range(LOOKS):
+            model = self.latent.again(model, APART) if turn else model
+            made.append(self._at(model, start, state, scatter))
+        return sorted(made, key=lambda one: one.seen.p)[LOOKS // 2]
+
+    def _at(self, model: Model, start: Model, state: State, scatter: dict[str, float]) -> State:
         """The state with the times drawn last, and the model they were drawn under fitted to them."""
         assert self.latent is not None
         timely = tuple(self.latent.recordings)
@@ -330,7 +340,7 @@ class Search:
         current = settled(bench.train, start.set(values), start, tolerance=0.01, max_steps=40)
         jitter = (self.latent.sigma_s, self.latent.error) if self.latent.effect == JITTER else None
         seen = self._looked(bench, current, jitter is not None)
-        return State(timely, bench, current, seen, start, None, jitter, self.latent.scatter)
+        return State(timely, bench, current, seen, start, None, jitter, scatter)
 
     def _looked(self, bench: Workbench, current: Climbed, jitter: bool = False) -> Look:
         expected = STRAYS_JITTERED if jitter else None if self.prints else STRAYS_EXPECTED
