@@ -39,7 +39,7 @@ from pixelid.recordings.selection import only
 
 Progress = Callable[[str, float], None]
 MOST_ROUNDS = 4
-LOOKS, APART = 3, 4  # draws of times that are looked at, and rounds between them
+LOOKS, APART = 3, 8  # draws of times that are looked at, and rounds between them
 STRAYS_JITTERED = 5e-3  # fraction of events whose times behind a jitter may not be found
 
 
