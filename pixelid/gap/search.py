@@ -323,8 +323,10 @@ class Search:
         return self._redrawn(model, state.start, state)
 
     def _redrawn(self, model: Model, start: Model, state: State) -> State:
-        """The state at times drawn under a model: of several draws, the one that shows least, as what is missing shows in
-        all, and what shows in some is the drawing's."""
+        """The state at times drawn under a model: of several draws, the one that shows least.
+
+        What is missing shows in all of them; what shows in some is the drawing's.
+        """
         assert self.latent is not None
         scatter, made = self.latent.scatter, []
         for turn in range(LOOKS):
