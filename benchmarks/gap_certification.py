@@ -5,8 +5,8 @@
 Sessions are small (9 pixels × 6 short recordings), a quarter of what the practice cases have and less.  Null sessions
 hold nothing the model lacks.  Each effect of the library is planted at graded strengths up to its typical one (or the
 base model lacks it), and looked for with the whole library and with itself left out of it: then only `none`, `unknown`
-or `ambiguous` is right.  Results are added line by line, so a run can be interrupted and
-continued; `--workers` runs on Dask.
+or `ambiguous` is right.  What is named rightly is also compared with what was planted.  Results are added line by
+line, so a run can be interrupted and continued; `--workers` runs on Dask.
 """
 
 from __future__ import annotations
@@ -48,6 +48,7 @@ STRENGTHS = {  # effect → parameters at its typical strength; graded by the fa
 WITHHELD = ("source_follower_pole", "differencing_pole", "threshold_mismatch", "refractory_period")  # from the base
 WEAKER = {"extra_pole", "slew_limit"}  # by a larger number: their factors divide
 FACTORS = (0.1, 0.3, 1.0)
+GRADED = 4  # repeats at the weaker strengths
 ALPHA = 0.01
 
 
@@ -80,7 +81,10 @@ def session(model: Model, seed: int) -> list[Recording]:
 
 
 def run(job: dict) -> dict:
-    """One search: job {"effect", "factor", "seed", "left_out"} and what it found."""
+    """One search: job {"effect", "factor", "seed", "left_out"} and what it found.
+
+    strengths: parameter → [planted, found, 95 % interval or null] of the effect where it was named
+    """
     model, base, effect = camera(job["seed"]), find_model("dvs128"), job["effect"]
     if effect in WITHHELD:
         base = base.without_effect(effect)
@@ -98,6 +102,13 @@ def run(job: dict) -> dict:
         "p": found.global_p,
         "remaining_p": found.details["remaining_p"],
         "closed": found.free_run.closed if found.free_run else None,
+        "strengths": {
+            name: [model.values[name], *found_here]
+            for named in found.effects
+            if named.name == effect
+            for name, found_here in named.parameters.items()
+            if name in model.values
+        },
         "seconds": time.perf_counter() - began,
     }
 
@@ -110,8 +121,8 @@ def jobs(nulls: int, repeats: int) -> list[dict]:
     for i in range(repeats):
         for left_out in (False, True)[: 2 - i % 2]:
             plan += [{"effect": e, "factor": 1.0, "seed": first[e] + i, "left_out": left_out} for e in effects]
-    for i in range(0, repeats, 2):
-        for effect in effects[: -len(WITHHELD) - 1]:
+    for i in range(min(repeats, GRADED)):
+        for effect in STRENGTHS:
             for factor in FACTORS[:-1]:
                 plan.append({"effect": effect, "factor": factor, "seed": first[effect] + i, "left_out": False})
     return plan
@@ -140,8 +151,26 @@ def summary(rows: list[dict]) -> dict:
         "nulls, anything but none": _rate(sum(r["verdict"] != "none" for r in nulls), len(nulls)),
         "left out, a neighbour named": _rate(sum(r["verdict"] == "named" for r in left_out), len(left_out)),
         "named_exactly_of_tries": power,
+        "strengths_of_right_names": _strengths(rows),
         "confusion": confusion,
     }
+
+
+def _strengths(rows: list[dict]) -> dict:
+    """effect → {factor: largest and median relative error of its first parameter, intervals that cover it}."""
+    found: dict[str, dict] = defaultdict(dict)
+    for effect, factor in sorted({(r["effect"], r["factor"]) for r in rows if r.get("strengths")}):
+        mine = [r for r in rows if (r["effect"], r["factor"]) == (effect, factor) and r.get("strengths")]
+        first = [next(iter(r["strengths"].values())) for r in mine if said(r) == SAID[0]]
+        errors = [abs(value / planted - 1.0) for planted, value, _ in first]
+        ranges = [(planted, interval) for planted, _, interval in first if interval is not None]
+        if first:
+            found[effect][f"{factor:g}"] = {
+                "median_error": round(float(np.median(errors)), 4),
+                "largest_error": round(max(errors), 4),
+                "interval_covers": [sum(low <= planted <= high for planted, (low, high) in ranges), len(ranges)],
+            }
+    return found
 
 
 def _rate(count: int, of: int) -> dict:

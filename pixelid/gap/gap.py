@@ -24,11 +24,10 @@ from pixelid.gap.result import GapReport, Named
 from pixelid.gap.search import Progress, Search, State
 from pixelid.gap.verdict import sentence, shadowed, verdict
 from pixelid.gap.words import where
-from pixelid.gap.workbench import relative_noise
+from pixelid.gap.workbench import finer, relative_noise
 from pixelid.model.model import Model
 from pixelid.provenance import input_hashes, versions
 from pixelid.recordings.recording import Recording
-from pixelid.stimuli.resample import resampled
 
 ALPHA = 0.01
 
@@ -127,8 +126,7 @@ def _check(recordings: Sequence[Recording], model: Model, alpha: float) -> None:
 def _free_run(search: Search) -> FreeRun:
     """The gap before and after, on the pixels that nothing has looked at."""
     between, split = search.state.bench.between, search.split
-    fine = [r.with_stimulus(resampled(r.stimulus, between)) for r in search.recordings]  # type: ignore[arg-type]
-    undone = [r.with_stimulus(resampled(r.stimulus, between)) for r in search.state.timely]  # type: ignore[arg-type]
+    fine, undone = ([finer(r, between) for r in some] for some in (search.recordings, search.state.timely))
     watched = search.watched()
     sick = np.isin(watched, search.hot.pixels) if search.hot is not None else None
     everyone = np.union1d(split.train, split.confirm)

@@ -32,7 +32,8 @@ from pixelid.simulate import simulate
 CROWD = 400  # simulated pixels behind an expected number of events
 NUDGE_S = 1e-7  # of the release, to find its slope
 STEEPEST = 1e4  # level per second by which a release can matter
-OFF = 8.0  # nats that one event's jitter may cost: farther ones have other causes
+CAP = 8.0  # nats that one event's jitter may cost: farther ones have other causes
+TELLING = 0.3  # what the intervals say of an event's time, over what its stamp does: enough to judge the stamp by
 SPREAD = 1.1  # times the dead time that first guesses are apart
 
 
@@ -52,8 +53,11 @@ class Windows:
 
 @dataclass(frozen=True)
 class Draw:
-    """times: (n,) ns per recording;  miss, variance: (m,) ns and ns² of the events drawn last: by how much each stamp
-    misses the time that the model expects, and how uncertain that is"""
+    """Times drawn, and what the stamps were like beside them.
+
+    times: (n,) ns per recording;  miss, variance: (m,) ns and ns², of events whose intervals tell enough: by how much
+    the stamp misses the time that the model expects, and how uncertain that is
+    """
 
     times: list[np.ndarray]
     miss: np.ndarray
@@ -148,7 +152,7 @@ def drawn(
             moved[-1][at] = _cut_normal(t[at], told.precision[at], told.push[at], low[at], high[at], rng)
             if window.stamp is not None:
                 own = told.precision - 1.0 / window.sd**2
-                known = at[own[at] * window.sd**2 > 0.3]
+                known = at[own[at] * window.sd**2 > TELLING]
                 push = told.push[known] - (window.stamp - t)[known] / window.sd**2
                 misses.append(window.stamp[known] - t[known] - push / own[known])
                 variances.append(1.0 / own[known])
@@ -223,11 +227,16 @@ def _bounds(recording: Recording, window: Windows, t: np.ndarray, dead: float) -
     return np.where(room, low, window.lo), np.where(room, high, window.hi)
 
 
-def _cut_normal(t, precision, push, low, high, rng) -> np.ndarray:
-    """Draws (n,) from normals about t + push/precision cut to low … high; uniform where nothing speaks for any time."""
+def _normal(t, precision, push) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(where anything speaks for a time, mean, standard deviation) (n,)."""
     told = precision > 0
     sd = 1.0 / np.sqrt(np.where(told, precision, 1.0))
-    mean = t + np.where(told, push, 0.0) * sd**2
+    return told, t + np.where(told, push, 0.0) * sd**2, sd
+
+
+def _cut_normal(t, precision, push, low, high, rng) -> np.ndarray:
+    """Draws (n,) from normals about t + push/precision cut to low … high; uniform where nothing speaks for any time."""
+    told, mean, sd = _normal(t, precision, push)
     p_low, p_high = (ndtr((edge - mean) / sd) for edge in (low, high))
     u = rng.uniform(p_low, np.maximum(p_low, p_high))
     draw = mean + sd * ndtri(np.clip(u, 1e-15, 1 - 1e-15))
@@ -238,9 +247,7 @@ def _cut_normal(t, precision, push, low, high, rng) -> np.ndarray:
 
 def _log_cut_normal(y, t, precision, push, low, high) -> np.ndarray:
     """Log density (n,) at y of what `_cut_normal` draws from at t."""
-    told = precision > 0
-    sd = 1.0 / np.sqrt(np.where(told, precision, 1.0))
-    mean = t + np.where(told, push, 0.0) * sd**2
+    told, mean, sd = _normal(t, precision, push)
     mass = np.maximum(ndtr((high - mean) / sd) - ndtr((low - mean) / sd), 1e-12)
     normal = -0.5 * ((y - mean) / sd) ** 2 - np.log(sd) - np.log(mass)
     return np.where(told, normal, -np.log(np.where(told, 1.0, np.maximum(high - low, 1.0))))
@@ -276,7 +283,7 @@ def spread(draw: Draw, sd: float) -> tuple[float, float]:
 
     def loss(log_sd: float) -> float:
         variance = np.exp(2.0 * log_sd) + draw.variance
-        return float(np.sum(0.5 * np.log(variance) + np.minimum(0.5 * draw.miss**2 / variance, OFF)))
+        return float(np.sum(0.5 * np.log(variance) + np.minimum(0.5 * draw.miss**2 / variance, CAP)))
 
     best = minimize_scalar(loss, bounds=(np.log(sd) - 0.5, np.log(sd) + 0.5), method="bounded")
     found = float(np.exp(best.x))

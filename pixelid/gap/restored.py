@@ -3,8 +3,8 @@
 Behind a queue or a tick, first only recordings whose windows are short, until thresholds and their noise settle; then
 those with longer windows, whose times first follow the model so found.  Filters are held near the model's values by a
 wide prior meanwhile.  A recording whose events mostly waited for far longer (a saturated readout) has lost its times:
-it is left out.  Behind a jitter, whose spread is estimated with the times.  A model that gains an effect later moves
-the times behind it: they are drawn `again`.
+it is left out.  Behind a jitter all are drawn at once, and its spread is estimated with them.  A model that gains an
+effect later moves the times behind it: they are drawn `again`.
 """
 
 from __future__ import annotations
@@ -30,12 +30,12 @@ from pixelid.gap.latent import (
     with_times,
 )
 from pixelid.gap.readout import Fingerprint
+from pixelid.gap.workbench import finer
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.model.model import Model
 from pixelid.parameters.parameter import Prior
 from pixelid.recordings.recording import Recording
 from pixelid.recordings.selection import few
-from pixelid.stimuli.resample import resampled
 from pixelid.stimuli.stimulus import Stimulus
 
 SHORT, LONG = 20.0, 200.0  # of the service time: windows (9 of 10) of the first stage, and of the second
@@ -48,8 +48,7 @@ SETTLED = 8  # draws before the first refit behind a jitter
 JITTER_ROUNDS = (12, 12, 24)  # with the thresholds' noise held, then free, then with exact draws
 LEAP, FARTHER = 6, 3.0  # rounds after which the model goes on by itself, and how much farther than in their last half
 FEWEST, ASIDE, UNEVEN = 300, 0.5, 0.25  # events; of a jitter's spread: means, and differences of spread, it may have
-NOISE = "threshold_sigma"
-FAST = ("sf_cutoff_hz", "diff_cutoff_hz")
+NOISE, FAST = "threshold_sigma", ("sf_cutoff_hz", "diff_cutoff_hz")
 WIDTH = 0.5  # standard deviation of the prior on log filters
 FILTERS = ("alpha", "beta", "gamma", "alpha_over_beta", "sf_cutoff_hz", "diff_cutoff_hz")
 TORN = 0.01  # share of a recording's events without a cause from which on its times count as lost
@@ -60,9 +59,9 @@ FINEST_S = 5e-6  # a tick finer than this is a width of the density, not a windo
 class Restored:
     """Recordings at true times, which can be drawn again when more is known of the model behind them.
 
-    reins: priors of filters meanwhile
-    effect: what the readout did;  fine: the recordings as stamped, their stimuli as a fit reads them;  windows, times:
-    per recording (`latent.py`);  lost: names of recordings left out;  error: relative, of a jitter's spread
+    effect: what the readout did;  stimuli: as they came;  fine: the recordings as stamped, their stimuli as a fit reads
+    them;  windows, times: per recording (`latent.py`);  reins: priors of filters meanwhile
+    lost: names of recordings left out;  error: relative, of a jitter's spread
     scatter: by parameter, by how much its coordinate differs between draws of the times (standard deviation)
     """
 
@@ -93,7 +92,7 @@ class Restored:
         """Draw times and refit the model in turns; the model so found."""
         if not self.windows:
             return model
-        model, ends = self._reined(model), []
+        model, ends = self.reined(model), []
         for turn in range(rounds):
             self.report("true times")
             for _ in range(2):
@@ -119,7 +118,7 @@ class Restored:
                     return True
         return False
 
-    def _reined(self, model: Model) -> Model:
+    def reined(self, model: Model) -> Model:
         """The model with the priors on its free filters."""
         parameters = {
             name: replace(p, prior=self.reins[name]) if p.free and name in self.reins else p
@@ -158,7 +157,7 @@ def restored(
     stimuli = tuple(r.stimulus for r in recordings)
     if found.effect == "timestamp_quantisation" and found.value < FINEST_S:
         return Restored(found.effect, stimuli, [_ticked(r, found.value) for r in recordings], [], [], rng, report, {})
-    fine = [_finer(r, "smooth") for r in recordings]
+    fine = [finer(r, "smooth") for r in recordings]
     if found.effect == "timestamp_quantisation":
         windows = [tick_windows(r, found.value) for r in recordings]
     else:
@@ -171,7 +170,7 @@ def restored(
     times = beginning(fine, windows, found.effect == "readout_latency")
     whole = Restored(found.effect, stimuli, fine, windows, times, rng, report, _reins(model))
     whole.only(kept)
-    model = _begun(whole, reach[kept] <= SHORT * unit, whole._reined(model), seed)
+    model = _begun(whole, reach[kept] <= SHORT * unit, whole.reined(model), seed)
     model = whole.again(model, SWEEPS[1], exact=False)
     model = whole.again(model, SWEEPS[2])
     whole.only(~_torn(with_times(whole.fine, whole.times), model))
@@ -190,7 +189,7 @@ def unjittered(
 
     nominal: where to look for what jitter hides;  between: how stimuli run between samples
     """
-    fine = [_finer(r, between) for r in recordings]
+    fine = [finer(r, between) for r in recordings]
     windows = [jitter_windows(r, fitted.values[SIGMA]) for r in recordings]
     model = _revealed(fitted.without_effect(JITTER), nominal)
     times = spaced(fine, windows, float(model.circuit().refractory))
@@ -258,11 +257,6 @@ def _leapt(ends: Sequence[Climbed]) -> Model:
     limit = 0.2 * coordinates.longest_moves()
     x = path[-1] + FARTHER * np.clip(gone, -limit, limit)
     return coordinates.model_at(np.clip(x, *coordinates.bounds()))
-
-
-def _finer(recording: Recording, between: str) -> Recording:
-    assert recording.stimulus is not None
-    return recording.with_stimulus(resampled(recording.stimulus, between))
 
 
 def _ticked(recording: Recording, tick_s: float) -> Recording:

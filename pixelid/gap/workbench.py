@@ -61,7 +61,7 @@ class Look:
 
 def workbench(recordings: Sequence[Recording], split: Split, model: Model, between: str, seed: int) -> Workbench:
     """The workbench of recordings whose stimuli run `between` their samples as said ("smooth", "linear")."""
-    fine = tuple(r.with_stimulus(resampled(_stimulus(r), between)) for r in recordings)
+    fine = tuple(finer(r, between) for r in recordings)
     fitted = only(fine, split.fit)
     scout = few(fitted, SCOUT_EVENTS, np.random.default_rng(seed))
     pools = Pools(EventTimes(scout), EventTimes(fitted), EventTimes(only(fine, split.select)))
@@ -130,10 +130,11 @@ def look(bench: Workbench, current: Climbed, strays_expected: float | None = STR
     return Look(here, sorted_by, found, min(found.p, many) if many < STRAYS_SIGNIFICANT else found.p)
 
 
-def _stimulus(recording: Recording):
+def finer(recording: Recording, between: str) -> Recording:
+    """The recording as a fit reads it, its stimulus run `between` samples as said.  Raises InputError without one."""
     if recording.stimulus is None:
         raise InputError(f"{recording.name}: no stimulus; the gap is between a model's events and the measured ones")
-    return recording.stimulus
+    return recording.with_stimulus(resampled(recording.stimulus, between))
 
 
 def relative_noise(model: Model) -> float:
