@@ -28,6 +28,7 @@ from pixelid.likelihood.event_times import EventTimes, sum_by
 FLIPS = 1999
 FEWEST_EVENTS = 30  # in a cell
 CLEAR = 0.1  # of a cell that must be left when the parameters are projected off: less is known to first order only
+FAINT = 1e-3  # score that one unit of a coordinate can move: what is left of a column below it is rounding
 ENOUGH_PIXELS = 8  # to flip signs
 LARGE = 8.0  # residuals beyond count as this: one event must not make a map
 
@@ -98,7 +99,8 @@ class _Basis:
         self.value = self._demeaned(value)
         self.J = np.column_stack([self._demeaned(J[:, j]) for j in range(J.shape[1])])
         q, r = np.linalg.qr(self.J)
-        self.Q = q[:, np.abs(np.diag(r)) > 1e-9 * max(np.abs(np.diag(r)).max(initial=0.0), 1e-300)]
+        left = np.abs(np.diag(r))
+        self.Q = q[:, left > max(FAINT, 1e-9 * left.max(initial=0.0))]
         self.along = np.stack([np.bincount(pixel, q * self.value, self.pixels) for q in self.Q.T])  # (d, pixels)
 
     def _demeaned(self, column):
