@@ -101,7 +101,12 @@ class _Basis:
         q, r = np.linalg.qr(self.J)
         left = np.abs(np.diag(r))
         self.Q = q[:, left > max(FAINT, 1e-9 * left.max(initial=0.0))]
-        self.along = np.stack([np.bincount(pixel, q * self.value, self.pixels) for q in self.Q.T])  # (d, pixels)
+        self.along = self._sums(pixel, self.Q.T * self.value, self.pixels)  # (d, pixels)
+
+    @staticmethod
+    def _sums(index, rows, size):
+        """(d, size) of rows (d, n) by index; d may be 0."""
+        return np.array([np.bincount(index, row, size) for row in rows]).reshape(len(rows), size)
 
     def _demeaned(self, column):
         column = np.where(self.kept, column, 0.0)
@@ -117,7 +122,7 @@ class _Basis:
         own = np.bincount(self.pixel * k + factor.cell, self.value, self.pixels * k).reshape(self.pixels, k)
         # f demeaned within groups: Σ f² = Σ_g n_gb (1 − n_gb/n_g);  its sums against demeaned columns are plain sums
         square = (joint * (1.0 - joint / self.size[:, None])).sum(axis=0)
-        project = np.stack([np.bincount(factor.cell, q, k) for q in self.Q.T])  # (d, cells)
+        project = self._sums(factor.cell, self.Q.T, k)  # (d, cells)
         variance = square - (project**2).sum(axis=0)
         usable = (count >= FEWEST_EVENTS) & (variance > CLEAR * np.maximum(square, 1.0))
         sums = (own - self.along.T @ project)[:, usable] / np.sqrt(variance[usable])
