@@ -22,7 +22,7 @@ from pixelid.gap.gap import gap
 from pixelid.gap.latent import drawn, jitter_windows, queue_windows, with_times
 from pixelid.gap.maps import maps
 from pixelid.gap.readout import grid, service
-from pixelid.gap.residuals import residuals, tangents
+from pixelid.gap.residuals import Tangents, residuals, tangents
 from pixelid.gap.split import locked
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.model.shipped import find_model
@@ -108,6 +108,21 @@ def test_maps_find_a_shift_where_it_is_and_nothing_where_there_is_none():
     top = next(c for c in found.cells if c.response == "level")
     assert top.factor == "the previous event's polarity"
     assert top.label.startswith("ON after")
+
+
+def test_maps_do_not_depend_on_the_rounding_of_what_parameters_move():
+    likelihood = likelihood_of(session(MODEL, side=4, seed=3))
+    coordinates = Coordinates.of(MODEL)
+    here = residuals(likelihood, MODEL.circuit())
+    tangent = tangents(likelihood, coordinates, coordinates.start, here)
+    cells = factors(likelihood, MODEL.circuit(), here)
+    rng = np.random.default_rng(0)
+    rounded = Tangents(*(J + 1e-8 * rng.standard_t(2, J.shape) * (J != 0) for J in (tangent.level, tangent.log_scale)))
+    one, other = (
+        {(c.response, c.label): c.score for c in maps(likelihood, here, t, cells, 0).cells} for t in (tangent, rounded)
+    )
+    assert one.keys() == other.keys()
+    assert max(abs(one[key] - other[key]) for key in one) < 1e-3
 
 
 def test_secure_needs_a_lead_beyond_its_scatter():

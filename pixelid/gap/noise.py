@@ -2,9 +2,10 @@
 
 To the likelihood, noise before the photoreceptor is threshold noise; what gives it away is where events scatter, that
 an event's deviation reverses the one before, and that pixels fire in constant light.  So the noise that the fit calls
-the thresholds' is shared out: a fraction f of its variance to shot noise, whose density follows from what one replica
-scatters more, the rest to the thresholds.  Replicas at a few f, fitted like the measurement, show maps; the f whose
-maps come nearest is taken, and shot noise is named when nothing then tells measurement and replicas apart.
+the thresholds' is shared out: a share of its variance to shot noise, whose density follows from what replicas scatter
+more, the rest to the thresholds.  Replicas at several shares, fitted like the measurement, show how each cell of the
+maps depends on the share; the share whose maps come nearest is taken, and shot noise is named when nothing then tells
+measurement and replicas apart.  How sure the share is, replicas say whose own is left out and then looked for.
 """
 
 from __future__ import annotations
@@ -17,19 +18,25 @@ from scipy.stats import norm
 
 from pixelid import stages
 from pixelid.gap.climb import Climbed
-from pixelid.gap.replicas import FARTHEST, Corrected, Replica, cleared, replica, strays_of, well_known
+from pixelid.gap.replicas import FARTHEST, POOLED, Corrected, Replica, cleared, replica, strays_of, well_known
 from pixelid.gap.workbench import Look, Workbench
 from pixelid.model.model import Model
 
 EFFECT, STRENGTH, NOISE = "shot_noise", "shot_noise.density", "threshold_sigma"
 NONE = 0.02  # as good as no shot noise
 CLEAR, LEFT = 20.0, 0.3  # nats by which replicas without shot noise must be off; part of that which may remain with it
+HOPELESS = 0.6  # part of what is off that may remain with the best share tried, at most, for closer ones to be tried
 SHARES = (0.3, 0.6, 0.8, 0.95)
+LEAST, MOST = 0.05, 0.99  # share
+TELLING = 0.25  # share from which a replica tells what a density adds, and checks how well its share is found
 TRIES, ENOUGH, TOO_MUCH = 4, 0.1, 2.0  # relative growth of the noise variance by which the first replica must differ
-FINAL = 4  # replicas at the share taken
+FINAL, SAME = 4, 0.1  # replicas at the share taken; by how much it may differ from the one they leave
 FAR = 10.0  # standard deviations: cells that differ by more count as this
+BENT = 20.0  # scores beyond grow as their logarithm only: there the share does not move them evenly
+BROKEN = 0.5  # relative: a replica whose noise is so far from the others' has lost its way
 COARSE = 0.05  # part of what shot noise explains by which replicas of the best density may be off
-UNSURE = 0.3  # relative half width of the interval at least: single replicas calibrate the density
+UNSURE, DRIFTING = 0.05, 1.3  # relative half width of the interval at least; replicas' other parameters are off, too
+SPREADING, REVERSING = 2.0, -5.0  # mean square score of spreads over that of levels; score of deviations in a row
 UNEVEN = 2.0  # variance of the number of strays over Poisson's: pixels share thresholds
 
 
@@ -42,6 +49,13 @@ class ShotNoise:
     interval: tuple[float, float]
     corrected: Corrected
     gain: float
+
+
+def scattering(seen: Look) -> bool:
+    """Whether the maps look like shot noise at first sight: spreads are off, not levels, and deviations reverse."""
+    scores = {kind: [c.score for c in seen.maps.cells if c.response == kind] for kind in ("level", "spread", "memory")}
+    level, spread = (float(np.mean(np.clip(scores[kind], -FAR, FAR) ** 2)) for kind in ("level", "spread"))
+    return spread > SPREADING * level and min(scores["memory"], default=0.0) < REVERSING
 
 
 def shot_noise(bench: Workbench, current: Climbed, seen: Look, seed: int) -> ShotNoise | None:
@@ -57,14 +71,19 @@ def shot_noise(bench: Workbench, current: Climbed, seen: Look, seed: int) -> Sho
     scores = {(c.response, c.label): c.score for c in seen.maps.cells}
     measured = Replica(current.x, scores, strays_of(bench.train, seen.residual.stray))
     nothing, *far = [_distance(measured, shared.replica(share)) for share in (NONE, *SHARES)]
-    a, b, _ = np.polyfit(SHARES, far, 2)
-    share = float(np.clip(-b / (2.0 * a), 0.05, 0.97)) if a > 0 else SHARES[int(np.argmin(far))]
-    shared.replica(share)
+    alike = 0.5 * len(scores)  # between replicas of one model
+    if nothing - min(far) < 0.5 * CLEAR or min(far) - alike > HOPELESS * (nothing - alike):
+        return None
+    share = shared.nearest(measured)
+    final = [shared.replica(share) for _ in range(FINAL)]
+    if abs(shared.nearest(measured) - share) > SAME:
+        share = shared.nearest(measured)
+        final = [shared.replica(share) for _ in range(FINAL)]
+    share = shared.nearest(measured)
     model, density = shared.truth(share)
-    final = [replica(bench, model, current, seen, seed + 2003 + i) for i in range(FINAL)]
     among = [_distance(one, other) for one, other in itertools.combinations(final, 2)]
     floor, off = float(np.median(among)), float(np.median([_distance(measured, r) for r in final]))
-    if nothing - floor < CLEAR or off - floor > LEFT * (nothing - floor):
+    if nothing - floor < CLEAR or off - floor > LEFT * (nothing - floor) or not shared.sound(FINAL):
         return None
     cells, _ = cleared(seen, final)
     # replicas scatter about each other as the measurement about them, heavy tails of cells and all; and what they
@@ -73,21 +92,39 @@ def shot_noise(bench: Workbench, current: Climbed, seen: Look, seed: int) -> Sho
     p = 2.0 * float(norm.sf(max(off - floor, 0.0) / chance))
     usual = np.mean([r.strays for r in final], axis=0)
     chance = np.sqrt(UNEVEN * (usual + 1.0) * (1.0 + 1.0 / FINAL))
+    chance = np.hypot(chance, usual * shared.strays_per_density() * shared.error(share))
     p = min(p, 2.0 * len(usual) * float(norm.sf(np.abs((measured.strays - usual) / chance).max())), 1.0)
     look = replace(seen, maps=replace(seen.maps, cells=cells, p=p), p=p)
-    error = max(1.96 * (1.0 / np.sqrt(a) if a > 0 else 1.0) * np.sqrt(1.0 + 1.0 / FINAL) / share, UNSURE)
-    interval = (max(1.0 - error, 0.0) * density, (1.0 + error) * density)
+    error = max(1.96 * shared.error(share), UNSURE)
+    interval = (density * np.exp(-error), density * np.exp(error))
     before = 0.5 * sum(min(c.score**2, FAR**2) for c in seen.maps.cells)
     after = 0.5 * sum(min(c.score**2, FAR**2) for c in cells)
     return ShotNoise(density, interval, Corrected(model, _vector(model, current) - current.x, look), before - after)
 
 
-class _Shared:
-    """The noise of a fit, shared out between thresholds and shot noise.
+@dataclass(frozen=True)
+class _Made:
+    """A replica, the density and noise variance it was simulated with, and by how much its coordinates then moved."""
 
-    per_density: noise variance that the fit sees per density;  bias: (d,) what the other coordinates are off by when
-    all of the noise is shot noise;  both follow the latest replica.
-    """
+    replica: Replica
+    density: float
+    thresholds: float
+    variance: float
+    moved: np.ndarray
+
+    @property
+    def share(self) -> float:
+        """Of its noise, as a fit sees it, that is shot noise."""
+        return float(np.clip(1.0 - self.thresholds / self.variance, 0.0, 1.0))
+
+    @property
+    def per_density(self) -> float:
+        """Noise variance that a fit sees per density."""
+        return (self.variance - self.thresholds) / self.density
+
+
+class _Shared:
+    """The noise of a fit, shared out between thresholds and shot noise; it learns from every replica made."""
 
     def __init__(self, bench: Workbench, current: Climbed, seen: Look, seed: int) -> None:
         self.bench, self.current, self.seen, self.seed = bench, current, seen, seed
@@ -96,41 +133,92 @@ class _Shared:
         self.known = well_known(current)
         self.known[self.at] = False
         self.bounds = current.coordinates.bounds()
-        self.bias = np.zeros(len(current.x))
-        self.per_density = np.nan
-        self.copies = 0
+        self.made: list[_Made] = []
 
     def calibrated(self) -> bool:
         """Find a density whose noise the fit can tell beside the noise it has already."""
         density = 0.1 * stages.effect(EFFECT).parameters[0].value
         for _ in range(TRIES):
-            self._learn(self.current.model, self.current.x, density)
-            grown = self.per_density * density / self.variance
+            made = self._make(self.current.model, self.current.x, density)
+            grown = (made.variance - made.thresholds) / self.variance
             if ENOUGH < grown < TOO_MUCH:
+                self.made.append(made)
                 return True
             density *= float(np.clip(0.5 / max(grown, 0.02), 0.03, 30.0))
         return False
 
     def truth(self, share: float) -> tuple[Model, float]:
         """(model with its share of the noise as shot noise, density)."""
-        x = self.current.x - share * self.bias
+        telling = self._telling()
+        # what all of the noise being shot noise would move the other coordinates by
+        bias = np.median([np.clip(m.moved / m.share, -FARTHEST, FARTHEST) for m in telling], axis=0)
+        x = self.current.x - share * np.where(self.known, bias, 0.0)
         x[self.at] = self.current.x[self.at] + 0.5 * np.log(1.0 - share)
-        density = share * self.variance / self.per_density
+        density = share * self.variance / float(np.median([m.per_density for m in telling]))
         return _with(self.current.coordinates.model_at(np.clip(x, *self.bounds)), density), density
 
     def replica(self, share: float) -> Replica:
         """One replica at a share, which the next ones learn from."""
         model, density = self.truth(share)
-        return self._learn(model, _vector(model, self.current), density)
+        self.made.append(self._make(model, _vector(model, self.current), density))
+        return self.made[-1].replica
 
-    def _learn(self, model: Model, x: np.ndarray, density: float) -> Replica:
-        self.copies += 1
-        made = replica(self.bench, _with(model, density), self.current, self.seen, self.seed + 31 * self.copies)
-        extra = float(np.exp(2.0 * made.x[self.at]) - np.exp(2.0 * x[self.at]))
-        self.per_density = max(extra, 1e-3 * self.variance) / density
-        share = density * self.per_density / self.variance
-        self.bias = np.where(self.known, np.clip((made.x - x) / share, -FARTHEST, FARTHEST), 0.0)
-        return made
+    def sound(self, fewest: int) -> bool:
+        """Whether enough replicas with much shot noise have kept their way."""
+        return sum(m.share > TELLING for m in self._sound()) >= fewest
+
+    def nearest(self, measured: Replica) -> float:
+        """The share whose maps come nearest to the measured ones."""
+        return float(np.clip(_found(measured, self._sound()), LEAST, MOST))
+
+    def error(self, share: float) -> float:
+        """Standard error of the log density at a share: what replicas are off by whose own share is looked for, and
+        how far apart their noise per density is."""
+        sound = self._sound()
+        telling = [m for m in sound if m.share > TELLING]
+        off = [_found(one.replica, [m for m in sound if m is not one]) - one.share for one in telling]
+        rms = DRIFTING * float(np.sqrt(np.mean(np.square(off))))
+        apart = float(np.std(np.log([m.per_density for m in telling])))
+        return float(np.hypot(rms / share, apart * np.sqrt(1.0 + 1.0 / len(telling))))
+
+    def strays_per_density(self) -> np.ndarray:
+        """(2,) d log strays / d log density: strays tell no more than how well the density is known."""
+        telling = [m for m in self._sound() if m.share > TELLING]
+        density = np.log([m.density for m in telling])
+        strays = np.log([m.replica.strays + 1.0 for m in telling])
+        return np.abs(np.polyfit(density - density.mean(), strays, 1)[0])
+
+    def _telling(self) -> list[_Made]:
+        return [m for m in self.made if m.share > TELLING] or self.made[:1]
+
+    def _sound(self) -> list[_Made]:
+        """Replicas that have not lost their way."""
+        usual = float(np.median([m.per_density for m in self._telling()]))
+        return [m for m in self.made if abs(m.variance - m.thresholds - usual * m.density) < BROKEN * m.variance]
+
+    def _make(self, model: Model, x: np.ndarray, density: float) -> _Made:
+        seed = self.seed + 31 * (len(self.made) + 1)
+        made = replica(self.bench, _with(model, density), self.current, self.seen, seed)
+        thresholds, variance = (float(np.exp(2.0 * at[self.at])) for at in (x, made.x))
+        return _Made(made, density, thresholds, variance, made.x - x)
+
+
+def _found(one: Replica, made: list[_Made]) -> float:
+    """The share of a replica (or of the measurement): each cell's score follows a parabola over the others' shares."""
+    keys = [key for key in one.scores if all(key in m.replica.scores for m in made)]
+    shares = np.array([m.share for m in made])
+    scores = _bent([[m.replica.scores[key] for key in keys] for m in made])
+    curves, *_ = np.linalg.lstsq(np.vander(shares, 3), scores, rcond=None)
+    spare = max(len(made) - 3, 1)
+    own = np.sum((scores - np.vander(shares, 3) @ curves) ** 2, axis=0) / spare
+    variance = np.maximum((spare * own + POOLED * max(float(np.mean(own)), 1.0)) / (spare + POOLED), 1.0)
+    tried = np.linspace(0.0, 1.1, 1101)
+    off = (_bent([one.scores[key] for key in keys]) - np.vander(tried, 3) @ curves) ** 2 / variance
+    return float(tried[np.argmin(off.sum(axis=1))])
+
+
+def _bent(scores) -> np.ndarray:
+    return BENT * np.arcsinh(np.asarray(scores, dtype=np.float64) / BENT)
 
 
 def _with(model: Model, density: float) -> Model:

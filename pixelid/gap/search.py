@@ -17,7 +17,7 @@ from pixelid.gap.climb import Climbed, climbed, settled
 from pixelid.gap.hot import Hot, hot_pixels
 from pixelid.gap.intervals import limits
 from pixelid.gap.nameless import nameless, standing
-from pixelid.gap.noise import EFFECT, ShotNoise, shot_noise
+from pixelid.gap.noise import EFFECT, ShotNoise, scattering, shot_noise
 from pixelid.gap.readout import Fingerprint, fingerprints
 from pixelid.gap.replicas import Corrected
 from pixelid.gap.restored import FINEST_S, JITTER, SIGMA, Restored, restored, unjittered
@@ -162,10 +162,17 @@ class Search:
 
     def go_on(self) -> None:
         """Round after round, until nothing more can be named."""
+        tried: list[tuple[State, int]] = []
         for turn in range(MOST_ROUNDS):
+            if turn == 1 and scattering(self.before[0].seen):
+                tried = [(self.before[0], 0)]
+                if self._try_noise(tried):
+                    break
             if not self._round(turn):
                 break
-        self._try_noise()
+        if self.noise is None:
+            early = [] if tried else [(state, 0) for state in self.before[:1]]
+            self._try_noise([*early, (self.state, len(self.steps))])
         if self.remainder():
             self._withdraw()
 
@@ -189,15 +196,16 @@ class Search:
             self._entry_of(step.winner.effect)["withdrawn"] = "it may only stand in for what is left"
         self.state, self.steps = self.before[kept], self.steps[:kept]
 
-    def _try_noise(self) -> None:
-        """Ask simulation whether shot noise explains what the library's likelihoods leave.
+    def _try_noise(self, tries: Sequence[tuple[State, int]]) -> bool:
+        """Ask simulation whether shot noise explains what the library's likelihoods leave; whether it is named.
 
-        First in place of whatever the rounds have named, which may only stand in for it, then beside it.
+        tries: states, each with the number of steps kept: in place of whatever the rounds have named, which may only
+        stand in for it, or beside that
         """
         if EFFECT in self.leave_out or not self.remainder():
-            return
-        tries = [*((early, 0) for early in self.before[:1]), (self.state, len(self.steps))]
-        for state, kept in tries:  # which may grow by one
+            return False
+        tries = list(tries)  # which may grow by one
+        for state, kept in tries:
             if state.corrected is not None or state.jitter is not None or state.current.model.has(EFFECT):
                 continue  # drawn times scatter as the drawing made them: replicas know nothing of that
             self.report("shot noise", 0.7)
@@ -222,7 +230,8 @@ class Search:
             self.steps = self.steps[:kept]
             self.noise, self.noise_p = found, state.seen.p
             self.state = replace(state, seen=found.corrected.look, corrected=found.corrected)
-            return
+            return True
+        return False
 
     def _bare(self, state: State) -> State:
         """The state without the effects named, its base fitted again from where they have led it."""
