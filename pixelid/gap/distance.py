@@ -23,6 +23,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from pixelid.gap.side_by_side import side_by_side
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.model.model import Model
 from pixelid.recordings.recording import Recording
@@ -231,14 +232,18 @@ def _thresholds(recordings, pixels: np.ndarray, model: Model) -> tuple[np.ndarra
 
 
 def _sensors(recordings, P: int, sensor: int, model: Model, edges, seed: int) -> np.ndarray:
-    """(copies, P, cells) counts of P pixels of each of many simulated sensors."""
+    """(copies, P, cells) counts of P pixels of each of many simulated sensors, whole where pixels share a readout."""
+    width = sensor if model.has("readout_latency") else P
+
+    def run(job: tuple[int, int]) -> Recording:
+        copy, i = job
+        own, light = seed + 101 * copy + i, recordings[i].stimulus
+        return simulate(model, light, width=width, height=1, seed=own, sensor_seed=seed + copy)
+
     tables = []
     for copy in range(COPIES + GROUPS):
-        runs = [
-            simulate(model, r.stimulus, width=sensor, height=1, seed=seed + 101 * copy + i, sensor_seed=seed + copy)
-            for i, r in enumerate(recordings)
-        ]
-        tables.append(counted(runs, np.arange(sensor), edges).table[:P])
+        runs = side_by_side(run, [(copy, i) for i in range(len(recordings))])
+        tables.append(counted(runs, np.arange(width), edges).table[:P])
     return np.stack(tables)
 
 

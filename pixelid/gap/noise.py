@@ -36,7 +36,8 @@ BENT = 20.0  # scores beyond grow as their logarithm only: there the share does 
 BROKEN = 0.5  # relative: a replica whose noise is so far from the others' has lost its way
 COARSE = 0.05  # part of what shot noise explains by which replicas of the best density may be off
 UNSURE, DRIFTING = 0.05, 1.3  # relative half width of the interval at least; replicas' other parameters are off, too
-SPREADING, REVERSING = 2.0, -5.0  # mean square score of spreads over that of levels; score of deviations in a row
+VAST = 30.0  # as `FAR`, for a first sight
+SPREADING, REVERSING = 1.5, 5.0  # mean square score of spreads over that of levels; of deviations in a row, either way
 UNEVEN = 2.0  # variance of the number of strays over Poisson's: pixels share thresholds
 
 
@@ -54,8 +55,9 @@ class ShotNoise:
 def scattering(seen: Look) -> bool:
     """Whether the maps look like shot noise at first sight: spreads are off, not levels, and deviations reverse."""
     scores = {kind: [c.score for c in seen.maps.cells if c.response == kind] for kind in ("level", "spread", "memory")}
-    level, spread = (float(np.mean(np.clip(scores[kind], -FAR, FAR) ** 2)) for kind in ("level", "spread"))
-    return spread > SPREADING * level and min(scores["memory"], default=0.0) < REVERSING
+    level, spread = (float(np.mean(np.clip(scores[kind], -VAST, VAST) ** 2)) for kind in ("level", "spread"))
+    memory = [0.0, *scores["memory"]]
+    return spread > SPREADING * level and min(memory) < -REVERSING and max(memory) > REVERSING
 
 
 def shot_noise(bench: Workbench, current: Climbed, seen: Look, seed: int) -> ShotNoise | None:

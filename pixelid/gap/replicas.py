@@ -19,9 +19,11 @@ from pixelid.gap.climb import Climbed, climbed
 from pixelid.gap.covariates import factors
 from pixelid.gap.maps import Cell, maps
 from pixelid.gap.residuals import residuals, tangents
+from pixelid.gap.side_by_side import side_by_side
 from pixelid.gap.workbench import Look, Workbench
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.model.model import Model
+from pixelid.recordings.recording import Recording
 from pixelid.simulate import simulate
 
 KNOWN = 0.3  # standard error (log units) of a coordinate beyond which it is left where it is: nothing pulls it back
@@ -61,13 +63,14 @@ def well_known(current: Climbed) -> np.ndarray:
 
 def replica(bench: Workbench, truth: Model, current: Climbed, seen: Look, seed: int) -> Replica:
     """A session of as many pixels under the same light, simulated under `truth`, fitted like the one measured."""
-    runs = []
-    for i, r in enumerate(bench.train.recordings):
+
+    def again(job: tuple[int, Recording]) -> Recording:
+        i, r = job
         assert r.stimulus is not None
         run = simulate(truth, r.stimulus, width=bench.train.pixels, height=1, seed=seed + 101 * i, sensor_seed=seed)
-        events = replace(run.events, tick_ns=r.events.tick_ns)
-        runs.append(replace(r, events=events))
-    likelihood = EventTimes(runs)
+        return replace(r, events=replace(run.events, tick_ns=r.events.tick_ns))
+
+    likelihood = EventTimes(side_by_side(again, enumerate(bench.train.recordings)))
     likelihood.weigh_clock(truth.circuit())
     refit = climbed(likelihood, current.model, tolerance=0.05, max_steps=25)
     if refit.strays > STUCK * (seen.maps.strays + STUCK):  # a climb that lost its way: from the truth, then
