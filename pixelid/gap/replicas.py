@@ -64,13 +64,13 @@ def well_known(current: Climbed) -> np.ndarray:
 def replica(bench: Workbench, truth: Model, current: Climbed, seen: Look, seed: int) -> Replica:
     """A session of as many pixels under the same light, simulated under `truth`, fitted like the one measured."""
 
-    def again(job: tuple[int, Recording]) -> Recording:
+    def copied(job: tuple[int, Recording]) -> Recording:
         i, r = job
         assert r.stimulus is not None
         run = simulate(truth, r.stimulus, width=bench.train.pixels, height=1, seed=seed + 101 * i, sensor_seed=seed)
         return replace(r, events=replace(run.events, tick_ns=r.events.tick_ns))
 
-    likelihood = EventTimes(side_by_side(again, enumerate(bench.train.recordings)))
+    likelihood = EventTimes(side_by_side(copied, enumerate(bench.train.recordings)))
     likelihood.weigh_clock(truth.circuit())
     refit = climbed(likelihood, current.model, tolerance=0.05, max_steps=25)
     if refit.strays > STUCK * (seen.maps.strays + STUCK):  # a climb that lost its way: from the truth, then
