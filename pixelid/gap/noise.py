@@ -18,7 +18,7 @@ from scipy.stats import norm
 
 from pixelid import stages
 from pixelid.gap.climb import Climbed
-from pixelid.gap.replicas import FARTHEST, POOLED, Corrected, Replica, cleared, replica, strays_of, well_known
+from pixelid.gap.replicas import FARTHEST, POOLED, UNEVEN, Corrected, Replica, cleared, replica, strays_of, well_known
 from pixelid.gap.workbench import Look, Workbench
 from pixelid.model.model import Model
 
@@ -38,7 +38,6 @@ COARSE = 0.05  # part of what shot noise explains by which replicas of the best 
 UNSURE, DRIFTING = 0.05, 1.3  # relative half width of the interval at least; replicas' other parameters are off, too
 VAST = 30.0  # as `FAR`, for a first sight
 SPREADING, REVERSING = 1.5, 5.0  # mean square score of spreads over that of levels; of deviations in a row, either way
-UNEVEN = 2.0  # variance of the number of strays over Poisson's: pixels share thresholds
 
 
 @dataclass(frozen=True)
@@ -87,7 +86,7 @@ def shot_noise(bench: Workbench, current: Climbed, seen: Look, seed: int) -> Sho
     floor, off = float(np.median(among)), float(np.median([_distance(measured, r) for r in final]))
     if nothing - floor < CLEAR or off - floor > LEFT * (nothing - floor) or not shared.sound(FINAL):
         return None
-    cells, _ = cleared(seen, final)
+    cells, _ = cleared(seen, [r.scores for r in final])
     # replicas scatter about each other as the measurement about them, heavy tails of cells and all; and what they
     # are simulated from is itself known to a part of what it explains only
     chance = np.hypot(max(float(np.std(among, ddof=1)), np.sqrt(0.5 * len(scores))), COARSE * (nothing - floor))

@@ -20,15 +20,18 @@ from pixelid.gap.covariates import factors
 from pixelid.gap.maps import Cell, maps
 from pixelid.gap.residuals import residuals, tangents
 from pixelid.gap.side_by_side import side_by_side
-from pixelid.gap.workbench import Look, Workbench
+from pixelid.gap.workbench import Look, Workbench, finer
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.model.model import Model
 from pixelid.recordings.recording import Recording
 from pixelid.simulate import simulate
 
+Scores = dict[tuple[str, str], float]  # of a map: (response, label) → score
+
 KNOWN = 0.3  # standard error (log units) of a coordinate beyond which it is left where it is: nothing pulls it back
 FARTHEST = 0.3  # shift of a coordinate
 STUCK = 3.0  # times the measured number of strays: more than a replica should have
+UNEVEN = 2.0  # variance of the number of strays over Poisson's: pixels share thresholds
 POOLED = 10.0  # degrees of freedom that all cells of a kind lend to the spread of one
 
 
@@ -51,7 +54,7 @@ class Replica:
     """
 
     x: np.ndarray
-    scores: dict[tuple[str, str], float]
+    scores: Scores
     strays: np.ndarray
 
 
@@ -61,16 +64,32 @@ def well_known(current: Climbed) -> np.ndarray:
     return (error > 0) & (error < KNOWN)
 
 
-def replica(bench: Workbench, truth: Model, current: Climbed, seen: Look, seed: int) -> Replica:
-    """A session of as many pixels under the same light, simulated under `truth`, fitted like the one measured."""
+def simulated_again(
+    recordings: Sequence[Recording], truth: Model, pixels: int, between: str | None, seed: int
+) -> list[Recording]:
+    """The recordings with the events that a sensor of so many pixels would have given under `truth`.
+
+    between: how their stimuli run between samples; None: as they are
+    """
 
     def copied(job: tuple[int, Recording]) -> Recording:
         i, r = job
-        assert r.stimulus is not None
-        run = simulate(truth, r.stimulus, width=bench.train.pixels, height=1, seed=seed + 101 * i, sensor_seed=seed)
+        light = r.stimulus if between is None else finer(r, between).stimulus
+        assert light is not None
+        run = simulate(truth, light, width=pixels, height=1, seed=seed + 101 * i, sensor_seed=seed)
         return replace(r, events=replace(run.events, tick_ns=r.events.tick_ns))
 
-    likelihood = EventTimes(side_by_side(copied, enumerate(bench.train.recordings)))
+    return side_by_side(copied, enumerate(recordings))
+
+
+def too_many(strays: int, expected: int) -> float:
+    """p of more events without a cause than one simulated session has, whose pixels have other thresholds."""
+    return float(norm.sf((strays - expected) / np.sqrt(UNEVEN * (strays + expected + 1.0))))
+
+
+def replica(bench: Workbench, truth: Model, current: Climbed, seen: Look, seed: int) -> Replica:
+    """A session of as many pixels under the same light, simulated under `truth`, fitted like the one measured."""
+    likelihood = EventTimes(simulated_again(bench.train.recordings, truth, bench.train.pixels, None, seed))
     likelihood.weigh_clock(truth.circuit())
     refit = climbed(likelihood, current.model, tolerance=0.05, max_steps=25)
     if refit.strays > STUCK * (seen.maps.strays + STUCK):  # a climb that lost its way: from the truth, then
@@ -88,14 +107,14 @@ def strays_of(likelihood: EventTimes, stray: np.ndarray) -> np.ndarray:
     return np.bincount((likelihood.sign > 0).astype(np.int64), stray, 2)
 
 
-def cleared(seen: Look, made: Sequence[Replica]) -> tuple[tuple[Cell, ...], float]:
+def cleared(seen: Look, shown: Sequence[Scores]) -> tuple[tuple[Cell, ...], float]:
     """(the cells by |score| with what replicas show taken out, p of the largest)."""
-    cells = sorted(_cleared(seen.maps.cells, [r.scores for r in made]), key=lambda c: -abs(c.score))
+    cells = sorted(_cleared(seen.maps.cells, shown), key=lambda c: -abs(c.score))
     top = abs(cells[0].score) if cells else 0.0
     return tuple(cells), float(min(1.0, len(cells) * 2.0 * norm.sf(top)))
 
 
-def _cleared(cells: tuple[Cell, ...], scores: list[dict]) -> list[Cell]:
+def _cleared(cells: tuple[Cell, ...], scores: Sequence[Scores]) -> list[Cell]:
     """The cells with what replicas show on average taken out, as normal scores.
 
     A cell's spread over replicas is estimated from few, so it borrows from all cells of its kind: a moderated t (Smyth
@@ -104,7 +123,7 @@ def _cleared(cells: tuple[Cell, ...], scores: list[dict]) -> list[Cell]:
     n = len(scores)
     table = np.array([[s.get((c.response, c.label), np.nan) for s in scores] for c in cells]).reshape(len(cells), n)
     mean = np.where(np.isnan(table).any(axis=1), 0.0, table.mean(axis=1))
-    variance = table.var(axis=1, ddof=1)
+    variance = table.var(axis=1, ddof=1) if n > 1 else np.full(len(cells), np.nan)
     kinds = np.array([c.response for c in cells])
     found = []
     for cell, m, v in zip(cells, mean, variance, strict=True):

@@ -14,12 +14,13 @@ import numpy as np
 from pixelid.gap.attribute import DISTINCT, Attribution, Candidate, attribute, secure
 from pixelid.gap.candidates import canonical
 from pixelid.gap.climb import Climbed, climbed, settled
+from pixelid.gap.covariates import Factor
 from pixelid.gap.hot import Hot, hot_pixels
 from pixelid.gap.intervals import limits
 from pixelid.gap.nameless import nameless, standing
 from pixelid.gap.noise import EFFECT, ShotNoise, scattering, shot_noise
 from pixelid.gap.readout import Fingerprint, fingerprints
-from pixelid.gap.replicas import Corrected
+from pixelid.gap.replicas import Corrected, cleared, simulated_again, too_many
 from pixelid.gap.restored import FINEST_S, JITTER, SIGMA, Restored, restored, unjittered
 from pixelid.gap.split import Split, locked
 from pixelid.gap.words import where
@@ -113,6 +114,7 @@ class Search:
     seed: int
     leave_out: tuple[str, ...]
     report: Progress
+    like: Sequence[Factor] = ()  # cells that its maps shall have
     split: Split = field(init=False)
     base: Climbed = field(init=False)
     first: Look = field(init=False)
@@ -173,8 +175,52 @@ class Search:
         if self.noise is None:
             early = [] if tried else [(state, 0) for state in self.before[:1]]
             self._try_noise([*early, (self.state, len(self.steps))])
+        if self.remainder() and self.latent is not None and self.latent.windows:
+            self._clear_of_drawing()
         if self.remainder():
             self._withdraw()
+
+    def _clear_of_drawing(self) -> None:
+        """Take from what is left what a simulated session shows as well, its times drawn in the same way.
+
+        Drawn times come near true ones where intervals tell them; where events crowd, how they were drawn shows.
+        """
+        state, seen = self.state, self.state.seen
+        made = simulated_again(
+            self.recordings, state.model, len(self.split.everyone), state.bench.between, self.seed + 5003
+        )
+        other = Search(made, self.model, self.alpha, self.seed, self.leave_out, self.report, like=seen.factors)
+        shown = other._drawn_like(state, self.prints).maps
+        cells, p = cleared(seen, [{(c.response, c.label): c.score for c in shown.cells}])
+        p = min(p, too_many(seen.maps.strays, shown.strays))
+        entry = {
+            "round": len(self.rounds) + 1, "p": seen.p, "candidates": [], "named": None, "refused": None,
+            "drawn_alike": {"p_of_what_is_left": p, "strays": shown.strays},
+        }  # fmt: skip
+        self.rounds.append(entry)
+        self.state = replace(state, seen=replace(seen, maps=replace(seen.maps, cells=cells, p=p), p=p))
+
+    def _drawn_like(self, state: State, prints: Sequence[Fingerprint]) -> Look:
+        """What is left under the model of another search's state, fitted to times drawn as there."""
+        self.split, self.prints = locked(self.recordings, self.seed), list(prints)
+        timely = tuple(r.within_stimulus() for r in self.recordings)
+        model = state.model
+
+        def report(what: str) -> None:
+            self.report(f"{what}, simulated", 0.65)
+
+        for found in prints:
+            model = model.without_effect(found.effect)
+            self.latent = restored(timely, found, model, self.seed, report)
+            timely = tuple(self.latent.recordings)
+            model = model.with_effect(found.effect, {found.parameter: found.value}).fix({found.parameter: None})
+        if state.jitter is not None:
+            nominal, between = state.start, state.bench.between
+            self.latent, model = unjittered(timely, model, nominal, between, self.seed, report)
+        else:
+            assert self.latent is not None
+            model = self.latent.again(model)
+        return self._redrawn(model, state.start, state).seen
 
     def _withdraw(self) -> None:
         """Take back effects that only stand in for what is left, which is no accident.
@@ -356,7 +402,7 @@ class Search:
 
     def _looked(self, bench: Workbench, current: Climbed, jitter: bool = False) -> Look:
         expected = STRAYS_JITTERED if jitter else None if self.prints else STRAYS_EXPECTED
-        return look(bench, current, expected)
+        return look(bench, current, expected, self.like)
 
     def _entry_of(self, effect: str) -> dict:
         return next(entry for entry in self.rounds if entry["named"] == effect)

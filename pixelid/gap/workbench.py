@@ -115,14 +115,20 @@ def reconsidered(
     return other, climbed(other.train, end.model, tolerance=0.01, max_steps=40)
 
 
-def look(bench: Workbench, current: Climbed, strays_expected: float | None = STRAYS_EXPECTED) -> Look:
+def look(
+    bench: Workbench,
+    current: Climbed,
+    strays_expected: float | None = STRAYS_EXPECTED,
+    like: Sequence[Factor] = (),
+) -> Look:
     """The residuals and maps of the training events under a fitted model.
 
     strays_expected: fraction of events that a true model may leave without a cause; None: they do not speak against it
+    like: of another look, whose cells the maps shall have
     """
     here = residuals(bench.train, current.model.circuit())
     tangent = tangents(bench.train, current.coordinates, current.x, here)
-    sorted_by = tuple(factors(bench.train, current.model.circuit(), here))
+    sorted_by = tuple(factors(bench.train, current.model.circuit(), here, like=like))
     found = maps(bench.train, here, tangent, sorted_by, bench.seed)
     many = 1.0
     if found.strays and strays_expected is not None:
