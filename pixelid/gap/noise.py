@@ -18,7 +18,7 @@ from scipy.stats import norm
 
 from pixelid import stages
 from pixelid.gap.climb import Climbed
-from pixelid.gap.replicas import FARTHEST, POOLED, UNEVEN, Corrected, Replica, cleared, replica, strays_of, well_known
+from pixelid.gap.replicas import FARTHEST, POOLED, Corrected, Replica, cleared, replica, strays_of, well_known
 from pixelid.gap.workbench import Look, Workbench
 from pixelid.model.model import Model
 
@@ -38,6 +38,7 @@ COARSE = 0.05  # part of what shot noise explains by which replicas of the best 
 UNSURE, DRIFTING = 0.05, 1.3  # relative half width of the interval at least; replicas' other parameters are off, too
 VAST = 30.0  # as `FAR`, for a first sight
 SPREADING, REVERSING = 1.5, 5.0  # mean square score of spreads over that of levels; of deviations in a row, either way
+UNEVEN = 2.0  # variance of the number of strays over Poisson's: pixels share thresholds
 
 
 @dataclass(frozen=True)

@@ -31,7 +31,6 @@ Scores = dict[tuple[str, str], float]  # of a map: (response, label) → score
 KNOWN = 0.3  # standard error (log units) of a coordinate beyond which it is left where it is: nothing pulls it back
 FARTHEST = 0.3  # shift of a coordinate
 STUCK = 3.0  # times the measured number of strays: more than a replica should have
-UNEVEN = 2.0  # variance of the number of strays over Poisson's: pixels share thresholds
 POOLED = 10.0  # degrees of freedom that all cells of a kind lend to the spread of one
 
 
@@ -80,11 +79,6 @@ def simulated_again(
         return replace(r, events=replace(run.events, tick_ns=r.events.tick_ns))
 
     return side_by_side(copied, enumerate(recordings))
-
-
-def too_many(strays: int, expected: int) -> float:
-    """p of more events without a cause than one simulated session has, whose pixels have other thresholds."""
-    return float(norm.sf((strays - expected) / np.sqrt(UNEVEN * (strays + expected + 1.0))))
 
 
 def replica(bench: Workbench, truth: Model, current: Climbed, seen: Look, seed: int) -> Replica:

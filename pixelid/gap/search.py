@@ -20,7 +20,7 @@ from pixelid.gap.intervals import limits
 from pixelid.gap.nameless import nameless, standing
 from pixelid.gap.noise import EFFECT, ShotNoise, scattering, shot_noise
 from pixelid.gap.readout import Fingerprint, fingerprints
-from pixelid.gap.replicas import Corrected, cleared, simulated_again, too_many
+from pixelid.gap.replicas import Corrected, cleared, simulated_again
 from pixelid.gap.restored import FINEST_S, JITTER, SIGMA, Restored, restored, unjittered
 from pixelid.gap.split import Split, locked
 from pixelid.gap.words import where
@@ -192,7 +192,6 @@ class Search:
         other = Search(made, self.model, self.alpha, self.seed, self.leave_out, self.report, like=seen.factors)
         shown = other._drawn_like(state, self.prints).maps
         cells, p = cleared(seen, [{(c.response, c.label): c.score for c in shown.cells}])
-        p = min(p, too_many(seen.maps.strays, shown.strays))
         entry = {
             "round": len(self.rounds) + 1, "p": seen.p, "candidates": [], "named": None, "refused": None,
             "drawn_alike": {"p_of_what_is_left": p, "strays": shown.strays},
