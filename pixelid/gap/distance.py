@@ -35,7 +35,7 @@ PARTS, WAITS = (1, 2, 4, 8), 6
 COPIES = 24  # twins of each pixel, or sensors
 GROUPS = 8  # of twins behind the floor
 RESAMPLES = 400
-CLOSES = 0.1  # of the gap: next to nothing
+CLOSES, MUCH = 0.1, 0.75  # of the gap: next to nothing; less is not closed
 VISIBLE = 2.0  # standard deviations of chance by which a gap must exceed its floor, to speak of closing it
 LEAST_VARIANCE = 0.02  # of a pixel's count: cells that hardly vary
 
@@ -86,6 +86,11 @@ def closes_nothing(run: FreeRun, remainder: bool) -> bool:
     if run.closed is None or run.interval is None:
         return False
     return run.interval[1] < CLOSES or (remainder and run.closed < CLOSES)
+
+
+def leaves_much(run: FreeRun) -> bool:
+    """Whether much of a visible gap surely stays open, whatever the maps say."""
+    return run.closed is not None and run.interval is not None and run.interval[1] < MUCH
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from pixelid.errors import InputError
 from pixelid.fit.result import Stopwatch
 from pixelid.gap.candidates import missing
 from pixelid.gap.directions import Direction, Space, confusion, direction, similarities, space
-from pixelid.gap.distance import FreeRun, closes_nothing, free_run
+from pixelid.gap.distance import FreeRun, closes_nothing, free_run, leaves_much
 from pixelid.gap.ledger import remembering
 from pixelid.gap.maps import Cell
 from pixelid.gap.nameless import nameless
@@ -84,6 +84,8 @@ def _searched(search: Search, recommend: bool) -> GapReport:
     if run is not None and closes_nothing(run, remainder):
         withdrawn = [effect.name for effect in effects]
         effects, run, remainder, said = (), None, True, "unknown"
+    elif run is not None and search.noise is not None and leaves_much(run):  # its maps are compared roughly
+        remainder, said = True, "unknown"
     report("what to record next", 0.95)
     noise = relative_noise(state.current.model)
     place = where(state.seen.maps, state.bench.train, state.seen.residual.stray, noise)

@@ -44,12 +44,13 @@ UNEVEN = 2.0  # variance of the number of strays over Poisson's: pixels share th
 @dataclass(frozen=True)
 class ShotNoise:
     """density, interval: found;  corrected: the model with it, and what is left beside its replicas;
-    gain: nats by which the maps come nearer (half the sum of squared scores)"""
+    gain: nats by which the maps come nearer (half the sum of squared scores);  left: by which they are still off"""
 
     density: float
     interval: tuple[float, float]
     corrected: Corrected
     gain: float
+    left: float
 
 
 def scattering(seen: Look) -> bool:
@@ -101,7 +102,8 @@ def shot_noise(bench: Workbench, current: Climbed, seen: Look, seed: int) -> Sho
     interval = (density * np.exp(-error), density * np.exp(error))
     before = 0.5 * sum(min(c.score**2, FAR**2) for c in seen.maps.cells)
     after = 0.5 * sum(min(c.score**2, FAR**2) for c in cells)
-    return ShotNoise(density, interval, Corrected(model, _vector(model, current) - current.x, look), before - after)
+    corrected = Corrected(model, _vector(model, current) - current.x, look)
+    return ShotNoise(density, interval, corrected, before - after, off - floor)
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ from pixelid.gap.covariates import Factor
 from pixelid.gap.hot import Hot, hot_pixels
 from pixelid.gap.intervals import limits
 from pixelid.gap.nameless import nameless, standing
-from pixelid.gap.noise import EFFECT, ShotNoise, scattering, shot_noise
+from pixelid.gap.noise import CLEAR, EFFECT, ShotNoise, scattering, shot_noise
 from pixelid.gap.readout import Fingerprint, fingerprints
 from pixelid.gap.replicas import Corrected, cleared, simulated_again
 from pixelid.gap.restored import FINEST_S, JITTER, SIGMA, Restored, restored, unjittered
@@ -41,6 +41,7 @@ from pixelid.recordings.selection import only
 Progress = Callable[[str, float], None]
 MOST_ROUNDS = 4
 LOOKS, APART = 3, 8  # draws of times that are looked at, and rounds between them
+DOUBTFUL = 0.05  # p of what shot noise leaves below which something beside it is looked for
 STRAYS_JITTERED = 5e-3  # fraction of events whose times behind a jitter may not be found
 
 
@@ -130,6 +131,7 @@ class Search:
     rounds: list[dict] = field(default_factory=list)
     global_p: float = 1.0
     before: list[State] = field(default_factory=list)  # the state before each step
+    _noises: list[tuple[State, ShotNoise | None]] = field(default_factory=list)  # looked for already, and where
 
     def begin(self) -> None:
         """Lock the split, fit the base model, look at what is left."""
@@ -164,17 +166,14 @@ class Search:
 
     def go_on(self) -> None:
         """Round after round, until nothing more can be named."""
-        tried: list[tuple[State, int]] = []
         for turn in range(MOST_ROUNDS):
-            if turn == 1 and scattering(self.before[0].seen):
-                tried = [(self.before[0], 0)]
-                if self._try_noise(tried):
-                    break
+            early = turn == 1 and scattering(self.before[0].seen)
+            if early and self._try_noise([(self.before[0], 0), (self.state, 1)], DOUBTFUL):
+                break
             if not self._round(turn):
                 break
         if self.noise is None:
-            early = [] if tried else [(state, 0) for state in self.before[:1]]
-            self._try_noise([*early, (self.state, len(self.steps))])
+            self._try_noise([*((state, 0) for state in self.before[:1]), (self.state, len(self.steps))], self.each)
         if self.remainder() and self.latent is not None and self.latent.windows:
             self._clear_of_drawing()
         if self.remainder():
@@ -241,42 +240,65 @@ class Search:
             self._entry_of(step.winner.effect)["withdrawn"] = "it may only stand in for what is left"
         self.state, self.steps = self.before[kept], self.steps[:kept]
 
-    def _try_noise(self, tries: Sequence[tuple[State, int]]) -> bool:
+    def _try_noise(self, tries: Sequence[tuple[State, int]], enough: float) -> bool:
         """Ask simulation whether shot noise explains what the library's likelihoods leave; whether it is named.
 
         tries: states, each with the number of steps kept: in place of whatever the rounds have named, which may only
-        stand in for it, or beside that
+        stand in for it, or beside that, where that leaves clearly less;  enough: p of what may be left
         """
         if EFFECT in self.leave_out or not self.remainder():
             return False
         tries = list(tries)  # which may grow by one
+        best: tuple[ShotNoise, State, int, dict] | None = None
+        alone: ShotNoise | None = None
         for state, kept in tries:
             if state.corrected is not None or state.jitter is not None or state.current.model.has(EFFECT):
                 continue  # drawn times scatter as the drawing made them: replicas know nothing of that
-            self.report("shot noise", 0.7)
-            found = shot_noise(state.bench, state.current, state.seen, self.seed)
+            if best is not None and best[0].corrected.look.p >= DOUBTFUL:
+                break
+            found = self._noise_at(state)
             if found is None:
                 continue
-            left = found.corrected.look.p
-            entry = {
+            entry = self.rounds[-1]
+            alone = found if kept == 0 else alone
+            if found.corrected.look.p < enough:
+                continue
+            # effects named before, in a likelihood that misread the noise, must weigh more than the noise does; what
+            # was named first may also show by what noise alone leaves
+            needed = kept == 1 and alone is not None and found.left < alone.left - CLEAR
+            if not needed and any(step.winner.heldout_gain <= found.gain for step in self.steps[:kept]):
+                if best is None and enough < DOUBTFUL:
+                    tries.append((self._bare(state), 0))
+                continue
+            best = found, state, kept, entry
+        if best is None:
+            return False
+        found, state, kept, entry = best
+        entry["named"] = EFFECT
+        for step in self.steps[kept:]:
+            self._entry_of(step.winner.effect)["withdrawn"] = f"{EFFECT} explains it"
+        self.steps = self.steps[:kept]
+        self.noise, self.noise_p = found, state.seen.p
+        self.state = replace(state, seen=found.corrected.look, corrected=found.corrected)
+        return True
+
+    def _noise_at(self, state: State) -> ShotNoise | None:
+        """Shot noise beside the model of a state, looked for once; the rounds say what it leaves."""
+        known = [found for there, found in self._noises if there is state]
+        if known:
+            done = known[0]
+        else:
+            self.report("shot noise", 0.7)
+            done = shot_noise(state.bench, state.current, state.seen, self.seed)
+            self._noises.append((state, done))
+        if done is not None:
+            self.rounds.append({
                 "round": len(self.rounds) + 1, "p": state.seen.p, "candidates": [], "named": None, "refused": None,
-                "by_simulation": {"name": EFFECT, "density": found.density, "p_of_what_is_left": left},
-            }  # fmt: skip
-            self.rounds.append(entry)
-            if left < self.each:
-                continue
-            # effects named before, in a likelihood that misread the noise, must weigh more than the noise does
-            if any(step.winner.heldout_gain <= found.gain for step in self.steps[:kept]):
-                tries.append((self._bare(state), 0))
-                continue
-            entry["named"] = EFFECT
-            for step in self.steps[kept:]:
-                self._entry_of(step.winner.effect)["withdrawn"] = f"{EFFECT} explains it"
-            self.steps = self.steps[:kept]
-            self.noise, self.noise_p = found, state.seen.p
-            self.state = replace(state, seen=found.corrected.look, corrected=found.corrected)
-            return True
-        return False
+                "by_simulation": {
+                    "name": EFFECT, "density": done.density, "p_of_what_is_left": done.corrected.look.p,
+                },
+            })  # fmt: skip
+        return done
 
     def _bare(self, state: State) -> State:
         """The state without the effects named, its base fitted again from where they have led it."""
