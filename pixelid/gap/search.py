@@ -41,7 +41,6 @@ from pixelid.recordings.selection import only
 Progress = Callable[[str, float], None]
 MOST_ROUNDS = 4
 LOOKS, APART = 3, 8  # draws of times that are looked at, and rounds between them
-DOUBTFUL = 0.05  # p of what shot noise leaves below which something beside it is looked for
 STRAYS_JITTERED = 5e-3  # fraction of events whose times behind a jitter may not be found
 
 
@@ -168,12 +167,12 @@ class Search:
         """Round after round, until nothing more can be named."""
         for turn in range(MOST_ROUNDS):
             early = turn == 1 and scattering(self.before[0].seen)
-            if early and self._try_noise([(self.before[0], 0), (self.state, 1)], DOUBTFUL):
+            if early and self._try_noise([(self.before[0], 0), (self.state, 1)], bare=False):
                 break
             if not self._round(turn):
                 break
         if self.noise is None:
-            self._try_noise([*((state, 0) for state in self.before[:1]), (self.state, len(self.steps))], self.each)
+            self._try_noise([*((state, 0) for state in self.before[:1]), (self.state, len(self.steps))])
         if self.remainder() and self.latent is not None and self.latent.windows:
             self._clear_of_drawing()
         if self.remainder():
@@ -240,47 +239,41 @@ class Search:
             self._entry_of(step.winner.effect)["withdrawn"] = "it may only stand in for what is left"
         self.state, self.steps = self.before[kept], self.steps[:kept]
 
-    def _try_noise(self, tries: Sequence[tuple[State, int]], enough: float) -> bool:
+    def _try_noise(self, tries: Sequence[tuple[State, int]], bare: bool = True) -> bool:
         """Ask simulation whether shot noise explains what the library's likelihoods leave; whether it is named.
 
         tries: states, each with the number of steps kept: in place of whatever the rounds have named, which may only
-        stand in for it, or beside that, where that leaves clearly less;  enough: p of what may be left
+        stand in for it, or beside that;  bare: also at the base that they lead to
         """
         if EFFECT in self.leave_out or not self.remainder():
             return False
         tries = list(tries)  # which may grow by one
-        best: tuple[ShotNoise, State, int, dict] | None = None
         alone: ShotNoise | None = None
         for state, kept in tries:
             if state.corrected is not None or state.jitter is not None or state.current.model.has(EFFECT):
                 continue  # drawn times scatter as the drawing made them: replicas know nothing of that
-            if best is not None and best[0].corrected.look.p >= DOUBTFUL:
-                break
             found = self._noise_at(state)
             if found is None:
                 continue
             entry = self.rounds[-1]
             alone = found if kept == 0 else alone
-            if found.corrected.look.p < enough:
+            if found.corrected.look.p < self.each:
                 continue
             # effects named before, in a likelihood that misread the noise, must weigh more than the noise does; what
             # was named first may also show by what noise alone leaves
             needed = kept == 1 and alone is not None and found.left < alone.left - CLEAR
             if not needed and any(step.winner.heldout_gain <= found.gain for step in self.steps[:kept]):
-                if best is None and enough < DOUBTFUL:
+                if bare:
                     tries.append((self._bare(state), 0))
                 continue
-            best = found, state, kept, entry
-        if best is None:
-            return False
-        found, state, kept, entry = best
-        entry["named"] = EFFECT
-        for step in self.steps[kept:]:
-            self._entry_of(step.winner.effect)["withdrawn"] = f"{EFFECT} explains it"
-        self.steps = self.steps[:kept]
-        self.noise, self.noise_p = found, state.seen.p
-        self.state = replace(state, seen=found.corrected.look, corrected=found.corrected)
-        return True
+            entry["named"] = EFFECT
+            for step in self.steps[kept:]:
+                self._entry_of(step.winner.effect)["withdrawn"] = f"{EFFECT} explains it"
+            self.steps = self.steps[:kept]
+            self.noise, self.noise_p = found, state.seen.p
+            self.state = replace(state, seen=found.corrected.look, corrected=found.corrected)
+            return True
+        return False
 
     def _noise_at(self, state: State) -> ShotNoise | None:
         """Shot noise beside the model of a state, looked for once; the rounds say what it leaves."""
