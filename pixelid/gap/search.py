@@ -41,6 +41,7 @@ from pixelid.recordings.selection import only
 Progress = Callable[[str, float], None]
 MOST_ROUNDS = 4
 LOOKS, APART = 3, 8  # draws of times that are looked at, and rounds between them
+DOUBTFUL = 0.05  # p of what shot noise alone leaves, below which something beside it may be needed
 STRAYS_JITTERED = 5e-3  # fraction of events whose times behind a jitter may not be found
 
 
@@ -167,7 +168,7 @@ class Search:
         """Round after round, until nothing more can be named."""
         for turn in range(MOST_ROUNDS):
             early = turn == 1 and scattering(self.before[0].seen)
-            if early and self._try_noise([(self.before[0], 0), (self.state, 1)], bare=False):
+            if early and self._try_noise([(self.before[0], 0), (None, 0), (self.state, 1)]):
                 break
             if not self._round(turn):
                 break
@@ -239,41 +240,57 @@ class Search:
             self._entry_of(step.winner.effect)["withdrawn"] = "it may only stand in for what is left"
         self.state, self.steps = self.before[kept], self.steps[:kept]
 
-    def _try_noise(self, tries: Sequence[tuple[State, int]], bare: bool = True) -> bool:
+    def _try_noise(self, tries: Sequence[tuple[State | None, int]]) -> bool:
         """Ask simulation whether shot noise explains what the library's likelihoods leave; whether it is named.
 
         tries: states, each with the number of steps kept: in place of whatever the rounds have named, which may only
-        stand in for it, or beside that;  bare: also at the base that they lead to
+        stand in for it, or beside that; None: the base that the steps lead to
         """
         if EFFECT in self.leave_out or not self.remainder():
             return False
         tries = list(tries)  # which may grow by one
-        alone: ShotNoise | None = None
-        for state, kept in tries:
+        alone: ShotNoise | None = None  # what leaves least of those with nothing beside them
+        enough: tuple[ShotNoise, State, dict] | None = None
+        for given, kept in tries:
+            state = given or self._bare(self.state)
             if state.corrected is not None or state.jitter is not None or state.current.model.has(EFFECT):
                 continue  # drawn times scatter as the drawing made them: replicas know nothing of that
             found = self._noise_at(state)
             if found is None:
                 continue
-            entry = self.rounds[-1]
-            alone = found if kept == 0 else alone
-            if found.corrected.look.p < self.each:
-                continue
-            # effects named before, in a likelihood that misread the noise, must weigh more than the noise does; what
-            # was named first may also show by what noise alone leaves
-            needed = kept == 1 and alone is not None and found.left < alone.left - CLEAR
-            if not needed and any(step.winner.heldout_gain <= found.gain for step in self.steps[:kept]):
-                if bare:
-                    tries.append((self._bare(state), 0))
-                continue
-            entry["named"] = EFFECT
-            for step in self.steps[kept:]:
-                self._entry_of(step.winner.effect)["withdrawn"] = f"{EFFECT} explains it"
-            self.steps = self.steps[:kept]
-            self.noise, self.noise_p = found, state.seen.p
-            self.state = replace(state, seen=found.corrected.look, corrected=found.corrected)
-            return True
-        return False
+            entry, p = self.rounds[-1], found.corrected.look.p
+            if kept == 0:
+                alone = found if alone is None or found.left < alone.left else alone
+                if p >= DOUBTFUL:
+                    return self._name_noise(found, state, 0, entry)
+                if p >= self.each and enough is None:
+                    enough = found, state, entry
+            elif p >= self.each:
+                # effects named before, in a likelihood that misread the noise, must weigh more than the noise does;
+                # what was named first may also show by what noise alone leaves
+                needed = kept == 1 and alone is not None and found.left < alone.left - CLEAR
+                if needed or all(step.winner.heldout_gain > found.gain for step in self.steps[:kept]):
+                    return self._name_noise(found, state, kept, entry)
+                if (None, 0) not in tries:
+                    tries.append((None, 0))
+        return enough is not None and self._name_noise(*enough[:2], 0, enough[2])
+
+    def _name_noise(self, found: ShotNoise, state: State, kept: int, entry: dict) -> bool:
+        entry["named"] = EFFECT
+        for step in self.steps[kept:]:
+            self._entry_of(step.winner.effect)["withdrawn"] = f"{EFFECT} explains it"
+        self.steps = self.steps[:kept]
+        self.noise, self.noise_p = found, state.seen.p
+        self.state = replace(state, seen=found.corrected.look, corrected=found.corrected)
+        return True
+
+    def _bare(self, state: State) -> State:
+        """The state without the effects named, its base fitted again from where they have led it."""
+        model, start = state.current.model, state.start
+        for step in self.steps:
+            model, start = model.without_effect(step.winner.effect), start.without_effect(step.winner.effect)
+        current = climbed(state.bench.train, model, tolerance=0.01, max_steps=40)
+        return replace(state, current=current, seen=self._looked(state.bench, current), start=start, corrected=None)
 
     def _noise_at(self, state: State) -> ShotNoise | None:
         """Shot noise beside the model of a state, looked for once; the rounds say what it leaves."""
@@ -292,14 +309,6 @@ class Search:
                 },
             })  # fmt: skip
         return done
-
-    def _bare(self, state: State) -> State:
-        """The state without the effects named, its base fitted again from where they have led it."""
-        model, start = state.current.model, state.start
-        for step in self.steps:
-            model, start = model.without_effect(step.winner.effect), start.without_effect(step.winner.effect)
-        current = climbed(state.bench.train, model, tolerance=0.01, max_steps=40)
-        return replace(state, current=current, seen=self._looked(state.bench, current), start=start, corrected=None)
 
     def remainder(self) -> bool:
         """Whether something significant is left."""
