@@ -25,6 +25,8 @@ from pixelid.gap.covariates import Factor
 from pixelid.gap.residuals import Residuals, Tangents
 from pixelid.likelihood.event_times import EventTimes, sum_by
 
+Scores = dict[tuple[str, str], float]  # (response, label) → score
+
 FLIPS = 1999
 FEWEST_EVENTS = 30  # in a cell
 CLEAR = 0.1  # of a cell that must be left when the parameters are projected off: less is known to first order only
@@ -55,6 +57,11 @@ class Maps:
     p_normal: float
     p_pixels: float | None
     strays: int
+
+    @property
+    def scores(self) -> Scores:
+        """Every cell's score."""
+        return {(c.response, c.label): c.score for c in self.cells}
 
 
 def maps(likelihood: EventTimes, residual: Residuals, tangent: Tangents, factors: Sequence[Factor], seed: int) -> Maps:

@@ -71,10 +71,9 @@ def shot_noise(bench: Workbench, current: Climbed, seen: Look, seed: int) -> Sho
     shared = _Shared(bench, current, seen, seed)
     if not shared.calibrated():
         return None
-    scores = {(c.response, c.label): c.score for c in seen.maps.cells}
-    measured = Replica(current.x, scores, strays_of(bench.train, seen.residual.stray))
+    measured = Replica(current.x, seen.maps.scores, strays_of(bench.train, seen.residual.stray))
     nothing, *far = [_distance(measured, shared.replica(share)) for share in (NONE, *SHARES)]
-    alike = 0.5 * len(scores)  # between replicas of one model
+    alike = 0.5 * len(measured.scores)  # between replicas of one model
     if nothing - min(far) < 0.5 * CLEAR or min(far) - alike > HOPELESS * (nothing - alike):
         return None
     share = shared.nearest(measured)
@@ -91,15 +90,16 @@ def shot_noise(bench: Workbench, current: Climbed, seen: Look, seed: int) -> Sho
     cells, _ = cleared(seen, [r.scores for r in final])
     # replicas scatter about each other as the measurement about them, heavy tails of cells and all; and what they
     # are simulated from is itself known to a part of what it explains only
-    chance = np.hypot(max(float(np.std(among, ddof=1)), np.sqrt(0.5 * len(scores))), COARSE * (nothing - floor))
+    chance = np.hypot(max(float(np.std(among, ddof=1)), np.sqrt(alike)), COARSE * (nothing - floor))
     p = 2.0 * float(norm.sf(max(off - floor, 0.0) / chance))
     usual = np.mean([r.strays for r in final], axis=0)
     chance = np.sqrt(UNEVEN * (usual + 1.0) * (1.0 + 1.0 / FINAL))
-    chance = np.hypot(chance, usual * shared.strays_per_density() * shared.error(share))
+    error = shared.error(share)
+    chance = np.hypot(chance, usual * shared.strays_per_density() * error)
     p = min(p, 2.0 * len(usual) * float(norm.sf(np.abs((measured.strays - usual) / chance).max())), 1.0)
     look = replace(seen, maps=replace(seen.maps, cells=cells, p=p), p=p)
-    error = max(1.96 * shared.error(share), UNSURE)
-    interval = (density * np.exp(-error), density * np.exp(error))
+    half = max(1.96 * error, UNSURE)
+    interval = (density * np.exp(-half), density * np.exp(half))
     before = 0.5 * sum(min(c.score**2, FAR**2) for c in seen.maps.cells)
     after = 0.5 * sum(min(c.score**2, FAR**2) for c in cells)
     corrected = Corrected(model, _vector(model, current) - current.x, look)
@@ -169,7 +169,7 @@ class _Shared:
 
     def sound(self, fewest: int) -> bool:
         """Whether enough replicas with much shot noise have kept their way."""
-        return sum(m.share > TELLING for m in self._sound()) >= fewest
+        return len(_telling(self._sound())) >= fewest
 
     def nearest(self, measured: Replica) -> float:
         """The share whose maps come nearest to the measured ones."""
@@ -179,7 +179,7 @@ class _Shared:
         """Standard error of the log density at a share: what replicas are off by whose own share is looked for, and
         how far apart their noise per density is."""
         sound = self._sound()
-        telling = [m for m in sound if m.share > TELLING]
+        telling = _telling(sound)
         off = [_found(one.replica, [m for m in sound if m is not one]) - one.share for one in telling]
         rms = DRIFTING * float(np.sqrt(np.mean(np.square(off))))
         apart = float(np.std(np.log([m.per_density for m in telling])))
@@ -187,13 +187,13 @@ class _Shared:
 
     def strays_per_density(self) -> np.ndarray:
         """(2,) d log strays / d log density: strays tell no more than how well the density is known."""
-        telling = [m for m in self._sound() if m.share > TELLING]
+        telling = _telling(self._sound())
         density = np.log([m.density for m in telling])
         strays = np.log([m.replica.strays + 1.0 for m in telling])
         return np.abs(np.polyfit(density - density.mean(), strays, 1)[0])
 
     def _telling(self) -> list[_Made]:
-        return [m for m in self.made if m.share > TELLING] or self.made[:1]
+        return _telling(self.made) or self.made[:1]
 
     def _sound(self) -> list[_Made]:
         """Replicas that have not lost their way."""
@@ -205,6 +205,10 @@ class _Shared:
         made = replica(self.bench, _with(model, density), self.current, self.seen, seed)
         thresholds, variance = (float(np.exp(2.0 * at[self.at])) for at in (x, made.x))
         return _Made(made, density, thresholds, variance, made.x - x)
+
+
+def _telling(made: list[_Made]) -> list[_Made]:
+    return [m for m in made if m.share > TELLING]
 
 
 def _found(one: Replica, made: list[_Made]) -> float:

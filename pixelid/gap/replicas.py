@@ -17,7 +17,7 @@ from scipy.stats import t as student
 
 from pixelid.gap.climb import Climbed, climbed
 from pixelid.gap.covariates import factors
-from pixelid.gap.maps import Cell, maps
+from pixelid.gap.maps import Cell, Scores, maps
 from pixelid.gap.residuals import residuals, tangents
 from pixelid.gap.side_by_side import side_by_side
 from pixelid.gap.workbench import Look, Workbench, finer
@@ -25,8 +25,6 @@ from pixelid.likelihood.event_times import EventTimes
 from pixelid.model.model import Model
 from pixelid.recordings.recording import Recording
 from pixelid.simulate import simulate
-
-Scores = dict[tuple[str, str], float]  # of a map: (response, label) → score
 
 KNOWN = 0.3  # standard error (log units) of a coordinate beyond which it is left where it is: nothing pulls it back
 FARTHEST = 0.3  # shift of a coordinate
@@ -49,7 +47,7 @@ class Corrected:
 class Replica:
     """The model fitted to one simulated session.
 
-    x: where;  scores: its map, (response, label) → score;  strays: (2,) OFF and ON events without a cause
+    x: where;  scores: its map;  strays: (2,) OFF and ON events without a cause
     """
 
     x: np.ndarray
@@ -93,7 +91,7 @@ def replica(bench: Workbench, truth: Model, current: Climbed, seen: Look, seed: 
     here = residuals(likelihood, refit.model.circuit())
     tangent = tangents(likelihood, refit.coordinates, refit.x, here)
     found = maps(likelihood, here, tangent, factors(likelihood, refit.model.circuit(), here, like=seen.factors), seed)
-    return Replica(refit.x, {(c.response, c.label): c.score for c in found.cells}, strays_of(likelihood, here.stray))
+    return Replica(refit.x, found.scores, strays_of(likelihood, here.stray))
 
 
 def strays_of(likelihood: EventTimes, stray: np.ndarray) -> np.ndarray:

@@ -190,12 +190,9 @@ class Search:
         )
         other = Search(made, self.model, self.alpha, self.seed, self.leave_out, self.report, like=seen.factors)
         shown = other._drawn_like(state, self.prints).maps
-        cells, p = cleared(seen, [{(c.response, c.label): c.score for c in shown.cells}])
-        entry = {
-            "round": len(self.rounds) + 1, "p": seen.p, "candidates": [], "named": None, "refused": None,
-            "drawn_alike": {"p_of_what_is_left": p, "strays": shown.strays},
-        }  # fmt: skip
-        self.rounds.append(entry)
+        cells, p = cleared(seen, [shown.scores])
+        left = {"p_of_what_is_left": p, "strays": shown.strays}
+        self.rounds.append(_line(len(self.rounds) + 1, seen.p, drawn_alike=left))
         self.state = replace(state, seen=replace(seen, maps=replace(seen.maps, cells=cells, p=p), p=p))
 
     def _drawn_like(self, state: State, prints: Sequence[Fingerprint]) -> Look:
@@ -250,7 +247,7 @@ class Search:
             return False
         tries = list(tries)  # which may grow by one
         alone: ShotNoise | None = None  # what leaves least of those with nothing beside them
-        enough: tuple[ShotNoise, State, dict] | None = None
+        enough: tuple[ShotNoise, State, int, dict] | None = None
         for given, kept in tries:
             state = given or self._bare(self.state)
             if state.corrected is not None or state.jitter is not None or state.current.model.has(EFFECT):
@@ -262,9 +259,9 @@ class Search:
             if kept == 0:
                 alone = found if alone is None or found.left < alone.left else alone
                 if p >= DOUBTFUL:
-                    return self._name_noise(found, state, 0, entry)
+                    return self._name_noise(found, state, kept, entry)
                 if p >= self.each and enough is None:
-                    enough = found, state, entry
+                    enough = found, state, kept, entry
             elif p >= self.each:
                 # effects named before, in a likelihood that misread the noise, must weigh more than the noise does;
                 # what was named first may also show by what noise alone leaves
@@ -273,7 +270,7 @@ class Search:
                     return self._name_noise(found, state, kept, entry)
                 if (None, 0) not in tries:
                     tries.append((None, 0))
-        return enough is not None and self._name_noise(*enough[:2], 0, enough[2])
+        return enough is not None and self._name_noise(*enough)
 
     def _name_noise(self, found: ShotNoise, state: State, kept: int, entry: dict) -> bool:
         entry["named"] = EFFECT
@@ -294,20 +291,13 @@ class Search:
 
     def _noise_at(self, state: State) -> ShotNoise | None:
         """Shot noise beside the model of a state, looked for once; the rounds say what it leaves."""
-        known = [found for there, found in self._noises if there is state]
-        if known:
-            done = known[0]
-        else:
+        if not any(there is state for there, _ in self._noises):
             self.report("shot noise", 0.7)
-            done = shot_noise(state.bench, state.current, state.seen, self.seed)
-            self._noises.append((state, done))
+            self._noises.append((state, shot_noise(state.bench, state.current, state.seen, self.seed)))
+        done = next(found for there, found in self._noises if there is state)
         if done is not None:
-            self.rounds.append({
-                "round": len(self.rounds) + 1, "p": state.seen.p, "candidates": [], "named": None, "refused": None,
-                "by_simulation": {
-                    "name": EFFECT, "density": done.density, "p_of_what_is_left": done.corrected.look.p,
-                },
-            })  # fmt: skip
+            left = {"name": EFFECT, "density": done.density, "p_of_what_is_left": done.corrected.look.p}
+            self.rounds.append(_line(len(self.rounds) + 1, state.seen.p, by_simulation=left))
         return done
 
     def remainder(self) -> bool:
@@ -448,27 +438,20 @@ class Search:
 
 
 def _stamped(found: Fingerprint, known: bool) -> dict:
-    return {
-        "round": 0,
-        "p": found.p,
-        "timestamps": found.where,
-        "candidates": [],
-        "named": None if known else found.effect,
-        "refused": None,
-    }
+    return _line(0, found.p, timestamps=found.where, named=None if known else found.effect)
 
 
 def _entry(turn: int, current: Climbed, seen: Look, found: Attribution) -> dict:
-    return {
-        "round": turn + 1,
-        "p": seen.p,
-        "strays": seen.maps.strays,
-        "model_effects": list(current.model.effects),
-        "screened_nats": found.screened,
-        "candidates": [
-            {"name": c.effect, "gain_nats": c.gain, "p_value": c.p, "heldout_gain_nats": c.heldout_gain}
-            for c in found.candidates
-        ],
-        "named": None,
-        "refused": None,
-    }
+    tried = [
+        {"name": c.effect, "gain_nats": c.gain, "p_value": c.p, "heldout_gain_nats": c.heldout_gain}
+        for c in found.candidates
+    ]
+    effects = list(current.model.effects)
+    return _line(
+        turn + 1, seen.p, strays=seen.maps.strays, model_effects=effects, screened_nats=found.screened, candidates=tried
+    )
+
+
+def _line(turn: int, p: float, **said) -> dict:
+    """What the result says of one round; `said` adds to it or replaces what it says of every one."""
+    return {"round": turn, "p": p, "candidates": [], "named": None, "refused": None, **said}
