@@ -3,7 +3,7 @@
 import mpmath as mp
 import numpy as np
 import pytest
-from exact_hold import exact_hold
+from oracles.exact_hold import exact_hold
 
 from pixelid.dynamics.trajectory import Dynamics, integrate
 from pixelid.dynamics.weights import output_weights

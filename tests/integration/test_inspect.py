@@ -18,7 +18,7 @@ from pixelid.inspection.lines import find_lines
 from pixelid.inspection.tick import find_tick
 from pixelid.recordings import Events, Recording, open_recording, write_recording
 
-SHARED = Path(os.environ.get("PIXELID_SHARED", Path(__file__).parents[2] / "shared")) / "recordings"
+SHARED = Path(os.environ.get("PIXELID_SHARED", Path(__file__).parents[3] / "shared")) / "recordings"
 WIDTH = 10
 
 

@@ -14,7 +14,7 @@ from pixelid.errors import InputError
 from pixelid.recordings import Events, Recording, open_recording, open_recordings, write_recording
 from pixelid.stimuli.stimulus import Stimulus
 
-SHARED = Path(os.environ.get("PIXELID_SHARED", Path(__file__).parents[2] / "shared"))
+SHARED = Path(os.environ.get("PIXELID_SHARED", Path(__file__).parents[3] / "shared"))
 REAL = {
     "davis240_boxes.aedat": (162771, 240, 180),
     "davis240_rotdisk.aedat": (374296, 240, 180),

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-PACKAGE = Path(__file__).resolve().parents[1] / "pixelid"
+PACKAGE = Path(__file__).resolve().parents[2] / "pixelid"
 BASE = {"errors", "outputs", "provenance"}
 MAY_IMPORT = {
     "errors": set(),

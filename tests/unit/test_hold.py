@@ -3,7 +3,7 @@
 import mpmath as mp
 import numpy as np
 import pytest
-from exact_hold import exact_hold
+from oracles.exact_hold import exact_hold
 
 from pixelid.dynamics.divided import exp_divided_difference
 from pixelid.dynamics.hold import first_order_hold, present_states

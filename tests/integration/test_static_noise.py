@@ -24,7 +24,7 @@ from pixelid.model.shipped import find_model
 from pixelid.simulate import simulate
 from pixelid.stimuli.shapes import constant
 
-SHARED = Path(os.environ.get("PIXELID_SHARED", Path(__file__).parents[2] / "shared")) / "recordings"
+SHARED = Path(os.environ.get("PIXELID_SHARED", Path(__file__).parents[3] / "shared")) / "recordings"
 REAL = sorted(SHARED.glob("static_noise_*.npy"))
 COARSE = np.array([0.05, 0.1, 0.2, 0.4])
 

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-NOTEBOOKS = Path(__file__).resolve().parents[1] / "notebooks"
-SHARED = Path(os.environ.get("PIXELID_SHARED", Path(__file__).parents[2] / "shared")) / "recordings"
+NOTEBOOKS = Path(__file__).resolve().parents[2] / "notebooks"
+SHARED = Path(os.environ.get("PIXELID_SHARED", Path(__file__).parents[3] / "shared")) / "recordings"
 
 
 def code_of(name: str) -> list[str]:

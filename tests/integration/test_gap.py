@@ -33,7 +33,7 @@ from pixelid.stimuli.course import course
 from pixelid.stimuli.resample import resampled
 from pixelid.stimuli.shapes import chirp, constant, sine, slow, steps
 
-CASES = Path(__file__).resolve().parents[2] / "shared" / "gap_cases"
+CASES = Path(__file__).resolve().parents[3] / "shared" / "gap_cases"
 MODEL = find_model("dvs128")
 
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from oracles.trajectories import oracle_case
 from test_engines import light
-from test_simulate import oracle_case
 
 from pixelid.dynamics.of_circuit import dynamics_of
 from pixelid.dynamics.trajectory import integrate
