@@ -12,15 +12,29 @@ BINS = 30
 
 
 def _pyplot():
-    import matplotlib
-
-    matplotlib.use("Agg")
     import matplotlib.pyplot as plt
 
     return plt
 
 
 def write_corner(posterior: Posterior, path: Path) -> Path:
+    """Write the corner plot."""
+    return _save(draw_corner(posterior), path)
+
+
+def write_trace(posterior: Posterior, path: Path) -> Path:
+    """Write the trace plot."""
+    return _save(draw_trace(posterior), path)
+
+
+def _save(axes: np.ndarray, path: Path) -> Path:
+    figure = axes.flat[0].figure
+    figure.savefig(path, dpi=90)
+    _pyplot().close(figure)
+    return path
+
+
+def draw_corner(posterior: Posterior) -> np.ndarray:
     """Every parameter against every other: histograms on the diagonal, densities with 68 and 95 % contours below."""
     plt = _pyplot()
     names = posterior.coordinates.names
@@ -51,9 +65,7 @@ def write_corner(posterior: Posterior, path: Path) -> Path:
                 axis.set_ylabel(names[i], fontsize=6)
             axis.locator_params(nbins=3)
     figure.subplots_adjust(wspace=0.06, hspace=0.06)
-    figure.savefig(path, dpi=90)
-    plt.close(figure)
-    return path
+    return axes
 
 
 def _density(axis, x: np.ndarray, y: np.ndarray, limits) -> None:
@@ -69,12 +81,12 @@ def _density(axis, x: np.ndarray, y: np.ndarray, limits) -> None:
         axis.contour(middle_x, middle_y, count.T, levels, colors="black", linewidths=0.5)
 
 
-def write_trace(posterior: Posterior, path: Path) -> Path:
+def draw_trace(posterior: Posterior) -> np.ndarray:
     """The mean and the 5 to 95 % range of the walkers at every step, one colour per ensemble: they must overlap."""
     plt = _pyplot()
     d = posterior.chain.shape[-1]
     rows = -(-d // 2)
-    figure, axes = plt.subplots(rows, 2, figsize=(10, 1.3 * rows + 0.6), squeeze=False, layout="constrained")
+    _, axes = plt.subplots(rows, 2, figsize=(10, 1.3 * rows + 0.6), squeeze=False, layout="constrained")
     for i, (axis, p) in enumerate(zip(axes.flat, posterior.coordinates.parameters, strict=False)):
         for k, one in enumerate(posterior.chain[..., i]):
             values = np.exp(one) if p.transform == "log" else one
@@ -86,6 +98,4 @@ def write_trace(posterior: Posterior, path: Path) -> Path:
         axis.tick_params(labelsize=6)
     for axis in list(axes.flat)[d:]:
         axis.set_axis_off()
-    figure.savefig(path, dpi=90)
-    plt.close(figure)
-    return path
+    return axes

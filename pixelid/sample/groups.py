@@ -28,6 +28,16 @@ def inference_data(
     posterior: Posterior, result: FitResult, recordings: Sequence[Recording], predictive_draws: int = PREDICTIVE_DRAWS
 ):
     """An `arviz.InferenceData` with the groups above; nothing is simulated when `predictive_draws` is 0."""
+    observed = counts(recordings)
+    groups = {"observed_data": observed}
+    if predictive_draws and result.observation == "event_times":
+        drawn = predicted(posterior, result, recordings, predictive_draws)
+        groups["posterior_predictive"] = {name: value[None] for name, value in drawn.items()}
+    return sampled_groups(posterior, groups, {key: ["recording_name"] for key in observed})
+
+
+def sampled_groups(posterior: Posterior, beside: dict | None = None, dims_beside: dict | None = None):
+    """An `arviz.InferenceData` of the draws alone (posterior, sample_stats, log_likelihood), and of groups `beside`."""
     ensembles, steps, walkers, _ = posterior.chain.shape
     chains = ensembles * walkers
 
@@ -35,15 +45,13 @@ def inference_data(
         return np.swapaxes(a, 1, 2).reshape(chains, steps, *a.shape[3:])
 
     pieces = by_chain(posterior.pieces)
-    names = [r.name for r in recordings]
-    r = len(names)
+    r = len(posterior.recordings)
     likelihood = {"recording": pieces[..., :r]}
-    dims = {"recording": ["recording_name"], "pixel": ["pixel_unit"]}
-    coords: dict = {"recording_name": _distinct(names)}
+    dims = {"recording": ["recording_name"], "pixel": ["pixel_unit"], **(dims_beside or {})}
+    coords: dict = {"recording_name": _distinct(list(posterior.recordings))}
     if pieces.shape[-1] > r + 1:
         likelihood["pixel"] = pieces[..., r + 1 :]
         coords["pixel_unit"] = np.arange(pieces.shape[-1] - r - 1)
-    observed = counts(recordings)
     groups = {
         "posterior": posterior.values(),
         "sample_stats": {
@@ -51,14 +59,10 @@ def inference_data(
             "ensemble": np.repeat(np.arange(ensembles), walkers)[:, None].repeat(steps, axis=1),
         },
         "log_likelihood": likelihood,
-        "observed_data": observed,
+        **(beside or {}),
     }
-    for variable in observed:
-        dims[variable] = ["recording_name"]
-    if predictive_draws and result.observation == "event_times":
-        drawn = predicted(posterior, result, recordings, predictive_draws)
-        groups["posterior_predictive"] = {name: value[None] for name, value in drawn.items()}
-    attributes = {"status": str(posterior.status), "model": result.model.name, "seed": int(posterior.details.get("seed", 0))}
+    model, seed = posterior.coordinates.model.name, int(posterior.details.get("seed", 0))
+    attributes = {"status": str(posterior.status), "model": model, "seed": seed}
     return arviz().from_dict(**groups, coords=coords, dims=dims, attrs=attributes)
 
 
@@ -99,7 +103,8 @@ def save(posterior: Posterior, result: FitResult, recordings: Sequence[Recording
     from pixelid.sample.figures import write_corner, write_trace
 
     data = inference_data(posterior, result, recordings)
-    said = posterior.as_dict()
+    beside = ("recordings", "nuisances", "versions", "inputs_sha256")  # fit.json has them already
+    said = {name: value for name, value in posterior.as_dict().items() if name not in beside}
     try:
         physical = posterior.physical(result.model)
     except InputError as error:
