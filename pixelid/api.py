@@ -3,6 +3,8 @@
 A model is a `Model`, a shipped name, a .toml file or a fit folder; recordings are a path, a `Recording`, or a list of
 either; a stimulus is a `Stimulus`, a built-in name or a file.  `progress(what, fraction)` reports on long work.
 """
+# pyright: reportUnnecessaryIsInstance=false
+# what users give is checked, whatever the annotations promise
 
 from __future__ import annotations
 

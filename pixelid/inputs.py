@@ -1,4 +1,6 @@
 """What users give: a model, recordings, a stimulus, in any of the forms that the command line takes, and as values."""
+# pyright: reportUnnecessaryIsInstance=false
+# what users give is checked, whatever the annotations promise
 
 from __future__ import annotations
 

@@ -49,8 +49,8 @@ def refuse_existing(path: Path, overwrite: bool, *, markers: Sequence[str] | Non
             raise InputError(f"{path}: exists already; choose another --out or pass --overwrite")
         if path.is_dir() and markers is not None and not _ours(path, markers):
             raise InputError(
-                f"{path}: --overwrite replaces only a result of pixelid (a folder with {markers[0]} or the like), found "
-                "something else; choose another --out"
+                f"{path}: --overwrite replaces only a result of pixelid (a folder with {markers[0]} or the like), "
+                "found something else; choose another --out"
             )
     if not path.parent.exists():
         raise InputError(f"{path}: the folder {path.parent} does not exist")

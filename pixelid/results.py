@@ -10,13 +10,13 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, cast
 
 from pixelid.errors import InputError
 from pixelid.outputs import refuse_existing, whole_folder, write_json
 
 if TYPE_CHECKING:
-    import pandas as pd
+    import pandas as pd  # pyright: ignore[reportMissingTypeStubs]
 
 ROWS_SHOWN = 18  # of each table, in a `repr`: with headings and a few sentences one screen of 24 lines
 SENTENCES_SHOWN = 4
@@ -95,11 +95,12 @@ class Result(ABC):
 
     def to_dataframe(self) -> pd.DataFrame:
         """The most important table as a pandas data frame, indexed by the rows' names."""
-        import pandas as pd
+        import pandas as pd  # pyright: ignore[reportMissingTypeStubs]
 
         records = self.records()
-        frame = pd.DataFrame.from_records(records)
-        return frame.set_index(next(iter(records[0]))) if records else frame
+        columns = list(dict.fromkeys(name for row in records for name in row))
+        frame: Any = pd.DataFrame([[row.get(name) for name in columns] for row in records], columns=columns)
+        return frame.set_index(columns[0]) if columns else frame
 
     def write(self, folder: str | Path) -> None:
         """Write the JSON and what belongs to it into an existing folder, beside what is there."""
@@ -188,7 +189,7 @@ def read_result(folder: str | Path, file: str) -> dict[str, Any]:
         raise InputError(f"{path}: not valid JSON") from None
     if not isinstance(content, dict):
         raise InputError(f"{path}: expected a JSON object, found {type(content).__name__}")
-    return content
+    return cast(dict[str, Any], content)
 
 
 def required(content: Mapping[str, Any], folder: str | Path, file: str, *names: str) -> list[Any]:

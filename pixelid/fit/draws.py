@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -14,7 +15,7 @@ Z95 = 1.959963984540054
 WIDEST = 1.0  # standard deviation, in fitting coordinates, beyond which an open direction is not followed
 
 
-def read_fit(folder: Path) -> dict | None:
+def read_fit(folder: Path) -> dict[str, Any] | None:
     """The fit.json of a fit folder, or None when `folder` is no folder or holds no fit.
 
     Raises InputError when the file is not a fit's.

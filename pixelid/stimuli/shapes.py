@@ -7,6 +7,7 @@ duration_s, dt: seconds.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 
@@ -104,7 +105,7 @@ def grating(
     return Stimulus.from_arrays(t, frames, where="grating")
 
 
-SHAPES = {
+SHAPES: dict[str, Callable[..., Stimulus]] = {
     "constant": constant,
     "sine": sine,
     "slow": slow,
