@@ -153,6 +153,7 @@ def whole_file(path: Path, overwrite: bool = False) -> Iterator[Path]:
         temporary = folder / path.name
         yield temporary
         _flush(temporary)
+        refuse_existing(path, overwrite)  # again: the work between may have taken hours
         os.replace(temporary, path.resolve())
         _flush(path.resolve().parent)
 
@@ -184,6 +185,7 @@ def whole_folder(
             for name in files:
                 _flush(Path(folder) / name)
             _flush(Path(folder))
+        refuse_existing(path, overwrite, markers=markers)  # again: the work between may have taken hours
         target = path.resolve()
         if target.exists():
             _exchange(temporary, target)
@@ -207,8 +209,9 @@ def _beside(path: Path) -> Iterator[Path]:
         yield folder
     except OSError as error:
         names = [Path(str(name)) for name in (error.filename, error.filename2) if name is not None]
-        own = {folder, path, path.resolve(), path.resolve().parent}
-        if names and not any(own & {name, *name.parents} for name in names):
+        target = path.resolve()
+        own = {folder, path, target}
+        if names and not any(name == target.parent or own & {name, *name.parents} for name in names):
             raise  # another file: an input
         raise _cannot_write(path, error) from error
     finally:

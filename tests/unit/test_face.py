@@ -1,0 +1,199 @@
+"""What `import pixelid` shows: a dozen names, quick, in every import order, and forgiving about what they are given."""
+
+import doctest
+import inspect
+import pickle
+import subprocess
+import sys
+from pathlib import Path
+from unittest import mock
+
+import numpy as np
+import pytest
+
+import pixelid as px
+from pixelid.errors import InputError, did_you_mean
+from pixelid.inputs import as_model, as_recordings, as_stimulus
+from pixelid.recordings import Events, Recording, write_recording
+
+NAMES = {
+    "open", "find_model", "simulate", "fit", "sample", "gap", "lowlight", "design", "reconstruct",
+    "Model", "Recording", "Stimulus", "Status",
+}  # fmt: skip
+SUBPACKAGES = ("fit", "sample", "gap", "lowlight", "design", "simulate")
+
+
+def test_the_names():
+    assert set(px.__all__) == NAMES
+    assert set(dir(px)) == NAMES | {"__version__"}
+    for name in NAMES:
+        assert callable(getattr(px, name))
+    with pytest.raises(AttributeError, match="has no attribute 'fitt'"):
+        _ = px.fitt  # pyright: ignore[reportAttributeAccessIssue]
+
+
+def test_importing_loads_nothing_heavy():
+    code = "import sys, pixelid; print(*sorted(m for m in sys.modules if '.' not in m))"
+    loaded = set(subprocess.check_output([sys.executable, "-c", code], text=True).split())
+    assert not loaded & {"numpy", "scipy", "numba", "torch", "casadi", "matplotlib", "pandas", "arviz"}
+
+
+ORDERS = {
+    "subpackage first": "import pixelid.fit.fit; import pixelid as px; f = px.fit",
+    "face first": "import pixelid as px; f = px.fit; import pixelid.fit.fit; assert px.fit is f",
+    "from the package": "from pixelid import fit as f; import pixelid.fit.result",
+    "subpackage by another name": "import pixelid.fit as f",
+    "module by another name": "import pixelid.fit.result as r; assert r.FitResult; from pixelid import fit as f",
+    "dotted use": "import pixelid.fit.result; assert pixelid.fit.result.FitResult; f = pixelid.fit",
+    "star": "from pixelid import *; f = fit",
+    "inner function": "from pixelid.fit import fit as inner; from pixelid import fit as f; assert inner is not f",
+}
+
+
+@pytest.mark.parametrize("order", ORDERS)
+def test_fit_is_the_function_in_every_import_order(order):
+    check = (
+        "\nimport sys, types, pixelid.api"
+        "\nassert f.__wrapped__ is pixelid.api.fit, f"
+        "\nassert f.FitResult is sys.modules['pixelid.fit'].FitResult"
+        "\nassert isinstance(sys.modules['pixelid.fit'], types.ModuleType)"
+        "\ntry: f(3, 'dvs128')"
+        "\nexcept pixelid.api.InputError: print('called')"
+    )
+    code = ORDERS[order] + check
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.stdout == "called\n", done.stderr
+
+
+@pytest.mark.parametrize("name", SUBPACKAGES)
+def test_functions_are_documented_pickled_and_patched_like_any_other(name, monkeypatch):
+    function = getattr(px, name)
+    assert "Args:" in inspect.getdoc(function)
+    assert "Returns:" in inspect.getdoc(function)
+    assert "progress" in inspect.signature(function).parameters
+    assert pickle.loads(pickle.dumps(function)) is function
+    assert repr(function) == f"<function pixelid.{name}>"
+    with mock.patch(f"pixelid.{name}", return_value=7):
+        assert getattr(px, name)() == 7
+    assert getattr(px, name) is function
+    monkeypatch.setattr(f"pixelid.{name}.__doc__", "patched")
+    assert sys.modules[f"pixelid.{name}"].__doc__ == "patched"
+
+
+def test_examples():
+    import pixelid.api
+    import pixelid.errors
+    import pixelid.model.model
+    import pixelid.recordings.recording
+    import pixelid.recordings.selection
+    import pixelid.results
+
+    homes = (pixelid.api, pixelid.errors, pixelid.results, pixelid.recordings.selection,
+             pixelid.recordings.recording, pixelid.model.model)  # fmt: skip
+    for home in homes:
+        tried = doctest.testmod(home)
+        assert tried.attempted > 0
+        assert tried.failed == 0, home
+
+
+# --- what is accepted -------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def folder(tmp_path) -> Path:
+    for name in ("a", "b"):
+        write_recording(Recording(Events.empty(2, 2), condition=name), tmp_path / f"{name}.h5")
+    return tmp_path
+
+
+def test_open(folder):
+    one = px.open(folder / "a.h5")
+    assert isinstance(one, Recording)
+    assert one.condition == "a"
+    for several in (folder, str(folder), [folder / "a.h5", str(folder / "b.h5")]):
+        opened = px.open(several)
+        assert isinstance(opened, tuple)
+        assert [r.condition for r in opened] == ["a", "b"]
+
+
+def test_recordings_come_as_paths_values_or_lists_of_both(folder):
+    value = px.open(folder / "b.h5")
+    assert isinstance(value, Recording)
+    assert as_recordings(value) == [value]
+    assert [r.condition for r in as_recordings([folder / "a.h5", value])] == ["a", "b"]
+    assert len(as_recordings(iter([value, folder]))) == 3
+
+
+def test_models_and_stimuli_come_as_names_files_or_values(tmp_path):
+    model = px.find_model("dvs128")
+    assert as_model(model) is model
+    assert as_model("dvs128") == model
+    light = as_stimulus("chirp")
+    assert as_stimulus(light) is light
+    (tmp_path / "light.toml").write_text('[stimulus]\nkind = "sine"\nlevel = 3.0')
+    assert as_stimulus(tmp_path / "light.toml").radiance.max() < 5
+
+
+@pytest.mark.parametrize(
+    ("call", "says"),
+    [
+        (lambda: px.find_model("dvs129"), r"no model 'dvs129': .*\(did you mean 'dvs128'\?\)"),
+        (lambda: px.find_model(3), "model: expected a Model, a .toml file, a fit folder, or one of .*found int 3"),
+        (lambda: px.simulate("dvs128", "chrip"), r"no stimulus 'chrip'.*\(did you mean 'chirp'\?\)"),
+        (lambda: px.simulate("dvs128", np.ones(3)), "stimulus: expected a Stimulus, .*found ndarray"),
+        (lambda: px.simulate("dvs128", "chirp", pixels=0), "--pixels: expected at least 1"),
+        (lambda: px.fit(3, "dvs128"), "recordings: expected a Recording, a path, or a list of either, found int 3"),
+        (lambda: px.fit([], "dvs128"), "recordings: expected at least one, found none"),
+        (lambda: px.fit(["gone.h5"], "dvs128"), "gone.h5: no such file"),
+        (lambda: px.gap([None], "dvs128"), "found NoneType None"),
+        (lambda: px.sample("gone", "gone.h5"), "expected the folder of a result"),
+        (lambda: px.sample(3, "gone.h5"), "result: expected a FitResult or a fit folder, found int"),
+        (lambda: px.open("gone.h5"), "gone.h5: no such file"),
+        (lambda: px.design("dvs128", criterion="beauty"), "beauty"),
+        (lambda: px.reconstruct("gone", bandwidth="maybe"), "bandwidth: expected on, off or joint, found 'maybe'"),
+    ],
+)
+def test_anything_else_is_a_plain_error(call, says):
+    with pytest.raises(InputError, match=says) as caught:
+        call()
+    assert "\n" not in str(caught.value)
+
+
+def test_did_you_mean():
+    assert did_you_mean("leek", ["leak"]) == " (did you mean 'leak'?)"
+    assert did_you_mean("sawtooth", ["leak"]) == ""
+
+
+# --- values in one screen ---------------------------------------------------------------------------------------
+
+
+def test_values_are_shown_in_one_screen_and_escaped(folder):
+    model = px.find_model("dvs128")
+    recording = Recording(Events.empty(2, 2), as_stimulus("chirp"), condition="<b>&")
+    for value in (model, recording, as_stimulus("chirp"), as_recordings(folder)):
+        assert len(repr(value).splitlines()) <= 24
+        assert len(repr(value)) < 2000
+    assert "<b>&" not in recording._repr_html_()
+    assert "&lt;b&gt;&amp;" in recording._repr_html_()
+    assert "refractory_s" in model._repr_html_()
+
+
+def test_a_recording_is_plotted():
+    recording = px.simulate("ideal", "sine", pixels=4)
+    axes = recording.plot()
+    assert axes.shape == (2, 1)
+    assert axes[0, 0].collections
+    import matplotlib.pyplot as plt
+
+    plt.close(axes[0, 0].figure)
+
+
+def test_simulating_is_what_the_command_line_does(tmp_path):
+    from pixelid.cli.main import main
+
+    assert main(["simulate", "ideal", "--stimulus", "sine", "--out", str(tmp_path / "a.h5"), "--pixels", "4",
+                 "--seed", "3", "--quiet"]) == 0  # fmt: skip
+    file, own = px.open(tmp_path / "a.h5"), px.simulate("ideal", "sine", pixels=4, seed=3)
+    assert isinstance(file, Recording)
+    assert np.array_equal(file.events.t, own.events.t)
+    assert len(own.events) > 0
