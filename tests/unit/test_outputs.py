@@ -124,20 +124,29 @@ def test_a_killed_run_blocks_nobody_and_its_left_overs_go(tmp_path):
 
 
 def test_what_appears_meanwhile_is_kept_and_temporaries_of_the_living_stay(tmp_path):
-    with pytest.raises(InputError, match="exists already"), whole_folder(tmp_path / "out") as folder:
-        (folder / "fit.json").write_text("{}")
-        with whole_folder(tmp_path / "out") as faster:
-            (faster / "a").write_text("a")
-        assert folder.is_dir()
+    def overtaken():
+        with whole_folder(tmp_path / "out") as folder:
+            (folder / "fit.json").write_text("{}")
+            with whole_folder(tmp_path / "out") as faster:
+                (faster / "a").write_text("a")
+            assert folder.is_dir()
+
+    with pytest.raises(InputError, match="exists already"):
+        overtaken()
     assert contents(tmp_path) == {"out/a": b"a"}
 
 
 def test_an_interruption_leaves_the_old_result(tmp_path):
     out = result(tmp_path / "out")
     before = contents(tmp_path)
-    with pytest.raises(KeyboardInterrupt), whole_folder(out, True) as folder:
-        (folder / "half").write_text("half")
-        raise KeyboardInterrupt
+
+    def interrupted():
+        with whole_folder(out, True) as folder:
+            (folder / "half").write_text("half")
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
     assert contents(tmp_path) == before
     assert os.listdir(tmp_path) == ["out"]
 
@@ -187,7 +196,7 @@ def test_a_fault_at_any_step_is_one_line_and_the_old_result_stays(step, at_once,
 @pytest.mark.parametrize("code", FAULTS, ids=lambda code: errno.errorcode[code])
 def test_a_write_that_fails_is_said_of_the_target(code, tmp_path):
     (tmp_path / "rec.h5").write_text("old")
-    with pytest.raises(OutputError, match="rec.h5: cannot be written"), whole_file(tmp_path / "rec.h5", True):
+    with pytest.raises(OutputError, match=r"rec\.h5: cannot be written"), whole_file(tmp_path / "rec.h5", True):
         raise OSError(code, os.strerror(code))
     assert contents(tmp_path) == {"rec.h5": b"old"}
 
@@ -200,9 +209,13 @@ def test_an_input_that_cannot_be_read_is_not_blamed_on_the_output(tmp_path):
 
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="needs /dev/full")
 def test_a_full_disk_is_one_line(tmp_path):
-    with pytest.raises(OutputError, match="No space left on device"), whole_file(tmp_path / "a.json") as path:
-        path.symlink_to("/dev/full")
-        write_json(path, {"value": list(range(100_000))})
+    def fill():
+        with whole_file(tmp_path / "a.json") as path:
+            path.symlink_to("/dev/full")
+            write_json(path, {"value": list(range(100_000))})
+
+    with pytest.raises(OutputError, match="No space left on device"):
+        fill()
     assert os.listdir(tmp_path) == []
 
 
