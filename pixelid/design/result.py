@@ -53,7 +53,7 @@ class DesignReport(Result):
         """Model, criterion and recommendation."""
         c = self.content
         return (
-            f"next experiment for {c['model']} by {c['criterion']}: {c['recommended']['name']}; {self.status} in "
+            f"next: {c['recommended']['name']}, for {c['model']} by {c['criterion']}; {self.status} in "
             f"{c['seconds']:.1f} s"
         )
 

@@ -19,6 +19,8 @@ from pixelid.results import Result, Table, interval, number, read_result, requir
 from pixelid.status import Status
 
 if TYPE_CHECKING:
+    from jaxtyping import Float64
+
     from pixelid.inputs import RecordingsLike
 
 
@@ -69,8 +71,8 @@ class FitResult(Result):
     engine: str
     observation: str
     coordinates: Coordinates
-    x: np.ndarray
-    covariance: np.ndarray
+    x: Float64[np.ndarray, " free"]
+    covariance: Float64[np.ndarray, "free free"]
     estimates: Mapping[str, Estimate]
     unidentified: tuple[str, ...]
     physical: Mapping[str, float] | None

@@ -4,10 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from pixelid.errors import InputError
+
+if TYPE_CHECKING:
+    from jaxtyping import Int64, UInt8, UInt16
 
 NS_PER_UNIT = {"ns": 1, "us": 1_000, "ms": 1_000_000, "s": 1_000_000_000}
 
@@ -22,10 +26,10 @@ class Events:
     tick_ns: the unit in which the source counted time (1 for ns files, 1000 for µs files)
     """
 
-    t: np.ndarray
-    x: np.ndarray
-    y: np.ndarray
-    p: np.ndarray
+    t: Int64[np.ndarray, " events"]
+    x: UInt16[np.ndarray, " events"]
+    y: UInt16[np.ndarray, " events"]
+    p: UInt8[np.ndarray, " events"]
     width: int
     height: int
     tick_ns: int = 1

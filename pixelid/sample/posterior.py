@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 from zipfile import BadZipFile
 
 import numpy as np
@@ -18,6 +18,9 @@ from pixelid.model.model import Model
 from pixelid.results import Result, Table, interval, number, read_result, required
 from pixelid.sample.convergence import Convergence, convergence
 from pixelid.status import Status
+
+if TYPE_CHECKING:
+    from jaxtyping import Float64
 
 
 @dataclass(frozen=True, repr=False)
@@ -39,9 +42,9 @@ class Posterior(Result):
     status: Status
     advice: str
     coordinates: Coordinates
-    chain: np.ndarray
-    log_prob: np.ndarray
-    pieces: np.ndarray
+    chain: Float64[np.ndarray, "ensembles steps walkers free"]
+    log_prob: Float64[np.ndarray, "ensembles steps walkers"]
+    pieces: Float64[np.ndarray, "ensembles steps walkers pieces"]
     convergence: Convergence
     details: Mapping = field(default_factory=dict)
     recordings: tuple[str, ...] = ()

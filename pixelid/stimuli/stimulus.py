@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 from zlib import crc32
 
 import numpy as np
 
 from pixelid.errors import InputError
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Float64
 
 UNITS = ("relative", "lux", "fA", "shape")
 INTERPOLATIONS = ("linear", "previous")
@@ -23,8 +27,8 @@ class Stimulus:
     interpolation: "linear" (log radiance is linear between samples) or "previous" (held)
     """
 
-    t: np.ndarray
-    radiance: np.ndarray
+    t: Float64[np.ndarray, " samples"]
+    radiance: Float[np.ndarray, " samples ..."]
     unit: str = "relative"
     interpolation: str = "linear"
 

@@ -2,6 +2,7 @@
 
 import importlib.util
 import json
+import os
 import subprocess
 import sys
 
@@ -60,6 +61,15 @@ def test_every_listed_command_is_there(capsys):
         (["models", "dvs128", "ideal"], "unexpected extra argument"),
         (["convert", "one.h5"], "Missing argument"),
         (["models", "--seed", "x"], "'x' is not a valid integer"),
+        (["models", "--seed", "-1"], "--seed"),
+        (["gap", "a.h5", "--model", "dvs128", "--out", "o", "--alpha", "nan"], "--alpha': expected a number above 0"),
+        (["gap", "a.h5", "--model", "dvs128", "--out", "o", "--alpha", "0.7"], "found 0.7"),
+        (["design", "dvs128", "--out", "o", "--spread", "inf"], "--spread"),
+        (["reconstrukt"], "(did you mean 'reconstruct'?)"),
+        (["models", "dvs129"], "(did you mean 'dvs128'?)"),
+        (["simulate", "dvs128", "--stimulus", "chrip", "--out", "o.h5"], "(did you mean 'chirp'?)"),
+        (["simulate", "dvs128", "--stimulus", "chirp", "--out", "o.h5", "--with", "leek"], "(did you mean 'leak'?)"),
+        (["simulate", "dvs128", "--stimulus", "chirp", "--out", "o.h5", "--set", "alpa=1"], "(did you mean 'alpha'?)"),
         (["models", "dvs129"], "no model 'dvs129': expected a .toml file, a fit folder, or one of dvs128"),
     ],
 )
@@ -85,6 +95,8 @@ def test_no_command_shows_the_commands(capsys):
         (UntrustworthyResult("no optimum", "start elsewhere"), 1, "no optimum"),
         (MemoryError(), 1, "not enough memory"),
         (PermissionError(13, "Permission denied", "models"), 2, "models: Permission denied"),
+        (ZeroDivisionError("division by zero"), 1, "unexpected ZeroDivisionError: division by zero; this is a bug"),
+        (RuntimeError("two\nlines"), 1, "unexpected RuntimeError: two lines"),
     ],
 )
 def test_interruption_and_distrust_have_their_exit_codes(error, code, says, monkeypatch, capsys):
@@ -96,6 +108,33 @@ def test_interruption_and_distrust_have_their_exit_codes(error, code, says, monk
     printed = capsys.readouterr().err
     assert says in printed
     assert printed.strip().count("\n") == 0
+
+
+def test_a_bug_shows_where_it_is_when_asked(monkeypatch, capsys):
+    def stop():
+        raise RuntimeError("a bug")
+
+    monkeypatch.setattr("pixelid.model.shipped.shipped_models", stop)
+    monkeypatch.setenv("PIXELID_DEBUG", "1")
+    assert main(["models"]) == 1
+    assert "Traceback" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("locale", [{"LC_ALL": "C"}, {"LC_ALL": "C", "PYTHONUTF8": "0"}, {"PYTHONIOENCODING": "ascii"}])
+def test_units_are_printed_whatever_the_locale(locale):
+    done = subprocess.run([sys.executable, "-m", "pixelid", "models", "dvs128"], capture_output=True,
+                          env={**os.environ, "COLUMNS": "300", **locale})  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert "1/s²/fA" in done.stdout.decode()
+
+
+def test_names_are_printed_whole(capsys):
+    from pixelid.cli.terminal import say
+    from pixelid.results import Table
+
+    name = "delay_s[led_uart_3125hz_30m_with_a_very_long_name_that_goes_on_beyond_any_terminal_of_eighty_columns]"
+    say(Table("", ("name", "value"), ((name, "1"),), frozenset({"name"})).text())
+    assert name in capsys.readouterr().out
 
 
 def test_the_installed_program_ends_with_the_exit_code():

@@ -65,7 +65,7 @@ def test_results_are_shown_in_one_screen_and_escaped(name, page):
     assert len(repr(result).splitlines()) <= 26
     assert len(repr(result)) < 3000
     assert all(sentence in result.summary() for sentence in result.sentences())
-    evil = replace(result, **({"advice": "<script>"}))
+    evil = replace(result, advice="<script>")
     assert "<script>" not in evil._repr_html_()
     assert "&lt;script&gt;" in evil._repr_html_()
 
