@@ -15,13 +15,13 @@ PACKAGES = ("numpy", "scipy", "numba", "casadi", "torch", "torchdiffeq", "emcee"
 
 def versions() -> dict[str, str]:
     """Versions of pixelid, Python and the installed packages that numbers depend on."""
-    found = {"pixelid": __version__, "python": platform.python_version()}
+    installed = {"pixelid": __version__, "python": platform.python_version()}
     for name in PACKAGES:
         try:
-            found[name] = metadata.version(name)
+            installed[name] = metadata.version(name)
         except metadata.PackageNotFoundError:
             continue
-    return found
+    return installed
 
 
 def sha256(path: Path) -> str:

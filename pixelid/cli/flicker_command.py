@@ -54,11 +54,11 @@ def command(recording, out, frequency, groups, model, overwrite, seed, quiet):
         with bar(quiet) as report:
             fit = fit_flicker(opened, circuit, near_hz=frequency, grid=grid, progress=report)
         with whole_folder(out, overwrite) as folder:
-            found = save(fit, folder)
+            written = save(fit, folder)
             write_report(folder)
     if not quiet:
         say(f"{fit.frequency_hz:.4f} ± {fit.frequency_sd:.2g} Hz, {len(fit.groups)} groups, {fit.seconds:.1f} s")
         for title in ("identified", "unidentified", "disagreements"):
             say(f"{title}:")
-            say_sentences(found[title])
-    return found["status"].exit_code
+            say_sentences(written[title])
+    return written["status"].exit_code

@@ -82,9 +82,9 @@ def _still_scene(
     from pixelid.provenance import input_hashes, versions
 
     with nullcontext() if out is None else claimed(out, overwrite, files):
-        found = static_noise([read_interval_counts(file) for file in files], seed)
+        noise = static_noise([read_interval_counts(file) for file in files], seed)
         hashes = input_hashes(files)
-        result = plain({**asdict(found), "seed": seed, "versions": versions(), "inputs_sha256": hashes})
+        result = plain({**asdict(noise), "seed": seed, "versions": versions(), "inputs_sha256": hashes})
         if out is not None:
             with whole_folder(out, overwrite) as folder:
                 write_json(folder / "static_noise.json", result)
@@ -95,4 +95,4 @@ def _still_scene(
 
         from pixelid.inspection.static_noise_words import static_noise_table
 
-        Console(markup=False).print(static_noise_table(found))
+        Console(markup=False).print(static_noise_table(noise))

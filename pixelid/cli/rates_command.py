@@ -47,17 +47,17 @@ def command(source, out, unit, data, overwrite, seed, quiet):
             table, file = read_pool_recipe(source, data)
             fit = fit_pool(table)
             with whole_folder(out, overwrite) as folder:
-                found = save_pool(fit, folder, file)
+                written = save_pool(fit, folder, file)
                 write_report(folder)
         else:
             pixel = fit_pixel(read_table(source, unit))
             with whole_folder(out, overwrite) as folder:
-                found = save_pixel(pixel, folder)
+                written = save_pixel(pixel, folder)
                 write_report(folder)
     if not quiet:
-        for name, v in found["parameters"].items():
+        for name, v in written["parameters"].items():
             known = "" if v["identified"] else "   not identified"
             say(f"{name:32s} {v['value']:10.4g} {v['unit']}{known}")
-        say(f"relative scatter {100 * found['relative_scatter']:.1f} %")
-        say_sentences(found["disagreements"])
-    return found["status"].exit_code
+        say(f"relative scatter {100 * written['relative_scatter']:.1f} %")
+        say_sentences(written["disagreements"])
+    return written["status"].exit_code

@@ -59,10 +59,10 @@ class DesignReport(Result):
 
     def tables(self) -> list[Table]:
         """The ranking, and the intervals expected with the best."""
-        found = dict(self.content)
-        ranking = tuple(tuple(row) for row in ranking_rows(found))
-        widths = tuple(tuple(row) for row in widths_rows(found))
-        title = f"expected with {found['recommended']['name']}, {found['pixels']} pixels"
+        content = dict(self.content)
+        ranking = tuple(tuple(row) for row in ranking_rows(content))
+        widths = tuple(tuple(row) for row in widths_rows(content))
+        title = f"expected with {content['recommended']['name']}, {content['pixels']} pixels"
         return [
             Table("", RANKING_HEADINGS, ranking, frozenset({"stimulus"})),
             Table(title, WIDTHS_HEADINGS, widths, frozenset({"parameter", "unit"})),

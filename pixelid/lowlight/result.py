@@ -49,14 +49,14 @@ class LowlightReport(Result):
     def tables(self) -> list[Table]:
         """Radiance from which the approximations err; what was measured beside the model."""
         unit = self.content["radiance_unit"]
-        found = dict(self.content)
-        radii = tuple(tuple(row) for row in radii_rows(found))
+        content = dict(self.content)
+        radii = tuple(tuple(row) for row in radii_rows(content))
         tables = [
             Table(f"radiance [{unit}] from which approximations err by 1, 10, 50 %", RADII_HEADINGS, radii,
                   frozenset(RADII_HEADINGS[:2]))
         ]  # fmt: skip
         if self.content["measured"]:
-            rows = tuple(tuple(row) for row in measured_rows(found))
+            rows = tuple(tuple(row) for row in measured_rows(content))
             left = frozenset({"recording", "quantity"})
             tables.append(Table("measured, and the model under the same light", MEASURED_HEADINGS, rows, left))
         return tables

@@ -54,7 +54,7 @@ class Reconstruction(Result):
     inputs: Mapping[str, str]
 
     def as_dict(self) -> dict:
-        """The content of reconstruction.json (COMMANDS.md)."""
+        """The content of reconstruction.json."""
         correction = self.scores.correction
         one = len(correction.a) == 1
         return {
