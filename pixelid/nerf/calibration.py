@@ -5,8 +5,8 @@ The file quotes circuit values with the photocurrent per unit of image intensity
     input_time_const_eff_it_prod   q_in = τ_in L       miller_time_const_eff_it_prod   q_mil = τ_mil L
     A_loop = amplifier_gain / closed_loop_gain         black_level = dark current in units of image intensity
 
-They enter through the invariants α, β, γ (DESIGN §2).  A fit of the same camera may replace them: its radiance unit is
-tied to the dataset's by q_in, which both quote (the fit in its gauge).
+They enter through the invariants α, β, γ (docs/model.md).  A fit of the same camera may replace them: its radiance
+unit is tied to the dataset's by q_in, which both quote (the fit in its gauge).
 """
 
 from __future__ import annotations

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from pixelid.nerf.stretches import Stretches, stretches
+from pixelid.nerf.stretches import NOISE, Stretches, stretches
 
 CHAIN = 16
 OWN = 1 / 3
@@ -62,13 +62,13 @@ class Chains(NamedTuple):
     share: np.ndarray
 
 
-def intervals(t, x, y, on, width: int, *, dead=0.0, lag=0.0, shortest=0.0) -> Intervals:
-    """Stretches of events in order of time; dead, lag, shortest: see `stretches`."""
+def intervals(t, x, y, on, width: int, *, dead=0.0, lag=0.0, shortest=0.0, noise=NOISE) -> Intervals:
+    """Stretches of events in order of time; dead, lag, shortest, noise: see `stretches`."""
     pixel = y * width + x
     order = np.lexsort((t, pixel))
     found = stretches(
         np.ascontiguousarray(t[order]), np.ascontiguousarray(pixel[order]), np.ascontiguousarray(on[order]), dead, lag,
-        shortest,
+        shortest, noise,
     )  # fmt: skip
     return Intervals(found, np.arange(len(found.begin)))
 
