@@ -14,7 +14,6 @@ from pixelid.identify.small_sample import MISMATCH, mismatch_shares
 from pixelid.recordings.recording import Recording
 from pixelid.sample.convergence import ENOUGH_TAU, Convergence, convergence
 from pixelid.sample.ensembles import CHUNK, Ensembles, moves
-from pixelid.sample.library import arviz
 from pixelid.sample.posterior import Posterior
 from pixelid.sample.proposal import Proposal, shaped
 from pixelid.sample.target import Target
@@ -151,7 +150,10 @@ def _explored(target: Target, proposal: Proposal, starts: np.ndarray, seed: int)
 
 def k_hat(log_ratio: np.ndarray) -> float:
     """Pareto shape of importance ratios (Vehtari et al. 2024, JMLR 25, PSIS): below 0.7 they can be relied on."""
-    return float(arviz().psislw(np.asarray(log_ratio, dtype=float))[1])
+    from arviz_stats.base import array_stats
+
+    _, k = array_stats.psislw(-np.asarray(log_ratio, dtype=float))  # it takes log-likelihoods: weights' logs negated
+    return float(k)
 
 
 def _until_converged(run: Ensembles, wanted: int, max_steps: int, report) -> tuple[int, Convergence]:
