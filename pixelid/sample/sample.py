@@ -150,7 +150,7 @@ def _explored(target: Target, proposal: Proposal, starts: np.ndarray, seed: int)
 
 def k_hat(log_ratio: np.ndarray) -> float:
     """Pareto shape of importance ratios (Vehtari et al. 2024, JMLR 25, PSIS): below 0.7 they can be relied on."""
-    from arviz_stats.base import array_stats
+    from arviz_stats.base.array import array_stats
 
     _, k = array_stats.psislw(-np.asarray(log_ratio, dtype=float))  # it takes log-likelihoods: weights' logs negated
     return float(k)
