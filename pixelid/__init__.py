@@ -1,3 +1,48 @@
-"""Identify the circuit of an event camera's pixel from its events."""
+"""Identify the circuit of an event camera's pixel from its events.
+
+    import pixelid as px
+
+    recordings = px.open("session/")
+    result = px.fit(recordings, "dvs128")
+    print(result.summary())
+
+A model is a `Model`, a shipped name, a .toml file or a fit folder; recordings are paths, `Recording`s, or a list of
+either; a stimulus is a `Stimulus`, a built-in name, or a file.  Everything else is an `InputError` in plain words.
+"""
+
+from typing import TYPE_CHECKING
+
+from pixelid.lazy import show
 
 __version__ = "0.1.0"
+
+__all__ = [
+    "Model",
+    "Recording",
+    "Status",
+    "Stimulus",
+    "design",
+    "find_model",
+    "fit",
+    "gap",
+    "lowlight",
+    "open",
+    "reconstruct",
+    "sample",
+    "simulate",
+]
+
+if TYPE_CHECKING:
+    from pixelid.api import design, find_model, fit, gap, lowlight, open, reconstruct, sample, simulate
+    from pixelid.model.model import Model
+    from pixelid.recordings.recording import Recording
+    from pixelid.status import Status
+    from pixelid.stimuli.stimulus import Stimulus
+
+_VALUES = {
+    "Model": "pixelid.model.model",
+    "Recording": "pixelid.recordings.recording",
+    "Status": "pixelid.status",
+    "Stimulus": "pixelid.stimuli.stimulus",
+}
+show(__name__, {name: _VALUES.get(name, "pixelid.api") for name in __all__})

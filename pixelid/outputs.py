@@ -1,68 +1,298 @@
-"""Results reach disk whole or not at all: write beside the target, then rename."""
+"""Results reach disk whole or not at all, and never in place of something else.
+
+A result is written beside its target under a hidden name, flushed to disk, and swapped in by one rename.  Only a folder
+that holds a result of pixelid is ever replaced, and never one that holds an input of the run.  `claimed` keeps a second
+run off the same target.
+"""
 
 from __future__ import annotations
 
+import ctypes
+import errno
 import json
 import math
+import os
 import shutil
+import socket
+import sys
 import tempfile
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Any
 
-import numpy as np
+from pixelid.errors import InputError, OutputError
 
-from pixelid.errors import InputError
+# The JSON files that mark a folder as a result, which --overwrite may replace.
+RESULT_FILES = (
+    "fit.json", "gap.json", "posterior.json", "lowlight.json", "design.json", "rates.json", "flicker.json",
+    "latency.json", "noise.json", "sensor.json", "compare.json", "inspect.json", "static_noise.json",
+    "reconstruction.json", "conform.json", "render.json",
+)  # fmt: skip
+_AT_FDCWD, _RENAME_EXCHANGE = -100, 2  # linux/fcntl.h, linux/fs.h
 
 
-def refuse_existing(path: Path, overwrite: bool) -> None:
-    """Raise InputError when `path` exists and may not be replaced, or its parent is missing."""
-    if path.exists() and not overwrite:
-        raise InputError(f"{path}: exists already; choose another --out or pass --overwrite")
+def refuse_existing(path: Path, overwrite: bool, *, markers: Sequence[str] | None = RESULT_FILES) -> None:
+    """Check that `path` can be made, or replaced.
+
+    Args:
+        path: of the result, a file or a folder.
+        overwrite: whether the user agrees to lose what is there.
+        markers: files of which one must be in a folder that is replaced; None: any folder is replaced.
+
+    Raises:
+        InputError: it exists and may not be replaced, or its parent is missing.
+    """
+    path = Path(path)
+    if os.path.lexists(path):
+        if not overwrite:
+            raise InputError(f"{path}: exists already; choose another --out or pass --overwrite")
+        if path.is_dir() and markers is not None and not _ours(path, markers):
+            raise InputError(
+                f"{path}: --overwrite replaces only a result of pixelid (a folder with {markers[0]} or the like), found "
+                "something else; choose another --out"
+            )
     if not path.parent.exists():
         raise InputError(f"{path}: the folder {path.parent} does not exist")
 
 
+def refuse_inputs(path: Path, inputs: Iterable[str | Path]) -> None:
+    """Check that writing `path` would not lose an input.
+
+    Raises:
+        InputError: `path` is one of the inputs, or a folder that holds one.
+    """
+    target = Path(path).resolve()
+    for name in inputs:
+        source = Path(name)
+        if source.exists() and (source.resolve() == target or target in source.resolve().parents):
+            raise InputError(f"{path}: --out would replace the input {source}; choose another --out")
+
+
+def _ours(folder: Path, markers: Sequence[str]) -> bool:
+    """Whether a folder is empty or holds one of our results."""
+    if not any(folder.iterdir()):
+        return True
+    for name in markers:
+        try:
+            if not name.endswith(".json") and (folder / name).exists():
+                return True
+            if isinstance(json.loads((folder / name).read_text(encoding="utf-8")), dict):
+                return True
+        except (OSError, ValueError):
+            continue
+    return False
+
+
+@contextmanager
+def claimed(path: Path, overwrite: bool = False, inputs: Iterable[str | Path] = ()) -> Iterator[None]:
+    """Check `path` before the work begins, and keep other runs off it until the work is done.
+
+    Raises:
+        InputError: as `refuse_existing` and `refuse_inputs`, and when another run is at work on `path`.
+    """
+    path = Path(path)
+    refuse_inputs(path, inputs)
+    refuse_existing(path, overwrite, markers=RESULT_FILES)
+    with _locked(path):
+        yield
+
+
+@contextmanager
+def _locked(path: Path) -> Iterator[None]:
+    """Hold the lock file `.NAME.lock` beside `path`; the system releases it when the process dies."""
+    try:
+        import fcntl
+    except ImportError:  # not on this system: two runs at once are not noticed
+        yield
+        return
+    lock = path.with_name(f".{path.name}.lock")
+    while True:
+        try:
+            handle = os.open(lock, os.O_CREAT | os.O_RDWR, 0o644)
+        except OSError as error:
+            raise _cannot_write(path, error) from error
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            owner = os.read(handle, 100).decode(errors="replace").strip()
+            os.close(handle)
+            raise InputError(
+                f"{path}: another run ({owner or 'starting'}) is writing it; choose another --out"
+            ) from None
+        except OSError:  # a file system without locks
+            pass
+        with suppress(OSError):
+            if os.fstat(handle).st_ino == os.stat(lock).st_ino:
+                break
+        os.close(handle)  # the run before removed its lock file between our opening and locking it
+    try:
+        with suppress(OSError):
+            os.ftruncate(handle, 0)
+            os.write(handle, f"process {os.getpid()} on {socket.gethostname()}\n".encode())
+        yield
+    finally:
+        with suppress(OSError):
+            lock.unlink()
+        os.close(handle)
+
+
 @contextmanager
 def whole_file(path: Path, overwrite: bool = False) -> Iterator[Path]:
-    """Yield a temporary path in the same folder; on success it is renamed to `path`."""
+    """Yield a temporary path in the same folder; on success it is renamed to `path`.
+
+    Raises:
+        InputError: `path` exists and may not be replaced.
+        OutputError: it cannot be written; what was there is unchanged.
+    """
     path = Path(path)
     refuse_existing(path, overwrite)
-    folder = Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.parent))
-    try:
+    if path.is_dir():
+        raise InputError(f"{path}: expected a file to write, found a folder")
+    with _beside(path) as folder:
         temporary = folder / path.name
         yield temporary
-        temporary.replace(path)
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)
+        _flush(temporary)
+        os.replace(temporary, path.resolve())
+        _flush(path.resolve().parent)
 
 
 @contextmanager
-def whole_folder(path: Path, overwrite: bool = False) -> Iterator[Path]:
-    """Yield a temporary folder beside `path`; on success it takes the place of `path`."""
+def whole_folder(
+    path: Path, overwrite: bool = False, *, markers: Sequence[str] | None = RESULT_FILES
+) -> Iterator[Path]:
+    """Yield a temporary folder beside `path`; on success it takes the place of `path`.
+
+    Args:
+        path: of the result.
+        overwrite: whether a result that is there is replaced.
+        markers: as in `refuse_existing`.
+
+    Raises:
+        InputError: `path` exists and may not be replaced.
+        OutputError: it cannot be written; what was there is unchanged.
+    """
     path = Path(path)
-    refuse_existing(path, overwrite)
-    temporary = Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.parent))
-    try:
-        temporary.chmod(0o755)
+    refuse_existing(path, overwrite, markers=markers)
+    if os.path.lexists(path) and not path.is_dir():
+        raise InputError(f"{path}: expected a folder to replace, found a file")
+    with _beside(path) as parent:
+        temporary = parent / path.name
+        temporary.mkdir()
         yield temporary
-        if path.is_dir():
-            old = Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.parent))
-            path.rename(old / "old")
-            temporary.rename(path)
-            shutil.rmtree(old, ignore_errors=True)
+        for folder, _, files in os.walk(temporary):
+            for name in files:
+                _flush(Path(folder) / name)
+            _flush(Path(folder))
+        target = path.resolve()
+        if target.exists():
+            _exchange(temporary, target)
         else:
-            path.unlink(missing_ok=True)
-            temporary.rename(path)
+            os.rename(temporary, target)
+        _flush(target.parent)
+
+
+@contextmanager
+def _beside(path: Path) -> Iterator[Path]:
+    """A hidden folder beside `path`, removed at the end; those of dead processes are removed as well.
+
+    Raises:
+        OutputError: for an OSError that concerns what is written, whichever step of writing it stopped.
+    """
+    folder: Path | None = None
+    try:
+        _remove_stale(path)
+        folder = Path(tempfile.mkdtemp(prefix=_prefix(path, os.getpid()), suffix=".tmp", dir=path.resolve().parent))
+        folder.chmod(0o755)
+        yield folder
+    except OSError as error:
+        names = [Path(str(name)) for name in (error.filename, error.filename2) if name is not None]
+        own = {folder, path, path.resolve(), path.resolve().parent}
+        if names and not any(own & {name, *name.parents} for name in names):
+            raise  # another file: an input
+        raise _cannot_write(path, error) from error
     finally:
-        shutil.rmtree(temporary, ignore_errors=True)
+        if folder is not None:
+            shutil.rmtree(folder, ignore_errors=True)
 
 
-def plain(value):
+def _cannot_write(path: Path, error: OSError) -> OutputError:
+    reason = error.strerror or (str(error).splitlines() or ["unknown reason"])[0][:120]
+    return OutputError(f"{path}: cannot be written ({reason}); what was there before is unchanged")
+
+
+def _prefix(path: Path, process: int) -> str:
+    return f".{path.name}.{socket.gethostname()}-{process}-"
+
+
+def _remove_stale(path: Path) -> None:
+    """Remove temporary folders of `path` that processes of this machine left when they were killed."""
+    start = _prefix(path, 0).removesuffix("0-")
+    for left in path.resolve().parent.glob(f".{path.name}.*.tmp"):
+        process = left.name.removeprefix(start).partition("-")[0]
+        if left.name.startswith(start) and process.isdigit() and not _alive(int(process)):
+            shutil.rmtree(left, ignore_errors=True)
+
+
+def _alive(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except OSError:
+        return True
+    return True
+
+
+def _flush(path: Path) -> None:
+    """Wait until a file, or the entries of a folder, are on the disk."""
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    except OSError as error:
+        if error.errno not in (errno.EINVAL, errno.ENOTSUP, errno.EBADF):  # file systems that cannot flush folders
+            raise
+    finally:
+        os.close(handle)
+
+
+def _exchange(new: Path, old: Path) -> None:
+    """Swap two folders: in one step where the system can, else by two renames, the first undone if the second fails."""
+    if _exchange_at_once(new, old):
+        return
+    aside = new.with_name(f"{new.name}.old")
+    os.rename(old, aside)
+    try:
+        os.rename(new, old)
+    except BaseException:
+        os.rename(aside, old)
+        raise
+
+
+def _exchange_at_once(new: Path, old: Path) -> bool:
+    """Whether Linux's renameat2(…, RENAME_EXCHANGE) has swapped them."""
+    if not sys.platform.startswith("linux"):
+        return False
+    try:
+        renameat2 = ctypes.CDLL(None, use_errno=True).renameat2
+    except (OSError, AttributeError):
+        return False
+    done = renameat2(_AT_FDCWD, os.fsencode(new), _AT_FDCWD, os.fsencode(old), _RENAME_EXCHANGE)
+    if done == 0:
+        return True
+    code = ctypes.get_errno()
+    if code in (errno.ENOSYS, errno.EINVAL, errno.ENOTSUP):  # an old kernel, or a file system that cannot
+        return False
+    raise OSError(code, os.strerror(code), str(new), None, str(old))
+
+
+def plain(value: Any) -> Any:
     """`value` as JSON knows it: NumPy scalars and arrays become Python, non-finite floats become None."""
+    import numpy as np
+
     if isinstance(value, dict):
         return {str(k): plain(v) for k, v in value.items()}
-    if isinstance(value, (list, tuple)):
+    if isinstance(value, list | tuple):
         return [plain(v) for v in value]
     if isinstance(value, np.ndarray):
         return plain(value.tolist())
@@ -75,6 +305,6 @@ def plain(value):
     return value
 
 
-def write_json(path: Path, value) -> None:
+def write_json(path: Path, value: Any) -> None:
     """Write `value` as indented JSON."""
-    Path(path).write_text(json.dumps(plain(value), indent=2) + "\n")
+    Path(path).write_text(json.dumps(plain(value), indent=2) + "\n", encoding="utf-8")

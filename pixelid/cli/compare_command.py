@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import click
+
+from pixelid.cli import options
 
 EXAMPLE = """
 \b
@@ -14,47 +14,35 @@ Example:
 
 
 @click.command("compare", epilog=EXAMPLE)
-@click.argument("recordings", nargs=-1, required=True, type=click.Path(path_type=Path))
+@options.recordings
 @click.option(
     "--model", "models", multiple=True, required=True, help="A shipped model, a file or a fit folder; repeat."
 )
-@click.option("--out", required=True, type=click.Path(path_type=Path), help="Folder for compare.json.")
+@options.out("Folder for compare.json.")
 @click.option(
     "--folds", type=click.IntRange(min=2), default=2, show_default=True, help="Parts the pixels are dealt into."
 )
 @click.option("--sample", is_flag=True, help="Also PSIS-LOO over pixels, from posteriors.")
-@click.option("--overwrite", is_flag=True, help="Replace --out when it exists.")
-@click.option("--seed", type=int, default=0, show_default=True)
-@click.option("--quiet", is_flag=True, help="No progress, no table.")
+@options.overwrite
+@options.seed()
+@options.quiet
 def command(recordings, models, out, folds, sample, overwrite, seed, quiet):
     """Fit every MODEL to RECORDINGS and judge it on pixels that its fit has not seen."""
     from pixelid.cli.progress import bar
-    from pixelid.compare import compare
-    from pixelid.model.shipped import find_model
-    from pixelid.outputs import refuse_existing, whole_folder, write_json
-    from pixelid.recordings import open_recordings
+    from pixelid.cli.terminal import say
+    from pixelid.outputs import claimed, whole_folder
 
-    refuse_existing(out, overwrite)
-    found = [find_model(name) for name in models]
-    with bar(quiet) as report:
-        outcome = compare(
-            open_recordings(recordings), found, folds=folds, seed=seed, posteriors=sample, progress=report
-        )
-    with whole_folder(out, overwrite) as folder:
-        write_json(folder / "compare.json", outcome.as_dict())
+    with claimed(out, overwrite, [*recordings, *models]):
+        from pixelid.model.shipped import find_model
+        from pixelid.recordings import open_recordings
+
+        circuits, opened = [find_model(name) for name in models], open_recordings(recordings)
+        from pixelid.compare import compare
+
+        with bar(quiet) as report:
+            outcome = compare(opened, circuits, folds=folds, seed=seed, posteriors=sample, progress=report)
+        with whole_folder(out, overwrite) as folder:
+            outcome.write(folder)
     if not quiet:
-        from rich.console import Console
-        from rich.table import Table
-
-        table = Table(title="held-out pixels, nats")
-        for heading in ("model", "free", "held-out", "behind the best", "BIC"):
-            table.add_column(heading, justify="left" if heading == "model" else "right")
-        for name, row in outcome.as_dict()["models"].items():
-            behind = f"{row['behind_best_nats']:.4g} ± {row['behind_best_se']:.2g}"
-            table.add_row(
-                name, str(row["free_parameters"]), f"{row['held_out_log_likelihood']:.1f}", behind, f"{row['bic']:.1f}"
-            )
-        console = Console()
-        console.print(table)
-        console.print(outcome.sentence, highlight=False)
-    return 0
+        say(outcome.summary())
+    return outcome.status.exit_code

@@ -6,6 +6,8 @@ from pathlib import Path
 
 import click
 
+from pixelid.cli import options
+
 EXAMPLE = """
 \b
 Example:
@@ -14,29 +16,27 @@ Example:
 
 
 @click.command("demo", epilog=EXAMPLE)
-@click.option("--out", type=click.Path(path_type=Path), default=Path("demo-out"), show_default=True)
-@click.option("--overwrite", is_flag=True, help="Replace --out when it exists.")
-@click.option("--seed", type=int, default=1, show_default=True, help="Of the hidden camera and its session.")
-@click.option("--quiet", is_flag=True, help="No progress, no table.")
+@options.out(default=Path("demo-out"), show_default=True)
+@options.overwrite
+@options.seed("Of the hidden camera and its session.", default=1)
+@options.quiet
 def command(out: Path, overwrite: bool, seed: int, quiet: bool) -> int:
     """Simulate a calibration session of a hidden camera, fit it, and compare with the truth."""
     from pixelid.cli.progress import bar
-    from pixelid.outputs import refuse_existing, whole_folder
+    from pixelid.cli.terminal import say
+    from pixelid.outputs import claimed, whole_folder
 
-    refuse_existing(out, overwrite)
-    with bar(quiet) as report:
+    with claimed(out, overwrite), bar(quiet) as report:
         from pixelid.demo.demo import run_demo
 
         with whole_folder(out, overwrite) as folder:
             demo = run_demo(folder, seed, report)
     if not quiet:
-        from rich.console import Console
+        from pixelid.results import Table, number
 
-        from pixelid.fit.table import fit_table
-
-        console = Console()
-        console.print(fit_table(demo.result, demo.truth.values))
-        console.print(
-            f"{demo.result.status} in {demo.result.seconds:.1f} s; open {out / 'report.html'}", highlight=False
+        rows = tuple(
+            (name, number(demo.truth.values.get(name)), number(e.value)) for name, e in demo.result.estimates.items()
         )
-    return 0 if demo.result.status == "converged" else 1
+        truth = Table("the hidden camera", ("parameter", "truth", "fit"), rows, frozenset({"parameter"}))
+        say(demo.result.summary(), truth.text(), f"open {out / 'report.html'}")
+    return demo.result.status.exit_code

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import click
+
+from pixelid.cli import options
 
 EXAMPLE = """
 \b
@@ -18,22 +19,22 @@ Example:
 
 
 @click.command("fit", epilog=EXAMPLE)
-@click.argument("recordings", nargs=-1, required=True, type=click.Path(path_type=Path))
-@click.option("--model", help="A shipped model, a model file, or a fit folder.")
-@click.option("--out", required=True, type=click.Path(path_type=Path), help="Folder for the result.")
-@click.option("--with", "with_", multiple=True, metavar="EFFECT[:param=value,…]", help="Add an effect.")
-@click.option("--without", multiple=True, metavar="EFFECT", help="Remove an effect.")
-@click.option("--fix", multiple=True, metavar="NAME=VALUE", help="Hold a parameter at a value.")
-@click.option("--gauge", multiple=True, metavar="NAME=VALUE", help='E.g. q_in=0.875 or "A_loop=0.7 A_amp".')
+@options.recordings
+@options.model(required=False)
+@options.out()
+@options.with_effect
+@options.without
+@options.fix
+@options.gauge
 @click.option("--between", type=click.Choice(["auto", "linear", "smooth"]), default="auto", show_default=True,
               help="How a sampled stimulus runs between its samples; auto asks the events.")  # fmt: skip
 @click.option("--engine", type=click.Choice(["casadi", "torch", "scipy"]),
-              help="What climbs (default: casadi); all find the same optimum.")  # fmt: skip
+              help="What maximises (default: casadi); all find the same optimum.")  # fmt: skip
 @click.option("--sample", is_flag=True, help="Also draw from the posterior: posterior.nc, corner and trace plots.")
 @click.option("--profile", is_flag=True, help="Also profile every parameter: bounded, one-sided or flat.")
-@click.option("--overwrite", is_flag=True, help="Replace --out when it exists.")
-@click.option("--seed", type=int, default=0, show_default=True)
-@click.option("--quiet", is_flag=True, help="No progress, no table.")
+@options.overwrite
+@options.seed()
+@options.quiet
 def command(
     recordings, model, out, with_, without, fix, gauge, between, engine, sample, profile, overwrite, seed, quiet
 ):
@@ -43,35 +44,28 @@ def command(
     Writes fit.json, model.toml (the fitted model), figures and report.html.
     """
     from pixelid.cli.progress import bar
+    from pixelid.cli.terminal import say
     from pixelid.errors import InputError
-    from pixelid.fit.recipe import Recipe, read_recipe
-    from pixelid.outputs import refuse_existing
+    from pixelid.outputs import claimed, refuse_inputs
 
-    refuse_existing(out, overwrite)
-    if len(recordings) == 1 and recordings[0].suffix == ".toml":
-        if model or with_ or without or fix or gauge:
-            raise InputError("a recipe brings its own model and options; edit the recipe instead")
-        recipe = read_recipe(recordings[0])
-        recipe = replace(recipe, sample=recipe.sample or sample, profile=recipe.profile or profile)
-    else:
-        if not model:
-            raise InputError("--model is missing: a shipped model (see `pixelid models`), a file or a fit folder")
-        recipe = Recipe.of(recordings, model, with_, without, fix, gauge, between, seed, sample, profile)
-    if engine:
-        recipe = replace(recipe, engine=engine)
-    with bar(quiet) as report:
-        result = recipe.run(out, overwrite, report)
+    by_recipe = len(recordings) == 1 and recordings[0].suffix == ".toml"
+    if by_recipe and (model or with_ or without or fix or gauge):
+        raise InputError("a recipe brings its own model and options; edit the recipe instead")
+    if not by_recipe and not model:
+        raise InputError("--model is missing: a shipped model (see `pixelid models`), a file or a fit folder")
+    with claimed(out, overwrite, [*recordings, *([model] if model else [])]):
+        from pixelid.fit.recipe import Recipe, read_recipe
+
+        if by_recipe:
+            recipe = read_recipe(recordings[0])
+            recipe = replace(recipe, sample=recipe.sample or sample, profile=recipe.profile or profile)
+            refuse_inputs(out, [*recipe.recordings, recipe.model])
+        else:
+            recipe = Recipe.of(recordings, model, with_, without, fix, gauge, between, seed, sample, profile)
+        if engine:
+            recipe = replace(recipe, engine=engine)
+        with bar(quiet) as report:
+            result = recipe.run(out, overwrite, report)
     if not quiet:
-        from rich.console import Console
-
-        from pixelid.fit.table import fit_table
-
-        console = Console()
-        for remark in recipe.remarks():
-            console.print(remark)
-        console.print(fit_table(result))
-        console.print(f"{result.status} in {result.seconds:.1f} s; {out / 'report.html'}", highlight=False)
-        for sentence in (result.advice, *result.unidentified):
-            if sentence:
-                console.print(f"- {sentence}", highlight=False)
-    return 0 if result.status == "converged" else 1
+        say(*recipe.remarks(), result.summary(), str(out / "report.html"))
+    return result.status.exit_code

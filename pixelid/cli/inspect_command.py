@@ -6,6 +6,7 @@ from pathlib import Path
 
 import click
 
+from pixelid.cli import options
 from pixelid.errors import InputError
 
 EXAMPLE = """
@@ -18,14 +19,12 @@ Example:
 
 
 @click.command("inspect", epilog=EXAMPLE)
-@click.argument("files", metavar="FILE...", nargs=-1, required=True, type=click.Path(path_type=Path))
-@click.option("--json", "as_json", is_flag=True, help="Print JSON on stdout instead of a table.")
-@click.option("--out", type=click.Path(path_type=Path), help="Folder for inspect.json and the figures.")
-@click.option("--overwrite", is_flag=True, help="Replace --out when it exists.")
-@click.option(
-    "--seed", type=int, default=0, show_default=True, help="Of the resampling of .npy histograms; else noted."
-)
-@click.option("--quiet", is_flag=True, help="Print no table.")
+@click.argument("files", metavar="FILE...", nargs=-1, required=True, type=options.PATH)
+@options.as_json
+@options.out("Folder for inspect.json and the figures.", required=False)
+@options.overwrite
+@options.seed("Of the resampling of .npy histograms; else noted.")
+@options.quiet
 def command(files: tuple[Path, ...], as_json: bool, out: Path | None, overwrite: bool, seed: int, quiet: bool) -> None:
     """Show events, rates, ON/OFF balance, dead time, timestamp tick, periodic lines, hot pixels and readout ceiling.
 
@@ -41,22 +40,25 @@ def command(files: tuple[Path, ...], as_json: bool, out: Path | None, overwrite:
     file, *more = files
     if more:
         raise InputError(f"{more[0]}: one recording at a time; only .npy histograms of intervals come together")
-    from pixelid.inspection import inspect
-    from pixelid.outputs import plain, refuse_existing, whole_folder, write_json
-    from pixelid.provenance import provenance
-    from pixelid.recordings import open_recording
+    from contextlib import nullcontext
 
-    if out is not None:
-        refuse_existing(out, overwrite)
-    recording = open_recording(file)
-    health = inspect(recording)
-    result = plain({**health.to_dict(), "file": str(file), "seed": seed, **provenance(file)})
-    if out is not None:
-        from pixelid.inspection.figures import write_figures
+    from pixelid.outputs import claimed, plain, whole_folder, write_json
 
-        with whole_folder(out, overwrite) as folder:
-            write_json(folder / "inspect.json", result)
-            write_figures(recording, health, folder)
+    with nullcontext() if out is None else claimed(out, overwrite, files):
+        from pixelid.recordings import open_recording
+
+        recording = open_recording(file)
+        from pixelid.inspection import inspect
+        from pixelid.provenance import provenance
+
+        health = inspect(recording)
+        result = plain({**health.to_dict(), "file": str(file), "seed": seed, **provenance(file)})
+        if out is not None:
+            from pixelid.inspection.figures import write_figures
+
+            with whole_folder(out, overwrite) as folder:
+                write_json(folder / "inspect.json", result)
+                write_figures(recording, health, folder)
     if as_json:
         click.echo(json.dumps(result, indent=2))
     elif not quiet:
@@ -64,7 +66,7 @@ def command(files: tuple[Path, ...], as_json: bool, out: Path | None, overwrite:
 
         from pixelid.inspection.table import health_table
 
-        Console().print(health_table(health))
+        Console(markup=False).print(health_table(health))
 
 
 def _still_scene(
@@ -72,20 +74,20 @@ def _still_scene(
 ) -> None:
     """Histograms of intervals of a still scene: table, static_noise.json."""
     import json
+    from contextlib import nullcontext
     from dataclasses import asdict
 
     from pixelid.inspection.static_noise import read_interval_counts, static_noise
-    from pixelid.outputs import plain, refuse_existing, whole_folder, write_json
+    from pixelid.outputs import claimed, plain, whole_folder, write_json
     from pixelid.provenance import input_hashes, versions
 
-    if out is not None:
-        refuse_existing(out, overwrite)
-    found = static_noise([read_interval_counts(file) for file in files], seed)
-    hashes = input_hashes(files)
-    result = plain({**asdict(found), "seed": seed, "versions": versions(), "inputs_sha256": hashes})
-    if out is not None:
-        with whole_folder(out, overwrite) as folder:
-            write_json(folder / "static_noise.json", result)
+    with nullcontext() if out is None else claimed(out, overwrite, files):
+        found = static_noise([read_interval_counts(file) for file in files], seed)
+        hashes = input_hashes(files)
+        result = plain({**asdict(found), "seed": seed, "versions": versions(), "inputs_sha256": hashes})
+        if out is not None:
+            with whole_folder(out, overwrite) as folder:
+                write_json(folder / "static_noise.json", result)
     if as_json:
         click.echo(json.dumps(result, indent=2))
     elif not quiet:
@@ -93,4 +95,4 @@ def _still_scene(
 
         from pixelid.inspection.static_noise_words import static_noise_table
 
-        Console().print(static_noise_table(found))
+        Console(markup=False).print(static_noise_table(found))

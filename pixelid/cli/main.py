@@ -5,13 +5,16 @@ from __future__ import annotations
 import importlib
 import os
 import sys
+import traceback
 
 import click
 
-from pixelid.errors import PixelidError
+from pixelid.cli.terminal import use_utf8
+from pixelid.errors import PixelidError, did_you_mean
 
 # Recordings already share out the cores; BLAS threads for ten by ten matrices spin on them.  Before NumPy is imported.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+os.environ.setdefault("MPLBACKEND", "Agg")  # figures go to files; no display is needed
 
 COMMANDS = {
     "models": "List the shipped circuits, or print one with units and gauge.",
@@ -49,7 +52,9 @@ class LazyGroup(click.Group):
 
     def resolve_command(self, ctx, args):
         if args and args[0] not in COMMANDS:
-            raise click.UsageError(f"no command {args[0]!r}; known: {', '.join(COMMANDS)}")
+            raise click.UsageError(
+                f"no command {args[0]!r}; known: {', '.join(COMMANDS)}{did_you_mean(args[0], COMMANDS)}"
+            )
         return super().resolve_command(ctx, args)
 
 
@@ -60,7 +65,11 @@ def cli() -> None:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run the command line; return the exit code (0 done, 1 not trustworthy, 2 bad input or usage)."""
+    """Run the command line; return the exit code (0 done, 1 not trustworthy, 2 bad input or usage, 130 interrupted).
+
+    An error that nobody foresaw is one line and exit code 1; PIXELID_DEBUG=1 adds where it happened.
+    """
+    use_utf8()
     try:
         code = cli.main(args=argv, prog_name="pixelid", standalone_mode=False)
         return code if isinstance(code, int) else 0
@@ -83,6 +92,16 @@ def main(argv: list[str] | None = None) -> int:
     except (click.Abort, KeyboardInterrupt):
         print("pixelid: interrupted; nothing was left half written", file=sys.stderr)
         return 130
+    except Exception as error:
+        if os.environ.get("PIXELID_DEBUG") == "1":
+            traceback.print_exc()
+        words = " ".join(str(error).split())[:300]
+        print(
+            f"pixelid: unexpected {type(error).__name__}{f': {words}' if words else ''}; this is a bug, "
+            "PIXELID_DEBUG=1 shows where",
+            file=sys.stderr,
+        )
+        return 1
 
 
 def run() -> None:

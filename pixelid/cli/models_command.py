@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import click
 
+from pixelid.cli import options
+
 EXAMPLE = """
 \b
 Example:
@@ -14,8 +16,8 @@ Example:
 
 @click.command("models", epilog=EXAMPLE)
 @click.argument("name", required=False)
-@click.option("--json", "as_json", is_flag=True, help="Print JSON instead of a table.")
-@click.option("--seed", type=int, default=0, help="Accepted everywhere; nothing here is random.")
+@options.as_json
+@options.no_seed
 @click.option("--quiet", is_flag=True, help="Print names and values only.")
 def command(name: str | None, as_json: bool, seed: int, quiet: bool) -> None:
     """List the shipped circuits, or print the circuit NAME (shipped, .toml file or fit folder) with units and gauge."""

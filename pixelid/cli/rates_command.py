@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import click
+
+from pixelid.cli import options
 
 EXAMPLE = """
 \b
@@ -15,48 +15,49 @@ Example:
 
 
 @click.command("rates", epilog=EXAMPLE)
-@click.argument("source", type=click.Path(path_type=Path))
-@click.option("--out", required=True, type=click.Path(path_type=Path), help="Folder for the result.")
+@click.argument("source", type=options.PATH)
+@options.out()
 @click.option("--unit", type=click.Choice(["hz", "kev/s", "mev/s"]), default="hz", show_default=True,
               help="Of the rates in a CSV.")  # fmt: skip
-@click.option("--data", type=click.Path(path_type=Path), help="Where a recipe's files are; default: beside the recipe.")
-@click.option("--overwrite", is_flag=True, help="Replace --out when it exists.")
-@click.option("--seed", type=int, default=0, hidden=True)
-@click.option("--quiet", is_flag=True, help="Print nothing.")
+@click.option("--data", type=options.PATH, help="Where a recipe's files are; default: beside the recipe.")
+@options.overwrite
+@options.no_seed
+@options.quiet
 def command(source, out, unit, data, overwrite, seed, quiet):
     """Fit SOURCE: a CSV (freq_hz, one column per setting; one pixel) or a recipe .toml (a light's whole image).
 
     A CSV gives bandwidth, dead time and noise per column; a recipe gives how the image's pixels spread in bandwidth.
     Writes rates.json (with the cells that disagree, in words), rates.png and report.html.
     """
+    from pixelid.cli.terminal import say, say_sentences
     from pixelid.errors import InputError
-    from pixelid.outputs import refuse_existing, whole_folder
-    from pixelid.rates.pixel import fit_pixel
-    from pixelid.rates.pool import fit_pool
-    from pixelid.rates.recipe import read_pool_recipe
-    from pixelid.rates.report import save_pixel, save_pool
-    from pixelid.rates.table import read_table
-    from pixelid.report.html import write_report
+    from pixelid.outputs import claimed, whole_folder
 
-    refuse_existing(out, overwrite)
     if not source.is_file():
         raise InputError(f"{source}: no such file")
-    if source.suffix == ".toml":
-        table, file = read_pool_recipe(source, data)
-        fit = fit_pool(table)
-        with whole_folder(out, overwrite) as folder:
-            found = save_pool(fit, folder, file)
-            write_report(folder)
-    else:
-        pixel = fit_pixel(read_table(source, unit))
-        with whole_folder(out, overwrite) as folder:
-            found = save_pixel(pixel, folder)
-            write_report(folder)
+    with claimed(out, overwrite, [source]):
+        from pixelid.rates.pixel import fit_pixel
+        from pixelid.rates.pool import fit_pool
+        from pixelid.rates.recipe import read_pool_recipe
+        from pixelid.rates.report import save_pixel, save_pool
+        from pixelid.rates.table import read_table
+        from pixelid.report.html import write_report
+
+        if source.suffix == ".toml":
+            table, file = read_pool_recipe(source, data)
+            fit = fit_pool(table)
+            with whole_folder(out, overwrite) as folder:
+                found = save_pool(fit, folder, file)
+                write_report(folder)
+        else:
+            pixel = fit_pixel(read_table(source, unit))
+            with whole_folder(out, overwrite) as folder:
+                found = save_pixel(pixel, folder)
+                write_report(folder)
     if not quiet:
         for name, v in found["parameters"].items():
             known = "" if v["identified"] else "   not identified"
-            click.echo(f"{name:32s} {v['value']:10.4g} {v['unit']}{known}")
-        click.echo(f"relative scatter {100 * found['relative_scatter']:.1f} %")
-        for sentence in found["disagreements"]:
-            click.echo(f"- {sentence}")
-    return 0 if found["status"] == "converged" else 1
+            say(f"{name:32s} {v['value']:10.4g} {v['unit']}{known}")
+        say(f"relative scatter {100 * found['relative_scatter']:.1f} %")
+        say_sentences(found["disagreements"])
+    return found["status"].exit_code

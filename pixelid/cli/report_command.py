@@ -6,6 +6,8 @@ from pathlib import Path
 
 import click
 
+from pixelid.cli import options
+
 EXAMPLE = """
 \b
 Example:
@@ -14,9 +16,9 @@ Example:
 
 
 @click.command("report", epilog=EXAMPLE)
-@click.argument("folder", type=click.Path(path_type=Path))
-@click.option("--seed", type=int, default=0, hidden=True)
-@click.option("--quiet", is_flag=True, help="Print nothing.")
+@click.argument("folder", type=options.PATH)
+@options.no_seed
+@options.quiet
 def command(folder: Path, seed: int, quiet: bool) -> None:
     """Write report.html into the result FOLDER."""
     from pixelid.report.html import write_report

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import click
+
+from pixelid.cli import options
 
 EXAMPLE = """
 \b
@@ -16,9 +16,9 @@ Example:
 
 
 @click.command("sensor", epilog=EXAMPLE)
-@click.argument("recordings", nargs=-1, required=True, type=click.Path(path_type=Path))
-@click.option("--model", required=True, help="The population's values: a fit folder, a model file or a shipped model.")
-@click.option("--out", required=True, type=click.Path(path_type=Path), help="Folder for the result.")
+@options.recordings
+@options.model(help="The population's values: a fit folder, a model file or a shipped model.")
+@options.out()
 @click.option(
     "--bandwidth", default="sf_cutoff_hz", show_default=True, help='Parameter to map; "none": thresholds alone.'
 )
@@ -29,9 +29,9 @@ Example:
 @click.option("--bootstrap", type=click.IntRange(0), default=200, show_default=True, help="Replicates over pixels.")
 @click.option("--workers", type=click.IntRange(0), default=0, help="Local Dask processes; 0: this process alone.")
 @click.option("--cluster", default="", metavar="tcp://HOST:PORT", help="A running Dask scheduler.")
-@click.option("--overwrite", is_flag=True, help="Replace --out when it exists.")
-@click.option("--seed", type=click.IntRange(0), default=0, show_default=True)
-@click.option("--quiet", is_flag=True, help="No progress, no table.")
+@options.overwrite
+@options.seed()
+@options.quiet
 def command(recordings, model, out, bandwidth, block, tile, bootstrap, workers, cluster, overwrite, seed, quiet):
     """Map thresholds and a bandwidth over the sensor of RECORDINGS (files or folders, full-field light).
 
@@ -42,49 +42,38 @@ def command(recordings, model, out, bandwidth, block, tile, bootstrap, workers, 
     import shutil
 
     from pixelid.cli.progress import bar
+    from pixelid.cli.terminal import say
     from pixelid.errors import InputError
-    from pixelid.model.shipped import find_model
-    from pixelid.outputs import refuse_existing, whole_folder
-    from pixelid.recordings import open_recordings
-    from pixelid.sensors import fit_sensor
-    from pixelid.sensors.saving import save
-    from pixelid.sensors.work import Where
+    from pixelid.outputs import claimed, whole_folder
 
     if cluster and workers:
         raise InputError("--cluster and --workers exclude each other")
-    refuse_existing(out, overwrite)
     keep = out.with_name(out.name + ".tiles")
-    with bar(quiet) as report:
-        fit = fit_sensor(
-            open_recordings(recordings),
-            find_model(model),
-            bandwidth="" if bandwidth == "none" else bandwidth,
-            block=block,
-            tile=tile,
-            replicates=bootstrap,
-            where=Where(cluster, workers),
-            keep=keep,
-            seed=seed,
-            progress=report,
-        )
-    with whole_folder(out, overwrite) as folder:
-        save(fit, folder)
-    shutil.rmtree(keep, ignore_errors=True)
-    found = fit.as_dict()
-    if not quiet:
-        from rich.console import Console
-        from rich.table import Table
+    with claimed(out, overwrite, [*recordings, model]):
+        from pixelid.model.shipped import find_model
+        from pixelid.recordings import open_recordings
 
-        table = Table(title=f"{found['pixels_with_events']} pixels, {found['events']} events, {found['seconds']:.1f} s")
-        for heading in ("parameter", "mean", "spread", "error alone", "error shrunk", "pixels without"):
-            table.add_column(
-                heading, justify="left" if heading == "parameter" else "right", no_wrap=heading == "parameter"
+        circuit, opened = find_model(model), open_recordings(recordings)
+        from pixelid.sensors import fit_sensor
+        from pixelid.sensors.saving import save
+        from pixelid.sensors.work import Where
+
+        with bar(quiet) as report:
+            fit = fit_sensor(
+                opened,
+                circuit,
+                bandwidth="" if bandwidth == "none" else bandwidth,
+                block=block,
+                tile=tile,
+                replicates=bootstrap,
+                where=Where(cluster, workers),
+                keep=keep,
+                seed=seed,
+                progress=report,
             )
-        for name, entry in found["maps"].items():
-            percent = [entry["relative_spread"], entry["typical_error_before"], entry["typical_error_after"]]
-            cells = ["–" if v is None else f"{100 * v:.2g} %" for v in percent]
-            table.add_row(name, f"{entry['mean']:.4g} {entry['unit']}", *cells, str(entry["without_estimate"]))
-        Console().print(table)
-        if found["advice"]:
-            click.echo(found["advice"])
-    return 0 if found["status"] == "converged" else 1
+        with whole_folder(out, overwrite) as folder:
+            save(fit, folder)
+        shutil.rmtree(keep, ignore_errors=True)
+    if not quiet:
+        say(fit.summary())
+    return fit.status.exit_code

@@ -1,6 +1,10 @@
 """Model comparison: log-likelihood of pixels that a fit has not seen, BIC, and PSIS-LOO from posteriors.
 
+<<<<<<< HEAD
 Pixels are the exchangeable unit: events of one pixel share its thresholds and are not independent, so
+=======
+Pixels are the exchangeable unit : events of one pixel share its thresholds and are not independent, so
+>>>>>>> face
 whole pixels are held out, and differences between models are paired over pixels.
 """
 
@@ -8,14 +12,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 
 from pixelid.errors import InputError
 from pixelid.fit import FitResult, fit
 from pixelid.likelihood.event_times import EventTimes
+from pixelid.model.files import save_model
 from pixelid.model.model import Model
 from pixelid.recordings.recording import Recording
+from pixelid.results import Result, Table
+from pixelid.status import Status
 from pixelid.stimuli.resample import resampled
 
 DECISIVE_STANDARD_ERRORS = 2.0  # of a paired held-out difference: about 95 % one way or the other
@@ -32,13 +41,49 @@ class Contender:
     loo: Mapping[str, float] | None = None
 
 
-@dataclass(frozen=True)
-class Comparison:
+@dataclass(frozen=True, repr=False)
+class Comparison(Result):
     """contenders by name;  best: highest held-out log-likelihood;  sentence: what to conclude."""
+
+    FILE: ClassVar[str] = "compare.json"
 
     contenders: Mapping[str, Contender]
     best: str
     sentence: str
+
+    @property
+    def status(self) -> Status:
+        """The least trustworthy of the fits."""
+        return Status.worst([c.result.status for c in self.contenders.values()])
+
+    @property
+    def headline(self) -> str:
+        """The best, and how the fits ended."""
+        return f"comparison of {len(self.contenders)} models: {self.best} predicts best; {self.status}"
+
+    def tables(self) -> list[Table]:
+        """Models on held-out pixels."""
+        rows = tuple(
+            (name, str(row["free_parameters"]), f"{row['held_out_log_likelihood']:.1f}",
+             f"{row['behind_best_nats']:.4g} ± {row['behind_best_se']:.2g}", f"{row['bic']:.1f}", row["status"])
+            for name, row in self.as_dict()["models"].items()
+        )  # fmt: skip
+        headings = ("model", "free", "held-out [nats]", "behind the best", "BIC", "status")
+        return [Table("", headings, rows, frozenset({"model", "status"}))]
+
+    def records(self) -> list[dict]:
+        """One row per model."""
+        rows = self.as_dict()["models"].items()
+        return [{"model": name, **{k: v for k, v in row.items() if k != "loo"}} for name, row in rows]
+
+    def sentences(self) -> list[str]:
+        """What to conclude."""
+        return [self.sentence, self.status.advice]
+
+    def write_companions(self, folder: Path) -> None:
+        """Write the fitted models as NAME.toml."""
+        for name, contender in self.contenders.items():
+            save_model(contender.result.model, folder / f"{name}.toml")
 
     def as_dict(self) -> dict:
         """The content of compare.json."""
@@ -56,7 +101,17 @@ class Comparison:
                 "behind_best_se": standard_error(gain),
                 "loo": None if c.loo is None else dict(c.loo),
             }
-        return {"best": self.best, "sentence": self.sentence, "models": table}
+        first = best.result
+        return {
+            "status": self.status,
+            "advice": self.status.advice,
+            "best": self.best,
+            "sentence": self.sentence,
+            "models": table,
+            "seed": first.seed,
+            "versions": dict(first.versions),
+            "inputs_sha256": dict(first.inputs_sha256),
+        }
 
 
 def standard_error(differences: np.ndarray) -> float:

@@ -75,7 +75,7 @@ def run_demo(folder: Path, seed: int, progress: Callable[[str, float], None]) ->
         named, find_model("dvs128"), seed=seed, progress=lambda what, share: progress(what, 0.15 + 0.7 * share)
     )
     progress("drawing", 0.85)
-    result.save(folder)
+    result.write(folder)
     write_json(folder / "truth.json", truth.values)
     write_figures(result, named, folder)
     _truth_figure(result, truth, folder / "truth.png")

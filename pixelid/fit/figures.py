@@ -21,31 +21,29 @@ BINS = 120
 def write_figures(result: FitResult, recordings: Sequence[Recording], folder: Path) -> list[Path]:
     """Write the figures of a fit as PNG into `folder`; returns their paths."""
     if result.observation == "pooled_rate":
-        return [_edges(result, recordings, folder / "edges.png")]
+        return [_save(draw_edges(result, recordings), folder / "edges.png")]
     return [
-        _conditions(result, recordings, folder / "conditions.png"),
-        _residuals(result, recordings, folder / "residuals.png"),
+        _save(draw_response(result, recordings), folder / "conditions.png"),
+        _save(draw_residuals(result, recordings), folder / "residuals.png"),
     ]
 
 
 def _new(rows: int, columns: int, width: float, height: float):
-    import matplotlib
-
-    matplotlib.use("Agg")
     import matplotlib.pyplot as plt
 
     return plt.subplots(rows, columns, figsize=(width * columns, height * rows), squeeze=False, layout="constrained")
 
 
-def _save(figure, path: Path) -> Path:
+def _save(axes: np.ndarray, path: Path) -> Path:
     import matplotlib.pyplot as plt
 
+    figure = axes.flat[0].figure
     figure.savefig(path, dpi=110)
     plt.close(figure)
     return path
 
 
-def _conditions(result: FitResult, recordings: Sequence[Recording], path: Path) -> Path:
+def draw_response(result: FitResult, recordings: Sequence[Recording]) -> np.ndarray:
     """Event rates over time, measured (bars) and simulated by the fitted model (lines), one panel per recording."""
     from pixelid.simulate import simulate
 
@@ -75,7 +73,7 @@ def _conditions(result: FitResult, recordings: Sequence[Recording], path: Path) 
         axis.set_axis_off()
     figure.suptitle("events per pixel and second (ON up, OFF down): measured filled, fitted model lines", fontsize=9)
     figure.supxlabel("time [s]", fontsize=8)
-    return _save(figure, path)
+    return axes
 
 
 def standardised(result: FitResult, recordings: Sequence[Recording]) -> tuple[EventTimes, np.ndarray, np.ndarray]:
@@ -88,11 +86,11 @@ def standardised(result: FitResult, recordings: Sequence[Recording]) -> tuple[Ev
     return likelihood, residual, ~terms.stray
 
 
-def _residuals(result: FitResult, recordings: Sequence[Recording], path: Path) -> Path:
+def draw_residuals(result: FitResult, recordings: Sequence[Recording]) -> np.ndarray:
     """Residual levels against time in the recording, time since the last event, and their distribution."""
     likelihood, residual, kept = standardised(result, recordings)
     since = np.concatenate([iv.time_s - iv.previous_s for iv in likelihood.intervals])
-    figure, axes = _new(1, 4, 4.0, 3.0)
+    _, axes = _new(1, 4, 4.0, 3.0)
     stretch = np.concatenate(
         [
             (iv.time_s - r.stimulus.t[0]) / max(r.stimulus.duration_s, 1e-12)
@@ -127,10 +125,10 @@ def _residuals(result: FitResult, recordings: Sequence[Recording], path: Path) -
     axis.hist(residual[kept], grid, density=True, color="grey", alpha=0.6)
     axis.plot(grid, np.exp(-0.5 * grid**2) / np.sqrt(2 * np.pi), color="black", linewidth=0.8)
     axis.set_xlabel("residual [σ]; line: standard normal", fontsize=8)
-    return _save(figure, path)
+    return axes
 
 
-def _edges(result: FitResult, recordings: Sequence[Recording], path: Path) -> Path:
+def draw_edges(result: FitResult, recordings: Sequence[Recording]) -> np.ndarray:
     """Event rates after rising and falling edges of the stimulus, measured and fitted, averaged over the edges."""
     likelihood = PooledRate(recordings)
     objective = PooledRateObjective(likelihood, result.coordinates)
@@ -168,4 +166,4 @@ def _edges(result: FitResult, recordings: Sequence[Recording], path: Path) -> Pa
             axis.set_ylabel(f"events per {1e6 * width:.0f} µs", fontsize=8)
     axes[0, 0].legend(fontsize=7)
     figure.suptitle("edge responses: measured filled, fitted model lines", fontsize=9)
-    return _save(figure, path)
+    return axes

@@ -111,7 +111,7 @@ class Recipe:
                 from pixelid.sample.step import sampled
 
                 result = sampled(result, recordings, folder, chain_beside(out), progress)
-            result.save(folder)
+            result.write(folder)
             write_figures(result, recordings, folder)
             write_report(folder)
         return result

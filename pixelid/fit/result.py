@@ -1,18 +1,25 @@
-"""What a fit found: values with intervals, what is not identified, and where it came from."""
+"""The result of a fit: values with intervals, what is not identified, and where it came from."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
+from pixelid.errors import InputError
 from pixelid.fit.coordinates import Coordinates
-from pixelid.model.files import save_model
+from pixelid.model.files import load_model, save_model
 from pixelid.model.model import Model
-from pixelid.outputs import write_json
+from pixelid.parameters.parameter import Parameter, Prior
+from pixelid.results import Result, Table, interval, number, read_result, required
+from pixelid.status import Status
+
+if TYPE_CHECKING:
+    from pixelid.inputs import RecordingsLike
 
 
 @dataclass(frozen=True)
@@ -39,16 +46,24 @@ class Estimate:
         }
 
 
-@dataclass(frozen=True)
-class FitResult:
+@dataclass(frozen=True, repr=False)
+class FitResult(Result):
     """A finished fit.
 
-    status: "converged" or why not;  advice: what to do about it;  model: the fitted model;
-    estimates: every parameter by name;  x, covariance: optimum and covariance in `coordinates`
+    status, advice: how it ended, and what to do about it;  model: the fitted model;
+    estimates: every parameter by name;  x, covariance: optimum (d,) and covariance (d, d) in `coordinates`
     unidentified: sentences;  physical: circuit values under the gauge, or None with `physical_why`
+
+    Example:
+        >>> import pixelid as px
+        >>> result = px.fit(px.simulate("dvs128", "chirp", pixels=4), "dvs128", starts=0)  # doctest: +SKIP
+        >>> print(result.summary())  # doctest: +SKIP
+        >>> result.save("fit")  # doctest: +SKIP
     """
 
-    status: str
+    FILE: ClassVar[str] = "fit.json"
+
+    status: Status
     advice: str
     model: Model
     engine: str
@@ -70,8 +85,8 @@ class FitResult:
     versions: Mapping[str, str] = field(default_factory=dict)
     inputs_sha256: Mapping[str, str] = field(default_factory=dict)
 
-    def as_dict(self) -> dict:
-        """The content of fit.json (COMMANDS.md)."""
+    def as_dict(self) -> dict[str, Any]:
+        """The content of fit.json (docs/formats.md)."""
         return {
             "status": self.status,
             "advice": self.advice,
@@ -92,16 +107,145 @@ class FitResult:
             "pixels": self.pixels,
             "recordings": list(self.recordings),
             "details": dict(self.details),
+            "nuisances": {name: as_document(p) for name, p in self.coordinates.nuisances.items()},
             "seconds": self.seconds,
             "seed": self.seed,
             "versions": dict(self.versions),
             "inputs_sha256": dict(self.inputs_sha256),
         }
 
-    def save(self, folder: Path) -> None:
-        """Write fit.json and model.toml into an existing folder."""
-        write_json(folder / "fit.json", self.as_dict())
+    @property
+    def headline(self) -> str:
+        """Model, status, and what it was fitted to."""
+        number_of = f"{len(self.recordings)} recording{'s' * (len(self.recordings) != 1)}"
+        return (
+            f"fit of {self.model.name}: {self.status}; {self.events} events, {self.pixels} pixels, {number_of}, "
+            f"{self.observation}, {self.engine}, {self.seconds:.1f} s"
+        )
+
+    def tables(self) -> list[Table]:
+        """Values with 95 % intervals; physical values where the gauge makes them unique."""
+        rows = tuple(
+            (e.name, number(e.value), interval(e.interval_95), e.unit, _known(e)) for e in self.estimates.values()
+        )
+        headings = ("parameter", "value", "95 % interval", "unit", "known?")
+        tables = [Table("", headings, rows, frozenset({"parameter", "unit", "known?"}))]
+        if self.physical:
+            physical = tuple((name, number(value)) for name, value in self.physical.items())
+            tables.append(Table("under the gauge", ("circuit", "value"), physical, frozenset({"circuit"})))
+        return tables
+
+    def records(self) -> list[dict[str, Any]]:
+        """One row per parameter."""
+        rows = []
+        for e in self.estimates.values():
+            low, high = e.interval_95 or (None, None)
+            rows.append(
+                {"parameter": e.name, "value": e.value, "unit": e.unit, "std": e.std, "low_95": low, "high_95": high,
+                 "identified": e.identified, "fixed": e.fixed}
+            )  # fmt: skip
+        return rows
+
+    def sentences(self) -> list[str]:
+        """Advice, and what the data leave open."""
+        return [text for text in (self.advice or self.status.advice, *self.unidentified) if text]
+
+    def write_companions(self, folder: Path) -> None:
+        """Write model.toml, the fitted model."""
         save_model(self.model, folder / "model.toml")
+
+    @classmethod
+    def load(cls, folder: str | Path) -> FitResult:
+        """The fit of a folder, as good as new: it can be sampled, simulated, plotted.
+
+        Raises:
+            InputError: no fit there, or a damaged one.
+        """
+        content = read_result(folder, cls.FILE)
+        (parameters, covariance, status) = required(content, folder, cls.FILE, "parameters", "covariance", "status")
+        model = load_model(Path(folder) / "model.toml")
+        nuisances = tuple(from_document(name, entry) for name, entry in content.get("nuisances", {}).items())
+        coordinates = Coordinates.of(model, nuisances)
+        if list(coordinates.names) != covariance["names"]:
+            raise InputError(
+                f"{Path(folder) / cls.FILE}: covariance: expected the free parameters of model.toml, "
+                f"{', '.join(coordinates.names)}, found {', '.join(covariance['names'])}"
+            )
+        matrix = np.array(covariance["matrix"], dtype=float)
+        estimates = {
+            name: Estimate(
+                name, entry["value"], entry["unit"], entry["std"], _limits(entry["interval_95"]),
+                entry["identified"], entry["fixed"],
+            )
+            for name, entry in parameters.items()
+        }  # fmt: skip
+        x = np.array([p.to_coordinate(parameters[p.name]["value"]) for p in coordinates.parameters])
+        plain = ("engine", "observation", "log_likelihood", "events", "pixels", "seconds", "seed", "details")
+        known = dict(zip(plain, required(content, folder, cls.FILE, *plain), strict=True))
+        return cls(
+            status=Status(status),
+            advice=content.get("advice", ""),
+            model=model,
+            coordinates=coordinates,
+            x=x,
+            covariance=matrix,
+            estimates=estimates,
+            unidentified=tuple(content["unidentified"]),
+            physical=content["physical"],
+            physical_why=content["gauge"]["why_no_physical"],
+            recordings=tuple(content["recordings"]),
+            versions=content["versions"],
+            inputs_sha256=content["inputs_sha256"],
+            **known,
+        )
+
+    def plot_response(self, recordings: RecordingsLike) -> np.ndarray:
+        """Measured event rates (filled) beside the fitted model's (lines): matplotlib axes, one per recording."""
+        from pixelid.fit import figures
+        from pixelid.inputs import as_recordings
+
+        draw = figures.draw_edges if self.observation == "pooled_rate" else figures.draw_response
+        return draw(self, as_recordings(recordings))
+
+    def plot_residuals(self, recordings: RecordingsLike) -> np.ndarray:
+        """What is left over, standardised, over time, wait and recording, and its distribution: matplotlib axes.
+
+        Raises:
+            InputError: a fit of pooled counts, which have no residual per event.
+        """
+        from pixelid.fit import figures
+        from pixelid.inputs import as_recordings
+
+        if self.observation == "pooled_rate":
+            raise InputError("plot_residuals: pooled counts have no residual per event; use plot_response")
+        return figures.draw_residuals(self, as_recordings(recordings))
+
+
+def _known(estimate: Estimate) -> str:
+    return "fixed" if estimate.fixed else ("yes" if estimate.identified else "NO")
+
+
+def _limits(pair: list | None) -> tuple[float, float] | None:
+    """An interval as JSON holds it: infinite ends are null there."""
+    if pair is None:
+        return None
+    low, high = pair
+    return (-np.inf if low is None else low, np.inf if high is None else high)
+
+
+def as_document(parameter: Parameter) -> dict[str, Any]:
+    """A nuisance parameter as fit.json holds it."""
+    document = asdict(parameter)
+    del document["name"], document["source"]
+    return document
+
+
+def from_document(name: str, document: Mapping[str, Any]) -> Parameter:
+    """The parameter that `as_document` wrote."""
+    bounds = _limits([document["lower"], document["upper"]])
+    assert bounds is not None
+    prior = Prior(**document["prior"]) if document["prior"] else None
+    return Parameter(name, document["value"], document["unit"], *bounds, document["transform"], prior, document["free"])
 
 
 def estimates_of(
@@ -118,22 +262,22 @@ def estimates_of(
     values = coordinates.values(x)
     index = {name: i for i, name in enumerate(coordinates.names)}
     everything = {**coordinates.model.parameters, **coordinates.nuisances}
-    found = {}
+    estimates = {}
     for name, parameter in everything.items():
         i = index.get(name)
         if i is None:
-            found[name] = Estimate(name, values[name], parameter.unit, None, None, True, True)
+            estimates[name] = Estimate(name, values[name], parameter.unit, None, None, True, True)
             continue
         value, s = values[name], float(sd[i])
         if np.isfinite(s):
             reach = np.clip([limits[0][i], limits[1][i]], x[i] - 300.0, x[i] + 300.0)
             bounds = [parameter.from_coordinate(float(c)) for c in reach]
-            interval = (max(bounds[0], parameter.lower), min(bounds[1], parameter.upper))
+            limits_95 = (max(bounds[0], parameter.lower), min(bounds[1], parameter.upper))
             std = s * value if parameter.transform == "log" else s
         else:
-            interval, std = (parameter.lower, parameter.upper), None
-        found[name] = Estimate(name, value, parameter.unit, std, interval, bool(identified[i]), False)
-    return found
+            limits_95, std = (parameter.lower, parameter.upper), None
+        estimates[name] = Estimate(name, value, parameter.unit, std, limits_95, bool(identified[i]), False)
+    return estimates
 
 
 class Stopwatch:

@@ -17,39 +17,37 @@ BINS = 100
 
 def write_figures(report: GapReport, recordings: Sequence[Recording], folder: Path) -> list[Path]:
     """Write the figures that apply as PNG into `folder`; returns their paths."""
-    figures = [_map(report, folder / "map.png")]
+    figures = [_save(draw_map(report), folder / "map.png")]
     if any(entry["candidates"] for entry in report.rounds):
-        figures.append(_forest(report, folder / "forest.png"))
+        figures.append(_save(draw_forest(report), folder / "forest.png"))
     if "after_jumps" in report.details:
-        figures.append(_after_jumps(report, folder / "edges.png"))
+        figures.append(_save(draw_after_jumps(report), folder / "edges.png"))
     elif report.free_run is not None:
-        figures.append(_per_recording(report, folder / "closed.png"))
-        figures.append(_before_after(report, recordings, folder / "before_after.png"))
+        figures.append(_save(draw_per_recording(report), folder / "closed.png"))
+        figures.append(_save(draw_before_after(report, recordings), folder / "before_after.png"))
     if report.term is not None:
-        figures.append(_term(report, folder / "unknown.png"))
+        figures.append(_save(draw_term(report), folder / "unknown.png"))
     return figures
 
 
 def _new(width: float, height: float, rows: int = 1, columns: int = 1):
-    import matplotlib
-
-    matplotlib.use("Agg")
     import matplotlib.pyplot as plt
 
     return plt.subplots(rows, columns, figsize=(width, height), squeeze=False, layout="constrained")
 
 
-def _save(figure, path: Path) -> Path:
+def _save(axes: np.ndarray, path: Path) -> Path:
     import matplotlib.pyplot as plt
 
+    figure = axes.flat[0].figure
     figure.savefig(path, dpi=110)
     plt.close(figure)
     return path
 
 
-def _map(report: GapReport, path: Path) -> Path:
+def draw_map(report: GapReport) -> np.ndarray:
     """The cells that leave zero most, before and after, as signed bars."""
-    figure, axes = _new(11, 4.2, 1, 2)
+    _, axes = _new(11, 4.2, 1, 2)
     for axis, key, title in ((axes[0, 0], "seen_before", "base model"), (axes[0, 1], "remaining", "grown model")):
         cells = report.details[key][::-1]
         colours = ["tab:red" if c["score"] > 0 else "tab:blue" for c in cells]
@@ -58,13 +56,13 @@ def _map(report: GapReport, path: Path) -> Path:
         axis.axvline(0, color="k", linewidth=0.6)
         axis.set_title(title, fontsize=9)
         axis.set_xlabel("score (standard deviations from nothing)", fontsize=8)
-    return _save(figure, path)
+    return axes
 
 
-def _forest(report: GapReport, path: Path) -> Path:
+def draw_forest(report: GapReport) -> np.ndarray:
     """Held-out gain of every effect fitted, per round."""
     rows = [(entry["round"], c) for entry in report.rounds for c in entry["candidates"]][::-1]
-    figure, axes = _new(7, 1.2 + 0.28 * len(rows))
+    _, axes = _new(7, 1.2 + 0.28 * len(rows))
     axis = axes[0, 0]
     named = {(entry["round"], entry["named"]) for entry in report.rounds}
     for i, (turn, c) in enumerate(rows):
@@ -75,14 +73,14 @@ def _forest(report: GapReport, path: Path) -> Path:
     axis.set_xscale("symlog", linthresh=3)
     axis.axvline(0, color="k", linewidth=0.6)
     axis.set_xlabel("nats gained: on held-out pixels (dots), on the pixels fitted (ticks)", fontsize=8)
-    return _save(figure, path)
+    return axes
 
 
-def _per_recording(report: GapReport, path: Path) -> Path:
+def draw_per_recording(report: GapReport) -> np.ndarray:
     run = report.free_run
     assert run is not None
     names = list(run.per_recording)
-    figure, axes = _new(max(5.0, 0.8 * len(names)), 3.2)
+    _, axes = _new(max(5.0, 0.8 * len(names)), 3.2)
     axis = axes[0, 0]
     at = np.arange(len(names))
     for k, (label, colour) in enumerate((("before", "0.6"), ("after", "tab:green"), ("chance", "k"))):
@@ -91,10 +89,10 @@ def _per_recording(report: GapReport, path: Path) -> Path:
     axis.set_xticks(at, names, rotation=45, ha="right", fontsize=7)
     axis.set_ylabel("free-run gap", fontsize=8)
     axis.legend(fontsize=7)
-    return _save(figure, path)
+    return axes
 
 
-def _before_after(report: GapReport, recordings: Sequence[Recording], path: Path) -> Path:
+def draw_before_after(report: GapReport, recordings: Sequence[Recording]) -> np.ndarray:
     """Event rates of the recordings with the largest gap: measured, base model, grown model."""
     run = report.free_run
     assert run is not None
@@ -122,13 +120,13 @@ def _before_after(report: GapReport, recordings: Sequence[Recording], path: Path
         axis.legend(fontsize=6, loc="upper right")
     figure.supxlabel("time [s]", fontsize=8)
     figure.supylabel("events per pixel and second, ON up, OFF down (filled: measured)", fontsize=8)
-    return _save(figure, path)
+    return axes
 
 
-def _after_jumps(report: GapReport, path: Path) -> Path:
+def draw_after_jumps(report: GapReport) -> np.ndarray:
     """Pooled counts by the time since the light jumped, over what the base and the grown model expect."""
     rows = report.details["after_jumps"]
-    figure, axes = _new(9, 1.0 + 0.16 * len(rows))
+    _, axes = _new(9, 1.0 + 0.16 * len(rows))
     axis = axes[0, 0]
     at = np.arange(len(rows))[::-1]
     for key, colour, mark in (("base", "0.5", "o"), ("grown", "tab:green", "|")):
@@ -139,16 +137,16 @@ def _after_jumps(report: GapReport, path: Path) -> Path:
     axis.set_xscale("log")
     axis.axvline(1, color="k", linewidth=0.6)
     axis.legend(fontsize=7)
-    return _save(figure, path)
+    return axes
 
 
-def _term(report: GapReport, path: Path) -> Path:
+def draw_term(report: GapReport) -> np.ndarray:
     term = report.term
     assert term is not None
     order = np.argsort(-np.abs(term.shift / np.maximum(term.se, 1e-12)))[:24]
     order = np.sort(order)[::-1]
     sigma = 100.0 * report.model.values.get("threshold_sigma", 0.02)
-    figure, axes = _new(7.5, 1.2 + 0.24 * len(order))
+    _, axes = _new(7.5, 1.2 + 0.24 * len(order))
     axis = axes[0, 0]
     axis.errorbar(
         sigma * term.shift[order], range(len(order)), xerr=1.96 * sigma * term.se[order], fmt="o", color="tab:purple"
@@ -157,4 +155,4 @@ def _term(report: GapReport, path: Path) -> Path:
     axis.axvline(0, color="k", linewidth=0.6)
     axis.set_xlabel("threshold shift [%] that would explain it", fontsize=8)
     axis.set_title(f"what no effect explains, by {term.factor}", fontsize=9)
-    return _save(figure, path)
+    return axes

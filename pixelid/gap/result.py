@@ -1,16 +1,24 @@
-"""What the search for the gap found: verdict, effects, the numbers behind them, and the grown model."""
+"""The result of a gap search: verdict, effects, the numbers behind them, and the grown model."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar
 
+import numpy as np
+
+from pixelid.errors import InputError
 from pixelid.gap.distance import FreeRun
 from pixelid.gap.flexible import Flexible
-from pixelid.model.files import save_model
+from pixelid.model.files import load_model, save_model
 from pixelid.model.model import Model
-from pixelid.outputs import write_json
+from pixelid.results import Result, Table, interval, number, read_result, required
+from pixelid.status import Status
+
+if TYPE_CHECKING:
+    from pixelid.inputs import RecordingsLike
 
 VERDICTS = ("none", "named", "ambiguous", "unknown")
 
@@ -49,14 +57,22 @@ class Named:
         }
 
 
-@dataclass(frozen=True)
-class GapReport:
+@dataclass(frozen=True, repr=False)
+class GapReport(Result):
     """A finished search.
 
     verdict: one of `VERDICTS`;  remainder: whether something significant is left unexplained
     base, model: the fitted base model and the grown one;  rounds: what each round saw, as JSON
-    free_run: the gap before and after;  term: the nameless term, for what no effect explains
+    free_run: the gap before and after;  term: the flexible alternative, for what no effect explains
+    status: a search that ends has a verdict that can be trusted, "unknown" included
+
+    Example:
+        >>> import pixelid as px
+        >>> report = px.gap("session/", "dvs128")  # doctest: +SKIP
+        >>> report.verdict, report.sentence  # doctest: +SKIP
     """
+
+    FILE: ClassVar[str] = "gap.json"
 
     verdict: str
     sentence: str
@@ -75,11 +91,14 @@ class GapReport:
     details: Mapping = field(default_factory=dict)
     versions: Mapping[str, str] = field(default_factory=dict)
     inputs_sha256: Mapping[str, str] = field(default_factory=dict)
+    status: Status = Status.converged
+    advice: str = ""
 
-    def as_dict(self) -> dict:
-        """The content of gap.json (COMMANDS.md)."""
-        sigma = self.model.values.get("threshold_sigma", 0.02)
+    def as_dict(self) -> dict[str, Any]:
+        """The content of gap.json (docs/formats.md)."""
         return {
+            "status": self.status,
+            "advice": self.advice,
             "verdict": self.verdict,
             "sentence": self.sentence,
             "remainder": self.remainder,
@@ -88,7 +107,7 @@ class GapReport:
             "effects": [effect.as_dict() for effect in self.effects],
             "gap": self.free_run.as_dict() if self.free_run else None,
             "rounds": list(self.rounds),
-            "unknown_term": self.term.as_dict(sigma) if self.term else None,
+            "unknown_term": self.term.as_dict(self._sigma) if self.term else None,
             "model": "model.toml",
             "recommended_next": dict(self.recommended_next),
             "details": dict(self.details),
@@ -98,7 +117,128 @@ class GapReport:
             "inputs_sha256": dict(self.inputs_sha256),
         }
 
-    def save(self, folder: Path) -> None:
-        """Write gap.json and model.toml (the grown model) into an existing folder."""
-        write_json(folder / "gap.json", self.as_dict())
+    @property
+    def _sigma(self) -> float:
+        return _sigma_of(self.model)
+
+    @property
+    def headline(self) -> str:
+        """Base model and verdict."""
+        return f"gap of {self.base.name}: {self.verdict}; global p {self.global_p:.2g}, {self.seconds:.1f} s"
+
+    def tables(self) -> list[Table]:
+        """The effects named, then every effect tried, round by round."""
+        rows = tuple(
+            (e.name, f"{e.p_value:.2g}", f"{e.heldout_gain:.1f}", e.runner_up or "–", number(e.runner_up_gain),
+             "; ".join(f"{k} {number(v)} ({interval(i)})" for k, (v, i) in e.parameters.items()))
+            for e in self.effects
+        )  # fmt: skip
+        headings = ("effect", "adjusted p", "held-out [nats]", "runner-up", "its gain [nats]", "strength (95 %)")
+        named = Table("", headings, rows, frozenset({"effect", "runner-up", "strength (95 %)"}))
+        tried = tuple(
+            (str(entry["round"]), c["name"], f"{c['gain_nats']:.1f}", f"{c['heldout_gain_nats']:.1f}",
+             f"{c['p_value']:.2g}", "named" if c["name"] == entry["named"] else "")
+            for entry in self.rounds for c in entry["candidates"]
+        )  # fmt: skip
+        headings = ("round", "effect", "gain [nats]", "held-out [nats]", "adjusted p", "said")
+        return [named, Table("effects tried", headings, tried, frozenset({"effect", "said"}))]
+
+    def records(self) -> list[dict[str, Any]]:
+        """One row per effect named."""
+        return [
+            {"effect": e.name, "p_value": e.p_value, "heldout_gain_nats": e.heldout_gain, "runner_up": e.runner_up,
+             "runner_up_gain_nats": e.runner_up_gain, "max_cosine": e.max_cosine, "where": e.where,
+             **{name: value for name, (value, _) in e.parameters.items()}}
+            for e in self.effects
+        ]  # fmt: skip
+
+    def sentences(self) -> list[str]:
+        """The verdict in words, and what to record next."""
+        return [text for text in (self.sentence, str(self.recommended_next.get("why", "")), self.advice) if text]
+
+    def write_companions(self, folder: Path) -> None:
+        """Write model.toml (the grown model) and base.toml (the fitted base)."""
         save_model(self.model, folder / "model.toml")
+        save_model(self.base, folder / "base.toml")
+
+    @classmethod
+    def load(cls, folder: str | Path) -> GapReport:
+        """The report of a folder, with its models.
+
+        Raises:
+            InputError: no search there, or a damaged one.
+        """
+        content = read_result(folder, cls.FILE)
+        plain = ("verdict", "sentence", "remainder", "global_p", "alpha", "recommended_next", "seconds", "seed",
+                 "details", "versions", "inputs_sha256")  # fmt: skip
+        known = dict(zip(plain, required(content, folder, cls.FILE, *plain), strict=True))
+        effects, gap, rounds, term = required(content, folder, cls.FILE, "effects", "gap", "rounds", "unknown_term")
+        model = load_model(Path(folder) / "model.toml")
+        base = Path(folder) / "base.toml"
+        return cls(
+            effects=tuple(_named(entry) for entry in effects),
+            free_run=_free_run(gap) if gap else None,
+            rounds=tuple(rounds),
+            base=load_model(base) if base.is_file() else model,
+            model=model,
+            term=_flexible(term, _sigma_of(model)) if term else None,
+            status=Status(content.get("status", "converged")),
+            advice=content.get("advice", ""),
+            **known,
+        )
+
+    def plot_map(self) -> np.ndarray:
+        """Where the base model is wrong, and what is left with the grown one: matplotlib axes."""
+        from pixelid.gap.figures import draw_map
+
+        return draw_map(self)
+
+    def plot_gap(self, recordings: RecordingsLike | None = None) -> np.ndarray:
+        """The gap before and after, matplotlib axes: per recording, or with recordings as event rates over time.
+
+        Raises:
+            InputError: nothing was named, so that there is no before and after.
+        """
+        from pixelid.gap import figures
+        from pixelid.inputs import as_recordings
+
+        if "after_jumps" in self.details:
+            return figures.draw_after_jumps(self)
+        if self.free_run is None:
+            raise InputError(f"plot_gap: the verdict is {self.verdict!r} and no effect was named; use plot_map")
+        if recordings is None:
+            return figures.draw_per_recording(self)
+        return figures.draw_before_after(self, as_recordings(recordings))
+
+
+def _sigma_of(model: Model) -> float:
+    return model.values.get("threshold_sigma", 0.02)
+
+
+def _named(entry: Mapping[str, Any]) -> Named:
+    strengths = {
+        name: (value["value"], tuple(value["interval_95"]) if value["interval_95"] else None)
+        for name, value in entry["parameters"].items()
+    }
+    return Named(
+        entry["name"], entry["p_value"], entry["heldout_gain_nats"], entry["runner_up"], entry["runner_up_gain_nats"],
+        entry["max_cosine"], entry["max_cosine_with"], strengths, entry["where"],
+    )  # fmt: skip
+
+
+def _free_run(entry: Mapping[str, Any]) -> FreeRun:
+    limits = entry["closed_fraction_interval"]
+    each = {name: (row["before"], row["after"], row["floor"]) for name, row in entry.get("per_recording", {}).items()}
+    closed = entry["closed_fraction"]
+    return FreeRun(entry["before"], entry["after"], entry["floor"], closed, tuple(limits) if limits else None, each)
+
+
+def _flexible(entry: Mapping[str, Any], sigma: float) -> Flexible:
+    cells = entry["cells"]
+    shift, se = (
+        np.array([cell[key] for cell in cells], dtype=float) / (100.0 * sigma)
+        for key in ("threshold_shift_percent", "se_percent")
+    )
+    labels = tuple(cell["where"] for cell in cells)
+    held_out = np.array([entry["heldout_gain_nats"]], dtype=float)  # its sum over pixels is what is kept
+    return Flexible(entry["depends_on"], labels, shift, se, entry["gain_nats"], held_out)

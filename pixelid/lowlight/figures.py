@@ -15,28 +15,31 @@ LABELS = {"exact": "exact", "one_pole": "one pole (α/β) L", "at_dark": "tangen
 
 def write_figures(found: dict, circuit: Circuit, folder: Path) -> None:
     """Write poles, errors, bode, steps and, with recordings, measured, as PNG into `folder`."""
-    kinds = ["exact", "one_pole"] + (["at_dark"] if circuit.dark > 0 else [])
-    _poles(found, circuit, kinds, folder / "poles.png")
-    _errors(found, circuit, kinds[1:], folder / "errors.png")
-    _bode(found, circuit, kinds, folder / "bode.png")
-    _steps(found, circuit, kinds, folder / "steps.png")
+    kinds = kinds_of(circuit)
+    _save(draw_poles(found, circuit, kinds), folder / "poles.png")
+    _save(draw_errors(found, circuit, kinds[1:]), folder / "errors.png")
+    _save(draw_bode(found, circuit, kinds), folder / "bode.png")
+    _save(draw_steps(found, circuit, kinds), folder / "steps.png")
     if any(entry.get("curve") and len(entry["curve"]["x"]) for entry in found["measured"]):
-        _measured(found, folder / "measured.png")
+        _save(draw_measured(found), folder / "measured.png")
+
+
+def kinds_of(circuit: Circuit) -> list[str]:
+    """What is drawn: the tangent in the dark is the same line as one pole when there is no dark current."""
+    return ["exact", "one_pole"] + (["at_dark"] if circuit.dark > 0 else [])
 
 
 def _new(columns: int, rows: int = 1, width: float = 4.4, height: float = 3.4):
-    import matplotlib
-
-    matplotlib.use("Agg")
     import matplotlib.pyplot as plt
 
     size = (width * columns, height * rows)
     return plt.subplots(rows, columns, figsize=size, squeeze=False, layout="constrained")
 
 
-def _save(figure, path: Path) -> None:
+def _save(axes: np.ndarray, path: Path) -> None:
     import matplotlib.pyplot as plt
 
+    figure = axes.flat[0].figure
     figure.savefig(path, dpi=110)
     plt.close(figure)
 
@@ -50,10 +53,10 @@ def _shade(axis, found: dict) -> None:
         axis.set_xlim(left, right)
 
 
-def _poles(found: dict, circuit: Circuit, kinds: list[str], path: Path) -> None:
+def draw_poles(found: dict, circuit: Circuit, kinds: list[str]) -> np.ndarray:
     """Poles, −3 dB frequency and step time over radiance, with bands and measured points."""
     curves, bands = found["curves"], found["bands"]
-    figure, axes = _new(3)
+    _, axes = _new(3)
     for axis, name, label in zip(
         axes[0],
         ("slow_pole", "bandwidth_hz", "step_time_s"),
@@ -79,12 +82,12 @@ def _poles(found: dict, circuit: Circuit, kinds: list[str], path: Path) -> None:
     for axis in axes[0]:
         _shade(axis, found)
     axes[0, 0].legend(fontsize=7)
-    _save(figure, path)
+    return axes
 
 
-def _errors(found: dict, circuit: Circuit, kinds: list[str], path: Path) -> None:
+def draw_errors(found: dict, circuit: Circuit, kinds: list[str]) -> np.ndarray:
     """Signed relative errors of the approximations over radiance."""
-    figure, axes = _new(3)
+    _, axes = _new(3)
     radiance = found["curves"]["radiance"]
     for axis, name in zip(axes[0], radii.QUANTITIES, strict=True):
         for kind in kinds:
@@ -105,7 +108,7 @@ def _errors(found: dict, circuit: Circuit, kinds: list[str], path: Path) -> None
         axis.set(ylabel=f"error of the {name.replace('_', ' ')} [%]")
         axis.legend(fontsize=7)
         _shade(axis, found)
-    _save(figure, path)
+    return axes
 
 
 def _chain(circuit: Circuit, radiance: float, kind: str) -> np.ndarray:
@@ -114,10 +117,10 @@ def _chain(circuit: Circuit, radiance: float, kind: str) -> np.ndarray:
     return poles.approximate(circuit, radiance, "pixel", kind)
 
 
-def _bode(found: dict, circuit: Circuit, kinds: list[str], path: Path) -> None:
+def draw_bode(found: dict, circuit: Circuit, kinds: list[str]) -> np.ndarray:
     """Gain and phase of the whole pixel at several radiance levels."""
     levels = [entry["radiance"] for entry in found["regimes"]["levels"]]
-    figure, axes = _new(len(levels), 2, 3.2, 2.6)
+    _, axes = _new(len(levels), 2, 3.2, 2.6)
     for column, radiance in enumerate(levels):
         middle = radii.quantity("bandwidth", _chain(circuit, radiance, "exact"))
         f = np.geomspace(middle / 100, middle * 100, 300)
@@ -132,13 +135,13 @@ def _bode(found: dict, circuit: Circuit, kinds: list[str], path: Path) -> None:
     axes[0, 0].set_ylabel("gain [dB]")
     axes[1, 0].set_ylabel("phase [°]")
     axes[0, 0].legend(fontsize=7)
-    _save(figure, path)
+    return axes
 
 
-def _steps(found: dict, circuit: Circuit, kinds: list[str], path: Path) -> None:
+def draw_steps(found: dict, circuit: Circuit, kinds: list[str]) -> np.ndarray:
     """Response of the whole pixel to a small step of ln L at several radiance levels."""
     levels = [entry["radiance"] for entry in found["regimes"]["levels"]]
-    figure, axes = _new(len(levels), 1, 3.2, 2.8)
+    _, axes = _new(len(levels), 1, 3.2, 2.8)
     for axis, radiance in zip(axes[0], levels, strict=True):
         t = np.linspace(0, 8 * radii.quantity("step_time", _chain(circuit, radiance, "exact")), 161)
         for kind in kinds:
@@ -149,14 +152,14 @@ def _steps(found: dict, circuit: Circuit, kinds: list[str], path: Path) -> None:
         axis.set(xlabel="time after the step [ms]", title=f"{radiance:.3g} {found['radiance_unit']}")
     axes[0, 0].set_ylabel("response")
     axes[0, 0].legend(fontsize=7)
-    _save(figure, path)
+    return axes
 
 
-def _measured(found: dict, path: Path) -> None:
+def draw_measured(found: dict) -> np.ndarray:
     """Gain over frequency and response over time, of the recordings and of the model under the same light."""
     entries = [e for e in found["measured"] if e.get("curve") and len(e["curve"]["x"])]
     columns = min(4, len(entries))
-    figure, axes = _new(columns, -(-len(entries) // columns), 3.4, 2.8)
+    _, axes = _new(columns, -(-len(entries) // columns), 3.4, 2.8)
     for axis, entry in zip(axes.flat, entries, strict=False):
         sweep = entry["kind"] == "sweep"
         scale = 1.0 if sweep else 1e3
@@ -173,4 +176,4 @@ def _measured(found: dict, path: Path) -> None:
     for axis in axes.flat[len(entries) :]:
         axis.set_axis_off()
     axes[0, 0].legend(fontsize=7)
-    _save(figure, path)
+    return axes

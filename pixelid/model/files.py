@@ -29,7 +29,7 @@ _PARAMETER_KEYS = {"value", "unit", "lower", "upper", "transform", "free", "prio
 def read_toml(path: Path) -> dict:
     """A TOML file as a dictionary.  Raises InputError when it is missing or malformed."""
     try:
-        return tomllib.loads(Path(path).read_text())
+        return tomllib.loads(Path(path).read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: cannot be read ({getattr(error, 'strerror', None) or 'not text'})") from None
     except tomllib.TOMLDecodeError as error:

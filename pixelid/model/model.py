@@ -6,18 +6,24 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 
 from pixelid import stages
-from pixelid.errors import InputError
+from pixelid.errors import InputError, did_you_mean
 from pixelid.parameters.gauge import Gauge
 from pixelid.parameters.invariants import Physical
 from pixelid.parameters.parameter import Parameter
+from pixelid.results import Table, html_page
 from pixelid.stages import Circuit, comparator, photoreceptor
 
 DELAY = Parameter("delay_s", 0.0, "s", -10.0, 10.0, "linear", free=False, source="clock of events minus stimulus")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Model:
     """A circuit design with values.
+
+    Example:
+        >>> import pixelid as px
+        >>> px.find_model("dvs128").with_effect("leak", {"rate_hz": 0.1}).values["leak.rate_hz"]
+        0.1
 
     photoreceptor: "second_order" | "one_pole" | "unlimited";  effects: names present, in signal order;
     parameters: name → Parameter, exactly those of the photoreceptor, the comparator, the clock and the effects;
@@ -52,6 +58,24 @@ class Model:
                     + ([f"parameters without their effect: {', '.join(surplus)}"] if surplus else [])
                 )
             )
+
+    def __repr__(self) -> str:
+        return f"model {self.name}: {self._structure}\n{self._table.text()}"
+
+    def _repr_html_(self) -> str:
+        return html_page(f"model {self.name}: {self._structure}", [self._table], [self.summary])
+
+    @property
+    def _structure(self) -> str:
+        return f"{self.photoreceptor} photoreceptor; {', '.join(self.effects) or 'no effects'}"
+
+    @property
+    def _table(self) -> Table:
+        rows = tuple(
+            (p.name, f"{p.value:.6g}", p.unit, "free" if p.free else "fixed") for p in self.parameters.values()
+        )
+        headings = ("parameter", "value", "unit", "in fits")
+        return Table("", headings, rows, frozenset({"parameter", "unit", "in fits"}))
 
     @property
     def values(self) -> dict[str, float]:
@@ -109,6 +133,7 @@ class Model:
         except KeyError:
             raise InputError(
                 f"model {self.name} has no parameter {name!r}; it has {', '.join(self.parameters)}"
+                f"{did_you_mean(name, self.parameters)}"
             ) from None
 
     def with_effect(self, name: str, values: Mapping[str, float] | None = None) -> Model:

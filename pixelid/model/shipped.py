@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from pixelid.errors import InputError
+from pixelid.errors import InputError, did_you_mean
 from pixelid.model.files import load_model
 from pixelid.model.model import Model
 
@@ -21,6 +21,11 @@ def shipped_models() -> dict[str, Path]:
     return {path.stem: path for path in sorted(data_folder("models").glob("*.toml"))}
 
 
+def model_files(spec: str | Path) -> list[Path]:
+    """The files that `find_model(spec)` may have read, besides shipped ones."""
+    return [Path(spec), Path(spec) / "fit.json", Path(spec) / "model.toml"]
+
+
 def find_model(spec: str | Path) -> Model:
     """The model of a shipped name, a model file, or a fit folder.  Raises InputError listing what is shipped."""
     path = Path(spec)
@@ -31,4 +36,7 @@ def find_model(spec: str | Path) -> Model:
     known = shipped_models()
     if str(spec) in known:
         return load_model(known[str(spec)])
-    raise InputError(f"no model {str(spec)!r}: expected a .toml file, a fit folder, or one of {', '.join(known)}")
+    raise InputError(
+        f"no model {str(spec)!r}: expected a .toml file, a fit folder, or one of {', '.join(known)}"
+        f"{did_you_mean(spec, known)}"
+    )

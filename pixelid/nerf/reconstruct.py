@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 import torch
@@ -20,8 +21,8 @@ from pixelid.nerf.pixel import Bandwidth
 from pixelid.nerf.problem import evaluation_views, problem_of
 from pixelid.nerf.train import Problem, Recipe, State, held_out_residual, start, train
 from pixelid.nerf.views import Views
-from pixelid.outputs import write_json
 from pixelid.provenance import input_hashes, versions
+from pixelid.results import Result, Table
 from pixelid.status import Status
 
 LEARNED = 0.9  # share of held-out changes left unexplained, above which the field explains too little
@@ -29,13 +30,21 @@ LOOKS = 10  # running PSNR, per run
 SAVE_EVERY = 100  # steps between checkpoints
 
 
+<<<<<<< HEAD
 @dataclass(frozen=True)
 class Reconstruction:
     """A reconstructed scene and how well it can be trusted.
+=======
+@dataclass(frozen=True, repr=False)
+class Reconstruction(Result):
+    """What a reconstruction found.
+>>>>>>> face
 
     status: how it ended;  scores: of the test views, NaN when it diverged;  held_out: share of held-out changes left
     unexplained;  truth: the test views;  ignored: effects of the pixel that the reconstruction does not model
     """
+
+    FILE: ClassVar[str] = "reconstruction.json"
 
     status: Status
     advice: str
@@ -86,9 +95,36 @@ class Reconstruction:
             "inputs_sha256": dict(self.inputs),
         }
 
-    def save(self, folder: Path) -> None:
-        """Write reconstruction.json and field.npz into an existing folder."""
-        write_json(folder / "reconstruction.json", self.as_dict())
+    @property
+    def headline(self) -> str:
+        """Status and scores."""
+        return (
+            f"reconstruction: {self.status}; {self.scores.psnr.mean():.2f} dB, SSIM {self.scores.ssim.mean():.3f} over "
+            f"{len(self.scores.psnr)} test views, {self.held_out:.2f} of held-out changes unexplained, "
+            f"{self.seconds:.0f} s"
+        )
+
+    def tables(self) -> list[Table]:
+        """Scores of every test view."""
+        rows = tuple(
+            (name, f"{psnr:.2f}", f"{ssim:.3f}")
+            for name, psnr, ssim in zip(self.truth.names, self.scores.psnr, self.scores.ssim, strict=True)
+        )
+        return [Table("", ("view", "PSNR [dB]", "SSIM"), rows, frozenset({"view"}))]
+
+    def records(self) -> list[dict]:
+        """One row per test view."""
+        return [
+            {"view": name, "psnr": float(psnr), "ssim": float(ssim)}
+            for name, psnr, ssim in zip(self.truth.names, self.scores.psnr, self.scores.ssim, strict=True)
+        ]
+
+    def sentences(self) -> list[str]:
+        """Advice."""
+        return [self.advice or self.status.advice]
+
+    def write_companions(self, folder: Path) -> None:
+        """Write field.npz, the scene."""
         scene = self.state.field
         np.savez_compressed(
             folder / "field.npz", grid=scene.grid.detach().cpu().numpy().astype(np.float16), low=scene.low,

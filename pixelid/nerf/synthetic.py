@@ -93,7 +93,7 @@ def make_dataset(
     t, x, y, p = (np.concatenate([getattr(chunk, name) for chunk in chunks]) for name in "txyp")
     last = int(trajectory.t[-1] * 1e9)
     kept = t <= last
-    with whole_folder(Path(out), overwrite) as folder:
+    with whole_folder(Path(out), overwrite, markers=(EVENTS,)) as folder:
         np.savez(
             folder / EVENTS, position=np.column_stack([x, y])[kept], timestamp=t[kept], polarity=p[kept].astype(bool)
         )

@@ -9,14 +9,20 @@ import numpy as np
 
 from pixelid.errors import InputError
 from pixelid.recordings.events import Events
+from pixelid.results import Table, html_page
 from pixelid.stimuli.stimulus import Stimulus
 
 LATENCY_S = 1e-3
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Recording:
     """Events of one condition and the stimulus behind them (None when it is unknown).
+
+    Example:
+        >>> from pixelid.recordings import Events, Recording
+        >>> Recording(Events.empty(2, 2), condition="dark")
+        Recording 'dark': 0 events of 2 × 2 pixels in 0 s; light unknown
 
     condition: a short label of the experiment, used to group recordings
     sensor: free text
@@ -32,6 +38,34 @@ class Recording:
     pooled: bool = False
     source: Path | None = None
     attributes: dict = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        e, on = self.events, float(self.events.p.mean()) if len(self.events) else None
+        share = "" if on is None else f", {100 * on:.0f} % ON"
+        light = "light unknown" if self.stimulus is None else repr(self.stimulus)
+        return (
+            f"Recording {self.name!r}: {len(e)} {_kind_of(self)} of {e.width} × {e.height} pixels in "
+            f"{e.duration_s:.4g} s{share}; {light}"
+        )
+
+    def _repr_html_(self) -> str:
+        e = self.events
+        rows = [
+            ("events", str(len(e))),
+            ("pixels", f"{e.width} × {e.height}{', pooled' if self.pooled else ''}"),
+            ("duration", f"{e.duration_s:.4g} s"),
+            ("light", "unknown" if self.stimulus is None else repr(self.stimulus)),
+            ("sensor", self.sensor),
+            ("file", str(self.source or "")),
+        ]
+        table = Table("", ("recording", self.name), tuple(row for row in rows if row[1]), frozenset({"recording"}))
+        return html_page(f"recording {self.name}", [table])
+
+    def plot(self) -> np.ndarray:
+        """Event rates (ON up, OFF down) above the light: matplotlib axes."""
+        from pixelid.recordings.figures import draw_recording
+
+        return draw_recording(self)
 
     @property
     def name(self) -> str:
@@ -68,6 +102,10 @@ class Recording:
     def with_stimulus(self, stimulus: Stimulus) -> Recording:
         """The same events beside another stimulus."""
         return replace(self, stimulus=stimulus)
+
+
+def _kind_of(recording: Recording) -> str:
+    return "pooled events" if recording.pooled else "events"
 
 
 def _drains(t: np.ndarray, late: np.ndarray) -> bool:

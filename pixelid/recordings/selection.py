@@ -1,4 +1,4 @@
-"""Recordings cut down to some of their pixels."""
+"""Recordings cut down to some of their pixels, and sensors of a number of pixels."""
 
 from __future__ import annotations
 
@@ -7,7 +7,31 @@ from dataclasses import replace
 
 import numpy as np
 
+from pixelid.errors import InputError
 from pixelid.recordings.recording import Recording
+
+LONGEST_SIDE_PIXELS = 65536  # addresses are 16 bits wide
+
+
+def nearly_square(pixels: int) -> tuple[int, int]:
+    """(width, height) with width · height = pixels, as square as that allows.
+
+    Raises InputError for less than one pixel and for a side beyond `LONGEST_SIDE_PIXELS`.
+
+    >>> nearly_square(12)
+    (4, 3)
+    """
+    if pixels < 1:
+        raise InputError(f"--pixels: expected at least 1, found {pixels}")
+    height = int(pixels**0.5)
+    while pixels % height:
+        height -= 1
+    if pixels // height > LONGEST_SIDE_PIXELS:
+        raise InputError(
+            f"--pixels {pixels}: no sensor of that many pixels has sides up to {LONGEST_SIDE_PIXELS}; "
+            "try a round number"
+        )
+    return pixels // height, height
 
 
 def only(recordings: Sequence[Recording], pixels: np.ndarray) -> list[Recording]:

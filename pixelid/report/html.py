@@ -60,7 +60,7 @@ def write_report(folder: Path) -> Path:
         known = ", ".join(page.FILE for page in pages)
         raise InputError(f"{folder}: none of {known}; expected the folder of a result")
     try:
-        result = json.loads((folder / page.FILE).read_text())
+        result = json.loads((folder / page.FILE).read_text(encoding="utf-8"))
     except ValueError:
         raise InputError(f"{folder / page.FILE}: not valid JSON") from None
     figures = [
@@ -73,5 +73,5 @@ def write_report(folder: Path) -> Path:
         .render(result=result, figures=figures, number=number, **page.context(result, folder))
     )
     path = folder / "report.html"
-    path.write_text(rendered)
+    path.write_text(rendered, encoding="utf-8")
     return path

@@ -11,7 +11,7 @@ from pixelid.sample.posterior import Posterior
 LEVELS = (0.68, 0.95)  # of the posterior inside the contours
 
 
-def plot_corner(posterior: Posterior):
+def draw_corner(posterior: Posterior):
     """Every parameter against every other, in its own unit, with contours that hold 68 and 95 % of the draws.
 
     Args:
@@ -37,7 +37,7 @@ def plot_corner(posterior: Posterior):
     return np.array(figure.axes).reshape(d, d)
 
 
-def plot_trace(posterior: Posterior):
+def draw_trace(posterior: Posterior):
     """The mean and the 5 to 95 % range of the walkers at every step, one colour per ensemble: they must overlap.
 
     Args:
@@ -66,19 +66,16 @@ def plot_trace(posterior: Posterior):
 
 
 def write_corner(posterior: Posterior, path: Path) -> Path:
-    """Write `plot_corner` to a picture."""
-    return _write(plot_corner, posterior, path)
+    """Write `draw_corner` to a picture."""
+    return _write(draw_corner, posterior, path)
 
 
 def write_trace(posterior: Posterior, path: Path) -> Path:
-    """Write `plot_trace` to a picture."""
-    return _write(plot_trace, posterior, path)
+    """Write `draw_trace` to a picture."""
+    return _write(draw_trace, posterior, path)
 
 
 def _write(plot, posterior: Posterior, path: Path) -> Path:
-    import matplotlib
-
-    matplotlib.use("Agg")
     import matplotlib.pyplot as plt
 
     figure = plot(posterior).flat[0].figure

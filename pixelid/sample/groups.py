@@ -41,6 +41,18 @@ def inference_data(
         predictive_draws: how many draws are simulated; 0: none, and no group `posterior_predictive`.
         physical: circuit value → (draws,) under the gauge (`Posterior.physical`), for the group `physical`.
     """
+    observed = counts(recordings)
+    groups = {"observed_data": observed}
+    if predictive_draws and result.observation == "event_times":
+        drawn = predicted(posterior, result, recordings, predictive_draws)
+        groups["posterior_predictive"] = {name: value[None] for name, value in drawn.items()}
+    if physical is not None:
+        groups["physical"] = {name: draws[None] for name, draws in physical.items()}
+    return sampled_groups(posterior, groups, {key: ["recording_name"] for key in observed})
+
+
+def sampled_groups(posterior: Posterior, beside: dict | None = None, dims_beside: dict | None = None):
+    """A DataTree of the draws alone (posterior, sample_stats, log_likelihood), and of groups `beside`."""
     from arviz_base import from_dict
 
     ensembles, steps, walkers, _ = posterior.chain.shape
@@ -50,15 +62,13 @@ def inference_data(
         return np.swapaxes(a, 1, 2).reshape(chains, steps, *a.shape[3:])
 
     pieces = by_chain(posterior.pieces)
-    names = [r.name for r in recordings]
-    r = len(names)
+    r = len(posterior.recordings)
     likelihood = {"recording": pieces[..., :r]}
-    dims = {"recording": ["recording_name"], "pixel": ["pixel_unit"]}
-    coords: dict = {"recording_name": _distinct(names)}
+    dims = {"recording": ["recording_name"], "pixel": ["pixel_unit"], **(dims_beside or {})}
+    coords: dict = {"recording_name": _distinct(list(posterior.recordings))}
     if pieces.shape[-1] > r + 1:
         likelihood["pixel"] = pieces[..., r + 1 :]
         coords["pixel_unit"] = np.arange(pieces.shape[-1] - r - 1)
-    observed = counts(recordings)
     groups = {
         "posterior": posterior.values(),
         "sample_stats": {
@@ -66,17 +76,10 @@ def inference_data(
             "ensemble": np.repeat(np.arange(ensembles), walkers)[:, None].repeat(steps, axis=1),
         },
         "log_likelihood": likelihood,
-        "observed_data": observed,
+        **(beside or {}),
     }
-    for variable in observed:
-        dims[variable] = ["recording_name"]
-    if predictive_draws and result.observation == "event_times":
-        drawn = predicted(posterior, result, recordings, predictive_draws)
-        groups["posterior_predictive"] = {name: value[None] for name, value in drawn.items()}
-    if physical is not None:
-        groups["physical"] = {name: draws[None] for name, draws in physical.items()}
-    seed = int(posterior.details.get("seed", 0))
-    attributes = {"status": str(posterior.status), "model": result.model.name, "seed": seed}
+    model, seed = posterior.coordinates.model.name, int(posterior.details.get("seed", 0))
+    attributes = {"status": str(posterior.status), "model": model, "seed": seed}
     return from_dict(groups, coords=coords, dims=dims, attrs={"/": attributes})
 
 
@@ -117,7 +120,8 @@ def save(posterior: Posterior, result: FitResult, recordings: Sequence[Recording
     from pixelid.sample.figures import write_corner, write_trace
 
     physical = None
-    summary = posterior.as_dict()
+    beside = ("recordings", "nuisances", "versions", "inputs_sha256")  # fit.json has them already
+    summary = {name: value for name, value in posterior.as_dict().items() if name not in beside}
     try:
         physical = posterior.physical(result.model)
     except InputError as error:

@@ -4,24 +4,37 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, ClassVar
+from zipfile import BadZipFile
 
 import numpy as np
 
 from pixelid.errors import InputError
 from pixelid.fit.coordinates import Coordinates
+from pixelid.fit.result import as_document, from_document
+from pixelid.model.files import load_model, save_model
 from pixelid.model.model import Model
-from pixelid.sample.convergence import Convergence
+from pixelid.results import Result, Table, interval, number, read_result, required
+from pixelid.sample.convergence import Convergence, convergence
 from pixelid.status import Status
 
 
-@dataclass(frozen=True)
-class Posterior:
+@dataclass(frozen=True, repr=False)
+class Posterior(Result):
     """Draws of the exact posterior.
 
     status, advice: how the sampling ended and what to do;  chain: (ensembles, steps, walkers, d) fitting coordinates
     log_prob: (ensembles, steps, walkers);  pieces: (…, r + 1 + p) log-likelihoods, see `target.Target`
-    convergence: per coordinate;  details: how it was made
+    convergence: per coordinate;  details: how it was made;  recordings: their names
+
+    Example:
+        >>> import pixelid as px
+        >>> posterior = px.sample("fit/", "session/")  # doctest: +SKIP
+        >>> posterior.to_arviz().posterior["alpha"].mean()  # doctest: +SKIP
     """
+
+    FILE: ClassVar[str] = "posterior.json"
 
     status: Status
     advice: str
@@ -31,6 +44,9 @@ class Posterior:
     pieces: np.ndarray
     convergence: Convergence
     details: Mapping = field(default_factory=dict)
+    recordings: tuple[str, ...] = ()
+    versions: Mapping[str, str] = field(default_factory=dict)
+    inputs_sha256: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def flat(self) -> np.ndarray:
@@ -50,7 +66,7 @@ class Posterior:
             found[p.name] = np.exp(c) if p.transform == "log" else c
         return found
 
-    def summary(self) -> dict[str, dict]:
+    def statistics(self) -> dict[str, dict]:
         """Parameter → mean, sd, 95 % interval (equal tails), effective samples, tau in steps, nested R̂."""
         table = {}
         for i, (name, draws) in enumerate(self.values().items()):
@@ -86,6 +102,94 @@ class Posterior:
     def _from(self, x: np.ndarray) -> list[float]:
         return [p.from_coordinate(float(c)) for p, c in zip(self.coordinates.parameters, x, strict=True)]
 
-    def as_dict(self) -> dict:
-        """What fit.json says about it."""
-        return {"status": self.status, "advice": self.advice, **self.details, "parameters": self.summary()}
+    def as_dict(self) -> dict[str, Any]:
+        """The content of posterior.json, and (but for provenance) what fit.json says about it."""
+        return {
+            "status": self.status,
+            "advice": self.advice,
+            **self.details,
+            "parameters": self.statistics(),
+            "recordings": list(self.recordings),
+            "nuisances": {name: as_document(p) for name, p in self.coordinates.nuisances.items()},
+            "versions": dict(self.versions),
+            "inputs_sha256": dict(self.inputs_sha256),
+        }
+
+    @property
+    def headline(self) -> str:
+        """Model, status, and how many draws."""
+        ensembles, steps, walkers, _ = self.chain.shape
+        return (
+            f"posterior of {self.coordinates.model.name}: {self.status}; {ensembles} ensembles × {walkers} walkers × "
+            f"{steps} steps, {self.convergence.effective.min():.0f} effective samples or more"
+        )
+
+    def tables(self) -> list[Table]:
+        """Mean, sd, 95 % interval and convergence of every parameter."""
+        rows = tuple(
+            (
+                name, number(row["mean"]), number(row["sd"]), interval(row["interval_95"]),
+                self.coordinates.parameters[i].unit, f"{row['effective_samples']:.0f}", f"{row['nested_r_hat']:.4f}",
+            )
+            for i, (name, row) in enumerate(self.statistics().items())
+        )  # fmt: skip
+        headings = ("parameter", "mean", "sd", "95 % interval", "unit", "effective", "nested R̂")
+        return [Table("", headings, rows, frozenset({"parameter", "unit"}))]
+
+    def records(self) -> list[dict[str, Any]]:
+        """One row per parameter."""
+        rows = []
+        for name, row in self.statistics().items():
+            low, high = row.pop("interval_95")
+            rows.append({"parameter": name, **row, "low_95": low, "high_95": high})
+        return rows
+
+    def sentences(self) -> list[str]:
+        """What to do when it did not converge."""
+        return [text for text in (self.advice or self.status.advice,) if text]
+
+    def write_companions(self, folder: Path) -> None:
+        """Write draws.npz (chain, log_prob, pieces) and model.toml, the model they were drawn around."""
+        np.savez_compressed(folder / "draws.npz", chain=self.chain, log_prob=self.log_prob, pieces=self.pieces)
+        save_model(self.coordinates.model, folder / "model.toml")
+
+    @classmethod
+    def load(cls, folder: str | Path) -> Posterior:
+        """The posterior that `save` wrote.
+
+        Raises:
+            InputError: none there, or a damaged one.
+        """
+        content = read_result(folder, cls.FILE)
+        status, advice, nuisances = required(content, folder, cls.FILE, "status", "advice", "nuisances")
+        model = load_model(Path(folder) / "model.toml")
+        coordinates = Coordinates.of(model, tuple(from_document(name, entry) for name, entry in nuisances.items()))
+        try:
+            with np.load(Path(folder) / "draws.npz") as draws:
+                chain, log_prob, pieces = (draws[name] for name in ("chain", "log_prob", "pieces"))
+        except (OSError, KeyError, ValueError, BadZipFile) as error:
+            raise InputError(f"{Path(folder) / 'draws.npz'}: expected chain, log_prob, pieces ({error})") from None
+        known = {"status", "advice", "parameters", "recordings", "nuisances", "versions", "inputs_sha256"}
+        return cls(
+            Status(status), advice, coordinates, chain, log_prob, pieces, convergence(chain),
+            {name: value for name, value in content.items() if name not in known}, tuple(content["recordings"]),
+            content["versions"], content["inputs_sha256"],
+        )  # fmt: skip
+
+    def to_arviz(self) -> Any:
+        """An `xarray.DataTree` as ArviZ 1 takes it: posterior (one chain per walker), sample_stats, log_likelihood."""
+        from pixelid.sample.groups import sampled_groups
+
+        return sampled_groups(self)
+
+    def plot_trace(self) -> np.ndarray:
+        """Walkers' mean and 5 to 95 % range at every step, one colour per ensemble: matplotlib axes."""
+        from pixelid.sample.figures import draw_trace
+
+        return draw_trace(self)
+
+    def plot_corner(self) -> np.ndarray:
+        """Every parameter against every other: matplotlib axes, (d, d)."""
+        from pixelid.sample.figures import draw_corner
+
+        return draw_corner(self)

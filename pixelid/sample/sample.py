@@ -11,6 +11,7 @@ import numpy as np
 from pixelid.errors import InputError
 from pixelid.fit.result import FitResult, Stopwatch
 from pixelid.identify.small_sample import MISMATCH, mismatch_shares
+from pixelid.provenance import versions
 from pixelid.recordings.recording import Recording
 from pixelid.sample.convergence import ENOUGH_TAU, Convergence, convergence
 from pixelid.sample.ensembles import CHUNK, Ensembles, moves
@@ -108,6 +109,9 @@ def sample(
             "seconds": watch.seconds(),
             **pilot,
         },
+        recordings=result.recordings,
+        versions=versions(),
+        inputs_sha256=result.inputs_sha256,
     )
 
 

@@ -6,18 +6,21 @@ from pathlib import Path
 
 import numpy as np
 
-from pixelid.outputs import write_json
 from pixelid.sensors.sensor import Map, SensorFit
 
 
 def save(fit: SensorFit, folder: Path) -> None:
-    """Write sensor.json, maps.npz and one picture per map into an existing folder.
+    """Write sensor.json, maps.npz and one picture per map into an existing folder."""
+    fit.write(folder)
+
+
+def write_maps(fit: SensorFit, folder: Path) -> None:
+    """Write maps.npz and one picture per map into an existing folder.
 
     maps.npz: events (h, w), and per parameter `name` (shrunk value), `name.sd` (of its log), `name.raw` (the pixel's
     own
     value), `name.raw_sd` (of its log).
     """
-    write_json(folder / "sensor.json", fit.as_dict())
     arrays = {"events": fit.events}
     for name, m in fit.maps.items():
         arrays |= {name: m.value, f"{name}.sd": m.sd, f"{name}.raw": np.exp(m.raw), f"{name}.raw_sd": m.raw_sd}
@@ -28,9 +31,6 @@ def save(fit: SensorFit, folder: Path) -> None:
 
 def _picture(m: Map, path: Path) -> None:
     """The map before and after shrinkage, on one colour scale, and the two distributions."""
-    import matplotlib
-
-    matplotlib.use("Agg")
     import matplotlib.pyplot as plt
 
     figure, axes = plt.subplots(1, 3, figsize=(13, 3.6), layout="constrained")

@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from pixelid.model.model import Model
 from pixelid.outputs import plain
 from pixelid.provenance import input_hashes, versions
 from pixelid.recordings.recording import Recording
+from pixelid.results import Result, Table
 from pixelid.sensors.profile import REACH, Plan, estimate_tile
 from pixelid.sensors.shrinkage import Population, bootstrap, population, shrink
 from pixelid.sensors.tiles import common_size, tiles_of
@@ -66,9 +68,11 @@ class Map:
         }
 
 
-@dataclass(frozen=True)
-class SensorFit:
+@dataclass(frozen=True, repr=False)
+class SensorFit(Result):
     """Maps by parameter name, events per pixel (h, w), and how they came about."""
+
+    FILE: ClassVar[str] = "sensor.json"
 
     maps: Mapping[str, Map]
     events: np.ndarray
@@ -79,15 +83,64 @@ class SensorFit:
     seed: int
     inputs_sha256: Mapping[str, str]
 
+    @property
+    def empty(self) -> list[str]:
+        """Names of maps that no pixel's events hold."""
+        return [name for name, m in self.maps.items() if not m.population.count]
+
+    @property
+    def status(self) -> Status:
+        """How it ended."""
+        return Status.not_identified if self.empty else Status.converged
+
+    @property
+    def advice(self) -> str:
+        """What to do about empty maps."""
+        if not self.empty:
+            return ""
+        return f"no pixel's events hold {', '.join(self.empty)}: record more, or use larger --block"
+
+    @property
+    def headline(self) -> str:
+        """Pixels, events, status."""
+        seen = int((self.events > 0).sum())
+        found = f"{seen} pixels, {self.events.sum()} events"
+        return f"sensor of {self.model.name}: {self.status}; {found}, {self.seconds:.1f} s"
+
+    def tables(self) -> list[Table]:
+        """Mean, spread and errors of every map."""
+        rows = []
+        for name, entry in self.records_by_name().items():
+            percent = [entry["relative_spread"], entry["typical_error_before"], entry["typical_error_after"]]
+            cells = ["–" if v is None else f"{100 * v:.2g} %" for v in percent]
+            rows.append((name, f"{entry['mean']:.4g} {entry['unit']}", *cells, str(entry["without_estimate"])))
+        headings = ("parameter", "mean", "spread", "error alone", "error shrunk", "pixels without")
+        return [Table("", headings, tuple(rows), frozenset({"parameter"}))]
+
+    def records_by_name(self) -> dict[str, dict]:
+        """Map → its entry in sensor.json."""
+        return {name: m.as_dict() for name, m in self.maps.items()}
+
+    def records(self) -> list[dict]:
+        """One row per map."""
+        return [{"parameter": name, **entry} for name, entry in self.records_by_name().items()]
+
+    def sentences(self) -> list[str]:
+        """Advice."""
+        return [self.advice]
+
+    def write_companions(self, folder: Path) -> None:
+        """Write maps.npz and one picture per map."""
+        from pixelid.sensors.saving import write_maps
+
+        write_maps(self, folder)
+
     def as_dict(self) -> dict:
         """The content of sensor.json."""
-        empty = [name for name, m in self.maps.items() if not m.population.count]
         height, width = self.events.shape
         return {
-            "status": Status.converged if not empty else Status.not_identified,
-            "advice": ""
-            if not empty
-            else f"no pixel's events hold {', '.join(empty)}: record more, or use larger --block",
+            "status": self.status,
+            "advice": self.advice,
             "model": self.model.name,
             "width": width,
             "height": height,
@@ -95,7 +148,7 @@ class SensorFit:
             "tiles": self.tiles,
             "events": int(self.events.sum()),
             "pixels_with_events": int((self.events > 0).sum()),
-            "maps": {name: m.as_dict() for name, m in self.maps.items()},
+            "maps": self.records_by_name(),
             "seconds": self.seconds,
             "seed": self.seed,
             "versions": versions(),

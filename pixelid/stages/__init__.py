@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pixelid.errors import InputError
+from pixelid.errors import InputError, did_you_mean
 from pixelid.stages import comparator, differencing, photocurrent, photoreceptor, readout, source_follower
 from pixelid.stages.circuit import Circuit
 from pixelid.stages.effect import Effect
@@ -16,7 +16,7 @@ def effect(name: str) -> Effect:
     try:
         return LIBRARY[name]
     except KeyError:
-        raise InputError(f"unknown effect {name!r}; known: {', '.join(LIBRARY)}") from None
+        raise InputError(f"unknown effect {name!r}; known: {', '.join(LIBRARY)}{did_you_mean(name, LIBRARY)}") from None
 
 
 __all__ = ["LIBRARY", "STAGES", "Circuit", "Effect", "effect"]

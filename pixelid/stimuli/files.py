@@ -12,7 +12,7 @@ import inspect
 from collections.abc import Mapping
 from pathlib import Path
 
-from pixelid.errors import InputError
+from pixelid.errors import InputError, did_you_mean
 from pixelid.stimuli.shapes import SHAPES
 from pixelid.stimuli.stimulus import Stimulus
 
@@ -37,7 +37,10 @@ def load_stimulus(spec: str | Path) -> Stimulus:
         if stimulus is None:
             raise InputError(f"{path}: this recording has no stimulus")
         return stimulus
-    raise InputError(f"no stimulus {text!r}: expected a recording, a .toml file, or one of {', '.join(SHAPES)}")
+    raise InputError(
+        f"no stimulus {text!r}: expected a recording, a .toml file, or one of {', '.join(SHAPES)}"
+        f"{did_you_mean(text, SHAPES)}"
+    )
 
 
 def shape(kind: str, parameters: Mapping[str, object]) -> Stimulus:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from zlib import crc32
 
 import numpy as np
 
@@ -12,7 +13,7 @@ UNITS = ("relative", "lux", "fA", "shape")
 INTERPOLATIONS = ("linear", "previous")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Stimulus:
     """Radiance sampled at `t`.
 
@@ -26,6 +27,15 @@ class Stimulus:
     radiance: np.ndarray
     unit: str = "relative"
     interpolation: str = "linear"
+
+    def __repr__(self) -> str:
+        low, high = float(self.radiance.min()), float(self.radiance.max())
+        size = "full field" if self.full_field else f"{self.radiance.shape[2]} × {self.radiance.shape[1]} pixels"
+        return f"light {low:.4g} … {high:.4g} {self.unit}, {size}, {len(self.t)} samples in {self.duration_s:.4g} s"
+
+    def own_seed(self, seed: int) -> int:
+        """A seed that differs from stimulus to stimulus, so that one camera's recordings do not repeat their noise."""
+        return (crc32(self.radiance.tobytes(), crc32(self.t.tobytes())) + seed) % (1 << 31)
 
     @property
     def full_field(self) -> bool:

@@ -6,12 +6,14 @@ from pathlib import Path
 import pytest
 
 PACKAGE = Path(__file__).resolve().parents[2] / "pixelid"
-BASE = {"errors", "outputs", "provenance", "status"}
+BASE = {"errors", "outputs", "provenance", "results", "status"}
 MAY_IMPORT = {
     "errors": set(),
     "outputs": {"errors"},
     "provenance": set(),
     "status": set(),
+    "results": {"errors", "outputs"},
+    "lazy": set(),
     "parameters": BASE,
     "stages": BASE | {"parameters"},
     "model": BASE | {"parameters", "stages"},
@@ -19,6 +21,8 @@ MAY_IMPORT = {
     "recordings": BASE | {"stimuli"},
     "dynamics": BASE | {"parameters", "stages"},
 }
+MAY_IMPORT["inputs"] = BASE | {"model", "recordings", "stimuli"}
+MAY_IMPORT["api"] = BASE  # everything else is imported when a function is called
 MAY_IMPORT["inspection"] = BASE | {"recordings", "stimuli"}
 MAY_IMPORT["rates"] = BASE | {"parameters", "stages", "model"}
 MAY_IMPORT["simulate"] = MAY_IMPORT["likelihood"] = set(MAY_IMPORT) - {"inspection", "rates"}

@@ -1,0 +1,424 @@
+"""The functions that `import pixelid` shows: thin, typed, and forgiving about what they are given.
+
+A model is a `Model`, a shipped name, a .toml file or a fit folder; recordings are a path, a `Recording`, or a list of
+either; a stimulus is a `Stimulus`, a built-in name or a file.  `progress(what, fraction)` reports on long work.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, TypeAlias
+
+from pixelid.errors import InputError
+
+if TYPE_CHECKING:
+    from pixelid.design.result import DesignReport
+    from pixelid.fit.result import FitResult
+    from pixelid.gap.result import GapReport
+    from pixelid.inputs import ModelLike, RecordingsLike, StimulusLike
+    from pixelid.lowlight.result import LowlightReport
+    from pixelid.model.model import Model
+    from pixelid.nerf.reconstruct import Reconstruction
+    from pixelid.parameters.gauge import Gauge
+    from pixelid.recordings.recording import Recording
+    from pixelid.sample.posterior import Posterior
+
+Progress: TypeAlias = Callable[[str, float], None]
+
+
+def open(source: str | Path | Sequence[str | Path]) -> Recording | tuple[Recording, ...]:
+    """Open recordings of any readable format.
+
+    Args:
+        source: a file, a folder that stands for the recordings in it, or a list of either.
+
+    Returns:
+        One `Recording` for a file, a tuple of them for a folder or a list.
+
+    Raises:
+        InputError: a file or folder that cannot be read as recordings; one line says which and why.
+
+    Example:
+        >>> import pixelid as px
+        >>> px.open("session/chirp.h5")  # doctest: +SKIP
+    """
+    from pixelid.inputs import as_recordings
+    from pixelid.recordings.reading import open_recording
+
+    if isinstance(source, str | Path) and not Path(source).is_dir():
+        return open_recording(source)
+    return tuple(as_recordings(source))
+
+
+def find_model(model: ModelLike) -> Model:
+    """The circuit of a shipped name, a .toml file or a fit folder.
+
+    Raises:
+        InputError: unknown names, with the shipped ones.
+
+    Example:
+        >>> import pixelid as px
+        >>> px.find_model("dvs128").values["refractory_s"] > 0
+        True
+    """
+    from pixelid.inputs import as_model
+
+    return as_model(model)
+
+
+def simulate(
+    model: ModelLike,
+    stimulus: StimulusLike,
+    *,
+    pixels: int | None = None,
+    seed: int = 0,
+    sensor_seed: int | None = None,
+    synchronous: bool = False,
+    threads: int | None = None,
+    progress: Progress | None = None,
+) -> Recording:
+    """Events of a circuit under a stimulus.
+
+    Args:
+        model: the circuit of every pixel.
+        stimulus: full-field light, or a video, whose size is the sensor's.
+        pixels: of a nearly square sensor under full-field light; 25 by default.
+        seed: of everything that differs from recording to recording; other light draws other noise.
+        sensor_seed: of what belongs to the sensor (thresholds, hot pixels); `seed` by default.
+        synchronous: every pixel takes its first reference at the first sample.
+        threads: one per core by default; the events do not depend on it.
+        progress: called with what is done and the fraction.
+
+    Returns:
+        The recording, with its stimulus.
+
+    Raises:
+        InputError: a stimulus of unknown radiance, pixels that make no sensor, a circuit that cannot be simulated.
+
+    Example:
+        >>> import pixelid as px
+        >>> px.simulate("ideal", "sine", pixels=4).events.width
+        2
+    """
+    from pixelid.inputs import as_model, as_stimulus
+    from pixelid.recordings.selection import nearly_square
+    from pixelid.simulate.simulator import simulate as run
+
+    circuit, light = as_model(model), as_stimulus(stimulus)
+    if not light.full_field and pixels is not None:
+        raise InputError("--pixels: a video stimulus sets the size of the sensor itself")
+    width, height = nearly_square(25 if pixels is None else pixels) if light.full_field else (None, None)
+    return run(
+        circuit, light, width=width, height=height, seed=light.own_seed(seed),
+        sensor_seed=seed if sensor_seed is None else sensor_seed, synchronous=synchronous, threads=threads,
+        progress=None if progress is None else lambda done: progress("simulating", done),
+    )  # fmt: skip
+
+
+def fit(
+    recordings: RecordingsLike,
+    model: ModelLike,
+    *,
+    gauge: Gauge | Mapping[str, str | float] | None = None,
+    fixed: Mapping[str, float] | None = None,
+    starts: int = 2,
+    between: str = "auto",
+    engine: str = "casadi",
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> FitResult:
+    """Fit a circuit's free parameters to recordings, all in one problem.
+
+    Args:
+        recordings: with pixel addresses (event-time likelihood) or pooled (pooled-rate likelihood), all or none.
+        model: what is fitted, from its own values.
+        gauge: statements that make physical values unique, as {"q_in": 0.875, "A_loop": "0.7 A_amp"}.
+        fixed: parameters to hold, at these values.
+        starts: random starts beside the model's own values.
+        between: how the stimulus runs between its samples: "linear", "smooth", or "auto": as explains the events best.
+        engine: "casadi", "torch" or "scipy"; all find the same maximum.
+        seed: of the starts.
+        progress: called with what is done and the fraction.
+
+    Returns:
+        Values with intervals, what is not identified, and how it ended.
+
+    Raises:
+        InputError: recordings that cannot be fitted together, unknown parameters, an impossible gauge.
+
+    Example:
+        >>> import pixelid as px
+        >>> px.fit("session/", "dvs128", fixed={"gamma": 1.12}).summary()  # doctest: +SKIP
+    """
+    from pixelid.fit.fit import fit as run
+    from pixelid.inputs import as_model, as_recordings
+    from pixelid.parameters.gauge import Gauge
+
+    circuit, opened = as_model(model), as_recordings(recordings)
+    held = dict(fixed or {})
+    circuit = circuit.fix({name: value for name, value in held.items() if name in circuit.parameters})
+    nuisances = {name: value for name, value in held.items() if name not in circuit.parameters}
+    return run(
+        opened, circuit, gauge=Gauge.parse(gauge) if isinstance(gauge, Mapping) else gauge, fixed=nuisances,
+        starts=starts, between=between, engine=engine, seed=seed, progress=progress,
+    )  # fmt: skip
+
+
+def sample(
+    result: FitResult | str | Path,
+    recordings: RecordingsLike,
+    *,
+    seed: int = 0,
+    wanted: int = 1000,
+    ensembles: int = 2,
+    max_steps: int = 4000,
+    chain_file: str | Path | None = None,
+    progress: Progress | None = None,
+) -> Posterior:
+    """Draw from the exact posterior of a fit's free parameters.
+
+    Args:
+        result: a fit, or its folder.
+        recordings: what it was fitted to.
+        seed: of the draws.
+        wanted: effective samples per parameter.
+        ensembles: independent ones, at least 2: their agreement is the test of convergence.
+        max_steps: of every walker; a posterior that needs more says that it did not converge.
+        chain_file: HDF5 file of the chains; an unfinished one of the same fit and seed is continued.
+        progress: called with what is done and the fraction.
+
+    Returns:
+        The draws, with their convergence.
+
+    Raises:
+        InputError: fewer than two ensembles, something that is no fit.
+
+    Example:
+        >>> import pixelid as px
+        >>> px.sample("fit/", "session/").to_dataframe()  # doctest: +SKIP
+    """
+    from pixelid.fit.result import FitResult
+    from pixelid.inputs import as_recordings
+    from pixelid.sample.sample import sample as run
+
+    if isinstance(result, str | Path):
+        result = FitResult.load(result)
+    if not isinstance(result, FitResult):
+        raise InputError(f"result: expected a FitResult or a fit folder, found {type(result).__name__}")
+    path = None if chain_file is None else Path(chain_file)
+    return run(
+        result, as_recordings(recordings), seed=seed, wanted=wanted, ensembles=ensembles, max_steps=max_steps,
+        chain_file=path, progress=progress,
+    )  # fmt: skip
+
+
+def gap(
+    recordings: RecordingsLike,
+    model: ModelLike,
+    *,
+    alpha: float = 0.01,
+    seed: int = 0,
+    leave_out: Sequence[str] = (),
+    recommend: bool = True,
+    resume: str | Path | None = None,
+    progress: Progress | None = None,
+) -> GapReport:
+    """Search recordings for effects that a model lacks.
+
+    Args:
+        recordings: of one sensor, full-field stimuli.
+        model: the base.
+        alpha: chance of naming anything, or of "unknown", when the model is right.
+        seed: of the split of pixels, and of simulations.
+        leave_out: effects that the library is to lack.
+        recommend: also work out what to record next.
+        resume: a file that keeps the fits made so far, for a search that is interrupted and called again.
+        progress: called with what is done and the fraction.
+
+    Returns:
+        The verdict, the effects with their strengths, and the gap before and after.
+
+    Raises:
+        InputError: recordings without pixels or stimulus, of several sensors; a model that cannot be searched from.
+
+    Example:
+        >>> import pixelid as px
+        >>> px.gap("session/", "dvs128").verdict  # doctest: +SKIP
+    """
+    from pixelid.gap.gap import gap as run
+    from pixelid.inputs import as_model, as_recordings
+
+    file = None if resume is None else Path(resume)
+    return run(
+        as_recordings(recordings), as_model(model), alpha=alpha, seed=seed, leave_out=leave_out, progress=progress,
+        resume=file, recommend=recommend,
+    )  # fmt: skip
+
+
+def lowlight(
+    model: ModelLike,
+    recordings: RecordingsLike = (),
+    *,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> LowlightReport:
+    """Say where one pole describes a photoreceptor, and where it does not.
+
+    Args:
+        model: the circuit; a fit folder brings its uncertainty, drawn as bands.
+        recordings: of chirps or steps, whose bandwidth or step time is put beside the model's; none by default.
+        seed: of draws and simulations.
+        progress: called with what is done and the fraction.
+
+    Returns:
+        Radiances where the approximations err, curves, and what recordings say.
+
+    Raises:
+        InputError: a photoreceptor without bandwidth.
+
+    Example:
+        >>> import pixelid as px
+        >>> px.lowlight("dvs128").to_dataframe()["largest_under"].max() > 0
+        True
+    """
+    from pixelid.fit.draws import read_fit
+    from pixelid.inputs import as_model
+    from pixelid.lowlight.result import lowlight_report
+    from pixelid.model.shipped import model_files
+
+    named = isinstance(model, str | Path)
+    fitted, sources = (read_fit(Path(model)), model_files(model)) if named else (None, [])
+    return lowlight_report(
+        as_model(model),
+        _opened(recordings),
+        fitted=fitted,
+        sources=sources,
+        seed=seed,
+        progress=progress,
+    )
+
+
+def design(
+    model: ModelLike,
+    recordings: RecordingsLike = (),
+    *,
+    criterion: str = "D",
+    menu: str | Path | None = None,
+    pixels: int | None = None,
+    draws: int = 4,
+    spread: float | None = None,
+    per_second: bool = False,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> DesignReport:
+    """Say which stimulus to record next to learn most about a circuit.
+
+    Args:
+        model: the circuit; a fit folder brings what is known already.
+        recordings: that there are already; none by default.
+        criterion: what is to shrink: "D" (all), "A" (the mean), or one parameter.
+        menu: a TOML file of [[stimulus]] tables; a default menu otherwise.
+        pixels: that would record, when neither recordings nor a fit say so; 25 by default.
+        draws: parameter values averaged over.
+        spread: their standard deviation in ln, without a fit.
+        per_second: rank by score per second of light.
+        seed: of draws and simulations.
+        progress: called with what is done and the fraction.
+
+    Returns:
+        The ranked menu, and the intervals to expect with the best.
+
+    Raises:
+        InputError: an unknown criterion, options that exclude each other, a model that has no event-time likelihood.
+
+    Example:
+        >>> import pixelid as px
+        >>> px.design("dvs128", criterion="gamma").stimulus  # doctest: +SKIP
+    """
+    from pixelid.design.result import design_report
+    from pixelid.fit.draws import read_fit
+    from pixelid.inputs import as_model
+    from pixelid.model.shipped import model_files
+
+    named = isinstance(model, str | Path)
+    fitted, sources = (read_fit(Path(model)), model_files(model)) if named else (None, [])
+    return design_report(
+        as_model(model), _opened(recordings), fitted=fitted, sources=sources, criterion=criterion,
+        menu=None if menu is None else Path(menu), pixels=pixels, draws=draws, spread=spread, per_second=per_second,
+        seed=seed, progress=progress,
+    )  # fmt: skip
+
+
+def reconstruct(
+    dataset: str | Path,
+    *,
+    fit: str | Path | None = None,
+    bandwidth: str = "on",
+    samples: int = 30,
+    trained: Sequence[str] = (),
+    iterations: int | None = None,
+    background: float | None = None,
+    scale: str = "auto",
+    box: tuple[float, ...] | None = None,
+    radiance_scale: float | None = None,
+    resume: str | Path | None = None,
+    device: str = "auto",
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> Reconstruction:
+    """Reconstruct a scene from motion-blurred events, through the identified pixel.
+
+    Args:
+        dataset: a folder in the published layout of Robust e-NeRF and Deblur e-NeRF.
+        fit: folder of a fit whose pixel replaces the dataset's.
+        bandwidth: the pixel's filter: "on" (known), "off" (ignored), or "joint" (trained with the scene).
+        samples: of the pixel's past.
+        trained: also trained with "joint": "threshold", "ratio", "refractory".
+        iterations: training steps.
+        background: radiance behind the scene; by default what the views show.
+        scale: what pins the radiance unit: "auto", "level" or "free".
+        box: corners of the scene, x0 y0 z0 x1 y1 z1; by default a cube where the views look.
+        radiance_scale: the fit's radiance units per unit of the views.
+        resume: a checkpoint, continued when it exists and written as training goes on.
+        device: "cpu", "cuda" or "auto".
+        seed: of everything random.
+        progress: called with what is done and the fraction.
+
+    Returns:
+        The scene, with the scores of its test views.
+
+    Raises:
+        InputError: a dataset or options that cannot be used.
+
+    Example:
+        >>> import pixelid as px
+        >>> px.reconstruct("scene/", fit="fit/")  # doctest: +SKIP
+    """
+    from dataclasses import replace
+
+    from pixelid.nerf.dataset import read_dataset
+    from pixelid.nerf.pixel import FILTER, Bandwidth
+    from pixelid.nerf.reconstruct import reconstruct as run
+    from pixelid.nerf.train import Recipe
+
+    if bandwidth not in ("on", "off", "joint"):
+        raise InputError(f"bandwidth: expected on, off or joint, found {bandwidth!r}")
+    if trained and bandwidth != "joint":
+        raise InputError(f"trained: {trained[0]} needs bandwidth='joint', found {bandwidth!r}")
+    recipe = replace(Recipe(), iterations=iterations) if iterations else Recipe()
+    return run(
+        read_dataset(Path(dataset)), fit=None if fit is None else Path(fit),
+        bandwidth=Bandwidth(bandwidth, samples, trained=(*FILTER, *trained)), recipe=recipe, background=background,
+        scale=scale, box=box, radiance_scale=radiance_scale, resume=None if resume is None else Path(resume),
+        device=device, seed=seed, progress=progress or (lambda what, share: None),
+    )  # fmt: skip
+
+
+def _opened(recordings: RecordingsLike) -> list[Recording]:
+    """The recordings, of which there may be none."""
+    from pixelid.inputs import as_recordings
+
+    if isinstance(recordings, Sequence) and len(recordings) == 0 and not isinstance(recordings, str):
+        return []
+    return as_recordings(recordings)

@@ -1,0 +1,28 @@
+"""What commands print: plain text that any terminal shows whole, names never cut, nothing read as markup."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterable
+
+import click
+
+
+def use_utf8() -> None:
+    """Print UTF-8 whatever the locale says; a terminal that cannot shows question marks, and nothing crashes."""
+    for stream in (sys.stdout, sys.stderr):
+        reconfigure = getattr(stream, "reconfigure", None)  # absent where a test or notebook has replaced the stream
+        if reconfigure is not None:
+            reconfigure(encoding="utf-8", errors="replace")
+
+
+def say(*lines: str) -> None:
+    """Print lines that are not empty."""
+    for line in lines:
+        if line:
+            click.echo(line)
+
+
+def say_sentences(sentences: Iterable[str]) -> None:
+    """Print sentences as a list."""
+    say(*(f"- {sentence}" for sentence in sentences if sentence))

@@ -1,0 +1,81 @@
+"""What users give: a model, recordings, a stimulus, in any of the forms that the command line takes, and as values."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import TypeAlias
+
+from pixelid.errors import InputError
+from pixelid.model.model import Model
+from pixelid.model.shipped import find_model, shipped_models
+from pixelid.recordings.reading import open_recordings
+from pixelid.recordings.recording import Recording
+from pixelid.stimuli.files import load_stimulus
+from pixelid.stimuli.shapes import SHAPES
+from pixelid.stimuli.stimulus import Stimulus
+
+ModelLike: TypeAlias = Model | str | Path
+RecordingsLike: TypeAlias = Recording | str | Path | Iterable[Recording | str | Path]
+StimulusLike: TypeAlias = Stimulus | str | Path
+
+
+def as_model(model: ModelLike) -> Model:
+    """The model itself, or the one of a shipped name, a .toml file or a fit folder.
+
+    Raises:
+        InputError: anything else.
+    """
+    if isinstance(model, Model):
+        return model
+    if isinstance(model, str | Path):
+        return find_model(model)
+    raise InputError(
+        f"model: expected a Model, a .toml file, a fit folder, or one of {', '.join(shipped_models())}, "
+        f"found {_kind(model)}"
+    )
+
+
+def as_recordings(recordings: RecordingsLike) -> list[Recording]:
+    """One or several recordings; paths are opened, and a folder stands for the recordings in it.
+
+    Raises:
+        InputError: nothing at all, something else, or a file that cannot be read as a recording.
+    """
+    if isinstance(recordings, Recording | str | Path):
+        recordings = [recordings]
+    if not isinstance(recordings, Iterable):
+        raise InputError(f"recordings: expected a Recording, a path, or a list of either, found {_kind(recordings)}")
+    opened: list[Recording] = []
+    for entry in recordings:
+        if isinstance(entry, Recording):
+            opened.append(entry)
+        elif isinstance(entry, str | Path):
+            opened += open_recordings([entry])
+        else:
+            raise InputError(f"recordings: expected a Recording, a path, or a list of either, found {_kind(entry)}")
+    if not opened:
+        raise InputError("recordings: expected at least one, found none")
+    return opened
+
+
+def as_stimulus(stimulus: StimulusLike) -> Stimulus:
+    """The stimulus itself, or the one of a built-in name, a .toml description or a recording.
+
+    Raises:
+        InputError: anything else.
+    """
+    if isinstance(stimulus, Stimulus):
+        return stimulus
+    if isinstance(stimulus, str | Path):
+        return load_stimulus(stimulus)
+    raise InputError(
+        f"stimulus: expected a Stimulus, a recording, a .toml file, or one of {', '.join(SHAPES)}, "
+        f"found {_kind(stimulus)}"
+    )
+
+
+def _kind(value: object) -> str:
+    """A value in words short enough for one line."""
+    text = repr(value).replace("\n", " ")
+    return f"{type(value).__name__} {text if len(text) <= 40 else text[:37] + '…'}"

@@ -1,0 +1,143 @@
+"""The result of a low-light analysis: where one pole describes the photoreceptor, and what recordings say."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+
+from pixelid.lowlight.table import MEASURED_HEADINGS, RADII_HEADINGS, measured_rows, not_measurable, radii_rows
+from pixelid.model.files import load_model, save_model
+from pixelid.model.model import Model
+from pixelid.provenance import provenance
+from pixelid.recordings.recording import Recording
+from pixelid.results import Result, Table, read_result, required
+from pixelid.status import Status
+
+BAND_DRAWS = 60  # models behind the bands of a fit: their 95 % limits to about a tenth of their width
+
+
+@dataclass(frozen=True, repr=False)
+class LowlightReport(Result):
+    """A finished low-light analysis.
+
+    model: the circuit analysed;  content: of lowlight.json (docs/lowlight.md)
+    """
+
+    FILE: ClassVar[str] = "lowlight.json"
+
+    model: Model
+    content: Mapping[str, Any]
+
+    @property
+    def status(self) -> Status:
+        """How it ended."""
+        return Status(self.content["status"])
+
+    def as_dict(self) -> dict[str, Any]:
+        """The content of lowlight.json."""
+        return dict(self.content)
+
+    @property
+    def headline(self) -> str:
+        """Model and status."""
+        return f"low light of {self.content['model']}: {self.status} in {self.content['seconds']:.1f} s"
+
+    def tables(self) -> list[Table]:
+        """Radiance from which the approximations err; what was measured beside the model."""
+        unit = self.content["radiance_unit"]
+        found = dict(self.content)
+        radii = tuple(tuple(row) for row in radii_rows(found))
+        tables = [
+            Table(f"radiance [{unit}] from which approximations err by 1, 10, 50 %", RADII_HEADINGS, radii,
+                  frozenset(RADII_HEADINGS[:2]))
+        ]  # fmt: skip
+        if self.content["measured"]:
+            rows = tuple(tuple(row) for row in measured_rows(found))
+            left = frozenset({"recording", "quantity"})
+            tables.append(Table("measured, and the model under the same light", MEASURED_HEADINGS, rows, left))
+        return tables
+
+    def records(self) -> list[dict[str, Any]]:
+        """One row per approximation, quantity and scope: largest errors, first radiance of each level."""
+        return [
+            {"approximation": kind, "quantity": quantity, "scope": scope, "largest_under": entry["largest_under"],
+             "largest_over": entry["largest_over"],
+             **{f"first_{level}": limits["first"] for level, limits in entry["levels"].items()}}
+            for kind, by_quantity in self.content["errors"].items()
+            for quantity, by_scope in by_quantity.items()
+            for scope, entry in by_scope.items()
+        ]  # fmt: skip
+
+    def sentences(self) -> list[str]:
+        """The regimes in words, what could not be measured, and advice."""
+        said = [*self.content["sentences"], *not_measurable(dict(self.content)), self.content["advice"]]
+        return [text for text in said if text]
+
+    def write_companions(self, folder: Path) -> None:
+        """Write model.toml, the circuit analysed."""
+        save_model(self.model, folder / "model.toml")
+
+    @classmethod
+    def load(cls, folder: str | Path) -> LowlightReport:
+        """The analysis of a folder.
+
+        Raises:
+            InputError: none there, or a damaged one.
+        """
+        content = read_result(folder, cls.FILE)
+        required(content, folder, cls.FILE, "status", "errors", "regimes", "curves", "sentences")
+        content["curves"] = _arrays(content["curves"])
+        if content.get("bands"):
+            content["bands"] = _arrays(content["bands"])
+        return cls(load_model(Path(folder) / "model.toml"), content)
+
+    def plot_poles(self) -> np.ndarray:
+        """Poles, −3 dB frequency and step time over radiance: matplotlib axes."""
+        from pixelid.lowlight.figures import draw_poles, kinds_of
+
+        circuit = self.model.circuit()
+        return draw_poles(dict(self.content), circuit, kinds_of(circuit))
+
+    def plot_errors(self) -> np.ndarray:
+        """Relative errors of the approximations over radiance: matplotlib axes."""
+        from pixelid.lowlight.figures import draw_errors, kinds_of
+
+        circuit = self.model.circuit()
+        return draw_errors(dict(self.content), circuit, kinds_of(circuit)[1:])
+
+
+def lowlight_report(
+    model: Model,
+    recordings: Sequence[Recording],
+    *,
+    fitted: dict[str, Any] | None = None,
+    sources: Sequence[Path] = (),
+    seed: int = 0,
+    progress: Callable[[str, float], None] | None = None,
+) -> LowlightReport:
+    """The whole analysis, with provenance.
+
+    fitted: the fit.json that the model came from, whose uncertainty is drawn as bands;  sources: the model's files
+    """
+    from pixelid.fit.draws import drawn, uncertainty
+    from pixelid.lowlight.analysis import analyse, sentences
+
+    draws: list[Model] = []
+    if fitted is not None:
+        draws = drawn(model, *uncertainty(fitted, model), BAND_DRAWS, np.random.default_rng(seed))
+    content = analyse(model, recordings, draws=draws, seed=seed, progress=progress)
+    files = [*sources, *(r.source for r in recordings if r.source is not None)]
+    return LowlightReport(model, {**content, "sentences": sentences(content), "seed": seed, **provenance(*files)})
+
+
+def _arrays(value: Any) -> Any:
+    """Lists of numbers as arrays (null as NaN), inside dictionaries."""
+    if isinstance(value, dict):
+        return {name: _arrays(entry) for name, entry in value.items()}
+    if isinstance(value, list) and value and all(entry is None or isinstance(entry, int | float) for entry in value):
+        return np.array([np.nan if entry is None else entry for entry in value], dtype=float)
+    return value

@@ -1,0 +1,203 @@
+"""What every result can do: be read in one screen, be shown in a notebook, go to a folder and come back.
+
+A result says what it found as tables and sentences; how they look on a terminal and in a notebook is written here.
+"""
+
+from __future__ import annotations
+
+import json
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from pixelid.errors import InputError
+from pixelid.outputs import refuse_existing, whole_folder, write_json
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+ROWS_SHOWN = 18  # of each table, in a `repr`: with headings and a few sentences one screen of 24 lines
+SENTENCES_SHOWN = 4
+WIDTH_SHOWN = 110
+
+
+@dataclass(frozen=True)
+class Table:
+    """Formatted cells under headings; columns named in `left` are words, the others numbers."""
+
+    title: str
+    headings: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    left: frozenset[str] = frozenset()
+
+    def text(self, most_rows: int | None = None) -> str:
+        """The table as lines of plain text; names are never broken or cut.
+
+        >>> rows = (("leak.rate_hz", "0.1"), ("alpha", "60 000"))
+        >>> print(Table("", ("name", "value"), rows, frozenset({"name"})).text())
+        name           value
+        leak.rate_hz     0.1
+        alpha         60 000
+        """
+        rows = self.rows if most_rows is None else self.rows[:most_rows]
+        widths = [max(len(row[k]) for row in (self.headings, *rows)) for k in range(len(self.headings))]
+        lines = [self.title] if self.title else []
+        for row in (self.headings, *rows):
+            cells = [
+                cell.ljust(width) if heading in self.left else cell.rjust(width)
+                for cell, width, heading in zip(row, widths, self.headings, strict=True)
+            ]
+            lines.append("  ".join(cells).rstrip())
+        if len(rows) < len(self.rows):
+            lines.append(f"… {len(self.rows) - len(rows)} more")
+        return "\n".join(lines)
+
+
+class Result(ABC):
+    """A finished computation.
+
+    FILE: the JSON that marks a folder as a result of this kind.  What is needed to go on working with a result is in
+    its folder, and the class method `load` of fits, posteriors, gaps, low-light analyses and designs brings it back.
+    """
+
+    FILE: ClassVar[str]
+
+    @property
+    @abstractmethod
+    def headline(self) -> str:
+        """One line: of what, from what, how it ended."""
+
+    @abstractmethod
+    def as_dict(self) -> dict[str, Any]:
+        """The content of the JSON."""
+
+    @abstractmethod
+    def tables(self) -> Sequence[Table]:
+        """What was found, the most important table first."""
+
+    @abstractmethod
+    def records(self) -> list[dict[str, Any]]:
+        """The rows of the most important table as numbers, the first key being the row's name."""
+
+    @abstractmethod
+    def sentences(self) -> Sequence[str]:
+        """Advice and caveats."""
+
+    @abstractmethod
+    def write_companions(self, folder: Path) -> None:
+        """Write what belongs beside the JSON into an existing folder."""
+
+    def summary(self) -> str:
+        """Everything found, as the command line prints it."""
+        return _text(self.headline, self.tables(), self.sentences())
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """The most important table as a pandas data frame, indexed by the rows' names."""
+        import pandas as pd
+
+        records = self.records()
+        frame = pd.DataFrame.from_records(records)
+        return frame.set_index(next(iter(records[0]))) if records else frame
+
+    def write(self, folder: str | Path) -> None:
+        """Write the JSON and what belongs to it into an existing folder, beside what is there."""
+        folder = Path(folder)
+        write_json(folder / self.FILE, self.as_dict())
+        self.write_companions(folder)
+
+    def save(self, folder: str | Path, *, overwrite: bool = False) -> None:
+        """Write the result's folder, whole or not at all.
+
+        A folder that exists without a result is written into.
+
+        Raises:
+            InputError: the folder holds a result and `overwrite` is not given.
+        """
+        folder = Path(folder)
+        if folder.is_dir() and not (folder / self.FILE).exists():
+            self.write(folder)
+            return
+        refuse_existing(folder, overwrite)
+        with whole_folder(folder, overwrite) as temporary:
+            self.write(temporary)
+
+    def __repr__(self) -> str:
+        sentences = list(self.sentences())
+        hidden = len(sentences) - SENTENCES_SHOWN
+        shown = sentences[:SENTENCES_SHOWN] + ([f"… {hidden} more in .summary()"] if hidden > 0 else [])
+        return _text(self.headline, list(self.tables())[:1], [_cut(s) for s in shown], ROWS_SHOWN)
+
+    def _repr_html_(self) -> str:
+        return html_page(self.headline, list(self.tables())[:1], self.sentences())
+
+
+def _text(headline: str, tables: Sequence[Table], sentences: Sequence[str], most_rows: int | None = None) -> str:
+    parts = [headline, *(table.text(most_rows) for table in tables if table.rows)]
+    said = "\n".join(f"- {sentence}" for sentence in sentences if sentence)
+    return "\n".join([*parts, said] if said else parts)
+
+
+def _cut(sentence: str) -> str:
+    return sentence if len(sentence) <= WIDTH_SHOWN else sentence[: WIDTH_SHOWN - 1] + "…"
+
+
+_HTML = """<div><p><b>{{ headline }}</b></p>
+{% for table in tables if table.rows %}<table>{% if table.title %}<caption>{{ table.title }}</caption>{% endif %}
+<tr>{% for h in table.headings %}<th style="text-align: {{ "left" if h in table.left else "right" }}">{{ h }}</th>
+{%- endfor %}</tr>
+{% for row in table.rows %}<tr>{% for cell in row %}
+<td style="text-align: {{ "left" if table.headings[loop.index0] in table.left else "right" }}">{{ cell }}</td>
+{%- endfor %}</tr>
+{% endfor %}</table>
+{% endfor %}{% if sentences %}<ul>{% for s in sentences %}<li>{{ s }}</li>{% endfor %}</ul>{% endif %}</div>"""
+
+
+def html_page(headline: str, tables: Sequence[Table], sentences: Sequence[str] = ()) -> str:
+    """A compact fragment for notebooks; every text is escaped."""
+    import jinja2
+
+    said = [sentence for sentence in sentences if sentence]
+    template = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined).from_string(_HTML)
+    return template.render(headline=headline, tables=tables, sentences=said)
+
+
+def number(value: float | None) -> str:
+    """Four significant digits, or a dash."""
+    return "–" if value is None else f"{value:.4g}"
+
+
+def interval(limits: Sequence[float | None] | None) -> str:
+    """The two limits with dots between, or a dash."""
+    return f"{number(limits[0])} … {number(limits[1])}" if limits else "–"
+
+
+def read_result(folder: str | Path, file: str) -> dict[str, Any]:
+    """The JSON of a result folder.
+
+    Raises:
+        InputError: the file is missing, or not a JSON object.
+    """
+    path = Path(folder) / file
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(f"{path}: expected the folder of a result, found {error.strerror}") from None
+    except ValueError:
+        raise InputError(f"{path}: not valid JSON") from None
+    if not isinstance(content, dict):
+        raise InputError(f"{path}: expected a JSON object, found {type(content).__name__}")
+    return content
+
+
+def required(content: Mapping[str, Any], folder: str | Path, file: str, *names: str) -> list[Any]:
+    """The values of keys that must be there.
+
+    Raises:
+        InputError: naming the first that is missing.
+    """
+    for name in names:
+        if name not in content:
+            raise InputError(f"{Path(folder) / file}: {name}: missing")
+    return [content[name] for name in names]
