@@ -1,10 +1,6 @@
 """Model comparison: log-likelihood of pixels that a fit has not seen, BIC, and PSIS-LOO from posteriors.
 
-<<<<<<< HEAD
 Pixels are the exchangeable unit: events of one pixel share its thresholds and are not independent, so
-=======
-Pixels are the exchangeable unit : events of one pixel share its thresholds and are not independent, so
->>>>>>> face
 whole pixels are held out, and differences between models are paired over pixels.
 """
 

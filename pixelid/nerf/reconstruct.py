@@ -30,15 +30,9 @@ LOOKS = 10  # running PSNR, per run
 SAVE_EVERY = 100  # steps between checkpoints
 
 
-<<<<<<< HEAD
-@dataclass(frozen=True)
-class Reconstruction:
-    """A reconstructed scene and how well it can be trusted.
-=======
 @dataclass(frozen=True, repr=False)
 class Reconstruction(Result):
-    """What a reconstruction found.
->>>>>>> face
+    """A reconstructed scene and how well it can be trusted.
 
     status: how it ended;  scores: of the test views, NaN when it diverged;  held_out: share of held-out changes left
     unexplained;  truth: the test views;  ignored: effects of the pixel that the reconstruction does not model
@@ -120,8 +114,9 @@ class Reconstruction(Result):
         ]
 
     def sentences(self) -> list[str]:
-        """Advice."""
-        return [self.advice or self.status.advice]
+        """Advice, and what the pixel has but the reconstruction does not model."""
+        ignored = f"not modelled: {', '.join(self.ignored)}" if self.ignored else ""
+        return [text for text in (self.advice or self.status.advice, ignored) if text]
 
     def write_companions(self, folder: Path) -> None:
         """Write field.npz, the scene."""

@@ -166,7 +166,7 @@ def main() -> None:
     parser.add_argument("out", type=Path)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--side", type=int, default=64)
-    parser.add_argument("--images", type=Path, help="film a scene fitted to posed pictures: npz of images, poses, focal")
+    parser.add_argument("--images", type=Path, help="film a scene fitted to posed pictures (npz: images, poses, focal)")
     parser.add_argument("--overwrite", action="store_true")
     options = parser.parse_args()
     scene = None
