@@ -98,9 +98,9 @@ def _huber(x: torch.Tensor) -> torch.Tensor:
     return F.huber_loss(x, torch.zeros_like(x), reduction="none")
 
 
-def total(found: dict[str, torch.Tensor], weights: Weights) -> torch.Tensor:
+def total(parts: dict[str, torch.Tensor], weights: Weights) -> torch.Tensor:
     """The weighted sum."""
-    return weights.diff * found["diff"] + weights.tv * found["tv"] + weights.chain * found["chain"]
+    return weights.diff * parts["diff"] + weights.tv * parts["tv"] + weights.chain * parts["chain"]
 
 
 def unexplained(change: np.ndarray, chains: Chains, on_threshold: float, off_threshold: float) -> float:

@@ -170,7 +170,7 @@ def reconstruct(
     files = [*dataset.files, *([Path(fit) / "model.toml" if Path(fit).is_dir() else Path(fit)] if fit else [])]
     inputs = input_hashes(files)
     validation, test = evaluation_views(dataset)
-    mark = checkpoint.fingerprint(problem, recipe, bandwidth, inputs)
+    mark = checkpoint.run_identity(problem, recipe, bandwidth, inputs)
     parallel.join()
     if resume is not None and Path(resume).exists():
         state = checkpoint.load(resume, problem, recipe, bandwidth, mark, device)

@@ -117,12 +117,12 @@ def _tensors(grid: torch.Tensor, background: torch.Tensor, rays: Rays, box: Box)
     occupied = torch.as_tensor(box.occupied, device=device)
     keep = occupied[block[:, 0], block[:, 1], block[:, 2]] > 0
     ray, sample, point = ray[keep], sample[keep], point[keep]
-    found = F.grid_sample(
+    looked_up = F.grid_sample(
         grid.permute(3, 0, 1, 2)[None], (2 * point.flip(1) - 1)[None, :, None, None], align_corners=True
     )[0, :, :, 0, 0]  # fmt: skip
-    shown = found[0] > math.log(kernels.CLEAR / box.step)
-    sigma = torch.exp(found[0].clamp(max=kernels.HIGHEST)) * shown
-    value = found[1:].gather(0, channel[ray][None])[0] if len(found) > 2 else found[1]
+    shown = looked_up[0] > math.log(kernels.CLEAR / box.step)
+    sigma = torch.exp(looked_up[0].clamp(max=kernels.HIGHEST)) * shown
+    value = looked_up[1:].gather(0, channel[ray][None])[0] if len(looked_up) > 2 else looked_up[1]
     colour = torch.exp(value.clamp(max=kernels.HIGHEST))
     depth = torch.zeros(inside.shape, device=device).index_put((ray, sample), sigma * box.step)
     after = torch.exp(-depth.cumsum(dim=1))

@@ -141,7 +141,7 @@ def test_posterior_of_a_small_fit(two_thresholds, tmp_path):
     assert posterior.status == "converged"
     assert posterior.convergence.done
     assert posterior.convergence.effective.min() > 400
-    for name, row in posterior.summary().items():
+    for name, row in posterior.statistics().items():
         estimate = result.estimates[name]
         assert abs(row["mean"] - estimate.value) < estimate.std
         assert row["sd"] == pytest.approx(estimate.std, rel=0.35)

@@ -82,7 +82,7 @@ def test_a_leak_is_part_of_the_change():
 def test_noise_of_the_fit_is_the_variance_of_a_threshold():
     t = np.arange(10.0)
     found = intervals(t, np.zeros(10, int), np.zeros(10, int), np.ones(10, bool), 1, noise=0.2)
-    np.testing.assert_allclose(found.found.variance, 0.04)
+    np.testing.assert_allclose(found.stretches.variance, 0.04)
 
 
 def test_every_effect_is_modelled_or_named():
