@@ -181,5 +181,6 @@ def _advice(reached: Convergence, names: tuple[str, ...], wanted: int) -> str:
     return (
         f"the posterior did not converge: {names[slow]} has τ = {reached.tau[slow]:.3g} steps of {reached.steps} "
         f"(needs {ENOUGH_TAU:g} τ) and {reached.effective.min():.0f} of {wanted} effective samples, the ensembles "
-        f"differ most in {names[apart]} (nested R̂ {reached.r_hat[apart]:.3f}): fix what the data leave open, or record richer light"
+        f"differ most in {names[apart]} (nested R̂ {reached.r_hat[apart]:.3f}): "
+        "fix what the data leave open, or record richer light"
     )
