@@ -168,7 +168,7 @@ def _loo(result: FitResult, recordings: Sequence[Recording], seed: int) -> dict[
     """PSIS-LOO over pixels (Vehtari, Gelman & Gabry 2017, Stat. Comput. 27)."""
     import warnings
 
-    from arviz_stats import loo
+    from arviz_stats.loo.loo import loo
 
     from pixelid.sample import sample
     from pixelid.sample.groups import inference_data
