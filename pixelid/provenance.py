@@ -10,7 +10,7 @@ from pathlib import Path
 
 from pixelid import __version__
 
-PACKAGES = ("numpy", "scipy", "numba", "casadi", "torch", "torchdiffeq", "emcee", "arviz", "h5py", "faery")
+PACKAGES = ("numpy", "scipy", "numba", "casadi", "torch", "torchdiffeq", "emcee", "arviz-stats", "h5py", "faery")
 
 
 def versions() -> dict[str, str]:

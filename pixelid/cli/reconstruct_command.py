@@ -84,6 +84,8 @@ def command(
                     write_figures(result, folder)
                     write_report(folder)
     parallel.leave()
+    if first and result.ignored:
+        click.echo(f"warning: the reconstruction does not model {', '.join(result.ignored)} of this pixel", err=True)
     if first and not quiet:
         say(result.summary(), str(out / "report.html"))
     return result.status.exit_code if first else 0

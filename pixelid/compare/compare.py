@@ -1,6 +1,6 @@
 """Model comparison: log-likelihood of pixels that a fit has not seen, BIC, and PSIS-LOO from posteriors.
 
-Pixels are the exchangeable unit : events of one pixel share its thresholds and are not independent, so
+Pixels are the exchangeable unit: events of one pixel share its thresholds and are not independent, so
 whole pixels are held out, and differences between models are paired over pixels.
 """
 
@@ -23,7 +23,7 @@ from pixelid.results import Result, Table
 from pixelid.status import Status
 from pixelid.stimuli.resample import resampled
 
-CLEAR = 2.0  # standard errors by which a held-out difference decides
+DECISIVE_STANDARD_ERRORS = 2.0  # of a paired held-out difference: about 95 % one way or the other
 
 
 @dataclass(frozen=True)
@@ -168,23 +168,24 @@ def _loo(result: FitResult, recordings: Sequence[Recording], seed: int) -> dict[
     """PSIS-LOO over pixels (Vehtari, Gelman & Gabry 2017, Stat. Comput. 27)."""
     import warnings
 
+    from arviz_stats.loo.loo import loo
+
     from pixelid.sample import sample
     from pixelid.sample.groups import inference_data
-    from pixelid.sample.library import arviz
 
     data = inference_data(sample(result, recordings, seed=seed), result, recordings, predictive_draws=0)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        found = arviz().loo(data, var_name="pixel", pointwise=True)
-    return {"elpd": float(found.elpd_loo), "se": float(found.se), "worst_k_hat": float(found.pareto_k.max())}
+        pointwise = loo(data, var_name="pixel", pointwise=True)
+    worst = float(np.max(pointwise.pareto_k))
+    return {"elpd": float(pointwise.elpd), "se": float(pointwise.se), "worst_k_hat": worst}
 
 
 def _sentence(contenders: Mapping[str, Contender], best: str) -> str:
-    rivals = {name: c for name, c in contenders.items() if name != best}
-    gains = {name: contenders[best].held_out - c.held_out for name, c in rivals.items()}
+    gains = {name: contenders[best].held_out - c.held_out for name, c in contenders.items() if name != best}
     nearest = min(gains, key=lambda name: gains[name].sum())
     gain, error = float(gains[nearest].sum()), standard_error(gains[nearest])
-    if gain > CLEAR * error:
+    if gain > DECISIVE_STANDARD_ERRORS * error:
         return (
             f"the data support {best}: held-out pixels are {gain:.4g} ± {error:.2g} nats likelier than under {nearest}"
         )

@@ -122,11 +122,11 @@ def _prior(coordinates: Coordinates) -> np.ndarray:
 
 def _of_fit(known: Known, names: tuple[str, ...]) -> np.ndarray:
     """(n, n) the fit's information in the order of `names`; zero for parameters the fit did not free."""
-    found = np.zeros((len(names), len(names)))
+    prior = np.zeros((len(names), len(names)))
     place = [names.index(name) for name in known.names if name in names]
     kept = [i for i, name in enumerate(known.names) if name in names]
-    found[np.ix_(place, place)] = known.information[np.ix_(kept, kept)]
-    return found
+    prior[np.ix_(place, place)] = known.information[np.ix_(kept, kept)]
+    return prior
 
 
 def known_from(names: Sequence[str], covariance: np.ndarray) -> Known:
@@ -139,19 +139,19 @@ def known_from(names: Sequence[str], covariance: np.ndarray) -> Known:
 
 def _widths(coordinates: Coordinates, matrix: np.ndarray) -> dict[str, dict]:
     """Parameter → standard error in its fitting coordinate, and the 95 % interval around the model's value."""
-    found = {}
+    expected = {}
     errors = criteria.standard_errors(matrix)
     for parameter, x, sd in zip(coordinates.parameters, coordinates.start, errors, strict=True):
         ends = (float(x + side * Z95 * sd) for side in (-1, 1))
         low, high = (parameter.from_coordinate(min(max(end, -300.0), 300.0)) for end in ends)
-        found[parameter.name] = {
+        expected[parameter.name] = {
             "value": parameter.value,
             "unit": parameter.unit,
             "std_coordinate": sd,
             "coordinate": parameter.transform,
             "interval_95": [max(low, parameter.lower), min(high, parameter.upper)],
         }
-    return found
+    return expected
 
 
 def _advice(ranking: list[dict], recordings, known, draws) -> str:

@@ -41,8 +41,8 @@ def information(recordings: Sequence[Recording], coordinates: Coordinates, x: np
         if "no pixel has two events" in str(error):
             return np.zeros((n, n))
         raise
-    found = EventTimesObjective(likelihood, coordinates).local(x).information
-    return found - np.diag(coordinates.prior_gradient_and_curvature(x)[1])
+    information = EventTimesObjective(likelihood, coordinates).local(x).information
+    return information - np.diag(coordinates.prior_gradient_and_curvature(x)[1])
 
 
 def _finer(recording: Recording) -> Recording:

@@ -33,7 +33,7 @@ def analyse(
     report("radii", 0.0)
     errors = radii.all_radii(circuit)
     report("curves", 0.3)
-    found = {
+    content = {
         "status": Status.converged,
         "advice": "",
         "model": model.name,
@@ -49,13 +49,15 @@ def analyse(
     }
     if draws:
         report("bands", 0.4)
-        found["bands"] = curves.bands(circuit, [drawn.circuit() for drawn in draws])
+        content["bands"] = curves.bands(circuit, [drawn.circuit() for drawn in draws])
     if recordings:
-        found["measured"] = beside.compare(recordings, model, seed, lambda done: report("recordings", 0.6 + 0.4 * done))
-    found["advice"] = _advice(found)
-    found["seconds"] = time.perf_counter() - began
+        content["measured"] = beside.compare(
+            recordings, model, seed, lambda done: report("recordings", 0.6 + 0.4 * done)
+        )
+    content["advice"] = _advice(content)
+    content["seconds"] = time.perf_counter() - began
     report("done", 1.0)
-    return found
+    return content
 
 
 def levels(circuit) -> list[dict]:
@@ -78,10 +80,10 @@ def levels(circuit) -> list[dict]:
     return listed
 
 
-def sentences(found: dict) -> list[str]:
+def sentences(content: dict) -> list[str]:
     """The regime map in words."""
-    unit, map_ = found["radiance_unit"], found["regimes"]
-    if found["photoreceptor"] == "one_pole":
+    unit, map_ = content["radiance_unit"], content["regimes"]
+    if content["photoreceptor"] == "one_pole":
         return ["The model's photoreceptor is the one-pole approximation itself: there is no error to speak of."]
     said = [f"One pole is the limit far below {map_['epsilon_one']:.3g} {unit} (ε = αL/β² = 1 there)."]
     if map_["critical"]:
@@ -94,7 +96,7 @@ def sentences(found: dict) -> list[str]:
         )
     else:
         said.append("The two photoreceptor poles are real at every radiance.")
-    first = found["errors"]["one_pole"]["dominant_pole"]["photoreceptor"]["levels"]
+    first = content["errors"]["one_pole"]["dominant_pole"]["photoreceptor"]["levels"]
     radii_said = [f"{level} from {entry['first']:.3g} {unit}" for level, entry in first.items() if entry["first"]]
     dark = [level for level, entry in first.items() if entry["first"] == 0.0]
     if dark:
@@ -104,8 +106,8 @@ def sentences(found: dict) -> list[str]:
     return said
 
 
-def _advice(found: dict) -> str:
-    missing = [entry for entry in found["measured"] if entry["value"] is None]
-    if found["measured"] and len(missing) == len(found["measured"]):
+def _advice(content: dict) -> str:
+    missing = [entry for entry in content["measured"] if entry["value"] is None]
+    if content["measured"] and len(missing) == len(content["measured"]):
         return "no recording shows a bandwidth or step time: record a chirp past the bandwidth, or steps that settle"
     return ""

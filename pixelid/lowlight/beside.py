@@ -57,15 +57,15 @@ def _entry(recording: Recording, model: Model, seed: int) -> dict:
         return entry | {"why": light}
     light = replace(light, radiance=light.radiance - circuit.dark)
     thresholds = circuit.on_threshold, circuit.off_threshold, circuit.refractory + 1.0 / circuit.differencing
-    found = measure(recording.events, light, *thresholds)
+    estimate = measure(recording.events, light, *thresholds)
     entry |= {
         "kind": "sweep" if isinstance(light, Sweep) else "steps",
         "radiance": light.radiance,
-        "quantity": found.quantity,
-        "value": found.value,
-        "interval_95": found.interval_95,
-        "why": found.why,
-        "curve": {"x": found.x, "y": found.y},
+        "quantity": estimate.quantity,
+        "value": estimate.value,
+        "interval_95": estimate.interval_95,
+        "why": estimate.why,
+        "curve": {"x": estimate.x, "y": estimate.y},
     }
     name = "bandwidth" if isinstance(light, Sweep) else "step_time"
     pixels = min(max(entry["pixels"], 1), MOST_PIXELS)

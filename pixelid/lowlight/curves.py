@@ -36,17 +36,17 @@ def exact_curves(circuit: Circuit, radiance: np.ndarray) -> dict[str, np.ndarray
 def all_curves(circuit: Circuit) -> dict:
     """`exact_curves`, and the same of each approximation, as they stand in lowlight.json under "curves"."""
     radiance = radiances(circuit)
-    found: dict = {"radiance": radiance, "exact": exact_curves(circuit, radiance)}
-    found["exact"] |= {name: np.full(len(radiance), cutoff) for name, cutoff in poles.stages(circuit).items()}
-    found["complex"] = np.abs(poles.pair(circuit, radiance)[:, 0].imag) > 0
+    content: dict = {"radiance": radiance, "exact": exact_curves(circuit, radiance)}
+    content["exact"] |= {name: np.full(len(radiance), cutoff) for name, cutoff in poles.stages(circuit).items()}
+    content["complex"] = np.abs(poles.pair(circuit, radiance)[:, 0].imag) > 0
     for kind in poles.APPROXIMATIONS:
         at = [poles.approximate(circuit, L, "pixel", kind) for L in radiance]
-        found[kind] = {
+        content[kind] = {
             "slow_pole": poles.corner(circuit, radiance, kind),
             "bandwidth_hz": np.array([radii.quantity("bandwidth", p) for p in at]),
             "step_time_s": np.array([radii.quantity("step_time", p) for p in at]),
         }
-    return found
+    return content
 
 
 def bands(circuit: Circuit, draws: Sequence[Circuit]) -> dict:
@@ -58,7 +58,7 @@ def bands(circuit: Circuit, draws: Sequence[Circuit]) -> dict:
     radiance = radiances(circuit, BAND_POINTS)
     each = [exact_curves(c, radiance) for c in draws]
     borders = [radii.regimes(c) for c in draws]
-    found: dict = {
+    content: dict = {
         "draws": len(draws),
         "radiance": radiance,
         "curves": {name: np.percentile([e[name] for e in each], [2.5, 97.5], axis=0) for name in each[0]},
@@ -68,8 +68,8 @@ def bands(circuit: Circuit, draws: Sequence[Circuit]) -> dict:
     }
     for kind in poles.APPROXIMATIONS:
         firsts = [_first(c, kind) for c in draws]
-        found["first"][kind] = {level: _interval([f[level] for f in firsts]) for level in firsts[0]}
-    return found
+        content["first"][kind] = {level: _interval([f[level] for f in firsts]) for level in firsts[0]}
+    return content
 
 
 def _first(circuit: Circuit, approximation: str) -> dict[str, float | None]:

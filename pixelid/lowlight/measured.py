@@ -12,8 +12,8 @@ step time is when that passes 63.2 %, from the middle of the light's edge.  An e
 starts, by the same argument, one threshold late on average: one threshold is added.
 
 *Dead time ρ.*  What the signal does during it is lost, and so is the amplifier's lag 1/ωd: at release its output
-starts from the follower's, ahead of where it would have been (DESIGN §1).  Both count as ρ.  Between two events of
-one polarity, Δt apart, the signal climbs C in Δt − ρ; so such an interval counts C Δt/(Δt − ρ).  A recording in which
+starts from the follower's, ahead of where it would have been (docs/model.md).  Both count as ρ.  Between two events of
+one polarity, Δt apart, the signal moves by C in Δt − ρ; so such an interval counts C Δt/(Δt − ρ).  A recording in which
 that more than doubles the sum is refused.
 
 Intervals are percentiles of 300 bootstrap samples over pixels.
@@ -55,18 +55,18 @@ def measure(
 ) -> Measured:
     """Bandwidth of a sweep, step time of steps; thresholds in log radiance; dead_s: see above."""
     pixels, pixel = np.unique(events.pixel, return_inverse=True)
-    climbed = _climbed(events, on_threshold, off_threshold, dead_s)
+    changes = _signal_changes(events, on_threshold, off_threshold, dead_s)
     quantity = "bandwidth_hz" if isinstance(light, Sweep) else "step_time_s"
     if not len(pixels):
         return _not(quantity, "no events")
-    if climbed.sum() > 2.0 * np.where(events.p == 1, on_threshold, off_threshold).sum():
+    if changes.sum() > 2.0 * np.where(events.p == 1, on_threshold, off_threshold).sum():
         return _not(quantity, "the pixels spend most of the time between events in dead time")
     if isinstance(light, Sweep):
-        return _bandwidth(events, climbed, pixel, len(pixels), light, on_threshold, off_threshold)
-    return _step_time(events, climbed, pixel, len(pixels), light, on_threshold, off_threshold)
+        return _bandwidth(events, changes, pixel, len(pixels), light, on_threshold, off_threshold)
+    return _step_time(events, changes, pixel, len(pixels), light, on_threshold, off_threshold)
 
 
-def _climbed(events: Events, on: float, off: float, dead: float) -> np.ndarray:
+def _signal_changes(events: Events, on: float, off: float, dead: float) -> np.ndarray:
     """(n,) change of log radiance, without sign, from each event to where the next one of its polarity starts."""
     order = np.lexsort((events.t, events.pixel))
     t, p, pixel = events.t[order] * 1e-9, events.p[order], events.pixel[order]
@@ -78,14 +78,14 @@ def _climbed(events: Events, on: float, off: float, dead: float) -> np.ndarray:
     return out
 
 
-def _bandwidth(events: Events, climbed, pixel, pixels: int, light: Sweep, on: float, off: float) -> Measured:
+def _bandwidth(events: Events, changes, pixel, pixels: int, light: Sweep, on: float, off: float) -> Measured:
     if light.swing < SMALLEST_SWING * max(on, off):
         return _not("bandwidth_hz", f"the light swings by less than {SMALLEST_SWING:g} thresholds")
     cycle = np.searchsorted(light.edges_s, events.t * 1e-9, side="right") - 1
     cycles = len(light.edges_s) - 1
     inside = (cycle >= 0) & (cycle < cycles)
     swings = np.full((pixels, cycles), on + off)  # of both polarities
-    np.add.at(swings, (pixel[inside], cycle[inside]), climbed[inside])
+    np.add.at(swings, (pixel[inside], cycle[inside]), changes[inside])
     gains = 0.5 * swings / light.swing
     logs = np.log(light.frequency_hz)
     label = np.floor((logs - logs.min()) * BINS_PER_DECADE / np.log(10)).astype(int)
@@ -113,7 +113,7 @@ def _falls_through(x: np.ndarray, y: np.ndarray) -> float | str:
     return float(np.exp(x[k] + share * (x[k + 1] - x[k])))
 
 
-def _step_time(events: Events, climbed, pixel, pixels: int, light: Steps, on: float, off: float) -> Measured:
+def _step_time(events: Events, changes, pixel, pixels: int, light: Steps, on: float, off: float) -> Measured:
     chosen = np.abs(light.change) >= SMALLEST_SWING * max(on, off)
     if not chosen.any():
         return _not("step_time_s", f"no step is larger than {SMALLEST_SWING:g} thresholds")
@@ -123,7 +123,7 @@ def _step_time(events: Events, climbed, pixel, pixels: int, light: Steps, on: fl
     inside = (edge >= 0) & (seconds <= light.after_s[-1])
     inside[inside] &= chosen[edge[inside]]
     at, which = edge[inside], pixel[inside]
-    size = np.where(events.p[inside] == 1, 1.0, -1.0) * climbed[inside] * np.sign(light.change[at])
+    size = np.where(events.p[inside] == 1, 1.0, -1.0) * changes[inside] * np.sign(light.change[at])
     since = seconds[inside] - light.middle_s[at]
     reverses = np.append(False, np.sign(light.change[1:]) != np.sign(light.change[:-1])) & chosen
     late = np.where(light.change > 0, on, off)[reverses].sum()
@@ -139,7 +139,7 @@ def _step_time(events: Events, climbed, pixel, pixels: int, light: Steps, on: fl
         return _not("step_time_s", "no events follow the steps")
     y = responses.sum(axis=0) / responses[:, -1].sum()
     if y[np.searchsorted(grid, 0.75 * hold)] < 0.95:
-        why = f"the response has not settled when the next step comes, {hold:.3g} s later"
+        why = f"the response is still moving when the next step comes, {hold:.3g} s later"
         return Measured("step_time_s", None, None, why, grid, y)
     draws: list[float | str] = []
     for picked in _resampled(pixels):

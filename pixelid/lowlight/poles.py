@@ -1,6 +1,6 @@
 """The poles of a pixel linearised about constant light, and two approximations of its slowest photoreceptor pole.
 
-Around an effective radiance E = L + L_dark the photoreceptor is s² + b s + a with a = αE, b = β + γE (DESIGN §2).
+Around an effective radiance E = L + L_dark the photoreceptor is s² + b s + a with a = αE, b = β + γE (docs/model.md).
 Poles are written as p = −s, in rad/s, so that they are positive where real.
 
     slow pole       p₁ = 2a / (b + √(b² − 4a)),  |p₁| = √a where the pair is complex

@@ -58,7 +58,7 @@ def crossings(error: Function, low: float, high: float, points: int, levels=LEVE
     """
     logs = np.linspace(np.log(low), np.log(high), points)
     values = error(np.exp(logs))
-    found: dict = {
+    content: dict = {
         "searched": [low, high],
         "at_lowest": values[0],
         "largest_under": min(values.min(), 0.0),
@@ -82,11 +82,11 @@ def crossings(error: Function, low: float, high: float, points: int, levels=LEVE
         here.sort(key=lambda entry: entry["radiance"])
         leaving = [entry["radiance"] for entry in here if entry["direction"] == "leaves"]
         beyond = abs(values[0]) > level
-        found["levels"][f"{100 * level:g}%"] = {
+        content["levels"][f"{100 * level:g}%"] = {
             "first": 0.0 if beyond else (leaving[0] if leaving else None),
             "crossings": here,
         }
-    return found
+    return content
 
 
 def all_radii(circuit: Circuit) -> dict:

@@ -15,11 +15,11 @@ def number(value: float | None) -> str:
     return "–" if value is None else f"{value:.3g}"
 
 
-def radii_rows(found: dict) -> list[list[str]]:
+def radii_rows(content: dict) -> list[list[str]]:
     """One row per approximation, quantity and scope: largest errors and first radii."""
     rows = []
-    for kind, by_quantity in found["errors"].items():
-        if kind == "at_dark" and found["dark_radiance"] == 0:
+    for kind, by_quantity in content["errors"].items():
+        if kind == "at_dark" and content["dark_radiance"] == 0:
             continue  # the same line as one_pole
         for quantity, by_scope in by_quantity.items():
             for scope, entry in by_scope.items():
@@ -40,10 +40,10 @@ def _over(error: float) -> str:
     return f"+{100 * error:.0f} %" if error < 10 else "> 10×"
 
 
-def measured_rows(found: dict) -> list[list[str]]:
+def measured_rows(content: dict) -> list[list[str]]:
     """One row per recording."""
     rows = []
-    for entry in found["measured"]:
+    for entry in content["measured"]:
         interval, model = entry["interval_95"], entry["model"] or {}
         rows.append(
             [
@@ -60,11 +60,11 @@ def measured_rows(found: dict) -> list[list[str]]:
     return rows
 
 
-def not_measurable(found: dict) -> list[str]:
+def not_measurable(content: dict) -> list[str]:
     """Why a recording gave no number, or no interval; one sentence each."""
     return [
         f"{e['recording']}: {'not measurable: ' * (e['value'] is None)}{e['why']}"
-        for e in found["measured"]
+        for e in content["measured"]
         if e["why"]
     ]
 
@@ -73,13 +73,13 @@ RADII_HEADINGS = ("approx.", "quantity", "1 %", "10 %", "50 %", "under", "over")
 MEASURED_HEADINGS = ("recording", "radiance", "quantity", "measured", "95 %", "model", "one pole", "small signal")
 
 
-def lowlight_tables(found: dict):
+def lowlight_tables(content: dict):
     """The rich tables: radii in `radiance_unit`, and what was measured beside the model."""
-    title = f"{found['model']}: radiance [{found['radiance_unit']}] from which approximations err by 1, 10, 50 %"
-    tables = [_table(title, RADII_HEADINGS, radii_rows(found), len(RADII_HEADINGS))]
-    if found["measured"]:
+    title = f"{content['model']}: radiance [{content['radiance_unit']}] from which approximations err by 1, 10, 50 %"
+    tables = [_table(title, RADII_HEADINGS, radii_rows(content), len(RADII_HEADINGS))]
+    if content["measured"]:
         title = "measured, and the model under the same light"
-        tables.append(_table(title, MEASURED_HEADINGS, measured_rows(found), 1))
+        tables.append(_table(title, MEASURED_HEADINGS, measured_rows(content), 1))
     return tables
 
 

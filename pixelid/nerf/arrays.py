@@ -16,11 +16,11 @@ def read_arrays(file: Path, keys: Iterable[str]) -> dict[str, np.ndarray]:
     if not file.is_file():
         raise InputError(f"{file}: no such file")
     try:
-        with np.load(file, allow_pickle=False) as found:
-            missing = [key for key in keys if key not in found.files]
+        with np.load(file, allow_pickle=False) as stored:
+            missing = [key for key in keys if key not in stored.files]
             if missing:
-                raise InputError(f"{file}: {missing[0]}: missing; the file has {', '.join(found.files) or 'nothing'}")
-            return {key: found[key] for key in keys}
+                raise InputError(f"{file}: {missing[0]}: missing; the file has {', '.join(stored.files) or 'nothing'}")
+            return {key: stored[key] for key in keys}
     except (zipfile.BadZipFile, OSError, EOFError, ValueError, AttributeError, KeyError) as error:
         raise InputError(f"{file}: expected an npz file of plain arrays ({str(error).splitlines()[0][:80]})") from None
 
@@ -28,15 +28,15 @@ def read_arrays(file: Path, keys: Iterable[str]) -> dict[str, np.ndarray]:
 def has_none(file: Path, keys: Iterable[str]) -> bool:
     """Whether an npz file is there and has none of these keys."""
     try:
-        with np.load(file, allow_pickle=False) as found:
-            return not set(keys) & set(found.files)
+        with np.load(file, allow_pickle=False) as stored:
+            return not set(keys) & set(stored.files)
     except (zipfile.BadZipFile, OSError, EOFError, ValueError, AttributeError):
         return False
 
 
-def scalar(file: Path, found: dict, key: str, *, above=None, least=None, finite: bool = True) -> float:
+def scalar(file: Path, arrays: dict, key: str, *, above=None, least=None, finite: bool = True) -> float:
     """One number of an npz file.  Raises InputError for several, for NaN, and for values out of range."""
-    values = np.asarray(found[key])
+    values = np.asarray(arrays[key])
     limit = f" > {above}" if above is not None else (f" ≥ {least}" if least is not None else "")
     if values.size != 1 or values.dtype.kind not in "fiub":
         raise InputError(f"{file}: {key}: expected one number{limit}, found {values.dtype} of shape {values.shape}")

@@ -5,8 +5,8 @@ The file quotes circuit values with the photocurrent per unit of image intensity
     input_time_const_eff_it_prod   q_in = τ_in L       miller_time_const_eff_it_prod   q_mil = τ_mil L
     A_loop = amplifier_gain / closed_loop_gain         black_level = dark current in units of image intensity
 
-They enter through the invariants α, β, γ (DESIGN §2).  A fit of the same camera may replace them: its radiance unit is
-tied to the dataset's by q_in, which both quote (the fit in its gauge).
+They enter through the invariants α, β, γ (docs/model.md).  A fit of the same camera may replace them: its radiance
+unit is tied to the dataset's by q_in, which both quote (the fit in its gauge).
 """
 
 from __future__ import annotations
@@ -70,44 +70,46 @@ def read_calibration(path: Path) -> Calibration:
     """The calibration of a dataset folder.  Raises InputError naming file and key."""
     file = Path(path) / FILE
     known = not has_none(file, CIRCUIT)
-    found = read_arrays(file, (*GEOMETRY, *COMPARATOR, *(CIRCUIT if known else ())))
-    camera = _camera(file, found)
-    bayer = str(found["bayer_pattern"])
+    arrays = read_arrays(file, (*GEOMETRY, *COMPARATOR, *(CIRCUIT if known else ())))
+    camera = _camera(file, arrays)
+    bayer = str(arrays["bayer_pattern"])
     if bayer and (len(bayer) != 4 or set(bayer) != set(COLOURS)):
         raise InputError(f"{file}: bayer_pattern: expected '' or four letters of {COLOURS}, found {bayer!r}")
     if not known:
-        return Calibration(camera, bayer, _comparator(file, found), np.zeros(3 if bayer else 1), 0.0, False)
-    circuit, q_in = _circuit(file, found)
-    dark = np.atleast_1d(np.asarray(found["black_level"], dtype=np.float64)).ravel()
+        return Calibration(camera, bayer, _comparator(file, arrays), np.zeros(3 if bayer else 1), 0.0, False)
+    circuit, q_in = _circuit(file, arrays)
+    dark = np.atleast_1d(np.asarray(arrays["black_level"], dtype=np.float64)).ravel()
     if len(dark) not in (1, 3) or not (np.isfinite(dark) & (dark >= 0)).all():
         raise InputError(f"{file}: black_level: expected one or three numbers ≥ 0, found {dark}")
     dark = np.resize(dark if bayer else dark.mean(), 3 if bayer else 1)
     return Calibration(camera, bayer, circuit.with_(dark=float(dark.mean())), dark, q_in, True)
 
 
-def _camera(file: Path, found: dict[str, np.ndarray]) -> Camera:
-    intrinsics = np.asarray(found["intrinsics"], dtype=np.float64)
+def _camera(file: Path, arrays: dict[str, np.ndarray]) -> Camera:
+    intrinsics = np.asarray(arrays["intrinsics"], dtype=np.float64)
     if intrinsics.shape != (3, 3) or not np.isfinite(intrinsics).all() or abs(np.linalg.det(intrinsics)) < 1e-12:
         raise InputError(
             f"{file}: intrinsics: expected a finite invertible 3 × 3 matrix, found shape {intrinsics.shape}"
         )
-    distortion = np.atleast_1d(np.asarray(found["distortion_params"], dtype=np.float64)).ravel()
-    model = str(found["distortion_model"])
+    distortion = np.atleast_1d(np.asarray(arrays["distortion_params"], dtype=np.float64)).ravel()
+    model = str(arrays["distortion_model"])
     if len(distortion) not in (0, 4, 5) or not np.isfinite(distortion).all():
         raise InputError(f"{file}: distortion_params: expected 0, 4 or 5 finite numbers, found {distortion}")
     if np.any(distortion != 0) and (model not in DISTORTIONS or (model == "equidistant" and len(distortion) != 4)):
         raise InputError(f"{file}: distortion_model: expected one of {', '.join(DISTORTIONS)}, found {model!r}")
-    height, width = (scalar(file, found, name, above=0) for name in ("img_height", "img_width"))
+    height, width = (scalar(file, arrays, name, above=0) for name in ("img_height", "img_width"))
     return Camera(intrinsics, round(width), round(height), distortion, model)
 
 
-def _circuit(file: Path, found: dict[str, np.ndarray]) -> tuple[Circuit, float]:
+def _circuit(file: Path, arrays: dict[str, np.ndarray]) -> tuple[Circuit, float]:
     """The circuit of the file's values, and its q_in."""
-    q_in, q_mil, tau_out = (scalar(file, found, name, least=0) for name in (CIRCUIT[0], CIRCUIT[1], CIRCUIT[5]))
-    gain, closed = (scalar(file, found, name, above=0, finite=False) for name in ("amplifier_gain", "closed_loop_gain"))
-    lower = scalar(file, found, "lower_cutoff_freq", least=0)
-    follower, differencing = (scalar(file, found, name, above=0, finite=False) for name in CIRCUIT[7:])
-    circuit = _comparator(file, found).with_(
+    q_in, q_mil, tau_out = (scalar(file, arrays, name, least=0) for name in (CIRCUIT[0], CIRCUIT[1], CIRCUIT[5]))
+    gain, closed = (
+        scalar(file, arrays, name, above=0, finite=False) for name in ("amplifier_gain", "closed_loop_gain")
+    )
+    lower = scalar(file, arrays, "lower_cutoff_freq", least=0)
+    follower, differencing = (scalar(file, arrays, name, above=0, finite=False) for name in CIRCUIT[7:])
+    circuit = _comparator(file, arrays).with_(
         follower=2 * math.pi * follower, differencing=2 * math.pi * differencing, lower_cutoff=2 * math.pi * lower
     )  # fmt: skip
     loop = gain / closed
@@ -119,10 +121,10 @@ def _circuit(file: Path, found: dict[str, np.ndarray]) -> tuple[Circuit, float]:
     return circuit.with_(photoreceptor="second_order", alpha=alpha, beta=beta, gamma=gamma), q_in
 
 
-def _comparator(file: Path, found: dict[str, np.ndarray]) -> Circuit:
+def _comparator(file: Path, arrays: dict[str, np.ndarray]) -> Circuit:
     """A circuit without bandwidth limit: thresholds and dead time alone."""
-    on, off = (scalar(file, found, name, above=0) for name in COMPARATOR[:2])
-    refractory = scalar(file, found, "refractory_period", least=0) * 1e-9
+    on, off = (scalar(file, arrays, name, above=0) for name in COMPARATOR[:2])
+    refractory = scalar(file, arrays, "refractory_period", least=0) * 1e-9
     return Circuit(photoreceptor="unlimited", on_threshold=on, off_threshold=off, refractory=refractory)
 
 
@@ -158,14 +160,14 @@ def uncertainty_of_fit(folder: Path) -> dict[str, float]:
         return {}
     try:
         parameters = json.loads(file.read_text())["parameters"]
-        found = {
+        deviations = {
             ours: 1e-3 if entry.get("fixed") else float(entry["std"]) / float(entry["value"])
             for ours, theirs in (("alpha", "alpha"), ("beta", "beta"), ("gamma", "gamma"), ("follower", "sf_cutoff_hz"))
             if (entry := parameters.get(theirs)) and (entry.get("fixed") or entry.get("std"))
         }
     except (ValueError, KeyError, TypeError, AttributeError, ZeroDivisionError):
         raise InputError(f"{file}: parameters: expected value and std of each") from None
-    return {name: max(sd, 1e-3) for name, sd in found.items()}
+    return {name: max(sd, 1e-3) for name, sd in deviations.items()}
 
 
 def _scale(calibration: Calibration, model: Model, file: Path) -> float:

@@ -15,7 +15,7 @@ from pixelid.outputs import whole_file
 FORMAT = "pixelid-reconstruction-checkpoint"
 
 
-def fingerprint(problem: Problem, recipe: Recipe, bandwidth: Bandwidth, inputs: dict[str, str]) -> str:
+def run_identity(problem: Problem, recipe: Recipe, bandwidth: Bandwidth, inputs: dict[str, str]) -> str:
     """What must agree between the run that wrote a checkpoint and the one that continues it."""
     pinned = (problem.gauge.kind, problem.gauge.background.tolist(), problem.low.tolist(), problem.high.tolist())
     return repr((recipe, bandwidth, problem.circuit, problem.dark.tolist(), pinned, sorted(inputs.items())))

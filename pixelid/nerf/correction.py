@@ -31,11 +31,11 @@ class Correction:
 
 def fit_correction(radiance: np.ndarray, images: np.ndarray, exposure: np.ndarray) -> Correction:
     """The correction that takes predicted radiance (n, H, W, C) closest to images (n, H, W, C), exposure (n,)."""
-    found = [
+    fitted = [
         _one_colour(radiance[..., k].reshape(len(images), -1), images[..., k].reshape(len(images), -1), exposure)
         for k in range(images.shape[-1])
     ]
-    a, b, c = np.array(found).T
+    a, b, c = np.array(fitted).T
     return Correction(a, b, c)
 
 

@@ -78,9 +78,9 @@ def _whole_ns(file: Path, key: str, values: np.ndarray) -> np.ndarray:
 
 def _events(file: Path, calibration: Calibration):
     """(timestamp ns, x, y, on) sorted by time."""
-    found = read_arrays(file, ("position", "timestamp", "polarity"))
-    position, polarity = found["position"], found["polarity"]
-    t = _whole_ns(file, "timestamp", found["timestamp"])
+    arrays = read_arrays(file, ("position", "timestamp", "polarity"))
+    position, polarity = arrays["position"], arrays["polarity"]
+    t = _whole_ns(file, "timestamp", arrays["timestamp"])
     if len(t) == 0:
         raise InputError(f"{file}: timestamp: no events")
     if position.ndim != 2 or position.shape[1] != 2:
@@ -110,9 +110,9 @@ def _events(file: Path, calibration: Calibration):
 
 def _poses(file: Path) -> tuple[Trajectory, int]:
     """The trajectory in seconds from its first pose, and the first pose's timestamp [ns]."""
-    found = read_arrays(file, ("T_wc_position", "T_wc_orientation", "T_wc_timestamp"))
-    t = _whole_ns(file, "T_wc_timestamp", found["T_wc_timestamp"])
-    position, orientation = found["T_wc_position"], found["T_wc_orientation"]
+    arrays = read_arrays(file, ("T_wc_position", "T_wc_orientation", "T_wc_timestamp"))
+    t = _whole_ns(file, "T_wc_timestamp", arrays["T_wc_timestamp"])
+    position, orientation = arrays["T_wc_position"], arrays["T_wc_orientation"]
     if len(t) < 2:
         raise InputError(f"{file}: T_wc_timestamp: expected at least two poses, found {len(t)}")
     if not (np.diff(t) > 0).all():

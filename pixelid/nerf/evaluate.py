@@ -86,6 +86,13 @@ def evaluate(field: Field, validation: Views, test: Views, dark, supersample: in
     return score(render_views(field, test, dark, supersample=supersample), test, correction)
 
 
+def no_scores(test: Views) -> Scores:
+    """NaN for every test view and black images: of a field that cannot be shown."""
+    nothing = np.full(len(test), np.nan)
+    one = np.ones(test.images.shape[-1])
+    return Scores(nothing, nothing, None, np.zeros_like(test.images), Correction(one, one, 0 * one))
+
+
 def ssim(images, truth, peak: float) -> np.ndarray:
     """(n,) structural similarity as its authors compute it: Gaussian window, σ = 1.5 (scikit-image)."""
     from skimage.metrics import structural_similarity

@@ -18,13 +18,13 @@ def write_figures(result: Reconstruction, folder: Path) -> None:
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
 
-    truth, found = result.truth.images, result.scores.images
+    truth, predicted = result.truth.images, result.scores.images
     which = np.unique(np.linspace(0, len(truth) - 1, min(SHOWN, len(truth))).astype(int))
     figure, axes = plt.subplots(3, len(which), figsize=(2.2 * len(which), 6.6), layout="constrained", squeeze=False)
     peak = result.truth.peak
     for column, k in enumerate(which):
-        error = np.abs(found[k] - np.clip(truth[k], 0, peak)).mean(axis=-1)
-        for row, image in enumerate((truth[k], found[k])):
+        error = np.abs(predicted[k] - np.clip(truth[k], 0, peak)).mean(axis=-1)
+        for row, image in enumerate((truth[k], predicted[k])):
             shown = np.clip(image / peak, 0, 1)
             axes[row, column].imshow(shown if shown.shape[-1] == 3 else shown[..., 0], cmap="gray", vmin=0, vmax=1)
         error_map = axes[2, column].imshow(error, cmap="magma", vmin=0, vmax=0.3 * peak)

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from pixelid.nerf.stretches import Stretches, stretches
+from pixelid.nerf.stretches import NOISE, Stretches, stretches
 
 CHAIN = 16
 OWN = 1 / 3
@@ -27,15 +27,15 @@ COVERED = 0.95  # of the lifetimes' probability
 class Intervals:
     """All stretches by (pixel, time), and those of them at which a chain may begin.
 
-    starts: (M,) indices into `found`
+    starts: (M,) indices into `stretches`
     """
 
-    found: Stretches
+    stretches: Stretches
     starts: np.ndarray
 
     def of(self, which: np.ndarray) -> Intervals:
         """The same stretches with only some of the starts."""
-        return Intervals(self.found, self.starts[which])
+        return Intervals(self.stretches, self.starts[which])
 
 
 class Chains(NamedTuple):
@@ -62,23 +62,23 @@ class Chains(NamedTuple):
     share: np.ndarray
 
 
-def intervals(t, x, y, on, width: int, *, dead=0.0, lag=0.0, shortest=0.0) -> Intervals:
-    """Stretches of events in order of time; dead, lag, shortest: see `stretches`."""
+def intervals(t, x, y, on, width: int, *, dead=0.0, lag=0.0, shortest=0.0, noise=NOISE) -> Intervals:
+    """Stretches of events in order of time; dead, lag, shortest, noise: see `stretches`."""
     pixel = y * width + x
     order = np.lexsort((t, pixel))
-    found = stretches(
+    cut = stretches(
         np.ascontiguousarray(t[order]), np.ascontiguousarray(pixel[order]), np.ascontiguousarray(on[order]), dead, lag,
-        shortest,
+        shortest, noise,
     )  # fmt: skip
-    return Intervals(found, np.arange(len(found.begin)))
+    return Intervals(cut, np.arange(len(cut.begin)))
 
 
-def split(found: Intervals, share: float, rng: np.random.Generator) -> tuple[Intervals, Intervals]:
+def split(every: Intervals, share: float, rng: np.random.Generator) -> tuple[Intervals, Intervals]:
     """(training, held out): `share` of the pixels is held out with all its events."""
-    pixels = np.unique(found.found.pixel)
+    pixels = np.unique(every.stretches.pixel)
     out = rng.permutation(pixels)[: max(1, round(share * len(pixels)))] if share > 0 else pixels[:0]
-    held = np.isin(found.found.pixel[found.starts], out)
-    return found.of(~held), found.of(held)
+    held = np.isin(every.stretches.pixel[every.starts], out)
+    return every.of(~held), every.of(held)
 
 
 def past_lifetimes(samples: int, rate: float) -> np.ndarray:
@@ -87,14 +87,14 @@ def past_lifetimes(samples: int, rate: float) -> np.ndarray:
     return -np.log1p(-share) / rate
 
 
-def chains(found: Intervals, starts, samples: int, rate: float, rng: np.random.Generator) -> Chains:
-    """The chains that begin at `starts` (runs,), indices into `found.starts`.
+def chains(every: Intervals, starts, samples: int, rate: float, rng: np.random.Generator) -> Chains:
+    """The chains that begin at `starts` (runs,), indices into `every.starts`.
 
     samples: S, 1 for no past at all;  rate: ω rad/s.  Neighbours share their samples: of its S − 1 past ones
     an output places a part `OWN` itself.
     """
     samples = 1 + math.ceil(OWN * (samples - 1))
-    first_of_run = found.starts[np.asarray(starts)]
+    first_of_run = every.starts[np.asarray(starts)]
     runs = len(first_of_run)
     random = rng.random((runs, CHAIN, 3))
     shape = (runs, CHAIN)
@@ -104,11 +104,10 @@ def chains(found: Intervals, starts, samples: int, rate: float, rng: np.random.G
     first = np.zeros(runs + 1, np.int64)
     t = np.empty(runs * ((samples - 1) + CHAIN * (2 + samples)))
     which = np.zeros(shape, np.int64)
+    f = every.stretches
     n = _fill(
-        first_of_run, found.found.begin, found.found.end, found.found.pixel, lifetimes, rate, random, t, first, begin,
-        end, weight, which, sub, share,
-    )  # fmt: skip
-    f = found.found
+        first_of_run, f.begin, f.end, f.pixel, lifetimes, rate, random, t, first, begin, end, weight, which, sub, share
+    )
     return Chains(
         t[:n].copy(), first, f.pixel[first_of_run], begin, end, weight, f.rise[which], f.fall[which],
         f.variance[which], f.reset[which], f.burst[which], sub, share,

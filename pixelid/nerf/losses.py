@@ -2,12 +2,14 @@
 
     change_k = yd(t_k) − ys(s_k) − (yd(s_k) − ys(s_k)) exp(−ωd (t_k − s_k))   of an interval: reset at its start s_k
                ys(t_k) − ys(s_k)                                              of a burst or part of an interval
+               and to both C_on ∫ (leak + parasitic L) dt from s_k to t_k     what the amplifier drifts by itself
     rest_k   = (change_k − rise_k C_on + fall_k C_off)/C̄                      rise 1 or fall 1 for an interval
     ℓ_diff   = Huber(rest_k/√(1 + v_k)), v_k the variance of rise and fall    Low & Lee, arXiv 2409.17988, for v = 0
     ℓ_tv     = |ys(b) − ys(a)|/C̄ over a random part (a, b), bursts left out   the same
     ℓ_chain  = Huber of the running sum of rest_k along a chain minus its mean, over √(1 + Σ v/6)
 
-Single differences barely feel an error that is spread over many events; the centred running sum does.
+Single differences barely feel an error that is spread over many events; the centred running sum does.  ℓ_tv is about
+the light alone: what leaks is no change of it.
 """
 
 from __future__ import annotations
@@ -31,12 +33,12 @@ class Weights(NamedTuple):
 
 def changes(
     level: torch.Tensor, output: torch.Tensor, chains: Chains, cutoff: torch.Tensor | None,
-    later: torch.Tensor | None = None,
+    later: torch.Tensor | None = None, drift: torch.Tensor | None = None,
 ) -> torch.Tensor:  # fmt: skip
     """(runs, CHAIN) change over every stretch: of the amplifier since its reset, of the level over merged events.
 
     level, output: (n,) of `scan.respond`;  cutoff: ωd, None for an amplifier without a pole;  later: s by which the
-    resets are later than the chains say, to first order
+    resets are later than the chains say, to first order;  drift: (n,) of `amplifier_drift`
     """
     begin, end, reset = (torch.as_tensor(a, device=level.device) for a in (chains.begin, chains.end, chains.reset))
     length = torch.as_tensor(chains.t[chains.end] - chains.t[chains.begin], device=level.device)
@@ -49,7 +51,22 @@ def changes(
         step = torch.as_tensor(chains.t, device=level.device)
         slope = (level[after] - level[begin]) / (step[after] - step[begin]).clamp(min=1e-9)
         since = since - torch.where(reset, slope * later, torch.zeros_like(slope))
+    if drift is not None:
+        since = since + drift[end] - drift[begin]
     return since
+
+
+def amplifier_drift(
+    u: torch.Tensor, t: np.ndarray, on_threshold: torch.Tensor, leak_hz: float, leak_hz_per_radiance: float
+) -> torch.Tensor:
+    """(n,) what leak and parasitic photocurrent have added up to at samples of log radiance u (n,), in ln L.
+
+    Differences within a run count (runs follow each other).  The light is taken as linear between samples.
+    t: (n,) s, sorted within each run;  on_threshold: the unit that a leak is quoted in [ln L]
+    """
+    rate = on_threshold * (leak_hz + leak_hz_per_radiance * torch.exp(u))
+    steps = torch.as_tensor(np.diff(t), device=u.device) * 0.5 * (rate[1:] + rate[:-1])
+    return torch.cat([steps.new_zeros(1), torch.cumsum(steps, dim=0)])
 
 
 def terms(
@@ -81,9 +98,9 @@ def _huber(x: torch.Tensor) -> torch.Tensor:
     return F.huber_loss(x, torch.zeros_like(x), reduction="none")
 
 
-def total(found: dict[str, torch.Tensor], weights: Weights) -> torch.Tensor:
+def total(parts: dict[str, torch.Tensor], weights: Weights) -> torch.Tensor:
     """The weighted sum."""
-    return weights.diff * found["diff"] + weights.tv * found["tv"] + weights.chain * found["chain"]
+    return weights.diff * parts["diff"] + weights.tv * parts["tv"] + weights.chain * parts["chain"]
 
 
 def unexplained(change: np.ndarray, chains: Chains, on_threshold: float, off_threshold: float) -> float:

@@ -35,6 +35,16 @@ def world() -> int:
     return int(os.environ.get("WORLD_SIZE", "1")) if launched() else 1
 
 
+def average(value: float) -> float:
+    """The mean of a number over the processes: NaN for all when it is NaN for one."""
+    if not (launched() and torch.distributed.is_initialized()):
+        return value
+    device = "cuda" if torch.distributed.get_backend() == "nccl" else "cpu"
+    total = torch.tensor(value, dtype=torch.float64, device=device)
+    torch.distributed.all_reduce(total)
+    return float(total) / world()
+
+
 def average_gradients(parameters: Iterable[torch.Tensor]) -> None:
     """Replace every gradient by its mean over the processes."""
     if not (launched() and torch.distributed.is_initialized()):

@@ -1,9 +1,10 @@
 """The pixel that training assumes: a circuit's dynamics and thresholds as tensors, fixed or trained with the scene.
 
 Trained parameters are factors e^x, positive, with a Gaussian prior on x: what a fit leaves uncertain, or a wide one.
-The invariants α, β, γ and the source follower are what the data can say of the filter (DESIGN §2); fixing q_in, as the
-paper does, would leave flat directions.  On request the comparator is trained too: mean threshold, ON/OFF ratio and
-dead time, the last to first order, by moving where intervals begin.
+The invariants α, β, γ and the source follower are what the data can say of the filter (docs/model.md, "Invariants");
+fixing q_in, as the paper does, would leave flat directions.  On request the comparator is trained too: mean threshold,
+ON/OFF ratio and dead time, the last to first order, by moving where intervals begin.  Only stages that the circuit has
+enter, and only those are trained.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from dataclasses import dataclass
 
 import torch
 
+from pixelid.dynamics.equations import PRESENT_BELOW
 from pixelid.dynamics.of_circuit import dynamics_of
 from pixelid.dynamics.trajectory import Dynamics
 from pixelid.stages.circuit import Circuit
@@ -37,6 +39,19 @@ class Bandwidth:
     trained: tuple[str, ...] = FILTER
 
 
+def filter_parameters(circuit: Circuit) -> tuple[str, ...]:
+    """The names of `FILTER` that this circuit has: of a one-pole photoreceptor only α, which then scales its corner."""
+    photoreceptor = {"second_order": ("alpha", "beta", "gamma"), "one_pole": ("alpha",)}
+    follower = ("follower",) if math.isfinite(circuit.follower) else ()
+    return (*photoreceptor.get(circuit.photoreceptor, ()), *follower)
+
+
+def limits_bandwidth(circuit: Circuit) -> bool:
+    """Whether any stage of the circuit filters."""
+    cutoffs = (circuit.follower, circuit.extra_pole, circuit.differencing)
+    return circuit.photoreceptor != "unlimited" or circuit.lower_cutoff > 0 or any(map(math.isfinite, cutoffs))
+
+
 class Pixel(torch.nn.Module):
     """A circuit as tensors.  factors: (7,) logs of what multiplies `TRAINED`, trained in mode "joint"."""
 
@@ -54,13 +69,14 @@ class Pixel(torch.nn.Module):
         self.factors = torch.nn.Parameter(
             torch.zeros(len(TRAINED), dtype=torch.float64), requires_grad=bandwidth.mode == "joint"
         )
-        moves = [float(bandwidth.mode == "joint" and name in bandwidth.trained) for name in TRAINED]
+        present = (*filter_parameters(circuit), *COMPARATOR)
+        moves = [float(bandwidth.mode == "joint" and name in bandwidth.trained and name in present) for name in TRAINED]
         self.register_buffer("moves", torch.tensor(moves, dtype=torch.float64))
 
     @property
     def filtering(self) -> bool:
-        """Whether light is filtered at all: not when off, and not with a single sample."""
-        return self.bandwidth.mode != "off" and self.bandwidth.samples > 1
+        """Whether light is filtered at all: not when off, not with a single sample, and not without a stage."""
+        return self.bandwidth.mode != "off" and self.bandwidth.samples > 1 and limits_bandwidth(self.circuit)
 
     @property
     def has_amplifier_pole(self) -> bool:
@@ -97,12 +113,17 @@ class Pixel(torch.nn.Module):
         return 0.5 * ((self.factors / self.prior_sd) ** 2).sum()
 
     def slowest(self, darkest: float) -> float:
-        """The slowest dominant pole [rad/s] at a radiance, the amplifier's reset left out."""
-        dynamics = Dynamics(*(float(x) for x in self.dynamics.detach()))
-        a, b2 = dynamics.alpha * darkest, dynamics.beta + dynamics.gamma * darkest
-        disc = 0.25 * b2 * b2 - a
-        pole = a / (0.5 * b2 + math.sqrt(disc)) if disc >= 0 else math.sqrt(a)
-        return min(pole, dynamics.follower, dynamics.extra_pole)
+        """The slowest dominant low-pass pole [rad/s] at a radiance, of the stages that the circuit has.
+
+        The amplifier's reset and the lower cutoff count only where nothing else filters.
+        """
+        circuit, dynamics = self.circuit, Dynamics(*(float(x) for x in self.dynamics.detach()))
+        poles = [cutoff for cutoff in (dynamics.follower, dynamics.extra_pole) if cutoff < PRESENT_BELOW]
+        if circuit.photoreceptor != "unlimited":
+            a, b2 = dynamics.alpha * darkest, dynamics.beta + dynamics.gamma * darkest
+            disc = 0.25 * b2 * b2 - a
+            poles.append(a / (0.5 * b2 + math.sqrt(disc)) if disc >= 0 else math.sqrt(a))
+        return min(poles) if poles else (circuit.lower_cutoff or dynamics.differencing)
 
     def values(self) -> dict[str, float]:
         """The numbers in use, by name."""

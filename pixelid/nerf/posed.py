@@ -71,9 +71,9 @@ def scene_of_images(
             np.zeros(BATCH, np.int64),
             rng.random(BATCH, dtype=np.float32),
         )
-        found, _ = field(rays)
+        predicted, _ = field(rays)
         truth = torch.from_numpy(grey.reshape(len(grey), -1)[which, pixel].astype(np.float32))
-        loss = ((found - truth) ** 2).mean() + 1e-4 * field.grid[..., 0].clamp(min=-6).mean()
+        loss = ((predicted - truth) ** 2).mean() + 1e-4 * field.grid[..., 0].clamp(min=-6).mean()
         optimiser.zero_grad(set_to_none=True)
         loss.backward()
         optimiser.step()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -11,6 +12,7 @@ from pixelid.nerf.calibration import Calibration
 from pixelid.nerf.dataset import Dataset
 from pixelid.nerf.gauge import crossing_time, gauge_of, scene_box
 from pixelid.nerf.intervals import intervals, split
+from pixelid.nerf.stretches import NOISE
 from pixelid.nerf.train import Problem
 from pixelid.nerf.views import Views
 
@@ -43,15 +45,17 @@ def problem_of(
         if not (high > low).all():
             raise InputError(f"--box: expected low corner below high corner, found {list(box)}")
     circuit = calibration.circuit
-    found = intervals(
+    noise = math.hypot(circuit.noise, circuit.mismatch) or NOISE
+    every = intervals(
         dataset.t, dataset.x, dataset.y, dataset.on, camera.width, dead=circuit.refractory,
         lag=1 / circuit.differencing, shortest=close * crossing_time(dataset.trajectory, camera, low, high),
+        noise=noise,
     )  # fmt: skip
-    if len(found.starts) == 0:
+    if len(every.starts) == 0:
         raise InputError(f"{dataset.path}: raw_events.npz: timestamp: no pixel has two events, nothing to learn from")
-    training, held = split(found, held_out, np.random.default_rng([seed, 77]))
+    training, held = split(every, held_out, np.random.default_rng([seed, 77]))
     if len(training.starts) == 0:
-        training, held = found, found.of(np.zeros(len(found.starts), bool))
+        training, held = every, every.of(np.zeros(len(every.starts), bool))
     y, x = np.divmod(np.arange(camera.width * camera.height), camera.width)
     return Problem(
         training, held, dataset.trajectory, camera, calibration.channel_of(x, y), calibration.dark,

@@ -15,7 +15,8 @@ from pixelid.errors import InputError
 from pixelid.nerf import checkpoint, parallel
 from pixelid.nerf.calibration import CIRCUIT, Calibration, of_fit, uncertainty_of_fit
 from pixelid.nerf.dataset import CALIBRATION, Dataset
-from pixelid.nerf.evaluate import Scores, evaluate, render_views
+from pixelid.nerf.evaluate import Scores, evaluate, no_scores, render_views
+from pixelid.nerf.ignored import ignored_effects
 from pixelid.nerf.pixel import Bandwidth
 from pixelid.nerf.problem import evaluation_views, problem_of
 from pixelid.nerf.train import Problem, Recipe, State, held_out_residual, start, train
@@ -31,10 +32,10 @@ SAVE_EVERY = 100  # steps between checkpoints
 
 @dataclass(frozen=True, repr=False)
 class Reconstruction(Result):
-    """What a reconstruction found.
+    """A reconstructed scene and how well it can be trusted.
 
-    status: how it ended;  scores: of the test views;  held_out: share of held-out changes
-    left unexplained;  truth: the test views;  history: loss terms, rays/s and running PSNR over the steps
+    status: how it ended;  scores: of the test views, NaN when it diverged;  held_out: share of held-out changes left
+    unexplained;  truth: the test views;  ignored: effects of the pixel that the reconstruction does not model
     """
 
     FILE: ClassVar[str] = "reconstruction.json"
@@ -52,15 +53,17 @@ class Reconstruction(Result):
     device: str
     seed: int
     inputs: Mapping[str, str]
+    ignored: tuple[str, ...] = ()
 
     def as_dict(self) -> dict:
-        """The content of reconstruction.json."""
+        """The content of reconstruction.json (docs/formats.md)."""
         correction = self.scores.correction
         one = len(correction.a) == 1
         return {
             "status": self.status,
             "advice": self.advice,
             "bandwidth": self.bandwidth.mode,
+            "ignored": list(self.ignored),
             "views": self.scores.as_dict(self.truth),
             "correction": {
                 name: float(value[0]) if one else value.tolist()
@@ -111,8 +114,9 @@ class Reconstruction(Result):
         ]
 
     def sentences(self) -> list[str]:
-        """Advice."""
-        return [self.advice or self.status.advice]
+        """Advice, and what the pixel has but the reconstruction does not model."""
+        ignored = f"not modelled: {', '.join(self.ignored)}" if self.ignored else ""
+        return [text for text in (self.advice or self.status.advice, ignored) if text]
 
     def write_companions(self, folder: Path) -> None:
         """Write field.npz, the scene."""
@@ -166,7 +170,7 @@ def reconstruct(
     files = [*dataset.files, *([Path(fit) / "model.toml" if Path(fit).is_dir() else Path(fit)] if fit else [])]
     inputs = input_hashes(files)
     validation, test = evaluation_views(dataset)
-    mark = checkpoint.fingerprint(problem, recipe, bandwidth, inputs)
+    mark = checkpoint.run_identity(problem, recipe, bandwidth, inputs)
     parallel.join()
     if resume is not None and Path(resume).exists():
         state = checkpoint.load(resume, problem, recipe, bandwidth, mark, device)
@@ -174,41 +178,47 @@ def reconstruct(
         state = start(problem, recipe, bandwidth, device)
     before, spent = state.rays, time.perf_counter()
 
-    def report(now: State, found: dict[str, float]) -> None:
+    def report(now: State, measured: dict[str, float]) -> None:
         rate = (now.rays - before) / max(time.perf_counter() - spent, 1e-9)
         if now.iteration % max(recipe.iterations // LOOKS, 1) == 0:
             psnr = _running(now, problem, validation)
-            entry = {"iteration": now.iteration, **found, "rays_per_second": rate, "running_psnr": psnr}
+            entry = {"iteration": now.iteration, **measured, "rays_per_second": rate, "running_psnr": psnr}
             now.history.append({name: float(value) for name, value in entry.items()})
         last = now.history[-1]["running_psnr"] if now.history else float("nan")
-        words = f"loss {found['loss']:.3f}, {rate / 1e3:.0f}k rays/s, {last:.1f} dB"
+        words = f"loss {measured['loss']:.3f}, {rate / 1e3:.0f}k rays/s, {last:.1f} dB"
         progress(words, 0.95 * now.iteration / recipe.iterations)
-        if resume is not None and parallel.rank() == 0 and now.iteration % SAVE_EVERY == 0:
+        if resume is not None and parallel.rank() == 0 and now.iteration % SAVE_EVERY == 0 and now.finite:
             checkpoint.save(Path(resume), now, mark)
 
     train(problem, recipe, state, report=report)
     rate = (state.rays - before) * parallel.world() / max(time.perf_counter() - spent, 1e-9)
-    if resume is not None and parallel.rank() == 0:
+    finite = state.finite
+    if resume is not None and parallel.rank() == 0 and finite:
         checkpoint.save(Path(resume), state, mark)
     progress("evaluating", 0.95)
-    scores = evaluate(state.field, validation, test, problem.dark)
-    held_out = held_out_residual(problem, state)
-    status, advice = _verdict(held_out, scores)
+    scores = evaluate(state.field, validation, test, problem.dark) if finite else no_scores(test)
+    held_out = held_out_residual(problem, state) if finite else float("nan")
+    status, advice = _verdict(held_out, scores, state.iteration)
     return Reconstruction(
         status, advice, bandwidth, state, problem, scores, test, held_out, time.perf_counter() - watch, rate, device,
-        seed, inputs,
+        seed, inputs, ignored_effects(problem.circuit),
     )  # fmt: skip
 
 
 def _running(state: State, problem: Problem, validation: Views) -> float:
     """PSNR of one validation view, corrected on another (or on itself when it is alone)."""
+    if not state.finite:
+        return float("nan")
     first, second = validation.some([0]), validation.some([len(validation) - 1])
     return float(evaluate(state.field, first, second, problem.dark).psnr.mean())
 
 
-def _verdict(held_out: float, scores: Scores) -> tuple[Status, str]:
+def _verdict(held_out: float, scores: Scores, steps: int) -> tuple[Status, str]:
     if not np.isfinite(scores.psnr).all():
-        return Status.diverged, "the field holds NaN: lower the learning rate, or check thresholds and dead time"
+        return Status.diverged, (
+            f"loss or field was no number after {steps} steps: lower the learning rate, or check thresholds, dead time "
+            "and the radiance unit of the pixel"
+        )
     if held_out > LEARNED:
         return Status.misfit, (
             f"what events of held-out pixels tell is missed by {held_out:.2f} of its size (1 would be no scene): "

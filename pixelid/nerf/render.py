@@ -8,9 +8,6 @@ from __future__ import annotations
 
 import math
 import os
-from concurrent.futures import ThreadPoolExecutor
-from functools import lru_cache
-from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,6 +15,7 @@ import torch
 import torch.nn.functional as F
 
 from pixelid.nerf import render_kernels as kernels
+from pixelid.parallel import map_threads, ranges
 
 
 class Box(NamedTuple):
@@ -38,21 +36,9 @@ class Rays(NamedTuple):
     offsets: np.ndarray
 
 
-@lru_cache(maxsize=1)
-def pool() -> ThreadPoolExecutor:
-    """The threads that render and scan, as many as torch may use."""
-    return ThreadPoolExecutor(threads())
-
-
 def threads() -> int:
-    """How many threads compiled loops use."""
+    """How many threads render and scan: as many as torch may use, which `torchrun` divides among its processes."""
     return max(1, min(torch.get_num_threads(), os.cpu_count() or 1))
-
-
-def parts(n: int) -> list[slice]:
-    """`n` items cut into one range per thread; the cut depends on the number of threads alone."""
-    edges = np.linspace(0, n, threads() + 1).astype(int)
-    return [slice(int(a), int(b)) for a, b in pairwise(edges)]
 
 
 class _Compiled(torch.autograd.Function):
@@ -67,7 +53,7 @@ class _Compiled(torch.autograd.Function):
                 radiance[some], opacity[some],
             )  # fmt: skip
 
-        list(pool().map(part, parts(len(radiance))))
+        map_threads(part, ranges(len(radiance), threads()), threads=threads())
         ctx.save_for_backward(grid, background)
         ctx.rays, ctx.box, ctx.radiance = rays, box, radiance
         out, covered = torch.from_numpy(radiance), torch.from_numpy(opacity)
@@ -79,7 +65,7 @@ class _Compiled(torch.autograd.Function):
         grid, background = ctx.saved_tensors
         rays, box, behind = ctx.rays, ctx.box, background.detach().numpy()
         values, by_radiance = grid.detach().numpy(), np.ascontiguousarray(by_outputs[0].numpy())
-        cuts = parts(len(by_radiance))
+        cuts = ranges(len(by_radiance), threads())
         by_grid = [np.zeros(values.shape, np.float32) for _ in cuts]
         by_behind = [np.zeros(behind.shape, np.float32) for _ in cuts]
 
@@ -90,7 +76,7 @@ class _Compiled(torch.autograd.Function):
                 ctx.radiance[some], by_radiance[some], by_grid[k], by_behind[k],
             )  # fmt: skip
 
-        list(pool().map(part, range(len(cuts))))
+        map_threads(part, range(len(cuts)), threads=threads())
         total = torch.from_numpy(by_grid[0])
         for other in by_grid[1:]:
             total += torch.from_numpy(other)
@@ -117,12 +103,12 @@ def _tensors(grid: torch.Tensor, background: torch.Tensor, rays: Rays, box: Box)
     occupied = torch.as_tensor(box.occupied, device=device)
     keep = occupied[block[:, 0], block[:, 1], block[:, 2]] > 0
     ray, sample, point = ray[keep], sample[keep], point[keep]
-    found = F.grid_sample(
+    looked_up = F.grid_sample(
         grid.permute(3, 0, 1, 2)[None], (2 * point.flip(1) - 1)[None, :, None, None], align_corners=True
     )[0, :, :, 0, 0]  # fmt: skip
-    shown = found[0] > math.log(kernels.CLEAR / box.step)
-    sigma = torch.exp(found[0].clamp(max=kernels.HIGHEST)) * shown
-    value = found[1:].gather(0, channel[ray][None])[0] if len(found) > 2 else found[1]
+    shown = looked_up[0] > math.log(kernels.CLEAR / box.step)
+    sigma = torch.exp(looked_up[0].clamp(max=kernels.HIGHEST)) * shown
+    value = looked_up[1:].gather(0, channel[ray][None])[0] if len(looked_up) > 2 else looked_up[1]
     colour = torch.exp(value.clamp(max=kernels.HIGHEST))
     depth = torch.zeros(inside.shape, device=device).index_put((ray, sample), sigma * box.step)
     after = torch.exp(-depth.cumsum(dim=1))

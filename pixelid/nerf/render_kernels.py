@@ -158,9 +158,9 @@ def occupancy(grid, log_floor, occupied):
     for a in range(bx):
         for b in range(by):
             for c in range(bz):
-                found = False
+                dense = False
                 for i in range(a * BLOCK, min((a + 1) * BLOCK + 1, nx)):
                     for j in range(b * BLOCK, min((b + 1) * BLOCK + 1, ny)):
                         for k in range(c * BLOCK, min((c + 1) * BLOCK + 1, nz)):
-                            found = found or grid[i, j, k, 0] > log_floor
-                occupied[a, b, c] = 1 if found else 0
+                            dense = dense or grid[i, j, k, 0] > log_floor
+                occupied[a, b, c] = 1 if dense else 0

@@ -12,7 +12,8 @@ import torch
 
 from pixelid.dynamics.trajectory import Dynamics
 from pixelid.nerf import scan_kernels as kernels
-from pixelid.nerf.render import parts, pool
+from pixelid.nerf.render import threads
+from pixelid.parallel import map_threads, ranges
 
 
 def as_tuple(dynamics: torch.Tensor) -> tuple[float, ...]:
@@ -24,7 +25,7 @@ def _groups(first: np.ndarray) -> list[tuple[slice, slice]]:
     """Per thread: its entries of `first` and its samples."""
     return [
         (slice(some.start, some.stop + 1), slice(int(first[some.start]), int(first[some.stop])))
-        for some in parts(len(first) - 1)
+        for some in ranges(len(first) - 1, threads())
     ]
 
 
@@ -38,7 +39,7 @@ class _Compiled(torch.autograd.Function):
             runs, some = group
             kernels.forward(first[runs] - first[runs][0], t[some], light[some], values, midpoint, states[some])
 
-        list(pool().map(part, _groups(first)))
+        map_threads(part, _groups(first), threads=threads())
         ctx.save_for_backward(u, dynamics)
         ctx.rest = t, first, midpoint, states
         level = states[:, 3] - states[:, 4] if values[5] > 0 else states[:, 3]
@@ -60,7 +61,7 @@ class _Compiled(torch.autograd.Function):
                 by_output[some], ctx.needs_input_grad[1], by_u[some], by_dynamics[k],
             )  # fmt: skip
 
-        list(pool().map(part, range(len(groups))))
+        map_threads(part, range(len(groups)), threads=threads())
         return torch.from_numpy(by_u), torch.from_numpy(by_dynamics.sum(axis=0)), None, None, None
 
 

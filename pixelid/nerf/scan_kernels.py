@@ -105,6 +105,7 @@ def backward(first, t, u, dynamics, midpoint, states, by_level, by_output, param
     alpha, beta, gamma, w1, w2, wh, wd = dynamics
     coincide = kernels.cutoffs_coincide(w1, w2, wh, wd)
     plain = w2 > kernels.PRESENT_BELOW and wh == 0.0
+    unlimited = gamma == 0.0 and beta > kernels.PRESENT_BELOW  # `Dynamics.unlimited`
     row, before = np.zeros(STATES), np.zeros(STATES)
     for run in range(len(first) - 1):
         row[:] = 0.0
@@ -139,7 +140,17 @@ def backward(first, t, u, dynamics, midpoint, states, by_level, by_output, param
             by_u[k] += _dot(row, newer)
             by_u[k - 1] += _dot(row, older)
             r = (u[k] - u[k - 1]) / tau
-            if parameters:
+            if parameters and w1 < kernels.PRESENT_BELOW:
+                by_dynamics[3] += (
+                    _directional(state, u[k - 1], r, tau, a, b2, w1, w2, wh, wd, coincide, 0.0, 0.0, w1, 0.0, row) / w1
+                )
+            if parameters and wd < kernels.PRESENT_BELOW:
+                by_dynamics[6] += (
+                    _directional(state, u[k - 1], r, tau, a, b2, w1, w2, wh, wd, coincide, 0.0, 0.0, 0.0, wd, row) / wd
+                )
+            if unlimited:  # no photoreceptor whose coefficients the light could move; its complex step would overflow
+                by_light = 0.0
+            elif parameters:
                 by_a = _directional(state, u[k - 1], r, tau, a, b2, w1, w2, wh, wd, coincide, a, 0.0, 0.0, 0.0, row) / a
                 by_b = (
                     _directional(state, u[k - 1], r, tau, a, b2, w1, w2, wh, wd, coincide, 0.0, b2, 0.0, 0.0, row) / b2
@@ -148,12 +159,6 @@ def backward(first, t, u, dynamics, midpoint, states, by_level, by_output, param
                 by_dynamics[0] += by_a * light
                 by_dynamics[1] += by_b
                 by_dynamics[2] += by_b * light
-                by_dynamics[3] += (
-                    _directional(state, u[k - 1], r, tau, a, b2, w1, w2, wh, wd, coincide, 0.0, 0.0, w1, 0.0, row) / w1
-                )
-                by_dynamics[6] += (
-                    _directional(state, u[k - 1], r, tau, a, b2, w1, w2, wh, wd, coincide, 0.0, 0.0, 0.0, wd, row) / wd
-                )
             else:
                 by_light = _directional(
                     state, u[k - 1], r, tau, a, b2, w1, w2, wh, wd, coincide, a, gamma * light, 0.0, 0.0, row

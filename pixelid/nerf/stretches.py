@@ -21,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-NOISE = 0.03  # thresholds per event: mismatch between pixels, noise between events
+NOISE = 0.03  # thresholds per event, mismatch and noise together, where no fit says: DVS128 nominal values
 INSIDE = 0.3  # thresholds: of a level interpolated between two events
 GUESSED = 0.3  # of what is put into a dead time, as a share of it
 
@@ -44,16 +44,16 @@ class Stretches(NamedTuple):
     burst: np.ndarray
 
 
-def stretches(t, pixel, on, dead: float, lag: float, shortest: float) -> Stretches:
+def stretches(t, pixel, on, dead: float, lag: float, shortest: float, noise: float = NOISE) -> Stretches:
     """Stretches of events sorted by (pixel, time).
 
     t: (N,) s;  pixel: (N,);  on: (N,) bool;  dead: s;  lag: s, time constant of the amplifier after its reset;
-    shortest: s, intervals shorter than that are merged (0: none)
+    shortest: s, intervals shorter than that are merged (0: none);  noise: of a threshold, relative
     """
     most = 2 * len(t)
     times, counts = np.empty((most, 2)), np.zeros((most, 3))
     of, kind = np.empty(most, np.int64), np.empty((most, 2), bool)
-    n = _cut(t, pixel, on, dead, lag, shortest, times, counts, of, kind)
+    n = _cut(t, pixel, on, dead, lag, shortest, noise, times, counts, of, kind)
     columns = (*times[:n].T, pixel[of[:n]], *counts[:n].T, *kind[:n].T)
     return Stretches(*(np.ascontiguousarray(column) for column in columns))
 
@@ -68,7 +68,7 @@ def _looking(t, i, dead, lag):
 
 
 @njit(cache=True, nogil=True)
-def _burst(t, on, first, k, j, last, dead, lag, counts):
+def _burst(t, on, first, k, j, last, dead, lag, noise, counts):
     """Fill counts (3,) with rise, fall and variance from just after event k to the end of the dead time of event j.
 
     first, last: events of the pixel
@@ -82,11 +82,11 @@ def _burst(t, on, first, k, j, last, dead, lag, counts):
             crossed += dead / looked
             counts[2] += (GUESSED * dead / looked) ** 2
         counts[0 if on[i] else 1] += crossed
-        counts[2] += NOISE**2
+        counts[2] += noise**2
 
 
 @njit(cache=True, nogil=True)
-def _cut(t, pixel, on, dead, lag, shortest, times, counts, of, kind):
+def _cut(t, pixel, on, dead, lag, shortest, noise, times, counts, of, kind):
     """Fill times (M, 2), counts (M, 3), of (M,): an event of its pixel, kind (M, 2): reset, burst; how many."""
     n, first, away = 0, 0, 0.5 * shortest
     while first < len(t):
@@ -103,7 +103,7 @@ def _cut(t, pixel, on, dead, lag, shortest, times, counts, of, kind):
             if j > k:
                 times[n, 0] = t[k] - (away if before > 0.0 else 0.0)
                 times[n, 1] = t[j] + dead + away if j < last else t[j]
-                _burst(t, on, first, k, j, last, dead, lag, counts[n])
+                _burst(t, on, first, k, j, last, dead, lag, noise, counts[n])
                 counts[n, 0 if on[k] else 1] += before
                 if j < last:
                     counts[n, 0 if on[j + 1] else 1] += after
@@ -120,7 +120,7 @@ def _cut(t, pixel, on, dead, lag, shortest, times, counts, of, kind):
                 times[n, 0], times[n, 1] = begin, end
                 counts[n, 0 if on[k] else 1] = 1.0 - before - after
                 whole = before == 0.0 and after == 0.0
-                counts[n, 2] = NOISE**2 + (0.0 if whole else INSIDE**2)
+                counts[n, 2] = noise**2 + (0.0 if whole else INSIDE**2)
                 of[n], kind[n, 0], kind[n, 1] = k, whole, False
                 n += 1
         first = last + 1

@@ -158,17 +158,27 @@ def write_views(folder: Path, scene: Renders, camera: Camera, seed: int, supersa
 
 
 def main() -> None:
-    """`python -m pixelid.nerf.synthetic SETTING OUT [--seed N] [--side N]`: write a dataset."""
+    """`python -m pixelid.nerf.synthetic SETTING OUT [--seed N] [--side N] [--images NPZ]`: write a dataset."""
     import argparse
 
-    parser = argparse.ArgumentParser(description="Write a dataset of a procedural scene.")
+    parser = argparse.ArgumentParser(description="Write a dataset of a procedural or a photographed scene.")
     parser.add_argument("setting", choices=list(SETTINGS))
     parser.add_argument("out", type=Path)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--side", type=int, default=64)
+    parser.add_argument("--images", type=Path, help="film a scene fitted to posed pictures (npz: images, poses, focal)")
     parser.add_argument("--overwrite", action="store_true")
     options = parser.parse_args()
-    make_dataset(options.out, options.setting, seed=options.seed, side=options.side, overwrite=options.overwrite)
+    scene = None
+    if options.images is not None:
+        from pixelid.nerf.arrays import read_arrays
+        from pixelid.nerf.posed import scene_of_images
+
+        posed = read_arrays(options.images, ("images", "poses", "focal"))
+        scene = scene_of_images(posed["images"], posed["poses"], float(posed["focal"]), seed=options.seed)
+    make_dataset(
+        options.out, options.setting, seed=options.seed, scene=scene, side=options.side, overwrite=options.overwrite
+    )
 
 
 if __name__ == "__main__":

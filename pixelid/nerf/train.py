@@ -19,7 +19,7 @@ from pixelid.nerf.camera import Camera, sub_pixel_directions
 from pixelid.nerf.field import Field
 from pixelid.nerf.gauge import Gauge
 from pixelid.nerf.intervals import Chains, Intervals, chains
-from pixelid.nerf.losses import Weights, changes, terms, total, unexplained
+from pixelid.nerf.losses import Weights, amplifier_drift, changes, terms, total, unexplained
 from pixelid.nerf.pixel import Bandwidth, Pixel
 from pixelid.nerf.render import Rays
 from pixelid.nerf.scan import respond
@@ -94,7 +94,8 @@ class Problem:
 class State:
     """Everything that a step reads and changes.
 
-    inside: (pixels · rays, 3) directions in the camera frame, a pixel's together
+    inside: (pixels · rays, 3) directions in the camera frame, a pixel's together;  diverged: whether a loss was NaN or
+    infinite; the state is then that before the step, and no further step is made
     """
 
     field: Field
@@ -104,6 +105,13 @@ class State:
     iteration: int
     rays: int = 0
     history: list[dict[str, float]] = dataclasses.field(default_factory=list)
+    diverged: bool = False
+
+    @property
+    def finite(self) -> bool:
+        """Whether no step diverged and the field holds numbers only."""
+        values = (self.field.grid, self.field.log_background, self.pixel.factors)
+        return not self.diverged and all(bool(torch.isfinite(value).all()) for value in values)
 
 
 def start(problem: Problem, recipe: Recipe, bandwidth: Bandwidth, device: str = "cpu") -> State:
@@ -146,25 +154,29 @@ def predict(problem: Problem, state: State, batch: Chains, rng: np.random.Genera
     dark = torch.as_tensor(problem.dark[problem.channel[np.repeat(batch.pixel, np.diff(batch.first))]])
     u = torch.log((radiance.double() + dark.to(radiance.device)).clamp(min=EPSILON))
     later = state.pixel.longer_dead_time if state.pixel.moves[-1] else None
+    circuit, drift = problem.circuit, None
+    if circuit.leak_hz or circuit.leak_hz_per_radiance:
+        on_threshold = state.pixel.thresholds[0]
+        drift = amplifier_drift(u, batch.t, on_threshold, circuit.leak_hz, circuit.leak_hz_per_radiance)
     if not state.pixel.filtering:
-        return changes(u, u, batch, None, later), u, u
+        return changes(u, u, batch, None, later, drift), u, u
     dynamics = state.pixel.dynamics
-    midpoint = problem.circuit.linearisation == "midpoint"
+    midpoint = circuit.linearisation == "midpoint"
     level, output = respond(u, dynamics, batch.t, batch.first, midpoint=midpoint, engine=engine)
     cutoff = dynamics[6] if state.pixel.has_amplifier_pole else None
-    return changes(level, output, batch, cutoff, later), level, u
+    return changes(level, output, batch, cutoff, later, drift), level, u
 
 
-def draw(problem: Problem, state: State, found: Intervals, runs: int, rng: np.random.Generator) -> Chains:
+def draw(problem: Problem, state: State, from_: Intervals, runs: int, rng: np.random.Generator) -> Chains:
     """A batch of chains from random intervals."""
     bandwidth = state.pixel.bandwidth
     samples = bandwidth.samples if state.pixel.filtering else 1
     slowest = state.pixel.slowest(float(np.maximum(problem.dark, EPSILON).min()))
-    return chains(found, rng.integers(0, len(found.starts), runs), samples, slowest, rng)
+    return chains(from_, rng.integers(0, len(from_.starts), runs), samples, slowest, rng)
 
 
 def step(problem: Problem, recipe: Recipe, state: State) -> dict[str, float]:
-    """One step of training, in place; what it measured."""
+    """One step of training, in place; what it measured.  A loss that is no number changes nothing but `diverged`."""
     wanted = recipe.vertices_at(state.iteration)
     if wanted != state.field.vertices:
         state.field.refine(wanted)
@@ -174,8 +186,8 @@ def step(problem: Problem, recipe: Recipe, state: State) -> dict[str, float]:
     rng = np.random.default_rng([recipe.seed, parallel.rank(), state.iteration])  # nothing to carry between steps
     batch = draw(problem, state, problem.training, max(recipe.batch // parallel.world(), 1), rng)
     change, level, _ = predict(problem, state, batch, rng, recipe.engine)
-    found = terms(change, level, batch, *state.pixel.thresholds)
-    loss = total(found, recipe.weights)
+    parts = terms(change, level, batch, *state.pixel.thresholds)
+    loss = total(parts, recipe.weights)
     if recipe.roughness > 0:
         loss = loss + recipe.roughness * state.field.roughness()
     if recipe.emptiness > 0:
@@ -184,6 +196,10 @@ def step(problem: Problem, recipe: Recipe, state: State) -> dict[str, float]:
         loss = loss + recipe.level * _off_level(problem, state, recipe.engine, rng)
     if state.pixel.factors.requires_grad:
         loss = loss + state.pixel.penalty() / max(len(problem.training.starts), 1)
+    measured = {"loss": float(loss.detach()), **{name: float(value.detach()) for name, value in parts.items()}}
+    if not math.isfinite(parallel.average(measured["loss"])):
+        state.diverged = True
+        return measured
     state.optimiser.zero_grad(set_to_none=True)
     loss.backward()
     parallel.average_gradients(p for group in state.optimiser.param_groups for p in group["params"])
@@ -192,7 +208,7 @@ def step(problem: Problem, recipe: Recipe, state: State) -> dict[str, float]:
     state.rays += len(batch.t) * recipe.supersample**2
     if state.iteration % 16 == 0 and state.iteration >= 64:
         state.field.look_for_empty_blocks()
-    return {"loss": float(loss.detach()), **{name: float(value.detach()) for name, value in found.items()}}
+    return measured
 
 
 def _off_level(
@@ -229,9 +245,9 @@ def held_out_residual(problem: Problem, state: State, runs: int = 512) -> float:
 
 def train(
     problem: Problem, recipe: Recipe, state: State, until: int | None = None,
-    report: Callable[[State, dict[str, float]], None] = lambda state, found: None,
+    report: Callable[[State, dict[str, float]], None] = lambda state, measured: None,
 ) -> State:  # fmt: skip
-    """Steps up to `until` (default: all of the recipe); `report` is called after each."""
-    while state.iteration < (recipe.iterations if until is None else until):
+    """Steps up to `until` (default: all of the recipe) or until one diverges; `report` is called after each."""
+    while state.iteration < (recipe.iterations if until is None else until) and not state.diverged:
         report(state, step(problem, recipe, state))
     return state

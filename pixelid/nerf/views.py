@@ -67,25 +67,25 @@ def read_views(dataset: Path, channels: int) -> dict[str, Views]:
     """The views of every stage that the dataset has, in `channels` colours (1 or 3).  Raises InputError."""
     folder = views_folder(dataset)
     log_eps = _log_eps(Path(dataset) / RENDERER)
-    found = {
+    stages = {
         stage: _stage(folder / f"transforms_{stage}.json", channels, log_eps)
         for stage in STAGES
         if (folder / f"transforms_{stage}.json").is_file()
     }
-    if not found:
+    if not stages:
         raise InputError(f"{folder}: transforms_test.json: missing")
-    usual = float(np.mean(np.concatenate([views.exposure for views in found.values()])))
-    return {stage: replace(views, exposure=views.exposure / usual) for stage, views in found.items()}
+    usual = float(np.mean(np.concatenate([views.exposure for views in stages.values()])))
+    return {stage: replace(views, exposure=views.exposure / usual) for stage, views in stages.items()}
 
 
 def _log_eps(file: Path) -> float:
     if not file.is_file():
         return 0.0
-    found = read_arrays(file, ("interm_color_space", "log_eps"))
-    space = str(found["interm_color_space"])
+    arrays = read_arrays(file, ("interm_color_space", "log_eps"))
+    space = str(arrays["interm_color_space"])
     if space not in ("display", "linear"):
         raise InputError(f"{file}: interm_color_space: expected 'display' or 'linear', found {space!r}")
-    value = np.asarray(found["log_eps"], dtype=np.float64)
+    value = np.asarray(arrays["log_eps"], dtype=np.float64)
     if value.size != 1 or not np.isfinite(value).all() or value.ravel()[0] < 0:
         raise InputError(f"{file}: log_eps: expected one number ≥ 0, found {value}")
     return float(value.ravel()[0])
@@ -137,10 +137,10 @@ def _picture(file: Path, name: str) -> Path:
     exact = file.parent / name
     if exact.is_file():
         return exact
-    found = sorted(exact.parent.glob(f"{exact.name}.*"))
-    if not found:
+    matches = sorted(exact.parent.glob(f"{exact.name}.*"))
+    if not matches:
         raise InputError(f"{exact}: no such picture (file_path of {file.name})")
-    return found[0]
+    return matches[0]
 
 
 def _image(path: Path) -> np.ndarray:

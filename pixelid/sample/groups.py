@@ -1,6 +1,7 @@
 """A posterior as ArviZ groups, and as posterior.nc.
 
-posterior             every free parameter in its own unit, one chain per walker;  physical.* under the gauge
+posterior             every free parameter in its own unit, one chain per walker
+physical              circuit values under the gauge, of evenly spaced draws
 sample_stats          lp, the log posterior;  ensemble of each chain
 log_likelihood        recording (given the thresholds' posterior), pixel (what leave-one-out leaves out)
 posterior_predictive  ON and OFF events per recording, simulated at draws
@@ -17,7 +18,6 @@ import numpy as np
 from pixelid.errors import InputError
 from pixelid.fit.result import FitResult
 from pixelid.recordings.recording import Recording
-from pixelid.sample.library import arviz
 from pixelid.sample.posterior import Posterior
 from pixelid.stimuli.resample import resampled
 
@@ -25,19 +25,36 @@ PREDICTIVE_DRAWS = 10
 
 
 def inference_data(
-    posterior: Posterior, result: FitResult, recordings: Sequence[Recording], predictive_draws: int = PREDICTIVE_DRAWS
+    posterior: Posterior,
+    result: FitResult,
+    recordings: Sequence[Recording],
+    predictive_draws: int = PREDICTIVE_DRAWS,
+    *,
+    physical: dict[str, np.ndarray] | None = None,
 ):
-    """An `arviz.InferenceData` with the groups above; nothing is simulated when `predictive_draws` is 0."""
+    """The groups above as an `xarray.DataTree`, which ArviZ 1 reads and writes.
+
+    Args:
+        posterior: of `result`.
+        result: the fit that was sampled.
+        recordings: what it was fitted to.
+        predictive_draws: how many draws are simulated; 0: none, and no group `posterior_predictive`.
+        physical: circuit value → (draws,) under the gauge (`Posterior.physical`), for the group `physical`.
+    """
     observed = counts(recordings)
     groups = {"observed_data": observed}
     if predictive_draws and result.observation == "event_times":
         drawn = predicted(posterior, result, recordings, predictive_draws)
         groups["posterior_predictive"] = {name: value[None] for name, value in drawn.items()}
+    if physical is not None:
+        groups["physical"] = {name: draws[None] for name, draws in physical.items()}
     return sampled_groups(posterior, groups, {key: ["recording_name"] for key in observed})
 
 
 def sampled_groups(posterior: Posterior, beside: dict | None = None, dims_beside: dict | None = None):
-    """An `arviz.InferenceData` of the draws alone (posterior, sample_stats, log_likelihood), and of groups `beside`."""
+    """A DataTree of the draws alone (posterior, sample_stats, log_likelihood), and of groups `beside`."""
+    from arviz_base import from_dict
+
     ensembles, steps, walkers, _ = posterior.chain.shape
     chains = ensembles * walkers
 
@@ -63,7 +80,7 @@ def sampled_groups(posterior: Posterior, beside: dict | None = None, dims_beside
     }
     model, seed = posterior.coordinates.model.name, int(posterior.details.get("seed", 0))
     attributes = {"status": str(posterior.status), "model": model, "seed": seed}
-    return arviz().from_dict(**groups, coords=coords, dims=dims, attrs=attributes)
+    return from_dict(groups, coords=coords, dims=dims, attrs={"/": attributes})
 
 
 def _distinct(names: list[str]) -> list[str]:
@@ -86,7 +103,7 @@ def predicted(posterior: Posterior, result: FitResult, recordings: Sequence[Reco
         for r in recordings
         if r.stimulus is not None
     ]
-    found: dict[str, list] = {"on_events": [], "off_events": []}
+    simulated: dict[str, list] = {"on_events": [], "off_events": []}
     for k, x in enumerate(posterior.thinned(draws)):
         model = posterior.coordinates.model_at(x)
         copies = [
@@ -94,34 +111,28 @@ def predicted(posterior: Posterior, result: FitResult, recordings: Sequence[Reco
             for i, (stimulus, pixels) in enumerate(shown)
         ]
         for name, value in counts(copies).items():
-            found[name].append(value)
-    return {name: np.array(value) for name, value in found.items()}
+            simulated[name].append(value)
+    return {name: np.array(value) for name, value in simulated.items()}
 
 
 def save(posterior: Posterior, result: FitResult, recordings: Sequence[Recording], folder: Path) -> dict:
     """Write posterior.nc, corner.png and trace.png into `folder`; returns what fit.json says about the posterior."""
     from pixelid.sample.figures import write_corner, write_trace
 
-    data = inference_data(posterior, result, recordings)
+    physical = None
     beside = ("recordings", "nuisances", "versions", "inputs_sha256")  # fit.json has them already
-    said = {name: value for name, value in posterior.as_dict().items() if name not in beside}
+    summary = {name: value for name, value in posterior.as_dict().items() if name not in beside}
     try:
         physical = posterior.physical(result.model)
     except InputError as error:
-        said["physical"], said["why_no_physical"] = None, str(error)
+        summary["physical"], summary["why_no_physical"] = None, str(error)
     else:
-        data.add_groups({"physical": _dataset(physical)}, warn_on_custom_groups=False)
-        said["physical"] = {
+        summary["physical"] = {
             name: {"mean": float(v.mean()), "interval_95": np.quantile(v, [0.025, 0.975]).tolist()}
             for name, v in physical.items()
         }
-    data.to_netcdf(str(folder / "posterior.nc"))
+    data = inference_data(posterior, result, recordings, physical=physical)
+    data.to_netcdf(folder / "posterior.nc", engine="h5netcdf")
     write_corner(posterior, folder / "corner.png")
     write_trace(posterior, folder / "trace.png")
-    return said
-
-
-def _dataset(values: dict[str, np.ndarray]):
-    import xarray
-
-    return xarray.Dataset({name: (("chain", "draw"), value[None]) for name, value in values.items()})
+    return summary

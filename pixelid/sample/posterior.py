@@ -63,11 +63,11 @@ class Posterior(Result):
 
     def values(self) -> dict[str, np.ndarray]:
         """Parameter → (ensembles · walkers, steps) in its own unit: one chain per walker, as ArviZ wants it."""
-        found = {}
+        draws = {}
         for i, p in enumerate(self.coordinates.parameters):
             c = self.chain[..., i].transpose(0, 2, 1).reshape(-1, self.chain.shape[1])
-            found[p.name] = np.exp(c) if p.transform == "log" else c
-        return found
+            draws[p.name] = np.exp(c) if p.transform == "log" else c
+        return draws
 
     def statistics(self) -> dict[str, dict]:
         """Parameter → mean, sd, 95 % interval (equal tails), effective samples, tau in steps, nested R̂."""
@@ -180,7 +180,7 @@ class Posterior(Result):
         )  # fmt: skip
 
     def to_arviz(self) -> Any:
-        """An `arviz.InferenceData`: posterior (one chain per walker), sample_stats, log_likelihood."""
+        """An `xarray.DataTree` as ArviZ 1 takes it: posterior (one chain per walker), sample_stats, log_likelihood."""
         from pixelid.sample.groups import sampled_groups
 
         return sampled_groups(self)

@@ -41,12 +41,12 @@ class Proposal:
     freedom: float = FREEDOM
     bend: np.ndarray | None = None
 
-    def bent(self, y: np.ndarray) -> np.ndarray:
+    def curve(self, y: np.ndarray) -> np.ndarray:
         """u at distances y (…, d) along the axes.  A shear: soft axes shift the others, so volume is kept."""
         return (y if self.bend is None else y + (y * y) @ self.bend.T) @ self.axes.T
 
-    def straight(self, u: np.ndarray) -> np.ndarray:
-        """The inverse of `bent`."""
+    def straighten(self, u: np.ndarray) -> np.ndarray:
+        """The inverse of `curve`."""
         y = np.linalg.solve(self.axes, u.T).T
         return y if self.bend is None else y - (y * y) @ self.bend.T
 
@@ -59,13 +59,13 @@ class Proposal:
         d = len(self.centre)
         e = np.abs(rng.standard_normal((n, d))) / np.sqrt(rng.chisquare(self.freedom, (n, 1)) / self.freedom)
         up = rng.random_sample((n, d)) < self.above / (self.above + self.below)
-        return self.lift(self.bent(np.where(up, self.above * e, -self.below * e)))
+        return self.lift(self.curve(np.where(up, self.above * e, -self.below * e)))
 
     def log_density(self, x: np.ndarray) -> np.ndarray:
         """(n,) log q at x (n, d), up to a constant."""
         mouth = (x - self.centre)[:, self.mouth, None]
         u = (x - self.centre) * np.exp(-self.funnel * mouth)
-        y = self.straight(u)
+        y = self.straighten(u)
         e = np.where(y > 0, y / self.above, y / self.below)
         d = len(self.centre)
         radial = -0.5 * (self.freedom + d) * np.log1p((e**2).sum(axis=1) / self.freedom)
@@ -114,31 +114,31 @@ def shaped(
     plain = np.zeros(d) if funnel is None else funnel
     shape = Proposal(np.asarray(centre, dtype=float), axes, np.ones(d), np.ones(d), plain, mouth)
     if gradient is not None and d > 1:
-        shape = _bent_along_ridges(shape, gradient, lower, upper)
+        shape = _curved_along_ridges(shape, gradient, lower, upper)
     top = value(centre)
     sides = np.array([[_scale(value, top, shape, sign * v, lower, upper) for sign in (1, -1)] for v in np.eye(d)])
     return replace(shape, above=sides[:, 0], below=sides[:, 1])
 
 
-def _bent_along_ridges(shape: Proposal, gradient, lower, upper) -> Proposal:
-    """The proposal bent along its softest axes.
+def _curved_along_ridges(shape: Proposal, gradient, lower, upper) -> Proposal:
+    """The proposal curved along its softest axes.
 
     With whitened distances y the log posterior is −½|y|² and a cubic part, whose gradient across axis j at ± t is the
-    even part of the slopes there: the ridge passes at that distance, c t².  Twice, the second time from the bend found.
+    even part of the slopes there: the ridge passes at that distance, c t².  Twice, the second time from the first bend.
     """
     d = len(shape.centre)
     soft = np.arange(max(d - SOFT, 1), d)  # eigh sorts widths upwards
     bend = np.zeros((d, d))
     for _ in range(2):
-        found = np.zeros((d, d))
+        correction = np.zeros((d, d))
         for j in soft:
             for sign in (-1, 1):
                 y = np.zeros(d)
                 y[j] = sign * RIDGE
-                x = np.clip(shape.lift(replace(shape, bend=bend).bent(y)), lower, upper)
-                found[:, j] += 0.5 * (shape.axes.T @ gradient(x)) / RIDGE**2
-        found[soft] = 0.0
-        bend = bend + np.clip(np.nan_to_num(found), -1.0, 1.0)
+                x = np.clip(shape.lift(replace(shape, bend=bend).curve(y)), lower, upper)
+                correction[:, j] += 0.5 * (shape.axes.T @ gradient(x)) / RIDGE**2
+        correction[soft] = 0.0
+        bend = bend + np.clip(np.nan_to_num(correction), -1.0, 1.0)
     return replace(shape, bend=bend)
 
 
@@ -154,7 +154,7 @@ def _scale(value, top: float, shape: Proposal, v, lower, upper) -> float:
     reach = max(float(room.min()), 1e-3)
     step, scale = min(1.0, reach), 0.0
     for _ in range(8):
-        drop = top - value(shape.lift(shape.bent(0.999 * step * v)))
+        drop = top - value(shape.lift(shape.curve(0.999 * step * v)))
         if drop < DEEPEST:
             scale = max(scale, step / np.sqrt(2.0 * max(drop, 0.05)))
         elif scale == 0.0:

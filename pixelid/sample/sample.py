@@ -15,7 +15,6 @@ from pixelid.provenance import versions
 from pixelid.recordings.recording import Recording
 from pixelid.sample.convergence import ENOUGH_TAU, Convergence, convergence
 from pixelid.sample.ensembles import CHUNK, Ensembles, moves
-from pixelid.sample.library import arviz
 from pixelid.sample.posterior import Posterior
 from pixelid.sample.proposal import Proposal, shaped
 from pixelid.sample.target import Target
@@ -85,24 +84,24 @@ def sample(
     with tempfile.TemporaryDirectory() as folder:
         path = Path(chain_file) if chain_file is not None else Path(folder) / "chain.h5"
         run = Ensembles(target, starts, proposal, trust, seed, path, identity)
-        burn, found = _until_converged(run, wanted, max_steps, report)
+        burn, reached = _until_converged(run, wanted, max_steps, report)
         chain, log_prob, pieces = run.chain(burn), run.log_prob(burn), run.pieces(burn)
         acceptance, resumed = run.acceptance(), run.resumed
         run.finish()
-    enough = found.done and found.effective.min() >= wanted
+    enough = reached.done and reached.effective.min() >= wanted
     return Posterior(
         status=Status.converged if enough else Status.not_converged,
-        advice="" if enough else _advice(found, coordinates.names, wanted),
+        advice="" if enough else _advice(reached, coordinates.names, wanted),
         coordinates=coordinates,
         chain=chain,
         log_prob=log_prob,
         pieces=pieces,
-        convergence=found,
+        convergence=reached,
         details={
             "ensembles": ensembles,
             "walkers": walkers,
             "burn_in": burn,
-            "steps": found.steps,
+            "steps": reached.steps,
             "acceptance": acceptance,
             "exact_evaluations": target.evaluations,
             "resumed": resumed,
@@ -155,7 +154,10 @@ def _explored(target: Target, proposal: Proposal, starts: np.ndarray, seed: int)
 
 def k_hat(log_ratio: np.ndarray) -> float:
     """Pareto shape of importance ratios (Vehtari et al. 2024, JMLR 25, PSIS): below 0.7 they can be relied on."""
-    return float(arviz().psislw(np.asarray(log_ratio, dtype=float))[1])
+    from arviz_stats.base.array import array_stats
+
+    _, k = array_stats.psislw(-np.asarray(log_ratio, dtype=float))  # it takes log-likelihoods: weights' logs negated
+    return float(k)
 
 
 def _until_converged(run: Ensembles, wanted: int, max_steps: int, report) -> tuple[int, Convergence]:
@@ -164,20 +166,21 @@ def _until_converged(run: Ensembles, wanted: int, max_steps: int, report) -> tup
     while True:
         run.advance(until)
         chain = run.chain()
-        found = convergence(chain[:, until // 10 :])
-        burn = int(min(max(np.ceil(3.0 * np.nan_to_num(found.tau.max(), posinf=until)), 5), until // 2))
-        found = convergence(chain[:, burn:])
-        share = min(found.steps / (ENOUGH_TAU * found.tau.max()), found.effective.min() / wanted, 1.0)
+        reached = convergence(chain[:, until // 10 :])
+        burn = int(min(max(np.ceil(3.0 * np.nan_to_num(reached.tau.max(), posinf=until)), 5), until // 2))
+        reached = convergence(chain[:, burn:])
+        share = min(reached.steps / (ENOUGH_TAU * reached.tau.max()), reached.effective.min() / wanted, 1.0)
         report("sampling", share)
-        if (found.done and found.effective.min() >= wanted) or until >= max_steps:
-            return burn, found
+        if (reached.done and reached.effective.min() >= wanted) or until >= max_steps:
+            return burn, reached
         until = min(max(until + CHUNK, CHUNK * int(1.1 * until // CHUNK)), max_steps)
 
 
-def _advice(found: Convergence, names: tuple[str, ...], wanted: int) -> str:
-    slow, apart = int(found.tau.argmax()), int(found.r_hat.argmax())
+def _advice(reached: Convergence, names: tuple[str, ...], wanted: int) -> str:
+    slow, apart = int(reached.tau.argmax()), int(reached.r_hat.argmax())
     return (
-        f"the posterior did not converge: {names[slow]} has τ = {found.tau[slow]:.3g} steps of {found.steps} (needs "
-        f"{ENOUGH_TAU:g} τ) and {found.effective.min():.0f} of {wanted} effective samples, the ensembles differ most "
-        f"in {names[apart]} (nested R̂ {found.r_hat[apart]:.3f}): fix what the data leave open, or record richer light"
+        f"the posterior did not converge: {names[slow]} has τ = {reached.tau[slow]:.3g} steps of {reached.steps} "
+        f"(needs {ENOUGH_TAU:g} τ) and {reached.effective.min():.0f} of {wanted} effective samples, the ensembles "
+        f"differ most in {names[apart]} (nested R̂ {reached.r_hat[apart]:.3f}): "
+        "fix what the data leave open, or record richer light"
     )

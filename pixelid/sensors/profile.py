@@ -1,8 +1,8 @@
 """Per-pixel thresholds and bandwidth of one tile, all pixels at once.
 
-The light is the same for every pixel, so one trajectory serves them all (DESIGN §1).  For a given bandwidth the
-event-time
-likelihood (DESIGN §4) is Gaussian in a pixel's threshold: with z_k the level at event k and w_k = 1/s_k²,
+The light is the same for every pixel, so one trajectory serves them all.  For a given bandwidth the event-time
+likelihood (docs/model.md, "Likelihoods") is Gaussian in a pixel's threshold: with z_k the level at event k and
+w_k = 1/s_k²,
 
     threshold of (pixel, polarity) = Σ w z / Σ w,   variance 1/Σ w,
 

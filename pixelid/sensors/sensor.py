@@ -104,8 +104,8 @@ class SensorFit(Result):
     def headline(self) -> str:
         """Pixels, events, status."""
         seen = int((self.events > 0).sum())
-        found = f"{seen} pixels, {self.events.sum()} events"
-        return f"sensor of {self.model.name}: {self.status}; {found}, {self.seconds:.1f} s"
+        size = f"{seen} pixels, {self.events.sum()} events"
+        return f"sensor of {self.model.name}: {self.status}; {size}, {self.seconds:.1f} s"
 
     def tables(self) -> list[Table]:
         """Mean, spread and errors of every map."""
@@ -227,18 +227,18 @@ def fit_sensor(
 
 
 def _map(name, unit, raw, sd, shape, replicates, seed, client) -> Map:
-    found = population(raw, sd)
+    spread_of_pixels = population(raw, sd)
     mean_interval = spread_interval = (np.nan, np.nan)
-    if replicates and found.count > 1:
+    if replicates and spread_of_pixels.count > 1:
         seeds = np.random.SeedSequence(seed).generate_state(replicates)
         chunks = [seeds[i : i + CHUNK] for i in range(0, replicates, CHUNK)]
         drawn = run_tasks(_replicates, len(chunks), lambda i: (raw, sd, chunks[i]), client=client)
         samples = np.concatenate([d["samples"] for d in drawn])
         low, high = np.percentile(samples, [2.5, 97.5], axis=0)
         mean_interval, spread_interval = (low[0], high[0]), (low[1], high[1])
-    log, after = shrink(raw, sd, found)
+    log, after = shrink(raw, sd, spread_of_pixels)
     return Map(
-        name, unit, raw.reshape(shape), sd.reshape(shape), log.reshape(shape), after.reshape(shape), found,
+        name, unit, raw.reshape(shape), sd.reshape(shape), log.reshape(shape), after.reshape(shape), spread_of_pixels,
         mean_interval, spread_interval,
     )  # fmt: skip
 

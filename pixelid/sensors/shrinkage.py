@@ -47,10 +47,10 @@ def population(estimate: np.ndarray, sd: np.ndarray) -> Population:
     grid = np.linspace(low, high, 60)
     values = [negative(g) for g in grid]
     k = int(np.argmin(values))
-    found = minimize_scalar(
+    optimum = minimize_scalar(
         negative, bounds=(grid[max(k - 1, 0)], grid[min(k + 1, 59)]), method="bounded", options={"xatol": 1e-6}
     )
-    spread = 0.0 if k == 0 else float(np.exp(found.x))
+    spread = 0.0 if k == 0 else float(np.exp(optimum.x))
     total = spread**2 + v
     return Population(float((x / total).sum() / (1.0 / total).sum()), spread, len(x))
 
@@ -66,9 +66,9 @@ def shrink(estimate: np.ndarray, sd: np.ndarray, of: Population) -> tuple[np.nda
 def bootstrap(estimate: np.ndarray, sd: np.ndarray, seeds: np.ndarray) -> np.ndarray:
     """(len(seeds), 2) population mean and spread of pixels drawn with replacement, one draw per seed."""
     keep = np.flatnonzero(np.isfinite(estimate) & np.isfinite(sd))
-    found = np.full((len(seeds), 2), np.nan)
+    replicated = np.full((len(seeds), 2), np.nan)
     for i, seed in enumerate(seeds):
         drawn = np.random.default_rng(int(seed)).choice(keep, len(keep)) if len(keep) else keep
         again = population(estimate[drawn], sd[drawn])
-        found[i] = again.mean, again.spread
-    return found
+        replicated[i] = again.mean, again.spread
+    return replicated

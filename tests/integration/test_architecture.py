@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 PACKAGE = Path(__file__).resolve().parents[2] / "pixelid"
-BASE = {"errors", "outputs", "provenance", "results", "status"}
+BASE = {"errors", "outputs", "parallel", "provenance", "results", "status"}
 MAY_IMPORT = {
     "errors": set(),
     "outputs": {"errors"},
@@ -14,6 +14,7 @@ MAY_IMPORT = {
     "status": set(),
     "results": {"errors", "outputs"},
     "lazy": set(),
+    "parallel": {"errors"},
     "parameters": BASE,
     "stages": BASE | {"parameters"},
     "model": BASE | {"parameters", "stages"},

@@ -14,7 +14,20 @@ from pixelid.cli.main import COMMANDS, main
 from pixelid.errors import UntrustworthyResult
 from pixelid.model.shipped import shipped_models
 
-HEAVY = {"torch", "casadi", "numba", "matplotlib", "scipy", "numpy", "arviz", "emcee", "pandas", "h5py", "faery"}
+HEAVY = {
+    "torch",
+    "casadi",
+    "numba",
+    "matplotlib",
+    "scipy",
+    "numpy",
+    "arviz_base",
+    "arviz_stats",
+    "emcee",
+    "pandas",
+    "h5py",
+    "faery",
+}
 PRESENT = [name for name in COMMANDS if importlib.util.find_spec(f"pixelid.cli.{name}_command")]
 
 

@@ -1,6 +1,7 @@
 """Training: the command end to end, exact resume, two processes, and (slow) that modelling the pixel pays."""
 
 import json
+import math
 import os
 import subprocess
 import sys
@@ -12,6 +13,8 @@ import pytest
 import torch
 
 from pixelid.cli.main import main
+from pixelid.model.files import save_model
+from pixelid.model.shipped import find_model
 from pixelid.nerf import checkpoint
 from pixelid.nerf.dataset import read_dataset
 from pixelid.nerf.pixel import Bandwidth
@@ -19,6 +22,7 @@ from pixelid.nerf.problem import problem_of
 from pixelid.nerf.reconstruct import reconstruct
 from pixelid.nerf.synthetic import make_dataset
 from pixelid.nerf.train import Recipe, start, step, train
+from pixelid.status import Status
 
 SMALL = Recipe(iterations=24, batch=16, vertices=(9, 17))
 
@@ -176,3 +180,52 @@ def test_a_scene_of_posed_images_stands_for_the_truth(shared):
     alpha = images[held, ..., 3:] / 255.0
     truth = (alpha * images[held, ..., :3] / 255.0 + 1 - alpha) @ LUMA
     assert 10 * np.log10(1 / ((found - truth) ** 2).mean()) > 23
+
+
+def test_a_pixel_without_bandwidth_limit_is_the_pixel_without_filter(made):
+    """Zero capacitances, infinite cutoffs: bandwidth on equals off, to the last bit, and nothing is NaN."""
+    problem = problem_of(read_dataset(made))
+    ideal = problem.circuit.with_(photoreceptor="unlimited", follower=math.inf, differencing=math.inf)
+    grids = [
+        train(of, SMALL, start(of, SMALL, Bandwidth(mode)), until=3).field.grid.detach()
+        for of, mode in ((replace(problem, circuit=ideal), "on"), (replace(problem, circuit=ideal), "joint"),
+                         (problem, "off"))
+    ]  # fmt: skip
+    assert torch.isfinite(grids[0]).all()
+    assert torch.equal(grids[0], grids[1])
+    assert torch.equal(grids[0], grids[2])
+
+
+@pytest.mark.parametrize("present", [{"photoreceptor": "unlimited"}, {"follower": math.inf, "differencing": math.inf}])
+def test_absent_stages_leave_a_finite_field(made, present):
+    problem = problem_of(read_dataset(made))
+    state = start(replace(problem, circuit=problem.circuit.with_(**present)), SMALL, Bandwidth("joint"))
+    train(replace(problem, circuit=problem.circuit.with_(**present)), SMALL, state, until=3)
+    assert state.finite
+    assert state.iteration == 3
+
+
+def test_numbers_that_run_away_end_as_diverged(made, tmp_path):
+    data = read_dataset(made)
+    wrong = replace(data.calibration, circuit=data.calibration.circuit.with_(on_threshold=1e300))
+    result = reconstruct(data, calibration=wrong, recipe=replace(SMALL, rate=1e4))
+    assert result.status is Status.diverged
+    assert "no number" in result.advice
+    result.save(tmp_path)
+    written = json.loads((tmp_path / "reconstruction.json").read_text())
+    assert written["status"] == "diverged"
+    assert written["views"]["psnr"] is None
+
+
+def test_what_the_pixel_has_and_the_scene_ignores_is_said(made, tmp_path, capsys):
+    (tmp_path / "fit").mkdir()
+    model = find_model("dvs128").with_effect("leak", {"rate_hz": 5.0})
+    model = model.with_effect("threshold_drift", {"per_s": 0.05}).with_effect("slew_limit")
+    save_model(model, tmp_path / "fit" / "model.toml")
+    words = ["reconstruct", str(made), "--out", str(tmp_path / "out"), "--fit", str(tmp_path / "fit"), "--quiet"]
+    main([*words, "--iterations", "2"])
+    assert json.loads((tmp_path / "out" / "reconstruction.json").read_text())["ignored"] == [
+        "slew_limit",
+        "threshold_drift",
+    ]
+    assert "does not model slew_limit, threshold_drift" in capsys.readouterr().err

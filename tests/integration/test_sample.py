@@ -150,11 +150,13 @@ def test_posterior_of_a_small_fit(two_thresholds, tmp_path):
     np.testing.assert_allclose(total, posterior.log_prob, rtol=1e-9)
     said = save(posterior, result, recordings, tmp_path)
     assert said["status"] == "converged"
-    from pixelid.sample.library import arviz
+    import xarray
+    from arviz_stats import ess, rhat
 
-    data = arviz().from_netcdf(str(tmp_path / "posterior.nc"))
+    data = xarray.open_datatree(tmp_path / "posterior.nc", engine="h5netcdf").load()
     groups = {"posterior", "sample_stats", "log_likelihood", "posterior_predictive", "observed_data"}
-    assert groups <= set(data.groups())
+    assert groups <= set(data.children)
+    assert set(ess(data).data_vars) == set(rhat(data).data_vars) == set(posterior.coordinates.names)
     observed = int(data.observed_data.on_events.sum())
     assert observed == int((recordings[0].events.p == 1).sum())
     predicted = data.posterior_predictive.on_events.values

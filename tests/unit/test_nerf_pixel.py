@@ -182,7 +182,7 @@ def test_chains_are_sorted_padded_and_within_one_pixel(shortest):
     assert (batch.sub >= batch.begin[..., None])[ends].all()
     assert (batch.sub < np.maximum(batch.end, batch.begin + 1)[..., None])[ends].all()
     assert ((batch.share >= 0) & (batch.share <= 1)).all()
-    last_of_pixel = found.found.pixel[found.starts[starts]] == batch.pixel
+    last_of_pixel = found.stretches.pixel[found.starts[starts]] == batch.pixel
     assert last_of_pixel.all()
 
 

@@ -1,6 +1,6 @@
 """Reproduce the real-data results of docs/real-data.md from a folder of recordings.
 
-    python notebooks/real_data.py RECORDINGS --out real-data
+    python benchmarks/real_data.py RECORDINGS --out real-data
 
 Fits flicker120_gen31.npz, rate_vs_frequency_gen31.csv and led_rate_vs_frequency_evk4.npz, inspects the noise of a still
 scene (static_noise_*.npy), dvxplorer_scan.aedat4 and davis346_aps.aedat4, each where it is there, writes one result

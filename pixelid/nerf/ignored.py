@@ -1,0 +1,46 @@
+"""What a circuit has and a reconstruction does not model: named for the user, never dropped silently."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+
+from pixelid.stages import LIBRARY
+from pixelid.stages.circuit import Circuit
+
+# Fields of a circuit that training reads.  Noise and mismatch enter together, as the variance of a threshold.
+MODELLED = frozenset(
+    (
+        "photoreceptor", "linearisation", "dark", "alpha", "beta", "gamma", "corner", "follower", "extra_pole",
+        "lower_cutoff", "differencing", "leak_hz", "leak_hz_per_radiance", "on_threshold", "off_threshold", "mismatch",
+        "noise", "refractory",
+    )
+)  # fmt: skip
+
+
+def ignored_effects(circuit: Circuit) -> tuple[str, ...]:
+    """The effects that act in this circuit and that a reconstruction leaves out, in the library's order.
+
+    A field that no effect of the library sets appears under its own name.
+
+    >>> ignored_effects(Circuit(threshold_drift=0.01, leak_hz=2.0))
+    ('threshold_drift',)
+    """
+    neutral = Circuit()
+    acting = {
+        field.name
+        for field in fields(Circuit)
+        if field.name not in MODELLED and getattr(circuit, field.name) != getattr(neutral, field.name)
+    }
+    names = []
+    for effect in LIBRARY.values():
+        touched = _touched(effect, neutral) & acting
+        if touched:
+            names.append(effect.name)
+            acting -= touched
+    return (*names, *sorted(acting))
+
+
+def _touched(effect, neutral: Circuit) -> set[str]:
+    """The circuit fields that an effect sets: those that differ with its shipped values in place."""
+    applied = effect.apply(neutral, {parameter.name: parameter.value for parameter in effect.parameters})
+    return {field.name for field in fields(Circuit) if getattr(applied, field.name) is not getattr(neutral, field.name)}
