@@ -74,7 +74,8 @@ def _still_scene(
     import json
     from dataclasses import asdict
 
-    from pixelid.inspection.static_noise import read_interval_counts, static_noise
+    from pixelid.inspection.interval_counts import read_interval_counts
+    from pixelid.inspection.static_noise import static_noise
     from pixelid.outputs import plain, refuse_existing, whole_folder, write_json
     from pixelid.provenance import input_hashes, versions
 

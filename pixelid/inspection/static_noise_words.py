@@ -4,17 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from math import exp
-from typing import TYPE_CHECKING
 
 from pixelid.inspection.leak_by_light import LeakByLight
-
-if TYPE_CHECKING:
-    from pixelid.inspection.static_noise import Condition, StaticNoise
+from pixelid.inspection.static_noise_result import Condition, StaticNoise
 
 
 def findings(
     conditions: Sequence[Condition], by_light: LeakByLight | None, lux: tuple[float, float] | None
 ) -> tuple[str, ...]:
+    """What the conditions show, in sentences."""
     said = []
     for light in sorted({c.lux for c in conditions}):
         here = {c.polarity: c for c in conditions if c.lux == light}
@@ -43,6 +41,7 @@ def findings(
 
 
 def unknown(conditions: Sequence[Condition], lux: tuple[float, float] | None) -> tuple[str, ...]:
+    """What they leave open, in sentences."""
     said = [
         "the length of the recordings is inferred (pixels that fire all along), not stated; rates scale with it",
         "events that a pixel sent once are not in the file, nor times, nor the order of intervals, nor ON beside OFF",

@@ -43,10 +43,12 @@ def _rows(health: Health) -> list[tuple[str, str]]:
 
 def _dead_time(health: Health) -> str:
     dead = health.dead_time
-    if dead.value_s is None or dead.interval_95_s is None:
+    if dead.interval_95_s is None:
         return f"not visible: {dead.reason}"
     low, high = dead.interval_95_s
     below = f"; {dead.below} of {dead.intervals} intervals are shorter" if dead.below else ""
+    if dead.kind == "upper_bound" or dead.value_s is None:
+        return f"≤ {_seconds(high)}, shortest interval{below} ({dead.reason})"
     return f"{_seconds(dead.value_s)} (95 %: {_seconds(low)} to {_seconds(high)}){below}"
 
 
