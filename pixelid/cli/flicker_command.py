@@ -25,16 +25,16 @@ Example:
 def command(recording, out, frequency, groups, model, overwrite, seed, quiet):
     """Fit amplitude, phase and noise of groups of pixels under a flickering lamp, from the events' phases.
 
-    Writes flicker.json (with what one frequency fixes and what it does not), phases.png, maps.png and report.html.
+    Writes flicker.json (with what one frequency fixes and what it does not), phases.svg, maps.svg and report.html.
     """
     from pixelid.cli.progress import bar
     from pixelid.errors import InputError
-    from pixelid.flicker import fit_flicker
-    from pixelid.flicker.report import save
     from pixelid.model.shipped import find_model
     from pixelid.outputs import refuse_existing, whole_folder
     from pixelid.recordings import open_recording
     from pixelid.report.html import write_report
+    from pixelid.tables.flicker import fit_flicker
+    from pixelid.tables.flicker.result import save_flicker
 
     across, _, down = groups.partition("x")
     if not (across.isdigit() and down.isdigit()):
@@ -49,7 +49,7 @@ def command(recording, out, frequency, groups, model, overwrite, seed, quiet):
             progress=report,
         )
     with whole_folder(out, overwrite) as folder:
-        found = save(fit, folder)
+        found = save_flicker(fit, folder)
         write_report(folder)
     if not quiet:
         click.echo(f"{fit.frequency_hz:.4f} ± {fit.frequency_sd:.2g} Hz, {len(fit.groups)} groups, {fit.seconds:.1f} s")

@@ -45,8 +45,10 @@ def quiet_windows(events: Events, ratio: float = 1.3) -> list[tuple[float, float
 
 
 def locked_frequency(events: Events, near_hz: float, windows: list[tuple[float, float]]) -> tuple[float, float]:
-    """(frequency, standard error) within 2 % of near_hz that ON and OFF events lock to best; error "
-    "by pixel jackknife."""
+    """(frequency, standard error) within 2 % of near_hz that ON and OFF events lock to best.
+
+    The error is a jackknife over tenths of the pixels.
+    """
     t = events.t * 1e-9
     inside = np.zeros(len(t), bool)
     for a, b in windows:
@@ -63,9 +65,9 @@ def locked_frequency(events: Events, near_hz: float, windows: list[tuple[float, 
         return float(grid[k] + 0.5 * (grid[1] - grid[0]) * (a - c) / min(a - 2 * b + c, -1e-12))
 
     thin = np.arange(len(t)) % max(len(t) // 10_000, 1) == 0
-    found = best(thin, near_hz, 0.02 * near_hz)
-    found = best(thin, found, 0.2)
-    folds = [best(thin & (pixel % 10 != k), found, 0.2) for k in range(10)]
+    coarse = best(thin, near_hz, 0.02 * near_hz)
+    fine = best(thin, coarse, 0.2)
+    folds = [best(thin & (pixel % 10 != k), fine, 0.2) for k in range(10)]
     return float(np.mean(folds)), float(np.sqrt(0.9 * np.sum((np.array(folds) - np.mean(folds)) ** 2)))
 
 

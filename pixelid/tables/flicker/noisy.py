@@ -1,11 +1,9 @@
 """The rate of events of a noisy comparator under periodic light, and its fit to a phase table.
 
 After a reset at phase r the amplifier shows z = ± A (g(θ − φ) − k g(r − φ)) at phase θ; k = 1 when it remembers the
-level
-it was reset at, less when that level fades (a lower cutoff, leak) before the next event.  Fast noise of standard
-deviation s
-rides on it and crosses a threshold C at Rice's rate (Rice 1944), about which a saturated comparator fires at ν; events
-that no light explains come on top:
+level it was reset at, less when that level fades (a lower cutoff, leak) before the next event.  Fast noise of
+standard deviation s rides on it and crosses a threshold C at Rice's rate (Rice 1944), about which a saturated
+comparator fires at ν; events that no light explains come on top:
 
     λ_±(r, θ) = b_± + ν exp(−½ max(C_± − z, 0)² / s²)
 
@@ -19,14 +17,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pixelid.flicker.phases import BINS, PhaseTable
+from pixelid.tables.counts import dispersion, information, maximise
+from pixelid.tables.flicker.phases import BINS, PhaseTable
 
 NAMES = ("amplitude_over_on_threshold", "off_over_on_threshold", "phase_cycles", "noise_over_on_threshold", "rate_hz",
          "background_on_hz", "background_off_hz", "memory")  # fmt: skip
 LOWER = np.array([np.log(1e-3), np.log(0.1), -np.inf, np.log(0.03), np.log(1.0), np.log(1e-4), np.log(1e-4), 0.0])
 UPPER = np.array([np.log(50.0), np.log(10.0), np.inf, np.log(3.0), np.log(1e5), np.log(1e3), np.log(1e3), 1.0])
 LINEAR = ("phase_cycles", "memory")
-STEP = 1e-4
+# On these bounds something is absent (background, noise of the rate), complete (memory) or round (phase); on those of
+# the others the fit has run away
+RATIOS = ("amplitude_over_on_threshold", "off_over_on_threshold", "noise_over_on_threshold")
+AT_BOUND = 1e-6
 
 
 def _normal(g: np.ndarray) -> np.ndarray:
@@ -77,6 +79,12 @@ class GroupFit:
     expected: np.ndarray
 
     @property
+    def ratios_at_bound(self) -> list[str]:
+        """Ratios to the ON threshold that sit on a bound of the search."""
+        on = (self.x < LOWER + AT_BOUND) | (self.x > UPPER - AT_BOUND)
+        return [name for name, here in zip(NAMES, on, strict=True) if here and name in RATIOS]
+
+    @property
     def values(self) -> dict[str, float]:
         """Parameters in their own units."""
         return {n: float(v if n in LINEAR else np.exp(v)) for n, v in zip(NAMES, self.x, strict=True)}
@@ -102,62 +110,16 @@ def fit_group(
     if memory is not None:
         lower[7] = upper[7] = memory
     bounds = lower, upper
-    ends = [_climb(np.clip(x, *bounds), observed, table.exposure, shape, 25, bounds) for x in starts]
-    x, _, _ = max(ends, key=lambda end: end[1])
-    x, value, converged = _climb(x, observed, table.exposure, shape, 300, bounds)
-    rate = rates(x, shape)
-    mean = rate * table.exposure
-    dispersion = _dispersion(observed, mean)
+
+    def of_shape(x: np.ndarray) -> np.ndarray:
+        return rates(x, shape)
+
+    ends = [maximise(np.clip(x, *bounds), of_shape, observed, table.exposure, bounds, 25) for x in starts]
+    first = max(ends, key=lambda end: end.log_likelihood)
+    best = maximise(first.x, of_shape, observed, table.exposure, bounds, 300)
+    mean = of_shape(best.x) * table.exposure
+    scatter = dispersion(observed, mean)
+    x = best.x.copy()
     x[2] %= 1.0
-    return GroupFit(
-        x, _information(x, table.exposure, shape) / max(dispersion, 1.0), value, dispersion, converged, mean.sum(1)
-    )
-
-
-def _value(x, observed, exposure, shape) -> float:
-    rate = rates(x, shape)
-    return float((observed * np.log(rate)).sum() - (rate * exposure).sum())
-
-
-def _slopes(x, shape) -> np.ndarray:
-    """(8, 2, BINS, BINS) derivatives of the rates."""
-    return np.stack([(rates(x + d, shape) - rates(x - d, shape)) / (2 * STEP) for d in STEP * np.eye(len(x))])
-
-
-def _information(x, exposure, shape) -> np.ndarray:
-    J = _slopes(x, shape)
-    return np.einsum("iabc,jabc->ij", J, J * exposure / rates(x, shape))
-
-
-def _climb(x, observed, exposure, shape, steps, bounds) -> tuple[np.ndarray, float, bool]:
-    lower, upper = bounds
-    value, damping = _value(x, observed, exposure, shape), 1e-2
-    for _ in range(steps):
-        rate, J = rates(x, shape), _slopes(x, shape)
-        gradient = (J * (observed / rate - exposure)).sum((1, 2, 3))
-        free = ~(((x <= lower) & (gradient <= 0)) | ((x >= upper) & (gradient >= 0)) | (lower == upper))
-        H = np.einsum("iabc,jabc->ij", J, J * exposure / rate)[np.ix_(free, free)]
-        move = np.zeros(len(x))
-        while damping < 1e10:
-            step = np.linalg.solve(H + damping * np.diag(np.diag(H) + 1e-9), gradient[free])
-            move[free] = step / max(1.0, np.abs(step).max())
-            trial = np.clip(x + move, lower, upper)
-            new = _value(trial, observed, exposure, shape)
-            if new > value:
-                break
-            damping *= 4.0
-        else:
-            return x, value, bool(np.abs(gradient[free]) @ np.sqrt(np.diag(np.linalg.pinv(H))) < 0.5)
-        gain, x, value, damping = new - value, trial, new, max(damping / 5.0, 1e-8)
-        if gain < 1e-6:
-            return x, value, True
-    return x, value, False
-
-
-def _dispersion(observed: np.ndarray, mean: np.ndarray) -> float:
-    """Pearson χ² per cell, cells gathered along phase until each expects at least 5 events."""
-    o, m = observed.ravel(), mean.ravel()
-    group = np.floor(np.cumsum(m) / 5.0).astype(int)
-    o, m = np.bincount(group, o), np.bincount(group, m)
-    keep = m > 1.0
-    return float(((o - m)[keep] ** 2 / m[keep]).mean())
+    fisher = information(x, of_shape, table.exposure) / max(scatter, 1.0)
+    return GroupFit(x, fisher, best.log_likelihood, scatter, best.converged, mean.sum(1))

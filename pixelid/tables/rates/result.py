@@ -1,16 +1,18 @@
-"""Fitted rate tables on disk: numbers as JSON, curves and residuals as pictures, disagreements in words."""
+"""What a fitted rate table says: the numbers of rates.json, and its disagreements in words."""
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
-from pixelid.outputs import write_json
 from pixelid.provenance import provenance
-from pixelid.rates.fit import SUSPECT, Regression
-from pixelid.rates.pixel import PixelFit, fit_pixel
-from pixelid.rates.pool import PoolFit, fit_pool
+from pixelid.tables.fit import SUSPECT, TableFit
+from pixelid.tables.rates.figures import draw_pixel, draw_pool
+from pixelid.tables.rates.pixel import PixelFit, fit_pixel
+from pixelid.tables.rates.pool import PoolFit, fit_pool
+from pixelid.tables.result import open_sentences, table_result, write_result
 
 
 def pixel_result(fit: PixelFit) -> dict:
@@ -39,56 +41,42 @@ def pixel_result(fit: PixelFit) -> dict:
     }
 
 
-def _head(r: Regression, model: str, frequency_hz: np.ndarray) -> dict:
-    parameters = r.as_dict()
-    for name, entry in parameters.items():
+def _head(r: TableFit, model: str, frequency_hz: np.ndarray) -> dict:
+    result = table_result(r, model, "pooled_rate")
+    for name, entry in result["parameters"].items():
         if "cutoff_hz" in name and not 0.3 * frequency_hz.min() < entry["value"] < 3.0 * frequency_hz.max():
             entry |= {"identified": False, "std": None}  # an extrapolation beyond every frequency measured
-    return {
-        "status": "converged" if r.converged else "not converged",
-        "advice": "" if r.converged else "the regression did not settle: drop columns with few cells",
-        "model": model,
-        "observation": "pooled_rate",
-        "parameters": parameters,
-        "unidentified": [
-            f"{name}: the table leaves it between {v['interval_95'][0]:.3g} and {v['interval_95'][1]:.3g} {v['unit']}"
-            for name, v in parameters.items()
-            if not v["identified"]
-        ],
-        "relative_scatter": r.scale,
-        "log_likelihood": r.log_likelihood,
-        "cells_fitted": len(r.residual),
-    }
+    return result | {"unidentified": open_sentences(result["parameters"])}
 
 
-def _pixel_sentences(fit: PixelFit, together: Regression, cells: list[dict]) -> list[str]:
-    found = []
+def _pixel_sentences(fit: PixelFit, together: TableFit, cells: list[dict]) -> list[str]:
+    sentences = []
     for c in sorted(cells, key=lambda c: -abs(c["residual"])):
         if c["suspect"]:
-            found.append(
+            sentences.append(
                 f"{c['column']} at {c['frequency_hz']:g} Hz: measured {c['measured_hz']:.4g} events/s, the fit says "
                 f"{c['fitted_hz']:.4g} ({c['ratio']:.3g} times, {c['residual']:+.0f} scales; kept, at weight "
                 f"{c['weight']:.2g})"
             )
             if 8 < c["ratio"] < 12.5 or 0.08 < c["ratio"] < 0.125:
-                found[-1] += "; a factor near 10: a decimal point may have slipped"
+                sentences[-1] += "; a factor near 10: a decimal point may have slipped"
     parameters = fit.regression.as_dict()
     dead = {n: v for n, v in parameters.items() if n.startswith("dead_time_s[") and v["identified"]}
     if len(dead) > 1:
         values = [v["value"] for v in dead.values()]
         if max(values) > 2 * min(values):
             text = ", ".join(f"{n[12:-1]} {1e6 * v['value']:.2g} µs" for n, v in dead.items())
-            found.append(
+            sentences.append(
                 f"dead time should not depend on the setting, but comes out as {text}: the largest and smallest absorb "
                 "something else that the model lacks"
             )
     apart = fit.regression.log_likelihood - together.log_likelihood
-    found.append(
+    sentences.append(
         f"one dead time for all settings costs {apart:.1f} nats for "
         f"{len(fit.regression.x) - len(together.x)} parameters "
         f"fewer (it would be {1e6 * together.as_dict()['dead_time_s']['value']:.2g} µs)"
     )
-    return found
+    return sentences
 
 
 def pool_result(fit: PoolFit, alike: PoolFit) -> dict:
@@ -126,54 +114,12 @@ def pool_result(fit: PoolFit, alike: PoolFit) -> dict:
 
 
 def save_pixel(fit: PixelFit, folder: Path) -> dict:
-    """Write rates.json and rates.png into an existing folder; returns the JSON."""
-    found = pixel_result(fit)
-    write_json(folder / "rates.json", found)
-    plt = _pyplot()
-    figure, (top, bottom) = plt.subplots(2, 1, figsize=(8, 8), sharex=True, layout="constrained", height_ratios=(2, 1))
-    f = np.geomspace(fit.table.frequency_hz.min(), fit.table.frequency_hz.max(), 300)
-    for k, name in enumerate(fit.table.columns):
-        here = fit.column == k
-        x = fit.table.frequency_hz[fit.row[here]]
-        shown = np.maximum(fit.observed[here], 0.3 * fit.table.resolution_hz)
-        top.loglog(x, shown, "o", color=f"C{k}", label=name)
-        top.loglog(f, np.maximum(fit.curve(k, f), 0.3 * fit.table.resolution_hz), color=f"C{k}", lw=1)
-        bottom.semilogx(x, np.clip(fit.regression.residual[here], -12, 12), "o", color=f"C{k}")
-    top.set_ylabel("events/s (below the last digit: drawn at 0.3 of it)")
-    top.legend()
-    bottom.axhspan(-SUSPECT, SUSPECT, color="0.93")
-    bottom.set(xlabel="frequency of the light [Hz]", ylabel="residual [scales, clipped at ±12]")
-    figure.savefig(folder / "rates.png", dpi=110)
-    plt.close(figure)
-    return found
+    """Write rates.json and rates.svg into an existing folder; returns the JSON."""
+    return write_result(pixel_result(fit), "rates.json", {"rates": partial(draw_pixel, fit)}, folder)
 
 
 def save_pool(fit: PoolFit, folder: Path, *inputs: Path) -> dict:
-    """Write rates.json and rates.png into an existing folder; returns the JSON."""
+    """Write rates.json and rates.svg into an existing folder; returns the JSON."""
     alike = fit_pool(fit.table, identical=True)
-    found = {**pool_result(fit, alike), **provenance(*inputs)}
-    write_json(folder / "rates.json", found)
-    plt = _pyplot()
-    figure, (top, bottom) = plt.subplots(2, 1, figsize=(8, 8), sharex=True, layout="constrained", height_ratios=(2, 1))
-    for k in range(len(fit.table.conditions)):
-        here = fit.column == k
-        x, y = fit.table.frequency_hz[fit.row[here]], fit.table.per_cycle[fit.row[here], k]
-        colour = plt.get_cmap("viridis")(k / max(len(fit.table.conditions) - 1, 1))
-        top.loglog(x, y, "o", ms=3, color=colour)
-        top.loglog(x, fit.regression.predicted[here], color=colour, lw=0.8)
-        bottom.semilogx(x, y / fit.regression.predicted[here] - 1, "o", ms=3, color=colour)
-        bottom.semilogx(x, y / alike.regression.predicted[here] - 1, "x", ms=3, color="0.7", zorder=0)
-    top.set_ylabel("events per cycle")
-    bottom.set(xlabel="frequency of the light [Hz]", ylabel="measured/fit − 1 (grey: identical pixels)", ylim=(-1, 2))
-    figure.savefig(folder / "rates.png", dpi=110)
-    plt.close(figure)
-    return found
-
-
-def _pyplot():
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
-    return plt
+    result = {**pool_result(fit, alike), **provenance(*inputs)}
+    return write_result(result, "rates.json", {"rates": partial(draw_pool, fit, alike)}, folder)

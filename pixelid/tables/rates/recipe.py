@@ -9,7 +9,7 @@ import numpy as np
 
 from pixelid.errors import InputError
 from pixelid.model.files import read_toml
-from pixelid.rates.pool import PoolTable
+from pixelid.tables.rates.pool import PoolTable
 
 
 def read_pool_recipe(path: Path, folder: Path | None = None) -> tuple[PoolTable, Path]:

@@ -4,11 +4,9 @@ At one radiance L the pixel answers flicker of frequency f, modulation m and pha
 
     A e^{iφ} = m e^{iφ_lamp} H,   H = αL/(αL − ω² + iω(β + γL)) · ωsf/(ωsf + iω) · ωd/(ωd + iω),   ω = 2πf
 
-(small modulation; DESIGN §1, §2).  Seen are A/C_on, C_off/C_on, s/C_on and φ of each group.  The Jacobian of these
-with respect
-to all unknowns turns the information on what is seen into the information on the unknowns, and its eigenvectors say
-which
-combinations are fixed.
+(small modulation; `docs/model.md`, "The pixel").  Seen are A/C_on, C_off/C_on, s/C_on and φ of each group.  The
+Jacobian of these with respect to all unknowns turns the information on what is seen into the information on the
+unknowns, and its eigenvectors say which combinations are fixed.
 """
 
 from __future__ import annotations
@@ -19,9 +17,8 @@ import numpy as np
 
 SEEN = ("ln amplitude/C_on", "ln C_off/C_on", "phase", "ln noise/C_on")
 SHARED = ("lamp_phase_cycles", "alpha", "beta", "gamma", "sf_cutoff_hz", "diff_cutoff_hz", "on_threshold",
-"off_threshold",
-          "comparator_noise")  # fmt: skip
-BLIND = 1e-9
+          "off_threshold", "comparator_noise")  # fmt: skip
+BLIND = 1e-9  # of the largest eigenvalue, after scaling to a unit diagonal
 
 
 @dataclass(frozen=True)
@@ -43,7 +40,7 @@ def response(frequency_hz: float, radiance, values: dict[str, float]) -> complex
     return h
 
 
-def read(
+def read_circuit(
     frequency_hz: float,
     information: list[np.ndarray],
     values: dict[str, float],
