@@ -3,35 +3,46 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
+
+from pixelid.figures.style import IMPROVED, INK, MUTED, new_axis, save_figure, styled
 
 
 def write_figures(found: dict, folder: Path) -> None:
-    """Write ranking.png and widths.png into `folder`."""
-    import matplotlib
+    """Write ranking.svg and widths.svg into `folder`."""
+    save_figure(draw_ranking(found), folder / "ranking.svg")
+    save_figure(draw_widths(found), folder / "widths.svg")
 
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
 
+@styled
+def draw_ranking(found: dict, axis: Any = None) -> Any:
+    """Score of every stimulus on the menu, the recommended one in colour; returns the axis."""
     ranking = found["ranking"][::-1]
-    figure, axis = plt.subplots(figsize=(7, 0.3 * len(ranking) + 1), layout="constrained")
+    axis = axis if axis is not None else new_axis(7.5, 0.26 * len(ranking) + 0.8)
+    best = found["recommended"]["name"]
     axis.barh(
         [entry["name"] for entry in ranking],
         [entry["score"] for entry in ranking],
         xerr=[entry["score_error"] for entry in ranking],
-        color="tab:blue",
+        color=[IMPROVED if entry["name"] == best else MUTED for entry in ranking],
+        error_kw={"ecolor": INK, "elinewidth": 0.8},
     )
-    axis.set_xlabel(f"score by {found['criterion']} [nats]")
-    figure.savefig(folder / "ranking.png", dpi=110)
-    plt.close(figure)
+    axis.grid(False, axis="y")
+    axis.set_xlabel(f"score by {found['criterion']} (nats)")
+    return axis
 
+
+@styled
+def draw_widths(found: dict, axis: Any = None) -> Any:
+    """Standard error of every parameter before and after the recommended stimulus; returns the axis."""
     names = list(found["widths_before"])[::-1]
-    figure, axis = plt.subplots(figsize=(7, 0.35 * len(names) + 1), layout="constrained")
+    axis = axis if axis is not None else new_axis(7.5, 0.3 * len(names) + 0.8)
     for row, name in enumerate(names):
         ends = [found[key][name]["std_coordinate"] for key in ("widths_before", "widths_after")]
-        axis.annotate("", (ends[1], row), (ends[0], row), arrowprops={"arrowstyle": "->", "color": "tab:blue"})
-        axis.plot(ends[0], row, "o", color="grey")
-        axis.plot(ends[1], row, "o", color="tab:blue")
+        axis.annotate("", (ends[1], row), (ends[0], row), arrowprops={"arrowstyle": "->", "color": IMPROVED})
+        axis.plot(ends[0], row, "o", color=MUTED, label=None if row else "before")
+        axis.plot(ends[1], row, "o", color=IMPROVED, label=None if row else "after")
     axis.set_yticks(range(len(names)), names)
-    axis.set(xscale="log", xlabel="standard error in the fitting coordinate (grey before, blue after)")
-    figure.savefig(folder / "widths.png", dpi=110)
-    plt.close(figure)
+    axis.set(xscale="log", xlabel="standard error in the fitting coordinate (0.1 is 10 % for log parameters)")
+    axis.legend()
+    return axis

@@ -95,8 +95,8 @@ def predicted(posterior: Posterior, result: FitResult, recordings: Sequence[Reco
 
 
 def save(posterior: Posterior, result: FitResult, recordings: Sequence[Recording], folder: Path) -> dict:
-    """Write posterior.nc, corner.png and trace.png into `folder`; returns what fit.json says about the posterior."""
-    from pixelid.sample.figures import write_corner, write_trace
+    """Write posterior.nc, corner.svg and trace.svg into `folder`; returns what fit.json says about the posterior."""
+    from pixelid.sample.figures import write_figures
 
     data = inference_data(posterior, result, recordings)
     said = posterior.as_dict()
@@ -111,8 +111,7 @@ def save(posterior: Posterior, result: FitResult, recordings: Sequence[Recording
             for name, v in physical.items()
         }
     data.to_netcdf(str(folder / "posterior.nc"))
-    write_corner(posterior, folder / "corner.png")
-    write_trace(posterior, folder / "trace.png")
+    write_figures(posterior, folder)
     return said
 
 

@@ -160,7 +160,7 @@ def test_led_edges_end_with_a_fit_and_an_honest_list(shared, tmp_path):
     assert found["observation"] == "pooled_rate"
     assert found["parameters"]["delay_s"]["interval_95"]
     assert any("gauge" in sentence for sentence in found["unidentified"])
-    assert (tmp_path / "led" / "edges.png").stat().st_size > 10_000
+    assert (tmp_path / "led" / "edges.svg").stat().st_size > 10_000
 
 
 def test_fit_command_writes_a_folder_that_is_a_model(session, tmp_path, capsys):

@@ -273,7 +273,7 @@ def test_command_writes_json_and_figures(tmp_path, capsys):
     assert {"events", "duration_s", "width", "height", "on_fraction", "rate_hz", "dead_time_s", "tick_s"} < set(result)
     assert {"lines", "hot_pixels", "ceiling", "versions", "inputs_sha256", "seed"} < set(result)
     assert result["lines"][0]["frequency_hz"] == pytest.approx(100, abs=0.1)
-    for name in ("rate.png", "intervals.png", "pixels.png"):
+    for name in ("rate.svg", "intervals.svg", "pixels.svg"):
         assert (tmp_path / "out" / name).stat().st_size > 1000
     assert main(arguments) == 2
     assert "exists already" in capsys.readouterr().err
