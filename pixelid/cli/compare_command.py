@@ -18,7 +18,7 @@ Example:
 @click.option(
     "--model", "models", multiple=True, required=True, help="A shipped model, a file or a fit folder; repeat."
 )
-@click.option("--out", required=True, type=click.Path(path_type=Path), help="Folder for compare.json.")
+@click.option("--out", required=True, type=click.Path(path_type=Path), help="Folder for compare.json and report.html.")
 @click.option(
     "--folds", type=click.IntRange(min=2), default=2, show_default=True, help="Parts the pixels are dealt into."
 )
@@ -30,18 +30,25 @@ def command(recordings, models, out, folds, sample, overwrite, seed, quiet):
     """Fit every MODEL to RECORDINGS and judge it on pixels that its fit has not seen."""
     from pixelid.cli.progress import bar
     from pixelid.compare import compare
+    from pixelid.compare.figures import draw_held_out
+    from pixelid.figures.style import save_figure
     from pixelid.model.shipped import find_model
     from pixelid.outputs import refuse_existing, whole_folder, write_json
+    from pixelid.provenance import provenance
     from pixelid.recordings import open_recordings
+    from pixelid.report.html import write_report
 
     refuse_existing(out, overwrite)
     found = [find_model(name) for name in models]
     with bar(quiet) as report:
-        outcome = compare(
-            open_recordings(recordings), found, folds=folds, seed=seed, posteriors=sample, progress=report
-        )
+        opened = open_recordings(recordings)
+        sources = [recording.source for recording in opened if recording.source is not None]
+        outcome = compare(opened, found, folds=folds, seed=seed, posteriors=sample, progress=report)
     with whole_folder(out, overwrite) as folder:
-        write_json(folder / "compare.json", outcome.as_dict())
+        result = {**outcome.as_dict(), "seed": seed, **provenance(*sources)}
+        write_json(folder / "compare.json", result)
+        save_figure(draw_held_out(result), folder / "held_out.svg")
+        write_report(folder)
     if not quiet:
         from rich.console import Console
         from rich.table import Table

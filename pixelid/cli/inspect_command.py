@@ -20,7 +20,7 @@ Example:
 @click.command("inspect", epilog=EXAMPLE)
 @click.argument("files", metavar="FILE...", nargs=-1, required=True, type=click.Path(path_type=Path))
 @click.option("--json", "as_json", is_flag=True, help="Print JSON on stdout instead of a table.")
-@click.option("--out", type=click.Path(path_type=Path), help="Folder for inspect.json and the figures.")
+@click.option("--out", type=click.Path(path_type=Path), help="Folder for inspect.json, figures and report.html.")
 @click.option("--overwrite", is_flag=True, help="Replace --out when it exists.")
 @click.option(
     "--seed", type=int, default=0, show_default=True, help="Of the resampling of .npy histograms; else noted."
@@ -53,10 +53,12 @@ def command(files: tuple[Path, ...], as_json: bool, out: Path | None, overwrite:
     result = plain({**health.to_dict(), "file": str(file), "seed": seed, **provenance(file)})
     if out is not None:
         from pixelid.inspection.figures import write_figures
+        from pixelid.report.html import write_report
 
         with whole_folder(out, overwrite) as folder:
             write_json(folder / "inspect.json", result)
             write_figures(recording, health, folder)
+            write_report(folder)
     if as_json:
         click.echo(json.dumps(result, indent=2))
     elif not quiet:
@@ -78,6 +80,7 @@ def _still_scene(
     from pixelid.inspection.static_noise import static_noise
     from pixelid.outputs import plain, refuse_existing, whole_folder, write_json
     from pixelid.provenance import input_hashes, versions
+    from pixelid.report.html import write_report
 
     if out is not None:
         refuse_existing(out, overwrite)
@@ -87,6 +90,7 @@ def _still_scene(
     if out is not None:
         with whole_folder(out, overwrite) as folder:
             write_json(folder / "static_noise.json", result)
+            write_report(folder)
     if as_json:
         click.echo(json.dumps(result, indent=2))
     elif not quiet:

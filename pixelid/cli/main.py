@@ -12,6 +12,8 @@ from pixelid.errors import PixelidError
 
 # Recordings already share out the cores; BLAS threads for ten by ten matrices spin on them.  Before NumPy is imported.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+# Figures go to files: no window system is asked for.
+os.environ.setdefault("MPLBACKEND", "agg")
 
 COMMANDS = {
     "models": "List the shipped circuits, or print one with units and gauge.",

@@ -36,8 +36,8 @@ def command(recordings, model, out, bandwidth, block, tile, bootstrap, workers, 
     """Map thresholds and a bandwidth over the sensor of RECORDINGS (files or folders, full-field light).
 
     Every pixel is estimated, the population fitted, and each pixel shrunk towards it by what its own events say.
-    Writes sensor.json, maps.npz and a picture per map.  Finished tiles stay in OUT.tiles until the end, so an
-    interrupted run continues when started again.
+    Writes sensor.json, maps.npz, a figure per map and report.html.  Finished tiles stay in OUT.tiles until the end,
+    so an interrupted run continues when started again.
     """
     import shutil
 
@@ -46,6 +46,7 @@ def command(recordings, model, out, bandwidth, block, tile, bootstrap, workers, 
     from pixelid.model.shipped import find_model
     from pixelid.outputs import refuse_existing, whole_folder
     from pixelid.recordings import open_recordings
+    from pixelid.report.html import write_report
     from pixelid.sensors import fit_sensor
     from pixelid.sensors.saving import save
     from pixelid.sensors.work import Where
@@ -69,6 +70,7 @@ def command(recordings, model, out, bandwidth, block, tile, bootstrap, workers, 
         )
     with whole_folder(out, overwrite) as folder:
         save(fit, folder)
+        write_report(folder)
     shutil.rmtree(keep, ignore_errors=True)
     found = fit.as_dict()
     if not quiet:

@@ -38,6 +38,7 @@ STYLE = {
     "svg.fonttype": "none", "svg.hashsalt": "pixelid", "savefig.dpi": 150.0,
 }  # fmt: skip
 
+_SUPERSCRIPT = str.maketrans("-−0123456789", "⁻⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _CONTROL = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\ufffe\uffff]")
 Arguments = ParamSpec("Arguments")
 Drawn = TypeVar("Drawn")
@@ -51,9 +52,34 @@ def styled(draw: Callable[Arguments, Drawn]) -> Callable[Arguments, Drawn]:
         import matplotlib
 
         with matplotlib.rc_context(STYLE):  # pyright: ignore[reportArgumentType]
-            return draw(*args, **kwargs)
+            axes = draw(*args, **kwargs)
+            _write_powers_plainly(axes)
+            return axes
 
     return with_style
+
+
+def _figure_of(axes: Any) -> Any:
+    return np.ravel(np.asarray(axes, dtype=object))[0].figure
+
+
+def _write_powers_plainly(axes: Any) -> None:
+    """Ticks of logarithmic axes as 10⁻³ instead of mathematical markup: names with a $ in them are just names."""
+    from matplotlib.ticker import LogFormatterSciNotation
+
+    class Plain(LogFormatterSciNotation):
+        def __call__(self, x, pos=None):  # pyright: ignore[reportIncompatibleMethodOverride]
+            text = re.sub(r"[${}]|\\mathdefault", "", super().__call__(x, pos)).replace(r"\times", " × ")
+            mantissa, power, exponent = text.partition("^")
+            return mantissa + exponent.translate(_SUPERSCRIPT) if power else text
+
+    for axis in _figure_of(axes).axes:
+        for side in (axis.xaxis, axis.yaxis):
+            if side.get_scale() in ("log", "symlog"):
+                linear = getattr(side.get_transform(), "linthresh", None)
+                side.set_major_formatter(Plain(linthresh=linear))
+                if side.get_scale() == "log":
+                    side.set_minor_formatter(Plain(minor_thresholds=(1.0, 0.4)))
 
 
 def new_axes(
@@ -93,7 +119,7 @@ def save_figure(axes: Any, path: Path) -> Path:
     import matplotlib
     import matplotlib.pyplot as plt
 
-    figure = np.ravel(np.asarray(axes, dtype=object))[0].figure
+    figure = _figure_of(axes)
     with matplotlib.rc_context(STYLE):  # pyright: ignore[reportArgumentType]
         if path.suffix == ".svg":
             text = io.StringIO()

@@ -177,7 +177,7 @@ def test_fit_command_writes_a_folder_that_is_a_model(session, tmp_path, capsys):
     assert found["seed"] == 4
     assert set(found["inputs_sha256"]) == {"r0.h5", "r1.h5"}
     assert find_model(tmp_path / "fit").values["gamma"] == 1.12
-    assert "<img" in (tmp_path / "fit" / "report.html").read_text()
+    assert "<svg" in (tmp_path / "fit" / "report.html").read_text()
     assert capsys.readouterr().err == ""
     assert main(["fit", str(tmp_path / "recipe.toml"), "--out", str(tmp_path / "fit"), "--quiet"]) == 2
     assert "exists already" in capsys.readouterr().err
