@@ -28,6 +28,7 @@ def draw_ranking(found: dict, axis: Any = None) -> Any:
         error_kw={"ecolor": INK, "elinewidth": 0.8},
     )
     axis.grid(False, axis="y")
+    axis.margins(y=0.02)
     axis.set_xlabel(f"score by {found['criterion']} (nats)")
     return axis
 
@@ -39,7 +40,9 @@ def draw_widths(found: dict, axis: Any = None) -> Any:
     axis = axis if axis is not None else new_axis(7.5, 0.3 * len(names) + 0.8)
     for row, name in enumerate(names):
         ends = [found[key][name]["std_coordinate"] for key in ("widths_before", "widths_after")]
-        axis.annotate("", (ends[1], row), (ends[0], row), arrowprops={"arrowstyle": "->", "color": IMPROVED})
+        axis.annotate(
+            "", (ends[1], row), (ends[0], row), arrowprops={"arrowstyle": "->", "color": IMPROVED, "linewidth": 1.0}
+        )
         axis.plot(ends[0], row, "o", color=MUTED, label=None if row else "before")
         axis.plot(ends[1], row, "o", color=IMPROVED, label=None if row else "after")
     axis.set_yticks(range(len(names)), names)

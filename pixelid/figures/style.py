@@ -13,6 +13,7 @@ from __future__ import annotations
 import functools
 import io
 import re
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, ParamSpec, TypeVar
@@ -120,7 +121,8 @@ def save_figure(axes: Any, path: Path) -> Path:
     import matplotlib.pyplot as plt
 
     figure = _figure_of(axes)
-    with matplotlib.rc_context(STYLE):  # pyright: ignore[reportArgumentType]
+    with matplotlib.rc_context(STYLE), warnings.catch_warnings():  # pyright: ignore[reportArgumentType]
+        warnings.filterwarnings("ignore", "Glyph")  # text stays text: the reader's machine has the script
         if path.suffix == ".svg":
             text = io.StringIO()
             figure.savefig(text, format="svg", metadata={"Date": None})

@@ -121,7 +121,7 @@ def draw_before_after(report: GapReport, recordings: Sequence[Recording], axes: 
             rate = np.histogram(events.t[events.p == polarity] * 1e-9, edges)[0] * sign / pixels / np.diff(edges)
             axis.fill_between(edges[:-1], rate, step="post", color=MEASURED, alpha=0.4, linewidth=0)
         axis.set(title=recording.name, xlabel="time (s)", ylabel="events per pixel and second")
-        axis.legend(loc="upper right")
+        axis.legend(loc="upper left")
     return axes
 
 

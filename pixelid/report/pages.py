@@ -151,9 +151,9 @@ def _gap(result: Result, folder: Path) -> Summary:
 
 
 def _base_name(folder: Path) -> str:
-    """The name of the model that was grown, which keeps it."""
+    """The name of the model that was grown; the grown one carries it with a suffix."""
     try:
-        return str(tomllib.loads((folder / "model.toml").read_text())["model"]["name"])
+        return str(tomllib.loads((folder / "model.toml").read_text())["model"]["name"]).removesuffix("_grown")
     except (OSError, ValueError, KeyError):
         return "the model"
 

@@ -135,10 +135,8 @@ def test_command_on_a_simulated_recording(tmp_path, events):
 
 def test_ratios_on_their_bound_are_said_to_be():
     x = TRUTH.copy()
-    x[1] = np.log(10.0)  # OFF threshold far above: hardly any OFF event
-    x[6] = np.log(1e-4)
-    fit = fit_group(_counts_of(x))
-    assert "off_over_on_threshold" in fit.ratios_at_bound
+    x[1], x[3] = np.log(0.02), np.log(0.1)  # an OFF threshold far below what the search allows
+    assert fit_group(_counts_of(x)).ratios_at_bound == ["off_over_on_threshold"]
     assert fit_group(_counts_of(TRUTH)).ratios_at_bound == []
 
 
