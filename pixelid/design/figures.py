@@ -8,18 +8,18 @@ from typing import Any
 from pixelid.figures.style import IMPROVED, INK, MUTED, new_axis, save_figure, styled
 
 
-def write_figures(found: dict, folder: Path) -> None:
+def write_figures(result: dict, folder: Path) -> None:
     """Write ranking.svg and widths.svg into `folder`."""
-    save_figure(draw_ranking(found), folder / "ranking.svg")
-    save_figure(draw_widths(found), folder / "widths.svg")
+    save_figure(draw_ranking(result), folder / "ranking.svg")
+    save_figure(draw_widths(result), folder / "widths.svg")
 
 
 @styled
-def draw_ranking(found: dict, axis: Any = None) -> Any:
+def draw_ranking(result: dict, axis: Any = None) -> Any:
     """Score of every stimulus on the menu, the recommended one in colour; returns the axis."""
-    ranking = found["ranking"][::-1]
+    ranking = result["ranking"][::-1]
     axis = axis if axis is not None else new_axis(7.5, 0.26 * len(ranking) + 0.8)
-    best = found["recommended"]["name"]
+    best = result["recommended"]["name"]
     axis.barh(
         [entry["name"] for entry in ranking],
         [entry["score"] for entry in ranking],
@@ -29,17 +29,17 @@ def draw_ranking(found: dict, axis: Any = None) -> Any:
     )
     axis.grid(False, axis="y")
     axis.margins(y=0.02)
-    axis.set_xlabel(f"score by {found['criterion']} (nats)")
+    axis.set_xlabel(f"score by {result['criterion']} (nats)")
     return axis
 
 
 @styled
-def draw_widths(found: dict, axis: Any = None) -> Any:
+def draw_widths(result: dict, axis: Any = None) -> Any:
     """Standard error of every parameter before and after the recommended stimulus; returns the axis."""
-    names = list(found["widths_before"])[::-1]
+    names = list(result["widths_before"])[::-1]
     axis = axis if axis is not None else new_axis(7.5, 0.3 * len(names) + 0.8)
     for row, name in enumerate(names):
-        ends = [found[key][name]["std_coordinate"] for key in ("widths_before", "widths_after")]
+        ends = [result[key][name]["std_coordinate"] for key in ("widths_before", "widths_after")]
         axis.annotate(
             "", (ends[1], row), (ends[0], row), arrowprops={"arrowstyle": "->", "color": IMPROVED, "linewidth": 1.0}
         )

@@ -95,14 +95,13 @@ def find_dead_time(intervals: np.ndarray, tick_s: float | None, pairs: np.ndarra
     edge = float(x[i])
     above = int(np.searchsorted(x, ABOVE * edge)) - i
     close = int(np.searchsorted(x, CLOSE * edge)) - i
-    counted = {"intervals": n, "below": i, "above": above}
     if int(edge / tick + 0.5) <= 1:
-        return DeadTime(None, None, f"intervals reach down to one tick of {tick * 1e-3:g} µs", **counted)
+        return DeadTime(None, None, f"intervals reach down to one tick of {tick * 1e-3:g} µs", n, i, above)
     full = close / (CLOSE - 1) >= 0.5 * above / (ABOVE - 1)
     blurred = None if full or tick > COARSE * edge else _half_height(x, edge)
     if not full and blurred is None and x[n // 2] < BROAD * edge:
         reason = "intervals are regular: their lower end follows the rate"
-        return DeadTime(None, (0.0, (edge + tick) * 1e-9), reason, **counted, kind="upper_bound")
+        return DeadTime(None, (0.0, (edge + tick) * 1e-9), reason, n, i, above, kind="upper_bound")
     if blurred is not None:
         value, low, high = blurred
     elif tick > COARSE * edge:
@@ -114,8 +113,10 @@ def find_dead_time(intervals: np.ndarray, tick_s: float | None, pairs: np.ndarra
     bounds = (float(low * 1e-9), float(high * 1e-9))
     why_not = "the order of the intervals is not known" if pairs is None else _why_driven(pairs, value, tick)
     if why_not:
-        return DeadTime(float(value * 1e-9), (0.0, bounds[1]), why_not, **counted, kind="upper_bound", edge_95_s=bounds)
-    return DeadTime(float(value * 1e-9), bounds, "", **counted, kind="measured", edge_95_s=bounds)
+        return DeadTime(
+            float(value * 1e-9), (0.0, bounds[1]), why_not, n, i, above, kind="upper_bound", edge_95_s=bounds
+        )
+    return DeadTime(float(value * 1e-9), bounds, "", n, i, above, kind="measured", edge_95_s=bounds)
 
 
 def _why_driven(pairs: np.ndarray, edge: float, tick: float) -> str:

@@ -62,13 +62,13 @@ def leak_by_light(
     index = index.ravel()
     slopes = np.geomspace(1e-3, 10.0, PARASITIC) / max(lux)  # Hz/lux: up to 10 Hz at the brighter light
     rate = [LEAKS_HZ[:, None] + slopes * light for light in lux]
-    seen, allowed, stray, numbers, measured = 1.0, 1.0, 1.0, [], []
+    seen, allowed, of_irregular, numbers, measured = 1.0, 1.0, 1.0, [], []
     for k, t in enumerate(tables):
         c = int(np.argmin(np.abs(np.log(t.cvs / cv[k]))))
         of_pattern = _at(t.table[c], t.means, 1.0 / rate[k].ravel())
         seen = seen * of_pattern[pairs[:, k]]
         allowed = allowed * _at(t.allowed[c][None], t.means, 1.0 / rate[k].ravel())[0]
-        stray = stray * t.stray[pairs[:, k]]
+        of_irregular = of_irregular * t.of_irregular[pairs[:, k]]
         numbers.append(_at(t.number[c], t.means, 1.0 / rate[k].ravel()))
         measured.append(np.bincount(t.patterns.sum(axis=1)[rows[k]], minlength=MAX_SLOW + 1))
     table = np.asarray(seen)  # (pairs, leaks × slopes)
@@ -81,7 +81,7 @@ def leak_by_light(
     def cost(at: np.ndarray, weight: np.ndarray, without: str) -> float:
         mixture = mixed(at, without)
         odd = float(expit(at[4]))
-        chance = (1 - odd) * (table @ mixture) / max(float(allowed @ mixture), 1e-300) + odd * stray
+        chance = (1 - odd) * (table @ mixture) / max(float(allowed @ mixture), 1e-300) + odd * of_irregular
         fence = 1e3 * (max(0.0, -2.3 - at[1]) + max(0.0, at[1] - 1.5) + max(0.0, -2.0 - at[3]) + max(0.0, at[3] - 1.5))
         fence += 1e3 * max(0.0, np.log(1e-4) - at[0])
         return fence - float(weight @ np.log(np.maximum(chance, 1e-300)))

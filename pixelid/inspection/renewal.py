@@ -120,7 +120,9 @@ class SlowPixels:
         self.number = np.stack([t[1] for t in tables])  # (cvs, MAX_SLOW + 1, means): chance of 0, 1, … intervals
         self.allowed = self.number.sum(axis=1)  # (cvs, means)
         fast = self.means < 0.5 * window_s
-        self.stray = self.table[-1][:, fast].mean(axis=1) / self.allowed[-1][fast].mean()  # of an irregular pixel
+        self.of_irregular = (
+            self.table[-1][:, fast].mean(axis=1) / self.allowed[-1][fast].mean()
+        )  # of an irregular pixel
 
     def fit(self, pixels: np.ndarray | None = None) -> Slow:
         """The best Slow; `pixels` (indices among the slow) for a bootstrap."""
@@ -137,7 +139,7 @@ class SlowPixels:
             mixture = mixture / max(mixture.sum(), 1e-300)
             seen = (self.table[k] @ mixture) / max(self.allowed[k] @ mixture, 1e-300)
             odd = float(expit(at[2]))
-            return fence - float(weight @ np.log(np.maximum((1 - odd) * seen + odd * self.stray, 1e-300)))
+            return fence - float(weight @ np.log(np.maximum((1 - odd) * seen + odd * self.of_irregular, 1e-300)))
 
         start = np.array([np.log(self.means[0] * 20.0), np.log(0.5), -4.0])
         minima: dict[int, Any] = {}

@@ -15,24 +15,24 @@ STYLES = {"exact": (INK, "-"), "one_pole": (SERIES[1], "--"), "at_dark": (SERIES
 LABELS = {"exact": "exact", "one_pole": "one pole (α/β) L", "at_dark": "tangent in the dark"}
 
 
-def write_figures(found: dict, circuit: Circuit, folder: Path) -> None:
+def write_figures(result: dict, circuit: Circuit, folder: Path) -> None:
     """Write poles, errors, bode, steps and, with recordings, measured, as SVG into `folder`."""
     kinds = ["exact", "one_pole"] + (["at_dark"] if circuit.dark > 0 else [])
     drawn = {
-        "poles": draw_poles(found, circuit, kinds),
-        "errors": draw_errors(found, circuit, kinds[1:]),
-        "bode": draw_bode(found, circuit, kinds),
-        "steps": draw_steps(found, circuit, kinds),
+        "poles": draw_poles(result, circuit, kinds),
+        "errors": draw_errors(result, circuit, kinds[1:]),
+        "bode": draw_bode(result, circuit, kinds),
+        "steps": draw_steps(result, circuit, kinds),
     }
-    if any(entry.get("curve") and len(entry["curve"]["x"]) for entry in found["measured"]):
-        drawn["measured"] = draw_measured(found)
+    if any(entry.get("curve") and len(entry["curve"]["x"]) for entry in result["measured"]):
+        drawn["measured"] = draw_measured(result)
     for name, axes in drawn.items():
         save_figure(axes, folder / f"{name}.svg")
 
 
-def _shade(axis, found: dict) -> None:
+def _shade(axis, result: dict) -> None:
     """The complex range in grey."""
-    critical = found["regimes"]["critical"]
+    critical = result["regimes"]["critical"]
     left, right = axis.get_xlim()
     if critical:
         axis.axvspan(max(critical[0], left), min(critical[1], right), color=MUTED, alpha=0.15, linewidth=0)
@@ -40,9 +40,9 @@ def _shade(axis, found: dict) -> None:
 
 
 @styled
-def draw_poles(found: dict, circuit: Circuit, kinds: list[str], axes: Any = None) -> Any:
+def draw_poles(result: dict, circuit: Circuit, kinds: list[str], axes: Any = None) -> Any:
     """Poles, −3 dB frequency and step time over radiance, with bands and measured points."""
-    curves, bands = found["curves"], found["bands"]
+    curves, bands = result["curves"], result["bands"]
     if axes is None:
         axes = new_axes(1, 3, 3.6, 3.0)
     for axis, name, label in zip(
@@ -56,32 +56,32 @@ def draw_poles(found: dict, circuit: Circuit, kinds: list[str], axes: Any = None
         for kind in kinds:
             colour, line = STYLES[kind]
             axis.plot(curves["radiance"], curves[kind][name], color=colour, linestyle=line, label=LABELS[kind])
-        for entry in found["measured"]:
+        for entry in result["measured"]:
             if entry["quantity"] == name and entry["value"] is not None:
                 low, high = entry["interval_95"] or (entry["value"], entry["value"])
                 axis.plot([entry["radiance"]] * 2, [low, high], color=IMPROVED, linewidth=3)
                 axis.plot(entry["radiance"], entry["value"], "o", color=IMPROVED, markersize=4)
                 if entry["model"]["same_light"]:
                     axis.plot(entry["radiance"], entry["model"]["same_light"], "x", color=INK, markersize=5)
-        axis.set(xscale="log", yscale="log", xlabel=f"radiance ({found['radiance_unit']})", ylabel=label)
+        axis.set(xscale="log", yscale="log", xlabel=f"radiance ({result['radiance_unit']})", ylabel=label)
     axes[0, 0].plot(curves["radiance"], curves["exact"]["fast_pole"], color=INK, alpha=0.4, label="second pole")
     for name in poles.stages(circuit):
         axes[0, 0].plot(curves["radiance"], curves["exact"][name], alpha=0.6, label=name.replace("_", " "))
     for axis in axes[0]:
-        _shade(axis, found)
+        _shade(axis, result)
     axes[0, 0].legend()
     return axes
 
 
 @styled
-def draw_errors(found: dict, circuit: Circuit, kinds: list[str], axes: Any = None) -> Any:
+def draw_errors(result: dict, circuit: Circuit, kinds: list[str], axes: Any = None) -> Any:
     """Signed relative errors of the approximations over radiance."""
     if axes is None:
         axes = new_axes(1, 3, 3.6, 3.0)
-    radiance = found["curves"]["radiance"]
+    radiance = result["curves"]["radiance"]
     for axis, name in zip(axes[0], radii.QUANTITIES, strict=True):
         for kind in kinds:
-            for scope in found["errors"][kind][name]:
+            for scope in result["errors"][kind][name]:
                 error = radii.error_function(circuit, kind, name, scope)
                 axis.plot(
                     radiance,
@@ -94,10 +94,10 @@ def draw_errors(found: dict, circuit: Circuit, kinds: list[str], axes: Any = Non
             for sign in (-100, 100):
                 axis.axhline(sign * level, color=MUTED, linewidth=0.5)
         axis.axhline(0.0, color=INK, linewidth=0.8)
-        axis.set(xscale="log", ylim=(-105, 105), xlabel=f"radiance ({found['radiance_unit']})")
+        axis.set(xscale="log", ylim=(-105, 105), xlabel=f"radiance ({result['radiance_unit']})")
         axis.set(ylabel=f"error of the {name.replace('_', ' ')} (%)")
         axis.legend()
-        _shade(axis, found)
+        _shade(axis, result)
     return axes
 
 
@@ -108,9 +108,9 @@ def _chain(circuit: Circuit, radiance: float, kind: str) -> np.ndarray:
 
 
 @styled
-def draw_bode(found: dict, circuit: Circuit, kinds: list[str], axes: Any = None) -> Any:
+def draw_bode(result: dict, circuit: Circuit, kinds: list[str], axes: Any = None) -> Any:
     """Gain and phase of the whole pixel at several radiance levels."""
-    levels = [entry["radiance"] for entry in found["regimes"]["levels"]]
+    levels = [entry["radiance"] for entry in result["regimes"]["levels"]]
     if axes is None:
         axes = new_axes(2, len(levels), 2.8, 2.4)
     for column, radiance in enumerate(levels):
@@ -122,7 +122,7 @@ def draw_bode(found: dict, circuit: Circuit, kinds: list[str], axes: Any = None)
             axes[0, column].plot(f, 20 * np.log10(np.abs(H)), color=colour, linestyle=line, label=LABELS[kind])
             axes[1, column].plot(f, np.degrees(np.unwrap(np.angle(H))), color=colour, linestyle=line)
         axes[0, column].axhline(-3.01, color=MUTED, linewidth=0.5)
-        axes[0, column].set(xscale="log", ylim=(-60, 12), title=f"{radiance:.3g} {found['radiance_unit']}")
+        axes[0, column].set(xscale="log", ylim=(-60, 12), title=f"{radiance:.3g} {result['radiance_unit']}")
         axes[1, column].set(xscale="log", xlabel="frequency (Hz)")
     axes[0, 0].set_ylabel("gain (dB)")
     axes[1, 0].set_ylabel("phase (°)")
@@ -131,9 +131,9 @@ def draw_bode(found: dict, circuit: Circuit, kinds: list[str], axes: Any = None)
 
 
 @styled
-def draw_steps(found: dict, circuit: Circuit, kinds: list[str], axes: Any = None) -> Any:
+def draw_steps(result: dict, circuit: Circuit, kinds: list[str], axes: Any = None) -> Any:
     """Response of the whole pixel to a small step of ln L at several radiance levels."""
-    levels = [entry["radiance"] for entry in found["regimes"]["levels"]]
+    levels = [entry["radiance"] for entry in result["regimes"]["levels"]]
     if axes is None:
         axes = new_axes(1, len(levels), 2.8, 2.6)
     for axis, radiance in zip(axes[0], levels, strict=True):
@@ -143,16 +143,16 @@ def draw_steps(found: dict, circuit: Circuit, kinds: list[str], axes: Any = None
             y = response.step_response(_chain(circuit, radiance, kind), t)
             axis.plot(1e3 * t, y, color=colour, linestyle=line, label=LABELS[kind])
         axis.axhline(response.LEVEL, color=MUTED, linewidth=0.5)
-        axis.set(xlabel="time after the step (ms)", title=f"{radiance:.3g} {found['radiance_unit']}")
+        axis.set(xlabel="time after the step (ms)", title=f"{radiance:.3g} {result['radiance_unit']}")
     axes[0, 0].set_ylabel("response")
     axes[0, 0].legend()
     return axes
 
 
 @styled
-def draw_measured(found: dict, axes: Any = None) -> Any:
+def draw_measured(result: dict, axes: Any = None) -> Any:
     """Gain over frequency and response over time, of the recordings and of the model under the same light."""
-    entries = [e for e in found["measured"] if e.get("curve") and len(e["curve"]["x"])]
+    entries = [e for e in result["measured"] if e.get("curve") and len(e["curve"]["x"])]
     columns = min(4, len(entries))
     if axes is None:
         axes = new_axes(-(-len(entries) // columns), columns, 3.2, 2.6)
@@ -165,7 +165,7 @@ def draw_measured(found: dict, axes: Any = None) -> Any:
         if beside and len(beside["x"]):
             axis.plot(scale * np.asarray(beside["x"]), beside["y"], color=INK, label="model, same light")
         axis.axhline(np.sqrt(0.5) if sweep else response.LEVEL, color=MUTED, linewidth=0.5)
-        axis.set_title(f"{entry['recording']} ({entry['radiance']:.3g} {found['radiance_unit']})")
+        axis.set_title(f"{entry['recording']} ({entry['radiance']:.3g} {result['radiance_unit']})")
         axis.set_xlabel("frequency (Hz)" if sweep else "time after the edge (ms)")
         if sweep:
             axis.set_xscale("log")

@@ -48,7 +48,7 @@ class PixelModel:
         row, column = np.nonzero(np.isfinite(self.table.rate_hz))
         return row, column
 
-    @cached_property
+    @property
     def rows(self) -> Rows:
         """The measured cells, one after the other."""
         row, column = self.cells
@@ -61,7 +61,7 @@ class PixelModel:
             },
         )
 
-    @cached_property
+    @property
     def parameters(self) -> tuple[Parameter, ...]:
         """Swing, cutoffs, dead times and noises, started from each column's own high rates and roll-off."""
         table = self.table

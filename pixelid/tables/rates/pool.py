@@ -78,7 +78,7 @@ class PoolModel:
         row, column = np.nonzero(np.isfinite(self.table.per_cycle))
         return row, column
 
-    @cached_property
+    @property
     def rows(self) -> Rows:
         """The measured cells, one after the other."""
         row, column = self.cells
@@ -93,7 +93,7 @@ class PoolModel:
             },
         )
 
-    @cached_property
+    @property
     def parameters(self) -> tuple[Parameter, ...]:
         """Pixels per condition, top cutoffs per condition, then what they share."""
         conditions = self.table.conditions
