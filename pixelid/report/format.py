@@ -40,7 +40,7 @@ def interval(ends: Sequence[float | None] | None) -> str:
     """Lower and upper end, to the digits in which they differ; a dash for None.
 
     >>> interval((0.98123, 1.02345))
-    '0.981 … 1.023'
+    '0.9812 … 1.023'
     """
     if not ends or ends[0] is None or ends[1] is None:
         return "–"
