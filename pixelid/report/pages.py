@@ -97,7 +97,10 @@ def command_line(name: str, result: Result, *words: str, out: Path, inputs: bool
         return str(result["command"])
     files = [f for f in result.get("inputs_sha256", {}) if not f.endswith((".toml", "fit.json"))] if inputs else []
     parts = ["pixelid", name, *files, *words, *(["--seed", str(result["seed"])] if seed and "seed" in result else [])]
-    return shlex.join([*parts, "--out", out.resolve().name or "out"])
+    name = out.resolve().name
+    if name.startswith("."):  # still being written, beside its place: .NAME.random
+        name = name[1:].rpartition(".")[0]
+    return shlex.join([*parts, "--out", name or "out"])
 
 
 def _known(result: Result) -> Number:
