@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from pixelid.cli.main import main
-from pixelid.gap.readout import fingerprints
+from pixelid.inspection.timestamps import find_timestamp_signatures
 from pixelid.model.model import Model
 from pixelid.model.shipped import find_model
 from pixelid.recordings import open_recording
@@ -82,7 +82,7 @@ def readout(name: str) -> Callable[[Path, Path], int]:
 
     def inspected(recordings: Path, out: Path) -> int:
         code = main(["inspect", str(recordings / name), "--out", str(out / name.split(".")[0]), "--overwrite"])
-        for found in fingerprints([open_recording(recordings / name)]):
+        for found in find_timestamp_signatures([open_recording(recordings / name)]):
             print(f"{found.parameter} = {1e6 * found.value:.4f} µs: {found.where}")
         return code
 

@@ -18,7 +18,7 @@ Example:
 @click.option(
     "--model", "models", multiple=True, required=True, help="A shipped model, a file or a fit folder; repeat."
 )
-@options.out("Folder for compare.json.")
+@options.out("Folder for compare.json and report.html.")
 @click.option(
     "--folds", type=click.IntRange(min=2), default=2, show_default=True, help="Parts the pixels are dealt into."
 )
@@ -38,11 +38,16 @@ def command(recordings, models, out, folds, sample, overwrite, seed, quiet):
 
         circuits, opened = [find_model(name) for name in models], open_recordings(recordings)
         from pixelid.compare import compare
+        from pixelid.compare.figures import draw_held_out
+        from pixelid.figures.style import save_figure
+        from pixelid.report.html import write_report
 
         with bar(quiet) as report:
             outcome = compare(opened, circuits, folds=folds, seed=seed, posteriors=sample, progress=report)
         with whole_folder(out, overwrite) as folder:
             outcome.write(folder)
+            save_figure(draw_held_out(outcome.as_dict()), folder / "held_out.svg")
+            write_report(folder)
     if not quiet:
         say(outcome.summary())
     return outcome.status.exit_code

@@ -31,7 +31,7 @@ Example:
 def command(recording, out, frequency, groups, model, overwrite, seed, quiet):
     """Fit amplitude, phase and noise of groups of pixels under a flickering lamp, from the events' phases.
 
-    Writes flicker.json (with what one frequency fixes and what it does not), phases.png, maps.png and report.html.
+    Writes flicker.json (with what one frequency fixes and what it does not), phases.svg, maps.svg and report.html.
     """
     from pixelid.cli.progress import bar
     from pixelid.cli.terminal import say, say_sentences
@@ -46,15 +46,15 @@ def command(recording, out, frequency, groups, model, overwrite, seed, quiet):
         from pixelid.recordings import open_recording
 
         circuit, opened = find_model(model), open_recording(recording)
-        from pixelid.flicker import fit_flicker
-        from pixelid.flicker.report import save
         from pixelid.report.html import write_report
+        from pixelid.tables.flicker import fit_flicker
+        from pixelid.tables.flicker.result import save_flicker
 
         grid = (int(across), int(down))
         with bar(quiet) as report:
             fit = fit_flicker(opened, circuit, near_hz=frequency, grid=grid, progress=report)
         with whole_folder(out, overwrite) as folder:
-            written = save(fit, folder)
+            written = save_flicker(fit, folder)
             write_report(folder)
     if not quiet:
         say(f"{fit.frequency_hz:.4f} ± {fit.frequency_sd:.2g} Hz, {len(fit.groups)} groups, {fit.seconds:.1f} s")

@@ -21,7 +21,7 @@ Example:
 @click.command("inspect", epilog=EXAMPLE)
 @click.argument("files", metavar="FILE...", nargs=-1, required=True, type=options.PATH)
 @options.as_json
-@options.out("Folder for inspect.json and the figures.", required=False)
+@options.out("Folder for inspect.json, figures and report.html.", required=False)
 @options.overwrite
 @options.seed("Of the resampling of .npy histograms; else noted.")
 @options.quiet
@@ -55,10 +55,12 @@ def command(files: tuple[Path, ...], as_json: bool, out: Path | None, overwrite:
         result = plain({**health.to_dict(), "file": str(file), "seed": seed, **provenance(file)})
         if out is not None:
             from pixelid.inspection.figures import write_figures
+            from pixelid.report.html import write_report
 
             with whole_folder(out, overwrite) as folder:
                 write_json(folder / "inspect.json", result)
                 write_figures(recording, health, folder)
+                write_report(folder)
     if as_json:
         click.echo(json.dumps(result, indent=2))
     elif not quiet:
@@ -77,9 +79,11 @@ def _still_scene(
     from contextlib import nullcontext
     from dataclasses import asdict
 
-    from pixelid.inspection.static_noise import read_interval_counts, static_noise
+    from pixelid.inspection.interval_counts import read_interval_counts
+    from pixelid.inspection.static_noise import static_noise
     from pixelid.outputs import claimed, plain, whole_folder, write_json
     from pixelid.provenance import input_hashes, versions
+    from pixelid.report.html import write_report
 
     with nullcontext() if out is None else claimed(out, overwrite, files):
         noise = static_noise([read_interval_counts(file) for file in files], seed)
@@ -88,6 +92,7 @@ def _still_scene(
         if out is not None:
             with whole_folder(out, overwrite) as folder:
                 write_json(folder / "static_noise.json", result)
+                write_report(folder)
     if as_json:
         click.echo(json.dumps(result, indent=2))
     elif not quiet:

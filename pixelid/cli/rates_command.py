@@ -27,7 +27,7 @@ def command(source, out, unit, data, overwrite, seed, quiet):
     """Fit SOURCE: a CSV (freq_hz, one column per setting; one pixel) or a recipe .toml (a light's whole image).
 
     A CSV gives bandwidth, dead time and noise per column; a recipe gives how the image's pixels spread in bandwidth.
-    Writes rates.json (with the cells that disagree, in words), rates.png and report.html.
+    Writes rates.json (with the cells that disagree, in words), rates.svg and report.html.
     """
     from pixelid.cli.terminal import say, say_sentences
     from pixelid.errors import InputError
@@ -36,12 +36,12 @@ def command(source, out, unit, data, overwrite, seed, quiet):
     if not source.is_file():
         raise InputError(f"{source}: no such file")
     with claimed(out, overwrite, [source]):
-        from pixelid.rates.pixel import fit_pixel
-        from pixelid.rates.pool import fit_pool
-        from pixelid.rates.recipe import read_pool_recipe
-        from pixelid.rates.report import save_pixel, save_pool
-        from pixelid.rates.table import read_table
         from pixelid.report.html import write_report
+        from pixelid.tables.rates.pixel import fit_pixel
+        from pixelid.tables.rates.pool import fit_pool
+        from pixelid.tables.rates.reading import read_table
+        from pixelid.tables.rates.recipe import read_pool_recipe
+        from pixelid.tables.rates.result import save_pixel, save_pool
 
         if source.suffix == ".toml":
             table, file = read_pool_recipe(source, data)

@@ -36,8 +36,8 @@ def command(recordings, model, out, bandwidth, block, tile, bootstrap, workers, 
     """Map thresholds and a bandwidth over the sensor of RECORDINGS (files or folders, full-field light).
 
     Every pixel is estimated, the population fitted, and each pixel shrunk towards it by what its own events say.
-    Writes sensor.json, maps.npz and a picture per map.  Finished tiles stay in OUT.tiles until the end, so an
-    interrupted run continues when started again.
+    Writes sensor.json, maps.npz, a figure per map and report.html.  Finished tiles stay in OUT.tiles until the end,
+    so an interrupted run continues when started again.
     """
     import shutil
 
@@ -54,6 +54,7 @@ def command(recordings, model, out, bandwidth, block, tile, bootstrap, workers, 
         from pixelid.recordings import open_recordings
 
         circuit, opened = find_model(model), open_recordings(recordings)
+        from pixelid.report.html import write_report
         from pixelid.sensors import fit_sensor
         from pixelid.sensors.saving import save
         from pixelid.sensors.work import Where
@@ -73,6 +74,7 @@ def command(recordings, model, out, bandwidth, block, tile, bootstrap, workers, 
             )
         with whole_folder(out, overwrite) as folder:
             save(fit, folder)
+            write_report(folder)
         shutil.rmtree(keep, ignore_errors=True)
     if not quiet:
         say(fit.summary())

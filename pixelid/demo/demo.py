@@ -9,9 +9,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from pixelid.figures.style import IMPROVED, INK, MUTED, new_axis, save_figure, styled
 from pixelid.fit import FitResult, fit
 from pixelid.fit.figures import write_figures
 from pixelid.model.model import Model
@@ -78,31 +80,26 @@ def run_demo(folder: Path, seed: int, progress: Callable[[str, float], None]) ->
     result.write(folder)
     write_json(folder / "truth.json", truth.values)
     write_figures(result, named, folder)
-    _truth_figure(result, truth, folder / "truth.png")
+    save_figure(draw_truth(result, truth), folder / "truth.svg")
     write_report(folder)
     progress("done", 1.0)
     return Demo(truth, named, result)
 
 
-def _truth_figure(result: FitResult, truth: Model, path: Path) -> None:
+@styled
+def draw_truth(result: FitResult, truth: Model, axis: Any = None) -> Any:
     """Estimate and 95 % interval of every free parameter, relative to the truth, beside where the fit started."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
     free = [e for e in result.estimates.values() if not e.fixed and e.interval_95]
     start = find_model("dvs128").values
-    figure, axis = plt.subplots(figsize=(7, 0.4 * len(free) + 1), layout="constrained")
+    axis = axis if axis is not None else new_axis(7.5, 0.3 * len(free) + 0.8)
     for row, estimate in enumerate(reversed(free)):
         true = truth.values[estimate.name]
         low, high = estimate.interval_95 or (np.nan, np.nan)
-        axis.plot([low / true, high / true], [row, row], color="tab:blue", linewidth=3, solid_capstyle="butt")
-        axis.plot(estimate.value / true, row, "o", color="tab:blue")
-        axis.plot(start[estimate.name] / true, row, "x", color="grey")
+        axis.plot([low / true, high / true], [row, row], color=IMPROVED, linewidth=3, solid_capstyle="butt")
+        axis.plot(estimate.value / true, row, "o", color=IMPROVED, label=None if row else "fit, 95 % interval")
+        axis.plot(start[estimate.name] / true, row, "x", color=MUTED, label=None if row else "start")
     axis.set_yticks(range(len(free)), [e.name for e in reversed(free)])
-    axis.axvline(1.0, color="black", linewidth=0.8)
-    axis.set_xscale("log")
-    axis.set_xlabel("relative to the truth (blue: fit with 95 % interval, grey ×: where it started)")
-    figure.savefig(path, dpi=110)
-    plt.close(figure)
+    axis.axvline(1.0, color=INK, linewidth=0.8)
+    axis.set(xscale="log", xlabel="value relative to the truth")
+    axis.legend()
+    return axis

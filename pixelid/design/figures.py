@@ -3,49 +3,51 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
+
+from pixelid.figures.style import IMPROVED, INK, MUTED, new_axis, save_figure, styled
 
 import numpy as np
 
 
-def write_figures(found: dict, folder: Path) -> None:
-    """Write ranking.png and widths.png into `folder`."""
-    import matplotlib.pyplot as plt
-
-    for name, axes in (("ranking", draw_ranking(found)), ("widths", draw_widths(found))):
-        figure = axes.flat[0].figure
-        figure.savefig(folder / f"{name}.png", dpi=110)
-        plt.close(figure)
+def write_figures(result: dict, folder: Path) -> None:
+    """Write ranking.svg and widths.svg into `folder`."""
+    save_figure(draw_ranking(result), folder / "ranking.svg")
+    save_figure(draw_widths(result), folder / "widths.svg")
 
 
-def draw_ranking(found: dict) -> np.ndarray:
-    """Bars of the candidates' scores."""
-    import matplotlib.pyplot as plt
-
-    ranking = found["ranking"][::-1]
-    _, axes = plt.subplots(figsize=(7, 0.3 * len(ranking) + 1), squeeze=False, layout="constrained")
-    axis = axes[0, 0]
+@styled
+def draw_ranking(result: dict, axis: Any = None) -> Any:
+    """Score of every stimulus on the menu, the recommended one in colour; returns the axis."""
+    ranking = result["ranking"][::-1]
+    axis = axis if axis is not None else new_axis(7.5, 0.26 * len(ranking) + 0.8)
+    best = result["recommended"]["name"]
     axis.barh(
         [entry["name"] for entry in ranking],
         [entry["score"] for entry in ranking],
         xerr=[entry["score_error"] for entry in ranking],
-        color="tab:blue",
+        color=[IMPROVED if entry["name"] == best else MUTED for entry in ranking],
+        error_kw={"ecolor": INK, "elinewidth": 0.8},
     )
-    axis.set_xlabel(f"score by {found['criterion']} [nats]")
-    return axes
+    axis.grid(False, axis="y")
+    axis.margins(y=0.02)
+    axis.set_xlabel(f"score by {result['criterion']} (nats)")
+    return axis
 
 
-def draw_widths(found: dict) -> np.ndarray:
-    """Standard errors before and after, as arrows."""
-    import matplotlib.pyplot as plt
-
-    names = list(found["widths_before"])[::-1]
-    _, axes = plt.subplots(figsize=(7, 0.35 * len(names) + 1), squeeze=False, layout="constrained")
-    axis = axes[0, 0]
+@styled
+def draw_widths(result: dict, axis: Any = None) -> Any:
+    """Standard error of every parameter before and after the recommended stimulus; returns the axis."""
+    names = list(result["widths_before"])[::-1]
+    axis = axis if axis is not None else new_axis(7.5, 0.3 * len(names) + 0.8)
     for row, name in enumerate(names):
-        ends = [found[key][name]["std_coordinate"] for key in ("widths_before", "widths_after")]
-        axis.annotate("", (ends[1], row), (ends[0], row), arrowprops={"arrowstyle": "->", "color": "tab:blue"})
-        axis.plot(ends[0], row, "o", color="grey")
-        axis.plot(ends[1], row, "o", color="tab:blue")
+        ends = [result[key][name]["std_coordinate"] for key in ("widths_before", "widths_after")]
+        axis.annotate(
+            "", (ends[1], row), (ends[0], row), arrowprops={"arrowstyle": "->", "color": IMPROVED, "linewidth": 1.0}
+        )
+        axis.plot(ends[0], row, "o", color=MUTED, label=None if row else "before")
+        axis.plot(ends[1], row, "o", color=IMPROVED, label=None if row else "after")
     axis.set_yticks(range(len(names)), names)
-    axis.set(xscale="log", xlabel="standard error in the fitting coordinate (grey before, blue after)")
-    return axes
+    axis.set(xscale="log", xlabel="standard error in the fitting coordinate (0.1 is 10 % for log parameters)")
+    axis.legend()
+    return axis

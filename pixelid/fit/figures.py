@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from pixelid.figures.style import INK, MUTED, OFF, ON, new_axes, save_figure, styled
 from pixelid.fit.event_times import EventTimesObjective
 from pixelid.fit.pooled_rate import PooledRateObjective
 from pixelid.fit.result import FitResult
@@ -19,38 +21,25 @@ BINS = 120
 
 
 def write_figures(result: FitResult, recordings: Sequence[Recording], folder: Path) -> list[Path]:
-    """Write the figures of a fit as PNG into `folder`; returns their paths."""
+    """Write the figures of a fit as SVG into `folder`; returns their paths."""
     if result.observation == "pooled_rate":
-        return [_save(draw_edges(result, recordings), folder / "edges.png")]
+        return [save_figure(draw_edges(result, recordings), folder / "edges.svg")]
     return [
-        _save(draw_response(result, recordings), folder / "conditions.png"),
-        _save(draw_residuals(result, recordings), folder / "residuals.png"),
+        save_figure(draw_conditions(result, recordings), folder / "conditions.svg"),
+        save_figure(draw_residuals(result, recordings), folder / "residuals.svg"),
     ]
 
 
-def _new(rows: int, columns: int, width: float, height: float):
-    import matplotlib.pyplot as plt
-
-    return plt.subplots(rows, columns, figsize=(width * columns, height * rows), squeeze=False, layout="constrained")
-
-
-def _save(axes: np.ndarray, path: Path) -> Path:
-    import matplotlib.pyplot as plt
-
-    figure = axes.flat[0].figure
-    figure.savefig(path, dpi=110)
-    plt.close(figure)
-    return path
-
-
-def draw_response(result: FitResult, recordings: Sequence[Recording]) -> np.ndarray:
-    """Event rates over time, measured (bars) and simulated by the fitted model (lines), one panel per recording."""
+@styled
+def draw_conditions(result: FitResult, recordings: Sequence[Recording], axes: Any = None) -> Any:
+    """Event rates over time, measured (filled) and simulated by the fitted model (lines), an axis per recording."""
     from pixelid.simulate import simulate
 
     shown = [r for r in recordings if len(r.events)] or list(recordings)[:1]
     columns = min(3, len(shown))
     rows = -(-len(shown) // columns)
-    figure, axes = _new(rows, columns, 4.2, 2.3)
+    if axes is None:
+        axes = new_axes(rows, columns, 4.2, 2.3)
     between = result.details.get("stimulus_between_samples", "linear")
     for axis, recording in zip(axes.flat, shown, strict=False):
         stimulus = recording.stimulus
@@ -61,23 +50,23 @@ def draw_response(result: FitResult, recordings: Sequence[Recording]) -> np.ndar
         copy = simulate(
             result.model, resampled(stimulus, between), width=max(pixels, 1), height=1, seed=result.seed
         ).events
-        for polarity, sign, colour in ((1, 1.0, "tab:red"), (0, -1.0, "tab:blue")):
+        for polarity, sign, colour in ((1, 1.0, ON), (0, -1.0, OFF)):
             scale = sign / pixels / np.diff(edges)
             measured = np.histogram(events.t[events.p == polarity] * 1e-9, edges)[0] * scale
             model = np.histogram(copy.t[copy.p == polarity] * 1e-9, edges)[0] * scale
             axis.fill_between(edges[:-1], measured, step="post", color=colour, alpha=0.35, linewidth=0)
             axis.step(edges[:-1], model, where="post", color=colour, linewidth=0.8)
-        axis.set_title(recording.name, fontsize=8)
-        axis.tick_params(labelsize=7)
+        axis.axhline(0.0, color=INK, linewidth=0.5)
+        axis.set(title=recording.name, xlabel="time (s)")
     for axis in axes.flat[len(shown) :]:
         axis.set_axis_off()
-    figure.suptitle("events per pixel and second (ON up, OFF down): measured filled, fitted model lines", fontsize=9)
-    figure.supxlabel("time [s]", fontsize=8)
+    for axis in axes[:, 0]:
+        axis.set_ylabel("events per pixel and second")
     return axes
 
 
 def standardised(result: FitResult, recordings: Sequence[Recording]) -> tuple[EventTimes, np.ndarray, np.ndarray]:
-    """(likelihood, residuals, kept): (z − threshold) / σ of every interval, and which are not strays."""
+    """(likelihood, residuals, kept): (z − threshold) / σ of every interval, and which are not background events."""
     between = result.details.get("stimulus_between_samples", "linear")
     likelihood = EventTimes([r.with_stimulus(resampled(r.stimulus, between)) for r in recordings if r.stimulus])
     objective = EventTimesObjective(likelihood, result.coordinates)
@@ -86,11 +75,13 @@ def standardised(result: FitResult, recordings: Sequence[Recording]) -> tuple[Ev
     return likelihood, residual, ~terms.stray
 
 
-def draw_residuals(result: FitResult, recordings: Sequence[Recording]) -> np.ndarray:
+@styled
+def draw_residuals(result: FitResult, recordings: Sequence[Recording], axes: Any = None) -> Any:
     """Residual levels against time in the recording, time since the last event, and their distribution."""
     likelihood, residual, kept = standardised(result, recordings)
     since = np.concatenate([iv.time_s - iv.previous_s for iv in likelihood.intervals])
-    _, axes = _new(1, 4, 4.0, 3.0)
+    if axes is None:
+        axes = new_axes(2, 2, 4.6, 2.8)
     stretch = np.concatenate(
         [
             (iv.time_s - r.stimulus.t[0]) / max(r.stimulus.duration_s, 1e-12)
@@ -99,11 +90,11 @@ def draw_residuals(result: FitResult, recordings: Sequence[Recording]) -> np.nda
         ]
     )
     for axis, values, label in (
-        (axes[0, 0], stretch, "phase of the recording (0 start, 1 end)"),
-        (axes[0, 1], np.log10(since), "log10 seconds since the last event"),
-        (axes[0, 2], likelihood.recording_of_event.astype(float), "recording (in the order given)"),
+        (axes.flat[0], stretch, "time in the recording (0 start, 1 end)"),
+        (axes.flat[1], np.log10(since), "time since the last event (log10 s)"),
+        (axes.flat[2], likelihood.recording_of_event.astype(float), "recording (in the order given)"),
     ):
-        for polarity, colour, name in ((1.0, "tab:red", "ON"), (-1.0, "tab:blue", "OFF")):
+        for polarity, colour, name in ((1.0, ON, "ON"), (-1.0, OFF, "OFF")):
             chosen = kept & (likelihood.sign == polarity)
             if chosen.sum() < 2:
                 continue
@@ -116,24 +107,26 @@ def draw_residuals(result: FitResult, recordings: Sequence[Recording]) -> np.nda
             axis.errorbar(
                 centre[full], mean[full], 2 / np.sqrt(count[full]), fmt=".", color=colour, label=name, linewidth=0.8
             )
-        axis.axhline(0.0, color="black", linewidth=0.5)
-        axis.set_xlabel(label, fontsize=8)
-        axis.set_ylabel("mean residual [σ] ± 2 se", fontsize=8)
-    axes[0, 0].legend(fontsize=7)
-    axis = axes[0, 3]
+        axis.axhline(0.0, color=INK, linewidth=0.5)
+        axis.set_xlabel(label)
+        axis.set_ylabel("mean residual (σ) ± 2 SE")
+    axes.flat[0].legend()
+    axis = axes.flat[3]
     grid = np.linspace(-5, 5, 81)
-    axis.hist(residual[kept], grid, density=True, color="grey", alpha=0.6)
-    axis.plot(grid, np.exp(-0.5 * grid**2) / np.sqrt(2 * np.pi), color="black", linewidth=0.8)
-    axis.set_xlabel("residual [σ]; line: standard normal", fontsize=8)
+    axis.hist(residual[kept], grid, density=True, color=MUTED, alpha=0.6)
+    axis.plot(grid, np.exp(-0.5 * grid**2) / np.sqrt(2 * np.pi), color=INK, linewidth=0.8)
+    axis.set(xlabel="residual (standard deviations)", ylabel="density")
     return axes
 
 
-def draw_edges(result: FitResult, recordings: Sequence[Recording]) -> np.ndarray:
+@styled
+def draw_edges(result: FitResult, recordings: Sequence[Recording], axes: Any = None) -> Any:
     """Event rates after rising and falling edges of the stimulus, measured and fitted, averaged over the edges."""
     likelihood = PooledRate(recordings)
     objective = PooledRateObjective(likelihood, result.coordinates)
     expected = objective.expected(result.x)
-    figure, axes = _new(len(recordings), 2, 5.0, 2.6)
+    if axes is None:
+        axes = new_axes(len(recordings), 2, 4.6, 2.4)
     at = 0
     for row, (recording, counts) in enumerate(zip(recordings, likelihood.counts, strict=True)):
         n = len(counts.on)
@@ -153,17 +146,16 @@ def draw_edges(result: FitResult, recordings: Sequence[Recording]) -> np.ndarray
             window = np.arange(-before, after)
             time_ms = 1e3 * width * window
             for measured, model, colour, label in (
-                (counts.on, model_on, "tab:red", "ON"),
-                (counts.off, model_off, "tab:blue", "OFF"),
+                (counts.on, model_on, ON, "ON"),
+                (counts.off, model_off, OFF, "OFF"),
             ):
                 index = centre[:, None] + window
                 axis.fill_between(
                     time_ms, measured[index].mean(axis=0), step="post", color=colour, alpha=0.35, label=label
                 )
                 axis.step(time_ms, model[index].mean(axis=0), where="post", color=colour, linewidth=0.9)
-            axis.set_title(f"{recording.name}: {name}", fontsize=8)
-            axis.set_xlabel("ms after the edge (stimulus clock)", fontsize=8)
-            axis.set_ylabel(f"events per {1e6 * width:.0f} µs", fontsize=8)
-    axes[0, 0].legend(fontsize=7)
-    figure.suptitle("edge responses: measured filled, fitted model lines", fontsize=9)
+            axis.set_title(f"{recording.name}: {name}")
+            axis.set_xlabel("time after the edge, stimulus clock (ms)")
+            axis.set_ylabel(f"events per {1e6 * width:.0f} µs")
+    axes[0, 0].legend()
     return axes

@@ -15,9 +15,9 @@ import numpy as np
 from pixelid.recordings.events import Events
 
 GROUPS_PER_WINDOW = 150
-FEWEST_PER_WINDOW = 4
+MIN_GROUPS_PER_WINDOW = 4
 WINDOWS_PER_BLOCK = 8
-FEWEST_BLOCKS = 5
+MIN_BLOCKS = 5
 SATURATED_FANO = 0.4
 
 
@@ -52,28 +52,28 @@ def find_ceiling(events: Events, clock_s: float | None) -> Ceiling | None:
         "row": new_time | (np.diff(events.y.astype(np.int32), prepend=-1) != 0),
         "column": new_time | (np.diff(events.x.astype(np.int32), prepend=-1) != 0),
     }
-    found = [_pace(events, first, name, pixels, clock_s or 1e-9) for name, first in groupings.items()]
-    return min((ceiling for ceiling in found if ceiling), key=lambda ceiling: ceiling.fano, default=None)
+    candidates = [_pace(events, first, name, pixels, clock_s or 1e-9) for name, first in groupings.items()]
+    return min((ceiling for ceiling in candidates if ceiling), key=lambda ceiling: ceiling.fano, default=None)
 
 
 def _pace(events: Events, first: np.ndarray, grouping: str, pixels: int, clock_s: float) -> Ceiling | None:
     """Evenness of the groups that begin where `first` holds, within the busiest blocks of windows."""
     t = events.t[first] - events.t[0]
     per_window = min(
-        GROUPS_PER_WINDOW, pixels * len(t) / len(events) / 10, len(t) / (WINDOWS_PER_BLOCK * FEWEST_BLOCKS * 4)
+        GROUPS_PER_WINDOW, pixels * len(t) / len(events) / 10, len(t) / (WINDOWS_PER_BLOCK * MIN_BLOCKS * 4)
     )
-    if per_window < FEWEST_PER_WINDOW:
+    if per_window < MIN_GROUPS_PER_WINDOW:
         return None
     clock = max(round(clock_s * 1e9), 1)
     width = clock * max(1, round(per_window * events.duration_s * 1e9 / len(t) / clock))
     windows = int(t[-1] // width) // WINDOWS_PER_BLOCK * WINDOWS_PER_BLOCK
-    if windows < WINDOWS_PER_BLOCK * FEWEST_BLOCKS or windows > 4 * len(t):
+    if windows < WINDOWS_PER_BLOCK * MIN_BLOCKS or windows > 4 * len(t):
         return None
     index = t // width
     counts = np.bincount(index[index < windows], minlength=windows).reshape(-1, WINDOWS_PER_BLOCK)
     mean = counts.mean(axis=1)
     busy = mean >= 0.85 * np.quantile(mean, 0.98)
-    if np.count_nonzero(busy) < FEWEST_BLOCKS:
+    if np.count_nonzero(busy) < MIN_BLOCKS:
         return None
     fano = float(np.mean(counts[busy].var(axis=1, ddof=1)) / np.mean(mean[busy]))
     groups_hz = float(mean[busy].mean() / (width * 1e-9))

@@ -3,62 +3,72 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from pixelid.figures.style import INK, OFF, ON, SEQUENTIAL, UNEXPLAINED, new_axis, save_figure, styled
 from pixelid.inspection.health import Health
 from pixelid.inspection.intervals import pixel_intervals
 from pixelid.recordings.recording import Recording
 
 RATE_BINS = 500
+HOT_PIXELS_SHOWN = 100
 
 
 def write_figures(recording: Recording, health: Health, folder: Path) -> None:
-    """Write rate.png, and for recordings with addresses intervals.png and pixels.png, into `folder`."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot as plt
-
-    figures = {"rate": _draw_rate}
+    """Write rate.svg, and for recordings with addresses intervals.svg and pixels.svg, into `folder`."""
+    save_figure(draw_rate(recording, health), folder / "rate.svg")
     if not recording.pooled:
-        figures |= {"intervals": _draw_intervals, "pixels": _draw_pixels}
-    for name, draw in figures.items():
-        figure, axes = plt.subplots(figsize=(7, 4), layout="constrained")
-        draw(axes, recording, health)
-        figure.savefig(folder / f"{name}.png", dpi=120)
-        plt.close(figure)
+        save_figure(draw_intervals(recording, health), folder / "intervals.svg")
+        save_figure(draw_pixels(recording, health), folder / "pixels.svg")
 
 
-def _draw_rate(axes, recording: Recording, health: Health) -> None:
+@styled
+def draw_rate(recording: Recording, health: Health, axis: Any = None) -> Any:
+    """Events per second over time, by polarity; returns the axis."""
+    axis = axis if axis is not None else new_axis(8.0, 3.2)
     events = recording.events
     time = (events.t - events.t[0]) * 1e-9 if len(events) else np.empty(0)
     edges = np.linspace(0, max(events.duration_s, 1e-9), RATE_BINS + 1)
-    for polarity, label in ((1, "ON"), (0, "OFF")):
+    for polarity, label, colour in ((1, "ON", ON), (0, "OFF", OFF)):
         counts, _ = np.histogram(time[events.p == polarity], edges)
-        axes.stairs(counts / np.diff(edges), edges, label=label)
-    axes.set(xlabel="time since the first event [s]", ylabel="events per second")
-    axes.set_title(", ".join(f"line at {line.frequency_hz:.2f} Hz" for line in health.lines[:3]))
-    axes.legend()
+        axis.stairs(counts / np.diff(edges), edges, label=label, color=colour, linewidth=0.9)
+    axis.set(xlabel="time since the first event (s)", ylabel="events per second")
+    axis.set_title(", ".join(f"line at {line.frequency_hz:.2f} Hz" for line in health.lines[:3]))
+    axis.legend()
+    return axis
 
 
-def _draw_intervals(axes, recording: Recording, health: Health) -> None:
+@styled
+def draw_intervals(recording: Recording, health: Health, axis: Any = None) -> Any:
+    """Histogram of the intervals within pixels, with the dead time or its bound; returns the axis."""
+    axis = axis if axis is not None else new_axis(8.0, 3.2)
     intervals = pixel_intervals(recording.events)
     intervals = intervals[intervals > 0] * 1e-9
     if len(intervals):
-        axes.hist(intervals, np.geomspace(intervals.min(), intervals.max() * 1.001, 200), histtype="step")
-        axes.set(xscale="log", yscale="log")
-    if health.dead_time.value_s is not None:
-        axes.axvline(health.dead_time.value_s, color="k", ls="--", label=f"dead time {health.dead_time.value_s:.3g} s")
-        axes.legend()
-    axes.set(xlabel="interval between events of a pixel [s]", ylabel="intervals")
+        bins = np.geomspace(intervals.min(), intervals.max() * 1.001, 200)
+        axis.hist(intervals, bins, histtype="step", color=INK, linewidth=0.9)
+        axis.set(xscale="log", yscale="log")
+    dead = health.dead_time
+    if dead.value_s is not None:
+        label = "dead time" if dead.kind == "measured" else "upper bound of the dead time"
+        axis.axvline(dead.value_s, color=UNEXPLAINED, ls="--", label=f"{label}, {dead.value_s:.3g} s")
+        axis.legend()
+    axis.set(xlabel="interval between events of a pixel (s)", ylabel="intervals")
+    return axis
 
 
-def _draw_pixels(axes, recording: Recording, health: Health) -> None:
+@styled
+def draw_pixels(recording: Recording, health: Health, axis: Any = None) -> Any:
+    """Events per pixel as an image, hot pixels ringed; returns the axis."""
+    axis = axis if axis is not None else new_axis(6.0, 4.2)
     events = recording.events
     image = np.bincount(events.pixel, minlength=events.width * events.height).reshape(events.height, events.width)
-    shown = axes.imshow(np.log10(image + 1), cmap="viridis", interpolation="nearest")
-    for pixel in health.hot_pixels[:100]:
-        axes.plot(pixel.x, pixel.y, "o", mfc="none", mec="r")
-    axes.figure.colorbar(shown, label="log10 (events + 1)")
-    axes.set(xlabel="x", ylabel="y", title=f"{len(health.hot_pixels)} hot pixels")
+    shown = axis.imshow(np.log10(image + 1), cmap=SEQUENTIAL)
+    for pixel in health.hot_pixels[:HOT_PIXELS_SHOWN]:
+        axis.plot(pixel.x, pixel.y, "o", mfc="none", mec=ON, mew=1.2, markersize=8)
+    axis.figure.colorbar(shown, ax=axis, label="events + 1 (log10)")
+    axis.grid(False)
+    axis.set(xlabel="column (pixels)", ylabel="row (pixels)")
+    return axis

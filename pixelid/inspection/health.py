@@ -8,7 +8,7 @@ from pixelid.inspection.ceiling import Ceiling, find_ceiling
 from pixelid.inspection.counts import Counts, count
 from pixelid.inspection.dead_time import DeadTime, find_dead_time
 from pixelid.inspection.hot_pixels import HotPixel, find_hot_pixels
-from pixelid.inspection.intervals import pixel_intervals
+from pixelid.inspection.intervals import pixel_interval_pairs, pixel_intervals
 from pixelid.inspection.lines import Line, find_lines
 from pixelid.inspection.tick import Tick, find_tick
 from pixelid.recordings.recording import Recording
@@ -54,6 +54,8 @@ class Health:
                 "reason": dead.reason,
                 "intervals": dead.intervals,
                 "below": dead.below,
+                "kind": dead.kind,
+                "edge_95": dead.edge_95_s,
             },
             "tick_s": tick.tick_s,
             "tick": {
@@ -80,7 +82,7 @@ def inspect(recording: Recording) -> Health:
     if pooled:
         dead_time = DeadTime(None, None, "pixels are pooled", 0)
     else:
-        dead_time = find_dead_time(intervals, tick.tick_s)
+        dead_time = find_dead_time(intervals, tick.tick_s, pixel_interval_pairs(events))
     return Health(
         name=recording.name,
         sensor=recording.sensor,

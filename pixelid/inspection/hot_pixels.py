@@ -1,17 +1,31 @@
-"""Hot pixels: those that fire far above both the population and their neighbours."""
+"""Hot pixels: those that fire far more than all others, by Poisson's law and with room to spare.
+
+Two kinds of evidence, by what is known of the light.  Over a whole recording a pixel must stand out from the population
+*and* from its neighbours, since edges and lamps of a scene fire much too (`find_hot_pixels`).  Under full-field light
+all pixels see the same, so whoever fires ON in stretches where the others are silent is hot, however rarely it fires
+(`find_hot_pixels_in_silence`): a few events per second that drown in the response to a chirp show there.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from pixelid.inspection.timestamps import TimestampSignature
 from pixelid.recordings.events import Events
+from pixelid.recordings.recording import Recording
 
 ROBUST_SIGMAS = 6.0
 OVER_NEIGHBOURS = 5.0
-FEWEST_EVENTS = 10
+MIN_EVENTS = 10
 NEIGHBOURHOOD = 5
+
+STRETCHES = 64  # per recording
+MAX_FIRING = 0.2  # share of pixels that may fire in a quiet stretch
+MIN_SILENT_EVENTS, MIN_PIXELS = 5, 8
+MAX_CHANCE = 1e-9  # of any pixel doing so by accident
 
 
 @dataclass(frozen=True)
@@ -24,16 +38,29 @@ class HotPixel:
     events: int
 
 
+@dataclass(frozen=True)
+class HotInSilence:
+    """Pixels that are hot where others are silent.
+
+    Attributes:
+        pixels: (k,) flat indices.
+        signature: rate, interval, chance and gain of the effect `hot_pixels`.
+    """
+
+    pixels: np.ndarray
+    signature: TimestampSignature
+
+
 def find_hot_pixels(events: Events) -> list[HotPixel]:
-    """Hot pixels, fastest first.
+    """Hot pixels of a recording of any scene, fastest first.
 
     A pixel is hot when its count exceeds the active pixels' median by 6 robust standard deviations of the log
     count, and 5 times the median of the 5 × 5 pixels about it, each with 6 standard deviations of Poisson noise
-    to spare.  The second condition keeps edges and lamps in the scene from counting.
+    to spare.
     """
     from scipy.ndimage import median_filter
 
-    if len(events) < FEWEST_EVENTS or events.duration_s <= 0:
+    if len(events) < MIN_EVENTS or events.duration_s <= 0:
         return []
     counts = np.bincount(events.pixel, minlength=events.width * events.height).astype(np.float64)
     active = counts[counts > 0]
@@ -44,9 +71,64 @@ def find_hot_pixels(events: Events) -> list[HotPixel]:
     image = counts.reshape(events.height, events.width)
     around = OVER_NEIGHBOURS * np.maximum(median_filter(image, NEIGHBOURHOOD, mode="mirror"), counts.mean()).ravel()
     needed = np.maximum(population + 6 * np.sqrt(population), around + 6 * np.sqrt(around))
-    hot = np.flatnonzero(counts > np.maximum(needed, FEWEST_EVENTS))
+    hot = np.flatnonzero(counts > np.maximum(needed, MIN_EVENTS))
     hot = hot[np.argsort(-counts[hot], kind="stable")]
     return [
         HotPixel(int(k % events.width), int(k // events.width), float(counts[k] / events.duration_s), int(counts[k]))
         for k in hot
     ]
+
+
+def find_hot_pixels_in_silence(recordings: Sequence[Recording]) -> HotInSilence | None:
+    """The hot pixels of one sensor's recordings under full-field light.
+
+    Recordings are cut into short stretches; a stretch is quiet when at most a fifth of the pixels fire in it.  What a
+    pixel fires in quiet stretches is compared with what the other pixels do there, by Poisson's law.
+
+    Returns:
+        None where there are none, or no quiet stretch to see them in.
+    """
+    from scipy.stats import chi2, poisson
+
+    pixels = np.unique(np.concatenate([r.events.pixel for r in recordings]))
+    if len(pixels) < MIN_PIXELS:
+        return None
+    fired, quiet_s = _fired_in_silence(recordings, pixels)
+    usual = np.sort(fired)[: max(int(0.8 * len(fired)), 1)]
+    expected = (usual.sum() + 1.0) / len(usual)
+    chance = len(pixels) * poisson.sf(fired - 1, expected)
+    hot = (fired >= MIN_SILENT_EVENTS) & (chance < MAX_CHANCE)
+    count, total = int(hot.sum()), float(fired[hot].sum() - hot.sum() * usual.mean())
+    if count == 0 or quiet_s <= 0:
+        return None
+    exposure = count * quiet_s
+    interval = (float(chi2.ppf(0.025, 2 * total) / 2 / exposure), float(chi2.ppf(0.975, 2 * total + 2) / 2 / exposure))
+    gain = float(np.sum(fired[hot] * np.log(fired[hot] / expected) - fired[hot] + expected))
+    signature = TimestampSignature(
+        effect="hot_pixels",
+        parameter="hot_pixels.rate_hz",
+        value=total / exposure,
+        interval=interval,
+        p=float(chance[hot].max()),
+        nats_per_event=gain / max(float(fired[hot].sum()), 1.0),
+        concerned=float(fired[hot].sum()) / sum(len(r.events) for r in recordings),
+        where=f"{count} of {len(pixels)} pixels fire ON while the others are silent",
+    )
+    return HotInSilence(pixels[hot], signature)
+
+
+def _fired_in_silence(recordings: Sequence[Recording], pixels: np.ndarray) -> tuple[np.ndarray, float]:
+    """(ON events of each pixel in quiet stretches, seconds of them)."""
+    fired, quiet_s = np.zeros(len(pixels)), 0.0
+    for r in recordings:
+        if r.stimulus is None:
+            continue
+        start, span = float(r.stimulus.t[0]), r.stimulus.duration_s
+        cell = np.clip(((r.events.t * 1e-9 - start) / span * STRETCHES).astype(np.int64), 0, STRETCHES - 1)
+        row = np.searchsorted(pixels, r.events.pixel)
+        every = np.bincount(row * STRETCHES + cell, minlength=len(pixels) * STRETCHES).reshape(-1, STRETCHES)
+        on = np.bincount(row * STRETCHES + cell, r.events.p == 1, len(pixels) * STRETCHES).reshape(-1, STRETCHES)
+        quiet = (every > 0).mean(axis=0) <= MAX_FIRING
+        fired += on[:, quiet].sum(axis=1)
+        quiet_s += quiet.sum() * span / STRETCHES
+    return fired, quiet_s

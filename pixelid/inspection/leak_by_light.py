@@ -17,7 +17,7 @@ from scipy.optimize import minimize
 from scipy.special import expit
 from scipy.stats import norm
 
-from pixelid.inspection.renewal import MOST, SlowPixels
+from pixelid.inspection.renewal import MAX_SLOW, SlowPixels
 
 LEAKS_HZ = np.geomspace(1e-5, 2.0, 44)
 PARASITIC = 44
@@ -30,7 +30,7 @@ class LeakByLight:
     leak_spread, parasitic_spread: standard deviation over pixels of the logarithm
     leaky: share of the pixels whose leak exceeds 0.05 Hz;  pixels: used
     nats_of_leak, nats_of_parasitic: what the likelihood loses without the one or the other
-    measured, expected: (2, MOST + 1) pixels with 0, 1, … intervals at each light, and as the fit has them
+    measured, expected: (2, MAX_SLOW + 1) pixels with 0, 1, … intervals at each light, and as the fit has them
     """
 
     leak_hz: float
@@ -62,15 +62,15 @@ def leak_by_light(
     index = index.ravel()
     slopes = np.geomspace(1e-3, 10.0, PARASITIC) / max(lux)  # Hz/lux: up to 10 Hz at the brighter light
     rate = [LEAKS_HZ[:, None] + slopes * light for light in lux]
-    seen, allowed, stray, numbers, measured = 1.0, 1.0, 1.0, [], []
+    seen, allowed, of_irregular, numbers, measured = 1.0, 1.0, 1.0, [], []
     for k, t in enumerate(tables):
         c = int(np.argmin(np.abs(np.log(t.cvs / cv[k]))))
         of_pattern = _at(t.table[c], t.means, 1.0 / rate[k].ravel())
         seen = seen * of_pattern[pairs[:, k]]
         allowed = allowed * _at(t.allowed[c][None], t.means, 1.0 / rate[k].ravel())[0]
-        stray = stray * t.stray[pairs[:, k]]
+        of_irregular = of_irregular * t.of_irregular[pairs[:, k]]
         numbers.append(_at(t.number[c], t.means, 1.0 / rate[k].ravel()))
-        measured.append(np.bincount(t.patterns.sum(axis=1)[rows[k]], minlength=MOST + 1))
+        measured.append(np.bincount(t.patterns.sum(axis=1)[rows[k]], minlength=MAX_SLOW + 1))
     table = np.asarray(seen)  # (pairs, leaks × slopes)
 
     def mixed(at: np.ndarray, without: str = "") -> np.ndarray:
@@ -81,7 +81,7 @@ def leak_by_light(
     def cost(at: np.ndarray, weight: np.ndarray, without: str) -> float:
         mixture = mixed(at, without)
         odd = float(expit(at[4]))
-        chance = (1 - odd) * (table @ mixture) / max(float(allowed @ mixture), 1e-300) + odd * stray
+        chance = (1 - odd) * (table @ mixture) / max(float(allowed @ mixture), 1e-300) + odd * of_irregular
         fence = 1e3 * (max(0.0, -2.3 - at[1]) + max(0.0, at[1] - 1.5) + max(0.0, -2.0 - at[3]) + max(0.0, at[3] - 1.5))
         fence += 1e3 * max(0.0, np.log(1e-4) - at[0])
         return fence - float(weight @ np.log(np.maximum(chance, 1e-300)))
@@ -92,17 +92,17 @@ def leak_by_light(
 
     weight = np.bincount(index, minlength=len(pairs)).astype(float)
     start = np.array([np.log(0.02), 0.0, np.log(0.1 / max(lux)), -1.0, -4.0])
-    found = best(weight, best(weight, start).x)
-    without = {name: best(weight, found.x, name) for name in ("leak", "parasitic")}
+    minimum = best(weight, best(weight, start).x)
+    without = {name: best(weight, minimum.x, name) for name in ("leak", "parasitic")}
     rng = np.random.default_rng(seed)
-    redone = []
+    resampled = []
     for _ in range(resamples):
         again = rng.multinomial(len(both), weight / len(both)).astype(float)
-        redone.append(_said(best(again, found.x).x))
-    low, high = np.quantile(redone, [0.025, 0.975], axis=0)
-    leak, spread, leaky, slope, slope_spread = _said(found.x)
+        resampled.append(_quantities(best(again, minimum.x).x))
+    low, high = np.quantile(resampled, [0.025, 0.975], axis=0)
+    leak, spread, leaky, slope, slope_spread = _quantities(minimum.x)
     # slow at one light and the other: given the rates, the two are independent
-    slow = mixed(found.x) * np.stack([n.sum(axis=0) for n in numbers])[::-1]
+    slow = mixed(minimum.x) * np.stack([n.sum(axis=0) for n in numbers])[::-1]
     expected = np.stack([n @ w for n, w in zip(numbers, slow, strict=True)])
     expected *= len(both) / expected.sum(axis=1, keepdims=True)
     return LeakByLight(
@@ -115,14 +115,14 @@ def leak_by_light(
         parasitic_interval=(float(low[3]), float(high[3])),
         parasitic_spread=slope_spread,
         pixels=len(both),
-        nats_of_leak=float(without["leak"].fun - found.fun),
-        nats_of_parasitic=float(without["parasitic"].fun - found.fun),
+        nats_of_leak=float(without["leak"].fun - minimum.fun),
+        nats_of_parasitic=float(without["parasitic"].fun - minimum.fun),
         measured=np.stack(measured),
         expected=expected,
     )
 
 
-def _said(at: np.ndarray) -> tuple[float, float, float, float, float]:
+def _quantities(at: np.ndarray) -> tuple[float, float, float, float, float]:
     spread = float(np.exp(at[1]))
     leaky = float(norm.sf((np.log(0.05) - at[0]) / spread))
     return float(np.exp(at[0])), spread, leaky, float(np.exp(at[2])), float(np.exp(at[3]))

@@ -17,10 +17,10 @@ import numpy as np
 from pixelid.recordings.events import Events
 
 BIN_S = 5e-5
-HIGHEST_HZ = 2500.0
-MOST_BINS = 1 << 22
-FEWEST_CYCLES = 6
-FEWEST_EVENTS = 200
+MAX_FREQUENCY_HZ = 2500.0
+MAX_BINS = 1 << 22
+MIN_CYCLES = 6
+MIN_EVENTS = 200
 FALSE_ALARM = 1e-3
 REFINE_BINS = 1 << 19
 
@@ -47,10 +47,10 @@ class Line:
 def find_lines(events: Events, tick_s: float | None = None) -> list[Line]:
     """The lines of `events` below 2.5 kHz, strongest first; none above half the frequency of the tick."""
     duration = events.duration_s
-    if len(events) < FEWEST_EVENTS or duration <= 0:
+    if len(events) < MIN_EVENTS or duration <= 0:
         return []
     bins = int(duration / BIN_S)
-    segments = -(-bins // MOST_BINS)
+    segments = -(-bins // MAX_BINS)
     length = bins // segments
     if length < 64:
         return []
@@ -58,7 +58,7 @@ def find_lines(events: Events, tick_s: float | None = None) -> list[Line]:
     ratio, modulation, series = None, None, []
     apart = [_counts(events, polarity, bins) for polarity in (1, 0)]
     for counts in (*apart, apart[0] + apart[1]):
-        if counts.sum() < FEWEST_EVENTS:
+        if counts.sum() < MIN_EVENTS:
             continue
         power, relative = _spectrum(counts, segments, length)
         r = power / _background(power, segments)
@@ -71,18 +71,18 @@ def find_lines(events: Events, tick_s: float | None = None) -> list[Line]:
             best = np.where(better, len(series) - 1, best)
     if ratio is None or modulation is None:
         return []
-    last = min(int(HIGHEST_HZ / resolution), len(ratio) - 9)
+    last = min(int(MAX_FREQUENCY_HZ / resolution), len(ratio) - 9)
     p = _p_values(ratio, segments, len(series) * max(last, 1))
-    found = []
-    for k in range(FEWEST_CYCLES, last):
+    lines = []
+    for k in range(MIN_CYCLES, last):
         if p[k] > FALSE_ALARM or ratio[k] < ratio[k - 2 : k + 3].max() or not _narrow(ratio, k):
             continue
-        frequency = _refined(series[best[k]], segments, ratio, k, resolution)
+        frequency = _refine(series[best[k]], segments, ratio, k, resolution)
         if tick_s and frequency * tick_s > 0.5:
             continue
         uncertainty = np.sqrt(1.5) / np.pi * resolution / np.sqrt(ratio[k] * segments)
-        found.append(Line(frequency, float(uncertainty), float(modulation[k]), float(ratio[k]), float(p[k])))
-    return sorted(map(_sharpened, _grouped(found, resolution)), key=lambda line: -line.strength)
+        lines.append(Line(frequency, float(uncertainty), float(modulation[k]), float(ratio[k]), float(p[k])))
+    return sorted(map(_sharpen, _group_harmonics(lines, resolution)), key=lambda line: -line.strength)
 
 
 def _counts(events: Events, polarity: int, bins: int) -> np.ndarray:
@@ -135,7 +135,7 @@ def _narrow(ratio: np.ndarray, k: int) -> bool:
     return all(len(side) > 0 and ratio[k] > 8 * side.mean() for side in sides)
 
 
-def _refined(counts: np.ndarray, segments: int, ratio: np.ndarray, k: int, resolution: float) -> float:
+def _refine(counts: np.ndarray, segments: int, ratio: np.ndarray, k: int, resolution: float) -> float:
     """The frequency [Hz] of the peak at bin k: the maximum of the tapered Fourier sum, else of a log parabola."""
     if segments == 1 and len(counts) <= REFINE_BINS:
         from scipy.optimize import minimize_scalar
@@ -155,7 +155,7 @@ def _refined(counts: np.ndarray, segments: int, ratio: np.ndarray, k: int, resol
     return float((k + 0.5 * (a - c) / (a - 2 * b + c)) * resolution)
 
 
-def _grouped(lines: list[Line], resolution: float) -> list[Line]:
+def _group_harmonics(lines: list[Line], resolution: float) -> list[Line]:
     """Lines in ascending frequency with harmonics joined; one much stronger than its fundamental stays apart."""
     kept: list[Line] = []
     for line in lines:
@@ -170,7 +170,7 @@ def _grouped(lines: list[Line], resolution: float) -> list[Line]:
     return kept
 
 
-def _sharpened(line: Line) -> Line:
+def _sharpen(line: Line) -> Line:
     """The line with its fundamental from the harmonics as well: the mean of fₙ/n with weight n²."""
     frequency = np.array([line.frequency_hz, *line.harmonics_hz])
     n = np.rint(frequency / line.frequency_hz)

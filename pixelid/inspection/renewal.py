@@ -20,11 +20,11 @@ from scipy.optimize import minimize
 from scipy.special import expit, gammainc, gammaln
 
 CVS = np.geomspace(0.03, 2.5, 45)
-MOST = 5  # intervals of a pixel that still counts as slow
-STEPS = 1024  # of time in a window
+MAX_SLOW = 5  # intervals of a pixel that still counts as slow
+TIME_STEPS = 1024  # of time in a window
 PERIODS = 128
 DAMPING = 9.0  # time constants in a window
-LONGEST = 30.0  # windows: mean intervals beyond are silence
+MAX_MEAN_WINDOWS = 30.0  # windows: mean intervals beyond are silence
 
 
 def share(edges_s: np.ndarray, mean_s: np.ndarray, cv: np.ndarray) -> np.ndarray:
@@ -66,7 +66,7 @@ def paces(counts: np.ndarray, edges_s: np.ndarray) -> Paces:
         log_share = np.log(np.maximum(share(edges_s, means, np.full_like(means, c))[:, used], 1e-300))
         value = counts[:, used] @ log_share.T
         at = np.clip(value.argmax(axis=1), 1, len(means) - 2)
-        step, best[k] = _summit(value[rows, at - 1], value[rows, at], value[rows, at + 1])
+        step, best[k] = _parabola_maximum(value[rows, at - 1], value[rows, at], value[rows, at + 1])
         mean[k] = means[at] * (means[1] / means[0]) ** step
     cv = _best_cv(best.sum(axis=1))
     return Paces(cv, mean[int(np.argmin(np.abs(np.log(CVS / cv))))], best)
@@ -74,11 +74,11 @@ def paces(counts: np.ndarray, edges_s: np.ndarray) -> Paces:
 
 def _best_cv(profile: np.ndarray) -> float:
     at = int(np.clip(profile.argmax(), 1, len(CVS) - 2))
-    step, _ = _summit(*profile[at - 1 : at + 2, None])
+    step, _ = _parabola_maximum(*profile[at - 1 : at + 2, None])
     return float(CVS[at] * (CVS[1] / CVS[0]) ** step[0])
 
 
-def _summit(left: np.ndarray, top: np.ndarray, right: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _parabola_maximum(left: np.ndarray, top: np.ndarray, right: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Where, in steps from the middle, a parabola through three values is highest, and how high."""
     bend = left - 2 * top + right
     step = np.where(bend < 0, np.clip(0.5 * (left - right) / np.where(bend < 0, bend, -1.0), -1, 1), 0.0)
@@ -103,24 +103,26 @@ class Slow:
 
 
 class SlowPixels:
-    """The likelihood of the pixels with up to `MOST` intervals in a window of `window_s`, tabulated once.
+    """The likelihood of the pixels with up to `MAX_SLOW` intervals in a window of `window_s`, tabulated once.
 
     Which pixels are slow depends on the data, so the likelihood is that of a pixel given that it is slow.
     """
 
     def __init__(self, counts: np.ndarray, edges_s: np.ndarray, window_s: float, cvs: np.ndarray = CVS) -> None:
         """counts: (pixels, bins) of all pixels;  edges_s: rising interval edges (bins + 1,)"""
-        self.slow = np.flatnonzero(counts.sum(axis=1) <= MOST)
+        self.slow = np.flatnonzero(counts.sum(axis=1) <= MAX_SLOW)
         self.patterns, index = np.unique(counts[self.slow].astype(int), axis=0, return_inverse=True)
         self.index = index.ravel()
-        self.means = np.geomspace(window_s / 40.0, LONGEST * window_s, PERIODS)
+        self.means = np.geomspace(window_s / 40.0, MAX_MEAN_WINDOWS * window_s, PERIODS)
         self.cvs = np.append(cvs, 1.0)  # the last one is Poisson
         tables = [_tables(self.patterns, edges_s, window_s, self.means, c) for c in self.cvs]
         self.table = np.stack([t[0] for t in tables])  # (cvs, patterns, means)
-        self.number = np.stack([t[1] for t in tables])  # (cvs, MOST + 1, means): chance of 0, 1, … intervals
+        self.number = np.stack([t[1] for t in tables])  # (cvs, MAX_SLOW + 1, means): chance of 0, 1, … intervals
         self.allowed = self.number.sum(axis=1)  # (cvs, means)
         fast = self.means < 0.5 * window_s
-        self.stray = self.table[-1][:, fast].mean(axis=1) / self.allowed[-1][fast].mean()  # of an irregular pixel
+        self.of_irregular = (
+            self.table[-1][:, fast].mean(axis=1) / self.allowed[-1][fast].mean()
+        )  # of an irregular pixel
 
     def fit(self, pixels: np.ndarray | None = None) -> Slow:
         """The best Slow; `pixels` (indices among the slow) for a bootstrap."""
@@ -137,45 +139,45 @@ class SlowPixels:
             mixture = mixture / max(mixture.sum(), 1e-300)
             seen = (self.table[k] @ mixture) / max(self.allowed[k] @ mixture, 1e-300)
             odd = float(expit(at[2]))
-            return fence - float(weight @ np.log(np.maximum((1 - odd) * seen + odd * self.stray, 1e-300)))
+            return fence - float(weight @ np.log(np.maximum((1 - odd) * seen + odd * self.of_irregular, 1e-300)))
 
         start = np.array([np.log(self.means[0] * 20.0), np.log(0.5), -4.0])
-        found: dict[int, Any] = {}
+        minima: dict[int, Any] = {}
         last = len(self.cvs) - 1
 
         def at(k: int) -> float:
-            if k not in found:
-                near = min((j for j in found if j != last), key=lambda j: abs(j - k), default=None)
-                first = start if near is None or k == last else found[near].x
-                found[k] = minimize(cost, first, (k,), "Nelder-Mead", options={"xatol": 1e-3, "fatol": 1e-3})
-            return found[k].fun
+            if k not in minima:
+                near = min((j for j in minima if j != last), key=lambda j: abs(j - k), default=None)
+                first = start if near is None or k == last else minima[near].x
+                minima[k] = minimize(cost, first, (k,), "Nelder-Mead", options={"xatol": 1e-3, "fatol": 1e-3})
+            return minima[k].fun
 
         low, high = 0, last - 1
         while high - low > 2:  # one valley over cv
             a, b = low + (high - low) // 3, high - (high - low) // 3
             low, high = (low, b) if at(a) <= at(b) else (a, high)
         k = min((*range(low, high + 1), last), key=at)
-        best = found[k]
+        best = minima[k]
         return Slow(
             rate_hz=float(np.exp(-best.x[0])),
             spread=float(np.exp(best.x[1])),
             cv=float(self.cvs[k]),
             irregular=float(expit(best.x[2])),
             log_likelihood=-float(best.fun),
-            poisson=-float(found[last].fun),
+            poisson=-float(minima[last].fun),
         )
 
 
 def _tables(patterns: np.ndarray, edges_s: np.ndarray, window_s: float, means: np.ndarray, cv: float):
-    """(patterns, means): chance of each pattern of intervals, (MOST + 1, means): chance of each number of them.
+    """(patterns, means): chance of each pattern of intervals, (MAX_SLOW + 1, means): chance of each number of them.
 
     Sums of intervals are convolutions, done on a grid of time by FFT: a pattern is the product of its bins' transforms
     and that of J, read at the window's end.  Everything is damped by exp(-t/τ) first and restored at the end, so that
     sums beyond twice the window, which come round, weigh exp(-2 · `DAMPING`) of what they would.
     """
-    dt = window_s / STEPS
-    size = 2 * STEPS
-    t = dt * np.arange(STEPS + 1)
+    dt = window_s / TIME_STEPS
+    size = 2 * TIME_STEPS
+    t = dt * np.arange(TIME_STEPS + 1)
     shape = 1.0 / cv**2
     cumulative = gammainc(shape, shape * t / means[:, None])  # (means, times)
     mass = np.diff(cumulative, axis=1)  # of intervals between two grid points, put at the later
@@ -186,7 +188,7 @@ def _tables(patterns: np.ndarray, edges_s: np.ndarray, window_s: float, means: n
     transforms = {}
     for j in np.flatnonzero(patterns.any(axis=0)):
         transforms[j] = np.fft.rfft(np.where(into == j, mass * damp, 0.0), size)
-    turn = np.exp(2j * np.pi * np.arange(STEPS + 1) * (STEPS - 1) / size)
+    turn = np.exp(2j * np.pi * np.arange(TIME_STEPS + 1) * (TIME_STEPS - 1) / size)
     turn[1:-1] *= 2.0  # the other half of a real signal's spectrum
 
     def read(spectrum: np.ndarray) -> np.ndarray:
@@ -201,7 +203,7 @@ def _tables(patterns: np.ndarray, edges_s: np.ndarray, window_s: float, means: n
             spectrum = spectrum * transforms[j] ** int(pattern[j])
         table[row] = read(spectrum) * _orders(pattern) + (nothing if not pattern.any() else 0.0)
     number, spectrum, every = [nothing + single], waits, np.fft.rfft(mass * damp, size)
-    for _ in range(MOST):
+    for _ in range(MAX_SLOW):
         spectrum = spectrum * every
         number.append(read(spectrum))
     return table, np.maximum(number, 1e-300)

@@ -4,17 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from math import exp
-from typing import TYPE_CHECKING
 
 from pixelid.inspection.leak_by_light import LeakByLight
-
-if TYPE_CHECKING:
-    from pixelid.inspection.static_noise import Condition, StaticNoise
+from pixelid.inspection.static_noise_result import Condition, StaticNoise
 
 
 def findings(
     conditions: Sequence[Condition], by_light: LeakByLight | None, lux: tuple[float, float] | None
 ) -> tuple[str, ...]:
+    """What the conditions show, in sentences."""
     said = []
     for light in sorted({c.lux for c in conditions}):
         here = {c.polarity: c for c in conditions if c.lux == light}
@@ -43,6 +41,7 @@ def findings(
 
 
 def unknown(conditions: Sequence[Condition], lux: tuple[float, float] | None) -> tuple[str, ...]:
+    """What they leave open, in sentences."""
     said = [
         "the length of the recordings is inferred (pixels that fire all along), not stated; rates scale with it",
         "events that a pixel sent once are not in the file, nor times, nor the order of intervals, nor ON beside OFF",
@@ -59,17 +58,17 @@ def unknown(conditions: Sequence[Condition], lux: tuple[float, float] | None) ->
     return tuple(said)
 
 
-def static_noise_table(found: StaticNoise):
+def static_noise_table(noise: StaticNoise):
     """A rich Table of the conditions; the sentences are its caption."""
     from rich import box
     from rich.table import Table
 
-    caption = "\n".join((*found.findings, *(f"not known: {s}" for s in found.unknown)))
+    caption = "\n".join((*noise.findings, *(f"not known: {s}" for s in noise.unknown)))
     table = Table(title="noise of a still scene", box=box.SIMPLE, title_justify="left", caption=caption)
     table.caption_justify = "left"
     for name in ("light", "intervals", "length [s]", "rate [Hz]", "cv"):
         table.add_column(name, no_wrap=True)
-    for c in found.conditions:
+    for c in noise.conditions:
         rate = f"< {c.second_event_hz:.2g}" if c.second_event_hz is not None else _value(c.rate_hz)
         length = f"{c.duration_s[0]:.3g}" if c.duration_s else "–"
         table.add_row(f"{c.lux:g} lux {c.polarity}", str(c.intervals), length, rate, _value(c.cv, 2))

@@ -1,6 +1,8 @@
-"""The health of a recording as a table for the terminal."""
+"""The health of a recording in words: rows of a table for the terminal and for the page."""
 
 from __future__ import annotations
+
+from typing import Any
 
 from pixelid.inspection.health import Health
 
@@ -16,73 +18,80 @@ def health_table(health: Health):
     table = Table(title=health.name, box=box.SIMPLE, show_header=False, title_justify="left")
     table.add_column(style="bold", no_wrap=True)
     table.add_column(overflow="fold")
-    for name, text in _rows(health):
+    for name, text in rows_of_result(health.to_dict()):
         table.add_row(name, text)
     return table
 
 
-def _rows(health: Health) -> list[tuple[str, str]]:
-    counts = health.counts
-    pooled = ", pixels pooled" if health.pooled else f", {counts.active_pixels} pixels active"
+def rows_of_result(result: dict[str, Any]) -> list[tuple[str, str]]:
+    """(what, in words) of everything in the content of inspect.json."""
+    pooled = ", pixels pooled" if result["pooled"] else f", {result['active_pixels']} pixels active"
+    rate = result["rate_hz"]
     rows = [
-        ("sensor", f"{health.sensor or 'not stated'}, {health.width} × {health.height}{pooled}"),
-        ("events", f"{counts.events} in {counts.duration_s:g} s"),
+        ("sensor", f"{result['sensor'] or 'not stated'}, {result['width']} × {result['height']}{pooled}"),
+        ("events", f"{result['events']} in {result['duration_s']:g} s"),
     ]
-    if counts.mean_hz is not None and counts.peak_hz is not None:
-        window = counts.peak_window_s * 1e3
-        rows.append(("rate", f"{_hz(counts.mean_hz)} on average, {_hz(counts.peak_hz)} in the fastest {window:g} ms"))
-    if counts.on_fraction is not None:
-        rows.append(("ON / OFF", f"{counts.on_fraction:.1%} / {1 - counts.on_fraction:.1%}"))
-    if counts.duplicates:
-        rows.append(("duplicates", f"{counts.duplicates} events repeat an earlier one"))
-    rows += [("dead time", _dead_time(health)), ("timestamp tick", _tick(health)), ("periodic lines", _lines(health))]
-    if not health.pooled:
-        rows += [("hot pixels", _hot_pixels(health)), ("readout ceiling", _ceiling(health))]
+    if rate["mean"] is not None and rate["peak"] is not None:
+        window = rate["peak_window_s"] * 1e3
+        rows.append(("rate", f"{_hz(rate['mean'])} on average, {_hz(rate['peak'])} in the fastest {window:g} ms"))
+    if result["on_fraction"] is not None:
+        rows.append(("ON / OFF", f"{result['on_fraction']:.1%} / {1 - result['on_fraction']:.1%}"))
+    if result["duplicates"]:
+        rows.append(("duplicates", f"{result['duplicates']} events repeat an earlier one"))
+    rows += [
+        ("dead time", _dead_time(result["dead_time_s"])),
+        ("timestamp tick", _tick(result["tick"])),
+        ("periodic lines", _lines(result["lines"])),
+    ]
+    if not result["pooled"]:
+        rows += [
+            ("hot pixels", _hot_pixels(result["hot_pixels"], result["hot_pixel_count"])),
+            ("readout ceiling", _ceiling(result["ceiling"])),
+        ]
     return rows
 
 
-def _dead_time(health: Health) -> str:
-    dead = health.dead_time
-    if dead.value_s is None or dead.interval_95_s is None:
-        return f"not visible: {dead.reason}"
-    low, high = dead.interval_95_s
-    below = f"; {dead.below} of {dead.intervals} intervals are shorter" if dead.below else ""
-    return f"{_seconds(dead.value_s)} (95 %: {_seconds(low)} to {_seconds(high)}){below}"
+def _dead_time(dead: dict[str, Any]) -> str:
+    if dead["interval_95"] is None:
+        return f"not visible: {dead['reason']}"
+    low, high = dead["interval_95"]
+    below = f"; {dead['below']} of {dead['intervals']} intervals are shorter" if dead["below"] else ""
+    if dead["kind"] == "upper_bound" or dead["value"] is None:
+        return f"≤ {_seconds(high)}, shortest interval{below} ({dead['reason']})"
+    return f"{_seconds(dead['value'])} (95 %: {_seconds(low)} to {_seconds(high)}){below}"
 
 
-def _tick(health: Health) -> str:
-    tick = health.tick
-    if tick.clock_s is None:
+def _tick(tick: dict[str, Any]) -> str:
+    if tick["clock_s"] is None:
         return "too few events to tell"
-    clock = f"clock of {_seconds(tick.clock_s)}"
-    if tick.scan_s is None:
+    clock = f"clock of {_seconds(tick['clock_s'])}"
+    if tick["scan_s"] is None:
         return clock
-    return f"scan of {_seconds(tick.scan_s)} (jitter {_seconds(tick.scan_jitter_s or 0.0)}), {clock}"
+    return f"scan of {_seconds(tick['scan_s'])} (jitter {_seconds(tick['scan_jitter_s'] or 0.0)}), {clock}"
 
 
-def _lines(health: Health) -> str:
+def _lines(lines: list[dict[str, Any]]) -> str:
     shown = [
-        f"{line.frequency_hz:.2f} Hz (± {line.uncertainty_hz:.2g}, modulation {line.modulation:.2g}"
-        + (f", {len(line.harmonics_hz)} harmonics)" if line.harmonics_hz else ")")
-        for line in health.lines[:LINES_SHOWN]
+        f"{line['frequency_hz']:.2f} Hz (± {line['uncertainty_hz']:.2g}, modulation {line['modulation']:.2g}"
+        + (f", {len(line['harmonics_hz'])} harmonics)" if line["harmonics_hz"] else ")")
+        for line in lines[:LINES_SHOWN]
     ]
-    more = len(health.lines) - len(shown)
+    more = len(lines) - len(shown)
     return "\n".join(shown + ([f"and {more} more"] if more else [])) or "none"
 
 
-def _hot_pixels(health: Health) -> str:
-    shown = [f"({pixel.x}, {pixel.y}) at {_hz(pixel.rate_hz)}" for pixel in health.hot_pixels[:PIXELS_SHOWN]]
-    return f"{len(health.hot_pixels)}: {', '.join(shown)}" if shown else "none"
+def _hot_pixels(pixels: list[dict[str, Any]], count: int) -> str:
+    shown = [f"({pixel['x']}, {pixel['y']}) at {_hz(pixel['rate_hz'])}" for pixel in pixels[:PIXELS_SHOWN]]
+    return f"{count}: {', '.join(shown)}" if shown else "none"
 
 
-def _ceiling(health: Health) -> str:
-    ceiling = health.ceiling
+def _ceiling(ceiling: dict[str, Any] | None) -> str:
     if ceiling is None:
         return "too few events to tell"
-    if not ceiling.saturated:
+    if not ceiling["saturated"]:
         return "not reached"
-    words = "" if ceiling.grouping == "event" else f" ({_hz(ceiling.groups_hz)} {ceiling.grouping} words)"
-    return f"saturated {ceiling.time_fraction:.0%} of the time at {_hz(ceiling.rate_hz)}{words}"
+    words = "" if ceiling["grouping"] == "event" else f" ({_hz(ceiling['groups_hz'])} {ceiling['grouping']} words)"
+    return f"saturated {ceiling['time_fraction']:.0%} of the time at {_hz(ceiling['rate_hz'])}{words}"
 
 
 def _hz(value: float) -> str:

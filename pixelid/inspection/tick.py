@@ -18,7 +18,8 @@ from pixelid.recordings.events import Events
 LONGEST_S = 2e-3
 BIN_NS = 250
 BINS = 1 << 19
-FEWEST = 200
+MIN_INTERVALS = 200
+MIN_EVENTS = 100
 HARMONICS = (2, 3, 4)
 
 
@@ -45,24 +46,29 @@ class Tick:
 
 def find_tick(events: Events, intervals: np.ndarray) -> Tick:
     """The grid of `events`, whose (m,) `intervals` within pixels are given in ns."""
-    if len(events) < 100 or events.t[0] == events.t[-1]:
+    if len(events) < MIN_EVENTS or events.t[0] == events.t[-1]:
         return Tick(None)
-    clock = int(np.gcd.reduce(np.diff(events.t)))
-    found = _scan_period(intervals, clock)
-    if found is None:
+    clock = common_divisor(np.diff(events.t))
+    scan = _scan_period(intervals, clock)
+    if scan is None:
         return Tick(clock * 1e-9)
-    period, concentration = _refined(intervals, found[0]), found[1]
+    period, concentration = _refine_period(intervals, scan[0]), scan[1]
     near = intervals[(intervals > 0) & (intervals < 1000 * period)]
     residual = near - np.rint(near / period) * period
     jitter = float(np.std(residual) / np.sqrt(2))
     return Tick(clock * 1e-9, period * 1e-9, jitter * 1e-9, concentration)
 
 
+def common_divisor(nanoseconds: np.ndarray) -> int:
+    """The greatest common divisor of times or differences of times [ns]: the clock they were counted with."""
+    return int(np.gcd.reduce(nanoseconds))
+
+
 def _scan_period(intervals: np.ndarray, clock: int) -> tuple[float, float] | None:
     """The period [ns] and concentration of the lowest frequency at which R has a sharp comb, or None."""
     width = clock * max(1, -(-BIN_NS // clock))
     used = intervals[(intervals > 0) & (intervals < BINS * width)]
-    if len(used) < FEWEST:
+    if len(used) < MIN_INTERVALS:
         return None
     r = np.abs(np.fft.rfft(np.bincount(used // width, minlength=BINS))) / len(used)
     last = (len(r) - 1) // max(HARMONICS)
@@ -72,18 +78,18 @@ def _scan_period(intervals: np.ndarray, clock: int) -> tuple[float, float] | Non
     for peak in combs[:20_000]:
         between = np.median(r[int(0.6 * peak) : int(0.9 * peak) + 1])
         harmonics = [r[h * peak - h : h * peak + h + 1].max() for h in HARMONICS]
-        if between < 0.5 * r[peak] and min(harmonics) >= 0.5 and _multiples(used, BINS * width / peak) >= 4:
+        if between < 0.5 * r[peak] and min(harmonics) >= 0.5 and _count_multiples(used, BINS * width / peak) >= 4:
             return BINS * width / peak, float(r[peak])
     return None
 
 
-def _multiples(intervals: np.ndarray, period: float) -> float:
+def _count_multiples(intervals: np.ndarray, period: float) -> float:
     """How many different multiples of `period` the intervals take: the inverse of Σ (their shares)²."""
     share = np.bincount(np.rint(intervals / period).astype(np.int64)) / len(intervals)
     return 1 / float(np.sum(share**2))
 
 
-def _refined(intervals: np.ndarray, period: float) -> float:
+def _refine_period(intervals: np.ndarray, period: float) -> float:
     """Least squares of τ = n·T over ever longer intervals, as far as the multiple n stays unambiguous."""
     for reach in (10, 30, 100, 300, 1000):
         near = intervals[(intervals > 0) & (intervals < (reach + 0.5) * period)].astype(np.float64)

@@ -3,95 +3,85 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from pixelid.figures.style import IMPROVED, INK, MUTED, SERIES, new_axes, save_figure, styled
 from pixelid.lowlight import poles, radii, response
 from pixelid.stages.circuit import Circuit
 
-STYLES = {"exact": ("black", "-"), "one_pole": ("tab:red", "--"), "at_dark": ("tab:blue", ":")}
+STYLES = {"exact": (INK, "-"), "one_pole": (SERIES[1], "--"), "at_dark": (SERIES[0], ":")}
 LABELS = {"exact": "exact", "one_pole": "one pole (α/β) L", "at_dark": "tangent in the dark"}
 
 
-def write_figures(found: dict, circuit: Circuit, folder: Path) -> None:
-    """Write poles, errors, bode, steps and, with recordings, measured, as PNG into `folder`."""
-    kinds = kinds_of(circuit)
-    _save(draw_poles(found, circuit, kinds), folder / "poles.png")
-    _save(draw_errors(found, circuit, kinds[1:]), folder / "errors.png")
-    _save(draw_bode(found, circuit, kinds), folder / "bode.png")
-    _save(draw_steps(found, circuit, kinds), folder / "steps.png")
-    if any(entry.get("curve") and len(entry["curve"]["x"]) for entry in found["measured"]):
-        _save(draw_measured(found), folder / "measured.png")
+def write_figures(result: dict, circuit: Circuit, folder: Path) -> None:
+    """Write poles, errors, bode, steps and, with recordings, measured, as SVG into `folder`."""
+    kinds = ["exact", "one_pole"] + (["at_dark"] if circuit.dark > 0 else [])
+    drawn = {
+        "poles": draw_poles(result, circuit, kinds),
+        "errors": draw_errors(result, circuit, kinds[1:]),
+        "bode": draw_bode(result, circuit, kinds),
+        "steps": draw_steps(result, circuit, kinds),
+    }
+    if any(entry.get("curve") and len(entry["curve"]["x"]) for entry in result["measured"]):
+        drawn["measured"] = draw_measured(result)
+    for name, axes in drawn.items():
+        save_figure(axes, folder / f"{name}.svg")
 
 
-def kinds_of(circuit: Circuit) -> list[str]:
-    """What is drawn: the tangent in the dark is the same line as one pole when there is no dark current."""
-    return ["exact", "one_pole"] + (["at_dark"] if circuit.dark > 0 else [])
-
-
-def _new(columns: int, rows: int = 1, width: float = 4.4, height: float = 3.4):
-    import matplotlib.pyplot as plt
-
-    size = (width * columns, height * rows)
-    return plt.subplots(rows, columns, figsize=size, squeeze=False, layout="constrained")
-
-
-def _save(axes: np.ndarray, path: Path) -> None:
-    import matplotlib.pyplot as plt
-
-    figure = axes.flat[0].figure
-    figure.savefig(path, dpi=110)
-    plt.close(figure)
-
-
-def _shade(axis, found: dict) -> None:
+def _shade(axis, result: dict) -> None:
     """The complex range in grey."""
-    critical = found["regimes"]["critical"]
+    critical = result["regimes"]["critical"]
     left, right = axis.get_xlim()
     if critical:
-        axis.axvspan(max(critical[0], left), min(critical[1], right), color="grey", alpha=0.15, linewidth=0)
+        axis.axvspan(max(critical[0], left), min(critical[1], right), color=MUTED, alpha=0.15, linewidth=0)
         axis.set_xlim(left, right)
 
 
-def draw_poles(found: dict, circuit: Circuit, kinds: list[str]) -> np.ndarray:
+@styled
+def draw_poles(result: dict, circuit: Circuit, kinds: list[str], axes: Any = None) -> Any:
     """Poles, −3 dB frequency and step time over radiance, with bands and measured points."""
-    curves, bands = found["curves"], found["bands"]
-    _, axes = _new(3)
+    curves, bands = result["curves"], result["bands"]
+    if axes is None:
+        axes = new_axes(1, 3, 3.6, 3.0)
     for axis, name, label in zip(
         axes[0],
         ("slow_pole", "bandwidth_hz", "step_time_s"),
-        ("pole magnitude [rad/s]", "−3 dB frequency of the pixel [Hz]", "time to 63 % of the pixel [s]"),
+        ("pole magnitude (rad/s)", "−3 dB frequency of the pixel (Hz)", "time to 63 % of the pixel (s)"),
         strict=True,
     ):
         if bands:
-            axis.fill_between(bands["radiance"], *bands["curves"][name], color="grey", alpha=0.4, linewidth=0)
+            axis.fill_between(bands["radiance"], *bands["curves"][name], color=MUTED, alpha=0.4, linewidth=0)
         for kind in kinds:
             colour, line = STYLES[kind]
             axis.plot(curves["radiance"], curves[kind][name], color=colour, linestyle=line, label=LABELS[kind])
-        for entry in found["measured"]:
+        for entry in result["measured"]:
             if entry["quantity"] == name and entry["value"] is not None:
                 low, high = entry["interval_95"] or (entry["value"], entry["value"])
-                axis.plot([entry["radiance"]] * 2, [low, high], color="tab:green", linewidth=3)
-                axis.plot(entry["radiance"], entry["value"], "o", color="tab:green", markersize=4)
+                axis.plot([entry["radiance"]] * 2, [low, high], color=IMPROVED, linewidth=3)
+                axis.plot(entry["radiance"], entry["value"], "o", color=IMPROVED, markersize=4)
                 if entry["model"]["same_light"]:
-                    axis.plot(entry["radiance"], entry["model"]["same_light"], "x", color="black", markersize=5)
-        axis.set(xscale="log", yscale="log", xlabel=f"radiance [{found['radiance_unit']}]", ylabel=label)
-    axes[0, 0].plot(curves["radiance"], curves["exact"]["fast_pole"], color="black", alpha=0.4, label="second pole")
+                    axis.plot(entry["radiance"], entry["model"]["same_light"], "x", color=INK, markersize=5)
+        axis.set(xscale="log", yscale="log", xlabel=f"radiance ({result['radiance_unit']})", ylabel=label)
+    axes[0, 0].plot(curves["radiance"], curves["exact"]["fast_pole"], color=INK, alpha=0.4, label="second pole")
     for name in poles.stages(circuit):
         axes[0, 0].plot(curves["radiance"], curves["exact"][name], alpha=0.6, label=name.replace("_", " "))
     for axis in axes[0]:
-        _shade(axis, found)
-    axes[0, 0].legend(fontsize=7)
+        _shade(axis, result)
+    axes[0, 0].legend()
     return axes
 
 
-def draw_errors(found: dict, circuit: Circuit, kinds: list[str]) -> np.ndarray:
+@styled
+def draw_errors(result: dict, circuit: Circuit, kinds: list[str], axes: Any = None) -> Any:
     """Signed relative errors of the approximations over radiance."""
-    _, axes = _new(3)
-    radiance = found["curves"]["radiance"]
+    if axes is None:
+        axes = new_axes(1, 3, 3.6, 3.0)
+    radiance = result["curves"]["radiance"]
     for axis, name in zip(axes[0], radii.QUANTITIES, strict=True):
         for kind in kinds:
-            for scope in found["errors"][kind][name]:
+            for scope in result["errors"][kind][name]:
                 error = radii.error_function(circuit, kind, name, scope)
                 axis.plot(
                     radiance,
@@ -102,12 +92,12 @@ def draw_errors(found: dict, circuit: Circuit, kinds: list[str]) -> np.ndarray:
                 )
         for level in radii.LEVELS:
             for sign in (-100, 100):
-                axis.axhline(sign * level, color="grey", linewidth=0.5)
-        axis.axhline(0.0, color="black", linewidth=0.8)
-        axis.set(xscale="log", ylim=(-105, 105), xlabel=f"radiance [{found['radiance_unit']}]")
-        axis.set(ylabel=f"error of the {name.replace('_', ' ')} [%]")
-        axis.legend(fontsize=7)
-        _shade(axis, found)
+                axis.axhline(sign * level, color=MUTED, linewidth=0.5)
+        axis.axhline(0.0, color=INK, linewidth=0.8)
+        axis.set(xscale="log", ylim=(-105, 105), xlabel=f"radiance ({result['radiance_unit']})")
+        axis.set(ylabel=f"error of the {name.replace('_', ' ')} (%)")
+        axis.legend()
+        _shade(axis, result)
     return axes
 
 
@@ -117,10 +107,12 @@ def _chain(circuit: Circuit, radiance: float, kind: str) -> np.ndarray:
     return poles.approximate(circuit, radiance, "pixel", kind)
 
 
-def draw_bode(found: dict, circuit: Circuit, kinds: list[str]) -> np.ndarray:
+@styled
+def draw_bode(result: dict, circuit: Circuit, kinds: list[str], axes: Any = None) -> Any:
     """Gain and phase of the whole pixel at several radiance levels."""
-    levels = [entry["radiance"] for entry in found["regimes"]["levels"]]
-    _, axes = _new(len(levels), 2, 3.2, 2.6)
+    levels = [entry["radiance"] for entry in result["regimes"]["levels"]]
+    if axes is None:
+        axes = new_axes(2, len(levels), 2.8, 2.4)
     for column, radiance in enumerate(levels):
         middle = radii.quantity("bandwidth", _chain(circuit, radiance, "exact"))
         f = np.geomspace(middle / 100, middle * 100, 300)
@@ -129,51 +121,55 @@ def draw_bode(found: dict, circuit: Circuit, kinds: list[str]) -> np.ndarray:
             H = response.gain(_chain(circuit, radiance, kind), f)
             axes[0, column].plot(f, 20 * np.log10(np.abs(H)), color=colour, linestyle=line, label=LABELS[kind])
             axes[1, column].plot(f, np.degrees(np.unwrap(np.angle(H))), color=colour, linestyle=line)
-        axes[0, column].axhline(-3.01, color="grey", linewidth=0.5)
-        axes[0, column].set(xscale="log", ylim=(-60, 12), title=f"{radiance:.3g} {found['radiance_unit']}")
-        axes[1, column].set(xscale="log", xlabel="frequency [Hz]")
-    axes[0, 0].set_ylabel("gain [dB]")
-    axes[1, 0].set_ylabel("phase [°]")
-    axes[0, 0].legend(fontsize=7)
+        axes[0, column].axhline(-3.01, color=MUTED, linewidth=0.5)
+        axes[0, column].set(xscale="log", ylim=(-60, 12), title=f"{radiance:.3g} {result['radiance_unit']}")
+        axes[1, column].set(xscale="log", xlabel="frequency (Hz)")
+    axes[0, 0].set_ylabel("gain (dB)")
+    axes[1, 0].set_ylabel("phase (°)")
+    axes[0, 0].legend()
     return axes
 
 
-def draw_steps(found: dict, circuit: Circuit, kinds: list[str]) -> np.ndarray:
+@styled
+def draw_steps(result: dict, circuit: Circuit, kinds: list[str], axes: Any = None) -> Any:
     """Response of the whole pixel to a small step of ln L at several radiance levels."""
-    levels = [entry["radiance"] for entry in found["regimes"]["levels"]]
-    _, axes = _new(len(levels), 1, 3.2, 2.8)
+    levels = [entry["radiance"] for entry in result["regimes"]["levels"]]
+    if axes is None:
+        axes = new_axes(1, len(levels), 2.8, 2.6)
     for axis, radiance in zip(axes[0], levels, strict=True):
         t = np.linspace(0, 8 * radii.quantity("step_time", _chain(circuit, radiance, "exact")), 161)
         for kind in kinds:
             colour, line = STYLES[kind]
             y = response.step_response(_chain(circuit, radiance, kind), t)
             axis.plot(1e3 * t, y, color=colour, linestyle=line, label=LABELS[kind])
-        axis.axhline(response.LEVEL, color="grey", linewidth=0.5)
-        axis.set(xlabel="time after the step [ms]", title=f"{radiance:.3g} {found['radiance_unit']}")
+        axis.axhline(response.LEVEL, color=MUTED, linewidth=0.5)
+        axis.set(xlabel="time after the step (ms)", title=f"{radiance:.3g} {result['radiance_unit']}")
     axes[0, 0].set_ylabel("response")
-    axes[0, 0].legend(fontsize=7)
+    axes[0, 0].legend()
     return axes
 
 
-def draw_measured(found: dict) -> np.ndarray:
+@styled
+def draw_measured(result: dict, axes: Any = None) -> Any:
     """Gain over frequency and response over time, of the recordings and of the model under the same light."""
-    entries = [e for e in found["measured"] if e.get("curve") and len(e["curve"]["x"])]
+    entries = [e for e in result["measured"] if e.get("curve") and len(e["curve"]["x"])]
     columns = min(4, len(entries))
-    _, axes = _new(columns, -(-len(entries) // columns), 3.4, 2.8)
+    if axes is None:
+        axes = new_axes(-(-len(entries) // columns), columns, 3.2, 2.6)
     for axis, entry in zip(axes.flat, entries, strict=False):
         sweep = entry["kind"] == "sweep"
         scale = 1.0 if sweep else 1e3
         axis.plot(scale * np.asarray(entry["curve"]["x"]), entry["curve"]["y"], "o-" if sweep else "-",
-                  color="tab:green", markersize=3, label="recording")  # fmt: skip
+                  color=IMPROVED, markersize=3, label="recording")  # fmt: skip
         beside = (entry["model"] or {}).get("curve")
         if beside and len(beside["x"]):
-            axis.plot(scale * np.asarray(beside["x"]), beside["y"], color="black", label="model, same light")
-        axis.axhline(np.sqrt(0.5) if sweep else response.LEVEL, color="grey", linewidth=0.5)
-        axis.set_title(f"{entry['recording']} ({entry['radiance']:.3g} {found['radiance_unit']})", fontsize=8)
-        axis.set_xlabel("frequency [Hz]" if sweep else "time after the edge [ms]")
+            axis.plot(scale * np.asarray(beside["x"]), beside["y"], color=INK, label="model, same light")
+        axis.axhline(np.sqrt(0.5) if sweep else response.LEVEL, color=MUTED, linewidth=0.5)
+        axis.set_title(f"{entry['recording']} ({entry['radiance']:.3g} {result['radiance_unit']})")
+        axis.set_xlabel("frequency (Hz)" if sweep else "time after the edge (ms)")
         if sweep:
             axis.set_xscale("log")
     for axis in axes.flat[len(entries) :]:
         axis.set_axis_off()
-    axes[0, 0].legend(fontsize=7)
+    axes[0, 0].legend()
     return axes

@@ -3,56 +3,61 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from pixelid.figures.style import INK, new_axes, save_figure, series_colours, styled
 from pixelid.nerf.reconstruct import Reconstruction
 
 SHOWN = 5
 
 
 def write_figures(result: Reconstruction, folder: Path) -> None:
-    """Write views.png and training.png into an existing folder."""
-    import matplotlib
+    """Write views.svg and training.svg into an existing folder."""
+    save_figure(draw_views(result), folder / "views.svg")
+    if result.state.history:
+        save_figure(draw_training(result), folder / "training.svg")
 
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
 
-    truth, predicted = result.truth.images, result.scores.images
+@styled
+def draw_views(result: Reconstruction, axes: Any = None) -> Any:
+    """Test views: reference, reconstruction and absolute error, column by column; returns the axes (3, views)."""
+    truth, images = result.truth.images, result.scores.images
     which = np.unique(np.linspace(0, len(truth) - 1, min(SHOWN, len(truth))).astype(int))
-    figure, axes = plt.subplots(3, len(which), figsize=(2.2 * len(which), 6.6), layout="constrained", squeeze=False)
+    if axes is None:
+        axes = new_axes(3, len(which), 2.0, 2.0)
     peak = result.truth.peak
     for column, k in enumerate(which):
-        error = np.abs(predicted[k] - np.clip(truth[k], 0, peak)).mean(axis=-1)
-        for row, image in enumerate((truth[k], predicted[k])):
+        error = np.abs(images[k] - np.clip(truth[k], 0, peak)).mean(axis=-1)
+        for row, image in enumerate((truth[k], images[k])):
             shown = np.clip(image / peak, 0, 1)
             axes[row, column].imshow(shown if shown.shape[-1] == 3 else shown[..., 0], cmap="gray", vmin=0, vmax=1)
         error_map = axes[2, column].imshow(error, cmap="magma", vmin=0, vmax=0.3 * peak)
-        axes[1, column].set_xlabel(f"{result.scores.psnr[k]:.1f} dB")
-        axes[0, column].set_title(result.truth.names[k], fontsize=8)
+        axes[1, column].set_xlabel(f"PSNR {result.scores.psnr[k]:.1f} dB")
+        axes[0, column].set_title(result.truth.names[k])
     for row, name in enumerate(("reference", "reconstruction", "absolute error")):
         axes[row, 0].set_ylabel(name)
     for axis in axes.flat:
         axis.set_xticks([])
         axis.set_yticks([])
-    figure.colorbar(error_map, ax=axes[2].tolist(), shrink=0.8)
-    figure.savefig(folder / "views.png", dpi=100)
-    plt.close(figure)
-    if result.state.history:
-        _training(result, folder / "training.png", plt)
+        axis.grid(False)
+    axes[2, 0].figure.colorbar(error_map, ax=axes[2].tolist(), shrink=0.8, label="radiance (units of the views)")
+    return axes
 
 
-def _training(result: Reconstruction, path: Path, plt) -> None:
+@styled
+def draw_training(result: Reconstruction, axes: Any = None) -> Any:
+    """Loss terms, and the PSNR of a validation view, over the steps; returns the two axes."""
+    if axes is None:
+        axes = new_axes(1, 2, 4.2, 2.8)
+    left, right = axes.flat
     history = result.state.history
     steps = [entry["iteration"] for entry in history]
-    figure, (left, right) = plt.subplots(1, 2, figsize=(8, 3), layout="constrained")
-    for name in ("diff", "chain", "tv"):
-        left.plot(steps, [entry[name] for entry in history], label=f"ℓ_{name}")
-    left.set_yscale("log")
-    left.set_xlabel("step")
-    left.legend()
-    right.plot(steps, [entry["running_psnr"] for entry in history], color="black")
-    right.set_xlabel("step")
-    right.set_ylabel("PSNR of a validation view [dB]")
-    figure.savefig(path, dpi=100)
-    plt.close(figure)
+    for name, colour in zip(("diff", "chain", "tv"), series_colours(3), strict=True):
+        left.plot(steps, [entry[name] for entry in history], label=name, color=colour)
+    left.set(yscale="log", xlabel="step", ylabel="loss")
+    left.legend(title="term")
+    right.plot(steps, [entry["running_psnr"] for entry in history], color=INK)
+    right.set(xlabel="step", ylabel="PSNR of a validation view (dB)")
+    return axes

@@ -3,22 +3,29 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from pixelid.figures.style import DENSITY, INK, SERIES, new_axes, save_figure, series_colours, styled
 from pixelid.sample.posterior import Posterior
 
 LEVELS = (0.68, 0.95)  # of the posterior inside the contours
 
 
-def draw_corner(posterior: Posterior):
+def write_figures(posterior: Posterior, folder: Path) -> list[Path]:
+    """Write corner.svg and trace.svg into `folder`; returns their paths."""
+    return [
+        save_figure(draw_corner(posterior), folder / "corner.svg"),
+        save_figure(draw_trace(posterior), folder / "trace.svg"),
+    ]
+
+
+@styled
+def draw_corner(posterior: Posterior) -> Any:
     """Every parameter against every other, in its own unit, with contours that hold 68 and 95 % of the draws.
 
-    Args:
-        posterior: draws of d parameters.
-
-    Returns:
-        (d, d) matplotlib axes.
+    Returns the (parameters, parameters) axes.
     """
     import corner
 
@@ -28,7 +35,7 @@ def draw_corner(posterior: Posterior):
     ranges = [np.quantile(column, [0.001, 0.999]) for column in draws.T]
     ranges = [(low, high) if high > low else (low - 0.5, high + 0.5) for low, high in ranges]
     figure = corner.corner(
-        draws, labels=list(values), range=ranges, bins=30, levels=LEVELS, color="tab:blue", plot_datapoints=False,
+        draws, labels=list(values), range=ranges, bins=30, levels=LEVELS, color=SERIES[0], plot_datapoints=False,
         quantiles=(0.025, 0.5, 0.975), max_n_ticks=3, label_kwargs={"fontsize": 7}, quiet=True,
     )  # fmt: skip
     for axis in figure.axes:
@@ -37,48 +44,26 @@ def draw_corner(posterior: Posterior):
     return np.array(figure.axes).reshape(d, d)
 
 
-def draw_trace(posterior: Posterior):
+@styled
+def draw_trace(posterior: Posterior, axes: Any = None) -> Any:
     """The mean and the 5 to 95 % range of the walkers at every step, one colour per ensemble: they must overlap.
 
-    Args:
-        posterior: draws of d parameters.
-
-    Returns:
-        (d,) matplotlib axes.
+    Returns the axes, two to a row.
     """
-    import matplotlib.pyplot as plt
-
     d = posterior.chain.shape[-1]
     rows = -(-d // 2)
-    _, axes = plt.subplots(rows, 2, figsize=(10, 1.3 * rows + 0.6), squeeze=False, layout="constrained")
+    if axes is None:
+        axes = new_axes(rows, 2, 4.6, 1.4)
+    colours = series_colours(posterior.chain.shape[0])
     for i, (axis, p) in enumerate(zip(axes.flat, posterior.coordinates.parameters, strict=False)):
         for k, ensemble in enumerate(posterior.chain[..., i]):  # (steps, walkers)
             values = np.exp(ensemble) if p.transform == "log" else ensemble
             low, high = np.quantile(values, [0.05, 0.95], axis=1)
             steps = np.arange(len(values))
-            axis.fill_between(steps, low, high, color=f"C{k}", alpha=0.25, linewidth=0)
-            axis.plot(steps, values.mean(axis=1), color=f"C{k}", linewidth=0.8)
+            axis.fill_between(steps, low, high, color=colours[k], alpha=0.25, linewidth=0)
+            axis.plot(steps, values.mean(axis=1), color=colours[k], linewidth=0.8)
         axis.set_title(f"{p.name}, nested R̂ {posterior.convergence.r_hat[i]:.4f}", fontsize=7)
         axis.tick_params(labelsize=6)
     for axis in list(axes.flat)[d:]:
         axis.set_axis_off()
-    return axes.ravel()[:d]
-
-
-def write_corner(posterior: Posterior, path: Path) -> Path:
-    """Write `draw_corner` to a picture."""
-    return _write(draw_corner, posterior, path)
-
-
-def write_trace(posterior: Posterior, path: Path) -> Path:
-    """Write `draw_trace` to a picture."""
-    return _write(draw_trace, posterior, path)
-
-
-def _write(plot, posterior: Posterior, path: Path) -> Path:
-    import matplotlib.pyplot as plt
-
-    figure = plot(posterior).flat[0].figure
-    figure.savefig(path, dpi=90)
-    plt.close(figure)
-    return path
+    return axes

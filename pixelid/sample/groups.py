@@ -116,8 +116,8 @@ def predicted(posterior: Posterior, result: FitResult, recordings: Sequence[Reco
 
 
 def save(posterior: Posterior, result: FitResult, recordings: Sequence[Recording], folder: Path) -> dict:
-    """Write posterior.nc, corner.png and trace.png into `folder`; returns what fit.json says about the posterior."""
-    from pixelid.sample.figures import write_corner, write_trace
+    """Write posterior.nc, corner.svg and trace.svg into `folder`; returns what fit.json says about the posterior."""
+    from pixelid.sample.figures import write_figures
 
     physical = None
     beside = ("recordings", "nuisances", "versions", "inputs_sha256")  # fit.json has them already
@@ -133,6 +133,5 @@ def save(posterior: Posterior, result: FitResult, recordings: Sequence[Recording
         }
     data = inference_data(posterior, result, recordings, physical=physical)
     data.to_netcdf(folder / "posterior.nc", engine="h5netcdf")
-    write_corner(posterior, folder / "corner.png")
-    write_trace(posterior, folder / "trace.png")
+    write_figures(posterior, folder)
     return summary

@@ -6,9 +6,10 @@ from pathlib import Path
 import pytest
 
 PACKAGE = Path(__file__).resolve().parents[2] / "pixelid"
-BASE = {"errors", "outputs", "parallel", "provenance", "results", "status"}
+BASE = {"errors", "figures", "outputs", "parallel", "provenance", "results", "status"}
 MAY_IMPORT = {
     "errors": set(),
+    "figures": set(),
     "outputs": {"errors"},
     "provenance": set(),
     "status": set(),
@@ -25,11 +26,10 @@ MAY_IMPORT = {
 MAY_IMPORT["inputs"] = BASE | {"model", "recordings", "stimuli"}
 MAY_IMPORT["api"] = BASE  # everything else is imported when a function is called
 MAY_IMPORT["inspection"] = BASE | {"recordings", "stimuli"}
-MAY_IMPORT["rates"] = BASE | {"parameters", "stages", "model"}
-MAY_IMPORT["simulate"] = MAY_IMPORT["likelihood"] = set(MAY_IMPORT) - {"inspection", "rates"}
+MAY_IMPORT["simulate"] = MAY_IMPORT["likelihood"] = set(MAY_IMPORT) - {"inspection"}
 MAY_IMPORT["identify"] = MAY_IMPORT["sensors"] = MAY_IMPORT["simulate"] | {"simulate", "likelihood"}
 MAY_IMPORT["fit"] = MAY_IMPORT["identify"] | {"identify"}
-MAY_IMPORT["flicker"] = MAY_IMPORT["simulate"] | {"rates", "identify"}
+MAY_IMPORT["tables"] = MAY_IMPORT["simulate"] | {"simulate"}  # observation models of tables instead of events
 for folder in ("sample", "compare", "lowlight", "design"):  # what follows from a fit
     MAY_IMPORT[folder] = MAY_IMPORT["fit"] | {"fit", "sample"}
 MAY_IMPORT["gap"] = MAY_IMPORT["fit"] | {"fit", "design", "inspection"}

@@ -160,7 +160,7 @@ def test_led_edges_end_with_a_fit_and_an_honest_list(shared, tmp_path):
     assert found["observation"] == "pooled_rate"
     assert found["parameters"]["delay_s"]["interval_95"]
     assert any("gauge" in sentence for sentence in found["unidentified"])
-    assert (tmp_path / "led" / "edges.png").stat().st_size > 10_000
+    assert (tmp_path / "led" / "edges.svg").stat().st_size > 10_000
 
 
 def test_fit_command_writes_a_folder_that_is_a_model(session, tmp_path, capsys):
@@ -177,7 +177,7 @@ def test_fit_command_writes_a_folder_that_is_a_model(session, tmp_path, capsys):
     assert found["seed"] == 4
     assert set(found["inputs_sha256"]) == {"r0.h5", "r1.h5"}
     assert find_model(tmp_path / "fit").values["gamma"] == 1.12
-    assert "<img" in (tmp_path / "fit" / "report.html").read_text()
+    assert "<svg" in (tmp_path / "fit" / "report.html").read_text()
     assert capsys.readouterr().err == ""
     assert main(["fit", str(tmp_path / "recipe.toml"), "--out", str(tmp_path / "fit"), "--quiet"]) == 2
     assert "exists already" in capsys.readouterr().err

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from pixelid.cli.main import main
-from pixelid.flicker.circuit import read, response
-from pixelid.flicker.noisy import BINS, NAMES, fit_group, rates, shape_at
-from pixelid.flicker.phases import PhaseTable, locked_frequency, phase_table, quiet_windows
 from pixelid.model.shipped import find_model
 from pixelid.recordings.events import Events
 from pixelid.recordings.recording import Recording
 from pixelid.recordings.writing import write_recording
+from pixelid.tables.flicker.circuit import read_circuit, response
+from pixelid.tables.flicker.noisy import BINS, NAMES, fit_group, rates, shape_at
+from pixelid.tables.flicker.phases import PhaseTable, locked_frequency, phase_table, quiet_windows
 
 F = 120.0
 TRUTH = np.array([np.log(0.9), np.log(0.8), 0.3, np.log(0.35), np.log(30.0), np.log(0.5), np.log(0.8), 0.6])
@@ -96,7 +96,7 @@ def test_shapes_are_normalised():
 def test_one_frequency_leaves_the_circuit_open():
     model = find_model("dvs128")
     information = [1e4 * np.eye(4)] * 3
-    reading = read(F, information, model.values, np.array([10.0, 50.0, 300.0]), equal_contrast=False)
+    reading = read_circuit(F, information, model.values, np.array([10.0, 50.0, 300.0]), equal_contrast=False)
     for name in ("alpha", "beta", "gamma", "sf_cutoff_hz", "diff_cutoff_hz", "on_threshold", "lamp_phase_cycles"):
         assert np.isinf(reading.sd[name])
     # 3 groups: 3 amplitudes, 3 phases, one ratio of thresholds, one of noise
@@ -126,11 +126,24 @@ def test_command_on_a_simulated_recording(tmp_path, events):
     found = json.loads((out / "flicker.json").read_text())
     assert found["shape"] == "sine"
     assert not any(found["parameters"][name]["identified"] for name in ("alpha", "beta", "gamma", "sf_cutoff_hz"))
-    assert (out / "phases.png").is_file()
-    assert (out / "maps.png").is_file()
+    assert (out / "phases.svg").is_file()
+    assert (out / "maps.svg").is_file()
     page = (out / "report.html").read_text()
-    assert page.count("data:image/png") == 2
+    assert page.count("<svg") == 2
     assert found["unidentified"][0][:30] in page
+
+
+def test_ratios_on_their_bound_are_said_to_be():
+    x = TRUTH.copy()
+    x[1], x[3] = np.log(0.02), np.log(0.1)  # an OFF threshold far below what the search allows
+    assert fit_group(_counts_of(x)).ratios_at_bound == ["off_over_on_threshold"]
+    assert fit_group(_counts_of(TRUTH)).ratios_at_bound == []
+
+
+def _counts_of(x) -> PhaseTable:
+    exposure = np.full((BINS, BINS), 3.0)
+    counts = np.random.default_rng(0).poisson(rates(x, "sine") * exposure)
+    return PhaseTable(counts[0], counts[1], exposure, 1, int(counts.sum()))
 
 
 def test_bad_input_is_one_plain_line(tmp_path, events, capsys):

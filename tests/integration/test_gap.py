@@ -21,9 +21,9 @@ from pixelid.gap.distance import FreeRun, closes_nothing, free_run
 from pixelid.gap.gap import gap
 from pixelid.gap.latent import drawn, jitter_windows, queue_windows, with_times
 from pixelid.gap.maps import maps
-from pixelid.gap.readout import grid, service
 from pixelid.gap.residuals import Tangents, residuals, tangents
 from pixelid.gap.split import locked
+from pixelid.inspection.timestamps import find_grid, find_service_time
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.model.shipped import find_model
 from pixelid.recordings import Events, Recording, write_recording
@@ -135,20 +135,20 @@ def test_secure_needs_a_lead_beyond_its_scatter():
 
 def test_service_time_is_read_off_the_timestamps():
     queued = MODEL.with_effect("readout_latency", {"service_s": 2.5e-5})
-    found = service(session(queued, side=5))
+    found = find_service_time(session(queued, side=5))
     assert found is not None
     assert found.p < 1e-12
     assert found.value == pytest.approx(2.5e-5, rel=1e-3)
-    assert service(session(MODEL, side=5)) is None
+    assert find_service_time(session(MODEL, side=5)) is None
 
 
 def test_grid_of_timestamps():
     ticked = MODEL.with_effect("timestamp_quantisation", {"tick_s": 2e-4})
     recordings = [replace(r, events=replace(r.events, tick_ns=1)) for r in session(ticked, side=4)]
-    found = grid(recordings)
+    found = find_grid(recordings)
     assert found is not None
     assert found.value == pytest.approx(2e-4, rel=1e-3)
-    assert grid(session(MODEL, side=4)) is None
+    assert find_grid(session(MODEL, side=4)) is None
 
 
 def test_queue_windows_hold_the_arrivals():
@@ -465,13 +465,13 @@ def test_practice_cases(case):
 
 
 def test_hot_pixels_stand_out_where_others_are_silent():
-    from pixelid.gap.hot import hot_pixels
+    from pixelid.inspection.hot_pixels import find_hot_pixels_in_silence
 
     burning = MODEL.with_effect("hot_pixels", {"rate_hz": 8.0, "count": 2})
-    found = hot_pixels(session(burning, side=4, seed=6))
+    found = find_hot_pixels_in_silence(session(burning, side=4, seed=6))
     assert found is not None
     assert len(found.pixels) == 2
-    low, high = found.print.interval
+    low, high = found.signature.interval
     assert low < 8.0 < high
-    assert hot_pixels(session(MODEL, side=4, seed=6)) is None
-    assert hot_pixels(session(MODEL.with_effect("leak", {"rate_hz": 2.0}), side=4, seed=6)) is None
+    assert find_hot_pixels_in_silence(session(MODEL, side=4, seed=6)) is None
+    assert find_hot_pixels_in_silence(session(MODEL.with_effect("leak", {"rate_hz": 2.0}), side=4, seed=6)) is None

@@ -13,10 +13,13 @@ from pixelid.inspection.ceiling import find_ceiling
 from pixelid.inspection.counts import count
 from pixelid.inspection.dead_time import find_dead_time
 from pixelid.inspection.hot_pixels import find_hot_pixels
-from pixelid.inspection.intervals import pixel_intervals
+from pixelid.inspection.intervals import pixel_interval_pairs, pixel_intervals
 from pixelid.inspection.lines import find_lines
 from pixelid.inspection.tick import find_tick
+from pixelid.model.shipped import find_model
 from pixelid.recordings import Events, Recording, open_recording, write_recording
+from pixelid.simulate import simulate
+from pixelid.stimuli.shapes import chirp
 
 SHARED = Path(os.environ.get("PIXELID_SHARED", Path(__file__).parents[3] / "shared")) / "recordings"
 WIDTH = 10
@@ -52,7 +55,7 @@ def real(name: str) -> Recording:
 
 def dead_time(events: Events):
     intervals = pixel_intervals(events)
-    return find_dead_time(intervals, find_tick(events, intervals).tick_s)
+    return find_dead_time(intervals, find_tick(events, intervals).tick_s, pixel_interval_pairs(events))
 
 
 @pytest.mark.parametrize("tick_ns", [1, 1000, 50_000])
@@ -63,6 +66,22 @@ def test_a_known_dead_time_comes_back(seconds, tick_ns):
         assert dead.value_s == pytest.approx(seconds, rel=0.02, abs=0.5e-9 * tick_ns)
     covered = sum(dead.interval_95_s[0] <= seconds <= dead.interval_95_s[1] for dead in found)
     assert covered >= 3
+
+
+def test_a_dead_time_is_measured_only_where_pixels_fire_at_random():
+    for seed in range(4):
+        assert dead_time(poisson_events(seed, rate_hz=400, dead_s=1e-3, tick_ns=1000, drift=0.5)).kind == "measured"
+    few = dead_time(poisson_events(0, rate_hz=20, dead_s=1e-3, seconds=10.0))
+    assert few.kind in (None, "upper_bound")
+
+
+@pytest.mark.parametrize("refractory_s", [1e-6, 1e-5, 1e-4, 3e-4])
+def test_pixels_that_follow_the_light_bound_the_dead_time(refractory_s):
+    model = find_model("dvs128").set({"refractory_s": refractory_s})
+    found = dead_time(simulate(model, chirp(), width=3, height=3, seed=0).events)
+    assert found.kind == "upper_bound"
+    low, high = found.interval_95_s
+    assert low <= refractory_s <= high < refractory_s + 1.3e-4
 
 
 def test_a_few_shorter_intervals_do_not_move_the_dead_time():
@@ -216,6 +235,9 @@ def test_real_scan():
 def test_real_dead_time_and_frame_readout():
     health = inspect(real("davis346_aps.aedat4"))
     assert health.dead_time.value_s == pytest.approx(0.97e-3, rel=0.05)
+    assert health.dead_time.edge_95_s == pytest.approx((0.870e-3, 0.975e-3), abs=1e-6)
+    assert health.dead_time.kind == "upper_bound"  # a driven scene: successive intervals resemble each other
+    assert health.dead_time.interval_95_s == pytest.approx((0.0, 0.975e-3), abs=1e-6)
     assert health.lines[0].frequency_hz == pytest.approx(25, abs=0.1)
 
 
@@ -251,7 +273,7 @@ def test_command_writes_json_and_figures(tmp_path, capsys):
     assert {"events", "duration_s", "width", "height", "on_fraction", "rate_hz", "dead_time_s", "tick_s"} < set(result)
     assert {"lines", "hot_pixels", "ceiling", "versions", "inputs_sha256", "seed"} < set(result)
     assert result["lines"][0]["frequency_hz"] == pytest.approx(100, abs=0.1)
-    for name in ("rate.png", "intervals.png", "pixels.png"):
+    for name in ("rate.svg", "intervals.svg", "pixels.svg"):
         assert (tmp_path / "out" / name).stat().st_size > 1000
     assert main(arguments) == 2
     assert "exists already" in capsys.readouterr().err

@@ -215,10 +215,10 @@ def test_the_command_end_to_end(tmp_path, capsys):
     )
     assert found["dark_radiance"] == 4.0
     assert "steps.h5" in found["inputs_sha256"]
-    assert {path.name for path in out.glob("*.png")} == {
-        "poles.png", "errors.png", "bode.png", "steps.png", "measured.png"
+    assert {path.name for path in out.glob("*.svg")} == {
+        "poles.svg", "errors.svg", "bode.svg", "steps.svg", "measured.svg"
     }  # fmt: skip
-    assert "data:image/png" in (out / "report.html").read_text()
+    assert "<svg" in (out / "report.html").read_text()
     assert "complex pair" in capsys.readouterr().out
     (out / "report.html").unlink()
     assert main(["report", str(out)]) == 0

@@ -54,7 +54,7 @@ def test_the_command_writes_its_contract(made, tmp_path, capsys, bandwidth):
     assert result["seed"] == 4
     assert {"raw_events.npz", "camera_poses.npz", "camera_calibration.npz"} <= set(result["inputs_sha256"])
     assert result["history"][-1]["running_psnr"] > 5
-    for name in ("field.npz", "views.png", "training.png", "report.html"):
+    for name in ("field.npz", "views.svg", "training.svg", "report.html"):
         assert (out / name).is_file()
     assert "dB" in capsys.readouterr().out
     assert main([*words, "--overwrite", "--quiet"]) == code

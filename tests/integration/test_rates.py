@@ -1,15 +1,20 @@
 """Rate tables: closed form against integration, known truth recovered, a mistyped cell named, real tables fitted."""
 
 import json
+from dataclasses import dataclass
 
 import numpy as np
 import pytest
 
 from pixelid.cli.main import main
-from pixelid.rates.model import edge_events, events_per_cycle, exit_rate
-from pixelid.rates.pixel import fit_pixel
-from pixelid.rates.pool import PoolTable, fit_pool, pool_events
-from pixelid.rates.table import RateTable, read_table
+from pixelid.parameters.parameter import Parameter, Prior
+from pixelid.status import Status
+from pixelid.tables.fit import fit_table
+from pixelid.tables.model import Rows
+from pixelid.tables.rates.pixel import fit_pixel
+from pixelid.tables.rates.pool import PoolTable, fit_pool, pool_events
+from pixelid.tables.rates.reading import RateTable, read_table
+from pixelid.tables.rates.square_wave import edge_events, events_per_cycle, exit_rate
 
 FREQUENCIES = np.array([1, 10, 50, 100, 200, 500, 1000, 2000, 5000, 1e4, 3e4, 1e5])
 
@@ -119,9 +124,9 @@ def test_real_gen31_table(shared, tmp_path):
         pytest.skip(f"no {source}")
     assert main(["rates", str(source), "--unit", "mev/s", "--out", str(out), "--quiet"]) == 0
     found = json.loads((out / "rates.json").read_text())
-    assert (out / "rates.png").stat().st_size > 1000
+    assert (out / "rates.svg").stat().st_size > 1000
     page = (out / "report.html").read_text()
-    assert "data:image/png" in page
+    assert "<svg" in page
     assert "decimal point" in page
     cutoffs = [found["parameters"][f"cutoff_hz[fo{b}]"]["value"] for b in (1477, 1399, 1299)]
     assert cutoffs == sorted(cutoffs)
@@ -147,6 +152,56 @@ def test_real_evk4_table(shared, tmp_path):
     assert found["parameters"]["cutoff_exponent"]["value"] == pytest.approx(0.76, abs=0.05)
     assert not found["parameters"]["dead_time_s"]["identified"]
     assert not found["parameters"]["top_cutoff_hz[5.0 m, 0°]"]["identified"]
+
+
+@pytest.mark.parametrize("factor", [1e-3, 1e3])
+def test_a_table_in_the_wrong_unit_does_not_converge(factor):
+    table, _ = _table()
+    wrong = RateTable(table.frequency_hz, table.columns, factor * table.rate_hz, factor * table.resolution_hz)
+    status, advice = fit_pixel(wrong).regression.judge()
+    assert status in (Status.misfit, Status.at_bound)
+    assert "unit" in advice
+    assert fit_pixel(table).regression.judge() == (Status.converged, "")
+
+
+@dataclass(frozen=True)
+class Line:
+    """measured = slope · setting: the smallest table model, with a nuisance and a prior."""
+
+    rows: Rows
+    prior: Prior | None = None
+    nuisances: frozenset[str] = frozenset({"offset"})
+    neutral_bounds: tuple[tuple[str, str], ...] = ()
+
+    @property
+    def parameters(self):
+        return (
+            Parameter("slope", 1.0, "1", 1e-3, 10.0, "log", prior=self.prior),
+            Parameter("offset", 1.0, "1", 1e-6, 1e3, "log"),
+        )
+
+    def dependence(self):
+        return [np.zeros(len(self.rows.measured), int), np.ones(len(self.rows.measured), int)]
+
+    def predict(self, x):
+        return np.exp(x[0]) * np.array(self.rows.columns["setting"]) + np.exp(x[1])
+
+
+def test_any_table_model_is_fitted_judged_and_written():
+    setting = np.geomspace(1, 100, 20)
+    rng = np.random.default_rng(0)
+    measured = (2.0 * setting + 5.0) * np.exp(0.03 * rng.standard_normal(20))
+    rows = Rows(measured, 1e-3, columns={"setting": setting.tolist()})
+    fit = fit_table(Line(rows))
+    entry = fit.as_dict()["slope"]
+    assert entry["interval_95"][0] < 2.0 < entry["interval_95"][1]
+    assert fit.judge()[0] is Status.converged
+    assert set(fit.as_rows()[0]) == {"setting", "measured", "predicted", "standardised"}
+    held = fit_table(Line(rows, Prior(np.log(4.0), 1e-3)))
+    assert np.exp(held.x[0]) == pytest.approx(4.0, rel=0.02)
+    steep = Rows(20.0 * setting, 1e-3, columns=rows.columns)
+    assert fit_table(Line(steep)).at_bound() == ["slope"]
+    assert fit_table(Line(steep)).judge()[0] is not Status.converged
 
 
 @pytest.mark.parametrize(

@@ -161,7 +161,7 @@ def test_posterior_of_a_small_fit(two_thresholds, tmp_path):
     assert observed == int((recordings[0].events.p == 1).sum())
     predicted = data.posterior_predictive.on_events.values
     assert abs(predicted.mean() - observed) < 0.2 * observed
-    assert {"corner.png", "trace.png"} <= {path.name for path in tmp_path.iterdir()}
+    assert {"corner.svg", "trace.svg"} <= {path.name for path in tmp_path.iterdir()}
 
 
 def test_physical_values_follow_the_gauge(two_thresholds):

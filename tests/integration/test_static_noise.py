@@ -10,16 +10,9 @@ import pytest
 
 from pixelid.cli.main import main
 from pixelid.errors import InputError
-from pixelid.inspection.renewal import MOST, SlowPixels, paces
-from pixelid.inspection.static_noise import (
-    EDGES_HZ,
-    EDGES_S,
-    FEWEST,
-    IntervalCounts,
-    interval_counts,
-    read_interval_counts,
-    static_noise,
-)
+from pixelid.inspection.interval_counts import EDGES_HZ, EDGES_S, IntervalCounts, interval_counts, read_interval_counts
+from pixelid.inspection.renewal import MAX_SLOW, SlowPixels, paces
+from pixelid.inspection.static_noise import MIN_INTERVALS, static_noise
 from pixelid.model.shipped import find_model
 from pixelid.simulate import simulate
 from pixelid.stimuli.shapes import constant
@@ -70,7 +63,7 @@ def test_number_of_intervals_in_a_window_is_that_of_a_renewal_process(mean_s, cv
     # the grid of periods is 6 % wide: move the pixels to it
     counts = firing(np.full(4000, 1.0 / table.means[at]), cv, 20.0, seed=1)
     number = counts.sum(axis=1)
-    measured = np.bincount(np.minimum(number, MOST + 1), minlength=MOST + 2)[: MOST + 1] / 4000
+    measured = np.bincount(np.minimum(number, MAX_SLOW + 1), minlength=MAX_SLOW + 2)[: MAX_SLOW + 1] / 4000
     np.testing.assert_allclose(table.number[0, :, at], measured, atol=4 * 0.5 / np.sqrt(4000))
 
 
@@ -220,4 +213,4 @@ def test_real_noise():
     assert found.by_light is not None
     assert found.by_light.leak_hz == pytest.approx(0.055, rel=0.1)
     assert found.by_light.parasitic_hz_per_lux == pytest.approx(2.8e-5, rel=0.1)
-    assert FEWEST > MOST
+    assert MIN_INTERVALS > MAX_SLOW

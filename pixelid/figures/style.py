@@ -1,0 +1,138 @@
+"""The style of every figure: one colour per meaning, one set of sizes, SVG files with text as text.
+
+Drawing functions are called `draw_<what>(…, axes=None)`, are decorated with `styled`, put their artists on the axes
+given or on new ones, and return the axes.  Files are written by `save_figure`.
+
+The colours are those of Okabe and Ito (jfly.uni-koeln.de/color), told apart with every kind of colour blindness; ON
+and OFF differ in lightness as well.  `INK` and `PAPER` are neutral: a report replaces them by the colours of its
+page, so that a figure reads in the dark too.
+"""
+
+from __future__ import annotations
+
+import functools
+import io
+import re
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, ParamSpec, TypeVar
+
+import numpy as np
+
+INK, PAPER, MUTED = "#20242b", "#fefefd", "#8b919b"
+ON, OFF = "#d55e00", "#0072b2"
+MEASURED, FITTED, IMPROVED, UNEXPLAINED = "#e69f00", INK, "#009e73", "#b0578d"
+SERIES = ("#0072b2", "#d55e00", "#009e73", "#b0578d", "#e69f00", "#56b4e9", "#7a6a4f")
+SEQUENTIAL, DENSITY, CYCLIC = "viridis", "Blues", "twilight"
+
+STYLE = {
+    "font.size": 9.0, "axes.titlesize": 9.0, "axes.labelsize": 9.0, "xtick.labelsize": 8.0, "ytick.labelsize": 8.0,
+    "legend.fontsize": 8.0, "legend.title_fontsize": 8.0, "figure.titlesize": 10.0,
+    "axes.spines.top": False, "axes.spines.right": False, "axes.linewidth": 0.7, "axes.titlelocation": "left",
+    "axes.edgecolor": INK, "axes.labelcolor": INK, "axes.titlecolor": INK, "text.color": INK,
+    "xtick.color": INK, "ytick.color": INK, "axes.facecolor": "none", "figure.facecolor": PAPER,
+    "axes.grid": True, "grid.color": MUTED, "grid.alpha": 0.25, "grid.linewidth": 0.5, "axes.axisbelow": True,
+    "lines.linewidth": 1.2, "lines.markersize": 4.5, "patch.linewidth": 0.0, "errorbar.capsize": 0.0,
+    "legend.frameon": False, "legend.handlelength": 1.5, "image.interpolation": "nearest",
+    "axes.formatter.useoffset": False, "axes.unicode_minus": True, "text.parse_math": False,
+    "svg.fonttype": "none", "svg.hashsalt": "pixelid", "savefig.dpi": 150.0,
+}  # fmt: skip
+
+_SUPERSCRIPT = str.maketrans("-−0123456789", "⁻⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+_CONTROL = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\ufffe\uffff]")
+Arguments = ParamSpec("Arguments")
+Drawn = TypeVar("Drawn")
+
+
+def styled(draw: Callable[Arguments, Drawn]) -> Callable[Arguments, Drawn]:
+    """`draw` under the style of this module, whatever matplotlib is set to otherwise."""
+
+    @functools.wraps(draw)
+    def with_style(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Drawn:
+        import matplotlib
+
+        with matplotlib.rc_context(STYLE):  # pyright: ignore[reportArgumentType]
+            axes = draw(*args, **kwargs)
+            _write_powers_plainly(axes)
+            return axes
+
+    return with_style
+
+
+def _figure_of(axes: Any) -> Any:
+    return np.ravel(np.asarray(axes, dtype=object))[0].figure
+
+
+def _write_powers_plainly(axes: Any) -> None:
+    """Ticks of logarithmic axes as 10⁻³ instead of mathematical markup: names with a $ in them are just names."""
+    from matplotlib.ticker import LogFormatterSciNotation
+
+    class Plain(LogFormatterSciNotation):
+        def __call__(self, x, pos=None):  # pyright: ignore[reportIncompatibleMethodOverride]
+            text = re.sub(r"[${}]|\\mathdefault", "", super().__call__(x, pos)).replace(r"\times", " × ")
+            mantissa, power, exponent = text.partition("^")
+            return mantissa + exponent.translate(_SUPERSCRIPT) if power else text
+
+    for axis in _figure_of(axes).axes:
+        for side in (axis.xaxis, axis.yaxis):
+            if side.get_scale() in ("log", "symlog"):
+                linear = getattr(side.get_transform(), "linthresh", None)
+                side.set_major_formatter(Plain(linthresh=linear))
+                if side.get_scale() == "log":
+                    side.set_minor_formatter(Plain(minor_thresholds=(1.0, 0.4)))
+
+
+def new_axes(
+    rows: int, columns: int, width: float, height: float, *, sharex: bool = False, height_ratios: Any = None
+) -> np.ndarray:
+    """(rows, columns) axes of a new figure, each `width` × `height` inches."""
+    import matplotlib.pyplot as plt
+
+    _, axes = plt.subplots(
+        rows, columns, figsize=(width * columns, height * rows), squeeze=False, layout="constrained", sharex=sharex,
+        gridspec_kw={"height_ratios": height_ratios} if height_ratios is not None else None,
+    )  # fmt: skip
+    return axes
+
+
+def new_axis(width: float = 7.0, height: float = 4.0) -> Any:
+    """The one axis of a new figure, in inches."""
+    return new_axes(1, 1, width, height)[0, 0]
+
+
+def series_colours(count: int) -> list[Any]:
+    """`count` colours for series without a meaning of their own; beyond seven, ordered ones."""
+    if count <= len(SERIES):
+        return list(SERIES[:count])
+    import matplotlib
+
+    return list(matplotlib.colormaps[SEQUENTIAL](np.linspace(0.0, 0.9, count)))
+
+
+def save_figure(axes: Any, path: Path) -> Path:
+    """Write the figure that `axes` belong to, as SVG by the same bytes every time, and close it; returns the path.
+
+    Args:
+        axes: one axis, or an array of them.
+        path: ends in `.svg`, or in another format that matplotlib writes.
+    """
+    import matplotlib
+    import matplotlib.pyplot as plt
+
+    figure = _figure_of(axes)
+    with matplotlib.rc_context(STYLE), warnings.catch_warnings():  # pyright: ignore[reportArgumentType]
+        warnings.filterwarnings("ignore", "Glyph")  # text stays text: the reader's machine has the script
+        if path.suffix == ".svg":
+            text = io.StringIO()
+            figure.savefig(text, format="svg", metadata={"Date": None})
+            path.write_text(without_control_characters(text.getvalue()), encoding="utf-8")
+        else:
+            figure.savefig(path)
+    plt.close(figure)
+    return path
+
+
+def without_control_characters(text: str) -> str:
+    """`text` without the characters that neither a page nor a drawing may contain; line breaks and tabs stay."""
+    return _CONTROL.sub("", text)

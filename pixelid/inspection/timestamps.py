@@ -1,0 +1,117 @@
+"""Timestamp signatures: what the readout did to the timestamps, seen in them alone, before any model is fitted.
+
+**One server** (`readout_latency`): with service time s no two events leave less than s apart, and whoever had to wait
+leaves exactly s after the one before.  Of the waits between successive events of different pixels, none is shorter
+than s, and an atom sits at s on a density that is smooth elsewhere.
+
+**A grid** (`timestamp_quantisation`): all timestamps are multiples of a tick that is coarser than the file's own, or
+the waits of single pixels are multiples of a scan period (both found by `inspection.tick`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pixelid.inspection.intervals import pixel_intervals
+from pixelid.inspection.tick import MIN_EVENTS, common_divisor, find_tick
+from pixelid.recordings.recording import Recording
+
+MIN_ATOM_EVENTS = 20
+MAX_ATOM_CHANCE = 1e-12  # of an atom by accident; a recording offers some 1e6 places where one could be
+MIN_GRID_UNITS = 1.5  # a grid is coarser than the file's own unit
+
+
+@dataclass(frozen=True)
+class TimestampSignature:
+    """One effect that the timestamps show.
+
+    Attributes:
+        effect, parameter: their names in the effect library.
+        value, interval: in the parameter's unit, the interval at 95 %.
+        p: chance of it by accident.
+        nats_per_event: what knowing it gains per event concerned.
+        concerned: share of the events concerned.
+        where: in words.
+    """
+
+    effect: str
+    parameter: str
+    value: float
+    interval: tuple[float, float]
+    p: float
+    nats_per_event: float
+    concerned: float
+    where: str
+
+
+def find_timestamp_signatures(recordings: Sequence[Recording]) -> list[TimestampSignature]:
+    """What the timestamps of the recordings (of one sensor) show."""
+    queue = find_service_time(recordings)
+    # a busy server stamps its pixels a whole number of service times apart: then only a common divisor is a grid
+    signatures = [queue, find_grid(recordings, scans=queue is None)]
+    return [signature for signature in signatures if signature is not None]
+
+
+def find_service_time(recordings: Sequence[Recording]) -> TimestampSignature | None:
+    """The service time of one server; None where there is no sign of it."""
+    from scipy.stats import poisson
+
+    waits = []
+    for r in recordings:
+        other = np.diff(r.events.pixel) != 0
+        waits.append(np.diff(r.events.t)[other])
+    wait = np.concatenate(waits) if waits else np.empty(0, np.int64)
+    unit = max((r.events.tick_ns for r in recordings), default=1)
+    if len(wait) < 5 * MIN_ATOM_EVENTS:
+        return None
+    least = int(wait.min())
+    if least < 2 * unit:
+        return None
+    width = 2 * unit  # rounding of two timestamps
+    atom = wait[(wait >= least) & (wait <= least + width)]
+    reach = max(20 * width, least)
+    beyond = np.count_nonzero((wait > least + width) & (wait <= least + width + reach))
+    density = max(beyond, 1) / reach  # per ns
+    expected = density * (width + unit)
+    p = float(poisson.sf(len(atom) - 1, expected))
+    if len(atom) < MIN_ATOM_EVENTS or p > MAX_ATOM_CHANCE:
+        return None
+    value = float(atom.mean()) * 1e-9
+    error = max(float(atom.std()), 0.29 * unit) * 1e-9 / np.sqrt(len(atom))
+    gain = float(np.log(len(atom) / expected) + density * least / len(atom))
+    share = len(atom) / sum(len(r.events) for r in recordings)
+    return TimestampSignature(
+        "readout_latency", "readout_latency.service_s", value, (value - 1.96 * error, value + 1.96 * error), p, gain,
+        share,
+        f"no two pixels' events are less than {1e6 * value:.4g} µs apart, and {100 * share:.0f} % of all events come "
+        "exactly that after the one before",
+    )  # fmt: skip
+
+
+def find_grid(recordings: Sequence[Recording], scans: bool = True) -> TimestampSignature | None:
+    """The tick of the timestamps, where it is coarser than the unit that the files count in.
+
+    scans: also look for the period of a scan in the waits of single pixels
+    """
+    t = np.concatenate([r.events.t for r in recordings]) if recordings else np.empty(0, np.int64)
+    unit = max((r.events.tick_ns for r in recordings), default=1) * 1e-9
+    if len(t) < MIN_EVENTS:
+        return None
+    tick, error, of = common_divisor(t) * 1e-9, 0.5e-9, "all timestamps"
+    if tick < MIN_GRID_UNITS * unit:
+        if not scans:
+            return None
+        largest = max(recordings, key=lambda r: len(r.events)).events
+        seen = find_tick(largest, pixel_intervals(largest))
+        if seen.scan_s is None or seen.scan_s < MIN_GRID_UNITS * unit:
+            return None
+        tick, error = seen.scan_s, float(seen.scan_jitter_s or 0.0) / float(np.sqrt(len(largest)))
+        of = "the intervals of single pixels"
+    gain = float(np.log(tick / unit))
+    return TimestampSignature(
+        "timestamp_quantisation", "timestamp_quantisation.tick_s", tick, (tick - 1.96 * error, tick + 1.96 * error),
+        float(np.exp(-min(gain * len(t), 700.0))), gain, 1.0, f"{of} are multiples of {1e6 * tick:.6g} µs",
+    )  # fmt: skip

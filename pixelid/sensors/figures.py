@@ -1,0 +1,34 @@
+"""Figures of a sensor fit: each map before and after shrinkage."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from pixelid.figures.style import INK, MUTED, SEQUENTIAL, new_axes, styled
+from pixelid.sensors.sensor import Map
+
+
+@styled
+def draw_map(m: Map, axes: Any = None) -> Any:
+    """A map before and after shrinkage on one colour scale, and the two distributions; returns the three axes."""
+    if axes is None:
+        axes = new_axes(1, 3, 3.6, 3.0)[0]
+    raw = np.exp(m.raw)
+    seen = raw[np.isfinite(raw)]
+    low, high = np.percentile(seen if len(seen) else m.value, [2, 98])
+    for axis, values, title in (
+        (axes[0], raw, "each pixel alone"),
+        (axes[1], m.value, "shrunk towards the population"),
+    ):
+        image = axis.imshow(values, vmin=low, vmax=high, cmap=SEQUENTIAL)
+        axis.grid(False)
+        axis.set(title=title, xlabel="column (pixels)", ylabel="row (pixels)")
+    axes[1].figure.colorbar(image, ax=list(axes[:2]), label=f"{m.name} ({m.unit})")
+    edges = np.linspace(low - 0.3 * (high - low), high + 0.3 * (high - low) + 1e-12, 50)
+    axes[2].hist(seen, edges, color=MUTED, alpha=0.6, label="alone")
+    axes[2].hist(m.value.ravel(), edges, histtype="step", color=INK, linewidth=1.2, label="shrunk")
+    axes[2].set(xlabel=f"{m.name} ({m.unit})", ylabel="pixels")
+    axes[2].legend()
+    return axes

@@ -1,0 +1,99 @@
+"""Fit a table of counts: Poisson with exposure, by damped Fisher scoring inside bounds.
+
+Cells count events n of rate λ(x) over an exposure T: log-likelihood Σ n ln λ − λT, Fisher information Σ (∂λ)² T/λ.
+Counts that scatter more than Poisson's law are allowed for by dividing the information by their dispersion.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+STEP = 1e-4  # of a coordinate, for central differences
+MIN_GAIN_NATS = 1e-6
+MAX_SLOPE_SIGMAS = 0.5  # of what is left of the gradient where no step gains any more
+MIN_EXPECTED = 5.0  # events per gathered cell, for Pearson's χ² to be one
+
+Rates = Callable[[np.ndarray], np.ndarray]
+
+
+@dataclass(frozen=True)
+class Maximum:
+    """Where the likelihood is highest: coordinates, log-likelihood, and whether the search came to rest."""
+
+    x: np.ndarray
+    log_likelihood: float
+    converged: bool
+
+
+def log_likelihood(x: np.ndarray, rates: Rates, counts: np.ndarray, exposure: np.ndarray) -> float:
+    """Poisson log-likelihood of counts, without the factorials."""
+    rate = rates(x)
+    return float((counts * np.log(rate)).sum() - (rate * exposure).sum())
+
+
+def slopes(x: np.ndarray, rates: Rates) -> np.ndarray:
+    """(coordinates, …) derivatives of the rates."""
+    return np.stack([(rates(x + d) - rates(x - d)) / (2 * STEP) for d in STEP * np.eye(len(x))])
+
+
+def information(x: np.ndarray, rates: Rates, exposure: np.ndarray) -> np.ndarray:
+    """(coordinates, coordinates) Fisher information."""
+    J = slopes(x, rates)
+    J, weighted = J.reshape(len(x), -1), (J * exposure / rates(x)).reshape(len(x), -1)
+    return J @ weighted.T
+
+
+def maximise(
+    x: np.ndarray,
+    rates: Rates,
+    counts: np.ndarray,
+    exposure: np.ndarray,
+    bounds: tuple[np.ndarray, np.ndarray],
+    steps: int,
+) -> Maximum:
+    """Climb from x by damped scoring (Levenberg–Marquardt on the Fisher information).
+
+    Args:
+        x: (coordinates,) start inside the bounds.
+        rates: coordinates → rates per cell.
+        counts, exposure: of the cells, broadcasting with the rates.
+        bounds: lower and upper; equal ones hold a coordinate.
+        steps: at most so many.
+    """
+    lower, upper = bounds
+    cells = tuple(range(1, counts.ndim + 1))
+    value, damping = log_likelihood(x, rates, counts, exposure), 1e-2
+    for _ in range(steps):
+        rate, J = rates(x), slopes(x, rates)
+        gradient = (J * (counts / rate - exposure)).sum(cells)
+        free = ~(((x <= lower) & (gradient <= 0)) | ((x >= upper) & (gradient >= 0)) | (lower == upper))
+        flat = J.reshape(len(x), -1)
+        H = (flat @ (J * exposure / rate).reshape(len(x), -1).T)[np.ix_(free, free)]
+        move = np.zeros(len(x))
+        while damping < 1e10:
+            step = np.linalg.solve(H + damping * np.diag(np.diag(H) + 1e-9), gradient[free])
+            move[free] = step / max(1.0, np.abs(step).max())
+            trial = np.clip(x + move, lower, upper)
+            new = log_likelihood(trial, rates, counts, exposure)
+            if new > value:
+                break
+            damping *= 4.0
+        else:
+            left = np.abs(gradient[free]) @ np.sqrt(np.diag(np.linalg.pinv(H)))
+            return Maximum(x, value, bool(left < MAX_SLOPE_SIGMAS))
+        gain, x, value, damping = new - value, trial, new, max(damping / 5.0, 1e-8)
+        if gain < MIN_GAIN_NATS:
+            return Maximum(x, value, True)
+    return Maximum(x, value, False)
+
+
+def dispersion(counts: np.ndarray, expected: np.ndarray) -> float:
+    """Pearson χ² per cell; cells are gathered in order until each expects at least 5 events."""
+    n, m = counts.ravel(), expected.ravel()
+    group = np.floor(np.cumsum(m) / MIN_EXPECTED).astype(int)
+    n, m = np.bincount(group, n), np.bincount(group, m)
+    keep = m > 1.0
+    return float(((n - m)[keep] ** 2 / m[keep]).mean())

@@ -1,0 +1,175 @@
+"""Fit a flicker recording: its frequency, then amplitude, phase and noise of every group of pixels."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from pixelid.errors import InputError
+from pixelid.model.model import Model
+from pixelid.provenance import input_hashes
+from pixelid.recordings.recording import Recording
+from pixelid.status import Status
+from pixelid.tables.fit import OPEN_SD, standard_errors
+from pixelid.tables.flicker.circuit import Reading, read_circuit
+from pixelid.tables.flicker.noisy import AT_BOUND, LOWER, SHAPES, UPPER, GroupFit, fit_group
+from pixelid.tables.flicker.phases import PhaseTable, locked_frequency, phase_table, quiet_windows
+
+OPEN_PHASE_CYCLES = 0.05
+# Pixels within a group differ: 0.9 to 3.8 in a real recording whose phases and amplitudes repeat from group to group
+MAX_DISPERSION = 4.0
+
+
+@dataclass(frozen=True)
+class Group:
+    """One group of pixels: where it is (column, row of the grid), its data and its fit."""
+
+    column: int
+    row: int
+    table: PhaseTable
+    fit: GroupFit
+
+    @property
+    def sd(self) -> np.ndarray:
+        """(8,) standard errors in the fit's coordinates, inf where open; those on a bound are held, and inf."""
+        x = self.fit.x
+        free = (x > LOWER + AT_BOUND) & (x < UPPER - AT_BOUND)
+        sd = np.full(len(x), np.inf)
+        sd[free] = standard_errors(self.fit.information[np.ix_(free, free)])
+        return sd
+
+    @property
+    def locked(self) -> bool:
+        """Whether amplitude and phase are known well enough to be compared with other groups."""
+        return bool(self.sd[0] < OPEN_SD and self.sd[2] < OPEN_PHASE_CYCLES)
+
+
+@dataclass(frozen=True)
+class FlickerFit:
+    """A finished fit.
+
+    frequency_hz, frequency_sd;  groups: with enough events, by location;  shapes: name → total log-likelihood;
+    shape: the best of them;  memory_gain: nats by which a reference that fades beats one that does not;
+    free, equal: what the data fix of a circuit, contrasts free or known to be equal
+    """
+
+    frequency_hz: float
+    frequency_sd: float
+    windows: tuple[tuple[float, float], ...]
+    grid: tuple[int, int]
+    groups: tuple[Group, ...]
+    shapes: dict[str, float]
+    shape: str
+    memory_gain: float
+    free: Reading
+    equal: Reading
+    left_out: int
+    seconds: float
+    inputs_sha256: dict[str, str]
+
+    def judge(self) -> tuple[Status, str]:
+        """(status, advice): the worst that is to be said, and what to do about it."""
+        verdicts = {}
+        if not all(g.fit.converged for g in self.groups):
+            verdicts[Status.not_converged] = "Some groups did not come to rest: use fewer, larger groups."
+        typical = float(np.median([g.fit.dispersion for g in self.groups]))
+        if typical > MAX_DISPERSION:
+            verdicts[Status.misfit] = (
+                f"Counts scatter {typical:.1f} times more than Poisson about the fit: no light of one frequency alone; "
+                "check --frequency, and that nothing moves."
+            )
+        stuck = [
+            f"group {g.column}, {g.row}: {', '.join(names)}" for g in self.groups if (names := g.fit.ratios_at_bound)
+        ]
+        if stuck:
+            verdicts[Status.at_bound] = (
+                f"On a bound: {'; '.join(stuck[:3])}{f'; and {len(stuck) - 3} more groups' if len(stuck) > 3 else ''}. "
+                "These groups show too few events of one polarity: use fewer, larger groups."
+            )
+        if not any(g.locked for g in self.groups):
+            verdicts[Status.not_identified] = "No group of pixels is locked to the light: check --frequency."
+        status = Status.worst(verdicts)
+        return status, verdicts.get(status, "")
+
+
+def fit_flicker(
+    recording: Recording,
+    model: Model,
+    *,
+    near_hz: float = 120.0,
+    grid: tuple[int, int] = (8, 6),
+    least_events: int = 300,
+    progress: Callable[[str, float], None] | None = None,
+) -> FlickerFit:
+    """Fit light L0 (1 + m sin(2πft + φ)), or another shape, of free frequency, phase and contrast per group of pixels.
+
+    model: nominal values at which it is computed what one frequency fixes of a circuit (not what is fitted);
+    near_hz: expected frequency, within 2 %;  grid: groups across and down the sensor;  least_events: of a group.
+
+    Raises InputError for pooled recordings, too short ones, and when no group has enough events.
+    """
+    begun = time.perf_counter()
+    report = progress or (lambda what, fraction: None)
+    events = recording.events
+    if recording.pooled:
+        raise InputError(f"{recording.name}: pooled events have no pixels; flicker needs each pixel's last event")
+    if not (near_hz > 0 and grid[0] >= 1 and grid[1] >= 1):
+        raise InputError(f"flicker: expected a frequency above 0 and a grid of at least 1x1, found {near_hz}, {grid}")
+    if model.photoreceptor != "second_order" or "source_follower_pole" not in model.effects:
+        raise InputError(f"model {model.name}: expected a second-order photoreceptor with a source follower")
+    windows = quiet_windows(events)
+    report("frequency", 0.05)
+    frequency, error = locked_frequency(events, near_hz, windows)
+    pixel = np.arange(events.width * events.height)
+    column = pixel % events.width * grid[0] // events.width
+    row = pixel // events.width * grid[1] // events.height
+    tables = {}
+    for r in range(grid[1]):
+        for c in range(grid[0]):
+            table = phase_table(events, (column == c) & (row == r), frequency, windows)
+            if table.events >= least_events:
+                tables[c, r] = table
+    if not tables:
+        raise InputError(f"{recording.name}: no group of pixels has {least_events} events in quiet light")
+    totals, fits = {}, {}
+    for k, shape in enumerate(SHAPES):
+        fits[shape] = {}
+        for j, (where, table) in enumerate(tables.items()):
+            start = fits["sine"][where].x if shape == "deep sine" else None
+            fits[shape][where] = fit_group(table, shape, start)
+            report(f"groups, {shape}", 0.1 + 0.85 * (k + (j + 1) / len(tables)) / len(SHAPES))
+        totals[shape] = float(sum(fit.log_likelihood for fit in fits[shape].values()))
+    best = max(totals, key=lambda shape: totals[shape])
+    groups = tuple(Group(c, r, table, fits[best][c, r]) for (c, r), table in tables.items())
+    perfect = max(
+        sum(fit_group(table, shape, fits[shape][where].x, memory=1.0).log_likelihood for where, table in tables.items())
+        for shape in SHAPES
+    )
+    information = [_of_seen(g.fit.information) for g in groups]
+    nominal = {**model.values, "diff_cutoff_hz": model.values.get("diff_cutoff_hz", 1e5)}
+    level = np.geomspace(10.0, 1000.0, len(groups))
+    return FlickerFit(
+        frequency,
+        error,
+        tuple(windows),
+        grid,
+        groups,
+        totals,
+        best,
+        totals[best] - float(perfect),
+        read_circuit(frequency, information, nominal, level, equal_contrast=False),
+        read_circuit(frequency, information, nominal, level, equal_contrast=True),
+        grid[0] * grid[1] - len(groups),
+        time.perf_counter() - begun,
+        input_hashes([recording.source]),
+    )
+
+
+def _of_seen(information: np.ndarray) -> np.ndarray:
+    """(4, 4) information on amplitude, ratio, phase and noise, the firing rate and the background left free."""
+    seen, other = np.arange(4), np.arange(4, len(information))
+    cross = information[np.ix_(seen, other)]
+    return information[np.ix_(seen, seen)] - cross @ np.linalg.pinv(information[np.ix_(other, other)]) @ cross.T

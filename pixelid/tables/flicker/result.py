@@ -1,0 +1,156 @@
+"""What a fitted flicker recording says: flicker.json, and what one frequency fixes and leaves open, in words."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from pixelid.provenance import versions
+from pixelid.tables.fit import OPEN_SD
+from pixelid.tables.flicker.circuit import Reading
+from pixelid.tables.flicker.figures import draw_maps, draw_phases
+from pixelid.tables.flicker.fit import OPEN_PHASE_CYCLES, FlickerFit, Group
+from pixelid.tables.flicker.noisy import LINEAR, NAMES
+from pixelid.tables.result import write_result
+
+# a reference that fades is named when it is 10 nats likelier: e¹⁰ to one, beyond what the choice of shape can give
+MIN_MEMORY_GAIN_NATS = 10.0
+
+
+def save_flicker(fit: FlickerFit, folder: Path) -> dict:
+    """Write flicker.json, phases.svg and maps.svg into an existing folder; returns the JSON."""
+    figures = {"phases": partial(draw_phases, fit), "maps": partial(draw_maps, fit)}
+    return write_result(flicker_result(fit), "flicker.json", figures, folder)
+
+
+def flicker_result(fit: FlickerFit) -> dict:
+    """The content of flicker.json."""
+    status, advice = fit.judge()
+    return {
+        "status": status,
+        "advice": advice,
+        "observation": "phase_table",
+        "frequency_hz": {"value": fit.frequency_hz, "std": fit.frequency_sd, "identified": True},
+        "quiet_windows_s": fit.windows,
+        "shape": fit.shape,
+        "shapes_log_likelihood": fit.shapes,
+        "memory_gain_nats": fit.memory_gain,
+        "groups": [_group(g) for g in fit.groups],
+        "groups_left_out": fit.left_out,
+        "parameters": {name: {"identified": bool(sd < OPEN_SD), "std_log": sd} for name, sd in fit.free.sd.items()},
+        "fixed_directions": fit.free.fixed,
+        "blind_directions": fit.free.blind,
+        "if_contrasts_were_equal": {
+            "fixed_directions": fit.equal.fixed,
+            "blind_directions": fit.equal.blind,
+            "identified": [name for name, sd in fit.equal.sd.items() if sd < OPEN_SD],
+        },
+        "identified": identified_sentences(fit),
+        "unidentified": open_sentences(fit),
+        "disagreements": disagreements(fit),
+        "seconds": fit.seconds,
+        "versions": versions(),
+        "inputs_sha256": fit.inputs_sha256,
+    }
+
+
+def _group(g: Group) -> dict:
+    entry = {"column": g.column, "row": g.row, "pixels": g.table.pixels, "events": g.table.events,
+             "dispersion": g.fit.dispersion}  # fmt: skip
+    for name, value, sd in zip(NAMES, g.fit.values.values(), g.sd, strict=True):
+        entry[name] = {
+            "value": value,
+            "std": (sd if name in LINEAR else value * sd) if np.isfinite(sd) else None,
+            "identified": bool(sd < (OPEN_PHASE_CYCLES if name == "phase_cycles" else OPEN_SD)),
+        }
+    return entry
+
+
+def identified_sentences(fit: FlickerFit) -> list[str]:
+    known = [g for g in fit.groups if g.locked]
+    if not known:
+        return ["the frequency of the light, and nothing of the circuit: no group is locked well enough"]
+    a = np.array([g.fit.values["amplitude_over_on_threshold"] for g in known])
+    ratio = np.array([g.fit.values["off_over_on_threshold"] for g in known])
+    lag = _lags(known)
+    ms = 1e3 / fit.frequency_hz
+    return [
+        f"amplitude / ON threshold at {fit.frequency_hz:.2f} Hz, per group: {a.min():.2g} to "
+        f"{a.max():.2g} in {len(known)} groups",
+        f"OFF / ON threshold: {np.median(ratio):.2f} (median over groups; {ratio.min():.2g} to {ratio.max():.2g})",
+        f"phase of each group relative to the others: they lag by 0 to {np.ptp(lag):.2f} cycles "
+        f"({ms * np.ptp(lag):.2f} ms)",
+        "noise / ON threshold of each group, as far as the shape of the noise is right",
+    ]
+
+
+def open_sentences(fit: FlickerFit) -> list[str]:
+    return [
+        f"alpha, beta, gamma, sf_cutoff_hz, diff_cutoff_hz: {fit.free.blind} directions of "
+        f"{fit.free.blind + fit.free.fixed} unknowns stay blind; one frequency gives one amplitude and "
+        f"one phase per group",
+        "contrast × bandwidth / threshold: only their product is the amplitude, so thresholds and "
+        "contrasts stay unknown",
+        "absolute phase lag: the lamp's own phase is unknown, only differences between groups are seen",
+        f"if every group saw the same contrast, {fit.equal.fixed} of {fit.equal.fixed + fit.equal.blind} directions "
+        "would be fixed" + (", and still none of the circuit's parameters" if not _circuit_known(fit.equal) else ""),
+    ]
+
+
+def _circuit_known(reading: Reading) -> bool:
+    return any(
+        reading.sd[n] < OPEN_SD for n in ("alpha", "beta", "gamma", "sf_cutoff_hz", "diff_cutoff_hz", "on_threshold")
+    )
+
+
+def _lags(groups: list[Group]) -> np.ndarray:
+    """Phases of groups in cycles, unwrapped about their mean direction."""
+    phase = np.array([g.fit.values["phase_cycles"] for g in groups])
+    centre = np.angle(np.exp(2j * np.pi * phase).sum()) / (2 * np.pi)
+    return (phase - centre + 0.5) % 1.0 - 0.5
+
+
+def disagreements(fit: FlickerFit) -> list[str]:
+    sentences = []
+    worst = max(fit.groups, key=lambda g: g.fit.dispersion)
+    typical = float(np.median([g.fit.dispersion for g in fit.groups]))
+    if typical > 1.3:
+        sentences.append(
+            f"counts scatter {typical:.1f} times more than Poisson about the fit (median; "
+            f"{worst.fit.dispersion:.1f} in group "
+            f"{worst.column}, {worst.row}): pixels within a group differ; errors are scaled for it"
+        )
+    order = sorted(fit.shapes, key=lambda s: -fit.shapes[s])
+    behind = [
+        f"{s!r} is {(fit.shapes[order[0]] - fit.shapes[s]) / max(typical, 1.0):.0f} nats worse" for s in order[1:]
+    ]
+    sentences.append(
+        f"the light looks like {order[0]!r}: {', '.join(behind)} (over {len(fit.groups)} groups, scatter allowed for)"
+    )
+    gain = fit.memory_gain / max(typical, 1.0)
+    if gain > MIN_MEMORY_GAIN_NATS:
+        memory = np.median([g.fit.values["memory"] for g in fit.groups])
+        sentences.append(
+            f"the level of the last event is remembered by {memory:.2f} only (median; 1 is the model's "
+            f"comparator, which is "
+            f"{gain:.0f} nats worse): a lower cutoff near the flicker's frequency, or events that noise "
+            "triggers, would do that, and this recording cannot tell which"
+        )
+    known = [g for g in fit.groups if g.locked]
+    if len(known) > 4:
+        lag, a = _lags(known), np.log([g.fit.values["amplitude_over_on_threshold"] for g in known])
+        r = float(np.corrcoef(lag, a)[0, 1])
+        sentences.append(
+            f"amplitude and lag of groups correlate at r = {r:+.2f}: one pole of varying bandwidth alone "
+            f"would give −1; "
+            "the rest is contrast that varies over the scene"
+        )
+        error = float(np.hypot(known[lag.argmax()].sd[2], known[lag.argmin()].sd[2]))
+        if np.ptp(lag) > 0.25 + 2.0 * error:
+            sentences.append(
+                f"lags differ by {np.ptp(lag):.2f} cycles, more than the 0.25 that one pole can give: "
+                "dim pixels need at least two"
+            )
+    return sentences

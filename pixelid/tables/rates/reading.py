@@ -1,0 +1,57 @@
+"""A table of event rates: one row per frequency of the light, one column per setting of the sensor.
+
+CSV: a header `freq_hz,<column>,…`, empty cells where nothing was measured, `#` lines are remarks.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from pixelid.errors import InputError
+from pixelid.tables.reading import read_text_table
+
+UNITS = {"hz": 1.0, "kev/s": 1e3, "mev/s": 1e6}
+
+
+@dataclass(frozen=True)
+class RateTable:
+    """Event rates of one pixel (or one pool) under square-wave light.
+
+    frequency_hz: (n,);  columns: m names;  rate_hz: (n, m) events per second, NaN where not measured
+    resolution_hz: the last digit written: rates are known no better, and less was "no events"
+    """
+
+    frequency_hz: np.ndarray
+    columns: tuple[str, ...]
+    rate_hz: np.ndarray
+    resolution_hz: float
+    source: Path | None = None
+
+    @property
+    def per_cycle(self) -> np.ndarray:
+        """(n, m) events per cycle of the light."""
+        return self.rate_hz / self.frequency_hz[:, None]
+
+
+def read_table(path: Path, unit: str = "hz") -> RateTable:
+    """The table of a CSV file.
+
+    Args:
+        path: the file.
+        unit: of its rates, one of `UNITS`.
+
+    Raises:
+        InputError: naming file, row and cell.
+    """
+    if unit not in UNITS:
+        raise InputError(f"unit: expected one of {', '.join(UNITS)}, found {unit!r}")
+    text = read_text_table(path, first="freq", expected="freq_hz,column,…")
+    frequency, names = text.numbers(text.names[0]), text.names[1:]
+    rates = np.stack([text.numbers(name) for name in names], axis=1)
+    if len(rates) < 2 or not (frequency > 0).all() or (np.nan_to_num(rates) < 0).any():
+        raise InputError(f"{path}: expected at least two rows, frequencies above 0 and rates of at least 0")
+    scale = UNITS[unit]
+    return RateTable(frequency, names, rates * scale, scale * text.last_digit(names), text.path)

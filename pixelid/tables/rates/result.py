@@ -1,0 +1,125 @@
+"""What a fitted rate table says: the numbers of rates.json, and its disagreements in words."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from pixelid.provenance import provenance
+from pixelid.tables.fit import SUSPECT, TableFit
+from pixelid.tables.rates.figures import draw_pixel, draw_pool
+from pixelid.tables.rates.pixel import PixelFit, fit_pixel
+from pixelid.tables.rates.pool import PoolFit, fit_pool
+from pixelid.tables.result import open_sentences, table_result, write_result
+
+
+def pixel_result(fit: PixelFit) -> dict:
+    """The content of rates.json for one pixel's table."""
+    r, table = fit.regression, fit.table
+    together = fit_pixel(table, ("swing", "dead")).regression
+    cells = [
+        {
+            "frequency_hz": float(table.frequency_hz[i]),
+            "column": table.columns[k],
+            "measured_hz": float(fit.observed[j]),
+            "fitted_hz": float(r.predicted[j]),
+            "ratio": float((fit.observed[j] + table.resolution_hz) / (r.predicted[j] + table.resolution_hz)),
+            "residual": float(r.residual[j]),
+            "weight": float(r.weight[j]),
+            "suspect": bool(abs(r.residual[j]) > SUSPECT),
+        }
+        for j, (i, k) in enumerate(zip(fit.row, fit.column, strict=True))
+    ]
+    return {
+        **_head(r, "pixel", table.frequency_hz),
+        "cells": cells,
+        "one_dead_time": {"log_likelihood": together.log_likelihood, "parameters": together.as_dict()},
+        "disagreements": _pixel_sentences(fit, together, cells),
+        **provenance(*([table.source] if table.source else [])),
+    }
+
+
+def _head(r: TableFit, model: str, frequency_hz: np.ndarray) -> dict:
+    result = table_result(r, model, "pooled_rate")
+    for name, entry in result["parameters"].items():
+        if "cutoff_hz" in name and not 0.3 * frequency_hz.min() < entry["value"] < 3.0 * frequency_hz.max():
+            entry |= {"identified": False, "std": None}  # an extrapolation beyond every frequency measured
+    return result | {"unidentified": open_sentences(result["parameters"])}
+
+
+def _pixel_sentences(fit: PixelFit, together: TableFit, cells: list[dict]) -> list[str]:
+    sentences = []
+    for c in sorted(cells, key=lambda c: -abs(c["residual"])):
+        if c["suspect"]:
+            sentences.append(
+                f"{c['column']} at {c['frequency_hz']:g} Hz: measured {c['measured_hz']:.4g} events/s, the fit says "
+                f"{c['fitted_hz']:.4g} ({c['ratio']:.3g} times, {c['residual']:+.0f} scales; kept, at weight "
+                f"{c['weight']:.2g})"
+            )
+            if 8 < c["ratio"] < 12.5 or 0.08 < c["ratio"] < 0.125:
+                sentences[-1] += "; a factor near 10: a decimal point may have slipped"
+    parameters = fit.regression.as_dict()
+    dead = {n: v for n, v in parameters.items() if n.startswith("dead_time_s[") and v["identified"]}
+    if len(dead) > 1:
+        values = [v["value"] for v in dead.values()]
+        if max(values) > 2 * min(values):
+            text = ", ".join(f"{n[12:-1]} {1e6 * v['value']:.2g} µs" for n, v in dead.items())
+            sentences.append(
+                f"dead time should not depend on the setting, but comes out as {text}: the largest and smallest absorb "
+                "something else that the model lacks"
+            )
+    apart = fit.regression.log_likelihood - together.log_likelihood
+    sentences.append(
+        f"one dead time for all settings costs {apart:.1f} nats for "
+        f"{len(fit.regression.x) - len(together.x)} parameters "
+        f"fewer (it would be {1e6 * together.as_dict()['dead_time_s']['value']:.2g} µs)"
+    )
+    return sentences
+
+
+def pool_result(fit: PoolFit, alike: PoolFit) -> dict:
+    """The content of rates.json for a pool table; `alike`: the same with identical pixels."""
+    r, table = fit.regression, fit.table
+    ratio = np.full(table.per_cycle.shape, np.nan)
+    ratio[fit.row, fit.column] = table.per_cycle[fit.row, fit.column] / r.predicted
+    worst = [
+        f"{table.frequency_hz[i]:g} Hz: events per cycle are {np.nanmedian(ratio[i]):.2f} times the fit (median over "
+        f"conditions; {np.nanmin(ratio[i]):.2f} to {np.nanmax(ratio[i]):.2f})"
+        for i in range(len(ratio))
+        if abs(np.log(np.nanmedian(ratio[i]))) > 0.1 or np.nanmax(np.abs(np.log(ratio[i]))) > 0.5
+    ]
+    error, error_alike = (float(np.median(np.abs(np.log(f.table.per_cycle[f.row, f.column] / f.regression.predicted))))
+                          for f in (fit, alike))  # fmt: skip
+    return {
+        **_head(r, "pool", table.frequency_hz),
+        "median_error": error,
+        "identical_pixels": {
+            "median_error": error_alike,
+            "nats_worse": r.log_likelihood - alike.regression.log_likelihood,
+            "cutoff_exponent": "infinite",
+        },
+        "disagreements": [
+            f"pixels that are all alike miss the table by {100 * error_alike:.0f} % (median), pixels whose "
+            f"bandwidths are "
+            f"spread as a power law by {100 * error:.0f} %: the fall with frequency is the image shrinking, not one "
+            "pixel's roll-off",
+            *worst,
+        ],
+        "ratio": ratio,
+        "frequency_hz": table.frequency_hz,
+        "conditions": list(table.conditions),
+    }
+
+
+def save_pixel(fit: PixelFit, folder: Path) -> dict:
+    """Write rates.json and rates.svg into an existing folder; returns the JSON."""
+    return write_result(pixel_result(fit), "rates.json", {"rates": partial(draw_pixel, fit)}, folder)
+
+
+def save_pool(fit: PoolFit, folder: Path, *inputs: Path) -> dict:
+    """Write rates.json and rates.svg into an existing folder; returns the JSON."""
+    alike = fit_pool(fit.table, identical=True)
+    result = {**pool_result(fit, alike), **provenance(*inputs)}
+    return write_result(result, "rates.json", {"rates": partial(draw_pool, fit, alike)}, folder)

@@ -1,0 +1,80 @@
+"""Read a table of a CSV file: a header, one row per line, `#` lines are remarks, empty cells were not measured."""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from pixelid.errors import InputError
+
+
+@dataclass(frozen=True)
+class TextTable:
+    """The cells of a CSV file as text.
+
+    Attributes:
+        path: where it came from.
+        names: of the columns.
+        rows: cells by row, as many as there are names.
+    """
+
+    path: Path
+    names: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+
+    def text(self, name: str) -> list[str]:
+        """The cells of a column.  Raises InputError when there is none of that name."""
+        if name not in self.names:
+            raise InputError(f"{self.path}: no column {name!r}; found {', '.join(self.names)}")
+        return [row[self.names.index(name)].strip() for row in self.rows]
+
+    def numbers(self, name: str) -> np.ndarray:
+        """(rows,) a column of finite numbers, NaN for empty cells.  Raises InputError naming row and cell."""
+        return np.array([_number(self.path, k, cell) for k, cell in enumerate(self.text(name), 1)])
+
+    def last_digit(self, names: tuple[str, ...]) -> float:
+        """The smallest difference that the cells of these columns can write."""
+        return 10.0 ** -max(len(cell.partition(".")[2]) for name in names for cell in self.text(name))
+
+
+def read_text_table(path: Path, *, first: str, expected: str) -> TextTable:
+    """The table of a CSV file.
+
+    Args:
+        path: the file.
+        first: how the name of the first column begins (in lower case).
+        expected: the header in words, for the error.
+
+    Raises:
+        InputError: naming the file, and the row that is wrong.
+    """
+    path = Path(path)
+    try:
+        lines = [line for line in path.read_text().splitlines() if line.strip() and not line.lstrip().startswith("#")]
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: expected a text table, found a binary file") from error
+    rows = list(csv.reader(lines))
+    if not rows or len(rows[0]) < 2 or not rows[0][0].strip().lower().startswith(first):
+        raise InputError(f"{path}: expected a header line {expected}")
+    for k, row in enumerate(rows[1:], 1):
+        if len(row) != len(rows[0]):
+            raise InputError(f"{path}: row {k} has {len(row)} cells, expected {len(rows[0])}")
+    names = tuple(name.strip() for name in rows[0])
+    if len(set(names)) < len(names):
+        raise InputError(f"{path}: expected columns of different names, found {', '.join(names)}")
+    return TextTable(path, names, tuple(tuple(row) for row in rows[1:]))
+
+
+def _number(path: Path, row: int, cell: str) -> float:
+    if not cell:
+        return float("nan")
+    try:
+        value = float(cell)
+    except ValueError as error:
+        raise InputError(f"{path}: row {row}: expected a number, found {cell!r}") from error
+    if not np.isfinite(value):
+        raise InputError(f"{path}: row {row}: expected a finite number, found {cell!r}")
+    return value
