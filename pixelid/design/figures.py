@@ -7,8 +7,6 @@ from typing import Any
 
 from pixelid.figures.style import IMPROVED, INK, MUTED, new_axis, save_figure, styled
 
-import numpy as np
-
 
 def write_figures(result: dict, folder: Path) -> None:
     """Write ranking.svg and widths.svg into `folder`."""

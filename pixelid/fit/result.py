@@ -206,7 +206,7 @@ class FitResult(Result):
         from pixelid.fit import figures
         from pixelid.inputs import as_recordings
 
-        draw = figures.draw_edges if self.observation == "pooled_rate" else figures.draw_response
+        draw = figures.draw_edges if self.observation == "pooled_rate" else figures.draw_conditions
         return draw(self, as_recordings(recordings))
 
     def plot_residuals(self, recordings: RecordingsLike) -> np.ndarray:

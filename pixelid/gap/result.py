@@ -207,7 +207,7 @@ class GapReport(Result):
         if self.free_run is None:
             raise InputError(f"plot_gap: the verdict is {self.verdict!r} and no effect was named; use plot_map")
         if recordings is None:
-            return figures.draw_per_recording(self)
+            return figures.draw_free_run(self)
         return figures.draw_before_after(self, as_recordings(recordings))
 
 

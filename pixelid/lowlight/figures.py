@@ -17,7 +17,7 @@ LABELS = {"exact": "exact", "one_pole": "one pole (α/β) L", "at_dark": "tangen
 
 def write_figures(result: dict, circuit: Circuit, folder: Path) -> None:
     """Write poles, errors, bode, steps and, with recordings, measured, as SVG into `folder`."""
-    kinds = ["exact", "one_pole"] + (["at_dark"] if circuit.dark > 0 else [])
+    kinds = kinds_of(circuit)
     drawn = {
         "poles": draw_poles(result, circuit, kinds),
         "errors": draw_errors(result, circuit, kinds[1:]),
@@ -28,6 +28,11 @@ def write_figures(result: dict, circuit: Circuit, folder: Path) -> None:
         drawn["measured"] = draw_measured(result)
     for name, axes in drawn.items():
         save_figure(axes, folder / f"{name}.svg")
+
+
+def kinds_of(circuit: Circuit) -> list[str]:
+    """What is drawn: the tangent in the dark is the same line as one pole when there is no dark current."""
+    return ["exact", "one_pole"] + (["at_dark"] if circuit.dark > 0 else [])
 
 
 def _shade(axis, result: dict) -> None:

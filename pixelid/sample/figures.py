@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from pixelid.figures.style import DENSITY, INK, SERIES, new_axes, save_figure, series_colours, styled
+from pixelid.figures.style import SERIES, new_axes, save_figure, series_colours, styled
 from pixelid.sample.posterior import Posterior
 
 LEVELS = (0.68, 0.95)  # of the posterior inside the contours

@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 
 from pixelid.figures.style import save_figure
-from pixelid.outputs import write_json
 from pixelid.sensors.figures import draw_map
 from pixelid.sensors.sensor import SensorFit
 
