@@ -25,7 +25,7 @@ ELSEWHERE = {
     "simulate": "pixelid.simulate.simulate",
     "fit": "pixelid.fit.fit",
     "sample": "pixelid.sample.sample",
-    "gap": "pixelid.gap.gap.find_gap",
+    "gap": "pixelid.gap.gap.gap",
     "lowlight": "pixelid.lowlight.analyse",
     "design": "pixelid.design.design",
     "reconstruct": "pixelid.nerf.reconstruct.reconstruct",
