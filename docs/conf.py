@@ -24,14 +24,15 @@ copyright = "pixelid developers"
 extensions = ["myst_parser"]
 myst_enable_extensions = ["dollarmath", "deflist"]
 myst_heading_anchors = 3
-exclude_patterns = ["_build", "_generated", "schemas"]
+exclude_patterns = ["_build", "_generated", "schemas", "static"]
 html_theme = "furo"
 html_title = f"pixelid {release}"
 html_extra_path = ["schemas"]
+html_static_path = ["static"]
+html_css_files = ["equations.css"]
 html_show_sphinx = False
 html_math_renderer = "mathml"
 pygments_style = "default"
-nitpicky = True
 
 # What would make a reader's browser ask another host for something.  Plain links are not among it.
 REQUESTS = re.compile(r"<(?:script|img|iframe|link)\b[^>]*\b(?:src|href)=\"(?:https?:)?//[^\"]+\"")

@@ -33,7 +33,13 @@ ELSEWHERE = {
     "Recording": "pixelid.recordings.recording.Recording",
     "Stimulus": "pixelid.stimuli.stimulus.Stimulus",
 }
-RESULTS = ("pixelid.fit.result.FitResult", "pixelid.sample.posterior.Posterior", "pixelid.gap.result.GapReport")
+RESULTS = (
+    "pixelid.fit.result.FitResult",
+    "pixelid.sample.posterior.Posterior",
+    "pixelid.gap.result.GapReport",
+    "pixelid.nerf.reconstruct.Reconstruction",
+    "pixelid.errors.InputError",
+)
 WIDTH = 110
 
 
