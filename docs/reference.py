@@ -34,9 +34,12 @@ ELSEWHERE = {
     "Stimulus": "pixelid.stimuli.stimulus.Stimulus",
 }
 RESULTS = (
+    "pixelid.results.Result",
     "pixelid.fit.result.FitResult",
     "pixelid.sample.posterior.Posterior",
     "pixelid.gap.result.GapReport",
+    "pixelid.lowlight.result.LowlightReport",
+    "pixelid.design.result.DesignReport",
     "pixelid.nerf.reconstruct.Reconstruction",
     "pixelid.errors.InputError",
 )
