@@ -74,7 +74,7 @@ def _entry(path: str, thing: object) -> str:
     """A function or a class, with the public methods and properties of the latter."""
     if not inspect.isclass(thing):
         return _block("function", path, _signature(thing), inspect.getdoc(thing))
-    enumeration = hasattr(thing, "__members__")
+    enumeration = hasattr(thing, "__members__")  # its constructor takes a value, which says nothing to a reader
     lines = [_block("class", path, "" if enumeration else _signature(thing), inspect.getdoc(thing))]
     for name, member in vars(thing).items():
         member = member.__func__ if isinstance(member, (classmethod, staticmethod)) else member
@@ -86,7 +86,7 @@ def _entry(path: str, thing: object) -> str:
             lines.append(_indented(_block("method", name, _signature(member, bound=True), inspect.getdoc(member))))
     if enumeration:
         lines.append("   Members: " + ", ".join(f"``{name}``" for name in thing.__members__) + ".\n")
-    return "\n".join(lines)
+    return "\n\n".join(lines)
 
 
 def _signature(thing, bound: bool = False) -> str:
