@@ -119,9 +119,9 @@ def certification() -> str:
     per_effect = []
     for name, tries in named.items():
         right = strengths.get(name, {}).get("1", {})
-        covers = "{} of {}".format(*right["interval_covers"]) if right else ""
+        covers = "{}\u00a0of\u00a0{}".format(*right["interval_covers"]) if right else ""
         errors = (percent(right["median_error"]), percent(right["largest_error"])) if right else ("", "")
-        counts = ["{} of {}".format(*tries[factor]) if factor in tries else "" for factor in factors]
+        counts = ["{}\u00a0of\u00a0{}".format(*tries[factor]) if factor in tries else "" for factor in factors]
         per_effect.append((f"`{name}`", *counts, *errors, covers))
     total = [sum(tries["1"][k] for tries in named.values()) for k in (0, 1)]
     covered = [sum(e["interval_covers"][k] for by in strengths.values() for e in by.values()) for k in (0, 1)]
