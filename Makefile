@@ -12,7 +12,7 @@ TORCH_INDEX ?=
 # Test processes.
 WORKERS ?= 2
 
-.PHONY: help setup demo test test-all bench lint clean
+.PHONY: help setup demo test test-all bench lint docs clean
 .DEFAULT_GOAL := help
 
 help:
@@ -21,6 +21,7 @@ help:
 	@echo "make test-all   every test"
 	@echo "make bench      the speed benchmarks (statistics: interval_coverage.py, posterior_ranks.py)"
 	@echo "make lint       ruff and pyright"
+	@echo "make docs       the documentation site, in docs/_build/html; any warning is an error"
 	@echo "make clean      remove what make and the tests have made, the environment included"
 
 setup: $(STAMP)
@@ -49,6 +50,10 @@ lint: $(STAMP)
 	$(BIN)/ruff format --check .
 	$(BIN)/pyright --pythonpath $(BIN)/python
 
+docs: $(STAMP)
+	$(BIN)/python -m sphinx -W --keep-going -q -b html docs docs/_build/html
+	@echo "docs/_build/html/index.html"
+
 clean:
-	rm -rf .venv build dist demo-out out .pytest_cache .ruff_cache .numba_cache .hypothesis *.egg-info
+	rm -rf .venv docs/_build docs/_generated build dist demo-out out .pytest_cache .ruff_cache .numba_cache .hypothesis *.egg-info
 	find pixelid tests benchmarks -name __pycache__ -type d -prune -exec rm -rf {} +

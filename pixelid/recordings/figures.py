@@ -16,7 +16,7 @@ def draw_recording(recording: Recording) -> np.ndarray:
     events, stimulus = recording.events, recording.stimulus
     time_s = events.t * 1e-9
     rows = 1 if stimulus is None else 2
-    axes = new_axes(rows, 1, 7.0, 2.2)
+    axes = new_axes(rows, 1, 7.0, 2.2, sharex=True)
     if stimulus is not None:
         start, end = float(stimulus.t[0]), float(stimulus.t[-1])
     else:

@@ -10,7 +10,7 @@ from pixelid.dynamics.hold import present_states, rates
 
 
 def system(names, rate):
-    """Matrix of d/dt (x, u, du) = M (x, u, du), the equations of DESIGN §1 read off once more."""
+    """Matrix of d/dt (x, u, du) = M (x, u, du), the equations of docs/model.md, "The pixel", written a second time."""
     n = len(names)
     m = mp.zeros(n + 2)
     drive, high_pass = n, None

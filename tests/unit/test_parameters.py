@@ -106,7 +106,7 @@ def test_dvs128_invariants_by_hand():
     assert alpha == pytest.approx(99 / (0.89 * 1815e-6), rel=1e-14)
     assert beta == pytest.approx((0.875 + 141 * 0.015) / (0.89 * 1815e-6), rel=1e-14)
     assert gamma == pytest.approx(1 / 0.89, rel=1e-14)
-    assert beta**2 / alpha == pytest.approx(56.0, rel=5e-3)  # fA: complex poles below a quarter of it, DESIGN §2
+    assert beta**2 / alpha == pytest.approx(56.0, rel=5e-3)  # fA; complex poles from a quarter of it on
 
 
 @given(st.lists(POSITIVE, min_size=6, max_size=6), POSITIVE)

@@ -1,0 +1,266 @@
+"""Pages made when the site is built: from the effect classes, the help texts, docstrings and benchmark results.
+
+Nothing here is committed as text, so a figure on a page cannot differ from the file that a benchmark wrote.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import statistics
+import subprocess
+import sys
+import tempfile
+from collections import defaultdict
+from collections.abc import Callable, Iterable
+from pathlib import Path
+
+import reference
+
+ROOT = Path(__file__).resolve().parent.parent
+
+
+def table(heads: Iterable[str], rows: Iterable[Iterable[object]]) -> str:
+    """A Markdown table; pipes in cells are escaped."""
+    heads = list(heads)
+    lines = [heads, ["---"] * len(heads), *([str(cell).replace("|", "\\|") for cell in row] for row in rows)]
+    return "\n".join("| " + " | ".join(line) + " |" for line in lines) + "\n"
+
+
+def of_json(name: str):
+    """The content of a results file, by its path in the repository."""
+    return json.loads((ROOT / name).read_text())
+
+
+def percent(share: float, digits: int = 1) -> str:
+    """0.945 → 94.5 %."""
+    return f"{100 * share:.{digits}f} %"
+
+
+def effect_library() -> str:
+    """Every effect with its equation, source and parameters, from the classes themselves."""
+    from pixelid.stages import LIBRARY
+
+    stages = defaultdict(list)
+    for effect in LIBRARY.values():
+        stages[effect.stage].append(effect)
+    lines = []
+    for stage, effects in stages.items():
+        lines.append(f"## {stage.replace('_', ' ').capitalize()}\n")
+        for effect in effects:
+            lines += [f"### {effect.name}\n", effect.sentence + "\n", f"```text\n{effect.equation}\n```\n"]
+            rows = (
+                (f"`{p.name}`", f"{p.value:.6g}", p.unit, f"{p.lower:g} to {p.upper:g}", p.transform,
+                 "yes" if p.free else "no")
+                for p in effect.parameters
+            )  # fmt: skip
+            lines += [table(("parameter", "default", "unit", "bounds", "coordinate", "fitted"), rows)]
+            lines.append(f"Source: {effect.source}.\n")
+    return "\n".join(lines)
+
+
+def commands() -> str:
+    """The help text of every command."""
+    environment = os.environ | {"COLUMNS": "100", "PYTHONPATH": os.pathsep.join([str(ROOT), *sys.path])}
+
+    def text(*words: str) -> str:
+        command = [sys.executable, "-m", "pixelid", *words, "--help"]
+        return subprocess.check_output(command, text=True, env=environment)
+
+    names = [line.split()[0] for line in text().split("Commands:")[1].splitlines() if line.startswith("  ")]
+    names = [name for name in names if name.isidentifier()]
+    return "\n".join(f"## {name}\n\n```text\n{text(name).rstrip()}\n```\n" for name in names)
+
+
+def lowlight() -> str:
+    """Where one pole describes the photoreceptor of `dvs128`, computed now by `pixelid lowlight`."""
+    with tempfile.TemporaryDirectory() as folder:
+        out = Path(folder) / "lowlight"
+        environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), *sys.path])}
+        command = [sys.executable, "-m", "pixelid", "lowlight", "dvs128", "--out", str(out), "--quiet"]
+        subprocess.run(command, check=True, env=environment)
+        result = json.loads((out / "lowlight.json").read_text())
+    lines = []
+    for approximation, quantities in result["errors"].items():
+        if approximation == "at_dark" and result["dark_radiance"] == 0:
+            continue  # the same as one_pole
+        rows = []
+        for quantity, scopes in quantities.items():
+            for scope, errors in scopes.items():
+                first = [level["first"] for level in errors["levels"].values()]
+                cells = ["never" if x is None else ("in the dark" if x == 0 else f"{x:.3g}") for x in first]
+                rows.append((quantity.replace("_", " "), scope, *cells))
+        levels = list(next(iter(next(iter(quantities.values())).values()))["levels"])
+        heads = ("quantity", "of", *(f"error of {level} from [{result['radiance_unit']}]" for level in levels))
+        lines += [f"**`{approximation}`**\n", table(heads, rows)]
+    return "\n".join([*lines, *(f"- {sentence}" for sentence in result["sentences"]), ""])
+
+
+def certification() -> str:
+    """What `benchmarks/gap_certification.py` found."""
+    found = of_json("docs/gap_certification.json")
+    summary, runs = found["summary"], found["runs"]
+    labels = {
+        "nulls, named": "nothing planted: an effect is named",
+        "nulls, anything but none": "nothing planted: any verdict but `none`",
+        "left out, a neighbour named": "planted effect left out of the library: another one is named",
+    }
+    rows = [
+        (
+            labels.get(name, name),
+            f"{entry['count']} of {entry['of']}",
+            "–".join(percent(x) for x in entry["interval_95"]),
+        )
+        for name, entry in summary.items()
+        if isinstance(entry, dict) and "count" in entry
+    ]
+    named, strengths = summary["named_exactly_of_tries"], summary["strengths_of_right_names"]
+    factors = sorted({factor for tries in named.values() for factor in tries}, key=float, reverse=True)
+    per_effect = []
+    for name, tries in named.items():
+        right = strengths.get(name, {}).get("1", {})
+        covers = "{}\u00a0of\u00a0{}".format(*right["interval_covers"]) if right else ""
+        errors = (percent(right["median_error"]), percent(right["largest_error"])) if right else ("", "")
+        counts = ["{}\u00a0of\u00a0{}".format(*tries[factor]) if factor in tries else "" for factor in factors]
+        per_effect.append((f"`{name}`", *counts, *errors, covers))
+    total = [sum(tries["1"][k] for tries in named.values()) for k in (0, 1)]
+    covered = [sum(e["interval_covers"][k] for by in strengths.values() for e in by.values()) for k in (0, 1)]
+    confusion = [
+        (cell, ", ".join(f"{verdict} ({count})" for verdict, count in verdicts.items()))
+        for cell, verdicts in summary["confusion"].get("effect left out", {}).items()
+    ]
+    earlier = sum(bool(run.get("earlier_code")) for run in runs)
+    heads = ("effect", *(f"× {factor}" for factor in factors), "median error", "largest error", "interval covers")
+    note = f"{earlier} of the {len(runs)} runs were made with an earlier version and are marked `earlier_code`.\n"
+    return "\n".join(
+        [
+            f"Level α = {summary['alpha']}; {len(runs)} sessions.\n",
+            table(("question", "count", "95 % interval"), rows),
+            f"At typical strength {total[0]} of {total[1]} sessions end with exactly the planted effect named. "
+            f"Of the strengths found, {covered[0]} of {covered[1]} intervals of nominally 95 % contain the truth.\n",
+            note if earlier else "",
+            "**Named exactly, by planted strength in units of the typical one; errors of the strength found at × 1**\n",
+            table(heads, per_effect),
+            "**Verdict when the planted effect is left out of the library**\n",
+            table(("planted", "verdicts (sessions)"), confusion),
+        ]
+    )  # fmt: skip
+
+
+def single_sessions() -> str:
+    """Single simulated sessions, recorded by hand as their verdicts were read."""
+    found = of_json("docs/results/gap_sessions.json")
+    return found["note"] + "\n\n" + table(("planted", "verdict and strengths"), found["sessions"])
+
+
+def coverage() -> str:
+    """What `benchmarks/interval_coverage.py` found."""
+    summary = of_json("benchmarks/interval_coverage.json")["summary"]
+    rows = [
+        (f"`{name}`", f"{row['covered']} of {row['sessions']}", percent(row["share"]),
+         "–".join(percent(x) for x in row["share_interval_95"]), f"{row['mean_error_sd']:+.2f}",
+         f"{row['sd_error_sd']:.2f}")
+        for name, row in summary.items()
+    ]  # fmt: skip
+    heads = ("parameter", "covered", "share", "95 % interval of the share", "mean of error/std", "sd of error/std")
+    return table(heads, rows)
+
+
+def ranks() -> str:
+    """What `benchmarks/posterior_ranks.py` found."""
+    summary = of_json("benchmarks/posterior_ranks.json")["summary"]
+    rows = [
+        (f"`{name}`", " ".join(map(str, row["counts"])), f"{row['p_chi2']:.3f}", f"{row['p_ks']:.3f}")
+        for name, row in summary["parameters"].items()
+    ]
+    return (
+        f"{summary['posteriors_converged']} of {summary['sessions']} posteriors converged. Smallest χ² p-value over "
+        f"the parameters, adjusted by Holm's method: {summary['smallest_p_holm']:.2f}.\n\n"
+        + table(("parameter", "ranks in ten bins", "p (χ²)", "p (Kolmogorov–Smirnov)"), rows)
+    )
+
+
+def reconstruction() -> str:
+    """What `benchmarks/reconstruction.py` found, one table per experiment."""
+    groups: dict[str, dict[tuple, list[dict]]] = defaultdict(lambda: defaultdict(list))
+    for run in of_json("docs/reconstruction.json"):
+        groups[run["experiment"]][run["setting"], run["arm"], run["iterations"]].append(run)
+    lines = []
+    for experiment, arms in groups.items():
+        rows = []
+        for (setting, arm, iterations), runs in arms.items():
+            psnr = [run["psnr"] for run in runs]
+            spread = f"{statistics.stdev(psnr):.2f}" if len(psnr) > 1 else ""
+            seconds = statistics.mean(run["cpu_seconds"] for run in runs)
+            ssim = statistics.mean(run["ssim"] for run in runs)
+            rows.append((setting, arm, iterations, len(runs), f"{statistics.mean(psnr):.2f}", spread, f"{ssim:.3f}",
+                         f"{seconds:.0f}"))  # fmt: skip
+        heads = ("setting", "arm", "steps", "seeds", "PSNR [dB]", "sd", "SSIM", "CPU s")
+        lines += [f"## {experiment.capitalize()}\n", table(heads, rows)]
+        if experiment == "bandwidth":
+            lines.append(_gain(arms))
+    return "\n".join(lines)
+
+
+def _gain(arms: dict[tuple, list[dict]]) -> str:
+    """PSNR with the pixel model minus without, seed by seed."""
+    rows = []
+    for (setting, arm, iterations), runs in arms.items():
+        off = {run["seed"]: run["psnr"] for run in arms.get((setting, "off", iterations), [])}
+        if arm == "on" and off:
+            rows.append((setting, ", ".join(f"{r['psnr'] - off[r['seed']]:+.2f}" for r in runs if r["seed"] in off)))
+    return "Gain of modelling the pixel, on minus off, seed by seed:\n\n" + table(("setting", "dB"), rows)
+
+
+def schemas() -> str:
+    """The schemas of docs/schemas, with the keys of their top level."""
+    parts = []
+    for path in sorted((ROOT / "docs" / "schemas").glob("*.json")):
+        schema = json.loads(path.read_text())
+        if path.stem == "common":
+            continue
+        required = set(schema.get("required", ()))
+        rows = [(f"`{key}`", "" if key in required else "optional", _meaning(entry))
+                for key, entry in schema["properties"].items()]  # fmt: skip
+        link = f'Schema: <a href="{path.name}">{path.name}</a>.'
+        parts += [f"### {schema['title']}\n", f"{schema['description']} {link}\n", table(("key", "", "meaning"), rows)]
+    return "\n".join(parts)
+
+
+def _meaning(entry: dict) -> str:
+    """A schema's entry in a few words."""
+    if "$ref" in entry:
+        return entry["$ref"].split("/")[-1].replace("_", " ")
+    kind = entry.get("type") or ("one of " + ", ".join(f"`{x}`" for x in entry["enum"]) if "enum" in entry else "")
+    kind = " or ".join(kind) if isinstance(kind, list) else kind
+    if "const" in entry:
+        kind = f"`{entry['const']}`"
+    if "anyOf" in entry:
+        kind = " or ".join(
+            filter(None, (_meaning({k: v for k, v in one.items() if k != "description"}) for one in entry["anyOf"]))
+        )
+    said = entry.get("description", "")
+    return f"{kind}: {said}" if kind and said else kind or said or "any"
+
+
+PAGES: dict[str, Callable[[], str]] = {
+    "effects": effect_library,
+    "commands": commands,
+    "lowlight": lowlight,
+    "certification": certification,
+    "single_sessions": single_sessions,
+    "coverage": coverage,
+    "ranks": ranks,
+    "reconstruction": reconstruction,
+    "schemas": schemas,
+    "api": reference.page,
+}
+
+
+def write_all(folder: Path) -> None:
+    """Write every page into `folder`; a page that has not changed keeps its time, so that Sphinx skips it."""
+    folder.mkdir(exist_ok=True)
+    for name, make in PAGES.items():
+        path, text = folder / f"{name}.md", make()
+        if not path.exists() or path.read_text() != text:
+            path.write_text(text)

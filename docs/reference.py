@@ -1,0 +1,126 @@
+"""The API reference: signatures and docstrings of the public names, without importing the site's generator.
+
+Docstrings are in Google style.  One that reStructuredText cannot read without a warning is shown as it stands.
+"""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+import io
+import re
+from collections.abc import Iterator
+
+from docutils.core import publish_doctree
+from sphinx.ext.napoleon import GoogleDocstring
+
+NAMES = (
+    "open", "find_model", "simulate", "fit", "sample", "gap", "lowlight", "design", "reconstruct",
+    "Model", "Recording", "Stimulus", "Status",
+)  # fmt: skip
+# Where the same things are in a version that does not show them at its top level.
+ELSEWHERE = {
+    "open": "pixelid.recordings.open_recordings",
+    "find_model": "pixelid.model.shipped.find_model",
+    "simulate": "pixelid.simulate.simulate",
+    "fit": "pixelid.fit.fit",
+    "sample": "pixelid.sample.sample",
+    "gap": "pixelid.gap.gap.gap",
+    "lowlight": "pixelid.lowlight.analyse",
+    "design": "pixelid.design.design",
+    "reconstruct": "pixelid.nerf.reconstruct.reconstruct",
+    "Model": "pixelid.model.model.Model",
+    "Recording": "pixelid.recordings.recording.Recording",
+    "Stimulus": "pixelid.stimuli.stimulus.Stimulus",
+}
+RESULTS = (
+    "pixelid.results.Result",
+    "pixelid.fit.result.FitResult",
+    "pixelid.sample.posterior.Posterior",
+    "pixelid.gap.result.GapReport",
+    "pixelid.lowlight.result.LowlightReport",
+    "pixelid.design.result.DesignReport",
+    "pixelid.nerf.reconstruct.Reconstruction",
+    "pixelid.errors.InputError",
+)
+WIDTH = 110
+
+
+def page() -> str:
+    """The reference as Markdown with embedded reStructuredText."""
+    blocks = [_entry(path, thing) for path, thing in [*public(), *_found(RESULTS)]]
+    return "\n".join(f"```{{eval-rst}}\n{block}\n```\n" for block in blocks)
+
+
+def public() -> Iterator[tuple[str, object]]:
+    """The public names and what they stand for."""
+    package = importlib.import_module("pixelid")
+    if hasattr(package, "find_model"):
+        yield from ((f"pixelid.{name}", getattr(package, name)) for name in NAMES if hasattr(package, name))
+    else:
+        yield from _found(ELSEWHERE.values())
+
+
+def _found(paths) -> Iterator[tuple[str, object]]:
+    for path in paths:
+        module, _, name = path.rpartition(".")
+        try:
+            yield path, getattr(importlib.import_module(module), name)
+        except (ImportError, AttributeError):
+            continue
+
+
+def _entry(path: str, thing: object) -> str:
+    """A function or a class, with the public methods and properties of the latter."""
+    if not inspect.isclass(thing):
+        return _block("function", path, _signature(thing), inspect.getdoc(thing))
+    enumeration = hasattr(thing, "__members__")  # its constructor takes a value, which says nothing to a reader
+    lines = [_block("class", path, "" if enumeration else _signature(thing), inspect.getdoc(thing))]
+    for name, member in vars(thing).items():
+        member = member.__func__ if isinstance(member, (classmethod, staticmethod)) else member
+        if name.startswith("_") or not inspect.getdoc(member):
+            continue
+        if isinstance(member, property):
+            lines.append(_indented(_block("property", name, "", inspect.getdoc(member))))
+        elif inspect.isfunction(member):
+            lines.append(_indented(_block("method", name, _signature(member, bound=True), inspect.getdoc(member))))
+    if enumeration:
+        lines.append("   Members: " + ", ".join(f"``{name}``" for name in thing.__members__) + ".\n")
+    return "\n\n".join(lines)
+
+
+def _signature(thing, bound: bool = False) -> str:
+    """The signature without annotations: their types are said in the docstring."""
+    try:
+        signature = inspect.signature(thing)
+    except (TypeError, ValueError):
+        return "()"
+    parameters = [p.replace(annotation=p.empty) for p in signature.parameters.values()]
+    if bound and parameters and parameters[0].name in ("self", "cls"):
+        parameters = parameters[1:]
+    parameters = [p.replace(default="…") if len(repr(p.default)) > 40 else p for p in parameters]
+    shown = signature.replace(parameters=parameters, return_annotation=inspect.Signature.empty)
+    return str(shown).replace("'…'", "...")
+
+
+def _block(kind: str, name: str, signature: str, docstring: str | None) -> str:
+    return f".. py:{kind}:: {name}{signature}\n   :no-index-entry:\n\n" + _indented(_body(docstring or "")) + "\n"
+
+
+def _body(docstring: str) -> str:
+    """A docstring as reStructuredText."""
+    parts = re.split(r"(`+[^`\n]+`+)", docstring)
+    text = "".join(
+        f"``{part.strip('`')}``" if k % 2 else part.replace("|", r"\|").replace("*", r"\*").replace("_ ", r"\_ ")
+        for k, part in enumerate(parts)
+    )
+    lines = "\n".join(GoogleDocstring(text).lines())
+    messages = io.StringIO()
+    publish_doctree(lines, settings_overrides={"warning_stream": messages, "report_level": 2})
+    if messages.getvalue():
+        return ".. code-block:: text\n\n" + _indented(docstring)
+    return lines
+
+
+def _indented(text: str) -> str:
+    return "\n".join(f"   {line}" if line else "" for line in text.splitlines())
