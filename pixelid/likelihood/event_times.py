@@ -13,7 +13,7 @@ neither threshold was reached.
 Where thresholds drift, C(t) = C (1 + d·t), z is the change over 1 + d·t, whose rate has a part −z·d/(1 + d·t).
 
 s_k² = (σ C_i)² + q_k r_k² (tick²/12 + jitter²): threshold noise scales with the pixel's own threshold, and a
-timestamp's width is noise in time (q_k: `weigh_clock`).  For C_i in s_k stands its posterior mean under s_k² with the
+timestamp's width is noise in time (q_k: `EventTimes.weighed`).  For C_i in s_k stands its posterior mean under s_k² with the
 population's C, known to a few tenths of a percent where a pixel has a hundred events.  (With the population's C there,
 the scatter of events would pretend to tell the population's thresholds, and their intervals would be some 10 % too
 short.)
@@ -39,6 +39,7 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -97,7 +98,7 @@ class EventTimes:
 
     Recordings of the same sensor and size share pixels, and so pixel thresholds.
     threshold_factor: (events,) what each event's threshold is multiplied by beside all that the circuit says, or None;
-    clock_share: (events,) how often timestamp noise counts, see `weigh_clock`.
+    clock_share: (events,) how often timestamp noise counts, 1 until `weighed`.
     Raises InputError for pooled recordings, a missing stimulus, or fewer than two events in any pixel.
     """
 
@@ -143,16 +144,28 @@ class EventTimes:
             for parts in (self.intervals, [iv.last_s for iv in self.intervals])
         )
 
-    def weigh_clock(self, circuit: Circuit) -> None:
-        """Count timestamp noise twice: at the event, and at the reset before, whose time is as uncertain.
+    def weighed(self, circuit: Circuit) -> EventTimes:
+        """The same likelihood with timestamp noise counted twice: at the event, and at the reset before it.
 
-        With g_k the rate at which level k falls as its release moves, clock_share becomes q_k = 1 + (g_k/r_k)² under
-        this circuit (at most `MOST_SHARE`); until then it is 1.
+        The time of the reset is as uncertain as that of the event.  With g_k the rate at which level k falls as its
+        release moves, `clock_share` becomes q_k = 1 + (g_k/r_k)² under this circuit, at most `MOST_SHARE`.
         """
         later = circuit.with_(refractory=circuit.refractory + NUDGE_S)
         here, there = self.terms(circuit), self.terms(later, self.gathered(later, locate=False))
         moved = np.where(here.stray | there.stray, 0.0, there.z - here.z) / NUDGE_S
-        self.clock_share = 1.0 + np.minimum((moved * np.exp(-here.log_rate)) ** 2, MOST_SHARE - 1.0)
+        other = copy(self)
+        other.clock_share = 1.0 + np.minimum((moved * np.exp(-here.log_rate)) ** 2, MOST_SHARE - 1.0)
+        return other
+
+    def with_threshold_factor(self, factor: np.ndarray | None) -> EventTimes:
+        """The same likelihood with each event's threshold multiplied by `factor` (events,); None: by nothing."""
+        other = copy(self)
+        other.threshold_factor = factor
+        return other
+
+    def weigh_clock(self, circuit: Circuit) -> None:
+        """Take over `clock_share` of `weighed(circuit)`.  For callers that still expect to change a likelihood."""
+        self.clock_share = self.weighed(circuit).clock_share
 
     @property
     def evaluators(self) -> tuple[ChangeEvaluator, ...]:

@@ -288,3 +288,20 @@ def test_pooled_or_empty_recordings_are_refused():
         EventTimes([Recording(recording_of([0.01, 0.02], [1, 1], stimulus).events, stimulus, pooled=True)])
     with pytest.raises(InputError, match="two events"):
         EventTimes([recording_of([0.01], [1], stimulus)])
+
+
+def test_a_likelihood_weighed_or_with_factors_is_another_one():
+    model, recordings = small_session(effects=("timestamp_jitter",))
+    circuit = model.circuit()
+    likelihood = EventTimes(recordings)
+    before = likelihood.log_likelihood(circuit)
+    weighed = likelihood.weighed(circuit)
+    assert weighed.clock_share.max() > 1.01
+    np.testing.assert_array_equal(likelihood.clock_share, 1.0)
+    assert weighed.log_likelihood(circuit) != before
+    raised = weighed.with_threshold_factor(np.full(likelihood.events, 1.02))
+    assert raised.clock_share is weighed.clock_share and weighed.threshold_factor is None
+    assert raised.log_likelihood(circuit) != weighed.log_likelihood(circuit)
+    assert raised.with_threshold_factor(None).log_likelihood(circuit) == weighed.log_likelihood(circuit)
+    assert raised.evaluators is likelihood.evaluators
+    assert likelihood.log_likelihood(circuit) == before
