@@ -13,10 +13,10 @@ neither threshold was reached.
 Where thresholds drift, C(t) = C (1 + d·t), z is the change over 1 + d·t, whose rate has a part −z·d/(1 + d·t).
 
 s_k² = (σ C_i)² + q_k r_k² (tick²/12 + jitter²): threshold noise scales with the pixel's own threshold, and a
-timestamp's width is noise in time (q_k: `EventTimes.weighed`).  For C_i in s_k stands its posterior mean under s_k² with the
-population's C, known to a few tenths of a percent where a pixel has a hundred events.  (With the population's C there,
-the scatter of events would pretend to tell the population's thresholds, and their intervals would be some 10 % too
-short.)
+timestamp's width is noise in time (q_k: `EventTimes.weighed`).  For C_i in s_k stands its posterior mean under s_k²
+with the population's C, known to a few tenths of a percent where a pixel has a hundred events.  (With the population's
+C there, the scatter of events would pretend to tell the population's thresholds, and their intervals would be some
+10 % too short.)
 
 Pixel-to-pixel mismatch, C_i ~ N(C, τ²), is integrated out in closed form.  For a group (pixel, polarity) with
 weights 1/s_k², W their sum and z̄ the weighted mean,

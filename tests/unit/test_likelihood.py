@@ -300,7 +300,8 @@ def test_a_likelihood_weighed_or_with_factors_is_another_one():
     np.testing.assert_array_equal(likelihood.clock_share, 1.0)
     assert weighed.log_likelihood(circuit) != before
     raised = weighed.with_threshold_factor(np.full(likelihood.events, 1.02))
-    assert raised.clock_share is weighed.clock_share and weighed.threshold_factor is None
+    assert raised.clock_share is weighed.clock_share
+    assert weighed.threshold_factor is None
     assert raised.log_likelihood(circuit) != weighed.log_likelihood(circuit)
     assert raised.with_threshold_factor(None).log_likelihood(circuit) == weighed.log_likelihood(circuit)
     assert raised.evaluators is likelihood.evaluators
