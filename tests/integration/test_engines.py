@@ -10,7 +10,6 @@ from pixelid.fit.coordinates import Coordinates
 from pixelid.fit.engines import ENGINES, engine
 from pixelid.fit.event_times import EventTimesObjective
 from pixelid.fit.newton import maximise
-from pixelid.likelihood.density import NUMBERS, density
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.model.shipped import find_model
 from pixelid.simulate import simulate
@@ -107,23 +106,6 @@ def test_engines_find_the_same_optimum(plain, optimum, name, options):
     sd = np.sqrt(np.diag(np.linalg.inv(optimum.local.information)))
     assert found.converged
     assert np.abs((found.x - optimum.x) / sd).max() < 1e-3
-
-
-def test_density_gradient_equals_complex_steps(plain):
-    objective = objective_of(EVERYTHING)
-    likelihood = objective.likelihood
-    circuit = objective.coordinates.model.circuit()
-    gathered = likelihood.gathered(circuit)
-    here = density(likelihood, circuit, gathered)
-    assert here.total == pytest.approx(float(likelihood.terms(circuit, gathered).total), rel=1e-12)
-    along = np.random.default_rng(0).normal(size=len(gathered)) * np.abs(gathered)
-    along[6 * likelihood.events : 7 * likelihood.events] = 0.0
-    total = likelihood.terms(circuit, gathered + 1e-30j * along).total
-    assert here.by_change @ along == pytest.approx(np.imag(total) / 1e-30, rel=1e-9)
-    for i, name in enumerate(NUMBERS):
-        stepped = circuit.with_(**{name: complex(getattr(circuit, name), 1e-30)})
-        total = likelihood.terms(stepped, gathered.astype(complex)).total
-        assert here.by_number[i] == pytest.approx(np.imag(total) / 1e-30, rel=1e-9)
 
 
 def test_effects_without_an_expression_are_refused_and_fitted_compiled():

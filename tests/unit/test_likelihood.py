@@ -6,6 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from oracles import event_time_density as plain
+from oracles.event_time_density import log_ndtr
 from scipy.integrate import quad, solve_ivp
 from scipy.stats import norm
 
@@ -14,9 +16,10 @@ from pixelid.dynamics.trajectory import integrate
 from pixelid.errors import InputError
 from pixelid.fit.coordinates import Coordinates
 from pixelid.fit.event_times import EventTimesObjective
-from pixelid.likelihood.changes import ChangeEvaluator
-from pixelid.likelihood.event_times import STRAY_HZ, EventTimes
-from pixelid.likelihood.normal import log_ndtr
+from pixelid.likelihood.changes import PER_EVENT, PER_PIXEL, ChangeEvaluator
+from pixelid.likelihood.density import BACKGROUND_HZ, NUMBERS
+from pixelid.likelihood.event_times import EventTimes
+from pixelid.likelihood.layout import EndRows, EventRows
 from pixelid.likelihood.sequences import sequences
 from pixelid.model.shipped import find_model
 from pixelid.recordings import Events, Recording
@@ -42,7 +45,7 @@ def recording_of(times_s, polarities, stimulus, pixels=None, width=4):
 
 
 def brute_force_change(circuit, stimulus, t_previous, t_event):
-    """change(t_event) of DESIGN §1 by an adaptive ODE solver on the same piecewise log-linear light."""
+    """change(t_event) by an adaptive ODE solver on the same piecewise log-linear light."""
     u = lambda t: np.interp(t, stimulus.t, np.log(stimulus.radiance))  # noqa: E731
 
     def rhs(t, x):
@@ -166,7 +169,7 @@ def test_density_of_the_next_event_integrates_to_one():
     def conditional(t, p):
         """Density of the event (t, p) after `first`, without the interval after it."""
         terms = log_likelihood([(first, 1), (t, p)])
-        return 0.0 if terms.stray.any() else float(np.exp(terms.total - _censored_part(circuit, t, stimulus)))
+        return 0.0 if terms.background.any() else float(np.exp(terms.total - _censored_part(circuit, t, stimulus)))
 
     def _censored_part(circuit, t, stimulus):
         changes = ChangeEvaluator(r := recording_of([first, t], [1, 1], stimulus), sequences(r))(circuit)
@@ -216,7 +219,7 @@ def test_marginal_threshold_equals_quadrature():
     likelihood = EventTimes(recordings)
     circuit = model.circuit()
     marginal = likelihood.terms(circuit)
-    assert not marginal.stray.any()
+    assert not marginal.background.any()
     for group in range(2 * likelihood.pixels):
         chosen = likelihood.group == group
         if chosen.sum() < 2:
@@ -251,7 +254,7 @@ def test_gradient_and_hessian_against_differences_of_the_value(effects):
     assert np.linalg.eigvalsh(local.information).min() > -1e-9 * np.linalg.eigvalsh(local.information).max()
 
 
-def test_a_stray_event_costs_a_bounded_price():
+def test_a_background_event_costs_a_bounded_price():
     model, recordings = small_session()
     likelihood = EventTimes(recordings)
     base = likelihood.log_likelihood(model.circuit())
@@ -265,15 +268,15 @@ def test_a_stray_event_costs_a_bounded_price():
     spoiled = EventTimes([recordings[0], Recording(extra, recordings[1].stimulus)])
     lost = base - spoiled.log_likelihood(model.circuit())
     terms = spoiled.terms(model.circuit())
-    strays = int(terms.stray.sum())
-    best = np.max((terms.log_rate - np.log(terms.scale))[~terms.stray])  # the log density of the sharpest event
-    assert 1 <= strays <= 4  # the false event, and those whose reference it took away
-    assert 0 < lost < (strays + 1) * (best - np.log(STRAY_HZ))
+    background = int(terms.background.sum())
+    best = np.max((terms.log_rate - np.log(terms.scale))[~terms.background])  # the log density of the sharpest event
+    assert 1 <= background <= 4  # the false event, and those whose reference it took away
+    assert 0 < lost < (background + 1) * (best - np.log(BACKGROUND_HZ))
 
 
-def test_no_event_is_called_stray_under_the_truth():
+def test_no_event_is_called_background_under_the_truth():
     model, recordings = small_session()
-    assert EventTimes(recordings).terms(model.circuit()).stray.sum() == 0
+    assert EventTimes(recordings).terms(model.circuit()).background.sum() == 0
 
 
 def test_log_ndtr_complex_step():
@@ -306,3 +309,76 @@ def test_a_likelihood_weighed_or_with_factors_is_another_one():
     assert raised.with_threshold_factor(None).log_likelihood(circuit) == weighed.log_likelihood(circuit)
     assert raised.evaluators is likelihood.evaluators
     assert likelihood.log_likelihood(circuit) == before
+    with pytest.raises(ValueError, match="read-only"):
+        likelihood.layout.sign[0] = 0.0
+
+
+def test_rows_have_the_names_of_the_changes():
+    assert (EventRows._fields, EndRows._fields) == (PER_EVENT, PER_PIXEL)
+    _, recordings = small_session()
+    likelihood = EventTimes(recordings)
+    circuit = MODEL.circuit()
+    stacked, each = likelihood.changes(circuit), [evaluate(circuit) for evaluate in likelihood.evaluators]
+    for rows in (stacked.events, stacked.ends):
+        for name, row in rows._asdict().items():
+            np.testing.assert_array_equal(row, np.concatenate([getattr(part, name) for part in each]), err_msg=name)
+            assert np.shares_memory(row, stacked.vector)
+    assert stacked.vector.shape == (likelihood.layout.size,)
+
+
+NOISY = MODEL.set({"threshold_sigma": 0.15})  # so that many extremes come near a threshold
+EFFECTS = ("leak", "parasitic_photocurrent", "threshold_drift", "timestamp_jitter")
+
+
+def noisy_likelihood(effects=()):
+    """(likelihood, circuit) of two recordings, clock weighed and with factors of the thresholds."""
+    from pixelid.simulate import simulate
+    from pixelid.stimuli.shapes import chirp, steps
+
+    lights = chirp(level=100.0, duration_s=0.4, stop_hz=100.0), steps(level=50.0, duration_s=0.4)
+    recordings = [simulate(NOISY, light, width=3, height=2, seed=seed) for seed, light in enumerate(lights)]
+    model = NOISY
+    for effect in effects:
+        model = model.with_effect(effect)
+    likelihood = EventTimes(recordings).weighed(model.circuit())
+    factor = np.exp(0.02 * np.random.default_rng(1).normal(size=likelihood.events))
+    return likelihood.with_threshold_factor(factor), model.circuit()
+
+
+@pytest.mark.parametrize("effects", [(), *((name,) for name in EFFECTS), EFFECTS])
+def test_every_piece_equals_the_plain_statement(effects):
+    likelihood, circuit = noisy_likelihood(effects)
+    for refractory in (1e-4, 3e-3):  # the second makes background events: before their pixel's release
+        here = circuit.with_(refractory=refractory)
+        changes = likelihood.changes(here)
+        terms, expected = likelihood.terms(here, changes), plain.terms(likelihood, here, changes.vector)
+        assert expected.background.any() == (refractory > 1e-3)
+        assert (expected.reached > 0).sum() > 5
+        for name in vars(expected):
+            np.testing.assert_allclose(getattr(terms, name), getattr(expected, name), rtol=1e-10, err_msg=name)
+        assert terms.total == pytest.approx(expected.total, rel=1e-12)
+        assert likelihood.log_likelihood(here) == terms.total
+
+
+@pytest.mark.parametrize("refractory", [1e-4, 3e-3])
+@pytest.mark.parametrize("effects", [(), EFFECTS])
+def test_gradient_equals_complex_steps_of_the_plain_statement(effects, refractory):
+    likelihood, circuit = noisy_likelihood(effects)
+    circuit = circuit.with_(refractory=refractory)
+    changes = likelihood.changes(circuit)
+    gradient = likelihood.terms(circuit, changes).gradient()
+    rng = np.random.default_rng(0)
+    for rows in ("events", "ends"):
+        for name in getattr(changes, rows)._fields:
+            if name == "early":  # not differentiable
+                continue
+            along = np.zeros(len(changes.vector))
+            row = getattr(getattr(likelihood.layout.stacked(along), rows), name)
+            row[:] = rng.normal(size=len(row))
+            stepped = plain.terms(likelihood, circuit, changes.vector + 1e-30j * along).total.imag / 1e-30
+            size = np.abs(gradient.by_changes.vector * along).sum()
+            assert abs(gradient.by_changes.vector @ along - stepped) < 1e-11 * size, name
+    for i, name in enumerate(NUMBERS):
+        stepped = circuit.with_(**{name: complex(getattr(circuit, name), 1e-30)})
+        total = plain.terms(likelihood, stepped, changes.vector.astype(complex)).total
+        assert gradient.by_numbers[i] == pytest.approx(total.imag / 1e-30, rel=1e-9), name

@@ -1,17 +1,15 @@
-"""The compiled plain pixel against the general loops and the readable sums: same changes, extremes, likelihood."""
+"""The compiled plain pixel against the general loops: same changes and extremes."""
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
+from dataclasses import fields
 
 import numpy as np
 import pytest
 
 from pixelid.likelihood import plain_changes
 from pixelid.likelihood.changes import ChangeEvaluator
-from pixelid.likelihood.event_times import EventTimes
 from pixelid.likelihood.sequences import sequences
-from pixelid.likelihood.value import value
 from pixelid.model.shipped import find_model
 from pixelid.simulate import simulate
 from pixelid.stimuli.stimulus import Stimulus
@@ -69,21 +67,3 @@ def test_stages_without_a_pole_have_the_slopes_of_the_general_loops(absent, monk
     np.testing.assert_allclose(found.change, expected.change, rtol=0, atol=1e-12)
     np.testing.assert_allclose(found.slope, expected.slope, rtol=1e-9, atol=1e-7)
     assert (found.slope * np.sign(found.change) > 0).mean() > 0.5
-
-
-@pytest.mark.parametrize("effects", [(), ("leak",), ("timestamp_jitter",), ("threshold_drift",)])
-def test_the_sums_without_derivatives_equal_the_readable_ones(effects):
-    recordings = [replace(session(kind, seed), condition=kind) for seed, kind in enumerate(("sines", "steps"), 1)]
-    likelihood = EventTimes(recordings)
-    model = MODEL
-    for effect in effects:
-        model = model.with_effect(effect)
-    for refractory in (1e-4, 3e-3):  # the second makes strays: events before their pixel's release
-        circuit = model.circuit().with_(refractory=refractory)
-        gathered = likelihood.gathered(circuit)
-        found, terms = value(likelihood, circuit, gathered), likelihood.terms(circuit, gathered)
-        assert terms.stray.any() == (refractory > 1e-3)
-        assert found.total == pytest.approx(terms.total, rel=1e-11)
-        np.testing.assert_allclose(found.per_pixel, terms.per_pixel, rtol=1e-10)
-        np.testing.assert_allclose(found.per_recording, terms.per_recording, rtol=1e-10)
-        assert likelihood.log_likelihood(circuit) == found.total

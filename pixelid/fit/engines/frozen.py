@@ -1,13 +1,12 @@
 """The discrete choices inside the event-time likelihood, made once and shared by every engine.
 
-Which sample carries an extreme, which step holds an event, which events are strays: these are decided by the compiled
-likelihood (`EventTimes`) at a point.  Given them the log-likelihood is one smooth expression, the same for every
-engine, and the engines must agree on it to rounding.  A fit refreshes the choices as it moves.
+Which sample carries an extreme, which step holds an event, which events are background: these are decided by the
+compiled likelihood (`EventTimes`) at a point.  Given them the log-likelihood is one smooth expression, the same for
+every engine, and the engines must agree on it to rounding.  A fit refreshes the choices as it moves.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,6 +15,7 @@ from pixelid.dynamics.equations import PRESENT_BELOW
 from pixelid.dynamics.of_circuit import dynamics_of
 from pixelid.errors import InputError
 from pixelid.fit.event_times import EventTimesObjective
+from pixelid.likelihood.layout import Layout
 from pixelid.stages.circuit import Circuit
 from pixelid.stimuli.drive import drive
 
@@ -49,24 +49,19 @@ class Frozen:
     """Everything an engine needs to write the log-likelihood as one expression of the circuit's numbers.
 
     circuit: the real circuit at the point, which tells what is present
-    kept: indices of events that are not strays;  strays: how many are;  survived: indices with a survival factor
-    sign, time, tick, clock_share: (n,);  group: (n,) of 2 · pixel + ON;  last_pixel: (m,)
+    layout: which pixel each of the n events and m unfinished intervals belongs to
+    clock_share, threshold_factor: (n,), as of `EventTimes`
+    kept: indices of the circuit's events;  background: how many are not;  survived: indices with a survival factor
     """
 
     circuit: Circuit
     recordings: tuple[FrozenRecording, ...]
-    kept: np.ndarray
-    strays: int
-    survived: np.ndarray
-    sign: np.ndarray
-    time: np.ndarray
-    tick: np.ndarray
+    layout: Layout
     clock_share: np.ndarray
-    group: np.ndarray
-    pixels: int
-    last_pixel: np.ndarray
-    last_time: np.ndarray
-    circuit_of: Callable
+    threshold_factor: np.ndarray
+    kept: np.ndarray
+    background: int
+    survived: np.ndarray
 
     @property
     def samples(self) -> int:
@@ -90,27 +85,16 @@ def freeze(objective: EventTimesObjective, x: np.ndarray) -> Frozen:
     ):
         if there:
             raise InputError(f"{name}: not in the symbolic form of the likelihood; use its compiled form")
-    gathered, density = objective.density(x)
-    n, m = likelihood.events, len(likelihood.last_pixel)
-    opposite, opposite_drift = gathered[4 * n : 6 * n].reshape(2, n)
-    growth = 1.0 + circuit.threshold_drift * likelihood.time_s
-    reached = (opposite + circuit.on_threshold * opposite_drift) / growth
-    assert len(gathered) == 7 * n + 4 * m
+    terms, factor = objective.terms(x), likelihood.threshold_factor
     return Frozen(
         circuit=circuit,
         recordings=tuple(_frozen(evaluator, circuit) for evaluator in likelihood.evaluators),
-        kept=np.flatnonzero(~density.stray),
-        strays=int(density.stray.sum()),
-        survived=np.flatnonzero(reached > 0),
-        sign=likelihood.sign,
-        time=likelihood.time_s,
-        tick=likelihood.tick_s,
+        layout=likelihood.layout,
         clock_share=likelihood.clock_share,
-        group=likelihood.group,
-        pixels=likelihood.pixels,
-        last_pixel=likelihood.last_pixel,
-        last_time=likelihood.last_time_s,
-        circuit_of=objective.coordinates.model.circuit,
+        threshold_factor=np.ones(likelihood.events) if factor is None else factor,
+        kept=np.flatnonzero(~terms.background),
+        background=int(terms.background.sum()),
+        survived=np.flatnonzero(terms.reached > 0),
     )
 
 
