@@ -20,12 +20,10 @@ from pixelid.stages.circuit import Circuit
 
 # Circuit numbers that leave the trajectories and changes alone and act in the density only.
 DENSITY_ONLY = (*NUMBERS, "tick")
-# Difference of the changes, in fitting coordinates.  One-sided: the changes bend by about themselves per unit, so the
-# error is 1e-6 relative, and their own error 1e-14 adds 1e-8.
+# Difference in fitting coordinates.  Of the changes one-sided: they bend by about themselves per unit, so the error is
+# 1e-6 relative, and their own error 1e-14 adds 1e-8.  Of the circuit's numbers central: elementary functions of the
+# coordinates, whose rounding leaves 1e-10.
 STEP = 1e-6
-# Central difference of the circuit's numbers, elementary functions of the coordinates: error 1e-11 relative, half of it
-# curvature (STEP²/6) and half rounding (1e-16/STEP).
-NUMBERS_STEP = 1e-5
 
 
 class EventTimesObjective(Objective):
@@ -67,28 +65,31 @@ class EventTimesObjective(Objective):
         return Local(self.value(x), gradient, information.matrix() + np.diag(curvature))
 
     def _tangent(self, x: np.ndarray, i: int, circuit: Circuit) -> Tangent:
-        longest = self.coordinates.longest_moves()
-        up, down = (self._moved(x, i, sign * NUMBERS_STEP * longest[i]) for sign in (1.0, -1.0))
-        above, below = self.coordinates.circuit(up), self.coordinates.circuit(down)
-        numbers = np.array([getattr(above, name) - getattr(below, name) for name in NUMBERS]) / (up[i] - down[i])
-        if only_density_differs(circuit, above):
+        step = STEP * self.coordinates.longest_moves()[i]
+        up, down = _moved(x, i, step), _moved(x, i, -step)
+        there = self.coordinates.circuit(up)
+        numbers = np.zeros(len(NUMBERS))
+        if any(getattr(there, name) != getattr(circuit, name) for name in NUMBERS):
+            back = self.coordinates.circuit(down)
+            numbers[:] = [getattr(there, name) - getattr(back, name) for name in NUMBERS]
+            numbers /= up[i] - down[i]
+        if only_density_differs(circuit, there):
             return Tangent(None, numbers)
-        moved = self._moved(x, i, STEP * longest[i])
-        difference = self.likelihood.changes(self.coordinates.circuit(moved), locate=False)
+        difference = self.likelihood.changes(there, locate=False)
         slope = difference.vector
         with np.errstate(over="ignore", invalid="ignore"):  # intervals whose density is zero
             slope -= self.terms(x).changes.vector
-            slope /= moved[i] - x[i]
+            slope /= up[i] - x[i]
         if not np.isfinite(slope.sum()):
             np.nan_to_num(slope, copy=False, posinf=0.0, neginf=0.0)
         difference.events.early[:] = 0.0  # whether an event comes too early is not differentiable
         return Tangent(difference, numbers)
 
-    @staticmethod
-    def _moved(x: np.ndarray, i: int, by: float) -> np.ndarray:
-        moved = x.copy()
-        moved[i] += by
-        return moved
+
+def _moved(x: np.ndarray, i: int, by: float) -> np.ndarray:
+    moved = x.copy()
+    moved[i] += by
+    return moved
 
 
 def _product(gradient: Gradient, tangent: Tangent) -> float:

@@ -36,7 +36,6 @@ event that the model expects and the recording lacks.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -180,7 +179,7 @@ def density(layout: Layout, circuit: Circuit, changes: StackedChanges, clock_sha
     background, end = np.empty(n, np.bool_), np.empty(layout.ends)
     forward(
         layout.sign, layout.group, layout.time_s, layout.tick_s, clock_share, layout.last_pixel, layout.last_time_s,
-        changes.events, changes.ends, numbers, math.log(BACKGROUND_HZ), MISSED,
+        changes.events, changes.ends, numbers, BACKGROUND_HZ, MISSED,
         event, np.empty(n, np.bool_), background, group, end,
     )  # fmt: skip
     return Terms(layout, numbers, clock_share, changes, event, background, group, end)

@@ -78,7 +78,7 @@ class GroupTerms(NamedTuple):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def forward(
-    sign, group, time, tick, clock_share, last_pixel, last_time, rows, ends, numbers, log_background, missed,
+    sign, group, time, tick, clock_share, last_pixel, last_time, rows, ends, numbers, background_hz, missed,
     event, impossible, background, at_group, end_term,
 ):  # fmt: skip
     """Fill EventTerms `event`, `background` (n,), GroupTerms `at_group` and `end_term` (m,).
@@ -87,13 +87,13 @@ def forward(
     """
     _populations(numbers, at_group)
     _levels(sign, group, time, tick, clock_share, rows, numbers, at_group.centre, event, impossible)
-    _classify(group, event, impossible, log_background, at_group, background)
+    _classify(group, event, impossible, background_hz, at_group, background)
     for g in range(len(at_group.own)):
         at_group.own[g] = _posterior(at_group, at_group.first_W, at_group.first_A, g)[0]
     _scale_noise(group, numbers[2], at_group, background, event)
     _sum_weights(group, event, at_group.W, at_group.A)
     _group_terms(at_group)
-    _event_terms(group, background, log_background, at_group, event)
+    _event_terms(group, background, math.log(background_hz), at_group, event)
     _survivals(group, time, last_pixel, last_time, rows, ends, numbers, missed, at_group, event, end_term)
 
 
@@ -137,16 +137,14 @@ def _posterior(at_group, W, A, g):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _classify(group, event, impossible, log_background, at_group, background):
+def _classify(group, event, impossible, background_hz, at_group, background):
     """Fill `background`: events that the background explains better, first against the population, then against the
     threshold that the rest of their group tells; and the sums of that rest.
     """
     W, A = at_group.first_W, at_group.first_A
     centre, extra = at_group.centre.copy(), at_group.spread.copy()
     for _ in range(2):
-        _log_densities(group, event, centre, extra, event.term)
-        for k in range(len(background)):
-            background[k] = impossible[k] or event.term[k] < log_background
+        _compare(group, event, impossible, background_hz, centre, extra, background)
         for k in range(len(background)):
             event.weight[k] = 0.0 if background[k] else 1.0 / event.variance[k]
         _sum_weights(group, event, W, A)
@@ -155,12 +153,23 @@ def _classify(group, event, impossible, log_background, at_group, background):
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
-def _log_densities(group, event, centre, extra, out):
-    """Fill `out` with log N(z; centre, variance + extra) + log rate, centre and extra by group."""
+def _compare(group, event, impossible, background_hz, centre, extra, background):
+    """Fill `background`: where N(z; centre, variance + extra) · rate < background_hz, or the event is impossible.
+
+    Nearly all events need no exponential: (1 − x/64)^64 ≤ e^−x decides.
+    """
     z, rate, variance = event.level, event.rate, event.variance
-    for k in range(len(out)):
+    least = 2.0 * math.pi * background_hz * background_hz
+    for k in range(len(group)):
         total, away = variance[k] + extra[group[k]], z[k] - centre[group[k]]
-        out[k] = 0.5 * (vlog(rate[k] * rate[k] / (2.0 * math.pi * total)) - away * away / total)
+        bound = max(1.0 - away * away / (64.0 * total), 0.0)
+        for _ in range(6):
+            bound *= bound
+        background[k] = not rate[k] * rate[k] * bound > least * total
+    for k in range(len(group)):
+        if background[k] and not impossible[k]:
+            total, away = variance[k] + extra[group[k]], z[k] - centre[group[k]]
+            background[k] = rate[k] * rate[k] * math.exp(-away * away / total) < least * total
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -195,12 +204,17 @@ def _group_terms(at_group):
             at_group.term[g] = -0.5 * math.log(1.0 + S[g] * W[g]) - 0.5 * away * away / (S[g] + 1.0 / W[g])
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
 def _event_terms(group, background, log_background, at_group, event):
-    nothing = np.zeros(len(at_group.centre))
-    _log_densities(group, event, at_group.weighted_mean, nothing, event.term)
+    """Fill the terms with log N(z; weighted mean, variance) + log rate, or the background's."""
+    z, rate, variance, term, mean = event.level, event.rate, event.variance, event.term, at_group.weighted_mean
     for k in range(len(group)):
-        event.term[k] = log_background if background[k] else event.term[k]
+        term[k] = z[k] - mean[group[k]]
+    for k in range(len(group)):
+        V = variance[k]
+        term[k] = 0.5 * (vlog(rate[k] * rate[k] / (2.0 * math.pi * V)) - term[k] * term[k] / V)
+    for k in range(len(group)):
+        term[k] = log_background if background[k] else term[k]
 
 
 @njit(cache=True, error_model="numpy")
