@@ -134,7 +134,7 @@ def events_in_step(pixel, place, t0, t1, step, chain, comparators, drawn, laws, 
         level, decay = here[0], here[1] - here[0] if wd < PRESENT_BELOW else 0.0
     level -= leak * (tau - x)
     if parasitic > 0.0:
-        level -= parasitic * light_integral(step[7], step[8], x, tau)
+        level -= parasitic * light_integral(step[7] * np.exp(step[8] * x), step[8], tau - x)
     comparators[LEVEL, place] = level
     comparators[DECAY, place] = decay * np.exp(-wd * (tau - x)) if decay != 0.0 else 0.0
     return found, count

@@ -76,7 +76,7 @@ def factors(op: Operations, a, b2, tau):
 
 def step(op: Operations, state, r, tau, light, dynamics: Dynamics):
     """States (v, y, s, d) after `tau` of the ramp r τ, from `state` relative to its foot."""
-    a, b2 = equations.photoreceptor(dynamics.alpha, dynamics.beta, dynamics.gamma, light)
+    a, b2 = equations.photoreceptor_rates(dynamics, light)
     k1, kd = op.exp(-dynamics.follower * tau), op.exp(-dynamics.differencing * tau)
     pr = factors(op, a, b2, tau)
     return equations.step_two_poles(state, 0.0, r, tau, a, b2, dynamics.follower, dynamics.differencing, pr, k1, kd)
@@ -115,7 +115,7 @@ def trajectory(op: Operations, light: Light, dynamics: Dynamics) -> list[Any]:
     """Four vectors (n,): v and y, s, d relative to u, at every sample."""
     zero = 0.0 * light.tau
     columns = []
-    a, b2 = equations.photoreceptor(dynamics.alpha, dynamics.beta, dynamics.gamma, light.linearised)
+    a, b2 = equations.photoreceptor_rates(dynamics, light.linearised)
     k1, kd = op.exp(-dynamics.follower * light.tau), op.exp(-dynamics.differencing * light.tau)
     pr = factors(op, a, b2, light.tau)
 
