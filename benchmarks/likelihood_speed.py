@@ -11,8 +11,7 @@ import time
 
 import numpy as np
 
-from pixelid.dynamics import kernels, vectorised
-from pixelid.likelihood import changes, plain_changes
+from pixelid.dynamics import vectorised
 from pixelid.likelihood.density import density
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.likelihood.value import value
@@ -59,12 +58,9 @@ def main() -> None:
     frozen = best_of(lambda: density(likelihood, circuit, gathered(False)).total)
     alone = best_of(lambda: value(likelihood, circuit, known).total)
     alone_with_gradient = best_of(lambda: density(likelihood, circuit, known).total)
-    fast = vectorised.scan, plain_changes.applicable
-    vectorised.scan, plain_changes.applicable = kernels.scan, lambda circuit: False
-    vectorised_at, vectorised.states_at = vectorised.states_at, changes._states_one_by_one
+    applicable, vectorised.applicable = vectorised.applicable, lambda dynamics: False
     plain = best_of(lambda: likelihood.terms(circuit, gathered()).total, 2)
-    vectorised.scan, plain_changes.applicable = fast
-    vectorised.states_at = vectorised_at
+    vectorised.applicable = applicable
     print(f"{likelihood.events} events, {SAMPLES} samples")
     print(f"likelihood                                {full:8.1f} ms   (target 40 ms)")
     print(f"  its sums alone                          {alone:8.1f} ms")

@@ -44,8 +44,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pixelid.errors import InputError
-from pixelid.likelihood import plain_changes
-from pixelid.likelihood.changes import PER_EVENT, PER_PIXEL, ChangeEvaluator, Changes
+from pixelid.likelihood.changes import ChangeEvaluator, Changes
 from pixelid.likelihood.normal import log_ndtr
 from pixelid.likelihood.sequences import sequences
 from pixelid.likelihood.value import value
@@ -190,10 +189,6 @@ class EventTimes:
         return together
 
     def _unscaled(self, circuit: Circuit, locate: bool) -> np.ndarray:
-        if not plain_changes.applicable(circuit):
-            parts = self.changes(circuit, locate)
-            names = (*PER_EVENT, *PER_PIXEL)
-            return np.concatenate([np.concatenate([getattr(part, name) for part in parts]) for name in names])
         n, m = self.events, len(self.last_pixel)
         together = np.empty(7 * n + 4 * m)
         events = np.split(together[: 7 * n].reshape(7, n), self._ends[0], axis=1)
