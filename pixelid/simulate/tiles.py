@@ -196,7 +196,7 @@ def _tile(
     dark, modulation, omega, phase = light
     density, key = noise
     wh, wd, smooth = chain[2], chain[3], chain[5]
-    _, leak, parasitic, growth, _, _ = laws
+    _, leak, parasitic, growth, _, _, _ = laws
     size = states.shape[1]
     begin, end, local, count_drawn = states.copy(), states.copy(), comparators.copy(), drawn.copy()
     work = np.empty((chain_step.WORK_ROWS, size))
