@@ -13,9 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pixelid.dynamics import kernels, vectorised
-from pixelid.likelihood import changes as general_changes
-from pixelid.likelihood import plain_changes
+from pixelid.dynamics import vectorised
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.model.shipped import find_model
 from pixelid.simulate import simulate
@@ -50,24 +48,21 @@ def main() -> None:
     circuit = find_model("dvs128").circuit()
     evaluate, layout = likelihood.evaluators[0], likelihood.layout
 
-    def changes(locate=True):
+    def changes(extremes=True):
         evaluate.forget()  # the trajectory is part of an evaluation
         vector = np.empty(layout.size)
-        evaluate.fill(circuit, locate, *layout.per_recording(vector)[0])  # in this thread
-        return layout.stacked(vector)
+        extremes = evaluate.fill(circuit, extremes, *layout.per_recording(vector)[0])  # in this thread
+        return layout.stacked(vector, (extremes,))
 
     known = changes()
     full = best_of(lambda: likelihood.terms(circuit, changes()).total)
     with_gradient = best_of(lambda: likelihood.terms(circuit, changes()).gradient())
-    frozen = best_of(lambda: likelihood.terms(circuit, changes(False)).gradient())
+    frozen = best_of(lambda: likelihood.terms(circuit, changes(known.extremes[0])).gradient())
     alone = best_of(lambda: likelihood.terms(circuit, known).total)
     alone_with_gradient = best_of(lambda: likelihood.terms(circuit, known).gradient())
-    fast = vectorised.scan, plain_changes.applicable
-    vectorised.scan, plain_changes.applicable = kernels.scan, lambda circuit: False
-    vectorised_at, vectorised.states_at = vectorised.states_at, general_changes._states_one_by_one
+    applicable, vectorised.applicable = vectorised.applicable, lambda dynamics: False
     plain = best_of(lambda: event_time_density.terms(likelihood, circuit, changes().vector).total, 2)
-    vectorised.scan, plain_changes.applicable = fast
-    vectorised.states_at = vectorised_at
+    vectorised.applicable = applicable
     print(f"{likelihood.events} events, {SAMPLES} samples")
     print(f"likelihood                                {full:8.1f} ms   (target 40 ms)")
     print(f"  its sums alone                          {alone:8.1f} ms")

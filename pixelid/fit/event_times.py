@@ -75,10 +75,11 @@ class EventTimesObjective(Objective):
             numbers /= up[i] - down[i]
         if only_density_differs(circuit, there):
             return Tangent(None, numbers)
-        difference = self.likelihood.changes(there, locate=False)
+        here = self.terms(x).changes
+        difference = self.likelihood.changes(there, here.extremes)
         slope = difference.vector
         with np.errstate(over="ignore", invalid="ignore"):  # intervals whose density is zero
-            slope -= self.terms(x).changes.vector
+            slope -= here.vector
             slope /= up[i] - x[i]
         if not np.isfinite(slope.sum()):
             np.nan_to_num(slope, copy=False, posinf=0.0, neginf=0.0)

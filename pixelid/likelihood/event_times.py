@@ -15,6 +15,7 @@ import numpy as np
 from pixelid.errors import InputError
 from pixelid.likelihood.changes import ChangeEvaluator
 from pixelid.likelihood.density import BACKGROUND_HZ, Terms, density, sum_by
+from pixelid.likelihood.extremes import Extremes
 from pixelid.likelihood.layout import StackedChanges, layout_of, read_only
 from pixelid.likelihood.sequences import sequences
 from pixelid.recordings.recording import Recording
@@ -108,19 +109,29 @@ class EventTimes:
         """A low quantile of the times between two events of a pixel: dead time can hardly be longer."""
         return float(np.quantile(np.concatenate([iv.time_s - iv.previous_s for iv in self.intervals]), quantile))
 
-    def changes(self, circuit: Circuit, locate: bool = True) -> StackedChanges:
-        """The changes of all recordings under a circuit; `locate=False` keeps the extremes where they were."""
+    def changes(self, circuit: Circuit, extremes: Sequence[Extremes] | None = None) -> StackedChanges:
+        """The changes of all recordings under a circuit.
+
+        Args:
+            circuit: Of real numbers.
+            extremes: Where they are, `extremes` of the changes under a circuit close by, whose derivatives do not see
+                the positions move; None: looked for.
+        """
+        return self._changes(circuit, [True] * len(self.recordings) if extremes is None else extremes)
+
+    def _changes(self, circuit: Circuit, locate: Sequence[Extremes | bool]) -> StackedChanges:
         vector = np.empty(self.layout.size)
-        parts = self.layout.per_recording(vector)
-        work = zip(self.evaluators, parts, strict=True)
-        list((_POOL.map if self._large else map)(lambda pair: pair[0].fill(circuit, locate, *pair[1]), work))
-        changes = self.layout.stacked(vector)
+        work = zip(self.evaluators, locate, self.layout.per_recording(vector), strict=True)
+        fill = (_POOL.map if self._large else map)(lambda part: part[0].fill(circuit, part[1], *part[2]), work)
+        changes = self.layout.stacked(vector, tuple(fill))
         if self.threshold_factor is not None:
             for row in changes.events.of_level:
                 row /= self.threshold_factor
         return changes
 
-    gathered = changes  # its old name, until all callers have moved
+    def gathered(self, circuit: Circuit, locate: bool = True) -> StackedChanges:
+        """`changes` under its old name and with positions that evaluators remember, until all callers have moved."""
+        return self._changes(circuit, [locate] * len(self.recordings))
 
     def terms(self, circuit: Circuit, changes: StackedChanges | None = None) -> Terms:
         """The likelihood's pieces under a circuit; `changes` is `changes(circuit)` when it is known already."""
@@ -137,7 +148,8 @@ class EventTimes:
         release moves, `clock_share` becomes q_k = 1 + (g_k/r_k)² under this circuit, at most `MOST_CLOCK_SHARE`.
         """
         later = circuit.with_(refractory=circuit.refractory + NUDGE_S)
-        here, there = self.terms(circuit), self.terms(later, self.changes(later, locate=False))
+        here = self.terms(circuit)
+        there = self.terms(later, self.changes(later, here.changes.extremes))
         moved = np.where(here.background | there.background, 0.0, there.z - here.z) / NUDGE_S
         other = copy(self)
         other.clock_share = read_only(1.0 + np.minimum((moved / here.event.rate) ** 2, MOST_CLOCK_SHARE - 1.0))

@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from pixelid.likelihood.extremes import Extremes
 from pixelid.likelihood.sequences import Sequences
 from pixelid.recordings.recording import Recording
 
@@ -46,11 +47,15 @@ class EndRows(NamedTuple):
 
 @dataclass(frozen=True)
 class StackedChanges:
-    """The `Changes` of all recordings (or their derivatives): `events` and `ends` are views of `vector`."""
+    """The `Changes` of all recordings (or their derivatives).
+
+    events, ends: views of `vector`;  extremes: where they were found in each recording, none for derivatives
+    """
 
     vector: np.ndarray
     events: EventRows
     ends: EndRows
+    extremes: tuple[Extremes, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,10 +113,10 @@ class Layout:
         at = len(EventRows._fields) * self.events
         return vector[:at].reshape(-1, self.events), vector[at:].reshape(-1, self.ends)
 
-    def stacked(self, vector: np.ndarray) -> StackedChanges:
+    def stacked(self, vector: np.ndarray, extremes: tuple[Extremes, ...] = ()) -> StackedChanges:
         """A vector (size,) by the names of its rows."""
         events, ends = self._blocks(vector)
-        return StackedChanges(vector, EventRows(*events), EndRows(*ends))
+        return StackedChanges(vector, EventRows(*events), EndRows(*ends), extremes)
 
     def per_recording(self, vector: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
         """Views (7, n_r), (4, m_r) of each recording's columns, to be filled."""

@@ -1,4 +1,4 @@
-"""Pooled-rate likelihood (DESIGN §4): event counts of many pixels, or of one pixel with many events per edge.
+"""Pooled-rate likelihood: event counts of many pixels, or of one pixel with many events per edge.
 
 In the fluid limit a pixel whose amplifier output rises at ẏ emits ON events at ẏ/C_on.  N pooled pixels, dead time ρ
 and a background b per polarity give
@@ -30,6 +30,7 @@ from pixelid.errors import InputError
 from pixelid.parameters.parameter import Parameter
 from pixelid.recordings.recording import Recording
 from pixelid.stages.circuit import Circuit
+from pixelid.stages.differencing import leaked, leaks
 from pixelid.stimuli.drive import drive
 from pixelid.stimuli.stimulus import Stimulus
 
@@ -158,12 +159,12 @@ class PooledRate:
 
     def _leaked(self, i: int, circuit: Circuit) -> np.ndarray | float:
         """What leaks in each bin of recording i, in ON thresholds."""
+        if not leaks(circuit):
+            return 0.0
         stimulus, edges = self.recordings[i].stimulus, self.counts[i].edges
         assert stimulus is not None
-        if circuit.leak_hz_per_radiance == 0:
-            return circuit.leak_hz * self._width
         light = np.interp(0.5 * (edges[1:] + edges[:-1]), stimulus.t, stimulus.radiance)
-        return (circuit.leak_hz + circuit.leak_hz_per_radiance * light) * self._width
+        return leaked(circuit, self._width, self._width * light)
 
     def log_likelihood(self, expected: np.ndarray) -> float:
         """Poisson log-likelihood of the counts about `expected`."""

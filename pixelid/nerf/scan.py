@@ -17,7 +17,7 @@ from pixelid.nerf.render import parts, pool
 
 def as_tuple(dynamics: torch.Tensor) -> tuple[float, ...]:
     """(α, β, γ, ω1, ω2, ωh, ωd) as floats."""
-    return Dynamics(*dynamics.detach().cpu().tolist()).uniform()
+    return tuple(Dynamics(*dynamics.detach().cpu().tolist()).uniform()[:7])
 
 
 def _groups(first: np.ndarray) -> list[tuple[slice, slice]]:

@@ -19,6 +19,14 @@ def apply(circuit: Circuit, values: Mapping[str, float]) -> Circuit:
     return circuit.with_(on_threshold=values["on_threshold"], off_threshold=values["off_threshold"])
 
 
+def threshold_factors(circuit: Circuit, before):
+    """(ON, OFF) what a pixel's thresholds are multiplied by after an event of polarity `before`.
+
+    before: +1, −1, or 0 where there was none; a number or an array
+    """
+    return 1.0, 1.0
+
+
 class ThresholdMismatch(Effect):
     name = "threshold_mismatch"
     stage = "comparator"

@@ -137,23 +137,6 @@ def test_what_the_end_cuts_off_is_held_against_the_threshold_of_then():
         assert log_survival(0.1, change) == pytest.approx(expected, abs=2e-3)
 
 
-@pytest.mark.parametrize("effect", [None, "lower_cutoff", "extra_pole"])
-def test_complex_step_equals_difference_quotient(effect):
-    model = MODEL if effect is None else MODEL.with_effect(effect)
-    stimulus = sine_light(duration=0.05)
-    recording = recording_of([0.01013, 0.01531, 0.03021, 0.04117], [1, 1, 0, 1], stimulus)
-    evaluate = ChangeEvaluator(recording, sequences(recording))
-    for name in [n for n in model.free if "threshold" not in n]:
-        value = model.values[name]
-        stepped = evaluate(model.circuit({name: complex(value, value * 1e-30)})).change.imag / 1e-30
-        h = 1e-4
-        quotient = (
-            evaluate(model.circuit({name: value * (1 + h)})).change
-            - evaluate(model.circuit({name: value * (1 - h)})).change
-        ) / (2 * h)
-        np.testing.assert_allclose(stepped, quotient, rtol=1e-5, atol=5e-9)
-
-
 def test_density_of_the_next_event_integrates_to_one():
     """ON density + OFF density over all times + chance of no event = 1: rate factor, survival and censoring agree."""
     stimulus = sine_light(level=400.0, frequency=40.0, modulation=0.25, duration=0.06, dt=1e-5)

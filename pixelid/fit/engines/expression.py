@@ -76,7 +76,7 @@ def factors(op: Operations, a, b2, tau):
 
 def step(op: Operations, state, r, tau, light, dynamics: Dynamics):
     """States (v, y, s, d) after `tau` of the ramp r τ, from `state` relative to its foot."""
-    a, b2 = equations.photoreceptor(dynamics.alpha, dynamics.beta, dynamics.gamma, light)
+    a, b2 = equations.photoreceptor_rates(dynamics, light)
     k1, kd = op.exp(-dynamics.follower * tau), op.exp(-dynamics.differencing * tau)
     pr = factors(op, a, b2, tau)
     return equations.step_two_poles(state, 0.0, r, tau, a, b2, dynamics.follower, dynamics.differencing, pr, k1, kd)
@@ -115,7 +115,7 @@ def trajectory(op: Operations, light: Light, dynamics: Dynamics) -> list[Any]:
     """Four vectors (n,): v and y, s, d relative to u, at every sample."""
     zero = 0.0 * light.tau
     columns = []
-    a, b2 = equations.photoreceptor(dynamics.alpha, dynamics.beta, dynamics.gamma, light.linearised)
+    a, b2 = equations.photoreceptor_rates(dynamics, light.linearised)
     k1, kd = op.exp(-dynamics.follower * light.tau), op.exp(-dynamics.differencing * light.tau)
     pr = factors(op, a, b2, light.tau)
 
@@ -187,30 +187,30 @@ def changes(op: Operations, frozen: FrozenRecording, circuit, real, midpoint: bo
     (v, y, s, d), r = at(frozen.step_e, tau)
     foot = op.take(light.u, frozen.step_e)
     since = time - release
-    found: dict[str, Any] = {}
+    rows: dict[str, Any] = {}
     if finite:
         decay = offset * op.exp(-dynamics.differencing * since)
-        found["change"] = foot + d - level - decay
-        found["slope"] = dynamics.differencing * (s - d + decay)
+        rows["change"] = foot + d - level - decay
+        rows["slope"] = dynamics.differencing * (s - d + decay)
     else:
-        found["change"] = foot + s - level
-        found["slope"] = dynamics.follower * (y - s) if present.follower < PRESENT_BELOW else v
-    found["drift"] = circuit.leak_hz * since
-    found["drift_slope"] = circuit.leak_hz + 0.0 * since
+        rows["change"] = foot + s - level
+        rows["slope"] = dynamics.follower * (y - s) if present.follower < PRESENT_BELOW else v
+    rows["drift"] = circuit.leak_hz * since
+    rows["drift_slope"] = circuit.leak_hz + 0.0 * since
     if parasitic:
         radiance = op.take(light.radiance, frozen.step_e)
         seen = op.take(lights, frozen.step_e) + light_integral(op, radiance, r, tau)
-        found["drift"] = found["drift"] + circuit.leak_hz_per_radiance * (seen - shone)
-        found["drift_slope"] = found["drift_slope"] + circuit.leak_hz_per_radiance * radiance * op.exp(r * tau)
+        rows["drift"] = rows["drift"] + circuit.leak_hz_per_radiance * (seen - shone)
+        rows["drift_slope"] = rows["drift_slope"] + circuit.leak_hz_per_radiance * radiance * op.exp(r * tau)
     sign = op.constant(-frozen.sign)
     c, f = sample(frozen.opposite_at, release, begun)
-    found["opposite"], found["opposite_drift"] = sign * c, sign * f
+    rows["opposite"], rows["opposite_drift"] = sign * c, sign * f
     last = op.constant(frozen.last) + (circuit.refractory - circuit.delay)
     begun = start(frozen.step_l, last)
-    found["rise"], found["rise_drift"] = sample(frozen.rise_at, last, begun)
+    rows["rise"], rows["rise_drift"] = sample(frozen.rise_at, last, begun)
     c, f = sample(frozen.fall_at, last, begun)
-    found["fall"], found["fall_drift"] = -c, -f
-    return found
+    rows["fall"], rows["fall_drift"] = -c, -f
+    return rows
 
 
 def light_integral(op: Operations, radiance, r, tau):

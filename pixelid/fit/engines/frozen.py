@@ -8,6 +8,7 @@ every engine, and the engines must agree on it to rounding.  A fit refreshes the
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import repeat
 
 import numpy as np
 
@@ -15,6 +16,8 @@ from pixelid.dynamics.equations import PRESENT_BELOW
 from pixelid.dynamics.of_circuit import dynamics_of
 from pixelid.errors import InputError
 from pixelid.fit.event_times import EventTimesObjective
+from pixelid.likelihood.changes import ChangeEvaluator
+from pixelid.likelihood.extremes import Extremes
 from pixelid.likelihood.layout import Layout
 from pixelid.stages.circuit import Circuit
 from pixelid.stimuli.drive import drive
@@ -88,7 +91,7 @@ def freeze(objective: EventTimesObjective, x: np.ndarray) -> Frozen:
     terms, factor = objective.terms(x), likelihood.threshold_factor
     return Frozen(
         circuit=circuit,
-        recordings=tuple(_frozen(evaluator, circuit) for evaluator in likelihood.evaluators),
+        recordings=tuple(map(_frozen, likelihood.evaluators, terms.changes.extremes, repeat(circuit))),
         layout=likelihood.layout,
         clock_share=likelihood.clock_share,
         threshold_factor=np.ones(likelihood.events) if factor is None else factor,
@@ -98,14 +101,13 @@ def freeze(objective: EventTimesObjective, x: np.ndarray) -> Frozen:
     )
 
 
-def _frozen(evaluator, circuit: Circuit) -> FrozenRecording:
+def _frozen(evaluator: ChangeEvaluator, extremes: Extremes, circuit: Circuit) -> FrozenRecording:
     iv = evaluator.intervals
     light = drive(evaluator.recording.stimulus, circuit, iv.end_s)
 
     def step_of(times):
         return np.maximum(np.searchsorted(light.t, times, side="right") - 1, 0)
 
-    opposite_at, rise_at, fall_at = (at.copy() for at in evaluator.extremes_at)
     return FrozenRecording(
         t=light.t,
         radiance=light.radiance - circuit.dark,
@@ -116,7 +118,7 @@ def _frozen(evaluator, circuit: Circuit) -> FrozenRecording:
         step_r=step_of(iv.previous_s + circuit.refractory - circuit.delay),
         step_e=step_of(iv.time_s - circuit.delay),
         step_l=step_of(iv.last_s + circuit.refractory - circuit.delay),
-        opposite_at=opposite_at,
-        rise_at=rise_at,
-        fall_at=fall_at,
+        opposite_at=extremes.opposite,
+        rise_at=extremes.rise,
+        fall_at=extremes.fall,
     )
