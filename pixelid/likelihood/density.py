@@ -41,7 +41,8 @@ from functools import cached_property
 
 import numpy as np
 
-from pixelid.likelihood.density_kernels import EventTerms, GroupTerms, Numbers, backward, forward
+from pixelid.likelihood.density_backward import backward
+from pixelid.likelihood.density_forward import EventTerms, GroupTerms, Numbers, forward
 from pixelid.likelihood.layout import Layout, StackedChanges
 from pixelid.stages.circuit import Circuit
 
@@ -62,7 +63,7 @@ class Gradient:
 class Terms:
     """The pieces of the log-likelihood of a layout's events under one circuit.
 
-    event, group: per event and per (pixel, polarity) group, see `density_kernels`;  background: (n,) bool
+    event, group: per event and per (pixel, polarity) group, see `density_forward.py`;  background: (n,) bool
     end: (m,) log survival of the unfinished intervals
     """
 

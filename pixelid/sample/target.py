@@ -79,7 +79,4 @@ class Target:
 
     def _pooled_pieces(self, x: np.ndarray) -> np.ndarray:
         """(r,) Poisson log-likelihoods of the recordings, without the constant of the counts."""
-        expected = self._pooled.expected(x)
-        each = self._counts.observed * np.log(expected) - expected
-        ends = np.cumsum([2 * len(c.on) for c in self._counts.counts])
-        return np.array([part.sum() for part in np.split(each, ends[:-1])])
+        return self._counts.per_recording(self._pooled.expected(x))

@@ -102,8 +102,9 @@ def freeze(objective: EventTimesObjective, x: np.ndarray) -> Frozen:
 
 
 def _frozen(evaluator: ChangeEvaluator, extremes: Extremes, circuit: Circuit) -> FrozenRecording:
-    iv = evaluator.intervals
-    light = drive(evaluator.recording.stimulus, circuit, iv.end_s)
+    iv, stimulus = evaluator.intervals, evaluator.recording.stimulus
+    assert stimulus is not None
+    light = drive(stimulus, circuit, iv.end_s)
 
     def step_of(times):
         return np.maximum(np.searchsorted(light.t, times, side="right") - 1, 0)
