@@ -5,9 +5,7 @@ The formulas are those of `density.py`; here recordings become intervals, and ci
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from copy import copy
 
 import numpy as np
@@ -18,6 +16,7 @@ from pixelid.likelihood.density import BACKGROUND_HZ, Terms, density, sum_by
 from pixelid.likelihood.extremes import Extremes
 from pixelid.likelihood.layout import StackedChanges, layout_of, read_only
 from pixelid.likelihood.sequences import sequences
+from pixelid.parallel import map_threads
 from pixelid.recordings.recording import Recording
 from pixelid.stages.circuit import Circuit
 
@@ -27,8 +26,6 @@ STRAY_HZ = BACKGROUND_HZ  # its old name, until all callers have moved
 NUDGE_S = 1e-7  # of the release, to find how a level depends on it: 1e-3 of a dead time, 1e7 times a float's rounding
 MOST_CLOCK_SHARE = 100.0  # a level that falls ten times as fast by its reset as it rises: the light has all but turned
 LARGE = 60_000  # samples and events, a few milliseconds of work, from which handing it to other threads pays
-
-_POOL = ThreadPoolExecutor(os.cpu_count() or 1)
 
 
 class EventTimes:
@@ -121,9 +118,14 @@ class EventTimes:
 
     def _changes(self, circuit: Circuit, locate: Sequence[Extremes | bool]) -> StackedChanges:
         vector = np.empty(self.layout.size)
-        work = zip(self.evaluators, locate, self.layout.per_recording(vector), strict=True)
-        fill = (_POOL.map if self._large else map)(lambda part: part[0].fill(circuit, part[1], *part[2]), work)
-        changes = self.layout.stacked(vector, tuple(fill))
+        parts = list(zip(self.evaluators, locate, self.layout.per_recording(vector), strict=True))
+
+        def fill(part) -> Extremes:
+            evaluator, at, rows = part
+            return evaluator.fill(circuit, at, *rows)
+
+        extremes = map_threads(fill, parts, threads=None if self._large else 1)
+        changes = self.layout.stacked(vector, tuple(extremes))
         if self.threshold_factor is not None:
             for row in changes.events.of_level:
                 row /= self.threshold_factor
