@@ -29,6 +29,7 @@ class Circuit:
     beta: float = math.nan
     gamma: float = math.nan
     corner: float = math.nan  # one pole: ωc = corner · L
+    bandwidth_floor: float = 0.0  # added to the radiance that sets the rates, not to ln L
     # source follower
     follower: float = math.inf
     extra_pole: float = math.inf

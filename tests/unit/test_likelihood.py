@@ -46,7 +46,7 @@ def brute_force_change(circuit, stimulus, t_previous, t_event):
     u = lambda t: np.interp(t, stimulus.t, np.log(stimulus.radiance))  # noqa: E731
 
     def rhs(t, x):
-        light = np.exp(u(t))
+        light = np.exp(u(t)) + circuit.bandwidth_floor
         v, y, s, d = x
         return [
             circuit.alpha * light * (u(t) - y) - (circuit.beta + circuit.gamma * light) * v,
@@ -73,6 +73,18 @@ def test_changes_equal_an_adaptive_solver_and_the_leak_integral():
         assert changes.change[k] == pytest.approx(brute_force_change(circuit, stimulus, a, b), abs=2e-6)
         light = quad(lambda t: np.interp(t, stimulus.t, stimulus.radiance), a + 1e-4, b, epsabs=1e-9, limit=500)[0]
         assert changes.drift[k] == pytest.approx(3.0 * (b - a - 1e-4) + 0.02 * light, rel=1e-4)
+
+
+def test_changes_with_a_bandwidth_floor_equal_an_adaptive_solver():
+    """A floor enters the rates of the photoreceptor, not ln L."""
+    stimulus = sine_light(level=8.0, duration=0.05)
+    circuit = MODEL.circuit().with_(bandwidth_floor=20.0)
+    recording = recording_of([0.0101, 0.0153, 0.0302], [1, 1, 0], stimulus)
+    changes = ChangeEvaluator(recording, sequences(recording))(circuit)
+    for k, (a, b) in enumerate([(0.0101, 0.0153), (0.0153, 0.0302)]):
+        assert changes.change[k] == pytest.approx(brute_force_change(circuit, stimulus, a, b), abs=2e-6)
+        without = brute_force_change(circuit.with_(bandwidth_floor=0.0), stimulus, a, b)
+        assert abs(changes.change[k] - without) > 1e-2
 
 
 @pytest.mark.parametrize("ratio", [1.0, 1.00002, 1.003])

@@ -3,6 +3,8 @@
 import numpy as np
 import pytest
 
+from pixelid.errors import InputError
+from pixelid.model.shipped import find_model
 from pixelid.simulate import simulate
 from pixelid.simulate.laws import rules_of
 from pixelid.simulate.light import blocks
@@ -180,3 +182,29 @@ def test_readout_of_a_whole_sensor():
     grid = simulate(circuit.with_(tick=5e-5), light, width=30, height=10, synchronous=True).events
     assert set(np.unique(grid.t % 50_000)) == {0}
     assert grid.tick_ns == 50_000
+
+
+@pytest.mark.parametrize("kind", ["second_order", "one_pole"])
+@pytest.mark.parametrize("shape", ["full_field", "video"])
+def test_a_bandwidth_floor_speeds_up_the_response_and_leaves_contrast_alone(kind, shape):
+    """Low light above a floor: with rates of L + floor written into α, β, γ of a linear pixel, the same events."""
+    level, floor = 5.0, 45.0
+    t = np.linspace(0.0, 0.2, 2001)
+    light = Stimulus.from_arrays(t, level * np.exp(1e-3 * np.sin(2 * np.pi * 20 * t)))
+    if shape == "video":
+        light = Stimulus.from_arrays(t, np.broadcast_to(light.radiance[:, None, None], (len(t), 1, 2)))
+    sensitive = {"on_threshold": 1e-4, "off_threshold": 1e-4, "photoreceptor": kind, "corner": 33.0}
+    share = (level + floor) / level
+    floored = PLAIN.with_(**sensitive, bandwidth_floor=floor)
+    faster = PLAIN.with_(**sensitive).with_(alpha=PLAIN.alpha * share, gamma=PLAIN.gamma * share, corner=33.0 * share)
+    found, wanted, plain = (
+        simulate(c, light, synchronous=True).events for c in (floored, faster, PLAIN.with_(**sensitive))
+    )
+    assert len(found) == len(wanted) > 40
+    np.testing.assert_allclose(found.t, wanted.t, atol=3e4)  # ns; α, γ L differ from α, γ (L + floor) by the contrast
+    assert abs(found.t[:40] - plain.t[:40]).max() > 5e5
+
+
+def test_a_bandwidth_floor_needs_a_bandwidth():
+    with pytest.raises(InputError, match="bandwidth_floor"):
+        find_model("ideal").with_effect("bandwidth_floor").circuit()
