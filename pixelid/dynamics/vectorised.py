@@ -302,7 +302,10 @@ def _gather(times, step, t, u, L, states, tau, r, u0, L0, L1, v, y, s, d):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def stages_at(times, step, t, u, L, dynamics, midpoint, states, v, y, s, d):
-    """Fill (v, y, s, d), (m,) each, at `times` (m,), each in the step that begins at sample step[i]."""
+    """Fill (v, y, s, d), (m,) each, at `times` (m,), each in the step that begins at sample step[i].
+
+    v and y may be scratch space of length `BLOCK` instead.
+    """
     table_, c_, work_ = np.empty((11, BLOCK)), np.empty((COEFFICIENTS, BLOCK)), np.empty((WORK, BLOCK))
     for start in range(0, len(times), BLOCK):
         size = min(BLOCK, len(times) - start)
@@ -316,7 +319,11 @@ def stages_at(times, step, t, u, L, dynamics, midpoint, states, v, y, s, d):
         coefficients(dynamics, L0, L1, tau, midpoint, c)
         _decay(dynamics.follower, tau, k1)
         _decay(dynamics.differencing, tau, kd)
-        advance(begin, (v[place], y[place], s[place], d[place]), u0, r, tau, k1, kd, c, dynamics, work)
+        if len(v) == len(times):
+            end = (v[place], y[place], s[place], d[place])
+        else:
+            end = (v[:size], y[:size], s[place], d[place])
+        advance(begin, end, u0, r, tau, k1, kd, c, dynamics, work)
 
 
 def states_at(times, step, t, u, L, dynamics, midpoint, states, out) -> None:
