@@ -86,7 +86,7 @@ class Trajectory:
             level, output = np.empty((2, len(times)))
             vectorised.stages_at(
                 times, step, self.t, self.u, self.radiance, self.dynamics, self.midpoint, self.states,
-                *np.empty((2, vectorised.BLOCK)), level, output,
+                *np.empty((2, 0)), level, output,
             )  # fmt: skip
             return level, output
         return self.slopes_at(times, step)[:2]
