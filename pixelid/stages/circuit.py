@@ -46,6 +46,7 @@ class Circuit:
     mismatch: float = 0.0  # pixel-to-pixel standard deviation, relative to the threshold
     noise: float = 0.0  # event-to-event standard deviation, relative to the threshold
     threshold_drift: float = 0.0  # relative, per second
+    polarity_memory: float = 0.0  # relative, of the threshold of the polarity before
     refractory: float = 0.0
     hot_count: int = 0
     hot_hz: float = 0.0

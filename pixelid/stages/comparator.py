@@ -24,7 +24,8 @@ def threshold_factors(circuit: Circuit, before):
 
     before: +1, −1, or 0 where there was none; a number or an array
     """
-    return 1.0, 1.0
+    memory = circuit.polarity_memory * before
+    return 1.0 + memory, 1.0 - memory
 
 
 class ThresholdMismatch(Effect):
@@ -63,6 +64,18 @@ class ThresholdDrift(Effect):
         return circuit.with_(threshold_drift=values["threshold_drift.per_s"])
 
 
+class PolarityMemory(Effect):
+    name = "polarity_memory"
+    stage = "comparator"
+    sentence = "A threshold depends on the polarity of the pixel's previous event."
+    equation = "C_p → C_p (1 + strength · p · p_before); a pixel's first event sees C_p"
+    source = "what an incomplete reset of either sign leaves behind, to first order; strength to be measured"
+    parameters = (Parameter("polarity_memory.strength", 0.05, "1", -0.5, 0.5, "linear"),)
+
+    def apply(self, circuit: Circuit, values: Mapping[str, float]) -> Circuit:
+        return circuit.with_(polarity_memory=values["polarity_memory.strength"])
+
+
 class RefractoryPeriod(Effect):
     name = "refractory_period"
     stage = "comparator"
@@ -90,4 +103,4 @@ class HotPixels(Effect):
         return circuit.with_(hot_hz=values["hot_pixels.rate_hz"], hot_count=round(values["hot_pixels.count"]))
 
 
-EFFECTS = (ThresholdMismatch(), ThresholdNoise(), ThresholdDrift(), RefractoryPeriod(), HotPixels())
+EFFECTS = (ThresholdMismatch(), ThresholdNoise(), ThresholdDrift(), PolarityMemory(), RefractoryPeriod(), HotPixels())

@@ -68,6 +68,29 @@ def test_threshold_drift_lengthens_intervals():
     np.testing.assert_allclose(20 * np.diff(t), 1 + 0.5 * t[1:], rtol=1e-7)
 
 
+@pytest.mark.parametrize("shape", ["full_field", "video"])
+def test_polarity_memory_acts_from_the_second_event_on(shape):
+    """Leak alone: ON events only, the first after 1/rate, the others after (1 + strength)/rate."""
+    light = shapes.constant(50.0, 2.0)
+    if shape == "video":
+        light = Stimulus.from_arrays([0.0, 2.0], np.full((2, 1, 1), 50.0))
+    events = simulate(PLAIN.with_(leak_hz=20.0, polarity_memory=0.1), light, synchronous=True).events
+    dt = np.diff(np.concatenate([[0.0], events.t * 1e-9]))
+    np.testing.assert_allclose(20 * dt, [1.0] + [1.1] * (len(dt) - 1), rtol=1e-6)
+
+
+def test_polarity_memory_of_turns_and_runs():
+    """Ideal pixel, triangular light: each event's change over the one before it is C_p (1 + strength p p_before)."""
+    t = np.linspace(0.0, 1.0, 9)
+    light = Stimulus.from_arrays(t, 100.0 * np.exp(1.5 * (np.arange(9) % 2)))
+    events = simulate(IDEAL.with_(polarity_memory=-0.2), light, synchronous=True, as_sampled=True).events
+    level = np.interp(events.t * 1e-9, t, np.log(light.radiance))
+    sign = np.where(events.p == 1, 1.0, -1.0)
+    expected = 0.2 * (1.0 - 0.2 * sign[1:] * sign[:-1])
+    assert (sign[1:] != sign[:-1]).sum() >= 5
+    np.testing.assert_allclose(sign[1:] * np.diff(level), expected, rtol=1e-6)
+
+
 def test_dead_time_is_the_shortest_interval():
     events = simulate(PLAIN.with_(refractory=7e-4), shapes.chirp(400.0), width=8, height=8).events
     shortest = intervals(events)[0].min()
