@@ -45,7 +45,7 @@ class ThresholdNoise(Effect):
     stage = "comparator"
     sentence = "The threshold of a pixel varies from event to event."
     equation = "C → C (1 + σ ξ), one draw per event and polarity"
-    source = "DESIGN §4"
+    source = "docs/model.md: one Gaussian draw per event; Lichtsteiner, Posch & Delbruck, JSSC 2008"
     parameters = (Parameter("threshold_sigma", 0.04, "1", 1e-5, 1.0, "log"),)
 
     def apply(self, circuit: Circuit, values: Mapping[str, float]) -> Circuit:
@@ -57,7 +57,7 @@ class ThresholdDrift(Effect):
     stage = "comparator"
     sentence = "Thresholds drift during the recording."
     equation = "C(t) = C (1 + d t)"
-    source = "DESIGN §6"
+    source = "docs/model.md: to first order in time"
     parameters = (Parameter("threshold_drift.per_s", 0.05, "1/s", -10.0, 10.0, "linear"),)
 
     def apply(self, circuit: Circuit, values: Mapping[str, float]) -> Circuit:
@@ -81,7 +81,7 @@ class RefractoryPeriod(Effect):
     stage = "comparator"
     sentence = "After each event the pixel is held in reset for a dead time."
     equation = "no event and no integration for refractory_s after an event"
-    source = "Lichtsteiner, Posch & Delbruck, JSSC 2008; DESIGN §1"
+    source = "Lichtsteiner, Posch & Delbruck, JSSC 2008"
     parameters = (Parameter("refractory_s", 1e-4, "s", 1e-8, 1.0, "log"),)
 
     def apply(self, circuit: Circuit, values: Mapping[str, float]) -> Circuit:
@@ -93,7 +93,7 @@ class HotPixels(Effect):
     stage = "comparator"
     sentence = "A few pixels fire regardless of the light."
     equation = "count pixels fire extra ON events as a Poisson process at rate_hz"
-    source = "DESIGN §6"
+    source = "docs/model.md: a Poisson process of its own"
     parameters = (
         Parameter("hot_pixels.rate_hz", 100.0, "Hz", 1e-3, 1e6, "log"),
         Parameter("hot_pixels.count", 1.0, "pixels", 0.0, 1e7, "linear", free=False),
