@@ -3,7 +3,7 @@
 Every function here uses only + − × ÷ on scalars, so the same lines serve floats, complex steps, Numba,
 CasADi symbols and torch tensors; the engines supply the transcendental functions.
 
-State, in signal order (DESIGN §1; Low & Lee, arXiv 2409.17988, supplement):
+State, in signal order (Low & Lee, arXiv 2409.17988, supplement):
 
     v  = d ln Lp / dt      photoreceptor output slope
     y  = ln Lp             photoreceptor output

@@ -80,24 +80,36 @@ class Trajectory:
         run(times, step, self.t, self.u, self.radiance, self.dynamics, self.midpoint, self.states, out)
         return out
 
-    def outputs_at(self, times: np.ndarray, step: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """(reset level, amplifier output, its slope), (m,) each, at `times` (m,); see `reference_and_slopes`."""
-        level, output, slope = np.empty((3, len(times)))
-        if (
-            vectorised.applicable(self.dynamics)
-            and self.dynamics.differencing < equations.PRESENT_BELOW
-            and self.linear
-        ):
-            y = np.empty(len(times))
+    def outputs_at(self, times: np.ndarray, step: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(reset level, amplifier output), (m,) each, at `times` (m,), in the steps that begin at `step` (m,)."""
+        if self.plain:
+            level, output = np.empty((2, len(times)))
             vectorised.stages_at(
-                times, step, self.t, self.u, self.radiance, self.dynamics, self.midpoint, self.states, slope, y, level,
-                output,
+                times, step, self.t, self.u, self.radiance, self.dynamics, self.midpoint, self.states,
+                *np.empty((2, 0)), level, output,
             )  # fmt: skip
+            return level, output
+        return self.slopes_at(times, step)[:2]
+
+    def slopes_at(self, times: np.ndarray, step: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """As `outputs_at`, and the slope of the output."""
+        level, output, slope = np.empty((3, len(times)))
+        if self.plain:
+            level, output = self.outputs_at(times, step)
             np.subtract(level, output, out=slope)
             slope *= self.dynamics.differencing
         else:
             kernels.outputs_of(self.at(times, step), step, self.t, self.u, self.dynamics, level, output, slope)
         return level, output, slope
+
+    @property
+    def plain(self) -> bool:
+        """Whether the follower drives the amplifier, which has a pole, and the vector form serves."""
+        return (
+            self.linear
+            and self.dynamics.differencing < equations.PRESENT_BELOW
+            and vectorised.applicable(self.dynamics)
+        )
 
 
 def integrate(t, radiance, dynamics: Dynamics, *, linearisation: str = "midpoint") -> Trajectory:

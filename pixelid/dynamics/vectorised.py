@@ -243,9 +243,9 @@ def _propagate(a, f1, f2, g, ey, ev, ey1, ev1):
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
 def _outputs(ramp, r, tau, ey, ev, p0, p1, q0, q1, m, n, delay_s, delay_d, k1, kd, gain, v, y, s, d):
-    for i in range(len(ramp)):
+    for i in range(len(v)):
         v[i] = r[i] + ev[i]
-    for i in range(len(ramp)):
+    for i in range(len(y)):
         y[i] = ramp[i] + r[i] * tau[i] + ey[i]
     for i in range(len(ramp)):
         s[i] = ramp[i] + r[i] * (tau[i] - delay_s) + p0[i] * ey[i] + p1[i] * ev[i] + m[i] * k1[i]
@@ -260,7 +260,8 @@ def advance(begin, end, u0, r, tau, k1, kd, c, dynamics, work):
     """Fill `end` with the states after tau (n,) of the ramps u0 + r τ (n,), from `begin`; both (v, y, s, d) of (n,).
 
     k1, kd: (n,) exp(−w1 τ), exp(−wd τ);  c: of `coefficients`;  work: (WORK, n), whose first rows (ε_y, ε_v) are left
-    as at the beginning.  `begin` and `end` must not share memory.
+    as at the beginning.  `begin` and `end` must not share memory; the v and y of `end` may be empty, where nobody reads
+    them.
     """
     w1, w2, wh, wd = dynamics.follower, dynamics.extra_pole, dynamics.lower_cutoff, dynamics.differencing
     v, y, s, d = begin
@@ -275,9 +276,11 @@ def advance(begin, end, u0, r, tau, k1, kd, c, dynamics, work):
     _outputs(ramp, r, tau, ey1, ev1, p0, p1, q0, q1, m, n, delay_s, delay_d, k1, kd, gain, *end)
     for i in range(len(a)):
         if _delicate(close[i], r[i], a[i], b2[i], delay_d):
-            end[0][i], end[1][i], end[2][i], _, _, end[3][i] = kernels.advance(
+            slope, output, end[2][i], _, _, end[3][i] = kernels.advance(
                 (v[i], y[i], s[i], s[i], 0.0, d[i]), u0[i], r[i], tau[i], a[i], b2[i], w1, w2, wh, wd, False
             )
+            if len(end[0]) > 0:
+                end[0][i], end[1][i] = slope, output
 
 
 @njit(cache=True, error_model="numpy", fastmath={"contract"})
@@ -302,7 +305,10 @@ def _gather(times, step, t, u, L, states, tau, r, u0, L0, L1, v, y, s, d):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def stages_at(times, step, t, u, L, dynamics, midpoint, states, v, y, s, d):
-    """Fill (v, y, s, d), (m,) each, at `times` (m,), each in the step that begins at sample step[i]."""
+    """Fill (v, y, s, d), (m,) each, at `times` (m,), each in the step that begins at sample step[i].
+
+    v and y may be empty: not wanted.
+    """
     table_, c_, work_ = np.empty((11, BLOCK)), np.empty((COEFFICIENTS, BLOCK)), np.empty((WORK, BLOCK))
     for start in range(0, len(times), BLOCK):
         size = min(BLOCK, len(times) - start)
@@ -316,7 +322,8 @@ def stages_at(times, step, t, u, L, dynamics, midpoint, states, v, y, s, d):
         coefficients(dynamics, L0, L1, tau, midpoint, c)
         _decay(dynamics.follower, tau, k1)
         _decay(dynamics.differencing, tau, kd)
-        advance(begin, (v[place], y[place], s[place], d[place]), u0, r, tau, k1, kd, c, dynamics, work)
+        end = (v[place], y[place], s[place], d[place])
+        advance(begin, end, u0, r, tau, k1, kd, c, dynamics, work)
 
 
 def states_at(times, step, t, u, L, dynamics, midpoint, states, out) -> None:

@@ -167,7 +167,7 @@ class ChangeEvaluator:
 
         change, slope, drifted, drift_slope, opposite, opposite_drift, early = events
         _changes(
-            release, time, begun.level, begun.offset, *trajectory.outputs_at(time, sample)[1:],
+            release, time, begun.level, begun.offset, *trajectory.slopes_at(time, sample)[1:],
             trajectory.dynamics.differencing, change, slope,
         )  # fmt: skip
         drifted[:], drift_slope[:] = 0.0, 0.0
@@ -200,7 +200,7 @@ class ChangeEvaluator:
     ) -> tuple[Begun, Drift | None]:
         """Where the intervals released at `release` (k,) begin, near the samples `near`; and what leaks into them."""
         sample = located(trajectory.t, release, near)
-        level, output, _ = trajectory.outputs_at(release, sample)
+        level, output = trajectory.outputs_at(release, sample)
         begun = Begun(release, sample, level, output - level)
         if not leaks(circuit):
             return begun, None

@@ -208,9 +208,9 @@ def _locate(sign, low, high, release, level, offset, near_up, near_down, at, t, 
         if peak + left < (near_up if sign[i] > 0 else near_down):
             continue
         # the output's own extreme after the first samples; among these the reset still counts, one by one
-        settled = release[i] + min(max(np.log(left + 1e-300) + 30.0, 0.0), DECAYED) / wd  # decayed to 1e-13
+        unaffected_s = release[i] + min(max(np.log(left + 1e-300) + 30.0, 0.0), DECAYED) / wd  # decayed to 1e-13
         after = low[i]
-        while after <= high[i] and t[after] < settled:
+        while after <= high[i] and t[after] < unaffected_s:
             after += 1
         best = 0.0
         if where < after <= high[i]:

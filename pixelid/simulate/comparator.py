@@ -93,7 +93,8 @@ def grown(found):
 def events_in_step(pixel, place, t0, t1, step, chain, comparators, drawn, laws, found, count, scratch):
     """Carry one pixel through the step t0 … t1, with its release, crossings and resets in the order they happen.
 
-    laws: `laws.Laws`, leak and parasitic in log radiance per second (and radiance);  found: (times (m,) s, pixels (m,), polarities (m,)), grown as needed.
+    laws: `laws.Laws`, leak and parasitic in log radiance per second (and radiance);
+    found: (times (m,) s, pixels (m,), polarities (m,)), grown as needed.
     Returns (found, count).
     """
     refractory, leak, parasitic, drift, noise, key, history = laws

@@ -1,4 +1,4 @@
-"""Full-field light: one trajectory, shared by all pixels; each pixel only compares and resets (DESIGN §1)."""
+"""Full-field light: one trajectory, shared by all pixels; each pixel only compares and resets."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from pixelid.simulate import comparator
 from pixelid.simulate.comparator import DECAY, LEVEL, OFF, ON, RELEASE, events_in_step
 from pixelid.simulate.crossing import DEPTH
 from pixelid.simulate.laws import Rules
-from pixelid.simulate.step import light_integral, modes, settled, slope_bound
+from pixelid.simulate.step import after_jump, light_integral, modes, slope_bound
 from pixelid.stimuli.drive import Drive, drive, refined
 from pixelid.stimuli.stimulus import Stimulus
 
@@ -143,7 +143,7 @@ def _step(k, t, u, radiance, states, dynamics, chain, midpoint):
         states[after, 3], states[after, 4], states[after, 5],
     )  # fmt: skip
     if not smooth:
-        begin = settled(begin, u[k], r, a, b2, w1, w2, wh, wd)
+        begin = after_jump(begin, u[k], r, a, b2, w1, w2, wh, wd)
     return begin, end, u[k], r, tau, a, b2, radiance[k], r, modes(begin, u[k], r, a, b2, chain)
 
 

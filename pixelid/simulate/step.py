@@ -29,7 +29,7 @@ light_integral = njit(equations.light_integral, inline="always", error_model="nu
 
 
 @njit(forceinline=True, error_model="numpy")
-def settled(state, u, r, a, b2, w1, w2, wh, wd):
+def after_jump(state, u, r, a, b2, w1, w2, wh, wd):
     """The state just after a jump of the input to u + r τ: stages without a pole follow at once."""
     v, y, s, e, z, d = state
     corner = a / b2

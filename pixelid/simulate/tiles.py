@@ -19,7 +19,7 @@ from pixelid.simulate.comparator import DECAY, FIELDS, LEVEL, OFF, ON, RELEASE, 
 from pixelid.simulate.crossing import DEPTH
 from pixelid.simulate.laws import Rules
 from pixelid.simulate.light import Block
-from pixelid.simulate.step import light_integral, modes, settled, slope_bound
+from pixelid.simulate.step import after_jump, light_integral, modes, slope_bound
 
 TILE = 512
 LANES = 16  # tiles are multiples of every vector length, so that no pixel falls into a loop's remainder
@@ -159,7 +159,7 @@ def _general(u0, u1, L0, L1, tau, dynamics, midpoint, rates, chain, begin, end, 
             # a cubic exceeds its end values by at most 4/27 of the length times the slopes that point outward
             spare[i] = 0.5 * abs(h1[5] - h0[5]) + 4.0 / 27.0 * tau * (abs(s0) + abs(s1))
         else:
-            state = settled(state, u0[i], r[i], a[i], b2[i], w1, w2, wh, wd)
+            state = after_jump(state, u0[i], r[i], a[i], b2[i], w1, w2, wh, wd)
             after = kernels.advance(state, u0[i], r[i], tau, a[i], b2[i], w1, w2, wh, wd, coincide)
             spare[i] = 0.5 * tau * slope_bound(state, u0[i], r[i], a[i], b2[i], w1, w2, wh, wd)
             for j in range(6):

@@ -21,7 +21,7 @@ OUTPUTS = {
 
 
 def stimulus(kind, parameters, t):
-    """Log radiance of an oracle case, DESIGN §9."""
+    """Log radiance of an oracle case."""
     level, f, m, end = parameters
     phase = 2 * np.pi * f * t
     logistic = 1 / (1 + np.exp(-(t - end / 4) / (0.002 * end)))

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from oracles import event_time_density as plain
+from oracles.changes import plain_changes
 from oracles.event_time_density import log_ndtr
 from scipy.integrate import quad, solve_ivp
 from scipy.stats import norm
@@ -23,6 +24,7 @@ from pixelid.likelihood.layout import EndRows, EventRows
 from pixelid.likelihood.sequences import sequences
 from pixelid.model.shipped import find_model
 from pixelid.recordings import Events, Recording
+from pixelid.simulate import simulate
 from pixelid.stimuli.stimulus import Stimulus
 
 MODEL = find_model("dvs128")
@@ -49,7 +51,7 @@ def brute_force_change(circuit, stimulus, t_previous, t_event):
     u = lambda t: np.interp(t, stimulus.t, np.log(stimulus.radiance))  # noqa: E731
 
     def rhs(t, x):
-        light = np.exp(u(t))
+        light = np.exp(u(t)) + circuit.bandwidth_floor
         v, y, s, d = x
         return [
             circuit.alpha * light * (u(t) - y) - (circuit.beta + circuit.gamma * light) * v,
@@ -76,6 +78,58 @@ def test_changes_equal_an_adaptive_solver_and_the_leak_integral():
         assert changes.change[k] == pytest.approx(brute_force_change(circuit, stimulus, a, b), abs=2e-6)
         light = quad(lambda t: np.interp(t, stimulus.t, stimulus.radiance), a + 1e-4, b, epsabs=1e-9, limit=500)[0]
         assert changes.drift[k] == pytest.approx(3.0 * (b - a - 1e-4) + 0.02 * light, rel=1e-4)
+
+
+def test_changes_with_a_bandwidth_floor_equal_an_adaptive_solver():
+    """A floor enters the rates of the photoreceptor, not ln L."""
+    stimulus = sine_light(level=8.0, duration=0.05)
+    circuit = MODEL.circuit().with_(bandwidth_floor=20.0)
+    recording = recording_of([0.0101, 0.0153, 0.0302], [1, 1, 0], stimulus)
+    changes = ChangeEvaluator(recording, sequences(recording))(circuit)
+    for k, (a, b) in enumerate([(0.0101, 0.0153), (0.0153, 0.0302)]):
+        assert changes.change[k] == pytest.approx(brute_force_change(circuit, stimulus, a, b), abs=2e-6)
+        without = brute_force_change(circuit.with_(bandwidth_floor=0.0), stimulus, a, b)
+        assert abs(changes.change[k] - without) > 1e-2
+
+
+def test_polarity_memory_scales_each_level_by_its_own_threshold():
+    """Each polarity q is held against C_q (1 + strength · q · before): the event's, the other's, the censored ones'."""
+    model, recordings = small_session()
+    plain, strength = model.circuit(), 0.2
+    evaluator = ChangeEvaluator(recordings[0], sequences(recordings[0]))
+    iv = evaluator.intervals
+    memory = plain.with_(polarity_memory=strength)
+    found = evaluator(memory)
+    # every extreme, whether or not it comes near a threshold
+    without = plain_changes(evaluator, plain)
+    same = np.array([1.0 + strength * p * q for p, q in zip(iv.sign, iv.previous_sign, strict=True)])
+    other = np.array([1.0 - strength * p * q for p, q in zip(iv.sign, iv.previous_sign, strict=True)])
+    assert {1.2, 0.8} == set(same)
+    np.testing.assert_allclose(found.change, without["change"] / same, rtol=0, atol=1e-10)
+    np.testing.assert_allclose(found.slope, without["slope"] / same, rtol=1e-9, atol=1e-6)
+    looked_for = found.opposite != 0
+    assert looked_for.sum() > 5
+    np.testing.assert_allclose(found.opposite[looked_for], (without["opposite"] / other)[looked_for], atol=1e-10)
+    assert (found.opposite[~looked_for] < 0.5).all()
+    np.testing.assert_allclose(found.rise, without["rise"] / (1.0 + strength * iv.last_sign), atol=1e-10)
+    np.testing.assert_allclose(found.fall, without["fall"] / (1.0 - strength * iv.last_sign), atol=1e-10)
+
+
+def test_levels_of_a_pixel_with_polarity_memory_scatter_about_one_threshold():
+    """After events of either polarity, under the truth; and not where the memory is left out."""
+    truth = MODEL.without_effect("threshold_mismatch").with_effect("polarity_memory", {"strength": 0.1})
+    stimulus = sine_light(frequency=15.0, duration=1.0)
+    likelihood = EventTimes([simulate(truth, stimulus, width=4, height=4, seed=3, as_sampled=True)])
+    before = np.concatenate([iv.previous_sign for iv in likelihood.intervals])
+    for sign, threshold in ((1, truth.values["on_threshold"]), (-1, truth.values["off_threshold"])):
+        for earlier in (1, -1):
+            which = (likelihood.sign == sign) & (before == earlier)
+            z = likelihood.terms(truth.circuit()).z[which] / threshold
+            error = truth.values["threshold_sigma"] / np.sqrt(which.sum())
+            assert which.sum() > 100
+            assert abs(z.mean() - 1.0) < 4 * error
+            plain = likelihood.terms(truth.circuit().with_(polarity_memory=0.0)).z[which] / threshold
+            assert abs(plain.mean() - 1.0 - 0.1 * sign * earlier) < 4 * 1.1 * error
 
 
 @pytest.mark.parametrize("ratio", [1.0, 1.00002, 1.003])
@@ -184,7 +238,6 @@ def test_density_of_the_next_event_integrates_to_one():
 
 
 def small_session(seed=3, effects=()):
-    from pixelid.simulate import simulate
     from pixelid.stimuli.shapes import chirp, steps
 
     model = MODEL.set({"on_threshold": 0.2, "off_threshold": 0.22})
