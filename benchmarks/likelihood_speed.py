@@ -1,24 +1,26 @@
 """One evaluation of the event-time likelihood, single-threaded, beside the plain way of doing the same.
 
 Session: one recording, 500 000 stimulus samples, about 200 000 events.  The plain way: the scan one step at a time by
-the scalar kernel, the state at every event by the scalar kernel, the density in NumPy (`EventTimes.terms`).
-Times are CPU seconds of the thread; their ratio is what a busy machine leaves comparable.
+the scalar kernel, the state at every event by the scalar kernel, the density in NumPy (`tests/oracles`).  Times are CPU
+seconds of the thread; their ratio is what a busy machine leaves comparable.
 """
 
 from __future__ import annotations
 
+import sys
 import time
+from pathlib import Path
 
 import numpy as np
 
-from pixelid.dynamics import kernels, vectorised
-from pixelid.likelihood import changes, plain_changes
-from pixelid.likelihood.density import density
+from pixelid.dynamics import vectorised
 from pixelid.likelihood.event_times import EventTimes
-from pixelid.likelihood.value import value
 from pixelid.model.shipped import find_model
 from pixelid.simulate import simulate
 from pixelid.stimuli.stimulus import Stimulus
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
+from oracles import event_time_density
 
 SAMPLES, SECONDS = 500_000, 20.0
 
@@ -44,27 +46,23 @@ def best_of(function, repeats: int = 20) -> float:
 def main() -> None:
     likelihood = EventTimes([session()])
     circuit = find_model("dvs128").circuit()
-    evaluate = likelihood.evaluators[0]
-    n, m = likelihood.events, len(likelihood.last_pixel)
+    evaluate, layout = likelihood.evaluators[0], likelihood.layout
 
-    def gathered(locate=True):
+    def changes(extremes=True):
         evaluate.forget()  # the trajectory is part of an evaluation
-        together = np.empty(7 * n + 4 * m)
-        evaluate.fill(circuit, locate, together[: 7 * n].reshape(7, n), together[7 * n :].reshape(4, m))
-        return together
+        vector = np.empty(layout.size)
+        extremes = evaluate.fill(circuit, extremes, *layout.per_recording(vector)[0])  # in this thread
+        return layout.stacked(vector, (extremes,))
 
-    known = gathered()
-    full = best_of(lambda: value(likelihood, circuit, gathered()).total)
-    with_gradient = best_of(lambda: density(likelihood, circuit, gathered()).total)
-    frozen = best_of(lambda: density(likelihood, circuit, gathered(False)).total)
-    alone = best_of(lambda: value(likelihood, circuit, known).total)
-    alone_with_gradient = best_of(lambda: density(likelihood, circuit, known).total)
-    fast = vectorised.scan, plain_changes.applicable
-    vectorised.scan, plain_changes.applicable = kernels.scan, lambda circuit: False
-    vectorised_at, vectorised.states_at = vectorised.states_at, changes._states_one_by_one
-    plain = best_of(lambda: likelihood.terms(circuit, gathered()).total, 2)
-    vectorised.scan, plain_changes.applicable = fast
-    vectorised.states_at = vectorised_at
+    known = changes()
+    full = best_of(lambda: likelihood.terms(circuit, changes()).total)
+    with_gradient = best_of(lambda: likelihood.terms(circuit, changes()).gradient())
+    frozen = best_of(lambda: likelihood.terms(circuit, changes(known.extremes[0])).gradient())
+    alone = best_of(lambda: likelihood.terms(circuit, known).total)
+    alone_with_gradient = best_of(lambda: likelihood.terms(circuit, known).gradient())
+    applicable, vectorised.applicable = vectorised.applicable, lambda dynamics: False
+    plain = best_of(lambda: event_time_density.terms(likelihood, circuit, changes().vector).total, 2)
+    vectorised.applicable = applicable
     print(f"{likelihood.events} events, {SAMPLES} samples")
     print(f"likelihood                                {full:8.1f} ms   (target 40 ms)")
     print(f"  its sums alone                          {alone:8.1f} ms")

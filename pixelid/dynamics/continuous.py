@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from pixelid.dynamics.equations import derivative_low_pass, derivatives_photoreceptor, photoreceptor
+from pixelid.dynamics.equations import derivative_low_pass, derivatives_photoreceptor, photoreceptor_rates
 from pixelid.dynamics.hold import photoreceptor_kind, present_states
 from pixelid.dynamics.trajectory import Dynamics
 
@@ -37,12 +37,12 @@ def right_hand_side(dynamics: Dynamics, values: Sequence[Any] | None = None) -> 
         dx = {}
         signal = u
         if second:
-            a, b2 = photoreceptor(p.alpha, p.beta, p.gamma, radiance)
+            a, b2 = photoreceptor_rates(p, radiance)
             v, signal = x["photoreceptor_slope"], x["photoreceptor"]
             dx["photoreceptor_slope"], dx["photoreceptor"] = derivatives_photoreceptor(v, signal, u, a, b2)
         elif "photoreceptor" in x:
             signal = x["photoreceptor"]
-            dx["photoreceptor"] = derivative_low_pass(signal, u, p.gamma * radiance)
+            dx["photoreceptor"] = derivative_low_pass(signal, u, p.gamma * (radiance + p.floor))
         for name in ("source_follower", "extra_pole", "lower_cutoff", "differencing"):
             if name == "lower_cutoff" and name in x:
                 dx[name] = derivative_low_pass(x[name], signal, p.lower_cutoff)
@@ -74,7 +74,7 @@ def scipy_function(dynamics: Dynamics, log_radiance: Callable) -> Callable:
 
 
 def casadi_function(dynamics: Dynamics) -> Any:
-    """`casadi.Function` (x (order,), u, p (7,)) → dx/dt (order,), differentiable in everything.
+    """`casadi.Function` (x (order,), u, p (8,)) → dx/dt (order,), differentiable in everything.
 
     p are the fields of `Dynamics` in their order; those of absent stages have no influence.
     """
@@ -89,7 +89,7 @@ def casadi_function(dynamics: Dynamics) -> Any:
 def torch_module(dynamics: Dynamics, log_radiance: Callable) -> Any:
     """`torch.nn.Module` f(t, x) → dx/dt for `torchdiffeq.odeint`: x (…, order), log_radiance(t) → u (…) tensor.
 
-    `module.values` (7,) float64, the fields of `Dynamics`, is a parameter to differentiate or fit; entries of
+    `module.values` (8,) float64, the fields of `Dynamics`, is a parameter to differentiate or fit; entries of
     absent stages get no gradient.  Explicit solvers need steps below about 3 / the fastest cutoff.
     """
     import torch

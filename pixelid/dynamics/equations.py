@@ -3,7 +3,7 @@
 Every function here uses only + − × ÷ on scalars, so the same lines serve floats, complex steps, Numba,
 CasADi symbols and torch tensors; the engines supply the transcendental functions.
 
-State, in signal order (DESIGN §1; Low & Lee, arXiv 2409.17988, supplement):
+State, in signal order (Low & Lee, arXiv 2409.17988, supplement):
 
     v  = d ln Lp / dt      photoreceptor output slope
     y  = ln Lp             photoreceptor output
@@ -18,6 +18,8 @@ point; the lower cutoff is absent at 0.  One kernel therefore serves every model
 
 from __future__ import annotations
 
+import math
+
 from numba.extending import register_jitable
 
 # Absent low-pass stages sit at infinite frequency.  The values differ so that no two absent poles coincide.
@@ -28,15 +30,28 @@ ABSENT_PHOTORECEPTOR = 1e40
 PRESENT_BELOW = 1e29
 
 
-def photoreceptor(alpha, beta, gamma, radiance):
-    """(ωn², 2ζωn) of the second-order photoreceptor at `radiance`: (α L, β + γ L).  DESIGN §2."""
-    return alpha * radiance, beta + gamma * radiance
+@register_jitable
+def photoreceptor_rates(dynamics, radiance):
+    """(ωn², 2ζωn) of the photoreceptor under `radiance`: (α L', β + γ L'), L' = L + floor.
+
+    dynamics: anything with the attributes alpha, beta, gamma and floor, see `trajectory.Dynamics`
+    """
+    seen = radiance + dynamics.floor
+    return dynamics.alpha * seen, dynamics.beta + dynamics.gamma * seen
 
 
-def one_pole(corner, radiance):
-    """The low-light photoreceptor ωc = corner · L as a pole pair whose second pole is absent."""
-    wc = corner * radiance
-    return wc * ABSENT_PHOTORECEPTOR, wc + ABSENT_PHOTORECEPTOR
+@register_jitable
+def light_integral(radiance, rate, tau):
+    """∫ L dt over `tau`, log radiance a ramp of slope `rate` that begins at `radiance`."""
+    return radiance * tau * mean_of_exponential(rate * tau)
+
+
+@register_jitable
+def mean_of_exponential(x):
+    """(eˣ − 1)/x for floats, by its series where the difference would cancel."""
+    if abs(x) < 1e-3:
+        return 1.0 + x * (0.5 + x * (1.0 / 6.0 + x * (1.0 / 24.0 + x / 120.0)))
+    return math.expm1(x) / x
 
 
 def derivatives_photoreceptor(v, y, u, a, b2):
@@ -72,32 +87,57 @@ def low_pass_response(c0, c1, a, b2, w):
     return q * (c0 * (w - b2) + a * c1), q * (w * c1 - c0)
 
 
+@register_jitable
+def responses(a, b2, w1, wd):
+    """(p0, p1, q0, q1): how follower and differencing amplifier answer ε_y and ε_v."""
+    p0, p1 = low_pass_response(1.0, 0.0, a, b2, w1)
+    q0, q1 = low_pass_response(p0, p1, a, b2, wd)
+    return p0, p1, q0, q1
+
+
+@register_jitable
+def modes_of(state, u0, r, delays, pq, gain):
+    """(ε_y, ε_v, m, m1, n) at the beginning of a step: the amplitudes of its exponentials.
+
+    state: (v, y, s, d);  delays: (b2/a, … + 1/w1, … + 1/wd);  pq: of `responses`;  gain: wd/(wd − w1)
+    """
+    v, y, s, d = state
+    ty, ts, td = delays
+    p0, p1, q0, q1 = pq
+    ev = v - r
+    ey = y - u0 + r * ty
+    m = s - u0 + r * ts - p0 * ey - p1 * ev
+    m1 = m * gain
+    n = d - u0 + r * td - q0 * ey - q1 * ev - m1
+    return ey, ev, m, m1, n
+
+
+@register_jitable
+def state_of(modes, u1, r, a, pr, delays, pq, k1, kd):
+    """(v, y, s, d) where the input has reached u1; pr: (f1, f2, g);  k1, kd: exp(−w1 τ), exp(−wd τ)."""
+    ey, ev, m, m1, n = modes
+    f1, f2, g = pr
+    ty, ts, td = delays
+    p0, p1, q0, q1 = pq
+    ey, ev = f1 * ey + g * ev, f2 * ev - a * g * ey
+    return (
+        r + ev,
+        u1 - r * ty + ey,
+        u1 - r * ts + p0 * ey + p1 * ev + m * k1,
+        u1 - r * td + q0 * ey + q1 * ev + m1 * k1 + n * kd,
+    )
+
+
 def step_two_poles(state, u0, r, tau, a, b2, w1, wd, pr, k1, kd):
     """One step of photoreceptor → follower → differencing amplifier.
 
     state: (v, y, s, d); pr: (f1, f2, g); k1, kd: exp(−w1 τ), exp(−wd τ).  Returns the state at τ.
     """
-    v, y, s, d = state
-    f1, f2, g = pr
     ty = b2 / a
     ts = ty + 1.0 / w1
-    td = ts + 1.0 / wd
-    ev = v - r
-    ey = y - u0 + r * ty
-    ey1 = f1 * ey + g * ev
-    ev1 = f2 * ev - a * g * ey
-    p0, p1 = low_pass_response(1.0, 0.0, a, b2, w1)
-    m = s - u0 + r * ts - p0 * ey - p1 * ev
-    q0, q1 = low_pass_response(p0, p1, a, b2, wd)
-    m1 = m * wd / (wd - w1)
-    n = d - u0 + r * td - q0 * ey - q1 * ev - m1
-    u1 = u0 + r * tau
-    return (
-        r + ev1,
-        u1 - r * ty + ey1,
-        u1 - r * ts + p0 * ey1 + p1 * ev1 + m * k1,
-        u1 - r * td + q0 * ey1 + q1 * ev1 + m1 * k1 + n * kd,
-    )
+    delays, pq = (ty, ts, ts + 1.0 / wd), responses(a, b2, w1, wd)
+    modes = modes_of(state, u0, r, delays, pq, wd / (wd - w1))
+    return state_of(modes, u0 + r * tau, r, a, pr, delays, pq, k1, kd)
 
 
 def step_full_chain(state, u0, r, tau, a, b2, w1, w2, wh, wd, pr, k1, k2, kh, kd):

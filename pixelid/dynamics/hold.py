@@ -31,7 +31,7 @@ import numpy as np
 from numba import njit
 
 from pixelid.dynamics.divided import difference
-from pixelid.dynamics.equations import PRESENT_BELOW
+from pixelid.dynamics.equations import PRESENT_BELOW, photoreceptor_rates
 from pixelid.dynamics.trajectory import STAGES, Dynamics
 from pixelid.errors import InputError
 
@@ -70,9 +70,10 @@ def present_states(dynamics: Dynamics) -> tuple[str, ...]:
 def rates(dynamics: Dynamics, radiance: float, names: tuple[str, ...]) -> np.ndarray:
     """(n,) rate of each state: its cutoff in rad/s; for a second-order photoreceptor (2ζωn, ωn²)."""
     second = "photoreceptor_slope" in names
+    a, b2 = photoreceptor_rates(dynamics, radiance)
     of = {
-        "photoreceptor_slope": dynamics.beta + dynamics.gamma * radiance,
-        "photoreceptor": (dynamics.alpha if second else dynamics.gamma) * radiance,
+        "photoreceptor_slope": b2,
+        "photoreceptor": a if second else dynamics.gamma * (radiance + dynamics.floor),
         "source_follower": dynamics.follower,
         "extra_pole": dynamics.extra_pole,
         "lower_cutoff": dynamics.lower_cutoff,

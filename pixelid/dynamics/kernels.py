@@ -1,7 +1,7 @@
 """The closed-form step of `equations.py`, compiled.
 
 Works on float64 and, for exact derivatives by complex steps (Squire & Trapp, SIAM Review 40, 1998), on
-complex128.  A pixel's linear dynamics travel as the tuple (α, β, γ, w1, w2, wh, wd) of `Dynamics`.
+complex128 (the gradient of `nerf` takes them).  A pixel's linear dynamics travel as a `Dynamics`.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from numba import njit
 from pixelid.dynamics import coincident, equations
 from pixelid.dynamics.equations import PRESENT_BELOW
 
+photoreceptor_rates = njit(equations.photoreceptor_rates, inline="always", error_model="numpy")
 _step_two_poles = njit(equations.step_two_poles, inline="always", error_model="numpy")
 _step_full_chain = njit(equations.step_full_chain, inline="always", error_model="numpy")
 
@@ -152,43 +153,44 @@ def linearised_at(L0, L1, midpoint):
 @njit(cache=True, nogil=True, error_model="numpy")
 def scan(t, u, L, dynamics, midpoint, states):
     """Run the chain from steady state at the first sample; fills `states` (n, 6) in place."""
-    alpha, beta, gamma, w1, w2, wh, wd = dynamics
+    w1, w2, wh, wd = dynamics.follower, dynamics.extra_pole, dynamics.lower_cutoff, dynamics.differencing
     coincide = cutoffs_coincide(w1, w2, wh, wd)
-    u0 = u[0]
-    zero = u0 * 0.0
-    if wh.real > 0:
-        state = (zero, u0, u0, u0, u0, zero)
-    else:
-        state = (zero, u0, u0, u0, zero, u0)
-    n = len(t)
-    for k in range(n):
+    state = steady_state(u[0], wh)
+    for k in range(len(t)):
         if k > 0:
             tau = t[k] - t[k - 1]
             if tau > 0:
-                lin = linearised_at(L[k - 1], L[k], midpoint)
-                state = advance(
-                    state, u[k - 1], (u[k] - u[k - 1]) / tau, tau,
-                    alpha * lin, beta + gamma * lin, w1, w2, wh, wd, coincide,
-                )  # fmt: skip
+                a, b2 = photoreceptor_rates(dynamics, linearised_at(L[k - 1], L[k], midpoint))
+                state = advance(state, u[k - 1], (u[k] - u[k - 1]) / tau, tau, a, b2, w1, w2, wh, wd, coincide)
         states[k, 0], states[k, 1], states[k, 2], states[k, 3], states[k, 4], states[k, 5] = state
 
 
-@njit(cache=True, error_model="numpy")
-def within_step(tq, k, t, u, L, dynamics, coincide, midpoint, states):
-    """State at time tq inside step k (t[k] ≤ tq ≤ t[k+1]); past the last sample the input is held."""
-    alpha, beta, gamma, w1, w2, wh, wd = dynamics
-    state = (states[k, 0], states[k, 1], states[k, 2], states[k, 3], states[k, 4], states[k, 5])
-    if k + 1 < len(t):
-        step = t[k + 1] - t[k]
-        r = (u[k + 1] - u[k]) / step
-        lin = linearised_at(L[k], L[k + 1], midpoint)
-    else:
-        r = u[k] * 0.0
-        lin = L[k]
-    tau = tq - t[k]
-    if tau.real < 0 or tau == 0:
-        return state
-    return advance(state, u[k], r, tau, alpha * lin, beta + gamma * lin, w1, w2, wh, wd, coincide)
+@njit(inline="always", error_model="numpy")
+def steady_state(u, wh):
+    """The six components under constant log radiance `u`."""
+    if wh > 0:
+        return 0.0, u, u, u, u, 0.0
+    return 0.0, u, u, u, 0.0, u
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def states_at(times, step, t, u, L, dynamics, midpoint, states, out):
+    """Fill out (m, 6) with the states at `times`, each in the step that begins at sample step[i].
+
+    Past the last sample the light is held.
+    """
+    w1, w2, wh, wd = dynamics.follower, dynamics.extra_pole, dynamics.lower_cutoff, dynamics.differencing
+    coincide = cutoffs_coincide(w1, w2, wh, wd)
+    for i in range(len(times)):
+        k = step[i]
+        state = (states[k, 0], states[k, 1], states[k, 2], states[k, 3], states[k, 4], states[k, 5])
+        tau = times[i] - t[k]
+        if tau > 0:
+            after = min(k + 1, len(t) - 1)
+            r = (u[after] - u[k]) / (t[after] - t[k]) if after > k else 0.0
+            a, b2 = photoreceptor_rates(dynamics, linearised_at(L[k], L[after], midpoint))
+            state = advance(state, u[k], r, tau, a, b2, w1, w2, wh, wd, coincide)
+        out[i, 0], out[i, 1], out[i, 2], out[i, 3], out[i, 4], out[i, 5] = state
 
 
 @njit(cache=True, error_model="numpy")
@@ -198,19 +200,29 @@ def reference_and_slopes(state, dynamics, u_slope):
     The reset level is what the amplifier restarts from: the follower output, or behind a lower cutoff h = e − z.
     Where the amplifier has no pole its output is that level itself.
     """
-    _, beta, gamma, w1, w2, wh, wd = dynamics
+    w1, w2, wh, wd = dynamics.follower, dynamics.extra_pole, dynamics.lower_cutoff, dynamics.differencing
     v, y, s, e, z, d = state
     level = e - z
-    if wd.real < PRESENT_BELOW:
+    if wd < PRESENT_BELOW:
         return level, d, wd * (level - d)
-    if w2.real < PRESENT_BELOW:
+    if w2 < PRESENT_BELOW:
         slope = w2 * (s - e)
-    elif w1.real < PRESENT_BELOW:
+    elif w1 < PRESENT_BELOW:
         slope = w1 * (y - s)
-    elif beta.real < PRESENT_BELOW or gamma.real > 0:  # two poles or one: y' = v
+    elif dynamics.beta < PRESENT_BELOW or dynamics.gamma > 0:  # two poles or one: y' = v
         slope = v
     else:
         slope = u_slope
-    if wh.real > 0:
+    if wh > 0:
         slope = slope - wh * (e - z)
     return level, d, slope
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def outputs_of(states, step, t, u, dynamics, level, output, slope):
+    """Fill `reference_and_slopes` of states (m, 6), each in the step that begins at sample step[i]."""
+    for i in range(len(step)):
+        k = step[i]
+        rate = (u[k + 1] - u[k]) / (t[k + 1] - t[k]) if k + 1 < len(t) and t[k + 1] > t[k] else 0.0
+        state = (states[i, 0], states[i, 1], states[i, 2], states[i, 3], states[i, 4], states[i, 5])
+        level[i], output[i], slope[i] = reference_and_slopes(state, dynamics, rate)

@@ -23,6 +23,7 @@ def dynamics_of(circuit: Circuit) -> Dynamics:
         "extra_pole": _finite(circuit.extra_pole, ABSENT_EXTRA),
         "lower_cutoff": circuit.lower_cutoff,
         "differencing": _finite(circuit.differencing, ABSENT_DIFFERENCING),
+        "floor": circuit.bandwidth_floor,
     }
     if circuit.photoreceptor == "one_pole":
         return Dynamics.low_light(circuit.corner, **stages)

@@ -1,16 +1,15 @@
 """Trajectories: the state of the pixel at every stimulus sample, and exactly in between.
 
 The state does not depend on the events, so one trajectory serves every pixel that sees the same light and
-every candidate threshold (DESIGN §1).
+every candidate threshold.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
-from numba import njit
 
 from pixelid.dynamics import equations, kernels, vectorised
 from pixelid.errors import InputError
@@ -19,10 +18,10 @@ STAGES = ("photoreceptor_slope", "photoreceptor", "source_follower", "extra_pole
 
 
 class Dynamics(NamedTuple):
-    """The linear dynamics of a pixel; angular cutoffs in rad/s.  Values may be complex (complex-step derivatives).
+    """The linear dynamics of a pixel; angular cutoffs in rad/s.  Values may be symbols or tensors of an engine.
 
-    photoreceptor: ωn² = alpha·L, 2ζωn = beta + gamma·L;  follower, extra_pole, differencing: first-order
-    low-pass;  lower_cutoff: first-order high-pass, 0 when absent.
+    photoreceptor: ωn² = alpha·L', 2ζωn = beta + gamma·L' with L' = L + floor;  follower, extra_pole, differencing:
+    first-order low-pass;  lower_cutoff: first-order high-pass, 0 when absent.
     """
 
     alpha: float
@@ -32,10 +31,11 @@ class Dynamics(NamedTuple):
     extra_pole: float = equations.ABSENT_EXTRA
     lower_cutoff: float = 0.0
     differencing: float = equations.ABSENT_DIFFERENCING
+    floor: float = 0.0
 
     @staticmethod
     def low_light(corner_per_radiance, **stages) -> Dynamics:
-        """One-pole photoreceptor, ωc = corner_per_radiance · L (DESIGN §1, low light)."""
+        """One-pole photoreceptor, ωc = corner_per_radiance · L: the limit of low light."""
         far = equations.ABSENT_PHOTORECEPTOR
         return Dynamics(corner_per_radiance * far, far, corner_per_radiance, **stages)
 
@@ -45,11 +45,9 @@ class Dynamics(NamedTuple):
         far = equations.ABSENT_PHOTORECEPTOR
         return Dynamics(far * far, far, 0.0, **stages)
 
-    def uniform(self) -> tuple:
-        """All values as one type, float64 or complex128, as the kernels want them."""
-        if any(isinstance(value, (complex, np.complexfloating)) for value in self):
-            return tuple(complex(value) for value in self)
-        return tuple(float(value) for value in self)
+    def uniform(self) -> Dynamics:
+        """All values as float64, as the kernels want them."""
+        return Dynamics(*(float(value) for value in self))
 
 
 @dataclass(frozen=True)
@@ -63,31 +61,55 @@ class Trajectory:
     midpoint: bool
     states: np.ndarray
 
+    linear: ClassVar[bool] = True
+
     def stage(self, name: str) -> np.ndarray:
         """(n,) output of one stage of `STAGES` at the stimulus samples, log radiance units."""
         return self.states[:, STAGES.index(name)]
 
-    def at(self, times) -> np.ndarray:
-        """(m, 6) states at `times` (m,) seconds, by the closed form of the step that holds each."""
+    def at(self, times, step=None) -> np.ndarray:
+        """(m, 6) states at `times` (m,) seconds, by the closed form of the step that holds each.
+
+        step: (m,) the sample at which that step begins, where it is known
+        """
         times = np.asarray(times, dtype=np.float64)
-        out = np.empty((len(times), 6), dtype=self.states.dtype)
-        values = Dynamics(*self.dynamics).uniform()
-        if self.states.dtype == np.float64 and vectorised.applicable(values):
+        if step is None:
             step = np.maximum(np.searchsorted(self.t, times, side="right") - 1, 0)
-            vectorised.states_at(times, step, self.t, self.u, self.radiance, values, self.midpoint, self.states, out)
-        else:
-            _at(times, self.t, self.u, self.radiance, values, self.midpoint, self.states, out)
+        out = np.empty((len(times), 6))
+        run = vectorised.states_at if vectorised.applicable(self.dynamics) else kernels.states_at
+        run(times, step, self.t, self.u, self.radiance, self.dynamics, self.midpoint, self.states, out)
         return out
 
+    def outputs_at(self, times: np.ndarray, step: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(reset level, amplifier output), (m,) each, at `times` (m,), in the steps that begin at `step` (m,)."""
+        if self.plain:
+            level, output = np.empty((2, len(times)))
+            vectorised.stages_at(
+                times, step, self.t, self.u, self.radiance, self.dynamics, self.midpoint, self.states,
+                *np.empty((2, 0)), level, output,
+            )  # fmt: skip
+            return level, output
+        return self.slopes_at(times, step)[:2]
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _at(times, t, u, L, dynamics, midpoint, states, out):
-    coincide = kernels.cutoffs_coincide(dynamics[3], dynamics[4], dynamics[5], dynamics[6])
-    for i in range(len(times)):
-        k = max(np.searchsorted(t, times[i], side="right") - 1, 0)
-        state = kernels.within_step(times[i], k, t, u, L, dynamics, coincide, midpoint, states)
-        for j in range(6):
-            out[i, j] = state[j]
+    def slopes_at(self, times: np.ndarray, step: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """As `outputs_at`, and the slope of the output."""
+        level, output, slope = np.empty((3, len(times)))
+        if self.plain:
+            level, output = self.outputs_at(times, step)
+            np.subtract(level, output, out=slope)
+            slope *= self.dynamics.differencing
+        else:
+            kernels.outputs_of(self.at(times, step), step, self.t, self.u, self.dynamics, level, output, slope)
+        return level, output, slope
+
+    @property
+    def plain(self) -> bool:
+        """Whether the follower drives the amplifier, which has a pole, and the vector form serves."""
+        return (
+            self.linear
+            and self.dynamics.differencing < equations.PRESENT_BELOW
+            and vectorised.applicable(self.dynamics)
+        )
 
 
 def integrate(t, radiance, dynamics: Dynamics, *, linearisation: str = "midpoint") -> Trajectory:
@@ -100,17 +122,11 @@ def integrate(t, radiance, dynamics: Dynamics, *, linearisation: str = "midpoint
     """
     if linearisation not in ("midpoint", "newer"):
         raise InputError(f"linearisation must be 'midpoint' or 'newer', found {linearisation!r}")
-    t = np.ascontiguousarray(t, dtype=np.float64)
-    values = dynamics.uniform()
-    dtype = np.complex128 if isinstance(values[0], complex) or np.iscomplexobj(radiance) else np.float64
-    if dtype is np.complex128:
-        values = tuple(complex(value) for value in values)
-    radiance = np.ascontiguousarray(radiance, dtype=dtype)
-    if not (radiance.real > 0).all():
-        raise InputError(f"radiance must be positive, found {radiance.real.min():g}")
-    u = np.log(radiance)
-    states = np.empty((len(t), 6), dtype=dtype)
+    t, radiance = np.ascontiguousarray(t, np.float64), np.ascontiguousarray(radiance, np.float64)
+    if not (radiance > 0).all():
+        raise InputError(f"radiance must be positive, found {radiance.min():g}")
+    values, u, states = dynamics.uniform(), np.log(radiance), np.empty((len(t), 6))
     midpoint = linearisation == "midpoint"
-    run = vectorised.scan if dtype is np.float64 and vectorised.applicable(values) else kernels.scan
+    run = vectorised.scan if vectorised.applicable(values) else kernels.scan
     run(t, u, radiance, values, midpoint, states)
-    return Trajectory(t, u, radiance, Dynamics._make(values), midpoint, states)
+    return Trajectory(t, u, radiance, values, midpoint, states)

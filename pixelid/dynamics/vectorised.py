@@ -16,7 +16,12 @@ from pixelid.dynamics.vector_math import vexp, vsincos
 
 BLOCK = 256
 RESOLVED = 2.5  # largest |D τ²| for which the propagators are summed as power series
-_low_pass_response = njit(equations.low_pass_response, inline="always", error_model="numpy")
+_responses = njit(equations.responses, inline="always", error_model="numpy")
+_modes_of = njit(equations.modes_of, inline="always", error_model="numpy")
+_state_of = njit(equations.state_of, inline="always", error_model="numpy")
+
+COEFFICIENTS = 10  # rows of a block's coefficients: a, b2, f1, f2, g, p0, p1, q0, q1, whether poles nearly coincide
+WORK = 7  # rows of scratch space of `advance`
 
 
 @njit(inline="always", error_model="numpy")
@@ -64,17 +69,14 @@ def near_coincidence(a, b2, w1, wd, gap_1d):
 
 
 @njit(cache=True, error_model="numpy", fastmath={"contract"})
-def linearise(alpha, beta, gamma, L0, L1, midpoint, a, b2):
+def linearise(dynamics, L0, L1, midpoint, a, b2):
     """Fill a = ωn² and b2 = 2ζωn of steps between radiances L0 and L1."""
     if midpoint:
         for k in range(len(a)):
-            lin = np.sqrt(L0[k] * L1[k])
-            a[k] = alpha * lin
-            b2[k] = beta + gamma * lin
+            a[k], b2[k] = kernels.photoreceptor_rates(dynamics, np.sqrt(L0[k] * L1[k]))
     else:
         for k in range(len(a)):
-            a[k] = alpha * L1[k]
-            b2[k] = beta + gamma * L1[k]
+            a[k], b2[k] = kernels.photoreceptor_rates(dynamics, L1[k])
 
 
 @njit(cache=True, error_model="numpy", fastmath={"contract"})
@@ -135,29 +137,42 @@ def fill_responses(a, b2, w1, wd, p0, p1, q0, q1, close):
     """Fill the follower's and the amplifier's response coefficients, and where poles nearly coincide."""
     gap_1d = abs(w1 - wd) / (w1 + wd)
     for k in range(len(a)):
-        x0, x1 = _low_pass_response(1.0, 0.0, a[k], b2[k], w1)
-        p0[k] = x0
-        p1[k] = x1
-        q0[k], q1[k] = _low_pass_response(x0, x1, a[k], b2[k], wd)
+        p0[k], p1[k], q0[k], q1[k] = _responses(a[k], b2[k], w1, wd)
         close[k] = 1.0 if near_coincidence(a[k], b2[k], w1, wd, gap_1d) else 0.0
 
 
 def applicable(dynamics) -> bool:
-    """Whether these dynamics (real tuple) have the plain four-state structure this module handles."""
-    alpha, beta, gamma, w1, w2, wh, wd = dynamics
-    if isinstance(alpha, complex) or w2 < PRESENT_BELOW or wh > 0 or (beta > PRESENT_BELOW and gamma == 0):
+    """Whether these dynamics have the plain four-state structure this module handles."""
+    unlimited = dynamics.beta > PRESENT_BELOW and dynamics.gamma == 0
+    if dynamics.extra_pole < PRESENT_BELOW or dynamics.lower_cutoff > 0 or unlimited:
         return False
-    return not kernels.cutoffs_coincide(w1, w2, wh, wd)
+    return not kernels.cutoffs_coincide(*dynamics[3:7])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def coefficients(dynamics, L0, L1, tau, midpoint, c):
+    """Fill c (COEFFICIENTS, n) of the steps of length tau (n,) between radiances L0 and L1 (n,)."""
+    a, b2 = c[0], c[1]
+    linearise(dynamics, L0, L1, midpoint, a, b2)
+    if largest_phase(a, b2, tau) < RESOLVED:
+        fill_resolved_factors(a, b2, tau, c[2], c[3], c[4])
+    else:
+        fill_factors(a, b2, tau, c[2], c[3], c[4])
+    fill_responses(a, b2, dynamics.follower, dynamics.differencing, c[5], c[6], c[7], c[8], c[9])
+
+
+@njit(inline="always", error_model="numpy")
+def _delicate(close, r, a, b2, behind):
+    """Whether `kernels.advance` has to choose how to take a step: poles nearly coincide, or the ramp is steep."""
+    return close > 0.0 or abs(r) * (b2 / a + behind) > kernels.STEEP
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
 def scan(t, u, L, dynamics, midpoint, states):
     """As `kernels.scan`: coefficients of a block of steps in vector form, then the recurrence through the block."""
-    alpha, beta, gamma, w1, w2, wh, wd = dynamics
+    w1, w2, wh, wd = dynamics.follower, dynamics.extra_pole, dynamics.lower_cutoff, dynamics.differencing
     n = len(t)
-    tau_, a_, b2_, close = np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK)
-    f1_, f2_, g_ = np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK)
-    p0_, p1_, q0_, q1_ = np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK)
+    tau_, c_ = np.empty(BLOCK), np.empty((COEFFICIENTS, BLOCK))
     v, y, s, d = 0.0, u[0], u[0], u[0]
     states[0, 0], states[0, 1], states[0, 2], states[0, 3], states[0, 4], states[0, 5] = v, y, s, s, 0.0, d
     inv1, invd, gain = 1.0 / w1, 1.0 / wd, wd / (wd - w1)
@@ -165,45 +180,27 @@ def scan(t, u, L, dynamics, midpoint, states):
     for start in range(1, n, BLOCK):
         size = min(BLOCK, n - start)
         before, after = t[start - 1 : start - 1 + size], t[start : start + size]
+        c = c_ if size == BLOCK else np.empty((COEFFICIENTS, size))
         for j in range(size):
             tau_[j] = after[j] - before[j]
-        linearise(
-            alpha, beta, gamma, L[start - 1 : start - 1 + size], L[start : start + size], midpoint,
-            a_[:size], b2_[:size],
-        )  # fmt: skip
-        if largest_phase(a_[:size], b2_[:size], tau_[:size]) < RESOLVED:
-            fill_resolved_factors(a_[:size], b2_[:size], tau_[:size], f1_, f2_, g_)
-        else:
-            fill_factors(a_[:size], b2_[:size], tau_[:size], f1_, f2_, g_)
-        fill_responses(a_[:size], b2_[:size], w1, wd, p0_, p1_, q0_, q1_, close)
+        coefficients(dynamics, L[start - 1 : start - 1 + size], L[start : start + size], tau_[:size], midpoint, c)
         for j in range(size):
             k = start + j
             tau = tau_[j]
             if tau > 0.0:
-                r = (u[k] - u[k - 1]) / tau
-                if close[j] > 0.0:
-                    v, y, s, _, _, d = kernels.advance(
-                        (v, y, s, s, 0.0, d), u[k - 1], r, tau, a_[j], b2_[j], w1, w2, wh, wd, False
-                    )
+                u0, a, b2 = u[k - 1], c[0, j], c[1, j]
+                r = (u[k] - u0) / tau
+                if _delicate(c[9, j], r, a, b2, inv1 + invd):
+                    v, y, s, _, _, d = kernels.advance((v, y, s, s, 0.0, d), u0, r, tau, a, b2, w1, w2, wh, wd, False)
                 else:
                     if abs(tau - tau_before) > 1e-13 * tau:
                         k1, kd = np.exp(-w1 * tau), np.exp(-wd * tau)
                         tau_before = tau
-                    ramp_y = u[k - 1] - r * b2_[j] / a_[j]
-                    ramp_s = ramp_y - r * inv1
-                    ramp_d = ramp_s - r * invd
-                    grown = r * tau
-                    ev = v - r
-                    ey = y - ramp_y
-                    m = s - ramp_s - p0_[j] * ey - p1_[j] * ev
-                    m1 = m * gain
-                    rest = d - ramp_d - q0_[j] * ey - q1_[j] * ev - m1
-                    ey1 = f1_[j] * ey + g_[j] * ev
-                    ev1 = f2_[j] * ev - a_[j] * g_[j] * ey
-                    v = r + ev1
-                    y = ramp_y + grown + ey1
-                    s = ramp_s + grown + p0_[j] * ey1 + p1_[j] * ev1 + m * k1
-                    d = ramp_d + grown + q0_[j] * ey1 + q1_[j] * ev1 + m1 * k1 + rest * kd
+                    ty = b2 / a
+                    delays, pq = (ty, ty + inv1, ty + inv1 + invd), (c[5, j], c[6, j], c[7, j], c[8, j])
+                    modes = _modes_of((v, y, s, d), u0, r, delays, pq, gain)
+                    pr = (c[2, j], c[3, j], c[4, j])
+                    v, y, s, d = _state_of(modes, u0 + r * tau, r, a, pr, delays, pq, k1, kd)
             states[k, 0] = v
             states[k, 1] = y
             states[k, 2] = s
@@ -212,35 +209,89 @@ def scan(t, u, L, dynamics, midpoint, states):
             states[k, 5] = d
 
 
+# One step of many pixels, or from many samples, in the form of `equations.modes_of` and `state_of`: each loop writes
+# one array and reads few.
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+def _deviations(v, y, u0, r, a, b2, ey, ev, ramp):
+    for i in range(len(y)):
+        ramp[i] = u0[i] - r[i] * b2[i] / a[i]
+    for i in range(len(y)):
+        ey[i] = y[i] - ramp[i]
+    for i in range(len(y)):
+        ev[i] = v[i] - r[i]
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+def _modes(s, d, ramp, r, ey, ev, p0, p1, q0, q1, delay_s, delay_d, gain, m, n):
+    for i in range(len(s)):
+        m[i] = s[i] - ramp[i] + r[i] * delay_s - p0[i] * ey[i] - p1[i] * ev[i]
+    for i in range(len(s)):
+        n[i] = d[i] - ramp[i] - q0[i] * ey[i] - q1[i] * ev[i]
+    for i in range(len(s)):
+        n[i] = n[i] + r[i] * delay_d - m[i] * gain
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+def _propagate(a, f1, f2, g, ey, ev, ey1, ev1):
+    for i in range(len(a)):
+        ey1[i] = f1[i] * ey[i] + g[i] * ev[i]
+    for i in range(len(a)):
+        ev1[i] = f2[i] * ev[i] - a[i] * g[i] * ey[i]
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+def _outputs(ramp, r, tau, ey, ev, p0, p1, q0, q1, m, n, delay_s, delay_d, k1, kd, gain, v, y, s, d):
+    for i in range(len(v)):
+        v[i] = r[i] + ev[i]
+    for i in range(len(y)):
+        y[i] = ramp[i] + r[i] * tau[i] + ey[i]
+    for i in range(len(ramp)):
+        s[i] = ramp[i] + r[i] * (tau[i] - delay_s) + p0[i] * ey[i] + p1[i] * ev[i] + m[i] * k1[i]
+    for i in range(len(ramp)):
+        d[i] = ramp[i] + r[i] * (tau[i] - delay_d) + q0[i] * ey[i] + q1[i] * ev[i]
+    for i in range(len(ramp)):
+        d[i] = d[i] + gain * m[i] * k1[i] + n[i] * kd[i]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def advance(begin, end, u0, r, tau, k1, kd, c, dynamics, work):
+    """Fill `end` with the states after tau (n,) of the ramps u0 + r τ (n,), from `begin`; both (v, y, s, d) of (n,).
+
+    k1, kd: (n,) exp(−w1 τ), exp(−wd τ);  c: of `coefficients`;  work: (WORK, n), whose first rows (ε_y, ε_v) are left
+    as at the beginning.  `begin` and `end` must not share memory; the v and y of `end` may be empty, where nobody reads
+    them.
+    """
+    w1, w2, wh, wd = dynamics.follower, dynamics.extra_pole, dynamics.lower_cutoff, dynamics.differencing
+    v, y, s, d = begin
+    a, b2, f1, f2, g, p0, p1, q0, q1, close = c[0], c[1], c[2], c[3], c[4], c[5], c[6], c[7], c[8], c[9]
+    ey, ev, ey1, ev1, m, n, ramp = work[0], work[1], work[2], work[3], work[4], work[5], work[6]
+    delay_s = 1.0 / w1
+    delay_d = delay_s + 1.0 / wd
+    gain = wd / (wd - w1)
+    _deviations(v, y, u0, r, a, b2, ey, ev, ramp)
+    _modes(s, d, ramp, r, ey, ev, p0, p1, q0, q1, delay_s, delay_d, gain, m, n)
+    _propagate(a, f1, f2, g, ey, ev, ey1, ev1)
+    _outputs(ramp, r, tau, ey1, ev1, p0, p1, q0, q1, m, n, delay_s, delay_d, k1, kd, gain, *end)
+    for i in range(len(a)):
+        if _delicate(close[i], r[i], a[i], b2[i], delay_d):
+            slope, output, end[2][i], _, _, end[3][i] = kernels.advance(
+                (v[i], y[i], s[i], s[i], 0.0, d[i]), u0[i], r[i], tau[i], a[i], b2[i], w1, w2, wh, wd, False
+            )
+            if len(end[0]) > 0:
+                end[0][i], end[1][i] = slope, output
+
+
 @njit(cache=True, error_model="numpy", fastmath={"contract"})
 def _decay(rate, tau, out):
     for k in range(len(out)):
         out[k] = vexp(-rate * tau[k])
 
 
-@njit(cache=True, error_model="numpy", fastmath={"contract"})
-def _advance_photoreceptor(v, y, r, a, b2, f1, f2, g, ev, ey):
-    """In: slope v and output deviation y of the block; out: their deviations before (v, y) and after (ev, ey)."""
-    for k in range(len(v)):
-        before_v = v[k] - r[k]
-        before_y = y[k] + r[k] * b2[k] / a[k]
-        v[k] = before_v
-        y[k] = before_y
-        ey[k] = f1[k] * before_y + g[k] * before_v
-        ev[k] = f2[k] * before_v - a[k] * g[k] * before_y
-
-
-@njit(cache=True, error_model="numpy", fastmath={"contract"})
-def _advance_follower(s, v, y, ev, ey, p0, p1, k1, m):
-    """In: s relative to its ramp; out: s after, and m, the amplitude of its own exponential."""
-    for k in range(len(s)):
-        m[k] = s[k] - p0[k] * y[k] - p1[k] * v[k]
-        s[k] = p0[k] * ey[k] + p1[k] * ev[k] + m[k] * k1[k]
-
-
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
 def _gather(times, step, t, u, L, states, tau, r, u0, L0, L1, v, y, s, d):
-    """Where in its step each time lies, the light there, and the state the step begins with; y relative to u0."""
+    """Where in its step each time lies, the light there, and the state the step begins with."""
     for j in range(len(times)):
         k = step[j]
         after = min(k + 1, len(t) - 1)
@@ -249,121 +300,35 @@ def _gather(times, step, t, u, L, states, tau, r, u0, L0, L1, v, y, s, d):
         u0[j] = u[k]
         r[j] = (u[after] - u[k]) / width if width > 0.0 else 0.0
         L0[j], L1[j] = L[k], L[after]
-        v[j], y[j], s[j], d[j] = states[k, 0], states[k, 1] - u[k], states[k, 2], states[k, 5]
+        v[j], y[j], s[j], d[j] = states[k, 0], states[k, 1], states[k, 2], states[k, 5]
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
-def states_at(times, step, t, u, L, dynamics, midpoint, states, out):
-    """Fill out (m, 6) with the states at `times`, each inside the step that begins at sample step[i].
+@njit(cache=True, nogil=True, error_model="numpy")
+def stages_at(times, step, t, u, L, dynamics, midpoint, states, v, y, s, d):
+    """Fill (v, y, s, d), (m,) each, at `times` (m,), each in the step that begins at sample step[i].
 
-    As `kernels.within_step`, in vector form over blocks of times.
+    v and y may be empty: not wanted.
     """
-    alpha, beta, gamma, w1, w2, wh, wd = dynamics
-    inv1, invd, gain = 1.0 / w1, 1.0 / wd, wd / (wd - w1)
-    table = np.empty((20, BLOCK))
-    for start in range(0, len(times), BLOCK):
-        size = min(BLOCK, len(times) - start)
-        tau, r, u0, L0, L1 = table[0, :size], table[1, :size], table[2, :size], table[3, :size], table[4, :size]
-        v, y, s, d = table[5, :size], table[6, :size], table[7, :size], table[8, :size]
-        a, b2, f1, f2, g = table[9, :size], table[10, :size], table[11, :size], table[12, :size], table[13, :size]
-        p0, p1, q0, q1 = table[14, :size], table[15, :size], table[16, :size], table[17, :size]
-        close, k1 = table[18, :size], table[19, :size]
-        place = slice(start, start + size)
-        _gather(times[place], step[place], t, u, L, states, tau, r, u0, L0, L1, v, y, s, d)
-        linearise(alpha, beta, gamma, L0, L1, midpoint, a, b2)
-        if largest_phase(a, b2, tau) < RESOLVED:
-            fill_resolved_factors(a, b2, tau, f1, f2, g)
-        else:
-            fill_factors(a, b2, tau, f1, f2, g)
-        fill_responses(a, b2, w1, wd, p0, p1, q0, q1, close)
-        _decay(w1, tau, k1)
-        ev, ey, kd = L0, L1, g  # reused: no longer needed under their names
-        _advance_photoreceptor(v, y, r, a, b2, f1, f2, g, ev, ey)
-        _decay(wd, tau, kd)
-        m = f1
-        for j in range(size):
-            delay = b2[j] / a[j] + inv1
-            f2[j] = delay
-            s[j] = s[j] - u0[j] + r[j] * delay
-        _advance_follower(s, v, y, ev, ey, p0, p1, k1, m)
-        for j in range(size):
-            i = start + j
-            if close[j] > 0.0:
-                k = step[i]
-                lv, ly, ls, _, _, ld = kernels.advance(
-                    (states[k, 0], states[k, 1], states[k, 2], states[k, 3], 0.0, states[k, 5]),
-                    u0[j], r[j], tau[j], a[j], b2[j], w1, w2, wh, wd, False,
-                )  # fmt: skip
-                out[i, 0], out[i, 1], out[i, 2], out[i, 3], out[i, 4], out[i, 5] = lv, ly, ls, ls, 0.0, ld
-                continue
-            delay = f2[j]
-            m1 = m[j] * gain
-            rest = d[j] - u0[j] + r[j] * (delay + invd) - q0[j] * y[j] - q1[j] * v[j] - m1
-            here = u0[j] + r[j] * tau[j]
-            out[i, 0] = r[j] + ev[j]
-            out[i, 1] = here - r[j] * (delay - inv1) + ey[j]
-            out[i, 2] = here - r[j] * delay + s[j]
-            out[i, 3] = out[i, 2]
-            out[i, 4] = 0.0
-            out[i, 5] = here - r[j] * (delay + invd) + q0[j] * ey[j] + q1[j] * ev[j] + m1 * k1[j] + rest * kd[j]
-
-
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
-def _relative_to_ramp(s, u0, r, a, b2, inv1, delay):
-    """Fill the delay of the follower's ramp, and take s relative to it."""
-    for k in range(len(s)):
-        delay[k] = b2[k] / a[k] + inv1
-    for k in range(len(s)):
-        s[k] = s[k] - u0[k] + r[k] * delay[k]
-
-
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
-def _advance_amplifier(s, d, u0, r, tau, delay, invd, y, v, ey, ev, q0, q1, m, gain, k1, kd):
-    """In: s after (relative to its ramp), d before; out: follower s and amplifier d after."""
-    for k in range(len(d)):
-        m[k] = m[k] * gain
-    for k in range(len(d)):
-        d[k] = d[k] - u0[k] + r[k] * (delay[k] + invd) - q0[k] * y[k] - q1[k] * v[k] - m[k]
-    for k in range(len(d)):
-        d[k] = q0[k] * ey[k] + q1[k] * ev[k] + m[k] * k1[k] + d[k] * kd[k]
-    for k in range(len(d)):
-        s[k] = s[k] + u0[k] + r[k] * (tau[k] - delay[k])
-    for k in range(len(d)):
-        d[k] = d[k] + u0[k] + r[k] * (tau[k] - delay[k] - invd)
-
-
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
-def outputs_at(times, step, t, u, L, dynamics, midpoint, states, follower, amplifier):
-    """Fill the follower's and the amplifier's outputs (m,) at `times`; otherwise as `states_at`."""
-    alpha, beta, gamma, w1, w2, wh, wd = dynamics
-    inv1, invd, gain = 1.0 / w1, 1.0 / wd, wd / (wd - w1)
-    table = np.empty((19, BLOCK))
+    table_, c_, work_ = np.empty((11, BLOCK)), np.empty((COEFFICIENTS, BLOCK)), np.empty((WORK, BLOCK))
     for start in range(0, len(times), BLOCK):
         size = min(BLOCK, len(times) - start)
         place = slice(start, start + size)
-        tau, r, u0, L0, L1 = table[0, :size], table[1, :size], table[2, :size], table[3, :size], table[4, :size]
-        v, y, delay, m, close = table[5, :size], table[6, :size], table[7, :size], table[8, :size], table[9, :size]
-        a, b2, f1, f2, g = table[10, :size], table[11, :size], table[12, :size], table[13, :size], table[14, :size]
-        p0, p1, q0, q1 = table[15, :size], table[16, :size], table[17, :size], table[18, :size]
-        s, d = follower[place], amplifier[place]
-        _gather(times[place], step[place], t, u, L, states, tau, r, u0, L0, L1, v, y, s, d)
-        linearise(alpha, beta, gamma, L0, L1, midpoint, a, b2)
-        if largest_phase(a, b2, tau) < RESOLVED:
-            fill_resolved_factors(a, b2, tau, f1, f2, g)
-        else:
-            fill_factors(a, b2, tau, f1, f2, g)
-        fill_responses(a, b2, w1, wd, p0, p1, q0, q1, close)
-        ev, ey, k1, kd = L0, L1, f1, f2  # reused: no longer needed under their names
-        _advance_photoreceptor(v, y, r, a, b2, f1, f2, g, ev, ey)
-        _decay(w1, tau, k1)
-        _decay(wd, tau, kd)
-        _relative_to_ramp(s, u0, r, a, b2, inv1, delay)
-        _advance_follower(s, v, y, ev, ey, p0, p1, k1, m)
-        _advance_amplifier(s, d, u0, r, tau, delay, invd, y, v, ey, ev, q0, q1, m, gain, k1, kd)
-        for j in range(size):
-            if close[j] > 0.0:
-                k = step[start + j]
-                _, _, s[j], _, _, d[j] = kernels.advance(
-                    (states[k, 0], states[k, 1], states[k, 2], states[k, 3], 0.0, states[k, 5]),
-                    u0[j], r[j], tau[j], a[j], b2[j], w1, w2, wh, wd, False,
-                )  # fmt: skip
+        table, c, work = table_, c_, work_
+        if size < BLOCK:
+            table, c, work = np.empty((11, size)), np.empty((COEFFICIENTS, size)), np.empty((WORK, size))
+        tau, r, u0, L0, L1, k1, kd = table[0], table[1], table[2], table[3], table[4], table[5], table[6]
+        begin = (table[7], table[8], table[9], table[10])
+        _gather(times[place], step[place], t, u, L, states, tau, r, u0, L0, L1, begin[0], begin[1], begin[2], begin[3])
+        coefficients(dynamics, L0, L1, tau, midpoint, c)
+        _decay(dynamics.follower, tau, k1)
+        _decay(dynamics.differencing, tau, kd)
+        end = (v[place], y[place], s[place], d[place])
+        advance(begin, end, u0, r, tau, k1, kd, c, dynamics, work)
+
+
+def states_at(times, step, t, u, L, dynamics, midpoint, states, out) -> None:
+    """As `kernels.states_at`."""
+    v, y, s, d = np.empty((4, len(times)))
+    stages_at(times, step, t, u, L, dynamics, midpoint, states, v, y, s, d)
+    for column, values in enumerate((v, y, s, s, 0.0, d)):
+        out[:, column] = values

@@ -1,4 +1,4 @@
-"""Pooled-rate likelihood (DESIGN §4): event counts of many pixels, or of one pixel with many events per edge.
+"""Pooled-rate likelihood: event counts of many pixels, or of one pixel with many events per edge.
 
 In the fluid limit a pixel whose amplifier output rises at ẏ emits ON events at ẏ/C_on.  N pooled pixels, dead time ρ
 and a background b per polarity give
@@ -30,11 +30,13 @@ from pixelid.errors import InputError
 from pixelid.parameters.parameter import Parameter
 from pixelid.recordings.recording import Recording
 from pixelid.stages.circuit import Circuit
+from pixelid.stages.differencing import leaked, leaks
 from pixelid.stimuli.drive import drive
 from pixelid.stimuli.stimulus import Stimulus
 
-BIN_S = 50e-6
-MOST_BINS = 2_000_000
+BIN_S = 50e-6  # a fraction of the fastest edges' width, 0.2 ms
+MOST_BINS = 2_000_000  # a few hundred MB with their derivatives
+LEAST_EVENTS = 100  # fewer tell a rate to no better than 10 %
 
 
 @dataclass(frozen=True)
@@ -70,9 +72,17 @@ class PooledRate:
     nuisances: delay per recording, background per polarity, pooled pixels, and for "shape" stimuli the light
     L = offset + gain · shape, of which `stimulus.offset` is fixed (it sets the unit of radiance).
 
-    bin_s: width of the bins;  first_s: how much of each recording to look at;  kept: (bins,) those that count, all
-    unless changed (`of_bins`).
-    Raises InputError for a missing or per-pixel stimulus, or too many bins.
+    Args:
+        recordings: With a full-field stimulus each.
+        bin_s: Width of the bins.
+        first_s: How much of each recording to look at.
+
+    Attributes:
+        observed: (bins,) counts, per recording ON then OFF.
+        kept: (bins,) bool, those that count: all, but of `of_bins`.
+
+    Raises:
+        InputError: For a missing or per-pixel stimulus, too many bins, or hardly any events.
     """
 
     def __init__(self, recordings: Sequence[Recording], bin_s: float = BIN_S, first_s: float = math.inf) -> None:
@@ -86,8 +96,8 @@ class PooledRate:
                 raise InputError(f"{recording.name}: more than {MOST_BINS} bins of {bin_s:g} s; use wider bins")
         self.counts = tuple(binned(recording, bin_s, first_s) for recording in self.recordings)
         self.observed = np.concatenate([np.concatenate([c.on, c.off]) for c in self.counts])
-        if self.observed.sum() < 100:
-            raise InputError("fewer than 100 events during the stimulus: nothing to fit")
+        if self.observed.sum() < LEAST_EVENTS:
+            raise InputError(f"fewer than {LEAST_EVENTS} events during the stimulus: nothing to fit")
         self._log_factorial = gammaln(self.observed + 1.0)
         self._width = bin_s
         self.kept = np.ones(len(self.observed), dtype=bool)
@@ -106,21 +116,21 @@ class PooledRate:
     def nuisances(self) -> tuple[Parameter, ...]:
         """The recordings' own parameters, with starting values."""
         rate = self.observed.mean() / self._width
-        found = [
+        parameters = [
             Parameter("pooled.background_on_hz", 0.1 * rate, "Hz", 1e-6 * rate, 1e3 * rate, "log"),
             Parameter("pooled.background_off_hz", 0.1 * rate, "Hz", 1e-6 * rate, 1e3 * rate, "log"),
             Parameter("pooled.pixels", 1.0, "pixels", 1e-3, 1e9, "log", free=False),
         ]
-        found += [
+        parameters += [
             Parameter(delay_name(self.recordings, i), 0.0, "s", -0.05, 0.05, "linear")
             for i in range(1, len(self.recordings))
         ]
         if any(r.stimulus is not None and r.stimulus.unit == "shape" for r in self.recordings):
-            found += [
+            parameters += [
                 Parameter("stimulus.offset", 1.0, "radiance", 1e-9, 1e9, "log", free=False),
                 Parameter("stimulus.gain", 2.0, "radiance", 0.05, 1e4, "log"),
             ]
-        return tuple(found)
+        return tuple(parameters)
 
     def output(self, i: int, circuit: Circuit, values: Mapping[str, float]) -> np.ndarray:
         """(n+1,) amplifier output at the bin edges of recording i."""
@@ -158,20 +168,29 @@ class PooledRate:
 
     def _leaked(self, i: int, circuit: Circuit) -> np.ndarray | float:
         """What leaks in each bin of recording i, in ON thresholds."""
+        if not leaks(circuit):
+            return 0.0
         stimulus, edges = self.recordings[i].stimulus, self.counts[i].edges
         assert stimulus is not None
-        if circuit.leak_hz_per_radiance == 0:
-            return circuit.leak_hz * self._width
         light = np.interp(0.5 * (edges[1:] + edges[:-1]), stimulus.t, stimulus.radiance)
-        return (circuit.leak_hz + circuit.leak_hz_per_radiance * light) * self._width
+        return leaked(circuit, self._width, self._width * light)
 
     def log_likelihood(self, expected: np.ndarray) -> float:
-        """Poisson log-likelihood of the counts about `expected`."""
+        """Poisson log-likelihood of the counts about `expected` (bins,)."""
         return float(self.per_bin(expected)[self.kept].sum())
 
     def per_bin(self, expected: np.ndarray) -> np.ndarray:
         """(bins,) log-likelihood of each bin, also of those that do not count."""
-        return self.observed * np.log(expected) - expected - self._log_factorial
+        return self._relative(expected) - self._log_factorial
+
+    def per_recording(self, expected: np.ndarray) -> np.ndarray:
+        """(recordings,) log-likelihood of each, without the constant of its counts, over all bins."""
+        ends = np.cumsum([2 * len(c.on) for c in self.counts])
+        return np.array([part.sum() for part in np.split(self._relative(expected), ends[:-1])])
+
+    def _relative(self, expected: np.ndarray) -> np.ndarray:
+        """(bins,) Poisson log-likelihood without the constant of the count."""
+        return self.observed * np.log(expected) - expected
 
     def dispersion(self, expected: np.ndarray) -> float:
         """Pearson χ² per bin, among bins grouped until each expects at least 5 counts: 1 for Poisson counts."""

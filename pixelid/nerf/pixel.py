@@ -17,6 +17,7 @@ import torch
 from pixelid.dynamics.equations import PRESENT_BELOW
 from pixelid.dynamics.of_circuit import dynamics_of
 from pixelid.dynamics.trajectory import Dynamics
+from pixelid.errors import InputError
 from pixelid.stages.circuit import Circuit
 
 FILTER = ("alpha", "beta", "gamma", "follower")
@@ -63,7 +64,9 @@ class Pixel(torch.nn.Module):
         super().__init__()
         self.circuit, self.bandwidth = circuit, bandwidth
         dynamics = dynamics_of(circuit.with_(slew_rise=math.inf, slew_fall=math.inf))
-        self.register_buffer("nominal", torch.tensor(dynamics.uniform(), dtype=torch.float64))
+        if dynamics.floor != 0:
+            raise InputError("bandwidth_floor: the reconstruction does not know a photoreceptor with it")
+        self.register_buffer("nominal", torch.tensor(dynamics.uniform()[:7], dtype=torch.float64))
         sd = [(bandwidth.prior_sd or {}).get(name, PRIOR_SD) for name in TRAINED]
         self.register_buffer("prior_sd", torch.tensor(sd, dtype=torch.float64))
         self.factors = torch.nn.Parameter(

@@ -18,7 +18,7 @@ from pixelid.parallel import map_threads, ranges
 
 def as_tuple(dynamics: torch.Tensor) -> tuple[float, ...]:
     """(α, β, γ, ω1, ω2, ωh, ωd) as floats."""
-    return Dynamics(*dynamics.detach().cpu().tolist()).uniform()
+    return tuple(Dynamics(*dynamics.detach().cpu().tolist()).uniform()[:7])
 
 
 def _groups(first: np.ndarray) -> list[tuple[slice, slice]]:

@@ -11,7 +11,6 @@ from pixelid.fit.pooled_rate import PooledRateObjective
 from pixelid.fit.result import FitResult
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.likelihood.pooled_rate import PooledRate
-from pixelid.likelihood.value import value
 from pixelid.recordings.recording import Recording
 from pixelid.stimuli.resample import resampled
 
@@ -70,8 +69,7 @@ class Target:
             pieces = np.append(self._pooled_pieces(x) / self._dispersion, 0.0)
             total = pieces.sum()
         else:
-            circuit = self.coordinates.circuit(x)
-            found = value(self._events, circuit, self._events.gathered(circuit))
+            found = self._events.terms(self.coordinates.circuit(x))
             total = found.total
             units = np.bincount(np.arange(len(found.per_pixel)) % self.units, found.per_pixel, self.units)
             pieces = np.concatenate([found.per_recording, [total - found.per_recording.sum()], units])
@@ -81,7 +79,4 @@ class Target:
 
     def _pooled_pieces(self, x: np.ndarray) -> np.ndarray:
         """(r,) Poisson log-likelihoods of the recordings, without the constant of the counts."""
-        expected = self._pooled.expected(x)
-        each = self._counts.observed * np.log(expected) - expected
-        ends = np.cumsum([2 * len(c.on) for c in self._counts.counts])
-        return np.array([part.sum() for part in np.split(each, ends[:-1])])
+        return self._counts.per_recording(self._pooled.expected(x))

@@ -40,14 +40,14 @@ def _relative(key, pixel, counter, sigma):
 
 
 @njit(forceinline=True, error_model="numpy")
-def draw_thresholds(pixel, place, comparators, drawn, key, noise):
-    """Fresh ON and OFF thresholds for the next event of `pixel`, held at column `place`."""
+def draw_thresholds(pixel, place, comparators, drawn, key, noise, factors):
+    """Fresh ON and OFF thresholds for the next event of `pixel`, held at column `place`; times `factors`."""
     on, off = 1.0, 1.0
     if noise > 0.0:
         on, off = _relative(key, pixel, drawn[place], noise)
         drawn[place] += 1
-    comparators[ON, place] = comparators[BASE_ON, place] * on
-    comparators[OFF, place] = comparators[BASE_OFF, place] * off
+    comparators[ON, place] = comparators[BASE_ON, place] * on * factors[0]
+    comparators[OFF, place] = comparators[BASE_OFF, place] * off * factors[1]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -64,7 +64,7 @@ def start(first_pixel, on, off, mismatch, noise, seed, synchronous, level, out, 
         a, b = _relative(spread, pixel, 0, mismatch)
         comparators[BASE_ON, i], comparators[BASE_OFF, i] = on * a, off * b
         drawn[i] = 0
-        draw_thresholds(pixel, i, comparators, drawn, event, noise)
+        draw_thresholds(pixel, i, comparators, drawn, event, noise, (1.0, 1.0))
         comparators[RELEASE, i] = np.inf
         if synchronous:
             comparators[LEVEL, i], comparators[DECAY, i] = level[i], out[i] - level[i]
@@ -93,11 +93,11 @@ def grown(found):
 def events_in_step(pixel, place, t0, t1, step, chain, comparators, drawn, laws, found, count, scratch):
     """Carry one pixel through the step t0 … t1, with its release, crossings and resets in the order they happen.
 
-    laws: (refractory, leak, parasitic, threshold drift, noise, threshold key), leak and parasitic in log radiance
-    per second (and radiance);  found: (times (m,) s, pixels (m,), polarities (m,)), grown as needed.
+    laws: `laws.Laws`, leak and parasitic in log radiance per second (and radiance);
+    found: (times (m,) s, pixels (m,), polarities (m,)), grown as needed.
     Returns (found, count).
     """
-    refractory, leak, parasitic, drift, noise, key = laws
+    refractory, leak, parasitic, drift, noise, key, history = laws
     tau, wd = step[4], chain[3]
     x = 0.0
     level, decay = comparators[LEVEL, place], comparators[DECAY, place]
@@ -124,7 +124,7 @@ def events_in_step(pixel, place, t0, t1, step, chain, comparators, drawn, laws, 
             found = grown(found)
         found[0][count], found[1][count], found[2][count] = t0 + at, pixel, polarity
         count += 1
-        draw_thresholds(pixel, place, comparators, drawn, key, noise)
+        draw_thresholds(pixel, place, comparators, drawn, key, noise, history[polarity])
         if t0 + at + refractory > t1:
             comparators[RELEASE, place] = t0 + at + refractory
             comparators[LEVEL, place], comparators[DECAY, place] = np.nan, 0.0
@@ -134,7 +134,7 @@ def events_in_step(pixel, place, t0, t1, step, chain, comparators, drawn, laws, 
         level, decay = here[0], here[1] - here[0] if wd < PRESENT_BELOW else 0.0
     level -= leak * (tau - x)
     if parasitic > 0.0:
-        level -= parasitic * light_integral(step[7], step[8], x, tau)
+        level -= parasitic * light_integral(step[7] * np.exp(step[8] * x), step[8], tau - x)
     comparators[LEVEL, place] = level
     comparators[DECAY, place] = decay * np.exp(-wd * (tau - x)) if decay != 0.0 else 0.0
     return found, count

@@ -1,4 +1,4 @@
-"""Full-field light: one trajectory, shared by all pixels; each pixel only compares and resets (DESIGN §1)."""
+"""Full-field light: one trajectory, shared by all pixels; each pixel only compares and resets."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from pixelid.simulate import comparator
 from pixelid.simulate.comparator import DECAY, LEVEL, OFF, ON, RELEASE, events_in_step
 from pixelid.simulate.crossing import DEPTH
 from pixelid.simulate.laws import Rules
-from pixelid.simulate.step import light_integral, modes, settled, slope_bound
+from pixelid.simulate.step import after_jump, light_integral, modes, slope_bound
 from pixelid.stimuli.drive import Drive, drive, refined
 from pixelid.stimuli.stimulus import Stimulus
 
@@ -103,7 +103,7 @@ class FullField:
         return _pixel_events(
             first, after, steps.start, steps.stop, shared.t, shared.u, shared.radiance, shared.states,
             shared.high, shared.low, shared.fade, shared.drift,
-            tuple(rules.dynamics), rules.chain, rules.circuit.linearisation == "midpoint", rules.laws,
+            rules.dynamics, rules.chain, rules.circuit.linearisation == "midpoint", rules.laws,
             self._comparators, self._drawn,
         )  # fmt: skip
 
@@ -125,20 +125,17 @@ def shared_trajectory(light: Drive, rules: Rules) -> Shared:
         run = integrate(light.t, light.radiance, rules.dynamics, linearisation=rules.circuit.linearisation)
         t, u, radiance, states = run.t, run.u, run.radiance, run.states
     high, low, fade, drift = (np.empty(len(t) - 1) for _ in range(4))
-    dynamics = tuple(rules.dynamics)
-    _bounds(t, u, radiance, states, dynamics, rules.chain, midpoint, rules.laws, high, low, fade, drift)
+    _bounds(t, u, radiance, states, rules.dynamics, rules.chain, midpoint, rules.laws, high, low, fade, drift)
     return Shared(t, u, radiance, states, high, low, fade, drift)
 
 
 @njit(forceinline=True, error_model="numpy")
 def _step(k, t, u, radiance, states, dynamics, chain, midpoint):
     """The `step` tuple of step k, see `step.py`."""
-    alpha, beta, gamma = dynamics[0], dynamics[1], dynamics[2]
     w1, w2, wh, wd, _, smooth = chain
     tau = t[k + 1] - t[k]
     r = (u[k + 1] - u[k]) / tau
-    light = kernels.linearised_at(radiance[k], radiance[k + 1], midpoint)
-    a, b2 = alpha * light, beta + gamma * light
+    a, b2 = kernels.photoreceptor_rates(dynamics, kernels.linearised_at(radiance[k], radiance[k + 1], midpoint))
     begin = (states[k, 0], states[k, 1], states[k, 2], states[k, 3], states[k, 4], states[k, 5])
     after = k + 1
     end = (
@@ -146,7 +143,7 @@ def _step(k, t, u, radiance, states, dynamics, chain, midpoint):
         states[after, 3], states[after, 4], states[after, 5],
     )  # fmt: skip
     if not smooth:
-        begin = settled(begin, u[k], r, a, b2, w1, w2, wh, wd)
+        begin = after_jump(begin, u[k], r, a, b2, w1, w2, wh, wd)
     return begin, end, u[k], r, tau, a, b2, radiance[k], r, modes(begin, u[k], r, a, b2, chain)
 
 
@@ -174,7 +171,7 @@ def _bounds(t, u, radiance, states, dynamics, chain, midpoint, laws, high, low, 
         fade[k] = np.exp(-wd * tau)
         drift[k] = laws[1] * tau
         if laws[2] > 0.0:
-            drift[k] += laws[2] * light_integral(light, r, 0.0, tau)
+            drift[k] += laws[2] * light_integral(light, r, tau)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -14,10 +14,15 @@ from pixelid.dynamics.trajectory import Dynamics
 from pixelid.errors import InputError
 from pixelid.simulate import random
 from pixelid.stages.circuit import Circuit
+from pixelid.stages.comparator import threshold_factors
+from pixelid.stages.differencing import leaked
 
 
 class Laws(NamedTuple):
-    """The comparator's laws as the kernels want them; see `comparator.events_in_step`."""
+    """The comparator's laws as the kernels want them; see `comparator.events_in_step`.
+
+    history: what ON and OFF thresholds are multiplied by after an OFF event, and after an ON event
+    """
 
     refractory: float
     leak: float
@@ -25,6 +30,7 @@ class Laws(NamedTuple):
     drift: float
     noise: float
     key: np.uint64
+    history: tuple[tuple[float, float], tuple[float, float]]
 
 
 class Rules(NamedTuple):
@@ -60,18 +66,19 @@ def rules_of(circuit: Circuit, seed: int, synchronous: bool, t_end: float) -> Ru
     slewing = slew.slews(circuit)
     if slewing and not math.isfinite(circuit.follower):
         raise InputError("slew_limit needs source_follower_pole: without it there is nothing to slew")
-    dynamics = Dynamics(*dynamics_of(circuit.with_(slew_rise=math.inf, slew_fall=math.inf)).uniform())
-    w1, w2, wh, wd = dynamics[3:]
+    dynamics = dynamics_of(circuit.with_(slew_rise=math.inf, slew_fall=math.inf)).uniform()
+    w1, w2, wh, wd = dynamics[3:7]
     unlimited = circuit.photoreceptor == "unlimited" and min(w1, w2, wd) > PRESENT_BELOW
     if circuit.shot_density > 0 and unlimited:
         raise InputError("shot_noise needs a bandwidth limit: white noise on ln L has no finite level without one")
     chain = (w1, w2, wh, wd, bool(kernels.cutoffs_coincide(w1, w2, wh, wd)), slewing)
     laws = Laws(
         circuit.refractory,
-        circuit.leak_hz * circuit.on_threshold,
-        circuit.leak_hz_per_radiance * circuit.on_threshold,
+        circuit.on_threshold * leaked(circuit, 1.0, 0.0),
+        circuit.on_threshold * leaked(circuit, 0.0, 1.0),
         circuit.threshold_drift,
         circuit.noise,
         np.uint64(random.stream_key(seed, random.THRESHOLD)),  # as int, compiled code would overflow from some seeds on
+        (threshold_factors(circuit, -1.0), threshold_factors(circuit, 1.0)),
     )
     return Rules(circuit, dynamics, chain, laws, seed, synchronous)

@@ -20,7 +20,7 @@ from itertools import islice
 import numpy as np
 
 from pixelid.dynamics import slew
-from pixelid.dynamics.equations import PRESENT_BELOW
+from pixelid.dynamics.equations import PRESENT_BELOW, photoreceptor_rates
 from pixelid.errors import InputError
 from pixelid.simulate.laws import Rules
 from pixelid.stimuli.stimulus import Stimulus
@@ -60,11 +60,11 @@ def noise_step(rules: Rules, radiance: float) -> float:
     the variance; behind a single pole ω, where the tail counts, 0.47 ω Δt, hence 1/50 there.  Without photoreceptor
     the slowest pole that follows takes its place.
     """
-    circuit = rules.circuit
-    if circuit.photoreceptor == "second_order":
-        return 0.1 / np.sqrt(circuit.alpha * radiance)
-    if circuit.photoreceptor == "one_pole":
-        return 0.02 / (circuit.corner * radiance)
+    a, b2 = photoreceptor_rates(rules.dynamics, radiance)
+    if rules.circuit.photoreceptor == "second_order":
+        return 0.1 / np.sqrt(a)
+    if rules.circuit.photoreceptor == "one_pole":
+        return 0.02 * b2 / a
     w1, w2, _, wd = rules.chain[:4]
     return 0.02 / min(w for w in (w1, w2, wd) if w < PRESENT_BELOW)
 

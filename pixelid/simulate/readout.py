@@ -20,7 +20,7 @@ def queue(t, service_ns, busy_until, out):
     """Departures from a first-come-first-served server: out[k] = max(t[k], departure k−1) + service.
 
     t, out: (n,) int64 ns, t in order;  service_ns: float;  busy_until: last departure so far (ns, −∞ at first).
-    Returns the last departure.  Source: DESIGN §6 (readout_latency).
+    Returns the last departure.  The effect is `readout_latency`.
     """
     for k in range(len(t)):
         busy_until = max(float(t[k]), busy_until) + service_ns

@@ -5,7 +5,8 @@ Compiled helpers pass three tuples:
     step   (state, end, u0, r, tau, a, b2, light, light_r, modes)
            six-component states at both ends, input ramp u0 + r τ of length tau, photoreceptor coefficients
            (αL, β + γL) of the step, the radiance light · exp(light_r τ), and `modes`
-    modes  the amplitudes of the step's exponentials, for chains of four states: a step is probed several times
+    modes  the amplitudes of the step's exponentials, for chains of four states (`equations.modes_of`): a step is
+           probed several times
     chain  (w1, w2, wh, wd, coincide, smooth)
            the cutoffs; `smooth`: no closed form (slew limit), interpolate h and d by cubics instead; the states are
            then (dh/dt, 0, h, h, 0, d)
@@ -21,11 +22,14 @@ from numba import njit
 from pixelid.dynamics import equations, kernels, vectorised
 from pixelid.dynamics.equations import PRESENT_BELOW
 
-_low_pass_response = njit(equations.low_pass_response, inline="always", error_model="numpy")
+_responses = njit(equations.responses, inline="always", error_model="numpy")
+_modes_of = njit(equations.modes_of, inline="always", error_model="numpy")
+_state_of = njit(equations.state_of, inline="always", error_model="numpy")
+light_integral = njit(equations.light_integral, inline="always", error_model="numpy")
 
 
 @njit(forceinline=True, error_model="numpy")
-def settled(state, u, r, a, b2, w1, w2, wh, wd):
+def after_jump(state, u, r, a, b2, w1, w2, wh, wd):
     """The state just after a jump of the input to u + r τ: stages without a pole follow at once."""
     v, y, s, e, z, d = state
     corner = a / b2
@@ -60,14 +64,6 @@ def slope_bound(state, u, r, a, b2, w1, w2, wh, wd):
 
 
 @njit(forceinline=True, error_model="numpy")
-def light_integral(light, rate, start, end):
-    """∫ light · exp(rate τ) dτ from start to end."""
-    x = rate * (end - start)
-    mean = 1.0 + x * (0.5 + x * (1.0 / 6.0 + x / 24.0)) if abs(x) < 1e-3 else np.expm1(x) / x
-    return light * np.exp(rate * start) * (end - start) * mean
-
-
-@njit(forceinline=True, error_model="numpy")
 def cubic(p, h, f0, f1, s0, s1):
     """(value, slope) at the fraction p of a cubic over length h with these end values and slopes."""
     q = 1.0 - p
@@ -78,9 +74,9 @@ def cubic(p, h, f0, f1, s0, s1):
 
 @njit(forceinline=True, error_model="numpy")
 def modes(state, u0, r, a, b2, chain):
-    """(1, delays ty, ts, td, ε_y, ε_v, p0, p1, q0, q1, m, m1, n) of `equations.step_two_poles`.
+    """(whether to use them, delays, responses, modes) of `equations.modes_of`.
 
-    A first 0 says that these are not to be used: other chains, and steps that `kernels.advance` takes another way.
+    Not to be used: other chains, and steps that `kernels.advance` takes another way.
     """
     w1, w2, wh, wd, coincide, smooth = chain
     v, y, s, _, _, d = state
@@ -90,14 +86,8 @@ def modes(state, u0, r, a, b2, chain):
     apart = not vectorised.near_coincidence(a, b2, w1, wd, kernels.gap(w1, wd))
     plain = not smooth and not coincide and w2 > PRESENT_BELOW and wh == 0.0 and b2 < PRESENT_BELOW
     plain = plain and wd < PRESENT_BELOW and apart and abs(r * td) < kernels.STEEP
-    ev = v - r
-    ey = y - u0 + r * ty
-    p0, p1 = _low_pass_response(1.0, 0.0, a, b2, w1)
-    q0, q1 = _low_pass_response(p0, p1, a, b2, wd)
-    m = s - u0 + r * ts - p0 * ey - p1 * ev
-    m1 = m * wd / (wd - w1)
-    n = d - u0 + r * td - q0 * ey - q1 * ev - m1
-    return 1.0 if plain else 0.0, ty, ts, td, ey, ev, p0, p1, q0, q1, m, m1, n
+    delays, pq = (ty, ts, td), _responses(a, b2, w1, wd)
+    return plain, delays, pq, _modes_of((v, y, s, d), u0, r, delays, pq, wd / (wd - w1))
 
 
 @njit(cache=True, error_model="numpy")
@@ -105,18 +95,14 @@ def probe(x, step, chain):
     """(reset level, d, dd/dt, bound on |dd/dt| from here on) at x in [0, tau] of the step."""
     state, end, u0, r, tau, a, b2, _, _, amplitudes = step
     w1, w2, wh, wd, coincide, smooth = chain
-    if amplitudes[0] > 0.0 and 0.0 < x < tau:
-        _, ty, ts, td, ey, ev, p0, p1, q0, q1, m, m1, n = amplitudes
-        f1, f2, g = kernels.photoreceptor_factors(a, b2, x)
-        k1, kd = np.exp(-w1 * x), np.exp(-wd * x)
-        ey, ev = f1 * ey + g * ev, f2 * ev - a * g * ey
-        s = u0 + r * (x - ts) + p0 * ey + p1 * ev + m * k1
-        d = u0 + r * (x - td) + q0 * ey + q1 * ev + m1 * k1 + n * kd
+    usable, delays, pq, own = amplitudes
+    if usable and 0.0 < x < tau:
+        pr, here = kernels.photoreceptor_factors(a, b2, x), u0 + r * x
+        v, y, s, d = _state_of(own, here, r, a, pr, delays, pq, np.exp(-w1 * x), np.exp(-wd * x))
         slope = wd * (s - d)
-        bound = abs(r) + np.sqrt(ev * ev + a * ey * ey)
-        bound = max(bound, abs(slope))
+        bound = max(kernels.photoreceptor_slope_bound(v, y, here, r, a, b2), abs(slope))
         if w1 < PRESENT_BELOW:
-            bound = max(bound, w1 * abs(u0 + r * (x - ty) + ey - s))
+            bound = max(bound, w1 * abs(y - s))
         return s, d, slope, bound
     if smooth:
         h0, h1, d0, d1 = state[3] - state[4], end[3] - end[4], state[5], end[5]
@@ -158,6 +144,6 @@ def change(x, d, slope, step, wd, reset):
     drift = leak * (x - x0)
     drift_slope = leak
     if parasitic > 0.0:
-        drift += parasitic * light_integral(step[7], step[8], x0, x)
+        drift += parasitic * light_integral(step[7] * np.exp(step[8] * x0), step[8], x - x0)
         drift_slope += parasitic * step[7] * np.exp(step[8] * x)
     return d - level - fading + drift, slope + fading_slope + drift_slope, fading, drift

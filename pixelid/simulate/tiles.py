@@ -11,7 +11,7 @@ import numpy as np
 from numba import njit
 
 from pixelid.dynamics import kernels, vectorised
-from pixelid.dynamics.equations import PRESENT_BELOW
+from pixelid.dynamics.equations import ABSENT_FOLLOWER, PRESENT_BELOW
 from pixelid.dynamics.slew import slewed_step, smooth_state
 from pixelid.dynamics.vector_math import vexp, vlog
 from pixelid.simulate import chain_step, comparator, random
@@ -19,7 +19,7 @@ from pixelid.simulate.comparator import DECAY, FIELDS, LEVEL, OFF, ON, RELEASE, 
 from pixelid.simulate.crossing import DEPTH
 from pixelid.simulate.laws import Rules
 from pixelid.simulate.light import Block
-from pixelid.simulate.step import light_integral, modes, settled, slope_bound
+from pixelid.simulate.step import after_jump, light_integral, modes, slope_bound
 
 TILE = 512
 LANES = 16  # tiles are multiples of every vector length, so that no pixel falls into a loop's remainder
@@ -39,7 +39,7 @@ class Tiles:
         self._drawn = np.empty(padded, np.int64)
         absent = max(rules.chain[0], rules.chain[3], rules.dynamics.beta) > PRESENT_BELOW
         self._plain = (
-            not rules.slewing and vectorised.applicable(tuple(rules.dynamics)) and not (held and absent)
+            not rules.slewing and vectorised.applicable(rules.dynamics) and not (held and absent)
         )  # a jump moves stages without a pole at once, which the vector form does not do
 
     @property
@@ -59,7 +59,7 @@ class Tiles:
             (block.t, radiance, block.parts, block.before, block.after, block.first, self._held),
             (circuit.dark, circuit.flicker_modulation, 2 * np.pi * circuit.flicker_hz, circuit.flicker_phase),
             (circuit.shot_density, np.uint64(random.stream_key(rules.seed, random.SHOT))),
-            tuple(rules.dynamics), circuit.linearisation == "midpoint", self._plain, rules.rates, rules.chain,
+            rules.dynamics, circuit.linearisation == "midpoint", self._plain, rules.rates, rules.chain,
             rules.laws,
             (circuit.on_threshold, circuit.off_threshold, circuit.mismatch, circuit.noise),
             np.int64(rules.seed), rules.synchronous,
@@ -145,13 +145,13 @@ def _possible(d0, d1, spare, level, decay, kd, on, off, release, drift, t1, flag
 def _general(u0, u1, L0, L1, tau, dynamics, midpoint, rates, chain, begin, end, a, b2, r, spare):
     """As `chain_step.advance`, for any chain, pixel by pixel."""
     w1, w2, wh, wd, coincide, smooth = chain
+    coincide_behind = kernels.cutoffs_coincide(ABSENT_FOLLOWER, w2, wh, wd)
     for i in range(len(a)):
         r[i] = (u1[i] - u0[i]) / tau
-        light = kernels.linearised_at(L0[i], L1[i], midpoint)
-        a[i], b2[i] = dynamics[0] * light, dynamics[1] + dynamics[2] * light
+        a[i], b2[i] = kernels.photoreceptor_rates(dynamics, kernels.linearised_at(L0[i], L1[i], midpoint))
         state = (begin[0, i], begin[1, i], begin[2, i], begin[3, i], begin[4, i], begin[5, i])
         if smooth:
-            after = slewed_step(state, u0[i], r[i], tau, a[i], b2[i], rates)
+            after = slewed_step(state, u0[i], r[i], tau, a[i], b2[i], rates, coincide, coincide_behind)
             h0, h1 = smooth_state(state, rates), smooth_state(after, rates)
             s0, s1 = h0[0], h1[0]
             if wd < PRESENT_BELOW:
@@ -159,7 +159,7 @@ def _general(u0, u1, L0, L1, tau, dynamics, midpoint, rates, chain, begin, end, 
             # a cubic exceeds its end values by at most 4/27 of the length times the slopes that point outward
             spare[i] = 0.5 * abs(h1[5] - h0[5]) + 4.0 / 27.0 * tau * (abs(s0) + abs(s1))
         else:
-            state = settled(state, u0[i], r[i], a[i], b2[i], w1, w2, wh, wd)
+            state = after_jump(state, u0[i], r[i], a[i], b2[i], w1, w2, wh, wd)
             after = kernels.advance(state, u0[i], r[i], tau, a[i], b2[i], w1, w2, wh, wd, coincide)
             spare[i] = 0.5 * tau * slope_bound(state, u0[i], r[i], a[i], b2[i], w1, w2, wh, wd)
             for j in range(6):
@@ -196,14 +196,15 @@ def _tile(
     dark, modulation, omega, phase = light
     density, key = noise
     wh, wd, smooth = chain[2], chain[3], chain[5]
-    _, leak, parasitic, growth, _, _ = laws
+    _, leak, parasitic, growth, _, _, _ = laws
     size = states.shape[1]
     begin, end, local, count_drawn = states.copy(), states.copy(), comparators.copy(), drawn.copy()
     work = np.empty((chain_step.WORK_ROWS, size))
     L0, L1, u0, u1, lf0, lf1 = (
         np.empty(size), np.empty(size), np.empty(size), np.empty(size), np.empty(size), np.empty(size)
     )  # fmt: skip
-    a, b2, r, spare, flag = np.empty(size), np.empty(size), np.empty(size), np.empty(size), np.empty(size)
+    c = np.empty((vectorised.COEFFICIENTS, size))
+    a, b2, r, spare, flag = c[0], c[1], np.empty(size), np.empty(size), np.empty(size)
     xi, xi_spare = np.empty(size), np.empty(size)
     on, off = np.empty(size), np.empty(size)
     which, old_level, old_decay = np.empty(size, np.int64), np.empty(size), np.empty(size)
@@ -265,7 +266,7 @@ def _tile(
                 _add_noise(xi, L1, density / (length + length_after), u1)
             # all pixels advance
             if plain:
-                chain_step.advance(u0, u1, L0, L1, tau, dynamics, midpoint, begin, end, a, b2, r, spare, work)
+                chain_step.advance(u0, u1, L0, L1, tau, dynamics, midpoint, begin, end, c, r, spare, work)
             else:
                 _general(u0, u1, L0, L1, tau, dynamics, midpoint, rates, chain, begin, end, a, b2, r, spare)
             # which of them may fire
@@ -290,7 +291,7 @@ def _tile(
             if parasitic > 0.0:
                 for i in range(live):
                     light_rate = np.log(L1[i] / L0[i]) / tau
-                    local[LEVEL, i] -= parasitic * light_integral(L0[i], light_rate, 0.0, tau)
+                    local[LEVEL, i] -= parasitic * light_integral(L0[i], light_rate, tau)
             if leak > 0.0:
                 _lowered(local[LEVEL], leak * tau)
             for j in range(possible):

@@ -29,6 +29,7 @@ class Circuit:
     beta: float = math.nan
     gamma: float = math.nan
     corner: float = math.nan  # one pole: ωc = corner · L
+    bandwidth_floor: float = 0.0  # added to the radiance that sets the rates, not to ln L
     # source follower
     follower: float = math.inf
     extra_pole: float = math.inf
@@ -45,6 +46,7 @@ class Circuit:
     mismatch: float = 0.0  # pixel-to-pixel standard deviation, relative to the threshold
     noise: float = 0.0  # event-to-event standard deviation, relative to the threshold
     threshold_drift: float = 0.0  # relative, per second
+    polarity_memory: float = 0.0  # relative, of the threshold of the polarity before
     refractory: float = 0.0
     hot_count: int = 0
     hot_hz: float = 0.0

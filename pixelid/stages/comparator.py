@@ -19,6 +19,15 @@ def apply(circuit: Circuit, values: Mapping[str, float]) -> Circuit:
     return circuit.with_(on_threshold=values["on_threshold"], off_threshold=values["off_threshold"])
 
 
+def threshold_factors(circuit: Circuit, before):
+    """(ON, OFF) what a pixel's thresholds are multiplied by after an event of polarity `before`.
+
+    before: +1, −1, or 0 where there was none; a number or an array
+    """
+    memory = circuit.polarity_memory * before
+    return 1.0 + memory, 1.0 - memory
+
+
 class ThresholdMismatch(Effect):
     name = "threshold_mismatch"
     stage = "comparator"
@@ -36,7 +45,7 @@ class ThresholdNoise(Effect):
     stage = "comparator"
     sentence = "The threshold of a pixel varies from event to event."
     equation = "C → C (1 + σ ξ), one draw per event and polarity"
-    source = "DESIGN §4"
+    source = "docs/model.md: one Gaussian draw per event; Lichtsteiner, Posch & Delbruck, JSSC 2008"
     parameters = (Parameter("threshold_sigma", 0.04, "1", 1e-5, 1.0, "log"),)
 
     def apply(self, circuit: Circuit, values: Mapping[str, float]) -> Circuit:
@@ -48,11 +57,23 @@ class ThresholdDrift(Effect):
     stage = "comparator"
     sentence = "Thresholds drift during the recording."
     equation = "C(t) = C (1 + d t)"
-    source = "DESIGN §6"
+    source = "docs/model.md: to first order in time"
     parameters = (Parameter("threshold_drift.per_s", 0.05, "1/s", -10.0, 10.0, "linear"),)
 
     def apply(self, circuit: Circuit, values: Mapping[str, float]) -> Circuit:
         return circuit.with_(threshold_drift=values["threshold_drift.per_s"])
+
+
+class PolarityMemory(Effect):
+    name = "polarity_memory"
+    stage = "comparator"
+    sentence = "A threshold depends on the polarity of the pixel's previous event."
+    equation = "C_p → C_p (1 + strength · p · p_before); a pixel's first event sees C_p"
+    source = "what an incomplete reset of either sign leaves behind, to first order; strength to be measured"
+    parameters = (Parameter("polarity_memory.strength", 0.05, "1", -0.5, 0.5, "linear"),)
+
+    def apply(self, circuit: Circuit, values: Mapping[str, float]) -> Circuit:
+        return circuit.with_(polarity_memory=values["polarity_memory.strength"])
 
 
 class RefractoryPeriod(Effect):
@@ -60,7 +81,7 @@ class RefractoryPeriod(Effect):
     stage = "comparator"
     sentence = "After each event the pixel is held in reset for a dead time."
     equation = "no event and no integration for refractory_s after an event"
-    source = "Lichtsteiner, Posch & Delbruck, JSSC 2008; DESIGN §1"
+    source = "Lichtsteiner, Posch & Delbruck, JSSC 2008"
     parameters = (Parameter("refractory_s", 1e-4, "s", 1e-8, 1.0, "log"),)
 
     def apply(self, circuit: Circuit, values: Mapping[str, float]) -> Circuit:
@@ -72,7 +93,7 @@ class HotPixels(Effect):
     stage = "comparator"
     sentence = "A few pixels fire regardless of the light."
     equation = "count pixels fire extra ON events as a Poisson process at rate_hz"
-    source = "DESIGN §6"
+    source = "docs/model.md: a Poisson process of its own"
     parameters = (
         Parameter("hot_pixels.rate_hz", 100.0, "Hz", 1e-3, 1e6, "log"),
         Parameter("hot_pixels.count", 1.0, "pixels", 0.0, 1e7, "linear", free=False),
@@ -82,4 +103,4 @@ class HotPixels(Effect):
         return circuit.with_(hot_hz=values["hot_pixels.rate_hz"], hot_count=round(values["hot_pixels.count"]))
 
 
-EFFECTS = (ThresholdMismatch(), ThresholdNoise(), ThresholdDrift(), RefractoryPeriod(), HotPixels())
+EFFECTS = (ThresholdMismatch(), ThresholdNoise(), ThresholdDrift(), PolarityMemory(), RefractoryPeriod(), HotPixels())

@@ -10,6 +10,19 @@ from pixelid.stages.circuit import Circuit
 from pixelid.stages.effect import Effect
 
 
+def leaked(circuit: Circuit, duration_s, light):
+    """What drifts into the change, in ON thresholds, over a time; light: ∫ L dt over it [s · radiance].
+
+    Linear in both, so `leaked(circuit, 1.0, L)` is the rate of drift [1/s] under radiance L.
+    """
+    return circuit.leak_hz * duration_s + circuit.leak_hz_per_radiance * light
+
+
+def leaks(circuit: Circuit) -> bool:
+    """Whether anything drifts into the change."""
+    return leaked(circuit, 1.0, 0.0) != 0 or leaked(circuit, 0.0, 1.0) != 0
+
+
 class DifferencingPole(Effect):
     name = "differencing_pole"
     stage = "differencing"

@@ -11,7 +11,7 @@ from pixelid.stages.circuit import Circuit
 
 
 class Effect(ABC):
-    """One effect of DESIGN §6.  Subclasses are final; an instance has no state.
+    """One effect of the library.  Subclasses are final; an instance has no state.
 
     name: the stable identifier;  stage: where it sits on the signal path;
     sentence: one line for the report;  equation, source: what it does and who says so;

@@ -39,7 +39,7 @@ class MainsFlicker(Effect):
     stage = "photocurrent"
     sentence = "Mains-driven lamps modulate the light at twice the mains frequency."
     equation = "L → L (1 + m sin(2π f t + φ))"
-    source = "DESIGN §6 (f = 100 or 120 Hz)"
+    source = "docs/model.md (f = 100 or 120 Hz)"
     parameters = (
         Parameter("mains_flicker.modulation", 0.05, "1", 1e-5, 0.95, "log"),
         Parameter("mains_flicker.frequency_hz", 100.0, "Hz", 1.0, 1e4, "log", free=False),

@@ -2,7 +2,7 @@
 
     d²y/dt² + (β + γL) dy/dt + αL y = αL ln L
 
-In low light (τ_out ≪ τ_in + τ_mil) one pole at ωc = (α/β) L remains (DESIGN §1).
+In low light (τ_out ≪ τ_in + τ_mil) one pole at ωc = (α/β) L remains.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ NOMINAL = Physical(A_amp=140.0, A_loop=98.0, tau_out=1815e-6, q_in=0.875, q_mil=
 _ALPHA, _BETA, _GAMMA = NOMINAL.invariants()
 
 SECOND_ORDER = (
-    Parameter("alpha", _ALPHA, "1/s²/radiance", 1e-6, 1e15, "log", source="DVS128 nominal, DESIGN §2"),
-    Parameter("beta", _BETA, "1/s", 1e-3, 1e9, "log", source="DVS128 nominal, DESIGN §2"),
-    Parameter("gamma", _GAMMA, "1/s/radiance", 1e-9, 1e9, "log", source="DVS128 nominal, DESIGN §2"),
+    Parameter("alpha", _ALPHA, "1/s²/radiance", 1e-6, 1e15, "log", source="DVS128 nominal"),
+    Parameter("beta", _BETA, "1/s", 1e-3, 1e9, "log", source="DVS128 nominal"),
+    Parameter("gamma", _GAMMA, "1/s/radiance", 1e-9, 1e9, "log", source="DVS128 nominal"),
 )
 ONE_POLE = (
     Parameter("alpha_over_beta", _ALPHA / _BETA, "rad/s/radiance", 1e-6, 1e12, "log", source="DVS128 nominal α/β"),
@@ -58,4 +58,18 @@ class SecondOrderPhotoreceptor(Effect):
         return apply("second_order", circuit, values)
 
 
-EFFECTS = (SecondOrderPhotoreceptor(),)
+class BandwidthFloor(Effect):
+    name = "bandwidth_floor"
+    stage = "photoreceptor"
+    sentence = "The photoreceptor's bandwidth does not fall below a floor in low light."
+    equation = "rates α (L + floor) and β + γ (L + floor); ln L without the floor"
+    source = "Hu, Liu & Delbruck, CVPRW 2021, arXiv 2006.07722 (v2e: low-pass of corner ∝ L + 20 of 255 grey levels)"
+    parameters = (Parameter("bandwidth_floor.radiance", 20.0, "radiance", 1e-6, 1e6, "log"),)
+
+    def apply(self, circuit: Circuit, values: Mapping[str, float]) -> Circuit:
+        if circuit.photoreceptor == "unlimited":
+            raise InputError("bandwidth_floor: a photoreceptor without a bandwidth limit has no floor of it")
+        return circuit.with_(bandwidth_floor=values["bandwidth_floor.radiance"])
+
+
+EFFECTS = (SecondOrderPhotoreceptor(), BandwidthFloor())

@@ -14,7 +14,7 @@ class ReadoutLatency(Effect):
     stage = "readout"
     sentence = "One arbiter serves all pixels: events queue and are stamped when they leave."
     equation = "departure_k = max(arrival_k, departure_{k−1}) + service_s, first come first served"
-    source = "DESIGN §6"
+    source = "Finateu et al., ISSCC 2020 (shared readout of an array); docs/model.md"
     parameters = (Parameter("readout_latency.service_s", 1e-6, "s", 1e-10, 1e-1, "log"),)
 
     def apply(self, circuit: Circuit, values: Mapping[str, float]) -> Circuit:
@@ -26,7 +26,7 @@ class TimestampJitter(Effect):
     stage = "readout"
     sentence = "Timestamps jitter."
     equation = "t → t + σ ξ"
-    source = "DESIGN §6"
+    source = "docs/model.md: noise of the time stamp, whatever its cause"
     parameters = (Parameter("timestamp_jitter.sigma_s", 5e-5, "s", 1e-10, 1e-1, "log"),)
 
     def apply(self, circuit: Circuit, values: Mapping[str, float]) -> Circuit:
@@ -38,7 +38,7 @@ class TimestampQuantisation(Effect):
     stage = "readout"
     sentence = "Timestamps sit on a grid: a clock tick or a readout scan."
     equation = "t → tick · round(t / tick)"
-    source = "DESIGN §6"
+    source = "docs/model.md: the clock of the time stamp"
     parameters = (Parameter("timestamp_quantisation.tick_s", 1e-6, "s", 1e-9, 1e-1, "log", free=False),)
 
     def apply(self, circuit: Circuit, values: Mapping[str, float]) -> Circuit:

@@ -27,7 +27,7 @@ class ExtraPole(Effect):
     stage = "source_follower"
     sentence = "One more first-order pole after the source follower."
     equation = "d ye/dt = ωe (ysf − ye)"
-    source = "DESIGN §6"
+    source = "docs/model.md: a chain of poles behind the photoreceptor"
     parameters = (Parameter("extra_pole.cutoff_hz", 1500.0, "Hz", 1e-2, 1e7, "log"),)
 
     def apply(self, circuit: Circuit, values: Mapping[str, float]) -> Circuit:
@@ -39,7 +39,7 @@ class SlewLimit(Effect):
     stage = "source_follower"
     sentence = "Large steps are slew-limited: the follower's rate is capped, differently up and down."
     equation = "d ysf/dt = clip(ωsf (y − ysf), −fall, +rise)"
-    source = "DESIGN §6"
+    source = "docs/model.md: a bias current that charges a load"
     parameters = (
         Parameter("slew_limit.rise_per_s", 3000.0, "1/s", 1e-2, 1e9, "log"),
         Parameter("slew_limit.fall_per_s", 3000.0, "1/s", 1e-2, 1e9, "log"),
@@ -54,7 +54,7 @@ class LowerCutoff(Effect):
     stage = "source_follower"
     sentence = "A first-order high-pass lets slow changes fade before they reach a threshold."
     equation = "dz/dt = ωhp (ysf − z), output ysf − z"
-    source = "Low & Lee, arXiv 2409.17988, supplement; DESIGN §1"
+    source = "Low & Lee, arXiv 2409.17988, supplement"
     parameters = (Parameter("lower_cutoff.cutoff_hz", 0.5, "Hz", 1e-5, 1e4, "log"),)
 
     def apply(self, circuit: Circuit, values: Mapping[str, float]) -> Circuit:

@@ -121,7 +121,7 @@ def session(levels=(3.0, 24.0, 400.0), seed=0) -> dict[str, Stimulus]:
     """A calibration session, condition → stimulus: chirp, steps, slow and constant light at each radiance level.
 
     Chirps reach past the bandwidth, steps and slow light separate thresholds, leak and asymmetry, and several levels
-    separate α, β and γ (DESIGN §2, §6).  A chirp ends at 40 √level Hz (20 Hz to
+    separate α, β and γ (docs/model.md, "Invariants").  A chirp ends at 40 √level Hz (20 Hz to
     5 kHz), where the pixel no longer follows it.
     """
     conditions = {}

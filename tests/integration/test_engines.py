@@ -10,7 +10,6 @@ from pixelid.fit.coordinates import Coordinates
 from pixelid.fit.engines import ENGINES, engine
 from pixelid.fit.event_times import EventTimesObjective
 from pixelid.fit.newton import maximise
-from pixelid.likelihood.density import NUMBERS, density
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.model.shipped import find_model
 from pixelid.simulate import simulate
@@ -74,6 +73,27 @@ def test_engines_agree_with_every_effect_of_the_expression():
         np.testing.assert_allclose(gradients[2] * error, gradients[0] * error, atol=2e-3)
 
 
+@pytest.mark.parametrize("effects", [(), *((name,) for name in EVERYTHING), EVERYTHING])
+def test_the_symbolic_form_equals_the_compiled_density_with_its_gradient(effects):
+    """Also with timestamp noise counted at the reset, and with factors of the thresholds."""
+    objective = objective_of(effects)
+    x = objective.coordinates.start + 0.01 * objective.coordinates.longest_moves()
+    weighed = objective.likelihood.weighed(objective.coordinates.circuit(x))
+    factor = np.exp(0.02 * np.random.default_rng(1).normal(size=weighed.events))
+    objective = EventTimesObjective(weighed.with_threshold_factor(factor), objective.coordinates)
+    assert objective.terms(x).layout.groups > objective.terms(x).layout.pixels > 1
+    casadi = engine("casadi")
+    assert casadi.value(objective, x) == pytest.approx(objective.value(x), rel=1e-8)
+    compiled, symbolic = objective.gradient(x), casadi.gradient(objective, x)
+    error = 1.0 / np.sqrt(np.maximum(np.diag(objective.local(x).information), 1e-12))
+    in_density = ("threshold_sigma", "threshold_mismatch.sigma", "threshold_drift.per_s", "timestamp_jitter.sigma_s")
+    for i, name in enumerate(objective.coordinates.names):
+        if name.endswith("_threshold") or name in in_density:  # no changes between them: no difference quotients
+            assert compiled[i] == pytest.approx(symbolic[i], rel=1e-8, abs=1e-8 / error[i]), name
+        else:
+            assert compiled[i] * error[i] == pytest.approx(symbolic[i] * error[i], abs=1e-3), name
+
+
 def test_symbolic_gradient_and_hessian_equal_differences(plain, optimum):
     x = optimum.x + 0.02
     casadi = engine("casadi")
@@ -107,23 +127,6 @@ def test_engines_find_the_same_optimum(plain, optimum, name, options):
     sd = np.sqrt(np.diag(np.linalg.inv(optimum.local.information)))
     assert found.converged
     assert np.abs((found.x - optimum.x) / sd).max() < 1e-3
-
-
-def test_density_gradient_equals_complex_steps(plain):
-    objective = objective_of(EVERYTHING)
-    likelihood = objective.likelihood
-    circuit = objective.coordinates.model.circuit()
-    gathered = likelihood.gathered(circuit)
-    here = density(likelihood, circuit, gathered)
-    assert here.total == pytest.approx(float(likelihood.terms(circuit, gathered).total), rel=1e-12)
-    along = np.random.default_rng(0).normal(size=len(gathered)) * np.abs(gathered)
-    along[6 * likelihood.events : 7 * likelihood.events] = 0.0
-    total = likelihood.terms(circuit, gathered + 1e-30j * along).total
-    assert here.by_change @ along == pytest.approx(np.imag(total) / 1e-30, rel=1e-9)
-    for i, name in enumerate(NUMBERS):
-        stepped = circuit.with_(**{name: complex(getattr(circuit, name), 1e-30)})
-        total = likelihood.terms(stepped, gathered.astype(complex)).total
-        assert here.by_number[i] == pytest.approx(np.imag(total) / 1e-30, rel=1e-9)
 
 
 def test_effects_without_an_expression_are_refused_and_fitted_compiled():

@@ -65,6 +65,30 @@ def test_own_session_lies_within_its_intervals(session):
     assert misses <= 3
 
 
+@pytest.mark.parametrize(
+    ("base", "effect", "parameter", "value"),
+    [
+        ("dvs128_low_light", "bandwidth_floor", "bandwidth_floor.radiance", 12.0),
+        ("dvs128", "polarity_memory", "polarity_memory.strength", 0.08),
+        ("dvs128", "polarity_memory", "polarity_memory.strength", -0.08),
+    ],
+)
+def test_an_effect_that_was_simulated_is_recovered_within_its_interval(base, effect, parameter, value):
+    truth = find_model(base).with_effect(effect, {parameter: value})
+    stimuli = [
+        chirp(level=4.0, duration_s=0.4, stop_hz=200.0),
+        chirp(level=60.0, duration_s=0.4, stop_hz=400.0),
+        steps(level=12.0, duration_s=0.3),
+    ]
+    recordings = [simulate(truth, s, width=3, height=2, seed=11) for s in stimuli]
+    start = truth.set({parameter: 0.7 * value})
+    result = fit(recordings, start, starts=1, between="linear")
+    assert result.status == "converged"
+    low, high = result.estimates[parameter].interval_95
+    assert low < value < high
+    assert high - low < abs(value)
+
+
 def test_fixed_parameters_stay_and_priors_pull(session):
     truth, recordings = session
     held = DVS128.fix({"gamma": truth.values["gamma"], "diff_cutoff_hz": truth.values["diff_cutoff_hz"]})

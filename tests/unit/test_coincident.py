@@ -24,7 +24,7 @@ def step_error(dynamics, dt, rng):
     e = state.get("extra_pole", s)
     z = state.get("lower_cutoff", 0.0)
     full = (state.get("photoreceptor_slope", 0.0), y, s, e, z, state.get("differencing", e - z))
-    cutoffs = dynamics.uniform()[3:]
+    cutoffs = dynamics.uniform()[3:7]
     coincide = kernels.cutoffs_coincide(*cutoffs)
     a, b2 = dynamics.alpha, dynamics.beta + dynamics.gamma
     got = kernels.advance(full, u0, (u1 - u0) / dt, dt, a, b2, *cutoffs, coincide)

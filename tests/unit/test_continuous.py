@@ -67,7 +67,7 @@ def test_casadi_cvodes(name, fine):
     import casadi as ca
 
     order, _ = right_hand_side(ORDERS[name])
-    x, t, p = ca.MX.sym("x", order), ca.MX.sym("t"), ca.MX.sym("p", 7)
+    x, t, p = ca.MX.sym("x", order), ca.MX.sym("t"), ca.MX.sym("p", len(Dynamics._fields))
     dx = casadi_function(ORDERS[name])(x, log_radiance(t, ca.sin, ca.log), p)
     options = {"reltol": 1e-10, "abstol": 1e-11, "max_num_steps": 100_000}
     solver = ca.integrator("pixel", "cvodes", {"x": x, "t": t, "p": p, "ode": dx}, 0.0, GRID[1:], options)
@@ -94,6 +94,7 @@ def test_torch_gradient_and_batch():
     v, y, s, d = x.unbind(-1)
     light = float(np.exp(3.0))
     expected = [light * (3 - y).sum(), -v.sum(), -light * v.sum(), (y - s).sum(), 0.0, 0.0, (s - d).sum()]
+    expected.append(PIXEL.alpha * (3 - y).sum() - PIXEL.gamma * v.sum())
     np.testing.assert_allclose(f.values.grad, [float(value) for value in expected], rtol=1e-12)
 
 

@@ -2,8 +2,10 @@
 
 import numpy as np
 import pytest
+from numba import njit
 from scipy.integrate import solve_ivp
 
+from pixelid.dynamics import kernels
 from pixelid.dynamics.equations import ABSENT_DIFFERENCING, ABSENT_EXTRA, ABSENT_FOLLOWER
 from pixelid.dynamics.hold import first_order_hold
 from pixelid.dynamics.trajectory import STAGES, Dynamics, integrate
@@ -19,7 +21,7 @@ OUTPUTS = {
 
 
 def stimulus(kind, parameters, t):
-    """Log radiance of an oracle case, by its kind (kept with the numbers of `oracle/pixel_trajectories.npz`)."""
+    """Log radiance of an oracle case."""
     level, f, m, end = parameters
     phase = 2 * np.pi * f * t
     logistic = 1 / (1 + np.exp(-(t - end / 4) / (0.002 * end)))
@@ -68,7 +70,7 @@ def test_order_of_convergence(shared, case, linearisation, order, within):
 @pytest.mark.parametrize("dynamics", [PIXEL, FULL], ids=["plain", "full"])
 def test_against_dop853(dynamics):
     """The equations written out once more, solved adaptively at rtol 1e-12."""
-    alpha, beta, gamma, w1, w2, wh, wd = dynamics
+    alpha, beta, gamma, w1, w2, wh, wd, _ = dynamics
     plain = wh == 0
 
     def log_radiance(t):
@@ -90,19 +92,42 @@ def test_against_dop853(dynamics):
         assert states[STAGES.index(stage)] == pytest.approx(exact[STAGES.index(stage)], abs=1e-8)
 
 
+@njit(error_model="numpy")
+def stepped_scan(t, u, light, values):
+    """The scan by the step of `kernels` on complex numbers; light: (n − 1,) where each step is linearised."""
+    alpha, beta, gamma, w1, w2, wh, wd, floor = values
+    states = np.empty((len(t), 6), np.complex128)
+    zero = 0j
+    rest = u[0] if wh.real > 0 else zero
+    state = (zero, u[0], u[0], u[0], rest, u[0] - rest)
+    coincide = kernels.cutoffs_coincide(w1, w2, wh, wd)
+    for k in range(len(t)):
+        if k > 0:
+            tau, seen = t[k] - t[k - 1], light[k - 1] + floor
+            r = (u[k] - u[k - 1]) / tau
+            state = kernels.advance(
+                state, u[k - 1], r, tau, alpha * seen, beta + gamma * seen, w1, w2, wh, wd, coincide
+            )
+        for j in range(6):
+            states[k, j] = state[j]
+    return states
+
+
 @pytest.mark.parametrize("field", Dynamics._fields)
 @pytest.mark.parametrize("coincident", [False, True])
 def test_complex_step_derivatives(field, coincident):
     """d states / d ln parameter by complex steps, against fourth-order central differences."""
     t = np.linspace(0, 0.01, 201)
     radiance = 24 * np.exp(0.8 * np.sin(700 * t))
-    base = FULL._replace(differencing=FULL.follower) if coincident else FULL
+    base = FULL._replace(floor=5.0)
+    base = base._replace(differencing=FULL.follower) if coincident else base
     value = getattr(base, field)
 
     def states(factor):
         return integrate(t, radiance, base._replace(**{field: value * factor})).states
 
-    exact = states(1 + 1e-30j).imag / 1e-30
+    stepped = np.array([complex(x, 1e-30 * x if name == field else 0.0) for name, x in base._asdict().items()])
+    exact = stepped_scan(t, np.log(radiance) + 0j, np.sqrt(radiance[1:] * radiance[:-1]), stepped).imag / 1e-30
     h = 1e-3
     central = (8 * (states(1 + h) - states(1 - h)) - states(1 + 2 * h) + states(1 - 2 * h)) / (12 * h)
     scale = np.abs(central).max(axis=0) + 1e-6
@@ -110,13 +135,20 @@ def test_complex_step_derivatives(field, coincident):
     assert np.abs(exact[:, 5]).max() > 1e-6
 
 
-def test_real_and_complex_scans_agree():
+def test_vector_and_scalar_scans_agree():
     """The vector form of the plain pixel is the scalar form, to rounding."""
     t = np.cumsum(np.random.default_rng(0).exponential(2e-5, 3000))
     radiance = np.exp(2 + 2 * np.sin(900 * t))
     for dynamics in (PIXEL, Dynamics.low_light(33.0, follower=2e4, differencing=1e5), FULL):
-        real, complex_ = integrate(t, radiance, dynamics), integrate(t, radiance + 0j, dynamics)
-        assert np.abs(real.states[:, 1:] - complex_.states[:, 1:].real).max() < 1e-11
+        run, scalar = integrate(t, radiance, dynamics), np.empty((len(t), 6))
+        kernels.scan(t, np.log(radiance), radiance, dynamics.uniform(), True, scalar)
+        assert np.abs(run.states[:, 1:] - scalar[:, 1:]).max() < 1e-11
+        between, there = t[:-1] + 0.3 * np.diff(t), np.empty((len(t) - 1, 6))
+        kernels.states_at(
+            between, np.arange(len(t) - 1), t, np.log(radiance), radiance, dynamics.uniform(), True, scalar, there
+        )
+        assert np.abs(run.at(between)[:, 1:4] - there[:, 1:4]).max() < 1e-11
+        assert np.abs(run.at(between)[:, 5] - there[:, 5]).max() < 1e-11
 
 
 @pytest.mark.parametrize("dynamics", [PIXEL, FULL], ids=["plain", "full"])

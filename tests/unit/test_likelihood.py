@@ -6,6 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from oracles import event_time_density as plain
+from oracles.changes import plain_changes
+from oracles.event_time_density import log_ndtr
 from scipy.integrate import quad, solve_ivp
 from scipy.stats import norm
 
@@ -14,12 +17,14 @@ from pixelid.dynamics.trajectory import integrate
 from pixelid.errors import InputError
 from pixelid.fit.coordinates import Coordinates
 from pixelid.fit.event_times import EventTimesObjective
-from pixelid.likelihood.changes import ChangeEvaluator
-from pixelid.likelihood.event_times import STRAY_HZ, EventTimes
-from pixelid.likelihood.normal import log_ndtr
+from pixelid.likelihood.changes import PER_EVENT, PER_PIXEL, ChangeEvaluator
+from pixelid.likelihood.density import BACKGROUND_HZ, NUMBERS
+from pixelid.likelihood.event_times import EventTimes
+from pixelid.likelihood.layout import EndRows, EventRows
 from pixelid.likelihood.sequences import sequences
 from pixelid.model.shipped import find_model
 from pixelid.recordings import Events, Recording
+from pixelid.simulate import simulate
 from pixelid.stimuli.stimulus import Stimulus
 
 MODEL = find_model("dvs128")
@@ -42,11 +47,11 @@ def recording_of(times_s, polarities, stimulus, pixels=None, width=4):
 
 
 def brute_force_change(circuit, stimulus, t_previous, t_event):
-    """change(t_event) of DESIGN §1 by an adaptive ODE solver on the same piecewise log-linear light."""
+    """change(t_event) by an adaptive ODE solver on the same piecewise log-linear light."""
     u = lambda t: np.interp(t, stimulus.t, np.log(stimulus.radiance))  # noqa: E731
 
     def rhs(t, x):
-        light = np.exp(u(t))
+        light = np.exp(u(t)) + circuit.bandwidth_floor
         v, y, s, d = x
         return [
             circuit.alpha * light * (u(t) - y) - (circuit.beta + circuit.gamma * light) * v,
@@ -73,6 +78,58 @@ def test_changes_equal_an_adaptive_solver_and_the_leak_integral():
         assert changes.change[k] == pytest.approx(brute_force_change(circuit, stimulus, a, b), abs=2e-6)
         light = quad(lambda t: np.interp(t, stimulus.t, stimulus.radiance), a + 1e-4, b, epsabs=1e-9, limit=500)[0]
         assert changes.drift[k] == pytest.approx(3.0 * (b - a - 1e-4) + 0.02 * light, rel=1e-4)
+
+
+def test_changes_with_a_bandwidth_floor_equal_an_adaptive_solver():
+    """A floor enters the rates of the photoreceptor, not ln L."""
+    stimulus = sine_light(level=8.0, duration=0.05)
+    circuit = MODEL.circuit().with_(bandwidth_floor=20.0)
+    recording = recording_of([0.0101, 0.0153, 0.0302], [1, 1, 0], stimulus)
+    changes = ChangeEvaluator(recording, sequences(recording))(circuit)
+    for k, (a, b) in enumerate([(0.0101, 0.0153), (0.0153, 0.0302)]):
+        assert changes.change[k] == pytest.approx(brute_force_change(circuit, stimulus, a, b), abs=2e-6)
+        without = brute_force_change(circuit.with_(bandwidth_floor=0.0), stimulus, a, b)
+        assert abs(changes.change[k] - without) > 1e-2
+
+
+def test_polarity_memory_scales_each_level_by_its_own_threshold():
+    """Each polarity q is held against C_q (1 + strength · q · before): the event's, the other's, the censored ones'."""
+    model, recordings = small_session()
+    plain, strength = model.circuit(), 0.2
+    evaluator = ChangeEvaluator(recordings[0], sequences(recordings[0]))
+    iv = evaluator.intervals
+    memory = plain.with_(polarity_memory=strength)
+    found = evaluator(memory)
+    # every extreme, whether or not it comes near a threshold
+    without = plain_changes(evaluator, plain)
+    same = np.array([1.0 + strength * p * q for p, q in zip(iv.sign, iv.previous_sign, strict=True)])
+    other = np.array([1.0 - strength * p * q for p, q in zip(iv.sign, iv.previous_sign, strict=True)])
+    assert {1.2, 0.8} == set(same)
+    np.testing.assert_allclose(found.change, without["change"] / same, rtol=0, atol=1e-10)
+    np.testing.assert_allclose(found.slope, without["slope"] / same, rtol=1e-9, atol=1e-6)
+    looked_for = found.opposite != 0
+    assert looked_for.sum() > 5
+    np.testing.assert_allclose(found.opposite[looked_for], (without["opposite"] / other)[looked_for], atol=1e-10)
+    assert (found.opposite[~looked_for] < 0.5).all()
+    np.testing.assert_allclose(found.rise, without["rise"] / (1.0 + strength * iv.last_sign), atol=1e-10)
+    np.testing.assert_allclose(found.fall, without["fall"] / (1.0 - strength * iv.last_sign), atol=1e-10)
+
+
+def test_levels_of_a_pixel_with_polarity_memory_scatter_about_one_threshold():
+    """After events of either polarity, under the truth; and not where the memory is left out."""
+    truth = MODEL.without_effect("threshold_mismatch").with_effect("polarity_memory", {"strength": 0.1})
+    stimulus = sine_light(frequency=15.0, duration=1.0)
+    likelihood = EventTimes([simulate(truth, stimulus, width=4, height=4, seed=3, as_sampled=True)])
+    before = np.concatenate([iv.previous_sign for iv in likelihood.intervals])
+    for sign, threshold in ((1, truth.values["on_threshold"]), (-1, truth.values["off_threshold"])):
+        for earlier in (1, -1):
+            which = (likelihood.sign == sign) & (before == earlier)
+            z = likelihood.terms(truth.circuit()).z[which] / threshold
+            error = truth.values["threshold_sigma"] / np.sqrt(which.sum())
+            assert which.sum() > 100
+            assert abs(z.mean() - 1.0) < 4 * error
+            plain = likelihood.terms(truth.circuit().with_(polarity_memory=0.0)).z[which] / threshold
+            assert abs(plain.mean() - 1.0 - 0.1 * sign * earlier) < 4 * 1.1 * error
 
 
 @pytest.mark.parametrize("ratio", [1.0, 1.00002, 1.003])
@@ -134,23 +191,6 @@ def test_what_the_end_cuts_off_is_held_against_the_threshold_of_then():
         assert log_survival(0.1, change) == pytest.approx(expected, abs=2e-3)
 
 
-@pytest.mark.parametrize("effect", [None, "lower_cutoff", "extra_pole"])
-def test_complex_step_equals_difference_quotient(effect):
-    model = MODEL if effect is None else MODEL.with_effect(effect)
-    stimulus = sine_light(duration=0.05)
-    recording = recording_of([0.01013, 0.01531, 0.03021, 0.04117], [1, 1, 0, 1], stimulus)
-    evaluate = ChangeEvaluator(recording, sequences(recording))
-    for name in [n for n in model.free if "threshold" not in n]:
-        value = model.values[name]
-        stepped = evaluate(model.circuit({name: complex(value, value * 1e-30)})).change.imag / 1e-30
-        h = 1e-4
-        quotient = (
-            evaluate(model.circuit({name: value * (1 + h)})).change
-            - evaluate(model.circuit({name: value * (1 - h)})).change
-        ) / (2 * h)
-        np.testing.assert_allclose(stepped, quotient, rtol=1e-5, atol=5e-9)
-
-
 def test_density_of_the_next_event_integrates_to_one():
     """ON density + OFF density over all times + chance of no event = 1: rate factor, survival and censoring agree."""
     stimulus = sine_light(level=400.0, frequency=40.0, modulation=0.25, duration=0.06, dt=1e-5)
@@ -166,7 +206,7 @@ def test_density_of_the_next_event_integrates_to_one():
     def conditional(t, p):
         """Density of the event (t, p) after `first`, without the interval after it."""
         terms = log_likelihood([(first, 1), (t, p)])
-        return 0.0 if terms.stray.any() else float(np.exp(terms.total - _censored_part(circuit, t, stimulus)))
+        return 0.0 if terms.background.any() else float(np.exp(terms.total - _censored_part(circuit, t, stimulus)))
 
     def _censored_part(circuit, t, stimulus):
         changes = ChangeEvaluator(r := recording_of([first, t], [1, 1], stimulus), sequences(r))(circuit)
@@ -198,7 +238,6 @@ def test_density_of_the_next_event_integrates_to_one():
 
 
 def small_session(seed=3, effects=()):
-    from pixelid.simulate import simulate
     from pixelid.stimuli.shapes import chirp, steps
 
     model = MODEL.set({"on_threshold": 0.2, "off_threshold": 0.22})
@@ -216,7 +255,7 @@ def test_marginal_threshold_equals_quadrature():
     likelihood = EventTimes(recordings)
     circuit = model.circuit()
     marginal = likelihood.terms(circuit)
-    assert not marginal.stray.any()
+    assert not marginal.background.any()
     for group in range(2 * likelihood.pixels):
         chosen = likelihood.group == group
         if chosen.sum() < 2:
@@ -251,7 +290,7 @@ def test_gradient_and_hessian_against_differences_of_the_value(effects):
     assert np.linalg.eigvalsh(local.information).min() > -1e-9 * np.linalg.eigvalsh(local.information).max()
 
 
-def test_a_stray_event_costs_a_bounded_price():
+def test_a_background_event_costs_a_bounded_price():
     model, recordings = small_session()
     likelihood = EventTimes(recordings)
     base = likelihood.log_likelihood(model.circuit())
@@ -265,15 +304,15 @@ def test_a_stray_event_costs_a_bounded_price():
     spoiled = EventTimes([recordings[0], Recording(extra, recordings[1].stimulus)])
     lost = base - spoiled.log_likelihood(model.circuit())
     terms = spoiled.terms(model.circuit())
-    strays = int(terms.stray.sum())
-    best = np.max((terms.log_rate - np.log(terms.scale))[~terms.stray])  # the log density of the sharpest event
-    assert 1 <= strays <= 4  # the false event, and those whose reference it took away
-    assert 0 < lost < (strays + 1) * (best - np.log(STRAY_HZ))
+    background = int(terms.background.sum())
+    best = np.max((terms.log_rate - np.log(terms.scale))[~terms.background])  # the log density of the sharpest event
+    assert 1 <= background <= 4  # the false event, and those whose reference it took away
+    assert 0 < lost < (background + 1) * (best - np.log(BACKGROUND_HZ))
 
 
-def test_no_event_is_called_stray_under_the_truth():
+def test_no_event_is_called_background_under_the_truth():
     model, recordings = small_session()
-    assert EventTimes(recordings).terms(model.circuit()).stray.sum() == 0
+    assert EventTimes(recordings).terms(model.circuit()).background.sum() == 0
 
 
 def test_log_ndtr_complex_step():
@@ -288,3 +327,94 @@ def test_pooled_or_empty_recordings_are_refused():
         EventTimes([Recording(recording_of([0.01, 0.02], [1, 1], stimulus).events, stimulus, pooled=True)])
     with pytest.raises(InputError, match="two events"):
         EventTimes([recording_of([0.01], [1], stimulus)])
+
+
+def test_a_likelihood_weighed_or_with_factors_is_another_one():
+    model, recordings = small_session(effects=("timestamp_jitter",))
+    circuit = model.circuit()
+    likelihood = EventTimes(recordings)
+    before = likelihood.log_likelihood(circuit)
+    weighed = likelihood.weighed(circuit)
+    assert weighed.clock_share.max() > 1.01
+    np.testing.assert_array_equal(likelihood.clock_share, 1.0)
+    assert weighed.log_likelihood(circuit) != before
+    raised = weighed.with_threshold_factor(np.full(likelihood.events, 1.02))
+    assert raised.clock_share is weighed.clock_share
+    assert weighed.threshold_factor is None
+    assert raised.log_likelihood(circuit) != weighed.log_likelihood(circuit)
+    assert raised.with_threshold_factor(None).log_likelihood(circuit) == weighed.log_likelihood(circuit)
+    assert raised.evaluators is likelihood.evaluators
+    assert likelihood.log_likelihood(circuit) == before
+    with pytest.raises(ValueError, match="read-only"):
+        likelihood.layout.sign[0] = 0.0
+
+
+def test_rows_have_the_names_of_the_changes():
+    assert (EventRows._fields, EndRows._fields) == (PER_EVENT, PER_PIXEL)
+    _, recordings = small_session()
+    likelihood = EventTimes(recordings)
+    circuit = MODEL.circuit()
+    stacked, each = likelihood.changes(circuit), [evaluate(circuit) for evaluate in likelihood.evaluators]
+    for rows in (stacked.events, stacked.ends):
+        for name, row in rows._asdict().items():
+            np.testing.assert_array_equal(row, np.concatenate([getattr(part, name) for part in each]), err_msg=name)
+            assert np.shares_memory(row, stacked.vector)
+    assert stacked.vector.shape == (likelihood.layout.size,)
+
+
+NOISY = MODEL.set({"threshold_sigma": 0.15})  # so that many extremes come near a threshold
+EFFECTS = ("leak", "parasitic_photocurrent", "threshold_drift", "timestamp_jitter")
+
+
+def noisy_likelihood(effects=()):
+    """(likelihood, circuit) of two recordings, clock weighed and with factors of the thresholds."""
+    from pixelid.simulate import simulate
+    from pixelid.stimuli.shapes import chirp, steps
+
+    lights = chirp(level=100.0, duration_s=0.4, stop_hz=100.0), steps(level=50.0, duration_s=0.4)
+    recordings = [simulate(NOISY, light, width=3, height=2, seed=seed) for seed, light in enumerate(lights)]
+    model = NOISY
+    for effect in effects:
+        model = model.with_effect(effect)
+    likelihood = EventTimes(recordings).weighed(model.circuit())
+    factor = np.exp(0.02 * np.random.default_rng(1).normal(size=likelihood.events))
+    return likelihood.with_threshold_factor(factor), model.circuit()
+
+
+@pytest.mark.parametrize("effects", [(), *((name,) for name in EFFECTS), EFFECTS])
+def test_every_piece_equals_the_plain_statement(effects):
+    likelihood, circuit = noisy_likelihood(effects)
+    for refractory in (1e-4, 3e-3):  # the second makes background events: before their pixel's release
+        here = circuit.with_(refractory=refractory)
+        changes = likelihood.changes(here)
+        terms, expected = likelihood.terms(here, changes), plain.terms(likelihood, here, changes.vector)
+        assert expected.background.any() == (refractory > 1e-3)
+        assert (expected.reached > 0).sum() > 5
+        for name in vars(expected):
+            np.testing.assert_allclose(getattr(terms, name), getattr(expected, name), rtol=1e-10, err_msg=name)
+        assert terms.total == pytest.approx(expected.total, rel=1e-12)
+        assert likelihood.log_likelihood(here) == terms.total
+
+
+@pytest.mark.parametrize("refractory", [1e-4, 3e-3])
+@pytest.mark.parametrize("effects", [(), EFFECTS])
+def test_gradient_equals_complex_steps_of_the_plain_statement(effects, refractory):
+    likelihood, circuit = noisy_likelihood(effects)
+    circuit = circuit.with_(refractory=refractory)
+    changes = likelihood.changes(circuit)
+    gradient = likelihood.terms(circuit, changes).gradient()
+    rng = np.random.default_rng(0)
+    for rows in ("events", "ends"):
+        for name in getattr(changes, rows)._fields:
+            if name == "early":  # not differentiable
+                continue
+            along = np.zeros(len(changes.vector))
+            row = getattr(getattr(likelihood.layout.stacked(along), rows), name)
+            row[:] = rng.normal(size=len(row))
+            stepped = plain.terms(likelihood, circuit, changes.vector + 1e-30j * along).total.imag / 1e-30
+            size = np.abs(gradient.by_changes.vector * along).sum()
+            assert abs(gradient.by_changes.vector @ along - stepped) < 1e-11 * size, name
+    for i, name in enumerate(NUMBERS):
+        stepped = circuit.with_(**{name: complex(getattr(circuit, name), 1e-30)})
+        total = plain.terms(likelihood, stepped, changes.vector.astype(complex)).total
+        assert gradient.by_numbers[i] == pytest.approx(total.imag / 1e-30, rel=1e-9), name

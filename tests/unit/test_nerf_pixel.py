@@ -18,7 +18,7 @@ COMPLEX_AND_COINCIDENT = Dynamics(alpha=4e6, beta=2000.0, gamma=10.0, follower=1
 
 
 def tensor(dynamics: Dynamics) -> torch.Tensor:
-    return torch.tensor(dynamics.uniform(), dtype=torch.float64)
+    return torch.tensor(dynamics.uniform()[:7], dtype=torch.float64)
 
 
 def light(t):

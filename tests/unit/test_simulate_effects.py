@@ -3,6 +3,8 @@
 import numpy as np
 import pytest
 
+from pixelid.errors import InputError
+from pixelid.model.shipped import find_model
 from pixelid.simulate import simulate
 from pixelid.simulate.laws import rules_of
 from pixelid.simulate.light import blocks
@@ -64,6 +66,29 @@ def test_threshold_drift_lengthens_intervals():
     ).events
     t = np.concatenate([[0.0], events.t * 1e-9])
     np.testing.assert_allclose(20 * np.diff(t), 1 + 0.5 * t[1:], rtol=1e-7)
+
+
+@pytest.mark.parametrize("shape", ["full_field", "video"])
+def test_polarity_memory_acts_from_the_second_event_on(shape):
+    """Leak alone: ON events only, the first after 1/rate, the others after (1 + strength)/rate."""
+    light = shapes.constant(50.0, 2.0)
+    if shape == "video":
+        light = Stimulus.from_arrays([0.0, 2.0], np.full((2, 1, 1), 50.0))
+    events = simulate(PLAIN.with_(leak_hz=20.0, polarity_memory=0.1), light, synchronous=True).events
+    dt = np.diff(np.concatenate([[0.0], events.t * 1e-9]))
+    np.testing.assert_allclose(20 * dt, [1.0] + [1.1] * (len(dt) - 1), rtol=1e-6)
+
+
+def test_polarity_memory_of_turns_and_runs():
+    """Ideal pixel, triangular light: each event's change over the one before it is C_p (1 + strength p p_before)."""
+    t = np.linspace(0.0, 1.0, 9)
+    light = Stimulus.from_arrays(t, 100.0 * np.exp(1.5 * (np.arange(9) % 2)))
+    events = simulate(IDEAL.with_(polarity_memory=-0.2), light, synchronous=True, as_sampled=True).events
+    level = np.interp(events.t * 1e-9, t, np.log(light.radiance))
+    sign = np.where(events.p == 1, 1.0, -1.0)
+    expected = 0.2 * (1.0 - 0.2 * sign[1:] * sign[:-1])
+    assert (sign[1:] != sign[:-1]).sum() >= 5
+    np.testing.assert_allclose(sign[1:] * np.diff(level), expected, rtol=1e-6)
 
 
 def test_dead_time_is_the_shortest_interval():
@@ -180,3 +205,29 @@ def test_readout_of_a_whole_sensor():
     grid = simulate(circuit.with_(tick=5e-5), light, width=30, height=10, synchronous=True).events
     assert set(np.unique(grid.t % 50_000)) == {0}
     assert grid.tick_ns == 50_000
+
+
+@pytest.mark.parametrize("kind", ["second_order", "one_pole"])
+@pytest.mark.parametrize("shape", ["full_field", "video"])
+def test_a_bandwidth_floor_speeds_up_the_response_and_leaves_contrast_alone(kind, shape):
+    """Low light above a floor: with rates of L + floor written into α, β, γ of a linear pixel, the same events."""
+    level, floor = 5.0, 45.0
+    t = np.linspace(0.0, 0.2, 2001)
+    light = Stimulus.from_arrays(t, level * np.exp(1e-3 * np.sin(2 * np.pi * 20 * t)))
+    if shape == "video":
+        light = Stimulus.from_arrays(t, np.broadcast_to(light.radiance[:, None, None], (len(t), 1, 2)))
+    sensitive = {"on_threshold": 1e-4, "off_threshold": 1e-4, "photoreceptor": kind, "corner": 33.0}
+    share = (level + floor) / level
+    floored = PLAIN.with_(**sensitive, bandwidth_floor=floor)
+    faster = PLAIN.with_(**sensitive).with_(alpha=PLAIN.alpha * share, gamma=PLAIN.gamma * share, corner=33.0 * share)
+    found, wanted, plain = (
+        simulate(c, light, synchronous=True).events for c in (floored, faster, PLAIN.with_(**sensitive))
+    )
+    assert len(found) == len(wanted) > 40
+    np.testing.assert_allclose(found.t, wanted.t, atol=3e4)  # ns; α, γ L differ from α, γ (L + floor) by the contrast
+    assert abs(found.t[:40] - plain.t[:40]).max() > 5e5
+
+
+def test_a_bandwidth_floor_needs_a_bandwidth():
+    with pytest.raises(InputError, match="bandwidth_floor"):
+        find_model("ideal").with_effect("bandwidth_floor").circuit()

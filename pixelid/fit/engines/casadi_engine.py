@@ -89,7 +89,7 @@ class CasadiEngine(Engine):
             frozen = freeze(objective, x)
         except InputError:
             return "compiled"
-        return "symbolic" if frozen.samples + len(frozen.time) <= EXPRESSION_SIZE else "compiled"
+        return "symbolic" if frozen.samples + frozen.layout.events <= EXPRESSION_SIZE else "compiled"
 
     def maximise(
         self, objective: Objective, start: np.ndarray, *, tolerance: float = 1e-6, max_steps: int = 200,

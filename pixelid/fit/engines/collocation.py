@@ -112,6 +112,8 @@ class MultipleShooting:
         present = dynamics_of(frozen.circuit)
         if max(present.follower, present.differencing, present.beta) > PRESENT_BELOW:
             raise InputError("the continuous fit needs a second-order photoreceptor, a follower and an amplifier pole")
+        if present.floor != 0:
+            raise InputError("bandwidth_floor: not in the continuous fit; use the discrete form")
         at = ca.MX.sym("x", len(coordinates))
         circuit = coordinates.model.circuit(parameter_values(coordinates, at, ca.exp))
         nodes: list[ca.MX] = []

@@ -1,6 +1,6 @@
 """The event-time log-likelihood as one expression, for any engine with vectors and elementary functions.
 
-The same mathematics as `likelihood/{changes,event_times}.py`, written over whole vectors without branches, from the
+The same mathematics as `likelihood/{changes,density}.py`, written over whole vectors without branches, from the
 same closed-form step (`dynamics/equations.py`).  An engine brings its `Operations`; CasADi symbols and torch tensors
 both fit.  Inside a step all levels are relative to the log radiance at its beginning, which loses no digits to the DC
 level.  Poles closer than the closed form can divide by are left to the compiled engine.
@@ -18,7 +18,7 @@ from pixelid.dynamics.equations import PRESENT_BELOW
 from pixelid.dynamics.of_circuit import dynamics_of
 from pixelid.dynamics.trajectory import Dynamics
 from pixelid.fit.engines.frozen import Frozen, FrozenRecording
-from pixelid.likelihood.event_times import MISSED, STRAY_HZ
+from pixelid.likelihood.density import BACKGROUND_HZ, MISSED
 
 
 class Operations(Protocol):
@@ -76,7 +76,7 @@ def factors(op: Operations, a, b2, tau):
 
 def step(op: Operations, state, r, tau, light, dynamics: Dynamics):
     """States (v, y, s, d) after `tau` of the ramp r τ, from `state` relative to its foot."""
-    a, b2 = equations.photoreceptor(dynamics.alpha, dynamics.beta, dynamics.gamma, light)
+    a, b2 = equations.photoreceptor_rates(dynamics, light)
     k1, kd = op.exp(-dynamics.follower * tau), op.exp(-dynamics.differencing * tau)
     pr = factors(op, a, b2, tau)
     return equations.step_two_poles(state, 0.0, r, tau, a, b2, dynamics.follower, dynamics.differencing, pr, k1, kd)
@@ -115,7 +115,7 @@ def trajectory(op: Operations, light: Light, dynamics: Dynamics) -> list[Any]:
     """Four vectors (n,): v and y, s, d relative to u, at every sample."""
     zero = 0.0 * light.tau
     columns = []
-    a, b2 = equations.photoreceptor(dynamics.alpha, dynamics.beta, dynamics.gamma, light.linearised)
+    a, b2 = equations.photoreceptor_rates(dynamics, light.linearised)
     k1, kd = op.exp(-dynamics.follower * light.tau), op.exp(-dynamics.differencing * light.tau)
     pr = factors(op, a, b2, light.tau)
 
@@ -187,30 +187,30 @@ def changes(op: Operations, frozen: FrozenRecording, circuit, real, midpoint: bo
     (v, y, s, d), r = at(frozen.step_e, tau)
     foot = op.take(light.u, frozen.step_e)
     since = time - release
-    found: dict[str, Any] = {}
+    rows: dict[str, Any] = {}
     if finite:
         decay = offset * op.exp(-dynamics.differencing * since)
-        found["change"] = foot + d - level - decay
-        found["slope"] = dynamics.differencing * (s - d + decay)
+        rows["change"] = foot + d - level - decay
+        rows["slope"] = dynamics.differencing * (s - d + decay)
     else:
-        found["change"] = foot + s - level
-        found["slope"] = dynamics.follower * (y - s) if present.follower < PRESENT_BELOW else v
-    found["drift"] = circuit.leak_hz * since
-    found["drift_slope"] = circuit.leak_hz + 0.0 * since
+        rows["change"] = foot + s - level
+        rows["slope"] = dynamics.follower * (y - s) if present.follower < PRESENT_BELOW else v
+    rows["drift"] = circuit.leak_hz * since
+    rows["drift_slope"] = circuit.leak_hz + 0.0 * since
     if parasitic:
         radiance = op.take(light.radiance, frozen.step_e)
         seen = op.take(lights, frozen.step_e) + light_integral(op, radiance, r, tau)
-        found["drift"] = found["drift"] + circuit.leak_hz_per_radiance * (seen - shone)
-        found["drift_slope"] = found["drift_slope"] + circuit.leak_hz_per_radiance * radiance * op.exp(r * tau)
+        rows["drift"] = rows["drift"] + circuit.leak_hz_per_radiance * (seen - shone)
+        rows["drift_slope"] = rows["drift_slope"] + circuit.leak_hz_per_radiance * radiance * op.exp(r * tau)
     sign = op.constant(-frozen.sign)
     c, f = sample(frozen.opposite_at, release, begun)
-    found["opposite"], found["opposite_drift"] = sign * c, sign * f
+    rows["opposite"], rows["opposite_drift"] = sign * c, sign * f
     last = op.constant(frozen.last) + (circuit.refractory - circuit.delay)
     begun = start(frozen.step_l, last)
-    found["rise"], found["rise_drift"] = sample(frozen.rise_at, last, begun)
+    rows["rise"], rows["rise_drift"] = sample(frozen.rise_at, last, begun)
     c, f = sample(frozen.fall_at, last, begun)
-    found["fall"], found["fall_drift"] = -c, -f
-    return found
+    rows["fall"], rows["fall_drift"] = -c, -f
+    return rows
 
 
 def light_integral(op: Operations, radiance, r, tau):
@@ -229,54 +229,55 @@ def log_likelihood(op: Operations, frozen: Frozen, circuit, changes_of=None) -> 
     midpoint = frozen.circuit.linearisation == "midpoint"
     made = changes_of or (lambda recording: changes(op, recording, circuit, frozen.circuit, midpoint))
     parts = [made(recording) for recording in frozen.recordings]
-    kept, survived, group = frozen.kept, frozen.survived, frozen.group
-    groups = 2 * frozen.pixels
-    on, off = circuit.on_threshold, circuit.off_threshold
+    at, kept, survived = frozen.layout, frozen.kept, frozen.survived
+    group, on, off = at.group[kept], circuit.on_threshold, circuit.off_threshold
 
-    def gathered(name, index):
+    def row(name, index):
         return op.take(op.join([part[name] for part in parts]), index)
 
-    is_on = op.constant((np.arange(groups) % 2 == 1).astype(float))
+    is_on = op.constant((np.arange(at.groups) % 2 == 1).astype(float))
     C = on * is_on + off * (1.0 - is_on)
     S = (circuit.mismatch * C) * (circuit.mismatch * C)
-    sign = op.constant(frozen.sign[kept])
-    growth = 1.0 + circuit.threshold_drift * op.constant(frozen.time[kept])
-    z = sign * (gathered("change", kept) + on * gathered("drift", kept)) / growth
-    rate = sign * (gathered("slope", kept) + on * gathered("drift_slope", kept)) / growth
+    scale = op.constant(at.sign[kept] / frozen.threshold_factor[kept])
+    growth = 1.0 + circuit.threshold_drift * op.constant(at.time_s[kept])
+    z = scale * (row("change", kept) + on * row("drift", kept)) / growth
+    rate = scale * (row("slope", kept) + on * row("drift_slope", kept)) / growth
     rate = rate - z * circuit.threshold_drift / growth
-    sd = circuit.noise * op.take(C, group[kept])
     share = frozen.clock_share[kept]
-    width = op.constant(share * frozen.tick[kept] ** 2 / 12.0) + circuit.jitter * circuit.jitter * op.constant(share)
-    weight = 1.0 / (sd * sd + rate * rate * width)
-    own = C + S * op.sum_by(group[kept], weight * z, groups)
-    sd = circuit.noise * op.take(own / (1.0 + S * op.sum_by(group[kept], weight, groups)), group[kept])
-    variance = sd * sd + rate * rate * width
-    weight = 1.0 / variance
-    W, A = op.sum_by(group[kept], weight, groups), op.sum_by(group[kept], weight * z, groups)
-    seen = np.bincount(group[kept], minlength=groups) > 0
+    clock = op.constant(share * at.tick_s[kept] ** 2 / 12.0) + circuit.jitter * circuit.jitter * op.constant(share)
+
+    def weighed(threshold):
+        """(variance, Σ w, Σ w z) with noise that scales with `threshold` (groups,)."""
+        sd = circuit.noise * op.take(threshold, group)
+        variance = sd * sd + rate * rate * clock
+        return variance, op.sum_by(group, 1.0 / variance, at.groups), op.sum_by(group, z / variance, at.groups)
+
+    _, W, A = weighed(C)
+    variance, W, A = weighed((C + S * A) / (1.0 + S * W))
+    seen = np.bincount(group, minlength=at.groups) > 0
     safe = W + op.constant(1.0 - seen)
     z_bar = A / safe
     q = 1.0 + S * W
     miss = (z_bar - C) * op.constant(seen.astype(float))
-    within = z - op.take(z_bar, group[kept])
+    within = z - op.take(z_bar, group)
     total = (
-        op.total(op.log(rate) - 0.5 * op.log(2.0 * math.pi * variance) - 0.5 * within * within * weight)
+        op.total(op.log(rate) - 0.5 * op.log(2.0 * math.pi * variance) - 0.5 * within * within / variance)
         + op.total(-0.5 * op.log(q) - 0.5 * miss * miss / (S + 1.0 / safe))
-        + frozen.strays * math.log(STRAY_HZ)
+        + frozen.background * math.log(BACKGROUND_HZ)
     )
     mean = (C + S * A) / q
     sd = op.sqrt((circuit.noise * mean) * (circuit.noise * mean) + S / q)
 
-    def survival(group_index, reached):
-        margin = (op.take(mean, group_index) - reached) / op.take(sd, group_index)
+    def survival(index, reached):
+        margin = (op.take(mean, index) - reached) / op.take(sd, index)
         return op.total(op.log(MISSED + (1.0 - MISSED) * op.normal_cdf(margin)))
 
     if len(survived):
-        reached = gathered("opposite", survived) + on * gathered("opposite_drift", survived)
-        reached = reached / (1.0 + circuit.threshold_drift * op.constant(frozen.time[survived]))
-        total = total + survival(group[survived] ^ 1, reached)
-    every = np.arange(len(frozen.last_pixel))
-    grown = 1.0 + circuit.threshold_drift * op.constant(frozen.last_time)
-    rise, fall = (gathered(name, every) + on * gathered(f"{name}_drift", every) for name in ("rise", "fall"))
-    total = total + survival(2 * frozen.last_pixel + 1, rise / grown)
-    return total + survival(2 * frozen.last_pixel, fall / grown)
+        reached = row("opposite", survived) + on * row("opposite_drift", survived)
+        reached = reached / (1.0 + circuit.threshold_drift * op.constant(at.time_s[survived]))
+        total = total + survival(at.group[survived] ^ 1, reached)
+    every = np.arange(at.ends)
+    grown = 1.0 + circuit.threshold_drift * op.constant(at.last_time_s)
+    rise, fall = (row(name, every) + on * row(f"{name}_drift", every) for name in ("rise", "fall"))
+    total = total + survival(2 * at.last_pixel + 1, rise / grown)
+    return total + survival(2 * at.last_pixel, fall / grown)

@@ -1,14 +1,14 @@
 """The discrete choices inside the event-time likelihood, made once and shared by every engine.
 
-Which sample carries an extreme, which step holds an event, which events are strays: these are decided by the compiled
-likelihood (`EventTimes`) at a point.  Given them the log-likelihood is one smooth expression, the same for every
-engine, and the engines must agree on it to rounding.  A fit refreshes the choices as it moves.
+Which sample carries an extreme, which step holds an event, which events are background: these are decided by the
+compiled likelihood (`EventTimes`) at a point.  Given them the log-likelihood is one smooth expression, the same for
+every engine, and the engines must agree on it to rounding.  A fit refreshes the choices as it moves.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import repeat
 
 import numpy as np
 
@@ -16,7 +16,11 @@ from pixelid.dynamics.equations import PRESENT_BELOW
 from pixelid.dynamics.of_circuit import dynamics_of
 from pixelid.errors import InputError
 from pixelid.fit.event_times import EventTimesObjective
+from pixelid.likelihood.changes import ChangeEvaluator
+from pixelid.likelihood.extremes import Extremes
+from pixelid.likelihood.layout import Layout
 from pixelid.stages.circuit import Circuit
+from pixelid.stages.comparator import threshold_factors
 from pixelid.stimuli.drive import drive
 
 
@@ -49,24 +53,19 @@ class Frozen:
     """Everything an engine needs to write the log-likelihood as one expression of the circuit's numbers.
 
     circuit: the real circuit at the point, which tells what is present
-    kept: indices of events that are not strays;  strays: how many are;  survived: indices with a survival factor
-    sign, time, tick, clock_share: (n,);  group: (n,) of 2 · pixel + ON;  last_pixel: (m,)
+    layout: which pixel each of the n events and m unfinished intervals belongs to
+    clock_share, threshold_factor: (n,), as of `EventTimes`
+    kept: indices of the circuit's events;  background: how many are not;  survived: indices with a survival factor
     """
 
     circuit: Circuit
     recordings: tuple[FrozenRecording, ...]
-    kept: np.ndarray
-    strays: int
-    survived: np.ndarray
-    sign: np.ndarray
-    time: np.ndarray
-    tick: np.ndarray
+    layout: Layout
     clock_share: np.ndarray
-    group: np.ndarray
-    pixels: int
-    last_pixel: np.ndarray
-    last_time: np.ndarray
-    circuit_of: Callable
+    threshold_factor: np.ndarray
+    kept: np.ndarray
+    background: int
+    survived: np.ndarray
 
     @property
     def samples(self) -> int:
@@ -77,7 +76,8 @@ class Frozen:
 def freeze(objective: EventTimesObjective, x: np.ndarray) -> Frozen:
     """The discrete choices at x.
 
-    Raises InputError for effects that only the compiled engine has: extra pole, lower cutoff, mains flicker.
+    Raises InputError for effects that only the compiled engine has: extra pole, lower cutoff, mains flicker, thresholds
+    that depend on the polarity before.
     """
     likelihood = objective.likelihood
     circuit = objective.coordinates.circuit(x)
@@ -86,42 +86,32 @@ def freeze(objective: EventTimesObjective, x: np.ndarray) -> Frozen:
         ("extra_pole", dynamics.extra_pole < PRESENT_BELOW),
         ("lower_cutoff", dynamics.lower_cutoff > 0),
         ("mains_flicker", circuit.flicker_modulation != 0),
+        ("a threshold that depends on the polarity before", threshold_factors(circuit, 1.0) != (1.0, 1.0)),
         ("an unlimited photoreceptor", dynamics.beta > PRESENT_BELOW and dynamics.gamma == 0),
     ):
         if there:
             raise InputError(f"{name}: not in the symbolic form of the likelihood; use its compiled form")
-    gathered, density = objective.density(x)
-    n, m = likelihood.events, len(likelihood.last_pixel)
-    opposite, opposite_drift = gathered[4 * n : 6 * n].reshape(2, n)
-    growth = 1.0 + circuit.threshold_drift * likelihood.time_s
-    reached = (opposite + circuit.on_threshold * opposite_drift) / growth
-    assert len(gathered) == 7 * n + 4 * m
+    terms, factor = objective.terms(x), likelihood.threshold_factor
     return Frozen(
         circuit=circuit,
-        recordings=tuple(_frozen(evaluator, circuit) for evaluator in likelihood.evaluators),
-        kept=np.flatnonzero(~density.stray),
-        strays=int(density.stray.sum()),
-        survived=np.flatnonzero(reached > 0),
-        sign=likelihood.sign,
-        time=likelihood.time_s,
-        tick=likelihood.tick_s,
+        recordings=tuple(map(_frozen, likelihood.evaluators, terms.changes.extremes, repeat(circuit))),
+        layout=likelihood.layout,
         clock_share=likelihood.clock_share,
-        group=likelihood.group,
-        pixels=likelihood.pixels,
-        last_pixel=likelihood.last_pixel,
-        last_time=likelihood.last_time_s,
-        circuit_of=objective.coordinates.model.circuit,
+        threshold_factor=np.ones(likelihood.events) if factor is None else factor,
+        kept=np.flatnonzero(~terms.background),
+        background=int(terms.background.sum()),
+        survived=np.flatnonzero(terms.reached > 0),
     )
 
 
-def _frozen(evaluator, circuit: Circuit) -> FrozenRecording:
-    iv = evaluator.intervals
-    light = drive(evaluator.recording.stimulus, circuit, iv.end_s)
+def _frozen(evaluator: ChangeEvaluator, extremes: Extremes, circuit: Circuit) -> FrozenRecording:
+    iv, stimulus = evaluator.intervals, evaluator.recording.stimulus
+    assert stimulus is not None
+    light = drive(stimulus, circuit, iv.end_s)
 
     def step_of(times):
         return np.maximum(np.searchsorted(light.t, times, side="right") - 1, 0)
 
-    opposite_at, rise_at, fall_at = (at.copy() for at in evaluator.extremes_at)
     return FrozenRecording(
         t=light.t,
         radiance=light.radiance - circuit.dark,
@@ -132,7 +122,7 @@ def _frozen(evaluator, circuit: Circuit) -> FrozenRecording:
         step_r=step_of(iv.previous_s + circuit.refractory - circuit.delay),
         step_e=step_of(iv.time_s - circuit.delay),
         step_l=step_of(iv.last_s + circuit.refractory - circuit.delay),
-        opposite_at=opposite_at,
-        rise_at=rise_at,
-        fall_at=fall_at,
+        opposite_at=extremes.opposite,
+        rise_at=extremes.rise,
+        fall_at=extremes.fall,
     )

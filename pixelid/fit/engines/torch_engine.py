@@ -108,7 +108,7 @@ class TorchEngine(Engine):
             frozen = freeze(objective, x)
         except InputError:
             return "compiled"
-        small = frozen.samples + len(frozen.time) <= EXPRESSION_SIZE
+        small = frozen.samples + frozen.layout.events <= EXPRESSION_SIZE
         return "tensors" if small or self.device.type == "cuda" else "compiled"
 
     def maximise(

@@ -21,10 +21,10 @@ class TorchOperations:
         self.device = torch.device(device)
 
     def constant(self, values):
-        return torch.as_tensor(np.asarray(values, dtype=float), device=self.device)
+        return torch.tensor(np.asarray(values, dtype=float), device=self.device)
 
     def _index(self, index):
-        return torch.as_tensor(np.asarray(index, dtype=np.int64), device=self.device)
+        return torch.tensor(np.asarray(index, dtype=np.int64), device=self.device)
 
     def take(self, x, index):
         return x[self._index(index)]

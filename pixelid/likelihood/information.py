@@ -1,0 +1,111 @@
+"""Gauss–Newton information of the event-time density along given tangents.
+
+Its blocks, each a standardised residual or a log scale whose squares the log-likelihood sums: per event the level
+within its group (about the weighted mean), the log rate, and the log scale; per group the weighted mean about the
+population, and the log variance of that mean.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from pixelid.likelihood.density import Terms
+from pixelid.likelihood.layout import StackedChanges
+
+
+@dataclass(frozen=True)
+class Tangent:
+    """Derivatives along one coordinate: of all changes (None: they do not move) and of the `NUMBERS` (6,)."""
+
+    changes: StackedChanges | None
+    numbers: np.ndarray
+
+
+class Information:
+    """The information (d, d) of d tangents, taken one by one so that only one of them need be in memory."""
+
+    def __init__(self, terms: Terms, tangents: int) -> None:
+        self.terms = terms
+        kept = self.kept = np.flatnonzero(~terms.background)
+        at, event, rows = terms.layout, terms.event, terms.changes.events
+        self.group, self.weight = at.group[kept], event.weight[kept]
+        self.growth = 1.0 + terms.numbers.threshold_drift * at.time_s[kept]
+        self.of_level = at.sign[kept], at.time_s[kept], event.level[kept], event.rate[kept]
+        self.leak = rows.drift[kept], rows.drift_slope[kept]
+        self.clock, self.clock_share = event.clock[kept], terms.clock_share[kept]
+        self.seen = terms.weight_sum > 0
+        self.is_on = np.arange(len(self.seen)) % 2 == 1
+        self.events = np.zeros((tangents, 3, len(kept)))
+        self.groups = np.zeros((tangents, 2, len(self.seen)))
+
+    def add(self, i: int, tangent: Tangent) -> None:
+        """Fill column i."""
+        t, group, c = self.terms, self.terms.group, self.terms.numbers
+        d_on, d_off, d_noise, d_mismatch, d_drift, d_jitter = tangent.numbers
+        d_level, d_rate = np.empty(len(self.kept)), np.empty(len(self.kept))
+        moved = _NOTHING if tangent.changes is None else tangent.changes.events.of_level
+        _levels_along(
+            self.kept, *self.of_level, *self.leak, self.growth, *moved, c.on_threshold, c.threshold_drift,
+            d_on, d_drift, d_level, d_rate,
+        )  # fmt: skip
+        safe = np.where(self.seen, group.W, 1.0)
+        d_mean = np.bincount(self.group, self.weight * d_level, len(safe)) / safe
+        d_centre = np.where(self.is_on, d_on, d_off)
+        share = np.where(self.seen, group.spread / t.mean_variance, 0.0)  # of a group's threshold that its events tell
+        d_own = d_centre + share * (d_mean - d_centre)
+        d_noise_variance = 2.0 * c.noise * group.mean * (d_noise * group.mean + c.noise * d_own)
+        d_weight_sum = np.zeros(len(safe))
+        _residuals_along(
+            self.group, self.of_level[3], self.weight, self.clock, self.clock_share,
+            d_mean, d_noise_variance, 2.0 * c.jitter * d_jitter, d_level, d_rate, self.events[i], d_weight_sum,
+        )  # fmt: skip
+        d_spread = 2.0 * c.mismatch * group.centre * (d_mismatch * group.centre + c.mismatch * d_centre)
+        d_mean_variance = d_spread - d_weight_sum / safe**2
+        self.groups[i, 0] = np.where(self.seen, (d_mean - d_centre) / np.sqrt(t.mean_variance), 0.0)
+        self.groups[i, 1] = np.where(self.seen, np.sqrt(0.5) * d_mean_variance / t.mean_variance, 0.0)
+
+    def matrix(self) -> np.ndarray:
+        """(d, d)."""
+        events = self.events.reshape(len(self.events), -1)
+        groups = self.groups.reshape(len(self.groups), -1)
+        return events @ events.T + groups @ groups.T
+
+
+_NOTHING = (np.empty(0),) * 4
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _levels_along(
+    kept, sign, time, level, rate, leak, leak_rate, growth, by_change, by_slope, by_drift, by_drift_slope,
+    on, drift, d_on, d_drift, d_level, d_rate,
+):  # fmt: skip
+    """Fill the derivatives of level and rate of the events kept; by_…: of the changes, empty where they rest."""
+    for i in range(len(kept)):
+        change, slope = d_on * leak[i], d_on * leak_rate[i]
+        if len(by_change) > 0:
+            k = kept[i]
+            change += by_change[k] + on * by_drift[k]
+            slope += by_slope[k] + on * by_drift_slope[k]
+        growing = d_drift * time[i] / growth[i]
+        d_level[i] = sign[i] * change / growth[i] - growing * level[i]
+        d_rate[i] = sign[i] * slope / growth[i] - growing * rate[i]
+        d_rate[i] -= (d_level[i] * drift + level[i] * d_drift) / growth[i]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _residuals_along(
+    group, rate, weight, clock, clock_share, d_mean, d_noise_variance, d_jitter_variance, d_level, d_rate,
+    rows, d_weight_sum,
+):  # fmt: skip
+    """Fill a column's three rows: level within its group, log rate, log scale; and how the groups' weights change."""
+    half = np.sqrt(0.5)
+    for i in range(len(group)):
+        g, w, r = group[i], weight[i], rate[i]
+        d_variance = d_noise_variance[g] + 2.0 * r * d_rate[i] * clock[i] + r * r * clock_share[i] * d_jitter_variance
+        rows[0, i] = (d_level[i] - d_mean[g]) * np.sqrt(w)
+        rows[1, i] = d_rate[i] / r
+        rows[2, i] = half * d_variance * w
+        d_weight_sum[g] -= d_variance * w * w

@@ -1,0 +1,163 @@
+"""Where the numbers of every interval stand: rows of changes, and which pixel and recording an interval belongs to.
+
+The changes of all recordings are one vector, so that a derivative along them is one product; its rows have names:
+
+    events  (7, n)  EventRows, one column per interval that an event ends, recording after recording
+    ends    (4, m)  EndRows, one column per pixel and recording, of the interval that the end cuts off
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from pixelid.likelihood.extremes import Extremes
+from pixelid.likelihood.sequences import Sequences
+from pixelid.recordings.recording import Recording
+
+
+class EventRows(NamedTuple):
+    """Rows (n,) of `Changes` per event; `early` is 1.0 where an event comes before its pixel's release."""
+
+    change: np.ndarray
+    slope: np.ndarray
+    drift: np.ndarray
+    drift_slope: np.ndarray
+    opposite: np.ndarray
+    opposite_drift: np.ndarray
+    early: np.ndarray
+
+    @property
+    def of_level(self) -> tuple[np.ndarray, ...]:
+        """The rows that the level of the event's own polarity is made of."""
+        return self.change, self.slope, self.drift, self.drift_slope
+
+
+class EndRows(NamedTuple):
+    """Rows (m,) of `Changes` per unfinished interval."""
+
+    rise: np.ndarray
+    rise_drift: np.ndarray
+    fall: np.ndarray
+    fall_drift: np.ndarray
+
+
+@dataclass(frozen=True)
+class StackedChanges:
+    """The `Changes` of all recordings (or their derivatives).
+
+    events, ends: views of `vector`;  extremes: where they were found in each recording, none for derivatives
+    """
+
+    vector: np.ndarray
+    events: EventRows
+    ends: EndRows
+    extremes: tuple[Extremes, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Layout:
+    """n intervals with an event at their end, m without, of the same pixels in one or more recordings.
+
+    pixel_keys: (pixels,) sensor and flat index of each pixel, sorted
+    sign, time_s, tick_s, pixel, recording: (n,) polarity ±1, time and timestamp width of the event, whose it is
+    group: (n,) 2 · pixel + ON, the groups that share a threshold
+    last_pixel, last_time_s, last_recording: (m,) of the unfinished intervals; the time is the recording's end
+    event_ends, end_ends: where the columns of one recording end and those of the next begin
+    """
+
+    recordings: int
+    pixel_keys: np.ndarray
+    sign: np.ndarray
+    time_s: np.ndarray
+    tick_s: np.ndarray
+    pixel: np.ndarray
+    recording: np.ndarray
+    group: np.ndarray
+    last_pixel: np.ndarray
+    last_time_s: np.ndarray
+    last_recording: np.ndarray
+    event_ends: np.ndarray
+    end_ends: np.ndarray
+
+    @property
+    def events(self) -> int:
+        """n."""
+        return len(self.sign)
+
+    @property
+    def ends(self) -> int:
+        """m."""
+        return len(self.last_pixel)
+
+    @property
+    def pixels(self) -> int:
+        """Number of distinct pixels."""
+        return len(self.pixel_keys)
+
+    @property
+    def groups(self) -> int:
+        """Number of (pixel, polarity) pairs, OFF before ON."""
+        return 2 * self.pixels
+
+    @property
+    def size(self) -> int:
+        """Length of the vector of all changes."""
+        return len(EventRows._fields) * self.events + len(EndRows._fields) * self.ends
+
+    def _blocks(self, vector: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(events (7, n), ends (4, m)), views."""
+        at = len(EventRows._fields) * self.events
+        return vector[:at].reshape(-1, self.events), vector[at:].reshape(-1, self.ends)
+
+    def stacked(self, vector: np.ndarray, extremes: tuple[Extremes, ...] = ()) -> StackedChanges:
+        """A vector (size,) by the names of its rows."""
+        events, ends = self._blocks(vector)
+        return StackedChanges(vector, EventRows(*events), EndRows(*ends), extremes)
+
+    def per_recording(self, vector: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Views (7, n_r), (4, m_r) of each recording's columns, to be filled."""
+        events, ends = self._blocks(vector)
+        parts = np.split(events, self.event_ends, axis=1), np.split(ends, self.end_ends, axis=1)
+        return list(zip(*parts, strict=True))
+
+
+def layout_of(recordings: Sequence[Recording], intervals: Sequence[Sequences]) -> Layout:
+    """The layout of recordings' intervals.  Recordings of the same sensor and size share pixels."""
+    sensors: dict[tuple, int] = {}
+    keys, last_keys = [], []
+    for recording, iv in zip(recordings, intervals, strict=True):
+        size = (recording.sensor, recording.events.width, recording.events.height)
+        base = sensors.setdefault(size, len(sensors)) << 40
+        keys.append(base + iv.pixel)
+        last_keys.append(base + iv.last_pixel)
+    pixel_keys, index = np.unique(np.concatenate([*keys, *last_keys]), return_inverse=True)
+    counts, last_counts = [len(iv) for iv in intervals], [len(iv.last_s) for iv in intervals]
+    pixel, last_pixel = np.split(index, [sum(counts)])
+    sign = np.concatenate([iv.sign for iv in intervals])
+    which = np.arange(len(intervals))
+    arrays = {
+        "pixel_keys": pixel_keys,
+        "sign": sign,
+        "time_s": np.concatenate([iv.time_s for iv in intervals]),
+        "tick_s": np.repeat([iv.tick_s for iv in intervals], counts),
+        "pixel": pixel,
+        "recording": np.repeat(which, counts),
+        "group": 2 * pixel + (sign > 0),
+        "last_pixel": last_pixel,
+        "last_time_s": np.repeat([iv.end_s for iv in intervals], last_counts),
+        "last_recording": np.repeat(which, last_counts),
+        "event_ends": np.cumsum(counts)[:-1],
+        "end_ends": np.cumsum(last_counts)[:-1],
+    }
+    return Layout(recordings=len(intervals), **{name: read_only(array) for name, array in arrays.items()})
+
+
+def read_only(array: np.ndarray) -> np.ndarray:
+    """A contiguous copy that cannot be written to."""
+    copy = np.array(array, order="C")
+    copy.flags.writeable = False
+    return copy
