@@ -255,6 +255,15 @@ def _outputs(ramp, r, tau, ey, ev, p0, p1, q0, q1, m, n, delay_s, delay_d, k1, k
         d[i] = d[i] + gain * m[i] * k1[i] + n[i] * kd[i]
 
 
+@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nnan", "nsz"})
+def _any_delicate(close, r, u0, ramp, behind):
+    """Whether any step is `_delicate`; at most a few are falsely said to be."""
+    worst = 0.0
+    for i in range(len(r)):
+        worst = max(worst, abs(u0[i] - ramp[i]) + abs(r[i]) * behind + close[i] * (2.0 * kernels.STEEP))
+    return worst > 0.99 * kernels.STEEP
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
 def advance(begin, end, u0, r, tau, k1, kd, c, dynamics, work):
     """Fill `end` with the states after tau (n,) of the ramps u0 + r τ (n,), from `begin`; both (v, y, s, d) of (n,).
@@ -274,6 +283,8 @@ def advance(begin, end, u0, r, tau, k1, kd, c, dynamics, work):
     _modes(s, d, ramp, r, ey, ev, p0, p1, q0, q1, delay_s, delay_d, gain, m, n)
     _propagate(a, f1, f2, g, ey, ev, ey1, ev1)
     _outputs(ramp, r, tau, ey1, ev1, p0, p1, q0, q1, m, n, delay_s, delay_d, k1, kd, gain, *end)
+    if not _any_delicate(close, r, u0, ramp, delay_d):
+        return
     for i in range(len(a)):
         if _delicate(close[i], r[i], a[i], b2[i], delay_d):
             slope, output, end[2][i], _, _, end[3][i] = kernels.advance(

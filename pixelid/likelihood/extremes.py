@@ -50,10 +50,9 @@ class Output:
         """The output of a trajectory; where the amplifier has no pole, what drives it."""
         states, n = trajectory.states, len(trajectory.t)
         plain = trajectory.dynamics.differencing < PRESENT_BELOW
-        values = np.ascontiguousarray(states[:, 5]) if plain else states[:, 3] - states[:, 4]
-        run = np.empty(n, np.int32)
+        values, run = np.empty(n), np.empty(n, np.int32)
         highest, lowest = np.empty(-(-n // BLOCK)), np.empty(-(-n // BLOCK))
-        _runs(values, run)
+        _runs(states, plain, values, run)
         _block_extremes(values, highest, lowest)
         return Output(values, run, highest, lowest)
 
@@ -119,15 +118,17 @@ def at_samples(trajectory: Trajectory, output: Output, begun: Begun, sign, at, d
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _runs(values, run):
-    """Fill for each sample where the monotone run that ends there begins."""
-    start, falling = 0, False
-    run[0] = 0
+def _runs(states, plain, values, run):
+    """Fill the output, and for each sample where the monotone run that ends there begins."""
+    before, start, falling = states[0, 5] if plain else states[0, 3] - states[0, 4], 0, False
+    values[0], run[0] = before, 0
     for k in range(1, len(values)):
-        turns = values[k] < values[k - 1] if not falling else values[k] > values[k - 1]
+        here = states[k, 5] if plain else states[k, 3] - states[k, 4]
+        turns = here < before if not falling else here > before
         if turns:
             start, falling = k - 1, not falling
-        run[k] = start
+        values[k], run[k] = here, start
+        before = here
 
 
 @njit(cache=True, error_model="numpy")
