@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 
 from pixelid.errors import InputError
-from pixelid.fit.caveats import tested
 from pixelid.fit.coordinates import Coordinates
 from pixelid.fit.engines import Engine
 from pixelid.fit.engines import engine as engine_named
@@ -17,8 +16,9 @@ from pixelid.fit.newton import Optimum
 from pixelid.fit.pooled import fit_pooled
 from pixelid.fit.result import FitResult, Stopwatch, estimates_of
 from pixelid.fit.starts import feasible, random_starts
-from pixelid.identify.curvature import read_curvature
-from pixelid.identify.small_sample import intervals
+from pixelid.fit.uncertainty.challenge import tested
+from pixelid.fit.uncertainty.curvature import read_curvature
+from pixelid.fit.uncertainty.small_sample import intervals
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.model.model import Model
 from pixelid.parameters.gauge import Gauge

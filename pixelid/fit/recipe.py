@@ -103,7 +103,7 @@ class Recipe:
             progress=progress,
         )
         if self.profile:
-            from pixelid.fit.profiles import profiled
+            from pixelid.fit.uncertainty.profiles import profiled
 
             result = profiled(result, recordings, progress)
         with whole_folder(out, overwrite) as folder:

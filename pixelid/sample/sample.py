@@ -10,7 +10,7 @@ import numpy as np
 
 from pixelid.errors import InputError
 from pixelid.fit.result import FitResult, Stopwatch
-from pixelid.identify.small_sample import MISMATCH, mismatch_shares
+from pixelid.fit.uncertainty.small_sample import MISMATCH, mismatch_shares
 from pixelid.recordings.recording import Recording
 from pixelid.sample.convergence import ENOUGH_TAU, Convergence, convergence
 from pixelid.sample.ensembles import CHUNK, Ensembles, moves

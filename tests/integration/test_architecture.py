@@ -6,12 +6,13 @@ from pathlib import Path
 import pytest
 
 PACKAGE = Path(__file__).resolve().parents[2] / "pixelid"
-BASE = {"errors", "outputs", "provenance", "parallel"}
+BASE = {"errors", "outputs", "parallel", "provenance", "status"}
 MAY_IMPORT = {
     "errors": set(),
     "outputs": {"errors"},
     "provenance": set(),
     "parallel": {"errors"},
+    "status": set(),
     "parameters": BASE,
     "stages": BASE | {"parameters"},
     "model": BASE | {"parameters", "stages"},
@@ -22,13 +23,12 @@ MAY_IMPORT = {
 MAY_IMPORT["inspection"] = BASE | {"recordings", "stimuli"}
 MAY_IMPORT["rates"] = BASE | {"parameters", "stages", "model"}
 MAY_IMPORT["simulate"] = MAY_IMPORT["likelihood"] = set(MAY_IMPORT) - {"inspection", "rates"}
-MAY_IMPORT["identify"] = MAY_IMPORT["sensors"] = MAY_IMPORT["simulate"] | {"simulate", "likelihood"}
-MAY_IMPORT["fit"] = MAY_IMPORT["identify"] | {"identify"}
-MAY_IMPORT["flicker"] = MAY_IMPORT["simulate"] | {"rates", "identify"}
+MAY_IMPORT["fit"] = MAY_IMPORT["sensors"] = MAY_IMPORT["simulate"] | {"simulate", "likelihood"}
+MAY_IMPORT["flicker"] = MAY_IMPORT["simulate"] | {"rates"}
 for folder in ("sample", "compare", "lowlight", "design"):  # what follows from a fit
     MAY_IMPORT[folder] = MAY_IMPORT["fit"] | {"fit", "sample"}
 MAY_IMPORT["gap"] = MAY_IMPORT["fit"] | {"fit", "design", "inspection"}
-MAY_IMPORT["nerf"] = MAY_IMPORT["identify"]  # nothing but report, demo and cli uses it
+MAY_IMPORT["nerf"] = MAY_IMPORT["fit"]  # nothing but report, demo and cli uses it
 MAY_IMPORT["report"] = set(MAY_IMPORT)
 MAY_IMPORT["demo"] = set(MAY_IMPORT)
 MAY_IMPORT["cli"] = set(MAY_IMPORT)

@@ -9,8 +9,8 @@ import numpy as np
 from pixelid.fit.event_times import EventTimesObjective
 from pixelid.fit.newton import maximise
 from pixelid.fit.objective import Objective
-from pixelid.fit.profiles import DROP, at_fixed
-from pixelid.identify.design import caveats, design_of, exchanged_poles
+from pixelid.fit.uncertainty.profiles import DROP, at_fixed
+from pixelid.fit.uncertainty.stimulus_design import caveats, design_of, exchanged_poles
 from pixelid.recordings.recording import Recording
 
 DISTANCE = 0.5  # of a log coordinate: a parameter that may move so far is not identified
