@@ -53,7 +53,7 @@ _ADVICE = {
     "`pixelid design` recommends.",
     Status.not_converged: "The search stopped before its maximum: start again with another --seed, or from a model "
     "closer to the recording.",
-    Status.diverged: "The numbers ran away: check units, thresholds and dead time of the input, and start closer to it.",
+    Status.diverged: "The numbers ran away: check units, thresholds and dead time of the input, and start closer.",
     Status.interrupted: "The computation was stopped before its end: run it again; what has been kept is continued.",
 }
 # From harmless to useless.  A result that stands on a bound or leaves something open can still be read; one that does
