@@ -109,7 +109,7 @@ def summary(sessions: list[dict]) -> dict:
     from scipy.stats import binomtest
 
     table = {}
-    sessions = [s for s in sessions if s["status"] == "converged"]
+    sessions = [s for s in sessions if s["status"] in ("converged", "at_bound")]
     for name in sessions[0]["parameters"] if sessions else ():
         errors, held = [], []
         for s in sessions:

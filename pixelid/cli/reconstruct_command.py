@@ -67,6 +67,7 @@ def command(
     from pixelid.nerf.reconstruct import reconstruct
     from pixelid.nerf.train import Recipe
     from pixelid.report.html import write_report
+    from pixelid.status import Status
 
     data = read_dataset(dataset)
     recipe = replace(Recipe(), iterations=iterations) if iterations else Recipe()
@@ -92,4 +93,4 @@ def command(
         )
         if result.advice:
             click.echo(f"- {result.advice}")
-    return 0 if result.status == "done" or not first else 1
+    return 0 if result.status is Status.converged or not first else 1

@@ -16,6 +16,7 @@ from pixelid.errors import InputError
 from pixelid.fit.coordinates import Coordinates
 from pixelid.model.model import Model
 from pixelid.recordings.recording import Recording
+from pixelid.status import Status
 
 PRIOR_SD = 2.0  # of every coordinate before any data, in `Coordinates.longest_moves`: a factor e^±2, or 2 ms
 Z95 = 1.959963984540054
@@ -95,7 +96,7 @@ def recommend(
     after = afters[order[0]]
     report("done", 1.0)
     return {
-        "status": "done",
+        "status": Status.converged,
         "advice": _advice(ranking, recordings, known, draws),
         "model": model.name,
         "criterion": criterion,

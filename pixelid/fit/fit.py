@@ -25,6 +25,7 @@ from pixelid.parameters.gauge import Gauge
 from pixelid.provenance import input_hashes, versions
 from pixelid.recordings.recording import Recording
 from pixelid.recordings.selection import few
+from pixelid.status import Status
 from pixelid.stimuli.resample import resampled
 
 Progress = Callable[[str, float], None]
@@ -99,7 +100,7 @@ def fit(
     details["directions_best_to_least_known"] = list(reading.directions)
     fitted = coordinates.model_at(optimum.x)
     physical, why = _physical(fitted, gauge is not None)
-    status, advice = _status(optimum, details)
+    status, advice = _status(optimum, coordinates.names, details)
     report("done", 1.0)
     return FitResult(
         status=status,
@@ -209,19 +210,26 @@ def _positive(matrix: np.ndarray) -> bool:
     return bool(np.isfinite(matrix).all())
 
 
-def _status(optimum: Optimum, details: dict) -> tuple[str, str]:
-    advice = []
+def _status(optimum: Optimum, names: Sequence[str], details: dict) -> tuple[Status, str]:
+    """How the fit ended, and what to do about it in words."""
+    advice, statuses = [], []
     if details.get("stray_fraction", 0.0) > 1e-3:
         advice.append(
             f"{details['strays']} events ({100 * details['stray_fraction']:.2g} %) do not fit the model at all: "
             "it misses an effect"
         )
+        statuses.append(Status.misfit)
     if details.get("dispersion", 1.0) > 3.0:
         advice.append(
             f"counts vary {details['dispersion']:.1f} times more about the model than Poisson counts would: "
             "errors are scaled for it, but the model misses an effect"
         )
-    if optimum.converged:
-        return "converged", "; ".join(advice)
-    advice.insert(0, "the search ended before it settled: fix a parameter that is not identified, or start closer")
-    return "not converged", "; ".join(advice)
+        statuses.append(Status.misfit)
+    held = [name for name, on_bound in zip(names, optimum.on_bound, strict=True) if on_bound]
+    if held:
+        advice.append(f"{', '.join(held)} on the bound: fix there, remove the effect, or widen the bound")
+        statuses.append(Status.at_bound)
+    if not optimum.converged:
+        advice.insert(0, "the search ended before its maximum: fix a parameter that is not identified, or start closer")
+        statuses.append(Status.not_converged)
+    return Status.worst(statuses), "; ".join(advice)

@@ -15,6 +15,7 @@ from pixelid.flicker.phases import PhaseTable, locked_frequency, phase_table, qu
 from pixelid.model.model import Model
 from pixelid.provenance import input_hashes, versions
 from pixelid.recordings.recording import Recording
+from pixelid.status import Status
 
 OPEN_SD = 0.5
 
@@ -68,7 +69,7 @@ class FlickerFit:
         """The content of flicker.json."""
         settled = all(g.fit.converged for g in self.groups)
         return {
-            "status": "converged" if settled else "not converged",
+            "status": Status.converged if settled else Status.not_converged,
             "advice": "" if settled else "some groups did not settle: use fewer, larger groups",
             "observation": "phase_table",
             "frequency_hz": {"value": self.frequency_hz, "std": self.frequency_sd, "identified": True},

@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from pixelid.lowlight import beside, curves, poles, radii
 from pixelid.model.model import Model
 from pixelid.recordings.recording import Recording
+from pixelid.status import Status
 
 LEVELS_SHOWN = (0.05, 0.43, 1.0, 7.0)  # of Bode and step plots, in units of β²/α
 
@@ -33,7 +34,7 @@ def analyse(
     errors = radii.all_radii(circuit)
     report("curves", 0.3)
     found = {
-        "status": "done",
+        "status": Status.converged,
         "advice": "",
         "model": model.name,
         "photoreceptor": model.photoreceptor,

@@ -21,6 +21,7 @@ from pixelid.nerf.train import Problem, Recipe, State, held_out_residual, start,
 from pixelid.nerf.views import Views
 from pixelid.outputs import write_json
 from pixelid.provenance import input_hashes, versions
+from pixelid.status import Status
 
 LEARNED = 0.9  # share of held-out changes left unexplained, above which the field explains too little
 LOOKS = 10  # running PSNR, per run
@@ -31,11 +32,11 @@ SAVE_EVERY = 100  # steps between checkpoints
 class Reconstruction:
     """What a reconstruction found.
 
-    status: "done" or why it must not be trusted;  scores: of the test views;  held_out: share of held-out changes
+    status: how it ended;  scores: of the test views;  held_out: share of held-out changes
     left unexplained;  truth: the test views;  history: loss terms, rays/s and running PSNR over the steps
     """
 
-    status: str
+    status: Status
     advice: str
     bandwidth: Bandwidth
     state: State
@@ -175,15 +176,15 @@ def _running(state: State, problem: Problem, validation: Views) -> float:
     return float(evaluate(state.field, first, second, problem.dark).psnr.mean())
 
 
-def _verdict(held_out: float, scores: Scores) -> tuple[str, str]:
+def _verdict(held_out: float, scores: Scores) -> tuple[Status, str]:
     if not np.isfinite(scores.psnr).all():
-        return "diverged", "the field holds NaN: lower the learning rate, or check thresholds and dead time"
+        return Status.diverged, "the field holds NaN: lower the learning rate, or check thresholds and dead time"
     if held_out > LEARNED:
-        return "not_learned", (
+        return Status.misfit, (
             f"what events of held-out pixels tell is missed by {held_out:.2f} of its size (1 would be no scene): "
             "check poses, polarity, thresholds and --box, or train longer"
         )
-    return "done", ""
+    return Status.converged, ""
 
 
 def rendered(reconstruction: Reconstruction) -> np.ndarray:

@@ -11,6 +11,7 @@ from pixelid.provenance import provenance
 from pixelid.rates.fit import SUSPECT, Regression
 from pixelid.rates.pixel import PixelFit, fit_pixel
 from pixelid.rates.pool import PoolFit, fit_pool
+from pixelid.status import Status
 
 
 def pixel_result(fit: PixelFit) -> dict:
@@ -45,7 +46,7 @@ def _head(r: Regression, model: str, frequency_hz: np.ndarray) -> dict:
         if "cutoff_hz" in name and not 0.3 * frequency_hz.min() < entry["value"] < 3.0 * frequency_hz.max():
             entry |= {"identified": False, "std": None}  # an extrapolation beyond every frequency measured
     return {
-        "status": "converged" if r.converged else "not converged",
+        "status": Status.converged if r.converged else Status.not_converged,
         "advice": "" if r.converged else "the regression did not settle: drop columns with few cells",
         "model": model,
         "observation": "pooled_rate",

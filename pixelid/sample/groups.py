@@ -58,7 +58,7 @@ def inference_data(
     if predictive_draws and result.observation == "event_times":
         drawn = predicted(posterior, result, recordings, predictive_draws)
         groups["posterior_predictive"] = {name: value[None] for name, value in drawn.items()}
-    attributes = {"status": posterior.status, "model": result.model.name, "seed": int(posterior.details.get("seed", 0))}
+    attributes = {"status": str(posterior.status), "model": result.model.name, "seed": int(posterior.details.get("seed", 0))}
     return arviz().from_dict(**groups, coords=coords, dims=dims, attrs=attributes)
 
 

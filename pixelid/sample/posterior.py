@@ -11,18 +11,19 @@ from pixelid.errors import InputError
 from pixelid.fit.coordinates import Coordinates
 from pixelid.model.model import Model
 from pixelid.sample.convergence import Convergence
+from pixelid.status import Status
 
 
 @dataclass(frozen=True)
 class Posterior:
     """Draws of the exact posterior.
 
-    status, advice: "converged" or what is missing;  chain: (ensembles, steps, walkers, d) fitting coordinates
+    status, advice: how the sampling ended and what to do;  chain: (ensembles, steps, walkers, d) fitting coordinates
     log_prob: (ensembles, steps, walkers);  pieces: (…, r + 1 + p) log-likelihoods, see `target.Target`
     convergence: per coordinate;  details: how it was made
     """
 
-    status: str
+    status: Status
     advice: str
     coordinates: Coordinates
     chain: np.ndarray

@@ -18,6 +18,7 @@ from pixelid.sample.library import arviz
 from pixelid.sample.posterior import Posterior
 from pixelid.sample.proposal import Proposal, shaped
 from pixelid.sample.target import Target
+from pixelid.status import Status
 
 PILOT = 60  # exact evaluations that judge the proposal
 GOOD = 0.6  # efficiency of importance weights from which the Laplace shape is kept
@@ -89,7 +90,7 @@ def sample(
         run.finish()
     enough = found.done and found.effective.min() >= wanted
     return Posterior(
-        status="converged" if enough else "not converged",
+        status=Status.converged if enough else Status.not_converged,
         advice="" if enough else _advice(found, coordinates.names, wanted),
         coordinates=coordinates,
         chain=chain,

@@ -10,6 +10,7 @@ from pixelid.fit.result import FitResult
 from pixelid.recordings.recording import Recording
 from pixelid.sample.groups import save
 from pixelid.sample.sample import sample
+from pixelid.status import Status
 
 
 def sampled(
@@ -28,7 +29,7 @@ def sampled(
     said = save(posterior, result, recordings, folder)
     chain_file.replace(folder / "chain.h5")
     result = replace(result, details={**result.details, "posterior": said})
-    if posterior.status != "converged":
+    if posterior.status is not Status.converged:
         advice = "; ".join(text for text in (result.advice, posterior.advice) if text)
-        result = replace(result, status="not converged", advice=advice)
+        result = replace(result, status=Status.worst([result.status, posterior.status]), advice=advice)
     return result

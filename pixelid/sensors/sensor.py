@@ -20,6 +20,7 @@ from pixelid.sensors.profile import REACH, Plan, estimate_tile
 from pixelid.sensors.shrinkage import Population, bootstrap, population, shrink
 from pixelid.sensors.tiles import common_size, tiles_of
 from pixelid.sensors.work import Where, connected, run_tasks
+from pixelid.status import Status
 
 CHUNK = 20  # bootstrap replicates per task
 
@@ -83,7 +84,7 @@ class SensorFit:
         empty = [name for name, m in self.maps.items() if not m.population.count]
         height, width = self.events.shape
         return {
-            "status": "converged" if not empty else "not identified",
+            "status": Status.converged if not empty else Status.not_identified,
             "advice": ""
             if not empty
             else f"no pixel's events hold {', '.join(empty)}: record more, or use larger --block",

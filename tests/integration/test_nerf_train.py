@@ -38,7 +38,7 @@ def test_the_command_writes_its_contract(made, tmp_path, capsys, bandwidth):
     code = main(words)
     assert code in (0, 1)
     result = json.loads((out / "reconstruction.json").read_text())
-    assert (code == 0) == (result["status"] == "done")
+    assert (code == 0) == (result["status"] == "converged")
     assert result["bandwidth"] == bandwidth
     assert set(result["views"]) == {"psnr", "ssim", "lpips", "per_view"}
     assert len(result["views"]["per_view"]) == 8
