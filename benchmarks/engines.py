@@ -21,7 +21,7 @@ from pixelid.recordings import open_recordings
 from pixelid.simulate import simulate
 from pixelid.stimuli.shapes import chirp, steps
 
-ENGINES = (("scipy", {}), ("casadi", {"form": "compiled"}), ("torch", {"form": "compiled"}))
+ENGINES = (("scipy", {}), ("casadi", {"evaluation": "compiled"}), ("torch", {"evaluation": "compiled"}))
 
 
 def session():

@@ -97,6 +97,8 @@ def _truth_figure(result: FitResult, truth: Model, path: Path) -> None:
     for row, estimate in enumerate(reversed(free)):
         true = truth.values[estimate.name]
         low, high = estimate.interval_95 or (np.nan, np.nan)
+        low = estimate.value if low is None else low  # an open side has no end to draw
+        high = estimate.value if high is None else high
         axis.plot([low / true, high / true], [row, row], color="tab:blue", linewidth=3, solid_capstyle="butt")
         axis.plot(estimate.value / true, row, "o", color="tab:blue")
         axis.plot(start[estimate.name] / true, row, "x", color="grey")
