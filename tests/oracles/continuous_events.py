@@ -2,6 +2,7 @@
 
 For short recordings: explicit solvers take steps of about 3 / the fastest cutoff.
 """
+
 from __future__ import annotations
 
 from collections.abc import Callable
