@@ -28,7 +28,7 @@ Example:
 @click.option("--between", type=click.Choice(["auto", "linear", "smooth"]), default="auto", show_default=True,
               help="How a sampled stimulus runs between its samples; auto asks the events.")  # fmt: skip
 @click.option("--engine", type=click.Choice(["casadi", "torch", "scipy"]),
-              help="What climbs (default: casadi); all find the same optimum.")  # fmt: skip
+              help="What maximises (default: casadi); all find the same optimum.")  # fmt: skip
 @click.option("--form", type=click.Choice(["discrete", "continuous"]),
               help="Linearised once per stimulus step (default), or continuous in time (slower).")  # fmt: skip
 @click.option("--sample", is_flag=True, help="Also draw from the posterior: posterior.nc, corner and trace plots.")

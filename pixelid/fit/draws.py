@@ -23,11 +23,11 @@ def read_fit(folder: Path) -> dict | None:
     if not path.is_file():
         return None
     try:
-        found = json.loads(path.read_text())
-        found["parameters"].items()
+        document = json.loads(path.read_text())
+        document["parameters"].items()
     except (ValueError, KeyError, TypeError, AttributeError):
         raise InputError(f"{path}: not the fit.json of a fit") from None
-    return found
+    return document
 
 
 def uncertainty(fit: dict, model: Model) -> tuple[list[str], np.ndarray]:

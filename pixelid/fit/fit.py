@@ -18,7 +18,7 @@ from pixelid.fit.newton import maximise as newton_steps
 from pixelid.fit.pooled import fit_pooled
 from pixelid.fit.result import FitResult, Stopwatch, estimates_of
 from pixelid.fit.starts import feasible, random_starts
-from pixelid.fit.uncertainty.challenge import tested
+from pixelid.fit.uncertainty.challenge import challenged
 from pixelid.fit.uncertainty.curvature import read_curvature
 from pixelid.fit.uncertainty.small_sample import intervals
 from pixelid.likelihood.event_times import EventTimes
@@ -120,7 +120,7 @@ def fit(
     coordinates = objective.coordinates
     reading = read_curvature(coordinates, curvature, optimum.on_bound)
     report("testing what the stimuli can tell", 0.95)
-    identified, limits = tested(objective, optimum.x, reading.identified, recordings)
+    identified, limits = challenged(objective, optimum.x, reading.identified, recordings)
     details["condition_number"] = reading.condition
     details["directions_best_to_least_known"] = list(reading.directions)
     fitted = coordinates.model_at(optimum.x)
@@ -204,14 +204,14 @@ def _fit_event_times(recordings, model, starts, between, maximiser: Engine, form
         continuous = maximiser.continuous(objective, optimum.x)
         discrete = optimum
         optimum = newton_steps(continuous, discrete.x, tolerance=CONTINUOUS_TOLERANCE, max_steps=20)
-    strays = objective.likelihood.terms(coordinates.circuit(optimum.x)).stray
+    background = objective.likelihood.terms(coordinates.circuit(optimum.x)).stray
     details = {
         "stimulus_between_samples": kind,
         "starts": len(ends),
         "starts_at_this_optimum": agree,
         "steps": optimum.steps,
-        "strays": int(strays.sum()),
-        "stray_fraction": float(strays.mean()),
+        "background_events": int(background.sum()),
+        "background_fraction": float(background.mean()),
         "residual_tests": [test.as_dict() for test in residual_tests(objective, optimum.x)],
         "form": form,
     }

@@ -152,7 +152,8 @@ def status_of(
         objective: what was maximised, for the test of bounds.
         optimum: where.
         estimates: by parameter.
-        details: "dispersion" of pooled fits; "strays", "stray_fraction" and "residual_tests" of event times.
+        details: "dispersion" of pooled fits; "background_events", "background_fraction", "residual_tests" of event
+            times.
 
     Returns:
         The most serious status and all advice, joined.
@@ -163,7 +164,7 @@ def status_of(
     if not has_arrived(objective, optimum):
         advice.append("the search ended before its maximum: fix a parameter that is not identified, or start closer")
         statuses.append(Status.not_converged)
-    background, share = details.get("strays", 0), details.get("stray_fraction", 0.0)
+    background, share = details.get("background_events", 0), details.get("background_fraction", 0.0)
     if share > LARGEST_BACKGROUND_FRACTION and background >= FEWEST_BACKGROUND_EVENTS:
         advice.append(f"{background} events ({100 * share:.2g} %) do not fit the model at all: it misses an effect")
         statuses.append(Status.misfit)

@@ -57,8 +57,8 @@ def test_statuses():
     assert status(optimum(), estimate(identified=False))[0] is Status.not_identified
     assert status(optimum(), dispersion=16.8)[0] is Status.misfit
     assert status(optimum(), dispersion=2.0)[0] is Status.converged
-    assert status(optimum(), strays=30, stray_fraction=0.01)[0] is Status.misfit
-    assert status(optimum(), strays=1, stray_fraction=0.01)[0] is Status.converged
+    assert status(optimum(), background_events=30, background_fraction=0.01)[0] is Status.misfit
+    assert status(optimum(), background_events=1, background_fraction=0.01)[0] is Status.converged
     word, advice = status(optimum(), residual_tests=[{"covariate": "the level", "p_value": 1e-20, "share": 0.2}])
     assert word is Status.misfit
     assert "the level" in advice

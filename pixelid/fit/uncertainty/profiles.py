@@ -181,20 +181,20 @@ def profiled(
     """The result with every free parameter profiled: `details["profiles"]`, and identified only where bounded."""
     objective = objective_of(result, recordings)
     dispersion = float(result.details.get("dispersion", 1.0))
-    found = {}
+    profiles = {}
     names = result.coordinates.names
     for i, name in enumerate(names):
         if progress:
             progress(f"profiling {name}", i / len(names))
-        found[name] = profile(objective, result.x, name, result.covariance, dispersion)
+        profiles[name] = profile(objective, result.x, name, result.covariance, dispersion)
     estimates = {
-        name: replace(e, identified=e.identified and found[name].kind == "bounded") if name in found else e
+        name: replace(e, identified=e.identified and profiles[name].kind == "bounded") if name in profiles else e
         for name, e in result.estimates.items()
     }
-    sentences = tuple(p.sentence() for p in found.values() if p.sentence())
+    sentences = tuple(p.sentence() for p in profiles.values() if p.sentence())
     return replace(
         result,
         estimates=estimates,
         unidentified=(*result.unidentified, *sentences),
-        details={**result.details, "profiles": {name: p.as_dict() for name, p in found.items()}},
+        details={**result.details, "profiles": {name: p.as_dict() for name, p in profiles.items()}},
     )
