@@ -57,7 +57,7 @@ def test_continuous_and_discrete_fits_agree_when_sampling_is_fine_and_part_when_
     assert coarse > 0.5
 
 
-@pytest.mark.parametrize("samples", [201, 801])
+@pytest.mark.parametrize("samples", [pytest.param(201, marks=pytest.mark.slow), 801])
 def test_engines_agree_on_the_continuous_form(measured, samples):
     objective = objective_of(measured, samples)
     x = objective.coordinates.start + 0.01
