@@ -80,7 +80,7 @@ def test_collocation_has_converged(measured):
 
 def test_light_that_stands_still_is_exact_however_long_the_step(measured):
     """Steps of constant light are as long as one likes: the continuous form equals the discrete one there."""
-    held = [r.with_stimulus(Stimulus(r.stimulus.t[[0, -1]], np.array([50.0, 50.0]), "fA")) for r in measured]
+    held = [r.with_stimulus(Stimulus(r.stimulus.t[[0, 20_000, -1]], np.full(3, 50.0), "fA")) for r in measured]
     objective = EventTimesObjective(EventTimes(held), Coordinates.of(MODEL))
     x = objective.coordinates.start
     for name in ENGINES:
