@@ -1,4 +1,4 @@
-"""Every engine on one small session: value, gradient, Hessian and a whole climb, in CPU seconds, and how they agree.
+"""Every engine on one small session: value, gradient, Hessian and a whole search, in CPU seconds, and how they agree.
 
 python benchmarks/engines.py [RECORDINGS…]
 """
@@ -21,7 +21,7 @@ from pixelid.recordings import open_recordings
 from pixelid.simulate import simulate
 from pixelid.stimuli.shapes import chirp, steps
 
-ENGINES = (("scipy", {}), ("casadi", {"form": "compiled"}), ("torch", {"form": "compiled"}))
+ENGINES = (("scipy", {}), ("casadi", {"evaluation": "compiled"}), ("torch", {"evaluation": "compiled"}))
 
 
 def session():
@@ -57,7 +57,7 @@ def main(paths: list[str]) -> None:
     for name, options in ENGINES:
         found, seconds = timed(lambda n=name, o=options: engine(n, **o).maximise(objective, start, tolerance=1e-8))
         away = np.abs((found.x - best.x) / sd).max()
-        print(f"{name:8s} climb {seconds:7.2f} s, {found.steps} steps, {away:.1e} standard errors from the optimum")
+        print(f"{name:8s} search {seconds:7.2f} s, {found.steps} steps, {away:.1e} standard errors from the optimum")
 
 
 if __name__ == "__main__":

@@ -3,8 +3,8 @@
 Each session is simulated with its own hidden circuit (every free parameter of dvs128 drawn log-normally about its
 nominal value), 9 pixels, 6 short recordings at 3 radiance levels, threshold noise and mismatch on, the pixels'
 thresholds the same in all recordings.  It is fitted without priors; the 95 % intervals come from the Hessian, for
-thresholds and mismatch with the small-sample form of `identify/small_sample.py`.  Fits that say they did not converge
-are left out.
+thresholds and mismatch with the small-sample form of `fit/uncertainty/small_sample.py`.  Fits that say they did not
+converge are left out.
 Target: 92 to 98 % for every parameter.  Finished sessions are kept, a second call continues.
 
     python benchmarks/interval_coverage.py --sessions 200 --processes 2
@@ -22,7 +22,7 @@ from pathlib import Path
 import numpy as np
 
 from pixelid.fit import fit
-from pixelid.identify.small_sample import intervals
+from pixelid.fit.uncertainty.small_sample import intervals
 from pixelid.model.model import Model
 from pixelid.model.shipped import find_model
 from pixelid.recordings.events import Events

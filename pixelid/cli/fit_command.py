@@ -30,13 +30,15 @@ Example:
               help="How a sampled stimulus runs between its samples; auto asks the events.")  # fmt: skip
 @click.option("--engine", type=click.Choice(["casadi", "torch", "scipy"]),
               help="What maximises (default: casadi); all find the same optimum.")  # fmt: skip
+@click.option("--form", type=click.Choice(["discrete", "continuous"]),
+              help="Linearised once per stimulus step (default), or continuous in time (slower).")  # fmt: skip
 @click.option("--sample", is_flag=True, help="Also draw from the posterior: posterior.nc, corner and trace plots.")
 @click.option("--profile", is_flag=True, help="Also profile every parameter: bounded, one-sided or flat.")
 @options.overwrite
 @options.seed()
 @options.quiet
 def command(
-    recordings, model, out, with_, without, fix, gauge, between, engine, sample, profile, overwrite, seed, quiet
+    recordings, model, out, with_, without, fix, gauge, between, engine, form, sample, profile, overwrite, seed, quiet
 ):
     """Fit a circuit to RECORDINGS (files or folders), or run a RECIPE.toml of fits/.
 
@@ -64,6 +66,8 @@ def command(
             recipe = Recipe.of(recordings, model, with_, without, fix, gauge, between, seed, sample, profile)
         if engine:
             recipe = replace(recipe, engine=engine)
+        if form:
+            recipe = replace(recipe, form=form)
         with bar(quiet) as report:
             result = recipe.run(out, overwrite, report)
     if not quiet:

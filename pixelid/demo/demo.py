@@ -95,6 +95,8 @@ def draw_truth(result: FitResult, truth: Model, axis: Any = None) -> Any:
     for row, estimate in enumerate(reversed(free)):
         true = truth.values[estimate.name]
         low, high = estimate.interval_95 or (np.nan, np.nan)
+        low = estimate.value if low is None else low  # an open side has no end to draw
+        high = estimate.value if high is None else high
         axis.plot([low / true, high / true], [row, row], color=IMPROVED, linewidth=3, solid_capstyle="butt")
         axis.plot(estimate.value / true, row, "o", color=IMPROVED, label=None if row else "fit, 95 % interval")
         axis.plot(start[estimate.name] / true, row, "x", color=MUTED, label=None if row else "start")

@@ -24,11 +24,11 @@ def read_fit(folder: Path) -> dict[str, Any] | None:
     if not path.is_file():
         return None
     try:
-        found = json.loads(path.read_text())
-        found["parameters"].items()
+        document = json.loads(path.read_text())
+        document["parameters"].items()
     except (ValueError, KeyError, TypeError, AttributeError):
         raise InputError(f"{path}: not the fit.json of a fit") from None
-    return found
+    return document
 
 
 def uncertainty(fit: dict, model: Model) -> tuple[list[str], np.ndarray]:
@@ -45,7 +45,10 @@ def uncertainty(fit: dict, model: Model) -> tuple[list[str], np.ndarray]:
     names, variances = [], []
     for name, entry in fit["parameters"].items():
         if name in model.parameters and entry.get("interval_95") and not entry.get("fixed"):
-            low, high = (model.parameters[name].to_coordinate(value) for value in entry["interval_95"])
+            parameter = model.parameters[name]
+            low, high = entry["interval_95"]  # None where a side is open: to the bound
+            low = parameter.to_coordinate(parameter.lower if low is None else low)
+            high = parameter.to_coordinate(parameter.upper if high is None else high)
             names.append(name)
             variances.append(((high - low) / (2 * Z95)) ** 2)
     return names, np.diag(variances)

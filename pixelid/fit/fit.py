@@ -8,17 +8,19 @@ from dataclasses import replace
 import numpy as np
 
 from pixelid.errors import InputError
-from pixelid.fit.caveats import tested
 from pixelid.fit.coordinates import Coordinates
-from pixelid.fit.engines import Engine
+from pixelid.fit.engines import FORMS, Engine
 from pixelid.fit.engines import engine as engine_named
 from pixelid.fit.event_times import EventTimesObjective
+from pixelid.fit.judge import open_sides, precision, residual_tests, status_of
 from pixelid.fit.newton import Optimum
+from pixelid.fit.newton import maximise as newton_steps
 from pixelid.fit.pooled import fit_pooled
 from pixelid.fit.result import FitResult, Stopwatch, estimates_of
 from pixelid.fit.starts import feasible, random_starts
-from pixelid.identify.curvature import read_curvature
-from pixelid.identify.small_sample import intervals
+from pixelid.fit.uncertainty.challenge import challenged
+from pixelid.fit.uncertainty.curvature import read_curvature
+from pixelid.fit.uncertainty.small_sample import intervals
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.model.model import Model
 from pixelid.parameters.gauge import Gauge
@@ -31,6 +33,8 @@ from pixelid.stimuli.resample import resampled
 Progress = Callable[[str, float], None]
 STARTS = 2  # random starts beside the model's own
 MORE_STARTS, FAR = 6, 1.0  # tried one after the other, factors e^±FAR away, while the best end has not converged
+# Nats: a step of 0.01 standard errors, well below the difference of the two forms; each step integrates anew.
+CONTINUOUS_TOLERANCE = 1e-4
 SCOUT_EVENTS = 6_000  # events the search from afar looks at
 
 
@@ -43,6 +47,7 @@ def fit(
     starts: int = STARTS,
     between: str = "auto",
     engine: str = "casadi",
+    form: str = "discrete",
     seed: int = 0,
     progress: Progress | None = None,
 ) -> FitResult:
@@ -51,17 +56,34 @@ def fit(
     Recordings with pixel addresses use the event-time likelihood, pooled ones the pooled-rate likelihood (all or
     none).  The search starts from the model's values and `starts` random points around them, and from a few more while
     the best has not converged.
-    between: how recorded stimuli run between their samples, "linear", "smooth", or "auto": whichever explains the
-    events better.  fixed: nuisances of the recordings to hold ("stimulus.gain", "pooled.pixels").
-    engine: what climbs the event-time likelihood (`fit.engines`); all engines find the same optimum.  Pooled counts,
-    whose likelihood has kinks, are always climbed by the damped Newton steps of `newton.py`, and the result says so.
-    gauge: statements that make physical values unique, instead of the model's own; refused when
-    incomplete or over-determined.  progress(what, fraction) reports.
 
-    Raises InputError for recordings that cannot be fitted together, and for an impossible gauge.
+    Args:
+        recordings: one or more, of the same sensor.
+        model: what to fit; its values are the start.
+        gauge: statements that make physical values unique, instead of the model's own; refused when incomplete or
+            over-determined.
+        fixed: nuisances of the recordings to hold ("stimulus.gain", "pooled.pixels").
+        starts: random starts beside the model's own.
+        between: how recorded stimuli run between their samples, "linear", "smooth", or "auto": whichever explains the
+            events better.
+        engine: what maximises the event-time likelihood (`fit.engines`); all engines find the same optimum.  Pooled
+            counts, whose likelihood has kinks, are always maximised by the damped Newton steps of `newton.py`, and the
+            result says so.
+        form: "discrete", the photoreceptor linearised once per step of the stimulus, or "continuous", its coefficients
+            following the light at every instant: started from the discrete optimum, see docs/fitting.md for the cost.
+        seed: of the random starts.
+        progress: progress(what, fraction) is called as the fit goes on.
+
+    Returns:
+        The values with their intervals, and how the fit ended.
+
+    Raises:
+        InputError: recordings that cannot be fitted together, an impossible gauge, or a form that the circuit lacks.
     """
     watch = Stopwatch()
-    climber = engine_named(engine)
+    maximiser = engine_named(engine)
+    if form not in FORMS:
+        raise InputError(f"form must be one of {', '.join(FORMS)}, found {form!r}")
     report = progress or (lambda what, fraction: None)
     if not recordings:
         raise InputError("no recordings to fit")
@@ -78,12 +100,16 @@ def fit(
     recordings = [recording.within_stimulus() for recording in recordings]
     rng = np.random.default_rng(seed)
     if all(pooled):
+        if form != "discrete":
+            raise InputError("form: the continuous form is for event times, these recordings are pooled")
         objective, optimum, details, pixels = fit_pooled(recordings, model, fixed or {}, report)
         dispersion = details["dispersion"]
     else:
         if fixed:
             raise InputError(f"model {model.name} has no parameter {next(iter(fixed))!r} to hold")
-        objective, optimum, details, pixels = _fit_event_times(recordings, model, starts, between, climber, rng, report)
+        objective, optimum, details, pixels = _fit_event_times(
+            recordings, model, starts, between, maximiser, form, rng, report
+        )
         dispersion = 1.0
     report("standard errors", 0.9)
     curvature = -objective.hessian(optimum.x, optimum.local) / dispersion
@@ -95,30 +121,31 @@ def fit(
     coordinates = objective.coordinates
     reading = read_curvature(coordinates, curvature, optimum.on_bound)
     report("testing what the stimuli can tell", 0.95)
-    identified, limits = tested(objective, optimum.x, reading.identified, recordings)
+    identified, limits = challenged(objective, optimum.x, reading.identified, recordings)
     details["condition_number"] = reading.condition
     details["directions_best_to_least_known"] = list(reading.directions)
     fitted = coordinates.model_at(optimum.x)
     physical, why = _physical(fitted, gauge is not None)
-    status, advice = _status(optimum, coordinates.names, details)
+    estimates, open_ones = open_sides(
+        estimates_of(
+            coordinates, optimum.x, reading.sd, identified, intervals(coordinates.names, optimum.x, reading.sd, pixels)
+        ),
+        coordinates.parameters,
+    )
+    details["precision"] = {p.name: precision(estimates[p.name], p) for p in coordinates.parameters}
+    status, advice = status_of(objective, optimum, estimates, details)
     report("done", 1.0)
     return FitResult(
         status=status,
         advice=advice,
         model=fitted,
-        engine="newton" if all(pooled) else climber.name,
+        engine="newton" if all(pooled) else maximiser.name,
         observation="pooled_rate" if all(pooled) else "event_times",
         coordinates=coordinates,
         x=optimum.x,
         covariance=reading.covariance,
-        estimates=estimates_of(
-            coordinates,
-            optimum.x,
-            reading.sd,
-            identified,
-            intervals(coordinates.names, optimum.x, reading.sd, pixels),
-        ),
-        unidentified=(*reading.sentences, *limits, *details.pop("caveats", ())),
+        estimates=estimates,
+        unidentified=(*open_ones, *reading.sentences, *limits, *details.pop("caveats", ())),
         physical=physical,
         physical_why=why,
         log_likelihood=optimum.local.value - coordinates.log_prior(optimum.x),
@@ -133,7 +160,7 @@ def fit(
     )
 
 
-def _fit_event_times(recordings, model, starts, between, climber: Engine, rng, report):
+def _fit_event_times(recordings, model, starts, between, maximiser: Engine, form, rng, report):
     if "threshold_noise" not in model.effects:
         raise InputError(
             f"model {model.name}: the event-time likelihood needs threshold_noise (add it with --with threshold_noise)"
@@ -143,7 +170,7 @@ def _fit_event_times(recordings, model, starts, between, climber: Engine, rng, r
     model = feasible(model, scout)
     coordinates = Coordinates.of(model)
     report("searching", 0.05)
-    searcher = engine_named("scipy") if climber.name == "torch" else climber  # far starts need curvature
+    searcher = engine_named("scipy") if maximiser.name == "torch" else maximiser  # far starts need curvature
     ends: list[Optimum] = []
 
     def search(begun: np.ndarray) -> None:
@@ -168,20 +195,29 @@ def _fit_event_times(recordings, model, starts, between, climber: Engine, rng, r
         if "timestamp_jitter" in model.effects:
             likelihood.weigh_clock(coordinates.circuit(x))
         objective = EventTimesObjective(likelihood, coordinates)
-        candidates[kind] = objective, climber.maximise(objective, x, max_steps=60)
+        candidates[kind] = objective, maximiser.maximise(objective, x, max_steps=60)
         x = candidates[kind][1].x
         report("refining", 0.5 + 0.2 * len(candidates))
     kind = max(candidates, key=lambda k: candidates[k][1].local.value)
     objective, optimum = candidates[kind]
-    strays = objective.likelihood.terms(coordinates.circuit(optimum.x)).stray
+    if form == "continuous":
+        report("continuous form", 0.75)
+        continuous = maximiser.continuous(objective, optimum.x)
+        discrete = optimum
+        optimum = newton_steps(continuous, discrete.x, tolerance=CONTINUOUS_TOLERANCE, max_steps=20)
+    background = objective.likelihood.terms(coordinates.circuit(optimum.x)).stray
     details = {
         "stimulus_between_samples": kind,
         "starts": len(ends),
         "starts_at_this_optimum": agree,
         "steps": optimum.steps,
-        "strays": int(strays.sum()),
-        "stray_fraction": float(strays.mean()),
+        "background_events": int(background.sum()),
+        "background_fraction": float(background.mean()),
+        "residual_tests": [test.as_dict() for test in residual_tests(objective, optimum.x)],
+        "form": form,
     }
+    if form == "continuous":
+        details["continuous_minus_discrete_nats"] = float(optimum.local.value - discrete.local.value)
     if len(candidates) == 2:
         details["smooth_minus_linear_nats"] = float(
             candidates["smooth"][1].local.value - candidates["linear"][1].local.value
@@ -208,28 +244,3 @@ def _positive(matrix: np.ndarray) -> bool:
     except np.linalg.LinAlgError:
         return False
     return bool(np.isfinite(matrix).all())
-
-
-def _status(optimum: Optimum, names: Sequence[str], details: dict) -> tuple[Status, str]:
-    """How the fit ended, and what to do about it in words."""
-    advice, statuses = [], []
-    if details.get("stray_fraction", 0.0) > 1e-3:
-        advice.append(
-            f"{details['strays']} events ({100 * details['stray_fraction']:.2g} %) do not fit the model at all: "
-            "it misses an effect"
-        )
-        statuses.append(Status.misfit)
-    if details.get("dispersion", 1.0) > 3.0:
-        advice.append(
-            f"counts vary {details['dispersion']:.1f} times more about the model than Poisson counts would: "
-            "errors are scaled for it, but the model misses an effect"
-        )
-        statuses.append(Status.misfit)
-    held = [name for name, on_bound in zip(names, optimum.on_bound, strict=True) if on_bound]
-    if held:
-        advice.append(f"{', '.join(held)} on the bound: fix there, remove the effect, or widen the bound")
-        statuses.append(Status.at_bound)
-    if not optimum.converged:
-        advice.insert(0, "the search ended before its maximum: fix a parameter that is not identified, or start closer")
-        statuses.append(Status.not_converged)
-    return Status.worst(statuses), "; ".join(advice)

@@ -16,10 +16,10 @@ from pixelid.fit.objective import Local, Objective
 
 @dataclass(frozen=True)
 class Optimum:
-    """Where the climb ended.
+    """Where a search ended.
 
     x: coordinates;  local: value, gradient, information there;  converged: whether the expected gain of one more
-    step is below the tolerance;  on_bound: (n,) coordinates held by a bound;  evaluations, steps: what it took.
+    step is below the tolerance;  on_bound: (n,) coordinates held by a bound;  steps: how many it took.
     """
 
     x: np.ndarray
@@ -37,7 +37,7 @@ def maximise(
     max_steps: int = 200,
     progress: Callable[[int, float], None] | None = None,
 ) -> Optimum:
-    """Climb from `start` until one more step promises less than `tolerance` nats.
+    """Move from `start` until one more step promises less than `tolerance` nats.
 
     progress(step, value) is called after every step.
     """

@@ -1,4 +1,4 @@
-"""Fit a circuit to pooled event counts: align clocks, match counts, climb on a part, climb on all."""
+"""Fit a circuit to pooled event counts: align clocks, match counts, maximise on a part, then on all."""
 
 from __future__ import annotations
 
@@ -44,19 +44,19 @@ def fit_pooled(
     model = model.set({name: value for name, value in start.items() if name in model.parameters})
     coordinates = Coordinates.of(model, tuple(p.at(start[name]) for name, p in nuisances.items()))
     report("searching", 0.1)
-    found = maximise(
+    scouted = maximise(
         PooledRateObjective(scout, coordinates),
         coordinates.start,
         tolerance=1.0,
         max_steps=60,
         progress=lambda step, value: report("searching", 0.1 + 0.4 * step / 60),
     )
-    noisy = scout.dispersion(PooledRateObjective(scout, coordinates).expected(found.x))
+    noisy = scout.dispersion(PooledRateObjective(scout, coordinates).expected(scouted.x))
     likelihood = PooledRate(recordings)
     objective = PooledRateObjective(likelihood, coordinates)
     optimum = maximise(
         objective,
-        found.x,
+        scouted.x,
         tolerance=0.1 * max(noisy, 1.0),  # a tenth of a nat, for counts this noisy
         max_steps=80,
         progress=lambda step, value: report("fitting", 0.5 + 0.4 * step / 80),

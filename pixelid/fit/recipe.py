@@ -9,6 +9,7 @@ fix = ["gamma=1.12"]            parameters to hold
 gauge = ["q_in=0.875"]          statements for physical values
 between = "auto"                "linear", "smooth" or "auto"
 engine = "casadi"               "casadi", "torch" or "scipy"
+form = "discrete"               "discrete" or "continuous"
 seed = 0
 """
 
@@ -19,7 +20,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from pixelid.errors import InputError
-from pixelid.fit.engines import ENGINES
+from pixelid.fit.engines import ENGINES, FORMS
 from pixelid.fit.fit import fit
 from pixelid.fit.result import FitResult
 from pixelid.model.files import read_toml
@@ -30,7 +31,20 @@ from pixelid.outputs import refuse_existing, whole_folder
 from pixelid.parameters.gauge import Gauge
 from pixelid.recordings import open_recordings
 
-_KEYS = {"recordings", "model", "with", "without", "fix", "gauge", "between", "seed", "sample", "profile", "engine"}
+_KEYS = {
+    "recordings",
+    "model",
+    "with",
+    "without",
+    "fix",
+    "gauge",
+    "between",
+    "seed",
+    "sample",
+    "profile",
+    "engine",
+    "form",
+}
 
 
 @dataclass(frozen=True)
@@ -48,6 +62,7 @@ class Recipe:
     sample: bool = False
     profile: bool = False
     engine: str = "casadi"
+    form: str = "discrete"
 
     @staticmethod
     def of(
@@ -99,11 +114,12 @@ class Recipe:
             fixed=self.held_nuisances(model),
             between=self.between,
             engine=self.engine,
+            form=self.form,
             seed=self.seed,
             progress=progress,
         )
         if self.profile:
-            from pixelid.fit.profiles import profiled
+            from pixelid.fit.uncertainty.profiles import profiled
 
             result = profiled(result, recordings, progress)
         with whole_folder(out, overwrite) as folder:
@@ -155,14 +171,16 @@ def read_recipe(path: Path) -> Recipe:
         _whole_number(document.get("seed", 0), path),
         _yes_or_no(document, "sample", path),
         _yes_or_no(document, "profile", path),
-        _engine(document, path),
+        _choice(document, "engine", ENGINES, path),
+        _choice(document, "form", FORMS, path),
     )
 
 
-def _engine(document, path: Path) -> str:
-    value = document.get("engine", "casadi")
-    if value not in ENGINES:
-        raise InputError(f"{path}: [fit] engine must be one of {', '.join(ENGINES)}, found {value!r}")
+def _choice(document, key: str, known: tuple[str, ...], path: Path) -> str:
+    """One of the known words, the recipe's own default when it says nothing."""
+    value = document.get(key, getattr(Recipe, key))
+    if value not in known:
+        raise InputError(f"{path}: [fit] {key} must be one of {', '.join(known)}, found {value!r}")
     return value
 
 

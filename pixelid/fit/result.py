@@ -32,7 +32,7 @@ class Estimate:
     value: float
     unit: str
     std: float | None
-    interval_95: tuple[float, float] | None
+    interval_95: tuple[float | None, float | None] | None
     identified: bool
     fixed: bool
 

@@ -54,17 +54,17 @@ def align(likelihood: PooledRate, model: Model, values: dict[str, float]) -> dic
         if unknown_light:
             trial |= {name: values[name] * float(scale) for name in ("alpha", "gamma")}
         circuit = model.circuit(trial)
-        found, score = {}, 0.0
+        delays, score = {}, 0.0
         for i, counts in enumerate(likelihood.counts):
             name = delay_name(likelihood.recordings, i)
             scores = {}
             for delay in np.arange(-2e-3, 2.01e-3, 1e-4):
                 change = np.diff(likelihood.output(i, circuit, {**trial, name: float(delay)}))
                 scores[float(delay)] = _explained(counts.on, change) + _explained(counts.off, -change)
-            found[name] = max(scores, key=scores.__getitem__)
-            score += scores[found[name]]
+            delays[name] = max(scores, key=scores.__getitem__)
+            score += scores[delays[name]]
         if score > best[0]:
-            best = score, {**found, **{name: trial[name] for name in ("alpha", "gamma") if unknown_light}}
+            best = score, {**delays, **{name: trial[name] for name in ("alpha", "gamma") if unknown_light}}
     return best[1]
 
 

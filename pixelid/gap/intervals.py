@@ -8,8 +8,8 @@ import numpy as np
 
 from pixelid.fit.coordinates import Coordinates
 from pixelid.fit.event_times import EventTimesObjective
+from pixelid.fit.uncertainty.small_sample import intervals
 from pixelid.gap.climb import Climbed
-from pixelid.identify.small_sample import intervals
 from pixelid.likelihood.event_times import EventTimes
 
 # Variance that unknown times add, over that of refits to successive draws of them, which remember each other: at most.

@@ -1,4 +1,4 @@
-"""Gauges: what must be assumed before physical circuit values can be quoted (DESIGN §2).
+"""Gauges: what must be assumed before physical circuit values can be quoted (docs/model.md, "Invariants").
 
 Data fix α, β, γ.  The six physical values need three more statements, each a fixed value ("q_in = 0.875") or a
 ratio ("A_loop = 0.7 A_amp").  Fewer leave flat directions, more (or repeated ones) over-determine; both are

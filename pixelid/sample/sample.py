@@ -10,7 +10,7 @@ import numpy as np
 
 from pixelid.errors import InputError
 from pixelid.fit.result import FitResult, Stopwatch
-from pixelid.identify.small_sample import MISMATCH, mismatch_shares
+from pixelid.fit.uncertainty.small_sample import MISMATCH, mismatch_shares
 from pixelid.provenance import versions
 from pixelid.recordings.recording import Recording
 from pixelid.sample.convergence import ENOUGH_TAU, Convergence, convergence

@@ -27,13 +27,12 @@ MAY_IMPORT["inputs"] = BASE | {"model", "recordings", "stimuli"}
 MAY_IMPORT["api"] = BASE  # everything else is imported when a function is called
 MAY_IMPORT["inspection"] = BASE | {"recordings", "stimuli"}
 MAY_IMPORT["simulate"] = MAY_IMPORT["likelihood"] = set(MAY_IMPORT) - {"inspection"}
-MAY_IMPORT["identify"] = MAY_IMPORT["sensors"] = MAY_IMPORT["simulate"] | {"simulate", "likelihood"}
-MAY_IMPORT["fit"] = MAY_IMPORT["identify"] | {"identify"}
+MAY_IMPORT["fit"] = MAY_IMPORT["sensors"] = MAY_IMPORT["simulate"] | {"simulate", "likelihood"}
 MAY_IMPORT["tables"] = MAY_IMPORT["simulate"] | {"simulate"}  # observation models of tables instead of events
 for folder in ("sample", "compare", "lowlight", "design"):  # what follows from a fit
     MAY_IMPORT[folder] = MAY_IMPORT["fit"] | {"fit", "sample"}
 MAY_IMPORT["gap"] = MAY_IMPORT["fit"] | {"fit", "design", "inspection"}
-MAY_IMPORT["nerf"] = MAY_IMPORT["identify"]  # nothing but report, demo and cli uses it
+MAY_IMPORT["nerf"] = MAY_IMPORT["fit"]  # nothing but report, demo and cli uses it
 MAY_IMPORT["report"] = set(MAY_IMPORT)
 MAY_IMPORT["demo"] = set(MAY_IMPORT)
 MAY_IMPORT["cli"] = set(MAY_IMPORT)

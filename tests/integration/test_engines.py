@@ -113,11 +113,11 @@ def test_symbolic_gradient_and_hessian_equal_differences(plain, optimum):
 @pytest.mark.parametrize(
     ("name", "options"),
     [
-        ("casadi", {"form": "compiled"}),
-        ("casadi", {"form": "symbolic"}),
-        ("torch", {"form": "compiled"}),
+        ("casadi", {"evaluation": "compiled"}),
+        ("casadi", {"evaluation": "expression"}),
+        ("torch", {"evaluation": "compiled"}),
         ("scipy", {}),
-        pytest.param("torch", {"form": "tensors"}, marks=pytest.mark.slow),
+        pytest.param("torch", {"evaluation": "expression"}, marks=pytest.mark.slow),
         pytest.param("scipy", {"method": "lbfgs"}, marks=pytest.mark.slow),
     ],
 )
@@ -144,4 +144,4 @@ def test_unknown_engines_and_options_are_refused():
         engine("jax")
     for name in ENGINES:
         with pytest.raises(InputError):
-            engine(name, **{"scipy": {"method": "x"}}.get(name, {"form": "x"}))
+            engine(name, **{"scipy": {"method": "x"}}.get(name, {"evaluation": "x"}))

@@ -1,4 +1,4 @@
-"""The continuous-time model: collocation, shooting, torch's solvers, and reference events."""
+"""The continuous form: three integrators that must agree, with the discrete form, and with reference trajectories."""
 
 from __future__ import annotations
 
@@ -10,14 +10,18 @@ from test_engines import light
 from pixelid.dynamics.of_circuit import dynamics_of
 from pixelid.dynamics.trajectory import integrate
 from pixelid.errors import InputError
+from pixelid.fit import fit
 from pixelid.fit.coordinates import Coordinates
-from pixelid.fit.engines.collocation import MultipleShooting, continuous_log_posterior, continuous_optimum
+from pixelid.fit.engines import ENGINES, engine
+from pixelid.fit.engines.collocation import collocation_objective
 from pixelid.fit.event_times import EventTimesObjective
 from pixelid.fit.newton import maximise
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.model.shipped import find_model
 from pixelid.simulate import simulate
 from pixelid.stimuli.resample import resampled
+from pixelid.stimuli.shapes import chirp
+from pixelid.stimuli.stimulus import Stimulus
 
 MODEL = find_model("dvs128")
 
@@ -40,7 +44,7 @@ def objective_of(measured, samples):
 def shift(objective):
     """How far the continuous fit is from the discrete one, in standard errors."""
     discrete = maximise(objective, objective.coordinates.start)
-    continuous = continuous_optimum(objective, discrete.x)
+    continuous = maximise(engine("casadi").continuous(objective, discrete.x), discrete.x)
     assert continuous.converged
     sd = np.sqrt(np.diag(np.linalg.inv(discrete.local.information)))
     return np.abs((continuous.x - discrete.x) / sd).max(), continuous, sd
@@ -53,32 +57,72 @@ def test_continuous_and_discrete_fits_agree_when_sampling_is_fine_and_part_when_
     assert coarse > 0.5
 
 
-@pytest.mark.slow
-def test_multiple_shooting_finds_the_single_shooting_optimum(measured):
-    objective = objective_of(measured, 201)
-    _, single, sd = shift(objective)
-    multiple = MultipleShooting(objective, segments=3).maximise(single.x + 0.1 * sd)
-    assert multiple.converged
-    assert np.abs((multiple.x - single.x) / sd).max() < 0.01
+@pytest.mark.parametrize("samples", [pytest.param(201, marks=pytest.mark.slow), 801])
+def test_engines_agree_on_the_continuous_form(measured, samples):
+    objective = objective_of(measured, samples)
+    x = objective.coordinates.start + 0.01
+    sd = 1.0 / np.sqrt(np.diag(objective.local(x).information))
+    forms = [engine(name).continuous(objective, x) for name in ENGINES]
+    expected = forms[0].local(x)
+    for form in forms[1:]:
+        found = form.local(x)
+        assert found.value == pytest.approx(expected.value, abs=0.02)
+        np.testing.assert_allclose(found.gradient * sd, expected.gradient * sd, rtol=2e-3, atol=0.02)
+        assert form.value(x) == pytest.approx(found.value, abs=1e-6)
 
 
 def test_collocation_has_converged(measured):
-    objective = objective_of(measured, 801)
+    objective = objective_of(measured, 201)
     x = objective.coordinates.start
-    assert continuous_log_posterior(objective, x, parts=2) == pytest.approx(
-        continuous_log_posterior(objective, x, parts=5), abs=3e-3
-    )
+    chosen, finer = collocation_objective(objective, x), collocation_objective(objective, x, parts=24)
+    assert chosen.value(x) == pytest.approx(finer.value(x), abs=3e-3)
 
 
-def test_continuous_fit_refuses_what_it_lacks(measured):
-    model = MODEL.without_effect("differencing_pole")
-    objective = EventTimesObjective(EventTimes(measured), Coordinates.of(model))
-    with pytest.raises(InputError, match="continuous"):
-        continuous_log_posterior(objective, objective.coordinates.start)
+def test_light_that_stands_still_is_exact_however_long_the_step(measured):
+    """Steps of constant light are as long as one likes: the continuous form equals the discrete one there."""
+    held = [r.with_stimulus(Stimulus(r.stimulus.t[[0, 20_000, -1]], np.full(3, 50.0), "fA")) for r in measured]
+    objective = EventTimesObjective(EventTimes(held), Coordinates.of(MODEL))
+    x = objective.coordinates.start
+    for name in ENGINES:
+        assert engine(name).continuous(objective, x).value(x) == pytest.approx(objective.value(x), abs=1e-6), name
+
+
+def test_the_continuous_form_refuses_what_it_lacks(measured):
+    for model in (MODEL.without_effect("differencing_pole"), MODEL.with_effect("extra_pole")):
+        objective = EventTimesObjective(EventTimes(measured), Coordinates.of(model))
+        for name in ENGINES:
+            with pytest.raises(InputError, match="form"):
+                engine(name).continuous(objective, objective.coordinates.start)
+
+
+def test_fit_in_the_continuous_form(measured):
+    results = [fit(measured, MODEL, starts=0, between="linear", engine="casadi", form=form)
+               for form in ("discrete", "continuous")]  # fmt: skip
+    discrete, continuous = results
+    assert continuous.status == discrete.status
+    assert continuous.details["form"] == "continuous"
+    sd = np.sqrt(np.diag(discrete.covariance))
+    assert np.abs((continuous.x - discrete.x) / sd).max() < 0.1
+    assert abs(continuous.details["continuous_minus_discrete_nats"]) < 0.5
+    with pytest.raises(InputError, match="form"):
+        fit(measured, MODEL, form="both")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["casadi", "torch"])
+def test_forms_agree_on_a_real_sized_chirp(name):
+    recording = simulate(MODEL, chirp(), width=3, height=3, seed=1)
+    finer = recording.with_stimulus(resampled(recording.stimulus, "smooth"))
+    objective = EventTimesObjective(EventTimes([finer]), Coordinates.of(MODEL))
+    discrete = maximise(objective, objective.coordinates.start)
+    end = maximise(engine(name).continuous(objective, discrete.x), discrete.x, tolerance=1e-4)
+    sd = np.sqrt(np.diag(np.linalg.inv(discrete.local.information)))
+    assert end.converged
+    assert np.abs((end.x - discrete.x) / sd).max() < 0.1
 
 
 def test_torch_trajectories_and_their_adjoint():
-    from pixelid.fit.engines.torch_continuous import log_linear, trajectory
+    from oracles.continuous_events import log_linear, trajectory
 
     shown = light(100, 500, 31, duration=0.0006)
     fine = resampled(shown, largest_change=0.0025)  # the closed form freezes the photoreceptor within a step
@@ -96,7 +140,7 @@ def test_torch_trajectories_and_their_adjoint():
 
 
 def test_reference_events_equal_the_oracle(shared):
-    from pixelid.fit.engines.torch_continuous import events, log_linear
+    from oracles.continuous_events import events, log_linear
 
     circuit, shown, times, polarities = oracle_case(np.load(shared / "oracle" / "pixel_trajectories.npz"), 0)
     fine = shown(20001)

@@ -8,10 +8,10 @@ import pytest
 from pixelid.fit import fit
 from pixelid.fit.coordinates import Coordinates
 from pixelid.fit.newton import maximise
-from pixelid.fit.profiles import objective_of, profile, profiled
-from pixelid.identify.curvature import combination
-from pixelid.identify.design import caveats, design_of, exchanged_poles
-from pixelid.identify.small_sample import intervals
+from pixelid.fit.uncertainty.curvature import combination
+from pixelid.fit.uncertainty.profiles import objective_of, profile, profiled
+from pixelid.fit.uncertainty.small_sample import intervals
+from pixelid.fit.uncertainty.stimulus_design import caveats, design_of, exchanged_poles
 from pixelid.model.shipped import find_model
 from pixelid.recordings.events import Events
 from pixelid.recordings.recording import Recording

@@ -1,8 +1,9 @@
-"""Engines: three ways to evaluate and climb the same objective, which must agree.
+"""Engines: three ways to evaluate and maximise the same log posterior, which must agree, in two forms.
 
-    casadi   IPOPT; the whole likelihood as one symbolic expression with exact first and second derivatives
-    torch    the same expression on tensors, any device; L-BFGS or Adam
-    scipy    the compiled scan; damped Newton (trust region) or L-BFGS-B
+              discrete form                                        continuous form
+    casadi    IPOPT; exact derivatives of one symbolic expression   Radau collocation, differentiated exactly
+    torch     L-BFGS or Adam; the same expression on tensors        torchdiffeq, autograd
+    scipy     damped Newton or L-BFGS-B on the compiled scan        solve_ivp, central differences
 
 An engine's libraries are imported when it is made.
 """
@@ -13,8 +14,9 @@ from pixelid.errors import InputError
 from pixelid.fit.engines.engine import Engine
 
 ENGINES = ("casadi", "torch", "scipy")
+FORMS = ("discrete", "continuous")
 
-__all__ = ["ENGINES", "Engine", "engine"]
+__all__ = ["ENGINES", "FORMS", "Engine", "engine"]
 
 
 def engine(name: str, **options) -> Engine:

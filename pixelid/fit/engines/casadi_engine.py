@@ -1,13 +1,15 @@
 """The CasADi engine: IPOPT on exact derivatives.
 
-Two forms of the same objective (`form`):
+Two ways to evaluate the discrete form (`evaluation`):
 
-    "symbolic"  the whole likelihood, scan included, as one CasADi expression: exact gradient by reverse and exact
-                Hessian by forward-over-reverse differentiation of the mapped accumulation.  The discrete choices
-                (`frozen.py`) are refreshed between solves.
-    "compiled"  IPOPT driven by the compiled objective: its value, gradient and Gauss–Newton information.
-    "auto"      symbolic up to `EXPRESSION_SIZE` samples and events and where every effect has a symbolic form,
-                compiled beyond: CasADi's virtual machine takes ten times as long per exact Hessian there.
+    "expression"  the whole likelihood, scan included, as one CasADi expression: exact gradient by reverse and exact
+                  Hessian by forward-over-reverse differentiation of the mapped accumulation.  The discrete choices
+                  (`frozen.py`) are refreshed between solves.
+    "compiled"    IPOPT driven by the compiled objective: its value, gradient and Gauss–Newton information.
+    "auto"        the expression up to `EXPRESSION_SIZE` samples and events and where every effect has a symbolic form,
+                  compiled beyond: CasADi's virtual machine takes ten times as long per exact Hessian there.
+
+The continuous form is `collocation.py`.
 
 Warm start: IPOPT begins at the start (barrier 1e-8, bounds hardly pushed), in coordinates scaled to about one standard
 error, so that its tolerance means a fraction of a standard error.
@@ -21,23 +23,21 @@ import numpy as np
 from pixelid.errors import InputError
 from pixelid.fit.engines.casadi_operations import CasadiOperations
 from pixelid.fit.engines.engine import (
-    EXPRESSION_SIZE,
+    EVALUATIONS,
     Engine,
     Progress,
-    held_by_bounds,
+    maximise_in_rounds,
     parameter_values,
-    promised,
     scales,
+    through_expression,
 )
 from pixelid.fit.engines.expression import log_likelihood
 from pixelid.fit.engines.frozen import freeze
 from pixelid.fit.event_times import EventTimesObjective
-from pixelid.fit.newton import Optimum, maximise
+from pixelid.fit.newton import Optimum
 from pixelid.fit.objective import Local, Objective
 
-FORMS = ("auto", "symbolic", "compiled")
-REACH = 3.0  # how far, in longest moves, one solve may go
-MOST_SOLVES = 10
+REACH = 3.0  # how far, in longest moves, one solve may go: beyond, the frozen choices are no longer those of the data
 
 
 def symbolic(objective: EventTimesObjective, x: np.ndarray) -> tuple[ca.MX, ca.MX]:
@@ -53,14 +53,14 @@ def symbolic(objective: EventTimesObjective, x: np.ndarray) -> tuple[ca.MX, ca.M
 
 
 class CasadiEngine(Engine):
-    """form: see the module.  `value`, `gradient` and `hessian` are symbolic whenever the objective has that form."""
+    """evaluation: see the module.  `value`, `gradient`, `hessian` are the expression's where the objective has one."""
 
     name = "casadi"
 
-    def __init__(self, form: str = "auto") -> None:
-        if form not in FORMS:
-            raise InputError(f"form must be one of {', '.join(FORMS)}, found {form!r}")
-        self.form = form
+    def __init__(self, evaluation: str = "auto") -> None:
+        if evaluation not in EVALUATIONS:
+            raise InputError(f"evaluation must be one of {', '.join(EVALUATIONS)}, found {evaluation!r}")
+        self.evaluation = evaluation
 
     def value(self, objective: Objective, x: np.ndarray) -> float:
         if not isinstance(objective, EventTimesObjective):
@@ -80,45 +80,26 @@ class CasadiEngine(Engine):
         at, value = symbolic(objective, x)
         return np.array(ca.Function("hessian", [at], [ca.hessian(value, at)[0]])(x))
 
-    def _form(self, objective: Objective, x: np.ndarray) -> str:
-        if not isinstance(objective, EventTimesObjective):
-            return "compiled"
-        if self.form != "auto":
-            return self.form
-        try:
-            frozen = freeze(objective, x)
-        except InputError:
-            return "compiled"
-        return "symbolic" if frozen.samples + frozen.layout.events <= EXPRESSION_SIZE else "compiled"
-
     def maximise(
         self, objective: Objective, start: np.ndarray, *, tolerance: float = 1e-6, max_steps: int = 200,
         progress: Progress | None = None,
     ) -> Optimum:  # fmt: skip
-        """As `Engine.maximise`.  Where IPOPT does not arrive, damped Newton steps finish."""
-        lower, upper = objective.coordinates.bounds()
-        x = np.clip(np.asarray(start, dtype=float), lower, upper)
-        form = self._form(objective, x)
-        local, steps = objective.local(x), 0
-        for _ in range(MOST_SOLVES):
-            moved, taken = _solve(objective, x, local, form, tolerance, max_steps - steps)
-            steps += taken
-            there = objective.local(moved) if np.isfinite(moved).all() else local
-            if not there.value >= local.value:
-                break
-            x, local = moved, there
-            held = held_by_bounds(x, local, lower, upper)
-            if progress:
-                progress(steps, local.value)
-            if promised(local, held) < tolerance:
-                return Optimum(x, local, True, held, steps)
-            if steps >= max_steps:
-                break
-        rest = maximise(objective, x, tolerance=tolerance, max_steps=max(max_steps - steps, 1), progress=progress)
-        return Optimum(rest.x, rest.local, rest.converged, rest.on_bound, steps + rest.steps)
+        symbolically = through_expression(self.evaluation, objective, np.asarray(start, dtype=float))
+
+        def advance(objective, x, local, held, tolerance, max_steps):
+            return _solve(objective, x, local, symbolically, tolerance, max_steps)
+
+        return maximise_in_rounds(
+            objective, start, advance, tolerance=tolerance, max_steps=max_steps, progress=progress
+        )
+
+    def continuous(self, objective: Objective, x: np.ndarray) -> Objective:
+        from pixelid.fit.engines.collocation import collocation_objective
+
+        return collocation_objective(objective, x)
 
 
-def _solve(objective, x0, local: Local, form: str, tolerance: float, max_steps: int) -> tuple[np.ndarray, int]:
+def _solve(objective, x0, local: Local, symbolically: bool, tolerance: float, max_steps: int) -> tuple[np.ndarray, int]:
     """One IPOPT solve around x0: (where it ended, iterations)."""
     lower, upper = objective.coordinates.bounds()
     longest = objective.coordinates.longest_moves()
@@ -136,7 +117,7 @@ def _solve(objective, x0, local: Local, form: str, tolerance: float, max_steps: 
             "acceptable_iter": 0, "bound_relax_factor": 0.0, "mu_strategy": "monotone",
         },
     }  # fmt: skip
-    if form == "symbolic":
+    if symbolically:
         at, value = symbolic(objective, x0)
         f = ca.Function("f", [at], [-value])(x0 + scale * q)
     else:

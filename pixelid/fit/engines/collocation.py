@@ -1,35 +1,23 @@
-"""The continuous-time model fitted by direct multiple shooting with collocation steps (CasADi, IPOPT).
+"""The continuous form in CasADi: three-point Radau collocation, differentiated exactly.
 
-The discrete model freezes the photoreceptor's coefficients over each step; the pixel does not.  Here the light inside
-a step is the same log-linear ramp, but the coefficients follow it: dx/dt = f(x, u(t)) of `dynamics/continuous.py`,
-integrated by three-point Radau collocation (order 5, stiffly accurate; Hairer & Wanner, Solving ODEs II, §IV.5).
+Order 5 and stiffly accurate (Hairer & Wanner, Solving ODEs II, §IV.5):
 
     x(t + h c_i) = x + h Σ_j a_ij f(x_j, u(t + h c_j)),   i = 1 … 3;   x(t + h) is the last stage.
 
-f is linear in x, so the stages of one step are one linear solve and the step is an explicit expression.  Direct
-multiple shooting cuts a recording into segments whose initial states are unknowns, tied by continuity constraints;
-the likelihood is the same expression as everywhere (`expression.log_likelihood`).  For modest problems: thousands of
-samples, not millions.
+f is linear in x, so the stages are one linear solve and the step is an explicit expression.
 """
 
 from __future__ import annotations
 
 from functools import cache
-from itertools import pairwise
 
 import casadi as ca
 import numpy as np
 
-from pixelid.dynamics.equations import PRESENT_BELOW
-from pixelid.dynamics.of_circuit import dynamics_of
-from pixelid.errors import InputError
 from pixelid.fit.engines.casadi_operations import CasadiOperations
-from pixelid.fit.engines.engine import held_by_bounds, parameter_values, promised, scales
-from pixelid.fit.engines.expression import changes, log_likelihood
+from pixelid.fit.engines.continuous import ContinuousObjective, discrete_form, log_posterior
 from pixelid.fit.engines.frozen import freeze
-from pixelid.fit.event_times import EventTimesObjective
-from pixelid.fit.newton import Optimum
-from pixelid.fit.objective import Local
+from pixelid.fit.objective import Objective
 
 ROOT = np.sqrt(6.0)
 NODES = np.array([(4.0 - ROOT) / 10.0, (4.0 + ROOT) / 10.0, 1.0])
@@ -40,22 +28,25 @@ RADAU = np.array(
         [(16.0 - ROOT) / 36.0, (16.0 + ROOT) / 36.0, 1.0 / 9.0],
     ]
 )
-SEGMENTS = 8
+LEAST_PARTS, MOST_PARTS = 2, 32
+# Collocation steps are at most this long in units of the photoreceptor's 1/ωn.  Halving it moves the log-likelihood of
+# the tests' recordings by less than 1e-3 nats.
+LONGEST_STEP = 1.0
 
 
 @cache
 def radau_step(parts: int) -> ca.Function:
-    """(x (4,), u slope, τ, L at the step's start, p (5,)) → x after τ, in `parts` equal collocation steps.
+    """(x (4,), drive, slope, τ, L at the start, p (5,)) → x after τ, in `parts` equal collocation steps.
 
-    x = (v, y, s, d), the levels relative to u at the step's start;  p = (α, β, γ, follower, differencing).
+    x = (v, y, s, d), the levels relative to the input at the start;  p = (α, β, γ, follower, differencing).
     """
-    x, r, tau = ca.SX.sym("x", 4), ca.SX.sym("r"), ca.SX.sym("tau")
+    x, drive, slope, tau = ca.SX.sym("x", 4), ca.SX.sym("drive"), ca.SX.sym("slope"), ca.SX.sym("tau")
     light, p = ca.SX.sym("L"), ca.SX.sym("p", 5)
     h = tau / parts
     state = x
     for part in range(parts):
         times = [(part + float(node)) * h for node in NODES]
-        lights = [light * ca.exp(r * t) for t in times]
+        lights = [light * ca.exp(slope * t) for t in times]
         v, y, s, d = (state[i] for i in range(4))
         # photoreceptor: eliminate the slopes' dependence on y, y_i = y + h Σ a_ij v_j, then solve for v_i
         A, B = ca.SX.zeros(3, 3), ca.SX.zeros(3, 1)
@@ -64,7 +55,7 @@ def radau_step(parts: int) -> ca.Function:
             for j in range(3):
                 a, b2 = p[0] * lights[j], p[1] + p[2] * lights[j]
                 w = h * RADAU[i, j]
-                B[i] += w * a * (r * times[j] - y)
+                B[i] += w * a * (drive * times[j] - y)
                 A[i, j] += w * b2 + (1.0 if i == j else 0.0)
                 for k in range(3):
                     A[i, k] += w * a * h * RADAU[j, k]
@@ -73,7 +64,7 @@ def radau_step(parts: int) -> ca.Function:
         following = _low_pass(s, levels, p[3] * h)
         differenced = _low_pass(d, following, p[4] * h)
         state = ca.vertcat(slopes[2], levels[2], following[2], differenced[2])
-    return ca.Function("radau", [x, r, tau, light, p], [state])
+    return ca.Function("radau", [x, drive, slope, tau, light, p], [state])
 
 
 def _low_pass(start, drive, wh):
@@ -93,171 +84,52 @@ def _solve3(A, b):
     return ca.mtimes(ca.inv_minor(A), b)
 
 
-class MultipleShooting:
-    """The continuous model's likelihood of an event-time objective as one constrained problem.
+def collocation_objective(objective: Objective, x: np.ndarray, parts: int | None = None) -> ContinuousObjective:
+    """The continuous form of an objective by collocation.
 
-    parts: collocation steps per stimulus sample;  segments: per recording
+    Args:
+        objective: the discrete form.
+        x: (p,) where the search will be; decides about the number of collocation steps.
+        parts: collocation steps per stimulus step; None: as many as `LONGEST_STEP` asks for.
+
+    Raises:
+        InputError: see `continuous.discrete_form`.
     """
+    discrete = discrete_form(objective, x)
+    if parts is None:
+        parts = needed_parts(freeze(discrete, x))
+    step = radau_step(parts)
+    op = CasadiOperations()
 
-    def __init__(self, objective: EventTimesObjective, parts: int = 2, segments: int = SEGMENTS) -> None:
-        self.objective, self.parts, self.segments = objective, parts, segments
+    def flow(state, drive, slope, tau, radiance, dynamics):
+        n = tau.shape[0]
+        p = ca.vertcat(dynamics.alpha, dynamics.beta, dynamics.gamma, dynamics.follower, dynamics.differencing)
+        moved = step.map(n)(ca.horzcat(*state).T, drive.T, slope.T, tau.T, radiance.T, ca.repmat(p, 1, n))
+        return tuple(moved[i, :].T for i in range(4))
 
-    def expressions(self, x: np.ndarray):
-        """(coordinates, states at the segments' starts, log posterior, continuity defects) at discrete choices of x.
+    def expressed(x):
+        at = ca.MX.sym("x", len(x))
+        return at, log_posterior(op, discrete, freeze(discrete, x), at, flow)
 
-        Raises InputError for effects the symbolic form lacks, and a source follower or amplifier without a pole.
-        """
-        coordinates = self.objective.coordinates
-        frozen = freeze(self.objective, x)
-        present = dynamics_of(frozen.circuit)
-        if max(present.follower, present.differencing, present.beta) > PRESENT_BELOW:
-            raise InputError("the continuous fit needs a second-order photoreceptor, a follower and an amplifier pole")
-        if present.floor != 0:
-            raise InputError("bandwidth_floor: not in the continuous fit; use the discrete form")
-        at = ca.MX.sym("x", len(coordinates))
-        circuit = coordinates.model.circuit(parameter_values(coordinates, at, ca.exp))
-        nodes: list[ca.MX] = []
-        defects: list[ca.MX] = []
+    def value(x):
+        at, value = expressed(x)
+        return float(ca.Function("value", [at], [value])(x))
 
-        def changes_of(recording):
-            return changes(
-                CasadiOperations(), recording, circuit, frozen.circuit, True,
-                lambda light, dynamics: self._integrated(light, dynamics, nodes, defects),
-            )  # fmt: skip
+    def value_and_gradient(x):
+        at, value = expressed(x)
+        found, gradient = ca.Function("local", [at], [value, ca.gradient(value, at)])(x)
+        return float(found), np.array(gradient).ravel()
 
-        value = log_likelihood(CasadiOperations(), frozen, circuit, changes_of)
-        for i, p in enumerate(coordinates.parameters):
-            if p.prior is not None:
-                value = value - 0.5 * ((at[i] - p.prior.mean) / p.prior.sd) ** 2
-        return at, ca.vertcat(*nodes), value, ca.vertcat(*defects), frozen
-
-    def _integrated(self, light, dynamics, nodes, defects):
-        step = radau_step(self.parts)
-        p = ca.vertcat(*(dynamics.alpha, dynamics.beta, dynamics.gamma, dynamics.follower, dynamics.differencing))
-        n = light.tau.shape[0]
-        one = ca.Function(
-            "one", [x := ca.SX.sym("x", 4), c := ca.SX.sym("c", 4), q := ca.SX.sym("q", 5)],
-            [step(x, c[0], c[1], c[2], q) - ca.vertcat(0, c[3], c[3], c[3])],
-        )  # fmt: skip
-        rows = ca.horzcat(light.slope, light.tau, light.radiance[:n], light.rise).T
-        edges = np.linspace(0, n, min(self.segments, max(n // 8, 1)) + 1).astype(int)
-        state, pieces = ca.MX.zeros(4, 1), [ca.MX.zeros(4, 1)]
-        for first, last in pairwise(edges):
-            if first > 0:
-                node = ca.MX.sym("node", 4)
-                nodes.append(node)
-                defects.append(node - state)
-                state = node
-            states = one.mapaccum(int(last - first))(state, rows[:, first:last], ca.repmat(p, 1, int(last - first)))
-            pieces.append(states)
-            state = states[:, -1]
-        samples = ca.horzcat(*pieces).T
-        columns = [samples[:, i] for i in range(4)]
-
-        def at(index, tau):
-            op = CasadiOperations()
-            r, _ = light.at(op, index)
-            m = len(index)
-            x = ca.horzcat(*(op.take(column, index) for column in columns)).T
-            moved = step.map(m)(x, r.T, tau.T, op.take(light.radiance, index).T, ca.repmat(p, 1, m))
-            return tuple(moved[i, :].T for i in range(4)), r
-
-        return columns, at
-
-    def value(self, x: np.ndarray) -> float:
-        """The continuous model's log posterior at x (single shooting through all segments)."""
-        at, nodes, value, defects, _ = self.expressions(x)
-        f = ca.Function("f", [at, nodes], [value, defects])
-        return float(f(x, self._nodes_at(f, x, nodes.shape[0]))[0])
-
-    @staticmethod
-    def _nodes_at(f: ca.Function, x: np.ndarray, size: int) -> np.ndarray:
-        """Node states without defects: each pass carries continuity one segment further."""
-        nodes = np.zeros(size)
-        for _ in range(size // 4 + 1):
-            defects = np.array(f(x, nodes)[1]).ravel()
-            nodes = nodes - defects
-            if np.abs(defects).max(initial=0.0) < 1e-13:
-                break
-        return nodes
-
-    def maximise(self, start: np.ndarray, *, tolerance: float = 1e-6, solves: int = 5) -> Optimum:
-        """IPOPT over coordinates and node states; discrete choices refreshed between solves.
-
-        First derivatives are exact; curvature is built up by limited-memory updates (the exact Hessian of a mapped
-        accumulation over collocation steps costs more than it saves).
-        """
-        lower, upper = self.objective.coordinates.bounds()
-        longest = self.objective.coordinates.longest_moves()
-        x = np.clip(np.asarray(start, dtype=float), lower, upper)
-        local = self.objective.local(x)
-        scale, steps, moved = scales(local, longest), 0, np.inf
-        for _ in range(solves):
-            at, nodes, value, defects, _ = self.expressions(x)
-            f = ca.Function("f", [at, nodes], [value, defects])
-            q = ca.MX.sym("q", len(x))
-            g = ca.MX.sym("g", nodes.shape[0])
-            objective_at, defects_at = f(x + scale * q, g)
-            options = {
-                "print_time": False, "error_on_fail": False, "show_eval_warnings": False,
-                "ipopt": {"hessian_approximation": "limited-memory", "limited_memory_max_history": 30,
-                          "print_level": 0, "sb": "yes", "mu_init": 1e-8, "bound_push": 1e-8, "bound_frac": 1e-8,
-                          "nlp_scaling_method": "none", "tol": float(np.sqrt(tolerance)), "max_iter": 60},
-            }  # fmt: skip
-            problem = {"x": ca.vertcat(q, g), "f": -objective_at, "g": defects_at}
-            solver = ca.nlpsol("shooting", "ipopt", problem, options)
-            begin = np.concatenate([np.zeros(len(x)), self._nodes_at(f, x, nodes.shape[0])])
-            free = np.full(nodes.shape[0], np.inf)
-            low = np.concatenate([(np.maximum(lower, x - longest) - x) / scale, -free])
-            high = np.concatenate([(np.minimum(upper, x + longest) - x) / scale, free])
-            found = solver(x0=begin, lbx=low, ubx=high, lbg=0.0, ubg=0.0)
-            steps += int(solver.stats()["iter_count"])
-            move = np.array(found["x"]).ravel()[: len(x)]
-            x, moved = x + scale * move, float(np.abs(move).max())
-            if moved < 1e-2:
-                break
-        held = (x <= lower) | (x >= upper)
-        return Optimum(x, self.objective.local(x), moved < 1e-2, held, steps)
+    return ContinuousObjective(discrete, value, value_and_gradient)
 
 
-def continuous_log_posterior(objective: EventTimesObjective, x: np.ndarray, parts: int = 2) -> float:
-    """The log posterior of the continuous-time model at x; compare `objective.value(x)`, the discrete model's."""
-    return MultipleShooting(objective, parts, segments=1).value(x)
-
-
-def continuous_optimum(
-    objective: EventTimesObjective, start: np.ndarray, parts: int = 2, tolerance: float = 1e-6, max_steps: int = 20
-) -> Optimum:
-    """The continuous-time model's optimum by single shooting: its exact gradient, the discrete model's information.
-
-    The two models differ little, so that information is a good metric: a few steps from the discrete optimum.
-    Bounds clip the steps.
-    """
-    lower, upper = objective.coordinates.bounds()
-    x = np.clip(np.asarray(start, dtype=float), lower, upper)
-    shooting = MultipleShooting(objective, parts, segments=1)
-
-    def at(x):
-        point, _, value, _, _ = shooting.expressions(x)
-        value, gradient = ca.Function("f", [point], [value, ca.gradient(value, point)])(x)
-        return Local(float(value), np.array(gradient).ravel(), objective.local(x).information)
-
-    local = at(x)
-    for step in range(max_steps):
-        held = held_by_bounds(x, local, lower, upper)
-        if promised(local, held) < tolerance:
-            return Optimum(x, local, True, held, step)
-        free = ~held
-        move = np.zeros(len(x))
-        move[free] = np.linalg.solve(local.information[np.ix_(free, free)], local.gradient[free])
-        for _ in range(6):
-            trial = np.clip(x + move, lower, upper)
-            there = at(trial)
-            if there.value > local.value:
-                break
-            move *= 0.5
-        else:
-            break
-        x, local = trial, there
-    held = held_by_bounds(x, local, lower, upper)
-    return Optimum(x, local, promised(local, held) < tolerance, held, max_steps)
+def needed_parts(frozen) -> int:
+    """How many collocation steps a stimulus step needs, for the longest one in which the light moves."""
+    most = 0.0
+    for recording in frozen.recordings:
+        radiance = recording.radiance + frozen.circuit.dark
+        ramps = np.diff(radiance) != 0
+        if ramps.any():
+            rate = np.sqrt(frozen.circuit.alpha * np.maximum(radiance[1:], radiance[:-1]))
+            most = max(most, float((np.diff(recording.t) * rate)[ramps].max()))
+    return int(np.clip(np.ceil(most / LONGEST_STEP), LEAST_PARTS, MOST_PARTS))

@@ -8,13 +8,22 @@ from typing import Any
 
 import numpy as np
 
+from pixelid.errors import InputError
 from pixelid.fit.coordinates import Coordinates
+from pixelid.fit.engines.frozen import freeze
+from pixelid.fit.event_times import EventTimesObjective
 from pixelid.fit.newton import Optimum
+from pixelid.fit.newton import maximise as newton_steps
 from pixelid.fit.objective import Local, Objective
 
 Progress = Callable[[int, float], None]
-# The largest problem, stimulus samples + events, that an engine differentiates through its own expression by default;
-# beyond it the compiled objective gives the same numbers faster.
+# One round of an engine's own optimiser: (objective, x, local there, coordinates held by bounds, tolerance, most steps)
+# → (where it ended, steps taken).
+Round = Callable[[Objective, np.ndarray, Local, np.ndarray, float, int], tuple[np.ndarray, int]]
+MOST_ROUNDS = 10  # an optimiser that has not arrived by then is helped by Newton steps
+EVALUATIONS = ("auto", "expression", "compiled")
+# The largest problem, stimulus samples + events, whose discrete form an engine differentiates through its own
+# expression by default; beyond it the compiled objective gives the same numbers faster.
 EXPRESSION_SIZE = 2_000
 
 
@@ -45,7 +54,74 @@ class Engine(ABC):
         max_steps: int = 200,
         progress: Progress | None = None,
     ) -> Optimum:
-        """Climb from `start` until one more step promises less than `tolerance` nats; progress(step, value)."""
+        """Move from `start` until one more step promises less than `tolerance` nats; progress(step, value)."""
+
+    @abstractmethod
+    def continuous(self, objective: Objective, x: np.ndarray) -> Objective:
+        """The continuous form of an event-time objective, by this engine's integrator; searched around x.
+
+        Raises InputError for what it lacks, see `continuous.discrete_form`.
+        """
+
+
+def maximise_in_rounds(
+    objective: Objective,
+    start: np.ndarray,
+    advance: Round,
+    *,
+    tolerance: float,
+    max_steps: int,
+    progress: Progress | None = None,
+) -> Optimum:
+    """Repeat an optimiser's rounds until one more step promises less than `tolerance` nats.
+
+    A round ends where the optimiser wants discrete choices and scaling refreshed.  Where it does not arrive, damped
+    Newton steps finish.
+
+    Args:
+        objective: what to maximise.
+        start: (p,) where to begin, clipped to the bounds.
+        advance: one round.
+        tolerance: nats.
+        max_steps: of the optimiser, over all rounds.
+        progress: called after every round with steps and value.
+
+    Returns:
+        The best point; `converged` by the same criterion for every engine.
+    """
+    lower, upper = objective.coordinates.bounds()
+    x = np.clip(np.asarray(start, dtype=float), lower, upper)
+    local, steps = objective.local(x), 0
+    held = held_by_bounds(x, local, lower, upper)
+    for _ in range(MOST_ROUNDS):
+        moved, taken = advance(objective, x, local, held, tolerance, max_steps - steps)
+        steps += max(taken, 1)
+        there = objective.local(moved) if np.isfinite(moved).all() else local
+        better = there.value > local.value
+        if better:
+            x, local = moved, there
+            held = held_by_bounds(x, local, lower, upper)
+        if progress:
+            progress(steps, local.value)
+        if promised(local, held) < tolerance:
+            return Optimum(x, local, True, held, steps)
+        if not better or steps >= max_steps:
+            break
+    end = newton_steps(objective, x, tolerance=tolerance, max_steps=max(max_steps - steps, 1), progress=progress)
+    return Optimum(end.x, end.local, end.converged, end.on_bound, steps + end.steps)
+
+
+def through_expression(evaluation: str, objective: Objective, x: np.ndarray, limit: float = EXPRESSION_SIZE) -> bool:
+    """Whether an engine differentiates its own expression of the objective, rather than the compiled one."""
+    if not isinstance(objective, EventTimesObjective) or evaluation == "compiled":
+        return False
+    if evaluation == "expression":
+        return True
+    try:
+        frozen = freeze(objective, x)
+    except InputError:  # an effect that the expression lacks
+        return False
+    return frozen.samples + len(frozen.time) <= limit
 
 
 def parameter_values(coordinates: Coordinates, x: Any, exp: Callable) -> dict[str, Any]:

@@ -1,96 +1,88 @@
-"""The continuous-time pixel in torch: torchdiffeq trajectories (direct or adjoint) and exact level crossings.
+"""The continuous form in torch: torchdiffeq's Dormand–Prince 5(4) over all stimulus steps at once, and autograd.
 
-For short recordings, as a reference: explicit solvers take steps of about 3 / the fastest cutoff.  The published
-torchdiffeq has no implicit solver; stiff continuous fits belong to `collocation.py`.
+The published torchdiffeq has no implicit solver, and an explicit one along a recording would take millions of small
+steps one after the other.  Over independent stimulus steps (`continuous.py`) a handful of its steps serves them all.
+Blocks of stimulus steps are integrated again for the gradient instead of being remembered, so memory stays bounded.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import torch
-from torchdiffeq import odeint, odeint_adjoint, odeint_event
+from torch.utils.checkpoint import checkpoint
+from torchdiffeq import odeint
 
-from pixelid.dynamics.continuous import steady_state, torch_module
-from pixelid.dynamics.hold import present_states
+from pixelid.dynamics.continuous import right_hand_side
 from pixelid.dynamics.of_circuit import dynamics_of
 from pixelid.dynamics.trajectory import Dynamics
-from pixelid.errors import InputError
-from pixelid.stages.circuit import Circuit
+from pixelid.fit.engines.continuous import ContinuousObjective, discrete_form, log_posterior
+from pixelid.fit.engines.frozen import freeze
+from pixelid.fit.engines.torch_operations import TorchOperations
+from pixelid.fit.objective import Objective
 
-Light = Callable[[torch.Tensor], torch.Tensor]
-
-
-def log_linear(t: np.ndarray, radiance: np.ndarray) -> Light:
-    """u(t) of samples (n,) whose log radiance is linear in between; held outside."""
-    at, u = torch.as_tensor(t, dtype=torch.float64), torch.log(torch.as_tensor(radiance, dtype=torch.float64))
-
-    def log_radiance(when):
-        k = torch.clamp(torch.searchsorted(at, when.detach()), 1, len(at) - 1)
-        share = torch.clamp((when - at[k - 1]) / (at[k] - at[k - 1]), 0.0, 1.0)
-        return u[k - 1] + share * (u[k] - u[k - 1])
-
-    return log_radiance
+RTOL, ATOL = 1e-8, 1e-10  # of a step's local error, root mean square over the block
+BLOCK = 20_000  # problems integrated together: some 100 MB while they are differentiated
 
 
-def trajectory(
-    dynamics: Dynamics, log_radiance: Light, t, *, adjoint: bool = False, rtol: float = 1e-9, atol: float = 1e-10
-) -> tuple[torch.nn.Module, torch.Tensor]:
-    """(module, states (n, order)) at times t (n,), from the steady state at t[0]; see `continuous.torch_module`.
+def torchdiffeq_objective(
+    objective: Objective, x: np.ndarray, device: torch.device | str = "cpu"
+) -> ContinuousObjective:
+    """The continuous form of an objective by torchdiffeq.
 
-    `module.values.grad` receives derivatives: through the solver's operations, or by the adjoint equations, which need
-    memory for one state only.
+    Args:
+        objective: the discrete form.
+        x: (p,) where the search will be; decides which stages are present.
+        device: of the tensors.
+
+    Raises:
+        InputError: see `continuous.discrete_form`.
     """
-    module = torch_module(dynamics, log_radiance)
-    times = torch.as_tensor(t, dtype=torch.float64)
-    start = torch.as_tensor(steady_state(dynamics, float(log_radiance(times[0]))), dtype=torch.float64)
-    solve = odeint_adjoint if adjoint else odeint
-    states = solve(module, start, times, rtol=rtol, atol=atol, method="dopri5")
-    assert isinstance(states, torch.Tensor)
-    return module, states
+    discrete = discrete_form(objective, x)
+    present = dynamics_of(discrete.coordinates.circuit(x))
+    op: Any = TorchOperations(device)
+
+    def flow(state, drive, slope, tau, radiance, dynamics):
+        columns = (*state, drive, slope, tau, radiance)
+        values = [torch.as_tensor(value, dtype=torch.float64, device=device) for value in dynamics]
+        blocks = zip(*(torch.split(column, BLOCK) for column in columns), strict=True)
+        if torch.is_grad_enabled():
+            parts = [checkpoint(_flow, present, values, *block, use_reentrant=False) for block in blocks]
+        else:
+            parts = [_flow(present, values, *block) for block in blocks]
+        return tuple(torch.cat(column) for column in zip(*parts, strict=True))
+
+    def value(x):
+        with torch.no_grad():
+            at = torch.as_tensor(x, dtype=torch.float64, device=device)
+            return float(log_posterior(op, discrete, freeze(discrete, x), at, flow))
+
+    def value_and_gradient(x):
+        at = torch.tensor(x, dtype=torch.float64, device=device, requires_grad=True)
+        found = log_posterior(op, discrete, freeze(discrete, x), at, flow)
+        found.backward()
+        assert at.grad is not None
+        return float(found.detach()), at.grad.cpu().numpy()
+
+    return ContinuousObjective(discrete, value, value_and_gradient)
 
 
-def events(
-    circuit: Circuit, log_radiance: Light, start_s: float, end_s: float, *, rtol: float = 1e-9, most: int = 10_000
-) -> tuple[np.ndarray, np.ndarray]:
-    """(times (n,), signs (n,)) of an ideal pixel: no noise, first reference at `start_s` in steady state.
+def _flow(present: Dynamics, values, v, y, s, d, drive, slope, tau, radiance):
+    """(v, y, s, d) (n,) after tau, each problem in its own time t = σ tau, σ from 0 to 1.
 
-    Each crossing of change(t) = C_on or −C_off is solved for by `odeint_event`; the solver restarts from the state at
-    release, a dead time later.  Raises InputError without an amplifier or with effects beyond dead time.
+    The slope v is carried as v · tau, in the unit of the levels, so that one tolerance suits all four.
     """
-    dynamics = dynamics_of(circuit)
-    names = present_states(dynamics)
-    if names[-1] != "differencing" or "lower_cutoff" in names or circuit.leak_hz or circuit.leak_hz_per_radiance:
-        raise InputError("the reference events need an amplifier pole, and neither leak nor lower cutoff")
-    module = torch_module(dynamics, log_radiance)
-    wd, follower = dynamics.differencing, names.index("differencing") - 1
-    now = torch.tensor(start_s, dtype=torch.float64)
-    state = torch.as_tensor(steady_state(dynamics, float(log_radiance(now))), dtype=torch.float64)
-    times, signs = [], []
-    options = {"rtol": rtol, "atol": 1e-11, "method": "dopri5"}
-    with torch.no_grad():
-        while len(times) < most:
-            level = state[follower]
-            offset, released = state[-1] - level, now
+    _, derivatives = right_hand_side(present, values)
+    unit = torch.where(tau > 0, tau, torch.ones_like(tau))
 
-            def margin(t, x, level=level, offset=offset, released=released):
-                """Distance to the nearer threshold; past the end it is 0, so that the search stops."""
-                change = x[-1] - level - offset * torch.exp(-wd * (t - released))
-                nearer = torch.minimum(circuit.on_threshold - change, circuit.off_threshold + change)
-                return torch.minimum(nearer, end_s - t)
+    def rate(sigma, state):
+        t = sigma * tau
+        w, y, s, d = state
+        dv, dy, ds, dd = derivatives((w / unit, y, s, d), drive * t, radiance * torch.exp(slope * t))
+        return torch.stack((unit * tau * dv, tau * dy, tau * ds, tau * dd))
 
-            when, path = odeint_event(module, state, now, event_fn=margin, odeint_interface=odeint, **options)
-            if float(when) >= end_s - 1e-9:
-                break
-            change = path[-1][-1] - level - offset * torch.exp(-wd * (when - released))
-            times.append(float(when))
-            signs.append(1.0 if float(change) > 0 else -1.0)
-            now, state = when, path[-1]
-            if circuit.refractory > 0:
-                release = when + circuit.refractory
-                if float(release) >= end_s:
-                    break
-                state = odeint(module, state, torch.stack([when, release]), **options)[-1]
-                now = release
-    return np.array(times), np.array(signs)
+    start = torch.stack((v * unit, y, s, d))
+    span = torch.tensor([0.0, 1.0], dtype=torch.float64, device=tau.device)
+    end = odeint(rate, start, span, rtol=RTOL, atol=ATOL, method="dopri5")[-1]
+    return end[0] / unit, end[1], end[2], end[3]

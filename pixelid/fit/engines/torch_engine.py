@@ -1,10 +1,12 @@
-"""The torch engine: the same expression on float64 tensors, on any device, climbed by L-BFGS or Adam.
+"""The torch engine: the same expression on float64 tensors, on any device, maximised by L-BFGS or Adam.
 
-Two forms of the same objective (`form`):
+Two ways to evaluate the discrete form (`evaluation`):
 
-    "tensors"   the likelihood in torch operations (`torch_operations.py`): no loop over samples, autograd through all
-    "compiled"  `torch.autograd.Function` around the compiled objective and its gradient
-    "auto"      tensors up to `EXPRESSION_SIZE` samples and events or on a CUDA device, compiled beyond
+    "expression"  the likelihood in torch operations (`torch_operations.py`): no loop over samples, autograd through all
+    "compiled"    `torch.autograd.Function` around the compiled objective and its gradient
+    "auto"        the expression up to `EXPRESSION_SIZE` samples and events or on a CUDA device, compiled beyond
+
+The continuous form is `torch_continuous.py`.
 """
 
 from __future__ import annotations
@@ -16,13 +18,15 @@ import torch
 
 from pixelid.errors import InputError
 from pixelid.fit.engines.engine import (
+    EVALUATIONS,
     EXPRESSION_SIZE,
     Engine,
     Progress,
-    held_by_bounds,
+    maximise_in_rounds,
     parameter_values,
     promised,
     scales,
+    through_expression,
 )
 from pixelid.fit.engines.expression import log_likelihood
 from pixelid.fit.engines.frozen import Frozen, freeze
@@ -31,7 +35,6 @@ from pixelid.fit.event_times import EventTimesObjective
 from pixelid.fit.newton import Optimum
 from pixelid.fit.objective import Objective
 
-FORMS = ("auto", "tensors", "compiled")
 OPTIMISERS = ("lbfgs", "adam")
 ROUND = 20  # L-BFGS iterations between refreshes of the discrete choices and of the scaling
 
@@ -64,15 +67,15 @@ def log_posterior(objective: EventTimesObjective, frozen: Frozen, x: torch.Tenso
 
 
 class TorchEngine(Engine):
-    """form, optimiser: see the module;  device: of the tensors, "cpu" or "cuda"."""
+    """evaluation, optimiser: see the module;  device: of the tensors, "cpu" or "cuda"."""
 
     name = "torch"
 
-    def __init__(self, form: str = "auto", device: str = "cpu", optimiser: str = "lbfgs") -> None:
-        for value, known in ((form, FORMS), (optimiser, OPTIMISERS)):
+    def __init__(self, evaluation: str = "auto", device: str = "cpu", optimiser: str = "lbfgs") -> None:
+        for value, known in ((evaluation, EVALUATIONS), (optimiser, OPTIMISERS)):
             if value not in known:
                 raise InputError(f"expected one of {', '.join(known)}, found {value!r}")
-        self.form, self.optimiser, self.device = form, optimiser, torch.device(device)
+        self.evaluation, self.optimiser, self.device = evaluation, optimiser, torch.device(device)
 
     def _tensor(self, x: np.ndarray) -> torch.Tensor:
         return torch.tensor(np.asarray(x, dtype=float), device=self.device, requires_grad=True)
@@ -99,64 +102,46 @@ class TorchEngine(Engine):
         assert isinstance(H, torch.Tensor)
         return H.cpu().numpy()
 
-    def _form(self, objective: Objective, x: np.ndarray) -> str:
-        if not isinstance(objective, EventTimesObjective):
-            return "compiled"
-        if self.form != "auto":
-            return self.form
-        try:
-            frozen = freeze(objective, x)
-        except InputError:
-            return "compiled"
-        small = frozen.samples + frozen.layout.events <= EXPRESSION_SIZE
-        return "tensors" if small or self.device.type == "cuda" else "compiled"
-
     def maximise(
         self, objective: Objective, start: np.ndarray, *, tolerance: float = 1e-6, max_steps: int = 200,
         progress: Progress | None = None,
     ) -> Optimum:  # fmt: skip
-        lower, upper = objective.coordinates.bounds()
-        longest = objective.coordinates.longest_moves()
-        x = np.clip(np.asarray(start, dtype=float), lower, upper)
-        form = self._form(objective, x)
-        local, steps = objective.local(x), 0
-        held = held_by_bounds(x, local, lower, upper)
-        while steps < max_steps:
-            taken, moved = self._round(objective, x, local, scales(local, longest), (lower, upper), form, held)
-            steps += taken
-            there = objective.local(moved) if np.isfinite(moved).all() else local
-            stuck = not there.value > local.value
-            if not stuck:
-                x, local = moved, there
-            held = held_by_bounds(x, local, lower, upper)
-            if progress:
-                progress(steps, local.value)
-            if promised(local, held) < tolerance:
-                return Optimum(x, local, True, held, steps)
-            if stuck:
-                break
-        return Optimum(x, local, False, held, steps)
+        limit = EXPRESSION_SIZE if self.device.type == "cpu" else np.inf
+        through = through_expression(self.evaluation, objective, np.asarray(start, dtype=float), limit)
 
-    def _round(self, objective, x0, local, scale, bounds, form, held) -> tuple[int, np.ndarray]:
-        """Some iterations in coordinates whitened by the information at x0: (iterations, where they ended)."""
+        def advance(objective, x, local, held, tolerance, max_steps):
+            return self._round(objective, x, local, held, through)
+
+        return maximise_in_rounds(
+            objective, start, advance, tolerance=tolerance, max_steps=max_steps, progress=progress
+        )
+
+    def continuous(self, objective: Objective, x: np.ndarray) -> Objective:
+        from pixelid.fit.engines.torch_continuous import torchdiffeq_objective
+
+        return torchdiffeq_objective(objective, x, self.device)
+
+    def _round(self, objective, x0, local, held, through: bool) -> tuple[np.ndarray, int]:
+        """Some iterations in coordinates whitened by the information at x0: (where they ended, iterations)."""
+        scale = scales(local, objective.coordinates.longest_moves())
         free = np.flatnonzero(~held)
         correlated = (local.information * np.outer(scale, scale))[np.ix_(free, free)] + 1e-10 * np.eye(len(free))
         mixing = np.zeros((len(x0), len(free)))
         mixing[free] = np.linalg.inv(np.linalg.cholesky(correlated)).T * scale[free, None]
         base, mix = (torch.as_tensor(part, device=self.device) for part in (x0, mixing))
-        lower, upper = (torch.as_tensor(part, device=self.device) for part in bounds)
-        frozen = freeze(objective, x0) if form == "tensors" else None
+        lower, upper = (torch.as_tensor(part, device=self.device) for part in objective.coordinates.bounds())
+        frozen = freeze(objective, x0) if through else None
         q = torch.zeros(len(free), dtype=torch.float64, device=self.device, requires_grad=True)
         if self.optimiser == "lbfgs":
-            climb: torch.optim.Optimizer = torch.optim.LBFGS(
+            search: torch.optim.Optimizer = torch.optim.LBFGS(
                 [q], lr=1.0, max_iter=ROUND, tolerance_grad=1e-5, tolerance_change=0.0, line_search_fn="strong_wolfe"
             )
         else:
-            climb = torch.optim.Adam([q], lr=0.1 * max(1.0, float(np.sqrt(2.0 * promised(local, held) / len(free)))))
+            search = torch.optim.Adam([q], lr=0.1 * max(1.0, float(np.sqrt(2.0 * promised(local, held) / len(free)))))
         worst = float(local.value) - 1e12
 
         def closure():
-            climb.zero_grad()
+            search.zero_grad()
             x = torch.clamp(base + mix @ q, lower, upper)
             value = log_posterior(objective, frozen, x) if frozen is not None else Compiled.apply(x, objective)
             assert isinstance(value, torch.Tensor)
@@ -168,12 +153,12 @@ class TorchEngine(Engine):
 
         taken = ROUND
         if self.optimiser == "adam":
-            decay = torch.optim.lr_scheduler.ExponentialLR(climb, 0.9)
+            decay = torch.optim.lr_scheduler.ExponentialLR(search, 0.9)
             for _ in range(ROUND):
-                climb.step(closure)
+                search.step(closure)
                 decay.step()
         else:
-            climb.step(closure)
-            taken = int(climb.state[q].get("n_iter", ROUND))
+            search.step(closure)
+            taken = int(search.state[q].get("n_iter", ROUND))
         with torch.no_grad():
-            return taken, torch.clamp(base + mix @ q, lower, upper).cpu().numpy()
+            return torch.clamp(base + mix @ q, lower, upper).cpu().numpy(), taken

@@ -23,7 +23,7 @@ from pixelid.stimuli.resample import resampled
 
 DROP = 1.9207  # nats
 MOST_STEPS = 14  # per side
-CLIMB = 100  # steps of the others after one: along a ridge a few dozen are needed
+STEPS_OF_OTHERS = 100  # after one has moved: along a ridge a few dozen are needed
 
 
 @dataclass(frozen=True)
@@ -93,12 +93,8 @@ def _side(objective, x, i, sign, sd, along, top, dispersion, points) -> float | 
     for _ in range(MOST_STEPS):
         if move <= 0:
             return None
-        value, end = _best_at(objective, start, i, x[i] + sign * move, along)
+        value, end = _best_at(objective, start, x, i, x[i] + sign * move, along, top - DROP * dispersion)
         drop = max(top - value, 0.0) / dispersion
-        if drop >= DROP:  # a rest that did not follow looks like a drop: let it follow from the optimum, too
-            other, there = _best_at(objective, x, i, x[i] + sign * move, 0.0 * along)
-            if other > value:
-                end, drop = there, max(top - other, 0.0) / dispersion
         points[sign * move] = drop
         if drop < DROP:
             if move >= bound:
@@ -119,21 +115,37 @@ def _side(objective, x, i, sign, sd, along, top, dispersion, points) -> float | 
     return sign * float(near[0] + (far[0] - near[0]) * (np.sqrt(DROP) - a) / (b - a))
 
 
-def _best_at(objective, start: np.ndarray, i: int, target: float, along: np.ndarray) -> tuple[float, np.ndarray]:
-    """`at_fixed` at coordinate i = target, from `start` moved along the covariance, no coordinate by more than a long
-    step: flat directions have covariances that lead out of the world."""
+def _best_at(
+    objective, nearest: np.ndarray, x: np.ndarray, i: int, target: float, along: np.ndarray, enough: float
+) -> tuple[float, np.ndarray]:
+    """(log posterior, coordinates) with coordinate i held at `target` and all others maximised.
+
+    The others start where they were at the profile's nearest point, from there moved along the covariance (no
+    coordinate by more than a long step: flat directions have covariances that lead out of the world), or where they
+    are at the optimum x; the likeliest of these first.  Others that did not follow would look like a drop, and end a
+    profile that is open, so below `enough` the remaining starts are tried, too.
+    """
     lower, upper = objective.coordinates.bounds()
     longest = objective.coordinates.longest_moves()
-    guess = np.clip(start + np.clip((target - start[i]) * along, -longest, longest), lower, upper)
-    guess[i] = target
-    return at_fixed(objective, guess, i)
+    moved = nearest + np.clip((target - nearest[i]) * along, -longest, longest)
+    starts = []
+    for start in (moved, nearest, x):
+        start = np.clip(start, lower, upper)
+        start[i] = target
+        starts.append(start)
+    best = -np.inf, x
+    for start in sorted(starts, key=lambda start: -np.nan_to_num(objective.value(start), nan=-np.inf)):
+        best = max(best, at_fixed(objective, start, i), key=lambda end: end[0])
+        if best[0] > enough:
+            break
+    return best
 
 
 def at_fixed(objective, x: np.ndarray, i: int) -> tuple[float, np.ndarray]:
-    """(log posterior, coordinates) with coordinate i held at x[i] and all others climbing from x."""
+    """(log posterior, coordinates) with coordinate i held at x[i] and all others maximised from x."""
     held = _holding(objective.coordinates, i, float(x[i]))
     others = np.arange(len(x)) != i
-    end = maximise(type(objective)(objective.likelihood, held), x[others], tolerance=1e-2, max_steps=CLIMB)
+    end = maximise(type(objective)(objective.likelihood, held), x[others], tolerance=1e-2, max_steps=STEPS_OF_OTHERS)
     full = x.copy()
     full[others] = end.x
     return end.local.value + _own_prior(objective.coordinates.parameters[i], float(x[i])), full
@@ -169,20 +181,20 @@ def profiled(
     """The result with every free parameter profiled: `details["profiles"]`, and identified only where bounded."""
     objective = objective_of(result, recordings)
     dispersion = float(result.details.get("dispersion", 1.0))
-    found = {}
+    profiles = {}
     names = result.coordinates.names
     for i, name in enumerate(names):
         if progress:
             progress(f"profiling {name}", i / len(names))
-        found[name] = profile(objective, result.x, name, result.covariance, dispersion)
+        profiles[name] = profile(objective, result.x, name, result.covariance, dispersion)
     estimates = {
-        name: replace(e, identified=e.identified and found[name].kind == "bounded") if name in found else e
+        name: replace(e, identified=e.identified and profiles[name].kind == "bounded") if name in profiles else e
         for name, e in result.estimates.items()
     }
-    sentences = tuple(p.sentence() for p in found.values() if p.sentence())
+    sentences = tuple(p.sentence() for p in profiles.values() if p.sentence())
     return replace(
         result,
         estimates=estimates,
         unidentified=(*result.unidentified, *sentences),
-        details={**result.details, "profiles": {name: p.as_dict() for name, p in found.items()}},
+        details={**result.details, "profiles": {name: p.as_dict() for name, p in profiles.items()}},
     )

@@ -27,14 +27,14 @@ LEAST_FREEDOM = 2.0
 
 def mismatch_shares(names: Sequence[str], x: np.ndarray, sd: np.ndarray, pixels: int) -> np.ndarray:
     """(d,) share of each coordinate's variance that pixel-to-pixel mismatch makes: 0 but for thresholds, at most 1."""
-    found = np.zeros(len(x))
+    shares = np.zeros(len(x))
     names = list(names)
     if MISMATCH in names:
         spread = np.exp(2.0 * x[names.index(MISMATCH)]) / max(pixels, 1)
         for name in THRESHOLDS:
             if name in names and 0 < sd[names.index(name)] < np.inf:
-                found[names.index(name)] = min(float(spread / sd[names.index(name)] ** 2), 1.0)
-    return found
+                shares[names.index(name)] = min(float(spread / sd[names.index(name)] ** 2), 1.0)
+    return shares
 
 
 def intervals(names: Sequence[str], x: np.ndarray, sd: np.ndarray, pixels: int) -> tuple[np.ndarray, np.ndarray]:

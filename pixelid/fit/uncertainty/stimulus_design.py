@@ -1,4 +1,4 @@
-"""What a set of stimuli cannot tell, whatever the events say (DESIGN §2)."""
+"""What a set of stimuli cannot tell, whatever the events say (docs/model.md, "Invariants")."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ def _slow(u: np.ndarray, peak: int, duration_s: float) -> float | None:
         return None
     u = u[:: len(u) // 512]  # three harmonics of seven cycles: 24 samples for the shortest
     phase = 2 * np.pi * np.linspace(0.0, 1.0, len(u))
-    best, found = 0.0, None
+    best, frequency_hz = 0.0, None
     for cycles in np.linspace(max(peak - 1, 0.5), peak + 1, 41):
         columns = [np.ones(len(u))]
         for harmonic in (1, 2, 3):
@@ -92,35 +92,35 @@ def _slow(u: np.ndarray, peak: int, duration_s: float) -> float | None:
         left = u - J @ np.linalg.lstsq(J, u, rcond=None)[0]
         share = 1.0 - left.var() / u.var()
         if share > best:
-            best, found = share, cycles / duration_s
-    return float(found) if found is not None and best > 0.99 else None
+            best, frequency_hz = share, cycles / duration_s
+    return float(frequency_hz) if frequency_hz is not None and best > 0.99 else None
 
 
 def caveats(design: Design, values: Mapping[str, float], free: Collection[str]) -> list[str]:
     """What the design leaves open of the free parameters, one sentence each."""
-    found = []
+    sentences = []
     second_order = {"alpha", "beta", "gamma"} <= set(free)
     if design.one_level and second_order:
         level = float(np.exp(np.mean(np.log(design.levels))))
         how = "gently modulated, " if design.stretch < STRETCH else ""
-        found.append(
+        sentences.append(
             f"one radiance level ({level:.3g}, {how}mean of every recording): the data see alpha·L and beta + gamma·L, "
             "and tell alpha, beta and gamma apart only by how the response bends with the modulation; record a second "
             "level, a factor 10 away"
         )
         if "sf_cutoff_hz" in free:
-            found.append(_exchange(values, level))
+            sentences.append(_exchange(values, level))
     if design.one_frequency:
-        found.append(
+        sentences.append(
             f"one frequency ({design.frequency_hz:.3g} Hz): gain and phase at one frequency cannot tell several poles "
             "apart, and lower gain with lower thresholds gives the same events (contrast × threshold); record a chirp "
             "or steps"
         )
     if design.shape:
-        found.append(
+        sentences.append(
             "contrast × threshold: the light is known by its shape only: its contrast and the thresholds scale together"
         )
-    return found
+    return sentences
 
 
 def _exchange(values: Mapping[str, float], level: float) -> str:
@@ -149,10 +149,10 @@ def exchanged_poles(values: Mapping[str, float], level: float) -> list[dict[str,
         return []
     omega = 2.0 * np.pi * values["sf_cutoff_hz"]
     slow, fast = 0.5 * (drag - np.sqrt(root)), 0.5 * (drag + np.sqrt(root))
-    found = []
+    alternatives = []
     for leaves, stays in ((fast, slow), (slow, fast)):
         scale = (omega + stays) / drag
-        found.append(
+        alternatives.append(
             {
                 "alpha": omega * stays / level,
                 "beta": values["beta"] * scale,
@@ -160,4 +160,4 @@ def exchanged_poles(values: Mapping[str, float], level: float) -> list[dict[str,
                 "sf_cutoff_hz": leaves / (2.0 * np.pi),
             }
         )
-    return found
+    return alternatives

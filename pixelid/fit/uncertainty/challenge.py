@@ -9,15 +9,15 @@ import numpy as np
 from pixelid.fit.event_times import EventTimesObjective
 from pixelid.fit.newton import maximise
 from pixelid.fit.objective import Objective
-from pixelid.fit.profiles import DROP, at_fixed
-from pixelid.identify.design import caveats, design_of, exchanged_poles
+from pixelid.fit.uncertainty.profiles import DROP, at_fixed
+from pixelid.fit.uncertainty.stimulus_design import caveats, design_of, exchanged_poles
 from pixelid.recordings.recording import Recording
 
 DISTANCE = 0.5  # of a log coordinate: a parameter that may move so far is not identified
 KINETIC = ("alpha", "beta", "gamma", "alpha_over_beta", "sf_cutoff_hz", "extra_pole.cutoff_hz", "diff_cutoff_hz")
 
 
-def tested(
+def challenged(
     objective: Objective, x: np.ndarray, identified: np.ndarray, recordings: Sequence[Recording]
 ) -> tuple[np.ndarray, list[str]]:
     """(identified (d,), sentences): the reading of the curvature, corrected by what the stimuli can tell.
@@ -57,10 +57,10 @@ def tested(
                 moved = np.clip(moved, lower, upper)
                 end = maximise(objective, moved, tolerance=1e-2, max_steps=25)
                 if top - end.local.value < DROP and np.abs(end.x - x)[[index[n] for n in names]].max() > 0.1:
-                    found = coordinates.values(end.x)
+                    exchanged = coordinates.values(end.x)
                     for name in names:
                         identified[index[name]] = False
                     sentences.append(
-                        "exchanged poles fit as well: " + ", ".join(f"{name} {found[name]:.4g}" for name in names)
+                        "exchanged poles fit as well: " + ", ".join(f"{name} {exchanged[name]:.4g}" for name in names)
                     )
     return identified, sentences
