@@ -127,6 +127,7 @@ def fit(
     starts: int = 2,
     between: str = "auto",
     engine: str = "casadi",
+    form: str = "discrete",
     seed: int = 0,
     progress: Progress | None = None,
 ) -> FitResult:
@@ -140,6 +141,7 @@ def fit(
         starts: random starts beside the model's own values.
         between: how the stimulus runs between its samples: "linear", "smooth", or "auto": as explains the events best.
         engine: "casadi", "torch" or "scipy"; all find the same maximum.
+        form: "discrete", linearised once per stimulus step, or "continuous" in time, which takes longer.
         seed: of the starts.
         progress: called with what is done and the fraction.
 
@@ -163,7 +165,8 @@ def fit(
     nuisances = {name: value for name, value in held.items() if name not in circuit.parameters}
     return run(
         opened, circuit, gauge=Gauge.parse(gauge) if isinstance(gauge, Mapping) else gauge, fixed=nuisances,
-        starts=starts, between=between, engine=engine, seed=seed, progress=progress,
+        starts=starts, between=between, engine=engine, form=form, seed=seed,
+        progress=progress,
     )  # fmt: skip
 
 

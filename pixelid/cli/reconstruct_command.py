@@ -67,7 +67,6 @@ def command(
     from pixelid.nerf.reconstruct import reconstruct
     from pixelid.nerf.train import Recipe
     from pixelid.report.html import write_report
-    from pixelid.status import Status
 
     first = parallel.rank() == 0
     with claimed(out, overwrite, [dataset, *([fit] if fit else [])]) if first else nullcontext():

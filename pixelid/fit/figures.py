@@ -72,7 +72,7 @@ def standardised(result: FitResult, recordings: Sequence[Recording]) -> tuple[Ev
     objective = EventTimesObjective(likelihood, result.coordinates)
     terms = likelihood.terms(objective.coordinates.circuit(result.x))
     residual = (terms.z - terms.group_mean[likelihood.group]) / terms.scale
-    return likelihood, residual, ~terms.stray
+    return likelihood, residual, ~terms.background
 
 
 @styled

@@ -27,7 +27,6 @@ from pixelid.parameters.gauge import Gauge
 from pixelid.provenance import input_hashes, versions
 from pixelid.recordings.recording import Recording
 from pixelid.recordings.selection import few
-from pixelid.status import Status
 from pixelid.stimuli.resample import resampled
 
 Progress = Callable[[str, float], None]
@@ -193,7 +192,7 @@ def _fit_event_times(recordings, model, starts, between, maximiser: Engine, form
         finer = [r.with_stimulus(resampled(r.stimulus, kind)) for r in recordings]
         likelihood = EventTimes(finer)
         if "timestamp_jitter" in model.effects:
-            likelihood.weigh_clock(coordinates.circuit(x))
+            likelihood = likelihood.weighed(coordinates.circuit(x))
         objective = EventTimesObjective(likelihood, coordinates)
         candidates[kind] = objective, maximiser.maximise(objective, x, max_steps=60)
         x = candidates[kind][1].x
@@ -205,7 +204,7 @@ def _fit_event_times(recordings, model, starts, between, maximiser: Engine, form
         continuous = maximiser.continuous(objective, optimum.x)
         discrete = optimum
         optimum = newton_steps(continuous, discrete.x, tolerance=CONTINUOUS_TOLERANCE, max_steps=20)
-    background = objective.likelihood.terms(coordinates.circuit(optimum.x)).stray
+    background = objective.likelihood.terms(coordinates.circuit(optimum.x)).background
     details = {
         "stimulus_between_samples": kind,
         "starts": len(ends),

@@ -72,7 +72,7 @@ def residual_tests(objective: EventTimesObjective, x: np.ndarray) -> list[Residu
     """
     likelihood = objective.likelihood
     terms = likelihood.terms(objective.coordinates.circuit(x))
-    kept = np.flatnonzero(~terms.stray)
+    kept = np.flatnonzero(~terms.background)
     if len(kept) < 2 * BLOCK_EVENTS:
         return []
     group = likelihood.group[kept]

@@ -128,7 +128,7 @@ class FitResult(Result):
     def tables(self) -> list[Table]:
         """Values with 95 % intervals; physical values where the gauge makes them unique."""
         rows = tuple(
-            (e.name, number(e.value), interval(e.interval_95), e.unit, _known(e)) for e in self.estimates.values()
+            (e.name, number(e.value), interval(e.interval_95), e.unit, self._known(e)) for e in self.estimates.values()
         )
         headings = ("parameter", "value", "95 % interval", "unit", "known?")
         tables = [Table("", headings, rows, frozenset({"parameter", "unit", "known?"}))]
@@ -136,6 +136,13 @@ class FitResult(Result):
             physical = tuple((name, number(value)) for name, value in self.physical.items())
             tables.append(Table("under the gauge", ("circuit", "value"), physical, frozenset({"circuit"})))
         return tables
+
+    def _known(self, estimate: Estimate) -> str:
+        """How well a parameter is known, in words."""
+        if estimate.fixed:
+            return "fixed"
+        words = self.details.get("precision", {}).get(estimate.name, "")
+        return words or ("yes" if estimate.identified else "no")
 
     def records(self) -> list[dict[str, Any]]:
         """One row per parameter."""
@@ -176,7 +183,7 @@ class FitResult(Result):
         matrix = np.array(covariance["matrix"], dtype=float)
         estimates = {
             name: Estimate(
-                name, entry["value"], entry["unit"], entry["std"], _limits(entry["interval_95"]),
+                name, entry["value"], entry["unit"], entry["std"], _pair(entry["interval_95"]),
                 entry["identified"], entry["fixed"],
             )
             for name, entry in parameters.items()
@@ -223,16 +230,9 @@ class FitResult(Result):
         return figures.draw_residuals(self, as_recordings(recordings))
 
 
-def _known(estimate: Estimate) -> str:
-    return "fixed" if estimate.fixed else ("yes" if estimate.identified else "NO")
-
-
-def _limits(pair: list | None) -> tuple[float, float] | None:
-    """An interval as JSON holds it: infinite ends are null there."""
-    if pair is None:
-        return None
-    low, high = pair
-    return (-np.inf if low is None else low, np.inf if high is None else high)
+def _pair(limits: list | None) -> tuple[float | None, float | None] | None:
+    """An interval as JSON holds it: an open side is null."""
+    return None if limits is None else (limits[0], limits[1])
 
 
 def as_document(parameter: Parameter) -> dict[str, Any]:
@@ -244,8 +244,8 @@ def as_document(parameter: Parameter) -> dict[str, Any]:
 
 def from_document(name: str, document: Mapping[str, Any]) -> Parameter:
     """The parameter that `as_document` wrote."""
-    bounds = _limits([document["lower"], document["upper"]])
-    assert bounds is not None
+    low, high = document["lower"], document["upper"]  # JSON has no infinity
+    bounds = (-np.inf if low is None else low, np.inf if high is None else high)
     prior = Prior(**document["prior"]) if document["prior"] else None
     return Parameter(name, document["value"], document["unit"], *bounds, document["transform"], prior, document["free"])
 

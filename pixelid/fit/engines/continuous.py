@@ -84,6 +84,8 @@ def discrete_form(objective: Objective, x: np.ndarray) -> EventTimesObjective:
         raise InputError(
             "form: the continuous form needs a second-order photoreceptor, source_follower_pole and differencing_pole"
         )
+    if present.floor != 0.0:
+        raise InputError("form: the continuous form does not know bandwidth_floor")
     freeze(objective, x)
     return objective
 

@@ -121,7 +121,7 @@ def through_expression(evaluation: str, objective: Objective, x: np.ndarray, lim
         frozen = freeze(objective, x)
     except InputError:  # an effect that the expression lacks
         return False
-    return frozen.samples + len(frozen.time) <= limit
+    return frozen.samples + frozen.layout.events <= limit
 
 
 def parameter_values(coordinates: Coordinates, x: Any, exp: Callable) -> dict[str, Any]:
