@@ -8,7 +8,7 @@ from pathlib import Path
 from pixelid.errors import InputError
 from pixelid.recordings.recording import Recording
 
-BINARY_SUFFIXES = (".h5", ".hdf5", ".npz", ".aedat4", ".aedat", ".raw", ".dat", ".es")
+BINARY_SUFFIXES = (".h5", ".hdf5", ".npz", ".aedat4", ".aedat", ".raw", ".dat", ".es", ".mat", ".bag", ".db3", ".mcap")
 TEXT_SUFFIXES = (".csv", ".txt")
 READABLE = ", ".join(BINARY_SUFFIXES + TEXT_SUFFIXES)
 
@@ -63,21 +63,23 @@ def _files(path: Path) -> list[Path]:
 
 def _reader(path: Path, head: bytes):
     """The function that reads files beginning with `head`."""
-    from pixelid.recordings import aedat2, decoded, hdf5, npz, text
+    from pixelid.recordings import aedat2, decoded, hdf5, matlab, npz, ros, text
 
     suffix = path.suffix.lower()
     if head.startswith(b"\x89HDF\r\n\x1a\n") or suffix in (".h5", ".hdf5"):
         return hdf5.read
     if suffix == ".npz":
         return npz.read
+    if suffix == ".mat" or head.startswith(b"MATLAB 5.0"):
+        return matlab.read
+    if head.startswith((b"#ROSBAG V2", b"\x89MCAP0", b"SQLite format 3")) or suffix in ros.SUFFIXES:
+        return ros.read
     if head.startswith(b"#!AER-DAT2"):
         return aedat2.read
     if head.startswith((b"#!AER-DAT4", b"Event Stream")) or suffix in (".aedat4", ".raw", ".dat", ".es"):
         return decoded.read
     if suffix in TEXT_SUFFIXES:
         return text.read
-    if head.startswith(b"SQLite format 3") or suffix == ".db3":
-        raise InputError(f"{path}: ROS 2 bags are not read; export the events to one of {READABLE}")
     if head.startswith(b"#!AER-DAT"):
         found = head.splitlines()[0].decode("latin1")
         raise InputError(f"{path}: expected AER-DAT2.0 or AER-DAT4.0, found {found}")

@@ -9,6 +9,7 @@ import numpy as np
 
 from pixelid.errors import InputError
 from pixelid.recordings.events import Events
+from pixelid.recordings.triggers import Triggers
 from pixelid.stimuli.stimulus import Stimulus
 
 LATENCY_S = 1e-3
@@ -23,6 +24,9 @@ class Recording:
     pooled: pixel addresses are meaningless, the events of all pixels are pooled
     source: the file it came from, if any
     attributes: whatever else the file said (biases, temperature_k, …)
+    triggers: edges on the camera's trigger inputs, where the file holds them
+    exposures: an ATIS' exposure measurements as events: begin (p = 0) and end (p = 1) of the time in which a pixel's
+        photocurrent moves a fixed charge
     """
 
     events: Events
@@ -32,6 +36,8 @@ class Recording:
     pooled: bool = False
     source: Path | None = None
     attributes: dict = field(default_factory=dict)
+    triggers: Triggers | None = None
+    exposures: Events | None = None
 
     @property
     def name(self) -> str:
