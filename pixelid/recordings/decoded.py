@@ -96,7 +96,7 @@ def _decode_aedat(path: Path) -> tuple:
     return *_columns(parts), triggers, size
 
 
-def _decode_others(path: Path, kind: str, header: dict[str, str]) -> tuple:
+def _decode_others(path: Path, kind, header: dict[str, str]) -> tuple:
     from faery.file_decoder import Decoder
 
     sizes = []

@@ -109,12 +109,12 @@ def _from_toml(path: Path) -> Stimulus:
 
 def _samples(values: dict) -> Stimulus:
     _refuse_others(values, ("t", "radiance", "unit", "interpolation"))
-    columns = [np.asarray(values.get(name, [])) for name in ("t", "radiance")]
+    t, radiance = columns = [np.asarray(values.get(name, [])) for name in ("t", "radiance")]
     for name, column in zip(("t", "radiance"), columns, strict=True):
         if column.dtype.kind not in "fiu" or column.ndim != 1:
             raise InputError(f"stimulus samples.{name}: expected a list of numbers")
     unit, between = str(values.get("unit", "relative")), str(values.get("interpolation", "linear"))
-    return Stimulus.from_arrays(*columns, unit, between)
+    return Stimulus.from_arrays(t, radiance, unit, between)
 
 
 def _file(values: dict, folder: Path) -> Stimulus:

@@ -195,7 +195,7 @@ def _folder(path: Path, fps: float | None) -> tuple[np.ndarray, np.ndarray]:
 
 def _video(path: Path, fps: float | None) -> tuple[np.ndarray, np.ndarray]:
     try:
-        import av
+        import av  # pyright: ignore[reportMissingImports]  (optional)
     except ImportError:
         raise InputError(f'{path}: videos need the package av: pip install "pixelid[video]"') from None
     try:
