@@ -334,7 +334,7 @@ def _refined(changes: _Changes, t: np.ndarray, log_light: np.ndarray, offset: fl
         fit = least_squares(
             residuals,
             x0,
-            jac=jacobian_at,
+            jac=jacobian_at,  # pyright: ignore[reportArgumentType]
             bounds=(lower, upper),
             loss="soft_l1",
             f_scale=SOFT,

@@ -31,6 +31,8 @@ from pixelid.stimuli.stimulus import Stimulus
 
 CHUNK = 1 << 16
 BLOCK = 1 << 22
+MOST_OBJECTS = 1000  # groups of a file
+SMALL_BYTES, MOST_RATIO = 1 << 26, 2000  # deflate compresses a thousandfold at most
 NAMED = {"format", "version", "condition", "sensor", "pooled"}
 
 
@@ -42,9 +44,38 @@ def read(path: Path) -> Recording:
         raise InputError(f"{path}: expected an HDF5 file, found something else")
     try:
         with h5py.File(path, "r") as file:
+            _refuse_foreign_storage(file, path)
             return _read(file, path)
     except OSError as error:
         raise InputError(f"{path}: truncated or damaged HDF5 ({str(error).splitlines()[0][:120]})") from error
+
+
+def _refuse_foreign_storage(file, path: Path) -> None:
+    """Raise InputError for links and datasets that lead out of the file, and sizes that it cannot hold.
+
+    What lies in another file is not what was given to be read, and may be nobody's business.
+    """
+    import h5py
+
+    groups, held = [(file, "")], path.stat().st_size
+    for _ in range(MOST_OBJECTS):
+        if not groups:
+            return
+        group, inside = groups.pop()
+        for name in group:
+            where = f"{inside}{name}"
+            if not isinstance(group.get(name, getlink=True), h5py.HardLink):
+                raise InputError(f"{path}: {where}: expected data in this file, found a link to elsewhere")
+            item = group[name]
+            if isinstance(item, h5py.Group):
+                groups.append((item, f"{where}/"))
+            elif item.is_virtual or item.external:
+                raise InputError(f"{path}: {where}: expected data in this file, found it stored elsewhere")
+            elif item.nbytes > SMALL_BYTES and item.nbytes > MOST_RATIO * held:
+                raise InputError(
+                    f"{path}: {where}: declares {item.nbytes} bytes, a file of {held} bytes cannot hold them"
+                )
+    raise InputError(f"{path}: expected a recording, found more than {MOST_OBJECTS} groups")
 
 
 def _read(file, path: Path) -> Recording:

@@ -25,7 +25,6 @@ from pixelid.recordings.decoded import decode_evt
 from pixelid.recordings.events import Events
 from pixelid.recordings.recording import Recording
 
-SUFFIXES = (".bag", ".db3", ".mcap")
 HEADER = "std_msgs/Header header\n"
 PACKET = f"{HEADER}uint32 height\nuint32 width\nuint64 seq\nuint64 time_base\nstring encoding\nbool is_bigendian\n"
 PACKET += "uint8[] events\n"
