@@ -35,7 +35,7 @@ READERS = {  # name → module with the function `read` (or the function named)
     name: f"pixelid.recordings.{name}" for name in ("aedat2", "decoded", "hdf5", "matlab", "npz", "ros", "text")
 }
 CPU_S, CPU_S_PER_BYTE = 2.0, 2e-7  # per file: imports take up to 1 s, readers 1e-8 (binary) to 1e-7 s (text) a byte
-WALL_S = 60.0  # beside the CPU's time: waiting for a disk
+WALL_S = 20.0  # beside the CPU's time: waiting for a disk
 MEMORY_BYTES, MEMORY_PER_BYTE = 4 << 30, 64  # address space: libraries take 1 GiB; compressed columns grow tenfold
 START = (
     "import json, sys; sys.path[:] = json.loads(sys.argv[1])\nfrom pixelid.recordings.isolated import serve; serve()"

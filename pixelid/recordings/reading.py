@@ -31,6 +31,8 @@ def open_recording(path: str | Path) -> Recording:
         raise InputError(f"{path}: no such file")
     if path.is_dir():
         raise InputError(f"{path}: expected a recording file, found a folder")
+    if not path.is_file():
+        raise InputError(f"{path}: expected a regular file, found a device, pipe or socket")
     try:
         with path.open("rb") as file:
             head = file.read(16)

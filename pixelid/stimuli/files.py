@@ -41,6 +41,8 @@ def load_stimulus(spec: str | Path) -> Stimulus:
         raise InputError(f"no stimulus {text!r}: expected {known}")
     if suffix == ".toml":
         return _from_toml(path)
+    if not path.is_dir() and not path.is_file():
+        raise InputError(f"{path}: expected a regular file, found a device, pipe or socket")
     if path.is_dir() and not holds_pictures(path):
         raise InputError(f"no stimulus {text!r}: expected a file, or a folder of pictures")
     if path.is_dir() or suffix == ".npy" or suffix in VIDEOS:
