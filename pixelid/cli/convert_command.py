@@ -1,17 +1,22 @@
-"""`pixelid convert`: any readable recording to .h5, and back to text or npz."""
+"""`pixelid convert`: any readable recording to .h5 with its light beside it, cut as asked, and back to text or npz."""
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from pixelid.cli import options
 
+if TYPE_CHECKING:
+    from pixelid.recordings.crop import Crop
+
 EXAMPLE = """
 \b
 Example:
     pixelid convert camera.aedat4 recording.h5
+    pixelid convert camera.raw recording.h5 --stimulus light.csv --align trigger
     pixelid convert recording.h5 events.csv
 """
 
@@ -19,29 +24,60 @@ Example:
 @click.command("convert", epilog=EXAMPLE)
 @click.argument("source", metavar="IN", type=options.PATH)
 @click.argument("target", metavar="OUT", type=options.PATH)
-@click.option("--stimulus", metavar="S", help="Recording, .toml stimulus or built-in name to put beside the events.")
+@click.option("--stimulus", metavar="S", help="The light: a table, array, video, recording, .toml or built-in name.")
+@click.option("--align", metavar="HOW",
+              help="The light's time zero on the camera's clock: trigger, first-event, auto, or seconds.")  # fmt: skip
+@options.crop
 @click.option("--overwrite", is_flag=True, help="Replace the file OUT.")
-@options.no_seed
+@options.seed("Of the pixels chosen by --pixels.")
 @options.quiet
-def command(source: Path, target: Path, stimulus: str | None, overwrite: bool, seed: int, quiet: bool) -> None:
+def command(
+    source: Path, target: Path, stimulus: str | None, align: str | None, crop: Crop, overwrite: bool, seed: int,
+    quiet: bool,
+) -> None:  # fmt: skip
     """Convert the recording IN to OUT; the extension of OUT (.h5, .npz, .csv, .txt) chooses the format.
 
-    Nothing is lost on the way: times, addresses, polarities, stimulus, labels and biases come back as they were.
+    Nothing is lost on the way: times, addresses, polarities, stimulus, labels and biases come back as they were
+    (triggers and exposure measurements in .h5).  With --align, time zero becomes the light's first sample.
     """
+    from pixelid.errors import InputError
     from pixelid.outputs import claimed
     from pixelid.recordings.writing import check_writable
 
     check_writable(target)
+    if align is not None and stimulus is None:
+        raise InputError("--align: expected --stimulus beside it, the light to align")
+    said = ""
     with claimed(target, overwrite, [source, *([stimulus] if stimulus else [])]):
         from pixelid.recordings import open_recording, write_recording
 
-        recording = open_recording(source)
+        recording = crop.applied(open_recording(source), seed)
         if stimulus is not None:
             from pixelid.stimuli.files import load_stimulus
 
-            recording = recording.with_stimulus(load_stimulus(stimulus))
+            light = load_stimulus(stimulus)
+            if align is None:
+                recording = recording.with_stimulus(light)
+                _refuse_other_clock(recording)
+            else:
+                from pixelid.recordings.alignment import aligned, find_alignment
+
+                alignment = find_alignment(recording, light, align)
+                recording, said = aligned(recording, light, alignment), f"; {alignment.sentence()}"
             recording.check_stimulus_covers_events()
         write_recording(recording, target, overwrite=overwrite)
     if not quiet:
         beside = "with its stimulus" if recording.stimulus is not None else "without stimulus"
-        click.echo(f"{target}: {len(recording.events)} events, {recording.events.duration_s:g} s, {beside}")
+        click.echo(f"{target}: {len(recording.events)} events, {recording.events.duration_s:g} s, {beside}{said}")
+
+
+def _refuse_other_clock(recording) -> None:
+    """Raise InputError that names --align, where events and light do not overlap at all or only in part."""
+    from pixelid.errors import InputError
+
+    try:
+        recording.check_stimulus_covers_events()
+    except InputError as error:
+        raise InputError(
+            f"{error}; if the light has its own clock, say where it starts: --align trigger|first-event|auto|SECONDS"
+        ) from None

@@ -32,14 +32,16 @@ Example:
               help="What maximises (default: casadi); all find the same optimum.")  # fmt: skip
 @click.option("--form", type=click.Choice(["discrete", "continuous"]),
               help="Linearised once per stimulus step (default), or continuous in time (slower).")  # fmt: skip
+@options.crop
 @click.option("--sample", is_flag=True, help="Also draw from the posterior: posterior.nc, corner and trace plots.")
 @click.option("--profile", is_flag=True, help="Also profile every parameter: bounded, one-sided or flat.")
 @options.overwrite
 @options.seed()
 @options.quiet
 def command(
-    recordings, model, out, with_, without, fix, gauge, between, engine, form, sample, profile, overwrite, seed, quiet
-):
+    recordings, model, out, with_, without, fix, gauge, between, engine, form, crop, sample, profile, overwrite, seed,
+    quiet,
+):  # fmt: skip
     """Fit a circuit to RECORDINGS (files or folders), or run a RECIPE.toml of fits/.
 
     Recordings with pixels use the event-time likelihood, pooled ones the pooled-rate likelihood.
@@ -64,6 +66,7 @@ def command(
             refuse_inputs(out, [*recipe.recordings, recipe.model])
         else:
             recipe = Recipe.of(recordings, model, with_, without, fix, gauge, between, seed, sample, profile)
+            recipe = replace(recipe, crop=crop)
         if engine:
             recipe = replace(recipe, engine=engine)
         if form:

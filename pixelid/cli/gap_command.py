@@ -22,10 +22,11 @@ Example:
 @options.with_effect
 @options.without
 @options.alpha
+@options.crop
 @options.overwrite
 @options.seed()
 @options.quiet
-def command(recordings, model, out, with_, without, alpha, overwrite, seed, quiet):
+def command(recordings, model, out, with_, without, alpha, crop, overwrite, seed, quiet):
     """Find where a model and RECORDINGS (files or folders) disagree, and which effect is missing.
 
     The verdict is none, named, ambiguous or unknown.  Writes gap.json, model.toml (the grown model), figures and
@@ -41,7 +42,7 @@ def command(recordings, model, out, with_, without, alpha, overwrite, seed, quie
         from pixelid.recordings import open_recordings
 
         base, remarks = changed(find_model(model), with_, without, ())
-        opened = open_recordings(recordings)
+        opened = [crop.applied(recording, seed) for recording in open_recordings(recordings)]
         from pixelid.gap.figures import write_figures
         from pixelid.gap.gap import gap
         from pixelid.report.html import write_report

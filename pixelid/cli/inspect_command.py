@@ -22,10 +22,11 @@ Example:
 @click.argument("files", metavar="FILE...", nargs=-1, required=True, type=options.PATH)
 @options.as_json
 @options.out("Folder for inspect.json, figures and report.html.", required=False)
+@options.crop
 @options.overwrite
 @options.seed("Of the resampling of .npy histograms; else noted.")
 @options.quiet
-def command(files: tuple[Path, ...], as_json: bool, out: Path | None, overwrite: bool, seed: int, quiet: bool) -> None:
+def command(files: tuple[Path, ...], as_json: bool, out: Path | None, crop, overwrite: bool, seed: int, quiet: bool):
     """Show events, rates, ON/OFF balance, dead time, timestamp tick, periodic lines, hot pixels and readout ceiling.
 
     FILE is any readable recording: .h5, .npz, .aedat4, .aedat, .raw, .dat, .es, .csv, .txt.  Files in .npy are
@@ -47,7 +48,7 @@ def command(files: tuple[Path, ...], as_json: bool, out: Path | None, overwrite:
     with nullcontext() if out is None else claimed(out, overwrite, files):
         from pixelid.recordings import open_recording
 
-        recording = open_recording(file)
+        recording = crop.applied(open_recording(file), seed)
         from pixelid.inspection import inspect
         from pixelid.provenance import provenance
 

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 import click
 
@@ -71,3 +72,47 @@ def seed(help: str | None = None, **settings: Any) -> Decorator:
 
 
 no_seed = seed("Accepted everywhere; nothing here is random.")
+
+
+def _region(context: click.Context, parameter: click.Parameter, text: str | None) -> tuple[int, int, int, int] | None:
+    """The four whole numbers of --roi."""
+    if text is None:
+        return None
+    parts = text.split(",")
+    if len(parts) != 4 or not all(part.strip().isdigit() for part in parts):
+        raise click.BadParameter(f"expected x0,y0,x1,y1 in pixels, found {text!r}")
+    x0, y0, x1, y1 = (int(part) for part in parts)
+    return x0, y0, x1, y1
+
+
+def _span(context: click.Context, parameter: click.Parameter, text: str | None) -> tuple[float, float] | None:
+    """The two times of --time; either may be left out."""
+    if text is None:
+        return None
+    parts = text.split(":")
+    try:
+        begin, end = (float(part) if part.strip() else default for part, default in zip(parts, (0.0, 9e9), strict=True))
+    except ValueError:
+        raise click.BadParameter(f"expected from:to in seconds, found {text!r}") from None
+    return begin, end
+
+
+def crop(command: Decorated) -> Decorated:
+    """--roi, --time, --pixels and --without-hot-pixels, handed on together as `crop`."""
+
+    @functools.wraps(command)
+    def gathered(*arguments: Any, roi: Any, time_s: Any, pixels: Any, without_hot_pixels: bool, **others: Any) -> Any:
+        from pixelid.recordings.crop import Crop
+
+        return command(*arguments, crop=Crop(roi, time_s, pixels, without_hot_pixels), **others)
+
+    for option in (
+        click.option("--without-hot-pixels", is_flag=True, help="Leave out pixels that fire whatever the others do."),
+        click.option("--pixels", type=click.IntRange(1), metavar="N", help="Only N pixels, chosen by --seed."),
+        click.option("--time", "time_s", metavar="FROM:TO", callback=_span, help="Only these seconds."),
+        click.option(
+            "--roi", metavar="X0,Y0,X1,Y1", callback=_region, help="Only these columns and rows (X1, Y1 out)."
+        ),
+    ):
+        gathered = option(gathered)
+    return cast(Decorated, gathered)

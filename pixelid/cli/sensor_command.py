@@ -29,10 +29,11 @@ Example:
 @click.option("--bootstrap", type=click.IntRange(0), default=200, show_default=True, help="Replicates over pixels.")
 @click.option("--workers", type=click.IntRange(0), default=0, help="Local Dask processes; 0: this process alone.")
 @click.option("--cluster", default="", metavar="tcp://HOST:PORT", help="A running Dask scheduler.")
+@options.crop
 @options.overwrite
 @options.seed()
 @options.quiet
-def command(recordings, model, out, bandwidth, block, tile, bootstrap, workers, cluster, overwrite, seed, quiet):
+def command(recordings, model, out, bandwidth, block, tile, bootstrap, workers, cluster, crop, overwrite, seed, quiet):
     """Map thresholds and a bandwidth over the sensor of RECORDINGS (files or folders, full-field light).
 
     Every pixel is estimated, the population fitted, and each pixel shrunk towards it by what its own events say.
@@ -53,7 +54,8 @@ def command(recordings, model, out, bandwidth, block, tile, bootstrap, workers, 
         from pixelid.model.shipped import find_model
         from pixelid.recordings import open_recordings
 
-        circuit, opened = find_model(model), open_recordings(recordings)
+        circuit = find_model(model)
+        opened = [crop.applied(recording, seed) for recording in open_recordings(recordings)]
         from pixelid.report.html import write_report
         from pixelid.sensors import fit_sensor
         from pixelid.sensors.saving import save

@@ -16,7 +16,7 @@ seed = 0
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from pixelid.errors import InputError
@@ -30,6 +30,7 @@ from pixelid.model.shipped import find_model
 from pixelid.outputs import refuse_existing, whole_folder
 from pixelid.parameters.gauge import Gauge
 from pixelid.recordings import open_recordings
+from pixelid.recordings.crop import Crop
 
 _KEYS = {
     "recordings",
@@ -44,6 +45,10 @@ _KEYS = {
     "profile",
     "engine",
     "form",
+    "roi",
+    "time",
+    "pixels",
+    "without_hot_pixels",
 }
 
 
@@ -63,6 +68,7 @@ class Recipe:
     profile: bool = False
     engine: str = "casadi"
     form: str = "discrete"
+    crop: Crop = field(default_factory=Crop)
 
     @staticmethod
     def of(
@@ -105,7 +111,7 @@ class Recipe:
 
         model, _ = self.prepared_model()
         gauge = self.prepared_gauge()
-        recordings = open_recordings(self.recordings)
+        recordings = [self.crop.applied(recording, self.seed) for recording in open_recordings(self.recordings)]
         refuse_existing(out, overwrite)
         result = fit(
             recordings,

@@ -3,11 +3,14 @@
     attrs      format="pixelid-recording", version=1, condition, sensor, [pooled, temperature_k, biases (JSON), …]
     events/    attrs width, height, [tick_ns, duplicates]
                t int64 (attr unit "ns" | "us", default "us"), x uint16, y uint16, p uint8 (1 ON, 0 OFF)
+    triggers/  t int64 ns, rising uint8, channel uint8: edges on the camera's trigger inputs, where there are any
+    exposures/ t, x, y, p as in events/: exposure measurements of an ATIS, where there are any
     stimulus/  t float64 [s], radiance (n,) or (n, height, width); attrs unit, interpolation
 
 `events.attrs["duplicates"]` states how many events repeat an earlier one exactly.  Without it such events are
 refused, because they usually mean a file joined to itself; pooled recordings have no addresses and are exempt.
-DSEC (Gehrig et al., RA-L 2021): t in µs from the scalar `t_offset`, 640 × 480.
+DSEC (Gehrig et al., RA-L 2021): t in µs from the scalar `t_offset`, 640 × 480.  Prophesee's own HDF5 has the records
+`CD/events` (t µs, x, y, p) and `EXT_TRIGGER/events` (t, p, id).
 """
 
 from __future__ import annotations
@@ -23,10 +26,13 @@ from pixelid.recordings.columns import duplicated, sensor_size, to_nanoseconds
 from pixelid.recordings.events import Events
 from pixelid.recordings.metadata import FORMAT, VERSION
 from pixelid.recordings.recording import Recording
+from pixelid.recordings.triggers import Triggers
 from pixelid.stimuli.stimulus import Stimulus
 
 CHUNK = 1 << 16
 BLOCK = 1 << 22
+MOST_OBJECTS = 1000  # groups of a file
+SMALL_BYTES, MOST_RATIO = 1 << 26, 2000  # deflate compresses a thousandfold at most
 NAMED = {"format", "version", "condition", "sensor", "pooled"}
 
 
@@ -38,9 +44,38 @@ def read(path: Path) -> Recording:
         raise InputError(f"{path}: expected an HDF5 file, found something else")
     try:
         with h5py.File(path, "r") as file:
+            _refuse_foreign_storage(file, path)
             return _read(file, path)
     except OSError as error:
         raise InputError(f"{path}: truncated or damaged HDF5 ({str(error).splitlines()[0][:120]})") from error
+
+
+def _refuse_foreign_storage(file, path: Path) -> None:
+    """Raise InputError for links and datasets that lead out of the file, and sizes that it cannot hold.
+
+    What lies in another file is not what was given to be read, and may be nobody's business.
+    """
+    import h5py
+
+    groups, held = [(file, "")], path.stat().st_size
+    for _ in range(MOST_OBJECTS):
+        if not groups:
+            return
+        group, inside = groups.pop()
+        for name in group:
+            where = f"{inside}{name}"
+            if not isinstance(group.get(name, getlink=True), h5py.HardLink):
+                raise InputError(f"{path}: {where}: expected data in this file, found a link to elsewhere")
+            item = group[name]
+            if isinstance(item, h5py.Group):
+                groups.append((item, f"{where}/"))
+            elif item.is_virtual or item.external:
+                raise InputError(f"{path}: {where}: expected data in this file, found it stored elsewhere")
+            elif item.nbytes > SMALL_BYTES and item.nbytes > MOST_RATIO * held:
+                raise InputError(
+                    f"{path}: {where}: declares {item.nbytes} bytes, a file of {held} bytes cannot hold them"
+                )
+    raise InputError(f"{path}: expected a recording, found more than {MOST_OBJECTS} groups")
 
 
 def _read(file, path: Path) -> Recording:
@@ -51,6 +86,8 @@ def _read(file, path: Path) -> Recording:
     if own and attributes.get("version") != VERSION:
         raise InputError(f"{path}: version: expected {VERSION}, found {attributes.get('version')!r}")
     pooled = bool(attributes.get("pooled", False))
+    if not own and "CD" in file:
+        return _read_prophesee(file, path, attributes)
     events = _read_events(file, path, own)
     if own and not pooled:
         _refuse_undeclared_duplicates(events, int(file["events"].attrs.get("duplicates", 0)), path)
@@ -62,14 +99,60 @@ def _read(file, path: Path) -> Recording:
         pooled=pooled,
         source=path,
         attributes={name: value for name, value in attributes.items() if name not in NAMED},
+        triggers=_read_triggers(file["triggers"], f"{path}: triggers") if "triggers" in file else None,
+        exposures=_read_events(file, path, own, "exposures") if "exposures" in file else None,
     )
 
 
-def _read_events(file, path: Path, own: bool) -> Events:
-    where = f"{path}: events"
-    if "events" not in file or not hasattr(file["events"], "keys"):
+def _read_triggers(group, where: str) -> Triggers:
+    t, rising, channel = (_column(group, name, where) for name in ("t", "rising", "channel"))
+    return Triggers.from_columns(t, rising, channel, where=where)
+
+
+def _read_prophesee(file, path: Path, attributes: dict) -> Recording:
+    """A file of Prophesee's HDF5 format."""
+    where = f"{path}: CD/events"
+    records = _records(file, "CD", path)
+    if not {"t", "x", "y", "p"} <= set(records.dtype.names or ()):
+        raise InputError(f"{where}: expected records of t, x, y, p, found {records.dtype}")
+    geometry = str(attributes.get("geometry", "")).lower().partition("x")
+    stated = [int(g) if g.isdigit() else None for g in (geometry[0], geometry[2])]
+    size = sensor_size(records["x"], records["y"], *stated)
+    t = to_nanoseconds(records["t"], "us", where)
+    p = np.clip(records["p"], 0, 1)
+    events = Events.from_columns(t, records["x"], records["y"], p, *size, tick_ns=1000, where=where)
+    triggers = None
+    if "EXT_TRIGGER" in file:
+        edges, where = _records(file, "EXT_TRIGGER", path), f"{path}: EXT_TRIGGER/events"
+        triggers = Triggers.from_columns(
+            to_nanoseconds(edges["t"], "us", where), edges["p"] > 0, edges["id"], where=where
+        )
+    kept = {name: value for name, value in attributes.items() if isinstance(value, str | int | float)}
+    return Recording(
+        events, sensor=str(attributes.get("plugin_name", "")), source=path, attributes=kept, triggers=triggers
+    )
+
+
+def _records(file, group: str, path: Path) -> np.ndarray:
+    """The records of `group`/events.  Raises InputError where a filter is missing that this installation has not."""
+    try:
+        return file[group]["events"][:]
+    except (KeyError, AttributeError, TypeError):
+        raise InputError(f"{path}: {group}/events: missing") from None
+    except OSError as error:
+        if "filter" not in str(error):
+            raise
+        raise InputError(
+            f"{path}: {group}/events is compressed by a filter (ECF) that h5py here lacks; "
+            "install Prophesee's plugin, or convert the file to RAW with the maker's tools"
+        ) from None
+
+
+def _read_events(file, path: Path, own: bool, name: str = "events") -> Events:
+    where = f"{path}: {name}"
+    if name not in file or not hasattr(file[name], "keys"):
         raise InputError(f"{path}: expected a group events with t, x, y, p; found {', '.join(file) or 'nothing'}")
-    group = file["events"]
+    group = file[name]
     t, x, y, p = (_column(group, name, where) for name in "txyp")
     unit = _attribute(group["t"].attrs.get("unit", "us"))
     if unit not in ("ns", "us"):
@@ -142,7 +225,6 @@ def write(recording: Recording, path: Path) -> None:
     import h5py
 
     events, stimulus = recording.events, recording.stimulus
-    in_us = events.tick_ns % 1000 == 0 and not any(np.any(events.t[k : k + BLOCK] % 1000) for k in _blocks(events))
     with h5py.File(path, "w") as file:
         file.attrs.update({"format": FORMAT, "version": VERSION, "condition": recording.condition})
         file.attrs["sensor"] = recording.sensor
@@ -150,21 +232,35 @@ def write(recording: Recording, path: Path) -> None:
             file.attrs["pooled"] = True
         for name, value in recording.attributes.items():
             file.attrs[name] = json.dumps(plain(value)) if isinstance(value, (dict, list, tuple)) else value
-        group = file.create_group("events")
-        group.attrs.update({"width": events.width, "height": events.height, "tick_ns": events.tick_ns})
+        group = _write_events(file, "events", events)
         if not recording.pooled and (repeats := len(duplicated(events))):
             group.attrs["duplicates"] = repeats
-        for name, column in (("t", events.t), ("x", events.x), ("y", events.y), ("p", events.p)):
-            dataset = _compressed(group, name, column.shape, column.dtype)
-            for k in _blocks(events):
-                block = column[k : k + BLOCK]
-                dataset[k : k + BLOCK] = block // 1000 if name == "t" and in_us else block
-        group["t"].attrs["unit"] = "us" if in_us else "ns"
+        if recording.exposures is not None:
+            _write_events(file, "exposures", recording.exposures)
+        if recording.triggers is not None:
+            group = file.create_group("triggers")
+            edges = recording.triggers
+            for name, column in (("t", edges.t), ("rising", edges.rising.astype(np.uint8)), ("channel", edges.channel)):
+                _compressed(group, name, column.shape, column.dtype)[...] = column
         if stimulus is not None:
             group = file.create_group("stimulus")
             group.attrs.update({"unit": stimulus.unit, "interpolation": stimulus.interpolation})
             for name, column in (("t", stimulus.t), ("radiance", stimulus.radiance)):
                 _compressed(group, name, column.shape, column.dtype)[...] = column
+
+
+def _write_events(file, name: str, events: Events):
+    """A new group with the columns of `events`."""
+    in_us = events.tick_ns % 1000 == 0 and not any(np.any(events.t[k : k + BLOCK] % 1000) for k in _blocks(events))
+    group = file.create_group(name)
+    group.attrs.update({"width": events.width, "height": events.height, "tick_ns": events.tick_ns})
+    for letter, column in (("t", events.t), ("x", events.x), ("y", events.y), ("p", events.p)):
+        dataset = _compressed(group, letter, column.shape, column.dtype)
+        for k in _blocks(events):
+            block = column[k : k + BLOCK]
+            dataset[k : k + BLOCK] = block // 1000 if letter == "t" and in_us else block
+    group["t"].attrs["unit"] = "us" if in_us else "ns"
+    return group
 
 
 def _blocks(events: Events) -> range:

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 
 from pixelid.errors import InputError
+from pixelid.recordings.isolated import read_isolated
 from pixelid.recordings.recording import Recording
 
-BINARY_SUFFIXES = (".h5", ".hdf5", ".npz", ".aedat4", ".aedat", ".raw", ".dat", ".es")
+BAG_SUFFIXES = (".bag", ".db3", ".mcap")
+BINARY_SUFFIXES = (".h5", ".hdf5", ".npz", ".aedat4", ".aedat", ".raw", ".dat", ".es", ".mat", *BAG_SUFFIXES)
 TEXT_SUFFIXES = (".csv", ".txt")
 READABLE = ", ".join(BINARY_SUFFIXES + TEXT_SUFFIXES)
 
@@ -28,6 +31,8 @@ def open_recording(path: str | Path) -> Recording:
         raise InputError(f"{path}: no such file")
     if path.is_dir():
         raise InputError(f"{path}: expected a recording file, found a folder")
+    if not path.is_file():
+        raise InputError(f"{path}: expected a regular file, found a device, pipe or socket")
     try:
         with path.open("rb") as file:
             head = file.read(16)
@@ -35,7 +40,7 @@ def open_recording(path: str | Path) -> Recording:
         raise InputError(f"{path}: cannot be read ({error.strerror})") from error
     if not head:
         raise InputError(f"{path}: expected a recording, found an empty file")
-    recording = _reader(path, head)(path)
+    recording = replace(read_isolated(_reader(path, head), path), source=path)
     if recording.stimulus is not None:
         recording.check_stimulus_covers_events()
     return recording
@@ -61,23 +66,23 @@ def _files(path: Path) -> list[Path]:
     raise InputError(f"{path}: expected a folder with recordings ({READABLE}), found none")
 
 
-def _reader(path: Path, head: bytes):
-    """The function that reads files beginning with `head`."""
-    from pixelid.recordings import aedat2, decoded, hdf5, npz, text
-
+def _reader(path: Path, head: bytes) -> str:
+    """The name of the reader of files that begin with `head`."""
     suffix = path.suffix.lower()
     if head.startswith(b"\x89HDF\r\n\x1a\n") or suffix in (".h5", ".hdf5"):
-        return hdf5.read
+        return "hdf5"
     if suffix == ".npz":
-        return npz.read
+        return "npz"
+    if suffix == ".mat" or head.startswith(b"MATLAB 5.0"):
+        return "matlab"
+    if head.startswith((b"#ROSBAG V2", b"\x89MCAP0", b"SQLite format 3")) or suffix in BAG_SUFFIXES:
+        return "ros"
     if head.startswith(b"#!AER-DAT2"):
-        return aedat2.read
+        return "aedat2"
     if head.startswith((b"#!AER-DAT4", b"Event Stream")) or suffix in (".aedat4", ".raw", ".dat", ".es"):
-        return decoded.read
+        return "decoded"
     if suffix in TEXT_SUFFIXES:
-        return text.read
-    if head.startswith(b"SQLite format 3") or suffix == ".db3":
-        raise InputError(f"{path}: ROS 2 bags are not read; export the events to one of {READABLE}")
+        return "text"
     if head.startswith(b"#!AER-DAT"):
         found = head.splitlines()[0].decode("latin1")
         raise InputError(f"{path}: expected AER-DAT2.0 or AER-DAT4.0, found {found}")

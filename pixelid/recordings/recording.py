@@ -9,6 +9,7 @@ import numpy as np
 
 from pixelid.errors import InputError
 from pixelid.recordings.events import Events
+from pixelid.recordings.triggers import Triggers
 from pixelid.results import Table, html_page
 from pixelid.stimuli.stimulus import Stimulus
 
@@ -29,6 +30,9 @@ class Recording:
     pooled: pixel addresses are meaningless, the events of all pixels are pooled
     source: the file it came from, if any
     attributes: whatever else the file said (biases, temperature_k, …)
+    triggers: edges on the camera's trigger inputs, where the file holds them
+    exposures: an ATIS' exposure measurements as events: begin (p = 0) and end (p = 1) of the time in which a pixel's
+        photocurrent moves a fixed charge
     """
 
     events: Events
@@ -38,6 +42,8 @@ class Recording:
     pooled: bool = False
     source: Path | None = None
     attributes: dict = field(default_factory=dict)
+    triggers: Triggers | None = None
+    exposures: Events | None = None
 
     def __repr__(self) -> str:
         e, on = self.events, float(self.events.p.mean()) if len(self.events) else None

@@ -1,9 +1,13 @@
-"""Stimuli by name: a recording's own, a `.toml` description, or a built-in shape.
+"""Stimuli by name: a recording's own, measured light, a `.toml` description, or a built-in shape.
 
-[stimulus]
-kind = "sine"            one of the built-in shapes; the rest are its parameters
-level = 24.0
-frequency_hz = 10.0
+    [stimulus]
+    kind = "sine"            one of the built-in shapes; the rest are its parameters
+    level = 24.0
+    frequency_hz = 10.0
+    start_s = 0.2            when it begins (0 if left out)
+
+or `kind = "samples"` with lists `t` (seconds) and `radiance`, or `kind = "file"` with the `path` of a table, array,
+video or folder of frames beside the description; both with `unit`, and `fps` and `gamma` for frames (`sampled.py`).
 """
 
 from __future__ import annotations
@@ -12,7 +16,10 @@ import inspect
 from collections.abc import Mapping
 from pathlib import Path
 
+import numpy as np
+
 from pixelid.errors import InputError, did_you_mean
+from pixelid.stimuli.sampled import TABLES, VIDEOS, holds_pictures, is_light_table, read_light
 from pixelid.stimuli.shapes import SHAPES
 from pixelid.stimuli.stimulus import Stimulus
 
@@ -28,19 +35,38 @@ def load_stimulus(spec: str | Path) -> Stimulus:
     if text in SHAPES:
         return SHAPES[text]()
     path = Path(text)
-    if path.suffix == ".toml":
+    suffix = path.suffix.lower()
+    if not path.exists():
+        known = f"a recording, a light trace, a .toml file, or one of {', '.join(SHAPES)}"
+        raise InputError(f"no stimulus {text!r}: expected {known}{did_you_mean(text, SHAPES)}")
+    if suffix == ".toml":
         return _from_toml(path)
-    if path.is_file():
-        from pixelid.recordings import open_recording
+    if not path.is_dir() and not path.is_file():
+        raise InputError(f"{path}: expected a regular file, found a device, pipe or socket")
+    if path.is_dir() and not holds_pictures(path):
+        raise InputError(f"no stimulus {text!r}: expected a file, or a folder of pictures")
+    if path.is_dir() or suffix == ".npy" or suffix in VIDEOS:
+        return read_light(path)
+    if (suffix in TABLES and is_light_table(path)) or (suffix == ".npz" and _holds_light(path)):
+        return read_light(path)
+    from pixelid.recordings import open_recording
 
-        stimulus = open_recording(path).stimulus
-        if stimulus is None:
-            raise InputError(f"{path}: this recording has no stimulus")
-        return stimulus
-    raise InputError(
-        f"no stimulus {text!r}: expected a recording, a .toml file, or one of {', '.join(SHAPES)}"
-        f"{did_you_mean(text, SHAPES)}"
-    )
+    stimulus = open_recording(path).stimulus
+    if stimulus is None:
+        raise InputError(f"{path}: this recording has no stimulus")
+    return stimulus
+
+
+def _holds_light(path: Path) -> bool:
+    """Whether an archive holds light over time, not events."""
+    import zipfile
+
+    try:
+        with zipfile.ZipFile(path) as archive:
+            names = {name.removesuffix(".npy") for name in archive.namelist()}
+    except (zipfile.BadZipFile, OSError):
+        return False
+    return "radiance" in names and "x" not in names
 
 
 def shape(kind: str, parameters: Mapping[str, object]) -> Stimulus:
@@ -64,9 +90,49 @@ def _from_toml(path: Path) -> Stimulus:
     from pixelid.model.files import read_toml
 
     table = read_toml(path).get("stimulus")
+    kinds = ", ".join((*SHAPES, "samples", "file"))
     if not isinstance(table, dict) or not isinstance(table.get("kind"), str):
-        raise InputError(f"{path}: expected a [stimulus] table with a kind, one of {', '.join(SHAPES)}")
+        raise InputError(f"{path}: expected a [stimulus] table with a kind, one of {kinds}")
+    values = {name: value for name, value in table.items() if name not in ("kind", "start_s")}
+    start = table.get("start_s", 0.0)
+    if isinstance(start, bool) or not isinstance(start, int | float):
+        raise InputError(f"{path}: start_s: expected a number, found {start!r}")
     try:
-        return shape(table["kind"], {name: value for name, value in table.items() if name != "kind"})
+        if table["kind"] == "samples":
+            stimulus = _samples(values)
+        elif table["kind"] == "file":
+            stimulus = _file(values, path.parent)
+        else:
+            stimulus = shape(table["kind"], values)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
+    return stimulus.shifted(float(start)) if start else stimulus
+
+
+def _samples(values: dict) -> Stimulus:
+    _refuse_others(values, ("t", "radiance", "unit", "interpolation"))
+    t, radiance = columns = [np.asarray(values.get(name, [])) for name in ("t", "radiance")]
+    for name, column in zip(("t", "radiance"), columns, strict=True):
+        if column.dtype.kind not in "fiu" or column.ndim != 1:
+            raise InputError(f"stimulus samples.{name}: expected a list of numbers")
+    unit, between = str(values.get("unit", "relative")), str(values.get("interpolation", "linear"))
+    return Stimulus.from_arrays(t, radiance, unit, between)
+
+
+def _file(values: dict, folder: Path) -> Stimulus:
+    _refuse_others(values, ("path", "unit", "fps", "gamma"))
+    if not isinstance(values.get("path"), str):
+        raise InputError("stimulus file.path: expected the name of a table, array, video or folder of frames")
+    file = folder / values["path"]
+    if not file.exists():
+        raise InputError(f"stimulus file.path: {file} does not exist")
+    fps = values.get("fps")
+    if fps is not None and (isinstance(fps, bool) or not isinstance(fps, int | float)):
+        raise InputError(f"stimulus file.fps: expected a number, found {fps!r}")
+    return read_light(file, unit=values.get("unit"), fps=fps, gamma=values.get("gamma", "linear"))
+
+
+def _refuse_others(values: dict, known: tuple[str, ...]) -> None:
+    for name in values:
+        if name not in known:
+            raise InputError(f"stimulus has no entry {name!r}; it has {', '.join(known)}")

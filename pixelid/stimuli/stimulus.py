@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 from zlib import crc32
 
@@ -13,7 +13,7 @@ from pixelid.errors import InputError
 if TYPE_CHECKING:
     from jaxtyping import Float, Float64
 
-UNITS = ("relative", "lux", "fA", "shape")
+UNITS = ("relative", "lux", "W/m2", "fA", "shape")
 INTERPOLATIONS = ("linear", "previous")
 
 
@@ -23,7 +23,7 @@ class Stimulus:
 
     t: (n,) float64 seconds, strictly increasing, same time zero as the events
     radiance: (n,) full-field, or (n, height, width) per pixel; > 0 except for unit "shape" (≥ 0)
-    unit: "relative" | "lux" | "fA" | "shape" (known up to offset and gain)
+    unit: "relative" | "lux" | "W/m2" | "fA" | "shape" (known up to offset and gain)
     interpolation: "linear" (log radiance is linear between samples) or "previous" (held)
     """
 
@@ -50,6 +50,10 @@ class Stimulus:
     def duration_s(self) -> float:
         """Seconds from the first to the last sample."""
         return float(self.t[-1] - self.t[0])
+
+    def shifted(self, by_s: float, rate: float = 1.0) -> Stimulus:
+        """The same light, its clock slower by `rate` and then later by `by_s`: t becomes rate · t + by_s."""
+        return replace(self, t=rate * self.t + by_s)
 
     @staticmethod
     def from_arrays(t, radiance, unit="relative", interpolation="linear", *, where="stimulus") -> Stimulus:

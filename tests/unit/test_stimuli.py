@@ -93,3 +93,75 @@ def test_bad_parameters_are_named(kind, parameters, says):
 def test_unknown_names_list_the_known():
     with pytest.raises(InputError, match="chirp"):
         load_stimulus("no-such-light")
+
+
+TABLES = {
+    "comma.csv": ("t,radiance\n0,10\n0.5,20\n1.5,15\n", "relative"),
+    "bracket.csv": ("Time [ms];Irradiance [W/m²]\n0;10\n500;20\n1500;15\n", "W/m2"),
+    "suffix.csv": ("t_us, radiance_lux\n0, 10\n500000, 20\n1500000, 15\n", "lux"),
+    "comment.txt": ("# photodiode, unit: fA\ntime light\n0 10\n0.5 20\n1.5 15\n", "fA"),
+    "bom.csv": ("\ufefft,channel,photodiode\n0,7,10\n0.5,8,20\n1.5,9,15\n", "relative"),
+}
+
+
+@pytest.mark.parametrize("name", list(TABLES))
+def test_tables_of_light(tmp_path, name):
+    text, unit = TABLES[name]
+    (tmp_path / name).write_text(text, encoding="utf-8")
+    light = load_stimulus(tmp_path / name)
+    np.testing.assert_allclose(light.t, [0, 0.5, 1.5])
+    np.testing.assert_allclose(light.radiance, [10, 20, 15])
+    assert light.unit == unit
+
+
+def test_arrays_samples_and_start(tmp_path):
+    t, radiance = np.array([0.0, 1.0, 3.0]), np.array([2.0, 5.0, 4.0])
+    np.save(tmp_path / "a.npy", np.stack([t, radiance], axis=1))
+    np.savez(tmp_path / "a.npz", t=t, radiance=radiance, unit="lux")
+    (tmp_path / "samples.toml").write_text(
+        '[stimulus]\nkind = "samples"\nt = [0, 1, 3]\nradiance = [2, 5, 4]\nunit = "lux"\nstart_s = 0.25\n'
+    )
+    (tmp_path / "file.toml").write_text('[stimulus]\nkind = "file"\npath = "a.npy"\nunit = "W/m2"\n')
+    for name, unit, start in (
+        ("a.npy", "relative", 0), ("a.npz", "lux", 0), ("samples.toml", "lux", 0.25), ("file.toml", "W/m2", 0),
+    ):  # fmt: skip
+        light = load_stimulus(tmp_path / name)
+        np.testing.assert_allclose(light.t, t + start)
+        np.testing.assert_allclose(light.radiance, radiance)
+        assert light.unit == unit
+
+
+def test_frames_of_a_folder(tmp_path):
+    from skimage.io import imsave
+
+    folder = tmp_path / "frames"
+    folder.mkdir()
+    grey = np.random.default_rng(0).integers(1, 255, (4, 5, 6), dtype=np.uint8)
+    for k, picture in enumerate(grey):
+        imsave(folder / f"{k:03}.png", picture, check_contrast=False)
+    (tmp_path / "a.toml").write_text('[stimulus]\nkind = "file"\npath = "frames"\nfps = 50\ngamma = "display"\n')
+    light = load_stimulus(tmp_path / "a.toml")
+    np.testing.assert_allclose(light.t, np.arange(4) / 50)
+    np.testing.assert_allclose(light.radiance, (grey / 255.0) ** 2.2, rtol=1e-5)
+    assert light.interpolation == "previous"
+    (folder / "timestamps.txt").write_text("0\n0.1\n0.3\n0.7\n")
+    np.testing.assert_allclose(load_stimulus(folder).t, [0, 0.1, 0.3, 0.7])
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "says"),
+    [
+        ("a.csv", "t,radiance\n0,1\n1,-2\n2,3\n", "offset off"),
+        ("a.csv", "t,radiance\n0,1\n1,x\n2,3\n", "numbers in every row"),
+        ("a.csv", "t,radiance\n0,1\n0,2\n2,3\n", "times must increase"),
+        ("a.csv", "a,radiance\n0,1\n1,2\n2,3\n", "columns t and radiance"),
+        ("a.npy", "nothing", "NumPy array"),
+        ("a.toml", '[stimulus]\nkind = "samples"\nt = ["a"]\nradiance = [1]\n', "list of numbers"),
+        ("a.toml", '[stimulus]\nkind = "file"\npath = "none.csv"\n', "does not exist"),
+        ("a.toml", '[stimulus]\nkind = "sine"\nstart_s = "now"\n', "start_s"),
+    ],
+)
+def test_bad_light_is_named(tmp_path, name, content, says):
+    (tmp_path / name).write_text(content)
+    with pytest.raises(InputError, match=says):
+        load_stimulus(tmp_path / name)

@@ -1,0 +1,409 @@
+"""Bring the light and the events onto one clock: by a trigger, by the first event, or by the events themselves.
+
+A camera and whatever drives or measures the light count time from zeros of their own, and their clocks differ by some
+parts in a million.  What is sought is where the light's time zero lies on the camera's clock (the offset) and how many
+of the camera's seconds one second of the light takes (1 + rate error).
+
+**From the events.**  Between two events of a pixel the differencing amplifier sees the filtered log radiance Y change
+by about one threshold: Y(t_k − o) − Y(t_(k−1) − o) = ±C.  First the signed events per bin are correlated with d ln L/dt
+over all offsets; then each distinct candidate is refined by least squares on those changes, with the rate error,
+a filter whose bandwidth follows the light, dead time and both thresholds free.  The filter takes up what the pixel
+delays, so the offset is the clock's own, as far as such a filter describes the pixel; a fit of the circuit then keeps a
+delay free (`delay_s`).
+
+Errors are those of a least-squares estimate whose residuals are correlated within blocks of time (sandwich covariance,
+Liang & Zeger 1986, Biometrika 73, 13).  Two candidates are as good as each other when the difference of their squared
+residuals is within DISTINCT standard errors, over the same blocks: a periodic light repeats itself, and no offset can
+be told from the next.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numba import njit
+from scipy.optimize import least_squares
+from scipy.signal import find_peaks
+
+from pixelid.errors import InputError
+from pixelid.recordings.recording import Recording
+from pixelid.stimuli.stimulus import Stimulus
+
+METHODS = ("trigger", "first-event", "auto")
+MOST_BINS = 1 << 21  # of the correlation, 16 MiB a transform
+MOST_CHANGES = 40_000  # events of the refinement: seconds of work; errors of microseconds
+COMPARED = 6_000  # events by which candidates are compared
+CANDIDATES = 6  # peaks of the correlation that are refined
+BLOCKS = 24  # of time, whose residuals count as independent
+DISTINCT = 4.0  # standard errors by which the best candidate must be better than the next
+LEAST_CORRELATION = 6.0  # of the best peak, in units of the correlation's own spread: 1e-9 each, 2e6 offsets tried
+RATE_BOUND = 5e-4  # of a clock: crystals are within 1e-4, ceramic resonators within 5e-4
+CRYSTAL = 7e-5  # standard deviation of the difference of two crystal clocks (each within some 50 ppm), a prior
+FAST_POLE_S = 1e-5  # lag of a pole too fast for the filter to know (a differencing amplifier's, 16 kHz)
+LAG_KNOWN = 0.03  # of the filter's own lag: how well its form describes a pixel; tests/statistical/test_alignment.py
+ONE_S = 1e-3  # offsets closer than this are one: the refinement moves freely over it
+SOFT = 0.3  # thresholds' units from which a residual counts linearly: noise is some 0.1, missed events are 1
+MOST_SAMPLES = 1 << 18  # of the filter
+# where the refinement starts: offset, rate, ln of stiffness, damping, damping by light and follower rate (1/s² and 1/s,
+# at the light's geometric mean), dead time (0.1 ms), ln of the thresholds; a fast pixel, and a slow one
+STARTS = (
+    (0.0, 0.0, np.log(2.5e7), np.log(2e3), np.log(500.0), np.log(2e4), 0.5, np.log(0.25), np.log(0.25)),
+    (0.0, 0.0, np.log(1.5e6), np.log(2e3), np.log(30.0), np.log(2e4), 0.5, np.log(0.25), np.log(0.25)),
+)
+
+
+@dataclass(frozen=True)
+class Alignment:
+    """Where the light's time zero lies on the camera's clock.
+
+    offset_s: seconds on the camera's clock;  offset_interval_95: None where it was given, not estimated
+    rate_error: seconds that the camera counts per second of the light, less one
+    rate_interval_95: likewise;  method: "trigger", "first-event", "auto" or "given"
+    """
+
+    offset_s: float
+    method: str
+    offset_interval_95: tuple[float, float] | None = None
+    rate_error: float = 0.0
+    rate_interval_95: tuple[float, float] | None = None
+
+    def as_dict(self) -> dict:
+        """What the recording's attribute `alignment` says."""
+        return {
+            "method": self.method,
+            "offset_s": self.offset_s,
+            "offset_interval_95": self.offset_interval_95,
+            "clock_rate_error": self.rate_error,
+            "clock_rate_interval_95": self.rate_interval_95,
+        }
+
+    def sentence(self) -> str:
+        """The alignment in words."""
+        if self.offset_interval_95 is None:
+            return f"light starts at {self.offset_s:.6f} s of the camera's clock ({self.method})"
+        half = 0.5e6 * (self.offset_interval_95[1] - self.offset_interval_95[0])
+        text = f"light starts at {self.offset_s:.6f} s ± {half:.0f} µs of the camera's clock"
+        if self.rate_interval_95 is not None:
+            half = 0.5e6 * (self.rate_interval_95[1] - self.rate_interval_95[0])
+            text += f", clocks differ by {1e6 * self.rate_error:.0f} ± {half:.0f} ppm"
+        return text
+
+
+def find_alignment(recording: Recording, light: Stimulus, how: str) -> Alignment:
+    """The alignment by one of `METHODS`, or by a number: the light's time zero in seconds of the camera's clock.
+
+    Args:
+        recording: events, and triggers for "trigger": the first rising edge is the light's first sample; where more
+            follow, a second edge at the light's last sample gives the clocks' rate.
+        light: full-field for "auto".
+        how: "trigger", "first-event" (the first event is the light's first change), "auto", or seconds.
+
+    Returns:
+        The alignment; `aligned` applies it.
+
+    Raises:
+        InputError: for an unknown method, no triggers, no events, and events that do not tell: no correlation with the
+            light, or two offsets as good as each other.
+    """
+    if how not in METHODS:
+        try:
+            seconds = float(how)
+        except ValueError:
+            seconds = np.nan
+        if not np.isfinite(seconds):
+            raise InputError(f"--align: expected {', '.join(METHODS)} or seconds, found {how!r}")
+        return Alignment(seconds, "given")
+    if how == "trigger":
+        if recording.triggers is None or not len(recording.triggers):
+            raise InputError(f"{recording.name}: --align trigger: the file holds no trigger edges")
+        return _from_triggers(recording.triggers.edges_s(), light)
+    if len(recording.events) == 0:
+        raise InputError(f"{recording.name}: --align {how}: the file holds no events")
+    if how == "first-event":
+        return Alignment(float(recording.events.t[0] * 1e-9 - _first_change_s(light)), "first-event")
+    return _from_events(recording, light)
+
+
+def aligned(recording: Recording, light: Stimulus, alignment: Alignment) -> Recording:
+    """The recording with time zero at the light's first sample, the light on the camera's clock beside it.
+
+    Events move by whole nanoseconds, so that their ticks stay; what lies outside the light is left out.
+    Raises InputError when nothing lies inside.
+    """
+    rate = 1.0 + alignment.rate_error
+    start_s = alignment.offset_s + rate * float(light.t[0])
+    tick = max(recording.events.tick_ns, 1)
+    zero_ns = round(start_s * 1e9 / tick) * tick
+    events = recording.events
+    first, last = (round(1e9 * (alignment.offset_s + rate * float(light.t[k]))) for k in (0, -1))
+    inside = (events.t >= max(first, zero_ns)) & (events.t <= last)
+    if len(events) and not inside.any():
+        raise InputError(
+            f"{recording.name}: no event lies within the light, at {first * 1e-9:g}..{last * 1e-9:g} s of the camera's "
+            f"clock; events are at {events.t[0] * 1e-9:g}..{events.t[-1] * 1e-9:g} s (--align)"
+        )
+    kept = events.select(inside)
+    attributes = {**recording.attributes, "alignment": {**alignment.as_dict(), "events_outside": int((~inside).sum())}}
+    return replace(
+        recording,
+        events=replace(kept, t=kept.t - zero_ns),
+        stimulus=light.shifted(alignment.offset_s - zero_ns * 1e-9, rate),
+        triggers=None if recording.triggers is None else recording.triggers.shifted(-zero_ns),
+        exposures=None if recording.exposures is None else _moved(recording.exposures, zero_ns, last),
+        attributes=attributes,
+    )
+
+
+def _moved(events, zero_ns: int, last_ns: int):
+    kept = events.select((events.t >= zero_ns) & (events.t <= last_ns))
+    return replace(kept, t=kept.t - zero_ns)
+
+
+def _from_triggers(edges: np.ndarray, light: Stimulus) -> Alignment:
+    """First edge at the light's first sample; an edge within RATE_BOUND of its last gives the rate."""
+    duration = light.duration_s
+    offset, rate = float(edges[0]), 0.0
+    last = float(edges[np.argmin(np.abs(edges - edges[0] - duration))])
+    if abs(last - edges[0] - duration) <= RATE_BOUND * duration:
+        rate = (last - float(edges[0])) / duration - 1.0
+    return Alignment(offset - (1.0 + rate) * float(light.t[0]), "trigger", rate_error=rate)
+
+
+def _first_change_s(light: Stimulus) -> float:
+    """Where the light first leaves its first value: the last sample that still has it."""
+    moved = np.flatnonzero(light.radiance != light.radiance[0]) if light.full_field else np.array([1])
+    return float(light.t[max(int(moved[0]) - 1, 0)]) if len(moved) else float(light.t[0])
+
+
+def _from_events(recording: Recording, light: Stimulus) -> Alignment:
+    if not light.full_field:
+        raise InputError("--align auto: expected full-field light, found a light of each pixel's own")
+    log_light = np.log(np.maximum(light.radiance.astype(np.float64), 1e-6 * float(light.radiance.max())))
+    if np.ptp(log_light) < 1e-3:
+        raise InputError("--align auto: the light is constant; nothing in it can be found among the events")
+    changes = _changes(recording, MOST_CHANGES)
+    if len(changes.time) < 50:
+        raise InputError(f"{recording.name}: --align auto: expected at least 50 events that follow one of their pixel")
+    offsets = _candidates(recording, light.t, log_light)
+    few = _changes(recording, COMPARED)
+    fits = sorted((_refined(few, light.t, log_light, offset) for offset in offsets), key=lambda fit: fit.cost)
+    best = fits[0]
+    for other in fits[1:]:
+        if abs(other.offset - best.offset) < ONE_S:
+            continue
+        apart = other.by_block - best.by_block
+        error = float(np.std(apart, ddof=1) * np.sqrt(len(apart)))
+        if apart.sum() < DISTINCT * error:
+            where = f"{best.offset:.6f} or at {other.offset:.6f} s of the camera's clock"
+            raise InputError(
+                f"{recording.name}: --align auto: the light may start at {where}, and the events cannot say which; "
+                "give --align SECONDS, or record a trigger"
+            )
+    if len(changes.time) > len(few.time):
+        best = _refined(changes, light.t, log_light, best.offset, best)
+    half = 1.96 * np.sqrt(np.maximum(np.diag(best.covariance), 0.0))
+    return Alignment(
+        best.offset,
+        "auto",
+        (best.offset - float(half[0]), best.offset + float(half[0])),
+        best.rate,
+        (best.rate - float(half[1]), best.rate + float(half[1])),
+    )
+
+
+@dataclass(frozen=True)
+class _Changes:
+    """Intervals between events of one pixel: begin and end (s, from `origin`), sign of the event at the end."""
+
+    begin: np.ndarray
+    time: np.ndarray
+    sign: np.ndarray
+    origin: float
+
+
+def _changes(recording: Recording, most: int) -> _Changes:
+    """Intervals of as many pixels, chosen evenly over the sensor, as hold about `most` events."""
+    events = recording.events
+    pixel = events.pixel
+    every = max(1, round(len(events) / most))
+    if every > 1:
+        present = np.unique(pixel)
+        if len(present) >= 4 * every:
+            keep = np.isin(pixel, present[::every])
+            events, pixel = events.select(keep), pixel[keep]
+        else:  # few pixels with many events each: whole stretches of time, spread over the recording
+            part = (np.arange(len(events)) * 64 // len(events)) % every == 0
+            events, pixel = events.select(part), pixel[part]
+    order = np.lexsort((events.t, pixel))
+    t, pixel, p = events.t[order], pixel[order], events.p[order]
+    origin = int(recording.events.t[0])
+    seconds = (t - origin) * 1e-9
+    same = pixel[1:] == pixel[:-1]
+    sign = np.where(p[1:] == 1, 1.0, -1.0)
+    return _Changes(seconds[:-1][same], seconds[1:][same], sign[same], origin * 1e-9)
+
+
+def _candidates(recording: Recording, t: np.ndarray, log_light: np.ndarray) -> list[float]:
+    """Offsets (s, camera's clock) at which signed events and d ln L/dt correlate best, distinct ones."""
+    events = recording.events
+    origin = events.t[0] * 1e-9
+    lasting = events.duration_s + float(t[-1] - t[0])
+    width = max(lasting / MOST_BINS, 1e-4)
+    bins = int(events.duration_s / width) + 1
+    index = ((events.t - events.t[0]) * 1e-9 / width).astype(np.int64)
+    counts = np.bincount(index, np.where(events.p == 1, 1.0, -1.0), bins)
+    n = int((t[-1] - t[0]) / width) + 1
+    change = np.diff(np.interp(t[0] + width * np.arange(n + 1), t, log_light))
+    counts, change = counts - counts.mean(), change - change.mean()
+    size = 1 << int(np.ceil(np.log2(bins + n)))
+    spectra = [np.fft.rfft(series, size) for series in (counts, change)]
+    correlation = np.fft.irfft(spectra[0] * np.conj(spectra[1]), size)
+    lags = np.arange(size)
+    lags[lags >= bins] -= size  # negative: the light began before the first event
+    spread = 1.4826 * float(np.median(np.abs(correlation - np.median(correlation)))) + 1e-300
+    order = np.argsort(lags)
+    heights = correlation[order]
+    peaks, _ = find_peaks(np.concatenate([[-np.inf], heights, [-np.inf]]))
+    peaks -= 1
+    peaks = peaks[np.argsort(heights[peaks])[::-1][: 20 * CANDIDATES]]
+    if not len(peaks) or heights[peaks[0]] < LEAST_CORRELATION * spread:
+        raise InputError(f"{recording.name}: --align auto: the events do not follow this light at any offset")
+    apart = max(1, round(_correlation_length(change)))
+    kept: list[int] = []
+    for peak in peaks:
+        if all(abs(peak - other) > apart for other in kept) and heights[peak] > 0.3 * heights[peaks[0]]:
+            kept.append(int(peak))
+    return [float(origin + width * lags[order][peak] - t[0]) for peak in kept[:CANDIDATES]]
+
+
+def _correlation_length(change: np.ndarray) -> float:
+    """Bins over which the light's change stays like itself (half height of its autocorrelation)."""
+    spectrum = np.abs(np.fft.rfft(change, 2 * len(change))) ** 2
+    own = np.fft.irfft(spectrum)
+    below = np.flatnonzero(own < 0.5 * own[0])
+    return float(below[0]) if len(below) else 1.0
+
+
+@dataclass(frozen=True)
+class _Fit:
+    """offset s, rate error; covariance (2, 2) of both; cost: sum of squared residuals, by_block its parts;
+    x: (9,) all parameters, as `_refined` scales them"""
+
+    offset: float
+    rate: float
+    covariance: np.ndarray
+    cost: float
+    by_block: np.ndarray
+    x: np.ndarray
+
+
+def _refined(changes: _Changes, t: np.ndarray, log_light: np.ndarray, offset: float, start: _Fit | None = None) -> _Fit:
+    """Least squares on changes between events: offset, rate error, filter, dead time and two thresholds."""
+    duration = float(t[-1] - t[0])
+    fine = max(float(np.median(np.diff(t))), duration / MOST_SAMPLES)
+    grid = t[0] + fine * np.arange(int(duration / fine) + 2)
+    u = np.interp(grid, t, log_light)
+    relative = np.exp(u - u.mean())
+    begin = offset - changes.origin
+    middle = 0.5 * float(changes.time.min() + changes.time.max())
+    on = changes.sign > 0
+    y = np.empty_like(u)
+    latest = np.full(4, np.nan)
+
+    def residuals(x: np.ndarray) -> np.ndarray:
+        shift, rate, dead, thresholds = 1e-3 * x[0], RATE_BOUND * x[1], 1e-4 * x[6], np.exp(x[7:9])
+        if not np.array_equal(x[2:6], latest):
+            _filter(u, relative, fine, *np.exp(x[2:6]), y)
+            latest[:] = x[2:6]
+
+        def seen(when: np.ndarray) -> np.ndarray:
+            return np.interp(when - begin - shift - rate * (when - middle), grid, y)
+
+        return (seen(changes.time) - seen(changes.begin + dead)) / np.where(on, *thresholds) - changes.sign
+
+    def jacobian_at(x: np.ndarray) -> np.ndarray:
+        return _jacobian(residuals, x, 1e-3)
+
+    shortest = max(float(np.quantile(changes.time - changes.begin, 1e-3)), 1e-6)
+    lower = np.array([-20.0, -1.0, *np.log([1e2, 1e1, 1e-1, 1e2]), 0.0, *np.log([0.01, 0.01])])
+    upper = np.array([20.0, 1.0, *np.log([1e11, 1e6, 1e6, 1e6]), 1e4 * shortest + 1e-3, *np.log([3.0, 3.0])])
+    best = None
+    for x0 in STARTS if start is None else (start.x,):
+        x0 = np.clip(np.asarray(x0) * np.array([start is None, *[1.0] * 8]), lower + 1e-6, upper - 1e-6)
+        fit = least_squares(
+            residuals,
+            x0,
+            jac=jacobian_at,  # pyright: ignore[reportArgumentType]
+            bounds=(lower, upper),
+            loss="soft_l1",
+            f_scale=SOFT,
+            x_scale="jac",
+            max_nfev=40,
+        )
+        best = fit if best is None or fit.cost < best.cost else best
+    assert best is not None
+    x = best.x
+    r, jacobian = residuals(x), jacobian_at(x)
+    weight = 1.0 / np.sqrt(1.0 + (r / SOFT) ** 2)  # of soft_l1
+    block = np.minimum((BLOCKS * (changes.time - changes.time.min()) / np.ptp(changes.time)).astype(int), BLOCKS - 1)
+    scores = np.zeros((BLOCKS, len(x)))
+    np.add.at(scores, block, jacobian * (weight * r)[:, None])
+    free = (x > lower + 1e-5) & (x < upper - 1e-5)  # what sits on a bound does not move
+    bread = np.zeros((len(x), len(x)))
+    bread[np.ix_(free, free)] = np.linalg.pinv((jacobian.T @ (jacobian * weight[:, None]))[np.ix_(free, free)])
+    units = np.array([1e-3, RATE_BOUND])
+    covariance = (bread @ (scores.T @ scores) @ bread)[:2, :2] * np.outer(units, units)
+    # light time τ of an event at `when`: τ = (1 − rate) when − begin − shift + rate · middle
+    rate = RATE_BOUND * float(x[1])
+    zero = (begin + 1e-3 * float(x[0]) - rate * middle) / (1.0 - rate)
+    turn = np.array([[1.0, zero - middle], [0.0, 1.0]])
+    covariance = turn @ covariance @ turn.T
+    lag = (np.exp(x[3]) + np.exp(x[4])) / np.exp(x[2]) + np.exp(-x[5])
+    unknown = FAST_POLE_S**2 + (LAG_KNOWN * lag) ** 2  # of the lag; it may differ as much between begin and end
+    covariance += np.diag([unknown, unknown / np.ptp(changes.time) ** 2])
+    estimate = np.array([changes.origin + zero, 1.0 / (1.0 - rate) - 1.0])
+    gain = covariance[:, 1] / (covariance[1, 1] + CRYSTAL**2)  # what is known of clocks beforehand
+    estimate -= gain * estimate[1]
+    covariance -= np.outer(gain, covariance[1])
+    loss = 2.0 * SOFT**2 * (np.sqrt(1.0 + (r / SOFT) ** 2) - 1.0)
+    return _Fit(
+        offset=float(estimate[0]),
+        rate=float(estimate[1]),
+        covariance=covariance,
+        cost=float(loss.sum()),
+        by_block=np.bincount(block, loss, BLOCKS),
+        x=x,
+    )
+
+
+@njit(cache=True)
+def _filter(u, relative, step, stiffness, damping, damping_of_light, follower, out):
+    """Fill `out` with u behind a second-order low-pass whose rates follow the light, and a first-order one.
+
+    y'' + (damping + damping_of_light · relative) y' + stiffness · relative (y − u) = 0 by the implicit trapezoid, which
+    is stable at any step and of second order; at rest at the first sample.
+    """
+    y, v, s = u[0], 0.0, u[0]
+    keep = np.exp(-follower * step)
+    half = 0.5 * step
+    out[0] = s
+    for k in range(1, len(u)):
+        light = 0.5 * (relative[k - 1] + relative[k])
+        a, b = stiffness * light, damping + damping_of_light * light
+        target = 0.5 * (u[k - 1] + u[k])
+        # v1 = v − step (b (v + v1)/2 + a ((y + y1)/2 − target)),  y1 = y + step (v + v1)/2
+        v1 = (v * (1.0 - half * b - half * half * a) - step * a * (y - target)) / (1.0 + half * b + half * half * a)
+        y1 = y + half * (v + v1)
+        s = 0.5 * (y + y1) + (s - 0.5 * (y + y1)) * keep
+        y, v = y1, v1
+        out[k] = s
+
+
+def _jacobian(function, x: np.ndarray, step: float) -> np.ndarray:
+    columns = []
+    for k in range(len(x)):
+        move = np.zeros(len(x))
+        move[k] = step
+        columns.append((function(x + move) - function(x - move)) / (2.0 * step))
+    return np.stack(columns, axis=1)

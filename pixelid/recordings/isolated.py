@@ -1,0 +1,259 @@
+"""Read files that a person did not write in a process of its own, which may crash, hang or run out of memory.
+
+Decoders are compiled libraries: for damaged bytes some abort, some loop, some ask for all the memory there is.  So one
+child process serves all reading.  It gets a line of JSON (reader, file) and answers with a header of JSON and the raw
+columns, on a pipe of its own.  Its CPU time and its memory are limited in proportion to the file; when it dies, the
+caller gets one plain line, and the next file a new child.  Only numbers and JSON come back, nothing that is executed.
+"""
+
+from __future__ import annotations
+
+import atexit
+import contextlib
+import importlib
+import json
+import os
+import signal
+import stat
+import subprocess
+import sys
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+
+from pixelid.errors import InputError
+from pixelid.outputs import plain
+from pixelid.recordings.events import Events
+from pixelid.recordings.recording import Recording
+from pixelid.recordings.triggers import Triggers
+from pixelid.stimuli.stimulus import Stimulus
+
+READERS = {  # name → module with the function `read` (or the function named)
+    name: f"pixelid.recordings.{name}" for name in ("aedat2", "decoded", "hdf5", "matlab", "npz", "ros", "text")
+}
+CPU_S, CPU_S_PER_BYTE = 2.0, 2e-7  # per file: imports take up to 1 s, readers 1e-8 (binary) to 1e-7 s (text) a byte
+WALL_S = 20.0  # beside the CPU's time: waiting for a disk
+MEMORY_BYTES, MEMORY_PER_BYTE = 4 << 30, 64  # address space: libraries take 1 GiB; compressed columns grow tenfold
+START = (
+    "import json, sys; sys.path[:] = json.loads(sys.argv[1])\nfrom pixelid.recordings.isolated import serve; serve()"
+)
+EDGES = ("t", "rising", "channel")
+ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
+
+
+def read_isolated(reader: str, path: Path) -> Recording:
+    """The recording that a reader of `READERS` finds in a file.
+
+    Raises:
+        InputError: the reader's own; or that reading crashed, took too long, or needed too much memory.
+    """
+    path = path.resolve()
+    try:
+        status = path.stat()
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror})") from None
+    if not stat.S_ISREG(status.st_mode):
+        raise InputError(f"{path}: expected a regular file, found a device, pipe or socket")
+    return _CHILD.read(reader, path, status.st_size)
+
+
+class _Child:
+    """The reading process, started when first needed."""
+
+    def __init__(self) -> None:
+        self._process: subprocess.Popen | None = None
+        self._lock = threading.Lock()
+        self._owner = 0
+
+    def read(self, reader: str, path: Path, size: int) -> Recording:
+        with self._lock:
+            try:
+                process = self._running()
+            except OSError:  # no process can be started: read here
+                return _reader(reader)(path)
+            try:
+                return self._ask(process, reader, path, size)
+            except InputError:
+                raise
+            except BaseException:  # an answer half read would be taken for the next one
+                self.stop()
+                raise
+
+    def _running(self) -> subprocess.Popen:
+        if self._process is not None and self._process.poll() is None and self._owner == os.getpid():
+            return self._process
+        command = [sys.executable, "-c", START, json.dumps(sys.path)]
+        pipe, nothing = subprocess.PIPE, subprocess.DEVNULL
+        environment = {**os.environ, **ONE_THREAD}
+        self._process = subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=nothing, env=environment)
+        self._owner = os.getpid()
+        return self._process
+
+    def _ask(self, process: subprocess.Popen, reader: str, path: Path, size: int) -> Recording:
+        assert process.stdin is not None
+        assert process.stdout is not None
+        cpu_s = CPU_S + CPU_S_PER_BYTE * size
+        request = {"reader": reader, "path": str(path), "cpu_s": cpu_s, "bytes": MEMORY_BYTES + MEMORY_PER_BYTE * size}
+        watch = threading.Timer(WALL_S + 4.0 * cpu_s, process.kill)
+        watch.daemon = True
+        watch.start()
+        try:
+            process.stdin.write(json.dumps(request).encode() + b"\n")
+            process.stdin.flush()
+            answer = _receive(process.stdout)
+        except (EOFError, OSError, ValueError):
+            code = process.wait()
+            self._process = None
+            why = {
+                -signal.SIGPROF: f"took more than {cpu_s:.0f} s", -signal.SIGKILL: "took too long, or too much memory",
+            }.get(code, "made the decoder crash")  # fmt: skip
+            raise InputError(f"{path}: damaged: reading it {why}") from None
+        finally:
+            watch.cancel()
+        if "error" in answer:
+            raise InputError(answer["error"])
+        return _assembled(answer, path)
+
+    def stop(self) -> None:
+        """End the process, if one runs."""
+        process, self._process = self._process, None
+        if process is not None and self._owner == os.getpid():
+            process.kill()
+            for pipe in (process.stdin, process.stdout):
+                with contextlib.suppress(OSError, AttributeError):
+                    pipe.close()  # pyright: ignore[reportOptionalMemberAccess]
+            process.wait()
+
+
+_CHILD = _Child()
+atexit.register(_CHILD.stop)
+
+
+def serve() -> None:
+    """Answer requests until the pipe closes: what the child process runs."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent ends it
+    requests = os.fdopen(os.dup(0), "rb")
+    answers = os.fdopen(os.dup(1), "wb")
+    nothing = os.open(os.devnull, os.O_RDWR)
+    for descriptor in (0, 1, 2):  # libraries print
+        os.dup2(nothing, descriptor)
+    for line in requests:
+        request = json.loads(line)
+        _limit(request["cpu_s"], request["bytes"])
+        arrays: list[np.ndarray] = []
+        try:
+            header = _taken_apart(_reader(request["reader"])(Path(request["path"])), arrays)
+        except InputError as error:
+            header, arrays = {"error": str(error)}, []
+        except MemoryError:
+            header, arrays = {"error": f"{request['path']}: damaged: it declares more than memory holds"}, []
+        except Exception as error:
+            reason = str(error).splitlines()[0][:120] if str(error) else ""
+            header, arrays = {"error": f"{request['path']}: damaged ({type(error).__name__}: {reason})"}, []
+        _limit(0.0, request["bytes"])
+        _send(answers, header, arrays)
+
+
+def _limit(cpu_s: float, memory: int) -> None:
+    """CPU seconds from now on (0: no limit; SIGPROF then ends the process), and bytes of address space."""
+    if hasattr(signal, "setitimer"):
+        signal.setitimer(signal.ITIMER_PROF, cpu_s)
+        with contextlib.suppress(ImportError, ValueError, OSError):
+            import resource
+
+            resource.setrlimit(resource.RLIMIT_AS, (memory, resource.getrlimit(resource.RLIMIT_AS)[1]))
+
+
+def _reader(name: str) -> Callable[[Path], Recording]:
+    return importlib.import_module(READERS[name]).read
+
+
+def _taken_apart(recording: Recording, arrays: list[np.ndarray]) -> dict[str, Any]:
+    """The recording as JSON, its columns appended to `arrays`."""
+
+    def column(values: np.ndarray) -> dict:
+        arrays.append(np.ascontiguousarray(values))
+        return {"dtype": values.dtype.str, "shape": list(values.shape)}
+
+    def events(some: Events | None) -> dict | None:
+        if some is None:
+            return None
+        columns = {name: column(getattr(some, name)) for name in "txyp"}
+        return {**columns, "width": some.width, "height": some.height, "tick_ns": some.tick_ns}
+
+    light, edges = recording.stimulus, recording.triggers
+    told = {} if light is None else {"unit": light.unit, "between": light.interpolation}
+    return {
+        "events": events(recording.events),
+        "exposures": events(recording.exposures),
+        "stimulus": None if light is None else {"t": column(light.t), "radiance": column(light.radiance), **told},
+        "triggers": None if edges is None else {name: column(getattr(edges, name)) for name in EDGES},
+        "condition": recording.condition,
+        "sensor": recording.sensor,
+        "pooled": recording.pooled,
+        "attributes": plain(recording.attributes),
+    }
+
+
+def _assembled(answer: dict[str, Any], path: Path) -> Recording:
+    """The recording of an answer whose columns are arrays."""
+
+    def events(some: dict | None) -> Events | None:
+        return None if some is None else Events(**some)
+
+    light, edges = answer["stimulus"], answer["triggers"]
+    found = events(answer["events"])
+    assert found is not None
+    return Recording(
+        events=found,
+        stimulus=None if light is None else Stimulus(light["t"], light["radiance"], light["unit"], light["between"]),
+        condition=answer["condition"],
+        sensor=answer["sensor"],
+        pooled=answer["pooled"],
+        source=path,
+        attributes=answer["attributes"],
+        triggers=None if edges is None else Triggers(**edges),
+        exposures=events(answer["exposures"]),
+    )
+
+
+def _send(pipe: IO[bytes], header: dict, arrays: list[np.ndarray]) -> None:
+    text = json.dumps(header).encode()
+    pipe.write(len(text).to_bytes(8, "little") + text)
+    for array in arrays:
+        pipe.write(array.reshape(-1).view(np.uint8).data)
+    pipe.flush()
+
+
+def _receive(pipe: IO[bytes]) -> dict[str, Any]:
+    """The header of an answer, each description of a column replaced by the column, in the order they were sent."""
+    header = json.loads(_exactly(pipe, int.from_bytes(_exactly(pipe, 8), "little")))
+
+    def filled(value: Any) -> Any:
+        if isinstance(value, dict) and value.keys() == {"dtype", "shape"}:
+            array = np.empty(value["shape"], np.dtype(value["dtype"]))
+            _fill(pipe, array.reshape(-1).view(np.uint8))
+            return array
+        return {k: filled(v) for k, v in value.items()} if isinstance(value, dict) else value
+
+    attributes = header.pop("attributes", {})
+    return {**filled(header), "attributes": attributes}
+
+
+def _exactly(pipe: IO[bytes], count: int) -> bytes:
+    data = pipe.read(count)
+    if len(data) < count:
+        raise EOFError
+    return data
+
+
+def _fill(pipe: IO[bytes], array: np.ndarray) -> None:
+    view, done = array.data, 0
+    while done < len(view):
+        count = pipe.readinto(view[done:])  # type: ignore[attr-defined]
+        if not count:
+            raise EOFError
+        done += count

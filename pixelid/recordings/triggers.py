@@ -1,0 +1,54 @@
+"""External trigger edges: what a cable from the stimulus to the camera has put among the events."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pixelid.errors import InputError
+
+
+@dataclass(frozen=True)
+class Triggers:
+    """Edges on the camera's trigger inputs, on the clock of the events.
+
+    t: (n,) int64, nanoseconds, non-decreasing
+    rising: (n,) bool
+    channel: (n,) uint8, the input's number
+    """
+
+    t: np.ndarray
+    rising: np.ndarray
+    channel: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.t)
+
+    @staticmethod
+    def from_columns(t, rising, channel, *, where: str = "triggers") -> Triggers:
+        """Validated trigger edges from array-likes, sorted by time.
+
+        Raises:
+            InputError: naming `where`, for unequal lengths and times that are no integers.
+        """
+        t, rising, channel = np.asarray(t), np.asarray(rising), np.asarray(channel)
+        if not len(t) == len(rising) == len(channel):
+            found = f"{len(t)}, {len(rising)}, {len(channel)}"
+            raise InputError(f"{where}: t, rising and channel must have one length, found {found}")
+        if t.dtype.kind not in "iu":
+            raise InputError(f"{where}/t: expected integers, found {t.dtype}")
+        order = np.argsort(t, kind="stable")
+        return Triggers(
+            t[order].astype(np.int64, copy=False), rising[order].astype(bool), channel[order].astype(np.uint8)
+        )
+
+    def edges_s(self, channel: int | None = None) -> np.ndarray:
+        """(k,) seconds of the rising edges, or of all edges where none rises; of one channel or of all."""
+        mine = np.ones(len(self), bool) if channel is None else self.channel == channel
+        rising = mine & self.rising
+        return self.t[rising if rising.any() else mine] * 1e-9
+
+    def shifted(self, by_ns: int) -> Triggers:
+        """The same edges, later by `by_ns`."""
+        return Triggers(self.t + by_ns, self.rising, self.channel)

@@ -1,0 +1,241 @@
+"""Light that was measured or displayed: a photodiode's table, arrays, a video, or a folder of frames.
+
+A table has a header that names its columns, with the unit of each in the name, in brackets, or in a comment line:
+
+    t_s,radiance_lux          time [ms];irradiance [W/m²]          # unit: fA
+
+Times count from the clock of whatever measured the light; `pixelid convert --align` brings it onto the camera's.
+"""
+
+from __future__ import annotations
+
+import csv
+import re
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+
+from pixelid.errors import InputError
+from pixelid.stimuli.stimulus import UNITS, Stimulus
+
+TABLES, ARRAYS = (".csv", ".txt", ".tsv"), (".npy", ".npz")
+VIDEOS, PICTURES = (".mp4", ".avi", ".mov", ".mkv", ".webm"), (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp")
+LIGHT_WORDS = (
+    "radiance",
+    "irradiance",
+    "illuminance",
+    "light",
+    "photodiode",
+    "luminance",
+    "intensity",
+    "voltage",
+    "lux",
+)
+TIME_WORDS = ("t", "time", "timestamp", "seconds")
+SECONDS_PER = {"s": 1.0, "sec": 1.0, "seconds": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9}
+UNIT_WORDS = {
+    "relative": "relative", "lux": "lux", "lx": "lux", "fa": "fA", "shape": "shape",
+    "w/m2": "W/m2", "w/m²": "W/m2", "w/m^2": "W/m2", "w_m2": "W/m2", "wm2": "W/m2",
+}  # fmt: skip
+DISPLAY_GAMMA = 2.2  # of a display or a camera's pictures; sRGB differs from it by at most 4 % of full scale
+MOST_ROWS = 50_000_000
+
+
+def is_light_table(path: Path) -> bool:
+    """Whether a text file holds light over time, not events: by the names of its columns."""
+    with path.open("rb") as file:
+        lines = [line.decode("utf-8-sig", "replace") for line in islice(file, 40)]
+    names = _names(next((line for line in lines if line.strip() and not line.lstrip().startswith("#")), ""))
+    words = [re.split(r"[^a-zµ]+", name) for name in names]
+    return len(names) >= 2 and any(word in LIGHT_WORDS for name in words for word in name)
+
+
+def holds_pictures(path: Path) -> bool:
+    """Whether a folder holds pictures."""
+    return any(file.suffix.lower() in PICTURES for file in path.iterdir())
+
+
+def read_light(path: Path, *, unit: str | None = None, fps: float | None = None, gamma: str = "linear") -> Stimulus:
+    """The light in a file, or in a folder of frames.
+
+    Args:
+        path: table (.csv, .txt, .tsv), array (.npy of rows t, radiance; .npz with t and radiance), video, or a folder
+            of pictures in the order of their names, their times (s, one a line) in `timestamps.txt`, or at `fps`.
+        unit: of the radiance, where the file does not say.
+        fps: frames per second, for videos and folders.
+        gamma: "linear" when grey levels are proportional to light, "display" when they go as light to the power 1/2.2.
+
+    Returns:
+        A full-field stimulus; of shape (n, height, width) for frames.
+
+    Raises:
+        InputError: one line that names file, field, expected and found.
+    """
+    if unit is not None and unit not in UNITS:
+        raise InputError(f"unit of the light: expected one of {', '.join(UNITS)}, found {unit!r}")
+    if gamma not in ("linear", "display"):
+        raise InputError(f"gamma: expected linear or display, found {gamma!r}")
+    suffix = path.suffix.lower()
+    if path.is_dir() or suffix in VIDEOS:
+        frames, t = _folder(path, fps) if path.is_dir() else _video(path, fps)
+        return _of_frames(frames, t, unit or "relative", gamma, path)
+    if suffix in ARRAYS:
+        return _array(path, unit)
+    return _table(path, unit)
+
+
+def _table(path: Path, unit: str | None) -> Stimulus:
+    try:
+        with path.open(encoding="utf-8-sig", newline="") as file:
+            lines = list(islice(file, MOST_ROWS))
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: expected text, found binary data") from error
+    comments = " ".join(line for line in lines[:40] if line.lstrip().startswith("#"))
+    lines = [line for line in lines if line.strip() and not line.lstrip().startswith("#")]
+    if len(lines) < 3:
+        raise InputError(f"{path}: expected a header t,radiance and at least two rows, found {len(lines)} lines")
+    names = _names(lines[0])
+    separator = _separator(lines[0])
+    time = next((k for k, name in enumerate(names) if _words(name)[:1] and _words(name)[0] in TIME_WORDS), None)
+    light = next((k for k, name in enumerate(names) if k != time and any(w in LIGHT_WORDS for w in _words(name))), None)
+    if time is None or light is None:
+        raise InputError(f"{path}: expected columns t and radiance in the first line, found {lines[0].strip()[:80]!r}")
+    try:
+        columns = np.loadtxt(lines[1:], delimiter=separator, usecols=(time, light), ndmin=2)
+    except ValueError as error:
+        raise InputError(f"{path}: expected numbers in every row: {str(error).splitlines()[0][:120]}") from None
+    scale = next((SECONDS_PER[word] for word in _words(names[time])[1:] if word in SECONDS_PER), 1.0)
+    told = _unit_in(names[light]) or _unit_in(" ".join(re.findall(r"unit\s*[:=]\s*(\S+)", comments, re.I)))
+    return _stimulus(columns[:, 0] * scale, columns[:, 1], unit or told or "relative", path)
+
+
+def _names(line: str) -> list[str]:
+    row = next(csv.reader([line.strip()], delimiter=_separator(line) or " ", skipinitialspace=True), [])
+    return [name.strip().lower() for name in row]
+
+
+def _separator(line: str) -> str | None:
+    return next((mark for mark in (",", ";", "\t") if mark in line), None)
+
+
+def _words(name: str) -> list[str]:
+    return [word for word in re.split(r"[^a-zµ0-9²]+", name) if word]
+
+
+def _unit_in(text: str) -> str | None:
+    text = text.lower()
+    for word, unit in UNIT_WORDS.items():
+        if re.search(rf"(^|[^a-z]){re.escape(word)}($|[^a-z0-9²])", text):
+            return unit
+    return None
+
+
+def _array(path: Path, unit: str | None) -> Stimulus:
+    try:
+        content = np.load(path, allow_pickle=False)
+        if isinstance(content, np.ndarray):
+            if content.ndim != 2 or 2 not in content.shape or content.dtype.kind not in "fiu":
+                raise InputError(
+                    f"{path}: expected rows of t, radiance, found {content.dtype} of shape {content.shape}"
+                )
+            t, radiance = content.T if content.shape[1] == 2 else content
+            return _stimulus(t, radiance, unit or "relative", path)
+        with content:
+            missing = [name for name in ("t", "radiance") if name not in content]
+            if missing:
+                raise InputError(f"{path}: {missing[0]}: missing; expected t and radiance, found {content.files}")
+            told = str(content["unit"]) if "unit" in content else None
+            between = str(content["interpolation"]) if "interpolation" in content else "linear"
+            return _stimulus(content["t"], content["radiance"], unit or told or "relative", path, between)
+    except InputError:
+        raise
+    except Exception as error:  # NumPy raises many kinds for damaged archives
+        reason = str(error).splitlines()[0][:100] if str(error) else type(error).__name__
+        raise InputError(f"{path}: expected a NumPy array, found a damaged or different file ({reason})") from None
+
+
+def _stimulus(t: np.ndarray, radiance: np.ndarray, unit: str, path: Path, between: str = "linear") -> Stimulus:
+    """A stimulus, where a trace that reaches zero or below says what may be done about it."""
+    radiance = np.asarray(radiance)
+    if unit != "shape" and radiance.dtype.kind in "fiu" and radiance.size and np.nanmin(radiance) <= 0:
+        raise InputError(
+            f"{path}/radiance: must be positive, found {np.nanmin(radiance):g}; take the detector's offset off, "
+            "or say unit shape for a trace known up to offset and gain"
+        )
+    return Stimulus.from_arrays(t, radiance, unit, between, where=str(path))
+
+
+def _folder(path: Path, fps: float | None) -> tuple[np.ndarray, np.ndarray]:
+    from skimage.io import imread
+
+    files = sorted(file for file in path.iterdir() if file.suffix.lower() in PICTURES)
+    if len(files) < 2:
+        raise InputError(f"{path}: expected a folder of pictures ({', '.join(PICTURES)}), found {len(files)}")
+    stamps = path / "timestamps.txt"
+    if stamps.is_file():
+        try:
+            t = np.loadtxt(stamps, ndmin=1)
+        except ValueError as error:
+            raise InputError(f"{stamps}: expected one time in seconds a line: {str(error)[:100]}") from None
+        if t.shape != (len(files),):
+            raise InputError(f"{stamps}: expected {len(files)} times, one for each picture, found {t.shape}")
+    else:
+        t = _regular(len(files), fps, path)
+    frames = []
+    for file in files:
+        try:
+            frames.append(_grey(imread(file), file))
+        except (OSError, ValueError, SyntaxError) as error:
+            raise InputError(f"{file}: expected a picture: {str(error).splitlines()[0][:100]}") from None
+    if len({frame.shape for frame in frames}) > 1:
+        raise InputError(f"{path}: expected pictures of one size, found {sorted({f.shape for f in frames})}")
+    return np.stack(frames), t
+
+
+def _video(path: Path, fps: float | None) -> tuple[np.ndarray, np.ndarray]:
+    try:
+        import av  # pyright: ignore[reportMissingImports]  (optional)
+    except ImportError:
+        raise InputError(f'{path}: videos need the package av: pip install "pixelid[video]"') from None
+    try:
+        with av.open(str(path)) as file:
+            stream = file.streams.video[0]
+            rate = fps or float(stream.average_rate or 0) or None
+            frames = [frame.to_ndarray(format="gray").astype(np.float32) / 255.0 for frame in file.decode(stream)]
+    except (av.FFmpegError, IndexError, ValueError) as error:
+        raise InputError(f"{path}: expected a video: {str(error).splitlines()[0][:100]}") from None
+    if len(frames) < 2:
+        raise InputError(f"{path}: expected a video of at least two frames, found {len(frames)}")
+    return np.stack(frames), _regular(len(frames), rate, path)
+
+
+def _regular(n: int, fps: float | None, path: Path) -> np.ndarray:
+    if fps is None or not 0 < fps < 1e9:
+        raise InputError(f"{path}: fps: expected the frames per second, a positive number, found {fps}")
+    return np.arange(n) / fps
+
+
+def _grey(picture: np.ndarray, path: Path) -> np.ndarray:
+    """(h, w) float32 grey levels, full scale 1; of colours their luma (Rec. 709)."""
+    if picture.ndim == 3:
+        picture = picture[..., :3] @ np.array([0.2126, 0.7152, 0.0722]) if picture.shape[2] >= 3 else picture[..., 0]
+        scale = 65535.0 if picture.max(initial=0) > 255 else 255.0
+    elif picture.ndim == 2:
+        scale = float(np.iinfo(picture.dtype).max) if picture.dtype.kind in "iu" else 1.0
+    else:
+        raise InputError(f"{path}: expected a picture of two or three dimensions, found {picture.ndim}")
+    return (picture / scale).astype(np.float32)
+
+
+def _of_frames(frames: np.ndarray, t: np.ndarray, unit: str, gamma: str, path: Path) -> Stimulus:
+    """Frames are held until the next: what a display shows, and all that a camera's pictures say.
+
+    Grey level zero, which no light is, counts as half a step of an 8-bit display.
+    """
+    if gamma == "display":
+        frames = frames**DISPLAY_GAMMA
+        least = (0.5 / 255.0) ** DISPLAY_GAMMA
+    else:
+        least = 0.5 / 255.0
+    return Stimulus.from_arrays(t, np.maximum(frames, np.float32(least)), unit, "previous", where=str(path))

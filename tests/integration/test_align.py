@@ -1,0 +1,99 @@
+"""From a camera's file and a light trace, each on its own clock, to a recording that a fit reads."""
+
+import json
+
+import h5py
+import numpy as np
+import pytest
+from oracles.cameras import on_its_own_clock
+
+from pixelid.cli.main import main as run
+from pixelid.model.shipped import find_model
+from pixelid.recordings import open_recording, write_recording
+from pixelid.recordings.crop import crop
+from pixelid.simulate import simulate
+from pixelid.stimuli import shapes
+
+OFFSET, PPM = 1.6e9 + 0.123456, 50.0
+
+
+@pytest.fixture(scope="module")
+def session(tmp_path_factory):
+    """(folder with camera.h5 and light.csv, the recording as simulated)."""
+    folder = tmp_path_factory.mktemp("camera")
+    light = shapes.steps(400.0, seed=3)
+    recording = simulate(find_model("dvs128"), light, width=5, height=5, seed=0)
+    write_recording(on_its_own_clock(recording, OFFSET, PPM), folder / "camera.h5")
+    rows = "\n".join(f"{t:.9f},{r:.9g}" for t, r in zip(light.t - 7.5, light.radiance, strict=True))
+    (folder / "light.csv").write_text(f"t_s,radiance_lux\n{rows}\n")  # the DAQ's clock shows -7.5 s at the begin
+    return folder, recording
+
+
+@pytest.mark.parametrize("how", ["auto", "trigger", "seconds"])
+def test_the_light_finds_its_place(session, tmp_path, how):
+    folder, recording = session
+    say = f"{OFFSET + 7.5:.6f}" if how == "seconds" else how  # which knows nothing of the clocks' rates
+    out = tmp_path / "aligned.h5"
+    code = run(
+        ["convert", str(folder / "camera.h5"), str(out), "--stimulus", str(folder / "light.csv"), "--align", say]
+    )
+    assert code == 0
+    found = open_recording(out)
+    assert found.stimulus is not None
+    assert found.stimulus.unit == "lux"
+    # the same event and the same light, seen on both clocks
+    k = len(recording.events) // 2
+    when = recording.events.t[k] * 1e-9
+    shifted = len(recording.events) - len(found.events)
+    assert shifted <= 5
+    on_light = np.interp(found.events.t[k - shifted] * 1e-9, found.stimulus.t, recording.stimulus.t)
+    assert on_light == pytest.approx(when, abs=2e-5 if how != "seconds" else 2e-5 + 1e-6 * PPM)
+    with h5py.File(out) as file:
+        told = json.loads(file.attrs["alignment"])
+    assert told["method"] == ("given" if how == "seconds" else how)
+    if how != "seconds":
+        assert 1e6 * told["clock_rate_error"] == pytest.approx(PPM, abs=15)
+
+
+def test_two_offsets_as_good_as_each_other_are_refused(tmp_path, capsys):
+    light = shapes.sine(100.0, 0.5, 10.0, duration_s=1.0)
+    recording = simulate(find_model("dvs128"), light, width=3, height=3, seed=0)
+    write_recording(on_its_own_clock(recording, 5.0, 0.0), tmp_path / "camera.h5")
+    words = ["convert", str(tmp_path / "camera.h5"), str(tmp_path / "out.h5"), "--stimulus", "sine", "--align", "auto"]
+    assert run(words) == 2
+    assert "cannot say which" in capsys.readouterr().err
+    assert not (tmp_path / "out.h5").exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["--align", "auto"], "--stimulus"),
+        (["--stimulus", "steps", "--align", "soon"], "--align: expected trigger"),
+        (["--stimulus", "constant", "--align", "auto"], "constant"),
+        (["--stimulus", "steps"], "--align"),
+        (["--roi", "0,0,9,9"], "--roi"),
+        (["--roi", "a"], "x0,y0,x1,y1"),
+        (["--time", "2:1"], "--time"),
+    ],
+)
+def test_what_cannot_be_done_is_said(session, tmp_path, capsys, words, says):
+    folder, _ = session
+    assert run(["convert", str(folder / "camera.h5"), str(tmp_path / "out.h5"), *words]) == 2
+    assert says in capsys.readouterr().err
+    assert not (tmp_path / "out.h5").exists()
+
+
+def test_crops(session):
+    _, recording = session
+    events = recording.events
+    part = crop(recording, roi=(1, 2, 3, 5), time_s=(0.2, 0.6))
+    inside = (events.x >= 1) & (events.x < 3) & (events.y >= 2) & (events.t >= 2e8) & (events.t < 6e8)
+    np.testing.assert_array_equal(part.events.t, events.t[inside])
+    assert part.stimulus is not None
+    assert 0.6 <= part.stimulus.t[-1] <= 0.61
+    some = crop(recording, pixels=7, seed=1)
+    assert len(np.unique(some.events.pixel)) == 7
+    np.testing.assert_array_equal(some.events.t, crop(recording, pixels=7, seed=1).events.t)
+    assert set(np.unique(crop(recording, pixels=7, seed=2).events.pixel)) != set(np.unique(some.events.pixel))
+    assert 3 not in crop(recording, without=np.array([3, 4])).events.pixel

@@ -1,0 +1,124 @@
+"""Files that nobody should trust: every reader answers in one plain line, and the process lives on."""
+
+import os
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from pixelid.errors import InputError
+from pixelid.recordings import Events, Recording, open_recording, write_recording
+from pixelid.stimuli.files import load_stimulus
+from pixelid.stimuli.shapes import steps
+
+SHARED = Path(os.environ.get("PIXELID_SHARED", Path(__file__).parents[3] / "shared")) / "bad_files"
+CORPUS = sorted(f for f in SHARED.glob("*/*") if f.suffix in (".h5", ".npz", ".csv", ".txt")) if SHARED.exists() else []
+
+
+def answer(path: Path) -> str:
+    """What is said of a file; nothing when it can be read."""
+    try:
+        open_recording(path)
+    except InputError as error:
+        said = str(error)
+    else:
+        return ""
+    assert len(said.splitlines()) <= 2
+    return said
+
+
+@pytest.mark.parametrize("path", CORPUS, ids=lambda path: f"{path.parent.name}/{path.name}")
+def test_files_that_broke_it_once(path):
+    answer(path)
+
+
+@pytest.fixture(scope="module")
+def originals(tmp_path_factory):
+    """format → the bytes of a small recording of it."""
+    folder, rng = tmp_path_factory.mktemp("originals"), np.random.default_rng(0)
+    t = np.sort(rng.integers(0, 700_000_000, 60))
+    events = Events.from_columns(t, rng.integers(0, 4, 60), rng.integers(0, 4, 60), rng.integers(0, 2, 60), 4, 4)
+    recording = Recording(events, steps(20.0, duration_s=0.8), "a", "b", attributes={"biases": {"diff": 80}})
+    for suffix in (".h5", ".npz", ".csv"):
+        write_recording(recording, folder / f"a{suffix}")
+    words = [0x8000, 0x600A, 0xA201, 0x0005, 0x2807, 0x6014, 0xA200, 0x601E, 0x3864, 0x4005]
+    raw = b"% evt 3.0\n% geometry 640x480\n% end\n" + np.array(words, "<u2").tobytes()
+    return {suffix: (folder / f"a{suffix}").read_bytes() for suffix in (".h5", ".npz", ".csv")} | {".raw": raw}
+
+
+@settings(max_examples=25, deadline=None, derandomize=True)
+@given(data=st.data())
+@pytest.mark.parametrize("suffix", [".h5", ".npz", ".csv", ".raw"])
+def test_mutated_files(originals, tmp_path_factory, suffix, data):
+    content = bytearray(originals[suffix])
+    for _ in range(data.draw(st.integers(1, 5))):
+        place = data.draw(st.integers(0, len(content) - 1))
+        patch = data.draw(st.binary(min_size=0, max_size=8))
+        content[place : place + data.draw(st.integers(0, 64))] = patch
+        if not content:
+            break
+    path = tmp_path_factory.mktemp("mutated") / f"m{suffix}"
+    path.write_bytes(content)
+    answer(path)
+
+
+def test_a_crashing_decoder_is_one_line_and_the_next_file_is_read(tmp_path, monkeypatch):
+    from pixelid.recordings import isolated
+
+    (tmp_path / "crash.py").write_text("import os\ndef read(path):\n    os.abort()\n")
+    (tmp_path / "loop.py").write_text("def read(path):\n    while True: pass\n")
+    (tmp_path / "greedy.py").write_text("def read(path):\n    return bytearray(1 << 40)\n")
+    events = Events.from_columns([1], [0], [0], [1], 1, 1)
+    write_recording(Recording(events), tmp_path / "good.npz")
+    child = (
+        "import json, sys; sys.path[:] = json.loads(sys.argv[1])\nimport pixelid.recordings.isolated as i\n"
+        f"sys.path.insert(0, {str(tmp_path)!r})\n"
+        "i.READERS |= dict(crash='crash', loop='loop', greedy='greedy')\ni.serve()"
+    )
+    monkeypatch.setattr(isolated, "START", child)
+    monkeypatch.setattr(isolated, "CPU_S", 1.0)
+    isolated._CHILD.stop()
+    try:
+        for reader, says in (("crash", "crash"), ("loop", "took more than"), ("greedy", "memory")):
+            with pytest.raises(InputError, match=says):
+                isolated.read_isolated(reader, tmp_path / "good.npz")
+            assert len(isolated.read_isolated("npz", tmp_path / "good.npz").events) == 1
+    finally:
+        isolated._CHILD.stop()
+
+
+def test_hdf5_that_leads_out_of_the_file(tmp_path):
+    secret = tmp_path / "secret.h5"
+    with h5py.File(secret, "w") as file:
+        file["x"] = np.arange(10)
+    (tmp_path / "secret.bin").write_bytes(bytes(80))
+    for kind in ("link", "soft", "storage", "virtual", "huge"):
+        path = tmp_path / f"{kind}.h5"
+        with h5py.File(path, "w") as file:
+            group = file.create_group("events")
+            for name in "typ":
+                group[name] = np.zeros(10, np.int64)
+            if kind == "link":
+                group["x"] = h5py.ExternalLink("secret.h5", "/x")
+            elif kind == "soft":
+                group["x"] = h5py.SoftLink("/events/y")
+            elif kind == "storage":
+                group.create_dataset("x", (10,), "<i8", external=[(str(tmp_path / "secret.bin"), 0, 80)])
+            elif kind == "virtual":
+                layout = h5py.VirtualLayout((10,), "<i8")
+                layout[:] = h5py.VirtualSource(str(secret), "x", (10,))
+                group.create_virtual_dataset("x", layout)
+            else:
+                group.create_dataset("x", (1 << 40,), "<i8", chunks=(1 << 16,))
+        assert "events/x" in answer(path)
+
+
+def test_what_is_no_regular_file(tmp_path):
+    os.mkfifo(tmp_path / "pipe.h5")
+    for path in (tmp_path / "pipe.h5", Path("/dev/zero"), Path("/dev/null"), tmp_path):
+        assert answer(path)
+        with pytest.raises(InputError):
+            load_stimulus(path)

@@ -1,0 +1,164 @@
+"""Readers of bags, MATLAB files and triggers, on files written here by other means and on real ones."""
+
+from dataclasses import replace
+
+import h5py
+import numpy as np
+import pytest
+from scipy.io import savemat
+
+from pixelid.errors import InputError
+from pixelid.recordings import Events, Recording, open_recording, write_recording
+from pixelid.recordings.triggers import Triggers
+
+HEADER_ROS1 = (7).to_bytes(4, "little") + (0).to_bytes(8, "little") + (3).to_bytes(4, "little") + b"cam"
+
+
+def columns(n=200, seed=0):
+    rng = np.random.default_rng(seed)
+    t = np.sort(rng.integers(0, 3_000_000, n)) * 1000 + 1_600_000_000_000_000_000
+    return t, rng.integers(0, 30, n), rng.integers(0, 20, n), rng.integers(0, 2, n)
+
+
+def equal(events: Events, t, x, y, p):
+    for found, expected in ((events.t, t), (events.x, x), (events.y, y), (events.p, p)):
+        np.testing.assert_array_equal(found, expected)
+
+
+def records(t, x, y, p) -> bytes:
+    """`dvs_msgs/Event` records as ROS 1 writes them."""
+    parts = []
+    for row in zip(t.tolist(), x.tolist(), y.tolist(), p.tolist(), strict=True):
+        seconds, rest = divmod(row[0], 10**9)
+        parts.append(
+            row[1].to_bytes(2, "little") + row[2].to_bytes(2, "little") + seconds.to_bytes(4, "little")
+            + rest.to_bytes(4, "little") + row[3].to_bytes(1, "little")
+        )  # fmt: skip
+    return b"".join(parts)
+
+
+def test_ros1_event_arrays(tmp_path):
+    from rosbags.rosbag1 import Writer
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+    store = get_typestore(Stores.ROS1_NOETIC)
+    store.register(get_types_from_msg("uint16 x\nuint16 y\ntime ts\nbool polarity\n", "dvs_msgs/msg/Event"))
+    array = "std_msgs/Header header\nuint32 height\nuint32 width\ndvs_msgs/Event[] events\n"
+    store.register(get_types_from_msg(array, "dvs_msgs/msg/EventArray"))
+    t, x, y, p = columns()
+    with Writer(tmp_path / "events.bag") as bag:
+        connection = bag.add_connection("/dvs/events", "dvs_msgs/msg/EventArray", typestore=store)
+        for k in range(0, 200, 50):
+            s = slice(k, k + 50)
+            size = (20).to_bytes(4, "little") + (30).to_bytes(4, "little") + (50).to_bytes(4, "little")
+            bag.write(connection, int(t[k]), HEADER_ROS1 + size + records(t[s], x[s], y[s], p[s]))
+    recording = open_recording(tmp_path / "events.bag")
+    equal(recording.events, t, x, y, p)
+    assert (recording.events.width, recording.events.height, recording.events.tick_ns) == (30, 20, 1000)
+
+
+def test_ros2_event_arrays_in_cdr(tmp_path):
+    from rosbags.rosbag2 import StoragePlugin, Writer
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    event = get_types_from_msg("uint16 x\nuint16 y\nbuiltin_interfaces/Time ts\nbool polarity\n", "dvs_msgs/msg/Event")
+    store.register(event)
+    array = "std_msgs/Header header\nuint32 height\nuint32 width\ndvs_msgs/Event[] events\n"
+    store.register(get_types_from_msg(array, "dvs_msgs/msg/EventArray"))
+    kinds = store.types
+    t, x, y, p = columns()
+    stamp = kinds["builtin_interfaces/msg/Time"]
+    for plugin, name in ((StoragePlugin.SQLITE3, "sqlite"), (StoragePlugin.MCAP, "mcap")):
+        with Writer(tmp_path / name, version=9, storage_plugin=plugin) as bag:
+            connection = bag.add_connection("/events", "dvs_msgs/msg/EventArray", typestore=store)
+            for k in range(0, 200, 67):
+                rows = zip(*(c[k : k + 67].tolist() for c in (t, x, y, p)), strict=True)
+                events = [
+                    kinds["dvs_msgs/msg/Event"](x=b, y=c, ts=stamp(sec=a // 10**9, nanosec=a % 10**9), polarity=bool(d))
+                    for a, b, c, d in rows
+                ]
+                header = kinds["std_msgs/msg/Header"](stamp=stamp(sec=1, nanosec=2), frame_id="camera")
+                message = kinds["dvs_msgs/msg/EventArray"](header=header, height=20, width=30, events=events)
+                bag.write(connection, int(t[k]), store.serialize_cdr(message, "dvs_msgs/msg/EventArray"))
+        file = next(f for f in (tmp_path / name).iterdir() if f.suffix in (".db3", ".mcap"))
+        equal(open_recording(file).events, t, x, y, p)
+
+
+def test_the_clock_of_a_dvxplorer_that_rolls_over(shared):
+    recording = open_recording(shared / "recordings" / "ros" / "libcaer_rollover_0.db3")
+    with np.load(shared / "recordings" / "ros" / "libcaer_rollover_dvxplorer.npz") as file:
+        equal(recording.events, file["t"] * 1000, file["x"], file["y"], file["p"])
+
+
+def test_trigger_edges_of_a_bag(shared):
+    recording = open_recording(shared / "recordings" / "ros" / "evt3_trigger_0.db3")
+    assert recording.triggers is not None
+    np.testing.assert_array_equal(np.diff(recording.triggers.t), [2_000_000])
+    flicker = open_recording(shared / "recordings" / "flicker120_gen31.db3")
+    with np.load(shared / "recordings" / "flicker120_gen31.npz") as file:
+        equal(flicker.events, file["t"] * 1000, file["x"], file["y"], file["p"])
+        assert flicker.triggers is not None
+        np.testing.assert_array_equal(flicker.triggers.t, file["trig"][:, 0] * 1000)
+        np.testing.assert_array_equal(flicker.triggers.rising, file["trig"][:, 1] == 1)
+
+
+def test_triggers_of_prophesee_raw(tmp_path):
+    words = [0x8000, 0x600A, 0xA201, 0x0005, 0x2807, 0x6014, 0xA200, 0x601E, 0x3864, 0x4005]
+    (tmp_path / "a.raw").write_bytes(b"% evt 3.0\n% geometry 640x480\n% end\n" + np.array(words, "<u2").tobytes())
+    (tmp_path / "a.bias").write_text("299  % bias_diff\n30 % bias_fo\n")
+    recording = open_recording(tmp_path / "a.raw")
+    equal(recording.events, [10_000, 30_000, 30_000], [7, 100, 102], [5, 5, 5], [1, 1, 1])
+    assert recording.triggers is not None
+    np.testing.assert_array_equal(recording.triggers.t, [10_000, 20_000])
+    np.testing.assert_array_equal(recording.triggers.rising, [True, False])
+    assert recording.attributes["biases"] == {"bias_diff": 299, "bias_fo": 30}
+
+
+def test_prophesee_hdf5(tmp_path):
+    t, x, y, p = columns()
+    t = (t - t[0]) // 1000
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file.attrs["geometry"] = "640x480"
+        kinds = [("x", "<u2"), ("y", "<u2"), ("p", "<i2"), ("t", "<i8")]
+        file["CD/events"] = np.rec.fromarrays([x, y, p, t], dtype=kinds)
+        file["EXT_TRIGGER/events"] = np.array([(1, 500, 6), (0, 900, 6)], [("p", "<i2"), ("t", "<i8"), ("id", "<i2")])
+    recording = open_recording(tmp_path / "a.h5")
+    equal(recording.events, t * 1000, x, y, p)
+    assert (recording.events.width, recording.triggers.edges_s().tolist()) == (640, [5e-4])
+
+
+def test_matlab_of_an_atis(tmp_path, shared):
+    t, x, y, p = columns()
+    t = (t - t[0]) // 1000
+    table = {"ts": t[:, None], "x": x[:, None] + 1, "y": y[:, None] + 1, "p": p[:, None]}
+    savemat(tmp_path / "a.mat", {"TD": table, "EM": table})
+    recording = open_recording(tmp_path / "a.mat")
+    equal(recording.events, t * 1000, x, y, p)
+    assert recording.exposures is not None
+    equal(recording.exposures, t * 1000, x, y, p)
+    real = open_recording(shared / "recordings" / "atis" / "gorchard_example_data.mat")
+    assert (len(real.events), len(real.exposures), real.events.width) == (242040, 442382, 304)
+
+
+def test_triggers_and_exposures_stay_in_the_file(tmp_path):
+    t, x, y, p = columns()
+    events = Events.from_columns(t, x, y, p, 30, 20, tick_ns=1000)
+    triggers = Triggers.from_columns([5, 9], [True, False], [1, 1])
+    recording = Recording(events, triggers=triggers, exposures=replace(events, x=events.x[::-1]))
+    write_recording(recording, tmp_path / "a.h5")
+    again = open_recording(tmp_path / "a.h5")
+    np.testing.assert_array_equal(again.triggers.t, [5, 9])
+    np.testing.assert_array_equal(again.triggers.rising, [True, False])
+    np.testing.assert_array_equal(again.exposures.x, events.x[::-1])
+    np.testing.assert_array_equal(again.exposures.t, events.t)
+
+
+@pytest.mark.parametrize("name", ["a.bag", "a.db3", "a.mcap", "a.mat"])
+@pytest.mark.parametrize(
+    "content", [b"SQLite format 3\0", b"#ROSBAG V2.0\n", b"MATLAB 5.0", b"\x89MCAP0\r\n", b"x" * 500]
+)
+def test_damaged_files_are_answered_in_one_line(tmp_path, name, content):
+    (tmp_path / name).write_bytes(content + bytes(range(256)))
+    with pytest.raises(InputError, match="expected"):
+        open_recording(tmp_path / name)
