@@ -179,7 +179,27 @@ def read_recipe(path: Path) -> Recipe:
         _yes_or_no(document, "profile", path),
         _choice(document, "engine", ENGINES, path),
         _choice(document, "form", FORMS, path),
+        _crop(document, path),
     )
+
+
+def _crop(document, path: Path) -> Crop:
+    """The cut that a recipe asks for: roi of four whole numbers, time of two, pixels, without_hot_pixels."""
+
+    def numbers(key: str, count: int, kinds: type | tuple[type, ...]) -> tuple | None:
+        value = document.get(key)
+        right = isinstance(value, list) and len(value) == count
+        if value is not None and not (right and all(isinstance(v, kinds) and not isinstance(v, bool) for v in value)):
+            raise InputError(f"{path}: [fit] {key} must be a list of {count} numbers, found {value!r}")
+        return None if value is None else tuple(value)
+
+    pixels = document.get("pixels")
+    if pixels is not None and (not isinstance(pixels, int) or isinstance(pixels, bool) or pixels < 1):
+        raise InputError(f"{path}: [fit] pixels must be a positive whole number, found {pixels!r}")
+    hot = document.get("without_hot_pixels", False)
+    if not isinstance(hot, bool):
+        raise InputError(f"{path}: [fit] without_hot_pixels must be true or false, found {hot!r}")
+    return Crop(numbers("roi", 4, int), numbers("time", 2, (int, float)), pixels, hot)
 
 
 def _choice(document, key: str, known: tuple[str, ...], path: Path) -> str:
