@@ -6,11 +6,12 @@ from pathlib import Path
 import pytest
 
 PACKAGE = Path(__file__).resolve().parents[2] / "pixelid"
-BASE = {"errors", "outputs", "provenance"}
+BASE = {"errors", "outputs", "provenance", "parallel"}
 MAY_IMPORT = {
     "errors": set(),
     "outputs": {"errors"},
     "provenance": set(),
+    "parallel": {"errors"},
     "parameters": BASE,
     "stages": BASE | {"parameters"},
     "model": BASE | {"parameters", "stages"},
