@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from pixelid.gap.distance import FreeRun
-from pixelid.gap.flexible import Flexible
+from pixelid.gap.attribute.flexible import Flexible
+from pixelid.gap.confirm.free_run import FreeRun
 from pixelid.model.files import save_model
 from pixelid.model.model import Model
 from pixelid.outputs import write_json
