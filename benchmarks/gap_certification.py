@@ -80,18 +80,25 @@ def session(model: Model, seed: int) -> list[Recording]:
     return found
 
 
+def planted(effect: str, factor: float, model: Model) -> tuple[Model, Model]:
+    """(a camera with an effect at so much of its typical strength, or with it anyway;  the base that lacks it)."""
+    base = find_model("dvs128")
+    if effect in WITHHELD:
+        return model, base.without_effect(effect)
+    if not effect:
+        return model, base
+    scale = 1.0 / factor if effect in WEAKER else factor
+    values = {name: value if name == "count" else value * scale for name, value in STRENGTHS[effect].items()}
+    return model.with_effect(effect, values), base
+
+
 def run(job: dict) -> dict:
     """One search: job {"effect", "factor", "seed", "left_out"} and what it found.
 
     strengths: parameter → [planted, found, 95 % interval or null] of the effect where it was named
     """
-    model, base, effect = camera(job["seed"]), find_model("dvs128"), job["effect"]
-    if effect in WITHHELD:
-        base = base.without_effect(effect)
-    elif effect:
-        scale = 1.0 / job["factor"] if effect in WEAKER else job["factor"]
-        values = {name: value if name == "count" else value * scale for name, value in STRENGTHS[effect].items()}
-        model = model.with_effect(effect, values)
+    effect = job["effect"]
+    model, base = planted(effect, job["factor"], camera(job["seed"]))
     left_out = (effect,) if job["left_out"] else ()
     began = time.perf_counter()
     found = gap(session(model, job["seed"]), base, alpha=ALPHA, seed=job["seed"], leave_out=left_out, recommend=False)
