@@ -1,6 +1,6 @@
 """A model's free parameters fitted to a part of the pixels, from given starts, for searches that make many such fits.
 
-`maximise` climbs from the model's own values; `maximise_with_restarts` gives filter cutoffs that ran away a second
+`maximise` starts at the model's own values; `maximise_with_restarts` gives filter cutoffs that ran away a second
 chance.  Fits are read from and kept in a `FitCache` where one is passed.
 """
 
@@ -35,7 +35,7 @@ class Maximum:
         value: Log-likelihood, nats.
         information: (d, d) at x.
         unexplained: Number of events that no threshold explains (background events).
-        converged: Whether the climb met its tolerance.
+        converged: Whether the optimiser met its tolerance.
     """
 
     model: Model
@@ -89,7 +89,7 @@ def maximise_with_restarts(
 ) -> Maximum:
     """As `maximise`, and once more with the cutoffs that ran away from `nominal` put back, if any; the better of both.
 
-    A cutoff far above all others leaves the likelihood flat: a climb that gets there by accident stays, though a better
+    A cutoff far above all others leaves the likelihood flat: a fit that gets there by accident stays, though a better
     optimum lies where the pole belongs.  A neighbouring effect would then pass for a pole that the model has.
     """
     end = maximise(likelihood, model, tolerance=tolerance, max_steps=max_steps, cache=cache)

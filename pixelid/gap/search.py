@@ -7,20 +7,20 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from pixelid.gap.accept.accept import name_effect
-from pixelid.gap.accept.withdraw import withdraw
-from pixelid.gap.confirm.confirm import confirm
 from pixelid.gap.detect.diagnostics import diagnose
 from pixelid.gap.detect.pixels import fit_base
 from pixelid.gap.fold import Step, fold
 from pixelid.gap.options import Context
 from pixelid.gap.phases import Phase
 from pixelid.gap.result import GapReport
-from pixelid.gap.shot_noise.explain import try_before_second_effect, try_shot_noise
-from pixelid.gap.split import locked
+from pixelid.gap.split import split_pixels
 from pixelid.gap.state import Hypothesis, State
-from pixelid.gap.undo_readout.discount import discount_imputation_noise
-from pixelid.gap.undo_readout.undo import undo_readout
+from pixelid.gap.steps.confirm import confirm
+from pixelid.gap.steps.discount_imputation_noise import discount_imputation_noise
+from pixelid.gap.steps.explain_by_shot_noise import try_before_second_effect, try_shot_noise
+from pixelid.gap.steps.name_effect import name_effect
+from pixelid.gap.steps.undo_readout import undo_readout
+from pixelid.gap.steps.withdraw import withdraw
 from pixelid.model.model import Model
 from pixelid.recordings.recording import Recording
 
@@ -33,7 +33,7 @@ def search(recordings: Sequence[Recording], model: Model, context: Context) -> G
 def begin(recordings: Sequence[Recording], model: Model, context: Context) -> State:
     """Lock the split, fit the base model, look at what it leaves."""
     options, criteria = context.options, context.options.criteria
-    split = locked(recordings, options.seed)
+    split = split_pixels(recordings, options.seed)
     context.report("base model", 0.02)
     timely = tuple(r.within_stimulus() for r in recordings)
     evidence, base = fit_base(timely, split, model, criteria, options.seed, context.cache)

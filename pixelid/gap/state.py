@@ -12,13 +12,13 @@ from pixelid.gap.attribute.attribute import Attribution, Candidate
 from pixelid.gap.detect.diagnostics import Diagnostics
 from pixelid.gap.detect.pixels import PixelEvidence
 from pixelid.gap.hot import Hot
+from pixelid.gap.imputation.impute import JITTER, SIGMA, Imputation
 from pixelid.gap.phases import Phase
 from pixelid.gap.readout import Fingerprint
 from pixelid.gap.rounds import Rounds
 from pixelid.gap.shot_noise.replicates import Corrected
 from pixelid.gap.shot_noise.shot_noise import ShotNoise
 from pixelid.gap.split import Split
-from pixelid.gap.undo_readout.impute import JITTER, SIGMA, Imputation
 from pixelid.model.model import Model
 from pixelid.recordings.recording import Recording
 

@@ -22,11 +22,11 @@ from pixelid.gap.detect.covariates import sort_events
 from pixelid.gap.detect.maps import map_residuals
 from pixelid.gap.detect.residuals import Tangents, residuals, tangents
 from pixelid.gap.gap import gap
+from pixelid.gap.imputation.draws import draw_times
+from pixelid.gap.imputation.jitter import uneven
+from pixelid.gap.imputation.windows import jitter_windows, queue_windows, with_times
 from pixelid.gap.readout import grid, service
-from pixelid.gap.split import locked
-from pixelid.gap.undo_readout.draws import draw_times
-from pixelid.gap.undo_readout.jitter import uneven
-from pixelid.gap.undo_readout.windows import jitter_windows, queue_windows, with_times
+from pixelid.gap.split import split_pixels
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.model.shipped import find_model
 from pixelid.recordings import Events, Recording, write_recording
@@ -231,11 +231,11 @@ def test_free_run_gap_of_the_truth_is_chance_and_of_a_wrong_model_is_not():
 
 def test_split_is_by_pixels_and_repeatable():
     recordings = session(MODEL, side=5)
-    split = locked(recordings, 7)
+    split = split_pixels(recordings, 7)
     parts = np.concatenate([split.fit, split.select, split.confirm])
     assert len(np.unique(parts)) == len(parts) == 25
     assert split.apart
-    np.testing.assert_array_equal(locked(recordings, 7).confirm, split.confirm)
+    np.testing.assert_array_equal(split_pixels(recordings, 7).confirm, split.confirm)
     assert set(only(recordings, split.confirm)[0].events.pixel) <= set(split.confirm)
 
 

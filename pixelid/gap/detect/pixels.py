@@ -106,7 +106,7 @@ def _search_elsewhere(
 ) -> Maximum:
     """The base fit, from random starts as well where it leaves more events without a cause than it should.
 
-    Either something is missing, or the climb ended at a lesser optimum: a few pixels tell, and all are asked where that
+    Either something is missing, or the fit ended at a lesser optimum: a few pixels tell, and all are asked where that
     was so.
     """
     expected = criteria.max_unexplained_fraction * evidence.training.events

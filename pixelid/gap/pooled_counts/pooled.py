@@ -17,7 +17,6 @@ from pixelid.fit.pooled import fit_pooled
 from pixelid.fit.pooled_rate import PooledRateObjective
 from pixelid.gap.attribute.attribute import Attribution, Candidate, attribute
 from pixelid.gap.confirm.free_run import FreeRun, closes_nothing
-from pixelid.gap.confirm.verdict import describe, judge
 from pixelid.gap.fold import Step, fold
 from pixelid.gap.options import Context
 from pixelid.gap.phases import Phase
@@ -36,6 +35,7 @@ from pixelid.gap.pooled_counts.stretches import (
 )
 from pixelid.gap.result import GapReport, Named
 from pixelid.gap.rounds import Rounds, amended, entry
+from pixelid.gap.verdict import describe, judge
 from pixelid.model.model import Model
 from pixelid.provenance import input_hashes, versions
 from pixelid.recordings.recording import Recording

@@ -5,12 +5,12 @@ from __future__ import annotations
 from pixelid.gap.detect.diagnostics import diagnose
 from pixelid.gap.detect.pixels import fit_base
 from pixelid.gap.hot import hot_pixels
+from pixelid.gap.imputation.impute import impute
 from pixelid.gap.options import Context
 from pixelid.gap.phases import Phase
 from pixelid.gap.readout import fingerprints
 from pixelid.gap.rounds import signature_entry
 from pixelid.gap.state import Hypothesis, State
-from pixelid.gap.undo_readout.impute import impute
 from pixelid.recordings.selection import only
 
 

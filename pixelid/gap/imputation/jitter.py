@@ -10,8 +10,8 @@ from scipy.optimize import minimize_scalar
 from scipy.special import expit
 from scipy.stats import chi2
 
-from pixelid.gap.undo_readout.draws import Draw
-from pixelid.gap.undo_readout.windows import Windows
+from pixelid.gap.imputation.draws import Draw
+from pixelid.gap.imputation.windows import Windows
 from pixelid.recordings.recording import Recording
 
 MAX_COST_NATS = 8.0  # of one event's jitter, four standard deviations: events farther off have other causes

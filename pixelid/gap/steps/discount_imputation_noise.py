@@ -9,14 +9,14 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from pixelid.gap.detect.covariates import Factor
+from pixelid.gap.imputation.impute import impute, impute_again, impute_behind_jitter
 from pixelid.gap.options import Context
 from pixelid.gap.phases import Phase
 from pixelid.gap.rounds import entry
 from pixelid.gap.shot_noise.replicates import simulate_again, subtract_replicates
-from pixelid.gap.split import locked
+from pixelid.gap.split import split_pixels
 from pixelid.gap.state import Hypothesis, State
-from pixelid.gap.undo_readout.hypothesis import Setting, at_imputed_times
-from pixelid.gap.undo_readout.impute import impute, impute_again, impute_behind_jitter
+from pixelid.gap.steps.impute_hypothesis import Setting, at_imputed_times
 from pixelid.recordings.recording import Recording
 
 SEED_OFFSET = 5003  # of the simulated session's seed: none of the replicates' (31 apart) or twins' (101 apart)
@@ -58,5 +58,5 @@ def _imputed_alike(made: Sequence[Recording], state: State, like: Sequence[Facto
     else:
         assert imputation is not None
         imputation, model = impute_again(imputation, model, report=report, cache=cache)
-    setting = Setting(locked(made, options.seed), state.model, start, between, like)
+    setting = Setting(split_pixels(made, options.seed), state.model, start, between, like)
     return at_imputed_times(imputation, model, setting, context)[1]

@@ -9,10 +9,10 @@ from pixelid.fit.maximise import maximise_with_restarts
 from pixelid.gap.detect.covariates import Factor
 from pixelid.gap.detect.diagnostics import diagnose
 from pixelid.gap.detect.pixels import gather_evidence
+from pixelid.gap.imputation.impute import JITTER, Imputation, impute_again
 from pixelid.gap.options import Context
 from pixelid.gap.split import Split
 from pixelid.gap.state import Hypothesis
-from pixelid.gap.undo_readout.impute import JITTER, Imputation, impute_again
 from pixelid.model.model import Model
 
 DRAWS_JUDGED, ROUNDS_BETWEEN = 3, 8  # what is missing shows in each of three; eight rounds apart they are independent

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pixelid.fit.maximise import Maximum, maximise, maximise_with_restarts
-from pixelid.gap.accept.alternative import stands
+from pixelid.gap.attribute.alternative import stands
 from pixelid.gap.attribute.attribute import Attribution, Candidate, attribute
 from pixelid.gap.attribute.candidates import canonical, missing
 from pixelid.gap.attribute.pixels import candidates_of
@@ -11,12 +11,12 @@ from pixelid.gap.attribute.significance import leads
 from pixelid.gap.detect.diagnostics import diagnose
 from pixelid.gap.detect.pixels import PixelEvidence, reconsider_stimuli, relative_noise
 from pixelid.gap.detect.words import where
+from pixelid.gap.imputation.impute import FINEST_TICK_S, JITTER, QUEUE, impute_again, impute_behind_jitter
 from pixelid.gap.options import Context
 from pixelid.gap.phases import Phase
 from pixelid.gap.rounds import amended, attribution_entry, withdrawn
 from pixelid.gap.state import Hypothesis, NamedStep, State
-from pixelid.gap.undo_readout.hypothesis import Setting, at_imputed_times
-from pixelid.gap.undo_readout.impute import FINEST_TICK_S, JITTER, QUEUE, impute_again, impute_behind_jitter
+from pixelid.gap.steps.impute_hypothesis import Setting, at_imputed_times
 from pixelid.model.model import Model
 
 MAX_ROUNDS = 4  # a camera that lacks more effects than this lacks a model

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from pixelid.gap.accept.alternative import flexible_alternative
+from pixelid.gap.attribute.alternative import flexible_alternative
+from pixelid.gap.imputation.impute import JITTER
 from pixelid.gap.options import Context
 from pixelid.gap.phases import Phase
 from pixelid.gap.rounds import withdrawn
 from pixelid.gap.state import State
-from pixelid.gap.undo_readout.impute import JITTER
 
 
 def withdraw(state: State, context: Context) -> State:

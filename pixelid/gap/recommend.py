@@ -11,9 +11,9 @@ from pixelid.design.menu import Candidate, default_menu
 from pixelid.errors import InputError
 from pixelid.fit.maximise import Maximum, maximise
 from pixelid.gap.attribute.directions import Direction, Space, direction, residual_space
-from pixelid.gap.confirm.verdict import Confounder
 from pixelid.gap.options import Options
 from pixelid.gap.state import State
+from pixelid.gap.verdict import Confounder
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.model.model import Model
 from pixelid.stimuli.resample import resampled

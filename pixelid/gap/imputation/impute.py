@@ -19,11 +19,9 @@ from pixelid.fit.cache import FitCache
 from pixelid.fit.maximise import Maximum, maximise
 from pixelid.fit.starts import feasible
 from pixelid.gap.detect.pixels import SCREEN_EVENTS, with_fine_stimulus
-from pixelid.gap.options import Options
-from pixelid.gap.readout import Fingerprint
-from pixelid.gap.undo_readout.draws import draw_times
-from pixelid.gap.undo_readout.jitter import estimate_spread, exchange_stamps, uneven
-from pixelid.gap.undo_readout.windows import (
+from pixelid.gap.imputation.draws import draw_times
+from pixelid.gap.imputation.jitter import estimate_spread, exchange_stamps, uneven
+from pixelid.gap.imputation.windows import (
     Windows,
     guess_by_rank,
     guess_edges,
@@ -33,6 +31,8 @@ from pixelid.gap.undo_readout.windows import (
     tick_windows,
     with_times,
 )
+from pixelid.gap.options import Options
+from pixelid.gap.readout import Fingerprint
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.model.model import Model
 from pixelid.parameters.parameter import Prior

@@ -8,23 +8,23 @@ from dataclasses import dataclass
 import numpy as np
 
 from pixelid import stages
-from pixelid.gap.accept.alternative import flexible_alternative
+from pixelid.gap.attribute.alternative import flexible_alternative
 from pixelid.gap.attribute.candidates import missing
 from pixelid.gap.attribute.directions import Direction, Space, confusion, direction, residual_space, similarities
 from pixelid.gap.attribute.flexible import Flexible
 from pixelid.gap.confirm.free_run import FreeRun, closes_nothing, free_run, leaves_much
 from pixelid.gap.confirm.intervals import interval_95
-from pixelid.gap.confirm.recommend import advise
-from pixelid.gap.confirm.verdict import Confounder, confounded, describe, judge
 from pixelid.gap.detect.maps import Cell
 from pixelid.gap.detect.pixels import relative_noise, with_fine_stimulus
 from pixelid.gap.detect.words import where
+from pixelid.gap.imputation.impute import SIGMA
 from pixelid.gap.options import Context
 from pixelid.gap.readout import Fingerprint
+from pixelid.gap.recommend import advise
 from pixelid.gap.result import GapReport, Named
 from pixelid.gap.shot_noise.shares import EFFECT, STRENGTH
 from pixelid.gap.state import Hypothesis, NamedStep, State
-from pixelid.gap.undo_readout.impute import SIGMA
+from pixelid.gap.verdict import Confounder, confounded, describe, judge
 from pixelid.provenance import input_hashes, versions
 
 SHOWN_CELLS = 8  # of the maps, in the result

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import ndtr, ndtri
 
-from pixelid.gap.undo_readout.windows import Windows, in_order, with_times
+from pixelid.gap.imputation.windows import Windows, in_order, with_times
 from pixelid.likelihood.event_times import STRAY_HZ, EventTimes
 from pixelid.model.model import Model
 from pixelid.recordings.recording import Recording

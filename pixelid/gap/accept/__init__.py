@@ -1,1 +1,0 @@
-"""Accept: whether the leading effect stands beside a flexible alternative, and the state that it leads to."""
