@@ -15,6 +15,7 @@ from pixelid.errors import InputError
 from pixelid.fit.coordinates import Coordinates
 from pixelid.fit.maximise import maximise, maximise_with_restarts
 from pixelid.gap.attribute.candidates import canonical, missing
+from pixelid.gap.attribute.pixels import candidates_of
 from pixelid.gap.attribute.significance import chance_of_gain, leads
 from pixelid.gap.confirm.free_run import FreeRun, closes_nothing, free_run
 from pixelid.gap.criteria import Criteria
@@ -25,8 +26,12 @@ from pixelid.gap.gap import gap
 from pixelid.gap.imputation.draws import draw_times
 from pixelid.gap.imputation.jitter import uneven
 from pixelid.gap.imputation.windows import jitter_windows, queue_windows, with_times
+from pixelid.gap.options import Context, Options
+from pixelid.gap.phases import Phase
 from pixelid.gap.readout import grid, service
+from pixelid.gap.search import begin
 from pixelid.gap.split import split_pixels
+from pixelid.gap.steps.name_effect import name_effect
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.model.shipped import find_model
 from pixelid.recordings import Events, Recording, write_recording
@@ -413,6 +418,26 @@ def test_an_interrupted_search_goes_on(tmp_path):
     plain = gap(recordings, MODEL)
     assert again.base.values == plain.base.values
     assert (again.verdict, again.global_p, again.rounds) == (plain.verdict, plain.global_p, plain.rounds)
+
+
+def test_a_round_compares_under_one_likelihood_and_leaves_its_state_as_it_was():
+    recordings = session(
+        MODEL.with_effect("leak", {"rate_hz": 5.0}), side=3, seed=4, lights={"slow_24": slow(24.0, seed=2)}
+    )
+    context = Context(Options())
+    state = begin(recordings, MODEL, context)
+    pools = state.hypothesis.evidence
+    weighed = pools.weighed(MODEL.with_effect("timestamp_jitter").circuit())
+    judged = candidates_of(weighed, state.base.model, None, None)
+    for fit in (judged.base, judged.fit_without("leak", judged.screen("leak")[0])):  # either side of a gain
+        assert fit.value == pytest.approx(weighed.fitting.log_likelihood(fit.model.circuit()), abs=1e-6)
+    then = name_effect(replace(state, phase=Phase.NAME), context)
+    assert len(then.rounds) == 1
+    assert then.rounds[0]["candidates"]
+    assert state.rounds == ()
+    assert state.steps == ()
+    for pool in (pools.screening, pools.fitting, pools.judging, pools.training):
+        np.testing.assert_array_equal(pool.clock_share, 1.0)
 
 
 def test_command_writes_what_it_promises(tmp_path):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from pixelid.fit.maximise import Maximum, maximise, maximise_with_restarts
 from pixelid.gap.attribute.alternative import stands
 from pixelid.gap.attribute.attribute import Attribution, Candidate, attribute
@@ -33,7 +35,7 @@ def name_effect(state: State, context: Context) -> State:
     if state.turn == 1:
         held = (c.p for c in attribution.candidates if leads(c.held_out, criteria))
         chances = [state.first.p, *held, *(f.p for f in state.new_signatures)]
-        state = state.then(state.phase, global_p=min(1.0, 2.0 * min(chances)))
+        state = replace(state, global_p=min(1.0, 2.0 * min(chances)))
     winner = attribution.winner
     if winner is None:
         return state
@@ -71,7 +73,7 @@ def _hides_jitter(state: State) -> bool:
 
 
 def _refused(state: State, winner: Candidate[Maximum], why: str) -> State:
-    return state.then(state.phase, rounds=amended(state.rounds, -1, refused=f"{winner.effect}: {why}"))
+    return replace(state, rounds=amended(state.rounds, -1, refused=f"{winner.effect}: {why}"))
 
 
 def _accepted(state: State, winner: Candidate[Maximum], attribution: Attribution[Maximum], firm: bool) -> State:
@@ -80,7 +82,7 @@ def _accepted(state: State, winner: Candidate[Maximum], attribution: Attribution
     seen, noise = hypothesis.seen, relative_noise(hypothesis.fit.model)
     place = where(seen.maps, hypothesis.evidence.training, seen.residual.background, noise)
     step = NamedStep(winner, attribution, place, firm, hypothesis)
-    return state.then(state.phase, steps=(*state.steps, step), rounds=amended(state.rounds, -1, named=winner.effect))
+    return replace(state, steps=(*state.steps, step), rounds=amended(state.rounds, -1, named=winner.effect))
 
 
 def _grown(state: State, winner: Candidate[Maximum], evidence: PixelEvidence, context: Context) -> State:
@@ -92,13 +94,13 @@ def _grown(state: State, winner: Candidate[Maximum], evidence: PixelEvidence, co
     state, fit, start = _pruned(state, winner, evidence, fit, start, context)
     if state.imputation is not None and state.imputed:
         imputation, model = impute_again(state.imputation, fit.model, cache=cache)
-        return _at_imputed_times(state.then(state.phase, imputation=imputation), model, start, context)
+        return _at_imputed_times(replace(state, imputation=imputation), model, start, context)
     weights = hypothesis.fit.model.circuit()
     evidence, fit = reconsider_stimuli(evidence, hypothesis.recordings, state.model, fit, weights, options.seed, cache)
     allowed = None if state.undone else options.criteria.max_unexplained_fraction
     seen = diagnose(evidence.training, fit, options.criteria, options.seed, background_fraction=allowed)
     grown = Hypothesis(hypothesis.recordings, evidence, fit, seen, start, None, hypothesis.jitter, hypothesis.scatter)
-    return state.then(state.phase, hypothesis=grown)
+    return replace(state, hypothesis=grown)
 
 
 def _pruned(
@@ -117,7 +119,7 @@ def _pruned(
             rounds = withdrawn(rounds, earlier, f"{winner.effect} explains it")
             before = steps.pop(k).before
             steps[k] = _following(steps[k], before)
-    return state.then(state.phase, steps=tuple(steps), rounds=rounds), fit, start
+    return replace(state, steps=tuple(steps), rounds=rounds), fit, start
 
 
 def _following(step: NamedStep, before: Hypothesis) -> NamedStep:
@@ -134,11 +136,11 @@ def _without_jitter(state: State, winner: Candidate[Maximum], context: Context) 
     )  # fmt: skip
     if imputation.is_uneven(context.options):
         return None
-    return _at_imputed_times(state.then(state.phase, imputation=imputation), model, hypothesis.start, context)
+    return _at_imputed_times(replace(state, imputation=imputation), model, hypothesis.start, context)
 
 
 def _at_imputed_times(state: State, model: Model, start: Model, context: Context) -> State:
     assert state.imputation is not None
     setting = Setting(state.split, state.model, start, state.hypothesis.evidence.between)
     imputation, hypothesis = at_imputed_times(state.imputation, model, setting, context)
-    return state.then(state.phase, imputation=imputation, hypothesis=hypothesis)
+    return replace(state, imputation=imputation, hypothesis=hypothesis)
