@@ -25,7 +25,7 @@ class Criteria:
         min_cell_share_unfitted: Of a cell's variance that must be left when the fitted parameters are projected out;
             the projection is first order, and below a tenth its own error is as large as what it leaves.
         max_unexplained_fraction: Events that the background explains better than any threshold.  A true model leaves
-            10⁻⁵ or fewer (measured on simulated nulls); ten times that is allowed.
+            10⁻⁵ or fewer (`likelihood/event_times.py`); ten times that is allowed.
         max_unexplained_fraction_jittered: The same at imputed times behind a jitter, where some events cannot be
             placed.  Chosen on simulated jitters up to half the dead time.
         max_p_unexplained: Poisson chance from which an excess of such events counts.  Not alpha: the law of rare
@@ -36,9 +36,10 @@ class Criteria:
             better, and an effect that would show less is called unseen.
         min_lead_standard_errors: By which a gain on pixels that no fit has seen must exceed zero, or a rival's (paired
             over pixels).  It is a second lock behind the p-value, not a test of its own.
-        min_relative_strength: Of an effect's typical strength.  Errors of stimulus and model imitate effects at the
-            level of their own few tenths of a percent; they are no finding.
-        min_relative_strength_flicker: The same of mains flicker: a modulation of 0.25 %, as lamp drivers leave it.
+        min_relative_strength: Of an effect's typical strength: what is a hundredth of it, an error of the stimulus or
+            of another stage's model imitates.  A choice.
+        min_relative_strength_flicker: The same of mains flicker, a modulation of 0.25 %: any periodic error of the
+            stimulus passes for it.  A choice.
     A flexible alternative to the leading effect
         min_share_beside_alternative: Of its gain that an effect must keep where a flexible term gains more than it
             does: more than the alternative takes away.
@@ -46,8 +47,9 @@ class Criteria:
             less ends the search: whatever is missing, it is a neighbour at best.
     Times behind a readout
         max_wait_service_times: Window of nine events in ten behind a queue, beyond which a recording has lost its
-            times: windows so long hold several events of each pixel.
-        max_unexplained_share_of_recording: Of its events at imputed times, beyond which they count as lost.
+            times.  Chosen on simulated queues.
+        max_unexplained_share_of_recording: Of its events at imputed times, beyond which they count as lost.  Chosen on
+            simulated queues: a hundred times what a true model leaves at true times.
         max_jitter_divergence_nats: Relative entropy per event between the imputed displacements of a recording's
             polarity and the one normal that a jitter is: 0.1 is a shift by 0.45 or a spread by 1.33.
     Shot noise
