@@ -20,8 +20,8 @@ class Criteria:
     Raises InputError for a number that is not positive.
 
     Detection
-        min_cell_events: Of a cell of the residual maps.  Its score is a sum of this many residuals, normal to a few
-            percent in the tails that Bonferroni over some 400 cells asks for (Berry–Esseen).
+        min_cell_events: Of a cell of the residual maps, whose score is judged as normal: it is a sum of this many
+            clipped residuals at least.
         min_cell_share_unfitted: Of a cell's variance that must be left when the fitted parameters are projected out;
             the projection is first order, and below a tenth its own error is as large as what it leaves.
         max_unexplained_fraction: Events that the background explains better than any threshold.  A true model leaves
@@ -53,8 +53,8 @@ class Criteria:
         max_jitter_divergence_nats: Relative entropy per event between the imputed displacements of a recording's
             polarity and the one normal that a jitter is: 0.1 is a shift by 0.45 or a spread by 1.33.
     Shot noise
-        min_shot_noise_gain_nats: By which simulated replicates with it must come nearer than those without: half of
-            it is what replicates of one model differ by (standard deviation of their distance, 400 cells: 14 nats).
+        min_shot_noise_gain_nats: By which simulated replicates with it must come nearer than those without: 1.4
+            standard deviations of the distance between replicates of one model (√(n/2) of n = 400 cells: 14 nats).
         max_share_left_by_shot_noise: Of the distance without it that may remain.
         sufficient_p_shot_noise: Of what shot noise alone leaves, from which on nothing beside it is looked for.
         replicate_error_share: Of what shot noise explains by which replicates at the best density are off themselves.
