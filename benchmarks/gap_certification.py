@@ -73,40 +73,49 @@ def session(model: Model, seed: int) -> list[Recording]:
     for k, (level, stop) in enumerate(((24.0, 200.0), (400.0, 400.0))):
         lights[f"chirp_{level:g}"] = chirp(level, stop_hz=stop)
         lights[f"steps_{level:g}"] = steps(level, seed=seed + 2 * k)
-    found = []
+    recordings = []
     for i, (name, light) in enumerate(lights.items()):
         r = simulate(model, resampled(light, "smooth"), width=SIDE, height=SIDE, seed=1000 * seed + i, sensor_seed=seed)
-        found.append(replace(r, stimulus=light, condition=name, attributes={}, events=replace(r.events, tick_ns=1)))
-    return found
+        recordings.append(
+            replace(r, stimulus=light, condition=name, attributes={}, events=replace(r.events, tick_ns=1))
+        )
+    return recordings
+
+
+def planted(effect: str, factor: float, model: Model) -> tuple[Model, Model]:
+    """(a camera with an effect at so much of its typical strength, or with it anyway;  the base that lacks it)."""
+    base = find_model("dvs128")
+    if effect in WITHHELD:
+        return model, base.without_effect(effect)
+    if not effect:
+        return model, base
+    scale = 1.0 / factor if effect in WEAKER else factor
+    values = {name: value if name == "count" else value * scale for name, value in STRENGTHS[effect].items()}
+    return model.with_effect(effect, values), base
 
 
 def run(job: dict) -> dict:
-    """One search: job {"effect", "factor", "seed", "left_out"} and what it found.
+    """One search: job {"effect", "factor", "seed", "left_out"} and what it report.
 
     strengths: parameter → [planted, found, 95 % interval or null] of the effect where it was named
     """
-    model, base, effect = camera(job["seed"]), find_model("dvs128"), job["effect"]
-    if effect in WITHHELD:
-        base = base.without_effect(effect)
-    elif effect:
-        scale = 1.0 / job["factor"] if effect in WEAKER else job["factor"]
-        values = {name: value if name == "count" else value * scale for name, value in STRENGTHS[effect].items()}
-        model = model.with_effect(effect, values)
+    effect = job["effect"]
+    model, base = planted(effect, job["factor"], camera(job["seed"]))
     left_out = (effect,) if job["left_out"] else ()
     began = time.perf_counter()
-    found = gap(session(model, job["seed"]), base, alpha=ALPHA, seed=job["seed"], leave_out=left_out, recommend=False)
+    report = gap(session(model, job["seed"]), base, alpha=ALPHA, seed=job["seed"], leave_out=left_out, recommend=False)
     return {
         **job,
-        "verdict": found.verdict,
-        "named": [named.name for named in found.effects],
-        "p": found.global_p,
-        "remaining_p": found.details["remaining_p"],
-        "closed": found.free_run.closed if found.free_run else None,
+        "verdict": report.verdict,
+        "named": [named.name for named in report.effects],
+        "p": report.global_p,
+        "remaining_p": report.details["remaining_p"],
+        "closed": report.free_run.closed if report.free_run else None,
         "strengths": {
-            name: [model.values[name], *found_here]
-            for named in found.effects
+            name: [model.values[name], *estimate]
+            for named in report.effects
             if named.name == effect
-            for name, found_here in named.parameters.items()
+            for name, estimate in named.parameters.items()
             if name in model.values
         },
         "seconds": time.perf_counter() - began,
@@ -158,19 +167,19 @@ def summary(rows: list[dict]) -> dict:
 
 def _strengths(rows: list[dict]) -> dict:
     """effect → {factor: largest and median relative error of its first parameter, intervals that cover it}."""
-    found: dict[str, dict] = defaultdict(dict)
+    strengths: dict[str, dict] = defaultdict(dict)
     for effect, factor in sorted({(r["effect"], r["factor"]) for r in rows if r.get("strengths")}):
         mine = [r for r in rows if (r["effect"], r["factor"]) == (effect, factor) and r.get("strengths")]
         first = [next(iter(r["strengths"].values())) for r in mine if said(r) == SAID[0]]
         errors = [abs(value / planted - 1.0) for planted, value, _ in first]
         ranges = [(planted, interval) for planted, _, interval in first if interval is not None]
         if first:
-            found[effect][f"{factor:g}"] = {
+            strengths[effect][f"{factor:g}"] = {
                 "median_error": round(float(np.median(errors)), 4),
                 "largest_error": round(max(errors), 4),
                 "interval_covers": [sum(low <= planted <= high for planted, (low, high) in ranges), len(ranges)],
             }
-    return found
+    return strengths
 
 
 def _rate(count: int, of: int) -> dict:

@@ -9,60 +9,69 @@ import numpy as np
 from pixelid.design.information import simulated
 from pixelid.design.menu import Candidate, default_menu
 from pixelid.errors import InputError
-from pixelid.gap.climb import Climbed, climbed
-from pixelid.gap.directions import Direction, Space, direction, space
-from pixelid.gap.search import Search
-from pixelid.gap.verdict import Shadow
+from pixelid.fit.maximise import Maximum, maximise
+from pixelid.gap.attribute.directions import Direction, Space, direction, residual_space
+from pixelid.gap.options import Options
+from pixelid.gap.state import State
+from pixelid.gap.verdict import Confounder
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.model.model import Model
 from pixelid.stimuli.resample import resampled
 
 
-def advice(search: Search, at: Space, directions: Sequence[Direction], shadow: Shadow | None, remainder: bool) -> dict:
+def advise(
+    state: State,
+    at: Space,
+    directions: Sequence[Direction],
+    confounder: Confounder | None,
+    remainder: bool,
+    options: Options,
+) -> dict:
     """What gap.json recommends to record next.
 
     at: the residual space of the final model;  directions: of the effects that it lacks
     """
-    state = search.state
-    model, seed = state.current.model, search.seed
+    hypothesis, seed = state.hypothesis, options.seed
+    model = hypothesis.fit.model
     if remainder:
-        cells = state.seen.maps.cells
+        cells = hypothesis.seen.maps.cells
         place = cells[0].label if cells else "the recordings as they are"
         return {
             "why": f"the remainder is clearest here: {place}; record more pixels and longer there",
             "stimulus": None,
         }
-    if shadow is not None:
-        why = f"to tell {shadow.effect} from unequal thresholds"
-        return recommended(at, search.model, shadow.effect, None, why, seed)
-    if search.doubts:
-        step, other = search.doubts[0]
-        winner, rival = step.winner.effect, other.effect
+    if confounder is not None:
+        why = f"to tell {confounder.effect} from unequal thresholds"
+        return recommended(at, state.model, confounder.effect, None, why, seed)
+    if state.doubts:
+        step, other = state.doubts[0]
+        winner, runner_up = step.effect, other.effect
         without = model.without_effect(winner)
-        lacking = space(state.bench.train, climbed(state.bench.train, without, tolerance=0.1, max_steps=5))
-        return recommended(lacking, search.model, winner, rival, f"to tell {winner} from {rival}", seed)
+        training = hypothesis.evidence.training
+        lacking = residual_space(training, maximise(training, without, tolerance=0.1, max_steps=5))
+        return recommended(lacking, state.model, winner, runner_up, f"to tell {winner} from {runner_up}", seed)
     blind = blindest(directions)
     if blind is None:
         return {"why": "nothing: every effect of the library is in the model", "stimulus": None}
     why = f"to see {blind.effect}, the effect these recordings would show least at its typical strength"
-    return recommended(at, search.model, blind.effect, None, why, seed)
+    return recommended(at, state.model, blind.effect, None, why, seed)
 
 
-def recommended(at: Space, nominal: Model, effect: str, rival: str | None, why: str, seed: int) -> dict:
-    """The candidate under which the effect, cleared of the free parameters and the rival, would show most.
+def recommended(at: Space, nominal: Model, effect: str, runner_up: str | None, why: str, seed: int) -> dict:
+    """The candidate under which the effect, cleared of the free parameters and the runner-up, would show most.
 
     nominal: the base as shipped, whose menu is used (fitted values may be unknown to the recordings at hand)
     Returns what gap.json says: name, kind and parameters of the stimulus, why, and the expected doubled nats of the
     effect at its typical strength with the recordings at hand and with the candidate added.
     """
-    have = _gram(at, effect, rival)
+    have = _gram(at, effect, runner_up)
     best: tuple[float, Candidate] | None = None
     for candidate in default_menu(nominal):
         if candidate.name.startswith("long_"):
             continue
         try:
-            there = _candidate_space(at.climbed, candidate, seed)
-            gram = None if there is None else _gram(there, effect, rival)
+            there = _candidate_space(at.fit, candidate, seed)
+            gram = None if there is None else _gram(there, effect, runner_up)
         except InputError:
             continue
         if gram is None:
@@ -77,22 +86,22 @@ def recommended(at: Space, nominal: Model, effect: str, rival: str | None, why: 
     return {"why": why, "stimulus": best[1].as_dict(), "would_show": best[0], "shows_now": now}
 
 
-def _candidate_space(end: Climbed, candidate: Candidate, seed: int) -> Space | None:
+def _candidate_space(end: Maximum, candidate: Candidate, seed: int) -> Space | None:
     recording = simulated(end.model, candidate.stimulus, seed)
     if len(recording.events) < 20:
         return None
     likelihood = EventTimes([recording.with_stimulus(resampled(candidate.stimulus))])
-    return space(likelihood, end)
+    return residual_space(likelihood, end)
 
 
-def _gram(at: Space, effect: str, rival: str | None) -> np.ndarray | None:
-    """Inner products of [effect, rival, J …], directions scaled to typical strength; None when the effect is unseen."""
+def _gram(at: Space, effect: str, runner_up: str | None) -> np.ndarray | None:
+    """Inner products of [effect, runner-up, J …], directions at typical strength; None when the effect is unseen."""
     own = direction(at, effect)
     if own is None:
         return None
     columns = [_typical(own)]
-    if rival is not None:
-        other = direction(at, rival)
+    if runner_up is not None:
+        other = direction(at, runner_up)
         if other is not None:
             columns.append(_typical(other))
         else:
@@ -115,6 +124,6 @@ def _seen(gram: np.ndarray) -> float:
     return float(max(gram[0, 0] - along @ inverse @ along, 0.0))
 
 
-def blindest(found: Sequence[Direction]) -> Direction | None:
+def blindest(directions: Sequence[Direction]) -> Direction | None:
     """The effect that would show least at its typical strength."""
-    return min(found, key=lambda d: d.seen, default=None)
+    return min(directions, key=lambda d: d.seen, default=None)

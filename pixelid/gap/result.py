@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 
 from pixelid.errors import InputError
-from pixelid.gap.distance import FreeRun
-from pixelid.gap.flexible import Flexible
+from pixelid.gap.attribute.flexible import Flexible
+from pixelid.gap.confirm.free_run import FreeRun
 from pixelid.model.files import load_model, save_model
 from pixelid.model.model import Model
 from pixelid.results import Result, Table, interval, number, read_result, required

@@ -1,6 +1,6 @@
 """Lock: which pixels fit, which select, which confirm, decided by a seed before anything is looked at.
 
-Pixels are the exchangeable unit (DESIGN §6): events of one pixel share its thresholds.  Five of twelve fit the
+Pixels are the exchangeable unit: events of one pixel share its thresholds.  Five of twelve fit the
 candidates, a quarter judges between them, and the last third is not touched until the verdict is in.
 """
 
@@ -14,7 +14,7 @@ import numpy as np
 from pixelid.errors import InputError
 from pixelid.recordings.recording import Recording
 
-FEWEST = 8  # pixels below which nothing can be set aside
+MIN_PIXELS = 8  # below which nothing can be set aside: parts of three, two and three
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class Split:
         return np.union1d(self.fit, self.select)
 
 
-def locked(recordings: Sequence[Recording], seed: int) -> Split:
+def split_pixels(recordings: Sequence[Recording], seed: int) -> Split:
     """The split of the pixels that have events.
 
     Raises InputError when the recordings come from sensors of different size, or hold no events.
@@ -56,7 +56,7 @@ def locked(recordings: Sequence[Recording], seed: int) -> Split:
     pixels = np.unique(np.concatenate([r.events.pixel for r in recordings]))
     if len(pixels) == 0:
         raise InputError("the recordings hold no events")
-    if len(pixels) < FEWEST:
+    if len(pixels) < MIN_PIXELS:
         return Split(pixels, pixels, pixels, False)
     order = np.random.default_rng(seed).permutation(pixels)
     last = -(-len(order) // 3)

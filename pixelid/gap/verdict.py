@@ -6,20 +6,19 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.stats import norm
 
 from pixelid import stages
-from pixelid.gap.attribute import Candidate
-from pixelid.gap.directions import COLLINEAR, Direction, Space
-from pixelid.gap.distance import FreeRun
-from pixelid.gap.flexible import Flexible
+from pixelid.gap.attribute.attribute import Candidate
+from pixelid.gap.attribute.directions import Direction, Space
+from pixelid.gap.attribute.flexible import Flexible
+from pixelid.gap.confirm.free_run import FreeRun
+from pixelid.gap.options import Options
 from pixelid.gap.result import Named
-
-FAINT = 5.0  # nats below which an effect goes unseen
-SIGNIFICANT = 3.0  # standard errors
 
 
 @dataclass(frozen=True)
-class Shadow:
+class Confounder:
     """An effect that these stimuli cannot tell from an asymmetry of the thresholds.
 
     strength: of the effect that would explain the whole asymmetry found;  asymmetry: ln(C_on/C_off)
@@ -30,47 +29,48 @@ class Shadow:
     asymmetry: float
 
 
-def shadowed(at: Space, directions: Sequence[Direction]) -> Shadow | None:
+def confounded(at: Space, directions: Sequence[Direction], options: Options) -> Confounder | None:
     """The effect that may hide behind the thresholds' asymmetry; None when there is none.
 
     It must move the two thresholds apart, hide behind the free parameters, and explain the asymmetry found: in sign,
     within its bounds, and unseen by these recordings at that strength.
     """
-    names = at.climbed.coordinates.names
+    names = at.fit.coordinates.names
     if "on_threshold" not in names or "off_threshold" not in names:
         return None
     on, off = names.index("on_threshold"), names.index("off_threshold")
-    asymmetry = float(at.climbed.x[on] - at.climbed.x[off])
-    covariance = np.linalg.pinv(at.climbed.information)
+    asymmetry = float(at.fit.x[on] - at.fit.x[off])
+    covariance = np.linalg.pinv(at.fit.information)
     error = float(np.sqrt(covariance[on, on] + covariance[off, off] - 2.0 * covariance[on, off]))
-    if abs(asymmetry) < SIGNIFICANT * error:
+    if abs(asymmetry) < float(norm.isf(0.5 * options.alpha_each)) * error:
         return None
-    for found in directions:
-        moved = float(found.bias[on] - found.bias[off])
-        if found.hidden < COLLINEAR or abs(moved) <= abs(float(found.bias[on] + found.bias[off])):
+    for effect in directions:
+        moved = float(effect.bias[on] - effect.bias[off])
+        seen = effect.hidden < options.criteria.min_hidden_cosine
+        if seen or abs(moved) <= abs(float(effect.bias[on] + effect.bias[off])):
             continue
-        strength = asymmetry / moved * found.strength
-        parameter = next(p for p in stages.effect(found.effect).parameters if p.free)
-        would_show = 0.5 * found.seen * (strength / parameter.value) ** 2
-        if parameter.lower < strength < parameter.upper and would_show <= FAINT:
-            return Shadow(found.effect, strength, asymmetry)
+        strength = asymmetry / moved * effect.strength
+        parameter = next(p for p in stages.effect(effect.effect).parameters if p.free)
+        would_show = 0.5 * effect.seen * (strength / parameter.value) ** 2
+        if parameter.lower < strength < parameter.upper and would_show <= options.criteria.min_lead_nats:
+            return Confounder(effect.effect, strength, asymmetry)
     return None
 
 
-def verdict(named: bool, rivals: bool, remainder: bool, shadow: Shadow | None) -> str:
+def judge(named: bool, runners_up: bool, remainder: bool, confounder: Confounder | None) -> str:
     """One of `result.VERDICTS`."""
     if remainder:
         return "unknown"
-    if rivals or shadow is not None:
+    if runners_up or confounder is not None:
         return "ambiguous"
     return "named" if named else "none"
 
 
-def sentence(
+def describe(
     said: str,
     effects: Sequence[Named],
-    rivals: Sequence[Candidate],
-    shadow: Shadow | None,
+    runners_up: Sequence[Candidate],
+    confounder: Confounder | None,
     run: FreeRun | None,
     where: str,
     term: Flexible | None,
@@ -88,13 +88,13 @@ def sentence(
                 f"({100 * run.interval[0]:.0f}–{100 * run.interval[1]:.0f} %)."
             )
         return f"Missing: {listed}. {' '.join(stages.effect(e.name).sentence for e in effects)}{closed}"
-    if said == "ambiguous" and shadow is not None:
+    if said == "ambiguous" and confounder is not None:
         return (
-            f"Under these stimuli {shadow.effect} and unequal thresholds look the same: ln(C_on/C_off) = "
-            f"{shadow.asymmetry:.3g} may be just that, or {shadow.effect} of {shadow.strength:.3g}."
+            f"Under these stimuli {confounder.effect} and unequal thresholds look the same: ln(C_on/C_off) = "
+            f"{confounder.asymmetry:.3g} may be just that, or {confounder.effect} of {confounder.strength:.3g}."
         )
     if said == "ambiguous":
-        others = ", ".join(rival.effect for rival in rivals)
+        others = ", ".join(other.effect for other in runners_up)
         return f"Something is missing, and these recordings cannot say which: {listed}, or {others}."
     text = f"Something is missing that no effect of the library explains: {where}."
     if term is not None:

@@ -1,4 +1,4 @@
-"""The gap: residuals that are normal when the model is right, fingerprints, windows that hold the truth, verdicts."""
+"""The gap: residuals that are normal when the model is right, signatures, windows that hold the truth, verdicts."""
 
 import json
 from dataclasses import replace
@@ -13,16 +13,24 @@ from pixelid.cli.main import main
 from pixelid.design.menu import candidate
 from pixelid.errors import InputError
 from pixelid.fit.coordinates import Coordinates
-from pixelid.gap.attribute import secure
-from pixelid.gap.candidates import canonical, missing
-from pixelid.gap.climb import climbed, settled
-from pixelid.gap.covariates import factors
-from pixelid.gap.distance import FreeRun, closes_nothing, free_run
+from pixelid.fit.maximise import maximise, maximise_with_restarts
+from pixelid.gap.attribute.candidates import canonical, missing
+from pixelid.gap.attribute.pixels import candidates_of
+from pixelid.gap.attribute.significance import chance_of_gain, leads
+from pixelid.gap.confirm.free_run import FreeRun, closes_nothing, free_run
+from pixelid.gap.criteria import Criteria
+from pixelid.gap.detect.covariates import sort_events
+from pixelid.gap.detect.maps import map_residuals
+from pixelid.gap.detect.residuals import Tangents, residuals, tangents
 from pixelid.gap.gap import gap
-from pixelid.gap.latent import drawn, jitter_windows, queue_windows, with_times
-from pixelid.gap.maps import maps
-from pixelid.gap.residuals import Tangents, residuals, tangents
-from pixelid.gap.split import locked
+from pixelid.gap.imputation.draws import draw_times
+from pixelid.gap.imputation.jitter import uneven
+from pixelid.gap.imputation.windows import jitter_windows, queue_windows, with_times
+from pixelid.gap.options import Context, Options
+from pixelid.gap.phases import Phase
+from pixelid.gap.search import begin
+from pixelid.gap.split import split_pixels
+from pixelid.gap.steps.name_effect import name_effect
 from pixelid.inspection.timestamps import find_grid, find_service_time
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.model.shipped import find_model
@@ -85,7 +93,7 @@ def test_residuals_of_the_truth_are_standard_normal():
     model = MODEL.set({"threshold_sigma": 0.03})
     likelihood = likelihood_of(session(model, side=4))
     found = residuals(likelihood, model.circuit())
-    assert found.stray.sum() == 0
+    assert found.background.sum() == 0
     n = len(found.e)
     assert n > 3000
     assert abs(found.e.mean()) < 4 / np.sqrt(n)
@@ -99,11 +107,11 @@ def test_maps_find_a_shift_where_it_is_and_nothing_where_there_is_none():
     coordinates = Coordinates.of(MODEL)
     here = residuals(likelihood, MODEL.circuit())
     tangent = tangents(likelihood, coordinates, coordinates.start, here)
-    cells = factors(likelihood, MODEL.circuit(), here)
-    assert maps(likelihood, here, tangent, cells, 0).p > 0.01
+    cells = sort_events(likelihood, MODEL.circuit(), here)
+    assert map_residuals(likelihood, here, tangent, cells, Criteria(), 0).p > 0.01
     pair = cells[0]
     moved = replace(here, e=here.e + 0.5 * (pair.cell == pair.labels.index("ON after OFF")))
-    found = maps(likelihood, moved, tangent, cells, 0)
+    found = map_residuals(likelihood, moved, tangent, cells, Criteria(), 0)
     assert found.p < 0.01
     top = next(c for c in found.cells if c.response == "level")
     assert top.factor == "the previous event's polarity"
@@ -115,19 +123,41 @@ def test_maps_do_not_depend_on_the_rounding_of_what_parameters_move():
     coordinates = Coordinates.of(MODEL)
     here = residuals(likelihood, MODEL.circuit())
     tangent = tangents(likelihood, coordinates, coordinates.start, here)
-    cells = factors(likelihood, MODEL.circuit(), here)
+    cells = sort_events(likelihood, MODEL.circuit(), here)
     rng = np.random.default_rng(0)
     rounded = Tangents(*(J + 1e-8 * rng.standard_t(2, J.shape) * (J != 0) for J in (tangent.level, tangent.log_scale)))
     one, other = (
-        {(c.response, c.label): c.score for c in maps(likelihood, here, t, cells, 0).cells} for t in (tangent, rounded)
+        {(c.response, c.label): c.score for c in map_residuals(likelihood, here, t, cells, Criteria(), 0).cells}
+        for t in (tangent, rounded)
     )
     assert one.keys() == other.keys()
     assert max(abs(one[key] - other[key]) for key in one) < 1e-3
 
 
-def test_secure_needs_a_lead_beyond_its_scatter():
-    assert secure(np.array([3.0, 2.0, 4.0]))
-    assert not secure(np.array([9.0, -8.0, 1.0]))
+def test_a_lead_needs_to_be_beyond_its_scatter():
+    assert leads(np.array([3.0, 2.0, 4.0]), Criteria())
+    assert not leads(np.array([9.0, -8.0, 1.0]), Criteria())
+    assert leads(np.array([9.0, -8.0, 1.0]), replace(Criteria(), min_lead_standard_errors=0.01))
+
+
+def test_chance_of_a_gain_is_that_of_a_strength_on_its_boundary():
+    assert chance_of_gain("leak", 0.5 * 3.841, 1) == pytest.approx(0.025, rel=1e-3)  # half of χ²'s 5 %
+    assert chance_of_gain("leak", 0.5 * 3.841, 10) == pytest.approx(0.25, rel=1e-3)
+    assert chance_of_gain("leak", -1.0, 3) == 1.0
+
+
+def test_criteria_are_positive():
+    with pytest.raises(InputError, match="min_lead_nats"):
+        Criteria(min_lead_nats=-1.0)
+
+
+def test_jitter_is_one_normal_for_all():
+    recording = session(MODEL, side=2, lights={"slow_24": slow(24.0, seed=2)})[0]
+    window, rng = jitter_windows(recording, 5e-5), np.random.default_rng(0)
+    t = window.stamp - window.sd * rng.standard_normal(len(window.stamp))
+    assert not uneven([recording], [window], [t], 0.1, 0.005)
+    one_polarity_late = window.stamp - window.sd * np.where(recording.events.p == 1, 1.0, 0.1)
+    assert uneven([recording], [window], [one_polarity_late + rng.normal(0, 0.3 * window.sd, len(t))], 0.1, 0.005)
 
 
 # --- readout ---
@@ -195,7 +225,7 @@ def test_free_run_gap_of_the_truth_is_chance_and_of_a_wrong_model_is_not():
     leaking = MODEL.with_effect("leak", {"rate_hz": 3.0})
     recordings = session(leaking, side=3, seed=5)
     fine = [r.with_stimulus(resampled(r.stimulus, "smooth")) for r in recordings]
-    run = free_run(fine, fine, np.arange(9), np.arange(9), 16, MODEL, leaking, 0)
+    run = free_run(fine, fine, np.arange(9), np.arange(9), 16, MODEL, leaking, Criteria(), 0)
     assert run.after < 2.5 < run.before
     assert run.closed is not None
     assert run.closed > 0.8
@@ -206,11 +236,11 @@ def test_free_run_gap_of_the_truth_is_chance_and_of_a_wrong_model_is_not():
 
 def test_split_is_by_pixels_and_repeatable():
     recordings = session(MODEL, side=5)
-    split = locked(recordings, 7)
+    split = split_pixels(recordings, 7)
     parts = np.concatenate([split.fit, split.select, split.confirm])
     assert len(np.unique(parts)) == len(parts) == 25
     assert split.apart
-    np.testing.assert_array_equal(locked(recordings, 7).confirm, split.confirm)
+    np.testing.assert_array_equal(split_pixels(recordings, 7).confirm, split.confirm)
     assert set(only(recordings, split.confirm)[0].events.pixel) <= set(split.confirm)
 
 
@@ -292,7 +322,7 @@ def test_draws_of_times_have_the_density_that_they_should():
     window = replace(window, lo=np.where(mine, window.lo, t), hi=np.where(mine, window.hi, t))
     now, draws = [t], []
     for _ in range(1500):
-        now = drawn([recording], [window], now, model, rng, exact=True).times
+        now = draw_times([recording], [window], now, model, rng, exact=True).times
         draws.append(now[0][k])
     grid = np.linspace(t[k - 1] + 2e5, t[k + 1] - 2e5, 401)[1:-1]
     moved = [[np.where(mine, at, t)] for at in grid]
@@ -318,17 +348,17 @@ def test_shot_noise_is_found_by_simulation(density):
 
 def test_a_pole_that_ran_away_comes_back():
     likelihood = likelihood_of(session(MODEL, side=4, seed=3))
-    without = climbed(likelihood, MODEL.without_effect("differencing_pole"), tolerance=1e-3, max_steps=60)
+    without = maximise(likelihood, MODEL.without_effect("differencing_pole"), tolerance=1e-3, max_steps=60)
     away = without.model.with_effect("differencing_pole", {"diff_cutoff_hz": 1e8})
-    assert climbed(likelihood, away, tolerance=0.05, max_steps=25).values["diff_cutoff_hz"] > 1e7
-    assert settled(likelihood, away, MODEL, tolerance=0.05, max_steps=25).values["diff_cutoff_hz"] < 5e4
+    assert maximise(likelihood, away, tolerance=0.05, max_steps=25).values["diff_cutoff_hz"] > 1e7
+    assert maximise_with_restarts(likelihood, away, MODEL, tolerance=0.05, max_steps=25).values["diff_cutoff_hz"] < 5e4
 
 
 def test_cells_of_one_pool_serve_another():
     mine, theirs = (likelihood_of(session(MODEL, side=side, seed=3)) for side in (4, 3))
     circuit = MODEL.circuit()
-    first = factors(mine, circuit, residuals(mine, circuit))
-    other = factors(theirs, circuit, residuals(theirs, circuit), like=first)
+    first = sort_events(mine, circuit, residuals(mine, circuit))
+    other = sort_events(theirs, circuit, residuals(theirs, circuit), like=first)
     assert [f.labels for f in first] == [f.labels for f in other]
     for factor in other:
         assert factor.cell.min() >= 0
@@ -339,10 +369,10 @@ def test_a_free_run_that_closes_nothing_withdraws_a_name():
     def run(closed, interval):
         return FreeRun(9.0, 9.0, 1.0, closed, interval, {})
 
-    assert closes_nothing(run(-3.0, (-20.0, -0.1)), False)
-    assert not closes_nothing(run(-0.2, (-20.0, 3.0)), False)  # a gap too small to tell
-    assert closes_nothing(run(0.05, (-1.0, 0.6)), True)
-    assert not closes_nothing(run(0.6, (0.5, 0.7)), True)
+    assert closes_nothing(run(-3.0, (-20.0, -0.1)), False, Criteria())
+    assert not closes_nothing(run(-0.2, (-20.0, 3.0)), False, Criteria())  # a gap too small to tell
+    assert closes_nothing(run(0.05, (-1.0, 0.6)), True, Criteria())
+    assert not closes_nothing(run(0.6, (0.5, 0.7)), True, Criteria())
 
 
 @pytest.mark.slow
@@ -372,22 +402,42 @@ def test_maps_of_a_true_model_under_one_sine_show_nothing():
 
 def test_an_interrupted_search_goes_on(tmp_path):
     recordings = session(MODEL, side=3, seed=4, lights={"slow_24": slow(24.0, seed=2), "steps_24": steps(24.0, seed=1)})
-    book = tmp_path / "fits"
+    kept = tmp_path / "fits"
 
     def stop(what, fraction):
         if fraction > 0.7:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        gap(recordings, MODEL, progress=stop, resume=book)
-    made = book.read_text().count("key")
+        gap(recordings, MODEL, progress=stop, resume=kept)
+    made = kept.read_text().count("key")
     assert made > 3
-    book.write_text(book.read_text()[:-7])  # cut off within a line
-    again = gap(recordings, MODEL, resume=book)
-    assert not book.exists()
+    kept.write_text(kept.read_text()[:-7])  # cut off within a line
+    again = gap(recordings, MODEL, resume=kept)
+    assert not kept.exists()
     plain = gap(recordings, MODEL)
     assert again.base.values == plain.base.values
     assert (again.verdict, again.global_p, again.rounds) == (plain.verdict, plain.global_p, plain.rounds)
+
+
+def test_a_round_compares_under_one_likelihood_and_leaves_its_state_as_it_was():
+    recordings = session(
+        MODEL.with_effect("leak", {"rate_hz": 5.0}), side=3, seed=4, lights={"slow_24": slow(24.0, seed=2)}
+    )
+    context = Context(Options())
+    state = begin(recordings, MODEL, context)
+    pools = state.hypothesis.evidence
+    weighed = pools.weighed(MODEL.with_effect("timestamp_jitter").circuit())
+    judged = candidates_of(weighed, state.base.model, None, None)
+    for fit in (judged.base, judged.fit_without("leak", judged.screen("leak")[0])):  # either side of a gain
+        assert fit.value == pytest.approx(weighed.fitting.log_likelihood(fit.model.circuit()), abs=1e-6)
+    then = name_effect(replace(state, phase=Phase.NAME), context)
+    assert len(then.rounds) == 1
+    assert then.rounds[0]["candidates"]
+    assert state.rounds == ()
+    assert state.steps == ()
+    for pool in (pools.screening, pools.fitting, pools.judging, pools.training):
+        np.testing.assert_array_equal(pool.clock_share, 1.0)
 
 
 def test_command_writes_what_it_promises(tmp_path):

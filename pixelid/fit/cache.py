@@ -1,0 +1,118 @@
+"""Fits already made, kept in a file: a computation that was interrupted goes on where it stopped.
+
+Whatever is decided from fits follows from them, and a fit follows from its events and stimuli, from the model it starts
+at and from its settings.  A hash of those is the key.  The file holds one JSON line per fit, each with a checksum, and
+only grows.  A line cut off by an interruption is dropped; a file that is damaged otherwise is set aside beside itself
+(`….damaged`), its sound lines are kept, and what they lack is computed again.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from pathlib import Path
+from weakref import WeakKeyDictionary
+
+import numpy as np
+
+from pixelid import __version__
+from pixelid.likelihood.event_times import EventTimes
+from pixelid.model.files import to_document
+from pixelid.model.model import Model
+from pixelid.recordings.recording import Recording
+
+DIGEST_BYTES = 16  # 2⁻⁶⁴ for two of a search's few thousand fits to share a key
+
+
+class FitCache:
+    """Entries of fits by key, in memory and in a file.
+
+    Args:
+        path: The file; read when it exists, made with the first entry.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = Path(path)
+        self._entries: dict[str, dict] = {}
+        self._events: WeakKeyDictionary[EventTimes, bytes] = WeakKeyDictionary()  # of likelihoods, which do not change
+        if self.path.exists():
+            self._read()
+
+    def get(self, key: str) -> dict | None:
+        """The entry of a fit, None when it has not been made."""
+        return self._entries.get(key)
+
+    def add(self, key: str, entry: dict) -> None:
+        """Keep an entry, and write it out."""
+        self._entries[key] = entry
+        with self.path.open("a", encoding="utf-8") as file:
+            file.write("\n" + _line(key, entry))
+
+    def remove(self) -> None:
+        """Remove the file: the computation is done."""
+        self.path.unlink(missing_ok=True)
+
+    def key(self, likelihood: EventTimes, model: Model, *settings: float) -> str:
+        """Hash, in hexadecimal, of all that a fit depends on.
+
+        Args:
+            likelihood: Its recordings, clock weights and threshold factors count.
+            model: Its effects, values, bounds and priors count: a fit starts there.
+            settings: Of the optimiser.
+        """
+        if likelihood not in self._events:
+            self._events[likelihood] = _digest(likelihood)
+        hashed = hashlib.blake2b(self._events[likelihood], digest_size=DIGEST_BYTES)
+        priors = {p.name: p.prior for p in model.parameters.values() if p.prior is not None}
+        hashed.update(repr((__version__, to_document(model), priors, settings)).encode())
+        return hashed.hexdigest()
+
+    def _read(self) -> None:
+        lines = self.path.read_bytes().split(b"\n")
+        read = [_entry(line) for line in lines if line]
+        self._entries = dict(pair for pair in read if pair is not None)
+        if None in read[:-1]:  # not just cut off at its end
+            self.path.replace(self.path.with_name(self.path.name + ".damaged"))
+            for key, entry in self._entries.items():
+                self.add(key, entry)
+
+
+def _line(key: str, entry: dict) -> str:
+    body = json.dumps(entry)
+    return json.dumps({"key": key, "checksum": _checksum(key, body), "entry": body})
+
+
+def _entry(line: bytes) -> tuple[str, dict] | None:
+    """(key, entry) of a line; None for a damaged one."""
+    try:
+        parts = json.loads(line.decode())
+        if parts["checksum"] != _checksum(parts["key"], parts["entry"]):
+            return None
+        return parts["key"], json.loads(parts["entry"])
+    except (ValueError, KeyError, TypeError):
+        return None
+
+
+def _checksum(key: str, body: str) -> str:
+    return hashlib.blake2b((key + body).encode(), digest_size=8).hexdigest()
+
+
+def _digest(likelihood: EventTimes) -> bytes:
+    hashed = hashlib.blake2b(digest_size=DIGEST_BYTES)
+    for recording in likelihood.recordings:
+        hashed.update(_content(recording))
+    hashed.update(np.ascontiguousarray(likelihood.clock_share).tobytes())
+    if likelihood.threshold_factor is not None:
+        hashed.update(b"factor" + np.ascontiguousarray(likelihood.threshold_factor).tobytes())
+    return hashed.digest()
+
+
+def _content(recording: Recording) -> bytes:
+    hashed = hashlib.blake2b(digest_size=DIGEST_BYTES)
+    stimulus, events = recording.stimulus, recording.events
+    assert stimulus is not None
+    hashed.update(repr((recording.name, recording.sensor, events.width, events.height, events.tick_ns)).encode())
+    hashed.update(stimulus.interpolation.encode())
+    for part in (events.t, events.x, events.y, events.p, stimulus.t, stimulus.radiance):
+        hashed.update(np.ascontiguousarray(part).tobytes())
+    return hashed.digest()

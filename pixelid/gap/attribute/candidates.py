@@ -1,0 +1,100 @@
+"""What might be missing: for every effect of the library the models that have it, at a few strengths to start from."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from pixelid import stages
+from pixelid.errors import InputError
+from pixelid.likelihood.event_times import EventTimes
+from pixelid.model.model import Model
+
+DECADES = (-2.0, -1.5, -1.0, -0.5, 0.0, 0.5, 1.0, 1.5)  # strengths tried, about the shipped value
+# A slew limit is slow to fit, and its likelihood only falls as it tightens past the best: it is fitted where one of the
+# strengths gains this much by itself, and no tighter one is tried from where it loses that much.
+MIN_SLEW_GAIN_NATS, MAX_SLEW_LOSS_NATS = 0.5, 20.0
+MAINS_HZ = (100.0, 120.0)
+PHASES = (0.0, 0.5 * math.pi, math.pi, 1.5 * math.pi)
+# What no density of single events knows: read off the timestamps (`readout.py`), off the pixels, or not at all.
+NOT_IN_DENSITY = {"shot_noise", "hot_pixels", "readout_latency", "timestamp_quantisation"}
+# effects that weaken as their first parameter grows
+INVERSE = {"second_order_photoreceptor", "source_follower_pole", "extra_pole", "slew_limit", "differencing_pole"}
+SLEWS_THROUGH = ("source_follower_pole", "differencing_pole")  # what the likelihood of slew_limit needs
+USUAL_POLES = ("source_follower_pole", "differencing_pole")  # a pole more is one of these while one of them is missing
+
+
+def missing(model: Model) -> list[str]:
+    """Effects of the library that the model lacks and the event-time likelihood knows."""
+
+    def usable(name: str) -> bool:
+        if name == "extra_pole":
+            return all(model.has(pole) for pole in USUAL_POLES)
+        return name != "slew_limit" or all(model.has(pole) for pole in SLEWS_THROUGH)
+
+    return [name for name in stages.LIBRARY if name not in NOT_IN_DENSITY and not model.has(name) and usable(name)]
+
+
+def strongest_start(likelihood: EventTimes, model: Model, effect: str, least: float = -np.inf) -> Model | None:
+    """The model with the effect, at the strength among those tried that explains the events best.
+
+    None if none can be evaluated, or (slew_limit, slow to fit, harmless when weak) none explains more than `least`.
+    """
+    best, top = None, -np.inf
+    for trial in variants(model, effect):
+        try:
+            value = likelihood.log_likelihood(trial.circuit())
+        except (InputError, FloatingPointError):
+            continue
+        if np.isfinite(value) and value > top:
+            best, top = trial, value
+        elif effect == "slew_limit" and value < top - MAX_SLEW_LOSS_NATS:
+            break  # the tighter the limit, the worse from here on
+    if effect == "slew_limit" and top <= least + MIN_SLEW_GAIN_NATS:
+        return None
+    return best
+
+
+def variants(model: Model, effect: str) -> Iterator[Model]:
+    """The model with the effect at each strength to try, its own parameters free."""
+    grown = model.with_effect(effect)
+    if effect == "second_order_photoreceptor":
+        corner = model.values["alpha_over_beta"]
+        for decade in DECADES:
+            beta = grown.parameter("beta").value * 10.0**decade
+            yield grown.set({"alpha": corner * beta, "beta": beta})
+        return
+    names = [p.name for p in stages.effect(effect).parameters if p.free]
+    strength = grown.parameter(names[0])
+    sizes = [10.0**d for d in (reversed(DECADES) if effect == "slew_limit" else DECADES)]  # weak ones first
+    signs = (1.0,) if strength.transform == "log" else (1.0, -1.0)
+    for size in sizes:
+        for sign in signs:
+            value = sign * size * strength.value
+            if not strength.lower < value < strength.upper:
+                continue
+            sized = grown.set({strength.name: value})
+            if effect == "slew_limit":
+                sized = sized.set({"slew_limit.fall_per_s": value})
+            if effect != "mains_flicker":
+                yield sized
+                continue
+            for hz in MAINS_HZ:
+                for phase in PHASES:
+                    yield sized.set({"mains_flicker.frequency_hz": hz, "mains_flicker.phase_rad": phase})
+
+
+def canonical(model: Model, nominal: Model) -> Model:
+    """The model with the poles of follower and extra_pole in the order that suits the nominal follower better.
+
+    Two first-order poles in a row change places without a trace: which is which is a convention.
+    """
+    if not (model.has("extra_pole") and model.has("source_follower_pole") and nominal.has("source_follower_pole")):
+        return model
+    follower, extra = model.values["sf_cutoff_hz"], model.values["extra_pole.cutoff_hz"]
+    usual = nominal.values["sf_cutoff_hz"]
+    if abs(math.log(extra / usual)) >= abs(math.log(follower / usual)):
+        return model
+    return model.set({"sf_cutoff_hz": extra, "extra_pole.cutoff_hz": follower})

@@ -1,0 +1,149 @@
+"""Which effects look alike under these stimuli: their directions in the space of residuals.
+
+An effect of a small strength λ moves the level of event k by λ v_k of its scale, and its log scale by λ w_k; both
+stand in one column (v, √2 w), whose inner products are those of the Fisher information of a normal density.  What the
+free parameters can imitate is projected out (v demeaned per pixel and polarity, off the tangents J): v⊥.  Two effects
+with |cos| of their v⊥ near 1 cannot be told apart by these recordings, and an effect with v⊥ ≈ 0 hides behind the
+free parameters.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pixelid import stages
+from pixelid.errors import InputError
+from pixelid.fit.maximise import Maximum
+from pixelid.gap.attribute.candidates import INVERSE, variants
+from pixelid.gap.detect.residuals import Residuals, compare, residuals, tangents
+from pixelid.likelihood.event_times import EventTimes, sum_by
+from pixelid.model.model import Model
+
+MAX_RMS_MOVE_SD = 0.2  # of the residuals, at the strength at which a direction is taken: small enough to be linear
+MIN_RMS_MOVE_SD = 1e-9  # below, rounding
+PRIOR_SD = 1.0  # of coordinates (a factor e), where these recordings say nothing of them
+
+
+@dataclass(frozen=True)
+class Direction:
+    """One effect.
+
+    strength: of its first parameter, at which v was taken;  raw: (2n,) v demeaned;  clear: (2n,) v⊥
+    bias: (d,) what each free coordinate would move by if the effect were there and the model lacked it
+    seen: Σ v⊥² at the library's typical strength, twice the nats by which it would show;  hidden: cosine between v and
+    what the free parameters can do
+    """
+
+    effect: str
+    strength: float
+    raw: np.ndarray
+    clear: np.ndarray
+    bias: np.ndarray
+    seen: float
+    hidden: float
+
+
+@dataclass(frozen=True)
+class Space:
+    """Residuals of a fitted model and the tangents of its free parameters, J (2n, d)."""
+
+    likelihood: EventTimes
+    fit: Maximum
+    here: Residuals
+    J: np.ndarray
+
+    def demeaned(self, column: np.ndarray) -> np.ndarray:
+        """A column (2n,) whose levels lack their mean per pixel and polarity; 0 for background events."""
+        likelihood, n = self.likelihood, len(self.here.e)
+        kept = ~self.here.background
+        level, rest = column[:n], column[n:]
+        size = np.maximum(np.bincount(likelihood.group, kept, 2 * likelihood.pixels), 1.0)
+        mean = sum_by(likelihood.group, np.where(kept, level, 0.0), 2 * likelihood.pixels) / size
+        return np.concatenate([np.where(kept, level - mean[likelihood.group], 0.0), np.where(kept, rest, 0.0)])
+
+
+def residual_space(likelihood: EventTimes, end: Maximum) -> Space:
+    """The residual space of a fit."""
+    here = residuals(likelihood, end.model.circuit())
+    tangent = tangents(likelihood, end.coordinates, end.x, here)
+    return Space(likelihood, end, here, np.concatenate([tangent.level, np.sqrt(2.0) * tangent.log_scale]))
+
+
+def direction(at: Space, effect: str) -> Direction | None:
+    """The direction of a missing effect, at the largest strength tried that is small; None if it moves nothing."""
+    best: tuple[float, np.ndarray, Model] | None = None
+    for trial in variants(at.fit.model, effect):
+        try:
+            moved = residuals(at.likelihood, trial.circuit())
+        except InputError:
+            continue
+        undefined = at.here.background | moved.background
+        level, log_scale = compare(at.here, moved)
+        change = np.concatenate([np.where(undefined, 0.0, level), np.where(undefined, 0.0, np.sqrt(2.0) * log_scale)])
+        size = float(np.sqrt(np.mean(change**2)))
+        if MIN_RMS_MOVE_SD < size < MAX_RMS_MOVE_SD and (best is None or size > best[0]):
+            best = size, change, trial
+    if best is None:
+        return None
+    _, v, trial = best
+    name = next(p.name for p in stages.effect(effect).parameters if p.free)
+    raw = at.demeaned(v)
+    J = np.column_stack([at.demeaned(column) for column in at.J.T])
+    inner, *_ = np.linalg.lstsq(J, raw, rcond=1e-10)
+    # pixel means included: what shifts all pixels, thresholds imitate; a wide prior holds what the data do not know
+    bias = np.linalg.solve(at.J.T @ at.J + np.eye(at.J.shape[1]) / PRIOR_SD**2, at.J.T @ v)
+    clear = raw - J @ inner
+    ratio = stages.effect(effect).parameters[0].value / trial.values[name]
+    ratio = 1.0 / ratio if effect in INVERSE else ratio
+    total = float(np.sum(v**2))
+    hidden = float(np.sqrt(max(0.0, 1.0 - np.sum(clear**2) / total))) if total > 0 else 1.0
+    return Direction(
+        effect,
+        trial.values[name],
+        raw,
+        clear,
+        bias,
+        float(np.sum(clear**2)) * ratio**2,
+        hidden,
+    )
+
+
+def cosine(a: np.ndarray, b: np.ndarray) -> float:
+    """|cos| between two directions; 0 when either vanishes."""
+    size = float(np.linalg.norm(a) * np.linalg.norm(b))
+    return abs(float(a @ b)) / size if size > 0 else 0.0
+
+
+def confusion(directions: Sequence[Direction]) -> dict[str, dict]:
+    """What these stimuli would take each missing effect for.
+
+    effect → its |cos| with every other, the most alike one, and by how many nats it would be told apart from that one
+    at its typical strength (few nats: `ambiguous`).
+    """
+    table = {}
+    for own in directions:
+        alike = {other.effect: cosine(own.clear, other.clear) for other in directions if other is not own}
+        nearest = max(alike, key=lambda name: alike[name], default="")
+        apart = 0.5 * own.seen * (1.0 - alike.get(nearest, 0.0) ** 2)
+        table[own.effect] = {"most_alike": nearest, "told_apart_nats": apart, "cosines": alike}
+    return table
+
+
+def similarities(at: Space, effect: str, others: Sequence[str]) -> dict[str, float]:
+    """|cos| between an effect that the fitted model has and every other that it lacks, by name."""
+    name = next(p.name for p in stages.effect(effect).parameters if p.free)
+    index = at.fit.coordinates.names.index(name)
+    rest = [i for i in range(len(at.fit.x)) if i != index]
+    own = at.demeaned(at.J[:, index])
+    J = np.column_stack([at.demeaned(at.J[:, i]) for i in rest])
+    q, _ = np.linalg.qr(J)
+    own = own - q @ (q.T @ own)
+    alike = {}
+    for other in others:
+        there = direction(at, other)
+        if there is not None:
+            alike[other] = cosine(own, there.raw - q @ (q.T @ there.raw))
+    return alike

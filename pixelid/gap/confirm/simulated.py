@@ -1,0 +1,112 @@
+"""Counts of simulated pixels that stand beside the measured ones: twins with their thresholds, or whole sensors.
+
+A twin has the thresholds of its pixel as the model reads them from its events, is let go where the pixel's first event
+let it go, and is free from then on.  Pixels that share a readout get a whole sensor of twins.  Under shot noise, where
+thresholds cannot be read off single events, sensors of other pixels stand in for the twins.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from pixelid.gap.confirm.counts import count_events
+from pixelid.likelihood.event_times import EventTimes
+from pixelid.model.model import Model
+from pixelid.parallel import map_threads
+from pixelid.recordings.recording import Recording
+from pixelid.recordings.selection import only
+from pixelid.simulate import Twins, simulate
+
+
+def count_twins(
+    recordings: Sequence[Recording],
+    timely: Sequence[Recording],
+    pixels: np.ndarray,
+    everyone: np.ndarray,
+    model: Model,
+    edges: Sequence[np.ndarray],
+    copies: int,
+    seed: int,
+    hot: np.ndarray | None = None,
+) -> np.ndarray:
+    """(copies, P, cells) counts of twins of the measured pixels."""
+    queue = model.has("readout_latency")
+    crowd = np.union1d(everyone, pixels) if queue else pixels
+    named = {r.name: r for r in timely}
+    mine = only([named.get(r.name, r) for r in recordings], crowd)  # true times are lost in some
+    on, off = _thresholds(only(timely, crowd), crowd, model)
+    exact = model.without_effect("threshold_mismatch").without_effect("hot_pixels")
+    extra_hz = model.circuit().hot_hz if hot is not None else 0.0
+    dead = float(np.real(model.circuit().refractory))
+    sensors, each = (copies, 1) if queue else (1, copies)  # sensors of twins, twins of each pixel in a sensor
+    place = np.searchsorted(crowd, pixels)
+    watched = (np.arange(each)[:, None] * len(crowd) + place).ravel()
+    hot_twins = watched[np.tile(hot, each)] if hot is not None and extra_hz > 0 else np.empty(0, np.int64)
+    runs: list[list[Recording]] = [[] for _ in range(sensors)]
+    for i, (recording, own) in enumerate(zip(recordings, mine, strict=True)):
+        released = np.full(len(crowd), np.inf)
+        first = np.unique(own.events.pixel, return_index=True)
+        released[np.searchsorted(crowd, first[0])] = own.events.t[first[1]] * 1e-9 + dead
+        twins = Twins(np.tile(on, each), np.tile(off, each), np.tile(released, each))
+        light = recording.stimulus
+        assert light is not None
+        for k, done in enumerate(runs):
+            own_seed = seed + i + 101 * k
+            run = simulate(exact, light, width=len(twins.on), height=1, seed=own_seed, twins=twins)
+            done.append(_with_hot_events(run, hot_twins, extra_hz, own_seed) if len(hot_twins) else run)
+    table = np.stack([count_events(done, watched, edges).table for done in runs])
+    return table.reshape(copies, len(pixels), -1)
+
+
+def _with_hot_events(recording: Recording, pixels: np.ndarray, rate_hz: float, seed: int) -> Recording:
+    """The recording with ON events of a Poisson process in some pixels."""
+    assert recording.stimulus is not None
+    rng, events = np.random.default_rng(seed), recording.events
+    start, span = float(recording.stimulus.t[0]), recording.stimulus.duration_s
+    x = np.repeat(pixels, rng.poisson(rate_hz * span, len(pixels)))
+    t = np.concatenate([events.t, ((start + span * rng.random(len(x))) * 1e9).astype(np.int64)])
+    order = np.argsort(t, kind="stable")
+    x = np.concatenate([events.x, x.astype(np.uint16)])[order]
+    p = np.concatenate([events.p, np.ones(len(t) - len(events), np.uint8)])[order]
+    return replace(recording, events=replace(events, t=t[order], x=x, y=np.zeros(len(t), np.uint16), p=p))
+
+
+def _thresholds(recordings, pixels: np.ndarray, model: Model) -> tuple[np.ndarray, np.ndarray]:
+    """Each pixel's ON and OFF thresholds (P,) as the model reads them from its events."""
+    circuit = model.circuit()
+    on = np.full(len(pixels), float(np.real(circuit.on_threshold)))
+    off = np.full(len(pixels), float(np.real(circuit.off_threshold)))
+    likelihood = EventTimes(recordings)
+    means = likelihood.terms(circuit).group_mean.reshape(-1, 2)
+    seen = np.isin(likelihood.pixel_keys, pixels)
+    where = np.searchsorted(pixels, likelihood.pixel_keys[seen])
+    off[where], on[where] = np.real(means[seen, 0]), np.real(means[seen, 1])
+    return on, off
+
+
+def count_sensors(
+    recordings: Sequence[Recording],
+    P: int,
+    sensor: int,
+    model: Model,
+    edges: Sequence[np.ndarray],
+    copies: int,
+    seed: int,
+) -> np.ndarray:
+    """(copies, P, cells) counts of P pixels of each of many simulated sensors, whole where pixels share a readout."""
+    width = sensor if model.has("readout_latency") else P
+
+    def run(job: tuple[int, int]) -> Recording:
+        copy, i = job
+        own, light = seed + 101 * copy + i, recordings[i].stimulus
+        assert light is not None
+        return simulate(model, light, width=width, height=1, seed=own, sensor_seed=seed + copy)
+
+    tables = []
+    for copy in range(copies):
+        runs = map_threads(run, [(copy, i) for i in range(len(recordings))])
+        tables.append(count_events(runs, np.arange(width), edges).table[:P])
+    return np.stack(tables)

@@ -1,0 +1,198 @@
+"""Signed maps of the residuals, cleared of what the fitted parameters can absorb, and how far they leave zero.
+
+For a feature f over events (a cell's indicator, the residual before, …), weights demeaned within each pixel and
+polarity (whose threshold is fitted) and projected off the tangents J of the free parameters, f⊥,
+
+    T = Σ f⊥ e / √(Σ f⊥²)
+
+is standard normal when the model is right, to first order whatever the parameters' errors: a score test.  Three
+responses are mapped: the residual e (thresholds or times shifted), its spread (e² − 1)/√2, and the product with the
+same pixel's residual before (memory).
+
+The largest |T| is judged twice: against independent normals over all cells (the parametric answer), and by flipping
+the signs of whole pixels (pixels are the exchangeable unit).  The larger p counts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import norm
+
+from pixelid.gap.criteria import Criteria
+from pixelid.gap.detect.covariates import Factor
+from pixelid.gap.detect.residuals import Residuals, Tangents
+from pixelid.likelihood.event_times import EventTimes, sum_by
+
+Scores = dict[tuple[str, str], float]  # (response, label) → score
+
+FLIPS = 1999  # resolves p to 5e-4
+MIN_COLUMN_NORM = 1e-3  # score that one unit of a coordinate can move: what is left of a column below it is rounding
+MIN_UNITS = 8  # to flip the signs of: 2⁻⁷, the least p of fewer, tells nothing at a chance of 1 %
+MAX_RESIDUAL_SD = 8.0  # beyond, residuals count as this: one event must not make a map
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One cell of a map: response ("level", "spread", "memory"), factor and label in words, score, events, and the
+    mean of the response there."""
+
+    response: str
+    factor: str
+    label: str
+    score: float
+    events: int
+    mean: float
+
+
+@dataclass(frozen=True)
+class Maps:
+    """cells: by |score|, largest first;  p: of the largest;  background: events that no threshold explains."""
+
+    cells: tuple[Cell, ...]
+    p: float
+    p_normal: float
+    p_pixels: float | None
+    background: int
+
+    @property
+    def scores(self) -> Scores:
+        """Every cell's score."""
+        return {(c.response, c.label): c.score for c in self.cells}
+
+
+def map_residuals(
+    likelihood: EventTimes,
+    residual: Residuals,
+    tangent: Tangents,
+    factors: Sequence[Factor],
+    criteria: Criteria,
+    seed: int,
+) -> Maps:
+    """The maps of a likelihood's residuals.
+
+    Args:
+        likelihood: Of n events.
+        residual: (n,) residuals under a fitted model.
+        tangent: (n, d) how they move with its free parameters.
+        factors: Ways to sort the events into cells; the first serves for memory.
+        criteria: Which cells are judged.
+        seed: Of the signs flipped.
+    """
+    kept = ~residual.background
+    e = np.clip(residual.e, -MAX_RESIDUAL_SD, MAX_RESIDUAL_SD)
+    group, pixel = likelihood.group, likelihood.pixel
+    spread = np.where(kept, (np.clip(e * e, 0, MAX_RESIDUAL_SD**2) - 1.0) / np.sqrt(2.0), 0.0)
+    last = _last_residual(likelihood, np.where(kept, e, 0.0))
+    responses = (
+        ("level", np.where(kept, e, 0.0), tangent.level, group),
+        ("spread", spread, np.sqrt(2.0) * tangent.log_scale, group),
+    )
+    cells: list[Cell] = []
+    by_pixel: list[np.ndarray] = []
+    for name, value, J, within in responses:
+        basis = _Basis(value, J, within, pixel, kept)
+        for factor in factors:
+            scored, sums = basis.scores(factor, name, criteria)
+            cells += scored
+            by_pixel.append(sums)
+    memory = _memory(e * kept, last, factors[0], pixel, criteria.min_cell_events)
+    cells += memory[0]
+    by_pixel.append(memory[1])
+    sums = np.concatenate(by_pixel, axis=1)
+    scores = np.array([c.score for c in cells])
+    order = np.argsort(-np.abs(scores))
+    top = float(np.abs(scores).max(initial=0.0))
+    p_normal = float(min(1.0, len(cells) * 2.0 * norm.sf(top)))
+    p_pixels = flip_signs(sums, seed)
+    return Maps(tuple(cells[i] for i in order), max(p_normal, p_pixels or 0.0), p_normal, p_pixels, int((~kept).sum()))
+
+
+class _Basis:
+    """One response and what its maps are projected off."""
+
+    def __init__(self, value, J, group, pixel, kept):
+        self.kept, self.group, self.pixel = kept, group, pixel
+        self.groups = int(group.max(initial=0)) + 1
+        self.pixels = int(pixel.max(initial=0)) + 1
+        self.size = np.maximum(np.bincount(group, kept, self.groups), 1.0)
+        self.value = self._demeaned(value)
+        self.J = np.column_stack([self._demeaned(J[:, j]) for j in range(J.shape[1])])
+        q, r = np.linalg.qr(self.J)
+        left = np.abs(np.diag(r))
+        self.Q = q[:, left > max(MIN_COLUMN_NORM, 1e-9 * left.max(initial=0.0))]
+        self.along = self._sums(pixel, self.Q.T * self.value, self.pixels)  # (d, pixels)
+
+    @staticmethod
+    def _sums(index, rows, size):
+        """(d, size) of rows (d, n) by index; d may be 0."""
+        return np.array([np.bincount(index, row, size) for row in rows]).reshape(len(rows), size)
+
+    def _demeaned(self, column):
+        column = np.where(self.kept, column, 0.0)
+        mean = sum_by(self.group, column, self.groups) / self.size
+        return np.where(self.kept, column - mean[self.group], 0.0)
+
+    def scores(self, factor: Factor, name: str, criteria: Criteria) -> tuple[list[Cell], np.ndarray]:
+        """(cells, (pixels, cells) each pixel's part of the standardised score)."""
+        k = len(factor.labels)
+        count = np.bincount(factor.cell, self.kept, k)
+        at = np.flatnonzero(self.kept)
+        joint = np.bincount(self.group[at] * k + factor.cell[at], minlength=self.groups * k).reshape(self.groups, k)
+        own = np.bincount(self.pixel * k + factor.cell, self.value, self.pixels * k).reshape(self.pixels, k)
+        # f demeaned within groups: Σ f² = Σ_g n_gb (1 − n_gb/n_g);  its sums against demeaned columns are plain sums
+        square = (joint * (1.0 - joint / self.size[:, None])).sum(axis=0)
+        project = self._sums(factor.cell, self.Q.T, k)  # (d, cells)
+        variance = square - (project**2).sum(axis=0)
+        unfitted = variance > criteria.min_cell_share_unfitted * np.maximum(square, 1.0)
+        usable = (count >= criteria.min_cell_events) & unfitted
+        sums = (own - self.along.T @ project)[:, usable] / np.sqrt(variance[usable])
+        raw = np.bincount(factor.cell, self.value, k) / np.maximum(count, 1.0)
+        total = sums.sum(axis=0)
+        cells = [
+            Cell(name, factor.name, factor.labels[b], float(total[i]), int(count[b]), float(raw[b]))
+            for i, b in enumerate(np.flatnonzero(usable))
+        ]
+        return cells, sums
+
+
+def _last_residual(likelihood: EventTimes, e: np.ndarray) -> np.ndarray:
+    """(n,) residual of the same pixel's previous event in the same recording, 0 where it has none."""
+    order = np.lexsort((likelihood.time_s, likelihood.pixel, likelihood.recording_of_event))
+    key = likelihood.recording_of_event[order] * likelihood.pixels + likelihood.pixel[order]
+    last = np.zeros(len(e))
+    follows = np.flatnonzero(key[1:] == key[:-1]) + 1
+    last[order[follows]] = e[order[follows - 1]]
+    return last
+
+
+def _memory(e, last, factor: Factor, pixel, min_events: int) -> tuple[list[Cell], np.ndarray]:
+    """Cells of e · (residual before)."""
+    k, pixels = len(factor.labels), int(pixel.max(initial=0)) + 1
+    variance = np.bincount(factor.cell, last**2, k)
+    count = np.bincount(factor.cell, last != 0.0, k)
+    usable = count >= min_events
+    sums = np.bincount(pixel * k + factor.cell, e * last, pixels * k).reshape(pixels, k)
+    sums = sums[:, usable] / np.sqrt(variance[usable])
+    mean = np.bincount(factor.cell, e * last, k) / np.maximum(count, 1)
+    cells = [
+        Cell("memory", factor.name, factor.labels[b], float(sums[:, i].sum()), int(count[b]), float(mean[b]))
+        for i, b in enumerate(np.flatnonzero(usable))
+    ]
+    return cells, sums
+
+
+def flip_signs(sums: np.ndarray, seed: int) -> float | None:
+    """p of the largest studentised |Σ over units| of sums (units, cells) under random signs of whole units (pixels, or
+    stretches of time); None for too few units."""
+    shown = sums[np.abs(sums).sum(axis=1) > 0]
+    if len(shown) < MIN_UNITS:
+        return None
+    scale = np.sqrt((shown**2).sum(axis=0))
+    scaled = shown / np.where(scale > 0, scale, 1.0)
+    observed = np.abs(scaled.sum(axis=0)).max()
+    signs = np.random.default_rng(seed).choice([-1.0, 1.0], (FLIPS, len(shown)))
+    largest = np.abs(signs @ scaled).max(axis=1)
+    return float((1 + np.sum(largest >= observed - 1e-12)) / (1 + FLIPS))

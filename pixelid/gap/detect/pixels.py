@@ -1,0 +1,171 @@
+"""The evidence of recordings with pixels: their events, dealt into pools of pixels, as likelihoods."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pixelid.errors import InputError
+from pixelid.fit.cache import FitCache
+from pixelid.fit.coordinates import Coordinates
+from pixelid.fit.maximise import Maximum, maximise, maximise_with_restarts
+from pixelid.fit.starts import feasible, random_starts
+from pixelid.gap.criteria import Criteria
+from pixelid.gap.detect.diagnostics import chance_of_background
+from pixelid.gap.split import Split
+from pixelid.likelihood.event_times import EventTimes
+from pixelid.model.model import Model
+from pixelid.recordings.recording import Recording
+from pixelid.recordings.selection import few, only
+from pixelid.stages.circuit import Circuit
+from pixelid.stimuli.resample import resampled
+
+BETWEEN_SAMPLES = ("smooth", "linear")  # how the light may run between the stimulus's samples
+SCREEN_EVENTS = 6_000  # of the pixels that a first search looks at: thresholds to 0.1 % in a tenth of a second a fit
+RANDOM_STARTS = 3  # beside the nominal values, where a base fit leaves events without a cause
+
+
+@dataclass(frozen=True)
+class PixelEvidence:
+    """Recordings as a fit reads them, dealt into pools of pixels.
+
+    Attributes:
+        recordings: With stimuli resampled as `between` says.
+        between: How the light runs between samples, one of `BETWEEN_SAMPLES`.
+        split: Which pixels belong to which pool.
+        screening, fitting, judging: Likelihoods of a few fit pixels, of all fit pixels, of the select pixels.
+        training: Likelihood of fit and select pixels together.
+        nominal: The base model at its shipped values, made feasible for these events.
+    """
+
+    recordings: tuple[Recording, ...]
+    between: str
+    split: Split
+    screening: EventTimes
+    fitting: EventTimes
+    judging: EventTimes
+    training: EventTimes
+    nominal: Model
+
+    def weighed(self, circuit: Circuit) -> PixelEvidence:
+        """The same evidence with timestamp noise weighed by one circuit in every pool.
+
+        Models are compared under one and the same likelihood: weigh before fitting the first of them.
+        """
+        return replace(
+            self,
+            screening=self.screening.weighed(circuit),
+            fitting=self.fitting.weighed(circuit),
+            judging=self.judging.weighed(circuit),
+            training=self.training.weighed(circuit),
+        )
+
+
+def gather_evidence(
+    recordings: Sequence[Recording], split: Split, model: Model, between: str, seed: int
+) -> PixelEvidence:
+    """The evidence of recordings whose light runs between samples as said."""
+    fine = tuple(with_fine_stimulus(r, between) for r in recordings)
+    fitted = only(fine, split.fit)
+    screening = EventTimes(few(fitted, SCREEN_EVENTS, np.random.default_rng(seed)))
+    return PixelEvidence(
+        fine, between, split, screening, EventTimes(fitted), EventTimes(only(fine, split.select)),
+        EventTimes(only(fine, split.train)), feasible(model, screening),
+    )  # fmt: skip
+
+
+def fit_base(
+    recordings: Sequence[Recording],
+    split: Split,
+    model: Model,
+    criteria: Criteria,
+    seed: int,
+    cache: FitCache | None = None,
+) -> tuple[PixelEvidence, Maximum]:
+    """The evidence with the light between samples under which the base model fits best, and the base fitted to it."""
+    best: tuple[PixelEvidence, Maximum] | None = None
+    start = None
+    for between in BETWEEN_SAMPLES:
+        evidence = gather_evidence(recordings, split, model, between, seed)
+        nominal = evidence.nominal
+        if start is None:
+            start = maximise_with_restarts(
+                evidence.screening, nominal, nominal, tolerance=0.1, max_steps=40, cache=cache
+            ).model
+        end = maximise_with_restarts(evidence.training, start, nominal, tolerance=0.05, max_steps=25, cache=cache)
+        if best is None or end.value > best[1].value:
+            best = evidence, end
+    assert best is not None
+    return best[0], _search_elsewhere(*best, criteria, seed, cache)
+
+
+def _search_elsewhere(
+    evidence: PixelEvidence, end: Maximum, criteria: Criteria, seed: int, cache: FitCache | None
+) -> Maximum:
+    """The base fit, from random starts as well where it leaves more events without a cause than it should.
+
+    Either something is missing, or the fit ended at a lesser optimum: a few pixels tell, and all are asked where that
+    was so.
+    """
+    expected = criteria.max_unexplained_fraction * evidence.training.events
+    if chance_of_background(end.unexplained, expected) > criteria.max_p_unexplained:
+        return end
+    few_pixels = evidence.screening
+    here = maximise(few_pixels, end.model, tolerance=0.1, max_steps=25, cache=cache)
+    coordinates = Coordinates.of(evidence.nominal)
+    points = random_starts(coordinates.start, RANDOM_STARTS, np.random.default_rng(seed))
+    for start in (evidence.nominal, *(feasible(coordinates.model_at(point), few_pixels) for point in points)):
+        other = maximise_with_restarts(few_pixels, start, evidence.nominal, tolerance=0.1, max_steps=40, cache=cache)
+        if other.value > here.value + criteria.min_lead_nats:
+            there = maximise_with_restarts(
+                evidence.training, other.model, evidence.nominal, tolerance=0.05, max_steps=25, cache=cache
+            )
+            here, end = other, there if there.value > end.value else end
+    return end
+
+
+def reconsider_stimuli(
+    evidence: PixelEvidence,
+    recordings: Sequence[Recording],
+    model: Model,
+    fit: Maximum,
+    weights: Circuit,
+    seed: int,
+    cache: FitCache | None = None,
+) -> tuple[PixelEvidence, Maximum]:
+    """The evidence with the light running otherwise between samples, where the grown model fits better there.
+
+    Args:
+        evidence: As it is; `fit` was fitted to its training pixels.
+        recordings: Behind it, with stimuli as they came.
+        model: The base as shipped.
+        fit: The grown model.
+        weights: The circuit that weighs timestamp noise in `evidence`, and so in the other.
+        seed: As for `gather_evidence`.
+        cache: Fits already made.
+    """
+    between = BETWEEN_SAMPLES[1 - BETWEEN_SAMPLES.index(evidence.between)]
+    other = gather_evidence(recordings, evidence.split, model, between, seed).weighed(weights)
+    end = maximise(other.training, fit.model, tolerance=0.05, max_steps=8, cache=cache)
+    if end.value <= fit.value:
+        return evidence, fit
+    return other, maximise(other.training, end.model, tolerance=0.01, max_steps=40, cache=cache)
+
+
+def with_fine_stimulus(recording: Recording, between: str) -> Recording:
+    """The recording as a fit reads it, its stimulus run `between` samples as said.  Raises InputError without one."""
+    if recording.stimulus is None:
+        raise InputError(f"{recording.name}: no stimulus; the gap is between a model's events and the measured ones")
+    return recording.with_stimulus(resampled(recording.stimulus, between))
+
+
+def relative_noise(model: Model) -> float:
+    """The relative threshold noise of a model, the unit of residuals."""
+    return float(np.real(model.circuit().noise))
+
+
+def per_pixel(likelihood: EventTimes, model: Model) -> np.ndarray:
+    """(pixels,) log-likelihood of each pixel under a model."""
+    return likelihood.terms(model.circuit()).per_pixel

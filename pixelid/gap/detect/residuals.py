@@ -1,0 +1,106 @@
+"""What is left of each event under a model: residuals that are independent standard normal when the model is right.
+
+S_k = P(no event of either polarity up to t_k | the past) is uniform at the event (time rescaling; Brown, Barbieri,
+Ventura, Kass & Frank 2002, Neural Computation 14, 325).  For thresholds drawn anew for each event,
+
+    S_k = Φ((M_p − z_k)/s_k) Φ((M_o − m_k)/s_o)         residual e_k = −Φ⁻¹(S_k)
+
+with z_k the level at the event, m_k the extreme that the other polarity had reached, M and s the posterior mean and
+spread of the thresholds.  With the other polarity far away, e_k = (z_k − M_p)/s_k: how far beyond its threshold, in
+standard deviations, the change was when the event came.  e > 0 late, e < 0 early.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import log_ndtr, ndtri_exp
+
+from pixelid.fit.coordinates import Coordinates
+from pixelid.likelihood.event_times import EventTimes
+from pixelid.likelihood.extremes import Extremes
+from pixelid.likelihood.layout import StackedChanges
+from pixelid.stages.circuit import Circuit
+
+NUDGE_S = 1e-6  # one-sided difference of the time: short beside any filter's time constant, long beside rounding
+STEP = 1e-4  # of a coordinate's longest move, one-sided difference: a relative error about as large
+LARGEST = 40.0  # residual: beyond it Φ is 0 in double precision
+
+
+@dataclass(frozen=True)
+class Residuals:
+    """e: (n,) residuals, 0 for background events;  log_scale: (n,) log of the spread they are measured in;
+    log_rate: (n,) log speed of the change at the event;  background: (n,) events left to the background;
+    extremes: where the changes' extremes are, which circuits close by share."""
+
+    e: np.ndarray
+    log_scale: np.ndarray
+    log_rate: np.ndarray
+    background: np.ndarray
+    extremes: Sequence[Extremes]
+
+    @property
+    def late(self) -> np.ndarray:
+        """(n,) s by which each event comes after the model's expectation, to first order."""
+        return np.where(self.background, 0.0, self.e * np.exp(self.log_scale - self.log_rate))
+
+
+@dataclass(frozen=True)
+class Tangents:
+    """How the level behind each residual, in units of its scale, (n, d) and its log scale (n, d) move with the d free
+    parameters, the events given.  (A residual itself also shrinks as its scale grows: that is no shift.)"""
+
+    level: np.ndarray
+    log_scale: np.ndarray
+
+
+def residuals(likelihood: EventTimes, circuit: Circuit, changes: StackedChanges | None = None) -> Residuals:
+    """The residuals of a likelihood's events under a circuit; `changes` is `changes(circuit)` when known."""
+    terms = likelihood.terms(circuit, changes)
+    group, other = likelihood.group, likelihood.group ^ 1
+    margin = (terms.group_mean[group] - terms.z) / terms.scale
+    spread = np.sqrt((circuit.noise * terms.group_mean) ** 2 + terms.group_variance)
+    other_margin = (terms.group_mean[other] - terms.reached) / spread[other]
+    log_survival = log_ndtr(margin) + np.where(terms.reached > 0, log_ndtr(other_margin), 0.0)
+    e = np.clip(-ndtri_exp(np.minimum(log_survival, -1e-300)), -LARGEST, LARGEST)
+    shown = np.where(terms.background, 0.0, e)
+    return Residuals(shown, np.log(terms.scale), terms.log_rate, terms.background, terms.changes.extremes)
+
+
+def expected_log_rate(likelihood: EventTimes, circuit: Circuit, here: Residuals) -> np.ndarray:
+    """(n,) log speed of the change at the time when each event was expected."""
+    earlier = circuit.with_(delay=circuit.delay + NUDGE_S)
+    there = likelihood.terms(earlier, likelihood.changes(earlier, here.extremes))
+    rate = np.exp(here.log_rate)
+    growing = np.where(here.background | there.background, 0.0, (rate - np.exp(there.log_rate)) / NUDGE_S)
+    return np.log(np.clip(rate - growing * here.late, 0.01 * rate, 100.0 * rate))
+
+
+def tangents(likelihood: EventTimes, coordinates: Coordinates, x: np.ndarray, here: Residuals) -> Tangents:
+    """Derivatives of the residuals by every coordinate at x, by differences; 0 for background events."""
+    moves = STEP * coordinates.longest_moves()
+    by_level, by_scale = np.empty((len(here.e), len(x))), np.empty((len(here.e), len(x)))
+    for i, h in enumerate(moves):
+        moved = x.copy()
+        moved[i] += h
+        circuit = coordinates.circuit(moved)
+        there = residuals(likelihood, circuit, likelihood.changes(circuit, here.extremes))
+        level, log_scale = compare(here, there)
+        by_level[:, i], by_scale[:, i] = level / h, log_scale / h
+    undefined = (
+        here.background[:, None] | ~np.isfinite(by_level) | ~np.isfinite(by_scale) | (np.abs(by_level) > 0.1 / moves)
+    )
+    return Tangents(np.where(undefined, 0.0, by_level), np.where(undefined, 0.0, by_scale))
+
+
+def compare(here: Residuals, there: Residuals) -> tuple[np.ndarray, np.ndarray]:
+    """(shift of the level (n,) in units of its scale, change of its log scale (n,)) from one model to another.
+
+    The shift is that of the moment when the event was expected, which does not know the residual: at the event itself
+    it is larger by the residual times what the speed changed by.
+    """
+    log_scale = there.log_scale - here.log_scale
+    level = there.e - here.e + 0.5 * (there.e + here.e) * log_scale
+    return level - here.e * (there.log_rate - here.log_rate), log_scale

@@ -1,0 +1,127 @@
+"""Windows that a readout leaves of each event time, and first guesses of the times in them.
+
+Of an event that waited in a queue: from the arrival of the one that began the busy period to its own departure less one
+service time.  Of a rounded one: the tick around it.  Of a jittered one: a normal about its stamp.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.optimize import isotonic_regression
+
+from pixelid.model.model import Model
+from pixelid.recordings.recording import Recording
+from pixelid.simulate import simulate
+
+CROWD_PIXELS = 400  # simulated, behind an expected number of events: it is known to a twentieth of an event
+SPACING = 1.1  # times the dead time that first guesses are apart: just feasible
+
+
+@dataclass(frozen=True)
+class Windows:
+    """One recording's windows.
+
+    lo, hi: (n,) ns, in the order of its events; equal where the time is exact
+    stamp: (n,) ns, about which times scatter, and sd: ns, by how much; without jitter nothing but the window counts
+    """
+
+    lo: np.ndarray
+    hi: np.ndarray
+    stamp: np.ndarray | None = None
+    sd: float = np.inf
+
+
+def queue_windows(recording: Recording, service_s: float) -> Windows:
+    """When the events of a recording can have arrived at a server of that service time."""
+    t = recording.events.t.astype(float)
+    service = service_s * 1e9
+    slack = 2.0 * recording.events.tick_ns + 1e-6 * service  # rounding of both stamps, and of the service time
+    waited = np.concatenate([[False], np.diff(t) <= service + slack])
+    begins = np.maximum.accumulate(np.where(waited, -1, np.arange(len(t)))) if len(t) else np.empty(0, int)
+    arrival = t - service
+    return Windows(np.minimum(arrival[begins], arrival), arrival)
+
+
+def tick_windows(recording: Recording, tick_s: float) -> Windows:
+    """When rounded events can have come."""
+    t = recording.events.t.astype(float)
+    half = 0.5e9 * tick_s
+    return Windows(t - half, t + half)
+
+
+def jitter_windows(recording: Recording, sigma_s: float) -> Windows:
+    """When jittered events can have come."""
+    assert recording.stimulus is not None
+    n, light = len(recording.events), recording.stimulus.t
+    lo, hi = (np.full(n, edge) for edge in (np.ceil(1e9 * light[0]), np.floor(1e9 * light[-1])))
+    return Windows(lo, hi, recording.events.t.astype(float), 1e9 * sigma_s)
+
+
+def guess_edges(recordings: Sequence[Recording], windows: Sequence[Windows], early: bool) -> list[np.ndarray]:
+    """First guesses of the times (n,) ns: where windows begin (`early`), or their middles."""
+    return [in_order(r, w.lo if early else 0.5 * (w.lo + w.hi)) for r, w in zip(recordings, windows, strict=True)]
+
+
+def guess_by_rank(
+    recordings: Sequence[Recording], windows: Sequence[Windows], model: Model, pixels: int, seed: int
+) -> list[np.ndarray]:
+    """First guesses of the times (n,) ns of queued events, from how fast `pixels` pixels of the model fire together.
+
+    First come, first served keeps the order: the k-th event of a busy period is the k-th of all pixels to fire since
+    it began, so it came about when the expected number of events since then was k.
+    """
+    guesses = []
+    for i, (recording, window) in enumerate(zip(recordings, windows, strict=True)):
+        assert recording.stimulus is not None
+        copies = max(1, round(CROWD_PIXELS / pixels))
+        crowd = simulate(model, recording.stimulus, width=copies * pixels, height=1, seed=seed + i).events
+        when, number = crowd.t.astype(float), np.arange(len(crowd)) / copies
+        begins = window.hi <= window.lo
+        head = np.maximum.accumulate(np.where(begins, np.arange(len(begins)), 0))
+        if len(when) < 2 or not len(head):
+            guesses.append(window.lo.copy())
+            continue
+        since = np.arange(len(head)) - head
+        expected = np.interp(np.interp(window.lo[head], when, number) + since, number, when)
+        guesses.append(in_order(recording, np.clip(expected, window.lo, window.hi)))
+    return guesses
+
+
+def guess_spaced(recordings: Sequence[Recording], windows: Sequence[Windows], dead_s: float) -> list[np.ndarray]:
+    """The times (n,) ns nearest to the stamps, by squares, with a pixel's events a dead time apart at least."""
+    gap, guesses = SPACING * 1e9 * dead_s, []
+    for recording, window in zip(recordings, windows, strict=True):
+        assert window.stamp is not None
+        t = window.stamp
+        order = np.lexsort((t, recording.events.pixel))
+        out = t.copy()
+        for chunk in np.split(order, np.flatnonzero(np.diff(recording.events.pixel[order])) + 1):
+            if len(chunk):
+                least = gap * np.arange(len(chunk))
+                out[chunk] = isotonic_regression(t[chunk] - least).x + least
+        guesses.append(np.clip(out, window.lo, window.hi))
+    return guesses
+
+
+def with_times(recordings: Sequence[Recording], times: Sequence[np.ndarray]) -> list[Recording]:
+    """The recordings at other times (n,) ns, given in the order of their events."""
+    moved = []
+    for recording, t in zip(recordings, times, strict=True):
+        order = np.argsort(t, kind="stable")
+        events = recording.events.select(order)
+        events = replace(events, t=np.maximum(np.rint(t[order]), 0).astype(np.int64), tick_ns=1)
+        moved.append(replace(recording, events=events))
+    return moved
+
+
+def in_order(recording: Recording, t: np.ndarray) -> np.ndarray:
+    """The times with each pixel's events in the order they were read out."""
+    t = t.copy()
+    order = np.argsort(recording.events.pixel, kind="stable")
+    pixel = recording.events.pixel[order]
+    for chunk in np.split(order, np.flatnonzero(np.diff(pixel)) + 1):
+        t[chunk] = np.maximum.accumulate(t[chunk] + 0.0)
+    return t

@@ -1,0 +1,1 @@
+"""The gap of pooled recordings, whose events have no pixels."""

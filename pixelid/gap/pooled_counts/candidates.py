@@ -1,0 +1,73 @@
+"""Candidates judged by stretches of time: fits of the pooled rate."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pixelid.errors import InputError
+from pixelid.gap.attribute.candidates import missing, variants
+from pixelid.gap.pooled_counts.stretches import Fitted, Stretches
+from pixelid.model.model import Model
+
+STEPS = 12  # of the optimiser: neighbouring models start near each other
+FIT, SELECT = 0, 1  # roles of stretches
+NOT_IN_COUNTS = {"leak", "parasitic_photocurrent", "timestamp_jitter", "threshold_drift", "differencing_pole",
+                 "refractory_period", "threshold_mismatch", "threshold_noise"}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class PooledCandidates:
+    """The `Evidence` of stretches of time.
+
+    Attributes:
+        stretches: The counts.
+        base: The model under test, on the stretches to fit.
+    """
+
+    stretches: Stretches
+    base: Fitted
+
+    def screen(self, effect: str) -> tuple[Fitted, float] | None:
+        """(the effect fitted to the stretches to fit, quasi nats gained), from the best of the strengths tried."""
+        part, base = self.stretches.part(FIT), self.base
+        best: tuple[float, Model] | None = None
+        for trial in variants(base.model, effect):
+            try:
+                value = part.log_likelihood(part.expected(trial.circuit(), {**base.nuisances, **trial.values}))
+            except (InputError, FloatingPointError):
+                continue
+            if np.isfinite(value) and (best is None or value > best[0]):
+                best = value, trial
+        if best is None:
+            return None
+        end = self.stretches.fit(best[1], base.nuisances, part, STEPS)
+        return end, end.value - base.value
+
+    def fit(self, start: Fitted, leading: bool) -> Fitted:
+        """The candidate as screened: that was a fit to all stretches to fit."""
+        return start
+
+    def fit_without(self, effect: str, end: Fitted) -> Fitted:
+        """The model without an effect, from the values that it has with it."""
+        less = end.model.without_effect(effect)
+        return self.stretches.fit(less, end.nuisances, self.stretches.part(FIT), STEPS)
+
+    def held_out_gain(self, better: Fitted, worse: Fitted) -> np.ndarray:
+        """(select stretches,) quasi nats that one model gains on another."""
+        return self.stretches.by_stretch(SELECT, better, worse)
+
+
+def pooled_candidates(stretches: Stretches, model: Fitted) -> PooledCandidates:
+    """Evidence for candidates beside a model fitted to the training stretches."""
+    return PooledCandidates(stretches, stretches.fit(model.model, model.nuisances, stretches.part(FIT), STEPS))
+
+
+def effects_to_try(stretches: Stretches, model: Model, leave_out: Sequence[str]) -> list[str]:
+    """Effects that a model lacks and pooled counts can show."""
+    shaped = any(r.stimulus is not None and r.stimulus.unit == "shape" for r in stretches.whole.recordings)
+    # where the light is known up to an offset, dark current is that offset
+    skip = {*leave_out, *NOT_IN_COUNTS, *(("dark_current",) if shaped else ())}
+    return [effect for effect in missing(model) if effect not in skip]

@@ -1,0 +1,268 @@
+"""The gap of pooled recordings: events without pixels, counted in bins, explained by the pooled rate.
+
+What pooled counts cannot show is not tried: thresholds of single pixels, dead time, leaks (a background per polarity is
+always fitted).  `stretches.py` holds the counts, their cells and their maps.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pixelid import stages
+from pixelid.errors import InputError
+from pixelid.fit.pooled import fit_pooled
+from pixelid.fit.pooled_rate import PooledRateObjective
+from pixelid.gap.attribute.attribute import Attribution, Candidate, attribute
+from pixelid.gap.confirm.free_run import FreeRun, closes_nothing
+from pixelid.gap.fold import Step, fold
+from pixelid.gap.options import Context
+from pixelid.gap.phases import Phase
+from pixelid.gap.pooled_counts.candidates import NOT_IN_COUNTS, STEPS, effects_to_try, pooled_candidates
+from pixelid.gap.pooled_counts.stretches import (
+    Cells,
+    Fitted,
+    PooledDiagnostics,
+    Stretches,
+    closed_gap,
+    cut_into_stretches,
+    diagnose_pooled,
+    flexible_factor,
+    profiles_after_jumps,
+    sort_bins,
+)
+from pixelid.gap.result import GapReport, Named
+from pixelid.gap.rounds import Rounds, amended, entry
+from pixelid.gap.verdict import describe, judge
+from pixelid.model.model import Model
+from pixelid.provenance import input_hashes, versions
+from pixelid.recordings.recording import Recording
+
+MAX_SECONDS = 3.0  # of each recording that the search looks at: bins of 50 µs are many
+MAX_ROUNDS = 3
+TRAINING = (0, 1)  # roles of stretches: to fit and to select
+SHOWN_CELLS = 8
+FLUID = "Part of it may be the pooled rate itself, a limit of many small thresholds that forgets the last one crossed."
+
+
+@dataclass(frozen=True)
+class PooledStep:
+    """An effect named: how it was tried, what was tried beside it, where the model was wrong before."""
+
+    winner: Candidate[Fitted]
+    attribution: Attribution[Fitted]
+    where: str
+
+
+@dataclass(frozen=True)
+class PooledState:
+    """A search of pooled recordings under way.
+
+    Attributes:
+        phase: What comes next.
+        name: Of the model as it came.
+        recordings: Cut to what is looked at.
+        stretches, cells: Their counts, and ways to sort the bins.
+        base, fit: The base model and the model so far, on the training stretches.
+        first, seen: What each leaves.
+        steps, turn, rounds: Effects named, rounds so far, what the result says of them.
+    """
+
+    phase: Phase
+    name: str
+    recordings: tuple[Recording, ...]
+    stretches: Stretches
+    cells: tuple[Cells, ...]
+    base: Fitted
+    fit: Fitted
+    first: PooledDiagnostics
+    seen: PooledDiagnostics
+    steps: tuple[PooledStep, ...] = ()
+    turn: int = 0
+    rounds: Rounds = ()
+
+    @property
+    def doubts(self) -> list[str]:
+        """Effects that explain as well as a named one what it does, and are not named themselves."""
+        named = {step.winner.effect for step in self.steps}
+        runners_up = [other.effect for step in self.steps for other in step.attribution.runners_up]
+        return [effect for effect in runners_up if effect not in named]
+
+
+def search_pooled(recordings: Sequence[Recording], model: Model, context: Context) -> GapReport:
+    """Search pooled recordings for effects that the model lacks.
+
+    Raises InputError for fewer than 100 events and stimuli that are missing or differ from pixel to pixel.
+    """
+    return fold(_begin(recordings, model, context), STEPS_OF_POOLED, context)
+
+
+def _begin(recordings: Sequence[Recording], model: Model, context: Context) -> PooledState:
+    shortened = tuple(_shortened(r) for r in recordings)
+    options, report = context.options, context.report
+    report("base model", 0.02)
+    objective, optimum, details, _ = fit_pooled(shortened, model, {}, lambda what, share: report(what, 0.3 * share))
+    stretches = cut_into_stretches(objective.likelihood, details["dispersion"], options.seed)
+    nuisances = objective.coordinates.nuisances_at(optimum.x)
+    fitted = objective.coordinates.model_at(optimum.x)
+    base = stretches.fit(fitted, nuisances, stretches.part(*TRAINING), STEPS)
+    cells = tuple(sort_bins(stretches, base))
+    first = diagnose_pooled(stretches, cells, base, options.criteria, options.seed)
+    return PooledState(Phase.NAME, model.name, shortened, stretches, cells, base, base, first, first)
+
+
+def _name_effect(state: PooledState, context: Context) -> PooledState:
+    """One round: the state with one effect more, or as it is where none can be named."""
+    options, turn = context.options, state.turn
+    if turn >= MAX_ROUNDS or state.seen.p >= options.alpha_each or state.doubts:
+        return replace(state, phase=Phase.CONFIRM)
+    share = 0.3 + 0.15 * turn
+    context.report(f"round {turn + 1}", share)
+    effects = effects_to_try(state.stretches, state.fit.model, options.leave_out)
+    attribution = attribute(
+        pooled_candidates(state.stretches, state.fit), effects, options,
+        lambda what: context.report(f"round {turn + 1}: {what}", share),
+    )  # fmt: skip
+    state = replace(state, turn=turn + 1, rounds=(*state.rounds, _entry(turn, state, attribution)))
+    winner = attribution.winner
+    if winner is None:
+        return replace(state, phase=Phase.CONFIRM)
+    fit = state.stretches.fit(winner.end.model, winner.end.nuisances, state.stretches.part(*TRAINING), STEPS)
+    seen = diagnose_pooled(state.stretches, state.cells, fit, options.criteria, options.seed)
+    step = PooledStep(winner, attribution, state.seen.words)
+    rounds = amended(state.rounds, -1, named=winner.effect)
+    return replace(state, fit=fit, seen=seen, steps=(*state.steps, step), rounds=rounds)
+
+
+def _confirm(state: PooledState, context: Context) -> GapReport:
+    """The report on a search whose rounds are over."""
+    options, criteria = context.options, context.options.criteria
+    context.report("confirm", 0.9)
+    run, withdrawn, doubts = None, [], state.doubts
+    remainder = state.seen.p < options.alpha_each
+    if state.steps:
+        run = closed_gap(state.stretches, state.cells[0], state.base, state.fit, criteria, options.seed)
+        if closes_nothing(run, remainder, criteria):
+            withdrawn = [step.winner.effect for step in state.steps]
+            state = replace(state, steps=(), fit=state.base, seen=state.first)
+            run, remainder = None, True
+    errors = _errors(state.stretches, state.fit) if state.steps else {}
+    effects = tuple(_named(step, state.fit, errors) for step in state.steps)
+    said = judge(bool(effects), bool(doubts), remainder, None)
+    term = flexible_factor(state.stretches, state.cells, state.fit)
+    context.report("done", 1.0)
+    return GapReport(
+        verdict=said,
+        sentence=_describe(said, effects, doubts, run, state.seen, term),
+        remainder=remainder,
+        global_p=state.first.p,
+        alpha=options.alpha,
+        effects=effects,
+        free_run=run,
+        rounds=state.rounds,
+        base=state.base.model,
+        model=replace(state.fit.model, name=f"{state.name}_grown") if effects else state.base.model,
+        term=None,
+        recommended_next={
+            "why": "events with pixel addresses, under known light: pooled counts show neither thresholds nor resets",
+            "stimulus": None,
+        },
+        seconds=context.watch.seconds(),
+        seed=options.seed,
+        details=_details(state, withdrawn, criteria.min_cell_events),
+        versions=versions(),
+        inputs_sha256=input_hashes(r.source for r in state.recordings),
+    )
+
+
+STEPS_OF_POOLED: Mapping[Phase, Step[PooledState]] = {Phase.NAME: _name_effect, Phase.CONFIRM: _confirm}
+
+
+def _details(state: PooledState, withdrawn: Sequence[str], min_events: int) -> dict:
+    return {
+        "dispersion": state.stretches.dispersion,
+        "seconds_used": MAX_SECONDS,
+        "stimulus_between_samples": "as recorded",
+        "held_out": True,
+        "withdrawn": list(withdrawn),
+        "remaining_p": state.seen.p,
+        "remaining": state.seen.cells[:SHOWN_CELLS],
+        "seen_before": state.first.cells[:SHOWN_CELLS],
+        "shows_at_typical_strength_nats": {},
+        "nuisances": state.fit.nuisances,
+        "not_in_pooled_counts": sorted(NOT_IN_COUNTS),
+        "after_jumps": profiles_after_jumps(state.stretches, state.cells[0], state.base, state.fit, min_events),
+    }
+
+
+def _entry(turn: int, state: PooledState, attribution: Attribution[Fitted]) -> dict:
+    tried = [
+        {"name": c.effect, "gain_nats": c.gain, "p_value": c.p, "heldout_gain_nats": c.heldout_gain}
+        for c in attribution.candidates
+    ]
+    return entry(
+        turn + 1, state.seen.p, screened_nats=attribution.screened, model_effects=list(state.fit.model.effects),
+        candidates=tried,
+    )  # fmt: skip
+
+
+def _shortened(recording: Recording) -> Recording:
+    """The first `MAX_SECONDS` of a recording."""
+    stimulus = recording.stimulus
+    if stimulus is None:
+        raise InputError(f"{recording.name}: no stimulus; the gap is between a model's events and the measured ones")
+    end = stimulus.t[0] + MAX_SECONDS
+    shown = stimulus.t <= end + 0.1
+    if shown.all():
+        return recording
+    events = recording.events.select(recording.events.t * 1e-9 <= end)
+    return replace(recording, events=events).with_stimulus(
+        replace(stimulus, t=stimulus.t[shown], radiance=stimulus.radiance[shown])
+    )
+
+
+def _errors(stretches: Stretches, fit: Fitted) -> dict[str, float]:
+    """Standard errors of the coordinates, scaled by the dispersion."""
+    objective = PooledRateObjective(stretches.part(*TRAINING), fit.coordinates)
+    covariance = np.linalg.pinv(objective.local(fit.x).information) * stretches.dispersion
+    return dict(zip(fit.coordinates.names, np.sqrt(np.maximum(np.diag(covariance), 0.0)), strict=True))
+
+
+def _named(step: PooledStep, fit: Fitted, errors: Mapping[str, float]) -> Named:
+    winner, parameters = step.winner, {}
+    for parameter in stages.effect(winner.effect).parameters:
+        value, interval = fit.model.values[parameter.name], None
+        if parameter.name in errors:
+            x, reach = parameter.to_coordinate(value), 1.96 * errors[parameter.name]
+            low, high = (float(parameter.from_coordinate(float(np.clip(c, -300, 300)))) for c in (x - reach, x + reach))
+            interval = max(low, parameter.lower), min(high, parameter.upper)
+        parameters[parameter.name] = value, interval
+    second = next((c for c in step.attribution.candidates if c is not winner), None)
+    return Named(
+        winner.effect, winner.p, winner.heldout_gain, second.effect if second else None,
+        second.heldout_gain if second else None, 0.0, "", parameters, step.where,
+    )  # fmt: skip
+
+
+def _describe(
+    said: str,
+    effects: Sequence[Named],
+    doubts: Sequence[str],
+    run: FreeRun | None,
+    seen: PooledDiagnostics,
+    term: tuple[str, float],
+) -> str:
+    if said == "unknown":
+        text = f"Something is missing that no effect of the library explains: {seen.words}."
+        if term[0]:
+            text += f" Rates that depend on {term[0]} gain {term[1]:.3g} nats on stretches not used to find them."
+        text += f" {FLUID}"
+        listed = "; ".join(e.name for e in effects)
+        return (f"Found on the way: {listed}. " if listed else "") + text
+    if said == "ambiguous":
+        return (
+            f"Something is missing, and these recordings cannot say which: {effects[0].name}, or {', '.join(doubts)}."
+        )
+    return describe(said, effects, (), None, run, seen.words, None, seen.p)

@@ -1,0 +1,243 @@
+"""Pooled counts as the search for the gap sees them: stretches of time, cells after jumps of the light, maps, distance.
+
+Stretches take the place of pixels as exchangeable units: five of twelve fit, a quarter select, a third confirm.  Counts
+scatter more than Poisson's law allows, so log-likelihoods are divided by the dispersion (quasi-likelihood; McCullagh &
+Nelder 1989, §9.2), and maps are judged by flipping the signs of whole stretches.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pixelid.fit import newton
+from pixelid.fit.coordinates import Coordinates
+from pixelid.fit.pooled_rate import PooledRateObjective
+from pixelid.gap.confirm.free_run import RESAMPLES, FreeRun
+from pixelid.gap.criteria import Criteria
+from pixelid.gap.detect.covariates import POLARITY
+from pixelid.gap.detect.maps import flip_signs
+from pixelid.likelihood.pooled_rate import PooledRate, delay_name
+from pixelid.model.model import Model
+
+STRETCHES = 60  # per recording: enough to flip signs of, each long beside the pixels' memory
+ROLES = (25, 15, 20)  # of them: to fit, to select, to confirm
+SINCE_S = (0.0, 1e-4, 2e-4, 3.5e-4, 6e-4, 1e-3, 2e-3, 5e-3, np.inf)  # slices of the time since the light jumped
+MIN_JUMP = 0.05  # change of ln L from one sample to the next that counts as a jump: a quarter of a usual threshold
+TIMES = 8  # slices of a recording
+PRIOR_COUNTS = 10.0  # of a cell's factor, in units of the dispersion: a gamma prior about 1 with a spread of a third
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """A model fitted to pooled counts: at which vector of which coordinates, expected counts (bins,), quasi nats."""
+
+    model: Model
+    coordinates: Coordinates
+    x: np.ndarray
+    expected: np.ndarray
+    value: float
+
+    @property
+    def nuisances(self) -> dict[str, float]:
+        """What the recordings' own parameters are there."""
+        return self.coordinates.nuisances_at(self.x)
+
+
+@dataclass(frozen=True)
+class PooledDiagnostics:
+    """What is left: cells by |score| as JSON, p of the largest, the largest in words."""
+
+    cells: list[dict]
+    p: float
+    words: str
+
+
+@dataclass(frozen=True)
+class Cells:
+    """cell: (bins,) cell of each bin under one way of sorting;  labels: in words;  name: what sorts."""
+
+    name: str
+    cell: np.ndarray
+    labels: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Stretches:
+    """Pooled counts cut into stretches of time.
+
+    whole: the likelihood of all bins;  stretch, role: (bins,) where each belongs, roles 0 fit, 1 select, 2 confirm
+    dispersion: variance of counts over Poisson's
+    """
+
+    whole: PooledRate
+    stretch: np.ndarray
+    role: np.ndarray
+    dispersion: float
+
+    def part(self, *roles: int) -> PooledRate:
+        """The likelihood of the stretches of some roles."""
+        return self.whole.of_bins(np.isin(self.role, roles))
+
+    def fit(self, model: Model, nuisances: Mapping[str, float], likelihood: PooledRate, steps: int) -> Fitted:
+        """The model fitted to a part of the stretches."""
+        free = tuple(p.at(min(max(nuisances[p.name], p.lower), p.upper)) for p in self.whole.nuisances())
+        coordinates = Coordinates.of(model, free)
+        objective = PooledRateObjective(likelihood, coordinates)
+        end = newton.maximise(objective, coordinates.start, tolerance=0.1 * self.dispersion, max_steps=steps)
+        expected = objective.expected(end.x)
+        return Fitted(
+            coordinates.model_at(end.x),
+            coordinates,
+            end.x,
+            expected,
+            likelihood.log_likelihood(expected) / self.dispersion,
+        )
+
+    def by_stretch(self, role: int, better: Fitted, worse: Fitted) -> np.ndarray:
+        """(stretches of a role,) quasi nats that one model gains on another."""
+        gain = (self.whole.per_bin(better.expected) - self.whole.per_bin(worse.expected)) / self.dispersion
+        inside = self.role == role
+        return np.bincount(np.unique(self.stretch[inside], return_inverse=True)[1], gain[inside])
+
+
+def cut_into_stretches(whole: PooledRate, dispersion: float, seed: int) -> Stretches:
+    """The counts cut, roles drawn by the seed."""
+    rng = np.random.default_rng(seed)
+    stretch, role, first = [], [], 0
+    for counts in whole.counts:
+        n = len(counts.on)
+        own = np.minimum(np.arange(n) * STRETCHES // n, STRETCHES - 1)
+        roles = np.repeat([0, 1, 2], ROLES)[rng.permutation(STRETCHES)]
+        stretch += [first + own, first + own]
+        role += [roles[own], roles[own]]
+        first += STRETCHES
+    return Stretches(whole, np.concatenate(stretch), np.concatenate(role), max(dispersion, 1.0))
+
+
+def sort_bins(stretches: Stretches, base: Fitted) -> list[Cells]:
+    """Bins sorted by the time since the light last jumped, and by the time in the recording."""
+    whole, known = stretches.whole, base.coordinates.values(base.x)
+    since, since_labels, time, time_labels = [], [], [], []
+    for i, (recording, counts) in enumerate(zip(whole.recordings, whole.counts, strict=True)):
+        stimulus = recording.stimulus
+        assert stimulus is not None
+        light = 1.0 + 2.0 * stimulus.radiance if stimulus.unit == "shape" else stimulus.radiance
+        change = np.diff(np.log(np.maximum(light, 1e-300)))
+        jumps = np.flatnonzero(np.abs(change) > MIN_JUMP)
+        at = stimulus.t[jumps + 1] + known[delay_name(whole.recordings, i)]
+        middle = 0.5 * (counts.edges[1:] + counts.edges[:-1])
+        last = np.searchsorted(at, middle, side="right") - 1
+        up = change[jumps][np.maximum(last, 0)] > 0 if len(jumps) else np.zeros(len(middle), dtype=bool)
+        wait = np.where(last >= 0, middle - at[np.maximum(last, 0)] if len(at) else 0.0, np.inf)
+        slice_ = np.clip(np.searchsorted(SINCE_S, wait, side="right") - 1, 0, len(SINCE_S) - 2)
+        part = np.minimum(np.arange(len(middle)) * TIMES // len(middle), TIMES - 1)
+        for polarity in (1, 0):
+            since.append(len(since_labels) + np.where(up, len(SINCE_S) - 1, 0) + slice_)
+            since_labels += [
+                f"{POLARITY[polarity]} in {recording.name}, {1e3 * a:.3g}–{1e3 * b:.3g} ms after the light {side}"
+                for side in ("fell", "rose") for a, b in itertools.pairwise(SINCE_S)
+            ]  # fmt: skip
+            time.append(len(time_labels) + part)
+            time_labels += [f"{POLARITY[polarity]} in {recording.name}, part {k + 1} of {TIMES}" for k in range(TIMES)]
+    return [
+        Cells("time since the light jumped", np.concatenate(since), tuple(since_labels)),
+        Cells("time in the recording", np.concatenate(time), tuple(time_labels)),
+    ]
+
+
+def diagnose_pooled(
+    stretches: Stretches, cells: Sequence[Cells], model: Fitted, criteria: Criteria, seed: int
+) -> PooledDiagnostics:
+    """What the training stretches leave under a model."""
+    train = stretches.role < 2
+    units = np.unique(stretches.stretch[train], return_inverse=True)[1]
+    observed, expected = stretches.whole.observed[train], model.expected[train]
+    table, sums = [], []
+    for sorted_by in cells:
+        k = len(sorted_by.labels)
+        cell = sorted_by.cell[train]
+        n, mu = np.bincount(cell, observed, k), np.bincount(cell, expected, k)
+        shown = np.flatnonzero(mu > criteria.min_cell_events)
+        off = np.bincount(units * k + cell, observed - expected, (units.max() + 1) * k).reshape(-1, k)
+        sums.append(off[:, shown])
+        score = (n - mu) / np.sqrt(stretches.dispersion * np.maximum(mu, 1e-300))
+        table += [
+            {"response": "count", "where": sorted_by.labels[b], "score": float(score[b]), "events": int(n[b]),
+             "expected": float(mu[b]), "mean": float(n[b] / mu[b])}
+            for b in shown
+        ]  # fmt: skip
+    table.sort(key=lambda c: -abs(c["score"]))
+    p = flip_signs(np.concatenate(sums, axis=1), seed)
+    if not table:
+        return PooledDiagnostics([], 1.0, "nowhere in particular")
+    top = table[0]
+    return PooledDiagnostics(
+        table, p or 1.0, f"{top['where']}: {top['events']} events, the model expects {top['expected']:.0f}"
+    )
+
+
+def closed_gap(
+    stretches: Stretches, cells: Cells, base: Fitted, grown: Fitted, criteria: Criteria, seed: int
+) -> FreeRun:
+    """The gap of the counts after jumps, on the stretches set aside, before and after."""
+    confirm = stretches.role == 2
+    units = np.unique(stretches.stretch[confirm], return_inverse=True)[1]
+    k, cell = len(cells.labels), cells.cell[confirm]
+
+    def table(values):
+        return np.bincount(units * k + cell, values[confirm], (units.max() + 1) * k).reshape(-1, k)
+
+    observed, before, after = table(stretches.whole.observed), table(base.expected), table(grown.expected)
+
+    def gaps(rows) -> tuple[float, float]:
+        mu = after[rows].sum(axis=0)
+        shown = mu > criteria.min_cell_events
+        chance = stretches.dispersion * mu[shown]
+        return tuple(
+            float(np.mean((observed[rows].sum(axis=0) - model[rows].sum(axis=0))[shown] ** 2 / chance))
+            for model in (before, after)
+        )  # type: ignore[return-value]
+
+    def closed(pair):
+        return 1.0 - (pair[1] - 1.0) / (pair[0] - 1.0) if pair[0] > 1.0 else None
+
+    rows = np.arange(len(observed))
+    G = gaps(rows)
+    rng = np.random.default_rng(seed)
+    draws = [c for c in (closed(gaps(rng.choice(rows, len(rows)))) for _ in range(RESAMPLES)) if c is not None]
+    interval = (float(np.quantile(draws, 0.025)), float(np.quantile(draws, 0.975))) if draws else None
+    return FreeRun(*G, 1.0, closed(G), interval, {})
+
+
+def flexible_factor(stretches: Stretches, cells: Sequence[Cells], model: Fitted) -> tuple[str, float]:
+    """(what sorts, quasi nats on the select stretches) of rates multiplied by a factor per cell; ("", 0) for none."""
+    best = ("", 0.0)
+    for sorted_by in cells:
+        k = len(sorted_by.labels)
+        sums = []
+        for role in (0, 1):
+            at = stretches.role == role
+            for values in (stretches.whole.observed, model.expected):
+                sums.append(np.bincount(sorted_by.cell[at], values[at], k))
+        n, mu, held, held_mu = sums
+        prior = stretches.dispersion * PRIOR_COUNTS
+        factor = (n + prior) / (mu + prior)
+        gain = float(np.sum(held * np.log(factor) - held_mu * (factor - 1.0)) / stretches.dispersion)
+        best = max(best, (sorted_by.name, gain), key=lambda pair: pair[1])
+    return best
+
+
+def profiles_after_jumps(
+    stretches: Stretches, cells: Cells, base: Fitted, grown: Fitted, min_events: int
+) -> list[dict]:
+    """Counts per cell of the time since the light jumped, all stretches: measured, base, grown."""
+    k = len(cells.labels)
+    n, mu, nu = (np.bincount(cells.cell, v, k) for v in (stretches.whole.observed, base.expected, grown.expected))
+    return [
+        {"where": label, "measured": float(n[i]), "base": float(mu[i]), "grown": float(nu[i])}
+        for i, label in enumerate(cells.labels) if max(mu[i], n[i]) > min_events
+    ]  # fmt: skip

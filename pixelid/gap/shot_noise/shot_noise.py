@@ -1,0 +1,147 @@
+"""Shot noise, which no density of single events knows: found by simulating it (indirect inference).
+
+To the likelihood, noise before the photoreceptor is threshold noise; what gives it away is where events scatter, that
+an event's deviation reverses the one before, and that pixels fire in constant light.  So the noise that the fit calls
+the thresholds' is shared out: a share of its variance to shot noise, whose density follows from what replicates scatter
+more, the rest to the thresholds.  Replicates at several shares, fitted like the measurement, show how each cell of the
+maps depends on the share; the share whose maps come nearest is taken, and shot noise is named when nothing then tells
+measurement and replicates apart.  How sure the share is, replicates say whose own is left out and then looked for.
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.stats import norm
+
+from pixelid.fit.cache import FitCache
+from pixelid.fit.maximise import Maximum
+from pixelid.gap.criteria import Criteria
+from pixelid.gap.detect.diagnostics import Diagnostics
+from pixelid.gap.detect.pixels import PixelEvidence
+from pixelid.gap.options import Options
+from pixelid.gap.shot_noise.replicates import Corrected, Replicate, background_by_polarity, subtract_replicates
+from pixelid.gap.shot_noise.shares import NOISE, Shares, vector
+
+NEGLIGIBLE_SHARE = 0.02  # as good as no shot noise
+TRIED_SHARES = (0.3, 0.6, 0.8, 0.95)
+REPLICATES = 4  # at the share taken
+MAX_SHARE_MOVE = 0.1  # of the share that these leave from the one that they were made at: else they are made again
+MAX_SCORE = 10.0  # standard deviations: cells that differ by more count as this in a distance
+MAX_SCORE_AT_SIGHT = 30.0  # the same where maps are only looked at
+MIN_HALF_WIDTH = 0.05  # relative, of the interval: replicates are no better than this
+
+
+@dataclass(frozen=True)
+class ShotNoise:
+    """Shot noise found.
+
+    Attributes:
+        density, interval: Its strength, and where that lies with 95 %.
+        corrected: The model with it, and what is left beside its replicates.
+        gain: Nats by which the maps come nearer (half the sum of squared scores).
+        left: Nats by which they are still off.
+    """
+
+    density: float
+    interval: tuple[float, float]
+    corrected: Corrected
+    gain: float
+    left: float
+
+
+def looks_like_shot_noise(seen: Diagnostics, criteria: Criteria) -> bool:
+    """Whether the maps look like it at first sight: spreads are off more than levels, and deviations reverse."""
+    scores = {kind: [c.score for c in seen.maps.cells if c.response == kind] for kind in ("level", "spread", "memory")}
+    level, spread = (
+        float(np.mean(np.clip(scores[kind], -MAX_SCORE_AT_SIGHT, MAX_SCORE_AT_SIGHT) ** 2))
+        for kind in ("level", "spread")
+    )
+    memory = [0.0, *scores["memory"]]
+    return spread > level and min(-min(memory), max(memory)) > criteria.min_alternation_score
+
+
+def find_shot_noise(
+    evidence: PixelEvidence, fit: Maximum, seen: Diagnostics, options: Options, cache: FitCache | None = None
+) -> ShotNoise | None:
+    """Shot noise that explains what is left under a fitted model.
+
+    None where a replicate's noise cannot be told, or replicates with it come little nearer than those without.
+    """
+    if NOISE not in fit.coordinates.names:
+        return None
+    criteria = options.criteria
+    shares = Shares(evidence, fit, seen, options, cache).calibrated()
+    if shares is None:
+        return None
+    background = background_by_polarity(evidence.training, seen.residual.background)
+    measured = Replicate(fit.x, seen.maps.scores, background)
+    distances = []
+    for share in (NEGLIGIBLE_SHARE, *TRIED_SHARES):
+        shares = shares.with_replicate(share)
+        distances.append(_distance(measured, shares.made[-1].replicate, criteria))
+    without, nearest = distances[0], min(distances[1:])
+    alike = 0.5 * len(measured.scores)  # between replicates of one model
+    # closer ones are made only where those at round shares come half as near as they must in the end
+    far = nearest - alike > 2.0 * criteria.max_share_left_by_shot_noise * (without - alike)
+    if without - nearest < 0.5 * criteria.min_shot_noise_gain_nats or far:
+        return None
+    share = shares.nearest(measured)
+    shares = _with_replicates(shares, share)
+    if abs(shares.nearest(measured) - share) > MAX_SHARE_MOVE:
+        shares = _with_replicates(shares, shares.nearest(measured))
+    return _judged(shares, measured, without, criteria)
+
+
+def _with_replicates(shares: Shares, share: float) -> Shares:
+    for _ in range(REPLICATES):
+        shares = shares.with_replicate(share)
+    return shares
+
+
+def _judged(shares: Shares, measured: Replicate, without: float, criteria: Criteria) -> ShotNoise | None:
+    """Shot noise at the share that comes nearest; None where it explains too little.
+
+    shares: its last replicates are at the share taken;  without: distance of replicates without shot noise
+    """
+    fit, seen = shares.fit, shares.seen
+    final = [made.replicate for made in shares.made[-REPLICATES:]]
+    share = shares.nearest(measured)
+    model, density = shares.truth(share)
+    among = [_distance(one, other, criteria) for one, other in itertools.combinations(final, 2)]
+    floor, off = float(np.median(among)), float(np.median([_distance(measured, r, criteria) for r in final]))
+    explained = without - floor
+    too_little = explained < criteria.min_shot_noise_gain_nats
+    if too_little or off - floor > criteria.max_share_left_by_shot_noise * explained or not shares.sound(REPLICATES):
+        return None
+    cells, _ = subtract_replicates(seen, [r.scores for r in final])
+    # replicates scatter about each other as the measurement about them, heavy tails of cells and all; and what they
+    # are simulated from is itself known to a part of what it explains only
+    alike = 0.5 * len(measured.scores)
+    chance = np.hypot(max(float(np.std(among, ddof=1)), np.sqrt(alike)), criteria.replicate_error_share * explained)
+    p = 2.0 * float(norm.sf(max(off - floor, 0.0) / chance))
+    usual = np.mean([r.background for r in final], axis=0)
+    error = shares.error(share)
+    chance = np.sqrt(criteria.unexplained_overdispersion * (usual + 1.0) * (1.0 + 1.0 / REPLICATES))
+    chance = np.hypot(chance, usual * shares.background_per_density() * error)
+    p_background = 2.0 * len(usual) * float(norm.sf(np.abs((measured.background - usual) / chance).max()))
+    p = min(p, p_background, 1.0)
+    half = max(1.96 * error, MIN_HALF_WIDTH)
+    before, after = (0.5 * sum(min(c.score**2, MAX_SCORE**2) for c in some) for some in (seen.maps.cells, cells))
+    left = replace(seen, maps=replace(seen.maps, cells=cells, p=p), p=p)
+    corrected = Corrected(model, vector(model, fit) - fit.x, left)
+    return ShotNoise(density, (density * np.exp(-half), density * np.exp(half)), corrected, before - after, off - floor)
+
+
+def _distance(one: Replicate, other: Replicate, criteria: Criteria) -> float:
+    """Half the squared distance, nats, of two maps and their background events, in the chance of their difference."""
+    maps = sum(
+        min((score - other.scores[key]) ** 2 / 2.0, MAX_SCORE**2)
+        for key, score in one.scores.items()
+        if key in other.scores
+    )
+    chance = 2.0 * criteria.unexplained_overdispersion * (other.background + 1.0)
+    background = np.minimum((one.background - other.background) ** 2 / chance, MAX_SCORE**2)
+    return 0.5 * float(maps + background.sum())

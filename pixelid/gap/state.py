@@ -1,0 +1,160 @@
+"""Where a search stands: an immutable value that each step takes and replaces."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from pixelid.fit.maximise import Maximum
+from pixelid.gap.attribute.attribute import Attribution, Candidate
+from pixelid.gap.detect.diagnostics import Diagnostics
+from pixelid.gap.detect.pixels import PixelEvidence
+from pixelid.gap.imputation.impute import JITTER, SIGMA, Imputation
+from pixelid.gap.phases import Phase
+from pixelid.gap.rounds import Rounds
+from pixelid.gap.shot_noise.replicates import Corrected
+from pixelid.gap.shot_noise.shot_noise import ShotNoise
+from pixelid.gap.split import Split
+from pixelid.inspection.timestamps import TimestampSignature
+from pixelid.model.model import Model
+from pixelid.recordings.recording import Recording
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """A model fitted to the evidence, and what is left under it.
+
+    Attributes:
+        recordings: With what the readout did undone.
+        evidence: Gathered from them.
+        fit: The model on the training pixels.
+        seen: What it leaves there.
+        start: The base as shipped, with every effect named at its shipped value.
+        corrected: What simulation has corrected of model and maps; None where the likelihood is exact.
+        jitter: (standard deviation s, its relative standard error) of the timestamps, where that was undone.
+        scatter: By parameter, what its coordinate differs by between draws of imputed times.
+    """
+
+    recordings: tuple[Recording, ...]
+    evidence: PixelEvidence
+    fit: Maximum
+    seen: Diagnostics
+    start: Model
+    corrected: Corrected | None = None
+    jitter: tuple[float, float] | None = None
+    scatter: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def model(self) -> Model:
+        """The fitted model, corrected where it has to be."""
+        model = self.corrected.model if self.corrected else self.fit.model
+        return model if self.jitter is None else model.with_effect(JITTER, {SIGMA: self.jitter[0]}).fix({SIGMA: None})
+
+
+@dataclass(frozen=True)
+class NamedStep:
+    """One effect named.
+
+    Attributes:
+        winner: The candidate.
+        attribution: What was tried beside it.
+        where: What the model was wrong about before, in words.
+        firm: Whether it is wanted even when a flexible alternative may take its place.
+        before: The hypothesis before it was named.
+    """
+
+    winner: Candidate[Maximum]
+    attribution: Attribution[Maximum]
+    where: str
+    firm: bool
+    before: Hypothesis
+
+    @property
+    def effect(self) -> str:
+        """Its name."""
+        return self.winner.effect
+
+
+@dataclass(frozen=True)
+class State:
+    """A search under way.
+
+    Attributes:
+        phase: What comes next.
+        recordings: As they came.
+        model: The base as shipped, with the effects read off timestamps.
+        split: Which pixels fit, select and confirm.
+        base, first: The base fitted, and what it leaves.
+        hypothesis: The model so far.
+        signatures: What timestamps show;  undone: what of it the library has.
+        hot: Pixels told by others' silence.
+        imputation: Event times behind the readout, where they had to be imputed;  lost: recordings left out of it.
+        steps: Effects named by rounds;  turn: rounds so far;  rounds: what the result says of each.
+        shot_noise, shot_noise_p: Found, and the chance of what it explains.
+        shot_noise_tried: Hypotheses beside which it was looked for, and what was found.
+        global_p: Of anything being amiss at all.
+    """
+
+    phase: Phase
+    recordings: tuple[Recording, ...]
+    model: Model
+    split: Split
+    base: Maximum
+    first: Diagnostics
+    hypothesis: Hypothesis
+    signatures: tuple[TimestampSignature, ...] = ()
+    undone: tuple[TimestampSignature, ...] = ()
+    hot: HotInSilence | None = None
+    imputation: Imputation | None = None
+    lost: tuple[str, ...] = ()
+    steps: tuple[NamedStep, ...] = ()
+    turn: int = 0
+    rounds: Rounds = ()
+    shot_noise: ShotNoise | None = None
+    shot_noise_p: float = 1.0
+    shot_noise_tried: tuple[tuple[Hypothesis, ShotNoise | None], ...] = ()
+    global_p: float = 1.0
+
+    def then(self, phase: Phase, **changes) -> State:
+        """The state with what has changed, and the step that comes next."""
+        return replace(self, phase=phase, **changes)
+
+    def remainder(self, alpha_each: float) -> bool:
+        """Whether something significant is left."""
+        return self.hypothesis.seen.p < alpha_each
+
+    @property
+    def doubts(self) -> list[tuple[NamedStep, Candidate[Maximum]]]:
+        """Steps, each with an effect that explains as well what it does and is not named beside it."""
+        named = {step.effect for step in self.steps}
+        return [
+            (step, other) for step in self.steps for other in step.attribution.runners_up if other.effect not in named
+        ]
+
+    @property
+    def new_signatures(self) -> list[TimestampSignature]:
+        """Effects told without the likelihood that the base model lacked."""
+        new = [f for f in self.undone if f.effect not in self.base.model.effects]
+        return [*new, self.hot.signature] if self.hot is not None else new
+
+    @property
+    def imputed(self) -> bool:
+        """Whether event times have been imputed."""
+        return self.imputation is not None and bool(self.imputation.windows)
+
+    @property
+    def grown_model(self) -> Model:
+        """The base with everything found."""
+        model = self.hypothesis.model
+        if self.hot is not None:
+            model = model.with_effect(
+                "hot_pixels", {"rate_hz": self.hot.signature.value, "count": len(self.hot.pixels)}
+            )
+        return replace(model, name=f"{self.base.model.name}_grown")
+
+    @property
+    def confirming_pixels(self) -> np.ndarray:
+        """The pixels set aside from the beginning, and the hot ones."""
+        return self.split.confirm if self.hot is None else np.union1d(self.split.confirm, self.hot.pixels)

@@ -1,0 +1,1 @@
+"""The steps of a search: each takes its state and gives the next one, the last the report."""

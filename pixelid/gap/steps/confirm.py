@@ -1,0 +1,210 @@
+"""The last step: confirm what was named on pixels that nothing has looked at, and say it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pixelid import stages
+from pixelid.gap.attribute.alternative import flexible_alternative
+from pixelid.gap.attribute.candidates import missing
+from pixelid.gap.attribute.directions import Direction, Space, confusion, direction, residual_space, similarities
+from pixelid.gap.attribute.flexible import Flexible
+from pixelid.gap.confirm.free_run import FreeRun, closes_nothing, free_run, leaves_much
+from pixelid.gap.confirm.intervals import interval_95
+from pixelid.gap.detect.maps import Cell
+from pixelid.gap.detect.pixels import relative_noise, with_fine_stimulus
+from pixelid.gap.detect.words import where
+from pixelid.gap.imputation.impute import SIGMA
+from pixelid.gap.options import Context
+from pixelid.gap.recommend import advise
+from pixelid.gap.result import GapReport, Named
+from pixelid.gap.shot_noise.shares import EFFECT, STRENGTH
+from pixelid.gap.state import Hypothesis, NamedStep, State
+from pixelid.gap.verdict import Confounder, confounded, describe, judge
+from pixelid.inspection.timestamps import TimestampSignature
+from pixelid.provenance import input_hashes, versions
+
+SHOWN_CELLS = 8  # of the maps, in the result
+
+
+@dataclass(frozen=True)
+class _Findings:
+    """What was found, as confirmed so far."""
+
+    verdict: str
+    remainder: bool
+    effects: tuple[Named, ...]
+    run: FreeRun | None
+    withdrawn: tuple[str, ...] = ()
+
+
+def confirm(state: State, context: Context) -> GapReport:
+    """The report on a search whose rounds are over."""
+    options, report, hypothesis = context.options, context.report, state.hypothesis
+    remainder = state.remainder(options.alpha_each)
+    term = flexible_alternative(hypothesis.evidence, hypothesis.fit, hypothesis.seen) if remainder else None
+    report("what these stimuli can tell", 0.75)
+    at = residual_space(hypothesis.evidence.training, hypothesis.fit)
+    directions = [d for d in (direction(at, name) for name in missing(hypothesis.fit.model)) if d is not None]
+    found = bool(state.steps or state.new_signatures or state.shot_noise)
+    confounder = None if found or remainder else confounded(at, directions, options)
+    findings = _confirmed(state, at, judge(found, bool(state.doubts), remainder, confounder), context)
+    report("what to record next", 0.95)
+    next_ = advise(state, at, directions, confounder, findings.remainder, options) if options.recommend else {}
+    report("done", 1.0)
+    return _report(state, context, findings, term, confounder, directions, next_)
+
+
+def _confirmed(state: State, at: Space, said: str, context: Context) -> _Findings:
+    """The findings that hold on the pixels that confirm."""
+    options, report = context.options, context.report
+    remainder = state.remainder(options.alpha_each)
+    report("intervals", 0.8)
+    effects = (*(_from_signature(f, state) for f in state.new_signatures), *_named(at, state), *_shot_noise(state))
+    report("free run", 0.85)
+    run = _free_run(state, context) if effects else None
+    if run is not None and closes_nothing(run, remainder, options.criteria):
+        return _Findings("unknown", True, (), None, tuple(effect.name for effect in effects))
+    if run is not None and state.shot_noise is not None and leaves_much(run, options.criteria):
+        return _Findings("unknown", True, effects, run)  # under shot noise maps are compared roughly
+    return _Findings(said, remainder, effects, run)
+
+
+def _free_run(state: State, context: Context) -> FreeRun:
+    """The gap before and after, on the pixels that nothing has looked at."""
+    hypothesis, split = state.hypothesis, state.split
+    between = hypothesis.evidence.between
+    as_came, undone = (
+        [with_fine_stimulus(r, between) for r in some] for some in (state.recordings, hypothesis.recordings)
+    )
+    pixels = state.confirming_pixels
+    hot = np.isin(pixels, state.hot.pixels) if state.hot is not None else None
+    everyone = np.union1d(split.train, split.confirm)
+    return free_run(
+        as_came, undone, pixels, everyone, len(split.train), state.base.model, state.grown_model,
+        context.options.criteria, context.options.seed, hot,
+    )  # fmt: skip
+
+
+def intervals_of(hypothesis: Hypothesis) -> dict[str, tuple[float, float]]:
+    """95 % intervals of the free parameters, and of the jitter."""
+    plain = interval_95(hypothesis.evidence.training, hypothesis.fit, hypothesis.scatter)
+    if hypothesis.jitter is not None:
+        sigma, error = hypothesis.jitter
+        plain[SIGMA] = (sigma * (1.0 - 1.96 * error), sigma * (1.0 + 1.96 * error))
+    if hypothesis.corrected is None:
+        return plain
+    moved = {}
+    for p, shift in zip(hypothesis.fit.coordinates.parameters, hypothesis.corrected.shift, strict=True):
+        edges = (p.to_coordinate(edge) for edge in plain[p.name])
+        low, high = (float(p.from_coordinate(float(shift + edge))) for edge in edges)
+        moved[p.name] = (max(low, p.lower), min(high, p.upper))
+    return moved
+
+
+def _named(at: Space, state: State) -> tuple[Named, ...]:
+    """Entries of the effects that the rounds named."""
+    if not state.steps:
+        return ()
+    intervals = intervals_of(state.hypothesis)
+    return tuple(_of_step(step, at, state, intervals) for step in state.steps)
+
+
+def _of_step(step: NamedStep, at: Space, state: State, intervals: dict[str, tuple[float, float]]) -> Named:
+    name, hypothesis = step.effect, state.hypothesis
+    others = [c for c in step.attribution.candidates if c.effect != name]
+    second = max(others, key=lambda c: c.heldout_gain, default=None)
+    fitted = hypothesis.fit.model
+    alike = similarities(at, name, missing(fitted)) if fitted.has(name) else {}
+    nearest = max(alike, key=lambda k: alike[k], default="")
+    values = hypothesis.model.values
+    return Named(
+        name=name,
+        p_value=step.winner.p,
+        heldout_gain=step.winner.heldout_gain,
+        runner_up=second.effect if second else None,
+        runner_up_gain=second.heldout_gain if second else None,
+        max_cosine=alike.get(nearest, 0.0),
+        max_cosine_with=nearest,
+        parameters={p.name: (values[p.name], intervals.get(p.name)) for p in stages.effect(name).parameters},
+        where=step.where,
+    )
+
+
+def _from_signature(signature: TimestampSignature, state: State) -> Named:
+    """The entry of an effect read off timestamps or single pixels."""
+    selected = sum(int(np.isin(r.events.pixel, state.split.select).sum()) for r in state.recordings)
+    gain = signature.nats_per_event * signature.concerned * selected
+    strength = {signature.parameter: (signature.value, signature.interval)}
+    return Named(signature.effect, signature.p, gain, None, None, 0.0, "", strength, signature.where)
+
+
+def _shot_noise(state: State) -> tuple[Named, ...]:
+    """The entry of shot noise, whose gain is that of maps, not of a likelihood."""
+    noise, hypothesis = state.shot_noise, state.hypothesis
+    if noise is None:
+        return ()
+    background, unit = hypothesis.seen.residual.background, relative_noise(hypothesis.fit.model)
+    place = where(state.first.maps, hypothesis.evidence.training, background, unit)
+    strength = {STRENGTH: (noise.density, noise.interval)}
+    return (Named(EFFECT, state.shot_noise_p, noise.gain, None, None, 0.0, "", strength, place),)
+
+
+def _report(
+    state: State,
+    context: Context,
+    findings: _Findings,
+    term: Flexible | None,
+    confounder: Confounder | None,
+    directions: Sequence[Direction],
+    recommended_next: dict,
+) -> GapReport:
+    hypothesis, options, effects = state.hypothesis, context.options, findings.effects
+    unit, background = relative_noise(hypothesis.fit.model), hypothesis.seen.residual.background
+    place = where(hypothesis.seen.maps, hypothesis.evidence.training, background, unit)
+    runners_up = [other for _, other in state.doubts]
+    sentence = describe(findings.verdict, effects, runners_up, confounder, findings.run, place, term, hypothesis.seen.p)
+    return GapReport(
+        verdict=findings.verdict,
+        sentence=sentence,
+        remainder=findings.remainder,
+        global_p=state.global_p,
+        alpha=options.alpha,
+        effects=effects,
+        free_run=findings.run,
+        rounds=state.rounds,
+        base=state.base.model,
+        model=state.grown_model if effects else state.base.model,
+        term=term,
+        recommended_next=recommended_next,
+        seconds=context.watch.seconds(),
+        seed=options.seed,
+        details=_details(state, directions, findings.withdrawn),
+        versions=versions(),
+        inputs_sha256=input_hashes(r.source for r in state.recordings),
+    )
+
+
+def _details(state: State, directions: Sequence[Direction], withdrawn: Sequence[str]) -> dict:
+    split, seen = state.split, state.hypothesis.seen
+    return {
+        "stimulus_between_samples": state.hypothesis.evidence.between,
+        "pixels": {"fit": len(split.fit), "select": len(split.select), "confirm": len(split.confirm)},
+        "held_out": split.apart,
+        "withdrawn": list(withdrawn),
+        "recordings_whose_times_are_lost": list(state.lost),
+        "remaining_p": seen.p,
+        "remaining": [_cell(c) for c in seen.maps.cells[:SHOWN_CELLS]],
+        "seen_before": [_cell(c) for c in state.first.maps.cells[:SHOWN_CELLS]],
+        "shows_at_typical_strength_nats": {d.effect: 0.5 * d.seen for d in directions},
+        "confusion": confusion(directions),
+    }
+
+
+def _cell(cell: Cell) -> dict:
+    return {
+        "response": cell.response, "where": cell.label, "score": cell.score, "events": cell.events, "mean": cell.mean,
+    }  # fmt: skip

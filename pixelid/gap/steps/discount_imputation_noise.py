@@ -1,0 +1,62 @@
+"""The step that discounts imputation noise: what a simulated session shows as well, its times imputed alike.
+
+Imputed times come near true ones where intervals tell them; where events crowd, how they were drawn shows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from pixelid.gap.detect.covariates import Factor
+from pixelid.gap.imputation.impute import impute, impute_again, impute_behind_jitter
+from pixelid.gap.options import Context
+from pixelid.gap.phases import Phase
+from pixelid.gap.rounds import entry
+from pixelid.gap.shot_noise.replicates import simulate_again, subtract_replicates
+from pixelid.gap.split import split_pixels
+from pixelid.gap.state import Hypothesis, State
+from pixelid.gap.steps.impute_hypothesis import Setting, at_imputed_times
+from pixelid.recordings.recording import Recording
+
+SEED_OFFSET = 5003  # of the simulated session's seed: none of the replicates' (31 apart) or twins' (101 apart)
+
+
+def discount_imputation_noise(state: State, context: Context) -> State:
+    """Take from what is left what a session simulated from the model shows as well, imputed in the same way."""
+    if not (state.remainder(context.options.alpha_each) and state.imputed):
+        return state.then(Phase.WITHDRAW)
+    hypothesis, seen = state.hypothesis, state.hypothesis.seen
+    seed, pixels = context.options.seed + SEED_OFFSET, len(state.split.everyone)
+    made = simulate_again(state.recordings, hypothesis.model, pixels, hypothesis.evidence.between, seed)
+    shown = _imputed_alike(made, state, seen.factors, context).seen.maps
+    cells, p = subtract_replicates(seen, [shown.scores])
+    told = {"p_of_what_is_left": p, "strays": shown.background}
+    rounds = (*state.rounds, entry(len(state.rounds) + 1, seen.p, drawn_alike=told))
+    left = replace(seen, maps=replace(seen.maps, cells=cells, p=p), p=p)
+    return state.then(Phase.WITHDRAW, rounds=rounds, hypothesis=replace(hypothesis, seen=left))
+
+
+def _imputed_alike(made: Sequence[Recording], state: State, like: Sequence[Factor], context: Context) -> Hypothesis:
+    """What is left of simulated recordings under the model that they came from, at times imputed as in the search."""
+    options, cache, hypothesis = context.options, context.cache, state.hypothesis
+    recordings = tuple(r.within_stimulus() for r in made)
+    model, imputation = hypothesis.model, None
+
+    def report(what: str) -> None:
+        context.report(f"{what}, simulated", 0.65)
+
+    for signature in state.undone:
+        model = model.without_effect(signature.effect)
+        imputation = impute(recordings, signature, model, options, report, cache)
+        recordings = imputation.recordings
+        model = model.with_effect(signature.effect, {signature.parameter: signature.value})
+        model = model.fix({signature.parameter: None})
+    between, start = hypothesis.evidence.between, hypothesis.start
+    if hypothesis.jitter is not None:
+        imputation, model = impute_behind_jitter(recordings, model, start, between, options.seed, report, cache)
+    else:
+        assert imputation is not None
+        imputation, model = impute_again(imputation, model, report=report, cache=cache)
+    setting = Setting(split_pixels(made, options.seed), state.model, start, between, like)
+    return at_imputed_times(imputation, model, setting, context)[1]

@@ -1,0 +1,131 @@
+"""The step that asks simulation whether shot noise explains what the library's likelihoods leave.
+
+It may take the place of effects that rounds have named, which only stood in for it, or stand beside them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from pixelid.fit.maximise import maximise
+from pixelid.gap.detect.diagnostics import diagnose
+from pixelid.gap.options import Context
+from pixelid.gap.phases import Phase
+from pixelid.gap.rounds import amended, entry, withdrawn
+from pixelid.gap.shot_noise.shares import EFFECT
+from pixelid.gap.shot_noise.shot_noise import ShotNoise, find_shot_noise, looks_like_shot_noise
+from pixelid.gap.state import Hypothesis, State
+
+
+@dataclass(frozen=True)
+class Trial:
+    """A hypothesis beside which shot noise is looked for;  kept: number of named effects that it has;  hypothesis: None
+    for the base that the named effects lead to."""
+
+    hypothesis: Hypothesis | None
+    kept: int
+
+
+@dataclass(frozen=True)
+class _Found:
+    """Shot noise found in a trial;  index: of the round that says so."""
+
+    noise: ShotNoise
+    hypothesis: Hypothesis
+    kept: int
+    index: int
+
+
+def try_before_second_effect(state: State, context: Context) -> State:
+    """Shot noise tried after the first effect, where the base already looked like it."""
+    first = state.steps[0].before
+    if not looks_like_shot_noise(first.seen, context.options.criteria):
+        return state
+    state = explain_by_shot_noise(state, (Trial(first, 0), Trial(None, 0), Trial(state.hypothesis, 1)), context)
+    return state if state.shot_noise is None else state.then(Phase.DISCOUNT)
+
+
+def try_shot_noise(state: State, context: Context) -> State:
+    """Shot noise tried when nothing else can be named: in place of all that was, and beside it."""
+    trials = tuple(Trial(step.before, 0) for step in state.steps[:1])
+    trials = (*trials, Trial(state.hypothesis, len(state.steps)))
+    return explain_by_shot_noise(state, trials, context).then(Phase.DISCOUNT)
+
+
+def explain_by_shot_noise(state: State, trials: tuple[Trial, ...], context: Context) -> State:
+    """The state with shot noise, where one of the trials explains what is left, or as it is."""
+    options = context.options
+    if EFFECT in options.leave_out or not state.remainder(options.alpha_each):
+        return state
+    alone: ShotNoise | None = None  # what leaves least of those with nothing beside them
+    enough: _Found | None = None
+    waiting = list(trials)
+    while waiting:
+        trial = waiting.pop(0)
+        hypothesis = trial.hypothesis or _bare(state, context)
+        undecidable = hypothesis.corrected is not None or hypothesis.jitter is not None
+        if undecidable or hypothesis.fit.model.has(EFFECT):
+            continue  # imputed times scatter as they were drawn: replicates know nothing of that
+        state, noise = _look_beside(state, hypothesis, context)
+        if noise is None:
+            continue
+        found, p = _Found(noise, hypothesis, trial.kept, len(state.rounds) - 1), noise.corrected.seen.p
+        if trial.kept == 0:
+            alone = noise if alone is None or noise.left < alone.left else alone
+            if p >= options.criteria.sufficient_p_shot_noise:
+                return _named(state, found)
+            if p >= options.alpha_each and enough is None:
+                enough = found
+        elif p >= options.alpha_each:
+            # effects named before, in a likelihood that misread the noise, must weigh more than the noise does; what
+            # was named first may also show by what noise alone leaves
+            needed = alone is not None and noise.left < alone.left - options.criteria.min_shot_noise_gain_nats
+            if trial.kept == 1 and needed:
+                return _named(state, found)
+            if all(step.winner.heldout_gain > noise.gain for step in state.steps[: trial.kept]):
+                return _named(state, found)
+            if not any(one.hypothesis is None for one in trials):
+                trials = (*trials, Trial(None, 0))
+                waiting.append(trials[-1])
+    return state if enough is None else _named(state, enough)
+
+
+def _look_beside(state: State, hypothesis: Hypothesis, context: Context) -> tuple[State, ShotNoise | None]:
+    """Shot noise beside a hypothesis, looked for once; the rounds say what it leaves."""
+    known = [noise for tried, noise in state.shot_noise_tried if tried is hypothesis]
+    if known:
+        noise = known[0]
+    else:
+        context.report("shot noise", 0.7)
+        noise = find_shot_noise(hypothesis.evidence, hypothesis.fit, hypothesis.seen, context.options, context.cache)
+        state = replace(state, shot_noise_tried=(*state.shot_noise_tried, (hypothesis, noise)))
+    if noise is not None:
+        left = {"name": EFFECT, "density": noise.density, "p_of_what_is_left": noise.corrected.seen.p}
+        told = entry(len(state.rounds) + 1, hypothesis.seen.p, by_simulation=left)
+        state = replace(state, rounds=(*state.rounds, told))
+    return state, noise
+
+
+def _named(state: State, found: _Found) -> State:
+    rounds = amended(state.rounds, found.index, named=EFFECT)
+    for step in state.steps[found.kept :]:
+        rounds = withdrawn(rounds, step.effect, f"{EFFECT} explains it")
+    corrected = found.noise.corrected
+    return replace(
+        state, steps=state.steps[: found.kept], rounds=rounds, shot_noise=found.noise,
+        shot_noise_p=found.hypothesis.seen.p,
+        hypothesis=replace(found.hypothesis, seen=corrected.seen, corrected=corrected),
+    )  # fmt: skip
+
+
+def _bare(state: State, context: Context) -> Hypothesis:
+    """The hypothesis without the effects named, its base fitted again from where they have led it."""
+    options, hypothesis = context.options, state.hypothesis
+    model, start = hypothesis.fit.model, hypothesis.start
+    for step in state.steps:
+        model, start = model.without_effect(step.effect), start.without_effect(step.effect)
+    training = hypothesis.evidence.training
+    fit = maximise(training, model, tolerance=0.01, max_steps=40, cache=context.cache)
+    allowed = None if state.undone else options.criteria.max_unexplained_fraction
+    seen = diagnose(training, fit, options.criteria, options.seed, background_fraction=allowed)
+    return replace(hypothesis, fit=fit, seen=seen, start=start, corrected=None)

@@ -1,0 +1,146 @@
+"""The step that names an effect: attribute what is left, and accept the leading effect where it stands."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from pixelid.fit.maximise import Maximum, maximise, maximise_with_restarts
+from pixelid.gap.attribute.alternative import stands
+from pixelid.gap.attribute.attribute import Attribution, Candidate, attribute
+from pixelid.gap.attribute.candidates import canonical, missing
+from pixelid.gap.attribute.pixels import candidates_of
+from pixelid.gap.attribute.significance import leads
+from pixelid.gap.detect.diagnostics import diagnose
+from pixelid.gap.detect.pixels import PixelEvidence, reconsider_stimuli, relative_noise
+from pixelid.gap.detect.words import where
+from pixelid.gap.imputation.impute import FINEST_TICK_S, JITTER, QUEUE, impute_again, impute_behind_jitter
+from pixelid.gap.options import Context
+from pixelid.gap.phases import Phase
+from pixelid.gap.rounds import amended, attribution_entry, withdrawn
+from pixelid.gap.state import Hypothesis, NamedStep, State
+from pixelid.gap.steps.impute_hypothesis import Setting, at_imputed_times
+from pixelid.model.model import Model
+
+MAX_ROUNDS = 4  # a camera that lacks more effects than this lacks a model
+
+
+def name_effect(state: State, context: Context) -> State:
+    """One round: the state with one effect more, or as it is where none can be named."""
+    hypothesis, criteria = state.hypothesis, context.options.criteria
+    # one likelihood for the model and all that is tried beside it
+    evidence = hypothesis.evidence.weighed(hypothesis.fit.model.circuit())
+    attribution = _attribute(state, evidence, context)
+    rounds = (*state.rounds, attribution_entry(state.turn, hypothesis.fit, hypothesis.seen, attribution))
+    state = state.then(Phase.SHOT_NOISE, rounds=rounds, turn=state.turn + 1)
+    if state.turn == 1:
+        held = (c.p for c in attribution.candidates if leads(c.held_out, criteria))
+        chances = [state.first.p, *held, *(f.p for f in state.new_signatures)]
+        state = replace(state, global_p=min(1.0, 2.0 * min(chances)))
+    winner = attribution.winner
+    if winner is None:
+        return state
+    standing = stands(evidence, hypothesis.fit, hypothesis.seen, winner, context.options, context.cache)
+    if standing.hopeless:
+        return _refused(state, winner, "a flexible alternative explains more, and leaves it little to explain")
+    accepted = _accepted(state, winner, attribution, standing.firm)
+    if winner.effect == JITTER:
+        grown = _without_jitter(accepted, winner, context)
+        if grown is None:
+            return _refused(state, winner, "what it would take of the times does not look like one")
+    else:
+        grown = _grown(accepted, winner, evidence, context)
+    return grown.then(Phase.NAME if grown.turn < MAX_ROUNDS else Phase.SHOT_NOISE)
+
+
+def _attribute(state: State, evidence: PixelEvidence, context: Context) -> Attribution[Maximum]:
+    options, hypothesis = context.options, state.hypothesis
+    astray = hypothesis.seen.background_fraction > options.criteria.max_unexplained_fraction
+    restart = hypothesis.start if astray or not hypothesis.fit.converged else None
+    model = hypothesis.fit.model
+    skip = {*options.leave_out, *([JITTER] if _hides_jitter(state) else [])}
+    share = 0.1 + 0.6 * state.turn / MAX_ROUNDS
+    return attribute(
+        candidates_of(evidence, model, restart, context.cache), [e for e in missing(model) if e not in skip], options,
+        lambda what: context.report(f"round {state.turn + 1}: {what}", share),
+    )  # fmt: skip
+
+
+def _hides_jitter(state: State) -> bool:
+    """Whether the times at hand cannot show a jitter: what a readout has put on a grid or in a queue does not jitter,
+    and times imputed behind it, or behind a jitter, scatter as they were drawn."""
+    coarse = any(f.effect == QUEUE or f.value >= FINEST_TICK_S for f in state.signatures)
+    return coarse or state.hypothesis.jitter is not None
+
+
+def _refused(state: State, winner: Candidate[Maximum], why: str) -> State:
+    return replace(state, rounds=amended(state.rounds, -1, refused=f"{winner.effect}: {why}"))
+
+
+def _accepted(state: State, winner: Candidate[Maximum], attribution: Attribution[Maximum], firm: bool) -> State:
+    """The state with the winner among its steps, the hypothesis as it was."""
+    hypothesis = state.hypothesis
+    seen, noise = hypothesis.seen, relative_noise(hypothesis.fit.model)
+    place = where(seen.maps, hypothesis.evidence.training, seen.residual.background, noise)
+    step = NamedStep(winner, attribution, place, firm, hypothesis)
+    return replace(state, steps=(*state.steps, step), rounds=amended(state.rounds, -1, named=winner.effect))
+
+
+def _grown(state: State, winner: Candidate[Maximum], evidence: PixelEvidence, context: Context) -> State:
+    """The state with the winner in its model, and without what the winner leaves nothing to explain."""
+    hypothesis, cache, options = state.hypothesis, context.cache, context.options
+    start = hypothesis.start.with_effect(winner.effect)
+    model = canonical(winner.end.model, state.model)
+    fit = maximise_with_restarts(evidence.training, model, start, tolerance=0.01, max_steps=40, cache=cache)
+    state, fit, start = _pruned(state, winner, evidence, fit, start, context)
+    if state.imputation is not None and state.imputed:
+        imputation, model = impute_again(state.imputation, fit.model, cache=cache)
+        return _at_imputed_times(replace(state, imputation=imputation), model, start, context)
+    weights = hypothesis.fit.model.circuit()
+    evidence, fit = reconsider_stimuli(evidence, hypothesis.recordings, state.model, fit, weights, options.seed, cache)
+    allowed = None if state.undone else options.criteria.max_unexplained_fraction
+    seen = diagnose(evidence.training, fit, options.criteria, options.seed, background_fraction=allowed)
+    grown = Hypothesis(hypothesis.recordings, evidence, fit, seen, start, None, hypothesis.jitter, hypothesis.scatter)
+    return replace(state, hypothesis=grown)
+
+
+def _pruned(
+    state: State, winner: Candidate[Maximum], evidence: PixelEvidence, fit: Maximum, start: Model, context: Context
+) -> tuple[State, Maximum, Model]:
+    """(state, fit, start) without earlier effects that gain nothing any more."""
+    steps, rounds = list(state.steps), state.rounds
+    for k in reversed(range(len(steps) - 1)):
+        earlier = steps[k].effect
+        if not fit.model.has(earlier):
+            continue
+        without = fit.model.without_effect(earlier)
+        less = maximise(evidence.training, without, tolerance=0.05, max_steps=25, cache=context.cache)
+        if fit.value - less.value < context.options.criteria.min_lead_nats:
+            fit, start = less, start.without_effect(earlier)
+            rounds = withdrawn(rounds, earlier, f"{winner.effect} explains it")
+            before = steps.pop(k).before
+            steps[k] = _following(steps[k], before)
+    return replace(state, steps=tuple(steps), rounds=rounds), fit, start
+
+
+def _following(step: NamedStep, before: Hypothesis) -> NamedStep:
+    """The step as if it had followed an earlier hypothesis, the one before the step now withdrawn."""
+    return NamedStep(step.winner, step.attribution, step.where, step.firm, before)
+
+
+def _without_jitter(state: State, winner: Candidate[Maximum], context: Context) -> State | None:
+    """The state at the times behind a jitter; None where what is imputed does not look like one."""
+    hypothesis = state.hypothesis
+    imputation, model = impute_behind_jitter(
+        hypothesis.recordings, winner.end.model, hypothesis.start, hypothesis.evidence.between, context.options.seed,
+        lambda what: context.report(what, 0.5), context.cache,
+    )  # fmt: skip
+    if imputation.is_uneven(context.options):
+        return None
+    return _at_imputed_times(replace(state, imputation=imputation), model, hypothesis.start, context)
+
+
+def _at_imputed_times(state: State, model: Model, start: Model, context: Context) -> State:
+    assert state.imputation is not None
+    setting = Setting(state.split, state.model, start, state.hypothesis.evidence.between)
+    imputation, hypothesis = at_imputed_times(state.imputation, model, setting, context)
+    return replace(state, imputation=imputation, hypothesis=hypothesis)
