@@ -17,6 +17,7 @@ from pixelid.gap.rounds import Rounds
 from pixelid.gap.shot_noise.replicates import Corrected
 from pixelid.gap.shot_noise.shot_noise import ShotNoise
 from pixelid.gap.split import Split
+from pixelid.inspection.hot_pixels import HotInSilence
 from pixelid.inspection.timestamps import TimestampSignature
 from pixelid.model.model import Model
 from pixelid.recordings.recording import Recording
