@@ -19,6 +19,7 @@ from pixelid.fit.newton import maximise
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.model.shipped import find_model
 from pixelid.simulate import simulate
+from pixelid.status import Status
 from pixelid.stimuli.resample import resampled
 from pixelid.stimuli.shapes import chirp
 from pixelid.stimuli.stimulus import Stimulus
@@ -96,10 +97,12 @@ def test_the_continuous_form_refuses_what_it_lacks(measured):
 
 
 def test_fit_in_the_continuous_form(measured):
-    results = [fit(measured, MODEL, starts=0, between="linear", engine="casadi", form=form)
+    # two slow sines leave the faster poles open, and the end of a search along an open direction to chance
+    model = MODEL.fix({"diff_cutoff_hz": None, "refractory_s": None, "sf_cutoff_hz": None})
+    results = [fit(measured, model, starts=0, between="linear", engine="casadi", form=form)
                for form in ("discrete", "continuous")]  # fmt: skip
     discrete, continuous = results
-    assert continuous.status == discrete.status
+    assert continuous.status == discrete.status == Status.converged
     assert continuous.details["form"] == "continuous"
     sd = np.sqrt(np.diag(discrete.covariance))
     assert np.abs((continuous.x - discrete.x) / sd).max() < 0.1
