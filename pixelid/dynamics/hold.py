@@ -3,7 +3,7 @@
     x[k+1] = A x[k] + B u[k] + B̃ u[k+1]
 
 The fast step of `kernels.py` divides by differences of poles; here nothing does, at about a hundred times the
-cost.  It is the reference for coinciding poles and the source of the weighted form (`weights.py`).
+cost.  It is the reference for coinciding poles, and what the tests' weighted form is made of.
 
 Derivation.  With time in units of the step (λ_i: a pole × Δt, w_i: a cutoff × Δt), what state j sends to state i
 is the inverse Laplace transform at 1 of  gain · N(s) / Π (s − λ), over the poles of the stages j … i.  For N = 1

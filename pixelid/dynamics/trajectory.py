@@ -112,11 +112,14 @@ class Trajectory:
         )
 
 
-def integrate(t, radiance, dynamics: Dynamics, *, linearisation: str = "midpoint") -> Trajectory:
+def integrate(
+    t, radiance, dynamics: Dynamics, *, linearisation: str = "midpoint", log_radiance: np.ndarray | None = None
+) -> Trajectory:
     """The trajectory under radiance (n,) at times t (n,), log radiance linear between samples.
 
     Steady state at the first sample.  Two samples may share a time (a jump).  `linearisation`: "midpoint"
-    (second order in the step) or "newer" (the newer sample, as in the paper; first order).
+    (second order in the step) or "newer" (the newer sample, as in the paper; first order).  `log_radiance` (n,):
+    where it is known.
 
     Raises InputError for radiance ≤ 0 or an unknown linearisation.
     """
@@ -125,7 +128,8 @@ def integrate(t, radiance, dynamics: Dynamics, *, linearisation: str = "midpoint
     t, radiance = np.ascontiguousarray(t, np.float64), np.ascontiguousarray(radiance, np.float64)
     if not (radiance > 0).all():
         raise InputError(f"radiance must be positive, found {radiance.min():g}")
-    values, u, states = dynamics.uniform(), np.log(radiance), np.empty((len(t), 6))
+    u = np.log(radiance) if log_radiance is None else log_radiance
+    values, states = dynamics.uniform(), np.empty((len(t), 6))
     midpoint = linearisation == "midpoint"
     run = vectorised.scan if vectorised.applicable(values) else kernels.scan
     run(t, u, radiance, values, midpoint, states)

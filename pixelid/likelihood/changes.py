@@ -20,6 +20,7 @@ from pixelid.dynamics.equations import PRESENT_BELOW
 from pixelid.dynamics.of_circuit import dynamics_of
 from pixelid.dynamics.slewed import slewed
 from pixelid.dynamics.trajectory import Dynamics, Trajectory, integrate
+from pixelid.dynamics.vector_math import vexp
 from pixelid.likelihood.extremes import DECAYED, Begun, Drift, Extremes, Output, at_samples, locate_extremes
 from pixelid.likelihood.sequences import Sequences
 from pixelid.recordings.recording import Recording
@@ -89,7 +90,9 @@ class Trajectories:
         if slew.slews(circuit):
             trajectory = slewed(light.t, light.radiance, circuit, dynamics)
         else:
-            trajectory = integrate(light.t, light.radiance, dynamics, linearisation=circuit.linearisation)
+            trajectory = integrate(
+                light.t, light.radiance, dynamics, linearisation=circuit.linearisation, log_radiance=light.log_radiance
+            )
         both = trajectory, Output.of(trajectory)
         if keep:
             self._latest = key, both
@@ -253,12 +256,17 @@ def _locate_all(t, times, near, sample):
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
 def _changes(release, time, level, offset, output, output_slope, wd, change, slope):
+    """Fill change and slope; loops that LLVM vectorises."""
+    left = slope  # of the reset
+    left[:] = 0.0
+    if wd < PRESENT_BELOW:
+        for i in range(len(change)):
+            since = wd * (time[i] - release[i])
+            left[i] = offset[i] * vexp(min(-since, DECAYED)) if since < DECAYED else 0.0  # before release: only finite
     for i in range(len(change)):
-        left, since = 0.0, wd * (time[i] - release[i])
-        if since < DECAYED and wd < PRESENT_BELOW:
-            left = offset[i] * np.exp(min(-since, DECAYED))  # before release: only finite
-        change[i] = output[i] - level[i] - left
-        slope[i] = output_slope[i] + wd * left
+        change[i] = output[i] - level[i] - left[i]
+    for i in range(len(change)):
+        slope[i] = output_slope[i] + wd * left[i]
 
 
 _light_integral = njit(equations.light_integral, inline="always", error_model="numpy")

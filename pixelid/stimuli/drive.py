@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -20,6 +21,11 @@ class Drive:
 
     t: np.ndarray
     radiance: np.ndarray
+
+    @cached_property
+    def log_radiance(self) -> np.ndarray:
+        """(n,) log radiance: taken once for all circuits that see this light."""
+        return np.log(self.radiance)
 
 
 def knots(stimulus: Stimulus, until_s: float | None = None) -> tuple[np.ndarray, np.ndarray]:

@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 import torch
+from oracles.output_weights import output_weights
 
 from pixelid.dynamics.trajectory import Dynamics, integrate
-from pixelid.dynamics.weights import output_weights
 from pixelid.nerf.intervals import CHAIN, chains, intervals, past_lifetimes
 from pixelid.nerf.losses import changes, terms
 from pixelid.nerf.scan import respond

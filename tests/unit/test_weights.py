@@ -4,9 +4,9 @@ import mpmath as mp
 import numpy as np
 import pytest
 from oracles.exact_hold import exact_hold
+from oracles.output_weights import output_weights
 
 from pixelid.dynamics.trajectory import Dynamics, integrate
-from pixelid.dynamics.weights import output_weights
 from pixelid.errors import InputError
 
 NOMINAL = Dynamics(61283.0, 1848.0, 1.12, follower=19616.0, differencing=100531.0)

@@ -7,6 +7,9 @@ The scan x ← A x + B u[k] + B̃ u[k+1], read backwards.  With c the row that t
 The weights depend on the light only through the photoreceptor's linearisation.  What is left of c at the first
 sample acts on the state there: for a pixel in steady state at the first sample it gives that sample the remaining
 weight c·x_steady, x_steady the state under u = 1.  Then Σ w = 1 and the sum equals `integrate`.
+
+An independent statement of what the scans and the reconstruction's response compute, accurate to the smallest weight,
+at some 30 µs per weight.
 Source: Low & Lee, arXiv 2409.17988, supplement (the normalised weights over a truncated past).
 """
 
