@@ -231,7 +231,7 @@ def test_the_command_end_to_end(tmp_path, one_level, capsys):
     assert written["recommended"]["name"] == "far"
     assert set(written["inputs_sha256"]) == {"menu.toml", "chirp.h5"}
     assert "<svg" in (out / "report.html").read_text()
-    assert "by gamma: far" in capsys.readouterr().out
+    assert "next: far, for dvs128 by gamma" in capsys.readouterr().out
     assert main(["simulate", "dvs128", "--stimulus", str(out / "next.toml"), "--out", str(tmp_path / "n.h5")]) == 0
 
 
