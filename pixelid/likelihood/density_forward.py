@@ -153,7 +153,7 @@ def _compare(group, event, impossible, background_hz, centre, extra, background)
         bound = max(1.0 - away * away / (64.0 * total), 0.0)
         for _ in range(6):
             bound *= bound
-        background[k] = not rate[k] * rate[k] * bound > least * total
+        background[k] = impossible[k] or not rate[k] * rate[k] * bound > least * total
     for k in range(len(group)):
         if background[k] and not impossible[k]:
             total, away = variance[k] + extra[group[k]], z[k] - centre[group[k]]

@@ -315,6 +315,16 @@ def test_no_event_is_called_background_under_the_truth():
     assert EventTimes(recordings).terms(model.circuit()).background.sum() == 0
 
 
+@pytest.mark.parametrize("noise", [0.02, 0.3, 1.0, 3.0])
+def test_an_event_the_circuit_cannot_have_fired_is_background_however_wide_the_noise(noise):
+    likelihood, circuit = noisy_likelihood()
+    terms = likelihood.terms(circuit.with_(refractory=3e-3, noise=noise))
+    early = terms.changes.events.early > 0
+    assert early.sum() > 5
+    assert terms.background[early].all()
+    np.testing.assert_array_equal(terms.event.weight[early], 0.0)
+
+
 def test_log_ndtr_complex_step():
     x = np.array([-40.0, -5.0, 0.0, 3.0])
     step = log_ndtr(x + 1e-30j).imag / 1e-30
@@ -384,8 +394,9 @@ def noisy_likelihood(effects=()):
 @pytest.mark.parametrize("effects", [(), *((name,) for name in EFFECTS), EFFECTS])
 def test_every_piece_equals_the_plain_statement(effects):
     likelihood, circuit = noisy_likelihood(effects)
-    for refractory in (1e-4, 3e-3):  # the second makes background events: before their pixel's release
-        here = circuit.with_(refractory=refractory)
+    # a long dead time makes background events, before their pixel's release: wide noise would allow them their level
+    for refractory, noise in ((1e-4, 0.15), (3e-3, 0.15), (3e-3, 1.0)):
+        here = circuit.with_(refractory=refractory, noise=noise)
         changes = likelihood.changes(here)
         terms, expected = likelihood.terms(here, changes), plain.terms(likelihood, here, changes.vector)
         assert expected.background.any() == (refractory > 1e-3)
@@ -396,11 +407,11 @@ def test_every_piece_equals_the_plain_statement(effects):
         assert likelihood.log_likelihood(here) == terms.total
 
 
-@pytest.mark.parametrize("refractory", [1e-4, 3e-3])
+@pytest.mark.parametrize(("refractory", "noise"), [(1e-4, 0.15), (3e-3, 0.15), (3e-3, 1.0)])
 @pytest.mark.parametrize("effects", [(), EFFECTS])
-def test_gradient_equals_complex_steps_of_the_plain_statement(effects, refractory):
+def test_gradient_equals_complex_steps_of_the_plain_statement(effects, refractory, noise):
     likelihood, circuit = noisy_likelihood(effects)
-    circuit = circuit.with_(refractory=refractory)
+    circuit = circuit.with_(refractory=refractory, noise=noise)
     changes = likelihood.changes(circuit)
     gradient = likelihood.terms(circuit, changes).gradient()
     rng = np.random.default_rng(0)

@@ -36,7 +36,7 @@ def test_gradients_are_finite_and_agree_where_stages_are_absent(dynamics):
     outcomes = []
     for engine in ("compiled", "tensors"):
         x = torch.tensor(u, requires_grad=True)
-        numbers = torch.tensor(dynamics.uniform(), dtype=torch.float64, requires_grad=True)
+        numbers = torch.tensor(dynamics.uniform()[:7], dtype=torch.float64, requires_grad=True)
         level, output = respond(x, numbers, t, first, engine=engine)
         (level.sum() + (output**2).sum()).backward()
         assert x.grad is not None
