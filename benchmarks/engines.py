@@ -55,9 +55,9 @@ def main(paths: list[str]) -> None:
         )
     start = best.x + 0.1 * np.cos(np.arange(len(sd)))
     for name, options in ENGINES:
-        found, seconds = timed(lambda n=name, o=options: engine(n, **o).maximise(objective, start, tolerance=1e-8))
-        away = np.abs((found.x - best.x) / sd).max()
-        print(f"{name:8s} search {seconds:7.2f} s, {found.steps} steps, {away:.1e} standard errors from the optimum")
+        maximum, seconds = timed(lambda n=name, o=options: engine(n, **o).maximise(objective, start, tolerance=1e-8))
+        away = np.abs((maximum.x - best.x) / sd).max()
+        print(f"{name:8s} search {seconds:7.2f} s, {maximum.steps} steps, {away:.1e} standard errors from the optimum")
 
 
 if __name__ == "__main__":

@@ -45,12 +45,12 @@ def hidden_circuit(seed: int) -> Model:
 
 def stimuli(seed: int) -> dict[str, Stimulus]:
     """A chirp and random steps at each level."""
-    found = {}
+    by_name = {}
     for k, level in enumerate(LEVELS):
         stop = 40.0 * np.sqrt(level)
-        found[f"chirp_{level:g}"] = chirp(level, modulation=0.6, stop_hz=stop, duration_s=0.3, dt=1e-4)
-        found[f"steps_{level:g}"] = steps(level, duration_s=0.3, dt=1e-4, seed=seed + k)
-    return found
+        by_name[f"chirp_{level:g}"] = chirp(level, modulation=0.6, stop_hz=stop, duration_s=0.3, dt=1e-4)
+        by_name[f"steps_{level:g}"] = steps(level, duration_s=0.3, dt=1e-4, seed=seed + k)
+    return by_name
 
 
 def session(truth: Model, seed: int, shown: dict[str, Stimulus] | None = None, side: int = SIDE) -> list[Recording]:
@@ -142,8 +142,8 @@ def run(count: int, processes: int, path: Path) -> dict:
     missing = sorted(set(range(count)) - {s["seed"] for s in done})
     os.environ["OMP_NUM_THREADS"] = "1"  # of the processes to come: their matrices are small
     with multiprocessing.get_context("spawn").Pool(processes) as pool:
-        for k, found in enumerate(pool.imap_unordered(one, missing)):
-            done.append(found)
+        for k, outcome in enumerate(pool.imap_unordered(one, missing)):
+            done.append(outcome)
             if k % 10 == 9 or k == len(missing) - 1:
                 _write(path, done)
     _write(path, done)

@@ -48,12 +48,12 @@ def prior_model() -> Model:
 
 def stimuli(seed: int) -> dict[str, Stimulus]:
     """A chirp and random steps at each level."""
-    found = {}
+    by_name = {}
     for k, level in enumerate(LEVELS):
         stop = 40.0 * np.sqrt(level)
-        found[f"chirp_{level:g}"] = chirp(level, modulation=0.6, stop_hz=stop, duration_s=0.12, dt=1e-4)
-        found[f"steps_{level:g}"] = steps(level, duration_s=0.12, dt=1e-4, seed=seed + k)
-    return found
+        by_name[f"chirp_{level:g}"] = chirp(level, modulation=0.6, stop_hz=stop, duration_s=0.12, dt=1e-4)
+        by_name[f"steps_{level:g}"] = steps(level, duration_s=0.12, dt=1e-4, seed=seed + k)
+    return by_name
 
 
 def one(seed: int) -> dict:
@@ -122,12 +122,12 @@ def main() -> None:
     parser.add_argument("--sessions", type=int, default=200)
     parser.add_argument("--out", type=Path, default=Path(__file__).with_name("posterior_ranks.json"))
     arguments = parser.parse_args()
-    found = run(arguments.sessions, arguments.out)
-    for name, row in found["parameters"].items():
+    outcome = run(arguments.sessions, arguments.out)
+    for name, row in outcome["parameters"].items():
         print(f"{name:26s} {row['counts']}  p(χ²) {row['p_chi2']:.3f}  p(KS) {row['p_ks']:.3f}")
     print(
-        f"{found['sessions']} sessions, {found['posteriors_converged']} posteriors converged, "
-        f"smallest p by Holm {found['smallest_p_holm']:.3f}"
+        f"{outcome['sessions']} sessions, {outcome['posteriors_converged']} posteriors converged, "
+        f"smallest p by Holm {outcome['smallest_p_holm']:.3f}"
     )
 
 

@@ -61,11 +61,11 @@ def regularity(seconds: float = 20.0) -> dict[str, tuple[float, float]]:
         cases[f"leak, threshold noise {sigma:g}"] = (leak.set({"threshold_sigma": sigma}), 24.0)
     both = leak.with_effect("shot_noise", {"density": 1e-4}).set({"threshold_sigma": 0.01})
     cases["leak and shot noise 1e-4"] = (both, 24.0)
-    found = {}
+    variations = {}
     for name, (camera, light) in cases.items():
         events = simulate(camera, constant(light, duration_s=seconds), width=4, height=4, seed=1).events
-        found[name] = (_cv(events, 1), _cv(events, 0))
-    return found
+        variations[name] = (_cv(events, 1), _cv(events, 0))
+    return variations
 
 
 def _cv(events, polarity: int) -> float:
@@ -82,8 +82,8 @@ def readout(name: str) -> Callable[[Path, Path], int]:
 
     def inspected(recordings: Path, out: Path) -> int:
         code = main(["inspect", str(recordings / name), "--out", str(out / name.split(".")[0]), "--overwrite"])
-        for found in find_timestamp_signatures([open_recording(recordings / name)]):
-            print(f"{found.parameter} = {1e6 * found.value:.4f} µs: {found.where}")
+        for signature in find_timestamp_signatures([open_recording(recordings / name)]):
+            print(f"{signature.parameter} = {1e6 * signature.value:.4f} µs: {signature.where}")
         return code
 
     return inspected

@@ -64,7 +64,7 @@ def main() -> None:
             starts = rng.integers(0, len(problem.training.starts), CHAINS)
             batch = chains(problem.training, starts, samples, slowest, rng)
             which = np.repeat(batch.pixel, np.diff(batch.first))
-            found = []
+            residuals = []
             for supersample in (1, 2):
                 u = torch.tensor(np.log(radiance(data, options.seed, batch.t, which, supersample) + problem.dark[0]))
                 level, output, cutoff = u, u, None
@@ -72,10 +72,10 @@ def main() -> None:
                     level, output = respond(u, pixel.dynamics, batch.t, batch.first)
                     cutoff = pixel.dynamics[6]
                 change = changes(level, output, batch, cutoff).numpy()
-                found.append(unexplained(change, batch, *(float(x) for x in pixel.thresholds)))
+                residuals.append(unexplained(change, batch, *(float(x) for x in pixel.thresholds)))
             rays = len(batch.t) / batch.weight.sum()
             print(
-                f"{setting:7} {bandwidth.mode:3} S={samples:3}  1 ray {found[0]:.3f}  4 rays {found[1]:.3f}  "
+                f"{setting:7} {bandwidth.mode:3} S={samples:3}  1 ray {residuals[0]:.3f}  4 rays {residuals[1]:.3f}  "
                 f"({rays:.1f} samples per event)",
                 flush=True,
             )

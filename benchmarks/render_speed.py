@@ -75,11 +75,11 @@ def main() -> None:
     far = np.maximum((-high - some.origins) / some.directions, (high - some.origins) / some.directions).min(1)
     samples = int((np.maximum(far - near, 0) / box.step).sum())
     for engine in ("compiled", "tensors"):
-        found = rate(lambda engine=engine: render(grid, behind, some, box, engine)[0].sum().backward(), samples)
-        print(f"{engine:10} {found / 1e6:7.2f} M samples/s, {RAYS * found / samples / 1e3:7.0f} k rays/s")
+        per_second = rate(lambda engine=engine: render(grid, behind, some, box, engine)[0].sum().backward(), samples)
+        print(f"{engine:10} {per_second / 1e6:7.2f} M samples/s, {RAYS * per_second / samples / 1e3:7.0f} k rays/s")
     network, points = Hash(), torch.rand(100_000, 3)
-    found = rate(lambda: network(points).sum().backward(), len(points))
-    print(f"{'hash':10} {found / 1e6:7.2f} M samples/s, {RAYS * found / samples / 1e3:7.0f} k rays/s")
+    per_second = rate(lambda: network(points).sum().backward(), len(points))
+    print(f"{'hash':10} {per_second / 1e6:7.2f} M samples/s, {RAYS * per_second / samples / 1e3:7.0f} k rays/s")
 
 
 if __name__ == "__main__":

@@ -98,8 +98,8 @@ def lowlight() -> str:
 
 def certification() -> str:
     """What `benchmarks/gap_certification.py` found."""
-    found = of_json("docs/gap_certification.json")
-    summary, runs = found["summary"], found["runs"]
+    certified = of_json("docs/gap_certification.json")
+    summary, runs = certified["summary"], certified["runs"]
     labels = {
         "nulls, named": "nothing planted: an effect is named",
         "nulls, anything but none": "nothing planted: any verdict but `none`",
@@ -149,8 +149,8 @@ def certification() -> str:
 
 def single_sessions() -> str:
     """Single simulated sessions, recorded by hand as their verdicts were read."""
-    found = of_json("docs/results/gap_sessions.json")
-    return found["note"] + "\n\n" + table(("planted", "verdict and strengths"), found["sessions"])
+    recorded = of_json("docs/results/gap_sessions.json")
+    return recorded["note"] + "\n\n" + table(("planted", "verdict and strengths"), recorded["sessions"])
 
 
 def coverage() -> str:

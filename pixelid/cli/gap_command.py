@@ -9,6 +9,7 @@ from pixelid.cli import options
 EXAMPLE = """
 \b
 Example:
+    mkdir session
     pixelid simulate dvs128 --stimulus chirp --out session/chirp.h5 --pixels 25 --with leak:rate_hz=1
     pixelid simulate dvs128 --stimulus steps --out session/steps.h5 --pixels 25 --with leak:rate_hz=1
     pixelid gap session/ --model dvs128 --out gap

@@ -29,9 +29,9 @@ Example:
 def command(files: tuple[Path, ...], as_json: bool, out: Path | None, crop, overwrite: bool, seed: int, quiet: bool):
     """Show events, rates, ON/OFF balance, dead time, timestamp tick, periodic lines, hot pixels and readout ceiling.
 
-    FILE is any readable recording: .h5, .npz, .aedat4, .aedat, .raw, .dat, .es, .csv, .txt.  Files in .npy are
-    histograms of intervals of a still scene, names ending in pos_161lux, neg_3klux, …: they are inspected
-    together, for leak, parasitic photocurrent and noise.
+    FILE is any readable recording: .h5, .hdf5, .npz, .aedat4, .aedat, .raw, .dat, .es, .bag, .db3, .mcap, .mat,
+    .csv, .txt.  Files in .npy are histograms of intervals of a still scene, names ending in pos_161lux, neg_3klux, …:
+    they are inspected together, for leak, parasitic photocurrent and noise.
     """
     import json
 

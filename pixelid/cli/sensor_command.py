@@ -58,7 +58,6 @@ def command(recordings, model, out, bandwidth, block, tile, bootstrap, workers, 
         opened = [crop.applied(recording, seed) for recording in open_recordings(recordings)]
         from pixelid.report.html import write_report
         from pixelid.sensors import fit_sensor
-        from pixelid.sensors.saving import save
         from pixelid.sensors.work import Where
 
         with bar(quiet) as report:
@@ -75,7 +74,7 @@ def command(recordings, model, out, bandwidth, block, tile, bootstrap, workers, 
                 progress=report,
             )
         with whole_folder(out, overwrite) as folder:
-            save(fit, folder)
+            fit.write(folder)
             write_report(folder)
         shutil.rmtree(keep, ignore_errors=True)
     if not quiet:

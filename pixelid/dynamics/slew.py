@@ -32,7 +32,7 @@ MOST_STEPS = 500_000_000
 ROOT = 1e-9  # of a step: how closely a switch is timed; s has no kink there, so its error is the square of this
 ROOT_STEPS = 60
 RESOLVED = 0.5  # of the shortest time constant of photoreceptor and follower: how far apart switches are looked for
-FASTEST = 2 * np.pi * 4e4  # rad/s: what is faster follows the rest
+FASTEST_RAD_S = 2 * np.pi * 4e4  # rad/s: what is faster follows the rest
 _low_pass = njit(derivative_low_pass, inline="always", error_model="numpy")
 
 
@@ -108,7 +108,7 @@ def _looked_at(mode, state, u0, r, left, a, b2, rates):
     else:
         safe = -beyond(mode, state, rates) / rates[0] / (steepest + (rates[4] if mode > 0 else rates[5]))
     fastest = max(rates[0], np.sqrt(a) if b2 < PRESENT_BELOW else 0.0)
-    return min(left, max(safe, RESOLVED / min(fastest, FASTEST)))
+    return min(left, max(safe, RESOLVED / min(fastest, FASTEST_RAD_S)))
 
 
 @njit(cache=True, error_model="numpy")

@@ -2,25 +2,43 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
 from pixelid.figures.style import INK, MUTED, OFF, ON, new_axes, save_figure, styled
+from pixelid.fit.coordinates import Coordinates
 from pixelid.fit.event_times import EventTimesObjective
 from pixelid.fit.pooled_rate import PooledRateObjective
-from pixelid.fit.result import FitResult
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.likelihood.pooled_rate import PooledRate
+from pixelid.model.model import Model
 from pixelid.recordings.recording import Recording
 from pixelid.stimuli.resample import resampled
 
 BINS = 120
 
 
-def write_figures(result: FitResult, recordings: Sequence[Recording], folder: Path) -> list[Path]:
+class Fitted(Protocol):
+    """What figures need of a fit's result."""
+
+    @property
+    def observation(self) -> str: ...
+    @property
+    def coordinates(self) -> Coordinates: ...
+    @property
+    def x(self) -> np.ndarray: ...
+    @property
+    def model(self) -> Model: ...
+    @property
+    def seed(self) -> int: ...
+    @property
+    def details(self) -> Mapping: ...
+
+
+def write_figures(result: Fitted, recordings: Sequence[Recording], folder: Path) -> list[Path]:
     """Write the figures of a fit as SVG into `folder`; returns their paths."""
     if result.observation == "pooled_rate":
         return [save_figure(draw_edges(result, recordings), folder / "edges.svg")]
@@ -31,7 +49,7 @@ def write_figures(result: FitResult, recordings: Sequence[Recording], folder: Pa
 
 
 @styled
-def draw_conditions(result: FitResult, recordings: Sequence[Recording], axes: Any = None) -> Any:
+def draw_conditions(result: Fitted, recordings: Sequence[Recording], axes: Any = None) -> Any:
     """Event rates over time, measured (filled) and simulated by the fitted model (lines), an axis per recording."""
     from pixelid.simulate import simulate
 
@@ -65,7 +83,7 @@ def draw_conditions(result: FitResult, recordings: Sequence[Recording], axes: An
     return axes
 
 
-def standardised(result: FitResult, recordings: Sequence[Recording]) -> tuple[EventTimes, np.ndarray, np.ndarray]:
+def standardised(result: Fitted, recordings: Sequence[Recording]) -> tuple[EventTimes, np.ndarray, np.ndarray]:
     """(likelihood, residuals, kept): (z − threshold) / σ of every interval, and which are not background events."""
     between = result.details.get("stimulus_between_samples", "linear")
     likelihood = EventTimes([r.with_stimulus(resampled(r.stimulus, between)) for r in recordings if r.stimulus])
@@ -76,7 +94,7 @@ def standardised(result: FitResult, recordings: Sequence[Recording]) -> tuple[Ev
 
 
 @styled
-def draw_residuals(result: FitResult, recordings: Sequence[Recording], axes: Any = None) -> Any:
+def draw_residuals(result: Fitted, recordings: Sequence[Recording], axes: Any = None) -> Any:
     """Residual levels against time in the recording, time since the last event, and their distribution."""
     likelihood, residual, kept = standardised(result, recordings)
     since = np.concatenate([iv.time_s - iv.previous_s for iv in likelihood.intervals])
@@ -120,7 +138,7 @@ def draw_residuals(result: FitResult, recordings: Sequence[Recording], axes: Any
 
 
 @styled
-def draw_edges(result: FitResult, recordings: Sequence[Recording], axes: Any = None) -> Any:
+def draw_edges(result: Fitted, recordings: Sequence[Recording], axes: Any = None) -> Any:
     """Event rates after rising and falling edges of the stimulus, measured and fitted, averaged over the edges."""
     likelihood = PooledRate(recordings)
     objective = PooledRateObjective(likelihood, result.coordinates)

@@ -12,13 +12,13 @@ from pixelid.fit.event_times import EventTimesObjective
 from pixelid.fit.newton import Optimum
 from pixelid.fit.objective import Objective
 from pixelid.fit.result import Estimate
-from pixelid.fit.uncertainty.profiles import DROP, at_fixed
+from pixelid.fit.uncertainty.profiles import DROP_NATS, at_fixed
 from pixelid.parameters.parameter import Parameter
 from pixelid.status import Status
 
 # Events that fit the model not at all.  Under a true model they are one in 10⁵ (`likelihood/event_times.py`), so one
 # in 10³ is an effect; below 5 a single accident could decide.
-LARGEST_BACKGROUND_FRACTION, FEWEST_BACKGROUND_EVENTS = 1e-3, 5
+LARGEST_BACKGROUND_FRACTION, MIN_BACKGROUND_EVENTS = 1e-3, 5
 # Pooled counts about a true model have dispersion 1; pools of real pixels reach 2 to 3 by sharing light fluctuations,
 # for which errors are widened.  Beyond, what is left of the counts has structure.
 LARGEST_DISPERSION = 3.0
@@ -122,7 +122,7 @@ def deciding_bounds(objective: Objective, optimum: Optimum, dispersion: float = 
     for i in map(int, np.flatnonzero(optimum.on_bound)):
         moved = x.copy()
         moved[i] = np.clip(x[i] + (moves[i] if x[i] <= lower[i] else -moves[i]), lower[i], upper[i])
-        if len(x) == 1 or optimum.local.value - at_fixed(objective, moved, i)[0] >= DROP * dispersion:
+        if len(x) == 1 or optimum.local.value - at_fixed(objective, moved, i)[0] >= DROP_NATS * dispersion:
             names.append(objective.coordinates.names[i])
     return names
 
@@ -165,7 +165,7 @@ def status_of(
         advice.append("the search ended before its maximum: fix a parameter that is not identified, or start closer")
         statuses.append(Status.not_converged)
     background, share = details.get("background_events", 0), details.get("background_fraction", 0.0)
-    if share > LARGEST_BACKGROUND_FRACTION and background >= FEWEST_BACKGROUND_EVENTS:
+    if share > LARGEST_BACKGROUND_FRACTION and background >= MIN_BACKGROUND_EVENTS:
         advice.append(f"{background} events ({100 * share:.2g} %) do not fit the model at all: it misses an effect")
         statuses.append(Status.misfit)
     dispersion = details.get("dispersion", 1.0)

@@ -1,6 +1,6 @@
 """Maximise a log posterior: damped Newton steps on the information matrix, inside bounds.
 
-Levenberg–Marquardt with Nielsen's damping update (Madsen, Nielsen & Tingleff 2004, §3.2), steps clipped to the
+Levenberg–Marquardt with Nielsen's damping update (Madsen, Nielsen & Tingleff 2004, section 3.2), steps clipped to the
 bounds; coordinates that sit on a bound and are pushed outwards leave the step.
 """
 

@@ -10,6 +10,9 @@ gauge = ["q_in=0.875"]          statements for physical values
 between = "auto"                "linear", "smooth" or "auto"
 engine = "casadi"               "casadi", "torch" or "scipy"
 form = "discrete"               "discrete" or "continuous"
+sample, profile = false         also draw from the posterior, also profile every parameter
+roi = [0, 0, 64, 64]            only these columns and rows (as --roi), time = [0.0, 0.5], pixels = 25,
+without_hot_pixels = true       likewise
 seed = 0
 """
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -21,7 +21,9 @@ from pixelid.figures.style import (
     save_figure,
     styled,
 )
-from pixelid.gap.result import GapReport
+from pixelid.gap.attribute.flexible import Flexible
+from pixelid.gap.confirm.free_run import FreeRun
+from pixelid.model.model import Model
 from pixelid.recordings.recording import Recording
 from pixelid.simulate import simulate
 from pixelid.stimuli.resample import resampled
@@ -30,7 +32,26 @@ BINS = 100
 LATE, EARLY = ON, OFF  # warm and cold
 
 
-def write_figures(report: GapReport, recordings: Sequence[Recording], folder: Path) -> list[Path]:
+class Searched(Protocol):
+    """What figures need of a search's report."""
+
+    @property
+    def base(self) -> Model: ...
+    @property
+    def model(self) -> Model: ...
+    @property
+    def rounds(self) -> tuple[dict, ...]: ...
+    @property
+    def free_run(self) -> FreeRun | None: ...
+    @property
+    def term(self) -> Flexible | None: ...
+    @property
+    def seed(self) -> int: ...
+    @property
+    def details(self) -> Mapping: ...
+
+
+def write_figures(report: Searched, recordings: Sequence[Recording], folder: Path) -> list[Path]:
     """Write the figures that apply as PNG into `folder`; returns their paths."""
     drawn = {"map": draw_map(report)}
     if any(entry["candidates"] for entry in report.rounds):
@@ -46,7 +67,7 @@ def write_figures(report: GapReport, recordings: Sequence[Recording], folder: Pa
 
 
 @styled
-def draw_map(report: GapReport, axes: Any = None) -> Any:
+def draw_map(report: Searched, axes: Any = None) -> Any:
     """The cells that leave zero most, before and after, as signed bars."""
     if axes is None:
         axes = new_axes(2, 1, 8.5, 3.2)
@@ -62,7 +83,7 @@ def draw_map(report: GapReport, axes: Any = None) -> Any:
 
 
 @styled
-def draw_gains(report: GapReport, axes: Any = None) -> Any:
+def draw_gains(report: Searched, axes: Any = None) -> Any:
     """Held-out gain of every effect fitted, per round."""
     rows = [(entry["round"], c) for entry in report.rounds for c in entry["candidates"]][::-1]
     axis = axes if axes is not None else new_axis(7, 1.2 + 0.28 * len(rows))
@@ -79,7 +100,7 @@ def draw_gains(report: GapReport, axes: Any = None) -> Any:
 
 
 @styled
-def draw_free_run(report: GapReport, axes: Any = None) -> Any:
+def draw_free_run(report: Searched, axes: Any = None) -> Any:
     run = report.free_run
     assert run is not None
     names = list(run.per_recording)
@@ -95,7 +116,7 @@ def draw_free_run(report: GapReport, axes: Any = None) -> Any:
 
 
 @styled
-def draw_before_after(report: GapReport, recordings: Sequence[Recording], axes: Any = None) -> Any:
+def draw_before_after(report: Searched, recordings: Sequence[Recording], axes: Any = None) -> Any:
     """Event rates of the recordings with the largest gap: measured, base model, grown model."""
     run = report.free_run
     assert run is not None
@@ -126,7 +147,7 @@ def draw_before_after(report: GapReport, recordings: Sequence[Recording], axes: 
 
 
 @styled
-def draw_after_jumps(report: GapReport, axes: Any = None) -> Any:
+def draw_after_jumps(report: Searched, axes: Any = None) -> Any:
     """Pooled counts by the time since the light jumped, over what the base and the grown model expect."""
     rows = report.details["after_jumps"]
     axis = axes if axes is not None else new_axis(9, 1.0 + 0.16 * len(rows))
@@ -143,7 +164,7 @@ def draw_after_jumps(report: GapReport, axes: Any = None) -> Any:
 
 
 @styled
-def draw_unexplained(report: GapReport, axes: Any = None) -> Any:
+def draw_unexplained(report: Searched, axes: Any = None) -> Any:
     term = report.term
     assert term is not None
     order = np.argsort(-np.abs(term.shift / np.maximum(term.se, 1e-12)))[:24]

@@ -145,11 +145,6 @@ class Terms:
         """(g,) its variance."""
         return self.group.variance
 
-    @property
-    def stray(self) -> np.ndarray:
-        """`background` under its old name, until all callers have moved."""
-        return self.background
-
     def gradient(self) -> Gradient:
         """The derivatives of the total by everything it was made of."""
         at = self.layout

@@ -9,7 +9,7 @@ Counts in bins are Poisson about ∫ λ dt.  Within a bin ∫ẏ⁺ is the rise 
 
 C/N alone is visible without dead time: N is a gauge, `pooled.pixels`, fixed unless told.  Real pools are more
 variable than Poisson; `dispersion` measures by how much, and errors are scaled by it (quasi-Poisson; McCullagh &
-Nelder 1989, §9.2).
+Nelder 1989, section 9.2).
 """
 
 from __future__ import annotations

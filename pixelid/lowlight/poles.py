@@ -42,12 +42,12 @@ def pair(circuit: Circuit, radiance) -> np.ndarray:
 
 def stages(circuit: Circuit) -> dict[str, float]:
     """First-order poles [rad/s] after the photoreceptor, by name; the lower cutoff is not among them."""
-    found = {
+    cutoffs = {
         "source_follower": circuit.follower,
         "extra_pole": circuit.extra_pole,
         "differencing": circuit.differencing,
     }
-    return {name: cutoff for name, cutoff in found.items() if math.isfinite(cutoff)}
+    return {name: cutoff for name, cutoff in cutoffs.items() if math.isfinite(cutoff)}
 
 
 def exact(circuit: Circuit, radiance: float, scope: str) -> np.ndarray:

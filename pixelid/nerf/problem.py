@@ -16,7 +16,7 @@ from pixelid.nerf.stretches import NOISE
 from pixelid.nerf.train import Problem
 from pixelid.nerf.views import Views
 
-CLOSE = 0.5  # pixels: about half the width of the field's edges
+CLOSE_PIXELS = 0.5  # pixels: about half the width of the field's edges
 HELD_OUT = 0.03  # share of pixels whose events are kept from training
 
 
@@ -28,7 +28,7 @@ def problem_of(
     scale: str = "auto",
     box: Sequence[float] | None = None,
     held_out: float = HELD_OUT,
-    close: float = CLOSE,
+    close: float = CLOSE_PIXELS,
     seed: int = 0,
 ) -> Problem:
     """The problem of a dataset under its own calibration or another one (a fit's).

@@ -67,5 +67,5 @@ def _header(path: Path) -> tuple[list[str], int]:
 
 def _biases(lines: list[str], chip: str) -> dict[str, str]:
     """Every preference of this chip's bias generator, without the chip's name."""
-    found = (match.groups() for match in map(ENTRY.search, lines) if match)
-    return {key[len(chip) + 1 :]: value for key, value in found if key.startswith(f"{chip}.") and BIAS.search(key)}
+    entries = (match.groups() for match in map(ENTRY.search, lines) if match)
+    return {key[len(chip) + 1 :]: value for key, value in entries if key.startswith(f"{chip}.") and BIAS.search(key)}

@@ -155,8 +155,8 @@ def _header(path: Path) -> dict[str, str]:
     with path.open("rb") as file:
         head = file.read(1 << 16)
     if head.startswith(b"#!AER-DAT4"):
-        found = re.search(rb'key="source"[^>]*>([^<]+)<', head)
-        return {"source": found.group(1).decode("latin1")} if found else {}
+        source = re.search(rb'key="source"[^>]*>([^<]+)<', head)
+        return {"source": source.group(1).decode("latin1")} if source else {}
     header = {}
     for line in head.split(b"\n"):
         if not line.startswith(b"% "):

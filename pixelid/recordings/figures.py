@@ -2,16 +2,30 @@
 
 from __future__ import annotations
 
+from typing import Protocol
+
 import numpy as np
 
 from pixelid.figures.style import INK, OFF, ON, new_axes, styled
-from pixelid.recordings.recording import Recording
+from pixelid.recordings.events import Events
+from pixelid.stimuli.stimulus import Stimulus
 
 BINS = 200
 
 
+class Shown(Protocol):
+    """What is drawn of a recording."""
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def events(self) -> Events: ...
+    @property
+    def stimulus(self) -> Stimulus | None: ...
+
+
 @styled
-def draw_recording(recording: Recording) -> np.ndarray:
+def draw_recording(recording: Shown) -> np.ndarray:
     """Event rates, ON up and OFF down, and below them the light when it is known: axes (rows, 1)."""
     events, stimulus = recording.events, recording.stimulus
     time_s = events.t * 1e-9

@@ -37,7 +37,7 @@ NAMED = {"format", "version", "condition", "sensor", "pooled"}
 
 
 def read(path: Path) -> Recording:
-    """The recording in an HDF5 file; raises InputError for anything §8 of the format does not allow."""
+    """The recording in an HDF5 file; raises InputError for anything that docs/formats.md does not allow."""
     import h5py
 
     if not h5py.is_hdf5(path):

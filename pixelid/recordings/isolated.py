@@ -205,10 +205,10 @@ def _assembled(answer: dict[str, Any], path: Path) -> Recording:
         return None if some is None else Events(**some)
 
     light, edges = answer["stimulus"], answer["triggers"]
-    found = events(answer["events"])
-    assert found is not None
+    measured = events(answer["events"])
+    assert measured is not None
     return Recording(
-        events=found,
+        events=measured,
         stimulus=None if light is None else Stimulus(light["t"], light["radiance"], light["unit"], light["between"]),
         condition=answer["condition"],
         sensor=answer["sensor"],

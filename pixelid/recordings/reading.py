@@ -60,9 +60,9 @@ def _files(path: Path) -> list[Path]:
         return [path]
     files = sorted(file for file in path.iterdir() if file.is_file() and not file.name.startswith("."))
     for suffixes in (BINARY_SUFFIXES, TEXT_SUFFIXES):
-        found = [file for file in files if file.suffix.lower() in suffixes]
-        if found:
-            return found
+        chosen = [file for file in files if file.suffix.lower() in suffixes]
+        if chosen:
+            return chosen
     raise InputError(f"{path}: expected a folder with recordings ({READABLE}), found none")
 
 
@@ -84,6 +84,6 @@ def _reader(path: Path, head: bytes) -> str:
     if suffix in TEXT_SUFFIXES:
         return "text"
     if head.startswith(b"#!AER-DAT"):
-        found = head.splitlines()[0].decode("latin1")
-        raise InputError(f"{path}: expected AER-DAT2.0 or AER-DAT4.0, found {found}")
+        version = head.splitlines()[0].decode("latin1")
+        raise InputError(f"{path}: expected AER-DAT2.0 or AER-DAT4.0, found {version}")
     raise InputError(f"{path}: expected a recording ({READABLE}), found {suffix or 'a file without extension'}")

@@ -62,10 +62,10 @@ def _header(file, path: Path):
 
 def _order(line: str, path: Path) -> list[int]:
     names = [name.strip().lower() for name in line.replace(",", " ").split()]
-    found = [next((k for k, name in enumerate(names) if name in NAMES[letter]), None) for letter in "txyp"]
-    if any(k is None for k in found):
+    columns = [next((k for k, name in enumerate(names) if name in NAMES[letter]), None) for letter in "txyp"]
+    if any(k is None for k in columns):
         raise InputError(f"{path}: header: expected columns t, x, y, p, found {', '.join(names)[:80]}")
-    return [k for k in found if k is not None]
+    return [k for k in columns if k is not None]
 
 
 def _blocks(file, first: str, order: list[int], seconds: bool, where: str):

@@ -18,11 +18,11 @@ from pixelid.report.format import count, counted, interval, number, percent, sec
 Result = dict[str, Any]
 
 TONES = {
-    "converged": "good", "done": "good", "named": "good", "none": "good",
+    "converged": "good", "named": "good", "none": "good",
     "misfit": "warn", "at_bound": "warn", "not_identified": "warn", "ambiguous": "warn", "unknown": "warn",
 }  # fmt: skip
 VERDICTS = {
-    "converged": "Converged", "done": "Done", "misfit": "Misfit: the model does not describe the data",
+    "converged": "Converged", "misfit": "Misfit: the model does not describe the data",
     "at_bound": "A parameter sits on its bound", "not_identified": "Not identified", "not_converged": "Not converged",
     "diverged": "Diverged", "interrupted": "Interrupted", "none": "No gap: the model describes the recordings",
     "named": "The gap has a name", "ambiguous": "Several effects explain the gap equally well",

@@ -33,7 +33,7 @@ def nested_r_hat(draws: np.ndarray) -> float:
 
 def ranked_nested_r_hat(draws: np.ndarray) -> float:
     """The larger of the nested R̂ of rank-normalised and of folded draws, which also sees scale and tails
-    (Vehtari et al. 2021, Bayesian Analysis 16, §4)."""
+    (Vehtari et al. 2021, Bayesian Analysis 16, section 4)."""
     folded = np.abs(draws - np.median(draws))
     return max(nested_r_hat(_rank_normalised(draws)), nested_r_hat(_rank_normalised(folded)))
 

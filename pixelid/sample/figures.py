@@ -2,18 +2,32 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
 from pixelid.figures.style import SERIES, new_axes, save_figure, series_colours, styled
-from pixelid.sample.posterior import Posterior
+from pixelid.fit.coordinates import Coordinates
+from pixelid.sample.convergence import Convergence
 
 LEVELS = (0.68, 0.95)  # of the posterior inside the contours
 
 
-def write_figures(posterior: Posterior, folder: Path) -> list[Path]:
+class Draws(Protocol):
+    """What figures need of a posterior."""
+
+    @property
+    def coordinates(self) -> Coordinates: ...
+    @property
+    def chain(self) -> np.ndarray: ...
+    @property
+    def convergence(self) -> Convergence: ...
+    def values(self) -> Mapping[str, np.ndarray]: ...
+
+
+def write_figures(posterior: Draws, folder: Path) -> list[Path]:
     """Write corner.svg and trace.svg into `folder`; returns their paths."""
     return [
         save_figure(draw_corner(posterior), folder / "corner.svg"),
@@ -22,7 +36,7 @@ def write_figures(posterior: Posterior, folder: Path) -> list[Path]:
 
 
 @styled
-def draw_corner(posterior: Posterior) -> Any:
+def draw_corner(posterior: Draws) -> Any:
     """Every parameter against every other, in its own unit, with contours that hold 68 and 95 % of the draws.
 
     Returns the (parameters, parameters) axes.
@@ -45,7 +59,7 @@ def draw_corner(posterior: Posterior) -> Any:
 
 
 @styled
-def draw_trace(posterior: Posterior, axes: Any = None) -> Any:
+def draw_trace(posterior: Draws, axes: Any = None) -> Any:
     """The mean and the 5 to 95 % range of the walkers at every step, one colour per ensemble: they must overlap.
 
     Returns the axes, two to a row.

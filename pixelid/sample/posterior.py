@@ -181,7 +181,7 @@ class Posterior(Result):
 
     def to_arviz(self) -> Any:
         """An `xarray.DataTree` as ArviZ 1 takes it: posterior (one chain per walker), sample_stats, log_likelihood."""
-        from pixelid.sample.groups import sampled_groups
+        from pixelid.sample.drawn_groups import sampled_groups
 
         return sampled_groups(self)
 

@@ -69,10 +69,10 @@ class Target:
             pieces = np.append(self._pooled_pieces(x) / self._dispersion, 0.0)
             total = pieces.sum()
         else:
-            found = self._events.terms(self.coordinates.circuit(x))
-            total = found.total
-            units = np.bincount(np.arange(len(found.per_pixel)) % self.units, found.per_pixel, self.units)
-            pieces = np.concatenate([found.per_recording, [total - found.per_recording.sum()], units])
+            terms = self._events.terms(self.coordinates.circuit(x))
+            total = terms.total
+            units = np.bincount(np.arange(len(terms.per_pixel)) % self.units, terms.per_pixel, self.units)
+            pieces = np.concatenate([terms.per_recording, [total - terms.per_recording.sum()], units])
         if not np.isfinite(total):
             return -np.inf, np.full(size, np.nan)
         return total + prior, pieces

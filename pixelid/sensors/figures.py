@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from pixelid.figures.style import INK, MUTED, SEQUENTIAL, new_axes, styled
-from pixelid.sensors.sensor import Map
+from pixelid.sensors.map import Map
 
 
 @styled

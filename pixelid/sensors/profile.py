@@ -76,15 +76,15 @@ def estimate_tile(plan: Plan, recordings: list[Recording]) -> Estimates:
     grid = np.linspace(-plan.reach, plan.reach, COARSE) if plan.bandwidth else np.zeros(1)
     value, mean, weight = _scan(plan, likelihood, grid)
     best, best_sd = _peaks(grid, _sums(value, member, len(block)))
-    found = np.isfinite(best)
-    if found.any() and plan.bandwidth:
-        margin = np.minimum(4.0 * best_sd[found], 0.25 * plan.reach)
-        low, high = (best[found] - margin).min(), (best[found] + margin).max()
-        if high - low < 1.5 * plan.reach or best_sd[found].min() < 0.2 * (grid[1] - grid[0]):
+    resolved = np.isfinite(best)
+    if resolved.any() and plan.bandwidth:
+        margin = np.minimum(4.0 * best_sd[resolved], 0.25 * plan.reach)
+        low, high = (best[resolved] - margin).min(), (best[resolved] + margin).max()
+        if high - low < 1.5 * plan.reach or best_sd[resolved].min() < 0.2 * (grid[1] - grid[0]):
             grid = np.linspace(low - 0.01, high + 0.01, POINTS)
             value, mean, weight = _scan(plan, likelihood, grid)
             again, again_sd = _peaks(grid, _sums(value, member, len(block)))
-            best, best_sd = np.where(found, again, np.nan), np.where(found, again_sd, np.inf)
+            best, best_sd = np.where(resolved, again, np.nan), np.where(resolved, again_sd, np.inf)
     pixel = likelihood.pixel_keys.astype(np.int64)
     at, sd = best[member], best_sd[member]
     known = np.isfinite(at)
@@ -104,11 +104,11 @@ def estimate_tile(plan: Plan, recordings: list[Recording]) -> Estimates:
 
 def _scan(plan: Plan, likelihood: EventTimes, grid: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Log-likelihood (points, n), thresholds (points, n, 2) and weights (points, n, 2; OFF first) along the grid."""
-    found = [likelihood.terms(_circuit(plan, float(step))) for step in grid]
+    scanned = [likelihood.terms(_circuit(plan, float(step))) for step in grid]
     return (
-        np.array([terms.per_pixel for terms in found]),
-        np.array([terms.weighted_mean.reshape(-1, 2) for terms in found]),
-        np.array([terms.weight_sum.reshape(-1, 2) for terms in found]),
+        np.array([terms.per_pixel for terms in scanned]),
+        np.array([terms.weighted_mean.reshape(-1, 2) for terms in scanned]),
+        np.array([terms.weight_sum.reshape(-1, 2) for terms in scanned]),
     )
 
 

@@ -1,4 +1,4 @@
-"""One step of the four-state chain for a tile of pixels: `dynamics.vectorised`, and how far outputs can stray."""
+"""One step of the four-state chain for a tile of pixels: `dynamics.vectorised`, and how far outputs can swing."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def _slopes(u0, u1, tau, r):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def advance(u0, u1, L0, L1, tau, dynamics, midpoint, begin, end, c, r, spare, work):
-    """Fill `end` (6, n), c (`vectorised.COEFFICIENTS`, n), r (n,) and spare (n,), how far d can stray from the mean of
+    """Fill `end` (6, n), c (`vectorised.COEFFICIENTS`, n), r (n,) and spare (n,), how far d can be from the mean of
     its ends.
 
     u0, u1, L0, L1: (n,) log radiance and radiance at both ends;  begin: (6, n);  work: (WORK_ROWS, n).

@@ -81,21 +81,21 @@ def room(size):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def grown(found):
+def grown(fired):
     """The same events with twice the room."""
-    times, pixels, polarities = room(2 * len(found[0]))
-    for k in range(len(found[0])):
-        times[k], pixels[k], polarities[k] = found[0][k], found[1][k], found[2][k]
+    times, pixels, polarities = room(2 * len(fired[0]))
+    for k in range(len(fired[0])):
+        times[k], pixels[k], polarities[k] = fired[0][k], fired[1][k], fired[2][k]
     return times, pixels, polarities
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def events_in_step(pixel, place, t0, t1, step, chain, comparators, drawn, laws, found, count, scratch):
+def events_in_step(pixel, place, t0, t1, step, chain, comparators, drawn, laws, fired, count, scratch):
     """Carry one pixel through the step t0 … t1, with its release, crossings and resets in the order they happen.
 
     laws: `laws.Laws`, leak and parasitic in log radiance per second (and radiance);
-    found: (times (m,) s, pixels (m,), polarities (m,)), grown as needed.
-    Returns (found, count).
+    fired: (times (m,) s, pixels (m,), polarities (m,)), grown as needed.
+    Returns (fired, count).
     """
     refractory, leak, parasitic, drift, noise, key, history = laws
     tau, wd = step[4], chain[3]
@@ -105,7 +105,7 @@ def events_in_step(pixel, place, t0, t1, step, chain, comparators, drawn, laws, 
     release = comparators[RELEASE, place]
     if release < np.inf:
         if release > t1:
-            return found, count
+            return fired, count
         x = min(max(release - t0, 0.0), tau)
         here = probe(x, step, chain)
         level, decay = here[0], here[1] - here[0] if wd < PRESENT_BELOW else 0.0
@@ -120,15 +120,15 @@ def events_in_step(pixel, place, t0, t1, step, chain, comparators, drawn, laws, 
         )  # fmt: skip
         if polarity < 0:
             break
-        if count == len(found[0]):
-            found = grown(found)
-        found[0][count], found[1][count], found[2][count] = t0 + at, pixel, polarity
+        if count == len(fired[0]):
+            fired = grown(fired)
+        fired[0][count], fired[1][count], fired[2][count] = t0 + at, pixel, polarity
         count += 1
         draw_thresholds(pixel, place, comparators, drawn, key, noise, history[polarity])
         if t0 + at + refractory > t1:
             comparators[RELEASE, place] = t0 + at + refractory
             comparators[LEVEL, place], comparators[DECAY, place] = np.nan, 0.0
-            return found, count
+            return fired, count
         x = min(at + refractory, tau)
         here = probe(x, step, chain)
         level, decay = here[0], here[1] - here[0] if wd < PRESENT_BELOW else 0.0
@@ -137,4 +137,4 @@ def events_in_step(pixel, place, t0, t1, step, chain, comparators, drawn, laws, 
         level -= parasitic * light_integral(step[7] * np.exp(step[8] * x), step[8], tau - x)
     comparators[LEVEL, place] = level
     comparators[DECAY, place] = decay * np.exp(-wd * (tau - x)) if decay != 0.0 else 0.0
-    return found, count
+    return fired, count

@@ -17,8 +17,8 @@ from pixelid.dynamics.equations import PRESENT_BELOW
 from pixelid.simulate.step import change, cubic, probe
 
 DEPTH = 64
-SMALLEST = 1e-11  # seconds: pieces are not halved below
-ACCURACY = 1e-14  # seconds, of a root: its error moves the reset level, and with it every later event
+SMALLEST_S = 1e-11  # pieces are not halved below
+ACCURACY_S = 1e-14  # of a root: its error moves the reset level, and with it every later event
 TRUST = 1e-3  # of the smaller threshold: agreement of cubic and closed form at the midpoint of a piece
 NOTHING = -1.0
 
@@ -68,14 +68,14 @@ def _root(xa, ga, sa, xb, gb, sb, K, sign, step, chain, reset, threshold, rate):
     """The root of g in [xa, xb], g(xa) < 0 ≤ g(xb): of cubics through ever closer values of the closed form.
 
     A cubic through [xa, xb] errs by about K (x − xa)² (x − xb)².  Each value found tells K; the loop ends when the
-    error of the root is below ACCURACY.
+    error of the root is below ACCURACY_S.
     """
     for _ in range(60):
         h = xb - xa
         p, slope = _cubic_root(h, ga, sa, gb, sb)
         x = xa + p * h
         around = (x - xa) * (xb - x)
-        if K * around * around < ACCURACY * abs(slope) or h < ACCURACY:
+        if K * around * around < ACCURACY_S * abs(slope) or h < ACCURACY_S:
             return x
         g, s = _margin(x, sign, step, chain, reset, threshold, rate)
         K = abs(g - cubic(p, h, ga, gb, sa, sb)[0]) / (around * around)
@@ -116,7 +116,7 @@ def _search(xa, ga, sa, xb, gb, sb, K, sign, step, chain, reset, threshold, rate
     last, g_last, s_last = xb, gb, sb
     for _ in range(12):
         h = xb - xa
-        if h < SMALLEST:
+        if h < SMALLEST_S:
             break
         p = _summit(h, ga, gb, sa, sb)
         if p < 0.0 or cubic(p, h, ga, gb, sa, sb)[0] < -slack:
@@ -190,7 +190,7 @@ def first_crossing(x0, here, step, chain, reset, on, on_rate, off, off_rate, scr
             K = abs(predicted - cm) / (around * around)  # of the cubic's error K (x − xa)² (x − xb)²
             error = 0.0625 * K * h * h * h * h
             swing = h * h * step[5] if step[6] < PRESENT_BELOW and not chain[5] else 0.0
-            if (error > trust or (swing > 16.0 and spare > trust)) and h > SMALLEST and top + 1 < DEPTH:
+            if (error > trust or (swing > 16.0 and spare > trust)) and h > SMALLEST_S and top + 1 < DEPTH:
                 top += 1
                 scratch[0, top], scratch[1, top], scratch[2, top] = xm, dm, cm
                 scratch[3, top], scratch[4, top], scratch[5, top] = sm, fm, bound_m

@@ -47,7 +47,7 @@ def _places(seed, pixels):
 def _fire(seed, pixels, mean, last, drawn, until):
     """Exponential intervals, one counter per pixel; `last` and `drawn` are moved on to the last event ≤ until."""
     key = random.stream_key(seed, random.HOT_TIME)
-    found, count = room(64), 0
+    fired, count = room(64), 0
     for i in range(len(pixels)):
         while True:
             t = last[i] - mean * np.log(random.uniform(key, pixels[i], drawn[i]))
@@ -55,8 +55,8 @@ def _fire(seed, pixels, mean, last, drawn, until):
                 break
             last[i] = t
             drawn[i] += 1
-            if count == len(found[0]):
-                found = grown(found)
-            found[0][count], found[1][count], found[2][count] = t, pixels[i], 1
+            if count == len(fired[0]):
+                fired = grown(fired)
+            fired[0][count], fired[1][count], fired[2][count] = t, pixels[i], 1
             count += 1
-    return found[0][:count], found[1][:count], found[2][:count]
+    return fired[0][:count], fired[1][:count], fired[2][:count]

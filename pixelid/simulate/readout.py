@@ -12,7 +12,7 @@ from pixelid.recordings.events import Events
 from pixelid.simulate import random
 from pixelid.stages.circuit import Circuit
 
-SURE = 8.7  # standard deviations: `random.normal_pair` never exceeds them
+LARGEST_DRAW_SIGMAS = 8.7  # `random.normal_pair` never exceeds them
 
 
 @njit(cache=True, nogil=True)
@@ -77,7 +77,7 @@ class Readout:
             held = self._waiting
             t, x, y, p = (np.concatenate(pair) for pair in ((held.t, t), (held.x, x), (held.y, y), (held.p, p)))
         order = np.lexsort((x, y, t))
-        ready = len(t) if final else int(np.searchsorted(t[order], until_ns - SURE * self._sigma))
+        ready = len(t) if final else int(np.searchsorted(t[order], until_ns - LARGEST_DRAW_SIGMAS * self._sigma))
         now, later = order[:ready], order[ready:]
         size = events.width, events.height
         self._waiting = Events(t[later], x[later], y[later], p[later], *size)

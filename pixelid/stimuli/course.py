@@ -15,7 +15,7 @@ from scipy.interpolate import CubicSpline
 from scipy.optimize import brentq
 
 STANDS_OUT = 10.0  # times the second differences beside it
-SMALLEST = 1e-4  # second difference of log radiance that may be a corner
+SMALLEST_BEND = 1e-4  # second difference of log radiance that may be a corner
 
 
 @dataclass(frozen=True)
@@ -39,16 +39,16 @@ class Course:
         which = np.clip(np.searchsorted(self.starts, t, side="right") - 1, 0, len(self.pieces) - 1)
         if len(self.pieces) == 1:
             return self.pieces[0](t, order)
-        found = np.empty(len(t))
+        values = np.empty(len(t))
         edges = np.flatnonzero(np.diff(which)) + 1
         if len(t) and (np.diff(t) >= 0).all():
             for begin, end in zip([0, *edges], [*edges, len(t)], strict=True):
-                found[begin:end] = self.pieces[which[begin]](t[begin:end], order)
-            return found
+                values[begin:end] = self.pieces[which[begin]](t[begin:end], order)
+            return values
         for piece in np.unique(which):
             here = which == piece
-            found[here] = self.pieces[piece](t[here], order)
-        return found
+            values[here] = self.pieces[piece](t[here], order)
+        return values
 
 
 def course(t: np.ndarray, u: np.ndarray) -> Course:
@@ -78,7 +78,7 @@ def _broken_intervals(u: np.ndarray) -> list[int]:
     bend[2:-2] = np.abs(np.diff(u, 2))
     inside = bend[1:-2] + bend[2:-1]  # of the samples k and k + 1
     beside = bend[:-3] + bend[3:]
-    corner = (inside > STANDS_OUT * beside) & (inside > SMALLEST)
+    corner = (inside > STANDS_OUT * beside) & (inside > SMALLEST_BEND)
     found: list[int] = []
     for k in np.flatnonzero(corner):
         if 1 <= k <= len(u) - 3 and (not found or k - found[-1] >= 2):

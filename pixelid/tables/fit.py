@@ -5,7 +5,7 @@ A table without errors says nothing about its own precision: the relative scatte
     ln(measured + d) = ln(predicted + d) + s t₄,   s² = σ² + (d / √12 / (measured + d))² + stated errors²
 
 with d the last digit written (so "no events" is a measurement: less than d) and t₄ Student's t with 4 degrees of
-freedom, fitted by EM (Lange, Little & Taylor 1989, JASA 84).  Rows beyond `SUSPECT` scales are named, and stay in the
+freedom, fitted by EM (Lange, Little & Taylor 1989, JASA 84).  Rows beyond `SUSPECT_SCALES` are named, and stay in the
 fit.  Priors of parameters are Gaussian in their fitting coordinates and count as further residuals.
 """
 
@@ -22,7 +22,7 @@ from pixelid.status import Status
 from pixelid.tables.model import TableModel, predicted_rows
 
 FREEDOM = 4.0  # of Student's t: heavy enough for a slipped decimal point, 83 % efficient for normal errors
-SUSPECT = 4.0  # scales; 1.6 % of clean rows of t₄ lie beyond
+SUSPECT_SCALES = 4.0  # scales; 1.6 % of clean rows of t₄ lie beyond
 Z95 = 1.959963984540054
 OPEN_SD = 0.5  # a log coordinate known no better than this is not identified (as in `fit.identifiability`)
 AT_BOUND = 1e-3  # of a log coordinate
@@ -64,7 +64,7 @@ class TableFit:
     @property
     def suspect(self) -> np.ndarray:
         """(rows,) which rows the fit disbelieves."""
-        return np.abs(self.residual) > SUSPECT
+        return np.abs(self.residual) > SUSPECT_SCALES
 
     def at_bound(self) -> list[str]:
         """Names of the parameters on a bound that does not just say that an effect is absent."""

@@ -38,15 +38,15 @@ def test_the_light_finds_its_place(session, tmp_path, how):
         ["convert", str(folder / "camera.h5"), str(out), "--stimulus", str(folder / "light.csv"), "--align", say]
     )
     assert code == 0
-    found = open_recording(out)
-    assert found.stimulus is not None
-    assert found.stimulus.unit == "lux"
+    converted = open_recording(out)
+    assert converted.stimulus is not None
+    assert converted.stimulus.unit == "lux"
     # the same event and the same light, seen on both clocks
     k = len(recording.events) // 2
     when = recording.events.t[k] * 1e-9
-    shifted = len(recording.events) - len(found.events)
+    shifted = len(recording.events) - len(converted.events)
     assert shifted <= 5
-    on_light = np.interp(found.events.t[k - shifted] * 1e-9, found.stimulus.t, recording.stimulus.t)
+    on_light = np.interp(converted.events.t[k - shifted] * 1e-9, converted.stimulus.t, recording.stimulus.t)
     assert on_light == pytest.approx(when, abs=2e-5 if how != "seconds" else 2e-5 + 1e-6 * PPM)
     with h5py.File(out) as file:
         told = json.loads(file.attrs["alignment"])

@@ -41,13 +41,13 @@ def test_leave_one_pixel_out_agrees_with_held_out_pixels():
     held = dict.fromkeys(("refractory_s", "diff_cutoff_hz", "sf_cutoff_hz"))
     second = truth.fix(held)
     first = find_model("dvs128_low_light").without_effect("threshold_mismatch").fix(held)
-    found = compare([recording], [first, second], between="linear", posteriors=True).contenders
-    for contender in found.values():
+    contenders = compare([recording], [first, second], between="linear", posteriors=True).contenders
+    for contender in contenders.values():
         assert contender.loo is not None
         assert contender.loo["se"] > 0
-    assert found["dvs128"].loo["worst_k_hat"] < 0.7  # else the importance weights of a pixel cannot be relied on
-    gain = found["dvs128"].loo["elpd"] - found["dvs128_low_light"].loo["elpd"]
-    held_out = found["dvs128"].held_out.sum() - found["dvs128_low_light"].held_out.sum()
+    assert contenders["dvs128"].loo["worst_k_hat"] < 0.7  # else the importance weights of a pixel cannot be relied on
+    gain = contenders["dvs128"].loo["elpd"] - contenders["dvs128_low_light"].loo["elpd"]
+    held_out = contenders["dvs128"].held_out.sum() - contenders["dvs128_low_light"].held_out.sum()
     assert gain > 10
     assert gain == pytest.approx(held_out, rel=0.5)
 

@@ -158,8 +158,8 @@ def test_predicted_errors_are_those_of_many_fits_and_the_recommended_stimulus_wi
     """Errors against the truth over 24 simulated experiments: within 20 % of the prediction, all parameters pooled."""
     errors = {}
     for extra in (CHIRP_390, STEPS_24):
-        found = recommend(MODEL, [extra], recordings=one_level, seed=1)["widths_after"]
-        predicted = np.array([found[name]["std_coordinate"] for name in COORDINATES.names])
+        widths = recommend(MODEL, [extra], recordings=one_level, seed=1)["widths_after"]
+        predicted = np.array([widths[name]["std_coordinate"] for name in COORDINATES.names])
         rows = []
         for seed in range(200, 224):
             recordings = camera([CHIRP_24.stimulus, extra.stimulus], 9, seed)
@@ -177,10 +177,10 @@ def test_a_fit_is_what_is_known_before():
     names = COORDINATES.names
     covariance = np.diag(np.linspace(0.01, 0.1, len(names)) ** 2)
     known = known_from(names, covariance)
-    found = recommend(MODEL, [STEPS_24], known=known, pixels=PIXELS, criterion="A", seed=1)
-    assert found["before"] == "fit"
-    assert "--recorded" in found["advice"]
-    before = [found["widths_before"][name]["std_coordinate"] for name in names]
+    recommended = recommend(MODEL, [STEPS_24], known=known, pixels=PIXELS, criterion="A", seed=1)
+    assert recommended["before"] == "fit"
+    assert "--recorded" in recommended["advice"]
+    before = [recommended["widths_before"][name]["std_coordinate"] for name in names]
     assert before == pytest.approx(np.linspace(0.01, 0.1, len(names)), rel=0.01)
     on_bound = covariance.copy()
     on_bound[2] = on_bound[:, 2] = 0.0
@@ -224,12 +224,12 @@ def test_the_command_end_to_end(tmp_path, one_level, capsys):
     out = tmp_path / "out"
     words = ["design", "dvs128", "--recorded", str(tmp_path / "chirp.h5"), "--menu", str(menu), "--out", str(out)]
     assert main([*words, "--criterion", "gamma"]) == 0
-    found = json.loads((out / "design.json").read_text())
+    written = json.loads((out / "design.json").read_text())
     assert {"status", "recommended", "why", "ranking", "widths_before", "widths_after", "seed", "versions"} <= set(
-        found
+        written
     )
-    assert found["recommended"]["name"] == "far"
-    assert set(found["inputs_sha256"]) == {"menu.toml", "chirp.h5"}
+    assert written["recommended"]["name"] == "far"
+    assert set(written["inputs_sha256"]) == {"menu.toml", "chirp.h5"}
     assert "<svg" in (out / "report.html").read_text()
     assert "next: far, for dvs128 by gamma" in capsys.readouterr().out
     assert main(["simulate", "dvs128", "--stimulus", str(out / "next.toml"), "--out", str(tmp_path / "n.h5")]) == 0

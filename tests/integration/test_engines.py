@@ -123,10 +123,10 @@ def test_symbolic_gradient_and_hessian_equal_differences(plain, optimum):
 )
 def test_engines_find_the_same_optimum(plain, optimum, name, options):
     start = optimum.x + 0.05 * np.cos(np.arange(len(optimum.x)))
-    found = engine(name, **options).maximise(plain, start, tolerance=1e-8, max_steps=400)
+    maximum = engine(name, **options).maximise(plain, start, tolerance=1e-8, max_steps=400)
     sd = np.sqrt(np.diag(np.linalg.inv(optimum.local.information)))
-    assert found.converged
-    assert np.abs((found.x - optimum.x) / sd).max() < 1e-3
+    assert maximum.converged
+    assert np.abs((maximum.x - optimum.x) / sd).max() < 1e-3
 
 
 def test_effects_without_an_expression_are_refused_and_fitted_compiled():

@@ -66,10 +66,10 @@ def test_engines_agree_on_the_continuous_form(measured, samples):
     forms = [engine(name).continuous(objective, x) for name in ENGINES]
     expected = forms[0].local(x)
     for form in forms[1:]:
-        found = form.local(x)
-        assert found.value == pytest.approx(expected.value, abs=0.02)
-        np.testing.assert_allclose(found.gradient * sd, expected.gradient * sd, rtol=2e-3, atol=0.02)
-        assert form.value(x) == pytest.approx(found.value, abs=1e-6)
+        local = form.local(x)
+        assert local.value == pytest.approx(expected.value, abs=0.02)
+        np.testing.assert_allclose(local.gradient * sd, expected.gradient * sd, rtol=2e-3, atol=0.02)
+        assert form.value(x) == pytest.approx(local.value, abs=1e-6)
 
 
 def test_collocation_has_converged(measured):

@@ -164,12 +164,12 @@ def test_pooled_rates_recover_bandwidth_and_delay_from_poisson_counts():
     # a photoreceptor without limit and one pole: what the data contain
     model = find_model("ideal").with_effect("source_follower_pole")
     result = fit([recording], model, fixed={"stimulus.gain": 1.0})
-    found = result.estimates
+    estimates = result.estimates
     assert result.status == "converged"
     assert result.observation == "pooled_rate"
-    assert found["delay_s"].value == pytest.approx(delay, abs=4 * found["delay_s"].std + dt)
-    assert found["sf_cutoff_hz"].value == pytest.approx(corner_hz, rel=0.02)
-    ratio = found["on_threshold"].value / found["pooled.pixels"].value
+    assert estimates["delay_s"].value == pytest.approx(delay, abs=4 * estimates["delay_s"].std + dt)
+    assert estimates["sf_cutoff_hz"].value == pytest.approx(corner_hz, rel=0.02)
+    ratio = estimates["on_threshold"].value / estimates["pooled.pixels"].value
     assert ratio == pytest.approx(1 / 400, rel=0.05)
     assert result.details["dispersion"] == pytest.approx(1.0, abs=0.1)
 
@@ -179,11 +179,11 @@ def test_led_edges_end_with_a_fit_and_an_honest_list(shared, tmp_path):
     names = ("led_uart_504hz_30m.h5", "led_uart_3125hz_30m.h5")
     files = [str(shared / "recordings" / name) for name in names]
     code = main(["fit", *files, "--model", "dvs128", "--out", str(tmp_path / "led"), "--quiet"])
-    found = json.loads((tmp_path / "led" / "fit.json").read_text())
-    assert code == (0 if found["status"] == "converged" else 1)
-    assert found["observation"] == "pooled_rate"
-    assert found["parameters"]["delay_s"]["interval_95"]
-    assert any("gauge" in sentence for sentence in found["unidentified"])
+    written = json.loads((tmp_path / "led" / "fit.json").read_text())
+    assert code == (0 if written["status"] == "converged" else 1)
+    assert written["observation"] == "pooled_rate"
+    assert written["parameters"]["delay_s"]["interval_95"]
+    assert any("gauge" in sentence for sentence in written["unidentified"])
     assert (tmp_path / "led" / "edges.svg").stat().st_size > 10_000
 
 
@@ -195,11 +195,11 @@ def test_fit_command_writes_a_folder_that_is_a_model(session, tmp_path, capsys):
         '[fit]\nrecordings = ["r0.h5", "r1.h5"]\nmodel = "dvs128"\nbetween = "linear"\nfix = ["gamma=1.12"]\nseed = 4\n'
     )
     assert main(["fit", str(tmp_path / "recipe.toml"), "--out", str(tmp_path / "fit"), "--quiet"]) == 0
-    found = json.loads((tmp_path / "fit" / "fit.json").read_text())
+    written = json.loads((tmp_path / "fit" / "fit.json").read_text())
     keys = "status advice model engine observation parameters physical gauge unidentified log_likelihood events pixels"
-    assert set(keys.split()) <= set(found)
-    assert found["seed"] == 4
-    assert set(found["inputs_sha256"]) == {"r0.h5", "r1.h5"}
+    assert set(keys.split()) <= set(written)
+    assert written["seed"] == 4
+    assert set(written["inputs_sha256"]) == {"r0.h5", "r1.h5"}
     assert find_model(tmp_path / "fit").values["gamma"] == 1.12
     assert "<svg" in (tmp_path / "fit" / "report.html").read_text()
     assert capsys.readouterr().err == ""

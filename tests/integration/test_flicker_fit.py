@@ -82,8 +82,8 @@ def test_the_right_shape_wins():
     exposure = np.full((BINS, BINS), 5.0)
     counts = np.random.default_rng(0).poisson(rates(x, "rectified") * exposure)
     table = PhaseTable(counts[0], counts[1], exposure, 1, int(counts.sum()))
-    found = {shape: fit_group(table, shape).log_likelihood for shape in ("sine", "deep sine", "rectified")}
-    assert max(found, key=lambda s: found[s]) == "rectified"
+    log_likelihoods = {shape: fit_group(table, shape).log_likelihood for shape in ("sine", "deep sine", "rectified")}
+    assert max(log_likelihoods, key=lambda s: log_likelihoods[s]) == "rectified"
 
 
 def test_shapes_are_normalised():
@@ -123,14 +123,14 @@ def test_command_on_a_simulated_recording(tmp_path, events):
     out = tmp_path / "flicker"
     arguments = ["flicker", str(tmp_path / "lamp.h5"), "--groups", "2x1", "--quiet", "--out", str(out)]
     assert main(arguments) == 0
-    found = json.loads((out / "flicker.json").read_text())
-    assert found["shape"] == "sine"
-    assert not any(found["parameters"][name]["identified"] for name in ("alpha", "beta", "gamma", "sf_cutoff_hz"))
+    written = json.loads((out / "flicker.json").read_text())
+    assert written["shape"] == "sine"
+    assert not any(written["parameters"][name]["identified"] for name in ("alpha", "beta", "gamma", "sf_cutoff_hz"))
     assert (out / "phases.svg").is_file()
     assert (out / "maps.svg").is_file()
     page = (out / "report.html").read_text()
     assert page.count("<svg") == 2
-    assert found["unidentified"][0][:30] in page
+    assert written["unidentified"][0][:30] in page
 
 
 def test_ratios_on_their_bound_are_said_to_be():
@@ -162,8 +162,8 @@ def test_real_flicker(shared, tmp_path):
     if not source.is_file():
         pytest.skip(f"no {source}")
     assert main(["flicker", str(source), "--out", str(tmp_path / "o"), "--groups", "4x3", "--quiet"]) == 0
-    found = json.loads((tmp_path / "o" / "flicker.json").read_text())
-    assert found["frequency_hz"]["value"] == pytest.approx(120.0, abs=0.1)
-    assert not any(found["parameters"][name]["identified"] for name in ("alpha", "beta", "gamma", "on_threshold"))
-    locked = [g for g in found["groups"] if g["amplitude_over_on_threshold"]["identified"]]
+    written = json.loads((tmp_path / "o" / "flicker.json").read_text())
+    assert written["frequency_hz"]["value"] == pytest.approx(120.0, abs=0.1)
+    assert not any(written["parameters"][name]["identified"] for name in ("alpha", "beta", "gamma", "on_threshold"))
+    locked = [g for g in written["groups"] if g["amplitude_over_on_threshold"]["identified"]]
     assert len(locked) >= 3

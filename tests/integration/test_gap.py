@@ -51,11 +51,11 @@ def session(model, side=3, seed=0, lights=None):
         "chirp_24": chirp(24.0, stop_hz=200.0), "steps_24": steps(24.0, seed=1), "slow_24": slow(24.0, seed=2),
         "constant_24": constant(24.0), "chirp_400": chirp(400.0, stop_hz=400.0), "steps_400": steps(400.0, seed=3),
     }  # fmt: skip
-    found = []
+    sessions = []
     for i, (name, light) in enumerate(lights.items()):
         r = simulate(model, resampled(light, "smooth"), width=side, height=side, seed=100 * seed + i, sensor_seed=seed)
-        found.append(replace(r, stimulus=light, condition=name, attributes={}))
-    return found
+        sessions.append(replace(r, stimulus=light, condition=name, attributes={}))
+    return sessions
 
 
 def likelihood_of(recordings):
@@ -69,10 +69,10 @@ def test_corners_between_samples_are_found():
     t = np.arange(0.0, 0.05, 5e-5)
     corners = np.array([0.0, 0.00512, 0.00533, 0.02017, 0.02051, 0.05])
     values = np.array([0.0, 0.0, 0.7, 0.7, -0.2, -0.2])
-    found = course(t, np.interp(t, corners, values))
-    np.testing.assert_allclose(found.corners, corners[1:-1], atol=1e-9)
+    interpolated = course(t, np.interp(t, corners, values))
+    np.testing.assert_allclose(interpolated.corners, corners[1:-1], atol=1e-9)
     fine = np.linspace(0.0, t[-1], 7001)
-    np.testing.assert_allclose(found(fine), np.interp(fine, corners, values), atol=1e-9)
+    np.testing.assert_allclose(interpolated(fine), np.interp(fine, corners, values), atol=1e-9)
 
 
 def test_smooth_light_is_a_spline_and_a_jump_a_straight_line():
@@ -92,13 +92,13 @@ def test_smooth_light_is_a_spline_and_a_jump_a_straight_line():
 def test_residuals_of_the_truth_are_standard_normal():
     model = MODEL.set({"threshold_sigma": 0.03})
     likelihood = likelihood_of(session(model, side=4))
-    found = residuals(likelihood, model.circuit())
-    assert found.background.sum() == 0
-    n = len(found.e)
+    z = residuals(likelihood, model.circuit())
+    assert z.background.sum() == 0
+    n = len(z.e)
     assert n > 3000
-    assert abs(found.e.mean()) < 4 / np.sqrt(n)
-    assert abs(found.e.std() - 1.0) < 4 / np.sqrt(2 * n) + 16 * 2 / n  # each group's threshold is its own estimate
-    assert stats.kstest(found.e, "norm").pvalue > 1e-3
+    assert abs(z.e.mean()) < 4 / np.sqrt(n)
+    assert abs(z.e.std() - 1.0) < 4 / np.sqrt(2 * n) + 16 * 2 / n  # each group's threshold is its own estimate
+    assert stats.kstest(z.e, "norm").pvalue > 1e-3
 
 
 def test_maps_find_a_shift_where_it_is_and_nothing_where_there_is_none():
@@ -111,9 +111,9 @@ def test_maps_find_a_shift_where_it_is_and_nothing_where_there_is_none():
     assert map_residuals(likelihood, here, tangent, cells, Criteria(), 0).p > 0.01
     pair = cells[0]
     moved = replace(here, e=here.e + 0.5 * (pair.cell == pair.labels.index("ON after OFF")))
-    found = map_residuals(likelihood, moved, tangent, cells, Criteria(), 0)
-    assert found.p < 0.01
-    top = next(c for c in found.cells if c.response == "level")
+    mapped = map_residuals(likelihood, moved, tangent, cells, Criteria(), 0)
+    assert mapped.p < 0.01
+    top = next(c for c in mapped.cells if c.response == "level")
     assert top.factor == "the previous event's polarity"
     assert top.label.startswith("ON after")
 
@@ -165,19 +165,19 @@ def test_jitter_is_one_normal_for_all():
 
 def test_service_time_is_read_off_the_timestamps():
     queued = MODEL.with_effect("readout_latency", {"service_s": 2.5e-5})
-    found = find_service_time(session(queued, side=5))
-    assert found is not None
-    assert found.p < 1e-12
-    assert found.value == pytest.approx(2.5e-5, rel=1e-3)
+    service = find_service_time(session(queued, side=5))
+    assert service is not None
+    assert service.p < 1e-12
+    assert service.value == pytest.approx(2.5e-5, rel=1e-3)
     assert find_service_time(session(MODEL, side=5)) is None
 
 
 def test_grid_of_timestamps():
     ticked = MODEL.with_effect("timestamp_quantisation", {"tick_s": 2e-4})
     recordings = [replace(r, events=replace(r.events, tick_ns=1)) for r in session(ticked, side=4)]
-    found = find_grid(recordings)
-    assert found is not None
-    assert found.value == pytest.approx(2e-4, rel=1e-3)
+    grid = find_grid(recordings)
+    assert grid is not None
+    assert grid.value == pytest.approx(2e-4, rel=1e-3)
     assert find_grid(session(MODEL, side=4)) is None
 
 
@@ -254,15 +254,15 @@ def test_poles_that_commute_are_named_by_convention():
 @pytest.mark.slow
 def test_leak_is_found_and_nothing_in_its_absence():
     leaking = MODEL.with_effect("leak", {"rate_hz": 3.0})
-    found = gap(session(leaking, side=4, seed=1), MODEL)
-    assert (found.verdict, [e.name for e in found.effects]) == ("named", ["leak"])
-    value, interval = found.effects[0].parameters["leak.rate_hz"]
+    report = gap(session(leaking, side=4, seed=1), MODEL)
+    assert (report.verdict, [e.name for e in report.effects]) == ("named", ["leak"])
+    value, interval = report.effects[0].parameters["leak.rate_hz"]
     assert interval is not None
-    assert found.free_run is not None
-    assert found.free_run.closed is not None
+    assert report.free_run is not None
+    assert report.free_run.closed is not None
     assert interval[0] < 3.0 < interval[1]
     assert value == pytest.approx(3.0, rel=0.1)
-    assert found.free_run.closed > 0.8
+    assert report.free_run.closed > 0.8
     nothing = gap(session(MODEL, side=4, seed=2), MODEL)
     assert (nothing.verdict, nothing.effects, nothing.remainder) == ("none", (), False)
 
@@ -281,9 +281,9 @@ def test_all_that_is_missing_is_named_and_nothing_else(planted):
     truth = MODEL
     for effect, values in planted.items():
         truth = truth.with_effect(effect, values)
-    found = gap(session(truth, side=5, seed=23), MODEL)
-    assert (found.verdict, sorted(e.name for e in found.effects)) == ("named", sorted(planted))
-    for effect in found.effects:
+    report = gap(session(truth, side=5, seed=23), MODEL)
+    assert (report.verdict, sorted(e.name for e in report.effects)) == ("named", sorted(planted))
+    for effect in report.effects:
         for name, (value, _) in effect.parameters.items():
             assert value == pytest.approx(truth.values[name], rel=0.1), name
 
@@ -292,9 +292,9 @@ def test_all_that_is_missing_is_named_and_nothing_else(planted):
 @pytest.mark.parametrize(("sigma_s", "dead_s"), [(2e-5, 1e-4), (5e-5, 2.5e-4), (5e-5, 1.2e-4)])
 def test_true_times_behind_a_jitter_are_found_and_nothing_is_left(sigma_s, dead_s):
     truth = MODEL.with_effect("timestamp_jitter", {"sigma_s": sigma_s}).set({"refractory_s": dead_s})
-    found = gap(session(truth, side=5, seed=5), MODEL)
-    assert (found.verdict, [e.name for e in found.effects]) == ("named", ["timestamp_jitter"])
-    value, _ = found.effects[0].parameters["timestamp_jitter.sigma_s"]
+    report = gap(session(truth, side=5, seed=5), MODEL)
+    assert (report.verdict, [e.name for e in report.effects]) == ("named", ["timestamp_jitter"])
+    value, _ = report.effects[0].parameters["timestamp_jitter.sigma_s"]
     assert value == pytest.approx(sigma_s, rel=0.04)
 
 
@@ -304,9 +304,9 @@ def test_times_are_drawn_again_under_a_model_that_has_gained_an_effect():
     truth = MODEL.with_effect("dark_current", {"radiance": 2.0})
     truth = truth.with_effect("timestamp_quantisation", {"tick_s": 5e-5})
     as_in_files = [replace(r, events=replace(r.events, tick_ns=1)) for r in session(truth, side=5, seed=6)]
-    found = gap(as_in_files, MODEL)
-    assert (found.verdict, {e.name for e in found.effects}) == ("named", {"timestamp_quantisation", "dark_current"})
-    dark = next(e for e in found.effects if e.name == "dark_current")
+    report = gap(as_in_files, MODEL)
+    assert (report.verdict, {e.name for e in report.effects}) == ("named", {"timestamp_quantisation", "dark_current"})
+    dark = next(e for e in report.effects if e.name == "dark_current")
     assert dark.parameters["dark_current.radiance"][0] == pytest.approx(2.0, rel=0.03)
 
 
@@ -338,9 +338,9 @@ def test_draws_of_times_have_the_density_that_they_should():
 @pytest.mark.slow
 @pytest.mark.parametrize("density", [3.2e-5, 3.2e-4])
 def test_shot_noise_is_found_by_simulation(density):
-    found = gap(session(MODEL.with_effect("shot_noise", {"density": density}), side=4, seed=4), MODEL)
-    assert (found.verdict, [e.name for e in found.effects]) == ("named", ["shot_noise"])
-    value, interval = found.effects[0].parameters["shot_noise.density"]
+    report = gap(session(MODEL.with_effect("shot_noise", {"density": density}), side=4, seed=4), MODEL)
+    assert (report.verdict, [e.name for e in report.effects]) == ("named", ["shot_noise"])
+    value, interval = report.effects[0].parameters["shot_noise.density"]
     assert interval is not None
     assert interval[0] < density < interval[1]
     assert value == pytest.approx(density, rel=0.15)
@@ -396,8 +396,8 @@ def test_one_sine_cannot_tell_leak_from_unequal_thresholds_and_the_recommended_s
 
 def test_maps_of_a_true_model_under_one_sine_show_nothing():
     # late events gather where waits are long, and the speed at an event depends on how late it is: neither may show
-    found = gap(session(MODEL, side=4, seed=3, lights={"sine_400": sine(400.0, frequency_hz=20.0)}), MODEL)
-    assert (found.verdict, found.remainder) == ("none", False)
+    report = gap(session(MODEL, side=4, seed=3, lights={"sine_400": sine(400.0, frequency_hz=20.0)}), MODEL)
+    assert (report.verdict, report.remainder) == ("none", False)
 
 
 def test_an_interrupted_search_goes_on(tmp_path):
@@ -492,18 +492,18 @@ def test_practice_cases(case):
     model = MODEL
     for effect in truth["without"]:
         model = model.without_effect(effect)
-    found = gap(open_recordings([CASES / case]), model)
+    report = gap(open_recordings([CASES / case]), model)
     if not truth["hidden"]:
-        assert found.verdict == "none"
+        assert report.verdict == "none"
     elif truth["hidden"] == ["unknown"]:
-        assert found.verdict == "unknown"
-        assert not found.effects
-        assert "previous event's polarity" in found.sentence
+        assert report.verdict == "unknown"
+        assert not report.effects
+        assert "previous event's polarity" in report.sentence
     else:
-        assert (found.verdict, [e.name for e in found.effects]) == ("named", truth["hidden"])
-        (_, (value, interval)), *_ = found.effects[0].parameters.items()
+        assert (report.verdict, [e.name for e in report.effects]) == ("named", truth["hidden"])
+        (_, (value, interval)), *_ = report.effects[0].parameters.items()
         assert interval is not None
-        run = found.free_run
+        run = report.free_run
         assert run is not None
         assert run.closed is not None
         assert run.interval is not None
@@ -518,10 +518,10 @@ def test_hot_pixels_stand_out_where_others_are_silent():
     from pixelid.inspection.hot_pixels import find_hot_pixels_in_silence
 
     burning = MODEL.with_effect("hot_pixels", {"rate_hz": 8.0, "count": 2})
-    found = find_hot_pixels_in_silence(session(burning, side=4, seed=6))
-    assert found is not None
-    assert len(found.pixels) == 2
-    low, high = found.signature.interval
+    hot = find_hot_pixels_in_silence(session(burning, side=4, seed=6))
+    assert hot is not None
+    assert len(hot.pixels) == 2
+    low, high = hot.signature.interval
     assert low < 8.0 < high
     assert find_hot_pixels_in_silence(session(MODEL, side=4, seed=6)) is None
     assert find_hot_pixels_in_silence(session(MODEL.with_effect("leak", {"rate_hz": 2.0}), side=4, seed=6)) is None

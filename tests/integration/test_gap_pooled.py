@@ -46,19 +46,19 @@ def test_report_says_what_was_looked_at(plain):
 
 
 def test_a_high_pass_is_found_and_closes_most_of_the_gap():
-    found = gap([bits(POOL.with_effect("lower_cutoff", {"cutoff_hz": 20.0}))], MODEL)
-    assert [e.name for e in found.effects] == ["lower_cutoff"]
-    value, interval = found.effects[0].parameters["lower_cutoff.cutoff_hz"]
+    report = gap([bits(POOL.with_effect("lower_cutoff", {"cutoff_hz": 20.0}))], MODEL)
+    assert [e.name for e in report.effects] == ["lower_cutoff"]
+    value, interval = report.effects[0].parameters["lower_cutoff.cutoff_hz"]
     assert interval is not None
     assert value == pytest.approx(20.0, rel=0.15)
-    assert found.free_run is not None
-    assert found.free_run.closed is not None
-    assert found.free_run.closed > 0.6
+    assert report.free_run is not None
+    assert report.free_run.closed is not None
+    assert report.free_run.closed > 0.6
 
 
 def test_an_effect_left_out_is_not_found():
-    found = gap([bits(POOL.with_effect("lower_cutoff", {"cutoff_hz": 20.0}))], MODEL, leave_out=["lower_cutoff"])
-    assert found.verdict == "unknown"
+    report = gap([bits(POOL.with_effect("lower_cutoff", {"cutoff_hz": 20.0}))], MODEL, leave_out=["lower_cutoff"])
+    assert report.verdict == "unknown"
 
 
 def test_pooled_and_other_recordings_do_not_mix():

@@ -46,9 +46,9 @@ def test_exchanged_poles_have_the_same_characteristic_polynomial():
         pair = [1.0, v["beta"] + v["gamma"] * level, v["alpha"] * level]
         return np.polymul(pair, [1.0, 2 * np.pi * v["sf_cutoff_hz"]])
 
-    found = exchanged_poles(values, level)
-    assert len(found) == 2
-    for other in found:
+    exchanged = exchanged_poles(values, level)
+    assert len(exchanged) == 2
+    for other in exchanged:
         np.testing.assert_allclose(polynomial(other), polynomial(values), rtol=1e-12)
         assert other["sf_cutoff_hz"] != pytest.approx(300.0)
     assert exchanged_poles({**values, "alpha": 1e6}, level) == []  # a complex pair has no pole to give away
@@ -74,9 +74,9 @@ def test_few_pixels_widen_thresholds_and_only_them():
     names = ["alpha", "on_threshold", "off_threshold", "threshold_mismatch.sigma"]
     for _ in range(4000):
         thresholds = spread * rng.normal(size=(2, n))
-        found = np.sqrt(thresholds.var(axis=1).mean())  # maximum likelihood, one spread for ON and OFF
-        x = np.array([0.0, *thresholds.mean(axis=1), np.log(found)])
-        sd = np.array([0.1, found / np.sqrt(n), found / np.sqrt(n), 1 / np.sqrt(4 * n)])
+        estimate = np.sqrt(thresholds.var(axis=1).mean())  # maximum likelihood, one spread for ON and OFF
+        x = np.array([0.0, *thresholds.mean(axis=1), np.log(estimate)])
+        sd = np.array([0.1, estimate / np.sqrt(n), estimate / np.sqrt(n), 1 / np.sqrt(4 * n)])
         low, high = intervals(names, x, sd, n)
         hits += [low[1] <= 0 <= high[1], low[3] <= np.log(spread) <= high[3]]
         plain += abs(x[1]) < 1.96 * sd[1]
@@ -154,9 +154,9 @@ def test_profiles_are_bounded_one_sided_or_flat(single):
 @pytest.mark.slow
 def test_profiles_reach_the_result(single):
     recordings, result = single
-    found = profiled(result, recordings)
-    kinds = {name: entry["kind"] for name, entry in found.as_dict()["details"]["profiles"].items()}
+    profiles = profiled(result, recordings)
+    kinds = {name: entry["kind"] for name, entry in profiles.as_dict()["details"]["profiles"].items()}
     assert set(kinds) == set(result.coordinates.names)
     for name, kind in kinds.items():
-        assert not found.estimates[name].identified or kind == "bounded"
-    assert any("one-sided" in sentence for sentence in found.unidentified)
+        assert not profiles.estimates[name].identified or kind == "bounded"
+    assert any("one-sided" in sentence for sentence in profiles.unidentified)

@@ -61,10 +61,10 @@ def dead_time(events: Events):
 @pytest.mark.parametrize("tick_ns", [1, 1000, 50_000])
 @pytest.mark.parametrize("seconds", [3e-4, 1e-3, 5e-3])
 def test_a_known_dead_time_comes_back(seconds, tick_ns):
-    found = [dead_time(poisson_events(seed, rate_hz=400, dead_s=seconds, tick_ns=tick_ns)) for seed in range(4)]
-    for dead in found:
+    estimates = [dead_time(poisson_events(seed, rate_hz=400, dead_s=seconds, tick_ns=tick_ns)) for seed in range(4)]
+    for dead in estimates:
         assert dead.value_s == pytest.approx(seconds, rel=0.02, abs=0.5e-9 * tick_ns)
-    covered = sum(dead.interval_95_s[0] <= seconds <= dead.interval_95_s[1] for dead in found)
+    covered = sum(dead.interval_95_s[0] <= seconds <= dead.interval_95_s[1] for dead in estimates)
     assert covered >= 3
 
 
@@ -78,9 +78,9 @@ def test_a_dead_time_is_measured_only_where_pixels_fire_at_random():
 @pytest.mark.parametrize("refractory_s", [1e-6, 1e-5, 1e-4, 3e-4])
 def test_pixels_that_follow_the_light_bound_the_dead_time(refractory_s):
     model = find_model("dvs128").set({"refractory_s": refractory_s})
-    found = dead_time(simulate(model, chirp(), width=3, height=3, seed=0).events)
-    assert found.kind == "upper_bound"
-    low, high = found.interval_95_s
+    estimate = dead_time(simulate(model, chirp(), width=3, height=3, seed=0).events)
+    assert estimate.kind == "upper_bound"
+    low, high = estimate.interval_95_s
     assert low <= refractory_s <= high < refractory_s + 1.3e-4
 
 
@@ -89,8 +89,8 @@ def test_a_few_shorter_intervals_do_not_move_the_dead_time():
     rng = np.random.default_rng(0)
     for share in (1e-4, 1e-3, 4e-3):
         short = rng.integers(1, 1000, int(share * len(intervals)) + 1) * 1000
-        found = find_dead_time(np.concatenate([intervals, short]), 1e-6)
-        assert found.value_s == pytest.approx(1e-3, rel=0.01)
+        estimate = find_dead_time(np.concatenate([intervals, short]), 1e-6)
+        assert estimate.value_s == pytest.approx(1e-3, rel=0.01)
 
 
 @pytest.mark.parametrize(("jitter_us", "tolerance"), [(5, 0.03), (30, 0.04)])
@@ -98,16 +98,16 @@ def test_jitter_of_the_timestamps_leaves_the_dead_time_in_place(jitter_us, toler
     for seed in range(5):
         intervals = pixel_intervals(poisson_events(seed, rate_hz=300, dead_s=1e-3, tick_ns=1000))
         noise = np.random.default_rng(seed).normal(0, jitter_us * np.sqrt(2), len(intervals))
-        found = find_dead_time(intervals + np.rint(noise).astype(np.int64) * 1000, 1e-6)
-        assert found.value_s == pytest.approx(1e-3, rel=tolerance)
+        estimate = find_dead_time(intervals + np.rint(noise).astype(np.int64) * 1000, 1e-6)
+        assert estimate.value_s == pytest.approx(1e-3, rel=tolerance)
 
 
 def test_no_dead_time_is_found_where_there_is_none():
     for seed in range(25):
         for tick_ns in (1, 1000, 100_000):
-            found = dead_time(poisson_events(seed, rate_hz=(5, 50, 300)[seed % 3], tick_ns=tick_ns, drift=0.5))
-            assert found.value_s is None, found
-            assert found.reason
+            estimate = dead_time(poisson_events(seed, rate_hz=(5, 50, 300)[seed % 3], tick_ns=tick_ns, drift=0.5))
+            assert estimate.value_s is None, estimate
+            assert estimate.reason
 
 
 def test_regular_firing_is_no_dead_time():
@@ -117,8 +117,8 @@ def test_regular_firing_is_no_dead_time():
 
 
 def test_a_dead_time_below_the_tick_is_not_claimed():
-    found = dead_time(poisson_events(0, rate_hz=400, dead_s=1e-4, tick_ns=200_000))
-    assert found.value_s is None
+    estimate = dead_time(poisson_events(0, rate_hz=400, dead_s=1e-4, tick_ns=200_000))
+    assert estimate.value_s is None
 
 
 @pytest.mark.parametrize(("period_us", "jitter_us"), [(197.283, 0.3), (101.7, 0.0), (1000.0, 5.0), (61.03, 0.2)])
@@ -167,17 +167,17 @@ def test_polarities_that_alternate_show_the_fundamental():
 
 
 def test_lines_are_not_found_where_there_are_none():
-    found = 0
+    hits = 0
     for seed in range(60):
-        found += len(find_lines(poisson_events(seed, rate_hz=100, drift=0.8, dead_s=(0, 2e-3)[seed % 2], pixels=50)))
+        hits += len(find_lines(poisson_events(seed, rate_hz=100, drift=0.8, dead_s=(0, 2e-3)[seed % 2], pixels=50)))
     for seed in range(60):  # bursts of random length and strength: strongly red, no line
         rng = np.random.default_rng(seed)
         rate = np.exp(np.cumsum(rng.normal(0, 0.05, 20_000)))
         counts = rng.poisson(2 * rate / rate.mean())
         t = np.sort((np.repeat(np.arange(20_000), counts) + rng.random(counts.sum())) * 1e-4)
         zero = np.zeros(len(t), int)
-        found += len(find_lines(Events.from_columns((t * 1e9).astype(np.int64), zero, zero, zero, 1, 1)))
-    assert found <= 1
+        hits += len(find_lines(Events.from_columns((t * 1e9).astype(np.int64), zero, zero, zero, 1, 1)))
+    assert hits <= 1
 
 
 def test_hot_pixels_are_found_and_edges_of_the_scene_are_not():

@@ -25,9 +25,9 @@ DARK = CIRCUIT.with_(dark=4.0)
 def test_poles_are_the_roots_of_the_polynomial(circuit, radiance):
     effective = radiance + circuit.dark
     roots = -np.roots([1.0, circuit.beta + circuit.gamma * effective, circuit.alpha * effective])
-    found = poles.pair(circuit, radiance)
-    assert np.sort(np.abs(found)) == pytest.approx(np.sort(np.abs(roots)), rel=1e-9)
-    assert found.sum() == pytest.approx(roots.sum(), rel=1e-9)
+    pair = poles.pair(circuit, radiance)
+    assert np.sort(np.abs(pair)) == pytest.approx(np.sort(np.abs(roots)), rel=1e-9)
+    assert pair.sum() == pytest.approx(roots.sum(), rel=1e-9)
 
 
 def test_the_tangent_in_the_dark_touches_the_slow_pole():
@@ -42,14 +42,14 @@ def test_the_tangent_in_the_dark_touches_the_slow_pole():
 @pytest.mark.parametrize("approximation", poles.APPROXIMATIONS)
 def test_radii_against_brute_force(approximation):
     error = radii.error_function(DARK, approximation, "dominant_pole", "photoreceptor")
-    found = radii.crossings(error, 1e-3, 1e4, 4001)
+    crossings = radii.crossings(error, 1e-3, 1e4, 4001)
     L = np.geomspace(1e-3, 1e4, 1_000_001)
     b, a = DARK.beta + DARK.gamma * (L + 4.0), DARK.alpha * (L + 4.0)
     roots = np.sqrt((b * b - 4 * a).astype(complex))
     exact = np.minimum(np.abs((b - roots) / 2), np.abs((b + roots) / 2))
     error = poles.corner(DARK, L, approximation) / exact - 1
     for level in radii.LEVELS:
-        entry = found["levels"][f"{100 * level:g}%"]
+        entry = crossings["levels"][f"{100 * level:g}%"]
         beyond = np.abs(error) > level
         brute = L[np.flatnonzero(beyond[1:] != beyond[:-1])]
         inside = [c["radiance"] for c in entry["crossings"] if 1e-3 < c["radiance"] < 1e4]
@@ -82,9 +82,9 @@ def test_critical_damping_and_the_regime_of_24_fa():
 @pytest.mark.parametrize("radiance", [0.05, 3.0, 14.218212339, 24.0, 400.0, 2e4, 5e5])
 def test_bandwidth_and_step_time_against_brute_force(radiance, scope):
     chain = poles.exact(CIRCUIT, radiance, scope)
-    found = response.bandwidth_hz(chain)
-    assert abs(response.gain(chain, found)) == pytest.approx(np.sqrt(0.5), rel=1e-9)
-    beyond = found * np.geomspace(1.0001, 1e3, 5000)
+    corner_hz = response.bandwidth_hz(chain)
+    assert abs(response.gain(chain, corner_hz)) == pytest.approx(np.sqrt(0.5), rel=1e-9)
+    beyond = corner_hz * np.geomspace(1.0001, 1e3, 5000)
     assert (np.abs(response.gain(chain, beyond)) < np.sqrt(0.5)).all()
     t63 = response.step_time_s(chain)
     # the step response by integrating the chain's state equations with a fine trapezoidal rule
@@ -118,8 +118,8 @@ def test_one_pole_has_the_known_bandwidth_and_step_time():
 
 def test_a_one_pole_model_has_no_error_and_an_unlimited_one_no_analysis():
     model = MODEL.without_effect("second_order_photoreceptor")
-    found = radii.crossings(radii.error_function(model.circuit(), "one_pole", "bandwidth", "pixel"), 1e-3, 1e3, 51)
-    assert all(entry["first"] is None for entry in found["levels"].values())
+    crossings = radii.crossings(radii.error_function(model.circuit(), "one_pole", "bandwidth", "pixel"), 1e-3, 1e3, 51)
+    assert all(entry["first"] is None for entry in crossings["levels"].values())
     with pytest.raises(InputError, match="no bandwidth limit"):
         analyse(find_model("ideal"))
 
@@ -130,9 +130,9 @@ def test_a_one_pole_model_has_no_error_and_an_unlimited_one_no_analysis():
 def test_lights_are_told_apart():
     assert isinstance(read_stimulus(chirp(24.0)), Sweep)
     assert isinstance(read_stimulus(chirp(400.0, start_hz=1.0, stop_hz=4000.0)), Sweep)
-    found = read_stimulus(steps(24.0))
-    assert isinstance(found, Steps)
-    assert found.middle_s == pytest.approx(0.02 * np.arange(1, len(found.middle_s) + 1), abs=0.4)
+    shape = read_stimulus(steps(24.0))
+    assert isinstance(shape, Steps)
+    assert shape.middle_s == pytest.approx(0.02 * np.arange(1, len(shape.middle_s) + 1), abs=0.4)
     for light in (constant(3.0), slow(24.0), sine(24.0)):
         assert isinstance(read_stimulus(light), str)
 
@@ -144,10 +144,10 @@ def test_small_steps_give_the_small_signal_step_time(radiance):
     light = steps(radiance, modulation=0.3, hold_s=0.08, edge_s=2e-5, duration_s=2.4)
     circuit = model.circuit()
     recording = simulate(model, light, width=5, height=5, seed=2)
-    found = measure(recording.events, read_stimulus(light), 0.02, 0.02, 1e-6 + 1 / circuit.differencing)
+    measured = measure(recording.events, read_stimulus(light), 0.02, 0.02, 1e-6 + 1 / circuit.differencing)
     expected = response.step_time_s(poles.exact(circuit, radiance, "pixel"))
-    assert found.interval_95 is not None
-    assert found.value == pytest.approx(expected, rel=0.08)
+    assert measured.interval_95 is not None
+    assert measured.value == pytest.approx(expected, rel=0.08)
 
 
 @pytest.mark.parametrize("radiance", [3.0, 24.0])
@@ -155,9 +155,9 @@ def test_small_chirps_give_the_small_signal_bandwidth(radiance):
     model = MODEL.set({"on_threshold": 0.02, "off_threshold": 0.02, "refractory_s": 1e-6})
     light = chirp(radiance, modulation=0.2, start_hz=1.0, stop_hz=120.0 * radiance**0.5, duration_s=2.0)
     recording = simulate(model, light, width=5, height=5, seed=2)
-    found = measure(recording.events, read_stimulus(light), 0.02, 0.02, 1e-6 + 1 / CIRCUIT.differencing)
+    measured = measure(recording.events, read_stimulus(light), 0.02, 0.02, 1e-6 + 1 / CIRCUIT.differencing)
     expected = response.bandwidth_hz(poles.exact(model.circuit(), radiance, "pixel"))
-    assert found.value == pytest.approx(expected, rel=0.1)
+    assert measured.value == pytest.approx(expected, rel=0.1)
 
 
 def test_a_simulated_camera_lies_where_the_model_says_and_silence_is_not_measurable():
@@ -165,15 +165,15 @@ def test_a_simulated_camera_lies_where_the_model_says_and_silence_is_not_measura
         simulate(MODEL, light, width=5, height=4, seed=7)
         for light in (chirp(400.0, stop_hz=3000.0), steps(24.0), constant(3.0))
     ]
-    found = analyse(MODEL, recordings, seed=11)["measured"]
-    assert [entry["kind"] for entry in found] == ["sweep", "steps", "none"]
-    for entry in found[:2]:
+    measured = analyse(MODEL, recordings, seed=11)["measured"]
+    assert [entry["kind"] for entry in measured] == ["sweep", "steps", "none"]
+    for entry in measured[:2]:
         low, high = entry["interval_95"]
         own_low, own_high = entry["model"]["same_light_interval_95"]
         assert max(low, own_low) < min(high, own_high)
         assert not low < entry["model"]["same_light_one_pole"] < high
-    assert found[2]["value"] is None
-    assert "hardly changes" in found[2]["why"]
+    assert measured[2]["value"] is None
+    assert "hardly changes" in measured[2]["why"]
 
 
 def test_bands_contain_the_exact_curves():
@@ -182,11 +182,11 @@ def test_bands_contain_the_exact_curves():
         CIRCUIT.with_(alpha=CIRCUIT.alpha * f, beta=CIRCUIT.beta * g)
         for f, g in np.exp(0.05 * rng.normal(size=(20, 2)))
     ]
-    found = curves.bands(CIRCUIT, draws)
-    exact = curves.exact_curves(CIRCUIT, found["radiance"])
-    low, high = found["curves"]["slow_pole"]
+    bands = curves.bands(CIRCUIT, draws)
+    exact = curves.exact_curves(CIRCUIT, bands["radiance"])
+    low, high = bands["curves"]["slow_pole"]
     assert ((low < exact["slow_pole"]) & (exact["slow_pole"] < high)).all()
-    low, high = found["epsilon_one"]
+    low, high = bands["epsilon_one"]
     assert low < CIRCUIT.beta**2 / CIRCUIT.alpha < high
 
 
@@ -209,12 +209,12 @@ def test_the_command_end_to_end(tmp_path, capsys):
         "3",
     ]
     assert main(words) == 0
-    found = json.loads((out / "lowlight.json").read_text())
+    written = json.loads((out / "lowlight.json").read_text())
     assert {"status", "advice", "errors", "regimes", "curves", "measured", "seed", "versions", "inputs_sha256"} <= set(
-        found
+        written
     )
-    assert found["dark_radiance"] == 4.0
-    assert "steps.h5" in found["inputs_sha256"]
+    assert written["dark_radiance"] == 4.0
+    assert "steps.h5" in written["inputs_sha256"]
     assert {path.name for path in out.glob("*.svg")} == {
         "poles.svg", "errors.svg", "bode.svg", "steps.svg", "measured.svg"
     }  # fmt: skip

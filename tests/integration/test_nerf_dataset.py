@@ -112,11 +112,11 @@ def test_views_one_level_up_and_quantised(scene):
         imsave(views / "test" / f"r_{k}.png", picture, check_contrast=False)
     shutil.move(views, scene.parent / "views")
     (scene / "renderer_params.npz").unlink()
-    found = read_dataset(scene).views["test"]
+    test_views = read_dataset(scene).views["test"]
     luma = 0.299 * 200 + 0.587 * 100 + 0.114 * 50
-    assert found.images[0, 5, 5, 0] == pytest.approx((luma + 0.5) / 256)
-    assert found.images[0, 0, 0, 0] == pytest.approx(255.5 / 256)
-    assert found.transparent
+    assert test_views.images[0, 5, 5, 0] == pytest.approx((luma + 0.5) / 256)
+    assert test_views.images[0, 0, 0, 0] == pytest.approx(255.5 / 256)
+    assert test_views.transparent
     edit(scene / "camera_calibration.npz", bayer_pattern=lambda _: np.array("RGGB"))
     data = read_dataset(scene)
     assert data.views["test"].images[0, 5, 5] == pytest.approx((np.array([200, 100, 50]) + 0.5) / 256)
@@ -137,12 +137,12 @@ def test_a_fit_replaces_the_pixel_in_the_datasets_unit(made, tmp_path):
     model = find_model("dvs128").set({"alpha": 3e4, "sf_cutoff_hz": 1500.0, "on_threshold": 0.3, "refractory_s": 2e-4})
     save_model(model, tmp_path / "fit" / "model.toml")
     data = read_dataset(made)
-    found = of_fit(data.calibration, tmp_path / "fit").circuit
-    assert found.alpha == pytest.approx(3e4 * 20)
-    assert found.gamma == pytest.approx(model.values["gamma"] * 20)
-    assert found.follower == pytest.approx(2 * np.pi * 1500)
-    assert (found.on_threshold, found.off_threshold, found.refractory) == (0.3, 0.25, 2e-4)
-    assert found.dark == pytest.approx(0.2)  # the fit has no dark current: the file's stays
+    circuit = of_fit(data.calibration, tmp_path / "fit").circuit
+    assert circuit.alpha == pytest.approx(3e4 * 20)
+    assert circuit.gamma == pytest.approx(model.values["gamma"] * 20)
+    assert circuit.follower == pytest.approx(2 * np.pi * 1500)
+    assert (circuit.on_threshold, circuit.off_threshold, circuit.refractory) == (0.3, 0.25, 2e-4)
+    assert circuit.dark == pytest.approx(0.2)  # the fit has no dark current: the file's stays
     assert of_fit(data.calibration, tmp_path / "fit", 40.0).circuit.alpha == pytest.approx(3e4 * 40)
 
 

@@ -152,13 +152,13 @@ def test_sharp_bright_events_are_reconstructed(tmp_path):
     """At medium half of an edge's contrast falls into dead times: 23.5 dB (filter on) and 23.4 (off) when written, 20.2
     with every event an interval of its own."""
     data = read_dataset(make_dataset(tmp_path / "medium", "medium", seed=0, side=32, revolutions=2.0))
-    found = {
+    scores = {
         mode: reconstruct(data, bandwidth=Bandwidth(mode), recipe=Recipe(iterations=400)) for mode in ("on", "off")
     }
-    psnr = {mode: result.scores.psnr.mean() for mode, result in found.items()}
+    psnr = {mode: result.scores.psnr.mean() for mode, result in scores.items()}
     assert psnr["on"] > 22.5
     assert psnr["on"] > psnr["off"] - 0.2
-    assert found["on"].held_out < 0.6
+    assert scores["on"].held_out < 0.6
 
 
 @pytest.mark.slow
@@ -176,10 +176,10 @@ def test_a_scene_of_posed_images_stands_for_the_truth(shared):
     height, width = images.shape[1:3]
     intrinsics = np.array([[focal, 0, width / 2 - 0.5], [0, focal, height / 2 - 0.5], [0, 0, 1]])
     camera = Camera(intrinsics, width, height, np.empty(0))
-    found = scene.render(camera, poses[held, :3, 3], poses[held, :3, :3] @ OPENGL)
+    rendered = scene.render(camera, poses[held, :3, 3], poses[held, :3, :3] @ OPENGL)
     alpha = images[held, ..., 3:] / 255.0
     truth = (alpha * images[held, ..., :3] / 255.0 + 1 - alpha) @ LUMA
-    assert 10 * np.log10(1 / ((found - truth) ** 2).mean()) > 23
+    assert 10 * np.log10(1 / ((rendered - truth) ** 2).mean()) > 23
 
 
 def test_a_pixel_without_bandwidth_limit_is_the_pixel_without_filter(made):

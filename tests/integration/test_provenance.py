@@ -9,9 +9,9 @@ from pixelid.provenance import input_hashes, provenance, versions
 
 
 def test_versions_name_what_numbers_depend_on():
-    found = versions()
-    assert found["pixelid"] == __version__
-    assert {"python", "numpy", "scipy", "numba", "torch", "casadi"} <= set(found)
+    stated = versions()
+    assert stated["pixelid"] == __version__
+    assert {"python", "numpy", "scipy", "numba", "torch", "casadi"} <= set(stated)
 
 
 def test_inputs_are_hashed_by_name(tmp_path):

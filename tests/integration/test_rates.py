@@ -69,22 +69,22 @@ def test_known_settings_are_recovered():
     truth = {"swing_over_threshold": 36.0}
     for name, (cutoff, noise) in columns.items():
         truth |= {f"cutoff_hz[{name}]": cutoff, f"noise_hz[{name}]": noise, f"dead_time_s[{name}]": 8e-6}
-    found = fit_pixel(table).regression.as_dict()
+    estimates = fit_pixel(table).regression.as_dict()
     for name, value in truth.items():
-        low, high = found[name]["interval_95"]
+        low, high = estimates[name]["interval_95"]
         assert low / 1.1 < value < high * 1.1, name
-        if found[name]["identified"]:
-            assert found[name]["value"] == pytest.approx(value, rel=0.15), name
-    assert {n for n, v in found.items() if v["identified"]} >= {
+        if estimates[name]["identified"]:
+            assert estimates[name]["value"] == pytest.approx(value, rel=0.15), name
+    assert {n for n, v in estimates.items() if v["identified"]} >= {
         "cutoff_hz[slow]", "cutoff_hz[middle]", "cutoff_hz[fast]", "dead_time_s[fast]", "noise_hz[fast]",
     }  # fmt: skip
-    assert not found["dead_time_s[slow]"]["identified"]
+    assert not estimates["dead_time_s[slow]"]["identified"]
 
 
 def test_a_common_dead_time_also_fixes_the_swing():
-    found = fit_pixel(_table()[0], ("swing", "dead")).regression.as_dict()
-    assert found["swing_over_threshold"]["value"] == pytest.approx(36.0, rel=0.06)
-    assert found["dead_time_s"]["value"] == pytest.approx(8e-6, rel=0.1)
+    estimates = fit_pixel(_table()[0], ("swing", "dead")).regression.as_dict()
+    assert estimates["swing_over_threshold"]["value"] == pytest.approx(36.0, rel=0.06)
+    assert estimates["dead_time_s"]["value"] == pytest.approx(8e-6, rel=0.1)
 
 
 def test_a_mistyped_cell_is_named_and_steers_nothing():
@@ -109,11 +109,11 @@ def test_a_pool_of_unlike_pixels_is_told_from_a_pool_of_like_ones():
     seen = truth * np.exp(0.03 * rng.standard_normal(truth.shape))
     table = PoolTable(frequency, ("near", "middle", "far"), seen, 0.02 * seen)
     fit, alike = fit_pool(table), fit_pool(table, identical=True)
-    found = fit.regression.as_dict()
-    assert found["cutoff_exponent"]["value"] == pytest.approx(0.8, abs=0.05)
-    low, high = found["top_cutoff_hz[near]"]["interval_95"]
+    estimates = fit.regression.as_dict()
+    assert estimates["cutoff_exponent"]["value"] == pytest.approx(0.8, abs=0.05)
+    low, high = estimates["top_cutoff_hz[near]"]["interval_95"]
     assert low < 7e3 < high  # swing and top cutoff trade against each other: wide, and said to be
-    assert not found["top_cutoff_hz[near]"]["identified"]
+    assert not estimates["top_cutoff_hz[near]"]["identified"]
     assert fit.regression.log_likelihood > alike.regression.log_likelihood + 20
 
 
@@ -123,20 +123,20 @@ def test_real_gen31_table(shared, tmp_path):
     if not source.is_file():
         pytest.skip(f"no {source}")
     assert main(["rates", str(source), "--unit", "mev/s", "--out", str(out), "--quiet"]) == 0
-    found = json.loads((out / "rates.json").read_text())
+    written = json.loads((out / "rates.json").read_text())
     assert (out / "rates.svg").stat().st_size > 1000
     page = (out / "report.html").read_text()
     assert "<svg" in page
     assert "decimal point" in page
-    cutoffs = [found["parameters"][f"cutoff_hz[fo{b}]"]["value"] for b in (1477, 1399, 1299)]
+    cutoffs = [written["parameters"][f"cutoff_hz[fo{b}]"]["value"] for b in (1477, 1399, 1299)]
     assert cutoffs == sorted(cutoffs)
     assert 80 < cutoffs[0] < 110
-    typo = next(c for c in found["cells"] if c["frequency_hz"] == 5000 and c["column"] == "fo1399")
+    typo = next(c for c in written["cells"] if c["frequency_hz"] == 5000 and c["column"] == "fo1399")
     assert typo["suspect"]
     assert typo["ratio"] == pytest.approx(10, rel=0.1)
-    assert sum(c["suspect"] for c in found["cells"]) <= 4
-    assert "decimal point" in " ".join(found["disagreements"])
-    assert any("fo1446" in sentence for sentence in found["unidentified"])
+    assert sum(c["suspect"] for c in written["cells"]) <= 4
+    assert "decimal point" in " ".join(written["disagreements"])
+    assert any("fo1446" in sentence for sentence in written["unidentified"])
 
 
 @pytest.mark.slow
@@ -146,12 +146,12 @@ def test_real_evk4_table(shared, tmp_path):
     out = tmp_path / "evk4"
     recipe = "fits/led_rate_vs_frequency_evk4.toml"
     assert main(["rates", recipe, "--data", str(shared / "recordings"), "--out", str(out), "--quiet"]) in (0, 1)
-    found = json.loads((out / "rates.json").read_text())
-    assert found["median_error"] < 0.08
-    assert found["identical_pixels"]["median_error"] > 0.2
-    assert found["parameters"]["cutoff_exponent"]["value"] == pytest.approx(0.76, abs=0.05)
-    assert not found["parameters"]["dead_time_s"]["identified"]
-    assert not found["parameters"]["top_cutoff_hz[5.0 m, 0°]"]["identified"]
+    written = json.loads((out / "rates.json").read_text())
+    assert written["median_error"] < 0.08
+    assert written["identical_pixels"]["median_error"] > 0.2
+    assert written["parameters"]["cutoff_exponent"]["value"] == pytest.approx(0.76, abs=0.05)
+    assert not written["parameters"]["dead_time_s"]["identified"]
+    assert not written["parameters"]["top_cutoff_hz[5.0 m, 0°]"]["identified"]
 
 
 @pytest.mark.parametrize("factor", [1e-3, 1e3])

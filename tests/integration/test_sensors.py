@@ -152,8 +152,8 @@ def test_command_writes_maps(tmp_path, sensor, capsys):
     write_recording(sensor[0], tmp_path / "r.h5")
     arguments = ["sensor", str(tmp_path / "r.h5"), "--model", "dvs128", "--bandwidth", "none", "--bootstrap", "20"]
     assert main([*arguments, "--out", str(tmp_path / "maps"), "--quiet"]) == 0
-    found = json.loads((tmp_path / "maps" / "sensor.json").read_text())
-    assert found["maps"]["on_threshold"]["estimates"] > 0.5 * SIDE * SIDE
+    written = json.loads((tmp_path / "maps" / "sensor.json").read_text())
+    assert written["maps"]["on_threshold"]["estimates"] > 0.5 * SIDE * SIDE
     assert (tmp_path / "maps" / "on_threshold.svg").stat().st_size > 1000
     with np.load(tmp_path / "maps" / "maps.npz") as maps:
         assert maps["off_threshold"].shape == (SIDE, SIDE)

@@ -49,10 +49,10 @@ def saved(path, counts):
 def test_pace_and_regularity_of_fast_pixels_come_back(cv):
     rates = log_normal(5.0, 0.3, 200)
     counts = firing(rates, cv, 20.0)
-    found = paces(counts, EDGES_S)
-    assert np.median(found.mean_s * rates) == pytest.approx(1.0, abs=0.02)
-    assert found.cv == pytest.approx(cv, rel=0.1)
-    assert np.median((counts.sum(axis=1) + 1) * found.mean_s) == pytest.approx(20.0, rel=0.02)
+    estimates = paces(counts, EDGES_S)
+    assert np.median(estimates.mean_s * rates) == pytest.approx(1.0, abs=0.02)
+    assert estimates.cv == pytest.approx(cv, rel=0.1)
+    assert np.median((counts.sum(axis=1) + 1) * estimates.mean_s) == pytest.approx(20.0, rel=0.02)
 
 
 @pytest.mark.parametrize(("mean_s", "cv"), [(5.0, 1.0), (25.0, 1.0), (8.0, 0.1), (6.0, 0.4)])
@@ -70,16 +70,16 @@ def test_number_of_intervals_in_a_window_is_that_of_a_renewal_process(mean_s, cv
 def test_slow_pixels_do_not_look_faster_for_lack_of_time():
     counts = firing(log_normal(0.06, 0.5, 1500), 0.1, 18.0)
     assert np.mean(counts.sum(axis=1) == 0) > 0.4
-    found = SlowPixels(counts, EDGES_S, 18.0, np.array([0.05, 0.1, 0.2])).fit()
-    assert found.rate_hz == pytest.approx(0.06, rel=0.1)
-    assert found.spread == pytest.approx(0.5, abs=0.1)
-    assert found.cv == pytest.approx(0.1, rel=0.2)
-    assert found.log_likelihood - found.poisson > 100
+    estimate = SlowPixels(counts, EDGES_S, 18.0, np.array([0.05, 0.1, 0.2])).fit()
+    assert estimate.rate_hz == pytest.approx(0.06, rel=0.1)
+    assert estimate.spread == pytest.approx(0.5, abs=0.1)
+    assert estimate.cv == pytest.approx(0.1, rel=0.2)
+    assert estimate.log_likelihood - estimate.poisson > 100
 
 
 def test_poisson_pixels_are_not_called_regular():
-    found = SlowPixels(firing(np.full(600, 0.12), 1.0, 18.0), EDGES_S, 18.0, COARSE).fit()
-    assert found.cv == 1.0 or found.irregular > 0.9
+    estimate = SlowPixels(firing(np.full(600, 0.12), 1.0, 18.0), EDGES_S, 18.0, COARSE).fit()
+    assert estimate.cv == 1.0 or estimate.irregular > 0.9
 
 
 def session(leak_hz, slope, seconds=(18.0, 20.0), lux=(161.0, 3000.0), number=700):
@@ -92,13 +92,13 @@ def session(leak_hz, slope, seconds=(18.0, 20.0), lux=(161.0, 3000.0), number=70
 
 
 def test_leak_and_parasitic_photocurrent_come_back():
-    found = static_noise(session(0.05, 3e-5), resamples=20)
-    assert [c.kind for c in found.conditions] == ["regular", "regular"]
-    for condition, seconds in zip(found.conditions, (18.0, 20.0), strict=True):
+    estimate = static_noise(session(0.05, 3e-5), resamples=20)
+    assert [c.kind for c in estimate.conditions] == ["regular", "regular"]
+    for condition, seconds in zip(estimate.conditions, (18.0, 20.0), strict=True):
         assert condition.duration_s is not None
         assert condition.duration_s[0] == pytest.approx(seconds, rel=0.03)
         assert condition.duration_at_least_s < seconds
-    fit = found.by_light
+    fit = estimate.by_light
     assert fit is not None
     assert fit.leak_hz == pytest.approx(0.05, rel=0.15)
     assert fit.parasitic_hz_per_lux == pytest.approx(3e-5, rel=0.1)
@@ -123,22 +123,22 @@ def test_simulated_leak_is_regular_and_simulated_shot_noise_is_not():
     for name, camera, light in (("leak", leaking, 24.0), ("shot", noisy, 1.0)):
         events = simulate(camera, constant(light, duration_s=12.0), width=6, height=6, seed=1).events
         measured = [interval_counts(events, p, light, name) for p in (1, 0)]
-        found = static_noise(measured)
-        kinds[name] = [c.kind for c in found.conditions]
+        estimate = static_noise(measured)
+        kinds[name] = [c.kind for c in estimate.conditions]
         if name == "leak":
-            assert found.conditions[0].cv is not None
-            assert found.conditions[0].cv[0] == pytest.approx(0.1, rel=0.25)  # the threshold noise
-            assert found.conditions[0].rate_hz is not None
-            assert found.conditions[0].rate_hz[0] == pytest.approx(3.7, rel=0.02)
+            assert estimate.conditions[0].cv is not None
+            assert estimate.conditions[0].cv[0] == pytest.approx(0.1, rel=0.25)  # the threshold noise
+            assert estimate.conditions[0].rate_hz is not None
+            assert estimate.conditions[0].rate_hz[0] == pytest.approx(3.7, rel=0.02)
     assert kinds == {"leak": ["regular", "silent"], "shot": ["irregular", "irregular"]}
 
 
 def test_files_are_read_as_written(tmp_path):
     counts = firing(np.full(30, 2.0), 0.1, 10.0)
     saved(tmp_path / "noise_pos_3klux.npy", counts)
-    found = read_interval_counts(tmp_path / "noise_pos_3klux.npy")
-    assert (found.polarity, found.lux) == ("ON", 3000.0)
-    np.testing.assert_array_equal(found.counts, counts)
+    reread = read_interval_counts(tmp_path / "noise_pos_3klux.npy")
+    assert (reread.polarity, reread.lux) == ("ON", 3000.0)
+    np.testing.assert_array_equal(reread.counts, counts)
 
 
 @pytest.mark.parametrize(
@@ -198,8 +198,8 @@ def test_columns_of_the_real_files_count_up_to_the_next_edge():
 @pytest.mark.skipif(len(REAL) < 6, reason="shared recordings absent")
 @pytest.mark.slow
 def test_real_noise():
-    found = static_noise([read_interval_counts(path) for path in REAL])
-    here = {(c.lux, c.polarity): c for c in found.conditions}
+    estimate = static_noise([read_interval_counts(path) for path in REAL])
+    here = {(c.lux, c.polarity): c for c in estimate.conditions}
     assert {k: c.kind for k, c in here.items()} == {
         (0.1, "ON"): "irregular", (0.1, "OFF"): "irregular", (161.0, "ON"): "regular", (161.0, "OFF"): "silent",
         (3000.0, "ON"): "regular", (3000.0, "OFF"): "silent",
@@ -210,7 +210,7 @@ def test_real_noise():
         if polarity == "OFF" and c.kind == "silent":
             assert c.second_event_hz is not None
             assert c.second_event_hz < 0.01
-    assert found.by_light is not None
-    assert found.by_light.leak_hz == pytest.approx(0.055, rel=0.1)
-    assert found.by_light.parasitic_hz_per_lux == pytest.approx(2.8e-5, rel=0.1)
+    assert estimate.by_light is not None
+    assert estimate.by_light.leak_hz == pytest.approx(0.055, rel=0.1)
+    assert estimate.by_light.parasitic_hz_per_lux == pytest.approx(2.8e-5, rel=0.1)
     assert MIN_INTERVALS > MAX_SLOW

@@ -26,11 +26,11 @@ def test_intervals_of_offset_and_clock_rate_cover_the_truth():
         light = shapes.steps(level, seed=seed) if seed % 2 else shapes.chirp(level, stop_hz=200 + level / 2)
         offset, ppm = float(rng.uniform(0, 100)), float(rng.normal(0, 50))
         recording = simulate(model, light, width=4, height=4, seed=seed, sensor_seed=seed)
-        found = find_alignment(on_its_own_clock(recording, offset, ppm), light, "auto")
+        alignment = find_alignment(on_its_own_clock(recording, offset, ppm), light, "auto")
         row = []
         for truth, value, interval in (
-            (offset, found.offset_s, found.offset_interval_95),
-            (1e-6 * ppm, found.rate_error, found.rate_interval_95),
+            (offset, alignment.offset_s, alignment.offset_interval_95),
+            (1e-6 * ppm, alignment.rate_error, alignment.rate_interval_95),
         ):
             assert interval is not None
             row.append((value - truth) / ((interval[1] - interval[0]) / 3.92))

@@ -19,17 +19,17 @@ def test_random_starts_reach_the_same_optimum(shared):
     model = find_model("dvs128")
     near = model.set({name: truth[name] for name in model.free if name in truth})
     rng = np.random.default_rng(0)
-    found = []
+    starts = []
     for _ in range(STARTS):
         moves = rng.uniform(-np.log(FACTOR), np.log(FACTOR), len(near.free))
         start = {}
         for name, move in zip(near.free, moves, strict=True):
             p = near.parameter(name)
             start[name] = float(np.clip(p.value * np.exp(move), p.lower, p.upper))
-        found.append(fit(recordings, near.set(start), starts=0, between="smooth"))
-    best = max(found, key=lambda result: result.log_likelihood)
+        starts.append(fit(recordings, near.set(start), starts=0, between="smooth"))
+    best = max(starts, key=lambda result: result.log_likelihood)
     sd = np.sqrt(np.diag(best.covariance))
-    same = [np.abs((result.x - best.x) / sd).max() < 0.1 for result in found]
+    same = [np.abs((result.x - best.x) / sd).max() < 0.1 for result in starts]
     assert sum(same) >= 18
     for name, tolerance in (("alpha", 0.02), ("beta", 0.02), ("gamma", 0.02), ("sf_cutoff_hz", 0.02),
                             ("diff_cutoff_hz", 0.05)):  # fmt: skip

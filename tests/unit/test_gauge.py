@@ -37,8 +37,8 @@ def powers(sentence: str) -> np.ndarray:
 @pytest.mark.parametrize("statements", COMPLETE, ids=lambda s: " ".join(s))
 def test_a_complete_gauge_gives_the_circuit_back(statements):
     start = Physical(*(np.exp(logs(NOMINAL)) * [1.5, 0.6, 1.4, 0.7, 1.3, 0.8]))
-    found = Gauge.parse(statements).physical(*NOMINAL.invariants(), around=start)
-    np.testing.assert_allclose(logs(found), logs(NOMINAL), atol=1e-7)
+    physical = Gauge.parse(statements).physical(*NOMINAL.invariants(), around=start)
+    np.testing.assert_allclose(logs(physical), logs(NOMINAL), atol=1e-7)
 
 
 @given(st.lists(st.floats(0.2, 5.0), min_size=6, max_size=6))
@@ -48,8 +48,8 @@ def test_round_trip_of_any_circuit(factors):
     gauge = Gauge(
         fixed={"q_in": truth.q_in, "q_mil": truth.q_mil}, ratios={"A_loop": (truth.A_loop / truth.A_amp, "A_amp")}
     )
-    found = gauge.physical(*truth.invariants(), around=NOMINAL)
-    np.testing.assert_allclose(logs(found), logs(truth), atol=1e-6)
+    physical = gauge.physical(*truth.invariants(), around=NOMINAL)
+    np.testing.assert_allclose(logs(physical), logs(truth), atol=1e-6)
 
 
 def test_the_choice_of_the_paper_leaves_exactly_two_flat_directions():
@@ -82,10 +82,10 @@ def test_a_whole_orbit_shares_its_invariants():
     gauge = Gauge.parse(COMPLETE[0])
     for q_mil in (0.001, 0.015, 0.02):
         other = Gauge({**gauge.fixed, "q_mil": q_mil}, gauge.ratios)
-        found = other.physical(*NOMINAL.invariants(), around=NOMINAL)
-        np.testing.assert_allclose(found.invariants(), NOMINAL.invariants(), rtol=1e-8)
-        assert found.q_mil == pytest.approx(q_mil)
-        assert found.A_loop == pytest.approx(0.7 * found.A_amp)
+        physical = other.physical(*NOMINAL.invariants(), around=NOMINAL)
+        np.testing.assert_allclose(physical.invariants(), NOMINAL.invariants(), rtol=1e-8)
+        assert physical.q_mil == pytest.approx(q_mil)
+        assert physical.A_loop == pytest.approx(0.7 * physical.A_amp)
 
 
 @pytest.mark.parametrize(("statements", "count"), [({}, 3), ({"q_in": 0.875}, 2), ({"q_in": 0.875, "A_amp": 140}, 1)])

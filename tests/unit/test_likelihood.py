@@ -99,20 +99,20 @@ def test_polarity_memory_scales_each_level_by_its_own_threshold():
     evaluator = ChangeEvaluator(recordings[0], sequences(recordings[0]))
     iv = evaluator.intervals
     memory = plain.with_(polarity_memory=strength)
-    found = evaluator(memory)
+    terms = evaluator(memory)
     # every extreme, whether or not it comes near a threshold
     without = plain_changes(evaluator, plain)
     same = np.array([1.0 + strength * p * q for p, q in zip(iv.sign, iv.previous_sign, strict=True)])
     other = np.array([1.0 - strength * p * q for p, q in zip(iv.sign, iv.previous_sign, strict=True)])
     assert {1.2, 0.8} == set(same)
-    np.testing.assert_allclose(found.change, without["change"] / same, rtol=0, atol=1e-10)
-    np.testing.assert_allclose(found.slope, without["slope"] / same, rtol=1e-9, atol=1e-6)
-    looked_for = found.opposite != 0
+    np.testing.assert_allclose(terms.change, without["change"] / same, rtol=0, atol=1e-10)
+    np.testing.assert_allclose(terms.slope, without["slope"] / same, rtol=1e-9, atol=1e-6)
+    looked_for = terms.opposite != 0
     assert looked_for.sum() > 5
-    np.testing.assert_allclose(found.opposite[looked_for], (without["opposite"] / other)[looked_for], atol=1e-10)
-    assert (found.opposite[~looked_for] < 0.5).all()
-    np.testing.assert_allclose(found.rise, without["rise"] / (1.0 + strength * iv.last_sign), atol=1e-10)
-    np.testing.assert_allclose(found.fall, without["fall"] / (1.0 - strength * iv.last_sign), atol=1e-10)
+    np.testing.assert_allclose(terms.opposite[looked_for], (without["opposite"] / other)[looked_for], atol=1e-10)
+    assert (terms.opposite[~looked_for] < 0.5).all()
+    np.testing.assert_allclose(terms.rise, without["rise"] / (1.0 + strength * iv.last_sign), atol=1e-10)
+    np.testing.assert_allclose(terms.fall, without["fall"] / (1.0 - strength * iv.last_sign), atol=1e-10)
 
 
 def test_levels_of_a_pixel_with_polarity_memory_scatter_about_one_threshold():

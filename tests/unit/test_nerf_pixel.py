@@ -117,15 +117,15 @@ def test_gradients_are_those_of_finite_differences(dynamics, midpoint):
 @pytest.mark.parametrize("dynamics", [HARD, FULL], ids=["plain", "full"])
 def test_both_engines_agree(dynamics):
     t, u, first = runs()
-    found = []
+    passes = []
     for engine in ("compiled", "tensors"):
         x, numbers = torch.tensor(u, requires_grad=True), tensor(dynamics).requires_grad_()
         level, output = respond(x, numbers, t, first, engine=engine)
         (level.sum() + (output**2).sum()).backward()
         assert x.grad is not None
         assert numbers.grad is not None
-        found.append((level.detach(), output.detach(), x.grad, numbers.grad[[0, 1, 2, 3, 6]]))
-    for compiled, tensors in zip(*found, strict=True):
+        passes.append((level.detach(), output.detach(), x.grad, numbers.grad[[0, 1, 2, 3, 6]]))
+    for compiled, tensors in zip(*passes, strict=True):
         torch.testing.assert_close(compiled, tensors, rtol=1e-7, atol=1e-8)
 
 
@@ -148,9 +148,9 @@ def test_changes_reset_at_the_end_of_the_dead_time():
             at_release = truth.at([release])[0]
     t, on = np.array(times), np.array(polarity)
     zero = np.zeros(len(t), int)
-    found = intervals(t, zero, zero, on, 1, dead=dead)
-    assert len(found.starts) == len(t) - 1
-    batch = chains(found, np.array([20]), 300, 130.0, np.random.default_rng(0))
+    spans = intervals(t, zero, zero, on, 1, dead=dead)
+    assert len(spans.starts) == len(t) - 1
+    batch = chains(spans, np.array([20]), 300, 130.0, np.random.default_rng(0))
     numbers, u = tensor(HARD), torch.tensor(np.log(light(batch.t)))
     level, output = respond(u, numbers, batch.t, batch.first)
     change = changes(level, output, batch, numbers[6])
@@ -167,9 +167,9 @@ def test_chains_are_sorted_padded_and_within_one_pixel(shortest):
     rng = np.random.default_rng(3)
     t = np.sort(rng.uniform(0, 1, 400))
     x = rng.integers(0, 3, 400)
-    found = intervals(t, x, np.zeros(400, int), rng.random(400) < 0.5, 3, dead=1e-3, shortest=shortest)
-    starts = np.arange(0, len(found.starts), 5)
-    batch = chains(found, starts, 30, 100.0, rng)
+    spans = intervals(t, x, np.zeros(400, int), rng.random(400) < 0.5, 3, dead=1e-3, shortest=shortest)
+    starts = np.arange(0, len(spans.starts), 5)
+    batch = chains(spans, starts, 30, 100.0, rng)
     for run in range(len(starts)):
         some = slice(batch.first[run], batch.first[run + 1])
         assert (np.diff(batch.t[some]) >= 0).all()
@@ -182,7 +182,7 @@ def test_chains_are_sorted_padded_and_within_one_pixel(shortest):
     assert (batch.sub >= batch.begin[..., None])[ends].all()
     assert (batch.sub < np.maximum(batch.end, batch.begin + 1)[..., None])[ends].all()
     assert ((batch.share >= 0) & (batch.share <= 1)).all()
-    last_of_pixel = found.stretches.pixel[found.starts[starts]] == batch.pixel
+    last_of_pixel = spans.stretches.pixel[spans.starts[starts]] == batch.pixel
     assert last_of_pixel.all()
 
 

@@ -45,13 +45,13 @@ def test_both_engines_agree_with_their_gradients(channels):
     values = rng.normal(0, 1, (13, 13, 13, 1 + channels)).astype(np.float32)
     rays = random_rays(500, channels)
     box = Box(LOW, HIGH, 0.11, (rng.random((3, 3, 3)) < 0.8).astype(np.uint8))
-    found = []
+    rendered = []
     for engine in ("compiled", "tensors"):
         grid, behind = torch.tensor(values, requires_grad=True), torch.full((channels,), 0.4, requires_grad=True)
         radiance, opacity = render(grid, behind, rays, box, engine)
         (radiance * torch.linspace(-1, 1, len(radiance))).sum().backward()
-        found.append((radiance.detach(), opacity, grid.grad, behind.grad))
-    for compiled, tensors in zip(*found, strict=True):
+        rendered.append((radiance.detach(), opacity, grid.grad, behind.grad))
+    for compiled, tensors in zip(*rendered, strict=True):
         torch.testing.assert_close(compiled, tensors, rtol=1e-3, atol=1e-4)
 
 
@@ -124,11 +124,11 @@ def test_lens_distortion_is_undone(model, numbers):
         yd = y * radial + k[2] * (r2 + 2 * y * y) + 2 * k[3] * x * y
     else:
         theta = np.arctan(np.sqrt(r2))
-        bent = theta * (1 + k[0] * theta**2 + k[1] * theta**4 + k[2] * theta**6 + k[3] * theta**8)
-        xd, yd = x * bent / np.sqrt(r2), y * bent / np.sqrt(r2)
+        distorted = theta * (1 + k[0] * theta**2 + k[1] * theta**4 + k[2] * theta**6 + k[3] * theta**8)
+        xd, yd = x * distorted / np.sqrt(r2), y * distorted / np.sqrt(r2)
     pixels = np.column_stack([xd, yd, np.ones(50)]) @ ideal.intrinsics.T
-    found = camera.directions(pixels[:, :2])
-    np.testing.assert_allclose(found[:, :2] / found[:, 2:], np.column_stack([x, y]), atol=1e-8)
+    directions = camera.directions(pixels[:, :2])
+    np.testing.assert_allclose(directions[:, :2] / directions[:, 2:], np.column_stack([x, y]), atol=1e-8)
 
 
 def test_scenes_are_deterministic_and_hdr():
@@ -155,6 +155,6 @@ def test_the_correction_is_found():
     exposure = np.array([1.0, 0.5, 1.5])
     a, b, c = np.array([0.7, 1.3]), np.array([0.8, 1.4]), np.array([0.05, 0.1])
     images = exposure[:, None, None, None] * (a * radiance**b - c)
-    found = fit_correction(radiance, images, exposure)
-    np.testing.assert_allclose([found.a, found.b, found.c], [a, b, c], rtol=1e-3)
-    np.testing.assert_allclose(found(radiance, exposure), images, atol=1e-4)
+    correction = fit_correction(radiance, images, exposure)
+    np.testing.assert_allclose([correction.a, correction.b, correction.c], [a, b, c], rtol=1e-3)
+    np.testing.assert_allclose(correction(radiance, exposure), images, atol=1e-4)

@@ -42,26 +42,26 @@ def test_an_edge_with_dead_times_keeps_its_contrast():
     t = np.arange(0, 0.1, 1e-6)
     light = 0.3 * np.sin(40 * t) + 6 * np.clip((t - 0.05) / 8e-3, 0, 1)
     when, on = comparator(light, t, 0.25, 0.25, 1e-4)
-    found = stretches(when, np.zeros(len(when), int), on, 1e-4, 0.0, 2e-3)
-    assert found.burst.sum() == 1
-    burst = int(np.flatnonzero(found.burst)[0])
-    inside = (when > found.begin[burst]) & (when < found.end[burst])
-    truth = np.interp(found.end[burst], t, light) - np.interp(found.begin[burst], t, light)
+    spans = stretches(when, np.zeros(len(when), int), on, 1e-4, 0.0, 2e-3)
+    assert spans.burst.sum() == 1
+    burst = int(np.flatnonzero(spans.burst)[0])
+    inside = (when > spans.begin[burst]) & (when < spans.end[burst])
+    truth = np.interp(spans.end[burst], t, light) - np.interp(spans.begin[burst], t, light)
     assert truth > 5.9
     assert 0.25 * inside.sum() < 0.8 * truth  # what events alone say
-    assert 0.25 * (found.rise - found.fall)[burst] == pytest.approx(truth, abs=0.5)
-    assert found.variance[burst] > 0.03**2 * inside.sum()
+    assert 0.25 * (spans.rise - spans.fall)[burst] == pytest.approx(truth, abs=0.5)
+    assert spans.variance[burst] > 0.03**2 * inside.sum()
 
 
 def test_events_that_stand_alone_are_left_alone():
     t = np.arange(20) * 1e-2
     on = np.arange(20) % 3 > 0
-    found = stretches(t, np.zeros(20, int), on, 1e-3, 1e-5, 5e-3)
-    assert found.reset.all()
-    np.testing.assert_allclose(found.begin, t[:-1] + 1e-3)
-    np.testing.assert_allclose(found.end, t[1:])
-    np.testing.assert_array_equal(found.rise, on[1:])
-    np.testing.assert_array_equal(found.fall, ~on[1:])
+    spans = stretches(t, np.zeros(20, int), on, 1e-3, 1e-5, 5e-3)
+    assert spans.reset.all()
+    np.testing.assert_allclose(spans.begin, t[:-1] + 1e-3)
+    np.testing.assert_allclose(spans.end, t[1:])
+    np.testing.assert_array_equal(spans.rise, on[1:])
+    np.testing.assert_array_equal(spans.fall, ~on[1:])
 
 
 def test_merging_loses_no_threshold():
@@ -71,22 +71,22 @@ def test_merging_loses_no_threshold():
     t = np.concatenate([np.sort(rng.exponential(size=n).cumsum()) for n in (50, 1, 80)])
     on = rng.random(131) < 0.5
     for shortest in (0.0, 0.3, 1.0, 100.0):
-        found = stretches(t, pixel, on, 0.0, 0.0, shortest)
+        spans = stretches(t, pixel, on, 0.0, 0.0, shortest)
         for one in (3, 9):
-            some, events = found.pixel == one, np.flatnonzero(pixel == one)[1:]
-            assert found.rise[some].sum() == pytest.approx(on[events].sum())
-            assert found.fall[some].sum() == pytest.approx((~on[events]).sum())
-            assert (found.begin[some][1:] >= found.end[some][:-1] - 1e-12).all()
-        assert not (found.pixel == 5).any()
-        assert (found.end > found.begin).all()
+            some, events = spans.pixel == one, np.flatnonzero(pixel == one)[1:]
+            assert spans.rise[some].sum() == pytest.approx(on[events].sum())
+            assert spans.fall[some].sum() == pytest.approx((~on[events]).sum())
+            assert (spans.begin[some][1:] >= spans.end[some][:-1] - 1e-12).all()
+        assert not (spans.pixel == 5).any()
+        assert (spans.end > spans.begin).all()
 
 
 def test_crossing_time_is_that_of_the_image():
     """A scene seen at 4 units from an orbit of 2 turns per second crosses a pixel in a few milliseconds."""
     camera, box = pinhole(64, 64, FIELD_OF_VIEW), np.full(3, 1.4)
-    found = crossing_time(spiral(0.5, 1.0), camera, -box, box)
-    assert 2e-3 < found < 1e-2
-    assert crossing_time(spiral(0.25, 1.0), camera, -box, box) == pytest.approx(found / 2, rel=1e-6)
+    crossed_s = crossing_time(spiral(0.5, 1.0), camera, -box, box)
+    assert 2e-3 < crossed_s < 1e-2
+    assert crossing_time(spiral(0.25, 1.0), camera, -box, box) == pytest.approx(crossed_s / 2, rel=1e-6)
 
 
 def test_thresholds_and_dead_time_are_trained_with_the_rest():
@@ -101,8 +101,8 @@ def test_thresholds_and_dead_time_are_trained_with_the_rest():
     )  # fmt: skip
     zero = np.zeros(len(when), int)
     pixel = Pixel(circuit, Bandwidth("joint", trained=("threshold", "ratio", "refractory")))
-    found = intervals(when, zero, zero, on, 1, dead=circuit.refractory)
-    batch = chains(found, np.arange(0, len(found.starts) - 16, 8), 100, 1000.0, np.random.default_rng(0))
+    spans = intervals(when, zero, zero, on, 1, dead=circuit.refractory)
+    batch = chains(spans, np.arange(0, len(spans.starts) - 16, 8), 100, 1000.0, np.random.default_rng(0))
     u = torch.tensor(np.log(np.interp(batch.t, t, light)))
     optimiser = torch.optim.Adam([pixel.factors], lr=0.02)
     for _ in range(250):

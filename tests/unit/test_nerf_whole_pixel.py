@@ -70,8 +70,8 @@ def test_a_leak_is_part_of_the_change():
     t = np.arange(1, 60) / (leak + 2.0 * parasitic)
     zero, on = np.zeros(len(t), int), np.ones(len(t), bool)
     for shortest in (0.0, 1.0):
-        found = intervals(t, zero, zero, on, 1, shortest=shortest)
-        batch = chains(found, found.starts[:1], 30, 100.0, np.random.default_rng(0))
+        spans = intervals(t, zero, zero, on, 1, shortest=shortest)
+        batch = chains(spans, spans.starts[:1], 30, 100.0, np.random.default_rng(0))
         u = torch.full((len(batch.t),), math.log(2.0), dtype=torch.float64)
         drift = amplifier_drift(u, batch.t, torch.tensor(threshold, dtype=torch.float64), leak, parasitic)
         change = changes(u, u, batch, None, drift=drift).numpy()
@@ -81,8 +81,8 @@ def test_a_leak_is_part_of_the_change():
 
 def test_noise_of_the_fit_is_the_variance_of_a_threshold():
     t = np.arange(10.0)
-    found = intervals(t, np.zeros(10, int), np.zeros(10, int), np.ones(10, bool), 1, noise=0.2)
-    np.testing.assert_allclose(found.stretches.variance, 0.04)
+    spans = intervals(t, np.zeros(10, int), np.zeros(10, int), np.ones(10, bool), 1, noise=0.2)
+    np.testing.assert_allclose(spans.stretches.variance, 0.04)
 
 
 def test_every_effect_is_modelled_or_named():

@@ -81,9 +81,9 @@ def test_stages_without_a_pole_written_out(absent):
     for effect in absent:
         model = model.without_effect(effect)
     evaluator = ChangeEvaluator(recording, sequences(recording))
-    found = evaluator(model.circuit())
-    assert_equal(found, plain_changes(evaluator, model.circuit()), near=0.2)
-    assert (found.slope * np.sign(found.change) > 0).mean() > 0.5
+    evaluated = evaluator(model.circuit())
+    assert_equal(evaluated, plain_changes(evaluator, model.circuit()), near=0.2)
+    assert (evaluated.slope * np.sign(evaluated.change) > 0).mean() > 0.5
 
 
 def test_extremes_are_returned_and_taken_where_they_are():

@@ -54,12 +54,12 @@ def test_states_equal_runge_kutta(name, limits):
     model = chain(name)
     _, fine = shown(steps(400.0, duration_s=0.25, seed=3))
     circuit, dynamics = limited(model, *limits), dynamics_of(model.circuit())
-    found = trajectory(fine, circuit, dynamics)
+    path = trajectory(fine, circuit, dynamics)
     rates = slew.rates_of(circuit, dynamics)
     driven, wanted = slewed_outputs(fine.t, fine.radiance, dynamics, rates)
-    assert len(found.change_s) >= 2
-    np.testing.assert_allclose(found.states[:, 3] - found.states[:, 4], driven, atol=1e-6)
-    np.testing.assert_allclose(found.states[:, 5], wanted, atol=1e-6)
+    assert len(path.change_s) >= 2
+    np.testing.assert_allclose(path.states[:, 3] - path.states[:, 4], driven, atol=1e-6)
+    np.testing.assert_allclose(path.states[:, 5], wanted, atol=1e-6)
     stepped = slew.slewed_states(fine.t, fine.radiance, dynamics.uniform(), rates, True)  # as the simulator goes
     np.testing.assert_allclose(stepped[:, 3], driven, atol=1e-6)
     np.testing.assert_allclose(stepped[:, 5], wanted, atol=1e-6)
@@ -79,9 +79,9 @@ def test_between_coarse_samples_switches_are_found(light):
 def test_a_limit_out_of_reach_changes_nothing():
     dynamics = dynamics_of(DVS128.circuit())
     read, _ = shown(steps(24.0, duration_s=0.25, seed=1))
-    found = trajectory(read, limited(DVS128, 1e7, 1e7), dynamics)
-    assert len(found.change_s) == 0
-    np.testing.assert_allclose(found.states[:, 1:], integrate(read.t, read.radiance, dynamics).states[:, 1:], atol=1e-9)
+    path = trajectory(read, limited(DVS128, 1e7, 1e7), dynamics)
+    assert len(path.change_s) == 0
+    np.testing.assert_allclose(path.states[:, 1:], integrate(read.t, read.radiance, dynamics).states[:, 1:], atol=1e-9)
 
 
 @pytest.mark.parametrize("missing", ["source_follower_pole", "differencing_pole"])

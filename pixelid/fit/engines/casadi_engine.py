@@ -126,8 +126,8 @@ def _solve(objective, x0, local: Local, symbolically: bool, tolerance: float, ma
         f = function(q)
         options |= {"grad_f": gradient, "hess_lag": hessian}
     solver = ca.nlpsol("solver", "ipopt", {"x": q, "f": f}, options)
-    found = solver(x0=np.zeros(len(x0)), lbx=(low - x0) / scale, ubx=(high - x0) / scale)
-    x = x0 + scale * np.array(found["x"]).ravel()
+    solution = solver(x0=np.zeros(len(x0)), lbx=(low - x0) / scale, ubx=(high - x0) / scale)
+    x = x0 + scale * np.array(solution["x"]).ravel()
     near = 1e-6 * longest
     x = np.where(x - lower < near, lower, np.where(upper - x < near, upper, x))
     return x, int(solver.stats()["iter_count"])

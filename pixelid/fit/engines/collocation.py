@@ -1,6 +1,6 @@
 """The continuous form in CasADi: three-point Radau collocation, differentiated exactly.
 
-Order 5 and stiffly accurate (Hairer & Wanner, Solving ODEs II, §IV.5):
+Order 5 and stiffly accurate (Hairer & Wanner, Solving ODEs II, section IV.5):
 
     x(t + h c_i) = x + h Σ_j a_ij f(x_j, u(t + h c_j)),   i = 1 … 3;   x(t + h) is the last stage.
 

@@ -60,10 +60,10 @@ def torchdiffeq_objective(
 
     def value_and_gradient(x):
         at = torch.tensor(x, dtype=torch.float64, device=device, requires_grad=True)
-        found = log_posterior(op, discrete, freeze(discrete, x), at, flow)
-        found.backward()
+        log_density = log_posterior(op, discrete, freeze(discrete, x), at, flow)
+        log_density.backward()
         assert at.grad is not None
-        return float(found.detach()), at.grad.cpu().numpy()
+        return float(log_density.detach()), at.grad.cpu().numpy()
 
     return ContinuousObjective(discrete, value, value_and_gradient)
 

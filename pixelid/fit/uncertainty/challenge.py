@@ -9,7 +9,7 @@ import numpy as np
 from pixelid.fit.event_times import EventTimesObjective
 from pixelid.fit.newton import maximise
 from pixelid.fit.objective import Objective
-from pixelid.fit.uncertainty.profiles import DROP, at_fixed
+from pixelid.fit.uncertainty.profiles import DROP_NATS, at_fixed
 from pixelid.fit.uncertainty.stimulus_design import caveats, design_of, exchanged_poles
 from pixelid.recordings.recording import Recording
 
@@ -40,7 +40,7 @@ def challenged(
         for sign in (-1, 1):
             moved = x.copy()
             moved[i] = np.clip(x[i] + sign * DISTANCE, lower[i], upper[i])
-            if top - at_fixed(objective, moved, i)[0] < DROP:
+            if top - at_fixed(objective, moved, i)[0] < DROP_NATS:
                 identified[i] = False
                 sentences.append(f"{name}: a factor {np.exp(sign * DISTANCE):.2g} fits as well once the rest follows")
                 break
@@ -56,7 +56,7 @@ def challenged(
                     moved[index[name]] = np.log(other[name])
                 moved = np.clip(moved, lower, upper)
                 end = maximise(objective, moved, tolerance=1e-2, max_steps=25)
-                if top - end.local.value < DROP and np.abs(end.x - x)[[index[n] for n in names]].max() > 0.1:
+                if top - end.local.value < DROP_NATS and np.abs(end.x - x)[[index[n] for n in names]].max() > 0.1:
                     exchanged = coordinates.values(end.x)
                     for name in names:
                         identified[index[name]] = False

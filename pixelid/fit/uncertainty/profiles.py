@@ -21,7 +21,7 @@ from pixelid.parameters.parameter import Parameter
 from pixelid.recordings.recording import Recording
 from pixelid.stimuli.resample import resampled
 
-DROP = 1.9207  # nats
+DROP_NATS = 1.9207  # nats
 MOST_STEPS = 14  # per side
 STEPS_OF_OTHERS = 100  # after one has moved: along a ridge a few dozen are needed
 
@@ -86,33 +86,33 @@ def profile(
 
 
 def _side(objective, x, i, sign, sd, along, top, dispersion, points) -> float | None:
-    """The signed move at which the profile has dropped by DROP, None when the bound comes first."""
+    """The signed move at which the profile has dropped by DROP_NATS, None when the bound comes first."""
     lower, upper = objective.coordinates.bounds()
     bound = abs((upper if sign > 0 else lower)[i] - x[i])
     move, near, far, start = min(1.96 * sd, bound), (0.0, 0.0), None, x
     for _ in range(MOST_STEPS):
         if move <= 0:
             return None
-        value, end = _best_at(objective, start, x, i, x[i] + sign * move, along, top - DROP * dispersion)
+        value, end = _best_at(objective, start, x, i, x[i] + sign * move, along, top - DROP_NATS * dispersion)
         drop = max(top - value, 0.0) / dispersion
         points[sign * move] = drop
-        if drop < DROP:
+        if drop < DROP_NATS:
             if move >= bound:
                 return None
             near, start = (move, drop), end
         else:
             far = move, drop
-            if drop < 2.0 * DROP:
+            if drop < 2.0 * DROP_NATS:
                 break
         if far is not None:
             move = 0.5 * (near[0] + far[0])
         else:
-            growth = 1.15 * np.sqrt(DROP / drop) if drop > 0.05 else 2.0
+            growth = 1.15 * np.sqrt(DROP_NATS / drop) if drop > 0.05 else 2.0
             move = min(move * float(np.clip(growth, 1.1, 2.0)), bound)
     if far is None:
         return None
     a, b = np.sqrt(near[1]), np.sqrt(far[1])
-    return sign * float(near[0] + (far[0] - near[0]) * (np.sqrt(DROP) - a) / (b - a))
+    return sign * float(near[0] + (far[0] - near[0]) * (np.sqrt(DROP_NATS) - a) / (b - a))
 
 
 def _best_at(

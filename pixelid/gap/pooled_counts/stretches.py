@@ -2,7 +2,7 @@
 
 Stretches take the place of pixels as exchangeable units: five of twelve fit, a quarter select, a third confirm.  Counts
 scatter more than Poisson's law allows, so log-likelihoods are divided by the dispersion (quasi-likelihood; McCullagh &
-Nelder 1989, §9.2), and maps are judged by flipping the signs of whole stretches.
+Nelder 1989, section 9.2), and maps are judged by flipping the signs of whole stretches.
 """
 
 from __future__ import annotations

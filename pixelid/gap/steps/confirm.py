@@ -49,9 +49,9 @@ def confirm(state: State, context: Context) -> GapReport:
     report("what these stimuli can tell", 0.75)
     at = residual_space(hypothesis.evidence.training, hypothesis.fit)
     directions = [d for d in (direction(at, name) for name in missing(hypothesis.fit.model)) if d is not None]
-    found = bool(state.steps or state.new_signatures or state.shot_noise)
-    confounder = None if found or remainder else confounded(at, directions, options)
-    findings = _confirmed(state, at, judge(found, bool(state.doubts), remainder, confounder), context)
+    named_any = bool(state.steps or state.new_signatures or state.shot_noise)
+    confounder = None if named_any or remainder else confounded(at, directions, options)
+    findings = _confirmed(state, at, judge(named_any, bool(state.doubts), remainder, confounder), context)
     report("what to record next", 0.95)
     next_ = advise(state, at, directions, confounder, findings.remainder, options) if options.recommend else {}
     report("done", 1.0)

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from pixelid.figures.style import INK, MUTED, new_axes, series_colours, styled
-from pixelid.tables.fit import SUSPECT
+from pixelid.tables.fit import SUSPECT_SCALES
 from pixelid.tables.rates.pixel import PixelFit
 from pixelid.tables.rates.pool import PoolFit
 
@@ -28,7 +28,7 @@ def draw_pixel(fit: PixelFit, axes: Any = None) -> Any:
         bottom.semilogx(x, np.clip(fit.regression.residual[here], -12, 12), "o", color=colour)
     top.set_ylabel("events per second")
     top.legend(title="setting")
-    bottom.axhspan(-SUSPECT, SUSPECT, color=MUTED, alpha=0.15, linewidth=0)
+    bottom.axhspan(-SUSPECT_SCALES, SUSPECT_SCALES, color=MUTED, alpha=0.15, linewidth=0)
     bottom.axhline(0.0, color=INK, linewidth=0.6)
     bottom.set(xlabel="frequency of the light (Hz)", ylabel="residual (scales)", ylim=(-13, 13))
     return axes

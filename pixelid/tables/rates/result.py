@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from pixelid.provenance import provenance
-from pixelid.tables.fit import SUSPECT, TableFit
+from pixelid.tables.fit import SUSPECT_SCALES, TableFit
 from pixelid.tables.rates.figures import draw_pixel, draw_pool
 from pixelid.tables.rates.pixel import PixelFit, fit_pixel
 from pixelid.tables.rates.pool import PoolFit, fit_pool
@@ -28,7 +28,7 @@ def pixel_result(fit: PixelFit) -> dict:
             "ratio": float((fit.observed[j] + table.resolution_hz) / (r.predicted[j] + table.resolution_hz)),
             "residual": float(r.residual[j]),
             "weight": float(r.weight[j]),
-            "suspect": bool(abs(r.residual[j]) > SUSPECT),
+            "suspect": bool(abs(r.residual[j]) > SUSPECT_SCALES),
         }
         for j, (i, k) in enumerate(zip(fit.row, fit.column, strict=True))
     ]

@@ -18,7 +18,7 @@ of x thresholds gives max(x − 1, 0) events per edge.  Noise brings the referen
 noise events of the dark half.  The corner is rounded over `ROUNDING` thresholds (threshold noise).
 
 Sources: fluid limit and dead time: `docs/model.md`, "Events"; exit time: Gardiner, Handbook of Stochastic Methods,
-§5.2.7.
+section 5.2.7.
 """
 
 from __future__ import annotations
