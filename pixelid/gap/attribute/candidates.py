@@ -53,6 +53,11 @@ def why_not(model: Model, effect: str) -> str | None:
     return None
 
 
+def holds_together(model: Model) -> bool:
+    """Whether a model of this structure can have all the effects that it has."""
+    return all(model.photoreceptor in stages.effect(name).photoreceptors for name in model.effects)
+
+
 def remove_effect(model: Model, effect: str, base: Model) -> Model:
     """The model without an effect that was added to a base: its photoreceptor is of the base's kind again."""
     kind = "one_pole" if base.photoreceptor == "second_order" else base.photoreceptor

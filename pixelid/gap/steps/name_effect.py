@@ -7,7 +7,7 @@ from dataclasses import replace
 from pixelid.fit.maximise import Maximum, maximise, maximise_with_restarts
 from pixelid.gap.attribute.alternative import stands
 from pixelid.gap.attribute.attribute import Attribution, Candidate, attribute
-from pixelid.gap.attribute.candidates import canonical, impossible, missing, remove_effect
+from pixelid.gap.attribute.candidates import canonical, holds_together, impossible, missing, remove_effect
 from pixelid.gap.attribute.pixels import candidates_of
 from pixelid.gap.attribute.significance import leads
 from pixelid.gap.detect.diagnostics import diagnose
@@ -113,6 +113,8 @@ def _pruned(
         if not fit.model.has(earlier):
             continue
         without = remove_effect(fit.model, earlier, state.model)
+        if not holds_together(without):
+            continue  # a later effect needs this one
         less = maximise(evidence.training, without, tolerance=0.05, max_steps=25, cache=context.cache)
         if fit.value - less.value < context.options.criteria.min_lead_nats:
             fit, start = less, remove_effect(start, earlier, state.model)
