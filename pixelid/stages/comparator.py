@@ -68,7 +68,7 @@ class PolarityMemory(Effect):
     name = "polarity_memory"
     stage = "comparator"
     sentence = "A threshold depends on the polarity of the pixel's previous event."
-    equation = "C_i,p → C_i,p + strength · p · p_before · C_p, C_p the mean over pixels; a pixel's first event sees C_i,p"
+    equation = "C_i,p → C_i,p + strength · p · p_before · C_p, C_p the mean over pixels; first event: C_i,p"
     source = "docs/model.md: what an incomplete reset leaves behind shifts the next threshold, to first order"
     parameters = (Parameter("polarity_memory.strength", 0.05, "1", -0.5, 0.5, "linear"),)
 

@@ -29,7 +29,8 @@ def base_model(name, added=""):
 
 
 def possible(name, effect):
-    return not effect or effect not in impossible(base_model(name)) and effect in (*missing(base_model(name)), *ADDED)
+    base = base_model(name)
+    return not effect or base.has(effect) or effect in missing(base)
 
 
 def tiny_session(model):

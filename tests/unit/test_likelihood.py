@@ -93,7 +93,7 @@ def test_changes_with_a_bandwidth_floor_equal_an_adaptive_solver():
 
 
 def test_polarity_memory_moves_each_level_by_its_own_threshold():
-    """Each polarity q is held against C_q + strength · q · before · C_q: the event's, the other's, the censored ones'."""
+    """Each polarity q is held against C_q + strength · q · before · C_q: the event's, the other's, censored ones'."""
     model, recordings = small_session()
     plain, strength = model.circuit(), 0.2
     evaluator = ChangeEvaluator(recordings[0], sequences(recordings[0]))

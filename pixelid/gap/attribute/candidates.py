@@ -24,7 +24,8 @@ NOT_IN_DENSITY = {"shot_noise", "hot_pixels", "readout_latency", "timestamp_quan
 INVERSE = {"second_order_photoreceptor", "source_follower_pole", "extra_pole", "slew_limit", "differencing_pole"}
 SLEWS_THROUGH = ("source_follower_pole", "differencing_pole")  # what the likelihood of slew_limit needs
 USUAL_POLES = ("source_follower_pole", "differencing_pole")  # a pole more is one of these while one of them is missing
-BETA_DECADES = (0.0, 1.0, 2.0)  # about the shipped one, of a photoreceptor where there was none: fast loops are one pole
+# About the shipped β, for a second-order photoreceptor where there was none: of fast loops only one pole shows.
+BETA_DECADES = (0.0, 1.0, 2.0)
 
 
 def missing(model: Model) -> list[str]:

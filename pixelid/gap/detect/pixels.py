@@ -104,8 +104,8 @@ def fit_base(
 def _screened(screening: EventTimes, nominal: Model, shipped: Model, cache: FitCache | None) -> Maximum:
     """The base fitted to a few pixels, from the noise that makes its start feasible and from the shipped noise.
 
-    Where the start explains the events badly, the noise that covers for it is so large that a fit may end there: nothing
-    is surprising enough to move the filters.  With little noise what the start cannot explain is background at first.
+    Where the start explains the events badly, the noise that covers for it is so large that a fit may end there:
+    nothing is surprising enough to move the filters.  With little noise, what cannot be explained is background.
     """
     starts = [nominal]
     if NOISE in nominal.free and nominal.values[NOISE] > MAX_NOISE_FACTOR * shipped.values[NOISE]:

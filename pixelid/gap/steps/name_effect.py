@@ -30,7 +30,8 @@ def name_effect(state: State, context: Context) -> State:
     # one likelihood for the model and all that is tried beside it
     evidence = hypothesis.evidence.weighed(hypothesis.fit.model.circuit())
     attribution = _attribute(state, evidence, context)
-    rounds = (*state.rounds, attribution_entry(state.turn, hypothesis.fit, hypothesis.seen, attribution, impossible(hypothesis.fit.model)))
+    fit, seen = hypothesis.fit, hypothesis.seen
+    rounds = (*state.rounds, attribution_entry(state.turn, fit, seen, attribution, impossible(fit.model)))
     state = state.then(Phase.SHOT_NOISE, rounds=rounds, turn=state.turn + 1)
     if state.turn == 1:
         held = (c.p for c in attribution.candidates if leads(c.held_out, criteria))
