@@ -17,6 +17,7 @@ from pixelid.likelihood.event_times import EventTimes
 from pixelid.likelihood.information import Information, Tangent
 from pixelid.likelihood.layout import StackedChanges
 from pixelid.stages.circuit import Circuit
+from pixelid.stages.comparator import threshold_shifts
 
 # Circuit numbers that leave the trajectories and changes alone and act in the density only.
 DENSITY_ONLY = (*NUMBERS, "tick")
@@ -101,4 +102,7 @@ def _product(gradient: Gradient, tangent: Tangent) -> float:
 
 def only_density_differs(a: Circuit, b: Circuit) -> bool:
     """Whether two circuits have the same trajectories and changes."""
+    shifts = [(threshold_shifts(c, 1.0), c.threshold_drift) for c in (a, b)]
+    if shifts[0] != shifts[1] and (a.polarity_memory != 0 or b.polarity_memory != 0):
+        return False
     return replace(a, **{name: getattr(b, name) for name in DENSITY_ONLY}) == b

@@ -10,6 +10,7 @@ from pixelid.design.information import simulated
 from pixelid.design.menu import Candidate, default_menu
 from pixelid.errors import InputError
 from pixelid.fit.maximise import Maximum, maximise
+from pixelid.gap.attribute.candidates import holds_together, remove_effect
 from pixelid.gap.attribute.directions import Direction, Space, direction, residual_space
 from pixelid.gap.options import Options
 from pixelid.gap.state import State
@@ -46,7 +47,9 @@ def advise(
     if state.doubts:
         step, other = state.doubts[0]
         winner, runner_up = step.effect, other.effect
-        without = model.without_effect(winner)
+        without = remove_effect(model, winner, state.model)
+        if not holds_together(without):
+            without = step.before.fit.model
         training = hypothesis.evidence.training
         lacking = residual_space(training, maximise(training, without, tolerance=0.1, max_steps=5))
         return recommended(lacking, state.model, winner, runner_up, f"to tell {winner} from {runner_up}", seed)

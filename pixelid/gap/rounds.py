@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 from pixelid.fit.maximise import Maximum
 from pixelid.gap.attribute.attribute import Attribution
 from pixelid.gap.detect.diagnostics import Diagnostics
@@ -20,8 +22,10 @@ def signature_entry(signature: TimestampSignature, known: bool) -> dict:
     return entry(0, signature.p, timestamps=signature.where, named=None if known else signature.effect)
 
 
-def attribution_entry(turn: int, fit: Maximum, seen: Diagnostics, attribution: Attribution) -> dict:
-    """Of effects tried beside a fitted model."""
+def attribution_entry(
+    turn: int, fit: Maximum, seen: Diagnostics, attribution: Attribution, impossible: Mapping[str, str]
+) -> dict:
+    """Of effects tried beside a fitted model, and of those impossible there, with reasons."""
     tried = [
         {"name": c.effect, "gain_nats": c.gain, "p_value": c.p, "heldout_gain_nats": c.heldout_gain}
         for c in attribution.candidates
@@ -29,6 +33,7 @@ def attribution_entry(turn: int, fit: Maximum, seen: Diagnostics, attribution: A
     return entry(
         turn + 1, seen.p, strays=seen.maps.background, model_effects=list(fit.model.effects),
         screened_nats=attribution.screened, candidates=tried,
+        skipped={**impossible, **attribution.skipped},
     )  # fmt: skip
 
 

@@ -25,7 +25,7 @@ from pixelid.likelihood.extremes import DECAYED, Begun, Drift, Extremes, Output,
 from pixelid.likelihood.sequences import Sequences
 from pixelid.recordings.recording import Recording
 from pixelid.stages.circuit import Circuit
-from pixelid.stages.comparator import threshold_factors
+from pixelid.stages.comparator import threshold_shifts
 from pixelid.stages.differencing import leaked, leaks
 from pixelid.stimuli.drive import Drive, drive
 
@@ -38,7 +38,7 @@ APART = 4e-3  # least relative gap of follower and extra pole: closer ones are a
 class Changes:
     """Per interval, in log radiance units (leak excluded) and units of C_on (drift).
 
-    All are divided by what the pixel's history multiplies the threshold by (`comparator.threshold_factors`).
+    Less what the pixel's history adds to the threshold that they are held against (`comparator.threshold_shifts`).
 
     change, slope: (n,) at the event;  drift, drift_slope: (n,) leak at the event, in C_on and C_on/s
     opposite: (n,) extreme of −sign·change before the event, and opposite_drift there
@@ -195,7 +195,8 @@ class ChangeEvaluator:
         at_samples(trajectory, output, begun, -iv.sign, extremes.opposite, drift, opposite, opposite_drift)
         for sign, at, rows in ((1.0, extremes.rise, pixels[:2]), (-1.0, extremes.fall, pixels[2:])):
             at_samples(trajectory, output, begun_last, np.full(len(last), sign), at, drift_last, *rows)
-        _divide_by_threshold_factors(circuit, iv, events, pixels)
+        if circuit.polarity_memory != 0:
+            _subtract_threshold_shifts(circuit, iv, events, pixels)
         return extremes
 
     def _begun(
@@ -215,17 +216,21 @@ class ChangeEvaluator:
         return begun, Drift(leaked(circuit, 1.0, 0.0), per_light, circuit.on_threshold, lights, light)
 
 
-def _divide_by_threshold_factors(circuit: Circuit, iv: Sequences, events: np.ndarray, pixels: np.ndarray) -> None:
-    """Changes over what the pixel's history multiplies the thresholds by that they are held against."""
-    on, off = threshold_factors(circuit, iv.previous_sign)
-    if np.all(on == 1.0) and np.all(off == 1.0):
-        return
-    rising = iv.sign > 0
-    events[:4] /= np.where(rising, on, off)
-    events[4:6] /= np.where(rising, off, on)
-    on, off = threshold_factors(circuit, iv.last_sign)
-    pixels[:2] /= on
-    pixels[2:] /= off
+def _subtract_threshold_shifts(circuit: Circuit, iv: Sequences, events: np.ndarray, pixels: np.ndarray) -> None:
+    """Changes less what the pixel's history adds to the thresholds that they are held against.
+
+    Thresholds drift with what is added to them.
+    """
+    on, off = threshold_shifts(circuit, iv.previous_sign)
+    rising, growth = iv.sign > 0, 1.0 + circuit.threshold_drift * iv.time_s
+    own, other = np.where(rising, on, off), np.where(rising, off, on)
+    events[0] -= iv.sign * own * growth
+    events[1] -= iv.sign * own * circuit.threshold_drift
+    events[4] -= other * growth
+    on, off = threshold_shifts(circuit, iv.last_sign)
+    growth = 1.0 + circuit.threshold_drift * iv.end_s
+    pixels[0] -= on * growth
+    pixels[2] -= off * growth
 
 
 def located(t: np.ndarray, times: np.ndarray, near: np.ndarray) -> np.ndarray:
@@ -328,5 +333,5 @@ def _near(circuit: Circuit) -> tuple[float, float]:
     if circuit.threshold_drift != 0:
         return -np.inf, -np.inf
     closest = 1.0 - 8.0 * float(np.hypot(circuit.noise, circuit.mismatch))
-    on, off = (min(factors) for factors in zip(*(threshold_factors(circuit, p) for p in (-1.0, 1.0)), strict=True))
-    return closest * on * circuit.on_threshold, closest * off * circuit.off_threshold
+    on, off = (min(shifts) for shifts in zip(*(threshold_shifts(circuit, p) for p in (-1.0, 1.0)), strict=True))
+    return closest * circuit.on_threshold + on, closest * circuit.off_threshold + off

@@ -165,14 +165,18 @@ class Model:
         model = replace(self, photoreceptor=kind, effects=effects, parameters={key: parameters[key] for key in wanted})
         return model.set(full)
 
-    def without_effect(self, name: str) -> Model:
-        """The model without an effect; unchanged when it has none.  Raises InputError for unknown effects."""
+    def without_effect(self, name: str, photoreceptor_left: str = "one_pole") -> Model:
+        """The model without an effect; unchanged when it has none.
+
+        photoreceptor_left: the kind that a second-order photoreceptor makes way for, "one_pole" or "unlimited"
+        Raises InputError for unknown effects.
+        """
         stages.effect(name)
         if name == "second_order_photoreceptor" and self.photoreceptor == "second_order":
             ratio = self.parameters["alpha"].value / self.parameters["beta"].value
             one_pole = photoreceptor.ONE_POLE[0].at(ratio)
             parameters = {**self.parameters, one_pole.name: one_pole}
-            kind, effects = "one_pole", self.effects
+            kind, effects = photoreceptor_left, self.effects
         elif name in self.effects:
             kind, effects = self.photoreceptor, tuple(e for e in self.effects if e != name)
             parameters = dict(self.parameters)

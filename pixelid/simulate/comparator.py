@@ -40,14 +40,20 @@ def _relative(key, pixel, counter, sigma):
 
 
 @njit(forceinline=True, error_model="numpy")
-def draw_thresholds(pixel, place, comparators, drawn, key, noise, factors):
-    """Fresh ON and OFF thresholds for the next event of `pixel`, held at column `place`; times `factors`."""
+def _shifted(mean, relative, shift):
+    """A pixel's threshold, drawn and shifted, of the least that a draw may be."""
+    return max(mean * relative + shift, LEAST * mean)
+
+
+@njit(forceinline=True, error_model="numpy")
+def draw_thresholds(pixel, place, comparators, drawn, key, noise, shifts):
+    """Fresh ON and OFF thresholds for the next event of `pixel`, held at column `place`, moved by `shifts`."""
     on, off = 1.0, 1.0
     if noise > 0.0:
         on, off = _relative(key, pixel, drawn[place], noise)
         drawn[place] += 1
-    comparators[ON, place] = comparators[BASE_ON, place] * on * factors[0]
-    comparators[OFF, place] = comparators[BASE_OFF, place] * off * factors[1]
+    comparators[ON, place] = _shifted(comparators[BASE_ON, place], on, shifts[0])
+    comparators[OFF, place] = _shifted(comparators[BASE_OFF, place], off, shifts[1])
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -64,7 +70,7 @@ def start(first_pixel, on, off, mismatch, noise, seed, synchronous, level, out, 
         a, b = _relative(spread, pixel, 0, mismatch)
         comparators[BASE_ON, i], comparators[BASE_OFF, i] = on * a, off * b
         drawn[i] = 0
-        draw_thresholds(pixel, i, comparators, drawn, event, noise, (1.0, 1.0))
+        draw_thresholds(pixel, i, comparators, drawn, event, noise, (0.0, 0.0))
         comparators[RELEASE, i] = np.inf
         if synchronous:
             comparators[LEVEL, i], comparators[DECAY, i] = level[i], out[i] - level[i]

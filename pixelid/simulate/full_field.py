@@ -47,11 +47,13 @@ class Twins:
 
     on, off: (n,) thresholds, log radiance;  released_s: (n,) when each is released from its first reset; infinite
     where it has none, so that it starts at random as any pixel does
+    after: (n,) polarity of the event before that release, ±1, or 0 where there was none; None: nowhere any
     """
 
     on: np.ndarray
     off: np.ndarray
     released_s: np.ndarray
+    after: np.ndarray | None = None
 
 
 class FullField:
@@ -81,6 +83,13 @@ class FullField:
         ):  # fmt: skip
             state[drawn] *= own / state[base]
             state[base] = own
+        if twins.after is not None:
+            history = np.array([self._rules.laws.history[0], (0.0, 0.0), self._rules.laws.history[1]])
+            shift = history[np.sign(twins.after).astype(int) + 1].T
+            for drawn, base, moved in zip(
+                (comparator.ON, comparator.OFF), (comparator.BASE_ON, comparator.BASE_OFF), shift, strict=True
+            ):
+                state[drawn] = np.maximum(state[drawn] + moved, comparator.LEAST * state[base])
         waiting = np.isfinite(twins.released_s)
         state[RELEASE, waiting] = twins.released_s[waiting]
         state[LEVEL, waiting], state[DECAY, waiting] = np.nan, 0.0

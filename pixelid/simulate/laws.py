@@ -14,14 +14,14 @@ from pixelid.dynamics.trajectory import Dynamics
 from pixelid.errors import InputError
 from pixelid.simulate import random
 from pixelid.stages.circuit import Circuit
-from pixelid.stages.comparator import threshold_factors
+from pixelid.stages.comparator import threshold_shifts
 from pixelid.stages.differencing import leaked
 
 
 class Laws(NamedTuple):
     """The comparator's laws as the kernels want them; see `comparator.events_in_step`.
 
-    history: what ON and OFF thresholds are multiplied by after an OFF event, and after an ON event
+    history: what is added to ON and OFF thresholds after an OFF event, and after an ON event
     """
 
     refractory: float
@@ -79,6 +79,6 @@ def rules_of(circuit: Circuit, seed: int, synchronous: bool, t_end: float) -> Ru
         circuit.threshold_drift,
         circuit.noise,
         np.uint64(random.stream_key(seed, random.THRESHOLD)),  # as int, compiled code would overflow from some seeds on
-        (threshold_factors(circuit, -1.0), threshold_factors(circuit, 1.0)),
+        (threshold_shifts(circuit, -1.0), threshold_shifts(circuit, 1.0)),
     )
     return Rules(circuit, dynamics, chain, laws, seed, synchronous)

@@ -19,13 +19,13 @@ def apply(circuit: Circuit, values: Mapping[str, float]) -> Circuit:
     return circuit.with_(on_threshold=values["on_threshold"], off_threshold=values["off_threshold"])
 
 
-def threshold_factors(circuit: Circuit, before):
-    """(ON, OFF) what a pixel's thresholds are multiplied by after an event of polarity `before`.
+def threshold_shifts(circuit: Circuit, before):
+    """(ON, OFF) what is added to a pixel's thresholds after an event of polarity `before`, in log radiance.
 
     before: +1, −1, or 0 where there was none; a number or an array
     """
     memory = circuit.polarity_memory * before
-    return 1.0 + memory, 1.0 - memory
+    return memory * circuit.on_threshold, -memory * circuit.off_threshold
 
 
 class ThresholdMismatch(Effect):
@@ -68,8 +68,8 @@ class PolarityMemory(Effect):
     name = "polarity_memory"
     stage = "comparator"
     sentence = "A threshold depends on the polarity of the pixel's previous event."
-    equation = "C_p → C_p (1 + strength · p · p_before); a pixel's first event sees C_p"
-    source = "what an incomplete reset of either sign leaves behind, to first order; strength to be measured"
+    equation = "C_i,p → C_i,p + strength · p · p_before · C_p, C_p the mean over pixels; first event: C_i,p"
+    source = "docs/model.md: what an incomplete reset leaves behind shifts the next threshold, to first order"
     parameters = (Parameter("polarity_memory.strength", 0.05, "1", -0.5, 0.5, "linear"),)
 
     def apply(self, circuit: Circuit, values: Mapping[str, float]) -> Circuit:

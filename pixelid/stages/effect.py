@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import ClassVar
 
 from pixelid.parameters.parameter import Parameter
-from pixelid.stages.circuit import Circuit
+from pixelid.stages.circuit import PHOTORECEPTORS, Circuit
 
 
 class Effect(ABC):
@@ -15,7 +15,8 @@ class Effect(ABC):
 
     name: the stable identifier;  stage: where it sits on the signal path;
     sentence: one line for the report;  equation, source: what it does and who says so;
-    parameters: with shipped value, unit, bounds and transform.
+    parameters: with shipped value, unit, bounds and transform;
+    photoreceptors: kinds of photoreceptor that it can be added to.
     """
 
     name: ClassVar[str]
@@ -24,6 +25,7 @@ class Effect(ABC):
     equation: ClassVar[str]
     source: ClassVar[str]
     parameters: ClassVar[tuple[Parameter, ...]]
+    photoreceptors: ClassVar[tuple[str, ...]] = PHOTORECEPTORS
 
     @abstractmethod
     def apply(self, circuit: Circuit, values: Mapping[str, float]) -> Circuit:

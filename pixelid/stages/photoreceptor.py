@@ -65,9 +65,10 @@ class BandwidthFloor(Effect):
     equation = "rates α (L + floor) and β + γ (L + floor); ln L without the floor"
     source = "Hu, Liu & Delbruck, CVPRW 2021, arXiv 2006.07722 (v2e: low-pass of corner ∝ L + 20 of 255 grey levels)"
     parameters = (Parameter("bandwidth_floor.radiance", 20.0, "radiance", 1e-6, 1e6, "log"),)
+    photoreceptors = ("second_order", "one_pole")
 
     def apply(self, circuit: Circuit, values: Mapping[str, float]) -> Circuit:
-        if circuit.photoreceptor == "unlimited":
+        if circuit.photoreceptor not in self.photoreceptors:
             raise InputError("bandwidth_floor: a photoreceptor without a bandwidth limit has no floor of it")
         return circuit.with_(bandwidth_floor=values["bandwidth_floor.radiance"])
 

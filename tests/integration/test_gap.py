@@ -217,6 +217,13 @@ def test_twins_keep_their_thresholds_and_wait_for_their_release():
     for pixel, released in enumerate(twins.released_s):
         assert (events.t[events.pixel == pixel] * 1e-9 > released).all()
     assert np.sum(events.pixel == 0) > 2 * np.sum(events.pixel == 1)
+    memory = exact.with_effect("leak", {"rate_hz": 10.0}).with_effect("polarity_memory", {"strength": 0.2})
+    after = replace(twins, on=np.full(3, 0.25), off=np.full(3, 0.25), released_s=np.full(3, 0.1))
+    after = replace(after, after=np.array([1.0, 0.0, -1.0]))
+    dark = constant(24.0)
+    events = simulate(memory, dark, width=3, height=1, seed=1, twins=after).events
+    first = [events.t[events.x == x][0] * 1e-9 for x in range(3)]
+    np.testing.assert_allclose(first, 0.1 + 0.1 * np.array([1.2, 1.0, 0.8]), rtol=1e-3)
     with pytest.raises(InputError, match="twins"):
         simulate(exact, light, width=3, height=1, twins=twins)
 

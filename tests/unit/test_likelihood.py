@@ -92,8 +92,8 @@ def test_changes_with_a_bandwidth_floor_equal_an_adaptive_solver():
         assert abs(changes.change[k] - without) > 1e-2
 
 
-def test_polarity_memory_scales_each_level_by_its_own_threshold():
-    """Each polarity q is held against C_q (1 + strength · q · before): the event's, the other's, the censored ones'."""
+def test_polarity_memory_moves_each_level_by_its_own_threshold():
+    """Each polarity q is held against C_q + strength · q · before · C_q: the event's, the other's, censored ones'."""
     model, recordings = small_session()
     plain, strength = model.circuit(), 0.2
     evaluator = ChangeEvaluator(recordings[0], sequences(recordings[0]))
@@ -102,17 +102,19 @@ def test_polarity_memory_scales_each_level_by_its_own_threshold():
     terms = evaluator(memory)
     # every extreme, whether or not it comes near a threshold
     without = plain_changes(evaluator, plain)
-    same = np.array([1.0 + strength * p * q for p, q in zip(iv.sign, iv.previous_sign, strict=True)])
-    other = np.array([1.0 - strength * p * q for p, q in zip(iv.sign, iv.previous_sign, strict=True)])
-    assert {1.2, 0.8} == set(same)
-    np.testing.assert_allclose(terms.change, without["change"] / same, rtol=0, atol=1e-10)
-    np.testing.assert_allclose(terms.slope, without["slope"] / same, rtol=1e-9, atol=1e-6)
-    looked_for = terms.opposite != 0
+    pairs = list(zip(iv.sign, iv.previous_sign, strict=True))
+    threshold = {1: plain.on_threshold, -1: plain.off_threshold}
+    same = np.array([strength * p * q * threshold[p] for p, q in pairs])
+    other = np.array([-strength * p * q * threshold[-p] for p, q in pairs])
+    assert len(set(np.sign(same))) == 2
+    np.testing.assert_allclose(terms.change, without["change"] - iv.sign * same, rtol=0, atol=1e-10)
+    np.testing.assert_allclose(terms.slope, without["slope"], rtol=1e-9, atol=1e-6)
+    looked_for = terms.opposite + other != 0
     assert looked_for.sum() > 5
-    np.testing.assert_allclose(terms.opposite[looked_for], (without["opposite"] / other)[looked_for], atol=1e-10)
+    np.testing.assert_allclose(terms.opposite[looked_for], (without["opposite"] - other)[looked_for], atol=1e-10)
     assert (terms.opposite[~looked_for] < 0.5).all()
-    np.testing.assert_allclose(terms.rise, without["rise"] / (1.0 + strength * iv.last_sign), atol=1e-10)
-    np.testing.assert_allclose(terms.fall, without["fall"] / (1.0 - strength * iv.last_sign), atol=1e-10)
+    np.testing.assert_allclose(terms.rise, without["rise"] - strength * iv.last_sign * threshold[1], atol=1e-10)
+    np.testing.assert_allclose(terms.fall, without["fall"] + strength * iv.last_sign * threshold[-1], atol=1e-10)
 
 
 def test_levels_of_a_pixel_with_polarity_memory_scatter_about_one_threshold():
@@ -130,6 +132,7 @@ def test_levels_of_a_pixel_with_polarity_memory_scatter_about_one_threshold():
             assert abs(z.mean() - 1.0) < 4 * error
             plain = likelihood.terms(truth.circuit().with_(polarity_memory=0.0)).z[which] / threshold
             assert abs(plain.mean() - 1.0 - 0.1 * sign * earlier) < 4 * 1.1 * error
+            assert abs(z.std() / truth.values["threshold_sigma"] - 1.0) < 4 / np.sqrt(2 * which.sum())
 
 
 @pytest.mark.parametrize("ratio", [1.0, 1.00002, 1.003])

@@ -20,7 +20,6 @@ from pixelid.likelihood.changes import ChangeEvaluator
 from pixelid.likelihood.extremes import Extremes
 from pixelid.likelihood.layout import Layout
 from pixelid.stages.circuit import Circuit
-from pixelid.stages.comparator import threshold_factors
 from pixelid.stimuli.drive import drive
 
 
@@ -86,7 +85,7 @@ def freeze(objective: EventTimesObjective, x: np.ndarray) -> Frozen:
         ("extra_pole", dynamics.extra_pole < PRESENT_BELOW),
         ("lower_cutoff", dynamics.lower_cutoff > 0),
         ("mains_flicker", circuit.flicker_modulation != 0),
-        ("a threshold that depends on the polarity before", threshold_factors(circuit, 1.0) != (1.0, 1.0)),
+        ("a threshold that depends on the polarity before", circuit.polarity_memory != 0),
         ("an unlimited photoreceptor", dynamics.beta > PRESENT_BELOW and dynamics.gamma == 0),
     ):
         if there:

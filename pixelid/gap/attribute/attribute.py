@@ -21,6 +21,7 @@ from pixelid.model.model import Model
 MAX_LEADERS = 4
 MIN_SCREENED_NATS = 3.0  # a name needs 5.5 at alpha 0.01; screening stops early and sees part of the pixels
 MIN_SHARE_OF_LEADER = 0.05  # of the best screened gain, for a third effect to be fitted
+NO_START = "none of the strengths tried can be evaluated here, or is worth a fit"
 
 
 class Fit(Protocol):
@@ -94,12 +95,14 @@ class Attribution(Generic[F]):
         screened: Effect → nats on the few units looked at first.
         winner: The effect to name, or None.
         runners_up: Effects that explain the data as well as the winner does.
+        skipped: Effect → why it was not fitted to a few units.
     """
 
     candidates: tuple[Candidate[F], ...]
     screened: dict[str, float]
     winner: Candidate[F] | None
     runners_up: tuple[Candidate[F], ...]
+    skipped: dict[str, str]
 
 
 def attribute(
@@ -112,10 +115,13 @@ def attribute(
     base = evidence.base
     screened: dict[str, F] = {}
     gains: dict[str, float] = {}
+    skipped: dict[str, str] = {}
     for effect in effects:
         report(effect)
         fitted = evidence.screen(effect)
-        if fitted is not None:
+        if fitted is None:
+            skipped[effect] = NO_START
+        else:
             screened[effect], gains[effect] = fitted
     candidates = []
     leaders = _leaders(gains)
@@ -132,7 +138,7 @@ def attribute(
     candidates.sort(key=lambda c: -c.gain)
     winner = next((c for c in candidates[:1] if _may_be_named(c, options)), None)
     runners_up = tuple(c for c in candidates[1:] if winner is not None and _as_good(c, winner, options))
-    return Attribution(tuple(candidates), gains, winner, runners_up)
+    return Attribution(tuple(candidates), gains, winner, runners_up, skipped)
 
 
 def _leaders(gains: dict[str, float]) -> list[str]:

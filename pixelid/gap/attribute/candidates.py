@@ -24,17 +24,45 @@ NOT_IN_DENSITY = {"shot_noise", "hot_pixels", "readout_latency", "timestamp_quan
 INVERSE = {"second_order_photoreceptor", "source_follower_pole", "extra_pole", "slew_limit", "differencing_pole"}
 SLEWS_THROUGH = ("source_follower_pole", "differencing_pole")  # what the likelihood of slew_limit needs
 USUAL_POLES = ("source_follower_pole", "differencing_pole")  # a pole more is one of these while one of them is missing
+# About the shipped β, for a second-order photoreceptor where there was none: of fast loops only one pole shows.
+BETA_DECADES = (0.0, 1.0, 2.0)
 
 
 def missing(model: Model) -> list[str]:
-    """Effects of the library that the model lacks and the event-time likelihood knows."""
+    """Effects of the library that the model lacks, can have, and the event-time likelihood knows."""
+    return [name for name in _lacking(model) if why_not(model, name) is None]
 
-    def usable(name: str) -> bool:
-        if name == "extra_pole":
-            return all(model.has(pole) for pole in USUAL_POLES)
-        return name != "slew_limit" or all(model.has(pole) for pole in SLEWS_THROUGH)
 
-    return [name for name in stages.LIBRARY if name not in NOT_IN_DENSITY and not model.has(name) and usable(name)]
+def impossible(model: Model) -> dict[str, str]:
+    """Effects of the library that a model of this structure cannot have (yet), and why."""
+    reasons = {name: why_not(model, name) for name in _lacking(model)}
+    return {name: reason for name, reason in reasons.items() if reason is not None}
+
+
+def _lacking(model: Model) -> list[str]:
+    return [name for name in stages.LIBRARY if name not in NOT_IN_DENSITY and not model.has(name)]
+
+
+def why_not(model: Model, effect: str) -> str | None:
+    """Why a model of this structure cannot have the effect; None where it can."""
+    if model.photoreceptor not in stages.effect(effect).photoreceptors:
+        return f"a photoreceptor of kind {model.photoreceptor!r} cannot have it"
+    if effect == "extra_pole" and not all(model.has(pole) for pole in USUAL_POLES):
+        return f"as long as one of {' and '.join(USUAL_POLES)} is missing, one pole more is that"
+    if effect == "slew_limit" and not all(model.has(pole) for pole in SLEWS_THROUGH):
+        return f"the likelihood knows it with {' and '.join(SLEWS_THROUGH)} only"
+    return None
+
+
+def holds_together(model: Model) -> bool:
+    """Whether a model of this structure can have all the effects that it has."""
+    return all(model.photoreceptor in stages.effect(name).photoreceptors for name in model.effects)
+
+
+def remove_effect(model: Model, effect: str, base: Model) -> Model:
+    """The model without an effect that was added to a base: its photoreceptor is of the base's kind again."""
+    kind = "one_pole" if base.photoreceptor == "second_order" else base.photoreceptor
+    return model.without_effect(effect, photoreceptor_left=kind)
 
 
 def strongest_start(likelihood: EventTimes, model: Model, effect: str, least: float = -np.inf) -> Model | None:
@@ -61,10 +89,7 @@ def variants(model: Model, effect: str) -> Iterator[Model]:
     """The model with the effect at each strength to try, its own parameters free."""
     grown = model.with_effect(effect)
     if effect == "second_order_photoreceptor":
-        corner = model.values["alpha_over_beta"]
-        for decade in DECADES:
-            beta = grown.parameter("beta").value * 10.0**decade
-            yield grown.set({"alpha": corner * beta, "beta": beta})
+        yield from _second_order_variants(model, grown)
         return
     names = [p.name for p in stages.effect(effect).parameters if p.free]
     strength = grown.parameter(names[0])
@@ -84,6 +109,17 @@ def variants(model: Model, effect: str) -> Iterator[Model]:
             for hz in MAINS_HZ:
                 for phase in PHASES:
                     yield sized.set({"mains_flicker.frequency_hz": hz, "mains_flicker.phase_rad": phase})
+
+
+def _second_order_variants(model: Model, grown: Model) -> Iterator[Model]:
+    """A second-order photoreceptor with the corner α/β of the one pole it grows from, or of any where there is none."""
+    shipped = grown.parameter("alpha").value / grown.parameter("beta").value
+    one_pole = model.photoreceptor == "one_pole"
+    corners = [model.values["alpha_over_beta"]] if one_pole else [shipped * 10.0**d for d in DECADES]
+    for corner in corners:
+        for decade in DECADES if one_pole else BETA_DECADES:
+            beta = grown.parameter("beta").value * 10.0**decade
+            yield grown.set({"alpha": corner * beta, "beta": beta})
 
 
 def canonical(model: Model, nominal: Model) -> Model:

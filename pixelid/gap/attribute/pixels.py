@@ -8,7 +8,7 @@ import numpy as np
 
 from pixelid.fit.cache import FitCache
 from pixelid.fit.maximise import Maximum, maximise
-from pixelid.gap.attribute.candidates import strongest_start
+from pixelid.gap.attribute.candidates import remove_effect, strongest_start
 from pixelid.gap.detect.pixels import PixelEvidence, per_pixel
 from pixelid.model.model import Model
 
@@ -56,7 +56,7 @@ class PixelCandidates:
 
     def fit_without(self, effect: str, end: Maximum) -> Maximum:
         """The model without an effect, from the values that it has with it."""
-        less = end.model.without_effect(effect)
+        less = remove_effect(end.model, effect, self.base.model)
         return maximise(self.evidence.fitting, less, tolerance=0.1, max_steps=WITHOUT_STEPS, cache=self.cache)
 
     def held_out_gain(self, better: Maximum, worse: Maximum) -> np.ndarray:

@@ -16,11 +16,14 @@ ON_BOUNDARY = 0.5  # share of the χ² in the mixture, the rest being 0 (Self & 
 def chance_of_gain(effect: str, gain_nats: float, tried: int) -> float:
     """Bonferroni-adjusted chance of an effect's gain where it is absent and `tried` effects are.
 
-    No effect is a strength of zero, on the boundary: twice the gain is 0 or χ² with equal chance.  Mains flicker has an
-    amplitude and a phase, between which there is no boundary, and is tried at each of the mains frequencies.
+    No effect is a strength of zero, on the boundary: twice the gain is 0 or χ² with equal chance.  A strength of either
+    sign has no boundary there, nor have amplitude and phase of mains flicker, which is tried at each mains frequency.
     """
-    degrees = sum(p.free for p in stages.effect(effect).parameters)
-    share = float(len(MAINS_HZ)) if effect == "mains_flicker" else ON_BOUNDARY
+    free = [p for p in stages.effect(effect).parameters if p.free]
+    degrees = len(free)
+    share = ON_BOUNDARY if free[0].transform == "log" else 1.0
+    if effect == "mains_flicker":
+        share = float(len(MAINS_HZ))
     return min(1.0, share * tried * float(chi2.sf(2.0 * max(gain_nats, 0.0), degrees)))
 
 

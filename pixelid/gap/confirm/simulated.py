@@ -49,8 +49,11 @@ def count_twins(
     for i, (recording, own) in enumerate(zip(recordings, mine, strict=True)):
         released = np.full(len(crowd), np.inf)
         first = np.unique(own.events.pixel, return_index=True)
-        released[np.searchsorted(crowd, first[0])] = own.events.t[first[1]] * 1e-9 + dead
-        twins = Twins(np.tile(on, each), np.tile(off, each), np.tile(released, each))
+        after = np.zeros(len(crowd))
+        place_of_first = np.searchsorted(crowd, first[0])
+        released[place_of_first] = own.events.t[first[1]] * 1e-9 + dead
+        after[place_of_first] = np.where(own.events.p[first[1]] == 1, 1.0, -1.0)
+        twins = Twins(*(np.tile(one, each) for one in (on, off, released, after)))
         light = recording.stimulus
         assert light is not None
         for k, done in enumerate(runs):

@@ -24,6 +24,8 @@ from pixelid.stimuli.resample import resampled
 
 BETWEEN_SAMPLES = ("smooth", "linear")  # how the light may run between the stimulus's samples
 SCREEN_EVENTS = 6_000  # of the pixels that a first search looks at: thresholds to 0.1 % in a tenth of a second a fit
+NOISE = "threshold_sigma"
+MAX_NOISE_FACTOR = 2.0  # of the shipped noise, in a start: pixels of one kind differ by less
 RANDOM_STARTS = 3  # beside the nominal values, where a base fit leaves events without a cause
 
 
@@ -91,14 +93,27 @@ def fit_base(
         evidence = gather_evidence(recordings, split, model, between, seed)
         nominal = evidence.nominal
         if start is None:
-            start = maximise_with_restarts(
-                evidence.screening, nominal, nominal, tolerance=0.1, max_steps=40, cache=cache
-            ).model
+            start = _screened(evidence.screening, nominal, model, cache).model
         end = maximise_with_restarts(evidence.training, start, nominal, tolerance=0.05, max_steps=25, cache=cache)
         if best is None or end.value > best[1].value:
             best = evidence, end
     assert best is not None
     return best[0], _search_elsewhere(*best, criteria, seed, cache)
+
+
+def _screened(screening: EventTimes, nominal: Model, shipped: Model, cache: FitCache | None) -> Maximum:
+    """The base fitted to a few pixels, from the noise that makes its start feasible and from the shipped noise.
+
+    Where the start explains the events badly, the noise that covers for it is so large that a fit may end there:
+    nothing is surprising enough to move the filters.  With little noise, what cannot be explained is background.
+    """
+    starts = [nominal]
+    if NOISE in nominal.free and nominal.values[NOISE] > MAX_NOISE_FACTOR * shipped.values[NOISE]:
+        starts.append(nominal.set({NOISE: shipped.values[NOISE]}))
+    fits = [
+        maximise_with_restarts(screening, start, nominal, tolerance=0.1, max_steps=40, cache=cache) for start in starts
+    ]
+    return max(fits, key=lambda fit: fit.value)
 
 
 def _search_elsewhere(

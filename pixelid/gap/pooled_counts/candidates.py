@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pixelid.errors import InputError
-from pixelid.gap.attribute.candidates import missing, variants
+from pixelid.gap.attribute.candidates import missing, remove_effect, variants
 from pixelid.gap.pooled_counts.stretches import Fitted, Stretches
 from pixelid.model.model import Model
 
@@ -52,7 +52,7 @@ class PooledCandidates:
 
     def fit_without(self, effect: str, end: Fitted) -> Fitted:
         """The model without an effect, from the values that it has with it."""
-        less = end.model.without_effect(effect)
+        less = remove_effect(end.model, effect, self.base.model)
         return self.stretches.fit(less, end.nuisances, self.stretches.part(FIT), STEPS)
 
     def held_out_gain(self, better: Fitted, worse: Fitted) -> np.ndarray:

@@ -8,6 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from pixelid.fit.maximise import maximise
+from pixelid.gap.attribute.candidates import remove_effect
 from pixelid.gap.detect.diagnostics import diagnose
 from pixelid.gap.options import Context
 from pixelid.gap.phases import Phase
@@ -123,7 +124,7 @@ def _bare(state: State, context: Context) -> Hypothesis:
     options, hypothesis = context.options, state.hypothesis
     model, start = hypothesis.fit.model, hypothesis.start
     for step in state.steps:
-        model, start = model.without_effect(step.effect), start.without_effect(step.effect)
+        model, start = (remove_effect(one, step.effect, state.model) for one in (model, start))
     training = hypothesis.evidence.training
     fit = maximise(training, model, tolerance=0.01, max_steps=40, cache=context.cache)
     allowed = None if state.undone else options.criteria.max_unexplained_fraction

@@ -7,7 +7,7 @@ from dataclasses import replace
 from pixelid.fit.maximise import Maximum, maximise, maximise_with_restarts
 from pixelid.gap.attribute.alternative import stands
 from pixelid.gap.attribute.attribute import Attribution, Candidate, attribute
-from pixelid.gap.attribute.candidates import canonical, missing
+from pixelid.gap.attribute.candidates import canonical, holds_together, impossible, missing, remove_effect
 from pixelid.gap.attribute.pixels import candidates_of
 from pixelid.gap.attribute.significance import leads
 from pixelid.gap.detect.diagnostics import diagnose
@@ -30,7 +30,8 @@ def name_effect(state: State, context: Context) -> State:
     # one likelihood for the model and all that is tried beside it
     evidence = hypothesis.evidence.weighed(hypothesis.fit.model.circuit())
     attribution = _attribute(state, evidence, context)
-    rounds = (*state.rounds, attribution_entry(state.turn, hypothesis.fit, hypothesis.seen, attribution))
+    fit, seen = hypothesis.fit, hypothesis.seen
+    rounds = (*state.rounds, attribution_entry(state.turn, fit, seen, attribution, impossible(fit.model)))
     state = state.then(Phase.SHOT_NOISE, rounds=rounds, turn=state.turn + 1)
     if state.turn == 1:
         held = (c.p for c in attribution.candidates if leads(c.held_out, criteria))
@@ -112,10 +113,12 @@ def _pruned(
         earlier = steps[k].effect
         if not fit.model.has(earlier):
             continue
-        without = fit.model.without_effect(earlier)
+        without = remove_effect(fit.model, earlier, state.model)
+        if not holds_together(without):
+            continue  # a later effect needs this one
         less = maximise(evidence.training, without, tolerance=0.05, max_steps=25, cache=context.cache)
         if fit.value - less.value < context.options.criteria.min_lead_nats:
-            fit, start = less, start.without_effect(earlier)
+            fit, start = less, remove_effect(start, earlier, state.model)
             rounds = withdrawn(rounds, earlier, f"{winner.effect} explains it")
             before = steps.pop(k).before
             steps[k] = _following(steps[k], before)
