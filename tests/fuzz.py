@@ -232,7 +232,7 @@ def _recordings(folder: Path) -> Iterator[Target]:
     )
     records = np.stack([addresses, np.arange(50) * 100], axis=1).astype(">u4").tobytes()
     yield Target("recording .aedat", ".aedat", (head + records,), open_recording)
-    dat = b"% Height 480\n% Width 640\n% Version 2\n% end\n" + bytes([0, 8])
+    dat = b"% Height 480\n% Width 640\n% Version 2\n% end\n" + bytes([12, 8])
     rows = np.stack([np.arange(40) * 100, (chance.integers(0, 640, 40)) | (chance.integers(0, 480, 40) << 14)], axis=1)
     yield Target("recording .dat", ".dat", (dat + rows.astype("<u4").tobytes(),), open_recording)
 
