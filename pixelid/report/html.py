@@ -42,6 +42,8 @@ def write_report(folder: Path) -> Path:
     if page is None:
         known = ", ".join(page.file for page in PAGES)
         raise InputError(f"{folder}: none of {known}; expected the folder of a result")
+    if (folder / "report.html").is_symlink():
+        raise InputError(f"{folder / 'report.html'}: expected the page of this folder, found a link to another file")
     result = read_json(folder / page.file)
     if page.file in ("fit.json", "rates.json"):
         check_parameters(result, folder / page.file)

@@ -12,7 +12,7 @@ MAY_IMPORT = {
     "documents": {"errors"},
     "arrays": {"documents", "errors"},
     "figures": set(),
-    "outputs": {"errors"},
+    "outputs": {"documents", "errors"},
     "provenance": set(),
     "status": set(),
     "results": {"documents", "errors", "outputs"},

@@ -188,3 +188,10 @@ def test_archives_that_unpack_to_more_than_memory_holds(tmp_path, monkeypatch):
     monkeypatch.setattr("pixelid.arrays.MOST_BYTES", 1 << 20)
     with pytest.raises(InputError, match="at most"):
         load_arrays(tmp_path / "a.npz")
+
+
+def test_an_archive_of_an_unknown_version(targets, beside):
+    content = targets["light .npz"].originals[0]
+    at = content.index(b"PK\x01\x02")
+    (beside / "v.npz").write_bytes(content[: at + 6] + b"\x5c" + content[at + 7 :])
+    assert not fuzz.complaint(targets["light .npz"], beside / "v.npz")
