@@ -11,8 +11,11 @@ PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c const
 TORCH_INDEX ?=
 # Test processes.
 WORKERS ?= 2
+# Damaged files of `make fuzz`: some 100 a second.
+RUNS ?= 20000
+SEED ?= 0
 
-.PHONY: help setup demo test test-all bench lint docs clean
+.PHONY: help setup demo test test-all bench fuzz lint docs clean
 .DEFAULT_GOAL := help
 
 help:
@@ -20,6 +23,7 @@ help:
 	@echo "make test       every test that is not slow"
 	@echo "make test-all   every test"
 	@echo "make bench      the speed benchmarks (statistics: interval_coverage.py, posterior_ranks.py)"
+	@echo "make fuzz       damaged files for every reader, RUNS of them from SEED; failures are kept in fuzz-failures/"
 	@echo "make lint       ruff and pyright"
 	@echo "make docs       the documentation site, in docs/_build/html; any warning is an error"
 	@echo "make clean      remove what make and the tests have made, the environment included"
@@ -45,6 +49,9 @@ test-all: $(STAMP)
 bench: $(STAMP)
 	set -e; for script in benchmarks/*_speed.py; do echo "== $$script"; $(BIN)/python $$script; done
 
+fuzz: $(STAMP)
+	$(BIN)/python tests/fuzz.py --runs $(RUNS) --seed $(SEED)
+
 lint: $(STAMP)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
@@ -55,5 +62,5 @@ docs: $(STAMP)
 	@echo "docs/_build/html/index.html"
 
 clean:
-	rm -rf .venv docs/_build docs/_generated build dist demo-out out .pytest_cache .ruff_cache .numba_cache .hypothesis *.egg-info
+	rm -rf .venv docs/_build docs/_generated build dist demo-out out fuzz-failures .pytest_cache .ruff_cache .numba_cache .hypothesis *.egg-info
 	find pixelid tests benchmarks -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import ctypes
 import errno
+import glob
 import json
 import math
 import os
@@ -21,6 +22,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
+from pixelid.documents import read_json
 from pixelid.errors import InputError, OutputError
 
 # The JSON files that mark a folder as a result, which --overwrite may replace.
@@ -77,9 +79,9 @@ def _ours(folder: Path, markers: Sequence[str]) -> bool:
         try:
             if not name.endswith(".json") and (folder / name).exists():
                 return True
-            if isinstance(json.loads((folder / name).read_text(encoding="utf-8")), dict):
+            if (folder / name).is_file() and read_json(folder / name) is not None:
                 return True
-        except (OSError, ValueError):
+        except (OSError, InputError):
             continue
     return False
 
@@ -109,7 +111,7 @@ def _locked(path: Path) -> Iterator[None]:
     lock = path.with_name(f".{path.name}.lock")
     while True:
         try:
-            handle = os.open(lock, os.O_CREAT | os.O_RDWR, 0o644)
+            handle = os.open(lock, os.O_CREAT | os.O_RDWR | os.O_NOFOLLOW, 0o644)
         except OSError as error:
             raise _cannot_write(path, error) from error
         try:
@@ -231,7 +233,7 @@ def _prefix(path: Path, process: int) -> str:
 def _remove_stale(path: Path) -> None:
     """Remove temporary folders of `path` that processes of this machine left when they were killed."""
     start = _prefix(path, 0).removesuffix("0-")
-    for left in path.resolve().parent.glob(f".{path.name}.*.tmp"):
+    for left in path.resolve().parent.glob(f".{glob.escape(path.name)}.*.tmp"):
         process = left.name.removeprefix(start).partition("-")[0]
         if left.name.startswith(start) and process.isdigit() and not _alive(int(process)):
             shutil.rmtree(left, ignore_errors=True)

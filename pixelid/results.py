@@ -5,13 +5,13 @@ A result says what it found as tables and sentences; how they look on a terminal
 
 from __future__ import annotations
 
-import json
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, cast
+from typing import TYPE_CHECKING, Any, ClassVar
 
+from pixelid.documents import read_json, shown
 from pixelid.errors import InputError
 from pixelid.outputs import refuse_existing, whole_folder, write_json
 
@@ -181,15 +181,9 @@ def read_result(folder: str | Path, file: str) -> dict[str, Any]:
         InputError: the file is missing, or not a JSON object.
     """
     path = Path(folder) / file
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"{path}: expected the folder of a result, found {error.strerror}") from None
-    except ValueError:
-        raise InputError(f"{path}: not valid JSON") from None
-    if not isinstance(content, dict):
-        raise InputError(f"{path}: expected a JSON object, found {type(content).__name__}")
-    return cast(dict[str, Any], content)
+    if not path.exists():
+        raise InputError(f"{path}: expected the folder of a result, found no such file")
+    return read_json(path)
 
 
 def required(content: Mapping[str, Any], folder: str | Path, file: str, *names: str) -> list[Any]:
@@ -202,3 +196,32 @@ def required(content: Mapping[str, Any], folder: str | Path, file: str, *names: 
         if name not in content:
             raise InputError(f"{Path(folder) / file}: {name}: missing")
     return [content[name] for name in names]
+
+
+def check_parameters(content: Mapping[str, Any], path: str | Path) -> None:
+    """Check the table of parameters of a fit: value, unit, std, interval_95, identified, fixed of each.
+
+    Raises:
+        InputError: naming the file, the field, what was expected and found.
+    """
+    table = content.get("parameters")
+    if not isinstance(table, dict) or not all(isinstance(entry, dict) for entry in table.values()):
+        raise InputError(f"{path}: parameters: expected a table of each by name, found {shown(table)}")
+    for name, entry in table.items():
+        where = f"{path}: parameters.{shown(name)}"
+        ends = entry.get("interval_95")
+        right = ends is None or (isinstance(ends, list) and len(ends) == 2 and all(map(_number_or_none, ends)))
+        if not right:
+            raise InputError(f"{where}.interval_95: expected two numbers, found {shown(ends)}")
+        for key in ("value", "std"):
+            if not _number_or_none(entry.get(key)):
+                raise InputError(f"{where}.{key}: expected a number, found {shown(entry[key])}")
+        if not isinstance(entry.get("unit", ""), str):
+            raise InputError(f"{where}.unit: expected text, found {shown(entry['unit'])}")
+        for key in ("identified", "fixed"):
+            if not isinstance(entry.get(key, False), bool):
+                raise InputError(f"{where}.{key}: expected true or false, found {shown(entry[key])}")
+
+
+def _number_or_none(value: object) -> bool:
+    return value is None or (isinstance(value, int | float) and not isinstance(value, bool))

@@ -39,8 +39,8 @@ def command(recording, out, frequency, groups, model, overwrite, seed, quiet):
     from pixelid.outputs import claimed, whole_folder
 
     across, _, down = groups.partition("x")
-    if not (across.isdigit() and down.isdigit()):
-        raise InputError(f"--groups: expected two whole numbers as in 8x6, found {groups!r}")
+    if not all(part.isascii() and part.isdigit() and len(part) < 5 and int(part) > 0 for part in (across, down)):
+        raise InputError(f"--groups: expected two whole numbers as in 8x6, found {groups[:60]!r}")
     with claimed(out, overwrite, [recording, model]):
         from pixelid.model.shipped import find_model
         from pixelid.recordings import open_recording

@@ -9,7 +9,7 @@ import traceback
 
 import click
 
-from pixelid.cli.terminal import use_utf8
+from pixelid.cli.terminal import complain, use_utf8
 from pixelid.errors import PixelidError, did_you_mean
 
 # Recordings already share out the cores; BLAS threads for ten by ten matrices spin on them.  Before NumPy is imported.
@@ -74,17 +74,17 @@ def main(argv: list[str] | None = None) -> int:
         code = cli.main(args=argv, prog_name="pixelid", standalone_mode=False)
         return code if isinstance(code, int) else 0
     except PixelidError as error:
-        print(f"pixelid: {error}", file=sys.stderr)
+        complain(str(error))
         return error.exit_code
     except click.exceptions.NoArgsIsHelpError as error:
         print(error.format_message(), file=sys.stderr)
         return 2
     except click.ClickException as error:
-        print(f"pixelid: {error.format_message()}", file=sys.stderr)
+        complain(error.format_message())
         return 2
     except OSError as error:
         where = f"{error.filename}: " if error.filename else ""
-        print(f"pixelid: {where}{error.strerror or error}", file=sys.stderr)
+        complain(f"{where}{error.strerror or error}")
         return 2
     except MemoryError as error:
         print(f"pixelid: not enough memory{f' ({error})' if str(error) else ''}", file=sys.stderr)
@@ -96,10 +96,9 @@ def main(argv: list[str] | None = None) -> int:
         if os.environ.get("PIXELID_DEBUG") == "1":
             traceback.print_exc()
         words = " ".join(str(error).split())[:300]
-        print(
-            f"pixelid: unexpected {type(error).__name__}{f': {words}' if words else ''}; this is a bug, "
-            "PIXELID_DEBUG=1 shows where",
-            file=sys.stderr,
+        complain(
+            f"unexpected {type(error).__name__}{f': {words}' if words else ''}; this is a bug, "
+            "PIXELID_DEBUG=1 shows where"
         )
         return 1
 

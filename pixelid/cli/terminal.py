@@ -7,6 +7,10 @@ from collections.abc import Iterable
 
 import click
 
+from pixelid.documents import printable
+
+MOST_CHARACTERS = 1000  # of a line of an error
+
 
 def use_utf8() -> None:
     """Print UTF-8 whatever the locale says; a terminal that cannot shows question marks, and nothing crashes."""
@@ -16,11 +20,18 @@ def use_utf8() -> None:
             reconfigure(encoding="utf-8", errors="replace")
 
 
+def complain(message: str) -> None:
+    """Print an error: at most three lines, without what a terminal would obey (names come from files)."""
+    lines = [line for line in printable(message).splitlines() if line.strip()] or ["unknown error"]
+    cut = [line if len(line) <= MOST_CHARACTERS else line[: MOST_CHARACTERS - 1] + "…" for line in lines[:3]]
+    print("\n".join([f"pixelid: {cut[0]}", *cut[1:]]), file=sys.stderr)
+
+
 def say(*lines: str) -> None:
     """Print lines that are not empty."""
     for line in lines:
         if line:
-            click.echo(line)
+            click.echo(printable(line))
 
 
 def say_sentences(sentences: Iterable[str]) -> None:

@@ -13,8 +13,8 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 
+from pixelid.documents import read_toml, shown
 from pixelid.errors import InputError
-from pixelid.model.files import read_toml
 from pixelid.model.model import Model
 from pixelid.stimuli.files import shape
 from pixelid.stimuli.stimulus import Stimulus
@@ -81,7 +81,7 @@ def read_menu(path: Path) -> list[Candidate]:
             raise InputError(f"{where}: expected a table with a kind")
         name = entry.get("name", f"{entry['kind']}_{i + 1}")
         if not isinstance(name, str) or name in (c.name for c in menu):
-            raise InputError(f"{where}: expected a name of its own, found {name!r}")
+            raise InputError(f"{where}: expected a name of its own, found {shown(name)}")
         try:
             menu.append(candidate(name, entry["kind"], **{k: v for k, v in entry.items() if k not in ("name", "kind")}))
         except InputError as error:

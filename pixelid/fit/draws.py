@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from pixelid.documents import read_json, shown
 from pixelid.errors import InputError
 from pixelid.model.model import Model
+from pixelid.results import check_parameters
 
 Z95 = 1.959963984540054
 WIDEST = 1.0  # standard deviation, in fitting coordinates, beyond which an open direction is not followed
@@ -23,12 +24,31 @@ def read_fit(folder: Path) -> dict[str, Any] | None:
     path = Path(folder) / "fit.json"
     if not path.is_file():
         return None
-    try:
-        document = json.loads(path.read_text())
-        document["parameters"].items()
-    except (ValueError, KeyError, TypeError, AttributeError):
-        raise InputError(f"{path}: not the fit.json of a fit") from None
+    document = read_json(path)
+    check_parameters(document, path)
+    _check_covariance(document.get("covariance"), path)
+    pixels = document.get("pixels")
+    if pixels is not None and (not isinstance(pixels, int) or isinstance(pixels, bool) or pixels < 1):
+        raise InputError(f"{path}: pixels: expected a positive whole number, found {shown(pixels)}")
     return document
+
+
+def _number_or_open(value: object) -> bool:
+    return value is None or (isinstance(value, int | float) and not isinstance(value, bool))
+
+
+def _check_covariance(listed: object, path: Path) -> None:
+    """Refuse anything but names and a square matrix of as many rows, entries null where unknown."""
+    if not listed:
+        return
+    names = listed.get("names") if isinstance(listed, dict) else None
+    if not isinstance(listed, dict) or not isinstance(names, list) or not all(isinstance(n, str) for n in names):
+        raise InputError(f"{path}: covariance.names: expected the names of parameters, found {shown(names)}")
+    matrix = listed.get("matrix")
+    n = len(names)
+    rows = matrix if isinstance(matrix, list) and len(matrix) == n else [None]
+    if not all(isinstance(row, list) and len(row) == n and all(map(_number_or_open, row)) for row in rows):
+        raise InputError(f"{path}: covariance.matrix: expected {n} rows of as many numbers, found {shown(matrix)}")
 
 
 def uncertainty(fit: dict, model: Model) -> tuple[list[str], np.ndarray]:

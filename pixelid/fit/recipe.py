@@ -22,11 +22,11 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from pixelid.documents import read_toml, shown
 from pixelid.errors import InputError
 from pixelid.fit.engines import ENGINES, FORMS
 from pixelid.fit.fit import fit
 from pixelid.fit.result import FitResult
-from pixelid.model.files import read_toml
 from pixelid.model.model import Model
 from pixelid.model.options import assignment, changed
 from pixelid.model.shipped import find_model
@@ -158,6 +158,9 @@ def read_recipe(path: Path) -> Recipe:
     for key in ("recordings", "model"):
         if key not in document:
             raise InputError(f"{path}: [fit] {key} is missing")
+    for key in ("model", "between"):
+        if not isinstance(document.get(key, ""), str):
+            raise InputError(f"{path}: [fit] {key} must be a string, found {shown(document[key])}")
 
     def words(key: str) -> tuple[str, ...]:
         value = document.get(key, [])
@@ -166,8 +169,8 @@ def read_recipe(path: Path) -> Recipe:
         return tuple(value)
 
     base = path.resolve().parent
-    model = str(document["model"])
-    if (base / model).exists():
+    model = document["model"]
+    if model and (base / model).exists():
         model = str(base / model)
     return Recipe(
         tuple(base / name for name in words("recordings")),
@@ -176,7 +179,7 @@ def read_recipe(path: Path) -> Recipe:
         words("without"),
         words("fix"),
         words("gauge"),
-        str(document.get("between", "auto")),
+        document.get("between", "auto"),
         _whole_number(document.get("seed", 0), path),
         _yes_or_no(document, "sample", path),
         _yes_or_no(document, "profile", path),
@@ -193,15 +196,15 @@ def _crop(document, path: Path) -> Crop:
         value = document.get(key)
         right = isinstance(value, list) and len(value) == count
         if value is not None and not (right and all(isinstance(v, kinds) and not isinstance(v, bool) for v in value)):
-            raise InputError(f"{path}: [fit] {key} must be a list of {count} numbers, found {value!r}")
+            raise InputError(f"{path}: [fit] {key} must be a list of {count} numbers, found {shown(value)}")
         return None if value is None else tuple(value)
 
     pixels = document.get("pixels")
     if pixels is not None and (not isinstance(pixels, int) or isinstance(pixels, bool) or pixels < 1):
-        raise InputError(f"{path}: [fit] pixels must be a positive whole number, found {pixels!r}")
+        raise InputError(f"{path}: [fit] pixels must be a positive whole number, found {shown(pixels)}")
     hot = document.get("without_hot_pixels", False)
     if not isinstance(hot, bool):
-        raise InputError(f"{path}: [fit] without_hot_pixels must be true or false, found {hot!r}")
+        raise InputError(f"{path}: [fit] without_hot_pixels must be true or false, found {shown(hot)}")
     return Crop(numbers("roi", 4, int), numbers("time", 2, (int, float)), pixels, hot)
 
 
@@ -209,18 +212,18 @@ def _choice(document, key: str, known: tuple[str, ...], path: Path) -> str:
     """One of the known words, the recipe's own default when it says nothing."""
     value = document.get(key, getattr(Recipe, key))
     if value not in known:
-        raise InputError(f"{path}: [fit] {key} must be one of {', '.join(known)}, found {value!r}")
+        raise InputError(f"{path}: [fit] {key} must be one of {', '.join(known)}, found {shown(value)}")
     return value
 
 
 def _whole_number(value, path: Path) -> int:
-    if not isinstance(value, int) or isinstance(value, bool):
-        raise InputError(f"{path}: [fit] seed must be a whole number, found {value!r}")
+    if not isinstance(value, int) or isinstance(value, bool) or not 0 <= value < 1 << 32:
+        raise InputError(f"{path}: [fit] seed must be a whole number from 0 to 2³² − 1, found {shown(value)}")
     return value
 
 
 def _yes_or_no(document: dict, key: str, path: Path) -> bool:
     value = document.get(key, False)
     if not isinstance(value, bool):
-        raise InputError(f"{path}: [fit] {key} must be true or false, found {value!r}")
+        raise InputError(f"{path}: [fit] {key} must be true or false, found {shown(value)}")
     return value

@@ -10,12 +10,13 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
+from pixelid.documents import interpreting
 from pixelid.errors import InputError
 from pixelid.fit.coordinates import Coordinates
 from pixelid.model.files import load_model, save_model
 from pixelid.model.model import Model
 from pixelid.parameters.parameter import Parameter, Prior
-from pixelid.results import Result, Table, interval, number, read_result, required
+from pixelid.results import Result, Table, check_parameters, interval, number, read_result, required
 from pixelid.status import Status
 
 if TYPE_CHECKING:
@@ -171,42 +172,46 @@ class FitResult(Result):
             InputError: no fit there, or a damaged one.
         """
         content = read_result(folder, cls.FILE)
-        (parameters, covariance, status) = required(content, folder, cls.FILE, "parameters", "covariance", "status")
-        model = load_model(Path(folder) / "model.toml")
-        nuisances = tuple(from_document(name, entry) for name, entry in content.get("nuisances", {}).items())
-        coordinates = Coordinates.of(model, nuisances)
-        if list(coordinates.names) != covariance["names"]:
-            raise InputError(
-                f"{Path(folder) / cls.FILE}: covariance: expected the free parameters of model.toml, "
-                f"{', '.join(coordinates.names)}, found {', '.join(covariance['names'])}"
+        check_parameters(content, Path(folder) / cls.FILE)
+        with interpreting(Path(folder) / cls.FILE, "a fit"):
+            (parameters, covariance, status) = required(content, folder, cls.FILE, "parameters", "covariance", "status")
+            model = load_model(Path(folder) / "model.toml")
+            nuisances = tuple(from_document(name, entry) for name, entry in content.get("nuisances", {}).items())
+            coordinates = Coordinates.of(model, nuisances)
+            if list(coordinates.names) != covariance["names"]:
+                raise InputError(
+                    f"{Path(folder) / cls.FILE}: covariance: expected the free parameters of model.toml, "
+                    f"{', '.join(coordinates.names)}, found {', '.join(covariance['names'])}"
+                )
+            matrix = np.array(covariance["matrix"], dtype=float)
+            if matrix.shape != (len(coordinates), len(coordinates)):
+                raise ValueError(f"covariance.matrix: {matrix.shape} numbers of {len(coordinates)} parameters")
+            estimates = {
+                name: Estimate(
+                    name, entry["value"], entry["unit"], entry["std"], _pair(entry["interval_95"]),
+                    entry["identified"], entry["fixed"],
+                )
+                for name, entry in parameters.items()
+            }  # fmt: skip
+            x = np.array([p.to_coordinate(parameters[p.name]["value"]) for p in coordinates.parameters])
+            plain = ("engine", "observation", "log_likelihood", "events", "pixels", "seconds", "seed", "details")
+            known = dict(zip(plain, required(content, folder, cls.FILE, *plain), strict=True))
+            return cls(
+                status=Status(status),
+                advice=content.get("advice", ""),
+                model=model,
+                coordinates=coordinates,
+                x=x,
+                covariance=matrix,
+                estimates=estimates,
+                unidentified=tuple(content["unidentified"]),
+                physical=content["physical"],
+                physical_why=content["gauge"]["why_no_physical"],
+                recordings=tuple(content["recordings"]),
+                versions=content["versions"],
+                inputs_sha256=content["inputs_sha256"],
+                **known,
             )
-        matrix = np.array(covariance["matrix"], dtype=float)
-        estimates = {
-            name: Estimate(
-                name, entry["value"], entry["unit"], entry["std"], _pair(entry["interval_95"]),
-                entry["identified"], entry["fixed"],
-            )
-            for name, entry in parameters.items()
-        }  # fmt: skip
-        x = np.array([p.to_coordinate(parameters[p.name]["value"]) for p in coordinates.parameters])
-        plain = ("engine", "observation", "log_likelihood", "events", "pixels", "seconds", "seed", "details")
-        known = dict(zip(plain, required(content, folder, cls.FILE, *plain), strict=True))
-        return cls(
-            status=Status(status),
-            advice=content.get("advice", ""),
-            model=model,
-            coordinates=coordinates,
-            x=x,
-            covariance=matrix,
-            estimates=estimates,
-            unidentified=tuple(content["unidentified"]),
-            physical=content["physical"],
-            physical_why=content["gauge"]["why_no_physical"],
-            recordings=tuple(content["recordings"]),
-            versions=content["versions"],
-            inputs_sha256=content["inputs_sha256"],
-            **known,
-        )
 
     def plot_response(self, recordings: RecordingsLike) -> np.ndarray:
         """Measured event rates (filled) beside the fitted model's (lines): matplotlib axes, one per recording."""

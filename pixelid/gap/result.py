@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
+from pixelid.documents import interpreting
 from pixelid.errors import InputError
 from pixelid.gap.attribute.flexible import Flexible
 from pixelid.gap.confirm.free_run import FreeRun
@@ -169,23 +170,24 @@ class GapReport(Result):
             InputError: no search there, or a damaged one.
         """
         content = read_result(folder, cls.FILE)
-        plain = ("verdict", "sentence", "remainder", "global_p", "alpha", "recommended_next", "seconds", "seed",
-                 "details", "versions", "inputs_sha256")  # fmt: skip
-        known = dict(zip(plain, required(content, folder, cls.FILE, *plain), strict=True))
-        effects, gap, rounds, term = required(content, folder, cls.FILE, "effects", "gap", "rounds", "unknown_term")
-        model = load_model(Path(folder) / "model.toml")
-        base = Path(folder) / "base.toml"
-        return cls(
-            effects=tuple(_named(entry) for entry in effects),
-            free_run=_free_run(gap) if gap else None,
-            rounds=tuple(rounds),
-            base=load_model(base) if base.is_file() else model,
-            model=model,
-            term=_flexible(term, _sigma_of(model)) if term else None,
-            status=Status(content.get("status", "converged")),
-            advice=content.get("advice", ""),
-            **known,
-        )
+        with interpreting(Path(folder) / cls.FILE, "a gap search"):
+            plain = ("verdict", "sentence", "remainder", "global_p", "alpha", "recommended_next", "seconds", "seed",
+                     "details", "versions", "inputs_sha256")  # fmt: skip
+            known = dict(zip(plain, required(content, folder, cls.FILE, *plain), strict=True))
+            effects, gap, rounds, term = required(content, folder, cls.FILE, "effects", "gap", "rounds", "unknown_term")
+            model = load_model(Path(folder) / "model.toml")
+            base = Path(folder) / "base.toml"
+            return cls(
+                effects=tuple(_named(entry) for entry in effects),
+                free_run=_free_run(gap) if gap else None,
+                rounds=tuple(rounds),
+                base=load_model(base) if base.is_file() else model,
+                model=model,
+                term=_flexible(term, _sigma_of(model)) if term else None,
+                status=Status(content.get("status", "converged")),
+                advice=content.get("advice", ""),
+                **known,
+            )
 
     def plot_map(self) -> np.ndarray:
         """Where the base model is wrong, and what is left with the grown one: matplotlib axes."""

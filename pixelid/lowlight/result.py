@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from pixelid.documents import interpreting
 from pixelid.lowlight.table import MEASURED_HEADINGS, RADII_HEADINGS, measured_rows, not_measurable, radii_rows
 from pixelid.model.files import load_model, save_model
 from pixelid.model.model import Model
@@ -90,10 +91,11 @@ class LowlightReport(Result):
         """
         content = read_result(folder, cls.FILE)
         required(content, folder, cls.FILE, "status", "errors", "regimes", "curves", "sentences")
-        content["curves"] = _arrays(content["curves"])
-        if content.get("bands"):
-            content["bands"] = _arrays(content["bands"])
-        return cls(load_model(Path(folder) / "model.toml"), content)
+        with interpreting(Path(folder) / cls.FILE, "a low-light analysis"):
+            content["curves"] = _arrays(content["curves"])
+            if content.get("bands"):
+                content["bands"] = _arrays(content["bands"])
+            return cls(load_model(Path(folder) / "model.toml"), content)
 
     def plot_poles(self) -> np.ndarray:
         """Poles, −3 dB frequency and step time over radiance: matplotlib axes."""

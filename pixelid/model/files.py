@@ -11,12 +11,12 @@ What a parameter leaves out is taken from the effect library.
 from __future__ import annotations
 
 import math
-import tomllib
 from dataclasses import replace
 from pathlib import Path
 
 import tomli_w
 
+from pixelid.documents import read_toml, shown
 from pixelid.errors import InputError
 from pixelid.model.model import Model, expected_parameters
 from pixelid.parameters.gauge import Gauge
@@ -24,16 +24,6 @@ from pixelid.parameters.invariants import PHYSICAL_NAMES, Physical
 from pixelid.parameters.parameter import Parameter, Prior
 
 _PARAMETER_KEYS = {"value", "unit", "lower", "upper", "transform", "free", "prior", "source"}
-
-
-def read_toml(path: Path) -> dict:
-    """A TOML file as a dictionary.  Raises InputError when it is missing or malformed."""
-    try:
-        return tomllib.loads(Path(path).read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: cannot be read ({getattr(error, 'strerror', None) or 'not text'})") from None
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(f"{path}: not valid TOML: {error}") from None
 
 
 def load_model(path: Path) -> Model:
@@ -52,25 +42,29 @@ def from_document(document: dict) -> Model:
         raise InputError("expected a [model] table with a name")
     for table in ("parameters", "physical", "gauge"):
         if not isinstance(document.get(table, {}), dict):
-            raise InputError(f"[{table}]: expected a table, found {document[table]!r}")
-    kind = head.get("photoreceptor", "second_order")
+            raise InputError(f"[{table}]: expected a table, found {shown(document[table])}")
+    words = {"name": "", "photoreceptor": "second_order", "summary": "", "linearisation": "midpoint",
+             "radiance_unit": "radiance"}  # fmt: skip
+    title, kind, summary, linearisation, radiance_unit = (_text(head, "[model]", key, words[key]) for key in words)
+    if "\n" in title:
+        raise InputError(f"[model] name: expected one line, found {shown(title)}")
     effects = head.get("effects", [])
     if not isinstance(effects, list) or not all(isinstance(name, str) for name in effects):
-        raise InputError(f"[model] effects: expected a list of names, found {effects!r}")
+        raise InputError(f"[model] effects: expected a list of names, found {shown(effects)}")
     parameters = dict(expected_parameters(kind, effects))
     for name, entry in document.get("parameters", {}).items():
         if name not in parameters:
-            raise InputError(f"[parameters] {name!r} belongs to no effect of this model")
+            raise InputError(f"[parameters] {shown(name)} belongs to no effect of this model")
         parameters[name] = _parameter(parameters[name], entry)
     physical, source = _physical(document.get("physical"))
     return Model(
-        name=str(head["name"]),
+        name=title,
         photoreceptor=kind,
         effects=tuple(effects),
         parameters=parameters,
-        summary=str(head.get("summary", "")),
-        linearisation=str(head.get("linearisation", "midpoint")),
-        radiance_unit=str(head.get("radiance_unit", "radiance")),
+        summary=summary,
+        linearisation=linearisation,
+        radiance_unit=radiance_unit,
         physical=physical,
         physical_source=source,
         gauge=Gauge.parse(document.get("gauge", {})),
@@ -81,7 +75,7 @@ def _parameter(default: Parameter, entry) -> Parameter:
     if isinstance(entry, (int, float)) and not isinstance(entry, bool):
         return default.at(entry)
     if not isinstance(entry, dict):
-        raise InputError(f"[parameters] {default.name}: expected a number or a table, found {entry!r}")
+        raise InputError(f"[parameters] {default.name}: expected a number or a table, found {shown(entry)}")
     unknown = set(entry) - _PARAMETER_KEYS
     if unknown:
         raise InputError(f"[parameters] {default.name}: unknown keys {', '.join(sorted(unknown))}")
@@ -94,10 +88,12 @@ def _parameter(default: Parameter, entry) -> Parameter:
     for key in ("value", "lower", "upper"):
         if key in changes:
             if not isinstance(changes[key], (int, float)) or isinstance(changes[key], bool):
-                raise InputError(f"[parameters] {default.name}.{key}: expected a number, found {changes[key]!r}")
+                raise InputError(f"[parameters] {default.name}.{key}: expected a number, found {shown(changes[key])}")
             changes[key] = float(changes[key])
+    for key in ("unit", "transform", "source"):
+        _text(changes, f"[parameters] {default.name}", key, "")
     if not isinstance(changes.get("free", True), bool):
-        raise InputError(f"[parameters] {default.name}.free: expected true or false, found {changes['free']!r}")
+        raise InputError(f"[parameters] {default.name}.free: expected true or false, found {shown(changes['free'])}")
     return replace(default, **changes)
 
 
@@ -112,7 +108,17 @@ def _physical(table: dict | None) -> tuple[Physical | None, str]:
         physical = Physical(**{key: float(value) for key, value in values.items()})
     except (TypeError, ValueError):
         raise InputError(f"[physical] needs the numbers {', '.join(PHYSICAL_NAMES[:5])}") from None
-    return physical, str(table.get("source", ""))
+    for key, value in physical.as_dict().items():
+        if not 0 < value < math.inf:
+            raise InputError(f"[physical] {key}: expected a positive number, found {value:g}")
+    return physical, _text(table, "[physical]", "source", "")
+
+
+def _text(table: dict, where: str, key: str, default: str) -> str:
+    value = table.get(key, default)
+    if not isinstance(value, str):
+        raise InputError(f"{where} {key}: expected text, found {shown(value)}")
+    return value
 
 
 def to_document(model: Model) -> dict:

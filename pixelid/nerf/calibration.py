@@ -11,13 +11,13 @@ unit is tied to the dataset's by q_in, which both quote (the fit in its gauge).
 
 from __future__ import annotations
 
-import json
 import math
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from pixelid.documents import read_json
 from pixelid.errors import InputError
 from pixelid.model.model import Model
 from pixelid.model.shipped import find_model
@@ -159,7 +159,7 @@ def uncertainty_of_fit(folder: Path) -> dict[str, float]:
     if not file.is_file():
         return {}
     try:
-        parameters = json.loads(file.read_text())["parameters"]
+        parameters = read_json(file)["parameters"]
         deviations = {
             ours: 1e-3 if entry.get("fixed") else float(entry["std"]) / float(entry["value"])
             for ours, theirs in (("alpha", "alpha"), ("beta", "beta"), ("gamma", "gamma"), ("follower", "sf_cutoff_hz"))

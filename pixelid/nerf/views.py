@@ -8,12 +8,12 @@ Transparent parts show white.
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
+from pixelid.documents import read_json
 from pixelid.errors import InputError
 from pixelid.nerf.arrays import read_arrays
 from pixelid.nerf.camera import Camera
@@ -92,11 +92,8 @@ def _log_eps(file: Path) -> float:
 
 
 def _stage(file: Path, channels: int, log_eps: float) -> Views:
-    try:
-        document = json.loads(file.read_text())
-    except (OSError, ValueError) as error:
-        raise InputError(f"{file}: not valid JSON ({str(error)[:80]})") from None
-    frames = document.get("frames") if isinstance(document, dict) else None
+    document = read_json(file)
+    frames = document.get("frames")
     if not isinstance(frames, list) or not frames:
         raise InputError(f"{file}: frames: expected a list of at least one view")
     poses = np.array([_pose(file, k, frame) for k, frame in enumerate(frames)])

@@ -46,7 +46,7 @@ def crop(
     stimulus = recording.stimulus
     if time_s is not None:
         begin, end = time_s
-        if not begin < end:
+        if not begin < end or not max(abs(begin), abs(end)) < 9.2e9:  # seconds that fit 64 bits in ns
             raise InputError(f"--time: expected from:to in seconds with from < to, found {begin:g}:{end:g}")
         keep &= (events.t >= round(begin * 1e9)) & (events.t < round(end * 1e9))
         if stimulus is not None:

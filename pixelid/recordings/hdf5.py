@@ -15,6 +15,7 @@ DSEC (Gehrig et al., RA-L 2021): t in µs from the scalar `t_offset`, 640 × 480
 
 from __future__ import annotations
 
+import io
 import json
 from pathlib import Path
 
@@ -225,7 +226,7 @@ def write(recording: Recording, path: Path) -> None:
     import h5py
 
     events, stimulus = recording.events, recording.stimulus
-    with h5py.File(path, "w") as file:
+    with _PatientFile(path, "w+b") as disk, h5py.File(disk, "w") as file:
         file.attrs.update({"format": FORMAT, "version": VERSION, "condition": recording.condition})
         file.attrs["sensor"] = recording.sensor
         if recording.pooled:
@@ -247,6 +248,31 @@ def write(recording: Recording, path: Path) -> None:
             group.attrs.update({"unit": stimulus.unit, "interpolation": stimulus.interpolation})
             for name, column in (("t", stimulus.t), ("radiance", stimulus.radiance)):
                 _compressed(group, name, column.shape, column.dtype)[...] = column
+    if disk.error is not None:
+        raise disk.error
+
+
+class _PatientFile(io.FileIO):
+    """A file that keeps its first error to itself: HDF5 crashes the process when the disk is full."""
+
+    error: OSError | None = None
+
+    def write(self, data, /) -> int:
+        view = memoryview(data).cast("B")
+        done = 0
+        while self.error is None and done < len(view):
+            try:
+                done += super().write(view[done:]) or 0
+            except OSError as error:
+                self.error = error
+        return len(view)
+
+    def truncate(self, size=None, /) -> int:
+        try:
+            return super().truncate(size)
+        except OSError as error:
+            self.error = self.error or error
+            return size or 0
 
 
 def _write_events(file, name: str, events: Events):

@@ -24,6 +24,7 @@ from typing import IO, Any
 
 import numpy as np
 
+from pixelid.documents import printable
 from pixelid.errors import InputError
 from pixelid.outputs import plain
 from pixelid.recordings.events import Events
@@ -210,8 +211,8 @@ def _assembled(answer: dict[str, Any], path: Path) -> Recording:
     return Recording(
         events=measured,
         stimulus=None if light is None else Stimulus(light["t"], light["radiance"], light["unit"], light["between"]),
-        condition=answer["condition"],
-        sensor=answer["sensor"],
+        condition=printable(answer["condition"]),
+        sensor=printable(answer["sensor"]),
         pooled=answer["pooled"],
         source=path,
         attributes=answer["attributes"],

@@ -7,22 +7,22 @@ Text of the result is escaped, and control characters (also those that turn the 
 from __future__ import annotations
 
 import itertools
-import json
 import tomllib
 from pathlib import Path
 from typing import Any
 
+from pixelid.documents import interpreting, printable, read_json
 from pixelid.errors import InputError
 from pixelid.figures.style import without_control_characters
 from pixelid.outputs import whole_file
 from pixelid.report import format as formats
 from pixelid.report.pages import PAGES, Page
 from pixelid.report.pictures import Picture, read_picture
+from pixelid.results import check_parameters
 
 TEMPLATES = Path(__file__).parent / "templates"
 CAPTIONS = Path(__file__).parent / "captions.toml"
 LINKED = (".json", ".toml", ".nc", ".npz", ".csv", ".h5")
-_DIRECTION = dict.fromkeys([0x200E, 0x200F, *range(0x202A, 0x202F), *range(0x2066, 0x206A)])
 
 
 def write_report(folder: Path) -> Path:
@@ -42,17 +42,34 @@ def write_report(folder: Path) -> Path:
     if page is None:
         known = ", ".join(page.file for page in PAGES)
         raise InputError(f"{folder}: none of {known}; expected the folder of a result")
-    try:
-        result = clean(json.loads((folder / page.file).read_text(encoding="utf-8")))
-    except ValueError:
-        raise InputError(f"{folder / page.file}: not valid JSON") from None
+    if (folder / "report.html").is_symlink():
+        raise InputError(f"{folder / 'report.html'}: expected the page of this folder, found a link to another file")
+    result = read_json(folder / page.file)
+    if page.file in ("fit.json", "rates.json"):
+        check_parameters(result, folder / page.file)
+    text = render(page, result, folder)
     with whole_file(folder / "report.html", overwrite=True) as path:
-        path.write_text(render(page, result, folder), encoding="utf-8")
+        path.write_text(text, encoding="utf-8")
     return folder / "report.html"
 
 
 def render(page: Page, result: dict[str, Any], folder: Path) -> str:
-    """The page of a result as text."""
+    """The page of a result as text.
+
+    Raises:
+        InputError: the result lacks what the page shows, or has it of another kind.
+    """
+    import jinja2
+
+    file, kind = folder / page.file, f"what {page.template.removesuffix('.html')} results hold (docs/formats.md)"
+    with interpreting(file, kind):
+        try:
+            return _rendered(page, result, folder)
+        except jinja2.UndefinedError as error:
+            raise LookupError(error.message) from error
+
+
+def _rendered(page: Page, result: dict[str, Any], folder: Path) -> str:
     import jinja2
 
     pictures = _pictures(page, folder)
@@ -74,7 +91,7 @@ def render(page: Page, result: dict[str, Any], folder: Path) -> str:
         "has": lambda name: name in pictures,
         "result": result,
         "summary": page.summarise(result, folder),
-        "files": sorted(path.name for path in folder.iterdir() if path.suffix in LINKED and path.is_file()),
+        "files": sorted(printable(path.name) for path in folder.iterdir() if path.suffix in LINKED and path.is_file()),
         "others": (),
         **page.prepare(result, folder),
     }
@@ -89,23 +106,13 @@ def render(page: Page, result: dict[str, Any], folder: Path) -> str:
 
 
 def _pictures(page: Page, folder: Path) -> dict[str, Picture]:
-    files = {path.stem: path for path in sorted(folder.glob("*.png"))}
-    files |= {path.stem: path for path in sorted(folder.glob("*.svg"))}
+    # a link would put a file of this computer into a page that is handed on
+    found = [path for path in sorted(folder.iterdir()) if path.is_file() and not path.is_symlink()]
+    files = {path.stem: path for suffix in (".png", ".svg") for path in found if path.suffix == suffix}
     captions = tomllib.loads(CAPTIONS.read_text(encoding="utf-8")).get(Path(page.file).stem, {})
     pictures = {}
     for name, path in files.items():
-        shown = clean(name)
+        shown = printable(name)
         words = captions.get(name, {"caption": shown.replace("_", " "), "alt": f"Figure: {shown.replace('_', ' ')}"})
         pictures[name] = read_picture(path, words["caption"], words["alt"])
     return pictures
-
-
-def clean(value: Any) -> Any:
-    """`value` of a JSON file with every text, keys too, free of control characters."""
-    if isinstance(value, str):
-        return without_control_characters(value).translate(_DIRECTION)
-    if isinstance(value, dict):
-        return {clean(k): clean(v) for k, v in value.items()}
-    if isinstance(value, list):
-        return [clean(v) for v in value]
-    return value

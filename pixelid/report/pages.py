@@ -5,14 +5,15 @@ An entry of `PAGES` is all that a new kind of result needs beside its template i
 
 from __future__ import annotations
 
-import json
 import shlex
-import tomllib
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from pixelid.documents import read_json
+from pixelid.errors import InputError
+from pixelid.model.files import load_model
 from pixelid.report.format import count, counted, interval, number, percent, seconds, value
 
 Result = dict[str, Any]
@@ -128,7 +129,7 @@ def _fit(result: Result, folder: Path) -> Summary:
 def _fit_more(result: Result, folder: Path) -> dict[str, Any]:
     truth = folder / "truth.json"
     return {
-        "truth": json.loads(truth.read_text()) if truth.is_file() else None,
+        "truth": read_json(truth) if truth.is_file() else None,
         "physical": [[name, number(v)] for name, v in (result.get("physical") or {}).items()],
     }
 
@@ -156,8 +157,8 @@ def _gap(result: Result, folder: Path) -> Summary:
 def _base_name(folder: Path) -> str:
     """The name of the model that was grown; the grown one carries it with a suffix."""
     try:
-        return str(tomllib.loads((folder / "model.toml").read_text())["model"]["name"]).removesuffix("_grown")
-    except (OSError, ValueError, KeyError):
+        return load_model(folder / "model.toml").name.removesuffix("_grown")
+    except InputError:
         return "the model"
 
 

@@ -14,6 +14,7 @@ from pixelid.figures.style import INK, OFF, ON, PAPER, without_control_character
 
 SVG = "http://www.w3.org/2000/svg"
 COLOURS = {INK: "var(--ink)", PAPER: "none", ON: "var(--on)", OFF: "var(--off)"}
+MOST_BYTES = 20 << 20  # of a picture; those that pixelid draws have less than 1 MiB
 DROPPED = ("script", "foreignObject", "iframe", "metadata", "animate", "set", "style")
 
 
@@ -35,10 +36,22 @@ def read_picture(path: Path, caption: str, alt: str) -> Picture:
         alt: what it shows, for those who do not see it.
     """
     if path.suffix != ".svg":
+        if path.stat().st_size > MOST_BYTES:
+            return Picture(path.stem, Markup("<p>{} is too large for a page.</p>").format(path.name), caption)
         data = base64.b64encode(path.read_bytes()).decode()
         markup = Markup('<img alt="{}" src="data:image/png;base64,{}">').format(alt, data)
         return Picture(path.stem, markup, caption)
-    return Picture(path.stem, _inline(path.read_text(encoding="utf-8"), path.stem, alt), caption)
+    return Picture(path.stem, _drawn(path, alt), caption)
+
+
+def _drawn(path: Path, alt: str) -> Markup:
+    """The drawing of a file, or a sentence that there is none."""
+    try:
+        if path.stat().st_size > MOST_BYTES:
+            raise ValueError("too large")
+        return _inline(path.read_text(encoding="utf-8"), path.stem, alt)
+    except (ValueError, RecursionError):
+        return Markup("<p>{}.svg is not a drawing that can be read.</p>").format(path.stem)
 
 
 def _inline(text: str, name: str, alt: str) -> Markup:

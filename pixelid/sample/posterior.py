@@ -6,10 +6,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
-from zipfile import BadZipFile
 
 import numpy as np
 
+from pixelid.arrays import load_arrays
+from pixelid.documents import interpreting
 from pixelid.errors import InputError
 from pixelid.fit.coordinates import Coordinates
 from pixelid.fit.result import as_document, from_document
@@ -164,20 +165,24 @@ class Posterior(Result):
             InputError: none there, or a damaged one.
         """
         content = read_result(folder, cls.FILE)
-        status, advice, nuisances = required(content, folder, cls.FILE, "status", "advice", "nuisances")
-        model = load_model(Path(folder) / "model.toml")
-        coordinates = Coordinates.of(model, tuple(from_document(name, entry) for name, entry in nuisances.items()))
-        try:
-            with np.load(Path(folder) / "draws.npz") as draws:
-                chain, log_prob, pieces = (draws[name] for name in ("chain", "log_prob", "pieces"))
-        except (OSError, KeyError, ValueError, BadZipFile) as error:
-            raise InputError(f"{Path(folder) / 'draws.npz'}: expected chain, log_prob, pieces ({error})") from None
-        known = {"status", "advice", "parameters", "recordings", "nuisances", "versions", "inputs_sha256"}
-        return cls(
-            Status(status), advice, coordinates, chain, log_prob, pieces, convergence(chain),
-            {name: value for name, value in content.items() if name not in known}, tuple(content["recordings"]),
-            content["versions"], content["inputs_sha256"],
-        )  # fmt: skip
+        with interpreting(Path(folder) / cls.FILE, "a posterior"):
+            status, advice, nuisances = required(content, folder, cls.FILE, "status", "advice", "nuisances")
+            model = load_model(Path(folder) / "model.toml")
+            coordinates = Coordinates.of(model, tuple(from_document(name, entry) for name, entry in nuisances.items()))
+            file = Path(folder) / "draws.npz"
+            draws = load_arrays(file)
+            missing = [name for name in ("chain", "log_prob", "pieces") if name not in draws]
+            if missing:
+                raise InputError(f"{file}: {missing[0]}: missing")
+            chain, log_prob, pieces = (draws[name] for name in ("chain", "log_prob", "pieces"))
+            if chain.ndim != 4 or chain.shape[3] != len(coordinates) or chain.dtype.kind != "f":
+                raise InputError(f"{file}: chain: expected (ensembles, steps, walkers, {len(coordinates)}) numbers")
+            known = {"status", "advice", "parameters", "recordings", "nuisances", "versions", "inputs_sha256"}
+            return cls(
+                Status(status), advice, coordinates, chain, log_prob, pieces, convergence(chain),
+                {name: value for name, value in content.items() if name not in known}, tuple(content["recordings"]),
+                content["versions"], content["inputs_sha256"],
+            )  # fmt: skip
 
     def to_arviz(self) -> Any:
         """An `xarray.DataTree` as ArviZ 1 takes it: posterior (one chain per walker), sample_stats, log_likelihood."""

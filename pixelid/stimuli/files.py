@@ -18,6 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
+from pixelid.documents import interpreting, read_toml, shown
 from pixelid.errors import InputError, did_you_mean
 from pixelid.stimuli.sampled import TABLES, VIDEOS, holds_pictures, is_light_table, read_light
 from pixelid.stimuli.shapes import SHAPES
@@ -64,7 +65,7 @@ def _holds_light(path: Path) -> bool:
     try:
         with zipfile.ZipFile(path) as archive:
             names = {name.removesuffix(".npy") for name in archive.namelist()}
-    except (zipfile.BadZipFile, OSError):
+    except Exception:  # zipfile raises many kinds for damaged archives; the reader says what is wrong
         return False
     return "radiance" in names and "x" not in names
 
@@ -72,31 +73,30 @@ def _holds_light(path: Path) -> bool:
 def shape(kind: str, parameters: Mapping[str, object]) -> Stimulus:
     """A built-in shape with parameters.  Raises InputError for unknown kinds and parameters, listing the known."""
     if kind not in SHAPES:
-        raise InputError(f"stimulus kind: expected one of {', '.join(SHAPES)}, found {kind!r}")
+        raise InputError(f"stimulus kind: expected one of {', '.join(SHAPES)}, found {shown(kind)}")
     known = inspect.signature(SHAPES[kind]).parameters
     arguments = {}
     for name, value in parameters.items():
         if name not in known:
-            raise InputError(f"stimulus {kind} has no parameter {name!r}; it has {', '.join(known)}")
+            raise InputError(f"stimulus {kind} has no parameter {shown(name)}; it has {', '.join(known)}")
         if isinstance(value, bool) or not isinstance(value, int | float):
-            raise InputError(f"stimulus {kind}.{name}: expected a number, found {value!r}")
-        if name in _WHOLE and (value != int(value) or value < 0):
-            raise InputError(f"stimulus {kind}.{name}: expected a whole number, found {value!r}")
+            raise InputError(f"stimulus {kind}.{name}: expected a number, found {shown(value)}")
+        if name in _WHOLE and not (0 <= value < 1 << 63 and value == int(value)):
+            raise InputError(f"stimulus {kind}.{name}: expected a whole number, found {shown(value)}")
         arguments[name] = int(value) if name in _WHOLE else float(value)
-    return SHAPES[kind](**arguments)
+    with np.errstate(all="ignore"), interpreting(f"stimulus {kind}", "numbers that make light"):
+        return SHAPES[kind](**arguments)  # what overflows is refused as infinite
 
 
 def _from_toml(path: Path) -> Stimulus:
-    from pixelid.model.files import read_toml
-
     table = read_toml(path).get("stimulus")
     kinds = ", ".join((*SHAPES, "samples", "file"))
     if not isinstance(table, dict) or not isinstance(table.get("kind"), str):
         raise InputError(f"{path}: expected a [stimulus] table with a kind, one of {kinds}")
     values = {name: value for name, value in table.items() if name not in ("kind", "start_s")}
     start = table.get("start_s", 0.0)
-    if isinstance(start, bool) or not isinstance(start, int | float):
-        raise InputError(f"{path}: start_s: expected a number, found {start!r}")
+    if isinstance(start, bool) or not isinstance(start, int | float) or not abs(start) < 1e9:
+        raise InputError(f"{path}: start_s: expected a number, found {shown(start)}")
     try:
         if table["kind"] == "samples":
             stimulus = _samples(values)
@@ -111,12 +111,24 @@ def _from_toml(path: Path) -> Stimulus:
 
 def _samples(values: dict) -> Stimulus:
     _refuse_others(values, ("t", "radiance", "unit", "interpolation"))
-    t, radiance = columns = [np.asarray(values.get(name, [])) for name in ("t", "radiance")]
+    lists = [values.get(name, []) for name in ("t", "radiance")]
+    t, radiance = columns = [np.asarray(x if _numbers(x) else "no numbers") for x in lists]
     for name, column in zip(("t", "radiance"), columns, strict=True):
         if column.dtype.kind not in "fiu" or column.ndim != 1:
             raise InputError(f"stimulus samples.{name}: expected a list of numbers")
-    unit, between = str(values.get("unit", "relative")), str(values.get("interpolation", "linear"))
+    unit, between = _text(values, "unit", "relative"), _text(values, "interpolation", "linear")
     return Stimulus.from_arrays(t, radiance, unit, between)
+
+
+def _numbers(values: object) -> bool:
+    return isinstance(values, list) and all(isinstance(v, int | float) and not isinstance(v, bool) for v in values)
+
+
+def _text(values: dict, name: str, default: str) -> str:
+    value = values.get(name, default)
+    if not isinstance(value, str):
+        raise InputError(f"stimulus.{name}: expected text, found {shown(value)}")
+    return value
 
 
 def _file(values: dict, folder: Path) -> Stimulus:
@@ -128,11 +140,12 @@ def _file(values: dict, folder: Path) -> Stimulus:
         raise InputError(f"stimulus file.path: {file} does not exist")
     fps = values.get("fps")
     if fps is not None and (isinstance(fps, bool) or not isinstance(fps, int | float)):
-        raise InputError(f"stimulus file.fps: expected a number, found {fps!r}")
-    return read_light(file, unit=values.get("unit"), fps=fps, gamma=values.get("gamma", "linear"))
+        raise InputError(f"stimulus file.fps: expected a number, found {shown(fps)}")
+    unit = _text(values, "unit", "") or None
+    return read_light(file, unit=unit, fps=fps, gamma=_text(values, "gamma", "linear"))
 
 
 def _refuse_others(values: dict, known: tuple[str, ...]) -> None:
     for name in values:
         if name not in known:
-            raise InputError(f"stimulus has no entry {name!r}; it has {', '.join(known)}")
+            raise InputError(f"stimulus has no entry {shown(name)}; it has {', '.join(known)}")

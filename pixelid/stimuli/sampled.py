@@ -16,6 +16,8 @@ from pathlib import Path
 
 import numpy as np
 
+from pixelid.arrays import load_arrays
+from pixelid.documents import shown
 from pixelid.errors import InputError
 from pixelid.stimuli.stimulus import UNITS, Stimulus
 
@@ -77,12 +79,18 @@ def read_light(path: Path, *, unit: str | None = None, fps: float | None = None,
     if gamma not in ("linear", "display"):
         raise InputError(f"gamma: expected linear or display, found {gamma!r}")
     suffix = path.suffix.lower()
+    if not path.is_dir() and not path.is_file():
+        raise InputError(f"{path}: expected a file or a folder of frames, found {_kind_of(path)}")
     if path.is_dir() or suffix in VIDEOS:
         frames, t = _folder(path, fps) if path.is_dir() else _video(path, fps)
         return _of_frames(frames, t, unit or "relative", gamma, path)
     if suffix in ARRAYS:
         return _array(path, unit)
     return _table(path, unit)
+
+
+def _kind_of(path: Path) -> str:
+    return "a device, pipe or socket" if path.exists() else "nothing of that name"
 
 
 def _table(path: Path, unit: str | None) -> Stimulus:
@@ -100,10 +108,12 @@ def _table(path: Path, unit: str | None) -> Stimulus:
     time = next((k for k, name in enumerate(names) if _words(name)[:1] and _words(name)[0] in TIME_WORDS), None)
     light = next((k for k, name in enumerate(names) if k != time and any(w in LIGHT_WORDS for w in _words(name))), None)
     if time is None or light is None:
-        raise InputError(f"{path}: expected columns t and radiance in the first line, found {lines[0].strip()[:80]!r}")
+        raise InputError(
+            f"{path}: expected columns t and radiance in the first line, found {shown(lines[0].strip(), 80)}"
+        )
     try:
         columns = np.loadtxt(lines[1:], delimiter=separator, usecols=(time, light), ndmin=2)
-    except ValueError as error:
+    except (ValueError, IndexError) as error:
         raise InputError(f"{path}: expected numbers in every row: {str(error).splitlines()[0][:120]}") from None
     scale = next((SECONDS_PER[word] for word in _words(names[time])[1:] if word in SECONDS_PER), 1.0)
     told = _unit_in(names[light]) or _unit_in(" ".join(re.findall(r"unit\s*[:=]\s*(\S+)", comments, re.I)))
@@ -111,7 +121,10 @@ def _table(path: Path, unit: str | None) -> Stimulus:
 
 
 def _names(line: str) -> list[str]:
-    row = next(csv.reader([line.strip()], delimiter=_separator(line) or " ", skipinitialspace=True), [])
+    try:
+        row = next(csv.reader([line.strip()], delimiter=_separator(line) or " ", skipinitialspace=True), [])
+    except csv.Error:  # a cell of more than 128 KiB
+        return []
     return [name.strip().lower() for name in row]
 
 
@@ -132,27 +145,22 @@ def _unit_in(text: str) -> str | None:
 
 
 def _array(path: Path, unit: str | None) -> Stimulus:
-    try:
-        content = np.load(path, allow_pickle=False)
-        if isinstance(content, np.ndarray):
-            if content.ndim != 2 or 2 not in content.shape or content.dtype.kind not in "fiu":
-                raise InputError(
-                    f"{path}: expected rows of t, radiance, found {content.dtype} of shape {content.shape}"
-                )
-            t, radiance = content.T if content.shape[1] == 2 else content
-            return _stimulus(t, radiance, unit or "relative", path)
-        with content:
-            missing = [name for name in ("t", "radiance") if name not in content]
-            if missing:
-                raise InputError(f"{path}: {missing[0]}: missing; expected t and radiance, found {content.files}")
-            told = str(content["unit"]) if "unit" in content else None
-            between = str(content["interpolation"]) if "interpolation" in content else "linear"
-            return _stimulus(content["t"], content["radiance"], unit or told or "relative", path, between)
-    except InputError:
-        raise
-    except Exception as error:  # NumPy raises many kinds for damaged archives
-        reason = str(error).splitlines()[0][:100] if str(error) else type(error).__name__
-        raise InputError(f"{path}: expected a NumPy array, found a damaged or different file ({reason})") from None
+    arrays = load_arrays(path)
+    if "" in arrays:
+        content = arrays[""]
+        if content.ndim != 2 or 2 not in content.shape or content.dtype.kind not in "fiu":
+            raise InputError(f"{path}: expected rows of t, radiance, found {content.dtype} of shape {content.shape}")
+        t, radiance = content.T if content.shape[1] == 2 else content
+        return _stimulus(t, radiance, unit or "relative", path)
+    missing = [name for name in ("t", "radiance") if name not in arrays]
+    if missing:
+        raise InputError(f"{path}: {missing[0]}: missing; expected t and radiance, found {shown(list(arrays), 200)}")
+    for name in ("t", "radiance"):
+        if arrays[name].dtype.kind not in "fiu":
+            raise InputError(f"{path}: {name}: expected numbers, found {arrays[name].dtype}")
+    told = str(arrays["unit"]) if "unit" in arrays else None
+    between = str(arrays["interpolation"]) if "interpolation" in arrays else "linear"
+    return _stimulus(arrays["t"], arrays["radiance"], unit or told or "relative", path, between)
 
 
 def _stimulus(t: np.ndarray, radiance: np.ndarray, unit: str, path: Path, between: str = "linear") -> Stimulus:
@@ -169,7 +177,7 @@ def _stimulus(t: np.ndarray, radiance: np.ndarray, unit: str, path: Path, betwee
 def _folder(path: Path, fps: float | None) -> tuple[np.ndarray, np.ndarray]:
     from skimage.io import imread
 
-    files = sorted(file for file in path.iterdir() if file.suffix.lower() in PICTURES)
+    files = sorted(file for file in path.iterdir() if file.suffix.lower() in PICTURES and file.is_file())
     if len(files) < 2:
         raise InputError(f"{path}: expected a folder of pictures ({', '.join(PICTURES)}), found {len(files)}")
     stamps = path / "timestamps.txt"

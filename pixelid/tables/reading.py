@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from pixelid.documents import printable, read_text, shown
 from pixelid.errors import InputError
 
 
@@ -52,11 +53,12 @@ def read_text_table(path: Path, *, first: str, expected: str) -> TextTable:
         InputError: naming the file, and the row that is wrong.
     """
     path = Path(path)
+    text = printable(read_text(path, "CSV"))
+    lines = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")]
     try:
-        lines = [line for line in path.read_text().splitlines() if line.strip() and not line.lstrip().startswith("#")]
-    except UnicodeDecodeError as error:
-        raise InputError(f"{path}: expected a text table, found a binary file") from error
-    rows = list(csv.reader(lines))
+        rows = list(csv.reader(lines))
+    except csv.Error as error:
+        raise InputError(f"{path}: expected a text table, found {error}") from None
     if not rows or len(rows[0]) < 2 or not rows[0][0].strip().lower().startswith(first):
         raise InputError(f"{path}: expected a header line {expected}")
     for k, row in enumerate(rows[1:], 1):
@@ -64,7 +66,7 @@ def read_text_table(path: Path, *, first: str, expected: str) -> TextTable:
             raise InputError(f"{path}: row {k} has {len(row)} cells, expected {len(rows[0])}")
     names = tuple(name.strip() for name in rows[0])
     if len(set(names)) < len(names):
-        raise InputError(f"{path}: expected columns of different names, found {', '.join(names)}")
+        raise InputError(f"{path}: expected columns of different names, found {shown(names, 200)}")
     return TextTable(path, names, tuple(tuple(row) for row in rows[1:]))
 
 
@@ -74,7 +76,7 @@ def _number(path: Path, row: int, cell: str) -> float:
     try:
         value = float(cell)
     except ValueError as error:
-        raise InputError(f"{path}: row {row}: expected a number, found {cell!r}") from error
+        raise InputError(f"{path}: row {row}: expected a number, found {shown(cell)}") from error
     if not np.isfinite(value):
-        raise InputError(f"{path}: row {row}: expected a finite number, found {cell!r}")
+        raise InputError(f"{path}: row {row}: expected a finite number, found {shown(cell)}")
     return value

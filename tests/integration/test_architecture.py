@@ -6,14 +6,16 @@ from pathlib import Path
 import pytest
 
 PACKAGE = Path(__file__).resolve().parents[2] / "pixelid"
-BASE = {"errors", "figures", "outputs", "parallel", "provenance", "results", "status"}
+BASE = {"arrays", "documents", "errors", "figures", "outputs", "parallel", "provenance", "results", "status"}
 MAY_IMPORT = {
     "errors": set(),
+    "documents": {"errors"},
+    "arrays": {"documents", "errors"},
     "figures": set(),
-    "outputs": {"errors"},
+    "outputs": {"documents", "errors"},
     "provenance": set(),
     "status": set(),
-    "results": {"errors", "outputs"},
+    "results": {"documents", "errors", "outputs"},
     "lazy": set(),
     "parallel": {"errors"},
     "parameters": BASE,

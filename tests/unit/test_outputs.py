@@ -6,6 +6,7 @@ import os
 import subprocess
 import sys
 
+import numpy as np
 import pytest
 
 from pixelid import outputs
@@ -224,3 +225,65 @@ def test_a_read_only_folder_is_one_line(tmp_path):
     tmp_path.chmod(0o555)
     with pytest.raises(OutputError, match="Permission denied"), whole_folder(tmp_path / "out"):
         pass
+
+
+# --- files that nobody should trust -----------------------------------------------------------------------------
+
+
+def test_a_marker_that_is_no_json_object_marks_nothing(tmp_path):
+    for k, make in enumerate(
+        (
+            lambda path: os.mkfifo(path),
+            lambda path: path.symlink_to("/dev/zero"),
+            lambda path: path.write_text("[" * 100_000),
+            lambda path: path.write_text("9" * 5000),
+            lambda path: path.mkdir(),
+        )
+    ):
+        folder = tmp_path / str(k)
+        folder.mkdir()
+        make(folder / "fit.json")
+        with pytest.raises(InputError, match="replaces only a result"):
+            outputs.refuse_existing(folder, overwrite=True)
+
+
+def test_a_lock_that_is_a_link_is_not_followed(tmp_path):
+    (tmp_path / "precious").write_text("precious")
+    (tmp_path / ".out.lock").symlink_to("precious")
+    with pytest.raises(OutputError), claimed(tmp_path / "out"):
+        pass
+    assert (tmp_path / "precious").read_text() == "precious"
+
+
+def test_the_page_of_a_folder_is_not_written_through_a_link(tmp_path):
+    from pixelid.report.html import write_report
+
+    (tmp_path / "precious").write_text("precious")
+    folder = result(tmp_path / "fit")
+    (folder / "report.html").symlink_to(tmp_path / "precious")
+    with pytest.raises(InputError, match="link"):
+        write_report(folder)
+    assert (tmp_path / "precious").read_text() == "precious"
+
+
+@pytest.mark.parametrize("most", [3000, 20_000])
+def test_hdf5_survives_a_disk_that_fills_up(most, tmp_path):
+    """A limit on the size of files stands for the disk: HDF5 itself would crash on either."""
+    run = (
+        "import resource, sys\nfrom pixelid.cli.main import main\n"
+        f"resource.setrlimit(resource.RLIMIT_FSIZE, ({most}, {most}))\nsys.exit(main(sys.argv[1:]))"
+    )
+    words = ["convert", str(tmp_path / "a.npz"), str(tmp_path / "b.h5")]
+    from pixelid.recordings import Events, Recording, open_recording, write_recording
+
+    n = 20_000
+    t = np.arange(n) * 1_000_003
+    events = Events.from_columns(t, np.arange(n) * 7919 % 640, np.arange(n) * 104729 % 480, t % 2, 640, 480)
+    write_recording(Recording(events), tmp_path / "a.npz")
+    done = subprocess.run([sys.executable, "-c", run, *words], capture_output=True, text=True, check=False)
+    assert done.returncode == 2, done.stderr
+    assert done.stderr.count("\n") == 1
+    assert "cannot be written" in done.stderr
+    assert [path.name for path in tmp_path.iterdir()] == ["a.npz"]
+    write_recording(Recording(events), tmp_path / "b.h5")
+    assert np.array_equal(open_recording(tmp_path / "b.h5").events.t, t)

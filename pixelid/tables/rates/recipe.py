@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import zipfile
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 
+from pixelid.arrays import load_arrays
+from pixelid.documents import read_toml, shown
 from pixelid.errors import InputError
-from pixelid.model.files import read_toml
 from pixelid.tables.rates.pool import PoolTable
 
 
@@ -26,25 +27,47 @@ def read_pool_recipe(path: Path, folder: Path | None = None) -> tuple[PoolTable,
     for key in ("table", "frequency_hz", "conditions", "arrays"):
         if key not in document:
             raise InputError(f"{path}: [rates] {key} is missing")
-    source = (folder or path.resolve().parent) / str(document["table"])
+    table, conditions, arrays = document["table"], document["conditions"], document["arrays"]
+    if not isinstance(table, str):
+        raise InputError(f"{path}: [rates] table: expected the name of a .npz file, found {shown(table)}")
+    if not isinstance(conditions, list) or not all(isinstance(c, str | int | float) for c in conditions):
+        raise InputError(f"{path}: [rates] conditions: expected a list of labels, found {shown(conditions)}")
+    frequency = _frequencies(document["frequency_hz"], path)
+    source = (folder or path.resolve().parent) / table
     if not source.is_file():
         raise InputError(f"{source}: no such file (recipe {path.name}; --data says where recordings are)")
-    frequency, rows = np.array(document["frequency_hz"], float), [str(c) for c in document["conditions"]]
+    rows = [str(c) for c in conditions]
     means, spreads, labels = [], [], []
-    try:
-        with np.load(source) as archive:
-            for entry in document["arrays"]:
-                for kind, into in (("mean", means), ("spread", spreads)):
-                    name = entry.get(kind)
-                    if name not in archive:
-                        raise InputError(f"{source}: no array {name!r}; found {', '.join(archive.files)}")
-                    if archive[name].shape != (len(rows), len(frequency)):
-                        raise InputError(
-                            f"{source}: {name}: expected {(len(rows), len(frequency))} values, found "
-                            f"{archive[name].shape}"
-                        )
-                    into.append(archive[name])
-                labels += [f"{row}, {entry.get('label', '')}" for row in rows]
-    except (zipfile.BadZipFile, ValueError) as error:
-        raise InputError(f"{source}: expected a .npz archive ({error})") from error
+    archive = load_arrays(source)
+    for entry in _entries(arrays, path):
+        for kind, into in (("mean", means), ("spread", spreads)):
+            values = archive[_known(archive, entry.get(kind), source)]
+            if values.shape != (len(rows), len(frequency)) or values.dtype.kind not in "fiu":
+                raise InputError(
+                    f"{source}: {entry[kind]}: expected {(len(rows), len(frequency))} numbers, found "
+                    f"{values.shape} of {values.dtype}"
+                )
+            into.append(values.astype(float))
+        labels += [f"{row}, {entry.get('label', '')}" for row in rows]
+    if len(set(labels)) < len(labels):
+        raise InputError(f"{path}: [rates] conditions, arrays: expected labels that differ, found {shown(labels)}")
     return PoolTable(frequency, tuple(labels), np.concatenate(means).T, np.concatenate(spreads).T), source
+
+
+def _frequencies(listed: object, path: Path) -> np.ndarray:
+    numbers = isinstance(listed, list) and all(isinstance(f, int | float) and not isinstance(f, bool) for f in listed)
+    if not numbers or not listed:
+        raise InputError(f"{path}: [rates] frequency_hz: expected a list of numbers, found {shown(listed)}")
+    return np.array(listed, float)
+
+
+def _entries(arrays: object, path: Path) -> list[dict]:
+    if not isinstance(arrays, list) or not arrays or not all(isinstance(entry, dict) for entry in arrays):
+        raise InputError(f"{path}: [rates] arrays: expected tables of mean, spread, label, found {shown(arrays)}")
+    return arrays
+
+
+def _known(archive: Mapping, name: object, source: Path) -> str:
+    if not isinstance(name, str) or name not in archive:
+        raise InputError(f"{source}: no array {shown(name)}; found {shown(', '.join(archive), 200)}")
+    return name

@@ -1,0 +1,179 @@
+"""TOML and JSON files that nobody should trust, read in bounded time and memory, and said no to in one line.
+
+A file is regular, UTF-8 (a byte order mark is skipped) and no larger than `MOST_BYTES`; what is in it is nested at most
+`MOST_NESTED` deep, and its whole numbers fit 64 bits, as TOML 1.0 asks and JSON (RFC 8259, section 6) advises.
+Python's parsers have no such limits: they recurse for every bracket, and take quadratic time for keys of many parts.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import stat
+import tomllib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, cast
+
+from pixelid.errors import InputError
+
+MOST_BYTES = {"TOML": 2 << 20, "JSON": 64 << 20, "CSV": 64 << 20}  # each is read within 5 s
+MOST_NESTED = 64  # of what pixelid writes, gap.json is the deepest: 8
+MOST_PARTS = 64  # of a dotted key
+
+# What TOML consists of, as far as nesting matters; every alternative consumes what it has looked at: linear time.
+_TOKEN = re.compile(
+    r'"""(?:[^"\\]|\\(?:.|\Z)|"(?!""))*+(?:"""|\Z|"+)|\'\'\'(?:[^\']|\'(?!\'\'))*+(?:\'\'\'|\Z|\'+)'
+    r'|"(?:[^"\\\n]|\\(?:.|\Z))*+"?|\'[^\'\n]*+\'?|#[^\n]*+|[\[{]|[\]}]|\.|[=,\n]|[^"\'#\[\]{}.=,\n]++',
+    re.DOTALL,
+)
+# Control characters, also those that turn the direction of text: nothing that a terminal or a page should be sent.
+_UNPRINTABLE = re.compile(
+    "[\x00-\x08\x0b-\x1f\x7f-\x9f\u200e\u200f\u202a-\u202e\u2066-\u2069\ud800-\udfff\ufffe\uffff]"
+)
+
+
+def printable(text: str) -> str:
+    """`text` without control characters; line breaks and tabs stay.
+
+    >>> printable("\x1b[31mred\x1b[0m")
+    '[31mred[0m'
+    """
+    return _UNPRINTABLE.sub("", text)
+
+
+def read_toml(path: str | Path) -> dict[str, Any]:
+    """A TOML file as a dictionary; control characters in its texts are left out.
+
+    Raises:
+        InputError: it is missing, too large, or not TOML.
+    """
+    text = read_text(path, "TOML").replace("\r\n", "\n")
+    _check_structure(text, Path(path))
+    try:
+        document = tomllib.loads(text)
+        _check(document)
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{path}: not valid TOML: {_first_line(error)}") from None
+    return cast(dict[str, Any], _cleaned(document))
+
+
+def read_json(path: str | Path) -> dict[str, Any]:
+    """A JSON file that holds an object; control characters in its texts are left out.
+
+    Raises:
+        InputError: it is missing, too large, not JSON, or no object.
+    """
+    try:
+        content = json.loads(read_text(path, "JSON"), parse_constant=_refuse_constant)
+        _check(content)
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{path}: not valid JSON: {_first_line(error)}") from None
+    if not isinstance(content, dict):
+        raise InputError(f"{path}: expected a JSON object, found {type(content).__name__}")
+    return cast(dict[str, Any], _cleaned(content))
+
+
+def read_text(path: str | Path, kind: str) -> str:
+    """The text of a regular file of at most `MOST_BYTES[kind]`; nothing is waited for, pipes and devices are refused.
+
+    Raises:
+        InputError: naming the file and what is wrong.
+    """
+    most = MOST_BYTES[kind]
+    try:
+        handle = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0))
+        with os.fdopen(handle, "rb") as file:
+            status = os.fstat(handle)
+            if not stat.S_ISREG(status.st_mode):
+                raise InputError(f"{path}: expected a {kind} file, found a device, pipe or socket")
+            content = file.read(most + 1)
+    except (OSError, ValueError) as error:  # ValueError: a name with a null character
+        raise InputError(f"{path}: cannot be read ({getattr(error, 'strerror', None) or error})") from None
+    if len(content) > most:
+        raise InputError(f"{path}: expected {kind} of at most {most >> 20} MiB, found {status.st_size} bytes")
+    try:
+        return content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: expected UTF-8 text, found other bytes at byte {error.start}") from None
+
+
+@contextmanager
+def interpreting(path: str | Path, expected: str) -> Iterator[None]:
+    """Turn what Python says about values of the wrong kind into an InputError that names the file.
+
+    Args:
+        path: the file whose content is interpreted inside the block.
+        expected: what it should hold, in words.
+    """
+    try:
+        yield
+    except KeyError as error:
+        raise InputError(f"{path}: expected {expected}, found no {shown(error.args[0])}") from error
+    except (TypeError, ValueError, AttributeError, LookupError, ArithmeticError, RecursionError) as error:
+        raise InputError(f"{path}: expected {expected}, found another kind of value ({_first_line(error)})") from error
+
+
+def shown(value: object, most: int = 60) -> str:
+    """A value in a message: short, on one line."""
+    try:
+        text = repr(value)
+    except (ValueError, RecursionError):  # an integer of more digits than Python writes
+        text = type(value).__name__
+    return printable(text if len(text) <= most else text[: most - 1] + "…")
+
+
+def _first_line(error: Exception) -> str:
+    if isinstance(error, RecursionError):
+        return "nested too deeply"
+    lines = printable(str(error)).splitlines()
+    return lines[0][:160] if lines else type(error).__name__
+
+
+def _check_structure(text: str, path: Path) -> None:
+    """Refuse nesting and keys that would take the parser out of its depth."""
+    depth, parts = 0, 0
+    for token in _TOKEN.finditer(text):
+        mark = token[0]
+        if mark == ".":
+            parts += 1
+        elif mark in ("[", "{"):
+            depth, parts = depth + 1, 0
+        elif mark in ("]", "}"):
+            depth -= 1
+        elif mark in ("=", ",", "\n"):
+            parts = 0
+        if depth > MOST_NESTED or parts > MOST_PARTS:
+            found = f"{MOST_NESTED} open brackets" if depth > MOST_NESTED else f"a key of {MOST_PARTS} parts"
+            line = text.count("\n", 0, token.start()) + 1
+            raise InputError(f"{path}: line {line}: expected a shallow TOML document, found more than {found}")
+
+
+def _check(value: Any, depth: int = 0) -> None:
+    """Raise ValueError for whole numbers beyond 64 bits, control characters in keys, and deep nesting."""
+    if depth > MOST_NESTED:
+        raise ValueError(f"nested more than {MOST_NESTED} deep")
+    if isinstance(value, dict):
+        for key, inner in value.items():
+            if _UNPRINTABLE.search(key) or "\n" in key:
+                raise ValueError(f"a key holds control characters: {shown(key)}")
+            _check(inner, depth + 1)
+    elif isinstance(value, list):
+        for inner in value:
+            _check(inner, depth + 1)
+    elif isinstance(value, int) and not -(1 << 63) <= value < 1 << 63:
+        raise ValueError("a whole number does not fit 64 bits")
+
+
+def _cleaned(value: Any) -> Any:
+    if isinstance(value, str):
+        return printable(value)
+    if isinstance(value, dict):
+        return {key: _cleaned(inner) for key, inner in value.items()}
+    return [_cleaned(inner) for inner in value] if isinstance(value, list) else value
+
+
+def _refuse_constant(name: str) -> None:
+    raise ValueError(f"{name} is no JSON number")
