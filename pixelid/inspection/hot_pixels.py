@@ -83,7 +83,9 @@ def find_hot_pixels_in_silence(recordings: Sequence[Recording]) -> HotInSilence 
     """The hot pixels of one sensor's recordings under full-field light.
 
     Recordings are cut into short stretches; a stretch is quiet when at most a fifth of the pixels fire in it.  What a
-    pixel fires in quiet stretches is compared with what the other pixels do there, by Poisson's law.
+    pixel fires in quiet stretches is compared with what the other pixels do there, by Poisson's law.  A pixel of low
+    thresholds fires there, too, but OFF as well as ON, as the light comes and goes: that share of its ON events, and no
+    more, the light explains.
 
     Returns:
         None where there are none, or no quiet stretch to see them in.
@@ -93,9 +95,14 @@ def find_hot_pixels_in_silence(recordings: Sequence[Recording]) -> HotInSilence 
     pixels = np.unique(np.concatenate([r.events.pixel for r in recordings]))
     if len(pixels) < MIN_PIXELS:
         return None
-    fired, quiet_s = _fired_in_silence(recordings, pixels)
+    fired, fired_off, quiet_s = _fired_in_silence(recordings, pixels)
     usual = np.sort(fired)[: max(int(0.8 * len(fired)), 1)]
     expected = (usual.sum() + 1.0) / len(usual)
+    events = sum(len(r.events) for r in recordings)
+    on = sum(int(np.count_nonzero(r.events.p == 1)) for r in recordings)
+    # as many ON events per OFF event as the light makes in all, and what chance may add to so few
+    explained = (fired_off + np.sqrt(fired_off)) * on / max(events - on, 1)
+    expected = np.maximum(expected, explained)
     chance = len(pixels) * poisson.sf(fired - 1, expected)
     hot = (fired >= MIN_SILENT_EVENTS) & (chance < MAX_CHANCE)
     count, total = int(hot.sum()), float(fired[hot].sum() - hot.sum() * usual.mean())
@@ -103,7 +110,7 @@ def find_hot_pixels_in_silence(recordings: Sequence[Recording]) -> HotInSilence 
         return None
     exposure = count * quiet_s
     interval = (float(chi2.ppf(0.025, 2 * total) / 2 / exposure), float(chi2.ppf(0.975, 2 * total + 2) / 2 / exposure))
-    gain = float(np.sum(fired[hot] * np.log(fired[hot] / expected) - fired[hot] + expected))
+    gain = float(np.sum(fired[hot] * np.log(fired[hot] / expected[hot]) - fired[hot] + expected[hot]))
     signature = TimestampSignature(
         effect="hot_pixels",
         parameter="hot_pixels.rate_hz",
@@ -111,15 +118,15 @@ def find_hot_pixels_in_silence(recordings: Sequence[Recording]) -> HotInSilence 
         interval=interval,
         p=float(chance[hot].max()),
         nats_per_event=gain / max(float(fired[hot].sum()), 1.0),
-        concerned=float(fired[hot].sum()) / sum(len(r.events) for r in recordings),
+        concerned=float(fired[hot].sum()) / events,
         where=f"{count} of {len(pixels)} pixels fire ON while the others are silent",
     )
     return HotInSilence(pixels[hot], signature)
 
 
-def _fired_in_silence(recordings: Sequence[Recording], pixels: np.ndarray) -> tuple[np.ndarray, float]:
-    """(ON events of each pixel in quiet stretches, seconds of them)."""
-    fired, quiet_s = np.zeros(len(pixels)), 0.0
+def _fired_in_silence(recordings: Sequence[Recording], pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+    """(ON events of each pixel in quiet stretches, OFF events, seconds of them)."""
+    fired, fired_off, quiet_s = np.zeros(len(pixels)), np.zeros(len(pixels)), 0.0
     for r in recordings:
         if r.stimulus is None:
             continue
@@ -130,5 +137,6 @@ def _fired_in_silence(recordings: Sequence[Recording], pixels: np.ndarray) -> tu
         on = np.bincount(row * STRETCHES + cell, r.events.p == 1, len(pixels) * STRETCHES).reshape(-1, STRETCHES)
         quiet = (every > 0).mean(axis=0) <= MAX_FIRING
         fired += on[:, quiet].sum(axis=1)
+        fired_off += (every - on)[:, quiet].sum(axis=1)
         quiet_s += quiet.sum() * span / STRETCHES
-    return fired, quiet_s
+    return fired, fired_off, quiet_s

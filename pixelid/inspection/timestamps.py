@@ -5,7 +5,9 @@ leaves exactly s after the one before.  Of the waits between successive events o
 than s, and an atom sits at s on a density that is smooth elsewhere.
 
 **A grid** (`timestamp_quantisation`): all timestamps are multiples of a tick that is coarser than the file's own, or
-the waits of single pixels are multiples of a scan period (both found by `inspection.tick`).
+the waits of single pixels are multiples of a scan period, up to a small jitter (both found by `inspection.tick`).  Of
+the two the coarser limits what is known of a time.  A divisor far below the intervals of a pixel, such as the rounding
+of a float, is a fact about the file and explains nothing.
 """
 
 from __future__ import annotations
@@ -22,6 +24,9 @@ from pixelid.recordings.recording import Recording
 MIN_ATOM_EVENTS = 20
 MAX_ATOM_CHANCE = 1e-12  # of an atom by accident; a recording offers some 1e6 places where one could be
 MIN_GRID_UNITS = 1.5  # a grid is coarser than the file's own unit
+# Of the shortest intervals of a pixel (their 1 % quantile).  Thresholds scatter by 2 % and more of an interval; a tick
+# of a thousandth adds (1e-3/√12)² to that variance, 2e-4 of it: nobody could tell.
+MIN_TICK_SHARE, SHORT = 1e-3, 0.01
 
 
 @dataclass(frozen=True)
@@ -101,15 +106,17 @@ def find_grid(recordings: Sequence[Recording], scans: bool = True) -> TimestampS
     if len(t) < MIN_EVENTS:
         return None
     tick, error, of = common_divisor(t) * 1e-9, 0.5e-9, "all timestamps"
-    if tick < MIN_GRID_UNITS * unit:
-        if not scans:
-            return None
-        largest = max(recordings, key=lambda r: len(r.events)).events
-        seen = find_tick(largest, pixel_intervals(largest))
-        if seen.scan_s is None or seen.scan_s < MIN_GRID_UNITS * unit:
-            return None
-        tick, error = seen.scan_s, float(seen.scan_jitter_s or 0.0) / float(np.sqrt(len(largest)))
-        of = "the intervals of single pixels"
+    largest = max(recordings, key=lambda r: len(r.events)).events
+    intervals = pixel_intervals(largest)
+    if scans:
+        seen = find_tick(largest, intervals)
+        if seen.scan_s is not None and seen.scan_s > MIN_GRID_UNITS * tick:
+            tick, error = seen.scan_s, float(seen.scan_jitter_s or 0.0) / float(np.sqrt(len(largest)))
+            of = "the intervals of single pixels"
+    apart = intervals[intervals > 0]
+    explains = len(apart) > 0 and tick >= MIN_TICK_SHARE * 1e-9 * float(np.quantile(apart, SHORT))
+    if tick < MIN_GRID_UNITS * unit or not explains:
+        return None
     gain = float(np.log(tick / unit))
     return TimestampSignature(
         "timestamp_quantisation", "timestamp_quantisation.tick_s", tick, (tick - 1.96 * error, tick + 1.96 * error),
