@@ -201,12 +201,8 @@ def required(content: Mapping[str, Any], folder: str | Path, file: str, *names: 
 _KINDS: dict[str, Callable[[Any], bool]] = {
     "text": lambda value: isinstance(value, str),
     "a number": lambda value: _number_or_none(value),
-    "a list of texts": lambda value: (
-        isinstance(value, list) and all(isinstance(v, str) for v in cast(list[Any], value))
-    ),
-    "a list of tables": lambda value: (
-        isinstance(value, list) and all(isinstance(v, dict) for v in cast(list[Any], value))
-    ),
+    "a list of texts": lambda value: _list_of(value, str),
+    "a list of tables": lambda value: _list_of(value, dict),
     "a table": lambda value: isinstance(value, dict),
 }
 
