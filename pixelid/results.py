@@ -6,10 +6,10 @@ A result says what it found as tables and sentences; how they look on a terminal
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, cast
 
 from pixelid.documents import read_json, shown
 from pixelid.errors import InputError
@@ -198,21 +198,45 @@ def required(content: Mapping[str, Any], folder: str | Path, file: str, *names: 
     return [content[name] for name in names]
 
 
+_KINDS: dict[str, Callable[[Any], bool]] = {
+    "text": lambda value: isinstance(value, str),
+    "a number": lambda value: _number_or_none(value),
+    "a list of texts": lambda value: _list_of(value, str),
+    "a list of tables": lambda value: _list_of(value, dict),
+    "a table": lambda value: isinstance(value, dict),
+}
+
+
+def check_kinds(content: Mapping[str, Any], path: str | Path, **kinds: Sequence[str]) -> None:
+    """Check values that are there: kind in words with `_` for blanks → the keys that must be of it.
+
+    Raises:
+        InputError: naming the file, the field, what was expected and found.
+    """
+    for kind, names in kinds.items():
+        expected = kind.replace("_", " ")
+        for name in names:
+            if name in content and not _KINDS[expected](content[name]):
+                raise InputError(f"{path}: {name}: expected {expected}, found {shown(content[name])}")
+
+
 def check_parameters(content: Mapping[str, Any], path: str | Path) -> None:
     """Check the table of parameters of a fit: value, unit, std, interval_95, identified, fixed of each.
 
     Raises:
         InputError: naming the file, the field, what was expected and found.
     """
-    table = content.get("parameters")
-    if not isinstance(table, dict) or not all(isinstance(entry, dict) for entry in table.values()):
-        raise InputError(f"{path}: parameters: expected a table of each by name, found {shown(table)}")
-    for name, entry in table.items():
+    table: Any = content.get("parameters")
+    if not isinstance(table, dict) or not _KINDS["a list of tables"](list(cast(dict[str, Any], table).values())):
+        raise InputError(
+            f"{path}: parameters: expected a table of each by name, found {shown(content.get('parameters'))}"
+        )
+    for name, entry in cast(dict[str, dict[str, Any]], table).items():
         where = f"{path}: parameters.{shown(name)}"
         ends = entry.get("interval_95")
-        right = ends is None or (isinstance(ends, list) and len(ends) == 2 and all(map(_number_or_none, ends)))
-        if not right:
-            raise InputError(f"{where}.interval_95: expected two numbers, found {shown(ends)}")
+        numbers = cast(list[Any], ends) if isinstance(ends, list) else []
+        if ends is not None and not (len(numbers) == 2 and all(map(_number_or_none, numbers))):
+            raise InputError(f"{where}.interval_95: expected two numbers, found {shown(entry.get('interval_95'))}")
         for key in ("value", "std"):
             if not _number_or_none(entry.get(key)):
                 raise InputError(f"{where}.{key}: expected a number, found {shown(entry[key])}")
@@ -221,6 +245,10 @@ def check_parameters(content: Mapping[str, Any], path: str | Path) -> None:
         for key in ("identified", "fixed"):
             if not isinstance(entry.get(key, False), bool):
                 raise InputError(f"{where}.{key}: expected true or false, found {shown(entry[key])}")
+
+
+def _list_of(value: Any, kind: type) -> bool:
+    return isinstance(value, list) and all(isinstance(entry, kind) for entry in cast(list[Any], value))
 
 
 def _number_or_none(value: object) -> bool:

@@ -16,7 +16,7 @@ from pixelid.fit.coordinates import Coordinates
 from pixelid.model.files import load_model, save_model
 from pixelid.model.model import Model
 from pixelid.parameters.parameter import Parameter, Prior
-from pixelid.results import Result, Table, check_parameters, interval, number, read_result, required
+from pixelid.results import Result, Table, check_kinds, check_parameters, interval, number, read_result, required
 from pixelid.status import Status
 
 if TYPE_CHECKING:
@@ -173,7 +173,16 @@ class FitResult(Result):
         """
         content = read_result(folder, cls.FILE)
         check_parameters(content, Path(folder) / cls.FILE)
+        check_kinds(
+            content, Path(folder) / cls.FILE,
+            text=("status", "advice", "engine", "observation"), a_list_of_texts=("unidentified", "recordings"),
+            a_number=("log_likelihood", "events", "pixels", "seconds", "seed"),
+            a_table=("covariance", "gauge", "details", "nuisances", "versions", "inputs_sha256"),
+        )  # fmt: skip
         with interpreting(Path(folder) / cls.FILE, "a fit"):
+            for name, words in content["details"].get("precision", {}).items():
+                if not isinstance(words, str):
+                    raise ValueError(f"details.precision.{name} is no text")
             (parameters, covariance, status) = required(content, folder, cls.FILE, "parameters", "covariance", "status")
             model = load_model(Path(folder) / "model.toml")
             nuisances = tuple(from_document(name, entry) for name, entry in content.get("nuisances", {}).items())

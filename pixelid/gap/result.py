@@ -15,7 +15,7 @@ from pixelid.gap.attribute.flexible import Flexible
 from pixelid.gap.confirm.free_run import FreeRun
 from pixelid.model.files import load_model, save_model
 from pixelid.model.model import Model
-from pixelid.results import Result, Table, interval, number, read_result, required
+from pixelid.results import Result, Table, check_kinds, interval, number, read_result, required
 from pixelid.status import Status
 
 if TYPE_CHECKING:
@@ -170,6 +170,12 @@ class GapReport(Result):
             InputError: no search there, or a damaged one.
         """
         content = read_result(folder, cls.FILE)
+        check_kinds(
+            content, Path(folder) / cls.FILE,
+            text=("verdict", "sentence", "status", "advice"), a_list_of_tables=("effects", "rounds"),
+            a_number=("global_p", "alpha", "seconds", "seed"),
+            a_table=("recommended_next", "details", "versions", "inputs_sha256"),
+        )  # fmt: skip
         with interpreting(Path(folder) / cls.FILE, "a gap search"):
             plain = ("verdict", "sentence", "remainder", "global_p", "alpha", "recommended_next", "seconds", "seed",
                      "details", "versions", "inputs_sha256")  # fmt: skip
