@@ -15,7 +15,6 @@ from pixelid.fit.objective import Local, Objective
 from pixelid.likelihood.density import NUMBERS, Gradient, Terms
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.likelihood.information import Information, Tangent
-from pixelid.likelihood.layout import StackedChanges
 from pixelid.stages.circuit import Circuit
 from pixelid.stages.comparator import threshold_shifts
 
@@ -41,10 +40,6 @@ class EventTimesObjective(Objective):
         if self._latest is None or self._latest[0] != key:
             self._latest = key, self.likelihood.terms(self.coordinates.circuit(x))
         return self._latest[1]
-
-    def density(self, x: np.ndarray) -> tuple[StackedChanges, Terms]:
-        """(changes, pieces) at x.  `terms` under its old name, until all callers have moved."""
-        return self.terms(x).changes, self.terms(x)
 
     def value(self, x: np.ndarray) -> float:
         return self.terms(x).total + self.coordinates.log_prior(x)

@@ -11,6 +11,7 @@ units of C_on) because it is the only part that depends on a threshold.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numba import njit
@@ -122,9 +123,6 @@ class ChangeEvaluator:
             np.maximum(np.searchsorted(t, when, side="right") - 1, 0)
             for when in (intervals.previous_s, intervals.time_s, intervals.last_s)
         )
-        self._last_located = Extremes(
-            *(np.full(len(part), -1) for part in (intervals, intervals.last_s, intervals.last_s))
-        )
 
     def trajectory(self, circuit: Circuit, keep: bool = False) -> Trajectory:
         """The pixel's trajectory under this recording's stimulus; `keep`: see `Trajectories.of`."""
@@ -134,33 +132,28 @@ class ChangeEvaluator:
         """Drop the remembered trajectory."""
         self._trajectories.forget()
 
-    @property
-    def extremes_at(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Samples of the extremes as last located.  Temporary: `fill` returns them."""
-        last = self._last_located
-        return last.opposite, last.rise, last.fall
-
-    def __call__(self, circuit: Circuit, locate: Extremes | bool = True) -> Changes:
+    def __call__(self, circuit: Circuit, locate: Extremes | Literal[True] = True) -> Changes:
         """The changes of every interval under `circuit`; `locate`: see `fill`."""
         events, pixels = np.empty((7, len(self.intervals))), np.empty((4, len(self.intervals.last_s)))
         self.fill(circuit, locate, events, pixels)
         return Changes(*events[:6], *pixels, early=events[6] > 0)
 
-    def fill(self, circuit: Circuit, locate: Extremes | bool, events: np.ndarray, pixels: np.ndarray) -> Extremes:
+    def fill(
+        self, circuit: Circuit, locate: Extremes | Literal[True], events: np.ndarray, pixels: np.ndarray
+    ) -> Extremes:
         """Write the changes under a circuit into rows, in the order of `PER_EVENT` and `PER_PIXEL`.
 
         Args:
             circuit: Of real numbers.
             locate: True looks for the extremes.  `Extremes` are taken where they are: near the circuit they were
-                located for the derivative does not see the position (envelope theorem).  False: where they were last
-                located; temporary, until callers pass `Extremes`.
+                located for the derivative does not see the position (envelope theorem).
             events: (7, n) to be filled.
             pixels: (4, m) to be filled.
 
         Returns:
             Where the extremes are.
         """
-        iv, looked_for = self.intervals, locate is True
+        iv, looked_for = self.intervals, not isinstance(locate, Extremes)
         trajectory, output = self._trajectories.of(circuit, keep=looked_for)
         shift = circuit.refractory - circuit.delay
         release, time, last = iv.previous_s + shift, iv.time_s - circuit.delay, iv.last_s + shift
@@ -181,7 +174,9 @@ class ChangeEvaluator:
             )  # fmt: skip
         np.less_equal(time, release, out=early)
 
-        if looked_for:
+        if isinstance(locate, Extremes):
+            extremes = locate
+        else:
             final = np.full(len(last), int(np.searchsorted(trajectory.t, iv.end_s, side="right")) - 1)
             up, near = np.ones(len(last)), (-np.inf, -np.inf)
             extremes = Extremes(
@@ -189,9 +184,6 @@ class ChangeEvaluator:
                 locate_extremes(trajectory, output, begun_last, up, final, near, drift_last),
                 locate_extremes(trajectory, output, begun_last, -up, final, near, drift_last),
             )
-            self._last_located = extremes
-        else:
-            extremes = locate if isinstance(locate, Extremes) else self._last_located
         at_samples(trajectory, output, begun, -iv.sign, extremes.opposite, drift, opposite, opposite_drift)
         for sign, at, rows in ((1.0, extremes.rise, pixels[:2]), (-1.0, extremes.fall, pixels[2:])):
             at_samples(trajectory, output, begun_last, np.full(len(last), sign), at, drift_last, *rows)

@@ -12,7 +12,7 @@ import numpy as np
 
 from pixelid.errors import InputError
 from pixelid.likelihood.changes import ChangeEvaluator
-from pixelid.likelihood.density import BACKGROUND_HZ, Terms, density, sum_by
+from pixelid.likelihood.density import Terms, density
 from pixelid.likelihood.extremes import Extremes
 from pixelid.likelihood.layout import StackedChanges, layout_of, read_only
 from pixelid.likelihood.sequences import sequences
@@ -20,9 +20,6 @@ from pixelid.parallel import map_threads
 from pixelid.recordings.recording import Recording
 from pixelid.stages.circuit import Circuit
 
-__all__ = ["STRAY_HZ", "EventTimes", "sum_by"]
-
-STRAY_HZ = BACKGROUND_HZ  # its old name, until all callers have moved
 NUDGE_S = 1e-7  # of the release, to find how a level depends on it: 1e-3 of a dead time, 1e7 times a float's rounding
 MOST_CLOCK_SHARE = 100.0  # a level that falls ten times as fast by its reset as it rises: the light has all but turned
 LARGE = 60_000  # samples and events, a few milliseconds of work, from which handing it to other threads pays
@@ -114,26 +111,20 @@ class EventTimes:
             extremes: Where they are, `extremes` of the changes under a circuit close by, whose derivatives do not see
                 the positions move; None: looked for.
         """
-        return self._changes(circuit, [True] * len(self.recordings) if extremes is None else extremes)
-
-    def _changes(self, circuit: Circuit, locate: Sequence[Extremes | bool]) -> StackedChanges:
         vector = np.empty(self.layout.size)
-        parts = list(zip(self.evaluators, locate, self.layout.per_recording(vector), strict=True))
+        where = [True] * len(self.recordings) if extremes is None else extremes
+        parts = list(zip(self.evaluators, where, self.layout.per_recording(vector), strict=True))
 
         def fill(part) -> Extremes:
             evaluator, at, rows = part
             return evaluator.fill(circuit, at, *rows)
 
-        extremes = map_threads(fill, parts, threads=None if self._large else 1)
-        changes = self.layout.stacked(vector, tuple(extremes))
+        located = map_threads(fill, parts, threads=None if self._large else 1)
+        changes = self.layout.stacked(vector, tuple(located))
         if self.threshold_factor is not None:
             for row in changes.events.of_level:
                 row /= self.threshold_factor
         return changes
-
-    def gathered(self, circuit: Circuit, locate: bool = True) -> StackedChanges:
-        """`changes` under its old name and with positions that evaluators remember, until all callers have moved."""
-        return self._changes(circuit, [locate] * len(self.recordings))
 
     def terms(self, circuit: Circuit, changes: StackedChanges | None = None) -> Terms:
         """The likelihood's pieces under a circuit; `changes` is `changes(circuit)` when it is known already."""
@@ -162,7 +153,3 @@ class EventTimes:
         other = copy(self)
         other.threshold_factor = None if factor is None else read_only(factor)
         return other
-
-    def weigh_clock(self, circuit: Circuit) -> None:
-        """Take over `clock_share` of `weighed(circuit)`.  For callers that still expect to change a likelihood."""
-        self.clock_share = self.weighed(circuit).clock_share

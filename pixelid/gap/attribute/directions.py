@@ -19,7 +19,8 @@ from pixelid.errors import InputError
 from pixelid.fit.maximise import Maximum
 from pixelid.gap.attribute.candidates import INVERSE, variants
 from pixelid.gap.detect.residuals import Residuals, compare, residuals, tangents
-from pixelid.likelihood.event_times import EventTimes, sum_by
+from pixelid.likelihood.density import sum_by
+from pixelid.likelihood.event_times import EventTimes
 from pixelid.model.model import Model
 
 MAX_RMS_MOVE_SD = 0.2  # of the residuals, at the strength at which a direction is taken: small enough to be linear

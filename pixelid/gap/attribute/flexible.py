@@ -14,7 +14,8 @@ import numpy as np
 
 from pixelid.gap.detect.covariates import Factor
 from pixelid.gap.detect.residuals import Residuals
-from pixelid.likelihood.event_times import EventTimes, sum_by
+from pixelid.likelihood.density import sum_by
+from pixelid.likelihood.event_times import EventTimes
 
 PRECISIONS = 10.0 ** np.arange(-2, 5)  # of the prior on a cell's shift: from none to all, in decades
 

@@ -24,7 +24,8 @@ from scipy.stats import norm
 from pixelid.gap.criteria import Criteria
 from pixelid.gap.detect.covariates import Factor
 from pixelid.gap.detect.residuals import Residuals, Tangents
-from pixelid.likelihood.event_times import EventTimes, sum_by
+from pixelid.likelihood.density import sum_by
+from pixelid.likelihood.event_times import EventTimes
 
 Scores = dict[tuple[str, str], float]  # (response, label) → score
 
