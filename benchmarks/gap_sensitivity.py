@@ -18,7 +18,7 @@ from collections import defaultdict
 from dataclasses import fields, replace
 from pathlib import Path
 
-from gap_certification import ALPHA, STRENGTHS, WITHHELD, camera, planted, session
+from gap_certification import ALPHA, camera, first_seeds, planted, session
 
 from pixelid.gap.criteria import Criteria
 from pixelid.gap.gap import gap
@@ -31,10 +31,9 @@ NAMES = tuple(field.name for field in fields(Criteria))
 
 def sessions() -> list[dict]:
     """The fixed set: {"effect", "seed", "left_out"} of each session."""
-    effects = sorted((*STRENGTHS, *WITHHELD))
-    first = {effect: 5000 + 100 * k for k, effect in enumerate(effects)}  # as in the certification
+    first = first_seeds()
     nulls = [{"effect": "", "seed": 1000 + i, "left_out": False} for i in range(NULLS)]
-    whole = [{"effect": effect, "seed": first[effect], "left_out": False} for effect in effects]
+    whole = [{"effect": effect, "seed": first[effect], "left_out": False} for effect in first]
     return [*nulls, *whole, *({"effect": e, "seed": first[e], "left_out": True} for e in LEFT_OUT)]
 
 
