@@ -269,7 +269,7 @@ def main() -> None:
 
     def keep(row: dict) -> None:
         rows.append(row)
-        options.out.write_text(json.dumps({"summary": summary(rows), "runs": rows}, indent=1) + "\n")
+        options.out.write_text(json.dumps({"summary": summary(rows), "runs": rows}, indent=1, default=float) + "\n")
         print(
             row["effect"] or "null",
             row["factor"],
