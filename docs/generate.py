@@ -147,6 +147,34 @@ def certification() -> str:
     )  # fmt: skip
 
 
+def sensitivity() -> str:
+    """What `benchmarks/gap_sensitivity.py` found: a row per criterion, halved and doubled."""
+    summary = of_json("docs/gap_sensitivity.json")["summary"]
+    halves: dict[str, list[dict]] = defaultdict(list)
+    for row in summary:
+        halves[row["criterion"]].append(row)
+    rows, turned = [], []
+    for name, pair in halves.items():
+        cells = [f"{r['some_decision_changes']} / {r['searched']} / {r['verdict_changes']}" for r in pair]
+        shares = ["open" if r["share"] is None else percent(r["share"]) for r in pair]
+        rows.append((f"`{name}`", f"{pair[0]['value']:g}", *cells, " and ".join(shares)))
+        turned += [(f"`{name}` = {r['changed_to']:g}", line.replace("->", "→")) for r in pair for line in r["which"]]
+    heads = (
+        "criterion", "value", "halved: decisions / searched / verdicts", "doubled: decisions / searched / verdicts",
+        "verdicts changed",
+    )  # fmt: skip
+    return "\n".join(
+        [
+            f"{summary[0]['sessions']} sessions. *Decisions*: sessions in which some decision on the way would be "
+            "another; *searched*: of these, searched again with the criterion changed; *verdicts*: of these, with "
+            "another verdict or name.\n",
+            table(heads, rows),
+            "**Verdicts that changed**\n",
+            table(("criterion", "session and verdict"), turned) if turned else "None.\n",
+        ]
+    )
+
+
 def single_sessions() -> str:
     """Single simulated sessions, recorded by hand as their verdicts were read."""
     recorded = of_json("docs/results/gap_sessions.json")
@@ -248,6 +276,7 @@ PAGES: dict[str, Callable[[], str]] = {
     "commands": commands,
     "lowlight": lowlight,
     "certification": certification,
+    "sensitivity": sensitivity,
     "single_sessions": single_sessions,
     "coverage": coverage,
     "ranks": ranks,
