@@ -4,8 +4,9 @@
 
 The fixed set is what the certification searched at typical strength: nulls, every effect, some with the planted effect
 left out of the library.  The certification noted for each session which changes of a criterion would turn some decision
-on the way (`decisions.py`).  All others cannot change the verdict.  Those sessions are searched again here, at most
-`--most` per change, drawn evenly; what was not searched counts like what was.  Runs are added to `--out` one by one, so
+on the way (`decisions.py`).  All others cannot change the verdict.  Where that leaves more than 2 % of the sessions in
+question, they are searched again here, at most `--most` per change, drawn evenly; what was not searched counts like what
+was, and where nothing was searched, all in question count as changed.  Runs are added to `--out` one by one, so
 the benchmark can be interrupted and continued.  `--share I/N` takes every N-th run, to divide the work among processes
 with a file each; `--merge FILE …` joins them.
 """
@@ -27,6 +28,7 @@ from pixelid.gap.gap import gap
 
 NAMES = tuple(field.name for field in fields(Criteria))
 MOST = 40  # searches per change: if none of 40 turns, fewer than 1 in 13 of those in question does (95 %)
+FEW = 0.02  # of the sessions: so few in question need no search
 Change = tuple[str, float]
 
 
@@ -89,7 +91,7 @@ def summary(sessions: dict[str, dict], runs: list[dict]) -> list[dict]:
     for (name, factor), keys in in_question(sessions).items():
         mine = done[name, factor]
         turned = [r for r in mine if not _same(r, sessions[r["session"]])]
-        share = len(turned) / len(mine) * len(keys) / len(sessions) if mine else (0.0 if not keys else None)
+        share = (len(turned) / len(mine) if mine else 1.0) * len(keys) / len(sessions)
         table.append(
             {
                 "criterion": name,
@@ -99,7 +101,7 @@ def summary(sessions: dict[str, dict], runs: list[dict]) -> list[dict]:
                 "some_decision_changes": len(keys),
                 "searched": len(mine),
                 "verdict_changes": len(turned),
-                "share": share,
+                "share_at_most" if not mine else "share": share,
                 "which": [f"{r['session']}: {_said(sessions[r['session']])} -> {_said(r)}" for r in turned],
             }
         )
@@ -117,7 +119,7 @@ def _said(row: dict) -> str:
 def _print(table: list[dict]) -> None:
     print(f"{'criterion':40}{'changed to':>11}{'decisions':>11}{'searched':>10}{'verdicts':>10}{'share':>8}")
     for row in table:
-        share = "open" if row["share"] is None else f"{100 * row['share']:.1f} %"
+        share = f"{100 * row['share']:.1f} %" if "share" in row else f"≤ {100 * row['share_at_most']:.1f} %"
         print(
             f"{row['criterion']:40}{row['changed_to']:>11.4g}{row['some_decision_changes']:>11}{row['searched']:>10}"
             f"{row['verdict_changes']:>10}{share:>8}"
@@ -145,7 +147,7 @@ def main() -> None:
     plan = [
         (name, factor, key)
         for (name, factor), keys in in_question(sessions).items()
-        if name in options.criteria
+        if name in options.criteria and len(keys) > FEW * len(sessions)
         for key in evenly(keys, options.most)
     ][first::step]
     until = time.monotonic() + 60.0 * options.minutes

@@ -156,7 +156,7 @@ def sensitivity() -> str:
     rows, turned = [], []
     for name, pair in halves.items():
         cells = [f"{r['some_decision_changes']} / {r['searched']} / {r['verdict_changes']}" for r in pair]
-        shares = ["open" if r["share"] is None else percent(r["share"]) for r in pair]
+        shares = [percent(r["share"]) if "share" in r else "≤ " + percent(r["share_at_most"]) for r in pair]
         rows.append((f"`{name}`", f"{pair[0]['value']:g}", *cells, " and ".join(shares)))
         turned += [(f"`{name}` = {r['changed_to']:g}", line.replace("->", "→")) for r in pair for line in r["which"]]
     heads = (
