@@ -4,9 +4,9 @@
 
 The fixed set is what the certification searched at typical strength: nulls, every effect, some with the planted effect
 left out of the library.  The certification noted for each session which changes of a criterion would turn some decision
-on the way (`decisions.py`).  All others cannot change the verdict.  Where that leaves more than 2 % of the sessions in
-question, they are searched again here, at most `--most` per change, drawn evenly; what was not searched counts like what
-was, and where nothing was searched, all in question count as changed.  Runs are added to `--out` one by one, so
+on the way (`decisions.py`).  All others cannot change the verdict.  Where that leaves more than 2 % of the sessions
+in question, they are searched again here, at most `--most` per change, drawn evenly; what was not searched counts like
+what was, and where nothing was searched, all in question count as changed.  Runs are added to `--out` one by one, so
 the benchmark can be interrupted and continued.  `--share I/N` takes every N-th run, to divide the work among processes
 with a file each; `--merge FILE …` joins them.
 """

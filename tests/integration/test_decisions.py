@@ -12,7 +12,7 @@ from decisions import FACTORS, Varied, combine, noted_decisions, plain
 from gap_sensitivity import changed
 
 from pixelid.gap.criteria import Criteria
-from pixelid.gap.detect.diagnostics import chance_of_background
+from pixelid.gap.detect import diagnostics
 
 
 @pytest.mark.parametrize("name", [field.name for field in fields(Criteria)])
@@ -29,7 +29,7 @@ def test_a_comparison_is_noted_exactly_where_its_outcome_changes(name):
 def test_changes_are_followed_through_arithmetic_and_functions():
     def chance(criteria):
         expected = criteria.max_unexplained_fraction * 20_000
-        return np.sqrt(2.0 * criteria.replicate_error_share + 1.0), chance_of_background(9, expected)
+        return np.sqrt(2.0 * criteria.replicate_error_share + 1.0), diagnostics.chance_of_background(9, expected)
 
     def sides(criteria):
         error, p = chance(criteria)
