@@ -46,7 +46,7 @@ def key_of(row: dict) -> str:
 def fixed_set(certification: Path) -> dict[str, dict]:
     """key → what the certification found, of nulls and of effects at their typical strength."""
     rows = json.loads(certification.read_text())["runs"]
-    return {key_of(row): row for row in rows if row["factor"] in (0.0, 1.0)}
+    return {key_of(row): row for row in rows if row["factor"] in (0.0, 1.0) and "decided_by" in row}
 
 
 def in_question(sessions: dict[str, dict]) -> dict[Change, list[str]]:
