@@ -16,7 +16,8 @@ from pixelid.errors import InputError
 from pixelid.figures.style import without_control_characters
 from pixelid.outputs import whole_file
 from pixelid.report import format as formats
-from pixelid.report.pages import PAGES, Page
+from pixelid.report.page import Page
+from pixelid.report.pages import PAGES
 from pixelid.report.pictures import Picture, read_picture
 from pixelid.results import check_parameters
 
