@@ -40,7 +40,9 @@ class Browser:
     def __init__(self, profile: Path) -> None:
         to_read, self._write = os.pipe()
         self._read, to_write = os.pipe()
-        flags = "--headless --no-sandbox --disable-gpu --disable-extensions --no-first-run --disable-background-networking"
+        flags = (
+            "--headless --no-sandbox --disable-gpu --disable-extensions --no-first-run --disable-background-networking"
+        )
         script = f'exec "{EXECUTABLE}" {flags} --user-data-dir="{profile}" --remote-debugging-pipe about:blank'
         self._process = subprocess.Popen(
             ["sh", "-c", f"{script} 3<&{to_read} 4>&{to_write}"],

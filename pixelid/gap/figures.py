@@ -55,7 +55,7 @@ class Searched(Protocol):
 def write_figures(report: Searched, recordings: Sequence[Recording], folder: Path) -> list[Path]:
     """Write the figures that apply as SVG into `folder`; returns their paths."""
     drawn = {"map": draw_map(report)}
-    if any(entry["candidates"] for entry in report.rounds):
+    if sum(len(entry["candidates"]) for entry in report.rounds) > 1:
         drawn["forest"] = draw_gains(report)
     if "after_jumps" in report.details:
         drawn["edges"] = draw_after_jumps(report)

@@ -6,8 +6,15 @@ from pathlib import Path
 from typing import Any
 
 from pixelid.documents import read_json
-from pixelid.report.format import count, counted, number, percent, seconds, value
+from pixelid.parameters.invariants import PHYSICAL_UNITS
+from pixelid.report.format import count, counted, in_its_unit, number, percent, seconds, value
 from pixelid.report.page import Number, Result, Summary, command_line, identified
+
+PHYSICAL_WORDS = {
+    "A_amp": "amplifier gain", "A_loop": "total loop gain", "tau_out": "output time constant",
+    "q_in": "input time constant × radiance", "q_mil": "Miller time constant × radiance",
+    "radiance_scale": "photocurrent per recorded unit",
+}  # fmt: skip
 
 
 def summarise_fit(result: Result, folder: Path) -> Summary:
@@ -31,8 +38,19 @@ def prepare_fit(result: Result, folder: Path) -> dict[str, Any]:
     truth = folder / "truth.json"
     return {
         "truth": read_json(truth) if truth.is_file() else None,
-        "physical": [[name, number(v)] for name, v in (result.get("physical") or {}).items()],
+        "physical": _physical(result),
     }
+
+
+def _physical(result: Result) -> list[list[str]]:
+    """Circuit values with intervals and units; which of them the gauge states."""
+    stated, ends = result["gauge"]["fixed"], result.get("physical_intervals_95") or {}
+    rows = []
+    for name, v in (result.get("physical") or {}).items():
+        shown = in_its_unit({"value": v, "interval_95": ends.get(name), "unit": PHYSICAL_UNITS.get(name, "")})
+        said = f"assumed: {stated[name]}" if isinstance(stated.get(name), float | int) else shown.interval
+        rows.append([name, PHYSICAL_WORDS.get(name, ""), shown.value, said, shown.unit])
+    return rows
 
 
 def summarise_compare(result: Result, folder: Path) -> Summary:

@@ -122,10 +122,10 @@ def chance(p: float | None) -> str:
 
 
 def sentence(text: object, capital: bool = True) -> str:
-    """A result's sentence as it stands on a page: capital, full stop, powers of ten instead of 1e+05.
+    """A result's sentence as it stands on a page: capital, full stop, numbers as people write them.
 
-    >>> sentence("between 1.7e+05 and 2e-06 Hz")
-    'Between 1.7 × 10⁵ and 2 × 10⁻⁶ Hz.'
+    >>> sentence("between 1.28e+03 and 2e-06 Hz")
+    'Between 1280 and 2 × 10⁻⁶ Hz.'
     >>> sentence("alpha stays open")
     'alpha stays open.'
     """
@@ -137,12 +137,12 @@ def sentence(text: object, capital: bool = True) -> str:
 
 
 def with_powers(text: str) -> str:
-    """A text whose numbers like 1.7e+05 are written as powers of ten.
+    """A text whose numbers like 1.7e+07 are written as people write them.
 
-    >>> with_powers("6.1e+04 … 2e-6")
-    '6.1 × 10⁴ … 2 × 10⁻⁶'
+    >>> with_powers("6.1e+07 … 2e-6")
+    '6.1 × 10⁷ … 2 × 10⁻⁶'
     """
-    return _POWER.sub(lambda m: f"{m[1]} × 10{str(int(m[2])).translate(_SUPERSCRIPT)}".replace("-", "−"), text)
+    return _POWER.sub(lambda m: number(float(m[0]), len(m[1].replace(".", "").lstrip("-"))), text)
 
 
 def percent(share: float | None, digits: int = 2) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from pixelid.report.format import count, interval, number, percent, seconds
+from pixelid.report.format import count, counted, interval, number, percent, seconds, sentence
 from pixelid.report.page import Number, Result, Summary, command_line
 
 
@@ -17,6 +17,7 @@ def summarise_inspect(result: Result, folder: Path) -> Summary:
         dead_time = Number("dead time", seconds(dead["value"]))
     else:
         dead_time = Number("dead time", "not visible")
+    worries = _worries(result)
     return Summary(
         "inspect",
         result["name"] or "Recording",
@@ -30,7 +31,8 @@ def summarise_inspect(result: Result, folder: Path) -> Summary:
             Number("hot pixels", str(result["hot_pixel_count"])),
         ),
         command_line("inspect", result, out=folder, seed=False),
-        "Health of the recording",
+        "Nothing in these events stands out" if not worries else f"Look at this first: {', '.join(worries)}",
+        healthy=not worries,
     )
 
 
@@ -54,7 +56,7 @@ def summarise_static_noise(result: Result, folder: Path) -> Summary:
         "inspect",
         "Noise of a still scene",
         "",
-        result["findings"][0] if result["findings"] else "",
+        result["findings"][-1] if result["findings"] else "",
         (
             Number("conditions", str(len(conditions))),
             Number("pixels", str(conditions[0]["pixels"])),
@@ -63,8 +65,35 @@ def summarise_static_noise(result: Result, folder: Path) -> Summary:
             Number("by light", number(leak["parasitic_hz_per_lux"], 2) if leak else "–", "Hz/lux" if leak else ""),
         ),
         command_line("inspect", result, out=folder),
-        "What the intervals show",
+        _leak_or_noise(conditions),
     )
+
+
+def _leak_or_noise(conditions: list[Result]) -> str:
+    """What kind of firing was seen, in one line."""
+    lights = {
+        kind: sorted({c["lux"] for c in conditions if c["kind"] == kind and c["rate_hz"]})
+        for kind in ("regular", "irregular")
+    }
+    said = [
+        f"{what} at {', '.join(f'{lux:g}' for lux in lights[kind])} lux"
+        for kind, what in (("regular", "a leak"), ("irregular", "noise")) if lights[kind]
+    ]  # fmt: skip
+    return sentence(" and ".join(said)).rstrip(".") if said else "Too few events to tell leak from noise"
+
+
+def _worries(result: Result) -> list[str]:
+    """What in a recording would disturb a fit of it."""
+    said = []
+    if result["lines"]:
+        said.append(f"the light or the readout repeats at {number(result['lines'][0]['frequency_hz'])} Hz")
+    if result["hot_pixel_count"]:
+        said.append(f"{counted(result['hot_pixel_count'], 'hot pixel')}")
+    if (result["ceiling"] or {}).get("saturated"):
+        said.append("the readout is saturated at times")
+    if result["duplicates"]:
+        said.append(f"{counted(result['duplicates'], 'event')} twice in the file")
+    return said
 
 
 def prepare_static_noise(result: Result, folder: Path) -> dict[str, Any]:
