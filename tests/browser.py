@@ -6,6 +6,7 @@ It is spoken to through its DevTools protocol over two pipes: nothing to install
 from __future__ import annotations
 
 import base64
+import fcntl
 import json
 import os
 import select
@@ -40,14 +41,19 @@ class Browser:
     def __init__(self, profile: Path) -> None:
         to_read, self._write = os.pipe()
         self._read, to_write = os.pipe()
-        flags = (
-            "--headless --no-sandbox --disable-gpu --disable-extensions --no-first-run --disable-background-networking"
-        )
-        script = f'exec "{EXECUTABLE}" {flags} --user-data-dir="{profile}" --remote-debugging-pipe about:blank'
+        ends = [fcntl.fcntl(end, fcntl.F_DUPFD, 10) for end in (to_read, to_write)]  # clear of 3 and 4
+
+        def give_ends() -> None:
+            for end, number in zip(ends, (3, 4), strict=True):
+                os.dup2(end, number)
+
+        words = "--headless --no-sandbox --disable-gpu --disable-extensions --no-first-run --remote-debugging-pipe"
         self._process = subprocess.Popen(
-            ["sh", "-c", f"{script} 3<&{to_read} 4>&{to_write}"],
-            pass_fds=(to_read, to_write), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+            [str(EXECUTABLE), *words.split(), f"--user-data-dir={profile}", "about:blank"],
+            pass_fds=(3, 4), preexec_fn=give_ends, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
         )  # fmt: skip
+        for end in ends:
+            os.close(end)
         os.close(to_read)
         os.close(to_write)
         self._buffer, self._count, self._session = b"", 0, ""
