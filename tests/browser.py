@@ -12,12 +12,16 @@ import os
 import select
 import shutil
 import subprocess
+import sys
 import time
 from pathlib import Path
 from typing import Any
 
 NAMES = ("chromium", "chromium-browser", "google-chrome")
 EXECUTABLE = next((path for name in NAMES if (path := shutil.which(name))), None)
+AS_3_AND_4 = (  # where the browser looks for its pipes
+    "import os, sys; os.dup2(int(sys.argv[1]), 3); os.dup2(int(sys.argv[2]), 4); os.execv(sys.argv[3], sys.argv[3:])"
+)
 PATIENCE_S = 60.0  # for one answer: a cold start on a busy machine takes ten
 # the elements that stick out at the right, but not those inside a box that scrolls by itself
 STICKING_OUT = """(() => {
@@ -42,15 +46,11 @@ class Browser:
         to_read, self._write = os.pipe()
         self._read, to_write = os.pipe()
         ends = [fcntl.fcntl(end, fcntl.F_DUPFD, 10) for end in (to_read, to_write)]  # clear of 3 and 4
-
-        def give_ends() -> None:
-            for end, number in zip(ends, (3, 4), strict=True):
-                os.dup2(end, number)
-
         words = "--headless --no-sandbox --disable-gpu --disable-extensions --no-first-run --remote-debugging-pipe"
+        command = [str(EXECUTABLE), *words.split(), f"--user-data-dir={profile}", "about:blank"]
         self._process = subprocess.Popen(
-            [str(EXECUTABLE), *words.split(), f"--user-data-dir={profile}", "about:blank"],
-            pass_fds=(3, 4), preexec_fn=give_ends, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+            [sys.executable, "-S", "-c", AS_3_AND_4, *map(str, ends), *command],
+            pass_fds=ends, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
         )  # fmt: skip
         for end in ends:
             os.close(end)

@@ -7,10 +7,10 @@ from collections.abc import Mapping
 import numpy as np
 
 from pixelid.fit.coordinates import Coordinates
+from pixelid.fit.draws import Z95
 from pixelid.model.model import Model
 from pixelid.parameters.invariants import INVARIANTS, PHYSICAL_NAMES, Physical
 
-NORMAL_95 = 1.959963984540054  # half width of the central 95 % of a normal distribution
 UNMOVED = 1e-9  # standard error of a logarithm below which the gauge holds a value, up to rounding
 
 
@@ -43,6 +43,6 @@ def physical_intervals(
     return {
         name: None
         if unknown or not v > UNMOVED**2
-        else tuple(float(values[name] * np.exp(side * NORMAL_95 * np.sqrt(v))) for side in (-1.0, 1.0))
+        else tuple(float(values[name] * np.exp(side * Z95 * np.sqrt(v))) for side in (-1.0, 1.0))
         for name, v, unknown in zip(PHYSICAL_NAMES, variance, is_open, strict=True)
     }  # type: ignore[return-value]
