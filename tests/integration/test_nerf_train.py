@@ -19,7 +19,7 @@ from pixelid.nerf import checkpoint
 from pixelid.nerf.dataset import read_dataset
 from pixelid.nerf.pixel import Bandwidth
 from pixelid.nerf.problem import problem_of
-from pixelid.nerf.reconstruct import reconstruct
+from pixelid.nerf.reconstruct import Reconstruction, reconstruct
 from pixelid.nerf.synthetic import make_dataset
 from pixelid.nerf.train import Recipe, start, step, train
 from pixelid.status import Status
