@@ -169,10 +169,20 @@ def compare(
 ) -> Comparison:
     """Fit every model and judge it on held-out pixels.
 
-    folds: the pixels are dealt at random into so many parts, each predicted by a fit to the others;
-    posteriors: also PSIS-LOO over pixels, from draws (slower).  progress(what, fraction) reports.
+    Args:
+        recordings: with pixel addresses and stimuli.
+        models: two or more, of different names.
+        folds: the pixels are dealt at random into so many parts, each predicted by a fit to the others.
+        between: how the stimulus runs between its samples: "linear", "smooth" or "auto".
+        seed: of the folds and of the fits' starts.
+        posteriors: also PSIS-LOO over pixels, from draws (slower).
+        progress: called with what is done and the fraction.
 
-    Raises InputError for fewer than two models, two of one name, and fewer pixels than folds.
+    Returns:
+        Every model's fit and held-out log-likelihood, and what to conclude.
+
+    Raises:
+        InputError: fewer than two models, two of one name, and fewer pixels than folds.
     """
     names = [model.name for model in models]
     if len(models) < 2 or len(set(names)) < len(names):

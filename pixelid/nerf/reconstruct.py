@@ -149,11 +149,28 @@ def reconstruct(
 ) -> Reconstruction:
     """Reconstruct the scene of a dataset.
 
-    fit: folder (or model file) of a fit whose pixel replaces the dataset's;  calibration: another pixel altogether;
-    background, scale, box: see `gauge`;  radiance_scale: the fit's radiance units per unit of the views;
-    resume: a checkpoint, continued when it exists and written as training goes on;  device: "cpu", "cuda" or "auto"
     Under `torchrun` every process takes its share of each batch; all return the same.
-    Raises InputError for input that cannot be used.
+
+    Args:
+        dataset: as read.
+        fit: folder (or model file) of a fit whose pixel replaces the dataset's.
+        calibration: another pixel altogether.
+        bandwidth: the pixel's filter, known, ignored or trained.
+        recipe: of the training.
+        background: radiance behind the scene; by default what the views show.
+        scale: what pins the radiance unit: "auto", "level" or "free" (see `gauge`).
+        box: corners of the scene, x0 y0 z0 x1 y1 z1; by default a cube where the camera looks.
+        radiance_scale: the fit's radiance units per unit of the views.
+        resume: a checkpoint, continued when it exists and written as training goes on.
+        device: "cpu", "cuda" or "auto".
+        seed: of everything random.
+        progress: called with what is done and the fraction.
+
+    Returns:
+        The scene, with the scores of its test views.
+
+    Raises:
+        InputError: input that cannot be used.
     """
     watch = time.perf_counter()
     bandwidth = Bandwidth() if bandwidth is None else bandwidth
