@@ -55,7 +55,7 @@ def render_views(field: Field, views: Views, dark, *, supersample: int = 1, engi
         views: where from; their images are not looked at.
         dark: (C,) black level that the field does not hold.
         supersample: rays per pixel and side.
-        engine: of the renderer, "auto", "compiled" or "torch".
+        engine: of the renderer, "auto", "compiled" or "tensors".
 
     Returns:
         (n, H, W, C) radiance, the black level included.

@@ -180,12 +180,24 @@ def fit_sensor(
 ) -> SensorFit:
     """Maps of both thresholds and of one bandwidth parameter over a sensor under full-field light.
 
-    model: the population's values (a fitted model); bandwidth: the parameter mapped, "" for thresholds alone;
-    block: side of the groups of pixels that share a bandwidth;  tile: side of the units of work;
-    replicates: of the bootstrap over pixels;  reach: half width of the scan in log bandwidth;
-    keep: folder where finished tiles stay, so that an interrupted run goes on (it belongs to one set of inputs).
+    Args:
+        recordings: of one sensor, with pixel addresses and stimuli.
+        model: the population's values, as of a fit.
+        bandwidth: the parameter mapped; "" for thresholds alone.
+        block: side of the groups of pixels that share a bandwidth.
+        tile: side of the units of work.
+        replicates: of the bootstrap over pixels.
+        reach: half width of the scan in log bandwidth.
+        where: the processes or cluster that work.
+        keep: folder where finished tiles stay, so that an interrupted run goes on; it belongs to one set of inputs.
+        seed: of the bootstrap.
+        progress: called with what is done and the fraction.
 
-    Raises InputError for recordings or options that do not fit together.
+    Returns:
+        A map of each parameter, every pixel shrunk towards the population by what its own events say.
+
+    Raises:
+        InputError: recordings or options that do not fit together.
     """
     begun = time.perf_counter()
     report = progress or (lambda what, fraction: None)
