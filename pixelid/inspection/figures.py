@@ -54,8 +54,8 @@ def draw_intervals(recording: Recording, health: Health, axis: Any = None) -> An
         axis.hist(intervals, bins, histtype="step", color=INK, linewidth=0.9)
         axis.set(xscale="log", yscale="log")
     dead = health.dead_time
-    bound = dead.kind == "upper_bound" and dead.interval_95 is not None
-    at = dead.interval_95[1] if bound and dead.interval_95 else dead.value_s
+    bound = dead.kind == "upper_bound" and dead.interval_95_s is not None
+    at = dead.interval_95_s[1] if bound and dead.interval_95_s else dead.value_s
     if at is not None:
         label = f"dead time ≤ {seconds(at)}" if bound else f"dead time {seconds(at)}"
         axis.axvline(at, color=UNEXPLAINED, ls="--", label=label)

@@ -59,6 +59,7 @@ def of_still_scene(folder: Path) -> Path:
     rng = np.random.default_rng(1)
     for polarity in ("pos", "neg"):
         below = np.cumsum(rng.poisson(0.4, (40, 72)), axis=1)  # pixels, edges of 1/interval: as the files have them
+        below[:, -1] = 0
         np.save(folder.with_name(f"n_{polarity}_0.1lux.npy"), below)
     files = [str(folder.with_name(f"n_{polarity}_0.1lux.npy")) for polarity in ("pos", "neg")]
     assert main(["inspect", *files, "--out", str(folder), "--quiet"]) == 0
