@@ -91,8 +91,12 @@ def _still_scene(
         hashes = input_hashes(files)
         result = plain({**asdict(noise), "seed": seed, "versions": versions(), "inputs_sha256": hashes})
         if out is not None:
+            from pixelid.figures.style import save_figure
+            from pixelid.inspection.figures import draw_static_noise
+
             with whole_folder(out, overwrite) as folder:
                 write_json(folder / "static_noise.json", result)
+                save_figure(draw_static_noise(noise), folder / "conditions.svg")
                 write_report(folder)
     if as_json:
         click.echo(json.dumps(result, indent=2))

@@ -116,6 +116,21 @@ class Gauge:
             )
         return Physical(**dict(zip(PHYSICAL_NAMES, np.exp(solution.x).tolist(), strict=True)))
 
+    def response(self, at: Physical) -> np.ndarray:
+        """How the physical values follow the invariants under this gauge.
+
+        Args:
+            at: the physical values.
+
+        Returns:
+            (6, 3) derivatives of their logs, in `PHYSICAL_NAMES` order, by (ln α, ln β, ln γ).
+
+        Raises:
+            InputError: the gauge is incomplete or over-determined.
+        """
+        self.check(at)
+        return np.linalg.inv(np.vstack([log_jacobian(at), self._rows()]))[:, : len(INVARIANTS)]
+
 
 def _number(value: object) -> float | None:
     """`value` as a number, None when it is none."""

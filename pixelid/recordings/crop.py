@@ -22,10 +22,12 @@ def crop(
     """The events inside a region, a span of time, and as many pixels as asked.
 
     Args:
+        recording: that is cut.
         roi: (x0, y0, x1, y1), columns x0 ≤ x < x1 and rows y0 ≤ y < y1; addresses stay as they are.
         time_s: (from, to), seconds on the recording's clock; the light before `from` stays, the pixel remembers it.
         pixels: how many of the pixels that have events, chosen at random by `seed`.
         without: flat pixel indices to leave out, hot ones say.
+        seed: of the choice of pixels.
 
     Returns:
         The recording with fewer events, everything else as before; light of each pixel's own stays whole.
