@@ -2,8 +2,8 @@ r"""The improved ESIM of Deblur e-NeRF (Low & Lee, ECCV 2024): a file of flags.
 
 Read from github.com/wengflow/rpg_esim at 839166d.  Images of intensity 0 … 1; photocurrent I = ratio ×
 intensity + dark; second-order photoreceptor, first-order lower cutoff, follower and amplifier, a reset with
-exponential return; thresholds of each pixel drawn once; a leak of the mean ON threshold.  Charges: Q = C V_T, so that q of
-1 fA·s at 25 mV is 40 fF.
+exponential return; thresholds of each pixel drawn once; a leak of the mean ON threshold.
+Charges: Q = C V_T, so that q of 1 fA·s at 25 mV is 40 fF.
 """
 
 from __future__ import annotations

@@ -1,9 +1,8 @@
 r"""v2e (Hu, Liu & Delbruck, CVPRW 2021, arXiv 2006.07722): options of `v2e.py`.
 
 Read from github.com/SensorsINI/v2e at cac6384.  Images of DN = 0 … 255 grey levels; ln DN above DN 20 and a line
-through 0 below it; a first-order low-pass of corner cutoff_hz × (DN + 20)/275,
- stepped from frame to frame; thresholds of each
-pixel drawn once; a dead time that keeps the reference of the last event.
+through 0 below it; a first-order low-pass of corner cutoff_hz × (DN + 20)/275, stepped from frame to frame;
+thresholds of each pixel drawn once; a dead time that keeps the reference of the last event.
 """
 
 from __future__ import annotations

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from pixelid.conform.row import strengths_in_words
 from pixelid.documents import read_json
 from pixelid.errors import InputError
 from pixelid.model.files import load_model
@@ -482,7 +483,44 @@ def _sensor_more(result: Result, folder: Path) -> dict[str, Any]:
     }  # fmt: skip
 
 
+def _conform(result: Result, folder: Path) -> Summary:
+    counts = result["counts"]
+    return Summary(
+        "conform",
+        f"The signal path of {result['sensor'] or 'these recordings'}",
+        result["verdict"],
+        result["sentence"],
+        (
+            Number("has", counted(counts["present"], "effect")),
+            Number("lacks", counted(counts["absent"], "effect")),
+            Number("not decidable", counted(counts["not_decidable"], "effect")),
+            Number("not tested", counted(counts["not_tested"], "effect")),
+            Number("time taken", seconds(result.get("seconds"))),
+        ),
+        command_line("conform", result, "--model", str(result["base"]), out=folder),
+    )
+
+
+def _conform_more(result: Result, folder: Path) -> dict[str, Any]:
+    rows = [
+        [
+            row["stage"].replace("_", " "),
+            row["effect"],
+            row["verdict"].replace("_", " "),
+            strengths_in_words(row),
+            number(row["evidence"]["p_value"], 2),
+            number(row["evidence"]["heldout_gain_nats"], 3),
+            row["evidence"]["why"],
+        ]
+        for row in result["rows"]
+    ]
+    cells = [[c["response"], c["where"], number(c["score"], 3), str(c["events"])] for c in result["departs"]]
+    left = [[c["response"], c["where"], number(c["score"], 3), str(c["events"])] for c in result["left"]]
+    return {"rows": rows, "departs": cells, "left": left}
+
+
 PAGES = (
+    Page("conform.json", "conform.html", _conform, _conform_more),  # before gap.json, which lies beside it
     Page("gap.json", "gap.html", _gap, _gap_more),
     Page("fit.json", "fit.html", _fit, _fit_more),
     Page("lowlight.json", "lowlight.html", _lowlight, _lowlight_more),
