@@ -90,7 +90,7 @@ def _readout(state: State) -> dict[str, str | None]:
     unit = max((r.events.tick_ns for r in state.recordings), default=1) * 1e-9
     pixels = len(np.unique(np.concatenate([np.unique(r.events.pixel) for r in state.recordings])))
     told: dict[str, str | None] = {
-        "timestamp_quantisation": f"no grid coarser than the file's unit of {unit:.3g} s, nor one that the intervals of "
+        "timestamp_quantisation": f"no grid coarser than the file's unit of {unit:.3g} s, nor one that intervals of "
         "pixels would show" if events >= MIN_EVENTS else None,
         "readout_latency": "no shortest wait between pixels" if events >= 5 * MIN_ATOM_EVENTS else None,
         "hot_pixels": "no pixel fires where the others are silent" if pixels >= MIN_PIXELS else None,

@@ -28,12 +28,12 @@ def parameters(model, to, light=None):
 
 
 def mean_delay_of_step(model, level: float) -> float:
-    """∫ (1 − y) dt [s] of a step of 1 % of the light, from the trajectory that simulator and fit use."""
+    """∫ (1 − y) dt [s] of a step of 1 % up to a light, from the trajectory that simulator and fit use."""
     t = np.concatenate([[0.0], np.geomspace(1e-9, 5.0, 40_000)])
-    radiance = np.full(len(t), level * 1.01)
-    radiance[0] = level
+    radiance = np.full(len(t), level)
+    radiance[0] = level / 1.01
     path = integrate(t, radiance, dynamics_of(model.circuit()))
-    y = (path.stage("differencing") - math.log(level)) / math.log(1.01)
+    y = 1.0 + (path.stage("differencing") - math.log(level)) / math.log(1.01)
     return float(np.trapezoid(1.0 - y, t))
 
 
@@ -155,7 +155,8 @@ def test_esim_flags_of_the_nominal_circuit():
     p = parameters(find_model("dvs128"), "esim", Light(2000.0, 2000.0))
     expected = {"photodiode_cap_ff": 35.0, "miller_cap_ff": 0.6, "thermal_voltage_mv": 25.0, "back_gate_coeff": 0.7,
                 "amplifier_gain": 140.0, "output_time_const_us": 1815.0, "I_p_to_intensity_ratio_fa": 2000.0,
-                "sf_cutoff_freq_hz": 3122.0, "diff_amp_cutoff_freq_hz": 16000.0, "refractory_period_ns": 100000}  # fmt: skip
+                "sf_cutoff_freq_hz": 3122.0, "diff_amp_cutoff_freq_hz": 16000.0,
+                "refractory_period_ns": 100000}  # fmt: skip
     assert {name: p[name] for name in expected} == pytest.approx(expected, rel=1e-6)
 
 
