@@ -121,14 +121,14 @@ def of_iebcs(folder: Path, p: dict) -> dict:
             continue
         e = camera.update(frame, round(1e6 * STEP_S))
         n = e.i
-        t.append(e.ts[:n] * 1e-6), x.append(e.x[:n]), y.append(e.y[:n]), polarity.append(e.p[:n])
-    return summary(*(np.concatenate(one) for one in (t, x, y)), np.concatenate(polarity) == 1)
+        for column, values in ((t, e.ts * 1e-6), (x, e.x), (y, e.y), (polarity, e.p)):
+            column.append(values[:n])
+    return summary(np.concatenate(t), np.concatenate(x), np.concatenate(y), np.concatenate(polarity) == 1)
 
 
 def of_dvs_voltmeter(folder: Path, p: dict) -> dict:
     import torch
 
-    sys.modules.setdefault("easydict", types.SimpleNamespace(EasyDict=dict))
     package = types.ModuleType("voltmeter")
     package.__path__ = [str(folder / "src")]
     sys.modules["voltmeter"] = package
@@ -174,7 +174,9 @@ def filter_of_deblur_e_nerf(folder: Path, model) -> float:
         sys.modules[name] = types.ModuleType(name)
         sys.modules[name].__path__ = [str(path)]
     datasets = types.SimpleNamespace(Event=types.SimpleNamespace(load_camera_calibration=lambda folder: arrays))
-    sys.modules["denerf.data"] = types.SimpleNamespace(datasets=datasets)
+    data = types.ModuleType("denerf.data")
+    vars(data)["datasets"] = datasets
+    sys.modules["denerf.data"] = data
     bandwidth = importlib.import_module("denerf.models.pixel_bandwidth")
     theirs = bandwidth.PixelBandwidth(".", 0, 1.0, types.SimpleNamespace(max_sample_lifetime=0.95))
     n = 400

@@ -14,8 +14,7 @@ from pixelid.export.light import Light
 from pixelid.outputs import plain
 from pixelid.results import Table
 
-# A number, one per colour channel, or a setting in words.
-Setting = float | int | str
+Setting = float | int
 
 
 @dataclass(frozen=True)
@@ -25,7 +24,7 @@ class Entry:
     Attributes:
         name: As the simulator calls it.
         value: In its unit.
-        unit: "" for pure numbers and words.
+        unit: "" for pure numbers.
         meaning: What it was made from.
     """
 

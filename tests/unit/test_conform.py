@@ -74,7 +74,9 @@ def test_absence_needs_that_it_would_have_been_seen():
 
 def test_the_limit_of_a_pole_is_above_its_typical_cutoff():
     details = {"shows_at_typical_strength_nats": {"source_follower_pole": 500.0}}
-    name, value = rows(report(details=details, base="photoreceptor"))["source_follower_pole"].limit
+    limit = rows(report(details=details, base="photoreceptor"))["source_follower_pole"].limit
+    assert limit is not None
+    name, value = limit
     assert name == "sf_cutoff_hz"
     assert value == pytest.approx(3122.0 * (500.0 / 5.0) ** 0.5)
 
@@ -88,7 +90,6 @@ def test_what_would_gain_and_was_refused_is_not_absent():
 
 
 def test_what_the_structure_forbids_is_not_tested():
-    row = rows(report(rounds=[a_round(screened_nats={}, skipped={"slew_limit": "needs both poles"}, candidates=())]))
     rounds = [a_round([candidate("leak", 1.0, 0.0, 1.0)], skipped={"slew_limit": "needs both poles"})]
     row = rows(report(rounds=rounds))["slew_limit"]
     assert (row.verdict, row.why) == ("not_tested", "needs both poles")
