@@ -77,9 +77,8 @@ def _in_base(effect: str, report: GapReport, beside: Beside, criteria: Criteria)
     if removal is not None and removal.needed:
         return Row(effect, own.stage, PRESENT, "the base model has it, and fits worse without it", strengths, *said)
     if limits is None:
-        return Row(
-            effect, own.stage, NOT_TESTED, "the base model has it, at a value that is not fitted", strengths, *said
-        )
+        why = "the base model has it; it was not taken out" if removal is None else "the base model has it, not fitted"
+        return Row(effect, own.stage, NOT_TESTED, why, strengths, *said)
     weakest, strongest = _relative(effect, limits, free.value)
     if removal is None and weakest > criteria.min_relative_strength:
         return Row(effect, own.stage, PRESENT, "the base model has it; its interval excludes none", strengths)
