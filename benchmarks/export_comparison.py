@@ -206,8 +206,8 @@ def main() -> None:
         ours = of_pixelid(model)
         for name, run in runs.items():
             folder = folders[name.replace("-", "_")]
-            if folder is None:
-                continue
+            if folder is None or (name == "iebcs" and model.photoreceptor == "unlimited"):
+                continue  # without delays IEBCS never leaves its loop
             to = "esim" if name == "evlib" else name
             exported = export(model, to, Light(level=LEVEL), SEED)
             theirs = run(folder, exported.parameters)

@@ -88,6 +88,8 @@ def _lost(model: Model, light: Light, late: float, noise: NoiseRates) -> list[st
         )
     if model.photoreceptor == "unlimited":
         sentences.append("unlimited bandwidth: tau = 0 divides by zero in IEBCS; give it 1e-6 and no less.")
+    if circuit.refractory + lag_of(circuit).differencing < 1e-6:
+        sentences.append("delays below 1 µs: IEBCS counts whole µs, and loops without end where lat + ref are less.")
     if circuit.bandwidth_floor > 0:
         carried["bandwidth_floor"] = "the time constant is right at the level; IEBCS adds one image unit instead."
     if circuit.dark == 0:
