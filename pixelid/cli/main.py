@@ -29,6 +29,8 @@ COMMANDS = {
     "lowlight": "Dominant-pole analysis over radiance.",
     "design": "Which stimulus to record next, and why.",
     "gap": "Which effect a model lacks: find it, name it, add it.",
+    "conform": "What of the signal path a simulator or camera has, effect by effect.",
+    "export": "A circuit in the parameters of another simulator.",
     "reconstruct": "A sharp scene from motion-blurred events.",
     "report": "A one-page report.html for any result folder.",
     "demo": "The whole story on embedded data, minutes on a laptop.",

@@ -34,6 +34,8 @@ MAY_IMPORT["tables"] = MAY_IMPORT["simulate"] | {"simulate"}  # observation mode
 for folder in ("sample", "compare", "lowlight", "design"):  # what follows from a fit
     MAY_IMPORT[folder] = MAY_IMPORT["fit"] | {"fit", "sample"}
 MAY_IMPORT["gap"] = MAY_IMPORT["fit"] | {"fit", "design", "inspection"}
+MAY_IMPORT["conform"] = MAY_IMPORT["gap"] | {"gap"}  # the gap's verdict, effect by effect
+MAY_IMPORT["export"] = BASE | {"model", "parameters", "stages"}  # simulates where a rate has to be counted
 MAY_IMPORT["nerf"] = MAY_IMPORT["fit"]  # nothing but report, demo and cli uses it
 MAY_IMPORT["report"] = set(MAY_IMPORT)
 MAY_IMPORT["demo"] = set(MAY_IMPORT)

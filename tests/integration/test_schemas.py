@@ -153,6 +153,22 @@ def test_reconstruct(tmp_path):
     check("reconstruction", written(tmp_path / "out" / "reconstruction.json"))
 
 
+@pytest.mark.parametrize("to", ["v2e", "iebcs", "esim", "deblur-e-nerf", "dvs-voltmeter"])
+def test_export(to, tmp_path):
+    run("export", "dvs128", "--to", to, "--out", tmp_path / "out.json", "--quiet")
+    check("export", written(tmp_path / "out.json"))
+
+
+@pytest.mark.slow
+def test_conform(session, tmp_path):
+    run("conform", session, "--model", "dvs128", "--out", tmp_path / "out", "--quiet")
+    document = written(tmp_path / "out" / "conform.json")
+    check("conform", document)
+    assert {row["effect"]: row["verdict"] for row in document["rows"]}["leak"] == "present"
+    check("gap", written(tmp_path / "out" / "gap.json"))
+    assert (tmp_path / "out" / "report.html").is_file()
+
+
 @pytest.mark.slow
 def test_gap(session, tmp_path):
     run("gap", session, "--model", "dvs128", "--out", tmp_path / "out", "--quiet")
