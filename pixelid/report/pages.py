@@ -286,6 +286,26 @@ def _rates(result: Result, folder: Path) -> Summary:
     )
 
 
+def _latency(result: Result, folder: Path) -> Summary:
+    medians = {name: errors["median"] for name, errors in result["errors"].items() if "median" in errors}
+    missed = [error["rms_without_spoiled"] for error in medians.values() if error["rms_without_spoiled"] is not None]
+    return Summary(
+        "latency",
+        f"First-event latency of {', '.join(result['cameras'])}",
+        result["status"],
+        result.get("advice", ""),
+        (
+            Number("rows", str(len(result["rows"]))),
+            Number("medians missed by", percent(max(missed)) if missed else "–", "rms, worst camera"),
+            Number("rows spoiled", str(sum(row["spoiled"] for row in result["rows"]))),
+            _known(result),
+            Number("time taken", seconds(result.get("seconds"))),
+        ),
+        command_line("latency", result, out=folder),
+        "Measured and predicted",
+    )
+
+
 def _flicker(result: Result, folder: Path) -> Summary:
     frequency, groups = result["frequency_hz"], result["groups"]
     locked = sum(g["amplitude_over_on_threshold"]["identified"] and g["phase_cycles"]["identified"] for g in groups)
@@ -488,6 +508,7 @@ PAGES = (
     Page("lowlight.json", "lowlight.html", _lowlight, _lowlight_more),
     Page("design.json", "design.html", _design, _design_more),
     Page("rates.json", "rates.html", _rates),
+    Page("latency.json", "latency.html", _latency),
     Page("flicker.json", "flicker.html", _flicker, _flicker_more),
     Page("reconstruction.json", "reconstruction.html", _reconstruction, _reconstruction_more),
     Page("inspect.json", "inspect.html", _inspect, _inspect_more),
