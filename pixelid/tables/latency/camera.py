@@ -28,6 +28,7 @@ from pixelid.tables.latency.settings import between
 from pixelid.tables.latency.spread import Regions, Spread, statistics
 from pixelid.tables.latency.steps import changes, noise_level
 
+UNIT = "W/m2"  # as stimuli write it
 OFF_FRACTION = 0.2  # of a light that is "off", where nobody says: lamps glow, rooms are lit; the prior of fits
 SCATTER = 0.05  # of a table about its model, where no fit says: latencies of a region repeat within 1 to 13 %
 DELAY_SIGMA = 0.2  # subthreshold currents of a Vth that varies by 5 to 10 mV
@@ -95,7 +96,14 @@ class Camera:
         return between(thresholds, bias, logarithmic=False), between(delays, bias, logarithmic=True)
 
     def predict(self, table: LatencyTable) -> dict[str, np.ndarray]:
-        """Statistic → (rows,) seconds, of the table's irradiances, settings and edges."""
+        """Statistic → (rows,) seconds, of the table's irradiances, settings and edges.
+
+        Raises:
+            InputError: for a model whose radiance is not in W/m², and for a setting without a threshold.
+        """
+        if self.model.radiance_unit not in (UNIT, "W/m²"):
+            found = self.model.radiance_unit
+            raise InputError(f"model {self.model.name}: expected radiance in {UNIT}, as irradiances are, found {found}")
         pairs = [
             self.threshold_and_delay(str(setting), float(bias), bool(on))
             for setting, bias, on in zip(table.setting, table.bias, table.on, strict=True)

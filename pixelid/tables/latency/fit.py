@@ -41,7 +41,6 @@ class LatencyFit:
     """A fitted table: one fit per camera, and how long it took."""
 
     table: LatencyTable
-    cells: Cells
     fits: tuple[CameraFit, ...]
     seconds: float
 
@@ -77,7 +76,7 @@ def fit_latency(
         fits.append(fit_camera(name, gather(table.select(table.camera == name)), start=begin))
         if progress is not None:
             progress((k + 1) / len(names))
-    return LatencyFit(table, gather(table), tuple(fits), time.perf_counter() - began)
+    return LatencyFit(table, tuple(fits), time.perf_counter() - began)
 
 
 def fit_camera(name: str, cells: Cells, *, one_delay: bool = False, start: Camera | None = None) -> CameraFit:

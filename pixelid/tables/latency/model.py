@@ -11,13 +11,12 @@ import numpy as np
 
 from pixelid.model.model import Model, expected_parameters
 from pixelid.parameters.parameter import Parameter, Prior
-from pixelid.tables.latency.camera import DELAY_SIGMA, OFF_FRACTION, Camera, Setting, predict
+from pixelid.tables.latency.camera import DELAY_SIGMA, OFF_FRACTION, UNIT, Camera, Setting, predict
 from pixelid.tables.latency.cells import Cells
 from pixelid.tables.latency.reading import STATISTICS, TIMESTAMP_S
 from pixelid.tables.latency.spread import Spread
 from pixelid.tables.model import Rows
 
-UNIT = "W/m²"
 EFFECTS = (
     "dark_current", "shot_noise", "source_follower_pole", "differencing_pole", "threshold_mismatch", "threshold_noise"
 )  # fmt: skip
@@ -35,12 +34,12 @@ def _log(name: str, value: float, unit: str, lower: float, upper: float, sd: flo
 
 # A prior of sd 3 spans a factor 400 both ways: the order of magnitude of any sensor
 SHARED = (
-    _log("alpha_over_beta", 1e5, "rad/s/(W/m²)", 1.0, 1e10, 4.0),
-    _log("beta", 1e5, "1/s", 1e2, 1e8, 2.0),
+    _log("alpha_over_beta", 1e5, "rad/s/(W/m²)", 1.0, 1e8, 4.0),
+    _log("beta", 1e5, "1/s", 1e2, 1e7, 2.0),
     _log("sf_cutoff_hz", 5e3, "Hz", 1.0, 1e7, 2.5),
     _log("diff_cutoff_hz", 2e4, "Hz", 10.0, 1e7, 2.0),
-    _log("dark_current.radiance", 1e-4, "W/m²", 1e-8, 1.0, 3.0),
-    _log("shot_noise.density", 1e-7, "W/m²/Hz", 1e-14, 1e-2, 3.0),
+    _log("dark_current.radiance", 1e-4, "W/m²", 1e-6, 1.0, 3.0),
+    _log("shot_noise.density", 1e-7, "W/m²/Hz", 1e-12, 1e-2, 3.0),
     _log("threshold_mismatch.sigma", 0.1, "1", 1e-3, 1.0, 1.0),
     _log("threshold_sigma", 0.1, "1", 1e-3, 1.0, 1.0),
     _log("delay_sigma", DELAY_SIGMA, "1", 1e-2, 1.0, 1.0),

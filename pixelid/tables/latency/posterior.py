@@ -7,16 +7,17 @@ proposals (`sample.ensembles.moves`); they are compared by nested R̂ (`sample.c
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pixelid.sample.convergence import Convergence, convergence
-from pixelid.sample.ensembles import moves
-from pixelid.sample.proposal import Proposal
 from pixelid.status import Status
 from pixelid.tables.fit import FREEDOM, slopes
 from pixelid.tables.latency.fit import CameraFit, LatencyFit
+
+if TYPE_CHECKING:
+    from pixelid.sample.convergence import Convergence
+    from pixelid.sample.proposal import Proposal
 
 STEPS = 1500
 ENSEMBLES = 2
@@ -46,6 +47,9 @@ def log_posterior(fit: CameraFit, z: np.ndarray) -> float:
 def sample_camera(fit: CameraFit, seed: int, steps: int = STEPS) -> tuple[np.ndarray, Convergence]:
     """(chain (ensembles, steps, walkers, d), convergence) after a burn-in of a third; the last coordinate is ln σ."""
     import emcee
+
+    from pixelid.sample.convergence import convergence
+    from pixelid.sample.ensembles import moves
 
     proposal = _gaussian(fit)
     d = len(proposal.centre)
@@ -94,6 +98,8 @@ def sample_fit(fit: LatencyFit, seed: int, folder: Path, steps: int = STEPS) -> 
 
 def _gaussian(fit: CameraFit) -> Proposal:
     """The Gaussian about the maximum, ln σ beside x."""
+    from pixelid.sample.proposal import Proposal
+
     regression, model = fit.regression, fit.model
     rows, x = model.rows, regression.x
     d = rows.last_digit

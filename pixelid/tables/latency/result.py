@@ -88,7 +88,12 @@ def save_fit(fit: LatencyFit, folder: Path, extra: Mapping[str, Any] | None = No
         place = folder if len(fit.fits) == 1 else folder / _file_name(one.name)
         place.mkdir(exist_ok=True)
         save_camera(described(one, fit.table), place / "model.toml")
-    return _write({**fitted_result(fit), **(extra or {})}, folder)
+    result = {**fitted_result(fit), **(extra or {})}
+    unsettled = [name for name, said in result.get("posterior", {}).items() if said["status"] != Status.converged]
+    if unsettled:
+        result["status"] = Status.worst([result["status"], Status.not_converged])
+        result["advice"] = f"{result['advice']} {', '.join(unsettled)}: the posterior's chains have not settled".strip()
+    return _write(result, folder)
 
 
 def save_prediction(table: LatencyTable, cameras: Sequence[Camera], folder: Path, *inputs: Path) -> dict[str, Any]:
@@ -273,8 +278,8 @@ def _delay_sentences(cameras: Sequence[Camera]) -> list[str]:
 def _open(one: CameraFit, entries: Mapping[str, Any]) -> list[str]:
     said = open_sentences(entries)
     said.append(
-        "thresholds are in units of the light's swing: threshold over contrast shows, and led_off_fraction is fixed only "
-        "as far as its prior says (a factor e either way)"
+        "thresholds are in units of the light's swing: threshold over contrast shows, and led_off_fraction is fixed "
+        "only as far as its prior says (a factor e either way)"
     )
     said.append(
         "a threshold includes what the last event of the edge before left of a threshold in the amplifier: only their "
