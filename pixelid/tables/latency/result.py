@@ -24,6 +24,7 @@ from pixelid.tables.latency.model import EXTRA_ERROR, NUISANCES, SHARED
 from pixelid.tables.latency.reading import STATISTICS, TIMESTAMP_S, LatencyTable
 from pixelid.tables.result import open_sentences, write_result
 
+REPEATABLE = 0.02  # regions of one condition agree no better in the public table's clean rows
 MOST_SAID = 20  # spoiled cells in words; all are marked in `rows`
 UNITS = {p.name: p.unit for p in SHARED}
 
@@ -191,7 +192,7 @@ def _rows(table: LatencyTable, used: Mapping[str, Camera]) -> list[dict[str, Any
             if name != "median" and not math.isfinite(measured):
                 continue
             size = math.sqrt(
-                scatter[k] ** 2
+                max(scatter[k], REPEATABLE) ** 2
                 + EXTRA_ERROR[name] ** 2
                 + float(cells.error[name][cells.cell[k]]) ** 2
                 + (TIMESTAMP_S / math.sqrt(12.0) / (said + TIMESTAMP_S)) ** 2
