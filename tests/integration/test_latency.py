@@ -10,6 +10,9 @@ import pytest
 from pixelid.cli.main import main
 from pixelid.model.shipped import find_model
 from pixelid.tables.latency.camera import load_camera
+from pixelid.tables.latency.fit import fit_latency
+from pixelid.tables.latency.posterior import log_posterior, sample_fit
+from pixelid.tables.latency.reading import read_tables
 from tests.oracles import latency_tables
 from tests.oracles.latency_tables import DELAY_S, SETTINGS, TRUE, write_table
 
@@ -93,6 +96,22 @@ def test_unknown_settings_cameras_and_units_are_refused(folder, capsys):
     assert run("latency", table, "--predict", "--out", folder / "no") == 2
     assert run("latency", table, "--out", folder / "no") == 2
     assert run("latency", folder / "table.csv", "--camera", "other", "--out", folder / "no") == 2
+
+
+def test_the_posterior_is_that_of_the_fit_and_of_its_seed(tmp_path):
+    lines = ["camera,lens,polarity,irradiance_W_m2,bias_config,median"]
+    lines += [f"C,l,1,{E},0,{5 / E + 30}" for E in (0.01, 0.03, 0.1, 0.3)]
+    (tmp_path / "table.csv").write_text("\n".join(lines) + "\n")
+    fit = fit_latency(read_tables([tmp_path / "table.csv"]))
+    said = sample_fit(fit, 1, tmp_path, steps=12)["posterior"]["C"]
+    again = sample_fit(fit, 1, tmp_path, steps=12)["posterior"]["C"]
+    assert said["parameters"] == again["parameters"]
+    assert said["parameters"] != sample_fit(fit, 2, tmp_path, steps=12)["posterior"]["C"]["parameters"]
+    one = fit.fits[0]
+    best = log_posterior(one, np.append(one.regression.x, np.log(0.05)))
+    worse = log_posterior(one, np.append(one.regression.x + 1.0, np.log(0.05)))
+    assert np.isfinite(best)
+    assert worse < best
 
 
 @pytest.mark.skipif(not NIST.is_file(), reason="needs a checkout")
