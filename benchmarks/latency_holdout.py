@@ -3,7 +3,8 @@
     python benchmarks/latency_holdout.py [TABLE.csv] [--camera CAM3] [--out latency_holdout.json]
 
 Per camera: rms of ln(predicted / measured) of the cells' medians, fitted and left out, without the cells that the full
-fit disbelieves; and what the fit would miss with one delay for all settings and edges.
+fit disbelieves or that their own figure does not resolve; and what the fit would miss with one delay for all settings
+and edges.
 """
 
 from __future__ import annotations
@@ -15,9 +16,10 @@ from pathlib import Path
 import numpy as np
 
 from pixelid.tables.fit import SUSPECT_SCALES
-from pixelid.tables.latency.cells import gather
+from pixelid.tables.latency.cells import UNRESOLVED, gather
 from pixelid.tables.latency.fit import CameraFit, fit_camera
 from pixelid.tables.latency.reading import LatencyTable, read_tables
+from pixelid.tables.latency.result import REPEATABLE
 
 TABLE = Path(__file__).resolve().parents[1] / "fits" / "nist_latency" / "nist_latency_by_roi.csv"
 
@@ -35,9 +37,11 @@ def logs(fit: CameraFit, cells: LatencyTable) -> np.ndarray:
 def hold_out(name: str, table: LatencyTable) -> dict:
     """One camera's errors."""
     full = fit_camera(name, gather(table))
-    cells = gather(table).table
+    gathered = gather(table)
+    cells, error = gathered.table, gathered.error["median"]
     everything = logs(full, cells)
-    clean = np.abs(everything) < SUSPECT_SCALES * full.regression.scale
+    scale = np.hypot(max(full.regression.scale, REPEATABLE), error)
+    clean = (np.abs(everything) < SUSPECT_SCALES * scale) & (error < UNRESOLVED)
     found = {
         "cells": len(clean),
         "spoiled": int((~clean).sum()),
@@ -51,10 +55,9 @@ def hold_out(name: str, table: LatencyTable) -> dict:
         for value in np.unique(own):
             fit = fit_camera(name, gather(table.select(column != value)), start=full.camera)
             here = (own == value) & clean
-            error = logs(fit, cells.select(own == value))[clean[own == value]]
-            left[str(value)] = {
-                "left_out": rms(error), "fitted": rms(everything[here]), "ratio": rms(error) / rms(everything[here])
-            }  # fmt: skip
+            missed = rms(logs(fit, cells.select(own == value))[clean[own == value]])
+            fitted = rms(everything[here])
+            left[str(value)] = {"left_out": missed, "fitted": fitted, "ratio": missed / fitted}
             print(name, kind, value, {key: round(number, 3) for key, number in left[str(value)].items()}, flush=True)
         found[kind] = left
     return found
