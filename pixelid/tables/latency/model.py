@@ -99,9 +99,13 @@ class LatencyModel:
         cell, statistic = np.nonzero(np.isfinite(values) & (values >= TIMESTAMP_S * 0.1))
         return cell, statistic
 
-    @cached_property
+    @property
     def rows(self) -> Rows:
         """Cells × statistics, in seconds."""
+        return self._rows
+
+    @cached_property
+    def _rows(self) -> Rows:
         table, (cell, statistic) = self.cells.table, self.entries
         names = [STATISTICS[k] for k in statistic]
         measured = np.array([table.latency_s[name][k] for name, k in zip(names, cell, strict=True)])
@@ -117,9 +121,13 @@ class LatencyModel:
         }
         return Rows(measured, TIMESTAMP_S, np.hypot(error, extra), columns)
 
-    @cached_property
+    @property
     def parameters(self) -> tuple[Parameter, ...]:
         """The circuit, the set-up, then thresholds and delays of every setting."""
+        return self._parameters
+
+    @cached_property
+    def _parameters(self) -> tuple[Parameter, ...]:
         shared = [p.at(self.follower_hz) if p.name == "sf_cutoff_hz" else p for p in SHARED]
         lenses = [replace(LENS, name=f"lens_factor[{name}]") for name in self.lenses[1:]]
         per_setting = [
@@ -197,15 +205,16 @@ class LatencyModel:
         table = self.cells.table
         settings = []
         for name in self.settings:
-            biases = [table.bias[(table.setting == name) & (table.on == on)] for on in (True, False)]
+            on, off = (table.bias[(table.setting == name) & (table.on == edge)] for edge in (True, False))
             settings.append(
                 Setting(
                     name,
-                    *(float(b[0]) if len(b) else math.nan for b in biases),
-                    v[f"on_threshold[{name}]"],
-                    v[f"off_threshold[{name}]"],
-                    v.get(f"on_delay_s[{name}]", v.get("delay_s", 0.0)),
-                    v.get(f"off_delay_s[{name}]", v.get("delay_s", 0.0)),
+                    bias_on=float(on[0]) if len(on) else math.nan,
+                    bias_off=float(off[0]) if len(off) else math.nan,
+                    on_threshold=v[f"on_threshold[{name}]"],
+                    off_threshold=v[f"off_threshold[{name}]"],
+                    on_delay_s=v.get(f"on_delay_s[{name}]", v.get("delay_s", 0.0)),
+                    off_delay_s=v.get(f"off_delay_s[{name}]", v.get("delay_s", 0.0)),
                 )
             )
         middle = settings[default_setting(settings)]

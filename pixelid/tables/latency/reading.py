@@ -27,6 +27,7 @@ STATISTICS = ("median", "min", "max", "stdev", "sd")
 MICROSECOND_S = 1e-6
 TIMESTAMP_S = 1e-6  # event cameras stamp in µs: no latency is known better
 PIXELS = 100.0  # of a region of interest where the table does not say: 10 × 10
+PER_ROW = ("camera", "lens", "setting", "on", "irradiance", "bias", "pixels", "counted")
 EXPECTED = "camera,lens,polarity,irradiance_W_m2,bias_config,median,…"
 
 
@@ -64,12 +65,10 @@ class LatencyTable:
         """The rows where `keep` (rows,) holds."""
         index = np.flatnonzero(keep)
         return LatencyTable(
-            {name: [cells[k] for k in index] for name, cells in self.columns.items()},
-            *(a[index] for a in (self.camera, self.lens, self.setting, self.on, self.irradiance, self.bias)),
-            self.pixels[index],
-            self.counted[index],
-            {name: values[index] for name, values in self.latency_s.items()},
-            self.sources,
+            columns={name: [cells[k] for k in index] for name, cells in self.columns.items()},
+            latency_s={name: values[index] for name, values in self.latency_s.items()},
+            sources=self.sources,
+            **{name: getattr(self, name)[index] for name in PER_ROW},
         )
 
 
@@ -90,12 +89,11 @@ def read_tables(paths: Sequence[Path], *, measured: bool = True) -> LatencyTable
             raise InputError(
                 f"{path}: expected the columns of {paths[0]}, found {shown(', '.join(table.columns), 200)}"
             )
-    fields = ("camera", "lens", "setting", "on", "irradiance", "bias", "pixels", "counted")
     joined = LatencyTable(
-        {name: [cell for table in tables for cell in table.columns[name]] for name in first.columns},
-        *(np.concatenate([getattr(table, field) for table in tables]) for field in fields),
-        {name: np.concatenate([table.latency_s[name] for table in tables]) for name in STATISTICS},
-        tuple(Path(path) for path in paths),
+        columns={name: [cell for table in tables for cell in table.columns[name]] for name in first.columns},
+        latency_s={name: np.concatenate([table.latency_s[name] for table in tables]) for name in STATISTICS},
+        sources=tuple(Path(path) for path in paths),
+        **{name: np.concatenate([getattr(table, name) for table in tables]) for name in PER_ROW},
     )
     if measured and not np.isfinite(joined.latency_s["median"]).any():
         raise InputError(f"{paths[0]}: expected latencies in a column 'median', found none")
