@@ -270,8 +270,8 @@ def _delay_sentences(cameras: Sequence[Camera]) -> list[str]:
                 said.append(
                     f"{camera.name}, {'ON' if on else 'OFF'} events: the delay after the crossing grows from "
                     f"{1e6 * min(delays)[0]:.2g} µs ({min(delays)[1]}) to {1e6 * max(delays)[0]:.2g} µs "
-                    f"({max(delays)[1]}), which no pole of the circuit gives: a comparator whose bias current falls as "
-                    "its threshold rises"
+                    f"({max(delays)[1]}), which no pole shared by all settings gives: as of a comparator whose bias "
+                    "current falls as its threshold rises"
                 )
     return said
 
