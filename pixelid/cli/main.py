@@ -25,6 +25,7 @@ COMMANDS = {
     "compare": "Which of several models the recordings support.",
     "sensor": "Maps of thresholds and bandwidth over a whole sensor.",
     "rates": "Fit tables of event rate against the frequency of a light.",
+    "latency": "Fit first-event latencies against irradiance, setting and edge.",
     "flicker": "What mains flicker alone says about the pixels.",
     "lowlight": "Dominant-pole analysis over radiance.",
     "design": "Which stimulus to record next, and why.",

@@ -47,7 +47,7 @@ def write_report(folder: Path) -> Path:
     if (folder / "report.html").is_symlink():
         raise InputError(f"{folder / 'report.html'}: expected the page of this folder, found a link to another file")
     result = read_json(folder / page.file)
-    if page.file in ("fit.json", "rates.json"):
+    if page.file in ("fit.json", "rates.json", "latency.json"):
         check_parameters(result, folder / page.file)
     text = render(page, result, folder)
     with whole_file(folder / "report.html", overwrite=True) as path:

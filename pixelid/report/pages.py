@@ -5,42 +5,6 @@ from __future__ import annotations
 from pixelid.report import analyses, conform, fits, gap, health, scene, tables
 from pixelid.report.page import Page
 
-def _conform(result: Result, folder: Path) -> Summary:
-    counts = result["counts"]
-    return Summary(
-        "conform",
-        f"The signal path of {result['sensor'] or 'these recordings'}",
-        result["verdict"],
-        result["sentence"],
-        (
-            Number("has", counted(counts["present"], "effect")),
-            Number("lacks", counted(counts["absent"], "effect")),
-            Number("not decidable", counted(counts["not_decidable"], "effect")),
-            Number("not tested", counted(counts["not_tested"], "effect")),
-            Number("time taken", seconds(result.get("seconds"))),
-        ),
-        command_line("conform", result, "--model", str(result["base"]), out=folder),
-    )
-
-
-def _conform_more(result: Result, folder: Path) -> dict[str, Any]:
-    rows = [
-        [
-            row["stage"].replace("_", " "),
-            row["effect"],
-            row["verdict"].replace("_", " "),
-            strengths_in_words(row),
-            number(row["evidence"]["p_value"], 2),
-            number(row["evidence"]["heldout_gain_nats"], 3),
-            row["evidence"]["why"],
-        ]
-        for row in result["rows"]
-    ]
-    cells = [[c["response"], c["where"], number(c["score"], 3), str(c["events"])] for c in result["departs"]]
-    left = [[c["response"], c["where"], number(c["score"], 3), str(c["events"])] for c in result["left"]]
-    return {"rows": rows, "departs": cells, "left": left}
-
-
 PAGES = (
     Page("conform.json", "conform.html", conform.summarise, conform.prepare),  # before gap.json, which lies beside it
     Page("gap.json", "gap.html", gap.summarise, gap.prepare),
@@ -48,6 +12,8 @@ PAGES = (
     Page("lowlight.json", "lowlight.html", analyses.summarise_lowlight, analyses.prepare_lowlight),
     Page("design.json", "design.html", analyses.summarise_design, analyses.prepare_design),
     Page("rates.json", "rates.html", tables.summarise_rates),
+    Page("latency.json", "latency.html", tables.summarise_latency),
+    Page("noise.json", "noise.html", tables.summarise_noise),
     Page("flicker.json", "flicker.html", tables.summarise_flicker, tables.prepare_flicker),
     Page("reconstruction.json", "reconstruction.html", scene.summarise, scene.prepare),
     Page("inspect.json", "inspect.html", health.summarise_inspect, health.prepare_inspect),

@@ -1,4 +1,4 @@
-"""The pages of tables: event rates, and phases under mains light."""
+"""The pages of tables: event rates, latencies, noise events, and phases under mains light."""
 
 from __future__ import annotations
 
@@ -24,6 +24,46 @@ def summarise_rates(result: Result, folder: Path) -> Summary:
             Number("log-likelihood", number(result["log_likelihood"]), "nats"),
         ),
         command_line("rates", result, out=folder),
+    )
+
+
+def summarise_latency(result: Result, folder: Path) -> Summary:
+    medians = {name: errors["median"] for name, errors in result["errors"].items() if "median" in errors}
+    missed = [error["rms_without_spoiled"] for error in medians.values() if error["rms_without_spoiled"] is not None]
+    return Summary(
+        "latency",
+        f"First-event latency of {', '.join(result['cameras'])}",
+        result["status"],
+        result.get("advice", ""),
+        (
+            Number("rows", str(len(result["rows"]))),
+            Number("medians missed by", percent(max(missed)) if missed else "–", "rms, worst camera"),
+            Number("rows spoiled", str(sum(row["spoiled"] for row in result["rows"]))),
+            identified(result),
+            Number("time taken", seconds(result.get("seconds"))),
+        ),
+        command_line("latency", result, out=folder),
+        "Measured and predicted",
+    )
+
+
+def summarise_noise(result: Result, folder: Path) -> Summary:
+    worst = max(
+        (abs(row["measured"] / row["predicted"] - 1.0) for row in result["rows"] if row["measured"]), default=0.0
+    )
+    return Summary(
+        "noise",
+        "Noise events of still scenes",
+        result["status"],
+        result.get("advice", ""),
+        (
+            Number("rows", str(len(result["rows"]))),
+            Number("relative scatter", percent(result["relative_scatter"])),
+            Number("largest disagreement", percent(worst)),
+            identified(result),
+            Number("unit of light", result["radiance_unit"]),
+        ),
+        command_line("noise", result, out=folder),
     )
 
 

@@ -208,6 +208,8 @@ USAGE = {
     "reconstruct: box": ("reconstruct {out} --out {out}2 --box 0 0 0 nan 1 1", "--box"),
     "report: no result": ("report {file}", "good.h5"),
     "report: no folder": ("report {out}", "out"),
+    "latency: no model": ("latency {file} --out {out} --predict", "--model"),
+    "latency: not a table": ("latency {file} --out {out}", "good.h5"),
     "rates: unit": ("rates {file} --out {out} --unit furlongs", "--unit"),
     "convert: unknown format": ("convert {file} {out}.mp3", "mp3"),
     "inspect: unknown option": ("inspect {file} --out {out} --speed 3", "--speed"),

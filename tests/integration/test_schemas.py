@@ -132,6 +132,25 @@ def test_rates(tmp_path):
     check("rates", written(tmp_path / "out" / "rates.json"))
 
 
+def test_latency(tmp_path):
+    lines = ["camera,lens,polarity,irradiance_W_m2,bias_config,median"]
+    lines += [f"C,l,{on},{E},0,{5 / E + 30 + 9 * on}" for on in (0, 1) for E in (0.01, 0.03, 0.1, 0.3)]
+    (tmp_path / "table.csv").write_text("\n".join(lines) + "\n")
+    run("latency", tmp_path / "table.csv", "--out", tmp_path / "out", "--quiet")
+    check("latency", written(tmp_path / "out" / "latency.json"))
+    run(
+        "latency",
+        tmp_path / "table.csv",
+        "--model",
+        tmp_path / "out",
+        "--predict",
+        "--out",
+        tmp_path / "two",
+        "--quiet",
+    )
+    check("latency", written(tmp_path / "two" / "latency.json"))
+
+
 def test_flicker(tmp_path):
     run("simulate", "dvs128", "--stimulus", lamp(tmp_path), "--pixels", 36, "--out", tmp_path / "lamp.h5", "--quiet")
     run("flicker", tmp_path / "lamp.h5", "--groups", "1x1", "--out", tmp_path / "out", "--quiet")
