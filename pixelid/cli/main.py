@@ -26,6 +26,7 @@ COMMANDS = {
     "sensor": "Maps of thresholds and bandwidth over a whole sensor.",
     "rates": "Fit tables of event rate against the frequency of a light.",
     "flicker": "What mains flicker alone says about the pixels.",
+    "noise": "Noise events of still scenes against light: thresholds, noise, bandwidth.",
     "lowlight": "Dominant-pole analysis over radiance.",
     "design": "Which stimulus to record next, and why.",
     "gap": "Which effect a model lacks: find it, name it, add it.",

@@ -286,6 +286,26 @@ def _rates(result: Result, folder: Path) -> Summary:
     )
 
 
+def _noise(result: Result, folder: Path) -> Summary:
+    worst = max(
+        (abs(row["measured"] / row["predicted"] - 1.0) for row in result["rows"] if row["measured"]), default=0.0
+    )
+    return Summary(
+        "noise",
+        "Noise events of still scenes",
+        result["status"],
+        result.get("advice", ""),
+        (
+            Number("rows", str(len(result["rows"]))),
+            Number("relative scatter", percent(result["relative_scatter"])),
+            Number("largest disagreement", percent(worst)),
+            _known(result),
+            Number("unit of light", result["radiance_unit"]),
+        ),
+        command_line("noise", result, out=folder),
+    )
+
+
 def _flicker(result: Result, folder: Path) -> Summary:
     frequency, groups = result["frequency_hz"], result["groups"]
     locked = sum(g["amplitude_over_on_threshold"]["identified"] and g["phase_cycles"]["identified"] for g in groups)
@@ -488,6 +508,7 @@ PAGES = (
     Page("lowlight.json", "lowlight.html", _lowlight, _lowlight_more),
     Page("design.json", "design.html", _design, _design_more),
     Page("rates.json", "rates.html", _rates),
+    Page("noise.json", "noise.html", _noise),
     Page("flicker.json", "flicker.html", _flicker, _flicker_more),
     Page("reconstruction.json", "reconstruction.html", _reconstruction, _reconstruction_more),
     Page("inspect.json", "inspect.html", _inspect, _inspect_more),

@@ -58,8 +58,8 @@ def after_reset(
     """found (2 m,): ∫ (intensity of crossing i with slope j, a lag after the reset) − stationary.
 
     The event was at output z with slope w; the reference that was then stored lies `offset` standard deviations from
-    its mean.  maps: (lags, 2, 2) per z and w;  spread: (lags, 2) per offset;  tails: (lags, 2) per `kept`, the reference;
-    others as `between_crossings`.
+    its mean.  maps: (lags, 2, 2) per z and w;  spread: (lags, 2) per offset;  tails: (lags, 2) per `kept`, the
+    reference;  others as `between_crossings`.
     """
     m = len(slopes)
     levels = (on, off)
@@ -156,20 +156,19 @@ def settled(nodes, on, off, slopes, stationary, resolvent, drift, exits, times):
 @njit(cache=True, nogil=True, error_model="numpy")
 def transitions(
     nodes, slopes, omega, stationary_hz, sigma, factors, weights, maps, spread, tails, covariances, reference,
-    reference_sd, offsets, offset_weights, draws, draw_weights, on, off, resolvents, exits, times, moved, waited,
+    reference_sd, offsets, offset_weights, on, off, draw_weights, resolvents, exits, times, moved, waited,
 ):  # fmt: skip
     """The Markov chain of events: moved (states, states) shares, waited (states,) mean time from release to event.
 
     A state is (polarity, level of the output, slope) at an event.  reference: (2,) mean of the stored reference per
-    output and slope, reference_sd: its standard deviation;  offsets, draws: Gauss–Hermite nodes of the reference and
-    of a threshold's draw;  on, off: (draws,) thresholds;  resolvents: (draws, draws, k, 2 m, 2 m).
+    output and slope, reference_sd: its standard deviation;  offsets: nodes of the reference;  on, off, draw_weights:
+    (draws,) pairs of thresholds as they are drawn;  resolvents: (draws, k, 2 m, 2 m).
     """
     count, m = len(nodes), len(slopes)
     first, step = nodes[0], nodes[1] - nodes[0]
     expected = np.empty(2 * m)
     stationary = np.empty(2 * m)
     quick = np.empty(2 * m)
-    rate = np.empty(2 * m)
     for i0 in range(2):
         for k0 in range(count):
             for j0 in range(m):
@@ -181,33 +180,29 @@ def transitions(
                     kept = min(max(kept, nodes[0]), nodes[count - 1])
                     k, p = _place(kept, first, step, count)
                     line = _lagrange(p)
-                    for a in range(len(draws)):
-                        for b in range(len(draws)):
-                            share = offset_weights[g] * draw_weights[a] * draw_weights[b]
-                            up, down = kept + on[a], kept - off[b]
-                            for j in range(m):
-                                stationary[j] = stationary_hz * math.exp(-0.5 * (up / sigma) ** 2) * omega[j]
-                                stationary[m + j] = stationary_hz * math.exp(-0.5 * (down / sigma) ** 2) * omega[j]
-                            after_reset(
-                                maps, spread, tails, covariances, z, w, offsets[g], kept, up, down, slopes, factors,
-                                weights, stationary, expected,
-                            )  # fmt: skip
-                            sum_quick, sum_rate = 0.0, 1e-300
-                            for i in range(2 * m):
-                                quick[i], rate[i] = 0.0, 0.0
-                                for n in range(4):
-                                    for q in range(2 * m):
-                                        r = line[n] * resolvents[a, b, k + n, q, i]
-                                        quick[i] += expected[q] * r
-                                        rate[i] += stationary[q] * r
-                                sum_quick += quick[i]
-                                sum_rate += rate[i]
-                            left = 1.0 - sum_quick
-                            for i in range(2 * m):
-                                level = up if i < m else down
-                                _scatter(into, level, i, m, share * quick[i], first, step, count)
+                    for a in range(len(draw_weights)):
+                        share = offset_weights[g] * draw_weights[a]
+                        up, down = kept + on[a], kept - off[a]
+                        for j in range(m):
+                            stationary[j] = stationary_hz * math.exp(-0.5 * (up / sigma) ** 2) * omega[j]
+                            stationary[m + j] = stationary_hz * math.exp(-0.5 * (down / sigma) ** 2) * omega[j]
+                        after_reset(
+                            maps, spread, tails, covariances, z, w, offsets[g], kept, up, down, slopes, factors,
+                            weights, stationary, expected,
+                        )  # fmt: skip
+                        sum_quick = 0.0
+                        for i in range(2 * m):
+                            quick[i] = 0.0
                             for n in range(4):
-                                part = share * left * line[n]
-                                waited[row] += part * times[a, b, k + n]
-                                for q in range(len(into)):
-                                    into[q] += part * exits[a, b, k + n, q]
+                                for q in range(2 * m):
+                                    quick[i] += line[n] * expected[q] * resolvents[a, k + n, q, i]
+                            sum_quick += quick[i]
+                        left = 1.0 - sum_quick
+                        for i in range(2 * m):
+                            level = up if i < m else down
+                            _scatter(into, level, i, m, share * quick[i], first, step, count)
+                        for n in range(4):
+                            part = share * left * line[n]
+                            waited[row] += part * times[a, k + n]
+                            for q in range(len(into)):
+                                into[q] += part * exits[a, k + n, q]

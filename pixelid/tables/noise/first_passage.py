@@ -7,9 +7,9 @@ q_i(t, w) that of first passages.  Every crossing is a first passage, or comes a
     n(t) = q(t) + ∫ q(t′) K(t − t′) dt′
 
 with K the intensity of crossings a lag after a crossing (Siegert 1951 and Durbin 1985 state this for Markov processes,
-where it is exact).  n and K are Gaussian densities in closed form.  z alone is not Markov: the state at a crossing is z,
-its slope, and further states, which are taken as they are at any crossing of that level with that slope.  That is the
-one approximation; against simulation it costs below 1 % (`docs/methods/noise.md`).
+where it is exact).  n and K are Gaussian densities in closed form.  z alone is not Markov: the state at a crossing is
+z, its slope, and further states, which are taken as they are at any crossing of that level with that slope.  That is
+the one approximation; against simulation it costs below 1 % (`docs/methods/noise.md`).
 
 **Rates need no time grid.**  With n → n_s and K → n_s (Rice) at long times, integration over all times gives
 
@@ -21,7 +21,7 @@ the Rayleigh weight w e^{−w²/2}.
 **Events.**  At an event the state is (polarity, level of z, slope).  During the dead time it evolves freely, then the
 reference is the follower's noisy output, and the next event is drawn: a Markov chain, whose stationary law gives rates.
 Levels are nodes of a uniform grid; what falls between is shared by four-point interpolation, which keeps cubic
-functions exact.  Threshold noise is an average over Gauss–Hermite draws of both thresholds.
+functions exact.  Threshold noise is an average over draws of both thresholds (`threshold_draws`).
 
 **Leak** moves the reference slowly against the noise: the pixel forgets its last event but the reference, which then
 falls at the leak's rate through references of known exit rate (`crossings.settled`).
@@ -99,6 +99,27 @@ def rates_of(process: NoiseProcess, circuit: Circuit, radiance: float) -> NoiseR
     return NoiseRates(rate * on, rate * (1.0 - on), wait)
 
 
+def mean_rates(circuit: Circuit, radiance: float, floor: float = 0.0) -> tuple[float, float]:
+    """(ON, OFF) noise events per pixel and second, averaged over pixels whose thresholds differ by the mismatch.
+
+    Rates of pixels differ by e^{± b² σ}, b the threshold in standard deviations of the noise: the average is far above
+    the rate of the average pixel.  Arguments and errors as `noise_rates`.
+    """
+    process = noise_process(circuit, radiance, floor)
+    factors, weights = threshold_draws(circuit.mismatch)
+    total = np.zeros(2)
+    for (on, off), weight in zip(factors, weights, strict=True):
+        pixel = circuit.with_(
+            on_threshold=circuit.on_threshold * on,
+            off_threshold=circuit.off_threshold * off,
+            leak_hz=circuit.leak_hz / on,  # the leak is one for all pixels, in mean thresholds
+            leak_hz_per_radiance=circuit.leak_hz_per_radiance / on,
+        )
+        rates = rates_of(process, pixel, radiance)
+        total += weight * np.array([rates.on_hz, rates.off_hz])
+    return float(total[0]), float(total[1])
+
+
 @dataclass(frozen=True)
 class _Chain:
     """moved: (states, states) shares;  waited: (states,) mean s from release to the next event."""
@@ -121,37 +142,33 @@ def _chain(process: NoiseProcess, circuit: Circuit, drift: float) -> _Chain:
     means = p.seen @ p.propagators @ p.regression
     covariances = _triangle(p.seen_covariance - means @ p.seen_covariance @ np.swapaxes(means, 1, 2))
     released = _release(p, circuit.refractory)
-    draws, draw_weights = _hermite(3 if circuit.noise > 0 else 1)
-    on, off = circuit.on_threshold * (1.0 + circuit.noise * draws), circuit.off_threshold * (1.0 + circuit.noise * draws)
+    draws, draw_weights = threshold_draws(circuit.noise)
+    on, off = circuit.on_threshold * draws[:, 0], circuit.off_threshold * draws[:, 1]
     offsets, offset_weights = _offset_nodes(released.sd / p.sigma)
     reach = max(on.max(), off.max()) + MARGIN * p.sigma
     nodes = np.linspace(-reach, reach, max(math.ceil(2.0 * reach / (SPACING * p.sigma)) + 1, 8))
     m, count = len(slopes), len(nodes)
-    shape = (len(draws), len(draws), count)
+    shape = (len(draws), count)
     between = np.empty((*shape, 2 * m, 2 * m))
     stationary = np.empty((*shape, 2 * m))
-    for a in range(len(draws)):
-        for b in range(len(draws)):
-            for k, reference in enumerate(nodes):
-                up, down = reference + on[a], reference - off[b]
-                rice = p.zero_crossings_hz * np.exp(-0.5 * (np.array([up, down]) / p.sigma) ** 2)
-                stationary[a, b, k] = np.outer(rice, omega).ravel()
-                crossings.between_crossings(
-                    means, covariances, up, down, slopes, factors, weights, stationary[a, b, k], between[a, b, k]
-                )
-    resolvents = np.linalg.inv(np.eye(2 * m) + between)
     states = 2 * count * m
     exits, times = np.empty((*shape, states)), np.empty(shape)
     for a in range(len(draws)):
-        for b in range(len(draws)):
-            crossings.settled(
-                nodes, on[a], off[b], slopes, stationary[a, b], resolvents[a, b], drift, exits[a, b], times[a, b]
+        for k, reference in enumerate(nodes):
+            up, down = reference + on[a], reference - off[a]
+            rice = p.zero_crossings_hz * np.exp(-0.5 * (np.array([up, down]) / p.sigma) ** 2)
+            stationary[a, k] = np.outer(rice, omega).ravel()
+            crossings.between_crossings(
+                means, covariances, up, down, slopes, factors, weights, stationary[a, k], between[a, k]
             )
+    resolvents = np.linalg.inv(np.eye(2 * m) + between)
+    for a in range(len(draws)):
+        crossings.settled(nodes, on[a], off[a], slopes, stationary[a], resolvents[a], drift, exits[a], times[a])
     moved, waited = np.zeros((states, states)), np.zeros(states)
     crossings.transitions(
         nodes, slopes, omega, p.zero_crossings_hz, p.sigma, factors, weights, released.maps, released.spread,
-        released.tails, released.covariances, released.reference, released.sd, offsets, offset_weights, draws,
-        draw_weights, on, off, resolvents, exits, times, moved, waited,
+        released.tails, released.covariances, released.reference, released.sd, offsets, offset_weights, on, off,
+        draw_weights, resolvents, exits, times, moved, waited,
     )  # fmt: skip
     return _Chain(moved, waited)
 
@@ -223,6 +240,19 @@ def _offset_nodes(relative_sd: float) -> tuple[np.ndarray, np.ndarray]:
     return nodes, weights / weights.sum()
 
 
+def threshold_draws(relative_sd: float) -> tuple[np.ndarray, np.ndarray]:
+    """(draws, 2) factors of the ON and OFF threshold and (draws,) weights: both independent and normal.
+
+    The centre and both Gauss–Hermite neighbours along each axis: exact to the fifth order in either threshold.  What
+    depends on both at once is left out, of fourth order in the relative sd.
+    """
+    if relative_sd <= 0:
+        return np.ones((1, 2)), np.ones(1)
+    step = math.sqrt(3.0) * min(relative_sd, 0.5)
+    factors = 1.0 + step * np.array([(0, 0), (1, 0), (-1, 0), (0, 1), (0, -1)])
+    return factors, np.array([1, 0.5, 0.5, 0.5, 0.5]) / 3.0
+
+
 @lru_cache
 def _hermite(count: int) -> tuple[np.ndarray, np.ndarray]:
     """Nodes and weights of a standard normal draw."""
@@ -232,7 +262,7 @@ def _hermite(count: int) -> tuple[np.ndarray, np.ndarray]:
 
 @lru_cache
 def rayleigh_nodes(count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Gauss nodes and weights of the slope at a crossing, density w e^{−w²/2}: Golub & Welsch, recurrence by Stieltjes."""
+    """Gauss nodes and weights of a slope of density w e^{−w²/2}: Golub & Welsch, the recurrence by Stieltjes."""
     x, weight = np.polynomial.legendre.leggauss(400)
     x = 5.0 * (x + 1.0)  # e⁻⁵⁰ is left beyond 10
     weight = weight * x * np.exp(-0.5 * x * x)
