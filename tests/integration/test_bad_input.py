@@ -208,6 +208,7 @@ USAGE = {
     "reconstruct: box": ("reconstruct {out} --out {out}2 --box 0 0 0 nan 1 1", "--box"),
     "report: no result": ("report {file}", "good.h5"),
     "report: no folder": ("report {out}", "out"),
+    "noise: predict without a model": ("noise {file} --out {out} --predict", "--model"),
     "rates: unit": ("rates {file} --out {out} --unit furlongs", "--unit"),
     "convert: unknown format": ("convert {file} {out}.mp3", "mp3"),
     "inspect: unknown option": ("inspect {file} --out {out} --speed 3", "--speed"),

@@ -132,6 +132,13 @@ def test_rates(tmp_path):
     check("rates", written(tmp_path / "out" / "rates.json"))
 
 
+def test_noise(tmp_path):
+    rows = "0.5,0.4,0.5\n2,1,0.8\n10,0.5,0.4\n50,0.01,0.008\n"
+    (tmp_path / "noise.csv").write_text("lux,on_events_per_s,off_events_per_s\n" + rows)
+    run("noise", tmp_path / "noise.csv", "--model", "dvs128", "--predict", "--out", tmp_path / "out", "--quiet")
+    check("noise", written(tmp_path / "out" / "noise.json"))
+
+
 def test_flicker(tmp_path):
     run("simulate", "dvs128", "--stimulus", lamp(tmp_path), "--pixels", 36, "--out", tmp_path / "lamp.h5", "--quiet")
     run("flicker", tmp_path / "lamp.h5", "--groups", "1x1", "--out", tmp_path / "out", "--quiet")

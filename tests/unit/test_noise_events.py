@@ -9,8 +9,10 @@ import pytest
 
 from pixelid.errors import InputError
 from pixelid.model.shipped import find_model
-from pixelid.tables.noise.first_passage import mean_rates, noise_rates, rates_of, rayleigh_nodes
+from pixelid.tables.noise.first_passage import mean_rates, noise_rates, rates_of
+from pixelid.tables.noise.intervals import noise_intervals
 from pixelid.tables.noise.process import noise_process
+from pixelid.tables.noise.quadrature import rayleigh_nodes
 from tests.oracles.noise_events import simulate_noise_events, stages
 
 DENSITY = 3.2e-4  # fA/Hz: 2q
@@ -76,6 +78,37 @@ def test_rates_are_those_of_brute_simulation(radiance, on, off, dead_s, leak_hz)
     seen_on, seen_off, error = simulated(c, radiance, 6000)
     assert rates.on_hz == pytest.approx(seen_on, rel=0.02 + 3.5 * error)
     assert rates.off_hz == pytest.approx(seen_off, rel=0.02 + 3.5 * error)
+
+
+@pytest.mark.parametrize("leak_hz", [0.0, 3.0])
+def test_intervals_are_those_of_brute_simulation(leak_hz):
+    """Shares of ON–ON, ON–OFF, … intervals within edges over four decades."""
+    c = thresholds(circuit(refractory=1e-3, leak_hz=leak_hz), 24.0, 2.6, 2.9)
+    t, p, _ = simulate_noise_events(
+        c.alpha * 24.0, c.beta + c.gamma * 24.0, c.follower, c.differencing, DENSITY / 24.0, c.on_threshold,
+        c.off_threshold, dead_s=1e-3, duration_s=300.0, leak=leak_hz * c.on_threshold, seed=8,
+    )  # fmt: skip
+    edges = np.array([2e-3, 3e-3, 5e-3, 0.01, 0.03, 0.1, 0.3])
+    found = noise_intervals(c, 24.0)
+    predicted = found.within(edges)
+    waits, events = np.diff(t), len(t) - 1
+    for i, before in enumerate((1, 0)):
+        for j, after in enumerate((1, 0)):
+            chosen = waits[(p[:-1] == before) & (p[1:] == after)]
+            seen = np.searchsorted(np.sort(chosen), edges) / events
+            error = np.sqrt(seen * (1 - seen) / events) * 1.5  # intervals come in bursts
+            assert predicted[i, j] == pytest.approx(seen, abs=3.5 * error.max() + 0.01)
+    assert found.passed[:, :, -1].sum() == pytest.approx(1.0, abs=0.01)
+
+
+def test_intervals_and_rates_agree():
+    c = thresholds(circuit(refractory=1e-3), 24.0, 3.0, 3.3)
+    found, rates = noise_intervals(c, 24.0), noise_rates(c, 24.0)
+    total = found.passed.sum((0, 1))
+    mean = np.sum(np.diff(total) * np.sqrt(found.time_s[1:] * found.time_s[:-1])) / total[-1]
+    assert mean == pytest.approx(rates.wait_s, rel=0.02)
+    ended_on = found.passed[:, 0, -1].sum() / total[-1]
+    assert ended_on == pytest.approx(rates.on_hz / (rates.on_hz + rates.off_hz), abs=0.005)
 
 
 def test_threshold_noise_is_that_of_brute_simulation():

@@ -23,7 +23,9 @@ LIGHT = re.compile(r"lux|illuminance|irradiance|radiance|photocurrent|w_?/?m2")
 POLARITY = {"ON": re.compile(r"(^|_)(on|pos)(_|$)"), "OFF": re.compile(r"(^|_)(off|neg)(_|$)")}
 RATE = re.compile(r"event|rate|hz|per_s|/s")
 STILL = 1e-3  # relative change of the light of a still scene: 10⁻³ of a threshold of 1 would be 1 % of a rate
-FEWEST = 3  # events of a polarity below which a rate says little more than an upper limit
+# Of a recording, left out: where it begins, references are not yet those that the noise leaves (in simulations they
+# are anywhere between the thresholds, and the nearest fire at once)
+SETTLING = 0.1
 
 
 @dataclass(frozen=True)
@@ -160,11 +162,13 @@ def reduced_recordings(recordings: Sequence[Recording]) -> NoiseTable:
     rows, columns = [], {"file": [], "radiance": [], "polarity": [], "events": []}
     pixels = 0
     for recording in recordings:
-        radiance, duration = _still(recording)
+        radiance, begin, end = _still(recording)
         events = recording.events
         pixels = events.width * events.height
+        duration = (1.0 - SETTLING) * (end - begin)
+        settled = events.t * 1e-9 > end - duration
         for polarity, p in (("ON", 1), ("OFF", 0)):
-            counts = np.bincount(events.pixel[events.p == p], minlength=pixels)
+            counts = np.bincount(events.pixel[settled & (events.p == p)], minlength=pixels)
             total = int(counts.sum())
             scatter = float(counts.var(ddof=1)) * pixels if pixels > 1 else 0.0
             error = np.sqrt(max(scatter, total, 1.0)) / max(total, 1)
@@ -184,8 +188,8 @@ def reduced_recordings(recordings: Sequence[Recording]) -> NoiseTable:
     )  # fmt: skip
 
 
-def _still(recording: Recording) -> tuple[float, float]:
-    """(radiance, duration in s) of a still scene."""
+def _still(recording: Recording) -> tuple[float, float, float]:
+    """(radiance, begin, end in s) of a still scene."""
     where = recording.source or recording.name
     if recording.stimulus is None:
         raise InputError(
@@ -200,7 +204,9 @@ def _still(recording: Recording) -> tuple[float, float]:
             f"{where}: expected constant light, found {radiance.min():g} to {radiance.max():g}: noise events are "
             "those of a still scene"
         )
-    duration = max(recording.stimulus.duration_s, float(recording.events.duration_s))
-    if not duration > 0:
-        raise InputError(f"{where}: expected a recording that lasts, found {duration:g} s")
-    return mean, duration
+    times = recording.events.t * 1e-9
+    begin = min(float(recording.stimulus.t[0]), float(times.min(initial=np.inf)))
+    end = max(float(recording.stimulus.t[-1]), float(times.max(initial=-np.inf)))
+    if not end > begin:
+        raise InputError(f"{where}: expected a recording that lasts, found {end - begin:g} s")
+    return mean, begin, end
