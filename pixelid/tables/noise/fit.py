@@ -25,8 +25,11 @@ STEP = 0.02  # of a coordinate, for forward differences; curvature there is some
 TRUST = 0.7  # of a coordinate per round: a factor of 2
 ROUNDS = 14
 REST = 0.05  # standard errors moved in a round below which a fit has come to rest
-THRESHOLD_STARTS = np.geomspace(0.35, 2.2, 7)  # factors on both thresholds that a fit tries first
-LIGHT_STARTS = np.geomspace(0.03, 30.0, 6)  # factors on the light, where its photocurrent is not known
+# Where a fit looks first: factors on both thresholds (over the noise), on the light's photocurrent and the follower's
+# cutoff; the latter two where the light's unit leaves the photocurrent open
+THRESHOLD_STARTS = np.geomspace(0.35, 1.6, 8)
+LIGHT_STARTS = np.geomspace(0.03, 300.0, 9)
+FOLLOWER_STARTS = (0.1, 1.0)
 DARK_LUX = 0.05  # typical of published sensors; a start, with a wide prior
 LEAK_HZ = 0.01  # the same: leak events of sensors are reported from 0.001 to 0.3 Hz
 
@@ -155,9 +158,11 @@ def started(noise: NoiseModel, report: Callable[[str, float], None]) -> NoiseMod
     target = np.log(part.rate_hz)
     known_light = table.unit == "fA" or bool(table.pixels)
     best, change = math.inf, {}
-    for lit in (1.0,) if known_light else LIGHT_STARTS:
-        for f in THRESHOLD_STARTS:
-            factors = {"on_threshold": f, "off_threshold": f, "alpha": lit, "gamma": lit, "alpha_over_beta": lit}
+    grid = [(1.0, 1.0)] if known_light else [(lit, slow) for lit in LIGHT_STARTS for slow in FOLLOWER_STARTS]
+    for lit, slow in grid:
+        for f in THRESHOLD_STARTS * math.sqrt(lit):  # behind a photoreceptor of bandwidth ∝ light σ² ∝ D α
+            factors = {"on_threshold": f, "off_threshold": f, "alpha": lit, "gamma": lit, "alpha_over_beta": lit,
+                       "sf_cutoff_hz": slow}  # fmt: skip
             scaled = {n: (p, p.value * factors[n]) for n, p in plain.parameters.items() if n in factors}
             values = {n: float(np.clip(v, p.lower, p.upper)) for n, (p, v) in scaled.items()}
             trial = NoiseModel(part, plain.set(values), noise.floor)

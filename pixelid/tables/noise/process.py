@@ -22,7 +22,7 @@ from pixelid.dynamics.of_circuit import dynamics_of
 from pixelid.errors import InputError
 from pixelid.stages.circuit import Circuit
 
-PER_OCTAVE = 6  # lags; 12 change rates by less than 1e-4
+PER_OCTAVE = 5  # lags; 8 change rates by less than 0.3 %
 FIRST_LAG = 0.02  # of the time in which a slope is lost: crossings come back far later
 LAST_LAG = 30.0  # of the slowest time constant: e⁻³⁰ is left of what was
 
