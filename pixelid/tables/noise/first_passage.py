@@ -41,7 +41,7 @@ from pixelid.stages.circuit import Circuit
 from pixelid.stages.differencing import leaked
 from pixelid.tables.noise.chain import QUIET, chain_of
 from pixelid.tables.noise.process import NoiseProcess, noise_process
-from pixelid.tables.noise.quadrature import threshold_draws
+from pixelid.tables.noise.quadrature import mismatch_draws
 
 
 @dataclass(frozen=True)
@@ -101,7 +101,7 @@ def mean_rates(circuit: Circuit, radiance: float, floor: float = 0.0) -> tuple[f
     the rate of the average pixel.  Arguments and errors as `noise_rates`.
     """
     process = noise_process(circuit, radiance, floor)
-    factors, weights = threshold_draws(circuit.mismatch)
+    factors, weights = mismatch_draws(circuit.mismatch, circuit.noise)
     total = np.zeros(2)
     for (on, off), weight in zip(factors, weights, strict=True):
         pixel = circuit.with_(

@@ -1,6 +1,6 @@
 """Distributions of the time between successive noise events of a pixel, by the polarities of both.
 
-Up to the last lag (30 of the slowest time constant) first passages follow the renewal equation of `first_passage.py` in
+Up to 8 of the slowest time constant first passages follow the renewal equation of `first_passage.py` in
 time.  A pixel that is still waiting then has forgotten all but its reference: it fires at that reference's rate, along
 which a leak moves it.
 """
@@ -14,8 +14,9 @@ import numpy as np
 from pixelid.stages.circuit import Circuit
 from pixelid.stages.differencing import leaked
 from pixelid.tables.noise.chain import Chain, chain_of
-from pixelid.tables.noise.process import noise_process
+from pixelid.tables.noise.process import LAST_LAG, noise_process
 
+FORGOTTEN = 8.0  # slowest time constants; e⁻⁸ is left of what a pixel knew beside its reference
 LATE = 160  # times at which a waiting pixel is followed, spaced evenly in ln t
 LONGEST = 60.0  # mean waits: e⁻⁶⁰ is left
 
@@ -57,12 +58,14 @@ def intervals_of(chain: Chain, dead_s: float) -> NoiseIntervals:
     """The same of a chain that is already there."""
     from pixelid.tables.noise import passages
 
-    c, r, lags = chain, chain.release, chain.process.lags
+    c, r = chain, chain.release
+    lags = c.process.lags[: np.searchsorted(c.process.lags, c.process.lags[-1] * FORGOTTEN / LAST_LAG) + 1]
+    known = len(lags)
     draws, count, m = len(c.draw_weights), len(c.nodes), len(c.slopes)
     crossed, begun = np.zeros((2, draws, count, len(lags), 2 * m)), np.zeros((2, draws, count))
     passages.crossings_after_events(
-        c.share, c.nodes, c.slopes, c.factors, r.maps, r.spread, r.tails, r.covariances, r.reference, r.sd, c.offsets,
-        c.offset_weights, c.on, c.off, c.draw_weights, crossed, begun,
+        c.share, c.nodes, c.slopes, c.factors, r.maps[:known], r.spread, r.tails, r.covariances, r.reference, r.sd,
+        c.offsets, c.offset_weights, c.on, c.off, c.draw_weights, crossed, begun,
     )  # fmt: skip
     rates = np.einsum("akq,akqi->aki", c.stationary, c.resolvents).reshape(draws, count, 2, m).sum(-1)
     rates = np.maximum(rates, 1e-300)
@@ -75,25 +78,29 @@ def intervals_of(chain: Chain, dead_s: float) -> NoiseIntervals:
             if np.abs(begun[:, a, k]).max() < 1e-9:
                 continue
             passages.crossings_between(
-                c.means, c.covariances, reference + c.on[a], reference - c.off[a], c.slopes, c.factors, between
+                c.means[:known], c.covariances, reference + c.on[a], reference - c.off[a], c.slopes, c.factors, between
             )
             quick = np.zeros((2, len(lags), 2 * m))
             passages.first_passages(lags, source, between, quick)
             quick = quick.reshape(2, len(lags), 2, m).sum(-1)
             passed[:, :, : len(lags)] += quick.swapaxes(1, 2)
             left = begun[:, a, k] - quick[:, -1].sum(-1)
-            gone = _waiting(c.nodes, rates[a], k, c.drift, late - lags[-1])
+            gone = _waiting(c.nodes, rates[a], k, c.drift, late)
             passed[:, :, len(lags) :] += quick[:, -1, :, None] + left[:, None, None] * gone[None, :, 1:]
     return NoiseIntervals(np.append(lags, late[1:]), np.maximum.accumulate(passed, axis=2), dead_s)
 
 
 def _waiting(nodes: np.ndarray, rates: np.ndarray, k: int, drift: float, time: np.ndarray) -> np.ndarray:
-    """(2, times) share that has fired ON and OFF of a pixel that waits at reference k, falling at `drift`."""
+    """(2, times) share that has fired ON and OFF since the first time of a pixel that waits at reference k.
+
+    time: (times,) s since the reference was stored, from where it has fallen at `drift`.
+    """
     if drift <= 0.0:
         total = rates[k].sum()
-        return (rates[k] / total)[:, None] * -np.expm1(-total * time)
+        return (rates[k] / total)[:, None] * -np.expm1(-total * (time - time[0]))
     # along the way the rates are log-linear between references; below the last they stay
-    fine = np.unique(np.concatenate([time, np.linspace(0.0, (nodes[k] - nodes[0]) / drift, 40 * (k + 1))]))
+    until = max((nodes[k] - nodes[0]) / drift, 1.01 * time[0])
+    fine = np.unique(np.concatenate([time, np.linspace(time[0], until, 40 * (k + 1))]))
     place = nodes[k] - drift * fine
     along = np.exp([np.interp(place, nodes, np.log(rates[:, i])) for i in range(2)])
     total = along.sum(0)

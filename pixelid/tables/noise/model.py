@@ -24,7 +24,7 @@ FLOOR = Parameter("noise_floor.density", 1e-9, "1/Hz", 1e-14, 1e-2, "log")
 FA_PER_LUX = 7.7
 FA_PER_UNIT = {"fA": 1.0, "lux": FA_PER_LUX, "W/m2": 683.0 * FA_PER_LUX}
 MOST_LIGHTS = 16  # computed; between them ln rate is interpolated by cubics in ln light
-FITTED = ("alpha", "beta", "gamma", "alpha_over_beta", "sf_cutoff_hz", "on_threshold", "off_threshold",
+FITTED = ("alpha", "beta", "gamma", "alpha_over_beta", "sf_cutoff_hz", "on_threshold", "off_threshold", "refractory_s",
           "dark_current.radiance", "leak.rate_hz", "parasitic_photocurrent.rate_hz_per_radiance")  # fmt: skip
 # Standard deviations of ln: a sensor of the same kind differs by a factor of 3 from nominal values …
 PRIOR_SD = 1.0

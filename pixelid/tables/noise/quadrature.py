@@ -10,6 +10,7 @@ import numpy as np
 GRID = 0.3  # of the stored reference, in standard deviations of the output: e⁻⁸ at thresholds of 4
 # Relative spread of thresholds: rates go as e^{b² x} with a change x, and at b = 4 and x = 5 % three nodes err by 2 %
 NARROW = 0.05
+WIDENED = 0.02  # threshold noise above which the maximum at equal thresholds is as wide as a mismatch of 2 to 5 %
 
 
 def offset_nodes(relative_sd: float) -> tuple[np.ndarray, np.ndarray]:
@@ -41,6 +42,23 @@ def threshold_draws(relative_sd: float) -> tuple[np.ndarray, np.ndarray]:
         angles, radius, weights = math.pi / 3 * np.arange(6), 2.0, np.array([6, 1, 1, 1, 1, 1, 1]) / 12.0
         centre = np.zeros((1, 2))
     points = np.vstack([centre, radius * np.stack([np.cos(angles), np.sin(angles)], axis=1)])
+    return 1.0 + min(relative_sd, 0.4) * points, weights
+
+
+def mismatch_draws(relative_sd: float, threshold_noise: float) -> tuple[np.ndarray, np.ndarray]:
+    """The same for pixels that differ, whose rates are averaged.
+
+    Without threshold noise and with a short dead time, rates have a narrow maximum at equal thresholds: a pixel whose
+    ON and OFF events undo each other exactly goes on for long.  So the difference of the thresholds needs a fine grid
+    unless noise widens the maximum.
+    """
+    if relative_sd <= 0 or threshold_noise >= WIDENED:
+        return threshold_draws(relative_sd)
+    across = 0.4 * (np.arange(12) - 5.5)
+    weights = np.exp(-0.5 * across**2)
+    along = np.repeat([-1.0, 1.0], len(across))
+    across, weights = np.tile(across, 2), np.tile(weights / (2.0 * weights.sum()), 2)
+    points = np.stack([along + across, along - across], axis=1) / math.sqrt(2.0)
     return 1.0 + min(relative_sd, 0.4) * points, weights
 
 

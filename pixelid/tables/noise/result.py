@@ -27,7 +27,7 @@ from pixelid.tables.result import table_result, write_result
 NAMED = 0.15  # relative disagreement that is said in words
 MOST_NAMED = 12
 REPEATABILITY = 0.05  # of a rate in a table without errors, against which --predict standardises
-FOLDED = ("shot_noise.density", "diff_cutoff_hz", "threshold_sigma", "threshold_mismatch.sigma", "refractory_s")
+FOLDED = ("shot_noise.density", "diff_cutoff_hz", "threshold_sigma", "threshold_mismatch.sigma")
 
 
 def save_fit(fit: NoiseFit, folder: Path, seed: int) -> dict[str, Any]:
