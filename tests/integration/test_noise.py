@@ -9,7 +9,7 @@ import pytest
 
 from pixelid.cli.main import main
 from pixelid.errors import InputError
-from pixelid.model.files import load_model
+from pixelid.model.files import load_model, save_model
 from pixelid.model.shipped import find_model
 from pixelid.recordings.events import Events
 from pixelid.recordings.recording import Recording
@@ -46,7 +46,8 @@ def run(*words):
 def test_a_planted_circuit_comes_back_and_predicts_other_lights(tmp_path):
     truth = planted(alpha=planted().values["alpha"] * 1.6, beta=planted().values["beta"] * 0.8)
     table = write_table(tmp_path / "noise.csv", truth, scatter=0.02)
-    run("noise", table, "--model", "dvs128", "--out", tmp_path / "out", "--quiet")
+    save_model(planted(), tmp_path / "nominal.toml")
+    run("noise", table, "--model", tmp_path / "nominal.toml", "--out", tmp_path / "out", "--quiet")
     result = json.loads((tmp_path / "out" / "noise.json").read_text())
     rows = result["rows"]
     assert len(rows) == 2 * len(LIGHTS)

@@ -157,7 +157,7 @@ def test_mismatch_raises_the_mean_rate(dead_s, noise, within):
     """Against the plain average over a fine grid of thresholds."""
     c = thresholds(circuit(refractory=dead_s), 24.0, 3.2, 3.3).with_(mismatch=0.03, noise=noise)
     process = noise_process(c, 24.0)
-    x = np.linspace(-3.0, 3.0, 9)
+    x = 0.6 * (np.arange(10) - 4.5)
     weights = np.exp(-0.5 * x**2) / np.exp(-0.5 * x**2).sum()
     mean = 0.0
     for a, wa in zip(1 + 0.03 * x, weights, strict=True):

@@ -52,9 +52,11 @@ def mismatch_draws(relative_sd: float, threshold_noise: float) -> tuple[np.ndarr
     ON and OFF events undo each other exactly goes on for long.  So the difference of the thresholds needs a fine grid
     unless noise widens the maximum.
     """
-    if relative_sd <= 0 or threshold_noise >= WIDENED:
-        return threshold_draws(relative_sd)
-    across = 0.4 * (np.arange(12) - 5.5)
+    if relative_sd <= 0:
+        return threshold_draws(0.0)
+    spacing = 0.8 if threshold_noise >= WIDENED else 0.4
+    count = round(4.8 / spacing)
+    across = spacing * (np.arange(count) - 0.5 * (count - 1))
     weights = np.exp(-0.5 * across**2)
     along = np.repeat([-1.0, 1.0], len(across))
     across, weights = np.tile(across, 2), np.tile(weights / (2.0 * weights.sum()), 2)
