@@ -100,7 +100,7 @@ def fit_noise(table: NoiseTable, model: Model, progress: Callable[[str, float], 
         report("fitting", 0.1 + 0.9 * round_ / ROUNDS)
         line = _linearise(noise, x, level)
         while True:
-            fit = fit_table(_within(line, limits, trust), np.exp(x))
+            fit = fit_table(_within(line, limits, trust), np.exp(x).tolist())
             moved = fit.x - x
             trial = np.log(noise.predict(fit.x))
             s = np.sqrt(fit.scale**2 + _known(noise))
@@ -114,7 +114,7 @@ def fit_noise(table: NoiseTable, model: Model, progress: Callable[[str, float], 
             break
         trust = min(1.5 * trust, TRUST)
     assert fit is not None
-    final = fit_table(_linearise(noise, x, level), np.exp(x))
+    final = fit_table(_linearise(noise, x, level), np.exp(x).tolist())
     r = np.log(noise.rows.measured + noise.rows.last_digit) - np.log(np.exp(level) + noise.rows.last_digit)
     s = np.sqrt(final.scale**2 + _known(noise))
     # pixels are a sample: their mean threshold is off the sensor's by the mismatch over the root of their number

@@ -56,13 +56,13 @@ class NoiseModel:
         ("noise_floor", "lower"), ("dark_current", "lower"), ("leak", "lower"), ("parasitic", "lower")
     )  # fmt: skip
 
-    @cached_property
+    @property
     def rows(self) -> Rows:
         """The table's rates."""
         table = self.table
         return Rows(table.rate_hz, table.last_digit, table.relative_error, table.columns)
 
-    @cached_property
+    @property
     def parameters(self) -> tuple[Parameter, ...]:
         """What is fitted, at the model's values, with priors around them."""
         found = []

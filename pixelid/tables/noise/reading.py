@@ -73,8 +73,11 @@ def read_noise_tables(paths: Sequence[Path]) -> NoiseTable:
 def joined(parts: Sequence[NoiseTable]) -> NoiseTable:
     """The rows of several tables as one."""
     names = list(dict.fromkeys(name for part in parts for name in part.columns))
+    light, on, rate, error = (
+        np.concatenate([getattr(part, name) for part in parts]) for name in ("light", "on", "rate_hz", "relative_error")
+    )
     return NoiseTable(
-        *(np.concatenate([getattr(p, name) for p in parts]) for name in ("light", "on", "rate_hz", "relative_error")),
+        light, on, rate, error,
         min(part.last_digit for part in parts),
         np.concatenate([part.group for part in parts]),
         {n: [v for part in parts for v in part.columns.get(n, [None] * len(part.light))] for n in names},

@@ -34,8 +34,9 @@ def save_fit(fit: NoiseFit, folder: Path, seed: int) -> dict[str, Any]:
     """Write noise.json, noise.svg and model.toml into an existing folder; returns the JSON."""
     save_model(fit.circuit, folder / "model.toml")
     drawn = NoiseModel(fit.model.table, fit.circuit, fit.floor)
-    result = fitted_result(fit) | {"seed": seed}
-    return write_result(result, "noise.json", {"noise": partial(draw_noise, drawn, result["rows"])}, folder)
+    result = fitted_result(fit)
+    rows = result["rows"]
+    return write_result(result | {"seed": seed}, "noise.json", {"noise": partial(draw_noise, drawn, rows)}, folder)
 
 
 def fitted_result(fit: NoiseFit) -> dict[str, Any]:
@@ -64,8 +65,10 @@ def save_prediction(
 ) -> dict[str, Any]:
     """Write noise.json and noise.svg of a model evaluated on a table; returns the JSON."""
     noise = NoiseModel(table, in_unit(model, table.unit), floor)
-    result = predicted_result(noise) | {"seed": seed, **provenance(*table.sources, *inputs)}
-    return write_result(result, "noise.json", {"noise": partial(draw_noise, noise, result["rows"])}, folder)
+    result = predicted_result(noise)
+    figures = {"noise": partial(draw_noise, noise, result["rows"])}
+    result |= {"seed": seed, **provenance(*table.sources, *inputs)}
+    return write_result(result, "noise.json", figures, folder)
 
 
 def predicted_result(noise: NoiseModel) -> dict[str, Any]:
@@ -111,9 +114,11 @@ def disagreements(table: NoiseTable, rows: Sequence[dict[str, Any]]) -> list[str
             here = np.flatnonzero((table.group == group) & (table.on == on))
             if len(here) < 4:
                 continue
-            peaks = [table.light[here[np.argmax([rows[k][key] for k in here])]] for key in ("measured", "predicted")]
+            peaks = [
+                table.light[here[np.argmax([rows[int(k)][key] for k in here])]] for key in ("measured", "predicted")
+            ]
             sentences.append(
-                f"{rows[here[0]].get('file', '')} {'ON' if on else 'OFF'}: the rate is largest at {peaks[0]:.3g} "
+                f"{rows[int(here[0])].get('file', '')} {'ON' if on else 'OFF'}: the rate is largest at {peaks[0]:.3g} "
                 f"{table.unit}, predicted at {peaks[1]:.3g} {table.unit}"
             )
     return sentences
