@@ -27,6 +27,7 @@ COMMANDS = {
     "rates": "Fit tables of event rate against the frequency of a light.",
     "latency": "Fit first-event latencies against irradiance, setting and edge.",
     "flicker": "What mains flicker alone says about the pixels.",
+    "noise": "Noise events of still scenes against light: thresholds, noise, bandwidth.",
     "lowlight": "Dominant-pole analysis over radiance.",
     "design": "Which stimulus to record next, and why.",
     "gap": "Which effect a model lacks: find it, name it, add it.",

@@ -210,6 +210,7 @@ USAGE = {
     "report: no folder": ("report {out}", "out"),
     "latency: no model": ("latency {file} --out {out} --predict", "--model"),
     "latency: not a table": ("latency {file} --out {out}", "good.h5"),
+    "noise: predict without a model": ("noise {file} --out {out} --predict", "--model"),
     "rates: unit": ("rates {file} --out {out} --unit furlongs", "--unit"),
     "convert: unknown format": ("convert {file} {out}.mp3", "mp3"),
     "inspect: unknown option": ("inspect {file} --out {out} --speed 3", "--speed"),
