@@ -27,6 +27,7 @@ from scipy.optimize import least_squares
 from scipy.signal import find_peaks
 
 from pixelid.errors import InputError
+from pixelid.recordings.clocks import CRYSTAL, ClockPrior
 from pixelid.recordings.recording import Recording
 from pixelid.stimuli.stimulus import Stimulus
 
@@ -39,7 +40,7 @@ BLOCKS = 24  # of time, whose residuals count as independent
 DISTINCT = 4.0  # standard errors by which the best candidate must be better than the next
 LEAST_CORRELATION = 6.0  # of the best peak, in units of the correlation's own spread: 1e-9 each, 2e6 offsets tried
 RATE_BOUND = 5e-4  # of a clock: crystals are within 1e-4, ceramic resonators within 5e-4
-CRYSTAL = 7e-5  # standard deviation of the difference of two crystal clocks (each within some 50 ppm), a prior
+EDGE_S = 1e-6  # cameras stamp trigger edges in microseconds, whatever unit a file has them in
 FAST_POLE_S = 1e-5  # lag of a pole too fast for the filter to know (a differencing amplifier's, 16 kHz)
 LAG_KNOWN = 0.03  # of the filter's own lag: how well its form describes a pixel; tests/statistical/test_alignment.py
 ONE_S = 1e-3  # offsets closer than this are one: the refinement moves freely over it
@@ -60,6 +61,7 @@ class Alignment:
     offset_s: seconds on the camera's clock;  offset_interval_95: None where it was given, not estimated
     rate_error: seconds that the camera counts per second of the light, less one
     rate_interval_95: likewise;  method: "trigger", "first-event", "auto" or "given"
+    prior: of the clock without the events, at a moment of the light's clock; None: offset and rate count as exact
     """
 
     offset_s: float
@@ -67,6 +69,7 @@ class Alignment:
     offset_interval_95: tuple[float, float] | None = None
     rate_error: float = 0.0
     rate_interval_95: tuple[float, float] | None = None
+    prior: ClockPrior | None = None
 
     def as_dict(self) -> dict:
         """What the recording's attribute `alignment` says."""
@@ -117,7 +120,7 @@ def find_alignment(recording: Recording, light: Stimulus, how: str) -> Alignment
     if how == "trigger":
         if recording.triggers is None or not len(recording.triggers):
             raise InputError(f"{recording.name}: --align trigger: the file holds no trigger edges")
-        return _from_triggers(recording.triggers.edges_s(), light)
+        return _from_triggers(recording.triggers.edges_s(), light, recording.events.tick_ns)
     if len(recording.events) == 0:
         raise InputError(f"{recording.name}: --align {how}: the file holds no events")
     if how == "first-event":
@@ -144,7 +147,11 @@ def aligned(recording: Recording, light: Stimulus, alignment: Alignment) -> Reco
             f"clock; events are at {events.t[0] * 1e-9:g}..{events.t[-1] * 1e-9:g} s (--align)"
         )
     kept = events.select(inside)
-    attributes = {**recording.attributes, "alignment": {**alignment.as_dict(), "events_outside": int((~inside).sum())}}
+    told = {**alignment.as_dict(), "zero_ns": zero_ns, "events_outside": int((~inside).sum())}
+    if alignment.prior is not None:
+        at_s = alignment.offset_s - zero_ns * 1e-9 + rate * alignment.prior.at_s
+        told["prior"] = replace(alignment.prior, at_s=at_s, span_s=rate * alignment.prior.span_s).as_dict()
+    attributes = {**recording.attributes, "alignment": told}
     return replace(
         recording,
         events=replace(kept, t=kept.t - zero_ns),
@@ -160,14 +167,31 @@ def _moved(events, zero_ns: int, last_ns: int):
     return replace(kept, t=kept.t - zero_ns)
 
 
-def _from_triggers(edges: np.ndarray, light: Stimulus) -> Alignment:
-    """First edge at the light's first sample; an edge within RATE_BOUND of its last gives the rate."""
-    duration = light.duration_s
-    offset, rate = float(edges[0]), 0.0
+def _from_triggers(edges: np.ndarray, light: Stimulus, tick_ns: int) -> Alignment:
+    """First edge at the light's first sample; an edge within RATE_BOUND of its last gives the rate.
+
+    An edge is known to its stamp: uniform over a tick.  Without a second one the rate is as uncertain as clocks are.
+    """
+    duration, begin = light.duration_s, float(light.t[0])
+    stamp = max(EDGE_S, tick_ns * 1e-9) / np.sqrt(12.0)
     last = float(edges[np.argmin(np.abs(edges - edges[0] - duration))])
     if abs(last - edges[0] - duration) <= RATE_BOUND * duration:
         rate = (last - float(edges[0])) / duration - 1.0
-    return Alignment(offset - (1.0 + rate) * float(light.t[0]), "trigger", rate_error=rate)
+        rate_sd = np.sqrt(2.0) * stamp / duration
+        prior = ClockPrior(begin + 0.5 * duration, duration, stamp / np.sqrt(2.0), rate, rate_sd)
+    else:
+        rate, prior = 0.0, ClockPrior(begin, duration, stamp, 0.0, CRYSTAL)
+    assert prior.delay_sd_s is not None
+    offset = float(edges[0]) - (1.0 + rate) * begin
+    half = 1.96 * float(np.hypot(prior.delay_sd_s, prior.at_s * prior.rate_sd))  # at the light's time zero
+    return Alignment(
+        offset,
+        "trigger",
+        (offset - half, offset + half),
+        rate,
+        (rate - 1.96 * prior.rate_sd, rate + 1.96 * prior.rate_sd),
+        prior,
+    )
 
 
 def _first_change_s(light: Stimulus) -> float:
@@ -209,6 +233,7 @@ def _from_events(recording: Recording, light: Stimulus) -> Alignment:
         (best.offset - float(half[0]), best.offset + float(half[0])),
         best.rate,
         (best.rate - float(half[1]), best.rate + float(half[1])),
+        ClockPrior(0.5 * float(light.t[0] + light.t[-1]), light.duration_s, None, 0.0, CRYSTAL),
     )
 
 
