@@ -38,10 +38,10 @@ from pixelid.stimuli.stimulus import Stimulus
 WAYS = ("auto", "trigger")
 SPREAD = 0.2  # standard deviation of the hidden circuits' log parameters
 SIDE = 3
-DURATION_S = 0.6
-# Radiance (fA), last frequency (Hz) of a chirp, None: random steps, sample (s).  Bright and fast enough for the poles
-# of a few kHz: under dimmer light alone a delay of the clock is not told from the source follower's.
-LIGHTS = ((300.0, 700.0, 5e-5), (2000.0, 1500.0, 5e-5), (40.0, None, 1e-4), (600.0, None, 5e-5))
+DURATION_S, SAMPLE_S = 0.6, 5e-5
+# Random steps: radiance (fA), how long each is held (s).  Bright and fast enough for the poles of a few kHz: under dimmer
+# light alone a delay of the clock is not told from the source follower's.
+STEPS = ((40.0, 0.010), (600.0, 0.006), (3000.0, 0.006))
 PPM = 50.0  # by which the camera's clock is off, either way
 EPOCH_NS = 1_600_000_000 * 10**9
 CUT_NS = 500  # stamps cut to whole microseconds are half of one early, those of triggers as well
@@ -56,13 +56,12 @@ def hidden_circuit(seed: int) -> Model:
 
 
 def lights(seed: int) -> dict[str, Stimulus]:
-    """Two chirps and two courses of random steps, a level each."""
-    shown = {}
-    for level, stop_hz, dt in LIGHTS:
-        if stop_hz is None:
-            shown[f"steps_{level:g}"] = steps(level, duration_s=DURATION_S, dt=dt, seed=2 * seed + len(shown))
-        else:
-            shown[f"chirp_{level:g}"] = chirp(level, modulation=0.6, stop_hz=stop_hz, duration_s=DURATION_S, dt=dt)
+    """A chirp and three courses of random steps, a level each."""
+    shown = {"chirp_300": chirp(300.0, modulation=0.6, stop_hz=400.0, duration_s=DURATION_S, dt=SAMPLE_S)}
+    for k, (level, hold_s) in enumerate(STEPS):
+        shown[f"steps_{level:g}"] = steps(
+            level, 1.2, hold_s, edge_s=1e-4, duration_s=DURATION_S, dt=SAMPLE_S, seed=3 * seed + k
+        )
     return shown
 
 
