@@ -39,8 +39,8 @@ WAYS = ("auto", "trigger")
 SPREAD = 0.2  # standard deviation of the hidden circuits' log parameters
 SIDE = 3
 DURATION_S, SAMPLE_S = 0.6, 5e-5
-# Random steps: radiance (fA), how long each is held (s).  Bright and fast enough for the poles of a few kHz: under dimmer
-# light alone a delay of the clock is not told from the source follower's.
+# Random steps: radiance (fA), how long each is held (s).  Bright and fast enough for the poles of a few kHz: under
+# dimmer light alone a delay of the clock is not told from the source follower's.
 STEPS = ((40.0, 0.010), (600.0, 0.006), (3000.0, 0.006))
 PPM = 50.0  # by which the camera's clock is off, either way
 EPOCH_NS = 1_600_000_000 * 10**9
@@ -140,9 +140,7 @@ def _fitted(folder: Path, truth: Model, clocks: dict, way: str, seed: int) -> di
     session.mkdir()
     for name in clocks:
         camera, light, out = (str(folder / f"{name}{end}") for end in (".aedat4", ".csv", ""))
-        code = pixelid(
-            ["convert", camera, str(session / f"{name}.h5"), "--stimulus", light, "--align", way, "--quiet"]
-        )
+        code = pixelid(["convert", camera, str(session / f"{name}.h5"), "--stimulus", light, "--align", way, "--quiet"])
         if code != 0:
             return {"status": f"convert {name} ended with {code}"}
     out = folder / f"fit_{way}"

@@ -32,8 +32,8 @@ def clocks_found(recordings: Sequence[Recording], estimates: Mapping[str, Estima
     """What fit.json says of the clock of every recording that the fit carried nuisances for, by its name.
 
     `convert` put the light's moment τ at s = b + (1 + r) τ of the recording.  With the delay δ at the moment a and
-    ρ = drift/span, an event stamped t belongs to s = t − δ − ρ (t − a).  So τ happened at t = (s + δ − ρ a)/(1 − ρ), and
-    the whole rate error is (1 + r)/(1 − ρ) − 1.
+    ρ = drift/span, an event stamped t belongs to s = t − δ − ρ (t − a).  So τ happened at t = (s + δ − ρ a)/(1 − ρ),
+    and the whole rate error is (1 + r)/(1 − ρ) − 1.
 
     Args:
         recordings: with a stimulus each.

@@ -97,7 +97,6 @@ class EventTimesObjective(Objective):
         difference.events.early[:] = 0.0  # whether an event comes too early is not differentiable
         return Tangent(difference, numbers)
 
-
     def _moved_clock(self, x: np.ndarray, i: int, up: np.ndarray) -> tuple[int, Clock] | None:
         """(recording, its clock at `up`) when coordinate i is a clock's."""
         if self.coordinates.parameters[i].name not in self.coordinates.nuisances:

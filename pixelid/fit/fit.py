@@ -154,7 +154,11 @@ def fit(
         covariance=reading.covariance,
         estimates=estimates,
         unidentified=(
-            *open_ones, *reading.sentences, *limits, *details.pop("caveats", ()), *([apart] if apart else [])
+            *open_ones,
+            *reading.sentences,
+            *limits,
+            *details.pop("caveats", ()),
+            *([apart] if apart else []),
         ),
         physical=physical,
         physical_why=why,

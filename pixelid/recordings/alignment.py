@@ -50,8 +50,8 @@ FINER = 4  # samples of the filter per sample of the light: with one, a chirp to
 # The loss of a change (see SOFT) is 0.003 to 0.005 where a filter explains the events, 0.45 where it explains nothing;
 # searches that end in a wrong place leave 0.04 to 0.45 on average.  A third of the events may be noise.
 LARGEST_LOSS = 0.15
-# where the refinement starts: ln of stiffness, damping, damping by light and follower rate (1/s² and 1/s, at the light's
-# geometric mean), dead time (0.1 ms), ln of the thresholds; fast pixels, and a slow one
+# where the refinement starts: ln of stiffness, damping, damping by light and follower rate (1/s² and 1/s, at the
+# light's geometric mean), dead time (0.1 ms), ln of the thresholds; fast pixels, and a slow one
 STARTS = (
     (np.log(4e8), np.log(4e3), np.log(8e3), np.log(2e4), 0.5, np.log(0.25), np.log(0.25)),
     (np.log(2.5e7), np.log(2e3), np.log(500.0), np.log(2e4), 0.5, np.log(0.25), np.log(0.25)),
@@ -394,10 +394,10 @@ def _refined(changes: _Changes, t: np.ndarray, log_light: np.ndarray, offset: fl
     # light time τ of an event at `when`: τ = (1 − rate) when − begin − shift + rate · middle
     rate = RATE_BOUND * float(x[1])
     zero = (begin + 1e-3 * float(x[0]) - rate * middle) / (1.0 - rate)
-    turn = np.array([[1.0, zero - middle], [0.0, 1.0]])
-    covariance = turn @ covariance @ turn.T
     unknown = FAST_POLE_S**2 + (LAG_KNOWN * _lag(x[2:])) ** 2  # of the lag; it may differ as much between begin and end
-    covariance += np.diag([unknown, unknown / np.ptp(changes.time) ** 2])
+    covariance += np.diag([unknown, unknown / np.ptp(changes.time) ** 2])  # at the middle of the events
+    turn = np.array([[1.0, zero - middle], [0.0, 1.0]])  # to the light's time zero, which may be far away
+    covariance = turn @ covariance @ turn.T
     estimate = np.array([changes.origin + zero, 1.0 / (1.0 - rate) - 1.0])
     gain = covariance[:, 1] / (covariance[1, 1] + CRYSTAL**2)  # what is known of clocks beforehand
     estimate -= gain * estimate[1]

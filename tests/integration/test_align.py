@@ -121,7 +121,7 @@ def test_results_without_alignments_have_none(session):
     result = fit([crop(recording, pixels=4)], find_model("dvs128"), starts=0, between="linear", engine="scipy")
     assert result.alignment == {}
     assert not result.coordinates.nuisances
-    assert result.details["curvature"] == "Hessian"
+    assert "clocks" not in result.details["curvature"]
 
 
 def test_two_offsets_as_good_as_each_other_are_refused(tmp_path, capsys):

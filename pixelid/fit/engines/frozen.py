@@ -105,9 +105,7 @@ def freeze(objective: EventTimesObjective, x: np.ndarray) -> Frozen:
     )
 
 
-def _frozen(
-    evaluator: ChangeEvaluator, extremes: Extremes, circuit: Circuit, clock: Clock | None
-) -> FrozenRecording:
+def _frozen(evaluator: ChangeEvaluator, extremes: Extremes, circuit: Circuit, clock: Clock | None) -> FrozenRecording:
     iv, stimulus = evaluator.intervals, evaluator.recording.stimulus
     assert stimulus is not None
     light = drive(stimulus, circuit, iv.end_s)
