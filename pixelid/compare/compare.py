@@ -17,6 +17,7 @@ from pixelid.arrays import load_arrays
 from pixelid.documents import interpreting
 from pixelid.errors import InputError
 from pixelid.fit import FitResult, fit
+from pixelid.fit.event_times import EventTimesObjective
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.model.files import save_model
 from pixelid.model.model import Model
@@ -203,7 +204,7 @@ def compare(
             seen, unseen = pixels[part != fold], pixels[part == fold]
             trained = fit(_only(recordings, seen), result.model, starts=0, between=kind, seed=seed)
             finer = [r.with_stimulus(resampled(r.stimulus, kind)) for r in _only(recordings, unseen) if r.stimulus]
-            held_out.append(EventTimes(finer).terms(trained.coordinates.circuit(trained.x)).per_pixel.real)
+            held_out.append(EventTimesObjective(EventTimes(finer), trained.coordinates).terms(trained.x).per_pixel)
         bic = len(result.coordinates) * np.log(result.events) - 2.0 * result.log_likelihood
         loo = _loo(result, recordings, seed) if posteriors else None
         contenders[model.name] = Contender(result, float(bic), np.concatenate(held_out), loo)

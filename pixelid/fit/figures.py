@@ -115,7 +115,7 @@ def standardised(result: Fitted, recordings: Sequence[Recording]) -> tuple[Event
     between = result.details.get("stimulus_between_samples", "linear")
     likelihood = EventTimes([r.with_stimulus(resampled(r.stimulus, between)) for r in recordings if r.stimulus])
     objective = EventTimesObjective(likelihood, result.coordinates)
-    terms = likelihood.terms(objective.coordinates.circuit(result.x))
+    terms = objective.terms(result.x)
     residual = (terms.z - terms.group_mean[likelihood.group]) / terms.scale
     return likelihood, residual, ~terms.background
 

@@ -71,7 +71,7 @@ def residual_tests(objective: EventTimesObjective, x: np.ndarray) -> list[Residu
         One test per covariate and moment.
     """
     likelihood = objective.likelihood
-    terms = likelihood.terms(objective.coordinates.circuit(x))
+    terms = objective.terms(x)
     kept = np.flatnonzero(~terms.background)
     if len(kept) < 2 * BLOCK_EVENTS:
         return []

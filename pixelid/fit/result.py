@@ -57,6 +57,7 @@ class FitResult(Result):
     status, advice: how it ended, and what to do about it;  model: the fitted model;
     estimates: every parameter by name;  x, covariance: optimum (d,) and covariance (d, d) in `coordinates`
     unidentified: sentences;  physical: circuit values under the gauge, or None with `physical_why`
+    alignment: by recording, what was found of a clock that `convert --align` had estimated (docs/formats.md)
 
     Example:
         >>> import pixelid as px
@@ -85,6 +86,7 @@ class FitResult(Result):
     recordings: tuple[str, ...]
     seconds: float
     seed: int
+    alignment: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     details: Mapping = field(default_factory=dict)
     versions: Mapping[str, str] = field(default_factory=dict)
     inputs_sha256: Mapping[str, str] = field(default_factory=dict)
@@ -111,6 +113,7 @@ class FitResult(Result):
             "events": self.events,
             "pixels": self.pixels,
             "recordings": list(self.recordings),
+            "alignment": {name: dict(clock) for name, clock in self.alignment.items()},
             "details": dict(self.details),
             "nuisances": {name: as_document(p) for name, p in self.coordinates.nuisances.items()},
             "seconds": self.seconds,
@@ -190,7 +193,7 @@ class FitResult(Result):
             content, Path(folder) / cls.FILE,
             text=("status", "advice", "engine", "observation"), a_list_of_texts=("unidentified", "recordings"),
             a_number=("log_likelihood", "events", "pixels", "seconds", "seed"),
-            a_table=("covariance", "gauge", "details", "nuisances", "versions", "inputs_sha256"),
+            a_table=("covariance", "gauge", "alignment", "details", "nuisances", "versions", "inputs_sha256"),
         )  # fmt: skip
         with interpreting(Path(folder) / cls.FILE, "a fit"):
             for name, words in content["details"].get("precision", {}).items():
@@ -230,6 +233,7 @@ class FitResult(Result):
                 physical=content["physical"],
                 physical_why=content["gauge"]["why_no_physical"],
                 recordings=tuple(content["recordings"]),
+                alignment={name: dict(clock) for name, clock in content.get("alignment", {}).items()},
                 versions=content["versions"],
                 inputs_sha256=content["inputs_sha256"],
                 **known,

@@ -12,6 +12,7 @@ import numpy as np
 
 from pixelid.errors import InputError
 from pixelid.likelihood.changes import ChangeEvaluator
+from pixelid.likelihood.clocks import Clock
 from pixelid.likelihood.density import Terms, density
 from pixelid.likelihood.extremes import Extremes
 from pixelid.likelihood.layout import StackedChanges, layout_of, read_only
@@ -37,6 +38,7 @@ class EventTimes:
         layout: Which pixel and recording each of the n intervals belongs to.
         clock_share: (n,) how often timestamp noise counts, 1 until `weighed`.
         threshold_factor: (n,) what each event's threshold is multiplied by beside all that the circuit says, or None.
+        clocks: One per recording, None where its times are taken as they are; None: for none of them.
 
     Raises:
         InputError: For pooled recordings, a missing stimulus, or fewer than two events in any pixel.
@@ -56,6 +58,7 @@ class EventTimes:
         self.layout = layout_of(self.recordings, self.intervals)
         self.clock_share = read_only(np.ones(self.events))
         self.threshold_factor: np.ndarray | None = None
+        self.clocks: tuple[Clock | None, ...] | None = None
         samples = sum(len(r.stimulus.t) for r in self.recordings if r.stimulus is not None)
         self._large = samples + self.events > LARGE
 
@@ -113,11 +116,12 @@ class EventTimes:
         """
         vector = np.empty(self.layout.size)
         where = [True] * len(self.recordings) if extremes is None else extremes
-        parts = list(zip(self.evaluators, where, self.layout.per_recording(vector), strict=True))
+        clocks = self.clocks or (None,) * len(self.recordings)
+        parts = list(zip(self.evaluators, where, self.layout.per_recording(vector), clocks, strict=True))
 
         def fill(part) -> Extremes:
-            evaluator, at, rows = part
-            return evaluator.fill(circuit, at, *rows)
+            evaluator, at, rows, clock = part
+            return evaluator.fill(circuit, at, *rows, clock)
 
         located = map_threads(fill, parts, threads=None if self._large else 1)
         changes = self.layout.stacked(vector, tuple(located))
@@ -125,6 +129,15 @@ class EventTimes:
             for row in changes.events.of_level:
                 row /= self.threshold_factor
         return changes
+
+    def changes_by_clock(self, circuit: Circuit, here: StackedChanges, recording: int, clock: Clock) -> StackedChanges:
+        """`here`, the changes under a circuit, but for one recording by another clock; its extremes where they were."""
+        vector = here.vector.copy()
+        events, ends = self.layout.per_recording(vector)[recording]
+        self.evaluators[recording].fill(circuit, here.extremes[recording], events, ends, clock)
+        if self.threshold_factor is not None:
+            events[: len(here.events.of_level)] /= self.threshold_factor[self.layout.recording == recording]
+        return self.layout.stacked(vector)
 
     def terms(self, circuit: Circuit, changes: StackedChanges | None = None) -> Terms:
         """The likelihood's pieces under a circuit; `changes` is `changes(circuit)` when it is known already."""
@@ -146,6 +159,14 @@ class EventTimes:
         moved = np.where(here.background | there.background, 0.0, there.z - here.z) / NUDGE_S
         other = copy(self)
         other.clock_share = read_only(1.0 + np.minimum((moved / here.event.rate) ** 2, MOST_CLOCK_SHARE - 1.0))
+        return other
+
+    def with_clocks(self, clocks: tuple[Clock | None, ...] | None) -> EventTimes:
+        """The same likelihood by other clocks; itself when they are the same."""
+        if clocks == self.clocks:
+            return self
+        other = copy(self)
+        other.clocks = clocks
         return other
 
     def with_threshold_factor(self, factor: np.ndarray | None) -> EventTimes:

@@ -27,6 +27,7 @@ from scipy.optimize import least_squares
 from scipy.signal import find_peaks
 
 from pixelid.errors import InputError
+from pixelid.recordings.clocks import CRYSTAL, ClockPrior
 from pixelid.recordings.recording import Recording
 from pixelid.stimuli.stimulus import Stimulus
 
@@ -39,17 +40,22 @@ BLOCKS = 24  # of time, whose residuals count as independent
 DISTINCT = 4.0  # standard errors by which the best candidate must be better than the next
 LEAST_CORRELATION = 6.0  # of the best peak, in units of the correlation's own spread: 1e-9 each, 2e6 offsets tried
 RATE_BOUND = 5e-4  # of a clock: crystals are within 1e-4, ceramic resonators within 5e-4
-CRYSTAL = 7e-5  # standard deviation of the difference of two crystal clocks (each within some 50 ppm), a prior
+EDGE_S = 1e-6  # cameras stamp trigger edges in microseconds, whatever unit a file has them in
 FAST_POLE_S = 1e-5  # lag of a pole too fast for the filter to know (a differencing amplifier's, 16 kHz)
 LAG_KNOWN = 0.03  # of the filter's own lag: how well its form describes a pixel; tests/statistical/test_alignment.py
 ONE_S = 1e-3  # offsets closer than this are one: the refinement moves freely over it
 SOFT = 0.3  # thresholds' units from which a residual counts linearly: noise is some 0.1, missed events are 1
 MOST_SAMPLES = 1 << 18  # of the filter
-# where the refinement starts: offset, rate, ln of stiffness, damping, damping by light and follower rate (1/s² and 1/s,
-# at the light's geometric mean), dead time (0.1 ms), ln of the thresholds; a fast pixel, and a slow one
+FINER = 4  # samples of the filter per sample of the light: with one, a chirp to 1500 Hz at 50 µs is found 47 µs late
+# The loss of a change (see SOFT) is 0.003 to 0.005 where a filter explains the events, 0.45 where it explains nothing;
+# searches that end in a wrong place leave 0.04 to 0.45 on average.  A third of the events may be noise.
+LARGEST_LOSS = 0.15
+# where the refinement starts: ln of stiffness, damping, damping by light and follower rate (1/s² and 1/s, at the
+# light's geometric mean), dead time (0.1 ms), ln of the thresholds; fast pixels, and a slow one
 STARTS = (
-    (0.0, 0.0, np.log(2.5e7), np.log(2e3), np.log(500.0), np.log(2e4), 0.5, np.log(0.25), np.log(0.25)),
-    (0.0, 0.0, np.log(1.5e6), np.log(2e3), np.log(30.0), np.log(2e4), 0.5, np.log(0.25), np.log(0.25)),
+    (np.log(4e8), np.log(4e3), np.log(8e3), np.log(2e4), 0.5, np.log(0.25), np.log(0.25)),
+    (np.log(2.5e7), np.log(2e3), np.log(500.0), np.log(2e4), 0.5, np.log(0.25), np.log(0.25)),
+    (np.log(1.5e6), np.log(2e3), np.log(30.0), np.log(2e4), 0.5, np.log(0.25), np.log(0.25)),
 )
 
 
@@ -60,6 +66,7 @@ class Alignment:
     offset_s: seconds on the camera's clock;  offset_interval_95: None where it was given, not estimated
     rate_error: seconds that the camera counts per second of the light, less one
     rate_interval_95: likewise;  method: "trigger", "first-event", "auto" or "given"
+    prior: of the clock without the events, at a moment of the light's clock; None: offset and rate count as exact
     """
 
     offset_s: float
@@ -67,6 +74,7 @@ class Alignment:
     offset_interval_95: tuple[float, float] | None = None
     rate_error: float = 0.0
     rate_interval_95: tuple[float, float] | None = None
+    prior: ClockPrior | None = None
 
     def as_dict(self) -> dict:
         """What the recording's attribute `alignment` says."""
@@ -117,7 +125,7 @@ def find_alignment(recording: Recording, light: Stimulus, how: str) -> Alignment
     if how == "trigger":
         if recording.triggers is None or not len(recording.triggers):
             raise InputError(f"{recording.name}: --align trigger: the file holds no trigger edges")
-        return _from_triggers(recording.triggers.edges_s(), light)
+        return _from_triggers(recording.triggers.edges_s(), light, recording.events.tick_ns)
     if len(recording.events) == 0:
         raise InputError(f"{recording.name}: --align {how}: the file holds no events")
     if how == "first-event":
@@ -144,7 +152,11 @@ def aligned(recording: Recording, light: Stimulus, alignment: Alignment) -> Reco
             f"clock; events are at {events.t[0] * 1e-9:g}..{events.t[-1] * 1e-9:g} s (--align)"
         )
     kept = events.select(inside)
-    attributes = {**recording.attributes, "alignment": {**alignment.as_dict(), "events_outside": int((~inside).sum())}}
+    told = {**alignment.as_dict(), "zero_ns": zero_ns, "events_outside": int((~inside).sum())}
+    if alignment.prior is not None:
+        at_s = alignment.offset_s - zero_ns * 1e-9 + rate * alignment.prior.at_s
+        told["prior"] = replace(alignment.prior, at_s=at_s, span_s=rate * alignment.prior.span_s).as_dict()
+    attributes = {**recording.attributes, "alignment": told}
     return replace(
         recording,
         events=replace(kept, t=kept.t - zero_ns),
@@ -160,14 +172,31 @@ def _moved(events, zero_ns: int, last_ns: int):
     return replace(kept, t=kept.t - zero_ns)
 
 
-def _from_triggers(edges: np.ndarray, light: Stimulus) -> Alignment:
-    """First edge at the light's first sample; an edge within RATE_BOUND of its last gives the rate."""
-    duration = light.duration_s
-    offset, rate = float(edges[0]), 0.0
+def _from_triggers(edges: np.ndarray, light: Stimulus, tick_ns: int) -> Alignment:
+    """First edge at the light's first sample; an edge within RATE_BOUND of its last gives the rate.
+
+    An edge is known to its stamp: uniform over a tick.  Without a second one the rate is as uncertain as clocks are.
+    """
+    duration, begin = light.duration_s, float(light.t[0])
+    stamp = max(EDGE_S, tick_ns * 1e-9) / np.sqrt(12.0)
     last = float(edges[np.argmin(np.abs(edges - edges[0] - duration))])
     if abs(last - edges[0] - duration) <= RATE_BOUND * duration:
         rate = (last - float(edges[0])) / duration - 1.0
-    return Alignment(offset - (1.0 + rate) * float(light.t[0]), "trigger", rate_error=rate)
+        rate_sd = np.sqrt(2.0) * stamp / duration
+        prior = ClockPrior(begin + 0.5 * duration, duration, stamp / np.sqrt(2.0), rate, rate_sd)
+    else:
+        rate, prior = 0.0, ClockPrior(begin, duration, stamp, 0.0, CRYSTAL)
+    assert prior.delay_sd_s is not None
+    offset = float(edges[0]) - (1.0 + rate) * begin
+    half = 1.96 * float(np.hypot(prior.delay_sd_s, prior.at_s * prior.rate_sd))  # at the light's time zero
+    return Alignment(
+        offset,
+        "trigger",
+        (offset - half, offset + half),
+        rate,
+        (rate - 1.96 * prior.rate_sd, rate + 1.96 * prior.rate_sd),
+        prior,
+    )
 
 
 def _first_change_s(light: Stimulus) -> float:
@@ -189,6 +218,11 @@ def _from_events(recording: Recording, light: Stimulus) -> Alignment:
     few = _changes(recording, COMPARED)
     fits = sorted((_refined(few, light.t, log_light, offset) for offset in offsets), key=lambda fit: fit.cost)
     best = fits[0]
+    if best.cost > LARGEST_LOSS * len(few.time):
+        raise InputError(
+            f"{recording.name}: --align auto: the events do not follow this light closely enough at any offset to say "
+            "where it starts; give --align SECONDS, or record a trigger"
+        )
     for other in fits[1:]:
         if abs(other.offset - best.offset) < ONE_S:
             continue
@@ -209,6 +243,7 @@ def _from_events(recording: Recording, light: Stimulus) -> Alignment:
         (best.offset - float(half[0]), best.offset + float(half[0])),
         best.rate,
         (best.rate - float(half[1]), best.rate + float(half[1])),
+        ClockPrior(0.5 * float(light.t[0] + light.t[-1]), light.duration_s, None, 0.0, CRYSTAL),
     )
 
 
@@ -301,7 +336,7 @@ class _Fit:
 def _refined(changes: _Changes, t: np.ndarray, log_light: np.ndarray, offset: float, start: _Fit | None = None) -> _Fit:
     """Least squares on changes between events: offset, rate error, filter, dead time and two thresholds."""
     duration = float(t[-1] - t[0])
-    fine = max(float(np.median(np.diff(t))), duration / MOST_SAMPLES)
+    fine = max(float(np.median(np.diff(t))) / FINER, duration / MOST_SAMPLES)
     grid = t[0] + fine * np.arange(int(duration / fine) + 2)
     u = np.interp(grid, t, log_light)
     relative = np.exp(u - u.mean())
@@ -329,8 +364,10 @@ def _refined(changes: _Changes, t: np.ndarray, log_light: np.ndarray, offset: fl
     lower = np.array([-20.0, -1.0, *np.log([1e2, 1e1, 1e-1, 1e2]), 0.0, *np.log([0.01, 0.01])])
     upper = np.array([20.0, 1.0, *np.log([1e11, 1e6, 1e6, 1e6]), 1e4 * shortest + 1e-3, *np.log([3.0, 3.0])])
     best = None
-    for x0 in STARTS if start is None else (start.x,):
-        x0 = np.clip(np.asarray(x0) * np.array([start is None, *[1.0] * 8]), lower + 1e-6, upper - 1e-6)
+    # Correlation has found when events come, which is later than the light by the filter's lag.
+    begun = [(-1e3 * _lag(x), 0.0, *x) for x in STARTS] if start is None else [(0.0, *start.x[1:])]
+    for x0 in begun:
+        x0 = np.clip(np.asarray(x0), lower + 1e-6, upper - 1e-6)
         fit = least_squares(
             residuals,
             x0,
@@ -357,11 +394,10 @@ def _refined(changes: _Changes, t: np.ndarray, log_light: np.ndarray, offset: fl
     # light time τ of an event at `when`: τ = (1 − rate) when − begin − shift + rate · middle
     rate = RATE_BOUND * float(x[1])
     zero = (begin + 1e-3 * float(x[0]) - rate * middle) / (1.0 - rate)
-    turn = np.array([[1.0, zero - middle], [0.0, 1.0]])
+    unknown = FAST_POLE_S**2 + (LAG_KNOWN * _lag(x[2:])) ** 2  # of the lag; it may differ as much between begin and end
+    covariance += np.diag([unknown, unknown / np.ptp(changes.time) ** 2])  # at the middle of the events
+    turn = np.array([[1.0, zero - middle], [0.0, 1.0]])  # to the light's time zero, which may be far away
     covariance = turn @ covariance @ turn.T
-    lag = (np.exp(x[3]) + np.exp(x[4])) / np.exp(x[2]) + np.exp(-x[5])
-    unknown = FAST_POLE_S**2 + (LAG_KNOWN * lag) ** 2  # of the lag; it may differ as much between begin and end
-    covariance += np.diag([unknown, unknown / np.ptp(changes.time) ** 2])
     estimate = np.array([changes.origin + zero, 1.0 / (1.0 - rate) - 1.0])
     gain = covariance[:, 1] / (covariance[1, 1] + CRYSTAL**2)  # what is known of clocks beforehand
     estimate -= gain * estimate[1]
@@ -375,6 +411,11 @@ def _refined(changes: _Changes, t: np.ndarray, log_light: np.ndarray, offset: fl
         by_block=np.bincount(block, loss, BLOCKS),
         x=x,
     )
+
+
+def _lag(x) -> float:
+    """Seconds by which a filter (its part of a start) delays slow changes."""
+    return float((np.exp(x[1]) + np.exp(x[2])) / np.exp(x[0]) + np.exp(-x[3]))
 
 
 @njit(cache=True)
