@@ -43,7 +43,7 @@ def command(recordings, model, out, with_, without, alpha, crop, overwrite, seed
         from pixelid.recordings import open_recordings
 
         base, remarks = changed(find_model(model), with_, without, ())
-        opened = [crop.applied(recording, seed) for recording in open_recordings(recordings)]
+        opened = open_recordings(recordings, crop, seed)
         from pixelid.gap.figures import write_figures
         from pixelid.gap.gap import gap
         from pixelid.report.html import write_report

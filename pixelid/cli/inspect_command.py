@@ -46,21 +46,25 @@ def command(files: tuple[Path, ...], as_json: bool, out: Path | None, crop, over
     from pixelid.outputs import claimed, plain, whole_folder, write_json
 
     with nullcontext() if out is None else claimed(out, overwrite, files):
-        from pixelid.recordings import open_recording
+        from pixelid.cli.progress import bar
+        from pixelid.recordings.reading import check_readable, open_cropped
 
-        recording = crop.applied(open_recording(file), seed)
-        from pixelid.inspection import inspect
-        from pixelid.provenance import provenance
+        check_readable([file])
+        with bar(quiet) as report:
+            report("reading", 0.0)
+            recording = open_cropped(file, crop, seed)
+            from pixelid.inspection.health import inspect_closely
+            from pixelid.provenance import provenance
 
-        health = inspect(recording)
-        result = plain({**health.to_dict(), "file": str(file), "seed": seed, **provenance(file)})
+            health, overview = inspect_closely(recording, report)
+            result = plain({**health.to_dict(), "file": str(file), "seed": seed, **provenance(file)})
         if out is not None:
             from pixelid.inspection.figures import write_figures
             from pixelid.report.html import write_report
 
             with whole_folder(out, overwrite) as folder:
                 write_json(folder / "inspect.json", result)
-                write_figures(recording, health, folder)
+                write_figures(health, overview, folder)
                 write_report(folder)
     if as_json:
         click.echo(json.dumps(result, indent=2))

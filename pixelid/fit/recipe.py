@@ -114,7 +114,7 @@ class Recipe:
 
         model, _ = self.prepared_model()
         gauge = self.prepared_gauge()
-        recordings = [self.crop.applied(recording, self.seed) for recording in open_recordings(self.recordings)]
+        recordings = open_recordings(self.recordings, self.crop, self.seed)
         refuse_existing(out, overwrite)
         result = fit(
             recordings,
