@@ -60,7 +60,7 @@ def command(recordings, model, out, bandwidth, block, tile, bootstrap, workers, 
         from pixelid.sensors import fit_sensor
         from pixelid.sensors.work import Where
 
-        with bar(quiet) as report:
+        with bar(quiet, compiles=True) as report:
             fit = fit_sensor(
                 opened,
                 circuit,

@@ -68,7 +68,7 @@ def command(
 
         circuit_model, remarks = changed(find_model(model), with_, without, set_)
         light = load_stimulus(stimulus)
-        with bar(quiet) as report:
+        with bar(quiet, compiles=True) as report:
             recording = simulate(
                 circuit_model, light, pixels=pixels, seed=seed, sensor_seed=sensor_seed, synchronous=synchronous,
                 threads=threads, progress=report,

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.optimize import least_squares
 
-from pixelid.errors import InputError
+from pixelid.errors import InputError, did_you_mean
 from pixelid.parameters.invariants import INVARIANTS, PHYSICAL_NAMES, Physical, log_jacobian
 
 _RELATION = re.compile(r"^\s*([0-9.eE+-]+)\s*\*?\s*([A-Za-z_]+)\s*$")
@@ -40,7 +40,8 @@ class Gauge:
         ratios: dict[str, tuple[float, str]] = {}
         for name, value in statements.items():
             if name not in PHYSICAL_NAMES:
-                raise InputError(f"gauge: unknown name {name!r}; known: {', '.join(PHYSICAL_NAMES)}")
+                known = f"{', '.join(PHYSICAL_NAMES)}{did_you_mean(name, PHYSICAL_NAMES)}"
+                raise InputError(f"gauge: unknown name {name!r}; known: {known}")
             number = _number(value)
             if number is not None:
                 fixed[name] = number
