@@ -1,7 +1,8 @@
 """Compile what the first `simulate` and `fit` need, so that nobody waits for it later: `python -m pixelid.compilation`.
 
 Numba keeps compiled code beside the package, or in the user's cache where the package cannot be written
-(`NUMBA_CACHE_DIR` says another place).  `make setup` runs this; whoever installs a wheel waits once, in the first command.
+(`NUMBA_CACHE_DIR` says another place).  `make setup` runs this; whoever installs a wheel waits once, in the first
+command.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ SENTENCE = "compiling, first run only (up to a minute)"
 
 @contextmanager
 def announced(say: Callable[[str], None]) -> Iterator[None]:
-    """Inside, `say` is called once with `SENTENCE` when compiling has taken `NOTICEABLE_S`, and not at all otherwise."""
+    """Inside, `say` is called with `SENTENCE` once compiling has taken `NOTICEABLE_S`, and not at all otherwise."""
     from numba.core import event
 
     class Listener(event.Listener):

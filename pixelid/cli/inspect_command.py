@@ -84,6 +84,7 @@ def _still_scene(
     from contextlib import nullcontext
     from dataclasses import asdict
 
+    from pixelid.cli.progress import bar
     from pixelid.inspection.interval_counts import read_interval_counts
     from pixelid.inspection.static_noise import static_noise
     from pixelid.outputs import claimed, plain, whole_folder, write_json
@@ -91,7 +92,8 @@ def _still_scene(
     from pixelid.report.html import write_report
 
     with nullcontext() if out is None else claimed(out, overwrite, files):
-        noise = static_noise([read_interval_counts(file) for file in files], seed)
+        with bar(quiet) as report:
+            noise = static_noise([read_interval_counts(file) for file in files], seed, progress=report)
         hashes = input_hashes(files)
         result = plain({**asdict(noise), "seed": seed, "versions": versions(), "inputs_sha256": hashes})
         if out is not None:

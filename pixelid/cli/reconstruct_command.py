@@ -61,9 +61,8 @@ def command(
         raise InputError(f"{checkpoint}: the folder {checkpoint.parent} does not exist")
     for folder, what in ((dataset, "a dataset"), (fit, "a fit")):
         if folder is not None and not folder.is_dir():
-            raise InputError(
-                f"{folder}: expected the folder of {what}, found {'a file' if folder.exists() else 'none'}"
-            )
+            found = "a file" if folder.exists() else "nothing of that name"
+            raise InputError(f"{folder}: expected the folder of {what}, found {found}")
     refuse_existing(out, overwrite)
     from pixelid.nerf import parallel
     from pixelid.nerf.dataset import read_dataset
