@@ -50,9 +50,9 @@ def check_given(recordings: Iterable[str | Path] = (), models: Iterable[str | Pa
     Raises:
         InputError: a file is missing, empty or of no known format; a model, effect or parameter is unknown.
     """
+    check_readable(recordings)
     for model in models:
         changed(find_model(model), **changes)
-    check_readable(recordings)
 
 
 def as_recordings(recordings: RecordingsLike) -> list[Recording]:

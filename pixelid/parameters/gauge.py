@@ -12,7 +12,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.optimize import least_squares
 
 from pixelid.errors import InputError, did_you_mean
 from pixelid.parameters.invariants import INVARIANTS, PHYSICAL_NAMES, Physical, log_jacobian
@@ -109,6 +108,8 @@ class Gauge:
             return np.concatenate([invariants, fixed, ratio])
 
         start = np.log([around.as_dict()[name] for name in PHYSICAL_NAMES])
+        from scipy.optimize import least_squares  # takes longer to import than all of the model's files
+
         solution = least_squares(residual, start, xtol=1e-15, ftol=1e-15, gtol=1e-15)
         if np.abs(solution.fun).max() > 1e-8:
             raise InputError(
