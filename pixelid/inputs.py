@@ -39,7 +39,9 @@ def as_model(model: ModelLike) -> Model:
     )
 
 
-def check_given(recordings: Iterable[str | Path] = (), models: Iterable[str | Path] = (), **changes) -> None:
+def check_given(
+    recordings: Iterable[str | Path] = (), models: Iterable[str | Path] = (), **changes: Iterable[str]
+) -> None:
     """Look at what a command was given before anything slow is imported.
 
     Args:
