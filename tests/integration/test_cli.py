@@ -160,7 +160,8 @@ def test_a_missing_file_is_refused_before_anything_slow_is_imported(tmp_path):
     words = (
         "fit no.h5 --model dvs128 --out o", "gap no.h5 --model dvs128 --out o", "sensor no.h5 --model dvs128 --out o",
         "inspect no.h5", "convert no.h5 o.h5", "flicker no.h5 --out o", "simulate no --stimulus chirp --out o.h5",
-        "design dvs128 --recorded no.h5 --out o", "lowlight no --out o", "reconstruct no --out o", "fit no.toml --out o",
+        "design dvs128 --recorded no.h5 --out o", "lowlight no --out o", "reconstruct no --out o",
+        "fit no.toml --out o",
     )  # fmt: skip
     script = (
         "import sys\nfrom pixelid.cli.main import main\n"
