@@ -19,6 +19,7 @@ be told from the next.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -28,7 +29,9 @@ from scipy.signal import find_peaks
 
 from pixelid.errors import InputError
 from pixelid.recordings.clocks import CRYSTAL, ClockPrior
+from pixelid.recordings.parts import WHOLE_EVENTS, LongRecording, joined
 from pixelid.recordings.recording import Recording
+from pixelid.recordings.triggers import Triggers
 from pixelid.stimuli.stimulus import Stimulus
 
 METHODS = ("trigger", "first-event", "auto")
@@ -139,31 +142,90 @@ def aligned(recording: Recording, light: Stimulus, alignment: Alignment) -> Reco
     Events move by whole nanoseconds, so that their ticks stay; what lies outside the light is left out.
     Raises InputError when nothing lies inside.
     """
+    zero_ns, first, last = _span_ns(recording, light, alignment)
+    events = recording.events
+    inside = (events.t >= first) & (events.t <= last)
+    if len(events) and not inside.any():
+        raise _nothing_inside(recording.name, (first, last), (int(events.t[0]), int(events.t[-1])))
+    kept = events.select(inside)
+    return replace(
+        _beside(recording, light, alignment, int((~inside).sum())),
+        events=replace(kept, t=kept.t - zero_ns),
+        triggers=None if recording.triggers is None else recording.triggers.shifted(-zero_ns),
+        exposures=None if recording.exposures is None else _moved(recording.exposures, zero_ns, last),
+    )
+
+
+def aligned_parts(long: LongRecording, light: Stimulus, alignment: Alignment) -> LongRecording:
+    """The same of a recording that does not lie in memory; events outside the light are counted in a reading before."""
+    zero_ns, first, last = _span_ns(long.head, light, alignment)
+    inside = outside = 0
+    ends: list[int] = []
+    for part in long.read():
+        t = part.events.t
+        begin, end = np.searchsorted(t, first), np.searchsorted(t, last, side="right")
+        inside, outside = inside + int(end - begin), outside + len(t) - int(end - begin)
+        ends = [*ends[:1], *t[:1].tolist(), *t[-1:].tolist()]
+    if ends and not inside:
+        raise _nothing_inside(long.name, (first, last), (ends[0], ends[-1]))
+    head = _beside(long.head, light, alignment, outside)
+
+    def parts() -> Iterator[Recording]:
+        for part in long.read():
+            kept = part.events.select(np.s_[np.searchsorted(part.events.t, first) :])
+            kept = kept.select(np.s_[: np.searchsorted(kept.t, last, side="right")])
+            edges = None if part.triggers is None else part.triggers.shifted(-zero_ns)
+            yield replace(head, events=replace(kept, t=kept.t - zero_ns), triggers=edges)
+
+    return LongRecording(head, parts)
+
+
+def sample_to_align(long: LongRecording, seed: int = 0) -> Recording:
+    """Enough of a long recording to align it: all trigger edges, the events of some pixels, the time of the first."""
+    counts = np.zeros(long.head.events.width * long.head.events.height, np.int64)
+    edges, first = [], None
+    for part in long.read():
+        counts += np.bincount(part.events.pixel, minlength=len(counts))
+        edges.append(part.triggers)
+        first = int(part.events.t[0]) if first is None and len(part.events) else first
+    order = np.random.default_rng(seed).permutation(np.flatnonzero(counts))
+    few = order[: max(int(np.searchsorted(np.cumsum(counts[order]), WHOLE_EVENTS)), 1)]
+    chosen = np.zeros(len(counts), bool)
+    chosen[few] = True
+    sample = joined(
+        long.head, (replace(part, events=part.events.select(chosen[part.events.pixel])) for part in long.read())
+    )
+    earliest = sample.events.t.copy()
+    earliest[:1] = first  # a moment early for one event of its pixel
+    return replace(sample, events=replace(sample.events, t=earliest), triggers=Triggers.joined(edges))
+
+
+def _span_ns(recording: Recording, light: Stimulus, alignment: Alignment) -> tuple[int, int, int]:
+    """The camera's time that becomes zero, and the first and last time within the light."""
     rate = 1.0 + alignment.rate_error
     start_s = alignment.offset_s + rate * float(light.t[0])
     tick = max(recording.events.tick_ns, 1)
     zero_ns = round(start_s * 1e9 / tick) * tick
-    events = recording.events
     first, last = (round(1e9 * (alignment.offset_s + rate * float(light.t[k]))) for k in (0, -1))
-    inside = (events.t >= max(first, zero_ns)) & (events.t <= last)
-    if len(events) and not inside.any():
-        raise InputError(
-            f"{recording.name}: no event lies within the light, at {first * 1e-9:g}..{last * 1e-9:g} s of the camera's "
-            f"clock; events are at {events.t[0] * 1e-9:g}..{events.t[-1] * 1e-9:g} s (--align)"
-        )
-    kept = events.select(inside)
-    told = {**alignment.as_dict(), "zero_ns": zero_ns, "events_outside": int((~inside).sum())}
+    return zero_ns, max(first, zero_ns), last
+
+
+def _beside(recording: Recording, light: Stimulus, alignment: Alignment, outside: int) -> Recording:
+    """The recording with the light on its new clock, and with how that was found."""
+    zero_ns, _, _ = _span_ns(recording, light, alignment)
+    rate, offset_s = 1.0 + alignment.rate_error, alignment.offset_s - zero_ns * 1e-9
+    told = {**alignment.as_dict(), "zero_ns": zero_ns, "events_outside": outside}
     if alignment.prior is not None:
-        at_s = alignment.offset_s - zero_ns * 1e-9 + rate * alignment.prior.at_s
+        at_s = offset_s + rate * alignment.prior.at_s
         told["prior"] = replace(alignment.prior, at_s=at_s, span_s=rate * alignment.prior.span_s).as_dict()
     attributes = {**recording.attributes, "alignment": told}
-    return replace(
-        recording,
-        events=replace(kept, t=kept.t - zero_ns),
-        stimulus=light.shifted(alignment.offset_s - zero_ns * 1e-9, rate),
-        triggers=None if recording.triggers is None else recording.triggers.shifted(-zero_ns),
-        exposures=None if recording.exposures is None else _moved(recording.exposures, zero_ns, last),
-        attributes=attributes,
+    return replace(recording, stimulus=light.shifted(offset_s, rate), attributes=attributes)
+
+
+def _nothing_inside(name: str, light_ns: tuple[int, int], events_ns: tuple[int, int]) -> InputError:
+    return InputError(
+        f"{name}: no event lies within the light, at {light_ns[0] * 1e-9:g}..{light_ns[1] * 1e-9:g} s of the camera's "
+        f"clock; events are at {events_ns[0] * 1e-9:g}..{events_ns[1] * 1e-9:g} s (--align)"
     )
 
 

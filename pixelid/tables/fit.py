@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from pixelid.parameters.parameter import Parameter
+from pixelid.parameters.parameter import Parameter, precision_in_words
 from pixelid.status import Status
 from pixelid.tables.model import TableModel, predicted_rows
 
@@ -116,6 +116,13 @@ class TableFit:
                 "identified": known,
             }
         return entries
+
+    def precision(self) -> dict[str, str]:
+        """How well each parameter is known, in words, by its name."""
+        parameters, entries = {p.name: p for p in self.parameters}, self.as_dict()
+        return {
+            name: precision_in_words(tuple(entry["interval_95"]), parameters[name]) for name, entry in entries.items()
+        }
 
     def as_rows(self) -> list[dict[str, Any]]:
         """The table's rows with measured, predicted and standardised residual."""

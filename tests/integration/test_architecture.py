@@ -26,6 +26,7 @@ MAY_IMPORT = {
     "dynamics": BASE | {"parameters", "stages"},
 }
 MAY_IMPORT["inputs"] = BASE | {"model", "recordings", "stimuli"}
+MAY_IMPORT["compilation"] = set()  # everything else is imported when a function is called
 MAY_IMPORT["api"] = MAY_IMPORT["api_analyses"] = BASE  # everything else is imported when a function is called
 MAY_IMPORT["inspection"] = BASE | {"recordings", "stimuli"}
 MAY_IMPORT["simulate"] = MAY_IMPORT["likelihood"] = set(MAY_IMPORT) - {"inspection"}
