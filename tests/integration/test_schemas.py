@@ -149,6 +149,8 @@ def test_latency(tmp_path):
         "--quiet",
     )
     check("latency", written(tmp_path / "two" / "latency.json"))
+
+
 def test_noise(tmp_path):
     rows = "0.5,0.4,0.5\n2,1,0.8\n10,0.5,0.4\n50,0.01,0.008\n"
     (tmp_path / "noise.csv").write_text("lux,on_events_per_s,off_events_per_s\n" + rows)
