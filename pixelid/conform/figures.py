@@ -8,11 +8,11 @@ from typing import Any
 
 from pixelid.conform.result import ConformReport
 from pixelid.conform.row import ABSENT, NOT_DECIDABLE, NOT_TESTED, PRESENT, Row
-from pixelid.figures.style import IMPROVED, INK, MEASURED, MUTED, UNEXPLAINED, new_axis, save_figure, styled
+from pixelid.figures.style import IMPROVED, INK, MUTED, SERIES, UNEXPLAINED, new_axis, save_figure, styled
 from pixelid.gap.figures import write_figures as write_figures_of_search
 from pixelid.recordings.recording import Recording
 
-COLOURS = {PRESENT: IMPROVED, ABSENT: MEASURED, NOT_DECIDABLE: UNEXPLAINED, NOT_TESTED: MUTED}
+COLOURS = {PRESENT: IMPROVED, ABSENT: SERIES[2], NOT_DECIDABLE: UNEXPLAINED, NOT_TESTED: MUTED}
 MARKS = {PRESENT: "o", ABSENT: "x", NOT_DECIDABLE: "D", NOT_TESTED: "|"}
 
 

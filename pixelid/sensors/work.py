@@ -124,10 +124,10 @@ def connected(where: Where) -> Iterator[Any]:
         with client:
             yield client
         return
-    import dask
+    from dask import config
 
     with (
-        dask.config.set({KEEP_FREED_MEMORY: 1 << 31}),
+        config.set({KEEP_FREED_MEMORY: 1 << 31}),
         LocalCluster(
             n_workers=where.workers, threads_per_worker=1, processes=True, dashboard_address="", silence_logs=50
         ) as cluster,

@@ -223,7 +223,7 @@ BROKEN = {
         lambda s: edit(s / "renderer_params.npz", interm_color_space=lambda _: np.array("sRGB")),
         ("renderer_params.npz", "interm_color_space"),
     ),
-    "no folder": (shutil.rmtree, ("no such folder",)),
+    "no folder": (shutil.rmtree, ("expected the folder of a dataset", "found nothing")),
 }
 
 

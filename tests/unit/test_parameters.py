@@ -136,7 +136,10 @@ def test_three_equations_for_six_values():
     assert np.linalg.matrix_rank(log_jacobian(NOMINAL)) == 3
 
 
-@pytest.mark.parametrize("name", sorted(shipped_models()))
+NOMINAL_MODELS = [name for name in sorted(shipped_models()) if find_model(name).radiance_unit != "W/m2"]  # not fitted
+
+
+@pytest.mark.parametrize("name", NOMINAL_MODELS)
 def test_shipped_invariants_equal_their_physical_values(name):
     model = find_model(name)
     source = model.physical or NOMINAL

@@ -203,8 +203,8 @@ def impute(
     whole, model = _begin(whole, brief, whole.with_filter_priors(model), options.seed, report, cache)
     whole, model = impute_again(whole, model, ROUNDS[1], exact=False, report=report, cache=cache)
     whole, model = impute_again(whole, model, ROUNDS[2], report=report, cache=cache)
-    unexplained = _unexplained_share(whole.likelihood, model)
-    return whole.only(unexplained <= options.criteria.max_unexplained_share_of_recording)
+    kept = _unexplained_share(whole.likelihood, model) <= options.criteria.max_unexplained_share_of_recording
+    return whole.only(kept) if kept.any() else whole  # events unexplained everywhere: the model is wrong, not the times
 
 
 def impute_behind_jitter(
