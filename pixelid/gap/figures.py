@@ -24,11 +24,13 @@ from pixelid.figures.style import (
 from pixelid.gap.attribute.flexible import Flexible
 from pixelid.gap.confirm.free_run import FreeRun
 from pixelid.model.model import Model
+from pixelid.recordings.own_light import with_fine_light
 from pixelid.recordings.recording import Recording
 from pixelid.simulate import simulate
-from pixelid.stimuli.resample import resampled
+from pixelid.stimuli.pixel_lights import in_a_row
 
 BINS = 100
+COPIES = 64  # pixels simulated beside the measured ones
 LATE, EARLY = ON, OFF  # warm and cold
 
 
@@ -126,14 +128,16 @@ def draw_before_after(report: Searched, recordings: Sequence[Recording], axes: A
         axes = new_axes(len(shown), 1, 8.5, 2.2)
     between = report.details["stimulus_between_samples"]
     for axis, recording in zip(axes.flat, shown, strict=True):
-        assert recording.stimulus is not None
-        stimulus = resampled(recording.stimulus, between)
-        edges = np.linspace(stimulus.t[0], stimulus.t[-1], BINS + 1)
-        pixels = max(len(np.unique(recording.events.pixel)), 1)
+        stimulus = with_fine_light(recording, between).stimulus
+        assert stimulus is not None
+        edges = np.linspace(stimulus.start_s, stimulus.end_s, BINS + 1)
+        active = np.unique(recording.events.pixel)
+        pixels = max(len(active), 1)
+        light = in_a_row(stimulus, active[np.linspace(0, pixels - 1, COPIES).astype(int)])
         for model, colour, label in ((report.base, MUTED, "base model"), (report.model, IMPROVED, "grown model")):
-            copy = simulate(model, stimulus, width=64, height=1, seed=report.seed).events
+            copy = simulate(model, light, width=COPIES, height=1, seed=report.seed).events
             for polarity, sign in ((1, 1.0), (0, -1.0)):
-                rate = np.histogram(copy.t[copy.p == polarity] * 1e-9, edges)[0] * sign / 64 / np.diff(edges)
+                rate = np.histogram(copy.t[copy.p == polarity] * 1e-9, edges)[0] * sign / COPIES / np.diff(edges)
                 axis.step(
                     edges[:-1], rate, where="post", color=colour, linewidth=0.9, label=label if sign > 0 else None
                 )

@@ -8,6 +8,7 @@ import numpy as np
 
 from pixelid.errors import InputError
 from pixelid.recordings.recording import Recording
+from pixelid.stimuli.pixel_lights import pixel_lights
 
 
 def crop(
@@ -28,7 +29,8 @@ def crop(
         without: flat pixel indices to leave out, hot ones say.
 
     Returns:
-        The recording with fewer events, everything else as before; light of each pixel's own stays whole.
+        The recording with fewer events, everything else as before; of light of each pixel's own that of the pixels
+        left, in groups that share one.
 
     Raises:
         InputError: for a region outside the sensor, an empty span, and when no event is left of some.
@@ -50,8 +52,7 @@ def crop(
             raise InputError(f"--time: expected from:to in seconds with from < to, found {begin:g}:{end:g}")
         keep &= (events.t >= round(begin * 1e9)) & (events.t < round(end * 1e9))
         if stimulus is not None:
-            last = max(int(np.searchsorted(stimulus.t, end)) + 1, 2)
-            stimulus = replace(stimulus, t=stimulus.t[:last], radiance=stimulus.radiance[:last])
+            stimulus = stimulus.until(end)
     if without is not None and len(without):
         keep &= ~np.isin(events.pixel, without)
     if pixels is not None:
@@ -62,7 +63,11 @@ def crop(
         keep &= np.isin(events.pixel, chosen)
     if len(events) and not keep.any():
         raise InputError(f"{recording.name}: no event is left of {len(events)} (--roi, --time, --pixels)")
-    return replace(recording, events=events.select(keep), stimulus=stimulus)
+    events = events.select(keep)
+    if stimulus is not None and (roi or pixels) and stimulus.size == (events.width, events.height):
+        grouped = pixel_lights(stimulus, events.pixel)
+        stimulus = stimulus if grouped is None else grouped.restricted(np.unique(events.pixel))
+    return replace(recording, events=events, stimulus=stimulus)
 
 
 @dataclass(frozen=True)

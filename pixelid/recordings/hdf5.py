@@ -28,7 +28,7 @@ from pixelid.recordings.events import Events
 from pixelid.recordings.metadata import FORMAT, VERSION
 from pixelid.recordings.recording import Recording
 from pixelid.recordings.triggers import Triggers
-from pixelid.stimuli.stimulus import Stimulus
+from pixelid.stimuli.pixel_lights import Light, light_from_arrays
 
 CHUNK = 1 << 16
 BLOCK = 1 << 22
@@ -199,14 +199,15 @@ def _refuse_undeclared_duplicates(events: Events, declared: int, path: Path) -> 
         )
 
 
-def _read_stimulus(file, path: Path) -> Stimulus:
+def _read_stimulus(file, path: Path) -> Light:
     group, where = file["stimulus"], f"{path}: stimulus"
     for name in ("t", "radiance"):
         if name not in group:
             raise InputError(f"{where}/{name}: missing; expected t and radiance, found {', '.join(group) or 'nothing'}")
     unit = _attribute(group.attrs.get("unit", "relative"))
     interpolation = _attribute(group.attrs.get("interpolation", "linear"))
-    return Stimulus.from_arrays(group["t"][:], group["radiance"][:], unit, interpolation, where=where)
+    columns = {name: group[name][:] for name in ("t", "radiance", "first", "of_pixel") if name in group}
+    return light_from_arrays(columns, unit, interpolation, where)
 
 
 def _attribute(value):
@@ -246,7 +247,7 @@ def write(recording: Recording, path: Path) -> None:
         if stimulus is not None:
             group = file.create_group("stimulus")
             group.attrs.update({"unit": stimulus.unit, "interpolation": stimulus.interpolation})
-            for name, column in (("t", stimulus.t), ("radiance", stimulus.radiance)):
+            for name, column in stimulus.arrays.items():
                 _compressed(group, name, column.shape, column.dtype)[...] = column
     if disk.error is not None:
         raise disk.error

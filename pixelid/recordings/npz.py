@@ -13,6 +13,7 @@ from pixelid.recordings.columns import sensor_size, to_nanoseconds
 from pixelid.recordings.events import Events
 from pixelid.recordings.recording import Recording
 
+PREFIX = "stimulus_"  # of the arrays of the light
 NAMES = {
     "t": ("t", "ts", "time", "times", "timestamp", "timestamps"),
     "x": ("x", "xs", "col", "column"),
@@ -48,7 +49,7 @@ def _read(archive, path: Path) -> Recording:
     width, height = (1 if size is None else size for size in stated)
     nanoseconds = to_nanoseconds(t, unit, where)
     events = Events.from_columns(nanoseconds, x, y, p, width, height, tick_ns=tick_ns, where=where)
-    stimulus = (archive["stimulus_t"], archive["stimulus_radiance"]) if "stimulus_t" in archive else None
+    stimulus = {name[len(PREFIX) :]: archive[name] for name in archive.files if name.startswith(PREFIX)} or None
     return metadata.assemble(meta, events, stimulus, path, str(path))
 
 
@@ -85,5 +86,5 @@ def write(recording: Recording, path: Path) -> None:
     events, stimulus = recording.events, recording.stimulus
     columns: dict = {"t": events.t, "x": events.x, "y": events.y, "p": events.p}
     if stimulus is not None:
-        columns |= {"stimulus_t": stimulus.t, "stimulus_radiance": stimulus.radiance}
+        columns |= {f"{PREFIX}{name}": array for name, array in stimulus.arrays.items()}
     np.savez_compressed(path, metadata=np.array(metadata.to_json(recording)), **columns)

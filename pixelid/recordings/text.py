@@ -19,6 +19,7 @@ from pixelid.recordings.columns import sensor_size, to_nanoseconds
 from pixelid.recordings.events import Events
 from pixelid.recordings.npz import NAMES, seconds_to_ns
 from pixelid.recordings.recording import Recording
+from pixelid.stimuli.pixel_lights import PixelLights
 
 LINES_AT_ONCE = 1 << 19
 
@@ -44,7 +45,7 @@ def read(path: Path) -> Recording:
 
 
 def _header(file, path: Path):
-    """Metadata, stimulus (t, radiance) or None, column order of t, x, y, p, and the first line of numbers."""
+    """Metadata, arrays of the stimulus or None, column order of t, x, y, p, and the first line of numbers."""
     meta, stimulus, order = {}, None, [0, 1, 2, 3]
     for line in file:
         line = line.strip()
@@ -52,7 +53,7 @@ def _header(file, path: Path):
             meta = metadata.from_json(line[2:], f"{path}: header")
         elif line.startswith("# stimulus {"):
             told = json.loads(line[len("# stimulus ") :])
-            stimulus = np.array(told["t"]), np.array(told["radiance"], dtype=told["dtype"])
+            stimulus = {"t": np.array(told["t"]), "radiance": np.array(told["radiance"], dtype=told["dtype"])}
         elif line and not line.startswith("#"):
             if not line[0].isalpha():
                 return meta, stimulus, order, line
@@ -91,7 +92,7 @@ def _blocks(file, first: str, order: list[int], seconds: bool, where: str):
 def write(recording: Recording, path: Path) -> None:
     """Write `recording` as text, t in nanoseconds; a per-pixel stimulus is refused (use .h5 or .npz)."""
     events, stimulus = recording.events, recording.stimulus
-    if stimulus is not None and not stimulus.full_field:
+    if stimulus is not None and (isinstance(stimulus, PixelLights) or not stimulus.full_field):
         raise InputError(f"{path.name}: text holds no per-pixel stimulus; write .h5 or .npz")
     separator = "," if path.suffix.lower() == ".csv" else " "
     with path.open("w", encoding="utf-8") as file:

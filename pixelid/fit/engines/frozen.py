@@ -75,8 +75,8 @@ class Frozen:
 def freeze(objective: EventTimesObjective, x: np.ndarray) -> Frozen:
     """The discrete choices at x.
 
-    Raises InputError for effects that only the compiled engine has: extra pole, lower cutoff, mains flicker, thresholds
-    that depend on the polarity before.
+    Raises InputError for what only the compiled form has: light of each pixel's own, extra pole, lower cutoff, mains
+    flicker, thresholds that depend on the polarity before.
     """
     likelihood = objective.likelihood
     circuit = objective.coordinates.circuit(x)
@@ -90,6 +90,8 @@ def freeze(objective: EventTimesObjective, x: np.ndarray) -> Frozen:
     ):
         if there:
             raise InputError(f"{name}: not in the symbolic form of the likelihood; use its compiled form")
+    if any(len(evaluator.section.lights) > 1 for evaluator in likelihood.evaluators):
+        raise InputError("light of each pixel's own: not in the symbolic form of the likelihood; use its compiled form")
     terms, factor = objective.terms(x), likelihood.threshold_factor
     return Frozen(
         circuit=circuit,
@@ -104,9 +106,8 @@ def freeze(objective: EventTimesObjective, x: np.ndarray) -> Frozen:
 
 
 def _frozen(evaluator: ChangeEvaluator, extremes: Extremes, circuit: Circuit) -> FrozenRecording:
-    iv, stimulus = evaluator.intervals, evaluator.recording.stimulus
-    assert stimulus is not None
-    light = drive(stimulus, circuit, iv.end_s)
+    iv = evaluator.intervals
+    light = drive(evaluator.section.lights[0], circuit, iv.end_s)
 
     def step_of(times):
         return np.maximum(np.searchsorted(light.t, times, side="right") - 1, 0)

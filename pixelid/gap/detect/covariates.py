@@ -17,6 +17,7 @@ import numpy as np
 from pixelid.gap.detect.residuals import Residuals, expected_log_rate
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.stages.circuit import Circuit
+from pixelid.stimuli.pixel_lights import log_radiance_at
 
 # Slices per recording and polarity: some 400 cells in all, a few dozen events each in the smallest sessions.
 TIMES, WAITS, LIGHTS, SPEEDS = 8, 5, 5, 4
@@ -53,7 +54,8 @@ def sort_events(
     last = np.concatenate([iv.previous_s for iv in likelihood.intervals])
     time = np.maximum(likelihood.time_s - residual.late, last)
     parts = np.split(time, np.cumsum([len(iv) for iv in likelihood.intervals])[:-1])
-    light = np.concatenate([_log_light(r, t) for r, t in zip(likelihood.recordings, parts, strict=True)])
+    pairs = zip(likelihood.recordings, likelihood.intervals, parts, strict=True)
+    light = np.concatenate([log_radiance_at(r.stimulus, iv.pixel, t) for r, iv, t in pairs if r.stimulus is not None])
     level, level_names = _levels(likelihood)
     pair = 2 * on + before
     pair_labels = tuple(f"{POLARITY[p]} after {POLARITY[b]}" for p in (0, 1) for b in (0, 1))
@@ -76,15 +78,11 @@ def sort_events(
     return factors
 
 
-def _log_light(recording, time_s) -> np.ndarray:
-    """(n,) log radiance of the stimulus at some times."""
-    stimulus = recording.stimulus
-    return np.interp(time_s, stimulus.t, np.log(np.maximum(stimulus.radiance, 1e-300)))
-
-
 def _levels(likelihood: EventTimes) -> tuple[np.ndarray, list[str]]:
     """((recordings,) radiance level of each recording, names): recordings within a factor `SAME_LEVEL` share one."""
-    lights = [np.maximum(r.stimulus.radiance, 1e-300) for r in likelihood.recordings if r.stimulus is not None]
+    lights = [
+        np.maximum(r.stimulus.average().radiance, 1e-300) for r in likelihood.recordings if r.stimulus is not None
+    ]
     typical = np.array([float(np.exp(np.mean(np.log(light)))) for light in lights])
     order = np.argsort(typical)
     new = np.concatenate([[0], np.cumsum(np.diff(np.log(typical[order])) > np.log(SAME_LEVEL))])
