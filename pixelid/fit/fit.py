@@ -28,6 +28,7 @@ from pixelid.provenance import input_hashes, versions
 from pixelid.recordings.own_light import with_fine_light, with_pixel_lights
 from pixelid.recordings.recording import Recording
 from pixelid.recordings.selection import few
+from pixelid.recordings.sensor_light import light_caveats
 
 Progress = Callable[[str, float], None]
 STARTS = 2  # random starts beside the model's own
@@ -214,6 +215,7 @@ def _fit_event_times(recordings, model, starts, between, maximiser: Engine, form
         "background_fraction": float(background.mean()),
         "residual_tests": [test.as_dict() for test in residual_tests(objective, optimum.x)],
         "form": form,
+        "caveats": light_caveats(recordings),
     }
     if form == "continuous":
         details["continuous_minus_discrete_nats"] = float(optimum.local.value - discrete.local.value)

@@ -90,7 +90,7 @@ def freeze(objective: EventTimesObjective, x: np.ndarray) -> Frozen:
     ):
         if there:
             raise InputError(f"{name}: not in the symbolic form of the likelihood; use its compiled form")
-    if any(len(evaluator.section.lights) > 1 for evaluator in likelihood.evaluators):
+    if not all(r.stimulus is not None and r.stimulus.full_field for r in likelihood.recordings):
         raise InputError("light of each pixel's own: not in the symbolic form of the likelihood; use its compiled form")
     terms, factor = objective.terms(x), likelihood.threshold_factor
     return Frozen(
