@@ -196,7 +196,7 @@ class _Seen:
 
 
 def _seen(recording: Recording, light: Light) -> tuple[Recording, _Seen]:
-    """The light, of pixels' own that of the `MOST_LIGHTS` with most events; and the recording of the pixels that see it.
+    """The light (of pixels' own the `MOST_LIGHTS` with most events), and the recording of the pixels that see it.
 
     Raises:
         InputError: where the light is constant.

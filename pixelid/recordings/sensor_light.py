@@ -26,9 +26,9 @@ from pixelid.stimuli.stimulus import Stimulus
 ATTRIBUTE, MEASURED = "light", "exposure measurements"
 MIN_MEASUREMENTS = 2  # of a pixel: one tells no change
 CAVEAT = (
-    "the light is the sensor's own, one sample per exposure and a straight line between: threshold noise holds what the "
-    "line is off by, and dead time, cutoffs and latency follow from where in between the light is said to have changed; "
-    "each pixel's unknown gain of the light shifts nothing but its bandwidth and dark current"
+    "the light is the sensor's own, one sample per exposure and a straight line between: threshold noise holds what "
+    "the line is off by, and dead time, cutoffs and latency follow from when in between the light is taken to have "
+    "changed; each pixel's unknown gain of the light shifts nothing but its bandwidth and dark current"
 )
 
 

@@ -13,10 +13,12 @@ from pixelid.fit.event_times import EventTimesObjective
 from pixelid.likelihood import sections
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.model.shipped import find_model
-from pixelid.recordings import Recording, open_recording, write_recording
+from pixelid.recordings import Events, Recording, open_recording, write_recording
+from pixelid.recordings.alignment import aligned, find_alignment
 from pixelid.recordings.crop import crop
 from pixelid.recordings.own_light import with_fine_light, with_pixel_lights
 from pixelid.recordings.selection import only
+from pixelid.recordings.sensor_light import measurements, with_measured_light
 from pixelid.simulate import simulate
 from pixelid.stimuli.pixel_lights import PixelLights, in_a_row, log_radiance_at
 from pixelid.stimuli.resample import resampled
@@ -198,3 +200,58 @@ def test_light_of_another_sensor_is_refused(recording):
         PixelLights.of_groups([sine()], np.array([[0, 1]]))
     with pytest.raises(InputError, match="where the samples of each light begin"):
         PixelLights.from_arrays(np.arange(4.0), np.ones(4), np.array([0, 3]), np.array([[0]]))
+
+
+def exposures_of(lights, charge: float, begins: dict[int, np.ndarray]):
+    """Measurements of an ATIS: each pixel's begins, and the ends at which its light has moved the charge."""
+    rows = []
+    for pixel, light in enumerate(lights):
+        moved = np.concatenate([[0.0], np.cumsum(0.5 * (light[1][1:] + light[1][:-1]) * np.diff(light[0]))])
+        for begin in begins[pixel]:
+            end = np.interp(np.interp(begin, light[0], moved) + charge, moved, light[0])
+            rows += [(begin, pixel, 0), (end, pixel, 1)]
+    t, x, p = (np.array(column) for column in zip(*sorted(rows), strict=True))
+    return Events.from_columns(np.rint(t * 1e9).astype(np.int64), x, np.zeros(len(x), int), p, 3, 1)
+
+
+def test_an_atis_measures_its_own_light():
+    t = np.linspace(0.0, 1.0, 20001)
+    lights = [(t, 200.0 * np.exp(np.sin(6.0 * t))), (t, 50.0 + 20.0 * t), (t, 100.0 + 0.0 * t)]
+    begins = {0: np.arange(0.05, 0.9, 0.02), 1: np.array([0.1, 0.5]), 2: np.array([0.4])}
+    fired = Events.from_columns([1000, 2000, 3000], [0, 1, 2], [0, 0, 0], [1, 1, 0], 3, 1)
+    recording = with_measured_light(Recording(fired, exposures=exposures_of(lights, 0.5, begins)))
+    assert recording.events.x.tolist() == [0, 1]  # one measurement tells no change
+    assert [len(light.t) for light in recording.stimulus.lights] == [45, 4]
+    for (when, light), told in zip(lights[:2], recording.stimulus.lights, strict=True):
+        inside = told.t[1:-1]
+        np.testing.assert_allclose(told.radiance[1:-1], np.interp(inside, when, light) / 0.5, rtol=2e-3)
+    assert EventTimes([replace(recording, events=twice(fired))]).events == 1
+    with pytest.raises(InputError, match="expected exposure measurements"):
+        with_measured_light(Recording(fired))
+
+
+def twice(events: Events) -> Events:
+    """Two events of the first pixel."""
+    return Events.from_columns([1000, 50_000_000], [0, 0], [0, 0], [1, 1], events.width, events.height)
+
+
+def test_a_measurement_that_the_next_breaks_off_is_left_out():
+    t, p = np.array([0, 10, 20, 30, 50]) * 10**6, [0, 0, 1, 0, 1]
+    pixel, middle, light = measurements(Events.from_columns(t, [0] * 5, [0] * 5, p, 1, 1))
+    assert pixel.tolist() == [0, 0]
+    np.testing.assert_allclose(middle, [0.015, 0.040])
+    np.testing.assert_allclose(light, [100.0, 50.0])
+
+
+def test_events_find_light_of_pixels_own_on_its_clock():
+    t = np.linspace(0.0, 0.8, 1601)
+    phase = 2 * np.pi * (6.0 * (t + 1.5 * t**2)[:, None] - np.arange(4) / 3.3)
+    video = Stimulus(t, np.repeat((200.0 * np.exp(0.7 * np.sin(phase)))[:, None, :], 4, axis=1))
+    recording = simulate(MODEL, video, seed=3)
+    late = replace(recording, events=replace(recording.events, t=recording.events.t + 2_345_678_000), stimulus=None)
+    alignment = find_alignment(late, video, "auto")
+    assert alignment.offset_s == pytest.approx(2.345678, abs=5e-5)
+    on_one_clock = aligned(late, video, alignment)
+    assert on_one_clock.stimulus.size == (4, 4)
+    with pytest.raises(InputError, match="light is constant"):
+        find_alignment(late, replace(video, radiance=np.ones((1601, 4, 4))), "auto")
