@@ -56,12 +56,13 @@ def command(
     with claimed(target, overwrite, [source, *([stimulus] if stimulus and stimulus != SENSOR else [])]):
         from pixelid.recordings import open_recording, write_recording
 
-        recording = crop.applied(open_recording(source), seed)
+        recording = open_recording(source)
         if stimulus == SENSOR:
             from pixelid.recordings.sensor_light import with_measured_light
 
             recording = with_measured_light(recording)
-        elif stimulus is not None:
+        recording = crop.applied(recording, seed)
+        if stimulus is not None and stimulus != SENSOR:
             from pixelid.stimuli.files import load_stimulus
 
             light = load_stimulus(stimulus)
