@@ -45,7 +45,7 @@ def turns(stop_hz: float, t: np.ndarray) -> np.ndarray:
 
 
 def grating(level: float, side: int, t: np.ndarray) -> Stimulus:
-    """Vertical stripes, a sine of log radiance, that move to the right ever faster, in the end faster than the pixel."""
+    """Vertical stripes, a sine of log radiance, that move to the right, in the end faster than the pixel follows."""
     phase = 2 * np.pi * (turns(40.0 * np.sqrt(level), t)[:, None] - np.arange(side) / 6.3)
     columns = level * np.exp(0.7 * np.sin(phase))
     return Stimulus(t, np.repeat(columns[:, None, :], side, axis=1))
