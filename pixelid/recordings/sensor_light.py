@@ -24,6 +24,7 @@ from pixelid.stimuli.pixel_lights import UNKNOWN, PixelLights
 from pixelid.stimuli.stimulus import Stimulus
 
 ATTRIBUTE, MEASURED = "light", "exposure measurements"
+MIN_TICKS = 10  # of an exposure: a shorter one is rounded by more than 3 % (1/√12 tick)
 MIN_MEASUREMENTS = 2  # of a pixel: one tells no change
 CAVEAT = (
     "the light is the sensor's own, one sample per exposure and a straight line between: threshold noise holds what "
@@ -67,7 +68,7 @@ def with_measured_light(recording: Recording) -> Recording:
 
 
 def measurements(exposures: Events) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(pixel, time s, light 1/s) (m,) of every finished measurement, by pixel and time.
+    """(pixel, time s, light 1/s) (m,) of every finished measurement, by pixel and time; the shortest are left out.
 
     Args:
         exposures: Begin (p = 0) and end (p = 1) of each.
@@ -75,6 +76,7 @@ def measurements(exposures: Events) -> tuple[np.ndarray, np.ndarray, np.ndarray]
     order = np.lexsort((exposures.p, exposures.t, exposures.pixel))
     pixel, t, p = exposures.pixel[order].astype(np.int64), exposures.t[order], exposures.p[order]
     begins = np.flatnonzero((p[:-1] == 0) & (p[1:] == 1) & (pixel[1:] == pixel[:-1]) & (t[1:] > t[:-1]))
+    begins = begins[t[begins + 1] - t[begins] >= MIN_TICKS * exposures.tick_ns]
     begin, end = t[begins], t[begins + 1]
     return pixel[begins], 0.5e-9 * (begin + end), 1e9 / (end - begin)
 

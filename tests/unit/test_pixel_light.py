@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from pixelid.cli.main import main as run
 from pixelid.errors import InputError
 from pixelid.fit.coordinates import Coordinates
 from pixelid.fit.event_times import EventTimesObjective
@@ -18,7 +19,7 @@ from pixelid.recordings.alignment import aligned, find_alignment
 from pixelid.recordings.crop import crop
 from pixelid.recordings.own_light import with_fine_light, with_pixel_lights
 from pixelid.recordings.selection import only
-from pixelid.recordings.sensor_light import measurements, with_measured_light
+from pixelid.recordings.sensor_light import light_caveats, measurements, with_measured_light
 from pixelid.simulate import simulate
 from pixelid.stimuli.pixel_lights import PixelLights, in_a_row, log_radiance_at
 from pixelid.stimuli.resample import resampled
@@ -233,6 +234,16 @@ def test_an_atis_measures_its_own_light():
 def twice(events: Events) -> Events:
     """Two events of the first pixel."""
     return Events.from_columns([1000, 50_000_000], [0, 0], [0, 0], [1, 1], events.width, events.height)
+
+
+def test_a_real_atis_recording_brings_its_light(shared, tmp_path):
+    source, out = shared / "recordings" / "atis" / "gorchard_example_data.mat", tmp_path / "atis.h5"
+    assert run(["convert", str(source), str(out), "--stimulus", "sensor", "--pixels", "60", "--quiet"]) == 0
+    recording = open_recording(out)
+    assert len(recording.stimulus.lights) == len(np.unique(recording.events.pixel)) == 60
+    assert np.isfinite(EventTimes([with_fine_light(recording, "linear")]).log_likelihood(MODEL.circuit()))
+    assert light_caveats([recording]) != []
+    assert run(["convert", str(source), str(out), "--stimulus", "sensor", "--align", "auto"]) == 2
 
 
 def test_a_measurement_that_the_next_breaks_off_is_left_out():
