@@ -62,6 +62,11 @@ def resampled(stimulus: Light, between: str = "linear", largest_change: float = 
     if smooth is not None:
         t = np.union1d(t, smooth.corners)
         fine = smooth(t)
+        span = float(np.ptp(u))
+        if (
+            fine.min() < u.min() - span or fine.max() > u.max() + span
+        ):  # splines that ring: no samples of a smooth light
+            return resampled(stimulus, "linear", largest_change)
     else:
         fine = np.append((1.0 - weight) * u[left] + weight * u[left + 1], u[-1])
     return Stimulus(t, np.exp(fine), stimulus.unit, stimulus.interpolation)

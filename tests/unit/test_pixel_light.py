@@ -119,6 +119,14 @@ def test_each_light_is_resampled_for_itself():
     assert len(fine.lights[1].t) == 5
 
 
+def test_splines_that_ring_give_way_to_straight_lines():
+    """Exposures come in pairs close together, seconds apart: a cubic through them leaves their range by far."""
+    t = np.array([0.0, 1.0, 1.0001, 2.0, 2.0001, 3.0])
+    measured = Stimulus(t, np.exp([0.0, 0.0, 0.5, 0.5, 0.0, 0.1]))
+    fine, straight = resampled(measured, "smooth"), resampled(measured, "linear")
+    np.testing.assert_array_equal(fine.radiance, straight.radiance)
+
+
 def test_light_is_looked_up_pixel_by_pixel():
     pixel, time = np.array([2, 0, 9, 2]), np.array([0.1, 0.2, 0.3, 0.4])
     told = log_radiance_at(VIDEO, pixel, time)
