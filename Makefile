@@ -30,11 +30,13 @@ help:
 
 setup: $(STAMP)
 
+# What simulate and fit need is compiled now; where that fails, it is compiled when it is used.
 # torch first and pinned: a bare `torch` may pull gigabytes of CUDA where the pinned one has a CPU build.
 $(STAMP): pyproject.toml constraints.txt
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	$(PIP) $(if $(TORCH_INDEX),--extra-index-url $(TORCH_INDEX)) $$(grep '^torch==' constraints.txt)
 	$(PIP) -e ".[dev]"
+	-$(BIN)/python -m pixelid.compilation
 	touch $@
 
 demo: $(STAMP)

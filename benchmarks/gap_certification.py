@@ -19,6 +19,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from decisions import noted_decisions, plain
 from scipy.stats import beta
 
 from pixelid.gap.gap import gap
@@ -44,8 +45,11 @@ STRENGTHS = {  # effect → parameters at its typical strength; graded by the fa
     "timestamp_quantisation": {"tick_s": 1e-4},
     "hot_pixels": {"rate_hz": 100.0, "count": 1},
     "shot_noise": {"density": 3.2e-4},
+    "bandwidth_floor": {"radiance": 20.0},
+    "polarity_memory": {"strength": 0.05},
 }
 WITHHELD = ("source_follower_pole", "differencing_pole", "threshold_mismatch", "refractory_period")  # from the base
+NEWER = ("bandwidth_floor", "polarity_memory")  # whose seeds come after those of the others, which keep theirs
 WEAKER = {"extra_pole", "slew_limit"}  # by a larger number: their factors divide
 FACTORS = (0.1, 0.3, 1.0)
 GRADED = 4  # repeats at the weaker strengths
@@ -94,22 +98,40 @@ def planted(effect: str, factor: float, model: Model) -> tuple[Model, Model]:
     return model.with_effect(effect, values), base
 
 
+def first_seeds() -> dict[str, int]:
+    """effect → seed of its first session; no two effects share their noise."""
+    effects = sorted({*STRENGTHS, *WITHHELD} - set(NEWER))
+    return {effect: 5000 + 100 * k for k, effect in enumerate((*effects, *NEWER))}
+
+
 def run(job: dict) -> dict:
-    """One search: job {"effect", "factor", "seed", "left_out"} and what it report.
+    """One search: job {"effect", "factor", "seed", "left_out"} and what it reports.
 
     strengths: parameter → [planted, found, 95 % interval or null] of the effect where it was named
+    decided_by: [criterion, factor] of the changes of a criterion after which some decision would be another
     """
     effect = job["effect"]
     model, base = planted(effect, job["factor"], camera(job["seed"]))
     left_out = (effect,) if job["left_out"] else ()
     began = time.perf_counter()
-    report = gap(session(model, job["seed"]), base, alpha=ALPHA, seed=job["seed"], leave_out=left_out, recommend=False)
+    recordings = session(model, job["seed"])
+    with noted_decisions() as (criteria, noted):
+        report = gap(
+            recordings,
+            base,
+            alpha=ALPHA,
+            seed=job["seed"],
+            leave_out=left_out,
+            criteria=criteria,
+            recommend=False,
+        )
+    decided_by = sorted(map(list, noted))
     return {
         **job,
         "verdict": report.verdict,
         "named": [named.name for named in report.effects],
-        "p": report.global_p,
-        "remaining_p": report.details["remaining_p"],
+        "p": plain(report.global_p),
+        "remaining_p": plain(report.details["remaining_p"]),
         "closed": report.free_run.closed if report.free_run else None,
         "strengths": {
             name: [model.values[name], *estimate]
@@ -118,6 +140,7 @@ def run(job: dict) -> dict:
             for name, estimate in named.parameters.items()
             if name in model.values
         },
+        "decided_by": decided_by,
         "seconds": time.perf_counter() - began,
     }
 
@@ -126,9 +149,9 @@ def jobs(nulls: int, repeats: int) -> list[dict]:
     """Nulls; every effect at its typical strength and, half as often, left out of the library; then weaker."""
     plan = [{"effect": "", "factor": 0.0, "seed": 1000 + i, "left_out": False} for i in range(nulls)]
     effects = (*(e for e in STRENGTHS if e != "slew_limit"), *WITHHELD, "slew_limit")  # the slowest last
-    first = {effect: 5000 + 100 * k for k, effect in enumerate(sorted(effects))}  # no two effects share their noise
-    for i in range(repeats):
-        for left_out in (False, True)[: 2 - i % 2]:
+    first = first_seeds()
+    for left_out, some in ((False, range(repeats)), (True, range(0, repeats, 2))):
+        for i in some:
             plan += [{"effect": e, "factor": 1.0, "seed": first[e] + i, "left_out": left_out} for e in effects]
     for i in range(min(repeats, GRADED)):
         for effect in STRENGTHS:
@@ -246,7 +269,7 @@ def main() -> None:
 
     def keep(row: dict) -> None:
         rows.append(row)
-        options.out.write_text(json.dumps({"summary": summary(rows), "runs": rows}, indent=1) + "\n")
+        options.out.write_text(json.dumps({"summary": summary(rows), "runs": rows}, indent=1, default=float) + "\n")
         print(
             row["effect"] or "null",
             row["factor"],

@@ -1,12 +1,14 @@
 """What hangs on each criterion of the search for the gap: halve and double it, and count the verdicts that change.
 
-    python benchmarks/gap_sensitivity.py --out gap_sensitivity.json [--workers N] [--criteria NAME …] [--sessions KEY …]
+    python benchmarks/gap_sensitivity.py --certification docs/gap_certification.json --out docs/gap_sensitivity.json
 
-Sessions are those of `gap_certification.py`: ten nulls, each effect once at its typical strength, five with the planted
-effect left out of the library.  A session's key is the planted effect and its seed, with `:left_out` where it applies
-(`leak:5400`, `leak:5400:left_out`; a null is `:1000`).  Each is searched with the criteria as they are, and again with
-one of them halved and doubled.  Runs are added line by line to `--out` (JSON lines), so a benchmark can be interrupted
-and continued; `--workers` runs on Dask.
+The fixed set is what the certification searched at typical strength: nulls, every effect, some with the planted effect
+left out of the library.  The certification noted for each session which changes of a criterion would turn some decision
+on the way (`decisions.py`).  All others cannot change the verdict.  Where that leaves more than 2 % of the sessions
+in question, they are searched again here, at most `--most` per change, drawn evenly; what was not searched counts like
+what was, and where nothing was searched, all in question count as changed.  Runs are added to `--out` one by one, so
+the benchmark can be interrupted and continued.  `--share I/N` takes every N-th run, to divide the work among processes
+with a file each; `--merge FILE …` joins them.
 """
 
 from __future__ import annotations
@@ -18,123 +20,153 @@ from collections import defaultdict
 from dataclasses import fields, replace
 from pathlib import Path
 
-from gap_certification import ALPHA, STRENGTHS, WITHHELD, camera, planted, session
+from decisions import FACTORS, plain, scaled
+from gap_certification import ALPHA, camera, planted, session
 
 from pixelid.gap.criteria import Criteria
 from pixelid.gap.gap import gap
 
-NULLS = 10
-LEFT_OUT = ("dark_current", "leak", "lower_cutoff", "threshold_drift", "source_follower_pole")
-FACTORS = (0.5, 2.0)
 NAMES = tuple(field.name for field in fields(Criteria))
-
-
-def sessions() -> list[dict]:
-    """The fixed set: {"effect", "seed", "left_out"} of each session."""
-    effects = sorted((*STRENGTHS, *WITHHELD))
-    first = {effect: 5000 + 100 * k for k, effect in enumerate(effects)}  # as in the certification
-    nulls = [{"effect": "", "seed": 1000 + i, "left_out": False} for i in range(NULLS)]
-    whole = [{"effect": effect, "seed": first[effect], "left_out": False} for effect in effects]
-    return [*nulls, *whole, *({"effect": e, "seed": first[e], "left_out": True} for e in LEFT_OUT)]
-
-
-def key_of(job: dict) -> str:
-    """A session's name on the command line."""
-    return f"{job['effect']}:{job['seed']}" + (":left_out" if job["left_out"] else "")
+MOST = 40  # searches per change: if none of 40 turns, fewer than 1 in 13 of those in question does (95 %)
+FEW = 0.02  # of the sessions: so few in question need no search
+Change = tuple[str, float]
 
 
 def changed(name: str, factor: float) -> Criteria:
-    """The criteria with one of them multiplied; shares and chances stay below one, counts whole."""
-    if not name:
-        return Criteria()
-    default = getattr(Criteria(), name)
-    value = factor * default
-    if isinstance(default, int):
-        value = max(round(value), 1)
-    elif name in ("min_hidden_cosine", "complete_closed_fraction"):  # what is left to one
-        value = 1.0 - (1.0 - default) * factor
-    return replace(Criteria(), **{name: value})
+    """The criteria with one of them multiplied; counts stay whole."""
+    value = scaled(name, factor)
+    return replace(Criteria(), **{name: round(value) if isinstance(getattr(Criteria(), name), int) else value})
 
 
-def run(job: dict) -> dict:
-    """One search: a job {"criterion", "factor", "effect", "seed", "left_out"} and what it found."""
-    model, base = planted(job["effect"], 1.0, camera(job["seed"]))
+def key_of(row: dict) -> str:
+    """A session's name: planted effect, seed, and whether the library lacked it."""
+    return f"{row['effect']}:{row['seed']}" + (":left_out" if row["left_out"] else "")
+
+
+def fixed_set(certification: Path) -> dict[str, dict]:
+    """key → what the certification found, of nulls and of effects at their typical strength."""
+    rows = json.loads(certification.read_text())["runs"]
+    return {key_of(row): row for row in rows if row["factor"] in (0.0, 1.0) and "decided_by" in row}
+
+
+def in_question(sessions: dict[str, dict]) -> dict[Change, list[str]]:
+    """(criterion, factor) → keys of the sessions in which some decision would be another."""
+    keys: dict[Change, list[str]] = {(name, factor): [] for name in NAMES for factor in FACTORS}
+    for key, row in sorted(sessions.items()):
+        for name, factor in row["decided_by"]:
+            keys[name, factor].append(key)
+    return keys
+
+
+def evenly(keys: list[str], most: int) -> list[str]:
+    """At most so many of them."""
+    return keys if len(keys) <= most else [keys[(i * len(keys)) // most] for i in range(most)]
+
+
+def run(name: str, factor: float, row: dict) -> dict:
+    """One search with one criterion changed, and what it found."""
+    model, base = planted(row["effect"], 1.0, camera(row["seed"]))
     began = time.perf_counter()
     report = gap(
-        session(model, job["seed"]),
+        session(model, row["seed"]),
         base,
         alpha=ALPHA,
-        seed=job["seed"],
-        leave_out=(job["effect"],) if job["left_out"] else (),
-        criteria=changed(job["criterion"], job["factor"]),
+        seed=row["seed"],
+        leave_out=(row["effect"],) if row["left_out"] else (),
+        criteria=changed(name, factor),
         recommend=False,
     )
-    named = sorted(effect.name for effect in report.effects)
-    return {**job, "verdict": report.verdict, "named": named, "seconds": time.perf_counter() - began}
+    named = [effect.name for effect in report.effects]
+    seconds = time.perf_counter() - began
+    return {"criterion": name, "factor": factor, "session": key_of(row), "verdict": report.verdict, "named": named,
+            "p": plain(report.global_p), "seconds": seconds}  # fmt: skip
 
 
-def jobs(names: list[str], keys: list[str]) -> list[dict]:
-    """The sessions as they are, then with each criterion changed."""
-    chosen = [job for job in sessions() if not keys or key_of(job) in keys]
-    changes = [("", 1.0), *((name, factor) for name in names for factor in FACTORS)]
-    return [{"criterion": name, "factor": factor, **job} for name, factor in changes for job in chosen]
+def summary(sessions: dict[str, dict], runs: list[dict]) -> list[dict]:
+    """Per change: sessions, those with another decision, those searched, verdicts that changed, and the share."""
+    done: dict[Change, list[dict]] = defaultdict(list)
+    for r in runs:
+        done[r["criterion"], r["factor"]].append(r)
+    table = []
+    for (name, factor), keys in in_question(sessions).items():
+        mine = done[name, factor]
+        turned = [r for r in mine if not _same(r, sessions[r["session"]])]
+        share = (len(turned) / len(mine) if mine else 1.0) * len(keys) / len(sessions)
+        table.append(
+            {
+                "criterion": name,
+                "value": getattr(Criteria(), name),
+                "changed_to": getattr(changed(name, factor), name),
+                "sessions": len(sessions),
+                "some_decision_changes": len(keys),
+                "searched": len(mine),
+                "verdict_changes": len(turned),
+                "share_at_most" if not mine else "share": share,
+                "which": [f"{r['session']}: {_said(sessions[r['session']])} -> {_said(r)}" for r in turned],
+            }
+        )
+    return table
 
 
-def table(rows: list[dict]) -> str:
-    """Per criterion and factor: how many verdicts change, of how many, and which."""
-    usual = {key_of(r): (r["verdict"], r["named"]) for r in rows if not r["criterion"]}
-    groups: dict[tuple[str, float], list[dict]] = defaultdict(list)
-    for row in rows:
-        if row["criterion"] and key_of(row) in usual:
-            groups[row["criterion"], row["factor"]].append(row)
-    lines = [f"{'criterion':38}{'value':>12}  changed"]
-    for (name, factor), mine in groups.items():
-        moved = [r for r in mine if (r["verdict"], r["named"]) != usual[key_of(r)]]
-        lines.append(f"{name:38}{getattr(changed(name, factor), name):>12.4g}  {len(moved)} of {len(mine)}")
-        lines += [f"    {key_of(r)}: {_said(*usual[key_of(r)])} -> {_said(r['verdict'], r['named'])}" for r in moved]
-    return "\n".join(lines)
+def _same(one: dict, other: dict) -> bool:
+    return one["verdict"] == other["verdict"] and sorted(one["named"]) == sorted(other["named"])
 
 
-def _said(verdict: str, named: list[str]) -> str:
-    return f"{verdict} {'+'.join(named)}".strip()
+def _said(row: dict) -> str:
+    return f"{row['verdict']} {'+'.join(sorted(row['named']))}".strip()
+
+
+def _print(table: list[dict]) -> None:
+    print(f"{'criterion':40}{'changed to':>11}{'decisions':>11}{'searched':>10}{'verdicts':>10}{'share':>8}")
+    for row in table:
+        share = f"{100 * row['share']:.1f} %" if "share" in row else f"≤ {100 * row['share_at_most']:.1f} %"
+        print(
+            f"{row['criterion']:40}{row['changed_to']:>11.4g}{row['some_decision_changes']:>11}{row['searched']:>10}"
+            f"{row['verdict_changes']:>10}{share:>8}"
+        )
+        for line in row["which"]:
+            print("    " + line)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--certification", type=Path, default=Path("docs/gap_certification.json"))
     parser.add_argument("--out", type=Path, default=Path("gap_sensitivity.json"))
-    parser.add_argument("--workers", type=int, default=0, help="Dask workers; 0: here")
+    parser.add_argument("--most", type=int, default=MOST, help="searches per change")
     parser.add_argument("--criteria", nargs="*", default=list(NAMES), choices=NAMES, metavar="NAME")
-    parser.add_argument("--sessions", nargs="*", default=[], metavar="KEY", help="keys; all when none is given")
+    parser.add_argument("--share", default="0/1", metavar="I/N", help="only every N-th run, from the I-th")
+    parser.add_argument("--merge", nargs="*", default=[], type=Path, help="files of other shares to join")
     parser.add_argument("--minutes", type=float, default=1e9, help="stop after so long; run again to go on")
     options = parser.parse_args()
-    unknown = set(options.sessions) - {key_of(job) for job in sessions()}
-    if unknown:
-        parser.error(f"--sessions: {', '.join(sorted(unknown))}: not among {', '.join(map(key_of, sessions()))}")
-    rows = [json.loads(line) for line in options.out.read_text().splitlines()] if options.out.exists() else []
-    done = {(r["criterion"], r["factor"], key_of(r)) for r in rows}
-    plan = jobs(options.criteria, options.sessions)
-    plan = [job for job in plan if (job["criterion"], job["factor"], key_of(job)) not in done]
+    sessions = fixed_set(options.certification)
+    runs = []
+    for path in (options.out, *options.merge):
+        runs += json.loads(path.read_text())["runs"] if path.exists() else []
+    done = {(r["criterion"], r["factor"], r["session"]) for r in runs}
+    first, step = map(int, options.share.split("/"))
+    plan = [
+        (name, factor, key)
+        for (name, factor), keys in in_question(sessions).items()
+        if name in options.criteria and len(keys) > FEW * len(sessions)
+        for key in evenly(keys, options.most)
+    ][first::step]
     until = time.monotonic() + 60.0 * options.minutes
 
-    def keep(row: dict) -> None:
-        rows.append(row)
-        with options.out.open("a") as file:
-            file.write(json.dumps(row) + "\n")
-        said = _said(row["verdict"], row["named"])
-        print(f"{row['criterion'] or 'as it is'} x{row['factor']:g} {key_of(row)} -> {said}", flush=True)
+    def write() -> None:
+        options.out.write_text(
+            json.dumps({"summary": summary(sessions, runs), "runs": runs}, indent=1, default=float) + "\n"
+        )
 
-    if options.workers:
-        from distributed import Client, as_completed
-
-        with Client(n_workers=options.workers, threads_per_worker=1) as client:
-            for _, row in as_completed(client.map(run, plan, pure=False), with_results=True):
-                keep(row)
-    else:
-        for job in plan:
-            if time.monotonic() > until:
-                break
-            keep(run(job))
-    print(table(rows))
+    for name, factor, key in plan:
+        if time.monotonic() > until:
+            break
+        if (name, factor, key) in done:
+            continue
+        runs.append(run(name, factor, sessions[key]))
+        write()
+        print(f"{name} x{factor:g} {key}: {_said(sessions[key])} -> {_said(runs[-1])}", flush=True)
+    write()
+    _print(summary(sessions, runs))
 
 
 if __name__ == "__main__":

@@ -147,6 +147,34 @@ def certification() -> str:
     )  # fmt: skip
 
 
+def sensitivity() -> str:
+    """What `benchmarks/gap_sensitivity.py` found: a row per criterion, halved and doubled."""
+    summary = of_json("docs/gap_sensitivity.json")["summary"]
+    halves: dict[str, list[dict]] = defaultdict(list)
+    for row in summary:
+        halves[row["criterion"]].append(row)
+    rows, turned = [], []
+    for name, pair in halves.items():
+        cells = [f"{r['some_decision_changes']} / {r['searched']} / {r['verdict_changes']}" for r in pair]
+        shares = [percent(r["share"]) if "share" in r else "≤ " + percent(r["share_at_most"]) for r in pair]
+        rows.append((f"`{name}`", f"{pair[0]['value']:g}", *cells, " and ".join(shares)))
+        turned += [(f"`{name}` = {r['changed_to']:g}", line.replace("->", "→")) for r in pair for line in r["which"]]
+    heads = (
+        "criterion", "value", "halved: decisions / searched / verdicts", "doubled: decisions / searched / verdicts",
+        "verdicts changed",
+    )  # fmt: skip
+    return "\n".join(
+        [
+            f"{summary[0]['sessions']} sessions. *Decisions*: sessions in which some decision on the way would be "
+            "another; *searched*: of these, searched again with the criterion changed; *verdicts*: of these, with "
+            "another verdict or name.\n",
+            table(heads, rows),
+            "**Verdicts that changed**\n",
+            table(("criterion", "session and verdict"), turned) if turned else "None.\n",
+        ]
+    )
+
+
 def single_sessions() -> str:
     """Single simulated sessions, recorded by hand as their verdicts were read."""
     recorded = of_json("docs/results/gap_sessions.json")
@@ -243,11 +271,72 @@ def _meaning(entry: dict) -> str:
     return f"{kind}: {said}" if kind and said else kind or said or "any"
 
 
+def export_comparison() -> str:
+    """What `benchmarks/export_comparison.py` measured, one table per simulator."""
+    content = of_json("docs/results/export_comparison.json")
+    names = {"v2e": "v2e", "iebcs": "IEBCS", "dvs-voltmeter": "DVS-Voltmeter", "evlib": "ESIM of evlib 0.13.2"}
+    lines = []
+    for name, title in names.items():
+        rows = []
+        for run in content["runs"]:
+            if run["simulator"] != name:
+                continue
+            theirs, ours = run["theirs"], run["ours"]
+            cells = [f"{theirs[k]:.2f} / {ours[k]:.2f}" for k in ("on_steps", "off_steps", "on_sine", "off_sine")]
+            late = [
+                " / ".join("none" if side[k] is None else f"{side[k]:.3f}" for side in (theirs, ours))
+                for k in ("latency_up_ms", "latency_down_ms")
+            ]
+            rows.append((run["circuit"], *cells, *late))
+        heads = ("circuit", "ON, steps", "OFF, steps", "ON, sine", "OFF, sine", "first ON [ms]", "first OFF [ms]")
+        lines += [f"### {title}\n", table(heads, rows)] if rows else []
+    if content["filter"]:
+        apart = content["filter"]["difference_ln"]
+        lines.append(
+            "The pixel filter of Deblur e-NeRF, given the exported calibration, differs from the trajectory of this "
+            f"package by {apart:.1e} in ln after 400 samples of a sine.\n"
+        )
+    return "\n".join(lines)
+
+
+def conform_results() -> str:
+    """Tables that `pixelid conform` made of recordings of simulators."""
+    lines = []
+    for path in sorted((ROOT / "docs" / "results" / "conform").glob("*.json")):
+        content = json.loads(path.read_text())
+        lines += [f"## {content['title']}\n", content["about"] + "\n", content["sentence"] + "\n"]
+        rows = [
+            (row["stage"].replace("_", " "), f"`{row['effect']}`", row["verdict"].replace("_", " "), _strength(row),
+             "" if row["evidence"]["heldout_gain_nats"] is None else f"{row['evidence']['heldout_gain_nats']:.1f}",
+             row["evidence"]["why"])
+            for row in content["rows"]
+        ]  # fmt: skip
+        heads = ("stage", "effect", "verdict", "strength (95 %)", "held-out gain [nats]", "why")
+        lines.append(table(heads, rows))
+    return "\n".join(lines)
+
+
+def _strength(row: dict) -> str:
+    """The strengths of a row of conform.json, or what would have shown."""
+    limit = row["evidence"]["detection_limit"]
+    if limit:
+        return f"would have shown at {limit['parameter']} = {limit['value']:.3g}"
+    said = []
+    for name, each in row["parameters"].items():
+        ends = each["interval_95"]
+        limits = f" ({' to '.join('–' if x is None else f'{x:.4g}' for x in ends)})" if ends else ""
+        said.append(f"{name} = {each['value']:.4g}{limits}")
+    return "; ".join(said)
+
+
 PAGES: dict[str, Callable[[], str]] = {
     "effects": effect_library,
     "commands": commands,
     "lowlight": lowlight,
     "certification": certification,
+    "sensitivity": sensitivity,
+    "export_comparison": export_comparison,
+    "conform_results": conform_results,
     "single_sessions": single_sessions,
     "coverage": coverage,
     "ranks": ranks,

@@ -40,7 +40,10 @@ RESULTS = (
     "pixelid.gap.result.GapReport",
     "pixelid.lowlight.result.LowlightReport",
     "pixelid.design.result.DesignReport",
+    "pixelid.compare.compare.Comparison",
+    "pixelid.sensors.sensor.SensorFit",
     "pixelid.nerf.reconstruct.Reconstruction",
+    "pixelid.nerf.saved.SavedReconstruction",
     "pixelid.errors.InputError",
 )
 WIDTH = 110

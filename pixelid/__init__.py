@@ -33,16 +33,20 @@ __all__ = [
 ]
 
 if TYPE_CHECKING:
-    from pixelid.api import design, find_model, fit, gap, lowlight, open, reconstruct, sample, simulate
+    from pixelid.api import find_model, fit, gap, open, sample, simulate
+    from pixelid.api_analyses import design, lowlight, reconstruct
     from pixelid.model.model import Model
     from pixelid.recordings.recording import Recording
     from pixelid.status import Status
     from pixelid.stimuli.stimulus import Stimulus
 
-_VALUES = {
+_HOMES = {
+    "design": "pixelid.api_analyses",
+    "lowlight": "pixelid.api_analyses",
+    "reconstruct": "pixelid.api_analyses",
     "Model": "pixelid.model.model",
     "Recording": "pixelid.recordings.recording",
     "Status": "pixelid.status",
     "Stimulus": "pixelid.stimuli.stimulus",
 }
-show(__name__, {name: _VALUES.get(name, "pixelid.api") for name in __all__})
+show(__name__, {name: _HOMES.get(name, "pixelid.api") for name in __all__})

@@ -10,8 +10,9 @@ from typing import TypeAlias
 
 from pixelid.errors import InputError
 from pixelid.model.model import Model
+from pixelid.model.options import changed
 from pixelid.model.shipped import find_model, shipped_models
-from pixelid.recordings.reading import open_recordings
+from pixelid.recordings.reading import check_readable, open_recordings
 from pixelid.recordings.recording import Recording
 from pixelid.stimuli.files import load_stimulus
 from pixelid.stimuli.pixel_lights import Light, PixelLights
@@ -37,6 +38,24 @@ def as_model(model: ModelLike) -> Model:
         f"model: expected a Model, a .toml file, a fit folder, or one of {', '.join(shipped_models())}, "
         f"found {_kind(model)}"
     )
+
+
+def check_given(
+    recordings: Iterable[str | Path] = (), models: Iterable[str | Path] = (), **changes: Iterable[str]
+) -> None:
+    """Look at what a command was given before anything slow is imported.
+
+    Args:
+        recordings: files or folders.
+        models: names, files or folders.
+        changes: `with_`, `without` and `set_` of the models, as words of the command line.
+
+    Raises:
+        InputError: a file is missing, empty or of no known format; a model, effect or parameter is unknown.
+    """
+    check_readable(recordings)
+    for model in models:
+        changed(find_model(model), **changes)
 
 
 def as_recordings(recordings: RecordingsLike) -> list[Recording]:

@@ -42,7 +42,7 @@ def command(recordings, models, out, folds, sample, overwrite, seed, quiet):
         from pixelid.figures.style import save_figure
         from pixelid.report.html import write_report
 
-        with bar(quiet) as report:
+        with bar(quiet, compiles=True) as report:
             outcome = compare(opened, circuits, folds=folds, seed=seed, posteriors=sample, progress=report)
         with whole_folder(out, overwrite) as folder:
             outcome.write(folder)

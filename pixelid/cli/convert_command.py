@@ -54,14 +54,19 @@ def command(
         raise InputError("--align: --stimulus sensor is on the camera's clock already")
     said = ""
     with claimed(target, overwrite, [source, *([stimulus] if stimulus and stimulus != SENSOR else [])]):
-        from pixelid.recordings import open_recording, write_recording
+        from pixelid.cli.progress import bar
+        from pixelid.recordings import write_recording
+        from pixelid.recordings.parts import LongRecording, Totals
+        from pixelid.recordings.reading import check_readable, open_cropped, open_recording
 
-        recording = open_recording(source)
-        if stimulus == SENSOR:
+        check_readable([source])
+
+        if stimulus == SENSOR:  # cut afterwards: what a pixel measured counts whole
             from pixelid.recordings.sensor_light import with_measured_light
 
-            recording = with_measured_light(recording)
-        recording = crop.applied(recording, seed)
+            recording = crop.applied(with_measured_light(open_recording(source)), seed)
+        else:
+            recording = open_cropped(source, crop, seed)
         if stimulus is not None and stimulus != SENSOR:
             from pixelid.stimuli.files import load_stimulus
 
@@ -69,16 +74,27 @@ def command(
             if align is None:
                 recording = recording.with_stimulus(light)
                 _refuse_other_clock(recording)
+            elif isinstance(recording, LongRecording):
+                from pixelid.recordings.alignment import aligned_parts, find_alignment, sample_to_align
+
+                alignment = find_alignment(sample_to_align(recording, seed), light, align)
+                recording, said = aligned_parts(recording, light, alignment), f"; {alignment.sentence()}"
             else:
                 from pixelid.recordings.alignment import aligned, find_alignment
 
                 alignment = find_alignment(recording, light, align)
                 recording, said = aligned(recording, light, alignment), f"; {alignment.sentence()}"
             recording.check_stimulus_covers_events()
-        write_recording(recording, target, overwrite=overwrite)
+        totals = Totals()
+        with bar(quiet) as report:
+            if isinstance(recording, LongRecording):
+                recording = recording.watched(lambda part: report(f"{totals.add(part) / 1e6:.0f} M events", 0.0))
+            else:
+                totals.add(recording)
+            write_recording(recording, target, overwrite=overwrite)
     if not quiet:
         beside = "with its stimulus" if recording.stimulus is not None else "without stimulus"
-        click.echo(f"{target}: {len(recording.events)} events, {recording.events.duration_s:g} s, {beside}{said}")
+        click.echo(f"{target}: {totals.events} events, {totals.duration_s:g} s, {beside}{said}")
 
 
 def _refuse_other_clock(recording) -> None:

@@ -41,6 +41,9 @@ def command(model, out, criterion, recorded, menu, pixels, draws, spread, per_se
     from pixelid.outputs import claimed, whole_folder
 
     with claimed(out, overwrite, [*recorded, model, *([menu] if menu else [])]):
+        from pixelid.inputs import check_given
+
+        check_given(recorded, [model])
         from pixelid.fit.draws import read_fit
         from pixelid.model.shipped import find_model, model_files
         from pixelid.recordings import open_recordings
@@ -50,7 +53,7 @@ def command(model, out, criterion, recorded, menu, pixels, draws, spread, per_se
         from pixelid.design.result import design_report
         from pixelid.report.html import write_report
 
-        with bar(quiet) as report:
+        with bar(quiet, compiles=True) as report:
             result = design_report(
                 circuit, opened, fitted=fitted, sources=model_files(model), criterion=criterion, menu=menu,
                 pixels=pixels, draws=draws, spread=spread, per_second=per_second, seed=seed, progress=report,

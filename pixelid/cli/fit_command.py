@@ -49,7 +49,9 @@ def command(
     """
     from pixelid.cli.progress import bar
     from pixelid.cli.terminal import say
+    from pixelid.documents import read_toml
     from pixelid.errors import InputError
+    from pixelid.inputs import check_given
     from pixelid.outputs import claimed, refuse_inputs
 
     by_recipe = len(recordings) == 1 and recordings[0].suffix == ".toml"
@@ -57,6 +59,10 @@ def command(
         raise InputError("a recipe brings its own model and options; edit the recipe instead")
     if not by_recipe and not model:
         raise InputError("--model is missing: a shipped model (see `pixelid models`), a file or a fit folder")
+    if by_recipe:
+        read_toml(recordings[0])
+    else:
+        check_given(recordings, [model], with_=with_, without=without)
     with claimed(out, overwrite, [*recordings, *([model] if model else [])]):
         from pixelid.fit.recipe import Recipe, read_recipe
 
@@ -71,7 +77,7 @@ def command(
             recipe = replace(recipe, engine=engine)
         if form:
             recipe = replace(recipe, form=form)
-        with bar(quiet) as report:
+        with bar(quiet, compiles=True) as report:
             result = recipe.run(out, overwrite, report)
     if not quiet:
         say(*recipe.remarks(), result.summary(), str(out / "report.html"))

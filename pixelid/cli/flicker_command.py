@@ -51,7 +51,7 @@ def command(recording, out, frequency, groups, model, overwrite, seed, quiet):
         from pixelid.tables.flicker.result import save_flicker
 
         grid = (int(across), int(down))
-        with bar(quiet) as report:
+        with bar(quiet, compiles=True) as report:
             fit = fit_flicker(opened, circuit, near_hz=frequency, grid=grid, progress=report)
         with whole_folder(out, overwrite) as folder:
             written = save_flicker(fit, folder)

@@ -46,21 +46,25 @@ def command(files: tuple[Path, ...], as_json: bool, out: Path | None, crop, over
     from pixelid.outputs import claimed, plain, whole_folder, write_json
 
     with nullcontext() if out is None else claimed(out, overwrite, files):
-        from pixelid.recordings import open_recording
+        from pixelid.cli.progress import bar
+        from pixelid.recordings.reading import check_readable, open_cropped
 
-        recording = crop.applied(open_recording(file), seed)
-        from pixelid.inspection import inspect
-        from pixelid.provenance import provenance
+        check_readable([file])
+        with bar(quiet) as report:
+            report("reading", 0.0)
+            recording = open_cropped(file, crop, seed)
+            from pixelid.inspection.health import inspect_closely
+            from pixelid.provenance import provenance
 
-        health = inspect(recording)
-        result = plain({**health.to_dict(), "file": str(file), "seed": seed, **provenance(file)})
+            health, overview = inspect_closely(recording, report)
+            result = plain({**health.to_dict(), "file": str(file), "seed": seed, **provenance(file)})
         if out is not None:
             from pixelid.inspection.figures import write_figures
             from pixelid.report.html import write_report
 
             with whole_folder(out, overwrite) as folder:
                 write_json(folder / "inspect.json", result)
-                write_figures(recording, health, folder)
+                write_figures(health, overview, folder)
                 write_report(folder)
     if as_json:
         click.echo(json.dumps(result, indent=2))
@@ -80,6 +84,7 @@ def _still_scene(
     from contextlib import nullcontext
     from dataclasses import asdict
 
+    from pixelid.cli.progress import bar
     from pixelid.inspection.interval_counts import read_interval_counts
     from pixelid.inspection.static_noise import static_noise
     from pixelid.outputs import claimed, plain, whole_folder, write_json
@@ -87,12 +92,17 @@ def _still_scene(
     from pixelid.report.html import write_report
 
     with nullcontext() if out is None else claimed(out, overwrite, files):
-        noise = static_noise([read_interval_counts(file) for file in files], seed)
+        with bar(quiet) as report:
+            noise = static_noise([read_interval_counts(file) for file in files], seed, progress=report)
         hashes = input_hashes(files)
         result = plain({**asdict(noise), "seed": seed, "versions": versions(), "inputs_sha256": hashes})
         if out is not None:
+            from pixelid.figures.style import save_figure
+            from pixelid.inspection.figures import draw_static_noise
+
             with whole_folder(out, overwrite) as folder:
                 write_json(folder / "static_noise.json", result)
+                save_figure(draw_static_noise(noise), folder / "conditions.svg")
                 write_report(folder)
     if as_json:
         click.echo(json.dumps(result, indent=2))

@@ -38,6 +38,9 @@ def command(model, recordings, out, with_, without, set_, overwrite, seed, quiet
     from pixelid.outputs import claimed, whole_folder
 
     with claimed(out, overwrite, [*recordings, model]):
+        from pixelid.inputs import check_given
+
+        check_given(recordings, [model], with_=with_, without=without, set_=set_)
         from pixelid.fit.draws import read_fit
         from pixelid.model.options import changed
         from pixelid.model.shipped import find_model, model_files
@@ -49,7 +52,7 @@ def command(model, recordings, out, with_, without, set_, overwrite, seed, quiet
         from pixelid.lowlight.result import lowlight_report
         from pixelid.report.html import write_report
 
-        with bar(quiet) as report:
+        with bar(quiet, compiles=True) as report:
             result = lowlight_report(
                 circuit_model, opened, fitted=read_fit(Path(model)), sources=model_files(model), seed=seed,
                 progress=report,

@@ -3,20 +3,35 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 
 
 @contextmanager
-def bar(quiet: bool) -> Iterator[Callable[[str, float], None]]:
-    """Yield report(what, fraction), which moves one bar from 0 to 1."""
+def bar(quiet: bool, compiles: bool = False) -> Iterator[Callable[[str, float], None]]:
+    """Yield report(what, fraction), which moves one bar from 0 to 1.
+
+    Args:
+        quiet: show nothing.
+        compiles: say so once when compiled code has to be made first, on a terminal or not: that takes long and silent.
+    """
     if quiet:
         yield lambda what, fraction: None
         return
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-    columns = (TextColumn("{task.description:>20}"), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())
-    console = Console(stderr=True)
+    # names of recordings and parameters hold brackets, which are no markup
+    columns = (
+        TextColumn("{task.description:>20}", markup=False), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn()
+    )  # fmt: skip
+    console = Console(stderr=True, markup=False)
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
         task = progress.add_task("starting", total=1.0)
-        yield lambda what, fraction: progress.update(task, description=what, completed=fraction)
+        with _compilation_announced(console) if compiles else nullcontext():
+            yield lambda what, fraction: progress.update(task, description=what, completed=fraction)
+
+
+def _compilation_announced(console):
+    from pixelid.compilation import announced
+
+    return announced(lambda sentence: console.print(f"pixelid: {sentence}", highlight=False))

@@ -56,8 +56,7 @@ def command(source, out, unit, data, overwrite, seed, quiet):
                 write_report(folder)
     if not quiet:
         for name, v in written["parameters"].items():
-            known = "" if v["identified"] else "   not identified"
-            say(f"{name:32s} {v['value']:10.4g} {v['unit']}{known}")
+            say(f"{name:32s} {v['value']:10.4g} {v['unit']:12s} {written['precision'][name]}")
         say(f"relative scatter {100 * written['relative_scatter']:.1f} %")
         say_sentences(written["disagreements"])
     return written["status"].exit_code

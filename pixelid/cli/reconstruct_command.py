@@ -59,6 +59,10 @@ def command(
         raise InputError(f"--train {comparator[0]}: needs --bandwidth joint, found {bandwidth}")
     if checkpoint is not None and not checkpoint.parent.exists():
         raise InputError(f"{checkpoint}: the folder {checkpoint.parent} does not exist")
+    for folder, what in ((dataset, "a dataset"), (fit, "a fit")):
+        if folder is not None and not folder.is_dir():
+            found = "a file" if folder.exists() else "nothing of that name"
+            raise InputError(f"{folder}: expected the folder of {what}, found {found}")
     refuse_existing(out, overwrite)
     from pixelid.nerf import parallel
     from pixelid.nerf.dataset import read_dataset
@@ -73,7 +77,7 @@ def command(
         data = read_dataset(dataset)
         recipe = replace(Recipe(), iterations=iterations) if iterations else Recipe()
         pixel = Bandwidth(bandwidth, samples, trained=(*FILTER, *comparator))
-        with bar(quiet or not first) as report:
+        with bar(quiet or not first, compiles=True) as report:
             result = reconstruct(
                 data, fit=fit, bandwidth=pixel, recipe=recipe, background=background, scale=scale, box=box or None,
                 radiance_scale=radiance_scale, resume=checkpoint, device=device, seed=seed, progress=report,

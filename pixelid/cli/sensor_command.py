@@ -55,12 +55,12 @@ def command(recordings, model, out, bandwidth, block, tile, bootstrap, workers, 
         from pixelid.recordings import open_recordings
 
         circuit = find_model(model)
-        opened = [crop.applied(recording, seed) for recording in open_recordings(recordings)]
+        opened = open_recordings(recordings, crop, seed)
         from pixelid.report.html import write_report
         from pixelid.sensors import fit_sensor
         from pixelid.sensors.work import Where
 
-        with bar(quiet) as report:
+        with bar(quiet, compiles=True) as report:
             fit = fit_sensor(
                 opened,
                 circuit,

@@ -60,7 +60,6 @@ def command(
 
     check_writable(out)
     with claimed(out, overwrite, [stimulus, model]):
-        from pixelid.api import simulate
         from pixelid.model.options import changed
         from pixelid.model.shipped import find_model
         from pixelid.recordings import write_recording
@@ -68,7 +67,9 @@ def command(
 
         circuit_model, remarks = changed(find_model(model), with_, without, set_)
         light = load_stimulus(stimulus)
-        with bar(quiet) as report:
+        from pixelid.api import simulate
+
+        with bar(quiet, compiles=True) as report:
             recording = simulate(
                 circuit_model, light, pixels=pixels, seed=seed, sensor_seed=sensor_seed, synchronous=synchronous,
                 threads=threads, progress=report,

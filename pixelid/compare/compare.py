@@ -13,14 +13,17 @@ from typing import ClassVar
 
 import numpy as np
 
+from pixelid.arrays import load_arrays
+from pixelid.documents import interpreting
 from pixelid.errors import InputError
 from pixelid.fit import FitResult, fit
+from pixelid.fit.event_times import EventTimesObjective
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.model.files import save_model
 from pixelid.model.model import Model
 from pixelid.recordings.own_light import with_fine_light
 from pixelid.recordings.recording import Recording
-from pixelid.results import Result, Table
+from pixelid.results import Result, Table, check_kinds, read_result, required
 from pixelid.status import Status
 
 DECISIVE_STANDARD_ERRORS = 2.0  # of a paired held-out difference: about 95 % one way or the other
@@ -39,7 +42,17 @@ class Contender:
 
 @dataclass(frozen=True, repr=False)
 class Comparison(Result):
-    """contenders by name;  best: highest held-out log-likelihood;  sentence: what to conclude."""
+    """A finished comparison.
+
+    Attributes:
+        contenders: by the name of their model.
+        best: the name with the highest held-out log-likelihood.
+        sentence: what to conclude.
+
+    Example:
+        >>> from pixelid.compare.compare import Comparison
+        >>> Comparison.load("compare").to_dataframe()  # doctest: +SKIP
+    """
 
     FILE: ClassVar[str] = "compare.json"
 
@@ -77,9 +90,39 @@ class Comparison(Result):
         return [self.sentence, self.status.advice]
 
     def write_companions(self, folder: Path) -> None:
-        """Write the fitted models as NAME.toml."""
+        """Write the fitted models as NAME.toml, each fit into fits/NAME, and held_out.npz: (pixels,) of each model."""
         for name, contender in self.contenders.items():
             save_model(contender.result.model, folder / f"{name}.toml")
+            (folder / "fits" / name).mkdir(parents=True, exist_ok=True)
+            contender.result.write(folder / "fits" / name)
+        np.savez(folder / "held_out.npz", allow_pickle=False, **{n: c.held_out for n, c in self.contenders.items()})
+
+    @classmethod
+    def load(cls, folder: str | Path) -> Comparison:
+        """The comparison of a folder, with its fits.
+
+        Args:
+            folder: that `save` or `pixelid compare` wrote.
+
+        Returns:
+            The comparison, as good as new.
+
+        Raises:
+            InputError: no comparison there, or a damaged one.
+        """
+        folder = Path(folder)
+        content = read_result(folder, cls.FILE)
+        check_kinds(content, folder / cls.FILE, text=("best", "sentence"), a_table=("models",))
+        held_out = load_arrays(folder / "held_out.npz")
+        with interpreting(folder / cls.FILE, "a comparison"):
+            models, best, sentence = required(content, folder, cls.FILE, "models", "best", "sentence")
+            contenders = {
+                name: Contender(FitResult.load(folder / "fits" / name), row["bic"], held_out[name], row["loo"])
+                for name, row in models.items()
+            }
+            if best not in contenders:
+                raise ValueError(f"the best, {best}, is none of the models")
+            return cls(contenders, best, sentence)
 
     def as_dict(self) -> dict:
         """The content of compare.json."""
@@ -127,10 +170,20 @@ def compare(
 ) -> Comparison:
     """Fit every model and judge it on held-out pixels.
 
-    folds: the pixels are dealt at random into so many parts, each predicted by a fit to the others;
-    posteriors: also PSIS-LOO over pixels, from draws (slower).  progress(what, fraction) reports.
+    Args:
+        recordings: with pixel addresses and stimuli.
+        models: two or more, of different names.
+        folds: the pixels are dealt at random into so many parts, each predicted by a fit to the others.
+        between: how the stimulus runs between its samples: "linear", "smooth" or "auto".
+        seed: of the folds and of the fits' starts.
+        posteriors: also PSIS-LOO over pixels, from draws (slower).
+        progress: called with what is done and the fraction.
 
-    Raises InputError for fewer than two models, two of one name, and fewer pixels than folds.
+    Returns:
+        Every model's fit and held-out log-likelihood, and what to conclude.
+
+    Raises:
+        InputError: fewer than two models, two of one name, and fewer pixels than folds.
     """
     names = [model.name for model in models]
     if len(models) < 2 or len(set(names)) < len(names):
@@ -151,7 +204,7 @@ def compare(
             seen, unseen = pixels[part != fold], pixels[part == fold]
             trained = fit(_only(recordings, seen), result.model, starts=0, between=kind, seed=seed)
             finer = [with_fine_light(r, kind) for r in _only(recordings, unseen) if r.stimulus]
-            held_out.append(EventTimes(finer).terms(trained.coordinates.circuit(trained.x)).per_pixel.real)
+            held_out.append(EventTimesObjective(EventTimes(finer), trained.coordinates).terms(trained.x).per_pixel)
         bic = len(result.coordinates) * np.log(result.events) - 2.0 * result.log_likelihood
         loo = _loo(result, recordings, seed) if posteriors else None
         contenders[model.name] = Contender(result, float(bic), np.concatenate(held_out), loo)

@@ -32,7 +32,7 @@ MOST_STEPS = 500_000_000
 ROOT = 1e-9  # of a step: how closely a switch is timed; s has no kink there, so its error is the square of this
 ROOT_STEPS = 60
 RESOLVED = 0.5  # of the shortest time constant of photoreceptor and follower: how far apart switches are looked for
-FASTEST_RAD_S = 2 * np.pi * 4e4  # rad/s: what is faster follows the rest
+FASTEST_RAD_S = 2 * np.pi * 4e4  # rad/s: what is faster follows the rest within a time constant of 4 µs
 _low_pass = njit(derivative_low_pass, inline="always", error_model="numpy")
 
 
@@ -47,8 +47,11 @@ def rates_of(circuit: Circuit, dynamics) -> tuple:
 
 
 def longest_step(cutoffs, duration_s: float, steps_per_time_constant: float = STEPS_PER_TIME_CONSTANT) -> float:
-    """The longest step [s] that resolves these cutoffs (rad/s).  Raises InputError when that needs too many."""
-    fastest = max(w for w in cutoffs if w < PRESENT_BELOW)
+    """The longest step [s] that resolves these cutoffs (rad/s).  Raises InputError when that needs too many.
+
+    A cutoff beyond `FASTEST_RAD_S` need not be resolved: where a fit lets a pole run off, its steps have no end.
+    """
+    fastest = min(max(w for w in cutoffs if w < PRESENT_BELOW), FASTEST_RAD_S)
     if duration_s * fastest * steps_per_time_constant > MOST_STEPS:
         raise InputError(
             f"slew_limit: {duration_s:g} s with a pole at {fastest / (2 * np.pi):.3g} Hz needs more than "

@@ -22,8 +22,8 @@ import numpy as np
 
 INK, PAPER, MUTED = "#20242b", "#fefefd", "#8b919b"
 ON, OFF = "#d55e00", "#0072b2"
-MEASURED, FITTED, IMPROVED, UNEXPLAINED = "#e69f00", INK, "#009e73", "#b0578d"
-SERIES = ("#0072b2", "#d55e00", "#009e73", "#b0578d", "#e69f00", "#56b4e9", "#7a6a4f")
+IMPROVED, UNEXPLAINED = "#009e73", "#b0578d"
+SERIES = ("#009e73", "#b0578d", "#e69f00", "#56b4e9", "#7a6a4f", MUTED)  # none is a polarity's
 SEQUENTIAL, DENSITY, CYCLIC = "viridis", "Blues", "twilight"
 
 STYLE = {
@@ -51,8 +51,10 @@ def styled(draw: Callable[Arguments, Drawn]) -> Callable[Arguments, Drawn]:
     @functools.wraps(draw)
     def with_style(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Drawn:
         import matplotlib
+        from cycler import cycler
 
-        with matplotlib.rc_context(STYLE):  # pyright: ignore[reportArgumentType]
+        colours = {"axes.prop_cycle": cycler(color=SERIES)}
+        with matplotlib.rc_context(STYLE | colours):  # pyright: ignore[reportArgumentType]
             axes = draw(*args, **kwargs)
             _write_powers_plainly(axes)
             return axes
@@ -86,7 +88,7 @@ def _write_powers_plainly(axes: Any) -> None:
 def new_axes(
     rows: int, columns: int, width: float, height: float, *, sharex: bool = False, height_ratios: Any = None
 ) -> np.ndarray:
-    """(rows, columns) axes of a new figure, each `width` × `height` inches."""
+    """(rows, columns) axes of a new figure, each `width` × `height` inches on average."""
     import matplotlib.pyplot as plt
 
     _, axes = plt.subplots(
@@ -101,8 +103,32 @@ def new_axis(width: float = 7.0, height: float = 4.0) -> Any:
     return new_axes(1, 1, width, height)[0, 0]
 
 
+def new_pairs(rows: int, columns: int, width: float, height: float) -> np.ndarray:
+    """(2 rows, columns) axes of a new figure: every second row is the residual panel of the one above.
+
+    Args:
+        rows: of pairs.
+        columns: of pairs.
+        width: of a pair, in inches.
+        height: of a pair; the residual panel takes a third of it.
+    """
+    return new_axes(2 * rows, columns, width, height / 2, height_ratios=(2, 1) * rows)
+
+
+def finish_pair(top: Any, bottom: Any) -> None:
+    """One range of time for both panels, labelled below; chance shaded in the lower one, which shows at least ±4."""
+    low, high = bottom.get_ylim()
+    bottom.axhspan(-2, 2, color=MUTED, alpha=0.15, linewidth=0)
+    bottom.axhline(0.0, color=INK, linewidth=0.6)
+    bottom.set_ylim(min(low, -4.0), max(high, 4.0))
+    left, right = (f(a, b) for f, a, b in zip((min, max), top.get_xlim(), bottom.get_xlim(), strict=True))
+    for axis in (top, bottom):
+        axis.set_xlim(left, right)
+    top.tick_params(labelbottom=False)
+
+
 def series_colours(count: int) -> list[Any]:
-    """`count` colours for series without a meaning of their own; beyond seven, ordered ones."""
+    """`count` colours for series without a meaning of their own; beyond six, ordered ones."""
     if count <= len(SERIES):
         return list(SERIES[:count])
     import matplotlib

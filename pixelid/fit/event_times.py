@@ -12,6 +12,7 @@ import numpy as np
 
 from pixelid.fit.coordinates import Coordinates
 from pixelid.fit.objective import Local, Objective
+from pixelid.likelihood.clocks import Clock, clocks_of
 from pixelid.likelihood.density import NUMBERS, Gradient, Terms
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.likelihood.information import Information, Tangent
@@ -38,8 +39,18 @@ class EventTimesObjective(Objective):
         """The likelihood's pieces at x; the latest are remembered."""
         key = np.asarray(x, dtype=float).tobytes()
         if self._latest is None or self._latest[0] != key:
-            self._latest = key, self.likelihood.terms(self.coordinates.circuit(x))
+            self._latest = key, self.at(x).terms(self.coordinates.circuit(x))
         return self._latest[1]
+
+    def at(self, x: np.ndarray) -> EventTimes:
+        """The likelihood by the recordings' clocks at x."""
+        return self.likelihood.with_clocks(self.clocks(x))
+
+    def clocks(self, x: np.ndarray) -> tuple[Clock | None, ...] | None:
+        """The recordings' clocks at x, see `EventTimes`."""
+        if not self.coordinates.nuisances:
+            return None
+        return clocks_of(self.likelihood.recordings, self.coordinates.values(x))
 
     def value(self, x: np.ndarray) -> float:
         return self.terms(x).total + self.coordinates.log_prior(x)
@@ -69,10 +80,14 @@ class EventTimesObjective(Objective):
             back = self.coordinates.circuit(down)
             numbers[:] = [getattr(there, name) - getattr(back, name) for name in NUMBERS]
             numbers /= up[i] - down[i]
-        if only_density_differs(circuit, there):
+        clock = self._moved_clock(x, i, up)
+        if clock is None and only_density_differs(circuit, there):
             return Tangent(None, numbers)
-        here = self.terms(x).changes
-        difference = self.likelihood.changes(there, here.extremes)
+        here, likelihood = self.terms(x).changes, self.at(x)
+        if clock is None:
+            difference = likelihood.changes(there, here.extremes)
+        else:
+            difference = likelihood.changes_by_clock(circuit, here, *clock)
         slope = difference.vector
         with np.errstate(over="ignore", invalid="ignore"):  # intervals whose density is zero
             slope -= here.vector
@@ -81,6 +96,14 @@ class EventTimesObjective(Objective):
             np.nan_to_num(slope, copy=False, posinf=0.0, neginf=0.0)
         difference.events.early[:] = 0.0  # whether an event comes too early is not differentiable
         return Tangent(difference, numbers)
+
+    def _moved_clock(self, x: np.ndarray, i: int, up: np.ndarray) -> tuple[int, Clock] | None:
+        """(recording, its clock at `up`) when coordinate i is a clock's."""
+        if self.coordinates.parameters[i].name not in self.coordinates.nuisances:
+            return None
+        before, after = self.clocks(x) or (), self.clocks(up) or ()
+        pairs = enumerate(zip(before, after, strict=True))
+        return next(((k, new) for k, (old, new) in pairs if new is not None and new != old), None)
 
 
 def _moved(x: np.ndarray, i: int, by: float) -> np.ndarray:

@@ -8,7 +8,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from pixelid.figures.style import INK, MUTED, OFF, ON, new_axes, save_figure, styled
+from pixelid.figures.style import INK, MUTED, OFF, ON, finish_pair, new_axes, new_pairs, save_figure, styled
 from pixelid.fit.coordinates import Coordinates
 from pixelid.fit.event_times import EventTimesObjective
 from pixelid.fit.pooled_rate import PooledRateObjective
@@ -52,16 +52,25 @@ def write_figures(result: Fitted, recordings: Sequence[Recording], folder: Path)
 
 @styled
 def draw_conditions(result: Fitted, recordings: Sequence[Recording], axes: Any = None) -> Any:
-    """Event rates over time, measured (filled) and simulated by the fitted model (lines), an axis per recording."""
+    """Event rates over time, measured (filled) and simulated by the fitted model (lines); below, what is left.
+
+    Args:
+        result: the fit.
+        recordings: what it was fitted to.
+        axes: (2 rows, columns), residuals in every second row; new ones by default, a pair per recording.
+
+    Returns:
+        The axes.
+    """
     from pixelid.simulate import simulate
 
     shown = [r for r in recordings if len(r.events)] or list(recordings)[:1]
     columns = min(3, len(shown))
     rows = -(-len(shown) // columns)
     if axes is None:
-        axes = new_axes(rows, columns, 4.2, 2.3)
+        axes = new_pairs(rows, columns, 4.2, 3.4)
     between = result.details.get("stimulus_between_samples", "linear")
-    for axis, recording in zip(axes.flat, shown, strict=False):
+    for axis, left, recording in zip(axes[::2].flat, axes[1::2].flat, shown, strict=False):
         stimulus = with_fine_light(recording, between).stimulus
         assert stimulus is not None
         edges = np.linspace(stimulus.start_s, stimulus.end_s, BINS + 1)
@@ -72,16 +81,34 @@ def draw_conditions(result: Fitted, recordings: Sequence[Recording], axes: Any =
         copy = simulate(result.model, light, width=pixels, height=1, seed=result.seed).events
         for polarity, sign, colour in ((1, 1.0, ON), (0, -1.0, OFF)):
             scale = sign / pixels / np.diff(edges)
-            measured = np.histogram(events.t[events.p == polarity] * 1e-9, edges)[0] * scale
-            model = np.histogram(copy.t[copy.p == polarity] * 1e-9, edges)[0] * scale
-            axis.fill_between(edges[:-1], measured, step="post", color=colour, alpha=0.35, linewidth=0)
-            axis.step(edges[:-1], model, where="post", color=colour, linewidth=0.8)
+            measured = np.histogram(events.t[events.p == polarity] * 1e-9, edges)[0]
+            model = np.histogram(copy.t[copy.p == polarity] * 1e-9, edges)[0]
+            name = "ON" if polarity else "OFF"
+            axis.fill_between(
+                edges[:-1],
+                measured * scale,
+                step="post",
+                color=colour,
+                alpha=0.4,
+                linewidth=0,
+                label=f"{name}, measured",
+            )
+            axis.step(edges[:-1], model * scale, where="post", color=colour, linewidth=0.8, label=f"{name}, model")
+            some = measured + model > 0
+            left.plot(
+                0.5 * (edges[1:] + edges[:-1])[some], (measured - model)[some] / np.sqrt(measured + model)[some], ".",
+                color=colour, markersize=3,
+            )  # fmt: skip
         axis.axhline(0.0, color=INK, linewidth=0.5)
-        axis.set(title=recording.name, xlabel="time (s)")
-    for axis in axes.flat[len(shown) :]:
+        axis.set_title(recording.name)
+        left.set_xlabel("time (s)")
+        finish_pair(axis, left)
+    for axis in (*axes[::2].flat[len(shown) :], *axes[1::2].flat[len(shown) :]):
         axis.set_axis_off()
-    for axis in axes[:, 0]:
-        axis.set_ylabel("events per pixel and second")
+    for top, bottom in zip(axes[::2, 0], axes[1::2, 0], strict=True):
+        top.set_ylabel("events per\npixel and second")
+        bottom.set_ylabel("difference\n(chance: ±1)")
+    axes[0, 0].legend(ncols=2, fontsize=7)
     return axes
 
 
@@ -90,7 +117,7 @@ def standardised(result: Fitted, recordings: Sequence[Recording]) -> tuple[Event
     between = result.details.get("stimulus_between_samples", "linear")
     likelihood = EventTimes([with_fine_light(r, between) for r in recordings if r.stimulus])
     objective = EventTimesObjective(likelihood, result.coordinates)
-    terms = likelihood.terms(objective.coordinates.circuit(result.x))
+    terms = objective.terms(result.x)
     residual = (terms.z - terms.group_mean[likelihood.group]) / terms.scale
     return likelihood, residual, ~terms.background
 
@@ -111,42 +138,55 @@ def draw_residuals(result: Fitted, recordings: Sequence[Recording], axes: Any = 
     )
     for axis, values, label in (
         (axes.flat[0], stretch, "time in the recording (0 start, 1 end)"),
-        (axes.flat[1], np.log10(since), "time since the last event (log10 s)"),
-        (axes.flat[2], likelihood.recording_of_event.astype(float), "recording (in the order given)"),
+        (axes.flat[1], since, "time since the pixel's last event (s)"),
+        (axes.flat[2], likelihood.recording_of_event + 1.0, "recording (in the order given)"),
     ):
         for polarity, colour, name in ((1.0, ON, "ON"), (-1.0, OFF, "OFF")):
             chosen = kept & (likelihood.sign == polarity)
             if chosen.sum() < 2:
                 continue
-            bins = np.linspace(values[chosen].min(), values[chosen].max() + 1e-9, 31)
+            low, high = values[chosen].min(), values[chosen].max()
+            bins = np.linspace(low, high + 1e-9, 31) if values is not since else np.geomspace(low, 1.001 * high, 31)
             index = np.digitize(values[chosen], bins) - 1
             count = np.bincount(index, minlength=30)[:30]
             mean = np.bincount(index, residual[chosen], 30)[:30] / np.maximum(count, 1)
             full = count > 3
-            centre = 0.5 * (bins[1:] + bins[:-1])
+            centre = np.sqrt(bins[1:] * bins[:-1]) if values is since else 0.5 * (bins[1:] + bins[:-1])
             axis.errorbar(
                 centre[full], mean[full], 2 / np.sqrt(count[full]), fmt=".", color=colour, label=name, linewidth=0.8
             )
         axis.axhline(0.0, color=INK, linewidth=0.5)
         axis.set_xlabel(label)
-        axis.set_ylabel("mean residual (σ) ± 2 SE")
+        axis.set_ylabel("mean residual (standard deviations)")
+    axes.flat[1].set_xscale("log")
+    axes.flat[2].xaxis.get_major_locator().set_params(integer=True)
     axes.flat[0].legend()
     axis = axes.flat[3]
     grid = np.linspace(-5, 5, 81)
     axis.hist(residual[kept], grid, density=True, color=MUTED, alpha=0.6)
     axis.plot(grid, np.exp(-0.5 * grid**2) / np.sqrt(2 * np.pi), color=INK, linewidth=0.8)
-    axis.set(xlabel="residual (standard deviations)", ylabel="density")
+    axis.set(xlabel="residual (standard deviations)", ylabel="density, standard normal as a line")
     return axes
 
 
 @styled
 def draw_edges(result: Fitted, recordings: Sequence[Recording], axes: Any = None) -> Any:
-    """Event rates after rising and falling edges of the stimulus, measured and fitted, averaged over the edges."""
+    """Events after rising and falling edges of the light, averaged over edges, measured and fitted; what is left below.
+
+    Args:
+        result: a fit of pooled recordings.
+        recordings: what it was fitted to.
+        axes: (2 recordings, 2), residuals in every second row; new ones by default.
+
+    Returns:
+        The axes.
+    """
     likelihood = PooledRate(recordings)
     objective = PooledRateObjective(likelihood, result.coordinates)
     expected = objective.expected(result.x)
     if axes is None:
-        axes = new_axes(len(recordings), 2, 4.6, 2.4)
+        axes = new_pairs(len(recordings), 2, 4.6, 3.4)
+    spread = max(float(result.details.get("dispersion", 1.0)), 1.0)  # of counts, over Poisson's
     at = 0
     for row, (recording, counts) in enumerate(zip(recordings, likelihood.counts, strict=True)):
         n = len(counts.on)
@@ -157,10 +197,11 @@ def draw_edges(result: Fitted, recordings: Sequence[Recording], axes: Any = None
         jump = np.diff(stimulus.radiance)
         width = counts.edges[1] - counts.edges[0]
         before, after = int(0.5e-3 / width), int(3e-3 / width)
-        for axis, edges, name in (
-            (axes[row, 0], stimulus.t[1:][jump > 0], "after the light steps up"),
-            (axes[row, 1], stimulus.t[1:][jump < 0], "after the light steps down"),
+        for column, edges, name in (
+            (0, stimulus.t[1:][jump > 0], "after the light steps up"),
+            (1, stimulus.t[1:][jump < 0], "after the light steps down"),
         ):
+            axis, left = axes[2 * row : 2 * row + 2, column]
             centre = ((edges - counts.edges[0]) / width).astype(int)
             centre = centre[(centre > before) & (centre + after < n)]
             window = np.arange(-before, after)
@@ -170,12 +211,17 @@ def draw_edges(result: Fitted, recordings: Sequence[Recording], axes: Any = None
                 (counts.off, model_off, OFF, "OFF"),
             ):
                 index = centre[:, None] + window
+                n, mu = measured[index].sum(axis=0), model[index].sum(axis=0)
+                many = max(len(index), 1)
                 axis.fill_between(
-                    time_ms, measured[index].mean(axis=0), step="post", color=colour, alpha=0.35, label=label
+                    time_ms, n / many, step="post", color=colour, alpha=0.4, linewidth=0, label=f"{label}, measured"
                 )
-                axis.step(time_ms, model[index].mean(axis=0), where="post", color=colour, linewidth=0.9)
+                axis.step(time_ms, mu / many, where="post", color=colour, linewidth=0.9, label=f"{label}, model")
+                left.plot(time_ms, (n - mu) / np.sqrt(spread * np.maximum(mu, 1.0)), ".", color=colour, markersize=3)
             axis.set_title(f"{recording.name}: {name}")
-            axis.set_xlabel("time after the edge, stimulus clock (ms)")
+            left.set_xlabel("time after the edge, stimulus clock (ms)")
             axis.set_ylabel(f"events per {1e6 * width:.0f} µs")
+            left.set_ylabel("difference\n(chance: ±1)")
+            finish_pair(axis, left)
     axes[0, 0].legend()
     return axes

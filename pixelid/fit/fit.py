@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from pixelid.errors import InputError
+from pixelid.fit.clocks import clocks_found, held_clocks
 from pixelid.fit.coordinates import Coordinates
 from pixelid.fit.engines import FORMS, Engine
 from pixelid.fit.engines import engine as engine_named
@@ -21,6 +22,7 @@ from pixelid.fit.starts import feasible, random_starts
 from pixelid.fit.uncertainty.challenge import challenged
 from pixelid.fit.uncertainty.curvature import read_curvature
 from pixelid.fit.uncertainty.small_sample import intervals
+from pixelid.likelihood.clocks import unseparated
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.model.model import Model
 from pixelid.parameters.gauge import Gauge
@@ -55,14 +57,15 @@ def fit(
 
     Recordings with pixel addresses use the event-time likelihood, pooled ones the pooled-rate likelihood (all or
     none).  The search starts from the model's values and `starts` random points around them, and from a few more while
-    the best has not converged.
+    the best has not converged.  Recordings whose light was brought onto the camera's clock by a trigger or by their
+    events carry a delay and a drift of their clock as nuisances (`likelihood.clocks`).
 
     Args:
         recordings: one or more, of the same sensor.
         model: what to fit; its values are the start.
         gauge: statements that make physical values unique, instead of the model's own; refused when incomplete or
             over-determined.
-        fixed: nuisances of the recordings to hold ("stimulus.gain", "pooled.pixels").
+        fixed: nuisances of the recordings to hold ("stimulus.gain", "pooled.pixels", "alignment.delay_s[NAME]").
         starts: random starts beside the model's own.
         between: how recorded stimuli run between their samples, "linear", "smooth", or "auto": whichever explains the
             events better.
@@ -105,20 +108,25 @@ def fit(
         objective, optimum, details, pixels = fit_pooled(recordings, model, fixed or {}, report)
         dispersion = details["dispersion"]
     else:
-        if fixed:
-            raise InputError(f"model {model.name} has no parameter {next(iter(fixed))!r} to hold")
+        clocks = held_clocks(recordings, fixed or {}, model.name)
         objective, optimum, details, pixels = _fit_event_times(
-            recordings, model, starts, between, maximiser, form, rng, report
+            recordings, model, clocks, starts, between, maximiser, form, rng, report
         )
         dispersion = 1.0
     report("standard errors", 0.9)
-    curvature = -objective.hessian(optimum.x, optimum.local) / dispersion
-    if not _positive(curvature):
-        curvature = optimum.local.information / dispersion
+    coordinates = objective.coordinates
+    # A clock moves every event across samples of the light, where the density has corners, and is nearly exchangeable
+    # for the fastest poles: along that ridge differences of the gradient are noise, and the information matrix is not.
+    ridge = not all(pooled) and any(p.name in coordinates.nuisances for p in coordinates.parameters)
+    information = optimum.local.information / dispersion
+    curvature = information if ridge else -objective.hessian(optimum.x, optimum.local) / dispersion
+    if ridge:
+        details["curvature"] = "information matrix (the clocks' delays are free)"
+    elif not _positive(curvature):
+        curvature = information
         details["curvature"] = "information matrix (the Hessian is not positive definite)"
     else:
         details["curvature"] = "Hessian"
-    coordinates = objective.coordinates
     reading = read_curvature(coordinates, curvature, optimum.on_bound)
     report("testing what the stimuli can tell", 0.95)
     identified, limits = challenged(objective, optimum.x, reading.identified, recordings)
@@ -134,6 +142,7 @@ def fit(
     )
     details["precision"] = {p.name: precision(estimates[p.name], p) for p in coordinates.parameters}
     status, advice = status_of(objective, optimum, estimates, details)
+    apart = unseparated(recordings)
     report("done", 1.0)
     return FitResult(
         status=status,
@@ -145,7 +154,13 @@ def fit(
         x=optimum.x,
         covariance=reading.covariance,
         estimates=estimates,
-        unidentified=(*open_ones, *reading.sentences, *limits, *details.pop("caveats", ())),
+        unidentified=(
+            *open_ones,
+            *reading.sentences,
+            *limits,
+            *details.pop("caveats", ()),
+            *([apart] if apart else []),
+        ),
         physical=physical,
         physical_why=why,
         log_likelihood=optimum.local.value - coordinates.log_prior(optimum.x),
@@ -154,21 +169,24 @@ def fit(
         recordings=tuple(recording.name for recording in recordings),
         seconds=watch.seconds(),
         seed=seed,
+        alignment=clocks_found(recordings, estimates),
         details=details,
         versions=versions(),
         inputs_sha256=input_hashes(recording.source for recording in recordings),
     )
 
 
-def _fit_event_times(recordings, model, starts, between, maximiser: Engine, form, rng, report):
+def _fit_event_times(recordings, model, clocks, starts, between, maximiser: Engine, form, rng, report):
     if "threshold_noise" not in model.effects:
         raise InputError(
             f"model {model.name}: the event-time likelihood needs threshold_noise (add it with --with threshold_noise)"
         )
     full = EventTimes(recordings)
     scout = EventTimes(few(recordings, SCOUT_EVENTS, rng))
+    if unseparated(recordings):
+        model = model.fix({"delay_s": None})
     model = feasible(model, scout)
-    coordinates = Coordinates.of(model)
+    coordinates = Coordinates.of(model, clocks)
     report("searching", 0.05)
     searcher = engine_named("scipy") if maximiser.name == "torch" else maximiser  # far starts need curvature
     ends: list[Optimum] = []
@@ -178,7 +196,7 @@ def _fit_event_times(recordings, model, starts, between, maximiser: Engine, form
         report("searching", 0.05 + 0.45 * len(ends) / (len(ends) + starts + 1))
 
     def feasible_start(point: np.ndarray) -> np.ndarray:
-        return Coordinates.of(feasible(coordinates.model_at(point), scout)).start
+        return Coordinates.of(feasible(coordinates.model_at(point), scout), clocks).start
 
     search(coordinates.start)
     for point in random_starts(coordinates.start, starts, rng):
@@ -193,7 +211,7 @@ def _fit_event_times(recordings, model, starts, between, maximiser: Engine, form
         finer = [with_fine_light(r, kind) for r in recordings]
         likelihood = EventTimes(finer)
         if "timestamp_jitter" in model.effects:
-            likelihood = likelihood.weighed(coordinates.circuit(x))
+            likelihood = EventTimesObjective(likelihood, coordinates).at(x).weighed(coordinates.circuit(x))
         objective = EventTimesObjective(likelihood, coordinates)
         candidates[kind] = objective, maximiser.maximise(objective, x, max_steps=60)
         x = candidates[kind][1].x
@@ -205,7 +223,7 @@ def _fit_event_times(recordings, model, starts, between, maximiser: Engine, form
         continuous = maximiser.continuous(objective, optimum.x)
         discrete = optimum
         optimum = newton_steps(continuous, discrete.x, tolerance=CONTINUOUS_TOLERANCE, max_steps=20)
-    background = objective.likelihood.terms(coordinates.circuit(optimum.x)).background
+    background = objective.terms(optimum.x).background
     details = {
         "stimulus_between_samples": kind,
         "starts": len(ends),

@@ -13,7 +13,7 @@ from pixelid.fit.newton import Optimum
 from pixelid.fit.objective import Objective
 from pixelid.fit.result import Estimate
 from pixelid.fit.uncertainty.profiles import DROP_NATS, at_fixed
-from pixelid.parameters.parameter import Parameter
+from pixelid.parameters.parameter import Parameter, precision_in_words
 from pixelid.status import Status
 
 # Events that fit the model not at all.  Under a true model they are one in 10⁵ (`likelihood/event_times.py`), so one
@@ -71,7 +71,7 @@ def residual_tests(objective: EventTimesObjective, x: np.ndarray) -> list[Residu
         One test per covariate and moment.
     """
     likelihood = objective.likelihood
-    terms = likelihood.terms(objective.coordinates.circuit(x))
+    terms = objective.terms(x)
     kept = np.flatnonzero(~terms.background)
     if len(kept) < 2 * BLOCK_EVENTS:
         return []
@@ -236,16 +236,4 @@ def precision(estimate: Estimate, parameter: Parameter) -> str:
     """How well a value is known, in words: "known within 3 %", "known to a factor of 3", "only a lower limit"."""
     if estimate.fixed:
         return "fixed"
-    low, high = estimate.interval_95 or (None, None)
-    if low is None and high is None:
-        return "open"
-    if low is None:
-        return "only an upper limit"
-    if high is None:
-        return "only a lower limit"
-    if parameter.transform != "log":
-        return f"known within {0.5 * (high - low):.2g} {parameter.unit}".rstrip()
-    factor = float(np.sqrt(high / low))
-    if factor < 1.3:
-        return f"known within {100 * (factor - 1.0):.2g} %"
-    return f"known to a factor of {factor:.2g}"
+    return precision_in_words(estimate.interval_95 or (None, None), parameter)

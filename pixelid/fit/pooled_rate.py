@@ -30,7 +30,7 @@ class PooledRateObjective(Objective):
         here = self.expected(x)
         columns = []
         for i, parameter in enumerate(self.coordinates.parameters):
-            step = DELAY_STEP_S if parameter.name.startswith("delay_s") else STEP
+            step = DELAY_STEP_S if parameter.transform == "linear" and parameter.unit == "s" else STEP
             up, down = x.copy(), x.copy()
             up[i] += step
             down[i] -= step

@@ -23,7 +23,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from pixelid.documents import read_toml, shown
-from pixelid.errors import InputError
+from pixelid.errors import InputError, did_you_mean
 from pixelid.fit.engines import ENGINES, FORMS
 from pixelid.fit.fit import fit
 from pixelid.fit.result import FitResult
@@ -114,7 +114,7 @@ class Recipe:
 
         model, _ = self.prepared_model()
         gauge = self.prepared_gauge()
-        recordings = [self.crop.applied(recording, self.seed) for recording in open_recordings(self.recordings)]
+        recordings = open_recordings(self.recordings, self.crop, self.seed)
         refuse_existing(out, overwrite)
         result = fit(
             recordings,
@@ -154,7 +154,8 @@ def read_recipe(path: Path) -> Recipe:
         raise InputError(f"{path}: expected a [fit] table")
     unknown = set(document) - _KEYS
     if unknown:
-        raise InputError(f"{path}: unknown keys {', '.join(sorted(unknown))}; known: {', '.join(sorted(_KEYS))}")
+        meant = did_you_mean(min(unknown), _KEYS) if len(unknown) == 1 else ""
+        raise InputError(f"{path}: unknown keys {', '.join(sorted(unknown))}; known: {', '.join(sorted(_KEYS))}{meant}")
     for key in ("recordings", "model"):
         if key not in document:
             raise InputError(f"{path}: [fit] {key} is missing")

@@ -15,6 +15,7 @@ from pixelid.errors import InputError
 from pixelid.fit.coordinates import Coordinates
 from pixelid.model.files import load_model, save_model
 from pixelid.model.model import Model
+from pixelid.parameters.invariants import PHYSICAL_UNITS
 from pixelid.parameters.parameter import Parameter, Prior
 from pixelid.results import Result, Table, check_kinds, check_parameters, interval, number, read_result, required
 from pixelid.status import Status
@@ -56,6 +57,7 @@ class FitResult(Result):
     status, advice: how it ended, and what to do about it;  model: the fitted model;
     estimates: every parameter by name;  x, covariance: optimum (d,) and covariance (d, d) in `coordinates`
     unidentified: sentences;  physical: circuit values under the gauge, or None with `physical_why`
+    alignment: by recording, what was found of a clock that `convert --align` had estimated (docs/formats.md)
 
     Example:
         >>> import pixelid as px
@@ -84,6 +86,7 @@ class FitResult(Result):
     recordings: tuple[str, ...]
     seconds: float
     seed: int
+    alignment: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     details: Mapping = field(default_factory=dict)
     versions: Mapping[str, str] = field(default_factory=dict)
     inputs_sha256: Mapping[str, str] = field(default_factory=dict)
@@ -98,6 +101,7 @@ class FitResult(Result):
             "observation": self.observation,
             "parameters": {name: estimate.as_dict() for name, estimate in self.estimates.items()},
             "physical": dict(self.physical) if self.physical else None,
+            "physical_intervals_95": self.physical_intervals() if self.physical else None,
             "gauge": {
                 "fixed": self.model.gauge.statements(),
                 "flat_directions": [],
@@ -109,6 +113,7 @@ class FitResult(Result):
             "events": self.events,
             "pixels": self.pixels,
             "recordings": list(self.recordings),
+            "alignment": {name: dict(clock) for name, clock in self.alignment.items()},
             "details": dict(self.details),
             "nuisances": {name: as_document(p) for name, p in self.coordinates.nuisances.items()},
             "seconds": self.seconds,
@@ -134,9 +139,20 @@ class FitResult(Result):
         headings = ("parameter", "value", "95 % interval", "unit", "known?")
         tables = [Table("", headings, rows, frozenset({"parameter", "unit", "known?"}))]
         if self.physical:
-            physical = tuple((name, number(value)) for name, value in self.physical.items())
-            tables.append(Table("under the gauge", ("circuit", "value"), physical, frozenset({"circuit"})))
+            ends = self.physical_intervals()
+            physical = tuple(
+                (name, number(value), interval(ends[name]) if ends[name] else "assumed or open", PHYSICAL_UNITS[name])
+                for name, value in self.physical.items()
+            )
+            headings = ("circuit", "value", "95 % interval", "unit")
+            tables.append(Table("under the gauge", headings, physical, frozenset({"circuit", "unit"})))
         return tables
+
+    def physical_intervals(self) -> dict[str, tuple[float, float] | None]:
+        """95 % intervals of the physical values; None where the gauge states the value, and where it stays open."""
+        from pixelid.fit.uncertainty.physical import physical_intervals
+
+        return physical_intervals(self.model, self.coordinates, self.covariance, self.physical or {})
 
     def _known(self, estimate: Estimate) -> str:
         """How well a parameter is known, in words."""
@@ -177,7 +193,7 @@ class FitResult(Result):
             content, Path(folder) / cls.FILE,
             text=("status", "advice", "engine", "observation"), a_list_of_texts=("unidentified", "recordings"),
             a_number=("log_likelihood", "events", "pixels", "seconds", "seed"),
-            a_table=("covariance", "gauge", "details", "nuisances", "versions", "inputs_sha256"),
+            a_table=("covariance", "gauge", "alignment", "details", "nuisances", "versions", "inputs_sha256"),
         )  # fmt: skip
         with interpreting(Path(folder) / cls.FILE, "a fit"):
             for name, words in content["details"].get("precision", {}).items():
@@ -205,7 +221,7 @@ class FitResult(Result):
             x = np.array([p.to_coordinate(parameters[p.name]["value"]) for p in coordinates.parameters])
             plain = ("engine", "observation", "log_likelihood", "events", "pixels", "seconds", "seed", "details")
             known = dict(zip(plain, required(content, folder, cls.FILE, *plain), strict=True))
-            return cls(
+            result = cls(
                 status=Status(status),
                 advice=content.get("advice", ""),
                 model=model,
@@ -217,10 +233,14 @@ class FitResult(Result):
                 physical=content["physical"],
                 physical_why=content["gauge"]["why_no_physical"],
                 recordings=tuple(content["recordings"]),
+                alignment={name: dict(clock) for name, clock in content.get("alignment", {}).items()},
                 versions=content["versions"],
                 inputs_sha256=content["inputs_sha256"],
                 **known,
             )
+            if result.physical:
+                result.physical_intervals()  # which needs every value to be a number
+            return result
 
     def plot_response(self, recordings: RecordingsLike) -> np.ndarray:
         """Measured event rates (filled) beside the fitted model's (lines): matplotlib axes, one per recording."""

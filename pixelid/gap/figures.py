@@ -11,13 +11,14 @@ import numpy as np
 from pixelid.figures.style import (
     IMPROVED,
     INK,
-    MEASURED,
     MUTED,
     OFF,
     ON,
     UNEXPLAINED,
+    finish_pair,
     new_axes,
     new_axis,
+    new_pairs,
     save_figure,
     styled,
 )
@@ -30,8 +31,7 @@ from pixelid.simulate import simulate
 from pixelid.stimuli.pixel_lights import in_a_row
 
 BINS = 100
-COPIES = 64  # pixels simulated beside the measured ones
-LATE, EARLY = ON, OFF  # warm and cold
+SIMULATED_PIXELS = 64  # their scatter adds to the measured one, a fourth of it where 16 pixels were recorded
 
 
 class Searched(Protocol):
@@ -54,9 +54,9 @@ class Searched(Protocol):
 
 
 def write_figures(report: Searched, recordings: Sequence[Recording], folder: Path) -> list[Path]:
-    """Write the figures that apply as PNG into `folder`; returns their paths."""
+    """Write the figures that apply as SVG into `folder`; returns their paths."""
     drawn = {"map": draw_map(report)}
-    if any(entry["candidates"] for entry in report.rounds):
+    if sum(len(entry["candidates"]) for entry in report.rounds) > 1:
         drawn["forest"] = draw_gains(report)
     if "after_jumps" in report.details:
         drawn["edges"] = draw_after_jumps(report)
@@ -70,17 +70,33 @@ def write_figures(report: Searched, recordings: Sequence[Recording], folder: Pat
 
 @styled
 def draw_map(report: Searched, axes: Any = None) -> Any:
-    """The cells that leave zero most, before and after, as signed bars."""
+    """The cells that leave zero most, as signed bars: of the base, and below of the grown model where it is another.
+
+    Args:
+        report: of a search.
+        axes: as many as models; new ones by default.
+
+    Returns:
+        The axes.
+    """
+    shown = [("seen_before", report.base.name, UNEXPLAINED)]
+    if report.model.effects != report.base.effects:
+        shown.append(("remaining", f"grown model, {report.model.name}", IMPROVED))
     if axes is None:
-        axes = new_axes(2, 1, 8.5, 3.2)
-    for axis, key, title in ((axes.flat[0], "seen_before", "base model"), (axes.flat[1], "remaining", "grown model")):
+        most = max(len(report.details[key]) for key, _, _ in shown)
+        axes = new_axes(len(shown), 1, 8.5, 1.0 + 0.27 * most)
+    pooled = "after_jumps" in report.details
+    for axis, (key, title, colour) in zip(np.ravel(axes), shown, strict=False):
         cells = report.details[key][::-1]
-        colours = [LATE if c["score"] > 0 else EARLY for c in cells]
-        axis.barh(range(len(cells)), [c["score"] for c in cells], color=colours)
-        axis.set_yticks(range(len(cells)), [f"{c['response']}: {c['where']}" for c in cells])
+        axis.barh(range(len(cells)), [c["score"] for c in cells], color=colour, height=0.7)
+        axis.set_yticks(range(len(cells)), [c["where"] if pooled else f"{c['response']}: {c['where']}" for c in cells])
+        axis.axvspan(-4, 4, color=MUTED, alpha=0.15, linewidth=0)
         axis.axvline(0, color=INK, linewidth=0.6)
+        axis.grid(False, axis="y")
         axis.set_title(title)
-        axis.set_xlabel("score (standard deviations)")
+        axis.set_xlabel(
+            "events beyond the model's expectation (standard deviations)" if pooled else "score (standard deviations)"
+        )
     return axes
 
 
@@ -97,7 +113,7 @@ def draw_gains(report: Searched, axes: Any = None) -> Any:
     axis.set_yticks(range(len(rows)), [f"round {turn}: {c['name']}" for turn, c in rows])
     axis.set_xscale("symlog", linthresh=3)
     axis.axvline(0, color=INK, linewidth=0.6)
-    axis.set_xlabel("log-likelihood gained (nats); dots: held-out pixels, ticks: fitted pixels")
+    axis.set_xlabel("log-likelihood gained (nats); dots: data held out, ticks: data fitted")
     return axis
 
 
@@ -112,59 +128,114 @@ def draw_free_run(report: Searched, axes: Any = None) -> Any:
         axis.bar(at + 0.27 * (k - 1), [run.per_recording[n][k] for n in names], 0.25, label=label, color=colour)
     axis.set_yscale("symlog", linthresh=1)
     axis.set_xticks(at, names, rotation=45, ha="right")
-    axis.set_ylabel("free-run gap")
+    axis.set_ylabel("difference of event counts\n(about 1: chance)")
     axis.legend()
     return axis
 
 
 @styled
 def draw_before_after(report: Searched, recordings: Sequence[Recording], axes: Any = None) -> Any:
-    """Event rates of the recordings with the largest gap: measured, base model, grown model."""
+    """Event rates of the recordings with the largest gap: measured, base model, grown model; what is left below.
+
+    Args:
+        report: of a search that named something.
+        recordings: that were searched.
+        axes: (2 recordings, 1), residuals in every second row; new ones by default.
+
+    Returns:
+        The axes.
+    """
     run = report.free_run
     assert run is not None
     worst = sorted(run.per_recording, key=lambda n: -run.per_recording[n][0])[:4]
     shown = [r for r in recordings if r.name in worst]
     if axes is None:
-        axes = new_axes(len(shown), 1, 8.5, 2.2)
+        axes = new_pairs(len(shown), 1, 8.5, 3.4)
     between = report.details["stimulus_between_samples"]
-    for axis, recording in zip(axes.flat, shown, strict=True):
+    for axis, left, recording in zip(axes[::2].flat, axes[1::2].flat, shown, strict=True):
         stimulus = with_fine_light(recording, between).stimulus
         assert stimulus is not None
         edges = np.linspace(stimulus.start_s, stimulus.end_s, BINS + 1)
         active = np.unique(recording.events.pixel)
         pixels = max(len(active), 1)
-        light = in_a_row(stimulus, active[np.linspace(0, pixels - 1, COPIES).astype(int)])
-        for model, colour, label in ((report.base, MUTED, "base model"), (report.model, IMPROVED, "grown model")):
-            copy = simulate(model, light, width=COPIES, height=1, seed=report.seed).events
-            for polarity, sign in ((1, 1.0), (0, -1.0)):
-                rate = np.histogram(copy.t[copy.p == polarity] * 1e-9, edges)[0] * sign / COPIES / np.diff(edges)
+        light = in_a_row(stimulus, active[np.linspace(0, pixels - 1, SIMULATED_PIXELS).astype(int)])
+        events, measured, sides = recording.events, {}, ((1, 1.0, ON, "ON"), (0, -1.0, OFF, "OFF"))
+        for polarity, sign, colour, name in sides:
+            measured[polarity] = np.histogram(events.t[events.p == polarity] * 1e-9, edges)[0]
+            rate = sign * measured[polarity] / pixels / np.diff(edges)
+            axis.fill_between(
+                edges[:-1], rate, step="post", color=colour, alpha=0.4, linewidth=0, label=f"{name}, measured"
+            )
+        for model, colour, mark in ((report.base, MUTED, "x"), (report.model, IMPROVED, ".")):
+            copy = simulate(model, light, width=SIMULATED_PIXELS, height=1, seed=report.seed).events
+            for polarity, sign, _, _ in sides:
+                expected = np.histogram(copy.t[copy.p == polarity] * 1e-9, edges)[0] * pixels / SIMULATED_PIXELS
+                rate = sign * expected / pixels / np.diff(edges)
                 axis.step(
-                    edges[:-1], rate, where="post", color=colour, linewidth=0.9, label=label if sign > 0 else None
+                    edges[:-1], rate, where="post", color=colour, linewidth=0.9, label=model.name if sign > 0 else None
                 )
-        for polarity, sign in ((1, 1.0), (0, -1.0)):
-            events = recording.events
-            rate = np.histogram(events.t[events.p == polarity] * 1e-9, edges)[0] * sign / pixels / np.diff(edges)
-            axis.fill_between(edges[:-1], rate, step="post", color=MEASURED, alpha=0.4, linewidth=0)
-        axis.set(title=recording.name, xlabel="time (s)", ylabel="events per pixel and second")
-        axis.legend(loc="upper left")
+                n = measured[polarity]
+                chance = np.sqrt(n + expected * pixels / SIMULATED_PIXELS)
+                some = chance > 0
+                left.plot(
+                    0.5 * (edges[1:] + edges[:-1])[some], (n - expected)[some] / chance[some], mark, color=colour,
+                    markersize=4,
+                )  # fmt: skip
+        axis.set(title=recording.name, ylabel="events per\npixel and second")
+        left.set(xlabel="time (s)", ylabel="difference\n(chance: ±1)")
+        finish_pair(axis, left)
+        axis.legend(loc="upper left", ncols=2, fontsize=7)
     return axes
 
 
 @styled
 def draw_after_jumps(report: Searched, axes: Any = None) -> Any:
-    """Pooled counts by the time since the light jumped, over what the base and the grown model expect."""
-    rows = report.details["after_jumps"]
-    axis = axes if axes is not None else new_axis(9, 1.0 + 0.16 * len(rows))
-    at = np.arange(len(rows))[::-1]
-    for key, colour, mark in (("base", MUTED, "o"), ("grown", IMPROVED, "|")):
-        axis.plot(
-            [r["measured"] / max(r[key], 1.0) for r in rows], at, mark, color=colour, label=f"measured / {key} model"
-        )
-    axis.set_yticks(at, [r["where"] for r in rows])
-    axis.set_xscale("log")
-    axis.axvline(1, color=INK, linewidth=0.6)
-    axis.legend()
-    return axis
+    """Pooled counts by the time since the light jumped, ON up and OFF down, with what the models expect; rest below.
+
+    Args:
+        report: of a search of pooled recordings.
+        axes: (2 recordings, 2), residuals in every second row; new ones by default.
+
+    Returns:
+        The axes.
+    """
+    rows, spread = report.details["after_jumps"], max(float(report.details["dispersion"]), 1.0)
+    names = list(dict.fromkeys(row["recording"] for row in rows))
+    models = [("base", report.base.name, INK)]
+    if report.model.effects != report.base.effects:
+        models.append(("grown", report.model.name, IMPROVED))
+    if axes is None:
+        axes = new_pairs(max(len(names), 1), 2, 4.6, 4.0)
+    places = sorted({(row["from_s"], row["to_s"] or np.inf) for row in rows})
+    labels = [f"{1e3 * a:.3g}–{1e3 * b:.3g}" if np.isfinite(b) else f"> {1e3 * a:.3g}" for a, b in places]
+    for k, name in enumerate(names):
+        for column, jump in enumerate(("rose", "fell")):
+            axis, left = axes[2 * k : 2 * k + 2, column]
+            for polarity, sign, colour in (("ON", 1.0, ON), ("OFF", -1.0, OFF)):
+                here = [r for r in rows if (r["recording"], r["light"], r["polarity"]) == (name, jump, polarity)]
+                at = np.array([places.index((r["from_s"], r["to_s"] or np.inf)) for r in here], dtype=float)
+                measured = np.array([r["measured"] for r in here])
+                axis.bar(at, sign * measured, 0.8, color=colour, alpha=0.45, label=f"{polarity}, measured")
+                for model, label, line in models:
+                    expected = np.array([r[model] for r in here])
+                    axis.hlines(
+                        sign * expected, at - 0.4, at + 0.4, color=line, linewidth=1.6,
+                        label=f"expected by {label}" if sign > 0 else None,
+                    )  # fmt: skip
+                    side = 0.12 * sign if line == INK else 0.28 * sign
+                    residual = (measured - expected) / np.sqrt(spread * np.maximum(expected, 1.0))
+                    left.plot(at + side, residual, "o" if line == INK else "D", color=colour, markersize=4)
+            axis.axhline(0.0, color=INK, linewidth=0.5)
+            axis.set_title(f"{name}: the light {jump}")
+            axis.set_ylabel("events, OFF downwards")
+            left.set_xticks(range(len(places)), labels, rotation=45, ha="right")
+            axis.set_xticks(range(len(places)), [])
+            left.set(xlabel="time since the light jumped (ms)", ylabel="difference\n(chance: ±1)")
+            left.set_xlim(-0.6, len(places) - 0.4)
+            axis.set_xlim(-0.6, len(places) - 0.4)
+            finish_pair(axis, left)
+    axes[0, 0].legend(fontsize=7)
+    return axes
 
 
 @styled

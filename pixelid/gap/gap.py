@@ -54,7 +54,7 @@ def gap(
         >>> report.verdict, [effect.name for effect in report.effects]  # doctest: +SKIP
         ('named', ['leak'])
     """
-    _check(recordings, model, alpha)
+    check_searchable(recordings, model, alpha)
     options = Options(alpha, seed, tuple(leave_out), criteria or Criteria(), recommend)
     cache = None if resume is None else FitCache(resume)
     context = Context(options, cache, progress or (lambda what, fraction: None))
@@ -65,7 +65,12 @@ def gap(
     return report
 
 
-def _check(recordings: Sequence[Recording], model: Model, alpha: float) -> None:
+def check_searchable(recordings: Sequence[Recording], model: Model, alpha: float) -> None:
+    """Check that a search can look at them.
+
+    Raises:
+        InputError: As `gap`.
+    """
     if not recordings:
         raise InputError("no recordings to look at")
     if not 0.0 < alpha < 0.5:

@@ -12,8 +12,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pixelid.inspection.counts import GROUPINGS, Groups, Survey
 from pixelid.recordings.events import Events
 
+MIN_EVENTS = 1000
 GROUPS_PER_WINDOW = 150
 MIN_GROUPS_PER_WINDOW = 4
 WINDOWS_PER_BLOCK = 8
@@ -43,41 +45,79 @@ class Ceiling:
 
 def find_ceiling(events: Events, clock_s: float | None) -> Ceiling | None:
     """The readout ceiling, or None when the events are too few to tell."""
-    if len(events) < 1000 or events.duration_s <= 0:
-        return None
-    pixels = int(np.count_nonzero(np.bincount(events.pixel)))
-    new_time = np.diff(events.t, prepend=-1) != 0
-    groupings = {
-        "event": np.ones(len(events), bool),
-        "row": new_time | (np.diff(events.y.astype(np.int32), prepend=-1) != 0),
-        "column": new_time | (np.diff(events.x.astype(np.int32), prepend=-1) != 0),
-    }
-    candidates = [_pace(events, first, name, pixels, clock_s or 1e-9) for name, first in groupings.items()]
-    return min((ceiling for ceiling in candidates if ceiling), key=lambda ceiling: ceiling.fano, default=None)
+    survey = Survey(events.width, events.height, False)
+    survey.add(events)
+    paces = Paces(survey, clock_s)
+    paces.add(events)
+    return paces.ceiling()
 
 
-def _pace(events: Events, first: np.ndarray, grouping: str, pixels: int, clock_s: float) -> Ceiling | None:
-    """Evenness of the groups that begin where `first` holds, within the busiest blocks of windows."""
-    t = events.t[first] - events.t[0]
-    per_window = min(
-        GROUPS_PER_WINDOW, pixels * len(t) / len(events) / 10, len(t) / (WINDOWS_PER_BLOCK * MIN_BLOCKS * 4)
-    )
-    if per_window < MIN_GROUPS_PER_WINDOW:
-        return None
-    clock = max(round(clock_s * 1e9), 1)
-    width = clock * max(1, round(per_window * events.duration_s * 1e9 / len(t) / clock))
-    windows = int(t[-1] // width) // WINDOWS_PER_BLOCK * WINDOWS_PER_BLOCK
-    if windows < WINDOWS_PER_BLOCK * MIN_BLOCKS or windows > 4 * len(t):
-        return None
-    index = t // width
-    counts = np.bincount(index[index < windows], minlength=windows).reshape(-1, WINDOWS_PER_BLOCK)
-    mean = counts.mean(axis=1)
-    busy = mean >= 0.85 * np.quantile(mean, 0.98)
-    if np.count_nonzero(busy) < MIN_BLOCKS:
-        return None
-    fano = float(np.mean(counts[busy].var(axis=1, ddof=1)) / np.mean(mean[busy]))
-    groups_hz = float(mean[busy].mean() / (width * 1e-9))
-    inside = np.repeat(busy, WINDOWS_PER_BLOCK)
-    all_index = (events.t - events.t[0]) // width
-    rate_hz = float(np.count_nonzero(inside[all_index[all_index < windows]]) / (inside.sum() * width * 1e-9))
-    return Ceiling(fano < SATURATED_FANO, rate_hz, groups_hz, fano, float(busy.mean()), grouping)
+class Paces:
+    """Groups per window for each kind of group, in a second reading part by part."""
+
+    def __init__(self, survey: Survey, clock_s: float | None) -> None:
+        enough = survey.events >= MIN_EVENTS and survey.duration_s > 0
+        self._first_ns, self._groups = survey.first_ns, Groups()
+        self._paces = [_Pace(survey, name, clock_s or 1e-9) for name in GROUPINGS] if enough else []
+
+    def add(self, events: Events) -> None:
+        """Take in events that follow those taken in before."""
+        if not any(pace.windows for pace in self._paces):
+            return
+        t, begun = events.t - self._first_ns, self._groups.begun(events)
+        for pace in self._paces:
+            if pace.windows:
+                pace.add(t, begun[pace.grouping])
+
+    def ceiling(self) -> Ceiling | None:
+        """The most even of the paces."""
+        candidates = [pace.ceiling() for pace in self._paces if pace.windows]
+        return min((ceiling for ceiling in candidates if ceiling), key=lambda ceiling: ceiling.fano, default=None)
+
+
+class _Pace:
+    """Evenness of one kind of groups within the busiest blocks of windows."""
+
+    def __init__(self, survey: Survey, grouping: str, clock_s: float) -> None:
+        groups, self.grouping, self.windows, self.width_ns = survey.groups[grouping], grouping, 0, 1
+        per_window = min(
+            GROUPS_PER_WINDOW,
+            survey.active_pixels * groups / survey.events / 10,
+            groups / (WINDOWS_PER_BLOCK * MIN_BLOCKS * 4),
+        )
+        if per_window < MIN_GROUPS_PER_WINDOW:
+            return
+        clock = max(round(clock_s * 1e9), 1)
+        self.width_ns = clock * max(1, round(per_window * survey.duration_s * 1e9 / groups / clock))
+        last = (survey.last_group_ns[grouping] - survey.first_ns) // self.width_ns
+        windows = int(last) // WINDOWS_PER_BLOCK * WINDOWS_PER_BLOCK
+        if windows < WINDOWS_PER_BLOCK * MIN_BLOCKS or windows > 4 * groups:
+            return
+        self.windows = windows
+        self._counts = np.zeros(windows, np.int32)
+        self._events = np.zeros(windows // WINDOWS_PER_BLOCK, np.int64)
+
+    def add(self, t: np.ndarray, first: np.ndarray) -> None:
+        """Take in events at times `t` from the first event on, of which some are the `first` of their groups."""
+        index = t // self.width_ns
+        index, first = index[index < self.windows], first[index < self.windows]
+        if not len(index):
+            return
+        low, block = int(index[0]), int(index[0]) // WINDOWS_PER_BLOCK  # times rise: a part touches a stretch only
+        counts = np.bincount(index[first] - low)
+        self._counts[low : low + len(counts)] += counts.astype(np.int32)
+        every = np.bincount(index // WINDOWS_PER_BLOCK - block)
+        self._events[block : block + len(every)] += every
+
+    def ceiling(self) -> Ceiling | None:
+        """None where too few blocks are busy."""
+        counts = self._counts.reshape(-1, WINDOWS_PER_BLOCK)
+        mean = counts.mean(axis=1)
+        busy = mean >= 0.85 * np.quantile(mean, 0.98)
+        if np.count_nonzero(busy) < MIN_BLOCKS:
+            return None
+        fano = float(np.mean(counts[busy].var(axis=1, ddof=1)) / np.mean(mean[busy]))
+        groups_hz = float(mean[busy].mean() / (self.width_ns * 1e-9))
+        seconds = np.count_nonzero(busy) * WINDOWS_PER_BLOCK * self.width_ns * 1e-9
+        rate_hz = float(self._events[busy].sum() / seconds)
+        return Ceiling(fano < SATURATED_FANO, rate_hz, groups_hz, fano, float(busy.mean()), self.grouping)

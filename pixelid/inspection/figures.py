@@ -1,4 +1,4 @@
-"""Figures of an inspection: rate over time, intervals within pixels, events per pixel."""
+"""Figures of an inspection: rate over time, intervals within pixels, events per pixel; conditions of still scenes."""
 
 from __future__ import annotations
 
@@ -7,68 +7,93 @@ from typing import Any
 
 import numpy as np
 
-from pixelid.figures.style import INK, OFF, ON, SEQUENTIAL, UNEXPLAINED, new_axis, save_figure, styled
-from pixelid.inspection.health import Health
-from pixelid.inspection.intervals import pixel_intervals
-from pixelid.recordings.recording import Recording
+from pixelid.figures.style import INK, MUTED, OFF, ON, SEQUENTIAL, UNEXPLAINED, new_axes, new_axis, save_figure, styled
+from pixelid.figures.words import seconds
+from pixelid.inspection.health import Health, Overview
+from pixelid.inspection.static_noise_result import StaticNoise
 
-RATE_BINS = 500
 HOT_PIXELS_SHOWN = 100
 
 
-def write_figures(recording: Recording, health: Health, folder: Path) -> None:
+def write_figures(health: Health, overview: Overview, folder: Path) -> None:
     """Write rate.svg, and for recordings with addresses intervals.svg and pixels.svg, into `folder`."""
-    save_figure(draw_rate(recording, health), folder / "rate.svg")
-    if not recording.pooled:
-        save_figure(draw_intervals(recording, health), folder / "intervals.svg")
-        save_figure(draw_pixels(recording, health), folder / "pixels.svg")
+    save_figure(draw_rate(health, overview), folder / "rate.svg")
+    if not health.pooled:
+        save_figure(draw_intervals(health, overview), folder / "intervals.svg")
+        save_figure(draw_pixels(health, overview), folder / "pixels.svg")
 
 
 @styled
-def draw_rate(recording: Recording, health: Health, axis: Any = None) -> Any:
-    """Events per second over time, by polarity; returns the axis."""
+def draw_rate(health: Health, overview: Overview, axis: Any = None) -> Any:
+    """Events per second over time, ON up and OFF down; returns the axis."""
     axis = axis if axis is not None else new_axis(8.0, 3.2)
-    events = recording.events
-    time = (events.t - events.t[0]) * 1e-9 if len(events) else np.empty(0)
-    edges = np.linspace(0, max(events.duration_s, 1e-9), RATE_BINS + 1)
-    for polarity, label, colour in ((1, "ON", ON), (0, "OFF", OFF)):
-        counts, _ = np.histogram(time[events.p == polarity], edges)
-        axis.stairs(counts / np.diff(edges), edges, label=label, color=colour, linewidth=0.9)
-    axis.set(xlabel="time since the first event (s)", ylabel="events per second")
+    edges = overview.edges_s
+    for counts, label, colour, sign in ((overview.on, "ON", ON, 1.0), (overview.off, "OFF", OFF, -1.0)):
+        axis.stairs(sign * counts / np.diff(edges), edges, label=label, color=colour, fill=True, alpha=0.7)
+    axis.axhline(0.0, color=INK, linewidth=0.5)
+    axis.set(xlabel="time since the first event (s)", ylabel="events per second, OFF downwards")
     axis.set_title(", ".join(f"line at {line.frequency_hz:.2f} Hz" for line in health.lines[:3]))
-    axis.legend()
+    axis.legend(ncols=2)
     return axis
 
 
 @styled
-def draw_intervals(recording: Recording, health: Health, axis: Any = None) -> Any:
+def draw_intervals(health: Health, overview: Overview, axis: Any = None) -> Any:
     """Histogram of the intervals within pixels, with the dead time or its bound; returns the axis."""
     axis = axis if axis is not None else new_axis(8.0, 3.2)
-    intervals = pixel_intervals(recording.events)
-    intervals = intervals[intervals > 0] * 1e-9
+    intervals = overview.intervals[overview.intervals > 0] * 1e-9
     if len(intervals):
         bins = np.geomspace(intervals.min(), intervals.max() * 1.001, 200)
         axis.hist(intervals, bins, histtype="step", color=INK, linewidth=0.9)
         axis.set(xscale="log", yscale="log")
     dead = health.dead_time
-    if dead.value_s is not None:
-        label = "dead time" if dead.kind == "measured" else "upper bound of the dead time"
-        axis.axvline(dead.value_s, color=UNEXPLAINED, ls="--", label=f"{label}, {dead.value_s:.3g} s")
+    bound = dead.kind == "upper_bound" and dead.interval_95_s is not None
+    at = dead.interval_95_s[1] if bound and dead.interval_95_s else dead.value_s
+    if at is not None:
+        label = f"dead time ≤ {seconds(at)}" if bound else f"dead time {seconds(at)}"
+        axis.axvline(at, color=UNEXPLAINED, ls="--", label=label)
         axis.legend()
-    axis.set(xlabel="interval between events of a pixel (s)", ylabel="intervals")
+    part = f" (a random {health.intervals_share:.3g} of them)" if health.intervals_share < 1 else ""
+    axis.set(xlabel="interval between events of a pixel (s)", ylabel=f"number of intervals{part}")
     return axis
 
 
 @styled
-def draw_pixels(recording: Recording, health: Health, axis: Any = None) -> Any:
+def draw_pixels(health: Health, overview: Overview, axis: Any = None) -> Any:
     """Events per pixel as an image, hot pixels ringed; returns the axis."""
     axis = axis if axis is not None else new_axis(6.0, 4.2)
-    events = recording.events
-    image = np.bincount(events.pixel, minlength=events.width * events.height).reshape(events.height, events.width)
-    shown = axis.imshow(np.log10(image + 1), cmap=SEQUENTIAL)
+    shown = axis.imshow(np.log10(overview.image + 1), cmap=SEQUENTIAL)
     for pixel in health.hot_pixels[:HOT_PIXELS_SHOWN]:
-        axis.plot(pixel.x, pixel.y, "o", mfc="none", mec=ON, mew=1.2, markersize=8)
-    axis.figure.colorbar(shown, ax=axis, label="events + 1 (log10)")
+        axis.plot(pixel.x, pixel.y, "o", mfc="none", mec=UNEXPLAINED, mew=1.2, markersize=8)
+    bar = axis.figure.colorbar(shown, ax=axis, label="events of the pixel")
+    decades = [n for k in range(9) for n in (10**k, 3 * 10**k) if n <= overview.image.max()]
+    bar.set_ticks([0.0, *np.log10(np.add(decades, 1.0))], labels=["0", *(f"{n:g}" for n in decades)])
     axis.grid(False)
     axis.set(xlabel="column (pixels)", ylabel="row (pixels)")
     return axis
+
+
+@styled
+def draw_static_noise(noise: StaticNoise, axes: Any = None) -> Any:
+    """Rate of the median pixel and regularity of its intervals over light, by polarity; returns the two axes."""
+    if axes is None:
+        axes = new_axes(1, 2, 4.4, 3.0)
+    rate, regularity = np.ravel(axes)
+    for polarity, colour, mark in (("ON", ON, "^"), ("OFF", OFF, "v")):
+        here = sorted((c for c in noise.conditions if c.polarity == polarity), key=lambda c: c.lux)
+        for axis, values in ((rate, [c.rate_hz for c in here]), (regularity, [c.cv for c in here])):
+            known = [(c.lux, *v) for c, v in zip(here, values, strict=True) if v is not None]
+            if known:
+                lux, value, low, high = np.array(known).T
+                ends = np.maximum([value - low, high - value], 0.0)
+                axis.errorbar(lux, value, ends, fmt=mark, color=colour, label=polarity, linewidth=1.0)
+        limits = [(c.lux, c.second_event_hz) for c in here if c.rate_hz is None and c.second_event_hz]
+        if limits:
+            lux, bound = np.array(limits).T
+            rate.plot(lux, bound, "_", color=colour, markersize=9, label=f"{polarity}, below (95 %)")
+            rate.vlines(lux, bound / 2.0, bound, color=colour, linewidth=1.0, linestyles=":")
+    rate.set(xscale="log", yscale="log", xlabel="light (lux)", ylabel="events per second, median pixel")
+    regularity.axhline(1.0, color=MUTED, linewidth=0.8, linestyle="--")
+    regularity.set(xscale="log", ylim=(0.0, 1.15), xlabel="light (lux)", ylabel="coefficient of variation of intervals")
+    rate.legend()
+    return axes

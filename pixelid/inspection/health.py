@@ -2,23 +2,37 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass
+from typing import TypeAlias
 
-from pixelid.inspection.ceiling import Ceiling, find_ceiling
-from pixelid.inspection.counts import Counts, count
+import numpy as np
+
+from pixelid.inspection.ceiling import Ceiling, Paces
+from pixelid.inspection.counts import BusiestWindow, Counts, Survey, counts_of
 from pixelid.inspection.dead_time import DeadTime, find_dead_time
-from pixelid.inspection.hot_pixels import HotPixel, find_hot_pixels
-from pixelid.inspection.intervals import pixel_interval_pairs, pixel_intervals
-from pixelid.inspection.lines import Line, find_lines
-from pixelid.inspection.tick import Tick, find_tick
+from pixelid.inspection.hot_pixels import HotPixel, hot_of_counts
+from pixelid.inspection.lines import Line, Spectra
+from pixelid.inspection.tick import MIN_EVENTS, Tick, tick_of
+from pixelid.recordings.events import Events
+from pixelid.recordings.parts import LongRecording
 from pixelid.recordings.recording import Recording
 
 HOT_PIXELS_LISTED = 100
+RATE_BINS = 500
+Progress: TypeAlias = Callable[[str, float], None]
+
+
+def no_progress(what: str, fraction: float) -> None:
+    """Say nothing."""
 
 
 @dataclass(frozen=True)
 class Health:
-    """What the events of a recording show by themselves."""
+    """What the events of a recording show by themselves.
+
+    intervals_share: of the intervals within pixels, how many dead time and tick were looked for in; 1 but in long ones
+    """
 
     name: str
     sensor: str
@@ -31,6 +45,7 @@ class Health:
     lines: list[Line]
     hot_pixels: list[HotPixel]
     ceiling: Ceiling | None
+    intervals_share: float = 1.0
 
     def to_dict(self) -> dict:
         """The stable keys of `inspect --json`."""
@@ -53,6 +68,7 @@ class Health:
                 "visible": dead.value_s is not None,
                 "reason": dead.reason,
                 "intervals": dead.intervals,
+                "intervals_share": self.intervals_share,
                 "below": dead.below,
                 "kind": dead.kind,
                 "edge_95": dead.edge_95_s,
@@ -71,28 +87,90 @@ class Health:
         }
 
 
-def inspect(recording: Recording) -> Health:
-    """Health of `recording` from its events; O(n log n) time, memory a small multiple of the events.
+@dataclass(frozen=True)
+class Overview:
+    """What figures of an inspection show, small however long the recording.
 
-    A pooled recording has no pixels: its dead time, hot pixels, duplicates and ceiling are not looked for.
+    Attributes:
+        edges_s: (k + 1,) of bins of time from the first event on.
+        on, off: (k,) events in them.
+        image: (height, width) events per pixel.
+        intervals: (m,) intervals within pixels [ns], of long recordings a random share.
     """
-    events, pooled = recording.events, recording.pooled
-    intervals = pixel_intervals(events)
-    tick = find_tick(events, intervals)
+
+    edges_s: np.ndarray
+    on: np.ndarray
+    off: np.ndarray
+    image: np.ndarray
+    intervals: np.ndarray
+
+
+def inspect(recording: Recording | LongRecording, progress: Progress = no_progress) -> Health:
+    """Health of `recording` from its events.
+
+    A pooled recording has no pixels: its dead time, hot pixels, duplicates and ceiling are not looked for.  A long
+    recording is read twice, part by part; of its intervals within pixels a random share is looked at
+    (`intervals.MOST_INTERVALS`), everything else is exact.  Time O(n log n); memory a small multiple of the
+    events, for a long recording of a part of them.
+    """
+    return inspect_closely(recording, progress)[0]
+
+
+def inspect_closely(recording: Recording | LongRecording, progress: Progress = no_progress) -> tuple[Health, Overview]:
+    """Health of `recording`, and what its figures show."""
+    head = recording.head if isinstance(recording, LongRecording) else recording
+    pooled = head.pooled
+    survey = Survey(head.events.width, head.events.height, pooled)
+    for events in _read(recording):
+        survey.add(events)
+        progress(f"{survey.events / 1e6:.0f} M events", 0.0)
+    intervals = survey.intervals.intervals
+    tick = tick_of(survey.clock_ns, intervals) if survey.events >= MIN_EVENTS and survey.clock_ns else Tick(None)
     if pooled:
         dead_time = DeadTime(None, None, "pixels are pooled", 0)
     else:
-        dead_time = find_dead_time(intervals, tick.tick_s, pixel_interval_pairs(events))
-    return Health(
-        name=recording.name,
-        sensor=recording.sensor,
-        width=events.width,
-        height=events.height,
+        dead_time = find_dead_time(intervals, tick.tick_s, survey.intervals.pairs)
+    busiest, spectra = BusiestWindow(survey), Spectra(survey.events, survey.first_ns, survey.last_ns)
+    paces = None if pooled else Paces(survey, tick.clock_s)
+    rates = _Rates(survey)
+    seen = 0
+    for events in _read(recording):
+        for part in (busiest, spectra, rates, *([paces] if paces else [])):
+            part.add(events)
+        seen += len(events)
+        progress("rates and lines", seen / max(survey.events, 1))
+    health = Health(
+        name=head.name,
+        sensor=head.sensor,
+        width=head.events.width,
+        height=head.events.height,
         pooled=pooled,
-        counts=count(events, pooled),
+        counts=counts_of(survey, busiest),
         dead_time=dead_time,
         tick=tick,
-        lines=find_lines(events, tick.tick_s),
-        hot_pixels=[] if pooled else find_hot_pixels(events),
-        ceiling=None if pooled else find_ceiling(events, tick.clock_s),
+        lines=spectra.lines(tick.tick_s),
+        hot_pixels=[] if pooled else hot_of_counts(survey.image, survey.duration_s),
+        ceiling=None if paces is None else paces.ceiling(),
+        intervals_share=survey.intervals.share,
     )
+    return health, Overview(rates.edges_s, rates.counts[1], rates.counts[0], survey.image, intervals)
+
+
+def _read(recording: Recording | LongRecording) -> Iterable[Events]:
+    """The events, in one piece where they lie in memory."""
+    if isinstance(recording, LongRecording):
+        return (part.events for part in recording.read())
+    return [recording.events]
+
+
+class _Rates:
+    """Events of each polarity over time, part by part."""
+
+    def __init__(self, survey: Survey) -> None:
+        self.edges_s = np.linspace(0, max(survey.duration_s, 1e-9), RATE_BINS + 1)
+        self.counts, self._first = np.zeros((2, RATE_BINS), np.int64), survey.first_ns
+
+    def add(self, events: Events) -> None:
+        time = (events.t - self._first) * 1e-9
+        for polarity in (0, 1):
+            self.counts[polarity] += np.histogram(time[events.p == polarity], self.edges_s)[0]

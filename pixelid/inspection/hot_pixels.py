@@ -58,25 +58,31 @@ def find_hot_pixels(events: Events) -> list[HotPixel]:
     count, and 5 times the median of the 5 × 5 pixels about it, each with 6 standard deviations of Poisson noise
     to spare.
     """
+    if len(events) < MIN_EVENTS:
+        return []
+    counts = np.bincount(events.pixel, minlength=events.width * events.height)
+    return hot_of_counts(counts.reshape(events.height, events.width), events.duration_s)
+
+
+def hot_of_counts(image: np.ndarray, duration_s: float) -> list[HotPixel]:
+    """The same from (height, width) events per pixel in so many seconds."""
     from scipy.ndimage import median_filter
 
-    if len(events) < MIN_EVENTS or events.duration_s <= 0:
+    if image.sum() < MIN_EVENTS or duration_s <= 0:
         return []
-    counts = np.bincount(events.pixel, minlength=events.width * events.height).astype(np.float64)
+    width = image.shape[1]
+    image = image.astype(np.float64)
+    counts = image.ravel()
     active = counts[counts > 0]
     middle = float(np.median(active))
     log = np.log(active)
     spread = 1.4826 * float(np.median(np.abs(log - np.median(log))))
     population = max(middle * np.exp(ROBUST_SIGMAS * min(spread, 1.0)), OVER_NEIGHBOURS * middle)
-    image = counts.reshape(events.height, events.width)
     around = OVER_NEIGHBOURS * np.maximum(median_filter(image, NEIGHBOURHOOD, mode="mirror"), counts.mean()).ravel()
     needed = np.maximum(population + 6 * np.sqrt(population), around + 6 * np.sqrt(around))
     hot = np.flatnonzero(counts > np.maximum(needed, MIN_EVENTS))
     hot = hot[np.argsort(-counts[hot], kind="stable")]
-    return [
-        HotPixel(int(k % events.width), int(k // events.width), float(counts[k] / events.duration_s), int(counts[k]))
-        for k in hot
-    ]
+    return [HotPixel(int(k % width), int(k // width), float(counts[k] / duration_s), int(counts[k])) for k in hot]
 
 
 def find_hot_pixels_in_silence(recordings: Sequence[Recording]) -> HotInSilence | None:

@@ -19,6 +19,7 @@ from pixelid.recordings.events import Events
 BIN_S = 5e-5
 MAX_FREQUENCY_HZ = 2500.0
 MAX_BINS = 1 << 22
+MIN_BINS = 64
 MIN_CYCLES = 6
 MIN_EVENTS = 200
 FALSE_ALARM = 1e-3
@@ -46,60 +47,106 @@ class Line:
 
 def find_lines(events: Events, tick_s: float | None = None) -> list[Line]:
     """The lines of `events` below 2.5 kHz, strongest first; none above half the frequency of the tick."""
-    duration = events.duration_s
-    if len(events) < MIN_EVENTS or duration <= 0:
-        return []
-    bins = int(duration / BIN_S)
-    segments = -(-bins // MAX_BINS)
-    length = bins // segments
-    if length < 64:
-        return []
-    resolution = 1 / (length * BIN_S)
-    ratio, modulation, series = None, None, []
-    apart = [_counts(events, polarity, bins) for polarity in (1, 0)]
-    for counts in (*apart, apart[0] + apart[1]):
-        if counts.sum() < MIN_EVENTS:
-            continue
-        power, relative = _spectrum(counts, segments, length)
-        r = power / _background(power, segments)
-        series.append(counts)
+    first, last = (int(events.t[0]), int(events.t[-1])) if len(events) else (0, 0)
+    spectra = Spectra(len(events), first, last)
+    spectra.add(events)
+    return spectra.lines(tick_s)
+
+
+class Spectra:
+    """Spectra of the ON events, the OFF events and both, in a reading part by part that knows how long it will be."""
+
+    def __init__(self, events: int, first_ns: int, last_ns: int) -> None:
+        self._first, duration = first_ns, float(last_ns - first_ns) * 1e-9
+        bins = int(duration / BIN_S) if events >= MIN_EVENTS else 0
+        self._segments = max(-(-bins // MAX_BINS), 1)
+        self._length = bins // self._segments
+        if self._length < MIN_BINS:
+            self._length = 0
+            return
+        self._bins = bins
+        self._taper = np.hanning(self._length).astype(np.float32)
+        self._current = 0  # segment that is being counted
+        self._counts = [np.zeros(self._length, np.float32) for _ in range(2)]  # ON, OFF
+        self._power = [np.zeros(self._length // 2 + 1) for _ in range(3)]  # ON, OFF, both
+        self._totals = [0, 0]
+        # of a short recording a line's frequency is refined on the counts themselves
+        self._keeps_counts = self._segments == 1 and bins <= REFINE_BINS
+
+    def add(self, events: Events) -> None:
+        """Take in events that follow those taken in before."""
+        if not self._length or not len(events):
+            return
+        index = (events.t - self._first) // round(BIN_S * 1e9)
+        begin = 0
+        while begin < len(index):
+            segment = int(index[begin]) // self._length
+            if segment >= self._segments:  # the rest of a division, and what lies behind the last whole bin
+                rest = events.p[begin:][index[begin:] < self._bins]
+                on = int(np.count_nonzero(rest))
+                self._totals = [self._totals[0] + on, self._totals[1] + len(rest) - on]
+                return
+            self._advance(segment)
+            end = int(np.searchsorted(index, (segment + 1) * self._length))
+            inside, on = index[begin:end] - segment * self._length, events.p[begin:end] == 1
+            low = int(inside[0])
+            for k, chosen in enumerate((on, ~on)):
+                counts = np.bincount(inside[chosen] - low)
+                self._counts[k][low : low + len(counts)] += counts
+                self._totals[k] += int(np.count_nonzero(chosen))
+            begin = end
+
+    def _advance(self, segment: int) -> None:
+        """Finish the segments before `segment`."""
+        if segment > self._current:
+            self._transform()
+            for counts in self._counts:
+                counts[:] = 0
+            self._current = segment
+
+    def _transform(self) -> None:
+        on, off = self._counts
+        for power, part in zip(self._power, (on, off, on + off), strict=True):
+            if part.any():
+                power += np.abs(np.fft.rfft((part - part.mean()) * self._taper)) ** 2
+
+    def lines(self, tick_s: float | None) -> list[Line]:
+        """The lines, strongest first; none above half the frequency of the tick."""
+        if not self._length:
+            return []
+        self._transform()
+        resolution = 1 / (self._length * BIN_S)
+        ratio, modulation, series = None, None, []
+        on, off = self._counts
+        for power, total, counts in zip(
+            self._power, (*self._totals, sum(self._totals)), (on, off, on + off), strict=True
+        ):
+            if total < MIN_EVENTS:
+                continue
+            power = power / self._segments
+            relative = 2 * np.sqrt(power) / (max(total / self._bins, 1e-30) * float(self._taper.sum()))
+            r = power / _background(power, self._segments)
+            series.append(counts if self._keeps_counts else None)
+            if ratio is None or modulation is None:
+                ratio, modulation, best = r, relative, np.zeros(len(r), np.int64)
+            else:
+                better = r > ratio
+                ratio, modulation = np.where(better, r, ratio), np.where(better, relative, modulation)
+                best = np.where(better, len(series) - 1, best)
         if ratio is None or modulation is None:
-            ratio, modulation, best = r, relative, np.zeros(len(r), np.int64)
-        else:
-            better = r > ratio
-            ratio, modulation = np.where(better, r, ratio), np.where(better, relative, modulation)
-            best = np.where(better, len(series) - 1, best)
-    if ratio is None or modulation is None:
-        return []
-    last = min(int(MAX_FREQUENCY_HZ / resolution), len(ratio) - 9)
-    p = _p_values(ratio, segments, len(series) * max(last, 1))
-    lines = []
-    for k in range(MIN_CYCLES, last):
-        if p[k] > FALSE_ALARM or ratio[k] < ratio[k - 2 : k + 3].max() or not _narrow(ratio, k):
-            continue
-        frequency = _refine(series[best[k]], segments, ratio, k, resolution)
-        if tick_s and frequency * tick_s > 0.5:
-            continue
-        uncertainty = np.sqrt(1.5) / np.pi * resolution / np.sqrt(ratio[k] * segments)
-        lines.append(Line(frequency, float(uncertainty), float(modulation[k]), float(ratio[k]), float(p[k])))
-    return sorted(map(_sharpen, _group_harmonics(lines, resolution)), key=lambda line: -line.strength)
-
-
-def _counts(events: Events, polarity: int, bins: int) -> np.ndarray:
-    """(bins,) events of one polarity per BIN_S from the first event on."""
-    index = (events.t - events.t[0]) // round(BIN_S * 1e9)
-    return np.bincount(index[(events.p == polarity) & (index < bins)], minlength=bins).astype(np.float32)
-
-
-def _spectrum(counts: np.ndarray, segments: int, length: int) -> tuple[np.ndarray, np.ndarray]:
-    """Mean power of the segments, and amplitude relative to the mean rate, per frequency."""
-    taper = np.hanning(length).astype(np.float32)
-    power = np.zeros(length // 2 + 1)
-    for s in range(segments):
-        part = counts[s * length : (s + 1) * length]
-        power += np.abs(np.fft.rfft((part - part.mean()) * taper)) ** 2
-    power /= segments
-    return power, 2 * np.sqrt(power) / (max(float(counts.mean()), 1e-30) * float(taper.sum()))
+            return []
+        last = min(int(MAX_FREQUENCY_HZ / resolution), len(ratio) - 9)
+        p = _p_values(ratio, self._segments, len(series) * max(last, 1))
+        lines = []
+        for k in range(MIN_CYCLES, last):
+            if p[k] > FALSE_ALARM or ratio[k] < ratio[k - 2 : k + 3].max() or not _narrow(ratio, k):
+                continue
+            frequency = _refine(series[best[k]], ratio, k, resolution)
+            if tick_s and frequency * tick_s > 0.5:
+                continue
+            uncertainty = np.sqrt(1.5) / np.pi * resolution / np.sqrt(ratio[k] * self._segments)
+            lines.append(Line(frequency, float(uncertainty), float(modulation[k]), float(ratio[k]), float(p[k])))
+        return sorted(map(_sharpen, _group_harmonics(lines, resolution)), key=lambda line: -line.strength)
 
 
 def _background(power: np.ndarray, segments: int) -> np.ndarray:
@@ -135,9 +182,9 @@ def _narrow(ratio: np.ndarray, k: int) -> bool:
     return all(len(side) > 0 and ratio[k] > 8 * side.mean() for side in sides)
 
 
-def _refine(counts: np.ndarray, segments: int, ratio: np.ndarray, k: int, resolution: float) -> float:
-    """The frequency [Hz] of the peak at bin k: the maximum of the tapered Fourier sum, else of a log parabola."""
-    if segments == 1 and len(counts) <= REFINE_BINS:
+def _refine(counts: np.ndarray | None, ratio: np.ndarray, k: int, resolution: float) -> float:
+    """The frequency [Hz] of the peak at bin k: the maximum of the tapered Fourier sum of counts, else of a parabola."""
+    if counts is not None:
         from scipy.optimize import minimize_scalar
 
         kept = np.flatnonzero(counts)

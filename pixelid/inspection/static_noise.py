@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from pixelid.errors import InputError
+from pixelid.inspection.health import Progress, no_progress
 from pixelid.inspection.interval_counts import EDGES_S, IntervalCounts
 from pixelid.inspection.leak_by_light import leak_by_light
 from pixelid.inspection.renewal import CVS, SlowPixels, paces
@@ -24,7 +25,9 @@ MIN_PIXELS = 20
 MAX_REGULAR_CV = 0.4  # of intervals called regular: between a leak's 0.1 and noise's 0.7 and more
 
 
-def static_noise(measured: Sequence[IntervalCounts], seed: int = 0, resamples: int = 100) -> StaticNoise:
+def static_noise(
+    measured: Sequence[IntervalCounts], seed: int = 0, resamples: int = 100, progress: Progress = no_progress
+) -> StaticNoise:
     """What the histograms (of one sensor, the same pixels) say; resampled pixels give the intervals."""
     if not measured:
         raise InputError("no interval histograms to look at")
@@ -32,7 +35,10 @@ def static_noise(measured: Sequence[IntervalCounts], seed: int = 0, resamples: i
         raise InputError("interval histograms: expected the same pixels in each, found different numbers of pixels")
     # ON and OFF at one light are one recording: its length is taken from whichever shows it better
     lengths = {light: _duration([m for m in measured if m.lux == light], seed) for light in {m.lux for m in measured}}
-    judged = [_condition(m, lengths[m.lux], seed, resamples) for m in measured]
+    judged = []
+    for k, m in enumerate(measured):
+        progress(m.name, k / (len(measured) + 1))
+        judged.append(_condition(m, lengths[m.lux], seed, resamples))
     conditions = tuple(c for c, _ in judged)
     regular = [
         (c, table) for c, table in judged if c.polarity == "ON" and c.kind == "regular" and c.slow and table is not None
@@ -44,6 +50,7 @@ def static_noise(measured: Sequence[IntervalCounts], seed: int = 0, resamples: i
         lux = (ends[0][0].lux, ends[1][0].lux)
         tables = (ends[0][1], ends[1][1])
         cv = tuple(c.slow.cv for c, _ in ends if c.slow)
+        progress("leak by light", len(measured) / (len(measured) + 1))
         by_light = leak_by_light(tables, lux, (cv[0], cv[1]), seed, resamples)
     return StaticNoise(conditions, by_light, lux, findings(conditions, by_light, lux), unknown(conditions, lux))
 

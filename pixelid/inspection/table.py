@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
+from pixelid.figures.words import seconds
 from pixelid.inspection.health import Health
 
 LINES_SHOWN = 5
 PIXELS_SHOWN = 3
+_seconds = partial(seconds, digits=4)
 
 
 def health_table(health: Health):
@@ -99,10 +102,3 @@ def _hz(value: float) -> str:
         if value >= scale:
             return f"{value / scale:.3g} {unit}"
     return f"{value:.3g} Hz"
-
-
-def _seconds(value: float) -> str:
-    for scale, unit in ((1.0, "s"), (1e-3, "ms"), (1e-6, "µs")):
-        if abs(value) >= scale:
-            return f"{value / scale:.4g} {unit}"
-    return f"{value * 1e9:.4g} ns"

@@ -48,7 +48,11 @@ def find_tick(events: Events, intervals: np.ndarray) -> Tick:
     """The grid of `events`, whose (m,) `intervals` within pixels are given in ns."""
     if len(events) < MIN_EVENTS or events.t[0] == events.t[-1]:
         return Tick(None)
-    clock = common_divisor(np.diff(events.t))
+    return tick_of(common_divisor(np.diff(events.t)), intervals)
+
+
+def tick_of(clock: int, intervals: np.ndarray) -> Tick:
+    """The grid of timestamps on a clock of `clock` ns, from (m,) intervals within pixels [ns]."""
     scan = _scan_period(intervals, clock)
     if scan is None:
         return Tick(clock * 1e-9)

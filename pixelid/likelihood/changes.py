@@ -23,6 +23,7 @@ from pixelid.dynamics.of_circuit import dynamics_of
 from pixelid.dynamics.slewed import slewed
 from pixelid.dynamics.trajectory import Dynamics, Trajectory, integrate
 from pixelid.dynamics.vector_math import vexp
+from pixelid.likelihood.clocks import Clock
 from pixelid.likelihood.extremes import DECAYED, Begun, Drift, Extremes, Output, at_samples, locate_extremes
 from pixelid.likelihood.sections import Section
 from pixelid.likelihood.sequences import Sequences
@@ -148,7 +149,12 @@ class ChangeEvaluator:
         return Changes(*events[:6], *pixels, early=events[6] > 0)
 
     def fill(
-        self, circuit: Circuit, locate: Extremes | Literal[True], events: np.ndarray, pixels: np.ndarray
+        self,
+        circuit: Circuit,
+        locate: Extremes | Literal[True],
+        events: np.ndarray,
+        pixels: np.ndarray,
+        clock: Clock | None = None,
     ) -> Extremes:
         """Write the changes under a circuit into rows, in the order of `PER_EVENT` and `PER_PIXEL`.
 
@@ -158,6 +164,7 @@ class ChangeEvaluator:
                 located for the derivative does not see the position (envelope theorem).
             events: (7, n) to be filled.
             pixels: (4, m) to be filled.
+            clock: Of the recording beside that of its light; None: they are one.
 
         Returns:
             Where the extremes are.
@@ -166,7 +173,9 @@ class ChangeEvaluator:
         trajectory, output, first = self._trajectories.of(circuit, keep=looked_for)
         of_event, of_last = self.section.light, self.section.last_light
         shift = circuit.refractory - circuit.delay
-        release, time, last = iv.previous_s + shift, iv.time_s - circuit.delay, iv.last_s + shift
+        stamps = iv.previous_s, iv.time_s, iv.last_s
+        previous, stamp, begin = stamps if clock is None else map(clock.on_light, stamps)
+        release, time, last = previous + shift, stamp - circuit.delay, begin + shift
         begun, drift = self._begun(trajectory, circuit, release, self._near_samples[0], first, of_event)
         begun_last, drift_last = self._begun(trajectory, circuit, last, self._near_samples[2], first, of_last)
         sample = located(trajectory.t, time, self._near_samples[1], first, of_event)

@@ -12,6 +12,7 @@ import numpy as np
 
 from pixelid.errors import InputError
 from pixelid.likelihood.changes import ChangeEvaluator
+from pixelid.likelihood.clocks import Clock
 from pixelid.likelihood.density import Terms, density
 from pixelid.likelihood.extremes import Extremes
 from pixelid.likelihood.layout import StackedChanges, flat_index, layout_of, read_only
@@ -38,6 +39,7 @@ class EventTimes:
         layout: Which pixel and recording each of the n intervals belongs to.
         clock_share: (n,) how often timestamp noise counts, 1 until `weighed`.
         threshold_factor: (n,) what each event's threshold is multiplied by beside all that the circuit says, or None.
+        clocks: One per recording, None where its times are taken as they are; None: for none of them.
 
     Raises:
         InputError: For pooled recordings, a missing stimulus, or fewer than two events in any pixel.
@@ -51,6 +53,7 @@ class EventTimes:
         divided = [sections_of(recording) for recording in self.recordings]
         self.intervals = tuple(intervals for intervals, _ in divided)
         sections = [section for _, some in divided for section in some]
+        self._recording_of_section = tuple(i for i, (_, some) in enumerate(divided) for _ in some)
         samples = sum(section.samples for section in sections)
         remember = len(sections) == len(self.recordings) or samples <= MOST_REMEMBERED
         self.evaluators = tuple(ChangeEvaluator(section, remember) for section in sections)
@@ -59,6 +62,7 @@ class EventTimes:
         self.layout = layout_of(self.recordings, self.intervals, sections)
         self.clock_share = read_only(np.ones(self.events))
         self.threshold_factor: np.ndarray | None = None
+        self.clocks: tuple[Clock | None, ...] | None = None
         self._large = samples + self.events > LARGE
 
     @property
@@ -120,18 +124,39 @@ class EventTimes:
         """
         vector = np.empty(self.layout.size)
         where = [True] * len(self.evaluators) if extremes is None else extremes
-        parts = list(zip(self.evaluators, where, self.layout.per_section(vector), strict=True))
+        clocks = self.clocks or (None,) * len(self.recordings)
+        by = [clocks[recording] for recording in self._recording_of_section]
+        parts = list(zip(self.evaluators, where, self.layout.per_section(vector), by, strict=True))
 
-        def fill(part) -> Extremes:
-            evaluator, at, rows = part
-            return evaluator.fill(circuit, at, *rows)
-
-        located = map_threads(fill, parts, threads=None if self._large else 1)
+        located = self._filled(circuit, parts)
         changes = self.layout.stacked(vector, tuple(located))
         if self.threshold_factor is not None:
             for row in changes.events.of_level:
                 row /= self.threshold_factor
         return changes
+
+    def changes_by_clock(self, circuit: Circuit, here: StackedChanges, recording: int, clock: Clock) -> StackedChanges:
+        """`here`, the changes under a circuit, but for one recording by another clock; its extremes where they were."""
+        vector = here.vector.copy()
+        sections = zip(
+            self._recording_of_section, self.evaluators, here.extremes, self.layout.per_section(vector), strict=True
+        )
+        self._filled(circuit, [(*section, clock) for of, *section in sections if of == recording])
+        changes = self.layout.stacked(vector)
+        if self.threshold_factor is not None:
+            mine = self.layout.recording == recording
+            for row in changes.events.of_level:
+                row[mine] /= self.threshold_factor[mine]
+        return changes
+
+    def _filled(self, circuit: Circuit, parts: Sequence[tuple]) -> list[Extremes]:
+        """Fill the rows of sections (evaluator, extremes or True, rows, clock); where their extremes are."""
+
+        def fill(part) -> Extremes:
+            evaluator, at, rows, clock = part
+            return evaluator.fill(circuit, at, *rows, clock)
+
+        return list(map_threads(fill, parts, threads=None if self._large else 1))
 
     def terms(self, circuit: Circuit, changes: StackedChanges | None = None) -> Terms:
         """The likelihood's pieces under a circuit; `changes` is `changes(circuit)` when it is known already."""
@@ -153,6 +178,14 @@ class EventTimes:
         moved = np.where(here.background | there.background, 0.0, there.z - here.z) / NUDGE_S
         other = copy(self)
         other.clock_share = read_only(1.0 + np.minimum((moved / here.event.rate) ** 2, MOST_CLOCK_SHARE - 1.0))
+        return other
+
+    def with_clocks(self, clocks: tuple[Clock | None, ...] | None) -> EventTimes:
+        """The same likelihood by other clocks; itself when they are the same."""
+        if clocks == self.clocks:
+            return self
+        other = copy(self)
+        other.clocks = clocks
         return other
 
     def with_threshold_factor(self, factor: np.ndarray | None) -> EventTimes:

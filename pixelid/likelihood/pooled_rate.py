@@ -27,6 +27,7 @@ from pixelid.dynamics.slew import slews
 from pixelid.dynamics.slewed import slewed
 from pixelid.dynamics.trajectory import integrate
 from pixelid.errors import InputError
+from pixelid.likelihood.clocks import clock_parameters, clocks_of
 from pixelid.parameters.parameter import Parameter
 from pixelid.recordings.recording import Recording
 from pixelid.stages.circuit import Circuit
@@ -69,8 +70,9 @@ def binned(recording: Recording, bin_s: float, first_s: float) -> Counts:
 class PooledRate:
     """The pooled-rate likelihood of one or more recordings.
 
-    nuisances: delay per recording, background per polarity, pooled pixels, and for "shape" stimuli the light
-    L = offset + gain · shape, of which `stimulus.offset` is fixed (it sets the unit of radiance).
+    nuisances: delay per recording, drift of the clock of each that was aligned (`likelihood.clocks`), background per
+    polarity, pooled pixels, and for "shape" stimuli the light L = offset + gain · shape, of which `stimulus.offset` is
+    fixed (it sets the unit of radiance).
 
     Args:
         recordings: With a full-field stimulus each.
@@ -125,6 +127,7 @@ class PooledRate:
             Parameter(delay_name(self.recordings, i), 0.0, "s", -0.05, 0.05, "linear")
             for i in range(1, len(self.recordings))
         ]
+        parameters += clock_parameters(self.recordings, delays=False)
         if any(r.stimulus is not None and r.stimulus.unit == "shape" for r in self.recordings):
             parameters += [
                 Parameter("stimulus.offset", 1.0, "radiance", 1e-9, 1e9, "log", free=False),
@@ -151,7 +154,9 @@ class PooledRate:
         else:
             trajectory = integrate(wave.t, wave.radiance, dynamics_of(circuit), linearisation=circuit.linearisation)
         delay = values[delay_name(self.recordings, i)]
-        states = trajectory.at(np.maximum(counts.edges - delay, wave.t[0]))
+        clock = (clocks_of(self.recordings, values) or {i: None})[i]
+        edges = counts.edges if clock is None else clock.on_light(counts.edges)
+        states = trajectory.at(np.maximum(edges - delay, wave.t[0]))
         return states[:, 5]
 
     def expected(self, circuit: Circuit, values: Mapping[str, float]) -> np.ndarray:

@@ -11,7 +11,7 @@ from pixelid.figures.style import IMPROVED, INK, MUTED, SERIES, new_axes, save_f
 from pixelid.lowlight import poles, radii, response
 from pixelid.stages.circuit import Circuit
 
-STYLES = {"exact": (INK, "-"), "one_pole": (SERIES[1], "--"), "at_dark": (SERIES[0], ":")}
+STYLES = {"exact": (INK, "-"), "one_pole": (SERIES[1], "--"), "at_dark": (SERIES[4], ":")}
 LABELS = {"exact": "exact", "one_pole": "one pole (α/β) L", "at_dark": "tangent in the dark"}
 
 
@@ -70,8 +70,9 @@ def draw_poles(result: dict, circuit: Circuit, kinds: list[str], axes: Any = Non
                     axis.plot(entry["radiance"], entry["model"]["same_light"], "x", color=INK, markersize=5)
         axis.set(xscale="log", yscale="log", xlabel=f"radiance ({result['radiance_unit']})", ylabel=label)
     axes[0, 0].plot(curves["radiance"], curves["exact"]["fast_pole"], color=INK, alpha=0.4, label="second pole")
-    for name in poles.stages(circuit):
-        axes[0, 0].plot(curves["radiance"], curves["exact"][name], alpha=0.6, label=name.replace("_", " "))
+    for name, colour in zip(poles.stages(circuit), SERIES[2:], strict=False):
+        words = name.replace("_", " ")
+        axes[0, 0].plot(curves["radiance"], curves["exact"][name], color=colour, alpha=0.8, label=words)
     for axis in axes[0]:
         _shade(axis, result)
     axes[0, 0].legend()

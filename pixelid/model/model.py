@@ -148,7 +148,8 @@ class Model:
         for key, value in (values or {}).items():
             long = key if key in known else f"{name}.{key}"
             if long not in known:
-                raise InputError(f"effect {name} has no parameter {key!r}; it has {', '.join(known)}")
+                meant = did_you_mean(long, known) or did_you_mean(key, known)
+                raise InputError(f"effect {name} has no parameter {key!r}; it has {', '.join(known)}{meant}")
             full[long] = value
         if self.has(name):
             return self.set(full)

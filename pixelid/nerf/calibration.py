@@ -67,7 +67,17 @@ class Calibration:
 
 
 def read_calibration(path: Path) -> Calibration:
-    """The calibration of a dataset folder.  Raises InputError naming file and key."""
+    """The calibration of a dataset folder.
+
+    Args:
+        path: the dataset's folder.
+
+    Returns:
+        Camera, colour pattern, pixel and black level.
+
+    Raises:
+        InputError: naming file and key.
+    """
     file = Path(path) / FILE
     known = not has_none(file, CIRCUIT)
     arrays = read_arrays(file, (*GEOMETRY, *COMPARATOR, *(CIRCUIT if known else ())))
@@ -131,8 +141,17 @@ def _comparator(file: Path, arrays: dict[str, np.ndarray]) -> Circuit:
 def of_fit(calibration: Calibration, folder: Path, scale: float | None = None) -> Calibration:
     """The calibration with the pixel of a fit in place of the file's.
 
-    scale: the fit's radiance units per unit of the views; by default from q_in, which the fit's gauge (or nominal
-    physical values) and the dataset both quote.  Raises InputError when neither tells.
+    Args:
+        calibration: of the dataset.
+        folder: of the fit, or a model file.
+        scale: the fit's radiance units per unit of the views; by default from q_in, which the fit's gauge (or nominal
+            physical values) and the dataset both quote.
+
+    Returns:
+        The calibration with another circuit, and another black level where the fit has one.
+
+    Raises:
+        InputError: no fit there, one without thresholds, or no scale when neither tells.
     """
     folder = Path(folder)
     file = folder / "model.toml" if folder.is_dir() else folder

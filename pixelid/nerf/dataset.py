@@ -50,7 +50,17 @@ class Dataset:
 
 
 def read_dataset(path: Path) -> Dataset:
-    """Read and validate a dataset folder.  Raises InputError naming the file and the key that is wrong."""
+    """Read and validate a dataset folder.
+
+    Args:
+        path: in the published layout of Robust e-NeRF and Deblur e-NeRF.
+
+    Returns:
+        Events, poses, calibration and views.
+
+    Raises:
+        InputError: naming the file and the key that is wrong.
+    """
     path = Path(path)
     if not path.is_dir():
         raise InputError(f"{path}: no such folder; expected a dataset with {EVENTS}, {POSES}, {CALIBRATION} and views/")

@@ -48,7 +48,18 @@ class Scores:
 
 
 def render_views(field: Field, views: Views, dark, *, supersample: int = 1, engine: str = "auto") -> np.ndarray:
-    """(n, H, W, C) predicted radiance, the black level `dark` (C,) included, `supersample`² rays per pixel."""
+    """Predicted radiance of views.
+
+    Args:
+        field: the scene.
+        views: where from; their images are not looked at.
+        dark: (C,) black level that the field does not hold.
+        supersample: rays per pixel and side.
+        engine: of the renderer, "auto", "compiled" or "tensors".
+
+    Returns:
+        (n, H, W, C) radiance, the black level included.
+    """
     camera = views.camera
     y, x = np.mgrid[: camera.height, : camera.width]
     offset = (np.arange(supersample) + 0.5) / supersample - 0.5
@@ -79,7 +90,18 @@ def score(predicted: np.ndarray, views: Views, correction: Correction) -> Scores
 
 
 def evaluate(field: Field, validation: Views, test: Views, dark, supersample: int = 1) -> Scores:
-    """Correct on the validation views, score on the test views."""
+    """Correct on the validation views, score on the test views.
+
+    Args:
+        field: the scene.
+        validation: views that fix the correction a·Lᵇ − c.
+        test: views that are scored.
+        dark: (C,) black level that the field does not hold.
+        supersample: rays per pixel and side.
+
+    Returns:
+        Scores of every test view.
+    """
     correction = fit_correction(
         render_views(field, validation, dark, supersample=supersample), validation.images, validation.exposure
     )

@@ -54,10 +54,13 @@ def draw_training(result: Reconstruction, axes: Any = None) -> Any:
     left, right = axes.flat
     history = result.state.history
     steps = [entry["iteration"] for entry in history]
-    for name, colour in zip(("diff", "chain", "tv"), series_colours(3), strict=True):
-        left.plot(steps, [entry[name] for entry in history], label=name, color=colour)
+    terms = {"diff": "changes between events", "chain": "chains of changes", "tv": "total variation"}
+    for (name, words), colour in zip(terms.items(), series_colours(3), strict=True):
+        left.plot(steps, [entry[name] for entry in history], label=words, color=colour)
     left.set(yscale="log", xlabel="step", ylabel="loss")
-    left.legend(title="term")
+    left.legend()
     right.plot(steps, [entry["running_psnr"] for entry in history], color=INK)
     right.set(xlabel="step", ylabel="PSNR of a validation view (dB)")
+    for axis in (left, right):
+        axis.xaxis.get_major_locator().set_params(integer=True)
     return axes

@@ -39,9 +39,21 @@ class PosedScene:
 def scene_of_images(
     images: np.ndarray, poses: np.ndarray, focal: float, *, iterations: int = 600, half: float = 1.5, seed: int = 0
 ) -> PosedScene:
-    """Fit a grey scene to images (n, H, W, 3 or 4) of 8 bits with OpenGL poses (n, 4, 4), over white where transparent.
+    """Fit a grey scene to images, over white where they are transparent.
 
-    focal: pixels;  half: half the side of the box about the origin.  Raises InputError for shapes that do not match.
+    Args:
+        images: (n, H, W, 3 or 4) of 8 bits.
+        poses: (n, 4, 4) camera to world, as OpenGL has them.
+        focal: length in pixels.
+        iterations: of the fit.
+        half: half the side of the box about the origin.
+        seed: of the rays drawn.
+
+    Returns:
+        The scene, which renders from anywhere.
+
+    Raises:
+        InputError: shapes that do not match.
     """
     if images.ndim != 4 or images.shape[3] not in (3, 4) or poses.shape != (len(images), 4, 4):
         raise InputError(f"posed images: expected (n, H, W, 3 or 4) and (n, 4, 4), found {images.shape}, {poses.shape}")

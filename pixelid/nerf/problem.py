@@ -33,8 +33,21 @@ def problem_of(
 ) -> Problem:
     """The problem of a dataset under its own calibration or another one (a fit's).
 
-    close: events are merged while the image moves by less than that [pixels]
-    Raises InputError when no pixel has two events.
+    Args:
+        dataset: as read.
+        calibration: of the camera and its pixel; the dataset's own by default.
+        background: radiance behind the scene; by default what the views show.
+        scale: what pins the radiance unit: "auto", "level" or "free".
+        box: corners of the scene, x0 y0 z0 x1 y1 z1; by default a cube where the camera looks.
+        held_out: share of the pixels that training does not see.
+        close: events are merged while the image moves by less than that, in pixels.
+        seed: of the pixels held out.
+
+    Returns:
+        What training works on.
+
+    Raises:
+        InputError: no pixel has two events, or the box has no inside.
     """
     calibration = dataset.calibration if calibration is None else calibration
     camera = calibration.camera
@@ -64,10 +77,16 @@ def problem_of(
 
 
 def evaluation_views(dataset: Dataset) -> tuple[Views, Views]:
-    """(views that fix the correction, views that are scored), apart from each other.
+    """The views that fix the correction and those that are scored, apart from each other.
 
     Test views are scored and validation views correct them; a missing stage is stood in for by the next, a single one
     is halved.
+
+    Args:
+        dataset: with views of one stage at least.
+
+    Returns:
+        (views that fix the correction, views that are scored).
     """
     stages = [dataset.views[stage] for stage in ("test", "val", "train") if stage in dataset.views]
     if len(stages) == 1:

@@ -19,6 +19,7 @@ from pixelid.nerf.evaluate import Scores, evaluate, no_scores, render_views
 from pixelid.nerf.ignored import ignored_effects
 from pixelid.nerf.pixel import Bandwidth
 from pixelid.nerf.problem import evaluation_views, problem_of
+from pixelid.nerf.saved import SavedReconstruction, write_field
 from pixelid.nerf.train import Problem, Recipe, State, held_out_residual, start, train
 from pixelid.nerf.views import Views
 from pixelid.provenance import input_hashes, versions
@@ -90,41 +91,44 @@ class Reconstruction(Result):
         }
 
     @property
+    def _saved(self) -> SavedReconstruction:
+        return SavedReconstruction(self.as_dict(), self.state.field)
+
+    @property
     def headline(self) -> str:
         """Status and scores."""
-        return (
-            f"reconstruction: {self.status}; {self.scores.psnr.mean():.2f} dB, SSIM {self.scores.ssim.mean():.3f} over "
-            f"{len(self.scores.psnr)} test views, {self.held_out:.2f} of held-out changes unexplained, "
-            f"{self.seconds:.0f} s"
-        )
+        return self._saved.headline
 
     def tables(self) -> list[Table]:
         """Scores of every test view."""
-        rows = tuple(
-            (name, f"{psnr:.2f}", f"{ssim:.3f}")
-            for name, psnr, ssim in zip(self.truth.names, self.scores.psnr, self.scores.ssim, strict=True)
-        )
-        return [Table("", ("view", "PSNR [dB]", "SSIM"), rows, frozenset({"view"}))]
+        return self._saved.tables()
 
     def records(self) -> list[dict]:
         """One row per test view."""
-        return [
-            {"view": name, "psnr": float(psnr), "ssim": float(ssim)}
-            for name, psnr, ssim in zip(self.truth.names, self.scores.psnr, self.scores.ssim, strict=True)
-        ]
+        return self._saved.records()
 
     def sentences(self) -> list[str]:
         """Advice, and what the pixel has but the reconstruction does not model."""
-        ignored = f"not modelled: {', '.join(self.ignored)}" if self.ignored else ""
-        return [text for text in (self.advice or self.status.advice, ignored) if text]
+        return self._saved.sentences()
 
     def write_companions(self, folder: Path) -> None:
         """Write field.npz, the scene."""
-        scene = self.state.field
-        np.savez_compressed(
-            folder / "field.npz", grid=scene.grid.detach().cpu().numpy().astype(np.float16), low=scene.low,
-            high=scene.high, background=np.exp(scene.log_background.detach().cpu().numpy()),
-        )  # fmt: skip
+        write_field(self.state.field, folder)
+
+    @staticmethod
+    def load(folder: str | Path) -> SavedReconstruction:
+        """The scene and the scores of a folder; the data that it was trained on are not there.
+
+        Args:
+            folder: that `save` or `pixelid reconstruct` wrote.
+
+        Returns:
+            What the folder holds.
+
+        Raises:
+            InputError: no reconstruction there, or a damaged one.
+        """
+        return SavedReconstruction.load(folder)
 
 
 def reconstruct(
@@ -145,11 +149,28 @@ def reconstruct(
 ) -> Reconstruction:
     """Reconstruct the scene of a dataset.
 
-    fit: folder (or model file) of a fit whose pixel replaces the dataset's;  calibration: another pixel altogether;
-    background, scale, box: see `gauge`;  radiance_scale: the fit's radiance units per unit of the views;
-    resume: a checkpoint, continued when it exists and written as training goes on;  device: "cpu", "cuda" or "auto"
     Under `torchrun` every process takes its share of each batch; all return the same.
-    Raises InputError for input that cannot be used.
+
+    Args:
+        dataset: as read.
+        fit: folder (or model file) of a fit whose pixel replaces the dataset's.
+        calibration: another pixel altogether.
+        bandwidth: the pixel's filter, known, ignored or trained.
+        recipe: of the training.
+        background: radiance behind the scene; by default what the views show.
+        scale: what pins the radiance unit: "auto", "level" or "free" (see `gauge`).
+        box: corners of the scene, x0 y0 z0 x1 y1 z1; by default a cube where the camera looks.
+        radiance_scale: the fit's radiance units per unit of the views.
+        resume: a checkpoint, continued when it exists and written as training goes on.
+        device: "cpu", "cuda" or "auto".
+        seed: of everything random.
+        progress: called with what is done and the fraction.
+
+    Returns:
+        The scene, with the scores of its test views.
+
+    Raises:
+        InputError: input that cannot be used.
     """
     watch = time.perf_counter()
     bandwidth = Bandwidth() if bandwidth is None else bandwidth

@@ -109,7 +109,18 @@ def on_sphere(azimuth, elevation, distance: float = DISTANCE) -> np.ndarray:
 def spiral(
     duration_s: float, revolutions: float, low: float = -0.1, high: float = 1.0, per_turn: int = 720
 ) -> Trajectory:
-    """A camera that circles the scene at constant speed while its elevation runs from `low` to `high` rad."""
+    """A camera that circles the scene at constant speed while its elevation changes.
+
+    Args:
+        duration_s: of the flight.
+        revolutions: about the scene's axis.
+        low: elevation at the beginning, in rad.
+        high: elevation at the end, in rad.
+        per_turn: poses per revolution.
+
+    Returns:
+        The flight.
+    """
     n = round(revolutions * per_turn) + 1
     share = np.linspace(0.0, 1.0, n)
     position = on_sphere(2 * np.pi * revolutions * share, low + (high - low) * share)

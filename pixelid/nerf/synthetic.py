@@ -7,6 +7,7 @@ to event, pixels integrate light over their area, and the light is sampled much 
 from __future__ import annotations
 
 import json
+import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -168,17 +169,36 @@ def main() -> None:
     parser.add_argument("--side", type=int, default=64)
     parser.add_argument("--images", type=Path, help="film a scene fitted to posed pictures (npz: images, poses, focal)")
     parser.add_argument("--overwrite", action="store_true")
+    parser.add_argument("--quiet", action="store_true", help="no progress")
     options = parser.parse_args()
-    scene = None
-    if options.images is not None:
-        from pixelid.nerf.arrays import read_arrays
-        from pixelid.nerf.posed import scene_of_images
-
-        posed = read_arrays(options.images, ("images", "poses", "focal"))
-        scene = scene_of_images(posed["images"], posed["poses"], float(posed["focal"]), seed=options.seed)
+    report = _progress_lines(options.quiet)
     make_dataset(
-        options.out, options.setting, seed=options.seed, scene=scene, side=options.side, overwrite=options.overwrite
-    )
+        options.out, options.setting, seed=options.seed, side=options.side, overwrite=options.overwrite,
+        scene=None if options.images is None else _photographed(options.images, options.seed, report), progress=report,
+    )  # fmt: skip
+
+
+def _photographed(images: Path, seed: int, report: Callable[[str, float], None]) -> Renders:
+    """The scene fitted to posed pictures."""
+    from pixelid.nerf.arrays import read_arrays
+    from pixelid.nerf.posed import scene_of_images
+
+    report("fitting the scene", 0.0)
+    posed = read_arrays(images, ("images", "poses", "focal"))
+    return scene_of_images(posed["images"], posed["poses"], float(posed["focal"]), seed=seed)
+
+
+def _progress_lines(quiet: bool) -> Callable[[str, float], None]:
+    """What says each tenth of the work on stderr, where that is a terminal."""
+    told: dict[str, int] = {}
+
+    def report(what: str, share: float) -> None:
+        step = int(10 * share)
+        if told.get(what) != step and not quiet and sys.stderr.isatty():
+            print(f"{what}: {share:.0%}", file=sys.stderr)
+        told[what] = step
+
+    return report
 
 
 if __name__ == "__main__":

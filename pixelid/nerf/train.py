@@ -115,7 +115,17 @@ class State:
 
 
 def start(problem: Problem, recipe: Recipe, bandwidth: Bandwidth, device: str = "cpu") -> State:
-    """The state before the first step."""
+    """The state before the first step.
+
+    Args:
+        problem: what is reconstructed from.
+        recipe: with the seed, and the vertices to begin with.
+        bandwidth: the pixel's filter.
+        device: "cpu" or "cuda".
+
+    Returns:
+        An untrained field and pixel, with their optimiser.
+    """
     torch.manual_seed(recipe.seed)
     gauge = problem.gauge
     scene = Field(
@@ -232,7 +242,16 @@ def _off_level(
 
 
 def held_out_residual(problem: Problem, state: State, runs: int = 512) -> float:
-    """What is left unexplained of held-out chains (see `unexplained`), at fixed random ones."""
+    """What is left unexplained of held-out chains (see `unexplained`).
+
+    Args:
+        problem: whose held-out pixels are asked.
+        state: of the training.
+        runs: how many chains, the same ones every time.
+
+    Returns:
+        Root mean square of what is left, as a share of what the events say; 1 would be no scene.
+    """
     if len(problem.held_out.starts) == 0:
         return math.nan
     rng = np.random.default_rng(1)
@@ -247,7 +266,18 @@ def train(
     problem: Problem, recipe: Recipe, state: State, until: int | None = None,
     report: Callable[[State, dict[str, float]], None] = lambda state, measured: None,
 ) -> State:  # fmt: skip
-    """Steps up to `until` (default: all of the recipe) or until one diverges; `report` is called after each."""
+    """Train until the recipe is done, or a step diverges.
+
+    Args:
+        problem: what is reconstructed from.
+        recipe: how.
+        state: where to begin; it is changed in place.
+        until: stop at this step; by default the recipe's last.
+        report: called after each step with the state and what the step measured.
+
+    Returns:
+        The state given.
+    """
     while state.iteration < (recipe.iterations if until is None else until) and not state.diverged:
         report(state, step(problem, recipe, state))
     return state

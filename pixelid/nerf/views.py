@@ -64,7 +64,18 @@ def views_folder(dataset: Path) -> Path:
 
 
 def read_views(dataset: Path, channels: int) -> dict[str, Views]:
-    """The views of every stage that the dataset has, in `channels` colours (1 or 3).  Raises InputError."""
+    """The views of every stage that the dataset has.
+
+    Args:
+        dataset: its folder.
+        channels: colours, 1 or 3.
+
+    Returns:
+        "train", "val", "test", as far as they are there → views.
+
+    Raises:
+        InputError: images or poses that cannot be read, or that do not fit each other.
+    """
     folder = views_folder(dataset)
     log_eps = _log_eps(Path(dataset) / RENDERER)
     stages = {

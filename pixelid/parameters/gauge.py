@@ -12,9 +12,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.optimize import least_squares
 
-from pixelid.errors import InputError
+from pixelid.errors import InputError, did_you_mean
 from pixelid.parameters.invariants import INVARIANTS, PHYSICAL_NAMES, Physical, log_jacobian
 
 _RELATION = re.compile(r"^\s*([0-9.eE+-]+)\s*\*?\s*([A-Za-z_]+)\s*$")
@@ -40,7 +39,8 @@ class Gauge:
         ratios: dict[str, tuple[float, str]] = {}
         for name, value in statements.items():
             if name not in PHYSICAL_NAMES:
-                raise InputError(f"gauge: unknown name {name!r}; known: {', '.join(PHYSICAL_NAMES)}")
+                known = f"{', '.join(PHYSICAL_NAMES)}{did_you_mean(name, PHYSICAL_NAMES)}"
+                raise InputError(f"gauge: unknown name {name!r}; known: {known}")
             number = _number(value)
             if number is not None:
                 fixed[name] = number
@@ -108,6 +108,8 @@ class Gauge:
             return np.concatenate([invariants, fixed, ratio])
 
         start = np.log([around.as_dict()[name] for name in PHYSICAL_NAMES])
+        from scipy.optimize import least_squares  # takes longer to import than all of the model's files
+
         solution = least_squares(residual, start, xtol=1e-15, ftol=1e-15, gtol=1e-15)
         if np.abs(solution.fun).max() > 1e-8:
             raise InputError(
@@ -115,6 +117,21 @@ class Gauge:
                 + ", ".join(f"{k} = {v}" for k, v in self.statements().items())
             )
         return Physical(**dict(zip(PHYSICAL_NAMES, np.exp(solution.x).tolist(), strict=True)))
+
+    def response(self, at: Physical) -> np.ndarray:
+        """How the physical values follow the invariants under this gauge.
+
+        Args:
+            at: the physical values.
+
+        Returns:
+            (6, 3) derivatives of their logs, in `PHYSICAL_NAMES` order, by (ln α, ln β, ln γ).
+
+        Raises:
+            InputError: the gauge is incomplete or over-determined.
+        """
+        self.check(at)
+        return np.linalg.inv(np.vstack([log_jacobian(at), self._rows()]))[:, : len(INVARIANTS)]
 
 
 def _number(value: object) -> float | None:

@@ -86,3 +86,29 @@ class Parameter:
     def freed(self) -> Parameter:
         """The same parameter, to be moved by fits."""
         return replace(self, free=True)
+
+
+def precision_in_words(interval_95: tuple[float | None, float | None], parameter: Parameter) -> str:
+    """How well a value of an interval is known; a side that is None, or at the parameter's bound, is open.
+
+    >>> cutoff = Parameter("cutoff_hz", 300.0, "Hz", 1.0, 1e6, "log")
+    >>> precision_in_words((100.0, 900.0), cutoff)
+    'known to a factor of 3'
+    >>> precision_in_words((1.0, 900.0), cutoff)
+    'only an upper limit'
+    """
+    low, high = interval_95
+    low = None if low is not None and low <= parameter.lower else low
+    high = None if high is not None and high >= parameter.upper else high
+    if low is None and high is None:
+        return "open"
+    if low is None:
+        return "only an upper limit"
+    if high is None:
+        return "only a lower limit"
+    if parameter.transform != "log":
+        return f"known within {0.5 * (high - low):.2g} {parameter.unit}".rstrip()
+    factor = math.sqrt(high / low)
+    if factor < 1.3:
+        return f"known within {100 * (factor - 1.0):.2g} %"
+    return f"known to a factor of {factor:.2g}"

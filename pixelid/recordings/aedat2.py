@@ -8,13 +8,16 @@ every bias of the chip, kept here in `attributes["biases"]`.
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from pixelid.errors import InputError
-from pixelid.recordings.columns import to_nanoseconds
+from pixelid.recordings.columns import PART_EVENTS, validated
 from pixelid.recordings.events import Events
+from pixelid.recordings.parts import joined
 from pixelid.recordings.recording import Recording
 
 SIZES = {"DAVIS240": (240, 180), "DAVIS346": (346, 260)}
@@ -27,6 +30,11 @@ def read(path: Path) -> Recording:
 
     Raises InputError for other chips and for a file that ends within an event.
     """
+    return joined(*stream(path))
+
+
+def stream(path: Path) -> tuple[Recording, Iterator[Recording]]:
+    """The same in parts: the recording without events, and its parts."""
     lines, start = _header(path)
     chip = next((line.split("AEChip:")[1].strip().rsplit(".", 1)[-1] for line in lines if "AEChip:" in line), "")
     size = next((size for name, size in SIZES.items() if chip.upper().startswith(name)), None)
@@ -35,22 +43,29 @@ def read(path: Path) -> Recording:
     length = path.stat().st_size - start
     if length % 8:
         raise InputError(f"{path}: expected 8 bytes per event after the header, found {length % 8} left over")
-    words = np.memmap(path, ">u4", "r", start, (length // 8, 2)) if length else np.empty((0, 2), np.uint32)
-    address = words[:, 0].astype(np.uint32)
-    keep = (address >> 31 == 0) & (address >> 10 & 1 == 0)
-    address, stamp = address[keep], words[keep, 1].astype(np.int64)
-    wraps = np.cumsum(np.diff(stamp, prepend=stamp[:1]) < -(1 << 31))
-    where = f"{path}: events"
-    events = Events.from_columns(
-        to_nanoseconds(stamp + (wraps << 32), "us", where),
-        address >> 12 & 0x3FF,
-        address >> 22 & 0x1FF,
-        address >> 11 & 1,
-        *size,
-        tick_ns=1000,
-        where=where,
+    head = Recording(
+        Events.empty(*size, tick_ns=1000), sensor=chip, source=path, attributes={"biases": _biases(lines, chip)}
     )
-    return Recording(events, sensor=chip, source=path, attributes={"biases": _biases(lines, chip)})
+    events = validated(_columns(path, start), *size, unit="us", tick_ns=1000, where=f"{path}: events")
+    return head, (replace(head, events=some) for some in events)
+
+
+def _columns(path: Path, start: int) -> Iterator[tuple]:
+    """Blocks of (t µs, x, y, p), the clock's rollovers undone."""
+    last, wraps = None, 0
+    with path.open("rb") as file:
+        file.seek(start)
+        while len(data := file.read(8 * PART_EVENTS)):
+            words = np.frombuffer(data, ">u4").reshape(-1, 2)
+            address = words[:, 0].astype(np.uint32)
+            keep = (address >> 31 == 0) & (address >> 10 & 1 == 0)
+            address, stamp = address[keep], words[keep, 1].astype(np.int64)
+            if not len(stamp):
+                continue
+            before = stamp[0] if last is None else last
+            turns = wraps + np.cumsum(np.diff(stamp, prepend=before) < -(1 << 31))
+            last, wraps = stamp[-1], turns[-1]
+            yield stamp + (turns << 32), address >> 12 & 0x3FF, address >> 22 & 0x1FF, address >> 11 & 1
 
 
 def _header(path: Path) -> tuple[list[str], int]:

@@ -19,7 +19,7 @@ be told from the next.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -28,7 +28,10 @@ from scipy.optimize import least_squares
 from scipy.signal import find_peaks
 
 from pixelid.errors import InputError
+from pixelid.recordings.clocks import CRYSTAL, ClockPrior
+from pixelid.recordings.parts import WHOLE_EVENTS, LongRecording, joined
 from pixelid.recordings.recording import Recording
+from pixelid.recordings.triggers import Triggers
 from pixelid.stimuli.pixel_lights import Light, pixel_lights
 from pixelid.stimuli.stimulus import Stimulus
 
@@ -41,18 +44,23 @@ BLOCKS = 24  # of time, whose residuals count as independent
 DISTINCT = 4.0  # standard errors by which the best candidate must be better than the next
 LEAST_CORRELATION = 6.0  # of the best peak, in units of the correlation's own spread: 1e-9 each, 2e6 offsets tried
 RATE_BOUND = 5e-4  # of a clock: crystals are within 1e-4, ceramic resonators within 5e-4
-CRYSTAL = 7e-5  # standard deviation of the difference of two crystal clocks (each within some 50 ppm), a prior
+EDGE_S = 1e-6  # cameras stamp trigger edges in microseconds, whatever unit a file has them in
 FAST_POLE_S = 1e-5  # lag of a pole too fast for the filter to know (a differencing amplifier's, 16 kHz)
 LAG_KNOWN = 0.03  # of the filter's own lag: how well its form describes a pixel; tests/statistical/test_alignment.py
 ONE_S = 1e-3  # offsets closer than this are one: the refinement moves freely over it
 SOFT = 0.3  # thresholds' units from which a residual counts linearly: noise is some 0.1, missed events are 1
 MOST_SAMPLES = 1 << 18  # of the filter
 MOST_LIGHTS = 8  # of pixels' own, those with most events: more would tell no other offset
-# where the refinement starts: offset, rate, ln of stiffness, damping, damping by light and follower rate (1/s² and 1/s,
-# at the light's geometric mean), dead time (0.1 ms), ln of the thresholds; a fast pixel, and a slow one
+FINER = 4  # samples of the filter per sample of the light: with one, a chirp to 1500 Hz at 50 µs is found 47 µs late
+# The loss of a change (see SOFT) is 0.003 to 0.005 where a filter explains the events, 0.45 where it explains nothing;
+# searches that end in a wrong place leave 0.04 to 0.45 on average.  A third of the events may be noise.
+LARGEST_LOSS = 0.15
+# where the refinement starts: ln of stiffness, damping, damping by light and follower rate (1/s² and 1/s, at the
+# light's geometric mean), dead time (0.1 ms), ln of the thresholds; fast pixels, and a slow one
 STARTS = (
-    (0.0, 0.0, np.log(2.5e7), np.log(2e3), np.log(500.0), np.log(2e4), 0.5, np.log(0.25), np.log(0.25)),
-    (0.0, 0.0, np.log(1.5e6), np.log(2e3), np.log(30.0), np.log(2e4), 0.5, np.log(0.25), np.log(0.25)),
+    (np.log(4e8), np.log(4e3), np.log(8e3), np.log(2e4), 0.5, np.log(0.25), np.log(0.25)),
+    (np.log(2.5e7), np.log(2e3), np.log(500.0), np.log(2e4), 0.5, np.log(0.25), np.log(0.25)),
+    (np.log(1.5e6), np.log(2e3), np.log(30.0), np.log(2e4), 0.5, np.log(0.25), np.log(0.25)),
 )
 
 
@@ -63,6 +71,7 @@ class Alignment:
     offset_s: seconds on the camera's clock;  offset_interval_95: None where it was given, not estimated
     rate_error: seconds that the camera counts per second of the light, less one
     rate_interval_95: likewise;  method: "trigger", "first-event", "auto" or "given"
+    prior: of the clock without the events, at a moment of the light's clock; None: offset and rate count as exact
     """
 
     offset_s: float
@@ -70,6 +79,7 @@ class Alignment:
     offset_interval_95: tuple[float, float] | None = None
     rate_error: float = 0.0
     rate_interval_95: tuple[float, float] | None = None
+    prior: ClockPrior | None = None
 
     def as_dict(self) -> dict:
         """What the recording's attribute `alignment` says."""
@@ -120,7 +130,7 @@ def find_alignment(recording: Recording, light: Light, how: str) -> Alignment:
     if how == "trigger":
         if recording.triggers is None or not len(recording.triggers):
             raise InputError(f"{recording.name}: --align trigger: the file holds no trigger edges")
-        return _from_triggers(recording.triggers.edges_s(), light)
+        return _from_triggers(recording.triggers.edges_s(), light, recording.events.tick_ns)
     if len(recording.events) == 0:
         raise InputError(f"{recording.name}: --align {how}: the file holds no events")
     if how == "first-event":
@@ -134,27 +144,90 @@ def aligned(recording: Recording, light: Light, alignment: Alignment) -> Recordi
     Events move by whole nanoseconds, so that their ticks stay; what lies outside the light is left out.
     Raises InputError when nothing lies inside.
     """
+    zero_ns, first, last = _span_ns(recording, light, alignment)
+    events = recording.events
+    inside = (events.t >= first) & (events.t <= last)
+    if len(events) and not inside.any():
+        raise _nothing_inside(recording.name, (first, last), (int(events.t[0]), int(events.t[-1])))
+    kept = events.select(inside)
+    return replace(
+        _beside(recording, light, alignment, int((~inside).sum())),
+        events=replace(kept, t=kept.t - zero_ns),
+        triggers=None if recording.triggers is None else recording.triggers.shifted(-zero_ns),
+        exposures=None if recording.exposures is None else _moved(recording.exposures, zero_ns, last),
+    )
+
+
+def aligned_parts(long: LongRecording, light: Light, alignment: Alignment) -> LongRecording:
+    """The same of a recording that does not lie in memory; events outside the light are counted in a reading before."""
+    zero_ns, first, last = _span_ns(long.head, light, alignment)
+    inside = outside = 0
+    ends: list[int] = []
+    for part in long.read():
+        t = part.events.t
+        begin, end = np.searchsorted(t, first), np.searchsorted(t, last, side="right")
+        inside, outside = inside + int(end - begin), outside + len(t) - int(end - begin)
+        ends = [*ends[:1], *t[:1].tolist(), *t[-1:].tolist()]
+    if ends and not inside:
+        raise _nothing_inside(long.name, (first, last), (ends[0], ends[-1]))
+    head = _beside(long.head, light, alignment, outside)
+
+    def parts() -> Iterator[Recording]:
+        for part in long.read():
+            kept = part.events.select(np.s_[np.searchsorted(part.events.t, first) :])
+            kept = kept.select(np.s_[: np.searchsorted(kept.t, last, side="right")])
+            edges = None if part.triggers is None else part.triggers.shifted(-zero_ns)
+            yield replace(head, events=replace(kept, t=kept.t - zero_ns), triggers=edges)
+
+    return LongRecording(head, parts)
+
+
+def sample_to_align(long: LongRecording, seed: int = 0) -> Recording:
+    """Enough of a long recording to align it: all trigger edges, the events of some pixels, the time of the first."""
+    counts = np.zeros(long.head.events.width * long.head.events.height, np.int64)
+    edges, first = [], None
+    for part in long.read():
+        counts += np.bincount(part.events.pixel, minlength=len(counts))
+        edges.append(part.triggers)
+        first = int(part.events.t[0]) if first is None and len(part.events) else first
+    order = np.random.default_rng(seed).permutation(np.flatnonzero(counts))
+    few = order[: max(int(np.searchsorted(np.cumsum(counts[order]), WHOLE_EVENTS)), 1)]
+    chosen = np.zeros(len(counts), bool)
+    chosen[few] = True
+    sample = joined(
+        long.head, (replace(part, events=part.events.select(chosen[part.events.pixel])) for part in long.read())
+    )
+    earliest = sample.events.t.copy()
+    earliest[:1] = first  # a moment early for one event of its pixel
+    return replace(sample, events=replace(sample.events, t=earliest), triggers=Triggers.joined(edges))
+
+
+def _span_ns(recording: Recording, light: Light, alignment: Alignment) -> tuple[int, int, int]:
+    """The camera's time that becomes zero, and the first and last time within the light."""
     rate = 1.0 + alignment.rate_error
     start_s = alignment.offset_s + rate * light.start_s
     tick = max(recording.events.tick_ns, 1)
     zero_ns = round(start_s * 1e9 / tick) * tick
-    events = recording.events
     first, last = (round(1e9 * (alignment.offset_s + rate * edge)) for edge in (light.start_s, light.end_s))
-    inside = (events.t >= max(first, zero_ns)) & (events.t <= last)
-    if len(events) and not inside.any():
-        raise InputError(
-            f"{recording.name}: no event lies within the light, at {first * 1e-9:g}..{last * 1e-9:g} s of the camera's "
-            f"clock; events are at {events.t[0] * 1e-9:g}..{events.t[-1] * 1e-9:g} s (--align)"
-        )
-    kept = events.select(inside)
-    attributes = {**recording.attributes, "alignment": {**alignment.as_dict(), "events_outside": int((~inside).sum())}}
-    return replace(
-        recording,
-        events=replace(kept, t=kept.t - zero_ns),
-        stimulus=light.shifted(alignment.offset_s - zero_ns * 1e-9, rate),
-        triggers=None if recording.triggers is None else recording.triggers.shifted(-zero_ns),
-        exposures=None if recording.exposures is None else _moved(recording.exposures, zero_ns, last),
-        attributes=attributes,
+    return zero_ns, max(first, zero_ns), last
+
+
+def _beside(recording: Recording, light: Light, alignment: Alignment, outside: int) -> Recording:
+    """The recording with the light on its new clock, and with how that was found."""
+    zero_ns, _, _ = _span_ns(recording, light, alignment)
+    rate, offset_s = 1.0 + alignment.rate_error, alignment.offset_s - zero_ns * 1e-9
+    told = {**alignment.as_dict(), "zero_ns": zero_ns, "events_outside": outside}
+    if alignment.prior is not None:
+        at_s = offset_s + rate * alignment.prior.at_s
+        told["prior"] = replace(alignment.prior, at_s=at_s, span_s=rate * alignment.prior.span_s).as_dict()
+    attributes = {**recording.attributes, "alignment": told}
+    return replace(recording, stimulus=light.shifted(offset_s, rate), attributes=attributes)
+
+
+def _nothing_inside(name: str, light_ns: tuple[int, int], events_ns: tuple[int, int]) -> InputError:
+    return InputError(
+        f"{name}: no event lies within the light, at {light_ns[0] * 1e-9:g}..{light_ns[1] * 1e-9:g} s of the camera's "
+        f"clock; events are at {events_ns[0] * 1e-9:g}..{events_ns[1] * 1e-9:g} s (--align)"
     )
 
 
@@ -163,14 +236,31 @@ def _moved(events, zero_ns: int, last_ns: int):
     return replace(kept, t=kept.t - zero_ns)
 
 
-def _from_triggers(edges: np.ndarray, light: Light) -> Alignment:
-    """First edge at the light's first sample; an edge within RATE_BOUND of its last gives the rate."""
-    duration = light.duration_s
-    offset, rate = float(edges[0]), 0.0
+def _from_triggers(edges: np.ndarray, light: Light, tick_ns: int) -> Alignment:
+    """First edge at the light's first sample; an edge within RATE_BOUND of its last gives the rate.
+
+    An edge is known to its stamp: uniform over a tick.  Without a second one the rate is as uncertain as clocks are.
+    """
+    duration, begin = light.duration_s, light.start_s
+    stamp = max(EDGE_S, tick_ns * 1e-9) / np.sqrt(12.0)
     last = float(edges[np.argmin(np.abs(edges - edges[0] - duration))])
     if abs(last - edges[0] - duration) <= RATE_BOUND * duration:
         rate = (last - float(edges[0])) / duration - 1.0
-    return Alignment(offset - (1.0 + rate) * light.start_s, "trigger", rate_error=rate)
+        rate_sd = np.sqrt(2.0) * stamp / duration
+        prior = ClockPrior(begin + 0.5 * duration, duration, stamp / np.sqrt(2.0), rate, rate_sd)
+    else:
+        rate, prior = 0.0, ClockPrior(begin, duration, stamp, 0.0, CRYSTAL)
+    assert prior.delay_sd_s is not None
+    offset = float(edges[0]) - (1.0 + rate) * begin
+    half = 1.96 * float(np.hypot(prior.delay_sd_s, prior.at_s * prior.rate_sd))  # at the light's time zero
+    return Alignment(
+        offset,
+        "trigger",
+        (offset - half, offset + half),
+        rate,
+        (rate - 1.96 * prior.rate_sd, rate + 1.96 * prior.rate_sd),
+        prior,
+    )
 
 
 def _first_change_s(light: Light) -> float:
@@ -234,6 +324,11 @@ def _from_events(recording: Recording, light: Light) -> Alignment:
     few = _changes(recording, seen.of_pixel, COMPARED)
     fits = sorted((_refined(few, seen.lights, offset) for offset in offsets), key=lambda fit: fit.cost)
     best = fits[0]
+    if best.cost > LARGEST_LOSS * len(few.time):
+        raise InputError(
+            f"{recording.name}: --align auto: the events do not follow this light closely enough at any offset to say "
+            "where it starts; give --align SECONDS, or record a trigger"
+        )
     for other in fits[1:]:
         if abs(other.offset - best.offset) < ONE_S:
             continue
@@ -254,6 +349,7 @@ def _from_events(recording: Recording, light: Light) -> Alignment:
         (best.offset - float(half[0]), best.offset + float(half[0])),
         best.rate,
         (best.rate - float(half[1]), best.rate + float(half[1])),
+        ClockPrior(0.5 * (light.start_s + light.end_s), light.duration_s, None, 0.0, CRYSTAL),
     )
 
 
@@ -356,7 +452,7 @@ def _refined(
     """Least squares on changes between events: offset, rate error, filter, dead time and two thresholds."""
     t = lights[0][0]
     duration = float(t[-1] - t[0])
-    fine = max(min(float(np.median(np.diff(when))) for when, _ in lights), duration / MOST_SAMPLES)
+    fine = max(min(float(np.median(np.diff(when))) for when, _ in lights) / FINER, duration / MOST_SAMPLES)
     grid = t[0] + fine * np.arange(int(duration / fine) + 2)
     u = np.array([np.interp(grid, when, log_light) for when, log_light in lights])
     relative = np.exp(u - u.mean())
@@ -389,8 +485,10 @@ def _refined(
     lower = np.array([-20.0, -1.0, *np.log([1e2, 1e1, 1e-1, 1e2]), 0.0, *np.log([0.01, 0.01])])
     upper = np.array([20.0, 1.0, *np.log([1e11, 1e6, 1e6, 1e6]), 1e4 * shortest + 1e-3, *np.log([3.0, 3.0])])
     best = None
-    for x0 in STARTS if start is None else (start.x,):
-        x0 = np.clip(np.asarray(x0) * np.array([start is None, *[1.0] * 8]), lower + 1e-6, upper - 1e-6)
+    # Correlation has found when events come, which is later than the light by the filter's lag.
+    begun = [(-1e3 * _lag(x), 0.0, *x) for x in STARTS] if start is None else [(0.0, *start.x[1:])]
+    for x0 in begun:
+        x0 = np.clip(np.asarray(x0), lower + 1e-6, upper - 1e-6)
         fit = least_squares(
             residuals,
             x0,
@@ -417,11 +515,10 @@ def _refined(
     # light time τ of an event at `when`: τ = (1 − rate) when − begin − shift + rate · middle
     rate = RATE_BOUND * float(x[1])
     zero = (begin + 1e-3 * float(x[0]) - rate * middle) / (1.0 - rate)
-    turn = np.array([[1.0, zero - middle], [0.0, 1.0]])
+    unknown = FAST_POLE_S**2 + (LAG_KNOWN * _lag(x[2:])) ** 2  # of the lag; it may differ as much between begin and end
+    covariance += np.diag([unknown, unknown / np.ptp(changes.time) ** 2])  # at the middle of the events
+    turn = np.array([[1.0, zero - middle], [0.0, 1.0]])  # to the light's time zero, which may be far away
     covariance = turn @ covariance @ turn.T
-    lag = (np.exp(x[3]) + np.exp(x[4])) / np.exp(x[2]) + np.exp(-x[5])
-    unknown = FAST_POLE_S**2 + (LAG_KNOWN * lag) ** 2  # of the lag; it may differ as much between begin and end
-    covariance += np.diag([unknown, unknown / np.ptp(changes.time) ** 2])
     estimate = np.array([changes.origin + zero, 1.0 / (1.0 - rate) - 1.0])
     gain = covariance[:, 1] / (covariance[1, 1] + CRYSTAL**2)  # what is known of clocks beforehand
     estimate -= gain * estimate[1]
@@ -435,6 +532,11 @@ def _refined(
         by_block=np.bincount(block, loss, BLOCKS),
         x=x,
     )
+
+
+def _lag(x) -> float:
+    """Seconds by which a filter (its part of a start) delays slow changes."""
+    return float((np.exp(x[1]) + np.exp(x[2])) / np.exp(x[0]) + np.exp(-x[3]))
 
 
 @njit(cache=True)

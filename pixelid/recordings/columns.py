@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
+
 import numpy as np
 
 from pixelid.errors import InputError
 from pixelid.recordings.events import NS_PER_UNIT, Events
 
+PART_EVENTS = 1 << 20  # of a part of a long recording: 13 MB
 INT64_MAX = int(np.iinfo(np.int64).max)
 
 
@@ -55,3 +58,44 @@ def duplicated(events: Events) -> np.ndarray:
     index, address = index[order], address[order]
     again = (address[1:] == address[:-1]) & (events.t[index[1:]] == events.t[index[:-1]])
     return np.sort(index[1:][again])
+
+
+class RepeatCounter:
+    """Counts what `duplicated` finds, part by part: it remembers the addresses of the last time stamp only."""
+
+    def __init__(self) -> None:
+        self._time_ns, self._addresses = -1, np.empty(0, np.int64)
+
+    def add(self, events: Events) -> int:
+        """How many of `events`, which follow those of the last call, repeat an earlier one in t, x, y and p."""
+        if not len(events):
+            return 0
+        moment = np.cumsum(np.diff(events.t, prepend=events.t[:1]) != 0)  # 0 for the first time stamp, then 1, 2, …
+        address = (events.y.astype(np.int64) << 17) | (events.x.astype(np.int64) << 1) | events.p
+        key = (moment << 33) | address
+        if events.t[0] == self._time_ns:
+            key = np.concatenate([self._addresses, key])
+        key.sort()
+        again = int(np.count_nonzero(key[1:] == key[:-1]))
+        last = key[np.searchsorted(key, int(moment[-1]) << 33) :] - (int(moment[-1]) << 33)
+        self._time_ns, self._addresses = int(events.t[-1]), np.unique(last)
+        return again
+
+
+def validated(
+    columns: Iterable[tuple], width: int, height: int, *, unit: str, tick_ns: int, where: str, offset: int = 0
+) -> Iterator[Events]:
+    """Events of successive blocks of columns (t in `unit`, x, y, p) of one file.
+
+    Raises:
+        InputError: as `to_nanoseconds` and `Events.from_columns`, counting events from the first block.
+    """
+    before, last_ns = 0, 0
+    for t, x, y, p in columns:
+        nanoseconds = to_nanoseconds(np.asarray(t), unit, where, offset)
+        events = Events.from_columns(
+            nanoseconds, x, y, p, width, height, tick_ns=tick_ns, where=where, before=before, not_before_ns=last_ns
+        )
+        before += len(events)
+        last_ns = int(events.t[-1]) if len(events) else last_ns
+        yield events

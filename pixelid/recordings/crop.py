@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from pixelid.errors import InputError
+from pixelid.recordings.events import Events
+from pixelid.recordings.parts import LongRecording
 from pixelid.recordings.recording import Recording
-from pixelid.stimuli.pixel_lights import pixel_lights
+from pixelid.stimuli.pixel_lights import Light, pixel_lights
 
 
 def crop(
@@ -23,10 +26,12 @@ def crop(
     """The events inside a region, a span of time, and as many pixels as asked.
 
     Args:
+        recording: that is cut.
         roi: (x0, y0, x1, y1), columns x0 ≤ x < x1 and rows y0 ≤ y < y1; addresses stay as they are.
         time_s: (from, to), seconds on the recording's clock; the light before `from` stays, the pixel remembers it.
         pixels: how many of the pixels that have events, chosen at random by `seed`.
         without: flat pixel indices to leave out, hot ones say.
+        seed: of the choice of pixels.
 
     Returns:
         The recording with fewer events, everything else as before; of light of each pixel's own that of the pixels
@@ -36,6 +41,23 @@ def crop(
         InputError: for a region outside the sensor, an empty span, and when no event is left of some.
     """
     events = recording.events
+    keep = _inside(events, roi, time_s, without)
+    if pixels is not None:
+        keep &= np.isin(events.pixel, _chosen(np.unique(events.pixel[keep]), pixels, seed))
+    if len(events) and not keep.any():
+        raise _nothing_left(recording.name, len(events))
+    left, light = events.select(keep), _light_until(recording, time_s)
+    if roi or pixels:
+        light = _restricted(light, left, np.unique(left.pixel))
+    return replace(recording, events=left, stimulus=light)
+
+
+def _inside(events: Events, roi, time_s, without: np.ndarray | None) -> np.ndarray:
+    """(n,) whether an event lies in the region and the span, and not on one of the pixels `without`.
+
+    Raises:
+        InputError: a region outside the sensor, an empty span.
+    """
     keep = np.ones(len(events), bool)
     if roi is not None:
         x0, y0, x1, y1 = roi
@@ -45,29 +67,39 @@ def crop(
                 f"--roi: expected x0,y0,x1,y1 within the sensor of {size} pixels, found {x0},{y0},{x1},{y1}"
             )
         keep &= (events.x >= x0) & (events.x < x1) & (events.y >= y0) & (events.y < y1)
-    stimulus = recording.stimulus
     if time_s is not None:
         begin, end = time_s
         if not begin < end or not max(abs(begin), abs(end)) < 9.2e9:  # seconds that fit 64 bits in ns
             raise InputError(f"--time: expected from:to in seconds with from < to, found {begin:g}:{end:g}")
         keep &= (events.t >= round(begin * 1e9)) & (events.t < round(end * 1e9))
-        if stimulus is not None:
-            stimulus = stimulus.until(end)
     if without is not None and len(without):
         keep &= ~np.isin(events.pixel, without)
-    if pixels is not None:
-        if pixels < 1:
-            raise InputError(f"--pixels: expected a positive number, found {pixels}")
-        present = np.unique(events.pixel[keep])
-        chosen = np.random.default_rng(seed).permutation(present)[:pixels]
-        keep &= np.isin(events.pixel, chosen)
-    if len(events) and not keep.any():
-        raise InputError(f"{recording.name}: no event is left of {len(events)} (--roi, --time, --pixels)")
-    events = events.select(keep)
-    if stimulus is not None and (roi or pixels) and stimulus.size == (events.width, events.height):
-        grouped = pixel_lights(stimulus, events.pixel)
-        stimulus = stimulus if grouped is None else grouped.restricted(np.unique(events.pixel))
-    return replace(recording, events=events, stimulus=stimulus)
+    return keep
+
+
+def _chosen(present: np.ndarray, pixels: int, seed: int) -> np.ndarray:
+    """As many of the pixels that are `present` (sorted) as asked, at random."""
+    if pixels < 1:
+        raise InputError(f"--pixels: expected a positive number, found {pixels}")
+    return np.random.default_rng(seed).permutation(present)[:pixels]
+
+
+def _light_until(recording: Recording, time_s: tuple[float, float] | None) -> Light | None:
+    """The light up to the end of the span: what was before the span stays, the pixel remembers it."""
+    light = recording.stimulus
+    return light if light is None or time_s is None else light.until(time_s[1])
+
+
+def _restricted(light: Light | None, events: Events, pixels: np.ndarray) -> Light | None:
+    """Light of each pixel's own for some pixels of the sensor only, in groups; full-field light as it is."""
+    if light is None or light.size != (events.width, events.height):
+        return light
+    grouped = pixel_lights(light, pixels)
+    return light if grouped is None else grouped.restricted(pixels)
+
+
+def _nothing_left(name: str, events: int) -> InputError:
+    return InputError(f"{name}: no event is left of {events} (--roi, --time, --pixels)")
 
 
 @dataclass(frozen=True)
@@ -93,3 +125,61 @@ class Crop:
 
             hot = np.array([p.y * recording.events.width + p.x for p in find_hot_pixels(recording.events)], np.int64)
         return crop(recording, roi=self.roi, time_s=self.time_s, pixels=self.pixels, without=hot, seed=seed)
+
+    def applied_to_parts(self, long: LongRecording, seed: int = 0) -> LongRecording:
+        """The same of a recording that does not lie in memory; pixels are counted in a reading before.
+
+        Raises:
+            InputError: as `crop`.
+        """
+        if self == Crop():
+            return long
+        head = long.head
+        _inside(head.events, self.roi, self.time_s, None)  # refuses what cannot be
+        size = head.events.width * head.events.height
+        hot = np.empty(0, np.int64)
+        if self.without_hot_pixels:
+            from pixelid.inspection.hot_pixels import hot_of_counts
+
+            counts, ends = np.zeros(size, np.int64), []
+            for part in long.read():
+                counts += np.bincount(part.events.pixel, minlength=size)
+                ends = [*ends[:1], *part.events.t[:1], *part.events.t[-1:]]
+            width, height = head.events.width, head.events.height
+            seconds = float(ends[-1] - ends[0]) * 1e-9 if ends else 0.0
+            hot = np.array([p.y * width + p.x for p in hot_of_counts(counts.reshape(height, width), seconds)], np.int64)
+        light = _light_until(head, self.time_s)
+        own = light is not None and light.size == (head.events.width, head.events.height)
+        chosen: np.ndarray | None = None
+        if self.pixels is not None or (self.roi is not None and own):
+            seen, events = np.zeros(size, bool), 0
+            for part in self._before_end(long.read()):
+                seen[part.events.pixel[_inside(part.events, self.roi, self.time_s, hot)]] = True
+                events += len(part.events)
+            if events and not seen.any():
+                raise _nothing_left(long.name, events)
+            chosen = seen
+            if self.pixels is not None:
+                chosen = np.zeros(size, bool)
+                chosen[_chosen(np.flatnonzero(seen), self.pixels, seed)] = True
+            light = _restricted(light, head.events, np.flatnonzero(chosen))
+
+        def cropped() -> Iterator[Recording]:
+            events = left = 0
+            for part in self._before_end(long.read()):
+                keep = _inside(part.events, self.roi, self.time_s, hot)
+                if chosen is not None:
+                    keep &= chosen[part.events.pixel]
+                events, left = events + len(keep), left + int(np.count_nonzero(keep))
+                yield replace(part, events=part.events.select(keep), stimulus=light)
+            if events and not left:
+                raise _nothing_left(long.name, events)
+
+        return LongRecording(replace(head, stimulus=light), cropped)
+
+    def _before_end(self, parts: Iterator[Recording]) -> Iterator[Recording]:
+        """The parts up to the end of the span; those behind are not read."""
+        for part in parts:
+            yield part
+            if self.time_s is not None and len(part.events) and part.events.t[-1] >= round(self.time_s[1] * 1e9):
+                return

@@ -3,19 +3,29 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
+from itertools import chain, islice
 from pathlib import Path
+from typing import TypeAlias, TypeVar
 
 import numpy as np
 
 from pixelid.errors import InputError
-from pixelid.recordings.columns import to_nanoseconds
+from pixelid.recordings import evt21
+from pixelid.recordings.columns import PART_EVENTS, to_nanoseconds, validated
 from pixelid.recordings.events import Events
+from pixelid.recordings.parts import joined
 from pixelid.recordings.recording import Recording
 from pixelid.recordings.triggers import Triggers
 
+Block: TypeAlias = tuple[tuple, Triggers | None]  # (t µs, x, y, p) and trigger edges
+Packet = TypeVar("Packet")
+
 TYPES: dict = {".aedat4": "aedat", ".raw": "evt", ".dat": "dat", ".es": "es"}
 AEDAT_EDGES = {1: True, 2: False, 3: True}  # external signal: rising edge, falling edge, pulse
+FORMATS: dict = {"EVT2": "evt2", "EVT21": "evt2.1", "EVT3": "evt3"}  # of newer headers
+MOST_PACKETS = 1 << 14  # of a part: packets of frames and samples hold no events
 VERSIONS: dict = {"2.0": "evt2", "2.1": "evt2.1", "3.0": "evt3", "2": "evt2", "3": "evt3"}
 
 
@@ -25,47 +35,76 @@ def read(path: Path) -> Recording:
     Raises:
         InputError: when the file cannot be decoded.
     """
+    return joined(*stream(path))
+
+
+def stream(path: Path) -> tuple[Recording, Iterator[Recording]]:
+    """The same in parts: the recording without events, and parts of it with their trigger edges.
+
+    Raises:
+        InputError: when the file cannot be decoded; also while the parts are taken.
+    """
     header = _header(path)
     kind = TYPES.get(path.suffix.lower()) or ("aedat" if "source" in header else "evt")
     if kind == "evt":
         size = _size(header)
-        t, x, y, p, triggers = decode_evt(path, size, VERSIONS.get(header.get("evt", "")), path)
+        blocks = decode_evt(path, size, header, path)
     elif kind == "aedat":
-        t, x, y, p, triggers, size = _decode_aedat(path)
+        size, blocks = _decode_aedat(path)
     else:
-        t, x, y, p, size = _decode_others(path, kind, header)
-        triggers = None
-    where = f"{path}: events"
-    nanoseconds = to_nanoseconds(t, "us", where)
-    events = Events.from_columns(nanoseconds, x, y, p, *size, tick_ns=1000, where=where)
+        size, blocks = _decode_others(path, kind, header)
     sensor = header.get("plugin_name", "") or header.get("source", "")
     attributes: dict = {"header": header} if header else {}
     biases = path.with_suffix(".bias")
     if biases.is_file():
         attributes["biases"] = _bias_file(biases)
-    return Recording(events, sensor=sensor, source=path, attributes=attributes, triggers=triggers)
+    return evt_recording(blocks, size, path, sensor=sensor, attributes=attributes)
 
 
-def decode_evt(path: Path, size: tuple[int, int], version, named: Path) -> tuple:
-    """(t µs, x, y, p, triggers or None) of a Prophesee RAW file; errors name the file `named`.
+def evt_recording(blocks: Iterator[Block], size: tuple[int, int], path: Path, **about) -> tuple[Recording, Iterator]:
+    """The recording without events, and its parts, of blocks of columns with times in µs."""
+    head = Recording(Events.empty(*size, tick_ns=1000), source=path, **about)
+    where = f"{path}: events"
+    edges: list[Triggers | None] = []
+
+    def columns() -> Iterator[tuple]:
+        for block, triggers in blocks:
+            edges.append(triggers)
+            yield block
+
+    def parts() -> Iterator[Recording]:
+        for events in validated(columns(), *size, unit="us", tick_ns=1000, where=where):
+            yield replace(head, events=events, triggers=edges.pop())
+
+    return head, parts()
+
+
+def decode_evt(path: Path, size: tuple[int, int], header: dict[str, str], named: Path) -> Iterator[Block]:
+    """Blocks of a Prophesee RAW file; errors name the file `named`.
 
     Raises:
         InputError: when the file cannot be decoded.
     """
     from faery.extension import evt
 
+    stated = header.get("format", "").partition(";")[0].upper()
+    version = VERSIONS.get(header.get("evt", "")) or FORMATS.get(stated)
+    if version == "evt2.1":
+        said = re.search(r"endianness=(\w+)", header.get("format", ""))
+        yield from evt21.decode(path, _header_bytes(path), said.group(1) == "legacy" if said else None)
+        return
+
     def packets() -> Iterator[dict]:
         with evt.Decoder(path, size, version) as decoder:
             yield from decoder
 
-    parts, edges = [], []
-    for packet in _decoded(packets, named):
-        parts.append(packet.get("events"))
-        edges.append(packet.get("triggers"))
-    return *_columns(parts), _triggers(edges, "source", "rising", f"{named}: triggers")
+    where = f"{named}: triggers"
+    for batch in _batches(_decoded(packets, named), lambda packet: packet.get("events")):
+        edges = _triggers([packet.get("triggers") for packet in batch], "source", "rising", where)
+        yield _columns([packet.get("events") for packet in batch]), edges
 
 
-def _decode_aedat(path: Path) -> tuple:
+def _decode_aedat(path: Path) -> tuple[tuple[int, int], Iterator[Block]]:
     from faery.extension import aedat
 
     tracks = []
@@ -73,30 +112,41 @@ def _decode_aedat(path: Path) -> tuple:
     def packets() -> Iterator[tuple]:
         with aedat.Decoder(path) as decoder:
             tracks.extend(decoder.tracks())
-            yield from decoder
+            for track, packet in decoder:
+                if track.data_type in ("events", "triggers"):
+                    yield track, packet
 
-    parts, edges = [], []
-    first = None
-    for track, packet in _decoded(packets, path):
-        if track.data_type == "events" and first in (None, track.id):
-            first = track.id
-            parts.append(packet)
-        elif track.data_type == "triggers":
-            edges.append(packet[np.isin(packet["source"], list(AEDAT_EDGES))])
+    found = _decoded(packets, path)
+    before: list[tuple] = []  # what comes ahead of the first events, which say whose the size is
+    for entry in found:
+        before.append(entry)
+        if entry[0].data_type == "events":
+            break
     streams = [track for track in tracks if track.data_type == "events"]
     if not streams:
         raise InputError(f"{path}: expected a stream of events, found {', '.join(t.data_type for t in tracks)}")
-    size = next(track.dimensions for track in streams if first in (None, track.id))
-    triggers = None
-    if sum(map(len, edges)):
-        every = np.concatenate(edges)
-        rising = np.array([AEDAT_EDGES[int(source)] for source in every["source"]])
-        nanoseconds = to_nanoseconds(every["t"], "us", f"{path}: triggers")
-        triggers = Triggers.from_columns(nanoseconds, rising, np.zeros(len(every)), where=f"{path}: triggers")
-    return *_columns(parts), triggers, size
+    first = before[-1][0] if before and before[-1][0].data_type == "events" else streams[0]
+    size = next(track.dimensions for track in streams if track.id == first.id)
+
+    def mine(entry: tuple):
+        return entry[1] if entry[0].id == first.id else None
+
+    def blocks() -> Iterator[Block]:
+        for batch in _batches(chain(before, found), mine):
+            edges = [packet for track, packet in batch if track.data_type == "triggers"]
+            edges = [packet[np.isin(packet["source"], list(AEDAT_EDGES))] for packet in edges]
+            triggers = None
+            if sum(map(len, edges)):
+                every = np.concatenate(edges)
+                rising = np.array([AEDAT_EDGES[int(source)] for source in every["source"]])
+                nanoseconds = to_nanoseconds(every["t"], "us", f"{path}: triggers")
+                triggers = Triggers.from_columns(nanoseconds, rising, np.zeros(len(every)), where=f"{path}: triggers")
+            yield _columns([packet for packet in map(mine, batch) if packet is not None]), triggers
+
+    return size, blocks()
 
 
-def _decode_others(path: Path, kind, header: dict[str, str]) -> tuple:
+def _decode_others(path: Path, kind, header: dict[str, str]) -> tuple[tuple[int, int], Iterator[Block]]:
     from faery.file_decoder import Decoder
 
     sizes = []
@@ -104,9 +154,13 @@ def _decode_others(path: Path, kind, header: dict[str, str]) -> tuple:
     def packets() -> Iterator[np.ndarray]:
         decoder = Decoder(path, dimensions_fallback=_size(header), file_type=kind, time_range_cache=None)
         sizes.append(decoder.dimensions())
-        yield from decoder
+        for packet in decoder:
+            yield packet.copy()  # the decoder's own memory is overwritten
 
-    return *_columns([packet.copy() for packet in _decoded(packets, path)]), sizes[0]
+    found = _decoded(packets, path)
+    before = list(islice(found, 1))
+    blocks = ((_columns(batch), None) for batch in _batches(chain(before, found), lambda packet: packet))
+    return sizes[0], blocks
 
 
 def _decoded(packets: Callable[[], Iterator], path: Path) -> Iterator:
@@ -120,6 +174,20 @@ def _decoded(packets: Callable[[], Iterator], path: Path) -> Iterator:
         raise InputError(
             f"{path}: cannot be decoded; truncated, or not the format of its extension ({reason})"
         ) from None
+
+
+def _batches(packets: Iterable[Packet], events_of: Callable[[Packet], np.ndarray | None]) -> Iterator[list[Packet]]:
+    """Lists of packets that together hold about `PART_EVENTS` events."""
+    batch, held = [], 0
+    for packet in packets:
+        batch.append(packet)
+        events = events_of(packet)
+        held += 0 if events is None else len(events)
+        if held >= PART_EVENTS or len(batch) >= MOST_PACKETS:
+            yield batch
+            batch, held = [], 0
+    if batch:
+        yield batch
 
 
 def _columns(parts: list) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -164,6 +232,19 @@ def _header(path: Path) -> dict[str, str]:
         name, _, value = line[2:].decode("latin1").strip().partition(" ")
         header[name] = value
     return header
+
+
+def _header_bytes(path: Path) -> int:
+    """The byte at which what follows the header begins."""
+    start = 0
+    with path.open("rb") as file:
+        for line in file:
+            if not line.startswith(b"% "):
+                break
+            start += len(line)
+            if line.rstrip() == b"% end":
+                break
+    return start
 
 
 def _size(header: dict[str, str]) -> tuple[int, int]:

@@ -47,12 +47,12 @@ class Events:
         """Seconds between the first and the last event (0 when there are fewer than two)."""
         return float(self.t[-1] - self.t[0]) * 1e-9 if len(self) > 1 else 0.0
 
-    def select(self, keep: np.ndarray) -> Events:
-        """The events where `keep` (boolean or index array) holds, on the same sensor."""
+    def select(self, keep: np.ndarray | slice) -> Events:
+        """The events where `keep` (boolean or index array, or slice) holds, on the same sensor."""
         return Events(self.t[keep], self.x[keep], self.y[keep], self.p[keep], self.width, self.height, self.tick_ns)
 
     @staticmethod
-    def empty(width: int, height: int) -> Events:
+    def empty(width: int, height: int, tick_ns: int = 1) -> Events:
         """No events on a sensor of the given size."""
         return Events.from_columns(
             np.empty(0, np.int64),
@@ -61,11 +61,17 @@ class Events:
             np.empty(0, np.uint8),
             width,
             height,
+            tick_ns=tick_ns,
         )
 
     @staticmethod
-    def from_columns(t, x, y, p, width: int, height: int, *, tick_ns: int = 1, where: str = "events") -> Events:
+    def from_columns(
+        t, x, y, p, width: int, height: int, *, tick_ns: int = 1, where: str = "events", before: int = 0,
+        not_before_ns: int = 0,
+    ) -> Events:  # fmt: skip
         """Validated events from array-likes; `t` in nanoseconds.
+
+        A part of a longer recording says how many events came `before` and the time of the last of them.
 
         Raises InputError naming `where` for unequal lengths, non-integer or negative or decreasing
         times, pixels outside the sensor, and polarities other than 0 and 1.
@@ -86,19 +92,19 @@ class Events:
             if t[0] < 0:
                 raise InputError(f"{where}/t: times must not be negative, first is {int(t[0])} ns")
             falling = np.flatnonzero(t[1:] < t[:-1])
-            if len(falling):
-                k = int(falling[0]) + 1
+            if t[0] < not_before_ns or len(falling):
+                k = before if t[0] < not_before_ns else before + int(falling[0]) + 1
                 raise InputError(f"{where}/t: timestamps must not decrease, event {k} is earlier than event {k - 1}")
             for name, column, limit in (("x", x, width), ("y", y, height)):
                 if column.min() < 0 or column.max() >= limit:
                     k = int(np.argmax((column < 0) | (column >= limit)))
                     raise InputError(
-                        f"{where}/{name}: event {k} has {name} = {int(column[k])}, expected 0..{limit - 1}"
+                        f"{where}/{name}: event {before + k} has {name} = {int(column[k])}, expected 0..{limit - 1}"
                     )
             if p.dtype != bool and not ((p == 0) | (p == 1)).all():
                 k = int(np.argmin((p == 0) | (p == 1)))
                 hint = "; the coding looks like -1/1, write -1 as 0" if p.min() == -1 and p.max() <= 1 else ""
-                raise InputError(f"{where}/p: polarity must be 1 (ON) or 0 (OFF), event {k} has {p[k]}{hint}")
+                raise InputError(f"{where}/p: polarity must be 1 (ON) or 0 (OFF), event {before + k} has {p[k]}{hint}")
         return Events(
             t,
             x.astype(np.uint16, copy=False),

@@ -15,23 +15,29 @@ DSEC (Gehrig et al., RA-L 2021): t in µs from the scalar `t_offset`, 640 × 480
 
 from __future__ import annotations
 
-import io
 import json
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from pixelid.errors import InputError
-from pixelid.outputs import plain
-from pixelid.recordings.columns import duplicated, sensor_size, to_nanoseconds
+from pixelid.recordings.columns import (
+    PART_EVENTS,
+    RepeatCounter,
+    duplicated,
+    sensor_size,
+    to_nanoseconds,
+    validated,
+)
 from pixelid.recordings.events import Events
 from pixelid.recordings.metadata import FORMAT, VERSION
 from pixelid.recordings.recording import Recording
 from pixelid.recordings.triggers import Triggers
 from pixelid.stimuli.pixel_lights import Light, light_from_arrays
 
-CHUNK = 1 << 16
-BLOCK = 1 << 22
+BLOCK = 1 << 22  # events looked at together
 MOST_OBJECTS = 1000  # groups of a file
 SMALL_BYTES, MOST_RATIO = 1 << 26, 2000  # deflate compresses a thousandfold at most
 NAMED = {"format", "version", "condition", "sensor", "pooled"}
@@ -49,6 +55,90 @@ def read(path: Path) -> Recording:
             return _read(file, path)
     except OSError as error:
         raise InputError(f"{path}: truncated or damaged HDF5 ({str(error).splitlines()[0][:120]})") from error
+
+
+def stream(path: Path) -> tuple[Recording, Iterator[Recording]] | None:
+    """The same in parts: the recording without events, and its parts; None where it must be read whole.
+
+    Exposure measurements are only read whole, and so are columns compressed in pieces too large to be taken one by one.
+    """
+    import h5py
+
+    if not h5py.is_hdf5(path):
+        raise InputError(f"{path}: expected an HDF5 file, found something else")
+    try:
+        file = h5py.File(path, "r")
+        _refuse_foreign_storage(file, path)
+        if "exposures" in file or _in_large_pieces(file):
+            return None
+        head, columns, settings, declared = _opened(file, path)
+    except OSError as error:
+        raise InputError(f"{path}: truncated or damaged HDF5 ({str(error).splitlines()[0][:120]})") from error
+
+    def parts() -> Iterator[Recording]:
+        repeats, counter = 0, RepeatCounter()
+        edges = head.triggers
+        try:
+            for events in validated(columns, head.events.width, head.events.height, **settings):
+                repeats += 0 if declared is None else counter.add(events)
+                if declared is not None and repeats > declared:
+                    raise InputError(
+                        f"{path}: events: expected each event once, found duplicates, the first of them "
+                        f"at or before t = {events.t[-1]} ns"
+                    )
+                yield replace(head, events=events, triggers=edges)
+                edges = None
+        except OSError as error:
+            raise InputError(f"{path}: truncated or damaged HDF5 ({str(error).splitlines()[0][:120]})") from error
+
+    return replace(head, triggers=None), parts()
+
+
+def _in_large_pieces(file) -> bool:
+    """Whether taking part of a column means to decompress much more than the part."""
+    sets = [file[group][name] for group in ("events", "CD") if group in file for name in file[group]]
+    return any(item.chunks is not None and item.chunks[0] > BLOCK for item in sets if hasattr(item, "chunks"))
+
+
+def _opened(file, path: Path) -> tuple[Recording, Iterator[tuple], dict, int | None]:
+    """All but the events; their columns in blocks and how to read those; how many duplicates are declared."""
+    attributes, own, pooled = _attributes(file, path)
+    if not own and "CD" in file:
+        where = f"{path}: CD/events"
+        records = _record_set(file, "CD", path)
+        size = _stated_size(attributes)
+        if None in size:
+            size = _scanned_size((records[k : k + BLOCK] for k in range(0, len(records), BLOCK)), size)
+        blocks = (records[k : k + PART_EVENTS] for k in range(0, len(records), PART_EVENTS))
+        columns = ((b["t"], b["x"], b["y"], np.clip(b["p"], 0, 1)) for b in blocks)
+        head = _prophesee_recording(file, path, attributes, Events.empty(size[0] or 1, size[1] or 1, 1000))
+        return head, columns, {"unit": "us", "tick_ns": 1000, "where": where}, None
+    group, where = _event_group(file, path, "events"), f"{path}: events"
+    sets = [_data_set(group, name, where) for name in "txyp"]
+    lengths = [len(column) for column in sets]
+    if len(set(lengths)) != 1:
+        found = ", ".join(map(str, lengths))
+        raise InputError(f"{where}: t, x, y, p must have one length, found {found}")
+    unit, tick_ns, offset = _time_unit(group, file, where, own)
+    size = _size(group, file, "width", where, own), _size(group, file, "height", where, own)
+    if None in size:
+        blocks = ({"x": sets[1][k : k + BLOCK], "y": sets[2][k : k + BLOCK]} for k in range(0, lengths[0], BLOCK))
+        width, height = _scanned_size(blocks, size)
+        size = (640, 480) if lengths[0] and _like_dsec(file, size, width - 1, height - 1) else (width, height)
+    columns = (tuple(c[k : k + PART_EVENTS] for c in sets) for k in range(0, lengths[0], PART_EVENTS))
+    head = _own_recording(file, path, attributes, pooled, Events.empty(size[0] or 1, size[1] or 1, tick_ns))
+    declared = int(group.attrs.get("duplicates", 0)) if own and not pooled else None
+    return head, columns, {"unit": unit, "tick_ns": tick_ns, "where": where, "offset": offset}, declared
+
+
+def _scanned_size(blocks: Iterable, stated: tuple[int | None, int | None]) -> tuple[int, int]:
+    """The stated size, or the smallest that holds the x and y of all blocks."""
+    width, height = 1, 1
+    for block in blocks:
+        if block["x"].dtype.kind in "iu" and block["y"].dtype.kind in "iu":  # else refused when it is read
+            wide, high = sensor_size(block["x"], block["y"], *stated)
+            width, height = max(width, wide), max(height, high)
+    return width, height
 
 
 def _refuse_foreign_storage(file, path: Path) -> None:
@@ -79,19 +169,30 @@ def _refuse_foreign_storage(file, path: Path) -> None:
     raise InputError(f"{path}: expected a recording, found more than {MOST_OBJECTS} groups")
 
 
-def _read(file, path: Path) -> Recording:
+def _attributes(file, path: Path) -> tuple[dict, bool, bool]:
+    """The file's attributes, whether it is of the project's own format, and whether its pixels are pooled."""
     attributes = {name: _attribute(value) for name, value in file.attrs.items()}
     own = attributes.get("format") == FORMAT
     if not own and "format" in attributes:
         raise InputError(f"{path}: format: expected {FORMAT!r}, found {attributes['format']!r}")
     if own and attributes.get("version") != VERSION:
         raise InputError(f"{path}: version: expected {VERSION}, found {attributes.get('version')!r}")
-    pooled = bool(attributes.get("pooled", False))
+    return attributes, own, bool(attributes.get("pooled", False))
+
+
+def _read(file, path: Path) -> Recording:
+    attributes, own, pooled = _attributes(file, path)
     if not own and "CD" in file:
         return _read_prophesee(file, path, attributes)
     events = _read_events(file, path, own)
     if own and not pooled:
         _refuse_undeclared_duplicates(events, int(file["events"].attrs.get("duplicates", 0)), path)
+    recording = _own_recording(file, path, attributes, pooled, events)
+    return replace(recording, exposures=_read_events(file, path, own, "exposures") if "exposures" in file else None)
+
+
+def _own_recording(file, path: Path, attributes: dict, pooled: bool, events: Events) -> Recording:
+    """The recording around its events."""
     return Recording(
         events=events,
         stimulus=_read_stimulus(file, path) if "stimulus" in file else None,
@@ -101,7 +202,6 @@ def _read(file, path: Path) -> Recording:
         source=path,
         attributes={name: value for name, value in attributes.items() if name not in NAMED},
         triggers=_read_triggers(file["triggers"], f"{path}: triggers") if "triggers" in file else None,
-        exposures=_read_events(file, path, own, "exposures") if "exposures" in file else None,
     )
 
 
@@ -113,18 +213,25 @@ def _read_triggers(group, where: str) -> Triggers:
 def _read_prophesee(file, path: Path, attributes: dict) -> Recording:
     """A file of Prophesee's HDF5 format."""
     where = f"{path}: CD/events"
-    records = _records(file, "CD", path)
-    if not {"t", "x", "y", "p"} <= set(records.dtype.names or ()):
-        raise InputError(f"{where}: expected records of t, x, y, p, found {records.dtype}")
-    geometry = str(attributes.get("geometry", "")).lower().partition("x")
-    stated = [int(g) if g.isdigit() else None for g in (geometry[0], geometry[2])]
-    size = sensor_size(records["x"], records["y"], *stated)
+    records = _record_set(file, "CD", path)[:]
+    size = sensor_size(records["x"], records["y"], *_stated_size(attributes))
     t = to_nanoseconds(records["t"], "us", where)
     p = np.clip(records["p"], 0, 1)
     events = Events.from_columns(t, records["x"], records["y"], p, *size, tick_ns=1000, where=where)
+    return _prophesee_recording(file, path, attributes, events)
+
+
+def _stated_size(attributes: dict) -> tuple[int | None, int | None]:
+    """Width and height in Prophesee's attribute `geometry`."""
+    width, _, height = str(attributes.get("geometry", "")).lower().partition("x")
+    return int(width) if width.isdigit() else None, int(height) if height.isdigit() else None
+
+
+def _prophesee_recording(file, path: Path, attributes: dict, events: Events) -> Recording:
+    """The recording around its events."""
     triggers = None
     if "EXT_TRIGGER" in file:
-        edges, where = _records(file, "EXT_TRIGGER", path), f"{path}: EXT_TRIGGER/events"
+        edges, where = _record_set(file, "EXT_TRIGGER", path, ("t", "p", "id"))[:], f"{path}: EXT_TRIGGER/events"
         triggers = Triggers.from_columns(
             to_nanoseconds(edges["t"], "us", where), edges["p"] > 0, edges["id"], where=where
         )
@@ -134,47 +241,73 @@ def _read_prophesee(file, path: Path, attributes: dict) -> Recording:
     )
 
 
-def _records(file, group: str, path: Path) -> np.ndarray:
-    """The records of `group`/events.  Raises InputError where a filter is missing that this installation has not."""
+def _record_set(file, group: str, path: Path, fields: tuple[str, ...] = ("t", "x", "y", "p")):
+    """The records of `group`/events.
+
+    Raises:
+        InputError: they are missing, have other fields, or need a filter that this installation has not.
+    """
+    where = f"{path}: {group}/events"
     try:
-        return file[group]["events"][:]
-    except (KeyError, AttributeError, TypeError):
-        raise InputError(f"{path}: {group}/events: missing") from None
+        records = file[group]["events"]
+        records[:1]
+    except (KeyError, AttributeError, TypeError, ValueError):
+        raise InputError(f"{where}: missing") from None
     except OSError as error:
         if "filter" not in str(error):
             raise
         raise InputError(
-            f"{path}: {group}/events is compressed by a filter (ECF) that h5py here lacks; "
+            f"{where} is compressed by a filter (ECF) that h5py here lacks; "
             "install Prophesee's plugin, or convert the file to RAW with the maker's tools"
         ) from None
+    if not set(fields) <= set(records.dtype.names or ()):
+        raise InputError(f"{where}: expected records of {', '.join(fields)}, found {records.dtype}")
+    return records
 
 
-def _read_events(file, path: Path, own: bool, name: str = "events") -> Events:
-    where = f"{path}: {name}"
+def _event_group(file, path: Path, name: str):
     if name not in file or not hasattr(file[name], "keys"):
         raise InputError(f"{path}: expected a group events with t, x, y, p; found {', '.join(file) or 'nothing'}")
-    group = file[name]
-    t, x, y, p = (_column(group, name, where) for name in "txyp")
+    return file[name]
+
+
+def _time_unit(group, file, where: str, own: bool) -> tuple[str, int, int]:
+    """Unit and tick [ns] of the times, and what is added to them."""
     unit = _attribute(group["t"].attrs.get("unit", "us"))
     if unit not in ("ns", "us"):
         raise InputError(f"{where}/t: expected unit 'ns' or 'us', found {unit!r}")
     offset = int(file["t_offset"][()]) if "t_offset" in file and not own else 0
+    return unit, int(group.attrs.get("tick_ns", 1 if unit == "ns" else 1000)), offset
+
+
+def _like_dsec(file, stated: tuple[int | None, int | None], last_x: int, last_y: int) -> bool:
+    """Whether the sensor is DSEC's of 640 × 480 pixels, which its files do not say."""
+    return stated == (None, None) and "ms_to_idx" in file and last_x < 640 and last_y < 480
+
+
+def _read_events(file, path: Path, own: bool, name: str = "events") -> Events:
+    where, group = f"{path}: {name}", _event_group(file, path, name)
+    t, x, y, p = (_column(group, name, where) for name in "txyp")
+    unit, tick_ns, offset = _time_unit(group, file, where, own)
     width, height = (_size(group, file, name, where, own) for name in ("width", "height"))
-    if width is None and height is None and "ms_to_idx" in file and len(x) and x.max() < 640 and y.max() < 480:
+    if len(x) and len(y) and _like_dsec(file, (width, height), int(x.max()), int(y.max())):
         width, height = 640, 480
     if x.dtype.kind in "iu" and y.dtype.kind in "iu":
         width, height = sensor_size(x, y, width, height)
-    tick_ns = int(group.attrs.get("tick_ns", 1 if unit == "ns" else 1000))
     nanoseconds = to_nanoseconds(t, unit, where, offset)
     return Events.from_columns(nanoseconds, x, y, p, width or 1, height or 1, tick_ns=tick_ns, where=where)
 
 
 def _column(group, name: str, where: str) -> np.ndarray:
+    return _data_set(group, name, where)[:]
+
+
+def _data_set(group, name: str, where: str):
     if name not in group or not hasattr(group[name], "shape"):
         raise InputError(f"{where}/{name}: missing; expected t, x, y, p, found {', '.join(group) or 'nothing'}")
     if group[name].ndim != 1:
         raise InputError(f"{where}/{name}: expected one column, found shape {group[name].shape}")
-    return group[name][:]
+    return group[name]
 
 
 def _size(group, file, name: str, where: str, required: bool) -> int | None:
@@ -220,84 +353,3 @@ def _attribute(value):
         except json.JSONDecodeError:
             return value
     return value.item() if isinstance(value, np.generic) else value
-
-
-def write(recording: Recording, path: Path) -> None:
-    """Write `recording` to a new HDF5 file, compressed, in blocks (extra memory does not grow with it)."""
-    import h5py
-
-    events, stimulus = recording.events, recording.stimulus
-    with _PatientFile(path, "w+b") as disk, h5py.File(disk, "w") as file:
-        file.attrs.update({"format": FORMAT, "version": VERSION, "condition": recording.condition})
-        file.attrs["sensor"] = recording.sensor
-        if recording.pooled:
-            file.attrs["pooled"] = True
-        for name, value in recording.attributes.items():
-            file.attrs[name] = json.dumps(plain(value)) if isinstance(value, (dict, list, tuple)) else value
-        group = _write_events(file, "events", events)
-        if not recording.pooled and (repeats := len(duplicated(events))):
-            group.attrs["duplicates"] = repeats
-        if recording.exposures is not None:
-            _write_events(file, "exposures", recording.exposures)
-        if recording.triggers is not None:
-            group = file.create_group("triggers")
-            edges = recording.triggers
-            for name, column in (("t", edges.t), ("rising", edges.rising.astype(np.uint8)), ("channel", edges.channel)):
-                _compressed(group, name, column.shape, column.dtype)[...] = column
-        if stimulus is not None:
-            group = file.create_group("stimulus")
-            group.attrs.update({"unit": stimulus.unit, "interpolation": stimulus.interpolation})
-            for name, column in stimulus.arrays.items():
-                _compressed(group, name, column.shape, column.dtype)[...] = column
-    if disk.error is not None:
-        raise disk.error
-
-
-class _PatientFile(io.FileIO):
-    """A file that keeps its first error to itself: HDF5 crashes the process when the disk is full."""
-
-    error: OSError | None = None
-
-    def write(self, data, /) -> int:
-        view = memoryview(data).cast("B")
-        done = 0
-        while self.error is None and done < len(view):
-            try:
-                done += super().write(view[done:]) or 0
-            except OSError as error:
-                self.error = error
-        return len(view)
-
-    def truncate(self, size=None, /) -> int:
-        try:
-            return super().truncate(size)
-        except OSError as error:
-            self.error = self.error or error
-            return size or 0
-
-
-def _write_events(file, name: str, events: Events):
-    """A new group with the columns of `events`."""
-    in_us = events.tick_ns % 1000 == 0 and not any(np.any(events.t[k : k + BLOCK] % 1000) for k in _blocks(events))
-    group = file.create_group(name)
-    group.attrs.update({"width": events.width, "height": events.height, "tick_ns": events.tick_ns})
-    for letter, column in (("t", events.t), ("x", events.x), ("y", events.y), ("p", events.p)):
-        dataset = _compressed(group, letter, column.shape, column.dtype)
-        for k in _blocks(events):
-            block = column[k : k + BLOCK]
-            dataset[k : k + BLOCK] = block // 1000 if letter == "t" and in_us else block
-    group["t"].attrs["unit"] = "us" if in_us else "ns"
-    return group
-
-
-def _blocks(events: Events) -> range:
-    return range(0, len(events), BLOCK)
-
-
-def _compressed(group, name: str, shape: tuple, dtype):
-    """A new dataset: gzip level 1 after byte shuffling, at most CHUNK samples per chunk."""
-    if not shape[0]:
-        return group.create_dataset(name, shape, dtype)
-    samples = int(np.prod(shape[1:], dtype=np.int64))
-    chunk = (max(1, min(shape[0], CHUNK // samples)), *shape[1:])
-    return group.create_dataset(name, shape, dtype, chunks=chunk, compression="gzip", compression_opts=1, shuffle=True)

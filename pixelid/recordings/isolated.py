@@ -4,6 +4,9 @@ Decoders are compiled libraries: for damaged bytes some abort, some loop, some a
 child process serves all reading.  It gets a line of JSON (reader, file) and answers with a header of JSON and the raw
 columns, on a pipe of its own.  Its CPU time and its memory are limited in proportion to the file; when it dies, the
 caller gets one plain line, and the next file a new child.  Only numbers and JSON come back, nothing that is executed.
+
+Long recordings come in parts, from a child of their own that lives as long as they are read: first the recording
+without its events, then its parts one by one, at last nothing.
 """
 
 from __future__ import annotations
@@ -18,7 +21,7 @@ import stat
 import subprocess
 import sys
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import IO, Any
 
@@ -28,7 +31,9 @@ from pixelid.documents import printable
 from pixelid.errors import InputError
 from pixelid.outputs import plain
 from pixelid.recordings.events import Events
+from pixelid.recordings.parts import cut
 from pixelid.recordings.recording import Recording
+from pixelid.recordings.triggers import COLUMNS as EDGE_COLUMNS
 from pixelid.recordings.triggers import Triggers
 from pixelid.stimuli.pixel_lights import PixelLights
 from pixelid.stimuli.stimulus import Stimulus
@@ -36,13 +41,17 @@ from pixelid.stimuli.stimulus import Stimulus
 READERS = {  # name → module with the function `read` (or the function named)
     name: f"pixelid.recordings.{name}" for name in ("aedat2", "decoded", "hdf5", "matlab", "npz", "ros", "text")
 }
-CPU_S, CPU_S_PER_BYTE = 2.0, 2e-7  # per file: imports take up to 1 s, readers 1e-8 (binary) to 1e-7 s (text) a byte
+STREAMING = {  # those with the function `stream`; bags and MATLAB files are read whole by the child
+    name: READERS[name] for name in ("aedat2", "decoded", "hdf5", "npz", "text")
+}
+# per file: imports take up to 1 s, readers 1e-8 (binary) to 1e-7 s (text) a byte; .h5 packs to one byte an event, which
+# takes 2e-7 s to unpack and check
+CPU_S, CPU_S_PER_BYTE = 2.0, 5e-7
 WALL_S = 20.0  # beside the CPU's time: waiting for a disk
 MEMORY_BYTES, MEMORY_PER_BYTE = 4 << 30, 64  # address space: libraries take 1 GiB; compressed columns grow tenfold
 START = (
     "import json, sys; sys.path[:] = json.loads(sys.argv[1])\nfrom pixelid.recordings.isolated import serve; serve()"
 )
-EDGES = ("t", "rising", "channel")
 ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
 
 
@@ -52,6 +61,12 @@ def read_isolated(reader: str, path: Path) -> Recording:
     Raises:
         InputError: the reader's own; or that reading crashed, took too long, or needed too much memory.
     """
+    path, size = _regular(path)
+    return _CHILD.read(reader, path, size)
+
+
+def _regular(path: Path) -> tuple[Path, int]:
+    """The file's absolute path and its size."""
     path = path.resolve()
     try:
         status = path.stat()
@@ -59,7 +74,25 @@ def read_isolated(reader: str, path: Path) -> Recording:
         raise InputError(f"{path}: cannot be read ({error.strerror})") from None
     if not stat.S_ISREG(status.st_mode):
         raise InputError(f"{path}: expected a regular file, found a device, pipe or socket")
-    return _CHILD.read(reader, path, status.st_size)
+    return path, status.st_size
+
+
+def stream_isolated(reader: str, path: Path) -> Iterator[Recording]:
+    """The same in parts: first the recording without events, then its parts.
+
+    Raises:
+        InputError: as `read_isolated`, also between parts.
+    """
+    path, size = _regular(path)
+    child = _Child()
+    try:
+        process = child.start()
+        header = child.ask(process, {"reader": reader, "stream": True}, path, size)
+        while header is not None:
+            yield _assembled(header, path)
+            header = child.answer(process, path, size)
+    finally:
+        child.stop()
 
 
 class _Child:
@@ -73,18 +106,21 @@ class _Child:
     def read(self, reader: str, path: Path, size: int) -> Recording:
         with self._lock:
             try:
-                process = self._running()
+                process = self.start()
             except OSError:  # no process can be started: read here
                 return _reader(reader)(path)
             try:
-                return self._ask(process, reader, path, size)
+                header = self.ask(process, {"reader": reader}, path, size)
             except InputError:
                 raise
             except BaseException:  # an answer half read would be taken for the next one
                 self.stop()
                 raise
+            assert header is not None
+            return _assembled(header, path)
 
-    def _running(self) -> subprocess.Popen:
+    def start(self) -> subprocess.Popen:
+        """The process, which is started where none runs."""
         if self._process is not None and self._process.poll() is None and self._owner == os.getpid():
             return self._process
         command = [sys.executable, "-c", START, json.dumps(sys.path)]
@@ -94,16 +130,23 @@ class _Child:
         self._owner = os.getpid()
         return self._process
 
-    def _ask(self, process: subprocess.Popen, reader: str, path: Path, size: int) -> Recording:
+    def ask(self, process: subprocess.Popen, request: dict, path: Path, size: int) -> dict[str, Any] | None:
+        """The answer to a request about a file of `size` bytes."""
+        assert process.stdin is not None
+        limits = {"cpu_s": _cpu_s(size), "bytes": MEMORY_BYTES + MEMORY_PER_BYTE * size}
+        request = {**request, "path": str(path), **limits}
+        return self.answer(process, path, size, json.dumps(request).encode() + b"\n")
+
+    def answer(self, process: subprocess.Popen, path: Path, size: int, request: bytes = b"") -> dict[str, Any] | None:
+        """The next answer; None where there is no more."""
         assert process.stdin is not None
         assert process.stdout is not None
-        cpu_s = CPU_S + CPU_S_PER_BYTE * size
-        request = {"reader": reader, "path": str(path), "cpu_s": cpu_s, "bytes": MEMORY_BYTES + MEMORY_PER_BYTE * size}
-        watch = threading.Timer(WALL_S + 4.0 * cpu_s, process.kill)
+        cpu_s = _cpu_s(size)
+        watch = threading.Timer(_crowding() * (WALL_S + 4.0 * cpu_s), process.kill)
         watch.daemon = True
         watch.start()
         try:
-            process.stdin.write(json.dumps(request).encode() + b"\n")
+            process.stdin.write(request)
             process.stdin.flush()
             answer = _receive(process.stdout)
         except (EOFError, OSError, ValueError):
@@ -117,7 +160,7 @@ class _Child:
             watch.cancel()
         if "error" in answer:
             raise InputError(answer["error"])
-        return _assembled(answer, path)
+        return answer if "events" in answer else None
 
     def stop(self) -> None:
         """End the process, if one runs."""
@@ -134,6 +177,18 @@ _CHILD = _Child()
 atexit.register(_CHILD.stop)
 
 
+def _cpu_s(size: int) -> float:
+    return CPU_S + CPU_S_PER_BYTE * size
+
+
+def _crowding() -> float:
+    """How many processes share a core at present, at least one: each gets its turn that much later."""
+    try:
+        return max(1.0, os.getloadavg()[0] / max(os.cpu_count() or 1, 1))
+    except (OSError, AttributeError):  # not known on this system
+        return 1.0
+
+
 def serve() -> None:
     """Answer requests until the pipe closes: what the child process runs."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent ends it
@@ -145,18 +200,39 @@ def serve() -> None:
     for line in requests:
         request = json.loads(line)
         _limit(request["cpu_s"], request["bytes"])
-        arrays: list[np.ndarray] = []
-        try:
-            header = _taken_apart(_reader(request["reader"])(Path(request["path"])), arrays)
-        except InputError as error:
-            header, arrays = {"error": str(error)}, []
-        except MemoryError:
-            header, arrays = {"error": f"{request['path']}: damaged: it declares more than memory holds"}, []
-        except Exception as error:
-            reason = str(error).splitlines()[0][:120] if str(error) else ""
-            header, arrays = {"error": f"{request['path']}: damaged ({type(error).__name__}: {reason})"}, []
+        for header, arrays in _answers(request):
+            _send(answers, header, arrays)
         _limit(0.0, request["bytes"])
-        _send(answers, header, arrays)
+
+
+def _answers(request: dict[str, Any]) -> Iterator[tuple[dict[str, Any], list[np.ndarray]]]:
+    """What answers a request: headers, each with the columns that it describes."""
+    path = Path(request["path"])
+    try:
+        for recording in _recordings(request["reader"], path, bool(request.get("stream"))):
+            arrays: list[np.ndarray] = []
+            yield _taken_apart(recording, arrays), arrays
+        if request.get("stream"):
+            yield {}, []
+    except InputError as error:
+        yield {"error": str(error)}, []
+    except MemoryError:
+        yield {"error": f"{path}: damaged: it declares more than memory holds"}, []
+    except Exception as error:
+        reason = str(error).splitlines()[0][:120] if str(error) else ""
+        yield {"error": f"{path}: damaged ({type(error).__name__}: {reason})"}, []
+
+
+def _recordings(reader: str, path: Path, in_parts: bool) -> Iterator[Recording]:
+    """The recording, or a head and its parts; formats that cannot be read in parts are cut after reading."""
+    if not in_parts:
+        yield _reader(reader)(path)
+        return
+    streaming = STREAMING.get(reader)
+    cut_already = streaming and importlib.import_module(streaming).stream(path)
+    head, parts = cut_already or cut(_reader(reader)(path))
+    yield head
+    yield from parts
 
 
 def _limit(cpu_s: float, memory: int) -> None:
@@ -197,7 +273,7 @@ def _taken_apart(recording: Recording, arrays: list[np.ndarray]) -> dict[str, An
             "unit": light.unit,
             "interpolation": light.interpolation,
         },
-        "triggers": None if edges is None else {name: column(getattr(edges, name)) for name in EDGES},
+        "triggers": None if edges is None else {name: column(getattr(edges, name)) for name in EDGE_COLUMNS},
         "condition": recording.condition,
         "sensor": recording.sensor,
         "pooled": recording.pooled,

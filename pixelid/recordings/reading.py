@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
+from itertools import islice
 from pathlib import Path
 
 from pixelid.errors import InputError
-from pixelid.recordings.isolated import read_isolated
+from pixelid.recordings.crop import Crop
+from pixelid.recordings.isolated import read_isolated, stream_isolated
+from pixelid.recordings.parts import LongRecording, as_whole, joined_if_short
 from pixelid.recordings.recording import Recording
 
+LONG_BYTES = 1 << 21  # of files that are read in parts: smaller ones cannot hold what memory could not
 BAG_SUFFIXES = (".bag", ".db3", ".mcap")
 BINARY_SUFFIXES = (".h5", ".hdf5", ".npz", ".aedat4", ".aedat", ".raw", ".dat", ".es", ".mat", *BAG_SUFFIXES)
 TEXT_SUFFIXES = (".csv", ".txt")
@@ -27,6 +31,77 @@ def open_recording(path: str | Path) -> Recording:
     that do not fit 64 bits in nanoseconds, and a stimulus that is invalid or does not cover the events.
     """
     path = Path(path)
+    recording = replace(read_isolated(_recognised(path), path), source=path)
+    if recording.stimulus is not None:
+        recording.check_stimulus_covers_events()
+    return recording
+
+
+def open_cropped(path: str | Path, crop: Crop, seed: int = 0) -> Recording | LongRecording:
+    """The part of a file's recording that is asked for; one of many events stays in the file.
+
+    Args:
+        path: of any readable format; bags and MATLAB files are decoded whole, by a process of their own.
+        crop: what is wanted of it.
+        seed: chooses the pixels of `crop`.
+
+    Returns:
+        The recording, or what reads it part by part where more than `WHOLE_EVENTS` events are left.
+
+    Raises:
+        InputError: as `open_recording` and `Crop.applied`.
+    """
+    path = Path(path)
+    reader = _recognised(path)
+    if path.stat().st_size < LONG_BYTES:
+        return crop.applied(open_recording(path), seed)
+
+    def read() -> Iterator[Recording]:
+        for part in islice(stream_isolated(reader, path), 1, None):
+            yield replace(part, source=path)
+
+    head = replace(next(stream_isolated(reader, path)), source=path)
+    cropped = crop.applied_to_parts(LongRecording(head, read), seed)
+    recording = joined_if_short(cropped)
+    if recording.stimulus is not None:
+        recording.check_stimulus_covers_events()
+    return recording
+
+
+def open_recordings(paths: Iterable[str | Path], crop: Crop | None = None, seed: int = 0) -> list[Recording]:
+    """Every recording of `paths`; a folder stands for the recordings in it, sorted by name.
+
+    Text files of a folder (often notes) count only when it holds nothing else.  With a crop, only what it leaves is
+    taken into memory.
+
+    Raises InputError as `open_recording` does, and for a folder without recordings.
+    """
+    files = [file for path in paths for file in _files(Path(path))]
+    if crop is None or crop == Crop():
+        return [open_recording(file) for file in files]
+    return [as_whole(open_cropped(file, crop, seed)) for file in files]
+
+
+def check_readable(paths: Iterable[str | Path]) -> None:
+    """Look for the files before anything slow begins.  Raises InputError as `open_recordings`, where a look tells."""
+    for path in paths:
+        for file in _files(Path(path)):
+            _recognised(file)
+
+
+def _files(path: Path) -> list[Path]:
+    if not path.is_dir():
+        return [path]
+    files = sorted(file for file in path.iterdir() if file.is_file() and not file.name.startswith("."))
+    for suffixes in (BINARY_SUFFIXES, TEXT_SUFFIXES):
+        chosen = [file for file in files if file.suffix.lower() in suffixes]
+        if chosen:
+            return chosen
+    raise InputError(f"{path}: expected a folder with recordings ({READABLE}), found none")
+
+
+def _recognised(path: Path) -> str:
+    """The name of the file's reader.  Raises InputError for what is no file, is empty, or is of no known format."""
     if not path.exists():
         raise InputError(f"{path}: no such file")
     if path.is_dir():
@@ -40,30 +115,7 @@ def open_recording(path: str | Path) -> Recording:
         raise InputError(f"{path}: cannot be read ({error.strerror})") from error
     if not head:
         raise InputError(f"{path}: expected a recording, found an empty file")
-    recording = replace(read_isolated(_reader(path, head), path), source=path)
-    if recording.stimulus is not None:
-        recording.check_stimulus_covers_events()
-    return recording
-
-
-def open_recordings(paths: Iterable[str | Path]) -> list[Recording]:
-    """Every recording of `paths`; a folder stands for the recordings in it, sorted by name.
-
-    Text files of a folder (often notes) count only when it holds nothing else.
-    Raises InputError as `open_recording` does, and for a folder without recordings.
-    """
-    return [open_recording(file) for path in paths for file in _files(Path(path))]
-
-
-def _files(path: Path) -> list[Path]:
-    if not path.is_dir():
-        return [path]
-    files = sorted(file for file in path.iterdir() if file.is_file() and not file.name.startswith("."))
-    for suffixes in (BINARY_SUFFIXES, TEXT_SUFFIXES):
-        chosen = [file for file in files if file.suffix.lower() in suffixes]
-        if chosen:
-            return chosen
-    raise InputError(f"{path}: expected a folder with recordings ({READABLE}), found none")
+    return _reader(path, head)
 
 
 def _reader(path: Path, head: bytes) -> str:

@@ -15,14 +15,16 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from pixelid.errors import InputError
 from pixelid.recordings.columns import sensor_size, to_nanoseconds
-from pixelid.recordings.decoded import decode_evt
+from pixelid.recordings.decoded import decode_evt, evt_recording
 from pixelid.recordings.events import Events
+from pixelid.recordings.parts import joined
 from pixelid.recordings.recording import Recording
 
 HEADER = "std_msgs/Header header\n"
@@ -136,14 +138,13 @@ def _read_packets(path: Path, raw: Iterator[bytes], cdr: bool) -> Recording:
             with copy.open("wb") as file:
                 file.write(f"% evt 3.0\n% geometry {size[0]}x{size[1]}\n% end\n".encode())
                 file.writelines(payloads)
-            t, x, y, p, triggers = decode_evt(copy, size, "evt3", path)
-    elif encoding == "libcaer":
-        t, x, y, p = _libcaer(b"".join(payloads), where)
-        triggers = None
-    else:
+            recording = joined(*evt_recording(decode_evt(copy, size, {"evt": "3.0"}, path), size, path))
+        return replace(recording, sensor=f"{encoding} camera")
+    if encoding != "libcaer":
         raise InputError(f"{path}: encoding: expected evt3 or libcaer, found {encoding or 'no message'!r}")
+    t, x, y, p = _libcaer(b"".join(payloads), where)
     events = Events.from_columns(to_nanoseconds(t, "us", where), x, y, p, *size, tick_ns=1000, where=where)
-    return Recording(events, sensor=f"{encoding} camera", source=path, triggers=triggers)
+    return Recording(events, sensor=f"{encoding} camera", source=path)
 
 
 def _libcaer(payload: bytes, where: str) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:

@@ -8,6 +8,8 @@ The project's own files carry a line `# {JSON}` with everything else, and the st
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
+from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 
@@ -15,9 +17,10 @@ import numpy as np
 
 from pixelid.errors import InputError
 from pixelid.recordings import metadata
-from pixelid.recordings.columns import sensor_size, to_nanoseconds
+from pixelid.recordings.columns import sensor_size, to_nanoseconds, validated
 from pixelid.recordings.events import Events
 from pixelid.recordings.npz import NAMES, seconds_to_ns
+from pixelid.recordings.parts import LongRecording, cut
 from pixelid.recordings.recording import Recording
 from pixelid.stimuli.pixel_lights import PixelLights
 
@@ -27,21 +30,53 @@ LINES_AT_ONCE = 1 << 19
 def read(path: Path) -> Recording:
     """The recording in a text file; raises InputError for lines that are not four numbers."""
     where = f"{path}: events"
-    try:
-        with path.open(encoding="utf-8") as file:
-            meta, stimulus, order, first = _header(file, path)
-            seconds = first is not None and any(c in first.replace(",", " ").split()[order[0]] for c in ".eE")
-            blocks = [] if first is None else list(_blocks(file, first, order, seconds, where))
-    except UnicodeDecodeError as error:
-        raise InputError(f"{path}: expected text, found binary data") from error
+    meta, stimulus, blocks, unit, tick_ns = _opened(path)
+    every = list(blocks)
     empty = np.empty(0, np.int64)
-    t, x, y, p = (np.concatenate([block[k] for block in blocks]) if blocks else empty for k in range(4))
-    unit = "ns" if seconds else meta.get("unit", "us")
-    tick_ns = int(meta.get("tick_ns", 1 if unit == "ns" else 1000))
+    t, x, y, p = (np.concatenate([block[k] for block in every]) if every else empty for k in range(4))
     width, height = sensor_size(x, y, meta.get("width"), meta.get("height"))
     t = to_nanoseconds(t, unit, where)
     events = Events.from_columns(t, x, y, p, width, height, tick_ns=tick_ns, where=where)
     return metadata.assemble(meta, events, stimulus, path, str(path))
+
+
+def stream(path: Path) -> tuple[Recording, Iterator[Recording]]:
+    """The same in parts: the recording without events, and its parts; an unstated size takes a reading more."""
+    meta, stimulus, blocks, unit, tick_ns = _opened(path)
+    size = meta.get("width"), meta.get("height")
+    if None in size:
+        size = (1, 1)
+        for _, x, y, _ in blocks:
+            wide, high = sensor_size(x, y, meta.get("width"), meta.get("height"))
+            size = max(size[0], wide), max(size[1], high)
+        *_, blocks, _, _ = _opened(path)
+    width, height = sensor_size(np.empty(0), np.empty(0), *size)
+    head = metadata.assemble(meta, Events.empty(width, height, tick_ns), stimulus, path, str(path))
+    events = validated(blocks, width, height, unit=unit, tick_ns=tick_ns, where=f"{path}: events")
+    return head, (replace(head, events=some) for some in events)
+
+
+def _opened(path: Path):
+    """Metadata, arrays of the stimulus or None, blocks of columns, unit and tick [ns] of the times."""
+    try:
+        with path.open(encoding="utf-8") as file:
+            meta, stimulus, order, first = _header(file, path)
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: expected text, found binary data") from error
+    seconds = first is not None and any(c in first.replace(",", " ").split()[order[0]] for c in ".eE")
+    unit = "ns" if seconds else meta.get("unit", "us")
+    tick_ns = int(meta.get("tick_ns", 1 if unit == "ns" else 1000))
+
+    def blocks() -> Iterator[tuple]:
+        try:
+            with path.open(encoding="utf-8") as file:
+                *_, order, first = _header(file, path)
+                if first is not None:
+                    yield from _blocks(file, first, order, seconds, f"{path}: events")
+        except UnicodeDecodeError as error:
+            raise InputError(f"{path}: expected text, found binary data") from error
+
+    return meta, stimulus, blocks(), unit, tick_ns
 
 
 def _header(file, path: Path):
@@ -89,19 +124,19 @@ def _blocks(file, first: str, order: list[int], seconds: bool, where: str):
         done, lines = done + len(block), []
 
 
-def write(recording: Recording, path: Path) -> None:
+def write(recording: Recording | LongRecording, path: Path) -> None:
     """Write `recording` as text, t in nanoseconds; a per-pixel stimulus is refused (use .h5 or .npz)."""
-    events, stimulus = recording.events, recording.stimulus
+    head, parts = (recording.head, recording.read()) if isinstance(recording, LongRecording) else cut(recording)
+    stimulus = head.stimulus
     if stimulus is not None and (isinstance(stimulus, PixelLights) or not stimulus.full_field):
         raise InputError(f"{path.name}: text holds no per-pixel stimulus; write .h5 or .npz")
     separator = "," if path.suffix.lower() == ".csv" else " "
     with path.open("w", encoding="utf-8") as file:
-        file.write(f"# {metadata.to_json(recording)}\n")
+        file.write(f"# {metadata.to_json(head)}\n")
         if stimulus is not None:
             told = {"t": stimulus.t.tolist(), "radiance": stimulus.radiance.tolist()}
             file.write(f"# stimulus {json.dumps(told | {'dtype': stimulus.radiance.dtype.name})}\n")
         file.write(separator.join("txyp") + "\n")
-        for k in range(0, len(events), LINES_AT_ONCE):
-            part = slice(k, k + LINES_AT_ONCE)
-            rows = zip(*(c[part].tolist() for c in (events.t, events.x, events.y, events.p)), strict=True)
+        for part in parts:
+            rows = zip(*(getattr(part.events, letter).tolist() for letter in "txyp"), strict=True)
             file.writelines(f"{t}{separator}{x}{separator}{y}{separator}{p}\n" for t, x, y, p in rows)

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 
 from pixelid.errors import InputError
+
+COLUMNS = ("t", "rising", "channel")
 
 
 @dataclass(frozen=True)
@@ -52,3 +55,11 @@ class Triggers:
     def shifted(self, by_ns: int) -> Triggers:
         """The same edges, later by `by_ns`."""
         return Triggers(self.t + by_ns, self.rising, self.channel)
+
+    @staticmethod
+    def joined(parts: Iterable[Triggers | None]) -> Triggers | None:
+        """The edges of all parts, sorted by time; None where no part has any."""
+        some = [part for part in parts if part is not None]
+        if not some:
+            return None
+        return Triggers.from_columns(*(np.concatenate([getattr(part, name) for part in some]) for name in COLUMNS))

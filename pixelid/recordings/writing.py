@@ -6,6 +6,7 @@ from pathlib import Path
 
 from pixelid.errors import InputError
 from pixelid.outputs import whole_file
+from pixelid.recordings.parts import LongRecording, joined
 from pixelid.recordings.recording import Recording
 
 WRITABLE = (".h5", ".hdf5", ".npz", ".csv", ".txt")
@@ -19,16 +20,26 @@ def check_writable(path: str | Path) -> None:
         raise InputError(f"{path}: expected an output ending in {', '.join(WRITABLE)}, found {found}")
 
 
-def write_recording(recording: Recording, path: str | Path, *, overwrite: bool = False) -> None:
+def write_recording(recording: Recording | LongRecording, path: str | Path, *, overwrite: bool = False) -> None:
     """Write `recording` to `path` (.h5, .npz, .csv or .txt); reading it back gives the same recording.
+
+    A long recording goes there part by part, except to .npz, for which all of it is taken into memory.
 
     Raises InputError for an unknown extension, an existing file without `overwrite`, and a per-pixel
     stimulus in a text file.
     """
-    from pixelid.recordings import hdf5, npz, text
+    from pixelid.recordings import hdf5_writing, npz, text
 
     path = Path(path)
     check_writable(path)
-    writers = {".h5": hdf5.write, ".hdf5": hdf5.write, ".npz": npz.write, ".csv": text.write, ".txt": text.write}
+    if isinstance(recording, LongRecording) and path.suffix.lower() == ".npz":
+        recording = joined(recording.head, recording.read())
+    writers = {
+        ".h5": hdf5_writing.write,
+        ".hdf5": hdf5_writing.write,
+        ".npz": npz.write,
+        ".csv": text.write,
+        ".txt": text.write,
+    }
     with whole_file(path, overwrite) as temporary:
         writers[path.suffix.lower()](recording, temporary)

@@ -14,9 +14,11 @@ from typing import Any
 from pixelid.documents import interpreting, printable, read_json
 from pixelid.errors import InputError
 from pixelid.figures.style import without_control_characters
+from pixelid.figures.words import in_words
 from pixelid.outputs import whole_file
 from pixelid.report import format as formats
-from pixelid.report.pages import PAGES, Page
+from pixelid.report.page import Page
+from pixelid.report.pages import PAGES
 from pixelid.report.pictures import Picture, read_picture
 from pixelid.results import check_parameters
 
@@ -45,7 +47,7 @@ def write_report(folder: Path) -> Path:
     if (folder / "report.html").is_symlink():
         raise InputError(f"{folder / 'report.html'}: expected the page of this folder, found a link to another file")
     result = read_json(folder / page.file)
-    if page.file in ("fit.json", "rates.json"):
+    if page.file in ("fit.json", "rates.json", "latency.json"):
         check_parameters(result, folder / page.file)
     text = render(page, result, folder)
     with whole_file(folder / "report.html", overwrite=True) as path:
@@ -85,10 +87,17 @@ def _rendered(page: Page, result: dict[str, Any], folder: Path) -> str:
         "number": formats.number,
         "value": formats.value,
         "interval": formats.interval,
+        "percent": formats.percent,
+        "chance": formats.chance,
+        "sentence": formats.sentence,
+        "with_powers": lambda cell: formats.with_powers(str(cell)),
+        "in_its_unit": formats.in_its_unit,
+        "words": _in_words,
         "counted": formats.counted,
         "unique": lambda: f"rows-{next(ids)}",
         "take": lambda name: pictures.pop(name, None),
         "has": lambda name: name in pictures,
+        "has_figures": bool(pictures),
         "result": result,
         "summary": page.summarise(result, folder),
         "files": sorted(printable(path.name) for path in folder.iterdir() if path.suffix in LINKED and path.is_file()),
@@ -103,6 +112,12 @@ def _rendered(page: Page, result: dict[str, Any], folder: Path) -> str:
     pictures.update(every)
     ids = itertools.count(1)
     return without_control_characters(template.render(others=left))
+
+
+def _in_words(name: str) -> str:
+    """What a parameter is, where its name does not say so itself."""
+    said = in_words(name)
+    return "" if said == name or said.replace(", ", ".").replace(" ", "_") == name else said
 
 
 def _pictures(page: Page, folder: Path) -> dict[str, Picture]:

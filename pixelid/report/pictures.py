@@ -10,6 +10,7 @@ from xml.etree import ElementTree
 
 from markupsafe import Markup
 
+from pixelid.documents import printable
 from pixelid.figures.style import INK, OFF, ON, PAPER, without_control_characters
 
 SVG = "http://www.w3.org/2000/svg"
@@ -20,11 +21,12 @@ DROPPED = ("script", "foreignObject", "iframe", "metadata", "animate", "set", "s
 
 @dataclass(frozen=True)
 class Picture:
-    """A figure of a page: its name, its markup, its caption."""
+    """A figure of a page: its name, its markup, its caption, the name of its file."""
 
     name: str
     markup: Markup
     caption: str
+    file: str
 
 
 def read_picture(path: Path, caption: str, alt: str) -> Picture:
@@ -35,13 +37,14 @@ def read_picture(path: Path, caption: str, alt: str) -> Picture:
         caption: what to see, under the figure.
         alt: what it shows, for those who do not see it.
     """
+    file = printable(path.name)
     if path.suffix != ".svg":
         if path.stat().st_size > MOST_BYTES:
-            return Picture(path.stem, Markup("<p>{} is too large for a page.</p>").format(path.name), caption)
+            return Picture(path.stem, Markup("<p>{} is too large for a page.</p>").format(path.name), caption, file)
         data = base64.b64encode(path.read_bytes()).decode()
         markup = Markup('<img alt="{}" src="data:image/png;base64,{}">').format(alt, data)
-        return Picture(path.stem, markup, caption)
-    return Picture(path.stem, _drawn(path, alt), caption)
+        return Picture(path.stem, markup, caption, file)
+    return Picture(path.stem, _drawn(path, alt), caption, file)
 
 
 def _drawn(path: Path, alt: str) -> Markup:

@@ -41,14 +41,14 @@ class Target:
         else:
             between = result.details.get("stimulus_between_samples", "linear")
             finer = [with_fine_light(r, between) for r in recordings if r.stimulus is not None]
-            self._events = EventTimes(finer)
-            self.units = min(self._events.pixels, MOST_UNITS)
+            self._density = EventTimesObjective(EventTimes(finer), self.coordinates)
+            self.units = min(self._density.likelihood.pixels, MOST_UNITS)
         self.evaluations = 0
 
     @property
     def objective(self) -> EventTimesObjective | PooledRateObjective:
         """The same density as an optimiser sees it."""
-        return self._pooled if self.pooled else EventTimesObjective(self._events, self.coordinates)
+        return self._pooled if self.pooled else self._density
 
     def inside(self, x: np.ndarray) -> bool:
         """Whether x respects the bounds."""
@@ -69,7 +69,7 @@ class Target:
             pieces = np.append(self._pooled_pieces(x) / self._dispersion, 0.0)
             total = pieces.sum()
         else:
-            terms = self._events.terms(self.coordinates.circuit(x))
+            terms = self._density.terms(x)
             total = terms.total
             units = np.bincount(np.arange(len(terms.per_pixel)) % self.units, terms.per_pixel, self.units)
             pieces = np.concatenate([terms.per_recording, [total - terms.per_recording.sum()], units])

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from pixelid.figures.style import INK, MUTED, SEQUENTIAL, new_axes, styled
+from pixelid.figures.words import with_unit
 from pixelid.sensors.map import Map
 
 
@@ -25,10 +26,12 @@ def draw_map(m: Map, axes: Any = None) -> Any:
         image = axis.imshow(values, vmin=low, vmax=high, cmap=SEQUENTIAL)
         axis.grid(False)
         axis.set(title=title, xlabel="column (pixels)", ylabel="row (pixels)")
-    axes[1].figure.colorbar(image, ax=list(axes[:2]), label=f"{m.name} ({m.unit})")
+        for side in (axis.xaxis, axis.yaxis):
+            side.get_major_locator().set_params(integer=True)
+    axes[1].figure.colorbar(image, ax=list(axes[:2]), label=with_unit(m.name, m.unit))
     edges = np.linspace(low - 0.3 * (high - low), high + 0.3 * (high - low) + 1e-12, 50)
     axes[2].hist(seen, edges, color=MUTED, alpha=0.6, label="alone")
     axes[2].hist(m.value.ravel(), edges, histtype="step", color=INK, linewidth=1.2, label="shrunk")
-    axes[2].set(xlabel=f"{m.name} ({m.unit})", ylabel="pixels")
+    axes[2].set(xlabel=with_unit(m.name, m.unit), ylabel="pixels")
     axes[2].legend()
     return axes

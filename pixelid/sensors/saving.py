@@ -4,12 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from pixelid.arrays import load_arrays
 from pixelid.figures.style import save_figure
 from pixelid.sensors.figures import draw_map
 from pixelid.sensors.map import Map
+from pixelid.sensors.shrinkage import Population
+
+ARRAYS = "maps.npz"
 
 
 def write_maps(events: np.ndarray, maps: Mapping[str, Map], folder: Path) -> None:
@@ -21,6 +26,42 @@ def write_maps(events: np.ndarray, maps: Mapping[str, Map], folder: Path) -> Non
     arrays = {"events": events}
     for name, m in maps.items():
         arrays |= {name: m.value, f"{name}.sd": m.sd, f"{name}.raw": np.exp(m.raw), f"{name}.raw_sd": m.raw_sd}
-    np.savez_compressed(folder / "maps.npz", allow_pickle=False, **arrays)
+    np.savez_compressed(folder / ARRAYS, allow_pickle=False, **arrays)
     for m in maps.values():
         save_figure(draw_map(m), folder / f"{m.name}.svg")
+
+
+def read_maps(entries: Mapping[str, Mapping[str, Any]], folder: Path) -> tuple[np.ndarray, dict[str, Map]]:
+    """What `write_maps` wrote.
+
+    Args:
+        entries: the maps of sensor.json by name.
+        folder: with maps.npz.
+
+    Returns:
+        Events per pixel (h, w), and the maps by name.
+
+    Raises:
+        InputError: no arrays there.
+        LookupError: arrays that do not belong to the entries.
+    """
+    arrays = load_arrays(folder / ARRAYS)
+    maps = {}
+    for name, entry in entries.items():
+        population = Population(_log(entry["mean"]), _number(entry["relative_spread"]), int(entry["estimates"]))
+        low, high = (_log(end) for end in entry["mean_interval_95"])
+        least, most = (_number(end) for end in entry["relative_spread_interval_95"])
+        with np.errstate(divide="ignore"):
+            raw, value = np.log(arrays[f"{name}.raw"]), np.log(arrays[name])
+        raw_sd, sd = arrays[f"{name}.raw_sd"], arrays[f"{name}.sd"]
+        maps[name] = Map(name, entry["unit"], raw, raw_sd, value, sd, population, (low, high), (least, most))
+    return arrays["events"], maps
+
+
+def _number(value: float | None) -> float:
+    """A number as JSON holds it, null where there is none."""
+    return float("nan") if value is None else float(value)
+
+
+def _log(value: float | None) -> float:
+    return float(np.log(_number(value)))

@@ -12,12 +12,14 @@ from typing import ClassVar
 
 import numpy as np
 
+from pixelid.documents import interpreting
 from pixelid.errors import InputError
+from pixelid.model.files import load_model, save_model
 from pixelid.model.model import Model
 from pixelid.outputs import plain
 from pixelid.provenance import input_hashes, versions
 from pixelid.recordings.recording import Recording
-from pixelid.results import Result, Table
+from pixelid.results import Result, Table, check_kinds, read_result, required
 from pixelid.sensors.map import Map
 from pixelid.sensors.profile import REACH, Plan, estimate_tile
 from pixelid.sensors.shrinkage import bootstrap, population, shrink
@@ -30,7 +32,22 @@ CHUNK = 20  # bootstrap replicates per task
 
 @dataclass(frozen=True, repr=False)
 class SensorFit(Result):
-    """Maps by parameter name, events per pixel (h, w), and how they came about."""
+    """Maps of a sensor.
+
+    Attributes:
+        maps: by the name of their parameter.
+        events: (h, w) per pixel.
+        tiles: how many units of work there were.
+        block: side of the groups of pixels that share a bandwidth.
+        model: the population's values before the fit.
+        seconds: that it took.
+        seed: of the bootstrap.
+        inputs_sha256: hashes of the recordings by name.
+
+    Example:
+        >>> from pixelid.sensors import SensorFit
+        >>> SensorFit.load("maps").to_dataframe()  # doctest: +SKIP
+    """
 
     FILE: ClassVar[str] = "sensor.json"
 
@@ -90,10 +107,41 @@ class SensorFit(Result):
         return [self.advice]
 
     def write_companions(self, folder: Path) -> None:
-        """Write maps.npz and one picture per map."""
+        """Write maps.npz, one picture per map, and model.toml, the population that the fit began with."""
         from pixelid.sensors.saving import write_maps
 
         write_maps(self.events, self.maps, folder)
+        save_model(self.model, folder / "model.toml")
+
+    @classmethod
+    def load(cls, folder: str | Path) -> SensorFit:
+        """The maps of a folder.
+
+        Args:
+            folder: that `save` or `pixelid sensor` wrote.
+
+        Returns:
+            The fit, as good as new.
+
+        Raises:
+            InputError: no maps there, or damaged ones.
+        """
+        from pixelid.sensors.saving import read_maps
+
+        folder = Path(folder)
+        content = read_result(folder, cls.FILE)
+        check_kinds(
+            content,
+            folder / cls.FILE,
+            a_table=("maps", "inputs_sha256"),
+            a_number=("tiles", "block", "seconds", "seed"),
+        )
+        with interpreting(folder / cls.FILE, "maps of a sensor"):
+            names = ("maps", "tiles", "block", "seconds", "seed", "inputs_sha256")
+            entries, *plain_ones = required(content, folder, cls.FILE, *names)
+            known = dict(zip(names[1:], plain_ones, strict=True))
+            events, maps = read_maps(entries, folder)
+            return cls(maps=maps, events=events, model=load_model(folder / "model.toml"), **known)
 
     def as_dict(self) -> dict:
         """The content of sensor.json."""
@@ -132,12 +180,24 @@ def fit_sensor(
 ) -> SensorFit:
     """Maps of both thresholds and of one bandwidth parameter over a sensor under full-field light.
 
-    model: the population's values (a fitted model); bandwidth: the parameter mapped, "" for thresholds alone;
-    block: side of the groups of pixels that share a bandwidth;  tile: side of the units of work;
-    replicates: of the bootstrap over pixels;  reach: half width of the scan in log bandwidth;
-    keep: folder where finished tiles stay, so that an interrupted run goes on (it belongs to one set of inputs).
+    Args:
+        recordings: of one sensor, with pixel addresses and stimuli.
+        model: the population's values, as of a fit.
+        bandwidth: the parameter mapped; "" for thresholds alone.
+        block: side of the groups of pixels that share a bandwidth.
+        tile: side of the units of work.
+        replicates: of the bootstrap over pixels.
+        reach: half width of the scan in log bandwidth.
+        where: the processes or cluster that work.
+        keep: folder where finished tiles stay, so that an interrupted run goes on; it belongs to one set of inputs.
+        seed: of the bootstrap.
+        progress: called with what is done and the fraction.
 
-    Raises InputError for recordings or options that do not fit together.
+    Returns:
+        A map of each parameter, every pixel shrunk towards the population by what its own events say.
+
+    Raises:
+        InputError: recordings or options that do not fit together.
     """
     begun = time.perf_counter()
     report = progress or (lambda what, fraction: None)

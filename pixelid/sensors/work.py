@@ -19,6 +19,10 @@ from pixelid.outputs import whole_file
 
 Result = Mapping[str, np.ndarray]
 
+# Dask has its workers hand every freed 64 KiB back to the system; fits allocate and free arrays of megabytes thousands
+# of times, and getting the pages back took as long as the fits themselves.
+KEEP_FREED_MEMORY = "distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_"
+
 
 @dataclass(frozen=True)
 class Where:
@@ -120,7 +124,10 @@ def connected(where: Where) -> Iterator[Any]:
         with client:
             yield client
         return
+    import dask
+
     with (
+        dask.config.set({KEEP_FREED_MEMORY: 1 << 31}),
         LocalCluster(
             n_workers=where.workers, threads_per_worker=1, processes=True, dashboard_address="", silence_logs=50
         ) as cluster,

@@ -216,7 +216,7 @@ def _pixel_events(
     dynamics, chain, midpoint, laws, comparators, drawn,
 ):  # fmt: skip
     scratch = np.empty((6, DEPTH))
-    found, count = comparator.room(FIRST_CAPACITY), 0
+    found, count = comparator.room(np.int64(FIRST_CAPACITY)), np.int64(0)  # literals would compile twice
     growth = laws[3]
     for i in range(first, last):
         level, decay, release = comparators[LEVEL, i], comparators[DECAY, i], comparators[RELEASE, i]

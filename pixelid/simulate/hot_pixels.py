@@ -47,7 +47,7 @@ def _places(seed, pixels):
 def _fire(seed, pixels, mean, last, drawn, until):
     """Exponential intervals, one counter per pixel; `last` and `drawn` are moved on to the last event ≤ until."""
     key = random.stream_key(seed, random.HOT_TIME)
-    fired, count = room(64), 0
+    fired, count = room(np.int64(64)), np.int64(0)  # literals would compile twice
     for i in range(len(pixels)):
         while True:
             t = last[i] - mean * np.log(random.uniform(key, pixels[i], drawn[i]))

@@ -209,7 +209,7 @@ def _tile(
     on, off = np.empty(size), np.empty(size)
     which, old_level, old_decay = np.empty(size, np.int64), np.empty(size), np.empty(size)
     scratch = np.empty((6, DEPTH))
-    found, count = comparator.room(CAPACITY), 0
+    found, count = comparator.room(np.int64(CAPACITY)), np.int64(0)  # literals would compile twice
 
     gain = 1.0 + modulation * np.sin(omega * t[0] + phase)
     _effective(frames[0], gain, dark, L1)

@@ -74,12 +74,14 @@ def _holds_light(path: Path) -> bool:
 def shape(kind: str, parameters: Mapping[str, object]) -> Stimulus:
     """A built-in shape with parameters.  Raises InputError for unknown kinds and parameters, listing the known."""
     if kind not in SHAPES:
-        raise InputError(f"stimulus kind: expected one of {', '.join(SHAPES)}, found {shown(kind)}")
+        meant = did_you_mean(kind, SHAPES)
+        raise InputError(f"stimulus kind: expected one of {', '.join(SHAPES)}, found {shown(kind)}{meant}")
     known = inspect.signature(SHAPES[kind]).parameters
     arguments = {}
     for name, value in parameters.items():
         if name not in known:
-            raise InputError(f"stimulus {kind} has no parameter {shown(name)}; it has {', '.join(known)}")
+            meant = did_you_mean(name, known)
+            raise InputError(f"stimulus {kind} has no parameter {shown(name)}; it has {', '.join(known)}{meant}")
         if isinstance(value, bool) or not isinstance(value, int | float):
             raise InputError(f"stimulus {kind}.{name}: expected a number, found {shown(value)}")
         if name in _WHOLE and not (0 <= value < 1 << 63 and value == int(value)):
@@ -149,4 +151,5 @@ def _file(values: dict, folder: Path) -> Stimulus:
 def _refuse_others(values: dict, known: tuple[str, ...]) -> None:
     for name in values:
         if name not in known:
-            raise InputError(f"stimulus has no entry {shown(name)}; it has {', '.join(known)}")
+            found = f"{shown(name)}; it has {', '.join(known)}{did_you_mean(name, known)}"
+            raise InputError(f"stimulus has no entry {found}")

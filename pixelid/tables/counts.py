@@ -59,7 +59,8 @@ def maximise(
     Args:
         x: (coordinates,) start inside the bounds.
         rates: coordinates → rates per cell.
-        counts, exposure: of the cells, broadcasting with the rates.
+        counts: events of the cells, broadcasting with the rates.
+        exposure: seconds of the cells, broadcasting with the rates.
         bounds: lower and upper; equal ones hold a coordinate.
         steps: at most so many.
     """

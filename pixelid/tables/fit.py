@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from pixelid.parameters.parameter import Parameter
+from pixelid.parameters.parameter import Parameter, precision_in_words
 from pixelid.status import Status
 from pixelid.tables.model import TableModel, predicted_rows
 
@@ -117,6 +117,13 @@ class TableFit:
             }
         return entries
 
+    def precision(self) -> dict[str, str]:
+        """How well each parameter is known, in words, by its name."""
+        parameters, entries = {p.name: p for p in self.parameters}, self.as_dict()
+        return {
+            name: precision_in_words(tuple(entry["interval_95"]), parameters[name]) for name, entry in entries.items()
+        }
+
     def as_rows(self) -> list[dict[str, Any]]:
         """The table's rows with measured, predicted and standardised residual."""
         return predicted_rows(self.model, self.predicted, self.residual)
@@ -131,7 +138,7 @@ def fit_table(model: TableModel, start: Sequence[float] | None = None) -> TableF
     """
     from scipy.optimize import least_squares
 
-    parameters, rows, slots = model.parameters, model.rows, model.dependence()
+    parameters, rows = model.parameters, model.rows
     lower, upper = np.array([p.coordinate_bounds() for p in parameters]).T
     first = [p.value for p in parameters] if start is None else start
     x = np.clip(
@@ -146,12 +153,7 @@ def fit_table(model: TableModel, start: Sequence[float] | None = None) -> TableF
         return target - np.log(model.predict(x) + d)
 
     def jacobian(x: np.ndarray) -> np.ndarray:
-        J = np.zeros((len(target), len(x)))
-        for slot in slots:
-            step = np.zeros(len(x))
-            step[slot] = 1e-5
-            J[np.arange(len(target)), slot] += (residuals(x + step) - residuals(x - step)) / 2e-5
-        return J
+        return -slopes(model, x)
 
     prior_rows = np.zeros((len(held), len(x)))
     for row, (k, _, sd) in enumerate(held):
@@ -193,6 +195,18 @@ def fit_table(model: TableModel, start: Sequence[float] | None = None) -> TableF
     sd = np.where(low | high, np.inf, sd)
     weight = (FREEDOM + 1.0) / (FREEDOM + (r / s) ** 2) / ((FREEDOM + 1.0) / FREEDOM)
     return TableFit(model, x, sd, limit, sigma, model.predict(x), r / s, weight, value, converged)
+
+
+def slopes(model: TableModel, x: np.ndarray) -> np.ndarray:
+    """(rows, parameters) derivatives of ln(predicted + d) by the fitting coordinates."""
+    d = model.rows.last_digit
+    J = np.zeros((len(model.rows.measured), len(x)))
+    for slot in model.dependence():
+        step = np.zeros(len(x))
+        step[slot] = 1e-5
+        change = np.log(model.predict(x + step) + d) - np.log(model.predict(x - step) + d)
+        J[np.arange(len(J)), slot] += change / 2e-5
+    return J
 
 
 def standard_errors(information: np.ndarray) -> np.ndarray:

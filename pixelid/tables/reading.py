@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from pixelid.documents import printable, read_text, shown
-from pixelid.errors import InputError
+from pixelid.errors import InputError, did_you_mean
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,8 @@ class TextTable:
     def text(self, name: str) -> list[str]:
         """The cells of a column.  Raises InputError when there is none of that name."""
         if name not in self.names:
-            raise InputError(f"{self.path}: no column {name!r}; found {', '.join(self.names)}")
+            found = f"{', '.join(self.names)}{did_you_mean(name, self.names)}"
+            raise InputError(f"{self.path}: no column {name!r}; found {found}")
         return [row[self.names.index(name)].strip() for row in self.rows]
 
     def numbers(self, name: str) -> np.ndarray:

@@ -1,18 +1,28 @@
 """From a camera's file and a light trace, each on its own clock, to a recording that a fit reads."""
 
 import json
+from dataclasses import replace
 
 import h5py
 import numpy as np
 import pytest
 from oracles.cameras import on_its_own_clock
+from test_schemas import check
 
 from pixelid.cli.main import main as run
+from pixelid.fit import FitResult, fit
+from pixelid.fit.engines import engine
+from pixelid.fit.uncertainty.profiles import objective_of
 from pixelid.model.shipped import find_model
+from pixelid.outputs import plain
 from pixelid.recordings import open_recording, write_recording
+from pixelid.recordings.alignment import aligned, find_alignment
 from pixelid.recordings.crop import crop
+from pixelid.recordings.triggers import Triggers
+from pixelid.sample.target import Target
 from pixelid.simulate import simulate
 from pixelid.stimuli import shapes
+from pixelid.stimuli.files import load_stimulus
 
 OFFSET, PPM = 1.6e9 + 0.123456, 50.0
 
@@ -53,6 +63,65 @@ def test_the_light_finds_its_place(session, tmp_path, how):
     assert told["method"] == ("given" if how == "seconds" else how)
     if how != "seconds":
         assert 1e6 * told["clock_rate_error"] == pytest.approx(PPM, abs=15)
+        low, high = told["offset_interval_95"]
+        assert low <= told["offset_s"] <= high
+        assert (told["prior"]["delay_sd_s"] is None) == (how == "auto")
+    assert ("prior" in told) == (how != "seconds")
+
+
+def fitted_after(folder, how: str, edges: int):
+    """(recordings aligned by `how` with so many trigger edges, their fit)."""
+    camera = open_recording(folder / "camera.h5")
+    light = load_stimulus(str(folder / "light.csv"))
+    camera = replace(camera, triggers=Triggers(*(column[:edges] for column in vars(camera.triggers).values())))
+    recording = aligned(camera, light, find_alignment(camera, light, how))
+    recording = crop(recording, pixels=9, seed=0)
+    return [recording], fit([recording], find_model("dvs128"), starts=0, between="linear", engine="scipy")
+
+
+def test_a_fit_carries_the_clock(session):
+    """With one edge the rate is unknown, 50 ppm are 20 µs either way of the middle: the fit has to find them."""
+    folder, _ = session
+    recordings, result = fitted_after(folder, "trigger", 1)
+    assert result.status == "converged", result.advice
+    check("fit", json.loads(json.dumps(plain(result.as_dict()))))
+    told = result.alignment["camera"]
+    low, high = told["clock_rate_ppm_interval_95"]
+    assert low - (high - low) < PPM < high + (high - low)
+    assert high - low < 30
+    assert not any("common delay" in sentence for sentence in result.unidentified)
+    # the engines' own arithmetic, and what is sampled, agree with what was maximised
+    objective, x = objective_of(result, recordings), result.x
+    assert objective.coordinates.names[-2:] == ("alignment.delay_s[camera]", "alignment.drift_s[camera]")
+    for name in ("casadi", "torch"):
+        assert engine(name).value(objective, x) == pytest.approx(objective.value(x), abs=1e-6)
+    scale = np.sqrt(np.diag(objective.local(x).information))
+    apart = (engine("torch").gradient(objective, x) - objective.gradient(x)) / scale
+    np.testing.assert_allclose(apart[-2:], 0.0, atol=1e-3)  # in standard errors
+    assert Target(result, recordings).value(x) == pytest.approx(objective.value(x), abs=1e-9)
+    exact = fit(recordings, find_model("dvs128"), starts=0, between="linear", engine="scipy",
+                fixed={"alignment.delay_s[camera]": 0.0, "alignment.drift_s[camera]": 0.0})  # fmt: skip
+    assert exact.log_likelihood < result.log_likelihood - 2.0
+    assert exact.estimates["alignment.drift_s[camera]"].fixed
+
+
+def test_without_a_trigger_the_delay_is_the_clocks_and_the_readouts(session):
+    folder, _ = session
+    _, result = fitted_after(folder, "auto", 2)
+    assert any("common delay" in sentence for sentence in result.unidentified)
+    told = result.alignment["camera"]
+    low, high = told["delay_interval_95"]
+    assert low < told["delay_s"] < high
+    result.save(folder / "fit", overwrite=True)
+    assert FitResult.load(folder / "fit").alignment == json.loads(json.dumps(plain(result.as_dict())))["alignment"]
+
+
+def test_results_without_alignments_have_none(session):
+    _, recording = session
+    result = fit([crop(recording, pixels=4)], find_model("dvs128"), starts=0, between="linear", engine="scipy")
+    assert result.alignment == {}
+    assert not result.coordinates.nuisances
+    assert "clocks" not in result.details["curvature"]
 
 
 def test_two_offsets_as_good_as_each_other_are_refused(tmp_path, capsys):

@@ -26,7 +26,8 @@ MAY_IMPORT = {
     "dynamics": BASE | {"parameters", "stages"},
 }
 MAY_IMPORT["inputs"] = BASE | {"model", "recordings", "stimuli"}
-MAY_IMPORT["api"] = BASE  # everything else is imported when a function is called
+MAY_IMPORT["compilation"] = set()  # everything else is imported when a function is called
+MAY_IMPORT["api"] = MAY_IMPORT["api_analyses"] = BASE  # everything else is imported when a function is called
 MAY_IMPORT["inspection"] = BASE | {"recordings", "stimuli"}
 MAY_IMPORT["simulate"] = MAY_IMPORT["likelihood"] = set(MAY_IMPORT) - {"inspection"}
 MAY_IMPORT["fit"] = MAY_IMPORT["sensors"] = MAY_IMPORT["simulate"] | {"simulate", "likelihood"}
@@ -34,6 +35,8 @@ MAY_IMPORT["tables"] = MAY_IMPORT["simulate"] | {"simulate"}  # observation mode
 for folder in ("sample", "compare", "lowlight", "design"):  # what follows from a fit
     MAY_IMPORT[folder] = MAY_IMPORT["fit"] | {"fit", "sample"}
 MAY_IMPORT["gap"] = MAY_IMPORT["fit"] | {"fit", "design", "inspection"}
+MAY_IMPORT["conform"] = MAY_IMPORT["gap"] | {"gap"}  # the gap's verdict, effect by effect
+MAY_IMPORT["export"] = BASE | {"model", "parameters", "stages"}  # simulates where a rate has to be counted
 MAY_IMPORT["nerf"] = MAY_IMPORT["fit"]  # nothing but report, demo and cli uses it
 MAY_IMPORT["report"] = set(MAY_IMPORT)
 MAY_IMPORT["demo"] = set(MAY_IMPORT)

@@ -156,6 +156,22 @@ def test_the_installed_program_ends_with_the_exit_code():
     assert "Traceback" not in done.stderr
 
 
+def test_a_missing_file_is_refused_before_anything_slow_is_imported(tmp_path):
+    words = (
+        "fit no.h5 --model dvs128 --out o", "gap no.h5 --model dvs128 --out o", "sensor no.h5 --model dvs128 --out o",
+        "inspect no.h5", "convert no.h5 o.h5", "flicker no.h5 --out o", "simulate no --stimulus chirp --out o.h5",
+        "design dvs128 --recorded no.h5 --out o", "lowlight no --out o", "reconstruct no --out o",
+        "fit no.toml --out o",
+    )  # fmt: skip
+    script = (
+        "import sys\nfrom pixelid.cli.main import main\n"
+        f"print([main(line.split()) for line in {words!r}])\n"
+        "print([name for name in ('torch', 'numba', 'casadi', 'scipy.optimize', 'matplotlib') if name in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, cwd=tmp_path)
+    assert done.stdout.splitlines() == [str([2] * len(words)), "[]"], done.stdout + done.stderr
+
+
 def test_version(capsys):
     from pixelid import __version__
 

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from pixelid.compare import compare
+from pixelid.compare.compare import Comparison
 from pixelid.errors import InputError
 from pixelid.model.shipped import find_model
 from pixelid.simulate import simulate
@@ -32,6 +33,17 @@ def test_every_pixel_is_predicted_once(outcome):
     for contender in outcome.contenders.values():
         assert contender.held_out.shape == (4,)
         assert np.isfinite(contender.held_out).all()
+
+
+def test_a_comparison_comes_back(outcome, tmp_path):
+    outcome.save(tmp_path / "out")
+    again = Comparison.load(tmp_path / "out")
+    assert again.as_dict() == outcome.as_dict()
+    assert again.summary() == outcome.summary()
+    assert list(again.to_dataframe().index) == list(outcome.contenders)
+    (tmp_path / "out" / "held_out.npz").write_bytes(b"PK nothing")
+    with pytest.raises(InputError, match=r"held_out\.npz"):
+        Comparison.load(tmp_path / "out")
 
 
 @pytest.mark.slow

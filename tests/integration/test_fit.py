@@ -180,7 +180,7 @@ def test_led_edges_end_with_a_fit_and_an_honest_list(shared, tmp_path):
     files = [str(shared / "recordings" / name) for name in names]
     code = main(["fit", *files, "--model", "dvs128", "--out", str(tmp_path / "led"), "--quiet"])
     written = json.loads((tmp_path / "led" / "fit.json").read_text())
-    assert code == (0 if written["status"] == "converged" else 1)
+    assert (code, written["status"]) == (1, "misfit")  # counts scatter far more than Poisson counts about any circuit
     assert written["observation"] == "pooled_rate"
     assert written["parameters"]["delay_s"]["interval_95"]
     assert any("gauge" in sentence for sentence in written["unidentified"])

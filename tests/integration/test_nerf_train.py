@@ -19,7 +19,7 @@ from pixelid.nerf import checkpoint
 from pixelid.nerf.dataset import read_dataset
 from pixelid.nerf.pixel import Bandwidth
 from pixelid.nerf.problem import problem_of
-from pixelid.nerf.reconstruct import reconstruct
+from pixelid.nerf.reconstruct import Reconstruction, reconstruct
 from pixelid.nerf.synthetic import make_dataset
 from pixelid.nerf.train import Recipe, start, step, train
 from pixelid.status import Status
@@ -57,6 +57,13 @@ def test_the_command_writes_its_contract(made, tmp_path, capsys, bandwidth):
     for name in ("field.npz", "views.svg", "training.svg", "report.html"):
         assert (out / name).is_file()
     assert "dB" in capsys.readouterr().out
+    saved = Reconstruction.load(out)
+    assert saved.as_dict() == result
+    assert len(saved.to_dataframe()) == 8
+    with np.load(out / "field.npz") as scene:
+        np.testing.assert_array_equal(saved.field.grid.detach().numpy().astype(np.float16), scene["grid"])
+    saved.save(out.with_name("copy"))
+    assert Reconstruction.load(out.with_name("copy")).summary() == saved.summary()
     assert main([*words, "--overwrite", "--quiet"]) == code
     again = json.loads((out / "reconstruction.json").read_text())
     assert again["views"] == result["views"]  # the same seed, the same scene

@@ -3,7 +3,6 @@
 import json
 import re
 import shutil
-import subprocess
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -170,24 +169,3 @@ def test_numbers_have_the_digits_that_are_known():
 def test_a_folder_without_a_result_is_one_plain_line(tmp_path, capsys):
     assert main(["report", str(tmp_path)]) == 2
     assert capsys.readouterr().err.count("\n") == 1
-
-
-@pytest.mark.skipif(shutil.which("chromium") is None, reason="no chromium")
-def test_a_browser_has_nothing_to_complain_about(inspected, tmp_path):
-    """No message on the console, no request to anywhere, and a picture comes out."""
-    log = tmp_path / "net.json"
-    run = subprocess.run(
-        ["chromium", "--headless", "--no-sandbox", "--disable-gpu", "--disable-background-networking",
-         "--disable-component-update", "--disable-sync", "--no-first-run", "--disable-extensions",
-         "--enable-logging=stderr", "--v=0", f"--log-net-log={log}", "--window-size=800,1200",
-         f"--user-data-dir={tmp_path / 'profile'}", f"--screenshot={tmp_path / 'page.png'}",
-         (inspected / "report.html").as_uri()],
-        capture_output=True, text=True, timeout=120, check=True,
-    )  # fmt: skip
-    assert "CONSOLE" not in run.stderr, run.stderr
-    assert (tmp_path / "page.png").stat().st_size > 5000
-    # the browser calls its maker now and then; the page itself starts no request but that for its own file
-    asked = set(re.findall(r'"url":\s*"((?:https?|wss?):[^"]*)"', log.read_text() if log.is_file() else ""))
-    page = (inspected / "report.html").read_text()
-    assert not [url for url in asked if url in page]
-    assert not re.search(r'(?:src|href)="(?:https?:)?//', page)

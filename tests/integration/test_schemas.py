@@ -132,6 +132,32 @@ def test_rates(tmp_path):
     check("rates", written(tmp_path / "out" / "rates.json"))
 
 
+def test_latency(tmp_path):
+    lines = ["camera,lens,polarity,irradiance_W_m2,bias_config,median"]
+    lines += [f"C,l,{on},{E},0,{5 / E + 30 + 9 * on}" for on in (0, 1) for E in (0.01, 0.03, 0.1, 0.3)]
+    (tmp_path / "table.csv").write_text("\n".join(lines) + "\n")
+    run("latency", tmp_path / "table.csv", "--out", tmp_path / "out", "--quiet")
+    check("latency", written(tmp_path / "out" / "latency.json"))
+    run(
+        "latency",
+        tmp_path / "table.csv",
+        "--model",
+        tmp_path / "out",
+        "--predict",
+        "--out",
+        tmp_path / "two",
+        "--quiet",
+    )
+    check("latency", written(tmp_path / "two" / "latency.json"))
+
+
+def test_noise(tmp_path):
+    rows = "0.5,0.4,0.5\n2,1,0.8\n10,0.5,0.4\n50,0.01,0.008\n"
+    (tmp_path / "noise.csv").write_text("lux,on_events_per_s,off_events_per_s\n" + rows)
+    run("noise", tmp_path / "noise.csv", "--model", "dvs128", "--predict", "--out", tmp_path / "out", "--quiet")
+    check("noise", written(tmp_path / "out" / "noise.json"))
+
+
 def test_flicker(tmp_path):
     run("simulate", "dvs128", "--stimulus", lamp(tmp_path), "--pixels", 36, "--out", tmp_path / "lamp.h5", "--quiet")
     run("flicker", tmp_path / "lamp.h5", "--groups", "1x1", "--out", tmp_path / "out", "--quiet")
@@ -151,6 +177,22 @@ def test_reconstruct(tmp_path):
     data = make_dataset(tmp_path / "scene", "hard", seed=3, side=16, revolutions=1.0, frames_per_turn=300)
     run("reconstruct", data, "--out", tmp_path / "out", "--iterations", 5, "--quiet")
     check("reconstruction", written(tmp_path / "out" / "reconstruction.json"))
+
+
+@pytest.mark.parametrize("to", ["v2e", "iebcs", "esim", "deblur-e-nerf", "dvs-voltmeter"])
+def test_export(to, tmp_path):
+    run("export", "dvs128", "--to", to, "--out", tmp_path / "out.json", "--quiet")
+    check("export", written(tmp_path / "out.json"))
+
+
+@pytest.mark.slow
+def test_conform(session, tmp_path):
+    run("conform", session, "--model", "dvs128", "--out", tmp_path / "out", "--quiet")
+    document = written(tmp_path / "out" / "conform.json")
+    check("conform", document)
+    assert {row["effect"]: row["verdict"] for row in document["rows"]}["leak"] == "present"
+    check("gap", written(tmp_path / "out" / "gap.json"))
+    assert (tmp_path / "out" / "report.html").is_file()
 
 
 @pytest.mark.slow

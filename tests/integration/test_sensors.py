@@ -13,7 +13,7 @@ from pixelid.model.shipped import find_model
 from pixelid.recordings import write_recording
 from pixelid.recordings.events import Events
 from pixelid.recordings.recording import Recording
-from pixelid.sensors import fit_sensor
+from pixelid.sensors import SensorFit, fit_sensor
 from pixelid.sensors.shrinkage import population, shrink
 from pixelid.sensors.work import Where, connected, run_tasks
 from pixelid.simulate import simulate
@@ -54,6 +54,23 @@ def sensor(model):
 @pytest.fixture(scope="module")
 def serial(sensor, model):
     return fit_sensor([sensor[0]], model, tile=4, replicates=40)
+
+
+def test_maps_come_back(serial, tmp_path):
+    serial.save(tmp_path / "out")
+    again = SensorFit.load(tmp_path / "out")
+    assert again.summary() == serial.summary()
+    assert again.model == serial.model
+    np.testing.assert_array_equal(again.events, serial.events)
+    for name, m in serial.maps.items():
+        for values in ("raw", "raw_sd", "log", "sd"):
+            np.testing.assert_allclose(getattr(again.maps[name], values), getattr(m, values), rtol=1e-9)
+        for key, value in m.as_dict().items():
+            if key != "unit":
+                np.testing.assert_allclose(again.maps[name].as_dict()[key], value, rtol=1e-9)
+    (tmp_path / "out" / "maps.npz").unlink()
+    with pytest.raises(InputError, match=r"maps\.npz"):
+        SensorFit.load(tmp_path / "out")
 
 
 def test_known_maps_are_recovered_and_shrinkage_lowers_their_error(sensor, serial):

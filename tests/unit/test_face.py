@@ -82,13 +82,14 @@ def test_functions_are_documented_pickled_and_patched_like_any_other(name, monke
 
 def test_examples():
     import pixelid.api
+    import pixelid.api_analyses
     import pixelid.errors
     import pixelid.model.model
     import pixelid.recordings.recording
     import pixelid.recordings.selection
     import pixelid.results
 
-    homes = (pixelid.api, pixelid.errors, pixelid.results, pixelid.recordings.selection,
+    homes = (pixelid.api, pixelid.api_analyses, pixelid.errors, pixelid.results, pixelid.recordings.selection,
              pixelid.recordings.recording, pixelid.model.model)  # fmt: skip
     for home in homes:
         tried = doctest.testmod(home)

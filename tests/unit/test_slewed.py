@@ -10,6 +10,7 @@ from pixelid.dynamics.slewed import slewed
 from pixelid.dynamics.trajectory import integrate
 from pixelid.errors import InputError
 from pixelid.model.shipped import find_model
+from pixelid.simulate import simulate
 from pixelid.stimuli.drive import Drive, drive, refined
 from pixelid.stimuli.resample import resampled
 from pixelid.stimuli.shapes import chirp, steps
@@ -89,3 +90,19 @@ def test_its_likelihood_needs_both_poles(missing):
     circuit = limited(DVS128.without_effect(missing), 400.0, 400.0)
     with pytest.raises(InputError, match="slew_limit"):
         slewed([0.0, 1.0], [1.0, 2.0], circuit, dynamics_of(circuit))
+
+
+def test_a_pole_far_beyond_the_light_needs_no_finer_steps(monkeypatch):
+    """As a fit may leave it that lets a cutoff run off: the same events as with steps that resolve it."""
+    model = DVS128.with_effect("slew_limit", {"rise_per_s": 600.0, "fall_per_s": 300.0}).set({"diff_cutoff_hz": 3e5})
+    light = resampled(chirp(24.0, duration_s=0.1, stop_hz=200.0), "smooth")
+    events = simulate(model, light, width=3, height=3, seed=1).events
+    monkeypatch.setattr(slew, "FASTEST_RAD_S", np.inf)
+    resolved = simulate(model, light, width=3, height=3, seed=1).events
+    assert len(events.t) == len(resolved.t) > 100
+    np.testing.assert_allclose(events.t, resolved.t, atol=2e-9)
+
+
+def test_a_stimulus_that_needs_too_many_steps_is_refused():
+    with pytest.raises(InputError, match="needs more than"):
+        slew.longest_step((2e5, 1e12), 1e4)

@@ -36,6 +36,7 @@ from pixelid.fit.engines.frozen import freeze
 from pixelid.fit.event_times import EventTimesObjective
 from pixelid.fit.newton import Optimum
 from pixelid.fit.objective import Local, Objective
+from pixelid.likelihood.clocks import clocks_of
 
 REACH = 3.0  # how far, in longest moves, one solve may go: beyond, the frozen choices are no longer those of the data
 
@@ -44,8 +45,9 @@ def symbolic(objective: EventTimesObjective, x: np.ndarray) -> tuple[ca.MX, ca.M
     """(vector of coordinates, log posterior) as CasADi expressions, the discrete choices frozen at x."""
     coordinates = objective.coordinates
     at = ca.MX.sym("x", len(coordinates))
-    circuit = coordinates.model.circuit(parameter_values(coordinates, at, ca.exp))
-    value = log_likelihood(CasadiOperations(), freeze(objective, x), circuit)
+    values = parameter_values(coordinates, at, ca.exp)
+    circuit, clocks = coordinates.model.circuit(values), clocks_of(objective.likelihood.recordings, values)
+    value = log_likelihood(CasadiOperations(), freeze(objective, x), circuit, clocks)
     for i, p in enumerate(coordinates.parameters):
         if p.prior is not None:
             value = value - 0.5 * ((at[i] - p.prior.mean) / p.prior.sd) ** 2

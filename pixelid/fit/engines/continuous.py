@@ -30,6 +30,7 @@ from pixelid.fit.engines.engine import parameter_values
 from pixelid.fit.engines.frozen import Frozen, freeze
 from pixelid.fit.event_times import EventTimesObjective
 from pixelid.fit.objective import Local, Objective
+from pixelid.likelihood.clocks import clocks_of
 
 Flow = Callable[[tuple, Any, Any, Any, Any, Dynamics], tuple]
 
@@ -93,16 +94,17 @@ def discrete_form(objective: Objective, x: np.ndarray) -> EventTimesObjective:
 def log_posterior(op: Any, objective: EventTimesObjective, frozen: Frozen, x: Any, flow: Flow) -> Any:
     """The log posterior of the continuous form at an engine's vector x (p,)."""
     coordinates = objective.coordinates
-    circuit = coordinates.model.circuit(parameter_values(coordinates, x, op.exp))
+    values = parameter_values(coordinates, x, op.exp)
+    circuit, clocks = coordinates.model.circuit(values), clocks_of(objective.likelihood.recordings, values)
     midpoint = frozen.circuit.linearisation == "midpoint"
 
-    def changes_of(recording):
+    def changes_of(recording, clock):
         def states_of(light, dynamics):
             return _states(op, recording, light, dynamics, flow)
 
-        return expression.changes(op, recording, circuit, frozen.circuit, midpoint, states_of)
+        return expression.changes(op, recording, circuit, frozen.circuit, midpoint, clock, states_of)
 
-    value = expression.log_likelihood(op, frozen, circuit, changes_of)
+    value = expression.log_likelihood(op, frozen, circuit, clocks, changes_of)
     for i, p in enumerate(coordinates.parameters):
         if p.prior is not None:
             value = value - 0.5 * ((x[i] - p.prior.mean) / p.prior.sd) ** 2

@@ -18,6 +18,7 @@ from pixelid.dynamics.equations import PRESENT_BELOW
 from pixelid.dynamics.of_circuit import dynamics_of
 from pixelid.dynamics.trajectory import Dynamics
 from pixelid.fit.engines.frozen import Frozen, FrozenRecording
+from pixelid.likelihood.clocks import Clock
 from pixelid.likelihood.density import BACKGROUND_HZ, MISSED
 
 
@@ -131,10 +132,13 @@ def trajectory(op: Operations, light: Light, dynamics: Dynamics) -> list[Any]:
     return op.recur(A, [driven[0], *(driven[i] - light.rise for i in (1, 2, 3))])
 
 
-def changes(op: Operations, frozen: FrozenRecording, circuit, real, midpoint: bool, states_of=None) -> dict[str, Any]:
+def changes(
+    op: Operations, frozen: FrozenRecording, circuit, real, midpoint: bool, clock: Clock | None = None, states_of=None
+) -> dict[str, Any]:
     """The fields of `likelihood.changes.Changes` as vectors.
 
     circuit: engine numbers;  real: the real circuit, which tells what is present
+    clock: of the recording, in engine numbers;  None: that of its light
     states_of(light, dynamics): another integrator's (samples, at), see `continuous`; None: the closed-form step
     """
     dynamics, present = dynamics_of(circuit), dynamics_of(real)
@@ -178,8 +182,10 @@ def changes(op: Operations, frozen: FrozenRecording, circuit, real, midpoint: bo
             drift = drift + circuit.leak_hz_per_radiance * (op.take(lights, k) - op.take(shone, some))
         return op.spread(change, some, len(index)), op.spread(drift, some, len(index))
 
-    release = op.constant(frozen.previous) + (circuit.refractory - circuit.delay)
-    time = op.constant(frozen.time) - circuit.delay
+    stamps = map(op.constant, (frozen.previous, frozen.time, frozen.last))
+    previous, stamp, begin = stamps if clock is None else map(clock.on_light, stamps)
+    release = previous + (circuit.refractory - circuit.delay)
+    time = stamp - circuit.delay
     begun = start(frozen.step_r, release)
     level, offset, shone = begun
     tau = time - op.constant(t[frozen.step_e])
@@ -205,7 +211,7 @@ def changes(op: Operations, frozen: FrozenRecording, circuit, real, midpoint: bo
     sign = op.constant(-frozen.sign)
     c, f = sample(frozen.opposite_at, release, begun)
     rows["opposite"], rows["opposite_drift"] = sign * c, sign * f
-    last = op.constant(frozen.last) + (circuit.refractory - circuit.delay)
+    last = begin + (circuit.refractory - circuit.delay)
     begun = start(frozen.step_l, last)
     rows["rise"], rows["rise_drift"] = sample(frozen.rise_at, last, begun)
     c, f = sample(frozen.fall_at, last, begun)
@@ -221,14 +227,15 @@ def light_integral(op: Operations, radiance, r, tau):
     return radiance * tau * op.where(near, 1.0 + x / 2.0 + x * x / 6.0, (op.exp(safe) - 1.0) / safe)
 
 
-def log_likelihood(op: Operations, frozen: Frozen, circuit, changes_of=None) -> Any:
+def log_likelihood(op: Operations, frozen: Frozen, circuit, clocks=None, changes_of=None) -> Any:
     """The log-likelihood of `EventTimes`, a scalar of the engine, at the circuit's numbers.
 
-    changes_of(recording) replaces `changes` (another integrator).
+    clocks: of the recordings in engine numbers, as of `EventTimes`
+    changes_of(recording, clock) replaces `changes` (another integrator).
     """
     midpoint = frozen.circuit.linearisation == "midpoint"
-    made = changes_of or (lambda recording: changes(op, recording, circuit, frozen.circuit, midpoint))
-    parts = [made(recording) for recording in frozen.recordings]
+    made = changes_of or (lambda recording, clock: changes(op, recording, circuit, frozen.circuit, midpoint, clock))
+    parts = list(map(made, frozen.recordings, clocks or (None,) * len(frozen.recordings)))
     at, kept, survived = frozen.layout, frozen.kept, frozen.survived
     group, on, off = at.group[kept], circuit.on_threshold, circuit.off_threshold
 

@@ -8,7 +8,6 @@ every engine, and the engines must agree on it to rounding.  A fit refreshes the
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import repeat
 
 import numpy as np
 
@@ -17,6 +16,7 @@ from pixelid.dynamics.of_circuit import dynamics_of
 from pixelid.errors import InputError
 from pixelid.fit.event_times import EventTimesObjective
 from pixelid.likelihood.changes import ChangeEvaluator
+from pixelid.likelihood.clocks import Clock
 from pixelid.likelihood.extremes import Extremes
 from pixelid.likelihood.layout import Layout
 from pixelid.stages.circuit import Circuit
@@ -93,9 +93,11 @@ def freeze(objective: EventTimesObjective, x: np.ndarray) -> Frozen:
     if not all(r.stimulus is not None and r.stimulus.full_field for r in likelihood.recordings):
         raise InputError("light of each pixel's own: not in the symbolic form of the likelihood; use its compiled form")
     terms, factor = objective.terms(x), likelihood.threshold_factor
+    clocks = objective.clocks(x) or (None,) * len(likelihood.recordings)
+    located = zip(likelihood.evaluators, terms.changes.extremes, clocks, strict=True)
     return Frozen(
         circuit=circuit,
-        recordings=tuple(map(_frozen, likelihood.evaluators, terms.changes.extremes, repeat(circuit))),
+        recordings=tuple(_frozen(evaluator, extremes, circuit, clock) for evaluator, extremes, clock in located),
         layout=likelihood.layout,
         clock_share=likelihood.clock_share,
         threshold_factor=np.ones(likelihood.events) if factor is None else factor,
@@ -105,11 +107,12 @@ def freeze(objective: EventTimesObjective, x: np.ndarray) -> Frozen:
     )
 
 
-def _frozen(evaluator: ChangeEvaluator, extremes: Extremes, circuit: Circuit) -> FrozenRecording:
+def _frozen(evaluator: ChangeEvaluator, extremes: Extremes, circuit: Circuit, clock: Clock | None) -> FrozenRecording:
     iv = evaluator.intervals
     light = drive(evaluator.section.lights[0], circuit, iv.end_s)
 
-    def step_of(times):
+    def step_of(stamps, later):
+        times = (stamps if clock is None else clock.on_light(stamps)) + later
         return np.maximum(np.searchsorted(light.t, times, side="right") - 1, 0)
 
     return FrozenRecording(
@@ -119,9 +122,9 @@ def _frozen(evaluator: ChangeEvaluator, extremes: Extremes, circuit: Circuit) ->
         time=iv.time_s,
         sign=iv.sign,
         last=iv.last_s,
-        step_r=step_of(iv.previous_s + circuit.refractory - circuit.delay),
-        step_e=step_of(iv.time_s - circuit.delay),
-        step_l=step_of(iv.last_s + circuit.refractory - circuit.delay),
+        step_r=step_of(iv.previous_s, circuit.refractory - circuit.delay),
+        step_e=step_of(iv.time_s, -circuit.delay),
+        step_l=step_of(iv.last_s, circuit.refractory - circuit.delay),
         opposite_at=extremes.opposite,
         rise_at=extremes.rise,
         fall_at=extremes.fall,

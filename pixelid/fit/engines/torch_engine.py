@@ -34,6 +34,7 @@ from pixelid.fit.engines.torch_operations import TorchOperations
 from pixelid.fit.event_times import EventTimesObjective
 from pixelid.fit.newton import Optimum
 from pixelid.fit.objective import Objective
+from pixelid.likelihood.clocks import clocks_of
 
 OPTIMISERS = ("lbfgs", "adam")
 ROUND = 20  # L-BFGS iterations between refreshes of the discrete choices and of the scaling
@@ -57,9 +58,10 @@ class Compiled(torch.autograd.Function):
 def log_posterior(objective: EventTimesObjective, frozen: Frozen, x: torch.Tensor) -> torch.Tensor:
     """The log posterior at a coordinate tensor (p,), differentiable; discrete choices from `frozen`."""
     coordinates = objective.coordinates
-    circuit = coordinates.model.circuit(parameter_values(coordinates, x, torch.exp))
+    values = parameter_values(coordinates, x, torch.exp)
+    circuit, clocks = coordinates.model.circuit(values), clocks_of(objective.likelihood.recordings, values)
     operations: Any = TorchOperations(x.device)
-    value = log_likelihood(operations, frozen, circuit)
+    value = log_likelihood(operations, frozen, circuit, clocks)
     for i, p in enumerate(coordinates.parameters):
         if p.prior is not None:
             value = value - 0.5 * ((x[i] - p.prior.mean) / p.prior.sd) ** 2

@@ -59,11 +59,13 @@ class PooledDiagnostics:
 
 @dataclass(frozen=True)
 class Cells:
-    """cell: (bins,) cell of each bin under one way of sorting;  labels: in words;  name: what sorts."""
+    """cell: (bins,) cell of each bin under one way of sorting;  labels: in words;  name: what sorts;
+    places: the same as values, for those who draw."""
 
     name: str
     cell: np.ndarray
     labels: tuple[str, ...]
+    places: tuple[dict, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -122,7 +124,7 @@ def cut_into_stretches(whole: PooledRate, dispersion: float, seed: int) -> Stret
 def sort_bins(stretches: Stretches, base: Fitted) -> list[Cells]:
     """Bins sorted by the time since the light last jumped, and by the time in the recording."""
     whole, known = stretches.whole, base.coordinates.values(base.x)
-    since, since_labels, time, time_labels = [], [], [], []
+    since, since_labels, since_places, time, time_labels = [], [], [], [], []
     for i, (recording, counts) in enumerate(zip(whole.recordings, whole.counts, strict=True)):
         stimulus = recording.stimulus
         assert isinstance(stimulus, Stimulus)
@@ -138,14 +140,18 @@ def sort_bins(stretches: Stretches, base: Fitted) -> list[Cells]:
         part = np.minimum(np.arange(len(middle)) * TIMES // len(middle), TIMES - 1)
         for polarity in (1, 0):
             since.append(len(since_labels) + np.where(up, len(SINCE_S) - 1, 0) + slice_)
-            since_labels += [
-                f"{POLARITY[polarity]} in {recording.name}, {1e3 * a:.3g}–{1e3 * b:.3g} ms after the light {side}"
-                for side in ("fell", "rose") for a, b in itertools.pairwise(SINCE_S)
-            ]  # fmt: skip
+            for side, (a, b) in itertools.product(("fell", "rose"), itertools.pairwise(SINCE_S)):
+                bounded = np.isfinite(b)
+                span = f"{1e3 * a:.3g}–{1e3 * b:.3g} ms" if bounded else f"more than {1e3 * a:.3g} ms"
+                since_labels.append(f"{POLARITY[polarity]} in {recording.name}, {span} after the light {side}")
+                since_places.append(
+                    {"recording": recording.name, "polarity": POLARITY[polarity], "light": side, "from_s": float(a),
+                     "to_s": float(b) if bounded else None}
+                )  # fmt: skip
             time.append(len(time_labels) + part)
             time_labels += [f"{POLARITY[polarity]} in {recording.name}, part {k + 1} of {TIMES}" for k in range(TIMES)]
     return [
-        Cells("time since the light jumped", np.concatenate(since), tuple(since_labels)),
+        Cells("time since the light jumped", np.concatenate(since), tuple(since_labels), tuple(since_places)),
         Cells("time in the recording", np.concatenate(time), tuple(time_labels)),
     ]
 
@@ -239,6 +245,7 @@ def profiles_after_jumps(
     k = len(cells.labels)
     n, mu, nu = (np.bincount(cells.cell, v, k) for v in (stretches.whole.observed, base.expected, grown.expected))
     return [
-        {"where": label, "measured": float(n[i]), "base": float(mu[i]), "grown": float(nu[i])}
-        for i, label in enumerate(cells.labels) if max(mu[i], n[i]) > min_events
+        {"where": label, **place, "measured": float(n[i]), "base": float(mu[i]), "grown": float(nu[i])}
+        for i, (label, place) in enumerate(zip(cells.labels, cells.places, strict=True))
+        if max(mu[i], n[i]) > min_events
     ]  # fmt: skip

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from pixelid.figures.style import OFF, ON, new_axes, styled
+from pixelid.figures.style import INK, OFF, ON, finish_pair, new_axes, new_pairs, styled
 from pixelid.tables.flicker.fit import FlickerFit
 from pixelid.tables.flicker.phases import BINS
 
@@ -15,26 +15,39 @@ SHOWN = 9
 
 @styled
 def draw_phases(fit: FlickerFit, axes: Any = None) -> Any:
-    """Events by phase of the groups with most events, ON up and OFF down, with the fit; returns the axes."""
+    """Events by phase of the groups with most events, ON up and OFF down, with the fit; what is left below.
+
+    Args:
+        fit: of a flickering light.
+        axes: (2 rows, columns), residuals in every second row; new ones by default, a pair per group.
+
+    Returns:
+        The axes.
+    """
     shown = sorted(fit.groups, key=lambda g: -g.table.events)[:SHOWN]
     columns = min(3, len(shown))
     if axes is None:
-        axes = new_axes(-(-len(shown) // columns), columns, 3.2, 2.3, sharex=True)
+        axes = new_pairs(-(-len(shown) // columns), columns, 3.2, 3.2)
     phase = (np.arange(BINS) + 0.5) / BINS
-    for axis, g in zip(axes.flat, shown, strict=False):
-        for counts, expected, colour, side in (
-            (g.table.on.sum(0), g.fit.expected[0], ON, 1),
-            (g.table.off.sum(0), g.fit.expected[1], OFF, -1),
+    for axis, left, g in zip(axes[::2].flat, axes[1::2].flat, shown, strict=False):
+        for counts, expected, colour, side, name in (
+            (g.table.on.sum(0), g.fit.expected[0], ON, 1, "ON"),
+            (g.table.off.sum(0), g.fit.expected[1], OFF, -1, "OFF"),
         ):
-            axis.bar(phase, side * counts, 1 / BINS, color=colour, alpha=0.4)
-            axis.plot(phase, side * expected, color=colour)
+            axis.bar(phase, side * counts, 1 / BINS, color=colour, alpha=0.4, label=f"{name}, measured")
+            axis.plot(phase, side * expected, color=colour, label=f"{name}, fitted")
+            chance = np.sqrt(max(g.fit.dispersion, 1.0) * np.maximum(expected, 1.0))
+            left.plot(phase, (counts - expected) / chance, ".", color=colour, markersize=4)
+        axis.axhline(0.0, color=INK, linewidth=0.5)
         axis.set_title(f"group {g.column}, {g.row}: {g.table.events} events")
-    for axis in axes.flat[len(shown) :]:
+        left.set_xlabel("phase of the light (cycles)")
+        finish_pair(axis, left)
+    for axis in (*axes[::2].flat[len(shown) :], *axes[1::2].flat[len(shown) :]):
         axis.set_axis_off()
-    for axis in axes[-1]:
-        axis.set_xlabel("phase of the light (cycles)")
-    for axis in axes[:, 0]:
-        axis.set_ylabel("events per bin")
+    for top, bottom in zip(axes[::2, 0], axes[1::2, 0], strict=True):
+        top.set_ylabel("events per bin")
+        bottom.set_ylabel("difference\n(chance: ±1)")
+    axes[0, 0].legend(fontsize=7)
     return axes
 
 
@@ -52,5 +65,7 @@ def draw_maps(fit: FlickerFit, axes: Any = None) -> Any:
             values[g.row, g.column] = g.fit.values[name]
         axis.figure.colorbar(axis.imshow(values, cmap=colours), ax=axis, label=label)
         axis.set(xlabel="group, across", ylabel="group, down")
+        for side in (axis.xaxis, axis.yaxis):
+            side.get_major_locator().set_params(integer=True)
         axis.grid(False)
     return axes

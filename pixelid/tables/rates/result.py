@@ -46,7 +46,11 @@ def _head(r: TableFit, model: str, frequency_hz: np.ndarray) -> dict:
     for name, entry in result["parameters"].items():
         if "cutoff_hz" in name and not 0.3 * frequency_hz.min() < entry["value"] < 3.0 * frequency_hz.max():
             entry |= {"identified": False, "std": None}  # an extrapolation beyond every frequency measured
-    return result | {"unidentified": open_sentences(result["parameters"])}
+    precision = {
+        name: words if result["parameters"][name]["identified"] or not words.startswith("known") else f"open: {words}"
+        for name, words in r.precision().items()
+    }
+    return result | {"precision": precision, "unidentified": open_sentences(result["parameters"])}
 
 
 def _pixel_sentences(fit: PixelFit, together: TableFit, cells: list[dict]) -> list[str]:

@@ -1,0 +1,131 @@
+"""Which decisions of one search would have gone otherwise, had a criterion been half or twice what it is.
+
+A criterion acts on a verdict through comparisons alone.  `Varied` is a criterion that carries its value halved and
+doubled along through arithmetic, and notes at each comparison whether the outcome there is another.  Where no outcome
+is, the search with the changed criterion takes the same way to the same verdict and need not be run.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import fields
+
+import numpy as np
+from scipy.stats import poisson
+
+from pixelid.gap.criteria import Criteria
+from pixelid.gap.detect import diagnostics, pixels
+
+FACTORS = (0.5, 2.0)
+OF_WHAT_IS_LEFT_TO_ONE = ("min_hidden_cosine", "complete_closed_fraction")
+COMPARISONS = (np.less, np.less_equal, np.greater, np.greater_equal, np.equal, np.not_equal)
+
+
+def scaled(name: str, factor: float) -> float:
+    """A criterion multiplied; near one, what is left to one is."""
+    default = float(getattr(Criteria(), name))
+    return 1.0 - (1.0 - default) * factor if name in OF_WHAT_IS_LEFT_TO_ONE else factor * default
+
+
+class Varied(float):
+    """A number that depends on criteria.
+
+    Attributes:
+        others: (criterion, factor) → the value under it; under all others it is the number itself.
+        noted: Where decisions that come out otherwise are put: (criterion, factor).
+    """
+
+    others: dict[tuple[str, float], object]
+    noted: set[tuple[str, float]]
+
+    def __new__(cls, value, others, noted):
+        self = super().__new__(cls, value)
+        self.others, self.noted = others, noted
+        return self
+
+    def __array_ufunc__(self, ufunc, method, *inputs, **options):
+        if method != "__call__" or options:
+            return NotImplemented
+        return combine(ufunc, *inputs)
+
+    def __float__(self) -> float:
+        self._lose()
+        return float.__add__(self, 0.0)
+
+    def __bool__(self) -> bool:
+        self._note({key: bool(other) for key, other in self.others.items()}, float.__bool__(self))
+        return float.__bool__(self)
+
+    def _lose(self) -> None:
+        """It leaves for where it cannot be followed: any change may change anything."""
+        base = float.__add__(self, 0.0)
+        self.noted |= {key for key, other in self.others.items() if not np.array_equal(other, base)}
+
+    def _note(self, outcomes: dict, outcome) -> None:
+        self.noted |= {key for key, other in outcomes.items() if not np.array_equal(other, outcome)}
+
+
+def plain(value):
+    """Without what it would have been."""
+    return float.__add__(value, 0.0) if isinstance(value, Varied) else value
+
+
+def combine(function: Callable, *inputs):
+    """A function of numbers of which some depend on criteria: a number that does; of a comparison, its outcome."""
+    varied = [i for i in inputs if isinstance(i, Varied)]
+    noted = varied[0].noted
+    keys = {key for v in varied for key in v.others}
+    value = function(*map(plain, inputs))
+    others = {
+        key: function(*(i.others.get(key, plain(i)) if isinstance(i, Varied) else i for i in inputs)) for key in keys
+    }
+    if function in COMPARISONS:
+        noted |= {key for key, other in others.items() if not np.array_equal(other, value)}
+        return value if np.ndim(value) else bool(value)
+    if np.ndim(value):  # it spreads over an array, through which it is not followed
+        noted |= {key for key, other in others.items() if not np.array_equal(other, value)}
+        return value
+    return Varied(value, others, noted)
+
+
+def _install() -> None:
+    binary = {
+        "add": np.add, "sub": np.subtract, "mul": np.multiply, "truediv": np.true_divide, "pow": np.power,
+    }  # fmt: skip
+    for name, ufunc in binary.items():
+        setattr(Varied, f"__{name}__", lambda self, other, ufunc=ufunc: combine(ufunc, self, other))
+        setattr(Varied, f"__r{name}__", lambda self, other, ufunc=ufunc: combine(ufunc, other, self))
+    for name, ufunc in zip(("lt", "le", "gt", "ge", "eq", "ne"), COMPARISONS, strict=True):
+        setattr(Varied, f"__{name}__", lambda self, other, ufunc=ufunc: combine(ufunc, self, other))
+    Varied.__neg__ = lambda self: combine(np.negative, self)
+    Varied.__hash__ = lambda self: float.__hash__(self)
+
+
+_install()
+
+
+def _chance_of_background(events: int, expected: float) -> float:
+    """`diagnostics.chance_of_background`, of a number that depends on criteria as well."""
+    if not isinstance(expected, Varied):
+        return _PLAIN(events, expected)
+    return combine(lambda mean: float(poisson.sf(events - 1, mean)), expected) if events else 1.0
+
+
+_PLAIN = diagnostics.chance_of_background
+
+
+@contextmanager
+def noted_decisions() -> Iterator[tuple[Criteria, set[tuple[str, float]]]]:
+    """(criteria to search with, (criterion, factor) of the decisions that it would change) within the block."""
+    noted: set[tuple[str, float]] = set()
+    criteria = Criteria()
+    for field in fields(Criteria):
+        default = getattr(criteria, field.name)
+        others = {(field.name, factor): scaled(field.name, factor) for factor in FACTORS}
+        object.__setattr__(criteria, field.name, Varied(default, others, noted))
+    diagnostics.chance_of_background = pixels.chance_of_background = _chance_of_background
+    try:
+        yield criteria, noted
+    finally:
+        diagnostics.chance_of_background = pixels.chance_of_background = _PLAIN

@@ -1,0 +1,83 @@
+"""How well latencies of conditions that were not fitted are predicted: one irradiance, or one setting, left out.
+
+    python benchmarks/latency_holdout.py [TABLE.csv] [--camera CAM3] [--out latency_holdout.json]
+
+Per camera: rms of ln(predicted / measured) of the cells' medians, fitted and left out, without the cells that the full
+fit disbelieves or that their own figure does not resolve; and what the fit would miss with one delay for all settings
+and edges.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+
+import numpy as np
+
+from pixelid.tables.fit import SUSPECT_SCALES
+from pixelid.tables.latency.cells import UNRESOLVED, gather
+from pixelid.tables.latency.fit import CameraFit, fit_camera
+from pixelid.tables.latency.reading import LatencyTable, read_tables
+from pixelid.tables.latency.result import REPEATABLE
+
+TABLE = Path(__file__).resolve().parents[1] / "fits" / "nist_latency" / "nist_latency_by_roi.csv"
+
+
+def rms(values: np.ndarray) -> float:
+    """Root mean square, NaN of none."""
+    return float(np.sqrt(np.mean(values**2))) if len(values) else float("nan")
+
+
+def logs(fit: CameraFit, cells: LatencyTable) -> np.ndarray:
+    """(cells,) ln(predicted / measured) of medians."""
+    return np.log(fit.camera.predict(cells)["median"] / cells.latency_s["median"])
+
+
+def hold_out(name: str, table: LatencyTable) -> dict:
+    """One camera's errors."""
+    full = fit_camera(name, gather(table))
+    gathered = gather(table)
+    cells, error = gathered.table, gathered.error["median"]
+    everything = logs(full, cells)
+    scale = np.hypot(max(full.regression.scale, REPEATABLE), error)
+    clean = (np.abs(everything) < SUSPECT_SCALES * scale) & (error < UNRESOLVED)
+    found = {
+        "cells": len(clean),
+        "spoiled": int((~clean).sum()),
+        "fitted": rms(everything[clean]),
+        "one_delay": rms(logs(fit_camera(name, gather(table), one_delay=True), cells)[clean]),
+    }
+    for kind, column, own in (
+        ("irradiance", table.irradiance, cells.irradiance), ("setting", table.setting, cells.setting)
+    ):  # fmt: skip
+        left = {}
+        for value in np.unique(own):
+            fit = fit_camera(name, gather(table.select(column != value)), start=full.camera)
+            here = (own == value) & clean
+            missed = rms(logs(fit, cells.select(own == value))[clean[own == value]])
+            fitted = rms(everything[here])
+            left[str(value)] = {"left_out": missed, "fitted": fitted, "ratio": missed / fitted}
+            print(name, kind, value, {key: round(number, 3) for key, number in left[str(value)].items()}, flush=True)
+        found[kind] = left
+    return found
+
+
+def main() -> None:
+    """Every camera of the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("table", nargs="?", type=Path, default=TABLE)
+    parser.add_argument("--camera")
+    parser.add_argument("--out", type=Path)
+    arguments = parser.parse_args()
+    table = read_tables([arguments.table])
+    names = [arguments.camera] if arguments.camera else list(dict.fromkeys(table.camera.tolist()))
+    found = {name: hold_out(name, table.select(table.camera == name)) for name in names}
+    for name, one in found.items():
+        print(f"{name}: fitted {one['fitted']:.3f}, with one delay {one['one_delay']:.3f}")
+    if arguments.out:
+        arguments.out.write_text(json.dumps(found, indent=2) + "\n")
+
+
+if __name__ == "__main__":
+    main()

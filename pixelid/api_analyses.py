@@ -1,0 +1,184 @@
+"""What `import pixelid` shows beside fits and searches: low light, the next stimulus, and reconstructions."""
+# pyright: reportUnnecessaryIsInstance=false
+# what users give is checked, whatever the annotations promise
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from pixelid.errors import InputError
+
+if TYPE_CHECKING:
+    from pixelid.api import Progress
+    from pixelid.design.result import DesignReport
+    from pixelid.inputs import ModelLike, RecordingsLike
+    from pixelid.lowlight.result import LowlightReport
+    from pixelid.nerf.reconstruct import Reconstruction
+    from pixelid.recordings.recording import Recording
+
+
+def lowlight(
+    model: ModelLike,
+    recordings: RecordingsLike = (),
+    *,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> LowlightReport:
+    """Say where one pole describes a photoreceptor, and where it does not.
+
+    Args:
+        model: the circuit; a fit folder brings its uncertainty, drawn as bands.
+        recordings: of chirps or steps, whose bandwidth or step time is put beside the model's; none by default.
+        seed: of draws and simulations.
+        progress: called with what is done and the fraction.
+
+    Returns:
+        Radiances where the approximations err, curves, and what recordings say.
+
+    Raises:
+        InputError: a photoreceptor without bandwidth.
+
+    Example:
+        >>> import pixelid as px
+        >>> px.lowlight("dvs128").status
+        <Status.converged: 'converged'>
+    """
+    from pixelid.inputs import as_model
+    from pixelid.lowlight.result import lowlight_report
+
+    fitted, sources = _fit_and_files(model)
+    return lowlight_report(
+        as_model(model), _opened(recordings), fitted=fitted, sources=sources, seed=seed, progress=progress
+    )
+
+
+def design(
+    model: ModelLike,
+    recordings: RecordingsLike = (),
+    *,
+    criterion: str = "D",
+    menu: str | Path | None = None,
+    pixels: int | None = None,
+    draws: int = 4,
+    spread: float | None = None,
+    per_second: bool = False,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> DesignReport:
+    """Say which stimulus to record next to learn most about a circuit.
+
+    Args:
+        model: the circuit; a fit folder brings what is known already.
+        recordings: that there are already; none by default.
+        criterion: what is to shrink: "D" (all), "A" (the mean), or one parameter.
+        menu: a TOML file of [[stimulus]] tables; a default menu otherwise.
+        pixels: that would record, when neither recordings nor a fit say so; 25 by default.
+        draws: parameter values averaged over.
+        spread: their standard deviation in ln, without a fit.
+        per_second: rank by score per second of light.
+        seed: of draws and simulations.
+        progress: called with what is done and the fraction.
+
+    Returns:
+        The ranked menu, and the intervals to expect with the best.
+
+    Raises:
+        InputError: an unknown criterion, options that exclude each other, a model that has no event-time likelihood.
+
+    Example:
+        >>> import pixelid as px
+        >>> px.design("dvs128", criterion="gamma").stimulus  # doctest: +SKIP
+    """
+    from pixelid.design.result import design_report
+    from pixelid.inputs import as_model
+
+    fitted, sources = _fit_and_files(model)
+    return design_report(
+        as_model(model), _opened(recordings), fitted=fitted, sources=sources, criterion=criterion,
+        menu=None if menu is None else Path(menu), pixels=pixels, draws=draws, spread=spread, per_second=per_second,
+        seed=seed, progress=progress,
+    )  # fmt: skip
+
+
+def reconstruct(
+    dataset: str | Path,
+    *,
+    fit: str | Path | None = None,
+    bandwidth: str = "on",
+    samples: int = 30,
+    trained: Sequence[str] = (),
+    iterations: int | None = None,
+    background: float | None = None,
+    scale: str = "auto",
+    box: tuple[float, ...] | None = None,
+    radiance_scale: float | None = None,
+    resume: str | Path | None = None,
+    device: str = "auto",
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> Reconstruction:
+    """Reconstruct a scene from motion-blurred events, through the identified pixel.
+
+    Args:
+        dataset: a folder in the published layout of Robust e-NeRF and Deblur e-NeRF.
+        fit: folder of a fit whose pixel replaces the dataset's.
+        bandwidth: the pixel's filter: "on" (known), "off" (ignored), or "joint" (trained with the scene).
+        samples: of the pixel's past.
+        trained: also trained with "joint": "threshold", "ratio", "refractory".
+        iterations: training steps.
+        background: radiance behind the scene; by default what the views show.
+        scale: what pins the radiance unit: "auto", "level" or "free".
+        box: corners of the scene, x0 y0 z0 x1 y1 z1; by default a cube where the views look.
+        radiance_scale: the fit's radiance units per unit of the views.
+        resume: a checkpoint, continued when it exists and written as training goes on.
+        device: "cpu", "cuda" or "auto".
+        seed: of everything random.
+        progress: called with what is done and the fraction.
+
+    Returns:
+        The scene, with the scores of its test views.
+
+    Raises:
+        InputError: a dataset or options that cannot be used.
+
+    Example:
+        >>> import pixelid as px
+        >>> px.reconstruct("scene/", fit="fit/")  # doctest: +SKIP
+    """
+    from dataclasses import replace
+
+    from pixelid.nerf.dataset import read_dataset
+    from pixelid.nerf.pixel import FILTER, Bandwidth
+    from pixelid.nerf.reconstruct import reconstruct as run
+    from pixelid.nerf.train import Recipe
+
+    if bandwidth not in ("on", "off", "joint"):
+        raise InputError(f"bandwidth: expected on, off or joint, found {bandwidth!r}")
+    if trained and bandwidth != "joint":
+        raise InputError(f"trained: {trained[0]} needs bandwidth='joint', found {bandwidth!r}")
+    recipe = replace(Recipe(), iterations=iterations) if iterations else Recipe()
+    return run(
+        read_dataset(Path(dataset)), fit=None if fit is None else Path(fit),
+        bandwidth=Bandwidth(bandwidth, samples, trained=(*FILTER, *trained)), recipe=recipe, background=background,
+        scale=scale, box=box, radiance_scale=radiance_scale, resume=None if resume is None else Path(resume),
+        device=device, seed=seed, progress=progress or (lambda what, share: None),
+    )  # fmt: skip
+
+
+def _fit_and_files(model: ModelLike) -> tuple[dict[str, Any] | None, list[Path]]:
+    """The fit that a folder holds, and the files that a model comes from; neither for a model in memory."""
+    from pixelid.fit.draws import read_fit
+    from pixelid.model.shipped import model_files
+
+    return (read_fit(Path(model)), model_files(model)) if isinstance(model, str | Path) else (None, [])
+
+
+def _opened(recordings: RecordingsLike) -> list[Recording]:
+    """The recordings, of which there may be none."""
+    from pixelid.inputs import as_recordings
+
+    if isinstance(recordings, Sequence) and len(recordings) == 0 and not isinstance(recordings, str):
+        return []
+    return as_recordings(recordings)

@@ -1,0 +1,60 @@
+"""`pixelid conform`: what of the signal path a simulator or a camera has."""
+
+from __future__ import annotations
+
+import click
+
+from pixelid.cli import options
+
+EXAMPLE = """
+\b
+Example:
+    mkdir session
+    pixelid simulate dvs128 --stimulus chirp --out session/chirp.h5 --pixels 25 --with leak:rate_hz=1
+    pixelid simulate dvs128 --stimulus steps --out session/steps.h5 --pixels 25 --with leak:rate_hz=1
+    pixelid conform session/ --model dvs128 --out conform
+"""
+
+
+@click.command("conform", epilog=EXAMPLE)
+@options.recordings
+@options.model()
+@options.out()
+@options.with_effect
+@options.without
+@options.alpha
+@options.crop
+@options.overwrite
+@options.seed()
+@options.quiet
+def command(recordings, model, out, with_, without, alpha, crop, overwrite, seed, quiet):
+    """Say of every effect of the signal path whether RECORDINGS (files or folders) have it, for their makers.
+
+    The search is that of `pixelid gap`; what the model has from the beginning is then tested by taking it out.  Writes
+    conform.json, gap.json, model.toml, figures and report.html.
+    """
+    from pixelid.cli.progress import bar
+    from pixelid.cli.terminal import say
+    from pixelid.outputs import claimed, whole_folder
+
+    with claimed(out, overwrite, [*recordings, model]):
+        from pixelid.model.options import changed
+        from pixelid.model.shipped import find_model
+        from pixelid.recordings import open_recordings
+
+        base, remarks = changed(find_model(model), with_, without, ())
+        opened = [crop.applied(recording, seed) for recording in open_recordings(recordings)]
+        from pixelid.conform.conform import conform
+        from pixelid.conform.figures import write_figures
+        from pixelid.report.html import write_report
+
+        kept = out.with_name(f".{out.name}.fits")  # interrupted and called again, the search reads back its fits
+        with bar(quiet) as report:
+            result = conform(opened, base, alpha=alpha, seed=seed, progress=report, resume=kept)
+        with whole_folder(out, overwrite) as folder:
+            result.write(folder)
+            write_figures(result, opened, folder)
+            write_report(folder)
+    if not quiet:
+        say(*remarks, result.summary(), str(out / "report.html"))
+    return result.status.exit_code

@@ -1,0 +1,68 @@
+"""`pixelid export`: a circuit in another simulator's parameters."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from pixelid.cli import options
+
+TARGETS = ("v2e", "iebcs", "esim", "deblur-e-nerf", "dvs-voltmeter")
+EXAMPLE = """
+\b
+Example:
+    pixelid export dvs128 --to v2e --out v2e.args
+    pixelid export dvs128 --to deblur-e-nerf --white 2000 --out camera_calibration.npz
+    pixelid export dvs128 --to dvs-voltmeter --out voltmeter.json
+"""
+
+
+@click.command("export", epilog=EXAMPLE)
+@click.argument("model")
+@click.option("--to", required=True, type=click.Choice(TARGETS), help="The simulator.")
+@options.out("The file to write; a name that ends in .json gives JSON for any simulator.")
+@click.option("--white", type=options.Number(0.0, open_low=True), default=255.0, show_default=True,
+              help="Radiance of a white pixel, in the model's unit: 255 grey levels, or intensity 1.")  # fmt: skip
+@click.option("--level", type=options.Number(0.0, open_low=True), default=None,
+              help="Radiance at which one number stands for what depends on light.  [default: white]")  # fmt: skip
+@options.with_effect
+@options.without
+@options.set_value
+@options.overwrite
+@options.seed("Of simulated noise rates.")
+@options.quiet
+def command(model, to, out, white, level, with_, without, set_, overwrite, seed, quiet):
+    """Write the parameters of another simulator that come nearest to MODEL (shipped, .toml file or fit folder).
+
+    What that simulator cannot express is said in words, in the file and on the terminal.  The file is the simulator's
+    own: options of v2e and DVS-Voltmeter, flags of the improved ESIM, the pixel's part of camera_calibration.npz of
+    Deblur e-NeRF; IEBCS has none and gets JSON.
+    """
+    from dataclasses import replace
+
+    from pixelid.cli.terminal import say, say_sentences
+    from pixelid.export.export import export, write
+    from pixelid.export.light import Light
+    from pixelid.fit.draws import read_fit
+    from pixelid.model.options import changed
+    from pixelid.model.shipped import find_model, model_files
+    from pixelid.outputs import refuse_existing, refuse_inputs, whole_file
+    from pixelid.provenance import provenance
+
+    refuse_inputs(out, [model])
+    refuse_existing(out, overwrite)
+    circuit_model, remarks = changed(find_model(model), with_, without, set_)
+    light = Light(white, white if level is None else level, circuit_model.radiance_unit)
+    result = export(circuit_model, to, light, seed)
+    fitted = read_fit(Path(model))
+    if fitted is not None:
+        open_ = [f"not identified by the fit: {sentence}" for sentence in fitted.get("unidentified", ())]
+        result = replace(result, lost=(*result.lost, *open_))
+    result = replace(result, provenance={"seed": seed, **provenance(*model_files(model))})
+    with whole_file(out, overwrite) as path:
+        write(result, path, as_json=out.suffix == ".json")
+    if not quiet:
+        say(*remarks, result.table().text())
+        say_sentences(result.remarks())
+        say(str(out))

@@ -1,0 +1,171 @@
+"""The table's lines, each folded from what a search has said; nothing here fits or decides anew."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+from pixelid import stages
+from pixelid.conform.removals import BANDWIDTH, Removal
+from pixelid.conform.row import ABSENT, NOT_DECIDABLE, NOT_TESTED, PRESENT, STAGES, Row
+from pixelid.gap.attribute.candidates import INVERSE, NOT_IN_DENSITY
+from pixelid.gap.criteria import Criteria
+from pixelid.gap.result import GapReport
+
+THRESHOLDS = ("on_threshold", "off_threshold")
+
+
+@dataclass(frozen=True)
+class Beside:
+    """What a table needs of a search that its report does not say.
+
+    Attributes:
+        intervals: 95 %, of the free parameters of the final model.
+        removals: Of effects that came with the base model.
+        doubted: Named effect → others that explain as well what it does.
+        readout: Effect read off timestamps or single pixels → why it is absent, or None where nothing can tell.
+        pixels: Whether events have pixels.
+    """
+
+    intervals: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    removals: Mapping[str, Removal] = field(default_factory=dict)
+    doubted: Mapping[str, Sequence[str]] = field(default_factory=dict)
+    readout: Mapping[str, str | None] = field(default_factory=dict)
+    pixels: bool = True
+
+
+def rows_of(report: GapReport, beside: Beside, criteria: Criteria) -> tuple[Row, ...]:
+    """One line for each effect of the library and for what every pixel has, in the order of the signal path."""
+    rows = [_row(name, report, beside, criteria) for name in stages.LIBRARY]
+    rows += [_bandwidth(rows, report, beside), *(_threshold(name, report, beside) for name in THRESHOLDS)]
+    return tuple(sorted(rows, key=lambda row: STAGES.index(row.stage)))
+
+
+def _row(effect: str, report: GapReport, beside: Beside, criteria: Criteria) -> Row:
+    stage = stages.effect(effect).stage
+    named = next((e for e in report.effects if e.name == effect), None)
+    if named is not None:
+        others = [*beside.doubted.get(effect, ())]
+        gains = next((c for entry in report.rounds if entry["named"] == effect for c in entry["candidates"]
+                      if c["name"] == effect), None)  # fmt: skip
+        return Row(
+            effect, stage, NOT_DECIDABLE if others else PRESENT,
+            f"{', '.join(others)} would explain it as well" if others else named.where, named.parameters, named.p_value,
+            gains["gain_nats"] if gains else None, named.heldout_gain,
+        )  # fmt: skip
+    rivals = [name for name, others in beside.doubted.items() if effect in others]
+    if rivals:
+        return Row(effect, stage, NOT_DECIDABLE, f"would explain as well what {rivals[0]} does")
+    if report.base.has(effect):
+        return _in_base(effect, report, beside, criteria)
+    if report.verdict == "ambiguous" and effect in report.sentence:
+        return Row(effect, stage, NOT_DECIDABLE, report.sentence)
+    if effect in NOT_IN_DENSITY and beside.pixels:
+        return _in_readout(effect, beside)
+    return _lacking(effect, report, beside, criteria)
+
+
+def _in_base(effect: str, report: GapReport, beside: Beside, criteria: Criteria) -> Row:
+    """An effect of the base model: needed, or weaker than it ever is, or open."""
+    own, values = stages.effect(effect), report.model.values
+    strengths = {p.name: (values[p.name], beside.intervals.get(p.name)) for p in own.parameters if p.name in values}
+    removal = beside.removals.get(effect)
+    said = (removal.p, removal.gain, removal.heldout_gain) if removal else (None, None, None)
+    free = next(p for p in own.parameters if p.free)
+    limits = beside.intervals.get(free.name)
+    if removal is not None and removal.needed:
+        return Row(effect, own.stage, PRESENT, "the base model has it, and fits worse without it", strengths, *said)
+    if limits is None:
+        why = "the base model has it; it was not taken out" if removal is None else "the base model has it, not fitted"
+        return Row(effect, own.stage, NOT_TESTED, why, strengths, *said)
+    weakest, strongest = _relative(effect, limits, free.value)
+    if removal is None and weakest > criteria.min_relative_strength:
+        return Row(effect, own.stage, PRESENT, "the base model has it; its interval excludes none", strengths)
+    if strongest < 1.0:
+        limit = (free.name, limits[0] if effect in INVERSE else limits[1])
+        why = "the base model has it, fits as well without it, and its interval ends below the typical strength"
+        return Row(effect, own.stage, ABSENT, why, {}, *said, limit=limit)
+    return Row(effect, own.stage, NOT_DECIDABLE, "the base model has it, fits as well without it, and may be strong",
+               strengths, *said)  # fmt: skip
+
+
+def _relative(effect: str, limits: tuple[float, float], typical: float) -> tuple[float, float]:
+    """(weakest, strongest) of an interval, in units of the typical strength."""
+    ends = sorted(abs(end) / abs(typical) for end in limits)
+    if limits[0] < 0 < limits[1]:
+        ends[0] = 0.0
+    if effect in INVERSE:
+        return 1.0 / max(ends[1], 1e-300), 1.0 / max(ends[0], 1e-300)
+    return ends[0], ends[1]
+
+
+def _in_readout(effect: str, beside: Beside) -> Row:
+    """An effect that no density of single events knows, and that was not found."""
+    stage = stages.effect(effect).stage
+    if effect not in beside.readout:
+        return Row(effect, stage, NOT_TESTED, "looked for only where something significant is left to explain")
+    why = beside.readout[effect]
+    if why is None:
+        return Row(effect, stage, NOT_DECIDABLE, "too few events or pixels to tell")
+    return Row(effect, stage, ABSENT, why)
+
+
+def _lacking(effect: str, report: GapReport, beside: Beside, criteria: Criteria) -> Row:
+    """An effect that base and grown model lack."""
+    stage, details = stages.effect(effect).stage, report.details
+    tried = [entry for entry in report.rounds if entry["candidates"] or entry.get("screened_nats")]
+    last = tried[-1] if tried else {}
+    if not beside.pixels and effect in details.get("not_in_pooled_counts", ()):
+        return Row(effect, stage, NOT_TESTED, "counts without pixel addresses do not show it")
+    skipped = last.get("skipped", {})
+    if effect in skipped:
+        return Row(effect, stage, NOT_TESTED, str(skipped[effect]))
+    candidate = next((c for c in last.get("candidates", ()) if c["name"] == effect), None)
+    said = (candidate["p_value"], candidate["gain_nats"], candidate["heldout_gain_nats"]) if candidate else (None,) * 3
+    if (
+        candidate
+        and candidate["p_value"] < report.alpha / 2
+        and candidate["heldout_gain_nats"] > criteria.min_lead_nats
+    ):
+        refused = last.get("refused") or "something else explains more"
+        return Row(effect, stage, NOT_DECIDABLE, f"it would gain, but was not named: {refused}", {}, *said)
+    shows = details.get("shows_at_typical_strength_nats", {}).get(effect)
+    if shows is None:
+        if effect not in last.get("screened_nats", {}):
+            return Row(effect, stage, NOT_TESTED, "no strength of it could be tried on these recordings", {}, *said)
+        return Row(effect, stage, NOT_DECIDABLE, "it moves nothing in these recordings", {}, *said)
+    if shows < criteria.min_lead_nats:
+        why = f"at its typical strength it would show by {shows:.2g} nats, less than {criteria.min_lead_nats:g}"
+        return Row(effect, stage, NOT_DECIDABLE, why, {}, *said, shows_nats=shows)
+    why = "it would have been seen, and was not"
+    if report.remainder:
+        why += "; something else is left unexplained"
+    return Row(effect, stage, ABSENT, why, {}, *said, shows_nats=shows, limit=_limit(effect, shows, criteria))
+
+
+def _limit(effect: str, shows: float, criteria: Criteria) -> tuple[str, float]:
+    """(parameter, strength that would just show): nats go with the square of the strength."""
+    free = next(p for p in stages.effect(effect).parameters if p.free)
+    factor = math.sqrt(criteria.min_lead_nats / shows)
+    return free.name, abs(free.value) * (1.0 / factor if effect in INVERSE else factor)
+
+
+def _bandwidth(rows: Sequence[Row], report: GapReport, beside: Beside) -> Row:
+    """Whether the photoreceptor has a bandwidth that light sets, of whatever order."""
+    if report.model.photoreceptor == "unlimited":
+        second = next(row for row in rows if row.effect == "second_order_photoreceptor")
+        return Row(BANDWIDTH, "photoreceptor", second.verdict, f"the model has none; a second-order one: {second.why}")
+    names = [n for n in ("alpha", "beta", "gamma", "alpha_over_beta") if n in report.model.values]
+    strengths = {n: (report.model.values[n], beside.intervals.get(n)) for n in names}
+    removal = beside.removals.get(BANDWIDTH)
+    if removal is None:
+        return Row(BANDWIDTH, "photoreceptor", NOT_TESTED, "a pixel without it could not be fitted", strengths)
+    why = "the model fits worse without it" if removal.needed else "the model fits as well without it"
+    return Row(BANDWIDTH, "photoreceptor", PRESENT if removal.needed else NOT_DECIDABLE, why, strengths, removal.p,
+               removal.gain, removal.heldout_gain)  # fmt: skip
+
+
+def _threshold(name: str, report: GapReport, beside: Beside) -> Row:
+    strength = {name: (report.model.values[name], beside.intervals.get(name))}
+    return Row(name, "comparator", PRESENT, "every event-camera pixel has it; as fitted", strength)

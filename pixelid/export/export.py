@@ -1,0 +1,62 @@
+"""A circuit for another simulator: which there are, and how each is written."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from pixelid.export import deblur_e_nerf, dvs_voltmeter, esim, iebcs, v2e
+from pixelid.export.exported import Exported, write_arrays, write_json, write_lines
+from pixelid.export.light import Light
+from pixelid.model.model import Model
+
+
+@dataclass(frozen=True)
+class Target:
+    """A simulator: how a circuit becomes its parameters, and the lines of its file (None: it reads no text)."""
+
+    convert: Callable[[Model, Light, int], Exported]
+    lines: Callable[[Exported], Sequence[str]] | None = None
+
+
+TARGETS = {
+    "v2e": Target(v2e.export, v2e.lines),
+    "iebcs": Target(iebcs.export),
+    "esim": Target(esim.export, esim.lines),
+    "deblur-e-nerf": Target(deblur_e_nerf.export),
+    "dvs-voltmeter": Target(dvs_voltmeter.export, dvs_voltmeter.lines),
+}
+
+
+def export(model: Model, to: str, light: Light, seed: int = 0) -> Exported:
+    """The parameters of a simulator that come nearest to a circuit.
+
+    Args:
+        model: The circuit.
+        to: One of `TARGETS`.
+        light: How images show radiance.
+        seed: Of simulated noise rates.
+
+    Example:
+        >>> from pixelid.export.export import export
+        >>> from pixelid.export.light import Light
+        >>> from pixelid.model.shipped import find_model
+        >>> round(export(find_model("dvs128"), "v2e", Light()).parameters["pos_thres"], 2)
+        0.25
+    """
+    return TARGETS[to].convert(model, light, seed)
+
+
+def write(exported: Exported, path: Path, *, as_json: bool) -> None:
+    """Write the simulator's own file, or JSON.
+
+    What reads no text of its own is JSON in any case, but for the calibration of Deblur e-NeRF, a NumPy archive.
+    """
+    lines = TARGETS[exported.target].lines
+    if as_json or (lines is None and exported.target != "deblur-e-nerf"):
+        write_json(exported, path)
+    elif lines is None:
+        write_arrays(exported, path)
+    else:
+        write_lines(exported, path, lines(exported))

@@ -1,0 +1,44 @@
+"""Names and times as they stand on axes: in words, with units."""
+
+from __future__ import annotations
+
+_WORDS = {
+    "alpha": "α", "beta": "β", "gamma": "γ", "sf_cutoff_hz": "source follower's cutoff",
+    "diff_cutoff_hz": "differencing amplifier's cutoff", "on_threshold": "ON threshold",
+    "off_threshold": "OFF threshold", "threshold_sigma": "threshold noise", "refractory_s": "dead time",
+    "delay_s": "delay",
+}  # fmt: skip
+_UNITS = {"log radiance": "log radiance", "1": ""}
+
+
+def in_words(parameter: str) -> str:
+    """A parameter's name in words.
+
+    >>> in_words("on_threshold"), in_words("threshold_mismatch.sigma")
+    ('ON threshold', 'threshold mismatch, sigma')
+    """
+    return _WORDS.get(parameter, parameter.replace(".", ", ").replace("_", " "))
+
+
+def with_unit(parameter: str, unit: str) -> str:
+    """The label of an axis: the parameter in words, its unit in brackets where it has one.
+
+    >>> with_unit("sf_cutoff_hz", "Hz"), with_unit("threshold_sigma", "1")
+    ("source follower's cutoff (Hz)", 'threshold noise')
+    """
+    unit = _UNITS.get(unit, unit)
+    return f"{in_words(parameter)} ({unit})" if unit else in_words(parameter)
+
+
+def seconds(time_s: float, digits: int = 3) -> str:
+    """A time in the unit that suits it.
+
+    >>> seconds(2.1e-4), seconds(95.0), seconds(1.5), seconds(0.0)
+    ('210 µs', '95 s', '1.5 s', '0 s')
+    """
+    if not time_s:
+        return "0 s"
+    for scale, unit in ((1.0, "s"), (1e-3, "ms"), (1e-6, "µs")):
+        if abs(time_s) >= scale:
+            return f"{time_s / scale:.{digits}g} {unit}"
+    return f"{time_s * 1e9:.{digits}g} ns"

@@ -1,0 +1,145 @@
+"""A reconstruction as its folder holds it: the scene and what was found, without the data it was trained on."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+import torch
+
+from pixelid.arrays import load_arrays
+from pixelid.documents import interpreting
+from pixelid.nerf.field import Field
+from pixelid.results import Result, Table, check_kinds, number, read_result, required
+from pixelid.status import Status
+
+FIELD = "field.npz"
+
+
+@dataclass(frozen=True, repr=False)
+class SavedReconstruction(Result):
+    """A scene, and how well it can be trusted.
+
+    Attributes:
+        content: of reconstruction.json.
+        field: the scene; `field(rays)` renders it.
+
+    Example:
+        >>> from pixelid.nerf.saved import SavedReconstruction
+        >>> SavedReconstruction.load("out").to_dataframe()  # doctest: +SKIP
+    """
+
+    FILE: ClassVar[str] = "reconstruction.json"
+
+    content: Mapping[str, Any]
+    field: Field
+
+    @property
+    def status(self) -> Status:
+        """How it ended."""
+        return Status(self.content["status"])
+
+    @property
+    def advice(self) -> str:
+        """What to do about it."""
+        return self.content["advice"]
+
+    @property
+    def headline(self) -> str:
+        """Status and scores."""
+        views = self.content["views"]
+        return (
+            f"reconstruction: {self.status}; {_digits(views['psnr'], 2)} dB, SSIM {_digits(views['ssim'], 3)} over "
+            f"{len(views['per_view'])} test views, {_digits(self.content['held_out_residual'], 2)} of held-out changes "
+            f"unexplained, {self.content['seconds']:.0f} s"
+        )
+
+    def tables(self) -> list[Table]:
+        """Scores of every test view."""
+        rows = tuple(
+            (str(view["name"]), _digits(view["psnr"], 2), _digits(view["ssim"], 3), number(view["lpips"]))
+            for view in self.content["views"]["per_view"]
+        )
+        return [Table("", ("view", "PSNR [dB]", "SSIM", "LPIPS"), rows, frozenset({"view"}))]
+
+    def records(self) -> list[dict[str, Any]]:
+        """One row per test view."""
+        return [
+            {"view": view["name"], "psnr": view["psnr"], "ssim": view["ssim"], "lpips": view["lpips"]}
+            for view in self.content["views"]["per_view"]
+        ]
+
+    def sentences(self) -> list[str]:
+        """Advice, and what the pixel has but the reconstruction does not model."""
+        ignored = self.content["ignored"]
+        said = f"not modelled: {', '.join(ignored)}" if ignored else ""
+        return [text for text in (self.advice or self.status.advice, said) if text]
+
+    def as_dict(self) -> dict[str, Any]:
+        """The content of reconstruction.json (docs/formats.md)."""
+        return dict(self.content)
+
+    def write_companions(self, folder: Path) -> None:
+        """Write field.npz, the scene."""
+        write_field(self.field, folder)
+
+    @classmethod
+    def load(cls, folder: str | Path) -> SavedReconstruction:
+        """The scene of a folder.
+
+        Args:
+            folder: that `save` or `pixelid reconstruct` wrote.
+
+        Returns:
+            The scene with its scores; it renders, and cannot be trained on.
+
+        Raises:
+            InputError: no reconstruction there, or a damaged one.
+        """
+        folder = Path(folder)
+        content = read_result(folder, cls.FILE)
+        check_kinds(
+            content, folder / cls.FILE, text=("status", "advice", "bandwidth"), a_list_of_texts=("ignored",),
+            a_table=("views", "pixel"), a_number=("seconds", "held_out_residual"),
+        )  # fmt: skip
+        needed = ("status", "advice", "views", "held_out_residual", "seconds", "ignored")
+        required(content, folder, cls.FILE, *needed)
+        saved = cls(content, read_field(folder))
+        with interpreting(folder / cls.FILE, "a reconstruction"):
+            saved.summary()
+        return saved
+
+
+def write_field(scene: Field, folder: Path) -> None:
+    """Write field.npz into an existing folder.
+
+    Its arrays: grid (n, n, n, 1 + C) in half precision, low, high (3,), background (C,).
+    """
+    np.savez_compressed(
+        folder / FIELD, grid=scene.grid.detach().cpu().numpy().astype(np.float16), low=scene.low,
+        high=scene.high, background=np.exp(scene.log_background.detach().cpu().numpy()),
+    )  # fmt: skip
+
+
+def read_field(folder: Path) -> Field:
+    """The scene that `write_field` wrote, to half precision.
+
+    Raises:
+        InputError: no scene there, or a damaged one.
+    """
+    arrays = load_arrays(folder / FIELD)
+    with interpreting(folder / FIELD, "a scene"):
+        grid = torch.from_numpy(arrays["grid"].astype(np.float32))
+        n, channels = grid.shape[0], grid.shape[-1] - 1
+        if grid.shape[:3] != (n, n, n) or channels != arrays["background"].size:
+            raise ValueError(f"grid {tuple(grid.shape)} of {arrays['background'].size} colours")
+        scene = Field(arrays["low"], arrays["high"], n, channels, arrays["background"])
+        scene.grid = torch.nn.Parameter(grid)
+        return scene
+
+
+def _digits(value: float | None, places: int) -> str:
+    return "–" if value is None else f"{value:.{places}f}"

@@ -1,0 +1,99 @@
+"""What is known of a recording's clock before its events are looked at: what a fit carries as nuisances.
+
+`pixelid convert --align` puts the light on the camera's clock as well as it can.  What it leaves, a delay and a
+difference of the clocks' rates, is a Gaussian whose two numbers are independent at one moment of the recording:
+
+    trigger, an edge at either end    both stamped as well as the camera stamps edges; independent in the middle
+    trigger, one edge                 the delay at the edge likewise; the rate as well as clocks are known to agree
+    auto                              the delay not at all, the rate as well as clocks are known to agree
+
+The last says nothing of what `auto` has found: it has found it among the same events, and a fit that took its interval
+for a prior would count them twice.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from pixelid.errors import InputError
+from pixelid.recordings.recording import Recording
+
+CRYSTAL = 7e-5  # standard deviation of the difference of two crystal clocks (each within some 50 ppm)
+ESTIMATED = ("trigger", "auto")  # ways of alignment that leave an uncertainty; what was given is taken as exact
+
+
+@dataclass(frozen=True)
+class ClockPrior:
+    """A Gaussian of the delay and of the clocks' rate, independent at one moment.
+
+    at_s: that moment, on the recording's clock;  span_s: how long the light lasts
+    delay_sd_s: of the delay that the alignment has left, about 0; None: nothing is known of it
+    rate_mean, rate_sd: of the clock rate error, seconds that the camera counts per second of the light, less one
+    """
+
+    at_s: float
+    span_s: float
+    delay_sd_s: float | None
+    rate_mean: float
+    rate_sd: float
+
+    def as_dict(self) -> dict[str, float | None]:
+        """The entry `prior` of the recording's attribute `alignment`."""
+        return asdict(self)
+
+
+@dataclass(frozen=True)
+class AlignedClock:
+    """What a recording says of how it was aligned.
+
+    method: of `ESTIMATED`;  offset_s, rate_error: as of `recordings.alignment.Alignment`;  prior: see there
+    """
+
+    method: str
+    offset_s: float
+    rate_error: float
+    prior: ClockPrior
+
+
+def clock_of(recording: Recording) -> AlignedClock | None:
+    """How a recording was aligned, where that leaves an uncertainty: its attribute `alignment` has an interval.
+
+    Raises:
+        InputError: numbers missing or impossible in it.
+    """
+    told = recording.attributes.get("alignment")
+    if not isinstance(told, Mapping):  # nothing, or words that somebody else put there
+        return None
+    where = f"{recording.source or recording.name}: alignment"
+    method = told.get("method")
+    if method not in ESTIMATED or told.get("offset_interval_95") is None:
+        return None
+    offset_s, rate_error = (_number(told, name, where) for name in ("offset_s", "clock_rate_error"))
+    if told.get("prior") is None:  # files from before it was written
+        return AlignedClock(method, offset_s, rate_error, _unknown(recording))
+    prior, where = told["prior"], f"{where}.prior"
+    if not isinstance(prior, Mapping):
+        raise InputError(f"{where}: expected a JSON object, found {str(prior)[:40]!r}")
+    at_s, span_s, mean, sd = (_number(prior, name, where) for name in ("at_s", "span_s", "rate_mean", "rate_sd"))
+    delay_sd_s = None if prior.get("delay_sd_s") is None else _number(prior, "delay_sd_s", where)
+    for name, value in (("span_s", span_s), ("rate_sd", sd), ("delay_sd_s", 1.0 if delay_sd_s is None else delay_sd_s)):
+        if not value > 0:
+            raise InputError(f"{where}: {name}: expected a positive number, found {value:g}")
+    return AlignedClock(method, offset_s, rate_error, ClockPrior(at_s, span_s, delay_sd_s, mean, sd))
+
+
+def _unknown(recording: Recording) -> ClockPrior:
+    assert recording.stimulus is not None
+    first, last = recording.stimulus.start_s, recording.stimulus.end_s
+    return ClockPrior(0.5 * (first + last), last - first, None, 0.0, CRYSTAL)
+
+
+def _number(table: Mapping[str, Any], name: str, where: str) -> float:
+    value = table.get(name)
+    if not isinstance(value, int | float) or isinstance(value, bool) or not np.isfinite(value):
+        raise InputError(f"{where}: {name}: expected a number, found {str(value)[:40]!r}")
+    return float(value)

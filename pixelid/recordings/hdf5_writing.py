@@ -1,0 +1,150 @@
+"""Recordings written as HDF5 of the project's own format (`hdf5.py` says what it holds), in blocks.
+
+Extra memory does not grow with the recording, whether its events lie in memory or come in parts.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pixelid.outputs import plain
+from pixelid.recordings.columns import RepeatCounter
+from pixelid.recordings.events import Events
+from pixelid.recordings.metadata import FORMAT, VERSION
+from pixelid.recordings.parts import LongRecording, cut
+from pixelid.recordings.recording import Recording
+from pixelid.recordings.triggers import Triggers
+
+CHUNK = 1 << 16  # samples of a compressed piece
+DTYPES = {"t": np.int64, "x": np.uint16, "y": np.uint16, "p": np.uint8}
+
+
+def write(recording: Recording | LongRecording, path: Path) -> None:
+    """Write a recording to a new HDF5 file, compressed, in blocks."""
+    if isinstance(recording, LongRecording):
+        head, parts, length = recording.head, recording.read(), None
+    else:
+        (head, parts), length = cut(recording), len(recording.events)
+    with _new_file(path) as file:
+        file.attrs.update({"format": FORMAT, "version": VERSION, "condition": head.condition})
+        file.attrs["sensor"] = head.sensor
+        if head.pooled:
+            file.attrs["pooled"] = True
+        for name, value in head.attributes.items():
+            file.attrs[name] = json.dumps(plain(value)) if isinstance(value, (dict, list, tuple)) else value
+        group, edges, counter, repeats = _EventGroup(file, "events", head.events, length), [], RepeatCounter(), 0
+        for part in parts:
+            group.append(part.events)
+            edges.append(part.triggers)
+            repeats += 0 if head.pooled else counter.add(part.events)
+        group.finish()
+        if repeats:
+            group.group.attrs["duplicates"] = repeats
+        if head.exposures is not None:
+            exposures = _EventGroup(file, "exposures", head.exposures, len(head.exposures))
+            exposures.append(head.exposures)
+            exposures.finish()
+        _write_triggers(file, Triggers.joined([head.triggers, *edges]))
+        if head.stimulus is not None:
+            light = file.create_group("stimulus")
+            light.attrs.update({"unit": head.stimulus.unit, "interpolation": head.stimulus.interpolation})
+            for name, column in head.stimulus.arrays.items():
+                _compressed(light, name, column.shape, column.dtype)[...] = column
+
+
+def _write_triggers(file, edges: Triggers | None) -> None:
+    if edges is None:
+        return
+    group = file.create_group("triggers")
+    for name, column in (("t", edges.t), ("rising", edges.rising.astype(np.uint8)), ("channel", edges.channel)):
+        _compressed(group, name, column.shape, column.dtype)[...] = column
+
+
+class _EventGroup:
+    """A group of columns to which events are appended; times are microseconds as long as all are whole ones."""
+
+    def __init__(self, file, name: str, like: Events, length: int | None) -> None:
+        """Of as many events as `length`; None: as many as will come."""
+        self.group, self.begin, self.grows = file.create_group(name), 0, length is None
+        self.group.attrs.update({"width": like.width, "height": like.height, "tick_ns": like.tick_ns})
+        self.in_us = like.tick_ns % 1000 == 0
+        self.columns = {
+            letter: _compressed(self.group, letter, (length or 0,), dtype, self.grows)
+            for letter, dtype in DTYPES.items()
+        }
+
+    def append(self, events: Events) -> None:
+        if self.in_us and np.any(events.t % 1000):
+            self._count_in_ns()
+        end = self.begin + len(events)
+        for letter, dataset in self.columns.items():
+            if self.grows:
+                dataset.resize((end,))
+            column = getattr(events, letter)
+            if len(column):
+                dataset[self.begin : end] = column // 1000 if letter == "t" and self.in_us else column
+        self.begin = end
+
+    def finish(self) -> None:
+        self.group["t"].attrs["unit"] = "us" if self.in_us else "ns"
+
+    def _count_in_ns(self) -> None:
+        """Turn the times that are written into nanoseconds."""
+        self.in_us, step = False, 1 << 20
+        times = self.columns["t"]
+        for k in range(0, self.begin, step):
+            part = slice(k, min(k + step, self.begin))
+            times[part] = times[part] * 1000
+
+
+@contextmanager
+def _new_file(path: Path) -> Iterator[Any]:
+    """An HDF5 file to write to; raises what stopped the disk from taking it, once it is closed."""
+    import h5py
+
+    with _PatientFile(path, "w+b") as disk, h5py.File(disk, "w") as file:
+        yield file
+    if disk.error is not None:
+        raise disk.error
+
+
+class _PatientFile(io.FileIO):
+    """A file that keeps its first error to itself: HDF5 crashes the process when the disk is full."""
+
+    error: OSError | None = None
+
+    def write(self, data, /) -> int:
+        view = memoryview(data).cast("B")
+        done = 0
+        while self.error is None and done < len(view):
+            try:
+                done += super().write(view[done:]) or 0
+            except OSError as error:
+                self.error = error
+        return len(view)
+
+    def truncate(self, size=None, /) -> int:
+        try:
+            return super().truncate(size)
+        except OSError as error:
+            self.error = self.error or error
+            return size or 0
+
+
+def _compressed(group, name: str, shape: tuple, dtype, growing: bool = False):
+    """A new dataset: gzip level 1 after byte shuffling, at most CHUNK samples per chunk."""
+    if growing:
+        settings: dict = {"maxshape": (None, *shape[1:]), "chunks": (CHUNK, *shape[1:])}
+    elif not shape[0]:
+        return group.create_dataset(name, shape, dtype)
+    else:
+        samples = int(np.prod(shape[1:], dtype=np.int64))
+        settings = {"chunks": (max(1, min(shape[0], CHUNK // samples)), *shape[1:])}
+    return group.create_dataset(name, shape, dtype, compression="gzip", compression_opts=1, shuffle=True, **settings)

@@ -1,0 +1,81 @@
+"""The pages of analyses that a model alone decides: low light, and what to record next."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from pixelid.report.format import interval, number, seconds
+from pixelid.report.page import Number, Result, Summary, command_line
+
+
+def summarise_lowlight(result: Result, folder: Path) -> Summary:
+    regimes = result["regimes"]
+    critical = regimes["critical"]
+    unit = result["radiance_unit"]
+    return Summary(
+        "lowlight",
+        f"{result['model']} in low light",
+        result["status"],
+        result.get("advice", ""),
+        (
+            Number("radiance where αL = β²", number(regimes["epsilon_one"], 3), unit),
+            Number("radiance where γL = β", number(regimes["gamma_one"], 3), unit),
+            Number("poles are complex", interval(critical) if critical else "nowhere", unit if critical else ""),
+            Number("lowest damping", number(regimes["lowest_damping"], 2)),
+            Number("recordings compared", str(len(result["measured"]))),
+        ),
+        command_line("lowlight", result, str(result["model"]), out=folder, inputs=False),
+    )
+
+
+def prepare_lowlight(result: Result, folder: Path) -> dict[str, Any]:
+    from pixelid.lowlight.table import MEASURED_HEADINGS, RADII_HEADINGS, measured_rows, not_measurable, radii_rows
+
+    levels = [
+        [number(x["radiance"], 3)]
+        + (
+            [number(x["epsilon"], 3), number(x["gamma_ratio"], 3), number(x["damping"], 3),
+             "complex" if x["complex"] else "real"]
+            if "damping" in x else ["–"] * 4
+        )
+        for x in result["regimes"]["levels"]
+    ]  # fmt: skip
+    return {
+        "radii_headings": RADII_HEADINGS,
+        "radii": radii_rows(result),
+        "measured_headings": MEASURED_HEADINGS,
+        "measured": measured_rows(result),
+        "not_measurable": not_measurable(result),
+        "levels": levels,
+    }
+
+
+def summarise_design(result: Result, folder: Path) -> Summary:
+    best = result["recommended"]
+    return Summary(
+        "design",
+        f"Record next: {best['name']}",
+        result["status"],
+        " ".join(x for x in (result["why"], result.get("advice", "")) if x),
+        (
+            Number("stimulus", best["kind"]),
+            Number("light", seconds(best["duration_s"])),
+            Number(f"score by {result['criterion']}", number(best["score"], 3), "nats"),
+            Number("events expected", number(best["events"], 2)),
+            Number("stimuli compared", str(len(result["ranking"]))),
+        ),
+        command_line("design", result, str(result["model"]), "--criterion", result["criterion"], out=folder,
+                     inputs=False),
+    )  # fmt: skip
+
+
+def prepare_design(result: Result, folder: Path) -> dict[str, Any]:
+    from pixelid.design.table import RANKING_HEADINGS, WIDTHS_HEADINGS, ranking_rows, widths_rows
+
+    return {
+        "ranking_headings": RANKING_HEADINGS,
+        "ranking": ranking_rows(result),
+        "widths_headings": WIDTHS_HEADINGS,
+        "widths": widths_rows(result),
+    }

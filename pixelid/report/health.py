@@ -1,0 +1,109 @@
+"""The pages of recordings looked at alone: their health, and the noise of still scenes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from pixelid.report.format import count, counted, interval, number, percent, seconds, sentence
+from pixelid.report.page import Number, Result, Summary, command_line
+
+
+def summarise_inspect(result: Result, folder: Path) -> Summary:
+    dead, rate, lines = result["dead_time_s"], result["rate_hz"], result["lines"]
+    if dead.get("kind") == "upper_bound":
+        dead_time = Number("dead time", f"≤ {seconds(dead['interval_95'][1])}", "shortest interval")
+    elif dead["value"] is not None:
+        dead_time = Number("dead time", seconds(dead["value"]))
+    else:
+        dead_time = Number("dead time", "not visible")
+    worries = _worries(result)
+    return Summary(
+        "inspect",
+        result["name"] or "Recording",
+        "",
+        "What the events of the recording show by themselves, without knowing the light.",
+        (
+            Number("events", count(result["events"]), f"in {seconds(result['duration_s'])}"),
+            Number("mean rate", number(rate["mean"], 3), "Hz"),
+            dead_time,
+            Number("strongest line", number(lines[0]["frequency_hz"]) if lines else "none", "Hz" if lines else ""),
+            Number("hot pixels", str(result["hot_pixel_count"])),
+        ),
+        command_line("inspect", result, out=folder, seed=False),
+        "Nothing in these events stands out" if not worries else f"Look at this first: {', '.join(worries)}",
+        healthy=not worries,
+    )
+
+
+def prepare_inspect(result: Result, folder: Path) -> dict[str, Any]:
+    from pixelid.inspection.table import rows_of_result
+
+    return {
+        "findings": [list(row) for row in rows_of_result(result)],
+        "hot": [[f"{p['x']}, {p['y']}", number(p["rate_hz"], 3), str(p["events"])] for p in result["hot_pixels"]],
+        "lines": [
+            [f"{x['frequency_hz']:.3f}", number(x["uncertainty_hz"], 2), number(x["modulation"], 2),
+             str(len(x["harmonics_hz"])), number(x["p_value"], 2)]
+            for x in result["lines"]
+        ],
+    }  # fmt: skip
+
+
+def summarise_static_noise(result: Result, folder: Path) -> Summary:
+    conditions, leak = result["conditions"], result["by_light"]
+    return Summary(
+        "inspect",
+        "Noise of a still scene",
+        "",
+        result["findings"][-1] if result["findings"] else "",
+        (
+            Number("conditions", str(len(conditions))),
+            Number("pixels", str(conditions[0]["pixels"])),
+            Number("intervals", count(sum(c["intervals"] for c in conditions))),
+            Number("leak, median pixel", number(leak["leak_hz"], 2) if leak else "–", "Hz" if leak else ""),
+            Number("by light", number(leak["parasitic_hz_per_lux"], 2) if leak else "–", "Hz/lux" if leak else ""),
+        ),
+        command_line("inspect", result, out=folder),
+        _leak_or_noise(conditions),
+    )
+
+
+def _leak_or_noise(conditions: list[Result]) -> str:
+    """What kind of firing was seen, in one line."""
+    lights = {
+        kind: sorted({c["lux"] for c in conditions if c["kind"] == kind and c["rate_hz"]})
+        for kind in ("regular", "irregular")
+    }
+    said = [
+        f"{what} at {', '.join(f'{lux:g}' for lux in lights[kind])} lux"
+        for kind, what in (("regular", "a leak"), ("irregular", "noise")) if lights[kind]
+    ]  # fmt: skip
+    return sentence(" and ".join(said)).rstrip(".") if said else "Too few events to tell leak from noise"
+
+
+def _worries(result: Result) -> list[str]:
+    """What in a recording would disturb a fit of it."""
+    said = []
+    if result["lines"]:
+        said.append(f"the light or the readout repeats at {number(result['lines'][0]['frequency_hz'])} Hz")
+    if result["hot_pixel_count"]:
+        said.append(f"{counted(result['hot_pixel_count'], 'hot pixel')}")
+    if (result["ceiling"] or {}).get("saturated"):
+        said.append("the readout is saturated at times")
+    if result["duplicates"]:
+        said.append(f"{counted(result['duplicates'], 'event')} twice in the file")
+    return said
+
+
+def prepare_static_noise(result: Result, folder: Path) -> dict[str, Any]:
+    def triple(v: list | None) -> str:
+        return "–" if v is None else f"{number(v[0], 3)} ({interval(v[1:])})"
+
+    return {
+        "conditions": [
+            [f"{c['lux']:g} lux, {c['polarity']}", str(c["intervals"]), percent(c["without_intervals"]),
+             triple(c["rate_hz"]), triple(c["cv"]), c["kind"]]
+            for c in result["conditions"]
+        ]
+    }  # fmt: skip

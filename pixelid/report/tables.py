@@ -1,0 +1,99 @@
+"""The pages of tables: event rates, latencies, noise events, and phases under mains light."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from pixelid.report.format import number, percent, seconds
+from pixelid.report.page import Number, Result, Summary, command_line, identified
+
+
+def summarise_rates(result: Result, folder: Path) -> Summary:
+    suspects = sum(abs(row["standardised"]) > 4 for row in result.get("rows", ()))
+    return Summary(
+        "rates",
+        {"pixel": "Event rates of one pixel", "pool": "Event rates of a light's image"}[result["model"]],
+        result["status"],
+        result.get("advice", ""),
+        (
+            Number("cells", str(result["cells_fitted"])),
+            Number("relative scatter", percent(result["relative_scatter"])),
+            Number("cells disbelieved", str(suspects)),
+            identified(result),
+            Number("log-likelihood", number(result["log_likelihood"]), "nats"),
+        ),
+        command_line("rates", result, out=folder),
+    )
+
+
+def summarise_latency(result: Result, folder: Path) -> Summary:
+    medians = {name: errors["median"] for name, errors in result["errors"].items() if "median" in errors}
+    missed = [error["rms_without_spoiled"] for error in medians.values() if error["rms_without_spoiled"] is not None]
+    return Summary(
+        "latency",
+        f"First-event latency of {', '.join(result['cameras'])}",
+        result["status"],
+        result.get("advice", ""),
+        (
+            Number("rows", str(len(result["rows"]))),
+            Number("medians missed by", percent(max(missed)) if missed else "–", "rms, worst camera"),
+            Number("rows spoiled", str(sum(row["spoiled"] for row in result["rows"]))),
+            identified(result),
+            Number("time taken", seconds(result.get("seconds"))),
+        ),
+        command_line("latency", result, out=folder),
+        "Measured and predicted",
+    )
+
+
+def summarise_noise(result: Result, folder: Path) -> Summary:
+    worst = max(
+        (abs(row["measured"] / row["predicted"] - 1.0) for row in result["rows"] if row["measured"]), default=0.0
+    )
+    return Summary(
+        "noise",
+        "Noise events of still scenes",
+        result["status"],
+        result.get("advice", ""),
+        (
+            Number("rows", str(len(result["rows"]))),
+            Number("relative scatter", percent(result["relative_scatter"])),
+            Number("largest disagreement", percent(worst)),
+            identified(result),
+            Number("unit of light", result["radiance_unit"]),
+        ),
+        command_line("noise", result, out=folder),
+    )
+
+
+def summarise_flicker(result: Result, folder: Path) -> Summary:
+    frequency, groups = result["frequency_hz"], result["groups"]
+    locked = sum(g["amplitude_over_on_threshold"]["identified"] and g["phase_cycles"]["identified"] for g in groups)
+    return Summary(
+        "flicker",
+        f"Light that flickers at {frequency['value']:.2f} Hz",
+        result["status"],
+        result.get("advice", ""),
+        (
+            Number("frequency", f"{frequency['value']:.3f}", f"± {number(frequency['std'], 2)} Hz"),
+            Number("shape of the light", result["shape"]),
+            Number("groups locked", f"{locked} of {len(groups)}", f"{result['groups_left_out']} left out"),
+            Number("directions fixed", str(result["fixed_directions"]), f"{result['blind_directions']} blind"),
+            Number("time taken", seconds(result["seconds"])),
+        ),
+        command_line("flicker", result, "--frequency", f"{frequency['value']:.4g}", out=folder),
+    )
+
+
+def prepare_flicker(result: Result, folder: Path) -> dict[str, Any]:
+    def cell(entry: dict) -> str:
+        return f"{entry['value']:.3g}" + (f" ± {entry['std']:.2g}" if entry["std"] is not None else " (open)")
+
+    names = ("amplitude_over_on_threshold", "off_over_on_threshold", "phase_cycles", "noise_over_on_threshold")
+    return {
+        "groups": [
+            [f"{g['column']}, {g['row']}", str(g["events"]), *(cell(g[n]) for n in names), f"{g['dispersion']:.2f}"]
+            for g in sorted(result["groups"], key=lambda g: -g["events"])
+        ]
+    }

@@ -1,0 +1,91 @@
+"""Fit latencies: one circuit per camera, from a follower slow and fast; the likelier end counts."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pixelid.errors import InputError
+from pixelid.tables.fit import TableFit, fit_table
+from pixelid.tables.latency.camera import Camera, camera_for
+from pixelid.tables.latency.cells import Cells, gather
+from pixelid.tables.latency.model import FOLLOWER_STARTS_HZ, LatencyModel
+from pixelid.tables.latency.reading import LatencyTable
+
+LEAST_CELLS = 4  # a threshold, a delay and a bandwidth, and one to spare
+
+
+@dataclass(frozen=True)
+class CameraFit:
+    """One camera's fit: its model and the regression over its cells."""
+
+    model: LatencyModel
+    regression: TableFit
+
+    @property
+    def name(self) -> str:
+        """The camera's label."""
+        return self.model.camera
+
+    @property
+    def camera(self) -> Camera:
+        """What was found, ready to predict."""
+        return self.model.camera_at(self.regression.x, self.regression.scale)
+
+
+@dataclass(frozen=True)
+class LatencyFit:
+    """A fitted table: one fit per camera, and how long it took."""
+
+    table: LatencyTable
+    fits: tuple[CameraFit, ...]
+    seconds: float
+
+    @property
+    def cameras(self) -> tuple[Camera, ...]:
+        """What was found, one per camera."""
+        return tuple(fit.camera for fit in self.fits)
+
+
+def fit_latency(
+    table: LatencyTable, progress: Callable[[float], None] | None = None, start: Sequence[Camera] = ()
+) -> LatencyFit:
+    """Fit every camera of a table.
+
+    Args:
+        table: of `reading.read_tables`.
+        progress: called with the fraction done.
+        start: cameras to begin at, by label; by default every fit begins at the library's values.
+
+    Raises:
+        InputError: for a camera of fewer than 4 cells.
+
+    Example:
+        >>> from pixelid.tables.latency import fit_latency, read_tables
+        >>> fit = fit_latency(read_tables(["nist_latency_by_roi.csv"]))  # doctest: +SKIP
+        >>> fit.cameras[0].model.values["sf_cutoff_hz"]  # doctest: +SKIP
+    """
+    began = time.perf_counter()
+    names = list(dict.fromkeys(table.camera.tolist()))
+    fits = []
+    for k, name in enumerate(names):
+        begin = camera_for(start, name, ()) if start else None
+        fits.append(fit_camera(name, gather(table.select(table.camera == name)), start=begin))
+        if progress is not None:
+            progress((k + 1) / len(names))
+    return LatencyFit(table, tuple(fits), time.perf_counter() - began)
+
+
+def fit_camera(name: str, cells: Cells, *, one_delay: bool = False, start: Camera | None = None) -> CameraFit:
+    """Fit the cells of one camera; `one_delay` for comparison, see `LatencyModel`."""
+    measured = int(np.isfinite(cells.table.latency_s["median"]).sum())
+    if measured < LEAST_CELLS:
+        raise InputError(f"camera {name}: expected at least {LEAST_CELLS} cells with a median, found {measured}")
+    starts = FOLLOWER_STARTS_HZ[: 1 if start is not None else None]
+    models = [LatencyModel(name, cells, hz, one_delay, start) for hz in starts]
+    fits = [(fit_table(model), model) for model in models]
+    best, model = max(fits, key=lambda pair: pair[0].log_likelihood)
+    return CameraFit(model, best)

@@ -1,0 +1,119 @@
+"""The posterior of a latency fit: emcee on the same Student-t likelihood and priors, with the scatter sampled too.
+
+Two ensembles, each with its own random state, start at draws of the Gaussian about the maximum and move by mixed
+proposals (`sample.ensembles.moves`); they are compared by nested R̂ (`sample.convergence`).
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pixelid.status import Status
+from pixelid.tables.fit import FREEDOM, slopes
+from pixelid.tables.latency.fit import CameraFit, LatencyFit
+
+if TYPE_CHECKING:
+    from pixelid.sample.convergence import Convergence
+    from pixelid.sample.proposal import Proposal
+
+STEPS = 1500
+ENSEMBLES = 2
+TRUST = 0.5  # share of independence proposals
+MOST_SD = 1.0  # of a start along any coordinate: what the table leaves open starts no wider
+
+
+def log_posterior(fit: CameraFit, z: np.ndarray) -> float:
+    """Of z = (x, ln σ), σ the relative scatter; flat in ln σ."""
+    model = fit.model
+    x, scatter = z[:-1], np.exp(z[-1])
+    bounds = np.array([p.coordinate_bounds() for p in model.parameters])
+    if (x < bounds[:, 0]).any() or (x > bounds[:, 1]).any() or not 1e-4 < scatter < 1.0:
+        return -np.inf
+    rows = model.rows
+    d = rows.last_digit
+    s = np.sqrt(scatter**2 + (d / np.sqrt(12.0) / (rows.measured + d)) ** 2 + np.asarray(rows.relative_error) ** 2)
+    r = (np.log(rows.measured + d) - np.log(model.predict(x) + d)) / s
+    prior = sum(
+        ((value - p.prior.mean) / p.prior.sd) ** 2
+        for p, value in zip(model.parameters, x, strict=True)
+        if p.prior is not None
+    )
+    return float((-np.log(s) - 0.5 * (FREEDOM + 1.0) * np.log1p(r**2 / FREEDOM)).sum() - 0.5 * prior)
+
+
+def sample_camera(fit: CameraFit, seed: int, steps: int = STEPS) -> tuple[np.ndarray, Convergence]:
+    """(chain (ensembles, steps, walkers, d), convergence) after a burn-in of a third; the last coordinate is ln σ."""
+    import emcee
+
+    from pixelid.sample.convergence import convergence
+    from pixelid.sample.ensembles import moves
+
+    proposal = _gaussian(fit)
+    d = len(proposal.centre)
+    walkers = 2 * d + 2
+    chains = []
+    for k in range(ENSEMBLES):
+        rng = np.random.RandomState([seed, k, 15])
+        starts = np.empty((walkers, d))
+        for j in range(walkers):
+            width = 1.0
+            while True:
+                starts[j] = proposal.centre + width * (proposal.draw(1, rng)[0] - proposal.centre)
+                if np.isfinite(log_posterior(fit, starts[j])):
+                    break
+                width *= 0.7
+        sampler = emcee.EnsembleSampler(walkers, d, lambda z: log_posterior(fit, z), moves=moves(proposal, TRUST))
+        sampler.random_state = np.random.RandomState([seed, k, 20240711]).get_state()
+        sampler.run_mcmc(starts, steps, skip_initial_state_check=True)
+        chains.append(sampler.get_chain(discard=steps // 3))
+    chain = np.stack(chains)
+    return chain, convergence(chain)
+
+
+def sample_fit(fit: LatencyFit, seed: int, folder: Path, steps: int = STEPS) -> dict[str, Any]:
+    """Sample every camera; writes posterior.npz, returns {"posterior": camera → intervals and convergence}."""
+    said, arrays = {}, {}
+    for one in fit.fits:
+        chain, reached = sample_camera(one, seed, steps)
+        names = [*(p.name for p in one.model.parameters), "relative_scatter"]
+        flat = np.exp(chain.reshape(-1, chain.shape[-1]))
+        low, middle, high = np.quantile(flat, [0.025, 0.5, 0.975], axis=0)
+        said[one.name] = {
+            "status": Status.converged if reached.done else Status.not_converged,
+            "draws": len(flat),
+            "effective": float(reached.effective.min()),
+            "largest_r_hat": float(reached.r_hat.max()),
+            "parameters": {
+                name: {"median": float(middle[k]), "interval_95": [float(low[k]), float(high[k])]}
+                for k, name in enumerate(names)
+            },
+        }
+        arrays[one.name] = chain.astype(np.float32)
+    np.savez_compressed(folder / "posterior.npz", **arrays)
+    return {"posterior": said}
+
+
+def _gaussian(fit: CameraFit) -> Proposal:
+    """The Gaussian about the maximum, ln σ beside x."""
+    from pixelid.sample.proposal import Proposal
+
+    regression, model = fit.regression, fit.model
+    rows, x = model.rows, regression.x
+    d = rows.last_digit
+    s = np.sqrt(
+        regression.scale**2 + (d / np.sqrt(12.0) / (rows.measured + d)) ** 2 + np.asarray(rows.relative_error) ** 2
+    )
+    J = slopes(model, x) / s[:, None] * np.sqrt((FREEDOM + 1.0) / (FREEDOM + 3.0))
+    prior = np.array([0.0 if p.prior is None else 1.0 / p.prior.sd**2 for p in model.parameters])
+    covariance = np.linalg.pinv(J.T @ J + np.diag(prior))
+    sd = np.sqrt(np.diag(covariance))
+    covariance *= np.outer(np.minimum(1.0, MOST_SD / sd), np.minimum(1.0, MOST_SD / sd))
+    size = len(x) + 1
+    axes = np.zeros((size, size))
+    axes[:-1, :-1] = np.linalg.cholesky(covariance + 1e-12 * np.eye(len(x)))
+    axes[-1, -1] = 1.0 / np.sqrt(2.0 * len(rows.measured) / 3.0)
+    ones = np.ones(size)
+    return Proposal(np.append(x, np.log(regression.scale)), axes, ones, ones, np.zeros(size), 0)

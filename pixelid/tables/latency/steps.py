@@ -1,0 +1,43 @@
+"""The circuit under a step of light: how far it has come at any time, and its noise while it does."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pixelid.dynamics.of_circuit import dynamics_of
+from pixelid.dynamics.trajectory import integrate
+from pixelid.stages.circuit import Circuit
+
+# From below a timestamp's µs to beyond any LED's period; 9 % apart, so that linear interpolation errs by 0.1 %
+TIMES_S = np.concatenate([[0.0], np.geomspace(3e-7, 1.0, 180)])
+
+
+def changes(circuit: Circuit, before: np.ndarray, after: np.ndarray) -> np.ndarray:
+    """(steps, times) the largest change so far, towards the new level, of the never-reset amplifier at `TIMES_S`.
+
+    Args:
+        circuit: its numbers; its dark current adds to the light.
+        before, after: (steps,) radiance up to and from time 0 on; the circuit has settled at the first.
+    """
+    dynamics = dynamics_of(circuit)
+    t = np.append(0.0, TIMES_S)
+    out = np.empty((len(before), len(TIMES_S)))
+    for k, (low, high) in enumerate(zip(before + circuit.dark, after + circuit.dark, strict=True)):
+        radiance = np.full(len(t), high)
+        radiance[0] = low
+        output = integrate(t, radiance, dynamics, linearisation=circuit.linearisation).stage("differencing")[1:]
+        out[k] = (output - output[0]) * np.sign(high - low)
+    return np.maximum.accumulate(out, axis=1)
+
+
+def noise_level(circuit: Circuit, radiance: np.ndarray) -> np.ndarray:
+    """(n,) standard deviation of the output, log radiance, from shot noise under constant light.
+
+    White noise of one-sided density S/L through three real poles a (the photoreceptor's slow one), b and c:
+    variance S/(4L) · abc (a+b+c) / ((a+b)(b+c)(c+a)).  Behind a = αL/β alone it is S α/(4β) at every light.
+    """
+    light = radiance + circuit.dark
+    corner = circuit.corner if circuit.photoreceptor == "one_pole" else circuit.alpha / circuit.beta
+    a, b, c = corner * light, min(circuit.follower, 1e12), min(circuit.differencing, 1e13)
+    passed = a * b * c * (a + b + c) / ((a + b) * (b + c) * (c + a))
+    return np.sqrt(circuit.shot_density / (4.0 * light) * passed)

@@ -1,0 +1,1 @@
+"""Noise events of still scenes: rates and intervals against illuminance, and what they say about the pixel."""

@@ -1,0 +1,115 @@
+"""Rates of the events that a circuit's own noise makes, from the statistics of its crossings.
+
+**Crossings.**  Between two resets the amplifier's output is a smooth Gaussian process z(t) that starts from a known
+state.  Let n_i(t, w) be the expected density of crossings of threshold i (ON upward, OFF downward) with slope w, and
+q_i(t, w) that of first passages.  Every crossing is a first passage, or comes a lag after one:
+
+    n(t) = q(t) + ∫ q(t′) K(t − t′) dt′
+
+with K the intensity of crossings a lag after a crossing (Siegert 1951 and Durbin 1985 state this for Markov processes,
+where it is exact).  n and K are Gaussian densities in closed form.  z alone is not Markov: the state at a crossing is
+z, its slope, and further states, which are taken as they are at any crossing of that level with that slope.  That is
+the one approximation; against simulation it costs below 1 % (`docs/methods/noise.md`).
+
+**Rates need no time grid.**  With n → n_s and K → n_s (Rice) at long times, integration over all times gives
+
+    Q (1 + ∫(K − n_s)) = ∫(n − n_s) + T n_s,   Σ Q = 1
+
+for the shares Q of exits and the mean time T: one small linear system per reference.  Slopes are Gauss nodes of
+the Rayleigh weight w e^{−w²/2}.
+
+**Events.**  At an event the state is (polarity, level of z, slope).  During the dead time it evolves freely, then the
+reference is the follower's noisy output, and the next event is drawn: a Markov chain, whose stationary law gives rates.
+Levels are nodes of a uniform grid; what falls between is shared by four-point interpolation, which keeps cubic
+functions exact.  Threshold noise is an average over draws of both thresholds (`threshold_draws`).
+
+**Leak** moves the reference slowly against the noise: the pixel forgets its last event but the reference, which then
+falls at the leak's rate through references of known exit rate (`crossings.settled`).
+
+The reference after a reset that has just followed a crossing is far from the mean: an ON event by noise is followed by
+OFF events as the output relaxes.  That the chain follows; rates without it would be wrong several-fold.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from pixelid.stages.circuit import Circuit
+from pixelid.stages.differencing import leaked
+from pixelid.tables.noise.chain import QUIET, chain_of
+from pixelid.tables.noise.process import NoiseProcess, noise_process
+from pixelid.tables.noise.quadrature import mismatch_draws
+
+
+@dataclass(frozen=True)
+class NoiseRates:
+    """Noise events of one pixel per second.
+
+    Attributes:
+        on_hz, off_hz: rates.
+        wait_s: mean time from the end of the dead time to the next event.
+    """
+
+    on_hz: float
+    off_hz: float
+    wait_s: float
+
+
+def noise_rates(circuit: Circuit, radiance: float, floor: float = 0.0) -> NoiseRates:
+    """Rates of ON and OFF noise events of a pixel with the circuit's mean thresholds, under constant light.
+
+    Args:
+        circuit: its `shot_density`, thresholds, their noise, dead time and leak.
+        radiance: of the scene, without the circuit's dark current.
+        floor: one-sided PSD [1/Hz] of further white noise on ln L, whatever the light.
+
+    Raises:
+        InputError: see `noise_process`.
+
+    Example:
+        >>> from pixelid.model.shipped import find_model
+        >>> circuit = find_model("dvs128").circuit().with_(shot_density=3.2e-4, noise=0.0)
+        >>> rates = noise_rates(circuit, 24.0)
+        >>> rates.on_hz > rates.off_hz > 0
+        True
+    """
+    return rates_of(noise_process(circuit, radiance, floor), circuit, radiance)
+
+
+def rates_of(process: NoiseProcess, circuit: Circuit, radiance: float) -> NoiseRates:
+    """The same of a process that is already there; only thresholds, dead time and leak are read of the circuit."""
+    drift = circuit.on_threshold * float(leaked(circuit, 1.0, radiance + circuit.dark))
+    least = min(circuit.on_threshold, circuit.off_threshold) * (1.0 - 2.0 * circuit.noise)
+    if least > QUIET * process.sigma:
+        wait = circuit.on_threshold / drift if drift > 0 else math.inf
+        return NoiseRates(1.0 / (wait + circuit.refractory), 0.0, wait)
+    chain = chain_of(process, circuit, drift)
+    share = chain.share
+    wait = float(share @ chain.waited)
+    rate = 1.0 / (wait + circuit.refractory)
+    on = float(share[: len(share) // 2].sum())
+    return NoiseRates(rate * on, rate * (1.0 - on), wait)
+
+
+def mean_rates(circuit: Circuit, radiance: float, floor: float = 0.0) -> tuple[float, float]:
+    """(ON, OFF) noise events per pixel and second, averaged over pixels whose thresholds differ by the mismatch.
+
+    Rates of pixels differ by e^{± b² σ}, b the threshold in standard deviations of the noise: the average is far above
+    the rate of the average pixel.  Arguments and errors as `noise_rates`.
+    """
+    process = noise_process(circuit, radiance, floor)
+    factors, weights = mismatch_draws(circuit.mismatch, circuit.noise)
+    total = np.zeros(2)
+    for (on, off), weight in zip(factors, weights, strict=True):
+        pixel = circuit.with_(
+            on_threshold=circuit.on_threshold * on,
+            off_threshold=circuit.off_threshold * off,
+            leak_hz=circuit.leak_hz / on,  # the leak is one for all pixels, in mean thresholds
+            leak_hz_per_radiance=circuit.leak_hz_per_radiance / on,
+        )
+        rates = rates_of(process, pixel, radiance)
+        total += weight * np.array([rates.on_hz, rates.off_hz])
+    return float(total[0]), float(total[1])

@@ -1,0 +1,212 @@
+"""Fit noise rates: the shared regression of tables on ever new linearisations of ln rate.
+
+A prediction costs tens of milliseconds per light, and ln rate is nearly linear in the fit's logarithmic coordinates.
+So each round differentiates once, lets `fit_table` find the optimum of the linearised table within `TRUST`, and looks
+whether the table itself is then better described; if not, the step is halved.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pixelid.model.model import Model
+from pixelid.parameters.parameter import Parameter
+from pixelid.tables.fit import FREEDOM, TableFit, fit_table
+from pixelid.tables.model import Rows
+from pixelid.tables.noise.model import FLOOR, NoiseModel, in_unit
+from pixelid.tables.noise.reading import NoiseTable
+
+STEP = 0.02  # of a coordinate, for forward differences; curvature there is some per cent of the slope
+TRUST = 0.7  # of a coordinate per round: a factor of 2
+ROUNDS = 14
+REST = 0.05  # standard errors moved in a round below which a fit has come to rest
+# Where a fit looks first: factors on both thresholds (over the noise), on the light's photocurrent and the follower's
+# cutoff; the latter two where the light's unit leaves the photocurrent open
+THRESHOLD_STARTS = np.geomspace(0.35, 1.6, 8)
+LIGHT_STARTS = np.geomspace(0.03, 300.0, 9)
+FOLLOWER_STARTS = (0.1, 1.0)
+DARK_LUX = 0.05  # typical of published sensors; a start, with a wide prior
+LEAK_HZ = 0.01  # the same: leak events of sensors are reported from 0.001 to 0.3 Hz
+
+
+@dataclass(frozen=True)
+class NoiseFit:
+    """A finished fit: the regression, its observation model, and seconds taken."""
+
+    regression: TableFit
+    model: NoiseModel
+    seconds: float
+
+    @property
+    def circuit(self) -> Model:
+        """The model at the fitted values."""
+        own = self.model.circuit.parameters
+        x = zip(self.regression.parameters, self.regression.x, strict=True)
+        values = {p.name: math.exp(v) for p, v in x if p.name in own}
+        return self.model.circuit.set({n: float(np.clip(v, own[n].lower, own[n].upper)) for n, v in values.items()})
+
+    @property
+    def floor(self) -> float:
+        """Fitted white noise whatever the light, 1/Hz."""
+        x = {p.name: math.exp(v) for p, v in zip(self.regression.parameters, self.regression.x, strict=True)}
+        return x.get(FLOOR.name, self.model.floor)
+
+
+@dataclass(frozen=True)
+class Linearised:
+    """ln rate as a linear function of the coordinates around x0, as a `TableModel`."""
+
+    rows: Rows
+    parameters: tuple[Parameter, ...]
+    nuisances: frozenset[str]
+    neutral_bounds: tuple[tuple[str, str], ...]
+    x0: np.ndarray
+    level: np.ndarray
+    slopes: np.ndarray
+
+    def predict(self, x: np.ndarray) -> np.ndarray:
+        """(rows,) events per pixel and second."""
+        return np.exp(np.clip(self.level + self.slopes @ (x - self.x0), -60.0, 30.0))
+
+    def dependence(self) -> Sequence[np.ndarray]:
+        """Every row depends on every parameter."""
+        return [np.full(len(self.level), k) for k in range(len(self.x0))]
+
+
+def fit_noise(table: NoiseTable, model: Model, progress: Callable[[str, float], None] | None = None) -> NoiseFit:
+    """Fit noise rates of a table or of recordings.
+
+    Args:
+        table: rates against light.
+        model: start, priors, and what is not fitted; the density of its shot noise is held (thresholds and the root of
+            the density go together in noise).
+        progress: called with what is done and the fraction done.
+    """
+    begun = time.perf_counter()
+    report = progress or (lambda what, fraction: None)
+    noise = started(starting_model(table, model), report)
+    names = [p.name for p in noise.parameters]
+    limits = np.array([p.coordinate_bounds() for p in noise.parameters])
+    x = np.array([p.to_coordinate(p.value) for p in noise.parameters])
+    trust, converged = TRUST, False
+    level = np.log(noise.predict(x))
+    fit: TableFit | None = None
+    for round_ in range(ROUNDS):
+        report("fitting", 0.1 + 0.9 * round_ / ROUNDS)
+        line = _linearise(noise, x, level)
+        while True:
+            fit = fit_table(_within(line, limits, trust), np.exp(x).tolist())
+            moved = fit.x - x
+            trial = np.log(noise.predict(fit.x))
+            s = np.sqrt(fit.scale**2 + _known(noise))
+            if trust < 0.01 or _misfit(noise, trial, fit.x, s) < _misfit(noise, level, x, s) + 1e-3:
+                break
+            trust *= 0.5
+        x, level = fit.x, trial
+        error = np.where(np.isfinite(fit.sd), fit.sd, 1.0)
+        if np.all(np.abs(moved) < np.maximum(REST * error, 1e-3)):
+            converged = True
+            break
+        trust = min(1.5 * trust, TRUST)
+    assert fit is not None
+    final = fit_table(_linearise(noise, x, level), np.exp(x).tolist())
+    r = np.log(noise.rows.measured + noise.rows.last_digit) - np.log(np.exp(level) + noise.rows.last_digit)
+    s = np.sqrt(final.scale**2 + _known(noise))
+    # pixels are a sample: their mean threshold is off the sensor's by the mismatch over the root of their number
+    spread = noise.circuit.values.get("threshold_mismatch.sigma", 0.0) / math.sqrt(max(table.pixels, 1))
+    own = np.array([spread if table.pixels and name.endswith("_threshold") else 0.0 for name in names])
+    regression = replace(
+        final, model=noise, predicted=np.exp(level), residual=r / s, sd=np.hypot(final.sd, own),
+        converged=converged and final.converged,
+    )  # fmt: skip
+    return NoiseFit(regression, noise, time.perf_counter() - begun)
+
+
+def starting_model(table: NoiseTable, model: Model) -> NoiseModel:
+    """What is fitted: the model, with the effects that noise tables show beside it."""
+    circuit = in_unit(model, table.unit)
+    if table.pixels:  # recordings: what else there is, the model says
+        return NoiseModel(table, circuit)
+    if not circuit.has("leak"):
+        circuit = circuit.with_effect("leak", {"rate_hz": LEAK_HZ})
+    if not circuit.has("dark_current"):
+        dark = DARK_LUX if table.unit == "lux" else 0.05 * float(np.exp(np.mean(np.log(table.light))))
+        circuit = circuit.with_effect("dark_current", {"radiance": max(dark, 2e-6)})
+    density = circuit.values["shot_noise.density"]
+    return NoiseModel(table, circuit, 0.1 * density / float(table.light.max()), fit_floor=True)
+
+
+def started(noise: NoiseModel, report: Callable[[str, float], None]) -> NoiseModel:
+    """The same from the best of a grid of thresholds, and of photocurrents where the light does not say.
+
+    Grid points are judged without mismatch and threshold noise, on five lights: they need be right to a factor of 2.
+    """
+    table, circuit = noise.table, noise.circuit
+    plain = circuit.without_effect("threshold_mismatch").without_effect("threshold_noise")
+    lights = np.unique(table.light)
+    few = lights[np.unique(np.linspace(0, len(lights) - 1, 5).round().astype(int))]
+    chosen = np.isin(table.light, few) & (table.rate_hz > table.last_digit)
+    if not chosen.any():
+        return noise
+    part = NoiseTable(table.light[chosen], table.on[chosen], table.rate_hz[chosen], table.relative_error[chosen],
+                      table.last_digit, np.zeros(int(chosen.sum()), int), {}, table.unit)  # fmt: skip
+    target = np.log(part.rate_hz)
+    known_light = table.unit == "fA" or bool(table.pixels)
+    best, change = math.inf, {}
+    grid = [(1.0, 1.0)] if known_light else [(lit, slow) for lit in LIGHT_STARTS for slow in FOLLOWER_STARTS]
+    for lit, slow in grid:
+        for f in THRESHOLD_STARTS * math.sqrt(lit):  # behind a photoreceptor of bandwidth ∝ light σ² ∝ D α
+            factors = {"on_threshold": f, "off_threshold": f, "alpha": lit, "gamma": lit, "alpha_over_beta": lit,
+                       "sf_cutoff_hz": slow}  # fmt: skip
+            scaled = {n: (p, p.value * factors[n]) for n, p in plain.parameters.items() if n in factors}
+            values = {n: float(np.clip(v, p.lower, p.upper)) for n, (p, v) in scaled.items()}
+            trial = NoiseModel(part, plain.set(values), noise.floor)
+            rates = rates_by_light(trial, np.unique(part.light))
+            found = np.log([rates[light][0 if on else 1] for light, on in zip(part.light, part.on, strict=True)])
+            cost = float(np.abs(target - found).mean())
+            if cost < best:
+                best, change = cost, values
+    report("fitting", 0.1)
+    return replace(noise, circuit=circuit.set(change))
+
+
+def rates_by_light(noise: NoiseModel, lights: np.ndarray) -> dict[float, tuple[float, float]]:
+    """Rates at each light, at the model's own values."""
+    from pixelid.parallel import map_threads
+
+    found = map_threads(lambda light: noise.rates({}, float(light)), lights)
+    return dict(zip(lights.tolist(), found, strict=True))
+
+
+def _linearise(noise: NoiseModel, x: np.ndarray, level: np.ndarray) -> Linearised:
+    points = [x + STEP * unit for unit in np.eye(len(x))]
+    slopes = np.stack([(np.log(rates) - level) / STEP for rates in noise.predict_many(points)], axis=1)
+    return Linearised(noise.rows, noise.parameters, noise.nuisances, noise.neutral_bounds, x, level, slopes)
+
+
+def _within(line: Linearised, limits: np.ndarray, trust: float) -> Linearised:
+    """The same with bounds a trusted step around x0."""
+    parameters = []
+    for p, x, (low, high) in zip(line.parameters, line.x0, limits, strict=True):
+        below, above = math.exp(max(low, x - trust)), math.exp(min(high, x + trust))
+        parameters.append(replace(p, value=float(np.clip(math.exp(x), below, above)), lower=below, upper=above))
+    return replace(line, parameters=tuple(parameters))
+
+
+def _known(noise: NoiseModel) -> np.ndarray:
+    rows = noise.rows
+    digit = rows.last_digit / math.sqrt(12.0) / (rows.measured + rows.last_digit)
+    return digit**2 + np.asarray(rows.relative_error) ** 2
+
+
+def _misfit(noise: NoiseModel, level: np.ndarray, x: np.ndarray, s: np.ndarray) -> float:
+    """Minus log posterior for given scales, without constants."""
+    rows = noise.rows
+    r = (np.log(rows.measured + rows.last_digit) - np.log(np.exp(level) + rows.last_digit)) / s
+    prior = sum(((v - p.prior.mean) / p.prior.sd) ** 2 for v, p in zip(x, noise.parameters, strict=True) if p.prior)
+    return float(0.5 * (FREEDOM + 1.0) * np.log1p(r**2 / FREEDOM).sum() + 0.5 * prior)

@@ -1,0 +1,160 @@
+"""Noise rates of a circuit as an observation model: which parameters are fitted, from where, and what they predict."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from pixelid.errors import InputError
+from pixelid.model.model import Model
+from pixelid.parallel import map_threads
+from pixelid.parameters.gauge import Gauge
+from pixelid.parameters.parameter import Parameter, Prior
+from pixelid.tables.model import Rows
+from pixelid.tables.noise.first_passage import mean_rates
+from pixelid.tables.noise.reading import NoiseTable
+
+FLOOR = Parameter("noise_floor.density", 1e-9, "1/Hz", 1e-14, 1e-2, "log")
+# Photocurrent per light of a pixel of 4.9 µm with 50 % of its area and photons: 0.22 A/W · 24 µm² / (683 lm/W) at
+# 555 nm.  It only sets the noise density that thresholds are stated for; thresholds go with 1/√ of it.
+FA_PER_LUX = 7.7
+FA_PER_UNIT = {"fA": 1.0, "lux": FA_PER_LUX, "W/m2": 683.0 * FA_PER_LUX}
+MOST_LIGHTS = 16  # computed; between them ln rate is interpolated by cubics in ln light
+FITTED = ("alpha", "beta", "gamma", "alpha_over_beta", "sf_cutoff_hz", "on_threshold", "off_threshold", "refractory_s",
+          "dark_current.radiance", "leak.rate_hz", "parasitic_photocurrent.rate_hz_per_radiance")  # fmt: skip
+# Standard deviations of ln: a sensor of the same kind differs by a factor of 3 from nominal values …
+PRIOR_SD = 1.0
+# … and by a factor of 7 where the light's unit is not the photocurrent's, or where an effect may be absent
+WIDE_SD = 2.0
+WIDE = ("alpha", "gamma", "alpha_over_beta", "dark_current.radiance", "leak.rate_hz",
+        "parasitic_photocurrent.rate_hz_per_radiance")  # fmt: skip
+LEAST_HZ = 1e-12  # of a predicted rate: its logarithm must exist
+
+
+@dataclass(frozen=True)
+class NoiseModel:
+    """Noise rates as a `TableModel`.
+
+    Attributes:
+        table: what was measured.
+        circuit: the model in the table's unit of light; its values are the start, and what is not fitted.
+        floor: one-sided PSD of white noise whatever the light, 1/Hz; fitted where `fit_floor`.
+        fit_floor: see there.
+    """
+
+    table: NoiseTable
+    circuit: Model
+    floor: float = 0.0
+    fit_floor: bool = False
+
+    # an effect that is too weak to show
+    neutral_bounds: tuple[tuple[str, str], ...] = (
+        ("noise_floor", "lower"), ("dark_current", "lower"), ("leak", "lower"), ("parasitic", "lower")
+    )  # fmt: skip
+
+    @property
+    def rows(self) -> Rows:
+        """The table's rates."""
+        table = self.table
+        return Rows(table.rate_hz, table.last_digit, table.relative_error, table.columns)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """What is fitted, at the model's values, with priors around them."""
+        found = []
+        for name in FITTED:
+            p = self.circuit.parameters.get(name)
+            if p is None:
+                continue
+            wide = name in WIDE and (self.circuit.radiance_unit != "fA" or "." in name)
+            value = min(max(p.value, 1.01 * p.lower), 0.99 * p.upper)
+            found.append(replace(p, value=value, prior=Prior(math.log(value), WIDE_SD if wide else PRIOR_SD)))
+        if self.fit_floor:
+            found.append(replace(FLOOR, value=self.floor, prior=Prior(math.log(self.floor), WIDE_SD)))
+        for group in self._scaled:
+            found.append(Parameter(f"light_scale[{group}]", 1.0, "1", 1e-2, 1e2, "log", prior=Prior(0.0, PRIOR_SD)))
+        return tuple(found)
+
+    @property
+    def nuisances(self) -> frozenset[str]:
+        """How the light of a second table compares with that of the first."""
+        return frozenset(p.name for p in self.parameters if p.name.startswith("light_scale"))
+
+    @cached_property
+    def _scaled(self) -> list[int]:
+        return sorted(set(self.table.group.tolist()) - {0})
+
+    def dependence(self) -> Sequence[np.ndarray]:
+        """Every row depends on every parameter."""
+        return [np.full(len(self.table.light), k) for k in range(len(self.parameters))]
+
+    def predict(self, x: np.ndarray) -> np.ndarray:
+        """(rows,) events per pixel and second."""
+        return self.predict_many([x])[0]
+
+    def predict_many(self, points: Sequence[np.ndarray]) -> list[np.ndarray]:
+        """The same at several coordinates, on all cores."""
+        values = [
+            {p.name: p.from_coordinate(float(v)) for p, v in zip(self.parameters, x, strict=True)} for x in points
+        ]
+        asked = [self._lights(v) for v in values]
+        jobs = [(v, light) for v, (lights, _) in zip(values, asked, strict=True) for light in lights]
+        rates = iter(map_threads(lambda job: self.rates(*job), jobs))
+        return [self._at_rows(lights, np.array([next(rates) for _ in lights]), scaled) for lights, scaled in asked]
+
+    def rates(self, values: Mapping[str, float], light: float) -> tuple[float, float]:
+        """(ON, OFF) events per pixel and second under one light."""
+        floor = values.get(FLOOR.name, self.floor)
+        own = {name: value for name, value in values.items() if name in self.circuit.parameters}
+        on, off = mean_rates(self.circuit.circuit(own), light, floor)
+        return max(on, LEAST_HZ), max(off, LEAST_HZ)
+
+    def _lights(self, values: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
+        """(lights to compute, (rows,) light of each row after its table's scale)."""
+        scale = np.ones(len(self.table.light))
+        for group in self._scaled:
+            scale[self.table.group == group] = values[f"light_scale[{group}]"]
+        scaled = self.table.light * scale
+        lights = np.unique(scaled)
+        if len(lights) > MOST_LIGHTS:
+            lights = np.geomspace(lights[0], lights[-1], MOST_LIGHTS)
+        return lights, scaled
+
+    def _at_rows(self, lights: np.ndarray, rates: np.ndarray, scaled: np.ndarray) -> np.ndarray:
+        column = np.where(self.table.on, 0, 1)
+        if len(lights) < MOST_LIGHTS or np.isin(scaled, lights).all():
+            return rates[np.searchsorted(lights, scaled), column]
+        from scipy.interpolate import CubicSpline
+
+        smooth = CubicSpline(np.log(lights), np.log(rates), axis=0)(np.log(scaled))
+        return np.exp(smooth[np.arange(len(scaled)), column])
+
+
+def in_unit(model: Model, unit: str) -> Model:
+    """A model with shot noise whose radiance is in the unit of a table.
+
+    A radiance in fA becomes one in lux or W/m² at `FA_PER_LUX`: rates per radiance grow, densities shrink by it.
+
+    Raises:
+        InputError: no factor is known between the two units.
+    """
+    model = model.with_effect("shot_noise")
+    own = model.radiance_unit
+    if own == unit or unit in ("relative", "radiance") or own in ("relative", "radiance"):
+        return model
+    if own not in FA_PER_UNIT or unit not in FA_PER_UNIT:
+        raise InputError(f"model {model.name}: radiance in {own}, but the table's light is in {unit}")
+    factor = FA_PER_UNIT[unit] / FA_PER_UNIT[own]
+    power = {"alpha": 1, "gamma": 1, "alpha_over_beta": 1, "shot_noise.density": -1, "dark_current.radiance": -1,
+             "parasitic_photocurrent.rate_hz_per_radiance": 1, "bandwidth_floor.radiance": -1}  # fmt: skip
+    parameters = {}
+    for name, p in model.parameters.items():
+        if name in power:
+            f = factor ** power[name]
+            p = replace(p, value=p.value * f, lower=min(p.lower, p.lower * f), upper=max(p.upper, p.upper * f))
+        parameters[name] = replace(p, unit=p.unit.replace(own, unit))
+    return replace(model, parameters=parameters, radiance_unit=unit, physical=None, physical_source="", gauge=Gauge())

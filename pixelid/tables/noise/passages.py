@@ -1,0 +1,126 @@
+"""First passages over time, as compiled sums: the renewal equation of `first_passage.py` on a grid of lags."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from pixelid.tables.noise.crossings import _density, _lagrange, _place
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def crossings_after_events(
+    share, nodes, slopes, factors, maps, spread, tails, covariances, reference, reference_sd, offsets, offset_weights,
+    on, off, draw_weights, crossed, begun,
+):  # fmt: skip
+    """crossed (2, draws, k, lags, 2 m): intensities after an ON or OFF event, by reference;  begun (2, draws, k): mass.
+
+    share: (states,) of the events;  others as `crossings.transitions`.
+    """
+    count, m = len(nodes), len(slopes)
+    first, step = nodes[0], nodes[1] - nodes[0]
+    signs = (1.0, -1.0)
+    for i0 in range(2):
+        for k0 in range(count):
+            for j0 in range(m):
+                mass = share[(i0 * count + k0) * m + j0]
+                if abs(mass) < 1e-9:
+                    continue
+                z, w = nodes[k0], signs[i0] * slopes[j0]
+                for g in range(len(offsets)):
+                    kept = reference[0] * z + reference[1] * w + reference_sd * offsets[g]
+                    kept = min(max(kept, nodes[0]), nodes[count - 1])
+                    k, p = _place(kept, first, step, count)
+                    line = _lagrange(p)
+                    for a in range(len(draw_weights)):
+                        weight = mass * offset_weights[g] * draw_weights[a]
+                        for n in range(4):
+                            begun[i0, a, k + n] += weight * line[n]
+                        levels = (kept + on[a], kept - off[a])
+                        for t in range(len(maps)):
+                            v00, v01, v11 = covariances[t, 0], covariances[t, 1], covariances[t, 2]
+                            mz = maps[t, 0, 0] * z + maps[t, 0, 1] * w + spread[t, 0] * offsets[g] + tails[t, 0] * kept
+                            mw = maps[t, 1, 0] * z + maps[t, 1, 1] * w + spread[t, 1] * offsets[g] + tails[t, 1] * kept
+                            for i in range(2):
+                                d0 = levels[i] - mz
+                                if d0 * d0 > 1200.0 * v00:
+                                    continue
+                                for j in range(m):
+                                    f = weight * factors[j] * _density(d0, signs[i] * slopes[j] - mw, v00, v01, v11)
+                                    for n in range(4):
+                                        crossed[i0, a, k + n, t, i * m + j] += line[n] * f
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def crossings_between(means, covariances, on, off, slopes, factors, found):
+    """found (lags, 2 m, 2 m): intensities a lag after a crossing, see `crossings.between_crossings`."""
+    m = len(slopes)
+    levels = (on, off)
+    signs = (1.0, -1.0)
+    for t in range(len(means)):
+        v00, v01, v11 = covariances[t, 0], covariances[t, 1], covariances[t, 2]
+        for i0 in range(2):
+            for j0 in range(m):
+                z, w = levels[i0], signs[i0] * slopes[j0]
+                mz = means[t, 0, 0] * z + means[t, 0, 1] * w
+                mw = means[t, 1, 0] * z + means[t, 1, 1] * w
+                for i in range(2):
+                    for j in range(m):
+                        f = _density(levels[i] - mz, signs[i] * slopes[j] - mw, v00, v01, v11)
+                        found[t, i0 * m + j0, i * m + j] = factors[j] * f
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def first_passages(lags, crossed, between, passed):
+    """passed (sources, lags, 2 m): first passages until each lag.
+
+    crossed: (sources, lags, 2 m) intensities;  between: (lags, 2 m, 2 m).  Both are summed over ln t first: then the
+    renewal equation N = Q + ∫ dQ I has no singular term, and Q is explicit but for the cell in progress.
+    """
+    count, size = len(lags), between.shape[1]
+    ratio = math.log(lags[1] / lags[0])
+    cumulative = np.zeros_like(between)
+    for t in range(1, count):
+        cumulative[t] = cumulative[t - 1] + 0.5 * ratio * (lags[t] * between[t] + lags[t - 1] * between[t - 1])
+    sources = crossed.shape[0]
+    gained = np.empty((sources, size))
+    weights = np.empty((size, size))
+    total = np.zeros((sources, size))
+    for t in range(1, count):
+        for s in range(sources):
+            for i in range(size):
+                total[s, i] += 0.5 * ratio * (lags[t] * crossed[s, t, i] + lags[t - 1] * crossed[s, t - 1, i])
+                gained[s, i] = total[s, i]
+        for r in range(1, t):
+            # mean crossings that a first passage in cell r has been followed by until lag t
+            _at(lags[t] - 0.5 * (lags[r] + lags[r - 1]), lags, cumulative, weights)
+            for s in range(sources):
+                for q in range(size):
+                    part = passed[s, r, q] - passed[s, r - 1, q]
+                    if part != 0.0:
+                        for i in range(size):
+                            gained[s, i] -= part * weights[q, i]
+        _at(0.5 * (lags[t] - lags[t - 1]), lags, cumulative, weights)
+        for s in range(sources):
+            for i in range(size):
+                passed[s, t, i] = gained[s, i]
+            # crossings that follow within the cell in progress: one correction, they are few
+            for i in range(size):
+                for q in range(size):
+                    passed[s, t, i] -= (gained[s, q] - passed[s, t - 1, q]) * weights[q, i]
+
+
+@njit(forceinline=True, error_model="numpy")
+def _at(lag, lags, cumulative, found):
+    """Linear in ln t between the lags, 0 before the first."""
+    u = math.log(lag / lags[0]) / math.log(lags[1] / lags[0])
+    if u <= 0.0:
+        found[:] = 0.0
+        return
+    k = min(int(u), len(lags) - 2)
+    p = u - k
+    for i in range(found.shape[0]):
+        for j in range(found.shape[1]):
+            found[i, j] = (1.0 - p) * cumulative[k, i, j] + p * cumulative[k + 1, i, j]

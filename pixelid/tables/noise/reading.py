@@ -1,0 +1,215 @@
+"""Noise rates against light: a table of a CSV file, or recordings of still scenes reduced to the same rows.
+
+CSV: one row per light; a column of light (lux, illuminance, irradiance, radiance, …) and columns of ON and OFF events
+per pixel and second, recognised by their names; `#` lines are remarks.  A recording counts when its light is constant.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pixelid.documents import shown
+from pixelid.errors import InputError
+from pixelid.recordings.recording import Recording
+from pixelid.tables.reading import TextTable, read_text_table
+
+LIGHT = re.compile(r"lux|illuminance|irradiance|radiance|photocurrent|w_?/?m2")
+POLARITY = {"ON": re.compile(r"(^|_)(on|pos)(_|$)"), "OFF": re.compile(r"(^|_)(off|neg)(_|$)")}
+RATE = re.compile(r"event|rate|hz|per_s|/s")
+STILL = 1e-3  # relative change of the light of a still scene: 10⁻³ of a threshold of 1 would be 1 % of a rate
+# Of a recording, left out: where it begins, references are not yet those that the noise leaves (in simulations they
+# are anywhere between the thresholds, and the nearest fire at once)
+SETTLING = 0.1
+
+
+@dataclass(frozen=True)
+class NoiseTable:
+    """Rates of noise events, one row per light and polarity.
+
+    Attributes:
+        light: (rows,) illuminance, radiance, … in `unit`.
+        on: (rows,) whether the row counts ON events.
+        rate_hz: (rows,) events per pixel and second.
+        relative_error: (rows,) what is known of the rate's own error.
+        last_digit: the smallest rate that the table can write, events/s.
+        group: (rows,) number of the file, or 0 for all recordings.
+        columns: what identifies a row in the result.
+        unit: of `light`.
+        pixels: that recordings averaged over; 0 for tables.
+        sources: the files.
+    """
+
+    light: np.ndarray
+    on: np.ndarray
+    rate_hz: np.ndarray
+    relative_error: np.ndarray
+    last_digit: float
+    group: np.ndarray
+    columns: dict[str, list[Any]] = field(default_factory=dict)
+    unit: str = "lux"
+    pixels: int = 0
+    sources: tuple[Path, ...] = ()
+
+
+def read_noise_tables(paths: Sequence[Path]) -> NoiseTable:
+    """The rows of one or several CSV files.
+
+    Raises:
+        InputError: naming file, row and cell; and for files whose light is in different units.
+    """
+    parts = [_read(Path(path), k) for k, path in enumerate(paths)]
+    units = {part.unit for part in parts}
+    if len(units) > 1:
+        raise InputError(f"noise: expected tables of one unit of light, found {', '.join(sorted(units))}")
+    return joined(parts)
+
+
+def joined(parts: Sequence[NoiseTable]) -> NoiseTable:
+    """The rows of several tables as one."""
+    names = list(dict.fromkeys(name for part in parts for name in part.columns))
+    light, on, rate, error = (
+        np.concatenate([getattr(part, name) for part in parts]) for name in ("light", "on", "rate_hz", "relative_error")
+    )
+    return NoiseTable(
+        light, on, rate, error,
+        min(part.last_digit for part in parts),
+        np.concatenate([part.group for part in parts]),
+        {n: [v for part in parts for v in part.columns.get(n, [None] * len(part.light))] for n in names},
+        parts[0].unit,
+        min(part.pixels for part in parts),
+        tuple(source for part in parts for source in part.sources),
+    )  # fmt: skip
+
+
+def _read(path: Path, group: int) -> NoiseTable:
+    text = read_text_table(path, first="", expected="lux,ON_events_per_s_per_px,OFF_events_per_s_per_px")
+    light_name = _light_column(text)
+    light = text.numbers(light_name)
+    if not (np.isfinite(light).all() and (light > 0).all()):
+        raise InputError(f"{path}: {light_name}: expected light above 0 in every row")
+    rows: dict[str, list[Any]] = {"light": [], "on": [], "rate": [], "digit": []}
+    columns: dict[str, list[Any]] = {"file": [], light_name: [], "polarity": []}
+    for polarity in POLARITY:
+        name = _rate_column(text, polarity)
+        if name is None:
+            continue
+        rates = text.numbers(name)
+        if (np.nan_to_num(rates) < 0).any():
+            raise InputError(f"{path}: {name}: expected rates of at least 0")
+        rows["digit"].append(text.last_digit((name,)))
+        for k in np.flatnonzero(np.isfinite(rates)):
+            rows["light"].append(light[k])
+            rows["on"].append(polarity == "ON")
+            rows["rate"].append(rates[k])
+            columns["file"].append(path.name)
+            columns[light_name].append(float(light[k]))
+            columns["polarity"].append(polarity)
+    if len(rows["rate"]) < 2:
+        raise InputError(f"{path}: expected at least two measured rates, found {len(rows['rate'])}")
+    count = len(rows["rate"])
+    return NoiseTable(
+        np.array(rows["light"]), np.array(rows["on"]), np.array(rows["rate"]), np.zeros(count), min(rows["digit"]),
+        np.full(count, group), columns, _unit(light_name), 0, (path,),
+    )  # fmt: skip
+
+
+def _light_column(text: TextTable) -> str:
+    found = [name for name in text.names if LIGHT.search(name.lower())]
+    if not found:
+        raise InputError(
+            f"{text.path}: expected a column of light (lux, illuminance, irradiance, radiance), "
+            f"found {shown(', '.join(text.names), 200)}"
+        )
+    return found[0]
+
+
+def _rate_column(text: TextTable, polarity: str) -> str | None:
+    """The column of one polarity's rates: its name says the polarity, and a rate where several do."""
+    found = [name for name in text.names if POLARITY[polarity].search(name.lower())]
+    rates = [name for name in found if RATE.search(name.lower())]
+    if len(rates) > 1 or (not rates and len(found) > 1):
+        raise InputError(f"{text.path}: several columns may hold {polarity} rates: {', '.join(rates or found)}")
+    if not found and polarity == "ON":
+        raise InputError(
+            f"{text.path}: expected a column of ON events per pixel and second (ON_events_per_s_per_px), "
+            f"found {shown(', '.join(text.names), 200)}"
+        )
+    return (rates or found or [None])[0]
+
+
+def _unit(name: str) -> str:
+    low = name.lower()
+    if "lux" in low or "illuminance" in low:
+        return "lux"
+    if "w_m2" in low or "w/m2" in low or "irradiance" in low:
+        return "W/m2"
+    return "fA" if "photocurrent" in low or low.endswith("fa") else "radiance"
+
+
+def reduced_recordings(recordings: Sequence[Recording]) -> NoiseTable:
+    """Rates of recordings of still scenes, with errors from how pixels differ.
+
+    Counts of a pixel scatter more than Poisson's law (events come in pairs, pixels differ in their thresholds): the
+    error of a mean rate is the scatter of the pixels' own counts over the root of their number, and no less than
+    Poisson's.
+
+    Raises:
+        InputError: without light, with light that changes, pooled, or without a single event in any recording.
+    """
+    rows, columns = [], {"file": [], "radiance": [], "polarity": [], "events": []}
+    pixels = 0
+    for recording in recordings:
+        radiance, begin, end = _still(recording)
+        events = recording.events
+        pixels = events.width * events.height
+        duration = (1.0 - SETTLING) * (end - begin)
+        settled = events.t * 1e-9 > end - duration
+        for polarity, p in (("ON", 1), ("OFF", 0)):
+            counts = np.bincount(events.pixel[settled & (events.p == p)], minlength=pixels)
+            total = int(counts.sum())
+            scatter = float(counts.var(ddof=1)) * pixels if pixels > 1 else 0.0
+            error = np.sqrt(max(scatter, total, 1.0)) / max(total, 1)
+            rows.append((radiance, p == 1, total / (pixels * duration), min(error, 1.0), 1.0 / (pixels * duration)))
+            columns["file"].append(recording.name)
+            columns["radiance"].append(radiance)
+            columns["polarity"].append(polarity)
+            columns["events"].append(total)
+    if not any(columns["events"]):
+        raise InputError("noise: the recordings hold no events")
+    light, on, rate, error, digit = (np.array(c) for c in zip(*rows, strict=True))
+    # less than one event is what a recording cannot see; half of it, so that single events keep their weight
+    return NoiseTable(
+        light, on.astype(bool), rate, error, 0.5 * float(digit.min()), np.zeros(len(rows), int), columns,
+        (recordings[0].stimulus.unit if recordings[0].stimulus else "radiance"), pixels,
+        tuple(r.source for r in recordings if r.source is not None),
+    )  # fmt: skip
+
+
+def _still(recording: Recording) -> tuple[float, float, float]:
+    """(radiance, begin, end in s) of a still scene."""
+    where = recording.source or recording.name
+    if recording.stimulus is None:
+        raise InputError(
+            f"{where}: no stimulus: noise needs to know the light; add it with `pixelid convert --stimulus`"
+        )
+    if recording.pooled:
+        raise InputError(f"{where}: pooled events have no pixels; noise needs each pixel's events")
+    radiance = np.asarray(recording.stimulus.radiance, float)
+    mean = float(radiance.mean())
+    if np.ptp(radiance) > STILL * mean:
+        raise InputError(
+            f"{where}: expected constant light, found {radiance.min():g} to {radiance.max():g}: noise events are "
+            "those of a still scene"
+        )
+    times = recording.events.t * 1e-9
+    begin = min(float(recording.stimulus.t[0]), float(times.min(initial=np.inf)))
+    end = max(float(recording.stimulus.t[-1]), float(times.max(initial=-np.inf)))
+    if not end > begin:
+        raise InputError(f"{where}: expected a recording that lasts, found {end - begin:g} s")
+    return mean, begin, end

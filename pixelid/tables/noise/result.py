@@ -1,0 +1,163 @@
+"""What noise rates say: the numbers of noise.json, its disagreements and what stays open, in words."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pixelid.documents import read_json
+from pixelid.errors import InputError
+from pixelid.model.files import save_model
+from pixelid.model.model import Model
+from pixelid.provenance import provenance
+from pixelid.status import Status
+from pixelid.tables.fit import MAX_SCATTER
+from pixelid.tables.model import predicted_rows
+from pixelid.tables.noise.figures import draw_noise
+from pixelid.tables.noise.fit import NoiseFit
+from pixelid.tables.noise.model import FA_PER_UNIT, FLOOR, NoiseModel, in_unit
+from pixelid.tables.noise.reading import NoiseTable
+from pixelid.tables.result import table_result, write_result
+
+NAMED = 0.15  # relative disagreement that is said in words
+MOST_NAMED = 12
+REPEATABILITY = 0.05  # of a rate in a table without errors, against which --predict standardises
+FOLDED = ("shot_noise.density", "diff_cutoff_hz", "threshold_sigma", "threshold_mismatch.sigma")
+
+
+def save_fit(fit: NoiseFit, folder: Path, seed: int) -> dict[str, Any]:
+    """Write noise.json, noise.svg and model.toml into an existing folder; returns the JSON."""
+    save_model(fit.circuit, folder / "model.toml")
+    drawn = NoiseModel(fit.model.table, fit.circuit, fit.floor)
+    result = fitted_result(fit)
+    rows = result["rows"]
+    return write_result(result | {"seed": seed}, "noise.json", {"noise": partial(draw_noise, drawn, rows)}, folder)
+
+
+def fitted_result(fit: NoiseFit) -> dict[str, Any]:
+    """The content of noise.json after a fit."""
+    circuit, table = fit.circuit, fit.model.table
+    result = table_result(fit.regression, circuit.name, "noise_rate")
+    result["parameters"] |= _fixed(circuit, [n for n in FOLDED if n in circuit.parameters])
+    density = circuit.parameters["shot_noise.density"]
+    result["unidentified"] = [
+        "the scale of thresholds: noise fixes on_threshold and off_threshold only over the root of shot_noise.density; "
+        f"they are stated for {density.value:.3g} {density.unit}, and a density F times larger means thresholds √F "
+        "times larger" + _about_unit(table.unit),
+        *result["unidentified"],
+    ]
+    return result | {
+        "gauge": {"fixed": {"shot_noise.density": density.value}},
+        "radiance_unit": table.unit,
+        "disagreements": disagreements(table, result["rows"]),
+        "seconds": fit.seconds,
+        **provenance(*table.sources),
+    }
+
+
+def save_prediction(
+    table: NoiseTable, model: Model, floor: float, folder: Path, seed: int, inputs: Sequence[Path] = ()
+) -> dict[str, Any]:
+    """Write noise.json and noise.svg of a model evaluated on a table; returns the JSON."""
+    noise = NoiseModel(table, in_unit(model, table.unit), floor)
+    result = predicted_result(noise)
+    figures = {"noise": partial(draw_noise, noise, result["rows"])}
+    result |= {"seed": seed, **provenance(*table.sources, *inputs)}
+    return write_result(result, "noise.json", figures, folder)
+
+
+def predicted_result(noise: NoiseModel) -> dict[str, Any]:
+    """The content of noise.json without fitting."""
+    table, rows = noise.table, noise.rows
+    at = np.array([p.to_coordinate(p.value) for p in noise.parameters])
+    predicted = noise.predict(at)
+    d = rows.last_digit
+    ratio = np.log(rows.measured + d) - np.log(predicted + d)
+    known = (d / math.sqrt(12.0) / (rows.measured + d)) ** 2 + np.asarray(rows.relative_error) ** 2
+    scatter = 1.4826 * float(np.median(np.abs(ratio)))
+    off = not scatter < MAX_SCATTER
+    written = predicted_rows(noise, predicted, ratio / np.sqrt(known + REPEATABILITY**2))
+    return {
+        "status": Status.misfit if off else Status.converged,
+        "advice": f"The model misses the rates by {scatter:.0%} (typical): fit it to this table." if off else "",
+        "model": noise.circuit.name,
+        "observation": "noise_rate",
+        "parameters": _fixed(noise.circuit, list(noise.circuit.parameters)) | _floor(noise.floor),
+        "unidentified": [],
+        "relative_scatter": scatter,
+        "cells_fitted": 0,
+        "rows": written,
+        "radiance_unit": table.unit,
+        "disagreements": disagreements(table, written),
+    }
+
+
+def disagreements(table: NoiseTable, rows: Sequence[dict[str, Any]]) -> list[str]:
+    """Rows off by more than `NAMED`, and where the rates peak, in words."""
+    sentences = []
+    ratios = [row["measured"] / row["predicted"] for row in rows]
+    measured = [(abs(math.log(r)), k) for k, r in enumerate(ratios) if r > 0 and abs(r - 1.0) > NAMED]
+    for _, k in sorted(measured, reverse=True)[:MOST_NAMED]:
+        sentences.append(
+            f"{rows[k].get('file', '')} {'ON' if table.on[k] else 'OFF'} at {table.light[k]:.3g} {table.unit}: "
+            f"measured {rows[k]['measured']:.3g} Hz, predicted {rows[k]['predicted']:.3g} Hz ({ratios[k]:.2f} times)"
+        )
+    if len(measured) > MOST_NAMED:
+        sentences.append(f"and {len(measured) - MOST_NAMED} more rows off by more than {NAMED:.0%}")
+    for group in sorted(set(table.group.tolist())):
+        for on in (True, False):
+            here = np.flatnonzero((table.group == group) & (table.on == on))
+            if len(here) < 4:
+                continue
+            peaks = [
+                table.light[here[np.argmax([rows[int(k)][key] for k in here])]] for key in ("measured", "predicted")
+            ]
+            sentences.append(
+                f"{rows[int(here[0])].get('file', '')} {'ON' if on else 'OFF'}: the rate is largest at {peaks[0]:.3g} "
+                f"{table.unit}, predicted at {peaks[1]:.3g} {table.unit}"
+            )
+    return sentences
+
+
+def model_floor(spec: str | Path) -> float:
+    """The white noise that a folder of `pixelid noise` found beside its model; 0 for any other model.
+
+    Raises:
+        InputError: a noise.json that is damaged.
+    """
+    path = Path(spec) / "noise.json"
+    if not path.is_file():
+        return 0.0
+    entry = read_json(path).get("parameters", {}).get(FLOOR.name, {}).get("value", 0.0)
+    if not isinstance(entry, int | float) or not 0 <= entry < math.inf:
+        raise InputError(f"{path}: {FLOOR.name}: expected a number of at least 0, found {entry!r}")
+    return float(entry)
+
+
+def _fixed(model: Model, names: Sequence[str]) -> dict[str, Any]:
+    return {
+        n: {
+            "value": model.values[n], "unit": model.parameters[n].unit, "std": None, "interval_95": None,
+            "identified": False, "fixed": True,
+        }
+        for n in names
+    }  # fmt: skip
+
+
+def _floor(floor: float) -> dict[str, Any]:
+    entry = {"value": floor, "unit": FLOOR.unit, "std": None, "interval_95": None, "identified": False, "fixed": True}
+    return {FLOOR.name: entry} if floor > 0 else {}
+
+
+def _about_unit(unit: str) -> str:
+    if unit not in FA_PER_UNIT or unit == "fA":
+        return ""
+    return (
+        f"; a photocurrent of {FA_PER_UNIT[unit]:.3g} fA per {unit} is assumed, and one F times larger means a "
+        "density F times smaller"
+    )

@@ -1,0 +1,127 @@
+"""`pixelid latency` on tables simulated event by event: recovery, prediction of what was not fitted, public data."""
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pixelid.cli.main import main
+from pixelid.model.shipped import find_model
+from pixelid.tables.latency.camera import load_camera
+from pixelid.tables.latency.fit import fit_latency
+from pixelid.tables.latency.posterior import log_posterior, sample_fit
+from pixelid.tables.latency.reading import read_tables
+from tests.oracles import latency_tables
+from tests.oracles.latency_tables import DELAY_S, SETTINGS, TRUE, write_table
+
+NIST = Path(__file__).resolve().parents[2] / "fits" / "nist_latency" / "nist_latency_median_over_roi.csv"
+
+
+def run(*words: object) -> int:
+    return main([str(word) for word in (*words, "--quiet")])
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("latency")
+    write_table(folder / "table.csv")
+    assert run("latency", folder / "table.csv", "--out", folder / "fit") in (0, 1)
+    return folder
+
+
+def result(folder: Path) -> dict:
+    return json.loads((folder / "latency.json").read_text())
+
+
+def test_rows_are_the_tables_rows(folder):
+    rows = result(folder / "fit")["rows"]
+    with (folder / "table.csv").open() as file:
+        table = list(csv.DictReader(file))
+    assert len(rows) == len(table)
+    for row, cells in zip(rows, table, strict=True):
+        assert row["bias_config"] == cells["bias_config"]
+        assert row["measured"] == pytest.approx(1e-6 * float(cells["median"]))
+        assert set(row["statistics"]) == {"median", "min", "max", "stdev"}
+
+
+def test_medians_extremes_and_bandwidth_are_recovered(folder):
+    found = result(folder / "fit")
+    errors = found["errors"]["SIM"]
+    assert errors["median"]["rms"] < 0.02
+    assert errors["min"]["rms"] < 0.06
+    assert errors["max"]["rms"] < 0.06
+    corner = found["parameters"]["alpha_over_beta"]
+    low, high = corner["interval_95"]
+    assert low / 1.1 < TRUE["alpha"] / TRUE["beta"] < high * 1.1
+    for edge, place in (("on", 0), ("off", 1)):
+        values = [found["parameters"][f"{edge}_threshold[{name}]"]["value"] for name in SETTINGS]
+        truth = [thresholds[place] for thresholds in SETTINGS.values()]
+        np.testing.assert_allclose(values / np.mean(values), truth / np.mean(truth), rtol=0.1)
+
+
+def test_other_irradiances_and_settings_are_predicted(folder, monkeypatch):
+    monkeypatch.setattr(latency_tables, "SETTINGS", {"0.25MAX": (0.525, 0.475)})
+    write_table(folder / "other.csv", (0.02, 0.1), edges=3)
+    assert run("latency", folder / "other.csv", "--model", folder / "fit", "--predict", "--out", folder / "check") == 0
+    assert result(folder / "check")["errors"]["SIM"]["median"]["rms"] < 0.05
+
+
+def test_a_table_without_latencies_is_predicted(folder):
+    bare = folder / "bare.csv"
+    bare.write_text("camera,lens,polarity,irradiance_W_m2,bias_config\nSIM,lens,1,0.02,0\n")
+    assert run("latency", bare, "--model", folder / "fit", "--predict", "--out", folder / "bare") == 0
+    row = result(folder / "bare")["rows"][0]
+    assert row["measured"] is None
+    assert row["predicted"] > DELAY_S
+
+
+def test_the_model_opens_everywhere_and_keeps_its_settings(folder):
+    model = find_model(folder / "fit")
+    assert model.radiance_unit == "W/m2"
+    assert model.parameters["alpha"].source
+    camera = load_camera(folder / "fit" / "model.toml")
+    assert [s.name for s in camera.settings] == list(SETTINGS)
+    assert camera.settings[1].on_threshold == model.values["on_threshold"]
+
+
+def test_unknown_settings_cameras_and_units_are_refused(folder, capsys):
+    table = folder / "strange.csv"
+    table.write_text("camera,lens,polarity,irradiance_W_m2,bias_config\nSIM,lens,1,0.02,night\n")
+    assert run("latency", table, "--model", folder / "fit", "--predict", "--out", folder / "no") == 2
+    assert "night" in capsys.readouterr().err
+    assert run("latency", table, "--model", "dvs128", "--predict", "--out", folder / "no") == 2
+    assert "W/m2" in capsys.readouterr().err
+    assert run("latency", table, "--predict", "--out", folder / "no") == 2
+    assert run("latency", table, "--out", folder / "no") == 2
+    assert run("latency", folder / "table.csv", "--camera", "other", "--out", folder / "no") == 2
+
+
+def test_the_posterior_is_that_of_the_fit_and_of_its_seed(tmp_path):
+    lines = ["camera,lens,polarity,irradiance_W_m2,bias_config,median"]
+    lines += [f"C,l,1,{E},0,{5 / E + 30}" for E in (0.01, 0.03, 0.1, 0.3)]
+    (tmp_path / "table.csv").write_text("\n".join(lines) + "\n")
+    fit = fit_latency(read_tables([tmp_path / "table.csv"]))
+    said = sample_fit(fit, 1, tmp_path, steps=12)["posterior"]["C"]
+    again = sample_fit(fit, 1, tmp_path, steps=12)["posterior"]["C"]
+    assert said["parameters"] == again["parameters"]
+    assert said["parameters"] != sample_fit(fit, 2, tmp_path, steps=12)["posterior"]["C"]["parameters"]
+    one = fit.fits[0]
+    best = log_posterior(one, np.append(one.regression.x, np.log(0.05)))
+    worse = log_posterior(one, np.append(one.regression.x + 1.0, np.log(0.05)))
+    assert np.isfinite(best)
+    assert worse < best
+
+
+@pytest.mark.skipif(not NIST.is_file(), reason="needs a checkout")
+def test_public_table_of_a_gen31(tmp_path):
+    assert run("latency", NIST, "--camera", "CAM3", "--out", tmp_path / "out") in (0, 1)
+    found = result(tmp_path / "out")
+    on = [row for row in found["rows"] if row["polarity"] == 1]
+    logs = [np.log(row["predicted"] / row["measured"]) for row in on]
+    assert np.sqrt(np.mean(np.square(logs))) < 0.03
+    last = max((e for e in found["limits"] if e["edge"] == "on"), key=lambda e: e["irradiance_W_m2"])
+    first = min((e for e in found["limits"] if e["edge"] == "on"), key=lambda e: e["irradiance_W_m2"])
+    assert first["stage"] == "photoreceptor"
+    assert last["stage"] != "photoreceptor"

@@ -1,0 +1,167 @@
+"""`pixelid noise`: planted circuits come back from tables and from recordings, and bad tables are refused."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from pixelid.cli.main import main
+from pixelid.errors import InputError
+from pixelid.model.files import load_model, save_model
+from pixelid.model.shipped import find_model
+from pixelid.recordings.events import Events
+from pixelid.recordings.recording import Recording
+from pixelid.stimuli.stimulus import Stimulus
+from pixelid.tables.noise.first_passage import mean_rates
+from pixelid.tables.noise.fit import fit_noise
+from pixelid.tables.noise.model import FA_PER_LUX, NoiseModel, in_unit
+from pixelid.tables.noise.reading import read_noise_tables, reduced_recordings
+
+LIGHTS = (0.3, 1.0, 3.0, 10.0, 30.0, 100.0)
+
+
+def planted(**values):
+    """A circuit without mismatch (twelve times faster), in lux."""
+    model = find_model("dvs128").without_effect("threshold_mismatch")
+    model = model.with_effect("shot_noise", {"density": 3.2e-4})
+    return in_unit(model, "lux").set({"on_threshold": 0.17, "off_threshold": 0.19, **values})
+
+
+def write_table(path, model, lights=LIGHTS, scatter=0.0):
+    rng = np.random.default_rng(3)
+    lines = ["# made from a known circuit", "lux,ON_events_per_s_per_px,OFF_events_per_s_per_px"]
+    for light in lights:
+        on, off = np.array(mean_rates(model.circuit(), light)) * np.exp(scatter * rng.standard_normal(2))
+        lines.append(f"{light},{on:.6f},{off:.6f}")
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+def run(*words):
+    return main([str(word) for word in words])
+
+
+@pytest.mark.slow
+def test_a_planted_circuit_comes_back_and_predicts_other_lights(tmp_path):
+    truth = planted(alpha=planted().values["alpha"] * 1.6, beta=planted().values["beta"] * 0.8)
+    table = write_table(tmp_path / "noise.csv", truth, scatter=0.02)
+    save_model(planted(), tmp_path / "nominal.toml")
+    run("noise", table, "--model", tmp_path / "nominal.toml", "--out", tmp_path / "out", "--quiet")
+    result = json.loads((tmp_path / "out" / "noise.json").read_text())
+    rows = result["rows"]
+    assert len(rows) == 2 * len(LIGHTS)
+    assert all(abs(row["measured"] / row["predicted"] - 1) < 0.12 for row in rows)
+    assert set(rows[0]) >= {"lux", "polarity", "measured", "predicted", "standardised"}
+    ratio = result["parameters"]["off_threshold"]["value"] / result["parameters"]["on_threshold"]["value"]
+    assert ratio == pytest.approx(0.19 / 0.17, rel=0.05)
+    assert any("√F" in sentence for sentence in result["unidentified"])
+    assert result["parameters"]["shot_noise.density"]["fixed"]
+    assert (tmp_path / "out" / "report.html").is_file()
+    assert load_model(tmp_path / "out" / "model.toml").radiance_unit == "lux"
+    others = write_table(tmp_path / "others.csv", truth, lights=(0.6, 5.0, 50.0))
+    run("noise", others, "--model", tmp_path / "out", "--predict", "--out", tmp_path / "check", "--quiet")
+    check = json.loads((tmp_path / "check" / "noise.json").read_text())
+    assert check["cells_fitted"] == 0
+    assert all(abs(row["measured"] / row["predicted"] - 1) < 0.15 for row in check["rows"])
+
+
+def test_prediction_of_the_truth_is_the_table(tmp_path):
+    table = write_table(tmp_path / "noise.csv", planted())
+    noise = NoiseModel(read_noise_tables([table]), planted())
+    predicted = noise.predict(np.array([p.to_coordinate(p.value) for p in noise.parameters]))
+    assert predicted == pytest.approx(noise.table.rate_hz, rel=1e-3, abs=1e-6)
+
+
+def test_many_lights_are_interpolated(tmp_path):
+    lights = np.geomspace(0.5, 50.0, 40).round(4)
+    noise = NoiseModel(read_noise_tables([write_table(tmp_path / "noise.csv", planted(), lights)]), planted())
+    predicted = noise.predict(np.array([p.to_coordinate(p.value) for p in noise.parameters]))
+    assert predicted == pytest.approx(noise.table.rate_hz, rel=5e-3, abs=1e-6)
+
+
+def test_photocurrents_become_lux():
+    model = in_unit(find_model("dvs128"), "lux")
+    one, other = (
+        mean_rates(model.circuit(), 10.0),
+        mean_rates(find_model("dvs128").with_effect("shot_noise").circuit(), 10.0 * FA_PER_LUX),
+    )
+    assert one == pytest.approx(other, rel=1e-9)
+
+
+def still(radiance, on, off, pixels=16, duration=20.0, seed=0):
+    """A recording of Poisson events."""
+    rng = np.random.default_rng(seed)
+    counts = rng.poisson(np.array([off, on])[:, None] * duration * np.ones(pixels))
+    t = [rng.integers(0, int(duration * 1e9), n) for row in counts for n in row]
+    x = [np.full(n, k % pixels) for k, n in enumerate(counts.ravel())]
+    p = [np.full(n, k // pixels) for k, n in enumerate(counts.ravel())]
+    t, x, p = (np.concatenate(part) for part in (t, x, p))
+    order = np.argsort(t, kind="stable")
+    events = Events(
+        t[order], x[order].astype(np.uint16), np.zeros(len(t), np.uint16), p[order].astype(np.uint8), pixels, 1
+    )
+    stimulus = Stimulus.from_arrays([0.0, duration], [radiance, radiance], unit="fA")
+    return Recording(events, stimulus, condition=f"{radiance} fA")
+
+
+def test_recordings_are_counted_per_pixel():
+    table = reduced_recordings([still(10.0, 3.0, 2.0), still(40.0, 1.0, 0.0)])
+    assert table.rate_hz[:2] == pytest.approx([3.0, 2.0], rel=0.15)
+    assert table.relative_error[0] == pytest.approx(1 / np.sqrt(3.0 * 16 * 20), rel=0.6)
+    assert table.rate_hz[3] == 0.0
+    assert table.pixels == 16
+    assert table.unit == "fA"
+
+
+@pytest.mark.slow
+def test_fit_of_recordings_keeps_the_model_s_effects():
+    model = find_model("dvs128").without_effect("threshold_noise").without_effect("threshold_mismatch")
+    model = model.with_effect("shot_noise", {"density": 3.2e-4})
+    truth = model.set({"on_threshold": 0.155, "off_threshold": 0.165})
+    lights = (4.0, 24.0, 150.0)
+    recordings = [
+        still(light, *mean_rates(truth.circuit(), light), duration=60.0, seed=k) for k, light in enumerate(lights)
+    ]
+    fit = fit_noise(reduced_recordings(recordings), model)
+    values = {p.name: x for p, x in zip(fit.regression.parameters, fit.regression.x, strict=True)}
+    sd = dict(zip(values, fit.regression.sd, strict=True))
+    for name in ("on_threshold", "off_threshold"):
+        assert abs(values[name] - np.log(truth.values[name])) < 4 * sd[name] + 0.01
+    assert "leak.rate_hz" not in values
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("grey,ON_events_per_s\n1,2\n2,3\n", "column of light"),
+        ("lux,total\n1,2\n2,3\n", "column of ON"),
+        ("lux,on_events,on_rate_hz\n1,2,3\n2,3,4\n", "several columns"),
+        ("lux,on_hz,off_hz\n0,2,3\n2,3,4\n", "above 0"),
+        ("lux,on_hz,off_hz\n1,-2,3\n2,3,4\n", "at least 0"),
+        ("lux,on_hz\n1,2\n", "at least two"),
+    ],
+)
+def test_bad_tables(tmp_path, text, said):
+    path = tmp_path / "noise.csv"
+    path.write_text(text)
+    with pytest.raises(InputError, match=said):
+        read_noise_tables([path])
+
+
+def test_bad_recordings():
+    with pytest.raises(InputError, match="no stimulus"):
+        reduced_recordings([Recording(Events.empty(2, 2))])
+    ramp = Stimulus.from_arrays([0.0, 1.0], [1.0, 2.0])
+    with pytest.raises(InputError, match="constant light"):
+        reduced_recordings([Recording(Events.empty(2, 2), ramp)])
+    with pytest.raises(InputError, match="no events"):
+        reduced_recordings([Recording(Events.empty(2, 2), Stimulus.from_arrays([0.0, 1.0], [1.0, 1.0]))])
+
+
+def test_predict_needs_a_model(tmp_path):
+    table = write_table(tmp_path / "noise.csv", planted())
+    assert run("noise", table, "--predict", "--out", tmp_path / "out") == 2
+    assert run("noise", table, "--model", "nothing", "--out", tmp_path / "out") == 2
+    assert run("noise", tmp_path / "absent.csv", "--out", tmp_path / "out") == 2

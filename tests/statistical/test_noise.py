@@ -1,0 +1,108 @@
+"""Noise events: the method against two simulators over five decades, and coverage of what still scenes identify."""
+
+from __future__ import annotations
+
+import math
+import time
+
+import numpy as np
+import pytest
+
+from pixelid.model.shipped import find_model
+from pixelid.simulate import simulate
+from pixelid.stimuli.stimulus import Stimulus
+from pixelid.tables.fit import Z95
+from pixelid.tables.noise.first_passage import mean_rates, noise_rates
+from pixelid.tables.noise.fit import fit_noise
+from pixelid.tables.noise.process import noise_process
+from pixelid.tables.noise.reading import reduced_recordings
+from tests.oracles.noise_events import simulate_noise_events
+
+pytestmark = pytest.mark.slow
+
+DENSITY = 3.2e-4
+
+
+def circuit(radiance, on, off, **changes):
+    """DVS128 with shot noise, thresholds in standard deviations of its noise at this radiance."""
+    c = find_model("dvs128").circuit().with_(shot_density=DENSITY, noise=0.0, mismatch=0.0, **changes)
+    sigma = noise_process(c, radiance).sigma
+    return c.with_(on_threshold=on * sigma, off_threshold=off * sigma)
+
+
+@pytest.mark.parametrize(
+    ("radiance", "on", "off", "dead_s", "events"),
+    [
+        (0.3, 4.0, 4.2, 1e-3, 1500),  # 2e-3 Hz
+        (1.0, 3.6, 3.4, 1e-3, 6000),
+        (24.0, 3.6, 4.0, 1e-3, 6000),
+        (24.0, 3.0, 3.4, 3e-2, 25000),
+        (200.0, 2.6, 2.6, 1e-4, 25000),
+        (2000.0, 2.2, 2.6, 3e-4, 25000),  # 300 Hz
+    ],
+)
+def test_rates_within_two_per_cent_of_brute_simulation(radiance, on, off, dead_s, events):
+    c = circuit(radiance, on, off, refractory=dead_s)
+    noise_rates(c, radiance)
+    begun = time.perf_counter()
+    rates = noise_rates(c, radiance)
+    fast = time.perf_counter() - begun
+    begun = time.perf_counter()
+    t, p, duration = simulate_noise_events(
+        c.alpha * radiance, c.beta + c.gamma * radiance, c.follower, c.differencing, DENSITY / radiance,
+        c.on_threshold, c.off_threshold, dead_s=dead_s, duration_s=events / (rates.on_hz + rates.off_hz), seed=11,
+    )  # fmt: skip
+    slow = time.perf_counter() - begun
+    blocks = np.histogram(t, 50, (0.0, duration))[0]
+    error = blocks.std(ddof=1) / math.sqrt(50) / blocks.mean()
+    seen = len(p) / duration
+    print(f"{radiance:g} fA: {rates.on_hz + rates.off_hz:.4g} Hz, ratio {(rates.on_hz + rates.off_hz) / seen:.4f} ± "
+          f"{error:.4f}, {slow / fast:.0f} times faster than {events} simulated events")  # fmt: skip
+    assert rates.on_hz + rates.off_hz == pytest.approx(seen, rel=0.02 + 3.0 * error)
+
+
+def test_rates_are_those_of_the_package_s_simulator():
+    """Mismatch and threshold noise included; the simulator knows nothing of Gaussian processes."""
+    model = find_model("dvs128").with_effect("shot_noise", {"density": DENSITY})
+    model = model.set({"on_threshold": 0.14, "off_threshold": 0.16, "refractory_s": 1e-3})
+    light = Stimulus.from_arrays([0.0, 20.0], [24.0, 24.0], unit="fA")
+    recording = simulate(model, light, width=16, height=16, seed=5)
+    late = recording.events.t > 2_000_000_000  # references start at random and have then settled
+    counts = [np.sum(recording.events.p[late] == p) / (256 * 18.0) for p in (1, 0)]
+    on, off = mean_rates(model.circuit(), 24.0)
+    # 256 pixels of 3 % mismatch are a sample: their mean rate scatters by about 20 · 3 % / 16
+    assert on == pytest.approx(counts[0], rel=0.10)
+    assert off == pytest.approx(counts[1], rel=0.10)
+    assert on + off == pytest.approx(sum(counts), rel=0.08)
+
+
+def test_intervals_cover_what_was_planted():
+    """Thresholds (at a known density) and the bandwidth α/β of 40 small sensors at four lights each."""
+    base = find_model("dvs128").without_effect("threshold_noise").without_effect("threshold_mismatch")
+    base = base.with_effect("shot_noise", {"density": DENSITY}).set({"refractory_s": 1e-3})
+    rng = np.random.default_rng(1)
+    inside, count = {}, 0
+    for session in range(40):
+        truth = base.set({
+            "on_threshold": 0.15 * math.exp(0.1 * rng.standard_normal()),
+            "off_threshold": 0.16 * math.exp(0.1 * rng.standard_normal()),
+            "alpha": base.values["alpha"] * math.exp(0.3 * rng.standard_normal()),
+            "beta": base.values["beta"] * math.exp(0.3 * rng.standard_normal()),
+        })  # fmt: skip
+        recordings = [
+            simulate(truth, Stimulus.from_arrays([0.0, 12.0], [light, light], unit="fA"), width=4, height=4,
+                     seed=100 * session + k)
+            for k, light in enumerate((2.0, 10.0, 50.0, 250.0))
+        ]  # fmt: skip
+        fit = fit_noise(reduced_recordings(recordings), base).regression
+        names = [p.name for p in fit.parameters]
+        for k, name in enumerate(names):
+            if np.isfinite(fit.sd[k]) and name in ("on_threshold", "off_threshold", "alpha", "beta"):
+                hit = abs(fit.x[k] - math.log(truth.values[name])) < Z95 * fit.sd[k]
+                inside.setdefault(name, []).append(hit)
+        count += 1
+    coverage = {name: float(np.mean(hits)) for name, hits in inside.items()}
+    print(count, coverage)
+    together = float(np.mean([hit for hits in inside.values() for hit in hits]))
+    assert 0.92 <= together <= 1.0
+    assert all(value >= 0.85 for value in coverage.values())  # 40 sessions: 0.95 ± 0.034

@@ -1,0 +1,141 @@
+"""The table's rows, folded from reports made by hand: every verdict from the evidence that it stands for."""
+
+from types import MappingProxyType
+
+import pytest
+
+from pixelid import stages
+from pixelid.conform.fold import Beside, rows_of
+from pixelid.conform.removals import BANDWIDTH, Removal, without_bandwidth
+from pixelid.conform.result import ConformReport
+from pixelid.conform.row import STAGES
+from pixelid.gap.criteria import Criteria
+from pixelid.gap.result import GapReport, Named
+from pixelid.model.shipped import find_model
+
+LEAK = Named("leak", 1e-9, 40.0, "parasitic_photocurrent", 20.0, 0.3, "dark_current",
+             {"leak.rate_hz": (2.0, (1.9, 2.1))}, "ON events under constant light")  # fmt: skip
+
+
+def report(verdict="none", effects=(), rounds=(), details=None, base="dvs128", **changes) -> GapReport:
+    base = find_model(base)
+    model = base
+    for effect in effects:
+        model = model.with_effect(effect.name)
+    known = {"sentence": "", "remainder": False, "global_p": 0.5, "alpha": 0.01, "free_run": None, "term": None,
+             "recommended_next": {}, "seconds": 1.0, "seed": 0}  # fmt: skip
+    return GapReport(verdict=verdict, effects=tuple(effects), rounds=tuple(rounds), base=base, model=model,
+                     details=MappingProxyType(details or {}), **{**known, **changes})  # fmt: skip
+
+
+def a_round(candidates=(), **told) -> dict:
+    return {"round": 1, "p": 0.5, "named": None, "refused": None, "candidates": list(candidates), **told}
+
+
+def candidate(name, gain, held, p) -> dict:
+    return {"name": name, "gain_nats": gain, "heldout_gain_nats": held, "p_value": p}
+
+
+def rows(found, **beside):
+    return {row.effect: row for row in rows_of(found, Beside(**beside), Criteria())}
+
+
+def test_every_effect_has_one_row_in_signal_order():
+    found = rows_of(report(), Beside(), Criteria())
+    effects = [row.effect for row in found]
+    assert sorted(effects) == sorted([*stages.LIBRARY, BANDWIDTH, "on_threshold", "off_threshold"])
+    places = [STAGES.index(row.stage) for row in found]
+    assert places == sorted(places)
+
+
+def test_a_named_effect_is_present_with_its_strength_and_evidence():
+    rounds = [a_round([candidate("leak", 60.0, 40.0, 1e-9)], named="leak")]
+    row = rows(report("named", [LEAK], rounds))["leak"]
+    assert row.verdict == "present"
+    assert row.parameters == {"leak.rate_hz": (2.0, (1.9, 2.1))}
+    assert (row.p_value, row.gain_nats, row.heldout_gain_nats) == (1e-9, 60.0, 40.0)
+    assert row.why == "ON events under constant light"
+
+
+def test_effects_that_explain_the_same_are_not_decidable():
+    found = rows(report("ambiguous", [LEAK]), doubted={"leak": ["parasitic_photocurrent"]})
+    assert found["leak"].verdict == found["parasitic_photocurrent"].verdict == "not_decidable"
+
+
+def test_absence_needs_that_it_would_have_been_seen():
+    details = {"shows_at_typical_strength_nats": {"leak": 500.0, "dark_current": 2.0}}
+    found = rows(report(details=details, rounds=[a_round(screened_nats={"leak": 0.1, "lower_cutoff": 0.0})]))
+    assert found["leak"].verdict == "absent"
+    assert found["leak"].limit == ("leak.rate_hz", pytest.approx(0.1 * (5.0 / 500.0) ** 0.5))
+    assert found["dark_current"].verdict == "not_decidable"
+    assert found["lower_cutoff"].verdict == "not_decidable"  # tried, and it moved nothing
+    assert found["parasitic_photocurrent"].verdict == "not_tested"
+
+
+def test_the_limit_of_a_pole_is_above_its_typical_cutoff():
+    details = {"shows_at_typical_strength_nats": {"source_follower_pole": 500.0}}
+    limit = rows(report(details=details, base="photoreceptor"))["source_follower_pole"].limit
+    assert limit is not None
+    name, value = limit
+    assert name == "sf_cutoff_hz"
+    assert value == pytest.approx(3122.0 * (500.0 / 5.0) ** 0.5)
+
+
+def test_what_would_gain_and_was_refused_is_not_absent():
+    details = {"shows_at_typical_strength_nats": {"leak": 500.0}}
+    rounds = [a_round([candidate("leak", 60.0, 40.0, 1e-9)], refused="leak: a flexible alternative explains more")]
+    row = rows(report("unknown", rounds=rounds, details=details, remainder=True))["leak"]
+    assert row.verdict == "not_decidable"
+    assert "flexible alternative" in row.why
+
+
+def test_what_the_structure_forbids_is_not_tested():
+    rounds = [a_round([candidate("leak", 1.0, 0.0, 1.0)], skipped={"slew_limit": "needs both poles"})]
+    row = rows(report(rounds=rounds))["slew_limit"]
+    assert (row.verdict, row.why) == ("not_tested", "needs both poles")
+
+
+@pytest.mark.parametrize(
+    ("removal", "interval", "verdict"),
+    [
+        (Removal(50.0, 30.0, 1e-9, True), (9e-5, 1.1e-4), "present"),
+        (Removal(0.1, -0.2, 1.0, False), (1e-8, 2e-5), "absent"),
+        (Removal(0.1, -0.2, 1.0, False), (1e-8, 5e-4), "not_decidable"),
+        (None, (9e-5, 1.1e-4), "present"),
+        (Removal(0.1, -0.2, 1.0, False), None, "not_tested"),
+    ],
+)
+def test_effects_of_the_base_are_judged_by_taking_them_out(removal, interval, verdict):
+    beside = {"removals": {"refractory_period": removal} if removal else {},
+              "intervals": {"refractory_s": interval} if interval else {}}  # fmt: skip
+    assert rows(report(), **beside)["refractory_period"].verdict == verdict
+
+
+def test_a_fast_pole_is_absent_where_its_cutoff_is_surely_above_the_typical_one():
+    removal = {"differencing_pole": Removal(0.0, 0.0, 1.0, False)}
+    fast = rows(report(), removals=removal, intervals={"diff_cutoff_hz": (1e5, 1e8)})["differencing_pole"]
+    slow = rows(report(), removals=removal, intervals={"diff_cutoff_hz": (1e3, 1e8)})["differencing_pole"]
+    assert (fast.verdict, fast.limit) == ("absent", ("diff_cutoff_hz", 1e5))
+    assert slow.verdict == "not_decidable"
+
+
+def test_what_only_timestamps_and_silence_show():
+    found = rows(report(), readout={"timestamp_quantisation": "no grid", "hot_pixels": None})
+    verdicts = [found[e].verdict for e in ("timestamp_quantisation", "hot_pixels", "shot_noise")]
+    assert verdicts == ["absent", "not_decidable", "not_tested"]
+
+
+def test_a_bandwidth_that_the_recordings_need():
+    assert rows(report(), removals={BANDWIDTH: Removal(90.0, 70.0, 0.0, True)})[BANDWIDTH].verdict == "present"
+    model = without_bandwidth(find_model("dvs128").with_effect("bandwidth_floor"))
+    assert (model.photoreceptor, model.has("bandwidth_floor")) == ("unlimited", False)
+    assert "alpha" not in model.values
+
+
+def test_a_report_counts_its_rows_and_goes_to_a_folder(tmp_path):
+    found = report("named", [LEAK])
+    table = ConformReport(found, rows_of(found, Beside(), Criteria()), "v2e", 2.0)
+    assert sum(table.counts.values()) == len(table.rows)
+    table.save(tmp_path / "out")
+    assert {path.name for path in (tmp_path / "out").iterdir()} >= {"conform.json", "gap.json", "model.toml"}
+    assert "leak.rate_hz 2 (1.9 … 2.1)" in table.summary()

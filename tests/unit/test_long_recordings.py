@@ -1,0 +1,311 @@
+"""Recordings in parts give what they give whole: readers, crops, inspection, alignment, writing; EVT 2.1."""
+
+from contextlib import suppress
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from pixelid.cli.main import main
+from pixelid.errors import InputError
+from pixelid.inspection.health import inspect
+from pixelid.inspection.intervals import Intervals, pixel_intervals
+from pixelid.recordings import Events, Recording, aedat2, decoded, hdf5, npz, open_recording, text, write_recording
+from pixelid.recordings import parts as in_parts
+from pixelid.recordings import reading as opening
+from pixelid.recordings.alignment import Alignment, aligned, aligned_parts, sample_to_align
+from pixelid.recordings.columns import RepeatCounter, duplicated
+from pixelid.recordings.crop import Crop
+from pixelid.recordings.parts import LongRecording, joined
+from pixelid.recordings.triggers import Triggers
+from pixelid.stimuli.stimulus import Stimulus
+
+WIDTH, HEIGHT = 12, 9
+SECONDS = 3.0
+
+
+def made(n=20_000, seed=0, tick_ns=1000) -> Recording:
+    """Poisson pixels that a 100 Hz lamp modulates, with a hot pixel, repeats, trigger edges and light."""
+    rng = np.random.default_rng(seed)
+    t = rng.uniform(0, SECONDS, 3 * n)
+    t = np.sort(t[rng.random(len(t)) < 0.5 + 0.5 * np.sin(2 * np.pi * 100 * t)][:n])
+    n = len(t)
+    pixel = rng.integers(0, WIDTH * HEIGHT, n)
+    pixel[rng.random(n) < 0.2] = 30
+    t_ns = (t * 1e9 / tick_ns).astype(np.int64) * tick_ns
+    p = rng.integers(0, 2, n)
+    again = rng.choice(n, 50, replace=False)
+    order = np.argsort(np.concatenate([t_ns, t_ns[again]]), kind="stable")
+    columns = (np.concatenate([c, c[again]])[order] for c in (t_ns, pixel % WIDTH, pixel // WIDTH, p))
+    events = Events.from_columns(*columns, WIDTH, HEIGHT, tick_ns=tick_ns)
+    light = Stimulus.from_arrays([0, 1, SECONDS], [1.0, 2.0, 3.0], "lux", "linear")
+    triggers = Triggers.from_columns([10_000_000, 900_000_000], [True, False], [1, 1])
+    return Recording(events, light, "c", "s", attributes={"a": 1}, triggers=triggers)
+
+
+def long_of(recording: Recording, size=777) -> LongRecording:
+    """The recording in parts of `size` events."""
+    e = recording.events
+    head = replace(recording, events=Events.empty(e.width, e.height, e.tick_ns), triggers=None)
+
+    def read():
+        for k in range(0, len(e), size):
+            edges = recording.triggers if k == 0 else None
+            yield replace(head, events=e.select(np.s_[k : k + size]), triggers=edges)
+
+    return LongRecording(head, read)
+
+
+def same(found: Recording, expected: Recording) -> None:
+    for name in "txyp":
+        np.testing.assert_array_equal(getattr(found.events, name), getattr(expected.events, name))
+    assert (found.events.width, found.events.height) == (expected.events.width, expected.events.height)
+    assert found.events.tick_ns == expected.events.tick_ns
+    assert (found.condition, found.attributes) == (expected.condition, expected.attributes)
+    assert (found.triggers is None) == (expected.triggers is None)
+    if found.triggers is not None:
+        np.testing.assert_array_equal(found.triggers.t, expected.triggers.t)
+    assert (found.stimulus is None) == (expected.stimulus is None)
+    if found.stimulus is not None:
+        np.testing.assert_array_equal(found.stimulus.t, expected.stimulus.t)
+
+
+@pytest.mark.parametrize(("suffix", "reader"), [(".h5", hdf5), (".npz", npz), (".csv", text)])
+def test_readers_in_parts(tmp_path, monkeypatch, suffix, reader):
+    path = tmp_path / f"a{suffix}"
+    write_recording(made(), path)
+    whole = reader.read(path)
+    monkeypatch.setattr(reader, "PART_EVENTS", 777, raising=False)
+    monkeypatch.setattr(text, "LINES_AT_ONCE", 777)
+    head, parts = reader.stream(path)
+    parts = list(parts)
+    assert len(parts) > 20
+    same(joined(head, parts), whole)
+
+
+def test_a_size_that_is_not_stated_is_found_before_the_parts(tmp_path, monkeypatch):
+    e = made().events
+    np.savez(tmp_path / "a.npz", t=e.t // 1000, x=e.x, y=e.y, p=e.p)
+    rows = zip(*(c.tolist() for c in (e.t // 1000, e.x, e.y, e.p)), strict=True)
+    (tmp_path / "a.txt").write_text("\n".join(" ".join(map(str, row)) for row in rows))
+    monkeypatch.setattr(npz, "PART_EVENTS", 777)
+    monkeypatch.setattr(text, "LINES_AT_ONCE", 777)
+    for reader, name in ((npz, "a.npz"), (text, "a.txt")):
+        same(joined(*reader.stream(tmp_path / name)), reader.read(tmp_path / name))
+
+
+def test_camera_files_in_parts(tmp_path, monkeypatch, shared):
+    for name in ("gen41_saturated.evt3.raw", "davis346_aps.aedat4", "davis240_boxes.aedat"):
+        reader = aedat2 if name.endswith(".aedat") else decoded
+        path = shared / "recordings" / name
+        whole = reader.read(path)
+        monkeypatch.setattr(reader, "PART_EVENTS", 10_000)
+        head, parts = reader.stream(path)
+        parts = list(parts)
+        assert len(parts) > 3
+        same(joined(head, parts), whole)
+
+
+def test_errors_count_from_the_first_part(tmp_path, monkeypatch):
+    e = made().events
+    t = e.t // 1000
+    t[5000] = t[4999] - 1
+    np.savez(tmp_path / "a.npz", t=t, x=e.x, y=e.y, p=e.p)
+    for size in (1 << 20, 777, 5000):
+        monkeypatch.setattr(npz, "PART_EVENTS", size)
+        with pytest.raises(InputError, match="event 5000 is earlier than event 4999"):
+            joined(*npz.stream(tmp_path / "a.npz"))
+
+
+def test_repeats_are_counted_across_parts():
+    events = made().events
+    coarse = replace(events, t=events.t // 10**8 * 10**8)
+    for some in (events, coarse):
+        for size in (1, 100, 5000):
+            counter = RepeatCounter()
+            found = sum(
+                counter.add(some.select(np.s_[k : k + size])) for k in range(0, 4000 if size == 1 else len(some), size)
+            )
+            assert found == len(duplicated(some if size > 1 else some.select(np.s_[:4000])))
+
+
+def test_a_file_joined_to_itself_is_refused_in_parts(tmp_path, monkeypatch):
+    import h5py
+
+    write_recording(made(), tmp_path / "a.h5")
+    with h5py.File(tmp_path / "a.h5", "r+") as file:
+        del file["events"].attrs["duplicates"]
+    monkeypatch.setattr(hdf5, "PART_EVENTS", 777)
+    with pytest.raises(InputError, match="found duplicates"):
+        joined(*hdf5.stream(tmp_path / "a.h5"))
+
+
+@pytest.mark.parametrize(
+    "crop",
+    [
+        Crop(roi=(2, 1, 8, 7)), Crop(time_s=(0.5, 1.25)), Crop(pixels=5), Crop(without_hot_pixels=True),
+        Crop((0, 0, 9, 9), (0.1, 2.0), 7, True),
+    ],
+)  # fmt: skip
+def test_crops(crop):
+    recording = made()
+    found = crop.applied_to_parts(long_of(recording), seed=3)
+    same(replace(joined(found.head, found.read()), triggers=recording.triggers), crop.applied(recording, 3))
+
+
+def test_nothing_left_and_a_wrong_region_are_refused():
+    long = long_of(made())
+    with pytest.raises(InputError, match="within the sensor of 12 x 9"):
+        Crop(roi=(0, 0, 99, 9)).applied_to_parts(long)
+    with pytest.raises(InputError, match="no event is left"):
+        joined(long.head, Crop(time_s=(5.0, 6.0)).applied_to_parts(long).read())
+
+
+def close(found, expected, path=""):
+    if isinstance(expected, dict):
+        assert found.keys() == expected.keys()
+        for key in expected:
+            close(found[key], expected[key], f"{path}.{key}")
+    elif isinstance(expected, list | tuple):
+        assert len(found) == len(expected), path
+        for a, b in zip(found, expected, strict=True):
+            close(a, b, path)
+    elif isinstance(expected, float):
+        # the dead time spreads intervals over their tick at random, and their order differs
+        assert found == pytest.approx(expected, rel=0.02 if "dead_time" in path else 1e-5), path
+    else:
+        assert found == expected, path
+
+
+def test_inspection_in_parts():
+    recording = made()
+    whole = inspect(recording).to_dict()
+    for name in ("lines", "hot_pixels", "duplicates", "ceiling"):
+        assert whole[name]
+    for size in (777, 50_000):
+        close(inspect(long_of(recording, size)).to_dict(), whole)
+
+
+def test_long_light_is_transformed_in_segments(monkeypatch):
+    from pixelid.inspection import lines
+
+    monkeypatch.setattr(lines, "MAX_BINS", 1 << 14)
+    recording = made()
+    whole = inspect(recording).to_dict()["lines"]
+    assert whole[0]["frequency_hz"] == pytest.approx(100, abs=0.3)
+    close(inspect(long_of(recording)).to_dict()["lines"], whole)
+
+
+def test_a_random_share_of_the_intervals_is_kept():
+    events = made().events
+    some = Intervals(WIDTH * HEIGHT, most=2000)
+    for part in long_of(made()).read():
+        some.add(part.events)
+    every = pixel_intervals(events)
+    assert some.count == len(every)
+    assert len(some.intervals) <= 2000
+    assert some.share == 2.0 ** round(np.log2(some.share))
+    assert len(some.intervals) == pytest.approx(some.share * len(every), rel=0.15)
+    assert np.median(some.intervals) == pytest.approx(np.median(every), rel=0.2)
+    assert set(some.intervals.tolist()) <= set(every.tolist())
+
+
+@pytest.mark.parametrize("suffix", [".h5", ".csv", ".npz"])
+@pytest.mark.parametrize("late_ns", [0, 1])
+def test_written_in_parts(tmp_path, suffix, late_ns):
+    recording = made()
+    t = recording.events.t.copy()
+    t[-1] += late_ns  # no whole microsecond, after microseconds have been written
+    recording = replace(recording, events=replace(recording.events, t=t))
+    write_recording(recording, tmp_path / f"whole{suffix}")
+    write_recording(long_of(recording), tmp_path / f"parts{suffix}")
+    same(open_recording(tmp_path / f"parts{suffix}"), open_recording(tmp_path / f"whole{suffix}"))
+
+
+def test_aligned_in_parts():
+    recording, light = made(), Stimulus.from_arrays([0, 1, 2], [1.0, 2.0, 1.0], "lux", "linear")
+    alignment = Alignment(0.25, "given", rate_error=2e-5)
+    found = aligned_parts(long_of(recording), light, alignment)
+    same(joined(found.head, found.read()), aligned(recording, light, alignment))
+    with pytest.raises(InputError, match="no event lies within the light"):
+        aligned_parts(long_of(recording), light, Alignment(50.0, "given"))
+    sample = sample_to_align(long_of(recording))
+    assert sample.events.t[0] == recording.events.t[0]
+    np.testing.assert_array_equal(sample.triggers.t, recording.triggers.t)
+
+
+def test_commands_on_a_long_file(tmp_path, monkeypatch, capsys):
+    recording = made()
+    write_recording(recording, tmp_path / "a.h5")
+    light = tmp_path / "light.csv"
+    light.write_text("t_s,radiance_lux\n0,1\n1,2\n2,1\n")
+    assert main(["inspect", str(tmp_path / "a.h5"), "--json", "--quiet"]) == 0
+    whole = capsys.readouterr().out
+    monkeypatch.setattr(opening, "LONG_BYTES", 0)
+    monkeypatch.setattr(in_parts, "WHOLE_EVENTS", 1000)
+    assert isinstance(opening.open_cropped(tmp_path / "a.h5", Crop()), LongRecording)
+    assert main(["inspect", str(tmp_path / "a.h5"), "--json", "--quiet"]) == 0
+    found = capsys.readouterr().out
+    assert len(found) == pytest.approx(len(whole), rel=0.01)
+    for words in ([], ["--roi", "0,0,5,5"], ["--stimulus", str(light), "--align", "trigger"]):
+        assert main(["convert", str(tmp_path / "a.h5"), str(tmp_path / "b.h5"), "--overwrite", *words]) == 0
+        said = capsys.readouterr().out
+        monkeypatch.setattr(opening, "LONG_BYTES", 1 << 30)
+        assert main(["convert", str(tmp_path / "a.h5"), str(tmp_path / "c.h5"), "--overwrite", *words]) == 0
+        assert capsys.readouterr().out.replace("c.h5", "b.h5") == said
+        same(open_recording(tmp_path / "b.h5"), open_recording(tmp_path / "c.h5"))
+        monkeypatch.setattr(opening, "LONG_BYTES", 0)
+    assert main(["inspect", str(tmp_path / "a.h5"), "--time", "7:8"]) == 2
+    assert "no event is left" in capsys.readouterr().err
+
+
+def evt21(path, events, header="% evt 2.1\n% geometry 640x480\n% end\n", swapped=False, start_us=0) -> None:
+    """Write (t µs, x of the first pixel, y, polarity, mask) as words of EVT 2.1."""
+    words, high = [], None
+    for t, x, y, p, mask in events:
+        if t >> 6 != high:
+            high = t >> 6
+            words.append(0x8 << 60 | (high & 0xFFFFFFF) << 32)
+        words.append(p << 60 | (t & 63) << 54 | x << 43 | y << 32 | mask)
+    data = np.array(words, "<u8")
+    if swapped:
+        data = data.view("<u4").reshape(-1, 2)[:, ::-1].copy()
+    path.write_bytes(header.encode() + data.tobytes())
+
+
+VECTORS = [(1000, 32, 5, 1, 0b1011), (1003, 64, 7, 0, 1 << 31), (5000, 0, 2, 1, 3), (5000, 608, 479, 0, 1 << 31 | 1)]
+PIXELS = [(1000, 32, 5, 1), (1000, 33, 5, 1), (1000, 35, 5, 1), (1003, 95, 7, 0), (5000, 0, 2, 1), (5000, 1, 2, 1),
+          (5000, 608, 479, 0), (5000, 639, 479, 0)]  # fmt: skip
+
+
+@pytest.mark.parametrize("swapped", [False, True])
+@pytest.mark.parametrize(
+    "header",
+    ["% evt 2.1\n% geometry 640x480\n% end\n", "% format EVT21;height=480;width=640\n% end\n", "% evt 2.1\n% Gen3 \n"],
+)
+def test_evt21(tmp_path, header, swapped):
+    evt21(tmp_path / "a.raw", VECTORS, header, swapped)
+    e = open_recording(tmp_path / "a.raw").events
+    assert (e.width, e.height) == (640, 480)
+    assert list(zip((e.t // 1000).tolist(), e.x.tolist(), e.y.tolist(), e.p.tolist(), strict=True)) == PIXELS
+
+
+def test_the_clock_of_evt21_rolls_over(tmp_path):
+    late = (1 << 34) - 50
+    evt21(tmp_path / "a.raw", [(late + k * 40, k, 1, 1, 1) for k in range(6)])
+    t = open_recording(tmp_path / "a.raw").events.t // 1000
+    np.testing.assert_array_equal(t, late + 40 * np.arange(6))
+
+
+@settings(max_examples=60, deadline=None, derandomize=True)
+@given(data=st.binary(min_size=0, max_size=200), swapped=st.booleans())
+def test_any_bytes_of_evt21_are_answered(tmp_path_factory, data, swapped):
+    path = tmp_path_factory.mktemp("evt21") / "a.raw"
+    evt21(path, VECTORS, swapped=swapped)
+    path.write_bytes(path.read_bytes() + data)
+    with suppress(InputError):
+        events = decoded.read(path).events
+        assert (np.diff(events.t) >= 0).all()
+        assert (events.x < 640).all()

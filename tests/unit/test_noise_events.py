@@ -1,0 +1,191 @@
+"""Rates of noise events: against brute simulation, scaling laws, and limits with closed forms."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from pixelid.errors import InputError
+from pixelid.model.shipped import find_model
+from pixelid.tables.noise.first_passage import mean_rates, noise_rates, rates_of
+from pixelid.tables.noise.intervals import noise_intervals
+from pixelid.tables.noise.process import noise_process
+from pixelid.tables.noise.quadrature import rayleigh_nodes
+from tests.oracles.noise_events import simulate_noise_events, stages
+
+DENSITY = 3.2e-4  # fA/Hz: 2q
+
+
+def circuit(**changes):
+    return find_model("dvs128").circuit().with_(shot_density=DENSITY, noise=0.0, mismatch=0.0, **changes)
+
+
+def thresholds(c, radiance, on, off):
+    """The circuit with thresholds in standard deviations of its noise."""
+    sigma = noise_process(c, radiance).sigma
+    return c.with_(on_threshold=on * sigma, off_threshold=off * sigma)
+
+
+def simulated(c, radiance, events, seed=0):
+    """(ON rate, OFF rate, relative standard error of their sum) by brute force."""
+    rates = noise_rates(c, radiance)
+    t, p, duration = simulate_noise_events(
+        c.alpha * radiance, c.beta + c.gamma * radiance, c.follower, c.differencing, DENSITY / radiance,
+        c.on_threshold, c.off_threshold, dead_s=c.refractory, duration_s=events / (rates.on_hz + rates.off_hz),
+        leak=c.leak_hz * c.on_threshold, threshold_noise=c.noise, seed=seed,
+    )  # fmt: skip
+    blocks = np.histogram(t, 40, (0.0, duration))[0]
+    return (p == 1).sum() / duration, (p == 0).sum() / duration, blocks.std(ddof=1) / math.sqrt(40) / blocks.mean()
+
+
+def test_covariance_is_the_oracle_s():
+    c = circuit()
+    A, P = stages(c.alpha * 24.0, c.beta + c.gamma * 24.0, c.follower, c.differencing, DENSITY / 24.0)
+    process = noise_process(c, 24.0)
+    assert pytest.approx(A) == process.A
+    assert pytest.approx(P, rel=1e-9, abs=1e-15) == process.P
+    late = process.propagators[-1]
+    assert np.abs(late).max() < 1e-10
+
+
+def test_variance_of_a_second_order_photoreceptor():
+    """Behind stages without poles of their own the variance is S ωn² / 4 (2ζωn), S one-sided."""
+    c = circuit(follower=1e9, differencing=1e10)
+    a, b2 = c.alpha * 24.0, c.beta + c.gamma * 24.0
+    assert noise_process(c, 24.0).sigma ** 2 == pytest.approx(DENSITY / 24.0 * a / (4 * b2), rel=1e-3)
+
+
+def test_slopes_of_crossings():
+    nodes, weights = rayleigh_nodes(4)
+    for power, moment in ((0, 1.0), (1, math.sqrt(math.pi / 2)), (2, 2.0), (6, 48.0)):
+        assert weights @ nodes**power == pytest.approx(moment, rel=1e-10)
+
+
+@pytest.mark.parametrize(
+    ("radiance", "on", "off", "dead_s", "leak_hz"),
+    [
+        (24.0, 2.5, 3.0, 1e-3, 0.0),
+        (2000.0, 2.4, 2.8, 3e-4, 0.0),
+        (24.0, 2.6, 2.2, 2e-2, 0.0),
+        (24.0, 2.8, 3.0, 1e-3, 2.0),
+    ],
+)
+def test_rates_are_those_of_brute_simulation(radiance, on, off, dead_s, leak_hz):
+    c = thresholds(circuit(refractory=dead_s, leak_hz=leak_hz), radiance, on, off)
+    rates = noise_rates(c, radiance)
+    seen_on, seen_off, error = simulated(c, radiance, 6000)
+    assert rates.on_hz == pytest.approx(seen_on, rel=0.02 + 3.5 * error)
+    assert rates.off_hz == pytest.approx(seen_off, rel=0.02 + 3.5 * error)
+
+
+@pytest.mark.parametrize("leak_hz", [0.0, 3.0])
+def test_intervals_are_those_of_brute_simulation(leak_hz):
+    """Shares of ON–ON, ON–OFF, … intervals within edges over four decades."""
+    c = thresholds(circuit(refractory=1e-3, leak_hz=leak_hz), 24.0, 2.6, 2.9)
+    t, p, _ = simulate_noise_events(
+        c.alpha * 24.0, c.beta + c.gamma * 24.0, c.follower, c.differencing, DENSITY / 24.0, c.on_threshold,
+        c.off_threshold, dead_s=1e-3, duration_s=300.0, leak=leak_hz * c.on_threshold, seed=8,
+    )  # fmt: skip
+    edges = np.array([2e-3, 3e-3, 5e-3, 0.01, 0.03, 0.1, 0.3])
+    found = noise_intervals(c, 24.0)
+    predicted = found.within(edges)
+    waits, events = np.diff(t), len(t) - 1
+    for i, before in enumerate((1, 0)):
+        for j, after in enumerate((1, 0)):
+            chosen = waits[(p[:-1] == before) & (p[1:] == after)]
+            seen = np.searchsorted(np.sort(chosen), edges) / events
+            error = np.sqrt(seen * (1 - seen) / events) * 1.5  # intervals come in bursts
+            assert predicted[i, j] == pytest.approx(seen, abs=3.5 * error.max() + 0.01)
+    assert found.passed[:, :, -1].sum() == pytest.approx(1.0, abs=0.01)
+
+
+def test_intervals_and_rates_agree():
+    c = thresholds(circuit(refractory=1e-3), 24.0, 3.0, 3.3)
+    found, rates = noise_intervals(c, 24.0), noise_rates(c, 24.0)
+    total = found.passed.sum((0, 1))
+    mean = np.sum(np.diff(total) * np.sqrt(found.time_s[1:] * found.time_s[:-1])) / total[-1]
+    assert mean == pytest.approx(rates.wait_s, rel=0.02)
+    ended_on = found.passed[:, 0, -1].sum() / total[-1]
+    assert ended_on == pytest.approx(rates.on_hz / (rates.on_hz + rates.off_hz), abs=0.005)
+
+
+def test_threshold_noise_is_that_of_brute_simulation():
+    c = thresholds(circuit(refractory=1e-3), 24.0, 2.8, 2.8).with_(noise=0.08)
+    seen_on, seen_off, error = simulated(c, 24.0, 6000)
+    rates = noise_rates(c, 24.0)
+    assert rates.on_hz + rates.off_hz == pytest.approx(seen_on + seen_off, rel=0.02 + 3.5 * error)
+    quiet = noise_rates(c.with_(noise=0.0), 24.0)
+    assert quiet.on_hz != pytest.approx(rates.on_hz, rel=0.01)
+
+
+def test_thresholds_and_noise_have_one_scale():
+    c = thresholds(circuit(), 24.0, 3.0, 3.4)
+    twice = c.with_(on_threshold=2 * c.on_threshold, off_threshold=2 * c.off_threshold, shot_density=4 * c.shot_density)
+    assert noise_rates(twice, 24.0).on_hz == pytest.approx(noise_rates(c, 24.0).on_hz, rel=1e-6)
+    floor = c.with_(shot_density=0.5 * c.shot_density)
+    assert noise_rates(floor, 24.0, 0.5 * DENSITY / 24.0).off_hz == pytest.approx(noise_rates(c, 24.0).off_hz, rel=1e-6)
+
+
+def test_polarities_are_alike_without_leak():
+    c = thresholds(circuit(), 24.0, 3.0, 3.6)
+    other = c.with_(on_threshold=c.off_threshold, off_threshold=c.on_threshold)
+    one, two = noise_rates(c, 24.0), noise_rates(other, 24.0)
+    assert one.on_hz == pytest.approx(two.off_hz, rel=1e-6)
+    assert one.off_hz == pytest.approx(two.on_hz, rel=1e-6)
+
+
+def test_references_move_as_far_up_as_down():
+    """Stored references are bounded, so with a dead time far below the noise's own times N_on C_on = N_off C_off."""
+    c = thresholds(circuit(refractory=1e-7), 2.0, 2.5, 3.0)
+    rates = noise_rates(c, 2.0)
+    assert rates.on_hz / rates.off_hz == pytest.approx(3.0 / 2.5, rel=0.03)
+
+
+def test_leak_alone_is_regular():
+    c = circuit(leak_hz=0.3, refractory=1e-3, on_threshold=2.0, off_threshold=2.0)
+    rates = noise_rates(c, 5000.0)
+    assert rates.on_hz == pytest.approx(1.0 / (1 / 0.3 + 1e-3), rel=1e-9)
+    assert rates.off_hz == 0.0
+    near = thresholds(circuit(leak_hz=0.3, refractory=1e-4), 24.0, 8.0, 8.0)  # noise that only rounds the corner
+    assert noise_rates(near, 24.0).on_hz == pytest.approx(0.3, rel=0.02)
+
+
+@pytest.mark.parametrize(("dead_s", "noise", "within"), [(1e-3, 0.0, 0.01), (1e-4, 0.04, 0.03)])
+def test_mismatch_raises_the_mean_rate(dead_s, noise, within):
+    """Against the plain average over a fine grid of thresholds."""
+    c = thresholds(circuit(refractory=dead_s), 24.0, 3.2, 3.3).with_(mismatch=0.03, noise=noise)
+    process = noise_process(c, 24.0)
+    x = 0.6 * (np.arange(10) - 4.5)
+    weights = np.exp(-0.5 * x**2) / np.exp(-0.5 * x**2).sum()
+    mean = 0.0
+    for a, wa in zip(1 + 0.03 * x, weights, strict=True):
+        for b, wb in zip(1 + 0.03 * x, weights, strict=True):
+            pixel = c.with_(on_threshold=c.on_threshold * a, off_threshold=c.off_threshold * b)
+            mean += wa * wb * rates_of(process, pixel, 24.0).on_hz
+    assert mean_rates(c, 24.0)[0] == pytest.approx(mean, rel=within)
+
+
+def test_equal_thresholds_resonate():
+    """With a short dead time ON and OFF events of equal thresholds undo each other: a narrow maximum of the rate."""
+    c = circuit(refractory=1e-4)
+    equal = thresholds(c, 24.0, 3.2, 3.2)
+    t, _, duration = simulate_noise_events(
+        c.alpha * 24.0, c.beta + c.gamma * 24.0, c.follower, c.differencing, DENSITY / 24.0, equal.on_threshold,
+        equal.off_threshold, dead_s=1e-4, duration_s=150.0, seed=2,
+    )  # fmt: skip
+    rates, apart = noise_rates(equal, 24.0), noise_rates(thresholds(c, 24.0, 3.2, 3.33), 24.0)
+    blocks = np.histogram(t, 20, (0.0, duration))[0]
+    error = blocks.std(ddof=1) / math.sqrt(20) / blocks.mean()
+    assert rates.on_hz + rates.off_hz == pytest.approx(len(t) / duration, rel=0.08 + 3 * error)
+    assert rates.on_hz > 2 * apart.on_hz
+
+
+def test_what_cannot_be_followed_is_refused():
+    with pytest.raises(InputError, match="lower_cutoff"):
+        noise_rates(circuit(lower_cutoff=1.0), 24.0)
+    with pytest.raises(InputError, match="shot_noise"):
+        noise_rates(circuit().with_(shot_density=0.0), 24.0)
+    with pytest.raises(InputError, match="three poles"):
+        noise_rates(circuit(photoreceptor="one_pole", corner=30.0, differencing=math.inf), 24.0)
