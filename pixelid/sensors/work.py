@@ -124,7 +124,7 @@ def connected(where: Where) -> Iterator[Any]:
         with client:
             yield client
         return
-    import dask
+    import dask.config
 
     with (
         dask.config.set({KEEP_FREED_MEMORY: 1 << 31}),
