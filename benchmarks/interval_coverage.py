@@ -22,6 +22,7 @@ from pathlib import Path
 import numpy as np
 
 from pixelid.fit import fit
+from pixelid.fit.result import FitResult
 from pixelid.fit.uncertainty.small_sample import intervals
 from pixelid.model.model import Model
 from pixelid.model.shipped import find_model
@@ -84,12 +85,17 @@ def one(seed: int) -> dict:
     begun = time.perf_counter()
     truth = hidden_circuit(seed)
     recordings = session(truth, seed)
-    result = fit(recordings, find_model("dvs128"), starts=0, between="linear", seed=seed)
+    return outcome(truth, fit(recordings, find_model("dvs128"), starts=0, between="linear", seed=seed), seed, begun)
+
+
+def outcome(truth: Model, result: FitResult, seed: int, begun: float) -> dict:
+    """Truth, estimate and interval of every free parameter of a fit begun at `begun` (s)."""
     sd = np.sqrt(np.diag(result.covariance))
     return {
         "seed": seed,
         "status": result.status,
         "events": result.events,
+        "pixels": result.pixels,
         "seconds": time.perf_counter() - begun,
         "parameters": {
             p.name: {
@@ -118,7 +124,7 @@ def summary(sessions: list[dict]) -> dict:
             i = names.index(name)
             if not s["parameters"][name]["identified"]:
                 continue
-            low, high = intervals(names, x, sd, SIDE * SIDE)
+            low, high = intervals(names, x, sd, s.get("pixels", SIDE * SIDE))
             held.append(low[i] <= truth[i] <= high[i])
             errors.append((x[i] - truth[i]) / sd[i])
         k, n, errors = int(np.sum(held)), len(held), np.array(errors)

@@ -51,7 +51,7 @@ def main() -> None:
     def changes(extremes=True):
         evaluate.forget()  # the trajectory is part of an evaluation
         vector = np.empty(layout.size)
-        extremes = evaluate.fill(circuit, extremes, *layout.per_recording(vector)[0])  # in this thread
+        extremes = evaluate.fill(circuit, extremes, *layout.per_section(vector)[0])  # in this thread
         return layout.stacked(vector, (extremes,))
 
     known = changes()

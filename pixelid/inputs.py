@@ -15,12 +15,13 @@ from pixelid.model.shipped import find_model, shipped_models
 from pixelid.recordings.reading import check_readable, open_recordings
 from pixelid.recordings.recording import Recording
 from pixelid.stimuli.files import load_stimulus
+from pixelid.stimuli.pixel_lights import Light, PixelLights
 from pixelid.stimuli.shapes import SHAPES
 from pixelid.stimuli.stimulus import Stimulus
 
 ModelLike: TypeAlias = Model | str | Path
 RecordingsLike: TypeAlias = Recording | str | Path | Iterable[Recording | str | Path]
-StimulusLike: TypeAlias = Stimulus | str | Path
+StimulusLike: TypeAlias = Stimulus | PixelLights | str | Path
 
 
 def as_model(model: ModelLike) -> Model:
@@ -80,13 +81,13 @@ def as_recordings(recordings: RecordingsLike) -> list[Recording]:
     return opened
 
 
-def as_stimulus(stimulus: StimulusLike) -> Stimulus:
+def as_stimulus(stimulus: StimulusLike) -> Light:
     """The stimulus itself, or the one of a built-in name, a .toml description or a recording.
 
     Raises:
         InputError: anything else.
     """
-    if isinstance(stimulus, Stimulus):
+    if isinstance(stimulus, Stimulus | PixelLights):
         return stimulus
     if isinstance(stimulus, str | Path):
         return load_stimulus(stimulus)

@@ -12,6 +12,7 @@ from pixelid.cli import options
 if TYPE_CHECKING:
     from pixelid.recordings.crop import Crop
 
+SENSOR = "sensor"  # of --stimulus: the light as the sensor itself measured it
 EXAMPLE = """
 \b
 Example:
@@ -24,7 +25,9 @@ Example:
 @click.command("convert", epilog=EXAMPLE)
 @click.argument("source", metavar="IN", type=options.PATH)
 @click.argument("target", metavar="OUT", type=options.PATH)
-@click.option("--stimulus", metavar="S", help="The light: a table, array, video, recording, .toml or built-in name.")
+@click.option("--stimulus", metavar="S",
+              help="The light: a table, array, video, recording, .toml or built-in name; "
+                   "or sensor: the exposure measurements of an ATIS.")  # fmt: skip
 @click.option("--align", metavar="HOW",
               help="The light's time zero on the camera's clock: trigger, first-event, auto, or seconds.")  # fmt: skip
 @options.crop
@@ -47,17 +50,24 @@ def command(
     check_writable(target)
     if align is not None and stimulus is None:
         raise InputError("--align: expected --stimulus beside it, the light to align")
+    if align is not None and stimulus == SENSOR:
+        raise InputError("--align: --stimulus sensor is on the camera's clock already")
     said = ""
-    with claimed(target, overwrite, [source, *([stimulus] if stimulus else [])]):
+    with claimed(target, overwrite, [source, *([stimulus] if stimulus and stimulus != SENSOR else [])]):
         from pixelid.cli.progress import bar
         from pixelid.recordings import write_recording
         from pixelid.recordings.parts import LongRecording, Totals
-        from pixelid.recordings.reading import check_readable, open_cropped
+        from pixelid.recordings.reading import check_readable, open_cropped, open_recording
 
         check_readable([source])
 
-        recording = open_cropped(source, crop, seed)
-        if stimulus is not None:
+        if stimulus == SENSOR:  # cut afterwards: what a pixel measured counts whole
+            from pixelid.recordings.sensor_light import with_measured_light
+
+            recording = crop.applied(with_measured_light(open_recording(source)), seed)
+        else:
+            recording = open_cropped(source, crop, seed)
+        if stimulus is not None and stimulus != SENSOR:
             from pixelid.stimuli.files import load_stimulus
 
             light = load_stimulus(stimulus)

@@ -21,10 +21,10 @@ from pixelid.fit.event_times import EventTimesObjective
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.model.files import save_model
 from pixelid.model.model import Model
+from pixelid.recordings.own_light import with_fine_light
 from pixelid.recordings.recording import Recording
 from pixelid.results import Result, Table, check_kinds, read_result, required
 from pixelid.status import Status
-from pixelid.stimuli.resample import resampled
 
 DECISIVE_STANDARD_ERRORS = 2.0  # of a paired held-out difference: about 95 % one way or the other
 
@@ -203,7 +203,7 @@ def compare(
             report(f"holding out pixels of {model.name}", (i + (fold + 1) / (folds + 1)) / len(models))
             seen, unseen = pixels[part != fold], pixels[part == fold]
             trained = fit(_only(recordings, seen), result.model, starts=0, between=kind, seed=seed)
-            finer = [r.with_stimulus(resampled(r.stimulus, kind)) for r in _only(recordings, unseen) if r.stimulus]
+            finer = [with_fine_light(r, kind) for r in _only(recordings, unseen) if r.stimulus]
             held_out.append(EventTimesObjective(EventTimes(finer), trained.coordinates).terms(trained.x).per_pixel)
         bic = len(result.coordinates) * np.log(result.events) - 2.0 * result.log_likelihood
         loo = _loo(result, recordings, seed) if posteriors else None

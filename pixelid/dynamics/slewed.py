@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numba import njit
@@ -47,11 +49,14 @@ class SlewedTrajectory(Trajectory):
         return out
 
 
-def slewed(t, radiance, circuit: Circuit, dynamics: Dynamics) -> SlewedTrajectory:
+def slewed(
+    t, radiance, circuit: Circuit, dynamics: Dynamics, first: Sequence[int] | np.ndarray | None = None
+) -> SlewedTrajectory:
     """The trajectory of a slew-limited circuit under radiance (n,) at t (n,); dynamics: of it without the limit.
 
-    Steady state at the first sample, log radiance linear between samples.  Raises InputError without source follower or
-    differencing pole: the first would have nothing to slew, the second is what the level at an event is read through.
+    `first`: as of `trajectory.integrate`.  Steady state at the first sample, log radiance linear between samples.
+    Raises InputError without source follower or differencing pole: the first would have nothing to slew, the second is
+    what the level at an event is read through.
     """
     if not (np.isfinite(circuit.follower) and np.isfinite(circuit.differencing)):
         raise InputError("slew_limit: its likelihood needs source_follower_pole and differencing_pole")
@@ -59,9 +64,15 @@ def slewed(t, radiance, circuit: Circuit, dynamics: Dynamics) -> SlewedTrajector
     rates = slew.rates_of(circuit, values)
     t, radiance = np.ascontiguousarray(t, np.float64), np.ascontiguousarray(radiance, np.float64)
     u, midpoint = np.log(radiance), circuit.linearisation == "midpoint"
-    states, mode, first = np.empty((len(t), 6)), np.zeros(len(t), np.int8), np.zeros(len(t) + 1, np.int64)
-    changes = _scan(t, u, radiance, values, rates, midpoint, states, mode, first)
-    return SlewedTrajectory(t, u, radiance, values, midpoint, states, rates, mode, first, *changes)
+    states, mode, change = np.empty((len(t), 6)), np.zeros(len(t), np.int8), np.zeros(len(t) + 1, np.int64)
+    parts, count = [], 0
+    for begin, end in pairwise((0, len(t)) if first is None else first):
+        one, to = slice(begin, end), change[begin : end + 1]
+        parts.append(_scan(t[one], u[one], radiance[one], values, rates, midpoint, states[one], mode[one], to))
+        to += count
+        count = int(to[-1])
+    changes = parts[0] if len(parts) == 1 else tuple(map(np.concatenate, zip(*parts, strict=True)))
+    return SlewedTrajectory(t, u, radiance, values, midpoint, states, rates, mode, change, *changes)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -6,7 +6,9 @@ every candidate threshold.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import ClassVar, NamedTuple
 
 import numpy as np
@@ -113,13 +115,20 @@ class Trajectory:
 
 
 def integrate(
-    t, radiance, dynamics: Dynamics, *, linearisation: str = "midpoint", log_radiance: np.ndarray | None = None
+    t,
+    radiance,
+    dynamics: Dynamics,
+    *,
+    linearisation: str = "midpoint",
+    log_radiance: np.ndarray | None = None,
+    first: Sequence[int] | np.ndarray | None = None,
 ) -> Trajectory:
     """The trajectory under radiance (n,) at times t (n,), log radiance linear between samples.
 
     Steady state at the first sample.  Two samples may share a time (a jump).  `linearisation`: "midpoint"
     (second order in the step) or "newer" (the newer sample, as in the paper; first order).  `log_radiance` (n,):
-    where it is known.
+    where it is known.  `first`: where the samples of several lights, one after the other, begin and end; each has a
+    trajectory of its own.
 
     Raises InputError for radiance ≤ 0 or an unknown linearisation.
     """
@@ -132,5 +141,6 @@ def integrate(
     values, states = dynamics.uniform(), np.empty((len(t), 6))
     midpoint = linearisation == "midpoint"
     run = vectorised.scan if vectorised.applicable(values) else kernels.scan
-    run(t, u, radiance, values, midpoint, states)
+    for begin, end in pairwise((0, len(t)) if first is None else first):
+        run(t[begin:end], u[begin:end], radiance[begin:end], values, midpoint, states[begin:end])
     return Trajectory(t, u, radiance, values, midpoint, states)

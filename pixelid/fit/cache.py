@@ -113,6 +113,6 @@ def _content(recording: Recording) -> bytes:
     assert stimulus is not None
     hashed.update(repr((recording.name, recording.sensor, events.width, events.height, events.tick_ns)).encode())
     hashed.update(stimulus.interpolation.encode())
-    for part in (events.t, events.x, events.y, events.p, stimulus.t, stimulus.radiance):
+    for part in (events.t, events.x, events.y, events.p, *stimulus.arrays.values()):
         hashed.update(np.ascontiguousarray(part).tobytes())
     return hashed.digest()

@@ -15,8 +15,10 @@ from pixelid.fit.pooled_rate import PooledRateObjective
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.likelihood.pooled_rate import PooledRate
 from pixelid.model.model import Model
+from pixelid.recordings.own_light import with_fine_light
 from pixelid.recordings.recording import Recording
-from pixelid.stimuli.resample import resampled
+from pixelid.stimuli.pixel_lights import in_a_row
+from pixelid.stimuli.stimulus import Stimulus
 
 BINS = 120
 
@@ -69,14 +71,14 @@ def draw_conditions(result: Fitted, recordings: Sequence[Recording], axes: Any =
         axes = new_pairs(rows, columns, 4.2, 3.4)
     between = result.details.get("stimulus_between_samples", "linear")
     for axis, left, recording in zip(axes[::2].flat, axes[1::2].flat, shown, strict=False):
-        stimulus = recording.stimulus
+        stimulus = with_fine_light(recording, between).stimulus
         assert stimulus is not None
-        edges = np.linspace(stimulus.t[0], stimulus.t[-1], BINS + 1)
+        edges = np.linspace(stimulus.start_s, stimulus.end_s, BINS + 1)
         events = recording.events
-        pixels = max(len(np.unique(events.pixel)), 1)
-        copy = simulate(
-            result.model, resampled(stimulus, between), width=max(pixels, 1), height=1, seed=result.seed
-        ).events
+        active = np.unique(events.pixel)
+        pixels = max(len(active), 1)
+        light = in_a_row(stimulus, active)
+        copy = simulate(result.model, light, width=pixels, height=1, seed=result.seed).events
         for polarity, sign, colour in ((1, 1.0, ON), (0, -1.0, OFF)):
             scale = sign / pixels / np.diff(edges)
             measured = np.histogram(events.t[events.p == polarity] * 1e-9, edges)[0]
@@ -113,7 +115,7 @@ def draw_conditions(result: Fitted, recordings: Sequence[Recording], axes: Any =
 def standardised(result: Fitted, recordings: Sequence[Recording]) -> tuple[EventTimes, np.ndarray, np.ndarray]:
     """(likelihood, residuals, kept): (z − threshold) / σ of every interval, and which are not background events."""
     between = result.details.get("stimulus_between_samples", "linear")
-    likelihood = EventTimes([r.with_stimulus(resampled(r.stimulus, between)) for r in recordings if r.stimulus])
+    likelihood = EventTimes([with_fine_light(r, between) for r in recordings if r.stimulus])
     objective = EventTimesObjective(likelihood, result.coordinates)
     terms = objective.terms(result.x)
     residual = (terms.z - terms.group_mean[likelihood.group]) / terms.scale
@@ -129,7 +131,7 @@ def draw_residuals(result: Fitted, recordings: Sequence[Recording], axes: Any = 
         axes = new_axes(2, 2, 4.6, 2.8)
     stretch = np.concatenate(
         [
-            (iv.time_s - r.stimulus.t[0]) / max(r.stimulus.duration_s, 1e-12)
+            (iv.time_s - r.stimulus.start_s) / max(r.stimulus.duration_s, 1e-12)
             for iv, r in zip(likelihood.intervals, likelihood.recordings, strict=True)
             if r.stimulus is not None
         ]
@@ -191,7 +193,7 @@ def draw_edges(result: Fitted, recordings: Sequence[Recording], axes: Any = None
         model_on, model_off = expected[at : at + n], expected[at + n : at + 2 * n]
         at += 2 * n
         stimulus = recording.stimulus
-        assert stimulus is not None
+        assert isinstance(stimulus, Stimulus)
         jump = np.diff(stimulus.radiance)
         width = counts.edges[1] - counts.edges[0]
         before, after = int(0.5e-3 / width), int(3e-3 / width)

@@ -27,9 +27,10 @@ from pixelid.likelihood.event_times import EventTimes
 from pixelid.model.model import Model
 from pixelid.parameters.gauge import Gauge
 from pixelid.provenance import input_hashes, versions
+from pixelid.recordings.own_light import with_fine_light, with_pixel_lights
 from pixelid.recordings.recording import Recording
 from pixelid.recordings.selection import few
-from pixelid.stimuli.resample import resampled
+from pixelid.recordings.sensor_light import light_caveats
 
 Progress = Callable[[str, float], None]
 STARTS = 2  # random starts beside the model's own
@@ -99,7 +100,7 @@ def fit(
         raise InputError("some recordings are pooled and some have pixels; fit them separately")
     for recording in recordings:
         recording.check_stimulus_covers_events()
-    recordings = [recording.within_stimulus() for recording in recordings]
+    recordings = with_pixel_lights([recording.within_stimulus() for recording in recordings])
     rng = np.random.default_rng(seed)
     if all(pooled):
         if form != "discrete":
@@ -207,7 +208,7 @@ def _fit_event_times(recordings, model, clocks, starts, between, maximiser: Engi
     candidates = {}
     x = best.x
     for kind in ("linear", "smooth") if between == "auto" else (between,):
-        finer = [r.with_stimulus(resampled(r.stimulus, kind)) for r in recordings]
+        finer = [with_fine_light(r, kind) for r in recordings]
         likelihood = EventTimes(finer)
         if "timestamp_jitter" in model.effects:
             likelihood = EventTimesObjective(likelihood, coordinates).at(x).weighed(coordinates.circuit(x))
@@ -232,6 +233,7 @@ def _fit_event_times(recordings, model, clocks, starts, between, maximiser: Engi
         "background_fraction": float(background.mean()),
         "residual_tests": [test.as_dict() for test in residual_tests(objective, optimum.x)],
         "form": form,
+        "caveats": light_caveats(recordings),
     }
     if form == "continuous":
         details["continuous_minus_discrete_nats"] = float(optimum.local.value - discrete.local.value)

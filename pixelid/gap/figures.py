@@ -25,9 +25,10 @@ from pixelid.figures.style import (
 from pixelid.gap.attribute.flexible import Flexible
 from pixelid.gap.confirm.free_run import FreeRun
 from pixelid.model.model import Model
+from pixelid.recordings.own_light import with_fine_light
 from pixelid.recordings.recording import Recording
 from pixelid.simulate import simulate
-from pixelid.stimuli.resample import resampled
+from pixelid.stimuli.pixel_lights import in_a_row
 
 BINS = 100
 SIMULATED_PIXELS = 64  # their scatter adds to the measured one, a fourth of it where 16 pixels were recorded
@@ -152,10 +153,12 @@ def draw_before_after(report: Searched, recordings: Sequence[Recording], axes: A
         axes = new_pairs(len(shown), 1, 8.5, 3.4)
     between = report.details["stimulus_between_samples"]
     for axis, left, recording in zip(axes[::2].flat, axes[1::2].flat, shown, strict=True):
-        assert recording.stimulus is not None
-        stimulus = resampled(recording.stimulus, between)
-        edges = np.linspace(stimulus.t[0], stimulus.t[-1], BINS + 1)
-        pixels = max(len(np.unique(recording.events.pixel)), 1)
+        stimulus = with_fine_light(recording, between).stimulus
+        assert stimulus is not None
+        edges = np.linspace(stimulus.start_s, stimulus.end_s, BINS + 1)
+        active = np.unique(recording.events.pixel)
+        pixels = max(len(active), 1)
+        light = in_a_row(stimulus, active[np.linspace(0, pixels - 1, SIMULATED_PIXELS).astype(int)])
         events, measured, sides = recording.events, {}, ((1, 1.0, ON, "ON"), (0, -1.0, OFF, "OFF"))
         for polarity, sign, colour, name in sides:
             measured[polarity] = np.histogram(events.t[events.p == polarity] * 1e-9, edges)[0]
@@ -164,7 +167,7 @@ def draw_before_after(report: Searched, recordings: Sequence[Recording], axes: A
                 edges[:-1], rate, step="post", color=colour, alpha=0.4, linewidth=0, label=f"{name}, measured"
             )
         for model, colour, mark in ((report.base, MUTED, "x"), (report.model, IMPROVED, ".")):
-            copy = simulate(model, stimulus, width=SIMULATED_PIXELS, height=1, seed=report.seed).events
+            copy = simulate(model, light, width=SIMULATED_PIXELS, height=1, seed=report.seed).events
             for polarity, sign, _, _ in sides:
                 expected = np.histogram(copy.t[copy.p == polarity] * 1e-9, edges)[0] * pixels / SIMULATED_PIXELS
                 rate = sign * expected / pixels / np.diff(edges)

@@ -31,7 +31,7 @@ def gap(
     """Search the recordings for effects that the model lacks.
 
     Args:
-        recordings: Of one sensor, with full-field stimuli.
+        recordings: Of one sensor, with stimuli, full-field or (with pixels) of each pixel's own.
         model: The base, at its shipped values.
         alpha: Chance of naming anything, or of "unknown", when the model is right.
         seed: Decides the split of the pixels and every draw.

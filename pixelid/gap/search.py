@@ -22,6 +22,7 @@ from pixelid.gap.steps.name_effect import name_effect
 from pixelid.gap.steps.undo_readout import undo_readout
 from pixelid.gap.steps.withdraw import withdraw
 from pixelid.model.model import Model
+from pixelid.recordings.own_light import with_pixel_lights
 from pixelid.recordings.recording import Recording
 
 
@@ -35,6 +36,7 @@ def begin(recordings: Sequence[Recording], model: Model, context: Context) -> St
     options, criteria = context.options, context.options.criteria
     split = split_pixels(recordings, options.seed)
     context.report("base model", 0.02)
+    recordings = with_pixel_lights(recordings)
     timely = tuple(r.within_stimulus() for r in recordings)
     evidence, base = fit_base(timely, split, model, criteria, options.seed, context.cache)
     allowed = criteria.max_unexplained_fraction

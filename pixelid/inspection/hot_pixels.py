@@ -136,7 +136,7 @@ def _fired_in_silence(recordings: Sequence[Recording], pixels: np.ndarray) -> tu
     for r in recordings:
         if r.stimulus is None:
             continue
-        start, span = float(r.stimulus.t[0]), r.stimulus.duration_s
+        start, span = r.stimulus.start_s, r.stimulus.duration_s
         cell = np.clip(((r.events.t * 1e-9 - start) / span * STRETCHES).astype(np.int64), 0, STRETCHES - 1)
         row = np.searchsorted(pixels, r.events.pixel)
         every = np.bincount(row * STRETCHES + cell, minlength=len(pixels) * STRETCHES).reshape(-1, STRETCHES)

@@ -10,6 +10,7 @@ units of C_on) because it is the only part that depends on a threshold.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -24,12 +25,13 @@ from pixelid.dynamics.trajectory import Dynamics, Trajectory, integrate
 from pixelid.dynamics.vector_math import vexp
 from pixelid.likelihood.clocks import Clock
 from pixelid.likelihood.extremes import DECAYED, Begun, Drift, Extremes, Output, at_samples, locate_extremes
+from pixelid.likelihood.sections import Section
 from pixelid.likelihood.sequences import Sequences
-from pixelid.recordings.recording import Recording
 from pixelid.stages.circuit import Circuit
 from pixelid.stages.comparator import threshold_shifts
 from pixelid.stages.differencing import leaked, leaks
-from pixelid.stimuli.drive import Drive, drive
+from pixelid.stimuli.drive import StackedDrive, stacked_drive
+from pixelid.stimuli.stimulus import Stimulus
 
 PER_EVENT = ("change", "slope", "drift", "drift_slope", "opposite", "opposite_drift", "early")
 PER_PIXEL = ("rise", "rise_drift", "fall", "fall_drift")
@@ -62,21 +64,25 @@ class Changes:
 
 
 class Trajectories:
-    """The trajectories of one recording: two are remembered at most, the latest asked for with `keep` and its light.
+    """The trajectories of one section: two are remembered at most, the latest asked for with `keep` and its light.
 
     What is remembered does not change any result.
+
+    Args:
+        lights: Full-field, one trajectory each.
+        end_s: Until when, the last value held.
+        remember: Whether to remember the latest trajectory; its light is remembered anyway.
     """
 
-    def __init__(self, recording: Recording, end_s: float) -> None:
-        assert recording.stimulus is not None
-        self._stimulus, self._end_s = recording.stimulus, end_s
-        self._latest: tuple[tuple, tuple[Trajectory, Output]] | None = None
-        self._light: tuple[tuple, Drive] | None = None
+    def __init__(self, lights: Sequence[Stimulus], end_s: float, remember: bool = True) -> None:
+        self._lights, self._end_s, self._remember = lights, end_s, remember
+        self._latest: tuple[tuple, tuple[Trajectory, Output, np.ndarray]] | None = None
+        self._light: tuple[tuple, StackedDrive] | None = None
 
-    def of(self, circuit: Circuit, keep: bool) -> tuple[Trajectory, Output]:
-        """The trajectory of a circuit and its output; `keep` remembers them for circuits that do not differ in either.
+    def of(self, circuit: Circuit, keep: bool) -> tuple[Trajectory, Output, np.ndarray]:
+        """The trajectory of a circuit, its output, and where the samples of each light begin and the last ones end.
 
-        Thresholds, dead time, leak and delay do not.
+        `keep` remembers them for circuits that differ in none of these: thresholds, dead time, leak and delay do not.
         """
         reaching = (circuit.dark, circuit.flicker_modulation, circuit.flicker_hz, circuit.flicker_phase)
         limit = (circuit.slew_rise, circuit.slew_fall)
@@ -87,18 +93,19 @@ class Trajectories:
             return self._latest[1]
         light = self._light[1] if self._light is not None and self._light[0] == reaching else None
         if light is None:
-            light = drive(self._stimulus, circuit, self._end_s)
+            light = stacked_drive(self._lights, circuit, self._end_s)
             self._light = reaching, light
         if slew.slews(circuit):
-            trajectory = slewed(light.t, light.radiance, circuit, dynamics)
+            trajectory = slewed(light.t, light.radiance, circuit, dynamics, light.first)
         else:
             trajectory = integrate(
-                light.t, light.radiance, dynamics, linearisation=circuit.linearisation, log_radiance=light.log_radiance
-            )
-        both = trajectory, Output.of(trajectory)
-        if keep:
-            self._latest = key, both
-        return both
+                light.t, light.radiance, dynamics, linearisation=circuit.linearisation,
+                log_radiance=light.log_radiance, first=light.first,
+            )  # fmt: skip
+        made = trajectory, Output.of(trajectory), light.first
+        if keep and self._remember:
+            self._latest = key, made
+        return made
 
     def forget(self) -> None:
         """Drop the remembered trajectory."""
@@ -106,27 +113,29 @@ class Trajectories:
 
 
 class ChangeEvaluator:
-    """Evaluates `Changes` of one recording for many circuits.
+    """Evaluates `Changes` of one section of a recording for many circuits.
 
     Args:
-        recording: With a full-field stimulus that covers its events.
-        intervals: `sequences(recording)`.
+        section: Intervals, and the lights behind them.
+        remember: Whether to remember the latest trajectory, see `Trajectories`.
     """
 
-    def __init__(self, recording: Recording, intervals: Sequences) -> None:
-        recording.check_stimulus_covers_events()
-        self.recording = recording
-        self.intervals = intervals
-        self._trajectories = Trajectories(recording, intervals.end_s)
-        assert recording.stimulus is not None
-        t = drive(recording.stimulus, Circuit(), intervals.end_s).t
+    def __init__(self, section: Section, remember: bool = True) -> None:
+        self.section = section
+        intervals = self.intervals = section.intervals
+        self._trajectories = Trajectories(section.lights, intervals.end_s, remember)
+        light = stacked_drive(section.lights, Circuit(), intervals.end_s)
         self._near_samples = tuple(
-            np.maximum(np.searchsorted(t, when, side="right") - 1, 0)
-            for when in (intervals.previous_s, intervals.time_s, intervals.last_s)
+            located(light.t, when, np.zeros(len(when), np.int64), light.first, which)
+            for when, which in (
+                (intervals.previous_s, section.light),
+                (intervals.time_s, section.light),
+                (intervals.last_s, section.last_light),
+            )
         )
 
     def trajectory(self, circuit: Circuit, keep: bool = False) -> Trajectory:
-        """The pixel's trajectory under this recording's stimulus; `keep`: see `Trajectories.of`."""
+        """The trajectories of this section's lights, one after the other; `keep`: see `Trajectories.of`."""
         return self._trajectories.of(circuit, keep)[0]
 
     def forget(self) -> None:
@@ -161,14 +170,15 @@ class ChangeEvaluator:
             Where the extremes are.
         """
         iv, looked_for = self.intervals, not isinstance(locate, Extremes)
-        trajectory, output = self._trajectories.of(circuit, keep=looked_for)
+        trajectory, output, first = self._trajectories.of(circuit, keep=looked_for)
+        of_event, of_last = self.section.light, self.section.last_light
         shift = circuit.refractory - circuit.delay
         stamps = iv.previous_s, iv.time_s, iv.last_s
         previous, stamp, begin = stamps if clock is None else map(clock.on_light, stamps)
         release, time, last = previous + shift, stamp - circuit.delay, begin + shift
-        begun, drift = self._begun(trajectory, circuit, release, self._near_samples[0])
-        begun_last, drift_last = self._begun(trajectory, circuit, last, self._near_samples[2])
-        sample = located(trajectory.t, time, self._near_samples[1])
+        begun, drift = self._begun(trajectory, circuit, release, self._near_samples[0], first, of_event)
+        begun_last, drift_last = self._begun(trajectory, circuit, last, self._near_samples[2], first, of_last)
+        sample = located(trajectory.t, time, self._near_samples[1], first, of_event)
 
         change, slope, drifted, drift_slope, opposite, opposite_drift, early = events
         _changes(
@@ -186,7 +196,7 @@ class ChangeEvaluator:
         if isinstance(locate, Extremes):
             extremes = locate
         else:
-            final = np.full(len(last), int(np.searchsorted(trajectory.t, iv.end_s, side="right")) - 1)
+            final = located(trajectory.t, np.full(len(last), iv.end_s), first[of_last], first, of_last)
             up, near = np.ones(len(last)), (-np.inf, -np.inf)
             extremes = Extremes(
                 locate_extremes(trajectory, output, begun, -iv.sign, sample, _near(circuit), drift),
@@ -201,10 +211,16 @@ class ChangeEvaluator:
         return extremes
 
     def _begun(
-        self, trajectory: Trajectory, circuit: Circuit, release: np.ndarray, near: np.ndarray
+        self,
+        trajectory: Trajectory,
+        circuit: Circuit,
+        release: np.ndarray,
+        near: np.ndarray,
+        first: np.ndarray,
+        light_of: np.ndarray,
     ) -> tuple[Begun, Drift | None]:
         """Where the intervals released at `release` (k,) begin, near the samples `near`; and what leaks into them."""
-        sample = located(trajectory.t, release, near)
+        sample = located(trajectory.t, release, near, first, light_of)
         level, output = trajectory.outputs_at(release, sample)
         begun = Begun(release, sample, level, output - level)
         if not leaks(circuit):
@@ -234,30 +250,35 @@ def _subtract_threshold_shifts(circuit: Circuit, iv: Sequences, events: np.ndarr
     pixels[2] -= off * growth
 
 
-def located(t: np.ndarray, times: np.ndarray, near: np.ndarray) -> np.ndarray:
-    """(k,) indices of the samples t[i] ≤ time < t[i + 1], searched from the samples `near` (k,) on."""
+def located(t: np.ndarray, times: np.ndarray, near: np.ndarray, first: np.ndarray, light_of: np.ndarray) -> np.ndarray:
+    """(k,) indices of the samples t[i] ≤ time < t[i + 1], searched from the samples `near` (k,) on.
+
+    first: (lights + 1,) where the samples of each light begin, and where the last ones end;  light_of: (k,) whose
+    samples to search
+    """
     sample = np.empty(len(times), np.int64)
-    _locate_all(t, times, near, sample)
+    _locate_all(t, times, near, first, light_of, sample)
     return sample
 
 
 @njit(cache=True, error_model="numpy")
-def _locate(t, time, near):
+def _locate(t, time, near, begin, end):
     k = near
-    last = len(t) - 1
-    if k > last or k < 0:
-        k = 0
+    last = end - 1
+    if k > last or k < begin:
+        k = begin
     if time < t[k] or (k + 16 < last and time > t[k + 16]):
-        k = max(np.searchsorted(t, time, side="right") - 1, 0)
+        k = max(begin + np.searchsorted(t[begin:end], time, side="right") - 1, begin)
     while k < last and t[k + 1] <= time:
         k += 1
     return k
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _locate_all(t, times, near, sample):
+def _locate_all(t, times, near, first, light_of, sample):
     for i in range(len(times)):
-        sample[i] = _locate(t, times[i], near[i])
+        light = light_of[i]
+        sample[i] = _locate(t, times[i], near[i], first[light], first[light + 1])
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})

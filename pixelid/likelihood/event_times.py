@@ -15,14 +15,15 @@ from pixelid.likelihood.changes import ChangeEvaluator
 from pixelid.likelihood.clocks import Clock
 from pixelid.likelihood.density import Terms, density
 from pixelid.likelihood.extremes import Extremes
-from pixelid.likelihood.layout import StackedChanges, layout_of, read_only
-from pixelid.likelihood.sequences import sequences
+from pixelid.likelihood.layout import StackedChanges, flat_index, layout_of, read_only
+from pixelid.likelihood.sections import sections_of
 from pixelid.parallel import map_threads
 from pixelid.recordings.recording import Recording
 from pixelid.stages.circuit import Circuit
 
 NUDGE_S = 1e-7  # of the release, to find how a level depends on it: 1e-3 of a dead time, 1e7 times a float's rounding
 MOST_CLOCK_SHARE = 100.0  # a level that falls ten times as fast by its reset as it rises: the light has all but turned
+MOST_REMEMBERED = 4_000_000  # samples of light in sections whose trajectories are remembered: 0.3 GB
 LARGE = 60_000  # samples and events, a few milliseconds of work, from which handing it to other threads pays
 
 
@@ -32,7 +33,7 @@ class EventTimes:
     Recordings of the same sensor and size share pixels, and so pixel thresholds.
 
     Args:
-        recordings: With a full-field stimulus each.
+        recordings: With a stimulus each, full-field or of each pixel's own.
 
     Attributes:
         layout: Which pixel and recording each of the n intervals belongs to.
@@ -49,17 +50,19 @@ class EventTimes:
         for recording in self.recordings:
             if recording.pooled:
                 raise InputError(f"{recording.name}: pooled events have no pixels; use the pooled-rate likelihood")
-            if recording.stimulus is not None and not recording.stimulus.full_field:
-                raise InputError(f"{recording.name}: the fit needs a full-field stimulus, found one per pixel")
-        self.intervals = tuple(sequences(recording) for recording in self.recordings)
-        self.evaluators = tuple(ChangeEvaluator(r, s) for r, s in zip(self.recordings, self.intervals, strict=True))
+        divided = [sections_of(recording) for recording in self.recordings]
+        self.intervals = tuple(intervals for intervals, _ in divided)
+        sections = [section for _, some in divided for section in some]
+        self._recording_of_section = tuple(i for i, (_, some) in enumerate(divided) for _ in some)
+        samples = sum(section.samples for section in sections)
+        remember = len(sections) == len(self.recordings) or samples <= MOST_REMEMBERED
+        self.evaluators = tuple(ChangeEvaluator(section, remember) for section in sections)
         if sum(map(len, self.intervals)) == 0:
             raise InputError("no pixel has two events: there is no interval to explain")
-        self.layout = layout_of(self.recordings, self.intervals)
+        self.layout = layout_of(self.recordings, self.intervals, sections)
         self.clock_share = read_only(np.ones(self.events))
         self.threshold_factor: np.ndarray | None = None
         self.clocks: tuple[Clock | None, ...] | None = None
-        samples = sum(len(r.stimulus.t) for r in self.recordings if r.stimulus is not None)
         self._large = samples + self.events > LARGE
 
     @property
@@ -76,6 +79,11 @@ class EventTimes:
     def pixel_keys(self) -> np.ndarray:
         """(pixels,) sensor and flat index of each pixel, sorted."""
         return self.layout.pixel_keys
+
+    @property
+    def flat_pixels(self) -> np.ndarray:
+        """(pixels,) flat index of each pixel within its sensor."""
+        return flat_index(self.pixel_keys)
 
     @property
     def sign(self) -> np.ndarray:
@@ -111,19 +119,16 @@ class EventTimes:
 
         Args:
             circuit: Of real numbers.
-            extremes: Where they are, `extremes` of the changes under a circuit close by, whose derivatives do not see
-                the positions move; None: looked for.
+            extremes: Where they are in each section, `extremes` of the changes under a circuit close by, whose
+                derivatives do not see the positions move; None: looked for.
         """
         vector = np.empty(self.layout.size)
-        where = [True] * len(self.recordings) if extremes is None else extremes
+        where = [True] * len(self.evaluators) if extremes is None else extremes
         clocks = self.clocks or (None,) * len(self.recordings)
-        parts = list(zip(self.evaluators, where, self.layout.per_recording(vector), clocks, strict=True))
+        by = [clocks[recording] for recording in self._recording_of_section]
+        parts = list(zip(self.evaluators, where, self.layout.per_section(vector), by, strict=True))
 
-        def fill(part) -> Extremes:
-            evaluator, at, rows, clock = part
-            return evaluator.fill(circuit, at, *rows, clock)
-
-        located = map_threads(fill, parts, threads=None if self._large else 1)
+        located = self._filled(circuit, parts)
         changes = self.layout.stacked(vector, tuple(located))
         if self.threshold_factor is not None:
             for row in changes.events.of_level:
@@ -133,11 +138,25 @@ class EventTimes:
     def changes_by_clock(self, circuit: Circuit, here: StackedChanges, recording: int, clock: Clock) -> StackedChanges:
         """`here`, the changes under a circuit, but for one recording by another clock; its extremes where they were."""
         vector = here.vector.copy()
-        events, ends = self.layout.per_recording(vector)[recording]
-        self.evaluators[recording].fill(circuit, here.extremes[recording], events, ends, clock)
+        sections = zip(
+            self._recording_of_section, self.evaluators, here.extremes, self.layout.per_section(vector), strict=True
+        )
+        self._filled(circuit, [(*section, clock) for of, *section in sections if of == recording])
+        changes = self.layout.stacked(vector)
         if self.threshold_factor is not None:
-            events[: len(here.events.of_level)] /= self.threshold_factor[self.layout.recording == recording]
-        return self.layout.stacked(vector)
+            mine = self.layout.recording == recording
+            for row in changes.events.of_level:
+                row[mine] /= self.threshold_factor[mine]
+        return changes
+
+    def _filled(self, circuit: Circuit, parts: Sequence[tuple]) -> list[Extremes]:
+        """Fill the rows of sections (evaluator, extremes or True, rows, clock); where their extremes are."""
+
+        def fill(part) -> Extremes:
+            evaluator, at, rows, clock = part
+            return evaluator.fill(circuit, at, *rows, clock)
+
+        return list(map_threads(fill, parts, threads=None if self._large else 1))
 
     def terms(self, circuit: Circuit, changes: StackedChanges | None = None) -> Terms:
         """The likelihood's pieces under a circuit; `changes` is `changes(circuit)` when it is known already."""

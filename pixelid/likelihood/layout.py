@@ -2,8 +2,11 @@
 
 The changes of all recordings are one vector, so that a derivative along them is one product; its rows have names:
 
-    events  (7, n)  EventRows, one column per interval that an event ends, recording after recording
+    events  (7, n)  EventRows, one column per interval that an event ends, section after section
     ends    (4, m)  EndRows, one column per pixel and recording, of the interval that the end cuts off
+
+A section is a recording, or of one with light of each pixel's own a part (`sections.py`); those of a recording follow
+each other.
 """
 
 from __future__ import annotations
@@ -15,8 +18,11 @@ from typing import NamedTuple
 import numpy as np
 
 from pixelid.likelihood.extremes import Extremes
+from pixelid.likelihood.sections import Section
 from pixelid.likelihood.sequences import Sequences
 from pixelid.recordings.recording import Recording
+
+FLAT_BITS = 40  # of a pixel key, for the flat index: addresses have 16 bits each
 
 
 class EventRows(NamedTuple):
@@ -49,7 +55,7 @@ class EndRows(NamedTuple):
 class StackedChanges:
     """The `Changes` of all recordings (or their derivatives).
 
-    events, ends: views of `vector`;  extremes: where they were found in each recording, none for derivatives
+    events, ends: views of `vector`;  extremes: where they were found in each section, none for derivatives
     """
 
     vector: np.ndarray
@@ -66,7 +72,7 @@ class Layout:
     sign, time_s, tick_s, pixel, recording: (n,) polarity ±1, time and timestamp width of the event, whose it is
     group: (n,) 2 · pixel + ON, the groups that share a threshold
     last_pixel, last_time_s, last_recording: (m,) of the unfinished intervals; the time is the recording's end
-    event_ends, end_ends: where the columns of one recording end and those of the next begin
+    event_ends, end_ends: where the columns of one section end and those of the next begin
     """
 
     recordings: int
@@ -118,20 +124,23 @@ class Layout:
         events, ends = self._blocks(vector)
         return StackedChanges(vector, EventRows(*events), EndRows(*ends), extremes)
 
-    def per_recording(self, vector: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Views (7, n_r), (4, m_r) of each recording's columns, to be filled."""
+    def per_section(self, vector: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Views (7, n_s), (4, m_s) of each section's columns, to be filled."""
         events, ends = self._blocks(vector)
         parts = np.split(events, self.event_ends, axis=1), np.split(ends, self.end_ends, axis=1)
         return list(zip(*parts, strict=True))
 
 
-def layout_of(recordings: Sequence[Recording], intervals: Sequence[Sequences]) -> Layout:
-    """The layout of recordings' intervals.  Recordings of the same sensor and size share pixels."""
+def layout_of(recordings: Sequence[Recording], intervals: Sequence[Sequences], sections: Sequence[Section]) -> Layout:
+    """The layout of recordings' intervals, which are those of the sections, one after the other.
+
+    Recordings of the same sensor and size share pixels.
+    """
     sensors: dict[tuple, int] = {}
     keys, last_keys = [], []
     for recording, iv in zip(recordings, intervals, strict=True):
         size = (recording.sensor, recording.events.width, recording.events.height)
-        base = sensors.setdefault(size, len(sensors)) << 40
+        base = sensors.setdefault(size, len(sensors)) << FLAT_BITS
         keys.append(base + iv.pixel)
         last_keys.append(base + iv.last_pixel)
     pixel_keys, index = np.unique(np.concatenate([*keys, *last_keys]), return_inverse=True)
@@ -150,10 +159,15 @@ def layout_of(recordings: Sequence[Recording], intervals: Sequence[Sequences]) -
         "last_pixel": last_pixel,
         "last_time_s": np.repeat([iv.end_s for iv in intervals], last_counts),
         "last_recording": np.repeat(which, last_counts),
-        "event_ends": np.cumsum(counts)[:-1],
-        "end_ends": np.cumsum(last_counts)[:-1],
+        "event_ends": np.cumsum([len(s.intervals) for s in sections])[:-1],
+        "end_ends": np.cumsum([len(s.intervals.last_s) for s in sections])[:-1],
     }
     return Layout(recordings=len(intervals), **{name: read_only(array) for name, array in arrays.items()})
+
+
+def flat_index(pixel_keys: np.ndarray) -> np.ndarray:
+    """(pixels,) flat index of pixels within their sensor, from `Layout.pixel_keys`."""
+    return pixel_keys & ((1 << FLAT_BITS) - 1)
 
 
 def read_only(array: np.ndarray) -> np.ndarray:

@@ -53,7 +53,7 @@ def binned(recording: Recording, bin_s: float, first_s: float) -> Counts:
     """Counts per bin over the first seconds that both events and stimulus cover."""
     assert recording.stimulus is not None
     t = recording.events.t * 1e-9
-    start, end = float(recording.stimulus.t[0]), float(recording.stimulus.t[-1])
+    start, end = recording.stimulus.start_s, recording.stimulus.end_s
     end = min(end, start + first_s)
     n = max(int((end - start) / bin_s), 1)
     edges = start + bin_s * np.arange(n + 1)
@@ -139,7 +139,7 @@ class PooledRate:
         """(n+1,) amplifier output at the bin edges of recording i."""
         recording, counts = self.recordings[i], self.counts[i]
         stimulus = recording.stimulus
-        assert stimulus is not None
+        assert isinstance(stimulus, Stimulus)
         if stimulus.unit == "shape":
             light = values["stimulus.offset"] + values["stimulus.gain"] * stimulus.radiance
             stimulus = Stimulus(stimulus.t, light, "relative", stimulus.interpolation)
@@ -176,7 +176,7 @@ class PooledRate:
         if not leaks(circuit):
             return 0.0
         stimulus, edges = self.recordings[i].stimulus, self.counts[i].edges
-        assert stimulus is not None
+        assert isinstance(stimulus, Stimulus)
         light = np.interp(0.5 * (edges[1:] + edges[:-1]), stimulus.t, stimulus.radiance)
         return leaked(circuit, self._width, self._width * light)
 

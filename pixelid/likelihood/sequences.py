@@ -47,7 +47,7 @@ def sequences(recording: Recording) -> Sequences:
     last = np.flatnonzero(np.append(~same, True)) if len(pixel) else np.empty(0, np.int64)
     follows = np.flatnonzero(same) + 1
     follows = follows[np.argsort(time[follows], kind="stable")]  # in order of time: neighbours share stimulus samples
-    end = float(recording.stimulus.t[-1]) if recording.stimulus is not None else 0.0
+    end = recording.stimulus.end_s if recording.stimulus is not None else 0.0
     if len(time):
         end = max(end, float(events.t[-1]) * 1e-9)
     return Sequences(

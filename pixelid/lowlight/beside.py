@@ -13,6 +13,7 @@ from pixelid.lowlight.measured import Measured, measure
 from pixelid.lowlight.stimulus import Sweep, read_stimulus
 from pixelid.model.model import Model
 from pixelid.recordings.recording import Recording
+from pixelid.stimuli.stimulus import Stimulus
 
 MOST_PIXELS = 64  # simulated beside a recording
 
@@ -49,7 +50,7 @@ def _entry(recording: Recording, model: Model, seed: int) -> dict:
         return entry | {"why": "pooled events: the number of pixels is unknown"}
     if stimulus.unit == "shape":
         return entry | {"why": "the light is known only in shape, not in radiance"}
-    if not stimulus.full_field:
+    if not isinstance(stimulus, Stimulus) or not stimulus.full_field:
         return entry | {"why": "the light differs from pixel to pixel"}
     circuit = model.circuit()
     light = read_stimulus(replace(stimulus, radiance=stimulus.radiance + circuit.dark))

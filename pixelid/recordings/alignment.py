@@ -19,7 +19,7 @@ be told from the next.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -32,6 +32,7 @@ from pixelid.recordings.clocks import CRYSTAL, ClockPrior
 from pixelid.recordings.parts import WHOLE_EVENTS, LongRecording, joined
 from pixelid.recordings.recording import Recording
 from pixelid.recordings.triggers import Triggers
+from pixelid.stimuli.pixel_lights import Light, pixel_lights
 from pixelid.stimuli.stimulus import Stimulus
 
 METHODS = ("trigger", "first-event", "auto")
@@ -49,6 +50,7 @@ LAG_KNOWN = 0.03  # of the filter's own lag: how well its form describes a pixel
 ONE_S = 1e-3  # offsets closer than this are one: the refinement moves freely over it
 SOFT = 0.3  # thresholds' units from which a residual counts linearly: noise is some 0.1, missed events are 1
 MOST_SAMPLES = 1 << 18  # of the filter
+MOST_LIGHTS = 8  # of pixels' own, those with most events: more would tell no other offset
 FINER = 4  # samples of the filter per sample of the light: with one, a chirp to 1500 Hz at 50 µs is found 47 µs late
 # The loss of a change (see SOFT) is 0.003 to 0.005 where a filter explains the events, 0.45 where it explains nothing;
 # searches that end in a wrong place leave 0.04 to 0.45 on average.  A third of the events may be noise.
@@ -101,13 +103,13 @@ class Alignment:
         return text
 
 
-def find_alignment(recording: Recording, light: Stimulus, how: str) -> Alignment:
+def find_alignment(recording: Recording, light: Light, how: str) -> Alignment:
     """The alignment by one of `METHODS`, or by a number: the light's time zero in seconds of the camera's clock.
 
     Args:
         recording: events, and triggers for "trigger": the first rising edge is the light's first sample; where more
             follow, a second edge at the light's last sample gives the clocks' rate.
-        light: full-field for "auto".
+        light: full-field or of each pixel's own.
         how: "trigger", "first-event" (the first event is the light's first change), "auto", or seconds.
 
     Returns:
@@ -136,7 +138,7 @@ def find_alignment(recording: Recording, light: Stimulus, how: str) -> Alignment
     return _from_events(recording, light)
 
 
-def aligned(recording: Recording, light: Stimulus, alignment: Alignment) -> Recording:
+def aligned(recording: Recording, light: Light, alignment: Alignment) -> Recording:
     """The recording with time zero at the light's first sample, the light on the camera's clock beside it.
 
     Events move by whole nanoseconds, so that their ticks stay; what lies outside the light is left out.
@@ -156,7 +158,7 @@ def aligned(recording: Recording, light: Stimulus, alignment: Alignment) -> Reco
     )
 
 
-def aligned_parts(long: LongRecording, light: Stimulus, alignment: Alignment) -> LongRecording:
+def aligned_parts(long: LongRecording, light: Light, alignment: Alignment) -> LongRecording:
     """The same of a recording that does not lie in memory; events outside the light are counted in a reading before."""
     zero_ns, first, last = _span_ns(long.head, light, alignment)
     inside = outside = 0
@@ -200,17 +202,17 @@ def sample_to_align(long: LongRecording, seed: int = 0) -> Recording:
     return replace(sample, events=replace(sample.events, t=earliest), triggers=Triggers.joined(edges))
 
 
-def _span_ns(recording: Recording, light: Stimulus, alignment: Alignment) -> tuple[int, int, int]:
+def _span_ns(recording: Recording, light: Light, alignment: Alignment) -> tuple[int, int, int]:
     """The camera's time that becomes zero, and the first and last time within the light."""
     rate = 1.0 + alignment.rate_error
-    start_s = alignment.offset_s + rate * float(light.t[0])
+    start_s = alignment.offset_s + rate * light.start_s
     tick = max(recording.events.tick_ns, 1)
     zero_ns = round(start_s * 1e9 / tick) * tick
-    first, last = (round(1e9 * (alignment.offset_s + rate * float(light.t[k]))) for k in (0, -1))
+    first, last = (round(1e9 * (alignment.offset_s + rate * edge)) for edge in (light.start_s, light.end_s))
     return zero_ns, max(first, zero_ns), last
 
 
-def _beside(recording: Recording, light: Stimulus, alignment: Alignment, outside: int) -> Recording:
+def _beside(recording: Recording, light: Light, alignment: Alignment, outside: int) -> Recording:
     """The recording with the light on its new clock, and with how that was found."""
     zero_ns, _, _ = _span_ns(recording, light, alignment)
     rate, offset_s = 1.0 + alignment.rate_error, alignment.offset_s - zero_ns * 1e-9
@@ -234,12 +236,12 @@ def _moved(events, zero_ns: int, last_ns: int):
     return replace(kept, t=kept.t - zero_ns)
 
 
-def _from_triggers(edges: np.ndarray, light: Stimulus, tick_ns: int) -> Alignment:
+def _from_triggers(edges: np.ndarray, light: Light, tick_ns: int) -> Alignment:
     """First edge at the light's first sample; an edge within RATE_BOUND of its last gives the rate.
 
     An edge is known to its stamp: uniform over a tick.  Without a second one the rate is as uncertain as clocks are.
     """
-    duration, begin = light.duration_s, float(light.t[0])
+    duration, begin = light.duration_s, light.start_s
     stamp = max(EDGE_S, tick_ns * 1e-9) / np.sqrt(12.0)
     last = float(edges[np.argmin(np.abs(edges - edges[0] - duration))])
     if abs(last - edges[0] - duration) <= RATE_BOUND * duration:
@@ -261,24 +263,66 @@ def _from_triggers(edges: np.ndarray, light: Stimulus, tick_ns: int) -> Alignmen
     )
 
 
-def _first_change_s(light: Stimulus) -> float:
-    """Where the light first leaves its first value: the last sample that still has it."""
-    moved = np.flatnonzero(light.radiance != light.radiance[0]) if light.full_field else np.array([1])
-    return float(light.t[max(int(moved[0]) - 1, 0)]) if len(moved) else float(light.t[0])
+def _first_change_s(light: Light) -> float:
+    """Where the light first leaves its first value, in any pixel: the last sample that still has it."""
+    grouped = pixel_lights(light)
+    if grouped is not None:
+        changing = [one for one in grouped.lights if (one.radiance != one.radiance[0]).any()]
+        return min(map(_first_change_s, changing), default=light.start_s)
+    assert isinstance(light, Stimulus)
+    moved = np.flatnonzero(light.radiance != light.radiance[0])
+    return float(light.t[max(int(moved[0]) - 1, 0)]) if len(moved) else light.start_s
 
 
-def _from_events(recording: Recording, light: Stimulus) -> Alignment:
-    if not light.full_field:
-        raise InputError("--align auto: expected full-field light, found a light of each pixel's own")
-    log_light = np.log(np.maximum(light.radiance.astype(np.float64), 1e-6 * float(light.radiance.max())))
-    if np.ptp(log_light) < 1e-3:
+@dataclass(frozen=True)
+class _Seen:
+    """Light as alignment looks at it.
+
+    lights: (t (n,), log radiance (n,)) of each;  of_pixel: (pixels,) which of them each pixel sees
+    """
+
+    lights: tuple[tuple[np.ndarray, np.ndarray], ...]
+    of_pixel: np.ndarray
+
+
+def _seen(recording: Recording, light: Light) -> tuple[Recording, _Seen]:
+    """The light (of pixels' own the `MOST_LIGHTS` with most events), and the recording of the pixels that see it.
+
+    Raises:
+        InputError: where the light is constant.
+    """
+    grouped = pixel_lights(light, recording.events.pixel)
+    size = recording.events.width * recording.events.height
+    if grouped is None:
+        assert isinstance(light, Stimulus)
+        lights, of_pixel = [light], np.zeros(size, np.int64)
+    else:
+        if grouped.of_pixel.size != size:
+            raise InputError(
+                f"{recording.name}: expected light of {recording.events.width} x {recording.events.height} pixels, "
+                f"found {grouped.size[0]} x {grouped.size[1]}"
+            )
+        which = grouped.of_pixels(recording.events.pixel)
+        chosen = np.argsort(-np.bincount(which, minlength=len(grouped.lights)), kind="stable")[:MOST_LIGHTS]
+        place = np.full(len(grouped.lights) + 1, -1)  # the last: of pixels without light
+        place[chosen] = np.arange(len(chosen))
+        lights, of_pixel = [grouped.lights[k] for k in chosen], place[grouped.of_pixel.ravel()]
+        recording = replace(recording, events=recording.events.select(of_pixel[recording.events.pixel] >= 0))
+    highest = max(float(one.radiance.max()) for one in lights)
+    logs = tuple((one.t, np.log(np.maximum(one.radiance.astype(np.float64), 1e-6 * highest))) for one in lights)
+    if max(float(np.ptp(log)) for _, log in logs) < 1e-3:
         raise InputError("--align auto: the light is constant; nothing in it can be found among the events")
-    changes = _changes(recording, MOST_CHANGES)
+    return recording, _Seen(logs, of_pixel)
+
+
+def _from_events(recording: Recording, light: Light) -> Alignment:
+    recording, seen = _seen(recording, light)
+    changes = _changes(recording, seen.of_pixel, MOST_CHANGES)
     if len(changes.time) < 50:
         raise InputError(f"{recording.name}: --align auto: expected at least 50 events that follow one of their pixel")
-    offsets = _candidates(recording, light.t, log_light)
-    few = _changes(recording, COMPARED)
-    fits = sorted((_refined(few, light.t, log_light, offset) for offset in offsets), key=lambda fit: fit.cost)
+    offsets = _candidates(recording, seen)
+    few = _changes(recording, seen.of_pixel, COMPARED)
+    fits = sorted((_refined(few, seen.lights, offset) for offset in offsets), key=lambda fit: fit.cost)
     best = fits[0]
     if best.cost > LARGEST_LOSS * len(few.time):
         raise InputError(
@@ -297,7 +341,7 @@ def _from_events(recording: Recording, light: Stimulus) -> Alignment:
                 "give --align SECONDS, or record a trigger"
             )
     if len(changes.time) > len(few.time):
-        best = _refined(changes, light.t, log_light, best.offset, best)
+        best = _refined(changes, seen.lights, best.offset, best)
     half = 1.96 * np.sqrt(np.maximum(np.diag(best.covariance), 0.0))
     return Alignment(
         best.offset,
@@ -305,21 +349,23 @@ def _from_events(recording: Recording, light: Stimulus) -> Alignment:
         (best.offset - float(half[0]), best.offset + float(half[0])),
         best.rate,
         (best.rate - float(half[1]), best.rate + float(half[1])),
-        ClockPrior(0.5 * float(light.t[0] + light.t[-1]), light.duration_s, None, 0.0, CRYSTAL),
+        ClockPrior(0.5 * (light.start_s + light.end_s), light.duration_s, None, 0.0, CRYSTAL),
     )
 
 
 @dataclass(frozen=True)
 class _Changes:
-    """Intervals between events of one pixel: begin and end (s, from `origin`), sign of the event at the end."""
+    """Intervals between events of one pixel: begin and end (s, from `origin`), sign of the event at the end, and which
+    light the pixel sees."""
 
     begin: np.ndarray
     time: np.ndarray
     sign: np.ndarray
+    light: np.ndarray
     origin: float
 
 
-def _changes(recording: Recording, most: int) -> _Changes:
+def _changes(recording: Recording, light_of_pixel: np.ndarray, most: int) -> _Changes:
     """Intervals of as many pixels, chosen evenly over the sensor, as hold about `most` events."""
     events = recording.events
     pixel = events.pixel
@@ -338,24 +384,29 @@ def _changes(recording: Recording, most: int) -> _Changes:
     seconds = (t - origin) * 1e-9
     same = pixel[1:] == pixel[:-1]
     sign = np.where(p[1:] == 1, 1.0, -1.0)
-    return _Changes(seconds[:-1][same], seconds[1:][same], sign[same], origin * 1e-9)
+    light = light_of_pixel[pixel[1:][same]]
+    return _Changes(seconds[:-1][same], seconds[1:][same], sign[same], light, origin * 1e-9)
 
 
-def _candidates(recording: Recording, t: np.ndarray, log_light: np.ndarray) -> list[float]:
+def _candidates(recording: Recording, light: _Seen) -> list[float]:
     """Offsets (s, camera's clock) at which signed events and d ln L/dt correlate best, distinct ones."""
-    events = recording.events
+    events, t = recording.events, light.lights[0][0]
     origin = events.t[0] * 1e-9
     lasting = events.duration_s + float(t[-1] - t[0])
     width = max(lasting / MOST_BINS, 1e-4)
     bins = int(events.duration_s / width) + 1
     index = ((events.t - events.t[0]) * 1e-9 / width).astype(np.int64)
-    counts = np.bincount(index, np.where(events.p == 1, 1.0, -1.0), bins)
+    sign, seen_by = np.where(events.p == 1, 1.0, -1.0), light.of_pixel[events.pixel]
     n = int((t[-1] - t[0]) / width) + 1
-    change = np.diff(np.interp(t[0] + width * np.arange(n + 1), t, log_light))
-    counts, change = counts - counts.mean(), change - change.mean()
     size = 1 << int(np.ceil(np.log2(bins + n)))
-    spectra = [np.fft.rfft(series, size) for series in (counts, change)]
-    correlation = np.fft.irfft(spectra[0] * np.conj(spectra[1]), size)
+    correlation, length = np.zeros(size), 1.0
+    for k, (when, log_light) in enumerate(light.lights):
+        counts = np.bincount(index, np.where(seen_by == k, sign, 0.0), bins)
+        change = np.diff(np.interp(t[0] + width * np.arange(n + 1), when, log_light))
+        counts, change = counts - counts.mean(), change - change.mean()
+        spectra = [np.fft.rfft(series, size) for series in (counts, change)]
+        correlation += np.fft.irfft(spectra[0] * np.conj(spectra[1]), size)
+        length = max(length, _correlation_length(change))
     lags = np.arange(size)
     lags[lags >= bins] -= size  # negative: the light began before the first event
     spread = 1.4826 * float(np.median(np.abs(correlation - np.median(correlation)))) + 1e-300
@@ -366,7 +417,7 @@ def _candidates(recording: Recording, t: np.ndarray, log_light: np.ndarray) -> l
     peaks = peaks[np.argsort(heights[peaks])[::-1][: 20 * CANDIDATES]]
     if not len(peaks) or heights[peaks[0]] < LEAST_CORRELATION * spread:
         raise InputError(f"{recording.name}: --align auto: the events do not follow this light at any offset")
-    apart = max(1, round(_correlation_length(change)))
+    apart = max(1, round(length))
     kept: list[int] = []
     for peak in peaks:
         if all(abs(peak - other) > apart for other in kept) and heights[peak] > 0.3 * heights[peaks[0]]:
@@ -395,13 +446,17 @@ class _Fit:
     x: np.ndarray
 
 
-def _refined(changes: _Changes, t: np.ndarray, log_light: np.ndarray, offset: float, start: _Fit | None = None) -> _Fit:
+def _refined(
+    changes: _Changes, lights: Sequence[tuple[np.ndarray, np.ndarray]], offset: float, start: _Fit | None = None
+) -> _Fit:
     """Least squares on changes between events: offset, rate error, filter, dead time and two thresholds."""
+    t = lights[0][0]
     duration = float(t[-1] - t[0])
-    fine = max(float(np.median(np.diff(t))) / FINER, duration / MOST_SAMPLES)
+    fine = max(min(float(np.median(np.diff(when))) for when, _ in lights) / FINER, duration / MOST_SAMPLES)
     grid = t[0] + fine * np.arange(int(duration / fine) + 2)
-    u = np.interp(grid, t, log_light)
+    u = np.array([np.interp(grid, when, log_light) for when, log_light in lights])
     relative = np.exp(u - u.mean())
+    members = [slice(None)] if len(lights) == 1 else [np.flatnonzero(changes.light == k) for k in range(len(lights))]
     begin = offset - changes.origin
     middle = 0.5 * float(changes.time.min() + changes.time.max())
     on = changes.sign > 0
@@ -411,11 +466,15 @@ def _refined(changes: _Changes, t: np.ndarray, log_light: np.ndarray, offset: fl
     def residuals(x: np.ndarray) -> np.ndarray:
         shift, rate, dead, thresholds = 1e-3 * x[0], RATE_BOUND * x[1], 1e-4 * x[6], np.exp(x[7:9])
         if not np.array_equal(x[2:6], latest):
-            _filter(u, relative, fine, *np.exp(x[2:6]), y)
+            for k in range(len(u)):
+                _filter(u[k], relative[k], fine, *np.exp(x[2:6]), y[k])
             latest[:] = x[2:6]
 
         def seen(when: np.ndarray) -> np.ndarray:
-            return np.interp(when - begin - shift - rate * (when - middle), grid, y)
+            place, out = when - begin - shift - rate * (when - middle), np.empty(len(when))
+            for mine, filtered in zip(members, y, strict=True):
+                out[mine] = np.interp(place[mine], grid, filtered)
+            return out
 
         return (seen(changes.time) - seen(changes.begin + dead)) / np.where(on, *thresholds) - changes.sign
 

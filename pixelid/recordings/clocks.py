@@ -88,7 +88,7 @@ def clock_of(recording: Recording) -> AlignedClock | None:
 
 def _unknown(recording: Recording) -> ClockPrior:
     assert recording.stimulus is not None
-    first, last = float(recording.stimulus.t[0]), float(recording.stimulus.t[-1])
+    first, last = recording.stimulus.start_s, recording.stimulus.end_s
     return ClockPrior(0.5 * (first + last), last - first, None, 0.0, CRYSTAL)
 
 

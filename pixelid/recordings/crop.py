@@ -11,7 +11,7 @@ from pixelid.errors import InputError
 from pixelid.recordings.events import Events
 from pixelid.recordings.parts import LongRecording
 from pixelid.recordings.recording import Recording
-from pixelid.stimuli.stimulus import Stimulus
+from pixelid.stimuli.pixel_lights import Light, pixel_lights
 
 
 def crop(
@@ -34,7 +34,8 @@ def crop(
         seed: of the choice of pixels.
 
     Returns:
-        The recording with fewer events, everything else as before; light of each pixel's own stays whole.
+        The recording with fewer events, everything else as before; of light of each pixel's own that of the pixels
+        left, in groups that share one.
 
     Raises:
         InputError: for a region outside the sensor, an empty span, and when no event is left of some.
@@ -45,7 +46,10 @@ def crop(
         keep &= np.isin(events.pixel, _chosen(np.unique(events.pixel[keep]), pixels, seed))
     if len(events) and not keep.any():
         raise _nothing_left(recording.name, len(events))
-    return replace(recording, events=events.select(keep), stimulus=_light_until(recording, time_s))
+    left, light = events.select(keep), _light_until(recording, time_s)
+    if roi or pixels:
+        light = _restricted(light, left, np.unique(left.pixel))
+    return replace(recording, events=left, stimulus=light)
 
 
 def _inside(events: Events, roi, time_s, without: np.ndarray | None) -> np.ndarray:
@@ -80,13 +84,18 @@ def _chosen(present: np.ndarray, pixels: int, seed: int) -> np.ndarray:
     return np.random.default_rng(seed).permutation(present)[:pixels]
 
 
-def _light_until(recording: Recording, time_s: tuple[float, float] | None) -> Stimulus | None:
+def _light_until(recording: Recording, time_s: tuple[float, float] | None) -> Light | None:
     """The light up to the end of the span: what was before the span stays, the pixel remembers it."""
     light = recording.stimulus
-    if light is None or time_s is None:
+    return light if light is None or time_s is None else light.until(time_s[1])
+
+
+def _restricted(light: Light | None, events: Events, pixels: np.ndarray) -> Light | None:
+    """Light of each pixel's own for some pixels of the sensor only, in groups; full-field light as it is."""
+    if light is None or light.size != (events.width, events.height):
         return light
-    last = max(int(np.searchsorted(light.t, time_s[1])) + 1, 2)
-    return replace(light, t=light.t[:last], radiance=light.radiance[:last])
+    grouped = pixel_lights(light, pixels)
+    return light if grouped is None else grouped.restricted(pixels)
 
 
 def _nothing_left(name: str, events: int) -> InputError:
@@ -139,16 +148,21 @@ class Crop:
             width, height = head.events.width, head.events.height
             seconds = float(ends[-1] - ends[0]) * 1e-9 if ends else 0.0
             hot = np.array([p.y * width + p.x for p in hot_of_counts(counts.reshape(height, width), seconds)], np.int64)
+        light = _light_until(head, self.time_s)
+        own = light is not None and light.size == (head.events.width, head.events.height)
         chosen: np.ndarray | None = None
-        if self.pixels is not None:
+        if self.pixels is not None or (self.roi is not None and own):
             seen, events = np.zeros(size, bool), 0
             for part in self._before_end(long.read()):
                 seen[part.events.pixel[_inside(part.events, self.roi, self.time_s, hot)]] = True
                 events += len(part.events)
             if events and not seen.any():
                 raise _nothing_left(long.name, events)
-            chosen = np.zeros(size, bool)
-            chosen[_chosen(np.flatnonzero(seen), self.pixels, seed)] = True
+            chosen = seen
+            if self.pixels is not None:
+                chosen = np.zeros(size, bool)
+                chosen[_chosen(np.flatnonzero(seen), self.pixels, seed)] = True
+            light = _restricted(light, head.events, np.flatnonzero(chosen))
 
         def cropped() -> Iterator[Recording]:
             events = left = 0
@@ -161,7 +175,6 @@ class Crop:
             if events and not left:
                 raise _nothing_left(long.name, events)
 
-        light = _light_until(head, self.time_s)
         return LongRecording(replace(head, stimulus=light), cropped)
 
     def _before_end(self, parts: Iterator[Recording]) -> Iterator[Recording]:

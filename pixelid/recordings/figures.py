@@ -8,7 +8,7 @@ import numpy as np
 
 from pixelid.figures.style import INK, OFF, ON, new_axes, styled
 from pixelid.recordings.events import Events
-from pixelid.stimuli.stimulus import Stimulus
+from pixelid.stimuli.pixel_lights import Light
 
 BINS = 200
 
@@ -21,7 +21,7 @@ class Shown(Protocol):
     @property
     def events(self) -> Events: ...
     @property
-    def stimulus(self) -> Stimulus | None: ...
+    def stimulus(self) -> Light | None: ...
 
 
 @styled
@@ -32,7 +32,7 @@ def draw_recording(recording: Shown) -> np.ndarray:
     rows = 1 if stimulus is None else 2
     axes = new_axes(rows, 1, 7.0, 2.2, sharex=True)
     if stimulus is not None:
-        start, end = float(stimulus.t[0]), float(stimulus.t[-1])
+        start, end = stimulus.start_s, stimulus.end_s
     else:
         start, end = (float(time_s[0]), float(time_s[-1])) if len(events) else (0.0, 1.0)
     edges = np.linspace(start, max(end, start + 1e-9), BINS + 1)
@@ -42,8 +42,8 @@ def draw_recording(recording: Shown) -> np.ndarray:
     axes[0, 0].set_ylabel("events/s, ON up, OFF down")
     axes[0, 0].set_title(recording.name)
     if stimulus is not None:
-        light = stimulus.radiance if stimulus.full_field else stimulus.radiance.mean(axis=(1, 2))
-        axes[1, 0].plot(stimulus.t, light, color=INK, linewidth=0.8)
-        axes[1, 0].set_ylabel(f"light ({stimulus.unit})")
+        light = stimulus.average()
+        axes[1, 0].plot(light.t, light.radiance, color=INK, linewidth=0.8)
+        axes[1, 0].set_ylabel(f"light ({stimulus.unit})" if stimulus.full_field else f"mean light ({stimulus.unit})")
     axes[-1, 0].set_xlabel("time (s)")
     return axes

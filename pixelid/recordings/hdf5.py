@@ -35,7 +35,7 @@ from pixelid.recordings.events import Events
 from pixelid.recordings.metadata import FORMAT, VERSION
 from pixelid.recordings.recording import Recording
 from pixelid.recordings.triggers import Triggers
-from pixelid.stimuli.stimulus import Stimulus
+from pixelid.stimuli.pixel_lights import Light, light_from_arrays
 
 BLOCK = 1 << 22  # events looked at together
 MOST_OBJECTS = 1000  # groups of a file
@@ -332,14 +332,15 @@ def _refuse_undeclared_duplicates(events: Events, declared: int, path: Path) -> 
         )
 
 
-def _read_stimulus(file, path: Path) -> Stimulus:
+def _read_stimulus(file, path: Path) -> Light:
     group, where = file["stimulus"], f"{path}: stimulus"
     for name in ("t", "radiance"):
         if name not in group:
             raise InputError(f"{where}/{name}: missing; expected t and radiance, found {', '.join(group) or 'nothing'}")
     unit = _attribute(group.attrs.get("unit", "relative"))
     interpolation = _attribute(group.attrs.get("interpolation", "linear"))
-    return Stimulus.from_arrays(group["t"][:], group["radiance"][:], unit, interpolation, where=where)
+    columns = {name: group[name][:] for name in ("t", "radiance", "first", "of_pixel") if name in group}
+    return light_from_arrays(columns, unit, interpolation, where)
 
 
 def _attribute(value):

@@ -55,7 +55,7 @@ def write(recording: Recording | LongRecording, path: Path) -> None:
         if head.stimulus is not None:
             light = file.create_group("stimulus")
             light.attrs.update({"unit": head.stimulus.unit, "interpolation": head.stimulus.interpolation})
-            for name, column in (("t", head.stimulus.t), ("radiance", head.stimulus.radiance)):
+            for name, column in head.stimulus.arrays.items():
                 _compressed(light, name, column.shape, column.dtype)[...] = column
 
 

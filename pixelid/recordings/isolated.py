@@ -35,6 +35,7 @@ from pixelid.recordings.parts import cut
 from pixelid.recordings.recording import Recording
 from pixelid.recordings.triggers import COLUMNS as EDGE_COLUMNS
 from pixelid.recordings.triggers import Triggers
+from pixelid.stimuli.pixel_lights import PixelLights
 from pixelid.stimuli.stimulus import Stimulus
 
 READERS = {  # name → module with the function `read` (or the function named)
@@ -262,11 +263,16 @@ def _taken_apart(recording: Recording, arrays: list[np.ndarray]) -> dict[str, An
         return {**columns, "width": some.width, "height": some.height, "tick_ns": some.tick_ns}
 
     light, edges = recording.stimulus, recording.triggers
-    told = {} if light is None else {"unit": light.unit, "between": light.interpolation}
     return {
         "events": events(recording.events),
         "exposures": events(recording.exposures),
-        "stimulus": None if light is None else {"t": column(light.t), "radiance": column(light.radiance), **told},
+        "stimulus": None
+        if light is None
+        else {
+            **{name: column(array) for name, array in light.arrays.items()},
+            "unit": light.unit,
+            "interpolation": light.interpolation,
+        },
         "triggers": None if edges is None else {name: column(getattr(edges, name)) for name in EDGE_COLUMNS},
         "condition": recording.condition,
         "sensor": recording.sensor,
@@ -286,7 +292,7 @@ def _assembled(answer: dict[str, Any], path: Path) -> Recording:
     assert measured is not None
     return Recording(
         events=measured,
-        stimulus=None if light is None else Stimulus(light["t"], light["radiance"], light["unit"], light["between"]),
+        stimulus=None if light is None else (PixelLights.from_arrays if "of_pixel" in light else Stimulus)(**light),
         condition=printable(answer["condition"]),
         sensor=printable(answer["sensor"]),
         pooled=answer["pooled"],

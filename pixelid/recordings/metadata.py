@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ from pixelid.errors import InputError
 from pixelid.outputs import plain
 from pixelid.recordings.events import Events
 from pixelid.recordings.recording import Recording
-from pixelid.stimuli.stimulus import Stimulus
+from pixelid.stimuli.pixel_lights import light_from_arrays
 
 FORMAT = "pixelid-recording"
 VERSION = 1
@@ -54,16 +55,16 @@ def from_json(line: str, where: str) -> dict:
 
 
 def assemble(
-    meta: dict, events: Events, stimulus: tuple[np.ndarray, np.ndarray] | None, source: Path, where: str
+    meta: dict, events: Events, stimulus: Mapping[str, np.ndarray] | None, source: Path, where: str
 ) -> Recording:
-    """The recording that `meta` describes, from its events and the stimulus' (t, radiance)."""
+    """The recording that `meta` describes, from its events and the arrays of its stimulus by name."""
     told = meta.get("stimulus", {})
     return Recording(
         events=events,
         stimulus=None
         if stimulus is None
-        else Stimulus.from_arrays(
-            *stimulus, told.get("unit", "relative"), told.get("interpolation", "linear"), where=f"{where}: stimulus"
+        else light_from_arrays(
+            stimulus, told.get("unit", "relative"), told.get("interpolation", "linear"), f"{where}: stimulus"
         ),
         condition=meta.get("condition", ""),
         sensor=meta.get("sensor", ""),

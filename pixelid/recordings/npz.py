@@ -17,6 +17,7 @@ from pixelid.recordings.columns import PART_EVENTS, sensor_size, to_nanoseconds,
 from pixelid.recordings.events import Events
 from pixelid.recordings.recording import Recording
 
+PREFIX = "stimulus_"  # of the arrays of the light
 NAMES = {
     "t": ("t", "ts", "time", "times", "timestamp", "timestamps"),
     "x": ("x", "xs", "col", "column"),
@@ -135,8 +136,8 @@ def _described(archive, kind: np.dtype, path: Path) -> tuple[dict, str, int]:
     return meta, unit, meta.get("tick_ns", 1 if unit == "ns" else 1000)
 
 
-def _stimulus_arrays(archive) -> tuple[np.ndarray, np.ndarray] | None:
-    return (archive["stimulus_t"], archive["stimulus_radiance"]) if "stimulus_t" in archive else None
+def _stimulus_arrays(archive) -> dict[str, np.ndarray] | None:
+    return {name[len(PREFIX) :]: archive[name] for name in archive.files if name.startswith(PREFIX)} or None
 
 
 def seconds_to_ns(t: np.ndarray, where: str) -> np.ndarray:
@@ -172,5 +173,5 @@ def write(recording: Recording, path: Path) -> None:
     events, stimulus = recording.events, recording.stimulus
     columns: dict = {"t": events.t, "x": events.x, "y": events.y, "p": events.p}
     if stimulus is not None:
-        columns |= {"stimulus_t": stimulus.t, "stimulus_radiance": stimulus.radiance}
+        columns |= {f"{PREFIX}{name}": array for name, array in stimulus.arrays.items()}
     np.savez_compressed(path, metadata=np.array(metadata.to_json(recording)), **columns)

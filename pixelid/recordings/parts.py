@@ -12,7 +12,7 @@ from pixelid.recordings.columns import PART_EVENTS
 from pixelid.recordings.events import Events
 from pixelid.recordings.recording import Recording
 from pixelid.recordings.triggers import Triggers
-from pixelid.stimuli.stimulus import Stimulus
+from pixelid.stimuli.pixel_lights import Light
 
 WHOLE_EVENTS = 1 << 22  # up to which a recording lies in memory whole: inspection takes 67 bytes an event, 280 MB
 
@@ -31,7 +31,7 @@ class LongRecording:
     read: Callable[[], Iterator[Recording]]
 
     @property
-    def stimulus(self) -> Stimulus | None:
+    def stimulus(self) -> Light | None:
         """The light behind it, if it is known."""
         return self.head.stimulus
 
@@ -50,7 +50,7 @@ class LongRecording:
                 last.append(part)
         joined(self.head, [*first, *last]).check_stimulus_covers_events()
 
-    def with_stimulus(self, stimulus: Stimulus) -> LongRecording:
+    def with_stimulus(self, stimulus: Light) -> LongRecording:
         """The same events beside another stimulus."""
         return self.map(lambda part: part.with_stimulus(stimulus))
 

@@ -11,7 +11,7 @@ from pixelid.errors import InputError
 from pixelid.recordings.events import Events
 from pixelid.recordings.triggers import Triggers
 from pixelid.results import Table, html_page
-from pixelid.stimuli.stimulus import Stimulus
+from pixelid.stimuli.pixel_lights import Light
 
 LATENCY_S = 1e-3
 
@@ -36,7 +36,7 @@ class Recording:
     """
 
     events: Events
-    stimulus: Stimulus | None = None
+    stimulus: Light | None = None
     condition: str = ""
     sensor: str = ""
     pooled: bool = False
@@ -79,7 +79,7 @@ class Recording:
         return self.source.stem if self.source else (self.condition or "recording")
 
     def check_stimulus_covers_events(self) -> None:
-        """Raise InputError when an event lies outside the stimulus, or there is no stimulus.
+        """Raise InputError when an event lies outside the stimulus, in time or place, or there is no stimulus.
 
         Three kinds of late events are legitimate: a stimulus of interpolation "previous" holds its last value;
         latency and jitter carry an event past the last sample by up to `LATENCY_S`; and a saturated
@@ -87,25 +87,31 @@ class Recording:
         """
         if self.stimulus is None:
             raise InputError(f"{self.name}: no stimulus; this needs to know what the light did")
+        size = (self.events.width, self.events.height)
+        if self.stimulus.size not in (None, size) and not self.pooled:
+            raise InputError(
+                f"{self.source or self.name}: stimulus: expected light for {size[0]} x {size[1]} pixels, found "
+                f"{self.stimulus.size[0]} x {self.stimulus.size[1]}"
+            )
         if len(self.events) == 0:
             return
-        t, s = self.events.t, self.stimulus.t
-        end = s[-1] + LATENCY_S
+        t, start, last = self.events.t, self.stimulus.start_s, self.stimulus.end_s
+        end = last + LATENCY_S
         late = self.stimulus.interpolation != "previous" and t[-1] * 1e-9 > end
-        if t[0] * 1e-9 < s[0] - LATENCY_S or (late and not _drains(t, t[np.searchsorted(t, s[-1] * 1e9) :])):
+        if t[0] * 1e-9 < start - LATENCY_S or (late and not _drains(t, t[np.searchsorted(t, last * 1e9) :])):
             raise InputError(
                 f"{self.source or self.name}: stimulus: expected to cover the events "
-                f"{t[0] * 1e-9:g}..{t[-1] * 1e-9:g} s, found {s[0]:g}..{s[-1]:g} s"
+                f"{t[0] * 1e-9:g}..{t[-1] * 1e-9:g} s, found {start:g}..{last:g} s"
             )
 
     def within_stimulus(self) -> Recording:
         """The recording without the events that a latency carried past the end of the stimulus."""
         if self.stimulus is None or self.stimulus.interpolation == "previous":
             return self
-        inside = self.events.t <= self.stimulus.t[-1] * 1e9
+        inside = self.events.t <= self.stimulus.end_s * 1e9
         return self if inside.all() else replace(self, events=self.events.select(inside))
 
-    def with_stimulus(self, stimulus: Stimulus) -> Recording:
+    def with_stimulus(self, stimulus: Light) -> Recording:
         """The same events beside another stimulus."""
         return replace(self, stimulus=stimulus)
 

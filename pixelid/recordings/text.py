@@ -22,6 +22,7 @@ from pixelid.recordings.events import Events
 from pixelid.recordings.npz import NAMES, seconds_to_ns
 from pixelid.recordings.parts import LongRecording, cut
 from pixelid.recordings.recording import Recording
+from pixelid.stimuli.pixel_lights import PixelLights
 
 LINES_AT_ONCE = 1 << 19
 
@@ -56,7 +57,7 @@ def stream(path: Path) -> tuple[Recording, Iterator[Recording]]:
 
 
 def _opened(path: Path):
-    """Metadata, stimulus (t, radiance) or None, blocks of columns, unit and tick [ns] of the times."""
+    """Metadata, arrays of the stimulus or None, blocks of columns, unit and tick [ns] of the times."""
     try:
         with path.open(encoding="utf-8") as file:
             meta, stimulus, order, first = _header(file, path)
@@ -79,7 +80,7 @@ def _opened(path: Path):
 
 
 def _header(file, path: Path):
-    """Metadata, stimulus (t, radiance) or None, column order of t, x, y, p, and the first line of numbers."""
+    """Metadata, arrays of the stimulus or None, column order of t, x, y, p, and the first line of numbers."""
     meta, stimulus, order = {}, None, [0, 1, 2, 3]
     for line in file:
         line = line.strip()
@@ -87,7 +88,7 @@ def _header(file, path: Path):
             meta = metadata.from_json(line[2:], f"{path}: header")
         elif line.startswith("# stimulus {"):
             told = json.loads(line[len("# stimulus ") :])
-            stimulus = np.array(told["t"]), np.array(told["radiance"], dtype=told["dtype"])
+            stimulus = {"t": np.array(told["t"]), "radiance": np.array(told["radiance"], dtype=told["dtype"])}
         elif line and not line.startswith("#"):
             if not line[0].isalpha():
                 return meta, stimulus, order, line
@@ -127,7 +128,7 @@ def write(recording: Recording | LongRecording, path: Path) -> None:
     """Write `recording` as text, t in nanoseconds; a per-pixel stimulus is refused (use .h5 or .npz)."""
     head, parts = (recording.head, recording.read()) if isinstance(recording, LongRecording) else cut(recording)
     stimulus = head.stimulus
-    if stimulus is not None and not stimulus.full_field:
+    if stimulus is not None and (isinstance(stimulus, PixelLights) or not stimulus.full_field):
         raise InputError(f"{path.name}: text holds no per-pixel stimulus; write .h5 or .npz")
     separator = "," if path.suffix.lower() == ".csv" else " "
     with path.open("w", encoding="utf-8") as file:

@@ -17,10 +17,11 @@ import numpy as np
 
 from pixelid.errors import InputError
 from pixelid.fit.result import FitResult
+from pixelid.recordings.own_light import with_fine_light
 from pixelid.recordings.recording import Recording
 from pixelid.sample.drawn_groups import sampled_groups
 from pixelid.sample.posterior import Posterior
-from pixelid.stimuli.resample import resampled
+from pixelid.stimuli.pixel_lights import in_a_row
 
 PREDICTIVE_DRAWS = 10
 
@@ -63,11 +64,12 @@ def predicted(posterior: Posterior, result: FitResult, recordings: Sequence[Reco
     from pixelid.simulate import simulate
 
     between = result.details.get("stimulus_between_samples", "linear")
-    shown = [
-        (resampled(r.stimulus, between), max(len(np.unique(r.events.pixel)), 1))
-        for r in recordings
-        if r.stimulus is not None
-    ]
+    shown = []
+    for r in recordings:
+        light = with_fine_light(r, between).stimulus if r.stimulus is not None else None
+        if light is not None:
+            active = np.unique(r.events.pixel)
+            shown.append((in_a_row(light, active), max(len(active), 1)))
     simulated: dict[str, list] = {"on_events": [], "off_events": []}
     for k, x in enumerate(posterior.thinned(draws)):
         model = posterior.coordinates.model_at(x)

@@ -11,8 +11,8 @@ from pixelid.fit.pooled_rate import PooledRateObjective
 from pixelid.fit.result import FitResult
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.likelihood.pooled_rate import PooledRate
+from pixelid.recordings.own_light import with_fine_light
 from pixelid.recordings.recording import Recording
-from pixelid.stimuli.resample import resampled
 
 MOST_UNITS = 512  # pixels whose log-likelihoods are kept apart; more share units
 
@@ -40,7 +40,7 @@ class Target:
             self.units = 0
         else:
             between = result.details.get("stimulus_between_samples", "linear")
-            finer = [r.with_stimulus(resampled(r.stimulus, between)) for r in recordings if r.stimulus is not None]
+            finer = [with_fine_light(r, between) for r in recordings if r.stimulus is not None]
             self._density = EventTimesObjective(EventTimes(finer), self.coordinates)
             self.units = min(self._density.likelihood.pixels, MOST_UNITS)
         self.evaluations = 0

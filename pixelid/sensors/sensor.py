@@ -272,7 +272,7 @@ def _claim(keep: Path, recordings: list[Recording], plan: Plan, tile: int) -> No
     digest = hashlib.sha256()
     for r in recordings:
         assert r.stimulus is not None
-        for column in (r.events.t, r.events.x, r.events.y, r.events.p, r.stimulus.t, r.stimulus.radiance):
+        for column in (r.events.t, r.events.x, r.events.y, r.events.p, *r.stimulus.arrays.values()):
             digest.update(np.ascontiguousarray(column).tobytes())
     problem = {
         "data": digest.hexdigest(),

@@ -55,12 +55,33 @@ class Twins:
     released_s: np.ndarray
     after: np.ndarray | None = None
 
+    def only(self, chosen: np.ndarray) -> Twins:
+        """Some of them."""
+        after = None if self.after is None else self.after[chosen]
+        return Twins(self.on[chosen], self.off[chosen], self.released_s[chosen], after)
+
 
 class FullField:
-    """The sensor's pixels under full-field light: one trajectory, one comparator each."""
+    """Pixels under one light: one trajectory, one comparator each.
 
-    def __init__(self, stimulus: Stimulus, rules: Rules, pixels: int, twins: Twins | None = None) -> None:
+    Args:
+        stimulus: Full-field.
+        rules: Of the simulation.
+        pixels: How many.
+        twins: What they take over from measured ones.
+        places: (pixels,) which pixels of the sensor they are, in ascending order; None: all of it.
+    """
+
+    def __init__(
+        self,
+        stimulus: Stimulus,
+        rules: Rules,
+        pixels: int,
+        twins: Twins | None = None,
+        places: np.ndarray | None = None,
+    ) -> None:
         self._rules = rules
+        self._places = np.arange(pixels) if places is None else places
         light = drive(stimulus, rules.circuit)
         if rules.slewing:
             light = _refined(light, slew.longest_step(rules.chain[:4], stimulus.duration_s))
@@ -68,11 +89,13 @@ class FullField:
         self._comparators = np.empty((comparator.FIELDS, pixels))
         self._drawn = np.empty(pixels, np.int64)
         circuit, state = rules.circuit, self._shared.states[0]
-        comparator.start(
-            0, circuit.on_threshold, circuit.off_threshold, circuit.mismatch, circuit.noise, np.int64(rules.seed),
-            rules.synchronous, np.full(pixels, state[3] - state[4]), np.full(pixels, state[5]),
-            self._comparators, self._drawn,
-        )  # fmt: skip
+        for part in np.split(np.arange(pixels), np.flatnonzero(np.diff(self._places) != 1) + 1):
+            some = slice(part[0], part[-1] + 1)
+            comparator.start(
+                self._places[part[0]], circuit.on_threshold, circuit.off_threshold, circuit.mismatch, circuit.noise,
+                np.int64(rules.seed), rules.synchronous, np.full(len(part), state[3] - state[4]),
+                np.full(len(part), state[5]), self._comparators[:, some], self._drawn[some],
+            )  # fmt: skip
         if twins is not None:
             self._imitate(twins)
 
@@ -106,11 +129,15 @@ class FullField:
             )
             yield parts, float(t[steps.stop]), steps.stop == last
 
+    def all_events(self):
+        """(times (m,) s, pixels (m,), polarities (m,)), in this thread."""
+        return self._events(0, len(self._drawn), range(len(self._shared.t) - 1))
+
     def _events(self, first: int, after: int, steps: range):
         """(times (m,) s, pixels (m,), polarities (m,)) of pixels first … after − 1, pixel by pixel."""
         shared, rules = self._shared, self._rules
         return _pixel_events(
-            first, after, steps.start, steps.stop, shared.t, shared.u, shared.radiance, shared.states,
+            self._places, first, after, steps.start, steps.stop, shared.t, shared.u, shared.radiance, shared.states,
             shared.high, shared.low, shared.fade, shared.drift,
             rules.dynamics, rules.chain, rules.circuit.linearisation == "midpoint", rules.laws,
             self._comparators, self._drawn,
@@ -185,7 +212,7 @@ def _bounds(t, u, radiance, states, dynamics, chain, midpoint, laws, high, low, 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _pixel_events(
-    first, last, k_first, k_last, t, u, radiance, states, high, low, fade, drift,
+    places, first, last, k_first, k_last, t, u, radiance, states, high, low, fade, drift,
     dynamics, chain, midpoint, laws, comparators, drawn,
 ):  # fmt: skip
     scratch = np.empty((6, DEPTH))
@@ -210,7 +237,9 @@ def _pixel_events(
                     continue
             comparators[LEVEL, i], comparators[DECAY, i] = level, decay
             step = _step(k, t, u, radiance, states, dynamics, chain, midpoint)
-            found, count = events_in_step(i, i, t0, t1, step, chain, comparators, drawn, laws, found, count, scratch)
+            found, count = events_in_step(
+                places[i], i, t0, t1, step, chain, comparators, drawn, laws, found, count, scratch
+            )
             level, decay, release = comparators[LEVEL, i], comparators[DECAY, i], comparators[RELEASE, i]
             on, off = comparators[ON, i], comparators[OFF, i]
         comparators[LEVEL, i], comparators[DECAY, i] = level, decay

@@ -1,7 +1,8 @@
 """Events of a circuit under a stimulus.
 
-Light enters as one trajectory shared by all pixels (`full_field.py`) or one per pixel (`tiles.py`: video, and shot
-noise, which is each pixel's own).  Comparators turn it into events; hot pixels add theirs; the readout stamps them.
+Light enters as one trajectory shared by all pixels (`full_field.py`), or by those of a group (`grouped.py`), or one per
+pixel (`tiles.py`: video, and shot noise, which is each pixel's own).  Comparators turn it into events; hot pixels add
+theirs; the readout stamps them.
 """
 
 from __future__ import annotations
@@ -19,12 +20,14 @@ from pixelid.recordings.events import Events
 from pixelid.recordings.recording import Recording
 from pixelid.simulate import light, random
 from pixelid.simulate.full_field import FullField, Twins
+from pixelid.simulate.grouped import Grouped
 from pixelid.simulate.hot_pixels import HotPixels
 from pixelid.simulate.laws import Rules, rules_of
 from pixelid.simulate.ordering import Ordering
 from pixelid.simulate.readout import Readout
 from pixelid.simulate.tiles import Tiles
 from pixelid.stages.circuit import Circuit
+from pixelid.stimuli.pixel_lights import Light, PixelLights
 from pixelid.stimuli.resample import resampled
 from pixelid.stimuli.stimulus import Stimulus
 
@@ -33,7 +36,7 @@ MOST_PIXELS = 65536
 
 def simulate(
     model: Model | Circuit,
-    stimulus: Stimulus,
+    stimulus: Light,
     *,
     width: int | None = None,
     height: int | None = None,
@@ -51,10 +54,10 @@ def simulate(
     pixels' thresholds, its hot pixels), by default `seed`.  Recordings of one camera share the sensor_seed.
     synchronous: every pixel takes its first reference at the first sample.  Otherwise each starts part of the way to
     its next event (see `comparator.start`), so that pixels are out of step.
-    as_sampled: the photoreceptor is linearised once per step of a full-field stimulus as it is sampled.  Otherwise
+    as_sampled: the photoreceptor is linearised once per step of the stimulus as it is sampled.  Otherwise
     steps are split until each changes log radiance by at most 0.02 (`resample.resampled`), as fits read a recording.
     The frames of a video are always taken as sampled.
-    twins: thresholds and first resets that the pixels take over from measured ones (full-field light).
+    twins: thresholds and first resets that the pixels take over from measured ones (full-field light, or groups).
     threads: default one per core; the events do not depend on it.
     progress: called with the fraction done.
 
@@ -65,7 +68,7 @@ def simulate(
     """
     sensor_seed = seed if sensor_seed is None else sensor_seed
     seeds = random.both_seeds(seed, sensor_seed)
-    start, duration = float(stimulus.t[0]), stimulus.duration_s
+    start, duration = stimulus.start_s, stimulus.duration_s
     chunks = []
     for until_s, chunk in _chunks(model, stimulus, width, height, seeds, synchronous, as_sampled, threads, twins):
         chunks.append(chunk)
@@ -83,7 +86,7 @@ def simulate(
 
 def simulate_stream(
     model: Model | Circuit,
-    stimulus: Stimulus | Iterable[tuple[float, np.ndarray]],
+    stimulus: Light | Iterable[tuple[float, np.ndarray]],
     *,
     width: int | None = None,
     height: int | None = None,
@@ -95,7 +98,7 @@ def simulate_stream(
 ) -> Iterator[Events]:
     """The same events in consecutive chunks, in order of time; memory does not grow with the stimulus.
 
-    stimulus: a Stimulus, or an iterable of frames (t in s, radiance (height, width)), log radiance linear in between.
+    stimulus: a stimulus, or an iterable of frames (t in s, radiance (height, width)), log radiance linear in between.
     Raises InputError as `simulate`, and for invalid frames when they are reached.
     """
     seeds = random.both_seeds(seed, seed if sensor_seed is None else sensor_seed)
@@ -108,7 +111,9 @@ def _chunks(
 ) -> Iterator[tuple[float, Events]]:
     """(time up to which all is done, sorted events) after each block of work."""
     circuit = model.circuit() if isinstance(model, Model) else model
-    if not isinstance(stimulus, Stimulus):
+    if isinstance(stimulus, PixelLights) and circuit.shot_density > 0:
+        stimulus = stimulus.as_video()
+    if not isinstance(stimulus, Stimulus | PixelLights):
         stream = iter(stimulus)
         head = next(stream, None)
         if head is None:
@@ -118,20 +123,21 @@ def _chunks(
     else:
         if stimulus.unit == "shape":
             raise InputError('stimulus: unit "shape" is known only up to offset and gain; give radiance to simulate')
-        start, shape = float(stimulus.t[0]), stimulus.radiance.shape[1:]
+        start, shape = stimulus.start_s, (stimulus.size or ())[::-1]
         stimulus = stimulus if as_sampled else resampled(stimulus)
     width, height = _size(shape, width, height)
-    rules = rules_of(circuit, seed, synchronous, float(stimulus.t[-1]) if isinstance(stimulus, Stimulus) else start)
+    known = isinstance(stimulus, Stimulus | PixelLights)
+    rules = rules_of(circuit, seed, synchronous, stimulus.end_s if known else start)
     pixels = width * height
-    if twins is not None and (
-        not isinstance(stimulus, Stimulus) or not stimulus.full_field or circuit.shot_density > 0
-        or len(twins.on) != pixels
-    ):  # fmt: skip
-        raise InputError("twins: expected full-field light, no shot noise, and a threshold for each pixel")
+    shared = isinstance(stimulus, PixelLights) or (known and stimulus.full_field)
+    if twins is not None and (not shared or circuit.shot_density > 0 or len(twins.on) != pixels):
+        raise InputError("twins: expected full-field light or groups, no shot noise, and a threshold for each pixel")
     hot = HotPixels(circuit, pixels, seed, start)
     ordering, readout = Ordering(width, height, circuit.delay), Readout(circuit, seed)
     with ThreadPoolExecutor(threads or os.cpu_count() or 1) as pool:
-        if isinstance(stimulus, Stimulus) and stimulus.full_field and circuit.shot_density == 0:
+        if isinstance(stimulus, PixelLights):
+            work = Grouped(stimulus, rules, twins).run(pool)
+        elif isinstance(stimulus, Stimulus) and stimulus.full_field and circuit.shot_density == 0:
             work = FullField(stimulus, rules, pixels, twins).run(pool)
         else:
             work = _tiled(stimulus, rules, pixels, pool)

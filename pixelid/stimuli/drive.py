@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -10,6 +11,8 @@ import numpy as np
 from pixelid.errors import InputError
 from pixelid.stages.circuit import Circuit
 from pixelid.stimuli.stimulus import Stimulus
+
+HELD_S = 10.0  # longer than any dead time or clock delay
 
 
 @dataclass(frozen=True)
@@ -26,6 +29,16 @@ class Drive:
     def log_radiance(self) -> np.ndarray:
         """(n,) log radiance: taken once for all circuits that see this light."""
         return np.log(self.radiance)
+
+
+@dataclass(frozen=True)
+class StackedDrive(Drive):
+    """The drives of several lights, one after the other: time starts anew with each.
+
+    first: (lights + 1,) where the samples of each begin, and where the last ones end
+    """
+
+    first: np.ndarray
 
 
 def knots(stimulus: Stimulus, until_s: float | None = None) -> tuple[np.ndarray, np.ndarray]:
@@ -75,3 +88,21 @@ def drive(stimulus: Stimulus, circuit: Circuit, until_s: float | None = None) ->
             1 + circuit.flicker_modulation * np.sin(2 * np.pi * circuit.flicker_hz * t + circuit.flicker_phase)
         )
     return Drive(t, radiance + circuit.dark)
+
+
+def stacked_drive(lights: Sequence[Stimulus], circuit: Circuit, until_s: float) -> StackedDrive:
+    """The drives of full-field lights of one span, one after the other.
+
+    One light alone is as `drive` gives it.  Of several, each is held for `HELD_S` after its end, so that no time of
+    interest lies in the step from the last sample of one light to the first of the next.
+    """
+    if len(lights) == 1:
+        only = drive(lights[0], circuit, until_s)
+        return StackedDrive(only.t, only.radiance, np.array([0, len(only.t)]))
+    times, radiances = [], []
+    for light in lights:
+        part = drive(light, circuit, until_s)
+        times += [part.t, [part.t[-1] + HELD_S]]
+        radiances += [part.radiance, part.radiance[-1:]]
+    first = np.concatenate([[0], np.cumsum([len(t) + 1 for t in times[::2]])])
+    return StackedDrive(np.concatenate(times), np.concatenate(radiances), first)

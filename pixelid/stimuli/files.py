@@ -20,6 +20,7 @@ import numpy as np
 
 from pixelid.documents import interpreting, read_toml, shown
 from pixelid.errors import InputError, did_you_mean
+from pixelid.stimuli.pixel_lights import Light
 from pixelid.stimuli.sampled import TABLES, VIDEOS, holds_pictures, is_light_table, read_light
 from pixelid.stimuli.shapes import SHAPES
 from pixelid.stimuli.stimulus import Stimulus
@@ -27,7 +28,7 @@ from pixelid.stimuli.stimulus import Stimulus
 _WHOLE = {"width", "height", "seed"}
 
 
-def load_stimulus(spec: str | Path) -> Stimulus:
+def load_stimulus(spec: str | Path) -> Light:
     """The stimulus of a recording file, a `.toml` description, or a built-in name.
 
     Raises InputError naming what is wrong, and for unknown names listing the known ones.

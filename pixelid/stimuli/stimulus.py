@@ -47,9 +47,38 @@ class Stimulus:
         return self.radiance.ndim == 1
 
     @property
+    def size(self) -> tuple[int, int] | None:
+        """(width, height) of light of each pixel's own; None of full-field light."""
+        return None if self.full_field else (self.radiance.shape[2], self.radiance.shape[1])
+
+    @property
+    def arrays(self) -> dict[str, np.ndarray]:
+        """The arrays it is made of, by the names that files give them."""
+        return {"t": self.t, "radiance": self.radiance}
+
+    @property
+    def start_s(self) -> float:
+        """Time of the first sample."""
+        return float(self.t[0])
+
+    @property
+    def end_s(self) -> float:
+        """Time of the last sample."""
+        return float(self.t[-1])
+
+    @property
     def duration_s(self) -> float:
         """Seconds from the first to the last sample."""
         return float(self.t[-1] - self.t[0])
+
+    def average(self) -> Stimulus:
+        """The mean over pixels, as a full-field light to look at; full-field light as it is."""
+        return self if self.full_field else replace(self, radiance=self.radiance.mean(axis=(1, 2)))
+
+    def until(self, end_s: float) -> Stimulus:
+        """The samples up to the first that is not before `end_s`, two at least."""
+        last = max(int(np.searchsorted(self.t, end_s)) + 1, 2)
+        return replace(self, t=self.t[:last], radiance=self.radiance[:last])
 
     def shifted(self, by_s: float, rate: float = 1.0) -> Stimulus:
         """The same light, its clock slower by `rate` and then later by `by_s`: t becomes rate · t + by_s."""

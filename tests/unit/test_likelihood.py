@@ -21,7 +21,7 @@ from pixelid.likelihood.changes import PER_EVENT, PER_PIXEL, ChangeEvaluator
 from pixelid.likelihood.density import BACKGROUND_HZ, NUMBERS
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.likelihood.layout import EndRows, EventRows
-from pixelid.likelihood.sequences import sequences
+from pixelid.likelihood.sections import sections_of
 from pixelid.model.shipped import find_model
 from pixelid.recordings import Events, Recording
 from pixelid.simulate import simulate
@@ -44,6 +44,12 @@ def recording_of(times_s, polarities, stimulus, pixels=None, width=4):
         np.asarray(polarities)[order], width, 1,
     )  # fmt: skip
     return Recording(events, stimulus, sensor="test")
+
+
+def whole(recording):
+    """The one section of a recording under full-field light."""
+    (section,) = sections_of(recording)[1]
+    return section
 
 
 def brute_force_change(circuit, stimulus, t_previous, t_event):
@@ -73,7 +79,7 @@ def test_changes_equal_an_adaptive_solver_and_the_leak_integral():
     stimulus = sine_light(duration=0.05)
     circuit = MODEL.circuit().with_(leak_hz=3.0, leak_hz_per_radiance=0.02)
     recording = recording_of([0.0101, 0.0153, 0.0302, 0.0411], [1, 1, 0, 1], stimulus)
-    changes = ChangeEvaluator(recording, sequences(recording))(circuit)
+    changes = ChangeEvaluator(whole(recording))(circuit)
     for k, (a, b) in enumerate([(0.0101, 0.0153), (0.0153, 0.0302), (0.0302, 0.0411)]):
         assert changes.change[k] == pytest.approx(brute_force_change(circuit, stimulus, a, b), abs=2e-6)
         light = quad(lambda t: np.interp(t, stimulus.t, stimulus.radiance), a + 1e-4, b, epsabs=1e-9, limit=500)[0]
@@ -85,7 +91,7 @@ def test_changes_with_a_bandwidth_floor_equal_an_adaptive_solver():
     stimulus = sine_light(level=8.0, duration=0.05)
     circuit = MODEL.circuit().with_(bandwidth_floor=20.0)
     recording = recording_of([0.0101, 0.0153, 0.0302], [1, 1, 0], stimulus)
-    changes = ChangeEvaluator(recording, sequences(recording))(circuit)
+    changes = ChangeEvaluator(whole(recording))(circuit)
     for k, (a, b) in enumerate([(0.0101, 0.0153), (0.0153, 0.0302)]):
         assert changes.change[k] == pytest.approx(brute_force_change(circuit, stimulus, a, b), abs=2e-6)
         without = brute_force_change(circuit.with_(bandwidth_floor=0.0), stimulus, a, b)
@@ -96,7 +102,7 @@ def test_polarity_memory_moves_each_level_by_its_own_threshold():
     """Each polarity q is held against C_q + strength · q · before · C_q: the event's, the other's, censored ones'."""
     model, recordings = small_session()
     plain, strength = model.circuit(), 0.2
-    evaluator = ChangeEvaluator(recordings[0], sequences(recordings[0]))
+    evaluator = ChangeEvaluator(whole(recordings[0]))
     iv = evaluator.intervals
     memory = plain.with_(polarity_memory=strength)
     terms = evaluator(memory)
@@ -140,7 +146,7 @@ def test_an_extra_pole_close_to_the_follower_is_as_good_as_a_little_apart(ratio)
     """What the likelihood reads of two coinciding poles, beside the trajectory that lets them coincide."""
     circuit = MODEL.with_effect("extra_pole", {"cutoff_hz": ratio * MODEL.values["sf_cutoff_hz"]}).circuit()
     recording = recording_of([0.01, 0.05], [1, 0], sine_light(frequency=200.0))
-    read = ChangeEvaluator(recording, sequences(recording)).trajectory(circuit)
+    read = ChangeEvaluator(whole(recording)).trajectory(circuit)
     exact = integrate(read.t, read.radiance, dynamics_of(circuit))
     assert read.dynamics != dynamics_of(circuit)
     np.testing.assert_allclose(read.at(exact.t)[:, 3:], exact.states[:, 3:], atol=4e-6)
@@ -151,9 +157,10 @@ def test_slope_is_the_derivative_of_change():
     circuit = MODEL.circuit().with_(leak_hz=2.0)
     at = np.linspace(0.012, 0.09, 23)
     recording = recording_of([0.01, *at], [1] * 24, stimulus)
-    intervals = replace(sequences(recording), previous_s=np.full(23, 0.01))
+    section = whole(recording)
+    intervals = replace(section.intervals, previous_s=np.full(23, 0.01))
     values = {
-        h: ChangeEvaluator(recording, replace(intervals, time_s=intervals.time_s + h))(circuit)
+        h: ChangeEvaluator(replace(section, intervals=replace(intervals, time_s=intervals.time_s + h)))(circuit)
         for h in (-1e-8, 0.0, 1e-8)
     }
     difference = (values[1e-8].change - values[-1e-8].change) / 2e-8
@@ -212,7 +219,7 @@ def test_density_of_the_next_event_integrates_to_one():
         return 0.0 if terms.background.any() else float(np.exp(terms.total - _censored_part(circuit, t, stimulus)))
 
     def _censored_part(circuit, t, stimulus):
-        changes = ChangeEvaluator(r := recording_of([first, t], [1, 1], stimulus), sequences(r))(circuit)
+        changes = ChangeEvaluator(whole(recording_of([first, t], [1, 1], stimulus)))(circuit)
         sd_on, sd_off = circuit.noise * circuit.on_threshold, circuit.noise * circuit.off_threshold
         return float(
             log_ndtr((circuit.on_threshold - changes.rise) / sd_on)[0]
@@ -222,8 +229,7 @@ def test_density_of_the_next_event_integrates_to_one():
     grid = np.arange(first + 1.2e-4, 0.0599, 2e-5)
     # an event of a polarity can only happen at a new extreme of its own change
     changes = [
-        float(ChangeEvaluator(r := recording_of([first, t], [1, 1], stimulus), sequences(r))(circuit).change[0])
-        for t in grid
+        float(ChangeEvaluator(whole(recording_of([first, t], [1, 1], stimulus)))(circuit).change[0]) for t in grid
     ]
     running_high = np.maximum.accumulate(np.maximum(changes, 0.0))
     running_low = np.minimum.accumulate(np.minimum(changes, 0.0))

@@ -9,7 +9,7 @@ import pytest
 from oracles.changes import plain_changes
 
 from pixelid.likelihood.changes import ChangeEvaluator
-from pixelid.likelihood.sequences import sequences
+from pixelid.likelihood.sections import sections_of
 from pixelid.model.shipped import find_model
 from pixelid.simulate import simulate
 from pixelid.stimuli.stimulus import Stimulus
@@ -52,7 +52,7 @@ def assert_equal(found, expected, near=-np.inf):
 def test_changes_and_extremes_written_out(kind, refractory):
     recording = session(kind)
     circuit = MODEL.circuit().with_(refractory=refractory)
-    evaluator = ChangeEvaluator(recording, sequences(recording))
+    evaluator = ChangeEvaluator(*sections_of(recording)[1])
     assert_equal(evaluator(circuit), plain_changes(evaluator, circuit), near=0.2)
 
 
@@ -68,7 +68,7 @@ def test_changes_and_extremes_written_out(kind, refractory):
 )
 def test_effects_that_change_the_changes_written_out(effect, values):
     recording, circuit = session("steps"), MODEL.with_effect(effect, values).circuit()
-    evaluator = ChangeEvaluator(recording, sequences(recording))
+    evaluator = ChangeEvaluator(*sections_of(recording)[1])
     assert_equal(evaluator(circuit), plain_changes(evaluator, circuit), near=0.2)
 
 
@@ -80,7 +80,7 @@ def test_stages_without_a_pole_written_out(absent):
     recording, model = session("sines"), MODEL
     for effect in absent:
         model = model.without_effect(effect)
-    evaluator = ChangeEvaluator(recording, sequences(recording))
+    evaluator = ChangeEvaluator(*sections_of(recording)[1])
     evaluated = evaluator(model.circuit())
     assert_equal(evaluated, plain_changes(evaluator, model.circuit()), near=0.2)
     assert (evaluated.slope * np.sign(evaluated.change) > 0).mean() > 0.5
@@ -88,7 +88,7 @@ def test_stages_without_a_pole_written_out(absent):
 
 def test_extremes_are_returned_and_taken_where_they_are():
     recording = session("jitter")
-    evaluator, circuit = ChangeEvaluator(recording, sequences(recording)), MODEL.circuit()
+    evaluator, circuit = ChangeEvaluator(*sections_of(recording)[1]), MODEL.circuit()
     rows = np.empty((7, len(evaluator.intervals))), np.empty((4, len(evaluator.intervals.last_s)))
     again = np.empty_like(rows[0]), np.empty_like(rows[1])
     extremes = evaluator.fill(circuit, True, *rows)

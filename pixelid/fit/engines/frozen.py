@@ -75,8 +75,8 @@ class Frozen:
 def freeze(objective: EventTimesObjective, x: np.ndarray) -> Frozen:
     """The discrete choices at x.
 
-    Raises InputError for effects that only the compiled engine has: extra pole, lower cutoff, mains flicker, thresholds
-    that depend on the polarity before.
+    Raises InputError for what only the compiled form has: light of each pixel's own, extra pole, lower cutoff, mains
+    flicker, thresholds that depend on the polarity before.
     """
     likelihood = objective.likelihood
     circuit = objective.coordinates.circuit(x)
@@ -90,6 +90,8 @@ def freeze(objective: EventTimesObjective, x: np.ndarray) -> Frozen:
     ):
         if there:
             raise InputError(f"{name}: not in the symbolic form of the likelihood; use its compiled form")
+    if not all(r.stimulus is not None and r.stimulus.full_field for r in likelihood.recordings):
+        raise InputError("light of each pixel's own: not in the symbolic form of the likelihood; use its compiled form")
     terms, factor = objective.terms(x), likelihood.threshold_factor
     clocks = objective.clocks(x) or (None,) * len(likelihood.recordings)
     located = zip(likelihood.evaluators, terms.changes.extremes, clocks, strict=True)
@@ -106,9 +108,8 @@ def freeze(objective: EventTimesObjective, x: np.ndarray) -> Frozen:
 
 
 def _frozen(evaluator: ChangeEvaluator, extremes: Extremes, circuit: Circuit, clock: Clock | None) -> FrozenRecording:
-    iv, stimulus = evaluator.intervals, evaluator.recording.stimulus
-    assert stimulus is not None
-    light = drive(stimulus, circuit, iv.end_s)
+    iv = evaluator.intervals
+    light = drive(evaluator.section.lights[0], circuit, iv.end_s)
 
     def step_of(stamps, later):
         times = (stamps if clock is None else clock.on_light(stamps)) + later

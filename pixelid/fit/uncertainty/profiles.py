@@ -18,8 +18,8 @@ from pixelid.fit.result import FitResult
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.likelihood.pooled_rate import PooledRate
 from pixelid.parameters.parameter import Parameter
+from pixelid.recordings.own_light import with_fine_light
 from pixelid.recordings.recording import Recording
-from pixelid.stimuli.resample import resampled
 
 DROP_NATS = 1.9207  # nats
 MOST_STEPS = 14  # per side
@@ -171,7 +171,7 @@ def objective_of(result: FitResult, recordings: Sequence[Recording]) -> EventTim
     if result.observation == "pooled_rate":
         return PooledRateObjective(PooledRate(recordings), result.coordinates)
     between = result.details.get("stimulus_between_samples", "linear")
-    finer = [r.with_stimulus(resampled(r.stimulus, between)) for r in recordings if r.stimulus is not None]
+    finer = [with_fine_light(r, between) for r in recordings if r.stimulus is not None]
     return EventTimesObjective(EventTimes(finer), result.coordinates)
 
 

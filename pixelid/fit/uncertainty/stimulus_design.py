@@ -8,11 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from pixelid.recordings.recording import Recording
+from pixelid.stimuli.pixel_lights import Light, pixel_lights
+from pixelid.stimuli.stimulus import Stimulus
 
 ONE_LEVEL = 1.5  # mean levels within this factor count as one
 STRETCH = 0.7  # of ln L, 5 to 95 %: stimuli that stay within it are gentle
 ONE_LINE = 0.9  # share of the power of ln L near one frequency and its harmonics
 SAMPLES = 1 << 14
+LIGHTS = 16  # of pixels' own, that are looked at
 
 
 @dataclass(frozen=True)
@@ -43,27 +46,36 @@ class Design:
 
 
 def design_of(recordings: Sequence[Recording]) -> Design:
-    """The design of full-field recordings."""
+    """The design of recordings; lights of pixels' own count as a recording each."""
     levels, ranges, lines = [], [], []
     shape = False
     for recording in recordings:
         stimulus = recording.stimulus
-        if stimulus is None or not stimulus.full_field:
+        if stimulus is None:
             continue
         if stimulus.unit == "shape":
             shape = True
             continue
-        t = np.linspace(stimulus.t[0], stimulus.t[-1], SAMPLES)
-        u = np.interp(t, stimulus.t, np.log(stimulus.radiance))
-        levels.append(float(np.exp(u.mean())))
-        ranges.append(np.quantile(u, [0.05, 0.95]))
-        if u.std() > 1e-3:
-            lines.append(_line(u, stimulus.duration_s))
+        for light in _lights(stimulus, recording.events.pixel):
+            t = np.linspace(light.t[0], light.t[-1], SAMPLES)
+            u = np.interp(t, light.t, np.log(light.radiance))
+            levels.append(float(np.exp(u.mean())))
+            ranges.append(np.quantile(u, [0.05, 0.95]))
+            if u.std() > 1e-3:
+                lines.append(_line(u, light.duration_s))
     frequency = None
     if lines and all(line is not None for line in lines) and max(lines) < 1.05 * min(lines):
         frequency = float(np.mean(lines))
     stretch = float(max(r[1] for r in ranges) - min(r[0] for r in ranges)) if ranges else np.inf
     return Design(tuple(sorted(levels)) or (1.0,), stretch, frequency, shape)
+
+
+def _lights(stimulus: Light, pixels: np.ndarray) -> Sequence[Stimulus]:
+    """The light of a recording, of each pixel's own that of some pixels: those show what one of all would."""
+    grouped = pixel_lights(stimulus, pixels)
+    if grouped is None:
+        return (stimulus,)  # pyright: ignore[reportReturnType]
+    return grouped.lights[:: -(-len(grouped.lights) // LIGHTS)]
 
 
 def _line(u: np.ndarray, duration_s: float) -> float | None:

@@ -42,10 +42,10 @@ def count_events(
         if after_first:
             mine[np.unique(events.pixel, return_index=True)[1]] = False
         row, t, p = row[mine], events.t[mine] * 1e-9, events.p[mine].astype(np.int64)
-        span = stimulus.t[-1] - stimulus.t[0]
+        start, span = stimulus.start_s, stimulus.end_s - stimulus.start_s
         sorted_by = []
         for parts in PARTS:
-            stretch = np.clip(((t - stimulus.t[0]) / span * parts).astype(np.int64), 0, parts - 1)
+            stretch = np.clip(((t - start) / span * parts).astype(np.int64), 0, parts - 1)
             sorted_by.append((row, p, stretch, parts))
         order = np.lexsort((t, row))
         same = np.flatnonzero(row[order][1:] == row[order][:-1]) + 1

@@ -113,7 +113,7 @@ def free_run(
         tables = (
             count_twins(recordings, timely, pixels, everyone, model, edges, copies, seed + 1000 * salt, hot)
             if alike
-            else count_sensors(recordings, len(pixels), len(everyone), model, edges, copies, seed + 1000 * salt)
+            else count_sensors(recordings, pixels, everyone, model, edges, copies, seed + 1000 * salt)
         )
         expected[name] = _expected(tables, 0.0 if alike else len(pixels) / fitted)
     variance = np.maximum(expected["after"].variance, MIN_VARIANCE)

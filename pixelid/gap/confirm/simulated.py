@@ -19,6 +19,7 @@ from pixelid.parallel import map_threads
 from pixelid.recordings.recording import Recording
 from pixelid.recordings.selection import only
 from pixelid.simulate import Twins, simulate
+from pixelid.stimuli.pixel_lights import in_a_row
 
 
 def count_twins(
@@ -54,8 +55,8 @@ def count_twins(
         released[place_of_first] = own.events.t[first[1]] * 1e-9 + dead
         after[place_of_first] = np.where(own.events.p[first[1]] == 1, 1.0, -1.0)
         twins = Twins(*(np.tile(one, each) for one in (on, off, released, after)))
-        light = recording.stimulus
-        assert light is not None
+        assert recording.stimulus is not None
+        light = in_a_row(recording.stimulus, np.tile(crowd, each))
         for k, done in enumerate(runs):
             own_seed = seed + i + 101 * k
             run = simulate(exact, light, width=len(twins.on), height=1, seed=own_seed, twins=twins)
@@ -68,7 +69,7 @@ def _with_hot_events(recording: Recording, pixels: np.ndarray, rate_hz: float, s
     """The recording with ON events of a Poisson process in some pixels."""
     assert recording.stimulus is not None
     rng, events = np.random.default_rng(seed), recording.events
-    start, span = float(recording.stimulus.t[0]), recording.stimulus.duration_s
+    start, span = recording.stimulus.start_s, recording.stimulus.duration_s
     x = np.repeat(pixels, rng.poisson(rate_hz * span, len(pixels)))
     t = np.concatenate([events.t, ((start + span * rng.random(len(x))) * 1e9).astype(np.int64)])
     order = np.argsort(t, kind="stable")
@@ -92,24 +93,29 @@ def _thresholds(recordings, pixels: np.ndarray, model: Model) -> tuple[np.ndarra
 
 def count_sensors(
     recordings: Sequence[Recording],
-    P: int,
-    sensor: int,
+    pixels: np.ndarray,
+    everyone: np.ndarray,
     model: Model,
     edges: Sequence[np.ndarray],
     copies: int,
     seed: int,
 ) -> np.ndarray:
-    """(copies, P, cells) counts of P pixels of each of many simulated sensors, whole where pixels share a readout."""
-    width = sensor if model.has("readout_latency") else P
+    """(copies, P, cells) counts of P pixels of each of many simulated sensors, whole where pixels share a readout.
+
+    pixels: (P,) whose light they see;  everyone: these and all others that are active
+    """
+    row = np.concatenate([pixels, np.setdiff1d(everyone, pixels)]) if model.has("readout_latency") else pixels
+    width = len(row)
 
     def run(job: tuple[int, int]) -> Recording:
         copy, i = job
         own, light = seed + 101 * copy + i, recordings[i].stimulus
         assert light is not None
+        light = in_a_row(light, row)
         return simulate(model, light, width=width, height=1, seed=own, sensor_seed=seed + copy)
 
     tables = []
     for copy in range(copies):
         runs = map_threads(run, [(copy, i) for i in range(len(recordings))])
-        tables.append(count_events(runs, np.arange(width), edges).table[:P])
+        tables.append(count_events(runs, np.arange(width), edges).table[: len(pixels)])
     return np.stack(tables)

@@ -17,11 +17,13 @@ import numpy as np
 from pixelid.gap.detect.residuals import Residuals, expected_log_rate
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.stages.circuit import Circuit
+from pixelid.stimuli.pixel_lights import PixelLights, log_radiance_at
 
 # Slices per recording and polarity: some 400 cells in all, a few dozen events each in the smallest sessions.
 TIMES, WAITS, LIGHTS, SPEEDS = 8, 5, 5, 4
 SAME_LEVEL = 1.5  # factor between mean radiances that count as one level: illuminances are usually decades apart
 POLARITY = ("OFF", "ON")
+ROWS, COLUMNS = ("top", "middle", "bottom"), ("left", "centre", "right")  # of the rectangle whose light is known
 
 
 @dataclass(frozen=True)
@@ -53,7 +55,8 @@ def sort_events(
     last = np.concatenate([iv.previous_s for iv in likelihood.intervals])
     time = np.maximum(likelihood.time_s - residual.late, last)
     parts = np.split(time, np.cumsum([len(iv) for iv in likelihood.intervals])[:-1])
-    light = np.concatenate([_log_light(r, t) for r, t in zip(likelihood.recordings, parts, strict=True)])
+    pairs = zip(likelihood.recordings, likelihood.intervals, parts, strict=True)
+    light = np.concatenate([log_radiance_at(r.stimulus, iv.pixel, t) for r, iv, t in pairs if r.stimulus is not None])
     level, level_names = _levels(likelihood)
     pair = 2 * on + before
     pair_labels = tuple(f"{POLARITY[p]} after {POLARITY[b]}" for p in (0, 1) for b in (0, 1))
@@ -62,6 +65,8 @@ def sort_events(
         _crossed("the previous event's polarity", level[where], level_names, pair, pair_labels),
         _crossed("the previous event's polarity", where, names, pair, pair_labels),
     ]
+    if not all(r.stimulus is None or r.stimulus.full_field for r in likelihood.recordings):
+        factors.append(_place(likelihood, time))
     home = 2 * where + on
     home_labels = [f"{POLARITY[p]} in {name}" for name in names for p in (0, 1)]
     for name, value, slices, words in (
@@ -76,21 +81,44 @@ def sort_events(
     return factors
 
 
-def _log_light(recording, time_s) -> np.ndarray:
-    """(n,) log radiance of the stimulus at some times."""
-    stimulus = recording.stimulus
-    return np.interp(time_s, stimulus.t, np.log(np.maximum(stimulus.radiance, 1e-300)))
-
-
 def _levels(likelihood: EventTimes) -> tuple[np.ndarray, list[str]]:
     """((recordings,) radiance level of each recording, names): recordings within a factor `SAME_LEVEL` share one."""
-    lights = [np.maximum(r.stimulus.radiance, 1e-300) for r in likelihood.recordings if r.stimulus is not None]
+    lights = [
+        np.maximum(r.stimulus.average().radiance, 1e-300) for r in likelihood.recordings if r.stimulus is not None
+    ]
     typical = np.array([float(np.exp(np.mean(np.log(light)))) for light in lights])
     order = np.argsort(typical)
     new = np.concatenate([[0], np.cumsum(np.diff(np.log(typical[order])) > np.log(SAME_LEVEL))])
     level = np.empty(len(typical), np.int64)
     level[order] = new
     return level, [f"radiance about {typical[level == k].mean():.3g}" for k in range(int(new[-1]) + 1)]
+
+
+def _place(likelihood: EventTimes, time: np.ndarray) -> Factor:
+    """Where on the sensor, in each half of each recording: there light of pixels' own may be wrong.
+
+    By place alone a map shows nothing, as every pixel's thresholds are its own.
+    """
+    lights = [r.stimulus for r in likelihood.recordings if r.stimulus is not None]
+    known = [np.argwhere(light.of_pixel >= 0) for light in lights if isinstance(light, PixelLights)]
+    lit = np.concatenate(known or [np.zeros((1, 2), np.int64)])  # (k, 2) rows and columns; the same in every pool
+    flat, where = likelihood.flat_pixels[likelihood.pixel], likelihood.recording_of_event
+    widths = np.array([r.events.width for r in likelihood.recordings])
+    tiles = []
+    for place, edges, names in zip(np.divmod(flat, widths[where]), lit.T, (ROWS, COLUMNS), strict=True):
+        span = int(np.ptp(edges)) + 1
+        tiles.append(np.clip((place - edges.min()) * len(names) // span, 0, len(names) - 1))
+    middle = np.array([0.5 * (light.start_s + light.end_s) for light in lights])
+    half = (time > middle[where]).astype(np.int64)
+    labels = tuple(
+        f"{row} {column} in the {part} half of {r.name}"
+        for r in likelihood.recordings
+        for part in ("first", "second")
+        for row in ROWS
+        for column in COLUMNS
+    )
+    cell = ((2 * where + half) * len(ROWS) + tiles[0]) * len(COLUMNS) + tiles[1]
+    return Factor("place on the sensor", cell, labels)
 
 
 def _crossed(name, outer, outer_names, inner, inner_labels) -> Factor:

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pixelid.errors import InputError
 from pixelid.fit.cache import FitCache
 from pixelid.fit.coordinates import Coordinates
 from pixelid.fit.maximise import Maximum, maximise, maximise_with_restarts
@@ -17,10 +16,10 @@ from pixelid.gap.detect.diagnostics import chance_of_background
 from pixelid.gap.split import Split
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.model.model import Model
+from pixelid.recordings.own_light import with_fine_light
 from pixelid.recordings.recording import Recording
 from pixelid.recordings.selection import few, only
 from pixelid.stages.circuit import Circuit
-from pixelid.stimuli.resample import resampled
 
 BETWEEN_SAMPLES = ("smooth", "linear")  # how the light may run between the stimulus's samples
 SCREEN_EVENTS = 6_000  # of the pixels that a first search looks at: thresholds to 0.1 % in a tenth of a second a fit
@@ -69,7 +68,7 @@ def gather_evidence(
     recordings: Sequence[Recording], split: Split, model: Model, between: str, seed: int
 ) -> PixelEvidence:
     """The evidence of recordings whose light runs between samples as said."""
-    fine = tuple(with_fine_stimulus(r, between) for r in recordings)
+    fine = tuple(with_fine_light(r, between) for r in recordings)
     fitted = only(fine, split.fit)
     screening = EventTimes(few(fitted, SCREEN_EVENTS, np.random.default_rng(seed)))
     return PixelEvidence(
@@ -167,13 +166,6 @@ def reconsider_stimuli(
     if end.value <= fit.value:
         return evidence, fit
     return other, maximise(other.training, end.model, tolerance=0.01, max_steps=40, cache=cache)
-
-
-def with_fine_stimulus(recording: Recording, between: str) -> Recording:
-    """The recording as a fit reads it, its stimulus run `between` samples as said.  Raises InputError without one."""
-    if recording.stimulus is None:
-        raise InputError(f"{recording.name}: no stimulus; the gap is between a model's events and the measured ones")
-    return recording.with_stimulus(resampled(recording.stimulus, between))
 
 
 def relative_noise(model: Model) -> float:

@@ -18,7 +18,7 @@ import numpy as np
 from pixelid.fit.cache import FitCache
 from pixelid.fit.maximise import Maximum, maximise
 from pixelid.fit.starts import feasible
-from pixelid.gap.detect.pixels import SCREEN_EVENTS, with_fine_stimulus
+from pixelid.gap.detect.pixels import SCREEN_EVENTS
 from pixelid.gap.imputation.draws import draw_times
 from pixelid.gap.imputation.jitter import estimate_spread, exchange_stamps, uneven
 from pixelid.gap.imputation.windows import (
@@ -36,9 +36,10 @@ from pixelid.inspection.timestamps import TimestampSignature
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.model.model import Model
 from pixelid.parameters.parameter import Prior
+from pixelid.recordings.own_light import with_fine_light
 from pixelid.recordings.recording import Recording
 from pixelid.recordings.selection import few
-from pixelid.stimuli.stimulus import Stimulus
+from pixelid.stimuli.pixel_lights import Light
 
 QUEUE, TICK, JITTER, SIGMA = (
     "readout_latency", "timestamp_quantisation", "timestamp_jitter", "timestamp_jitter.sigma_s",
@@ -80,7 +81,7 @@ class Imputation:
     """
 
     effect: str
-    stimuli: tuple[Stimulus | None, ...]
+    stimuli: tuple[Light | None, ...]
     fine: tuple[Recording, ...]
     windows: tuple[Windows, ...]
     times: tuple[np.ndarray, ...]
@@ -188,7 +189,7 @@ def impute(
     if signature.effect == TICK and signature.value < FINEST_TICK_S:
         ticked = tuple(_with_tick(r, signature.value) for r in recordings)
         return Imputation(signature.effect, stimuli, ticked, (), (), random, {})
-    fine = tuple(with_fine_stimulus(r, "smooth") for r in recordings)
+    fine = tuple(with_fine_light(r, "smooth") for r in recordings)
     make = tick_windows if signature.effect == TICK else queue_windows
     windows = tuple(make(r, signature.value) for r in fine)
     reach = np.array([np.quantile(w.hi - w.lo, 0.9) if len(w.hi) else 0.0 for w in windows])
@@ -227,7 +228,7 @@ def impute_behind_jitter(
         report: Called with what is being done.
         cache: Fits already made.
     """
-    fine = tuple(with_fine_stimulus(r, between) for r in recordings)
+    fine = tuple(with_fine_light(r, between) for r in recordings)
     windows = tuple(jitter_windows(r, fitted.values[SIGMA]) for r in recordings)
     model = _with_nominal_fast_poles(fitted.without_effect(JITTER), nominal)
     times = tuple(guess_spaced(fine, windows, float(model.circuit().refractory)))
@@ -270,7 +271,7 @@ def _begin(
     part, model = impute_again(whole.only(brief), model, ROUNDS[0], exact=False, report=report, cache=cache)
     times = list(whole.times)
     if whole.effect == QUEUE:
-        pixels = len(np.unique(np.concatenate([r.events.pixel for r in whole.fine])))
+        pixels = np.unique(np.concatenate([r.events.pixel for r in whole.fine]))
         times = guess_by_rank(whole.fine, whole.windows, model, pixels, seed)
     for i, t in zip(np.flatnonzero(brief), part.times, strict=True):
         times[i] = t

@@ -15,6 +15,7 @@ from scipy.optimize import isotonic_regression
 from pixelid.model.model import Model
 from pixelid.recordings.recording import Recording
 from pixelid.simulate import simulate
+from pixelid.stimuli.pixel_lights import in_a_row
 
 CROWD_PIXELS = 400  # simulated, behind an expected number of events: it is known to a twentieth of an event
 SPACING = 1.1  # times the dead time that first guesses are apart: just feasible
@@ -55,8 +56,8 @@ def tick_windows(recording: Recording, tick_s: float) -> Windows:
 def jitter_windows(recording: Recording, sigma_s: float) -> Windows:
     """When jittered events can have come."""
     assert recording.stimulus is not None
-    n, light = len(recording.events), recording.stimulus.t
-    lo, hi = (np.full(n, edge) for edge in (np.ceil(1e9 * light[0]), np.floor(1e9 * light[-1])))
+    n, light = len(recording.events), recording.stimulus
+    lo, hi = (np.full(n, edge) for edge in (np.ceil(1e9 * light.start_s), np.floor(1e9 * light.end_s)))
     return Windows(lo, hi, recording.events.t.astype(float), 1e9 * sigma_s)
 
 
@@ -66,9 +67,9 @@ def guess_edges(recordings: Sequence[Recording], windows: Sequence[Windows], ear
 
 
 def guess_by_rank(
-    recordings: Sequence[Recording], windows: Sequence[Windows], model: Model, pixels: int, seed: int
+    recordings: Sequence[Recording], windows: Sequence[Windows], model: Model, pixels: np.ndarray, seed: int
 ) -> list[np.ndarray]:
-    """First guesses of the times (n,) ns of queued events, from how fast `pixels` pixels of the model fire together.
+    """First guesses of the times (n,) ns of queued events, from how fast `pixels` (flat indices) of the model fire.
 
     First come, first served keeps the order: the k-th event of a busy period is the k-th of all pixels to fire since
     it began, so it came about when the expected number of events since then was k.
@@ -76,8 +77,9 @@ def guess_by_rank(
     guesses = []
     for i, (recording, window) in enumerate(zip(recordings, windows, strict=True)):
         assert recording.stimulus is not None
-        copies = max(1, round(CROWD_PIXELS / pixels))
-        crowd = simulate(model, recording.stimulus, width=copies * pixels, height=1, seed=seed + i).events
+        copies = max(1, round(CROWD_PIXELS / len(pixels)))
+        light = in_a_row(recording.stimulus, np.tile(pixels, copies))
+        crowd = simulate(model, light, width=copies * len(pixels), height=1, seed=seed + i).events
         when, number = crowd.t.astype(float), np.arange(len(crowd)) / copies
         begins = window.hi <= window.lo
         head = np.maximum.accumulate(np.where(begins, np.arange(len(begins)), 0))

@@ -39,6 +39,7 @@ from pixelid.gap.verdict import describe, judge
 from pixelid.model.model import Model
 from pixelid.provenance import input_hashes, versions
 from pixelid.recordings.recording import Recording
+from pixelid.stimuli.stimulus import Stimulus
 
 MAX_SECONDS = 3.0  # of each recording that the search looks at: bins of 50 µs are many
 MAX_ROUNDS = 3
@@ -213,6 +214,8 @@ def _shortened(recording: Recording) -> Recording:
     stimulus = recording.stimulus
     if stimulus is None:
         raise InputError(f"{recording.name}: no stimulus; the gap is between a model's events and the measured ones")
+    if not isinstance(stimulus, Stimulus) or not stimulus.full_field:
+        raise InputError(f"{recording.name}: pooled events need full-field light, found light of each pixel's own")
     end = stimulus.t[0] + MAX_SECONDS
     shown = stimulus.t <= end + 0.1
     if shown.all():

@@ -22,6 +22,7 @@ from pixelid.gap.detect.covariates import POLARITY
 from pixelid.gap.detect.maps import flip_signs
 from pixelid.likelihood.pooled_rate import PooledRate, delay_name
 from pixelid.model.model import Model
+from pixelid.stimuli.stimulus import Stimulus
 
 STRETCHES = 60  # per recording: enough to flip signs of, each long beside the pixels' memory
 ROLES = (25, 15, 20)  # of them: to fit, to select, to confirm
@@ -126,7 +127,7 @@ def sort_bins(stretches: Stretches, base: Fitted) -> list[Cells]:
     since, since_labels, since_places, time, time_labels = [], [], [], [], []
     for i, (recording, counts) in enumerate(zip(whole.recordings, whole.counts, strict=True)):
         stimulus = recording.stimulus
-        assert stimulus is not None
+        assert isinstance(stimulus, Stimulus)
         light = 1.0 + 2.0 * stimulus.radiance if stimulus.unit == "shape" else stimulus.radiance
         change = np.diff(np.log(np.maximum(light, 1e-300)))
         jumps = np.flatnonzero(np.abs(change) > MIN_JUMP)

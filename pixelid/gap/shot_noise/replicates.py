@@ -21,13 +21,15 @@ from pixelid.gap.criteria import Criteria
 from pixelid.gap.detect.covariates import sort_events
 from pixelid.gap.detect.diagnostics import Diagnostics
 from pixelid.gap.detect.maps import Cell, Scores, map_residuals
-from pixelid.gap.detect.pixels import PixelEvidence, with_fine_stimulus
+from pixelid.gap.detect.pixels import PixelEvidence
 from pixelid.gap.detect.residuals import residuals, tangents
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.model.model import Model
 from pixelid.parallel import map_threads
+from pixelid.recordings.own_light import with_fine_light
 from pixelid.recordings.recording import Recording
 from pixelid.simulate import simulate
+from pixelid.stimuli.pixel_lights import in_a_row
 
 # Standard error (log units) of a coordinate beyond which it is left where it is (nothing in the events pulls it back),
 # and the farthest that one is shifted: the correction is first order.
@@ -73,19 +75,21 @@ def well_known(fit: Maximum) -> np.ndarray:
 
 
 def simulate_again(
-    recordings: Sequence[Recording], truth: Model, pixels: int, between: str | None, seed: int
+    recordings: Sequence[Recording], truth: Model, pixels: np.ndarray, between: str | None, seed: int
 ) -> list[Recording]:
-    """The recordings with the events that a sensor of so many pixels would have given under `truth`.
+    """The recordings with the events that a sensor of a row of these pixels, flat indices, would have given.
 
     between: how their stimuli run between samples; None: as they are
     """
 
     def simulated(job: tuple[int, Recording]) -> Recording:
         i, r = job
-        light = r.stimulus if between is None else with_fine_stimulus(r, between).stimulus
+        light = r.stimulus if between is None else with_fine_light(r, between).stimulus
         assert light is not None
-        run = simulate(truth, light, width=pixels, height=1, seed=seed + 101 * i, sensor_seed=seed)
-        return replace(r, events=replace(run.events, tick_ns=r.events.tick_ns))
+        seen = in_a_row(light, pixels)
+        run = simulate(truth, seen, width=len(pixels), height=1, seed=seed + 101 * i, sensor_seed=seed)
+        as_came = in_a_row(light if r.stimulus is None else r.stimulus, pixels)
+        return replace(r, events=replace(run.events, tick_ns=r.events.tick_ns), stimulus=as_came)
 
     return map_threads(simulated, enumerate(recordings))
 
@@ -101,7 +105,7 @@ def make_replicate(
 ) -> Replicate:
     """A session of as many pixels under the same light, simulated under `truth`, fitted like the one measured."""
     training = evidence.training
-    made = EventTimes(simulate_again(training.recordings, truth, training.pixels, None, seed))
+    made = EventTimes(simulate_again(training.recordings, truth, training.flat_pixels, None, seed))
     likelihood = made.weighed(truth.circuit())
     refit = maximise(likelihood, fit.model, tolerance=0.05, max_steps=25, cache=cache)
     if refit.unexplained > MAX_BACKGROUND_RATIO * (seen.maps.background + MAX_BACKGROUND_RATIO):

@@ -15,7 +15,7 @@ from pixelid.gap.attribute.flexible import Flexible
 from pixelid.gap.confirm.free_run import FreeRun, closes_nothing, free_run, leaves_much
 from pixelid.gap.confirm.intervals import interval_95
 from pixelid.gap.detect.maps import Cell
-from pixelid.gap.detect.pixels import relative_noise, with_fine_stimulus
+from pixelid.gap.detect.pixels import relative_noise
 from pixelid.gap.detect.words import where
 from pixelid.gap.imputation.impute import SIGMA
 from pixelid.gap.options import Context
@@ -26,6 +26,7 @@ from pixelid.gap.state import Hypothesis, NamedStep, State
 from pixelid.gap.verdict import Confounder, confounded, describe, judge
 from pixelid.inspection.timestamps import TimestampSignature
 from pixelid.provenance import input_hashes, versions
+from pixelid.recordings.own_light import with_fine_light
 
 SHOWN_CELLS = 8  # of the maps, in the result
 
@@ -78,7 +79,7 @@ def _free_run(state: State, context: Context) -> FreeRun:
     hypothesis, split = state.hypothesis, state.split
     between = hypothesis.evidence.between
     as_came, undone = (
-        [with_fine_stimulus(r, between) for r in some] for some in (state.recordings, hypothesis.recordings)
+        [with_fine_light(r, between) for r in some] for some in (state.recordings, hypothesis.recordings)
     )
     pixels = state.confirming_pixels
     hot = np.isin(pixels, state.hot.pixels) if state.hot is not None else None

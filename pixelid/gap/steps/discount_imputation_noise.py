@@ -27,7 +27,7 @@ def discount_imputation_noise(state: State, context: Context) -> State:
     if not (state.remainder(context.options.alpha_each) and state.imputed):
         return state.then(Phase.WITHDRAW)
     hypothesis, seen = state.hypothesis, state.hypothesis.seen
-    seed, pixels = context.options.seed + SEED_OFFSET, len(state.split.everyone)
+    seed, pixels = context.options.seed + SEED_OFFSET, state.split.everyone
     made = simulate_again(state.recordings, hypothesis.model, pixels, hypothesis.evidence.between, seed)
     shown = _imputed_alike(made, state, seen.factors, context).seen.maps
     cells, p = subtract_replicates(seen, [shown.scores])

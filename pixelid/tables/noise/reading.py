@@ -200,7 +200,7 @@ def _still(recording: Recording) -> tuple[float, float, float]:
         )
     if recording.pooled:
         raise InputError(f"{where}: pooled events have no pixels; noise needs each pixel's events")
-    radiance = np.asarray(recording.stimulus.radiance, float)
+    radiance = np.asarray(recording.stimulus.arrays["radiance"], float)
     mean = float(radiance.mean())
     if np.ptp(radiance) > STILL * mean:
         raise InputError(
@@ -208,8 +208,8 @@ def _still(recording: Recording) -> tuple[float, float, float]:
             "those of a still scene"
         )
     times = recording.events.t * 1e-9
-    begin = min(float(recording.stimulus.t[0]), float(times.min(initial=np.inf)))
-    end = max(float(recording.stimulus.t[-1]), float(times.max(initial=-np.inf)))
+    begin = min(recording.stimulus.start_s, float(times.min(initial=np.inf)))
+    end = max(recording.stimulus.end_s, float(times.max(initial=-np.inf)))
     if not end > begin:
         raise InputError(f"{where}: expected a recording that lasts, found {end - begin:g} s")
     return mean, begin, end

@@ -1,0 +1,45 @@
+"""Recordings as fits read them: light of each pixel's own in groups, and sampled as finely as the closed forms need."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from pixelid.errors import InputError
+from pixelid.recordings.recording import Recording
+from pixelid.stimuli.pixel_lights import pixel_lights
+from pixelid.stimuli.resample import resampled
+
+
+def with_pixel_lights(recordings: Sequence[Recording]) -> list[Recording]:
+    """The recordings with videos as groups of pixels that share a light, of pixels that fire in any recording.
+
+    All others, full-field ones too, come back as they are.
+    """
+    if all(r.stimulus is None or r.stimulus.full_field for r in recordings):
+        return list(recordings)
+    active = np.unique(np.concatenate([r.events.pixel for r in recordings]))
+    return [_grouped(r, active) for r in recordings]
+
+
+def with_fine_light(recording: Recording, between: str) -> Recording:
+    """The recording as a fit reads it, its light run `between` samples as said (`resampled`).
+
+    Raises:
+        InputError: without a stimulus.
+    """
+    if recording.stimulus is None:
+        raise InputError(f"{recording.name}: no stimulus; this needs to know what the light did")
+    light = _grouped(recording, recording.events.pixel).stimulus
+    assert light is not None
+    return recording.with_stimulus(resampled(light, between))
+
+
+def _grouped(recording: Recording, pixels: np.ndarray) -> Recording:
+    light = recording.stimulus
+    if light is None or light.full_field or recording.pooled:
+        return recording
+    recording.check_stimulus_covers_events()
+    inside = pixels[pixels < recording.events.width * recording.events.height]
+    return recording.with_stimulus(pixel_lights(light, inside) or light)

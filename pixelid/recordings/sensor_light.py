@@ -1,0 +1,86 @@
+"""The light as the sensor itself measured it: exposure measurements of an ATIS, as light of each pixel's own.
+
+An ATIS pixel measures, after each of its changes, the time T that its photocurrent takes to move a fixed charge Q
+(Posch, Matolin & Wohlgenannt, JSSC 2011).  The mean photocurrent over that window is Q/T: one sample of the light, in
+units of Q per second, put at the window's middle.  Between samples log radiance is taken as a straight line, before the
+first and after the last it is held.  A measurement that the next one breaks off has no end, and is left out.
+
+What that cannot say: the light between two samples.  It changed by about one threshold there, at a moment that only the
+event tells.  A straight line spreads it over the whole time, so fast poles, the dead time and latency are not to be
+read from such a fit, and what the line is off by adds to the noise of the thresholds (`CAVEAT`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from pixelid.errors import InputError
+from pixelid.recordings.events import Events
+from pixelid.recordings.recording import Recording
+from pixelid.stimuli.pixel_lights import UNKNOWN, PixelLights
+from pixelid.stimuli.stimulus import Stimulus
+
+ATTRIBUTE, MEASURED = "light", "exposure measurements"
+MIN_TICKS = 10  # of an exposure: a shorter one is rounded by more than 3 % (1/√12 tick)
+MIN_MEASUREMENTS = 2  # of a pixel: one tells no change
+CAVEAT = (
+    "the light is the sensor's own, one sample per exposure and a straight line between: threshold noise holds what "
+    "the line is off by, and dead time, cutoffs and latency follow from when in between the light is taken to have "
+    "changed; each pixel's unknown gain of the light shifts nothing but its bandwidth and dark current"
+)
+
+
+def with_measured_light(recording: Recording) -> Recording:
+    """The recording with its own exposure measurements as light, without the pixels that have fewer than two.
+
+    Raises:
+        InputError: the file holds no exposure measurements, or too few of them.
+    """
+    if recording.exposures is None or len(recording.exposures) == 0:
+        raise InputError(
+            f"{recording.name}: --stimulus sensor: expected exposure measurements (of an ATIS) in the file, found none"
+        )
+    pixel, middle_s, radiance = measurements(recording.exposures)
+    events = recording.events
+    last_ns = max(int(t[-1]) for t in (events.t, recording.exposures.t) if len(t))
+    span = 0.0, last_ns * 1e-9
+    edges = np.flatnonzero(np.diff(pixel)) + 1
+    of_pixel = np.full(events.width * events.height, UNKNOWN, np.int32)
+    lights: list[Stimulus] = []
+    for part in np.split(np.arange(len(pixel)), edges):
+        t, light = middle_s[part], radiance[part]
+        inside = (np.diff(t, prepend=span[0]) > 0) & (t < span[1])
+        t, light = t[inside], light[inside]
+        if len(t) < MIN_MEASUREMENTS:
+            continue
+        of_pixel[pixel[part[0]]] = len(lights)
+        t, light = np.concatenate([span[:1], t, span[1:]]), np.concatenate([light[:1], light, light[-1:]])
+        lights.append(Stimulus(t, light))
+    if not lights:
+        raise InputError(f"{recording.name}: --stimulus sensor: no pixel has {MIN_MEASUREMENTS} exposure measurements")
+    grouped = PixelLights.of_groups(lights, of_pixel.reshape(events.height, events.width))
+    kept = events.select(of_pixel[events.pixel] != UNKNOWN)
+    attributes = {**recording.attributes, ATTRIBUTE: MEASURED}
+    return replace(recording, events=kept, stimulus=grouped, attributes=attributes)
+
+
+def measurements(exposures: Events) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(pixel, time s, light 1/s) (m,) of every finished measurement, by pixel and time; the shortest are left out.
+
+    Args:
+        exposures: Begin (p = 0) and end (p = 1) of each.
+    """
+    order = np.lexsort((exposures.p, exposures.t, exposures.pixel))
+    pixel, t, p = exposures.pixel[order].astype(np.int64), exposures.t[order], exposures.p[order]
+    begins = np.flatnonzero((p[:-1] == 0) & (p[1:] == 1) & (pixel[1:] == pixel[:-1]) & (t[1:] > t[:-1]))
+    begins = begins[t[begins + 1] - t[begins] >= MIN_TICKS * exposures.tick_ns]
+    begin, end = t[begins], t[begins + 1]
+    return pixel[begins], 0.5e-9 * (begin + end), 1e9 / (end - begin)
+
+
+def light_caveats(recordings: Sequence[Recording]) -> list[str]:
+    """What to say of fits to light that the sensor measured itself."""
+    return [CAVEAT] if any(r.attributes.get(ATTRIBUTE) == MEASURED for r in recordings) else []

@@ -1,0 +1,33 @@
+"""Known answers under light that differs from pixel to pixel, simulated at finer frames than the fit is given."""
+
+import importlib.util
+from pathlib import Path
+
+import pytest
+
+SCRIPT = Path(__file__).resolve().parents[2] / "benchmarks" / "pixel_light.py"
+
+
+@pytest.fixture(scope="module")
+def script():
+    spec = importlib.util.spec_from_file_location("pixel_light", SCRIPT)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.mark.slow
+def test_intervals_hold_the_truth(script):
+    """As full-field intervals do: tests/statistical/test_coverage.py."""
+    table = script.summary([script.one(seed, 5) for seed in range(1000, 1012)])
+    assert sum(row["sessions"] for row in table.values()) > 80
+    held = sum(row["covered"] for row in table.values()) / sum(row["sessions"] for row in table.values())
+    assert held > 0.87
+    for name, row in table.items():
+        assert row["share_interval_95"][1] > 0.92, name
+
+
+@pytest.mark.slow
+def test_the_gap_search_names_a_leak_and_nothing_else(script):
+    assert script.verdict(1, 5, 0.0) == ("none", [])
+    assert script.verdict(1, 5, 2.0) == ("named", ["leak"])
