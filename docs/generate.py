@@ -289,7 +289,7 @@ def export_comparison() -> str:
             ]
             rows.append((run["circuit"], *cells, *late))
         heads = ("circuit", "ON, steps", "OFF, steps", "ON, sine", "OFF, sine", "first ON [ms]", "first OFF [ms]")
-        lines += [f"### {title}\n", table(heads, rows)] if rows else []
+        lines += [f"## {title}\n", table(heads, rows)] if rows else []
     if content["filter"]:
         apart = content["filter"]["difference_ln"]
         lines.append(
