@@ -80,13 +80,11 @@ def combine(function: Callable, *inputs):
     others = {
         key: function(*(i.others.get(key, plain(i)) if isinstance(i, Varied) else i for i in inputs)) for key in keys
     }
-    if function in COMPARISONS:
-        noted |= {key for key, other in others.items() if not np.array_equal(other, value)}
-        return value if np.ndim(value) else bool(value)
-    if np.ndim(value):  # it spreads over an array, through which it is not followed
-        noted |= {key for key, other in others.items() if not np.array_equal(other, value)}
-        return value
-    return Varied(value, others, noted)
+    if function not in COMPARISONS and np.ndim(value) == 0:
+        return Varied(value, others, noted)
+    # a decision; or it spreads over an array, through which it is not followed
+    noted |= {key for key, other in others.items() if not np.array_equal(other, value)}
+    return value if np.ndim(value) else bool(value)
 
 
 def _install() -> None:

@@ -26,6 +26,7 @@ from pixelid.gap.gap import gap
 from pixelid.model.model import Model
 from pixelid.model.shipped import find_model
 from pixelid.recordings.recording import Recording
+from pixelid.sensors.work import Where, connected
 from pixelid.simulate import simulate
 from pixelid.stimuli.resample import resampled
 from pixelid.stimuli.shapes import chirp, constant, slow, steps
@@ -281,9 +282,9 @@ def main() -> None:
         )
 
     if options.workers:
-        from distributed import Client, as_completed
+        from distributed import as_completed
 
-        with Client(n_workers=options.workers, threads_per_worker=1) as client:
+        with connected(Where(workers=options.workers)) as client:
             for _, row in as_completed(client.map(run, plan, pure=False), with_results=True):
                 keep(row)
         return

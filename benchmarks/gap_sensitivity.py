@@ -20,7 +20,7 @@ from collections import defaultdict
 from dataclasses import fields, replace
 from pathlib import Path
 
-from decisions import FACTORS, plain, scaled
+from decisions import FACTORS, scaled
 from gap_certification import ALPHA, camera, planted, session
 
 from pixelid.gap.criteria import Criteria
@@ -79,7 +79,7 @@ def run(name: str, factor: float, row: dict) -> dict:
     named = [effect.name for effect in report.effects]
     seconds = time.perf_counter() - began
     return {"criterion": name, "factor": factor, "session": key_of(row), "verdict": report.verdict, "named": named,
-            "p": plain(report.global_p), "seconds": seconds}  # fmt: skip
+            "p": report.global_p, "seconds": seconds}  # fmt: skip
 
 
 def summary(sessions: dict[str, dict], runs: list[dict]) -> list[dict]:

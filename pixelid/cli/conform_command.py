@@ -17,16 +17,7 @@ Example:
 
 
 @click.command("conform", epilog=EXAMPLE)
-@options.recordings
-@options.model()
-@options.out()
-@options.with_effect
-@options.without
-@options.alpha
-@options.crop
-@options.overwrite
-@options.seed()
-@options.quiet
+@options.search
 def command(recordings, model, out, with_, without, alpha, crop, overwrite, seed, quiet):
     """Say of every effect of the signal path whether RECORDINGS (files or folders) have it, for their makers.
 

@@ -17,16 +17,7 @@ Example:
 
 
 @click.command("gap", epilog=EXAMPLE)
-@options.recordings
-@options.model()
-@options.out()
-@options.with_effect
-@options.without
-@options.alpha
-@options.crop
-@options.overwrite
-@options.seed()
-@options.quiet
+@options.search
 def command(recordings, model, out, with_, without, alpha, crop, overwrite, seed, quiet):
     """Find where a model and RECORDINGS (files or folders) disagree, and which effect is missing.
 

@@ -116,3 +116,11 @@ def crop(command: Decorated) -> Decorated:
     ):
         gathered = option(gathered)
     return cast(Decorated, gathered)
+
+
+def search(command):
+    """What every search for the gap takes."""
+    taken = (recordings, model(), out(), with_effect, without, alpha, crop, overwrite, seed(), quiet)
+    for option in reversed(taken):
+        command = option(command)
+    return command

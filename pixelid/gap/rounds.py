@@ -31,7 +31,7 @@ def attribution_entry(
         for c in attribution.candidates
     ]
     return entry(
-        turn + 1, seen.p, strays=seen.maps.background, model_effects=list(fit.model.effects),
+        turn + 1, seen.p, background_events=seen.maps.background, model_effects=list(fit.model.effects),
         screened_nats=attribution.screened, candidates=tried,
         skipped={**impossible, **attribution.skipped},
     )  # fmt: skip

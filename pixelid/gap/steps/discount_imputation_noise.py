@@ -31,7 +31,7 @@ def discount_imputation_noise(state: State, context: Context) -> State:
     made = simulate_again(state.recordings, hypothesis.model, pixels, hypothesis.evidence.between, seed)
     shown = _imputed_alike(made, state, seen.factors, context).seen.maps
     cells, p = subtract_replicates(seen, [shown.scores])
-    told = {"p_of_what_is_left": p, "strays": shown.background}
+    told = {"p_of_what_is_left": p, "background_events": shown.background}
     rounds = (*state.rounds, entry(len(state.rounds) + 1, seen.p, drawn_alike=told))
     left = replace(seen, maps=replace(seen.maps, cells=cells, p=p), p=p)
     return state.then(Phase.WITHDRAW, rounds=rounds, hypothesis=replace(hypothesis, seen=left))
