@@ -97,3 +97,42 @@ def _number(table: Mapping[str, Any], name: str, where: str) -> float:
     if not isinstance(value, int | float) or isinstance(value, bool) or not np.isfinite(value):
         raise InputError(f"{where}: {name}: expected a number, found {str(value)[:40]!r}")
     return float(value)
+
+
+@dataclass(frozen=True)
+class Alignment:
+    """Where the light's time zero lies on the camera's clock.
+
+    offset_s: seconds on the camera's clock;  offset_interval_95: None where it was given, not estimated
+    rate_error: seconds that the camera counts per second of the light, less one
+    rate_interval_95: likewise;  method: "trigger", "first-event", "auto" or "given"
+    prior: of the clock without the events, at a moment of the light's clock; None: offset and rate count as exact
+    """
+
+    offset_s: float
+    method: str
+    offset_interval_95: tuple[float, float] | None = None
+    rate_error: float = 0.0
+    rate_interval_95: tuple[float, float] | None = None
+    prior: ClockPrior | None = None
+
+    def as_dict(self) -> dict:
+        """What the recording's attribute `alignment` says."""
+        return {
+            "method": self.method,
+            "offset_s": self.offset_s,
+            "offset_interval_95": self.offset_interval_95,
+            "clock_rate_error": self.rate_error,
+            "clock_rate_interval_95": self.rate_interval_95,
+        }
+
+    def sentence(self) -> str:
+        """The alignment in words."""
+        if self.offset_interval_95 is None:
+            return f"light starts at {self.offset_s:.6f} s of the camera's clock ({self.method})"
+        half = 0.5e6 * (self.offset_interval_95[1] - self.offset_interval_95[0])
+        text = f"light starts at {self.offset_s:.6f} s ± {half:.0f} µs of the camera's clock"
+        if self.rate_interval_95 is not None:
+            half = 0.5e6 * (self.rate_interval_95[1] - self.rate_interval_95[0])
+            text += f", clocks differ by {1e6 * self.rate_error:.0f} ± {half:.0f} ppm"
+        return text
