@@ -221,6 +221,8 @@ def set_aside(path: Path, why: str, suffix: str) -> Path:
     )
     try:
         os.rename(path, aside)
+    except FileNotFoundError:  # whoever removed it has spared us the trouble
+        return aside
     except OSError as error:
         raise _cannot_write(path, error) from error
     warnings.warn(f"{path}: {why}; set aside as {aside.name}, and computed again", SetAside, stacklevel=2)
