@@ -56,7 +56,7 @@ def read_toml(path: str | Path) -> dict[str, Any]:
         document = tomllib.loads(text)
         _check(document)
     except (ValueError, RecursionError) as error:
-        raise InputError(f"{path}: not valid TOML: {_first_line(error)}") from None
+        raise InputError(f"{path}: not valid TOML: {first_line(error)}") from None
     return cast(dict[str, Any], _cleaned(document))
 
 
@@ -70,7 +70,7 @@ def read_json(path: str | Path) -> dict[str, Any]:
         content = json.loads(read_text(path, "JSON"), parse_constant=_refuse_constant)
         _check(content)
     except (ValueError, RecursionError) as error:
-        raise InputError(f"{path}: not valid JSON: {_first_line(error)}") from None
+        raise InputError(f"{path}: not valid JSON: {first_line(error)}") from None
     if not isinstance(content, dict):
         raise InputError(f"{path}: expected a JSON object, found {type(content).__name__}")
     return cast(dict[str, Any], _cleaned(content))
@@ -113,7 +113,7 @@ def interpreting(path: str | Path, expected: str) -> Iterator[None]:
     except KeyError as error:
         raise InputError(f"{path}: expected {expected}, found no {shown(error.args[0])}") from error
     except (TypeError, ValueError, AttributeError, LookupError, ArithmeticError, RecursionError) as error:
-        raise InputError(f"{path}: expected {expected}, found another kind of value ({_first_line(error)})") from error
+        raise InputError(f"{path}: expected {expected}, found another kind of value ({first_line(error)})") from error
 
 
 def shown(value: object, most: int = 60) -> str:
@@ -125,7 +125,8 @@ def shown(value: object, most: int = 60) -> str:
     return printable(text if len(text) <= most else text[: most - 1] + "…")
 
 
-def _first_line(error: Exception) -> str:
+def first_line(error: Exception) -> str:
+    """What an exception says, in a message: short, on one line."""
     if isinstance(error, RecursionError):
         return "nested too deeply"
     lines = printable(str(error)).splitlines()

@@ -193,10 +193,10 @@ def reconstruct(
     validation, test = evaluation_views(dataset)
     mark = checkpoint.run_identity(problem, recipe, bandwidth, inputs)
     parallel.join()
+    state = None
     if resume is not None and Path(resume).exists():
-        state = checkpoint.load(resume, problem, recipe, bandwidth, mark, device)
-    else:
-        state = start(problem, recipe, bandwidth, device)
+        state = checkpoint.load(Path(resume), problem, recipe, bandwidth, mark, device)
+    state = start(problem, recipe, bandwidth, device) if state is None else state
     before, spent = state.rays, time.perf_counter()
 
     def report(now: State, measured: dict[str, float]) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from pixelid import outputs
-from pixelid.errors import InputError, OutputError
+from pixelid.errors import InputError, OutputError, SetAside
 from pixelid.outputs import claimed, refuse_inputs, whole_file, whole_folder, write_json
 
 
@@ -287,3 +287,23 @@ def test_hdf5_survives_a_disk_that_fills_up(most, tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["a.npz"]
     write_recording(Recording(events), tmp_path / "b.h5")
     assert np.array_equal(open_recording(tmp_path / "b.h5").events.t, t)
+
+
+def test_a_run_killed_between_two_renames_has_lost_nothing(tmp_path):
+    """Where the system cannot swap folders the old result lies in the temporary folder for a moment."""
+    dead = subprocess.run([sys.executable, "-c", "import os; print(os.getpid())"], capture_output=True, check=True)
+    left = tmp_path / f"{outputs._prefix(tmp_path / 'out', int(dead.stdout))}x.tmp"
+    left.mkdir()
+    result(left / f"out{outputs.OLD}", 1)
+    with pytest.raises(InputError, match="exists already"), whole_folder(tmp_path / "out"):
+        pass
+    assert json.loads((tmp_path / "out" / "fit.json").read_text()) == {"value": 1}
+    assert os.listdir(tmp_path) == ["out"]
+
+
+def test_what_an_earlier_run_kept_is_set_aside_under_a_name_that_is_free(tmp_path):
+    for k in range(3):
+        (tmp_path / "kept").write_text(str(k))
+        with pytest.warns(SetAside, match="is damaged"):
+            outputs.set_aside(tmp_path / "kept", "is damaged", "damaged")
+    assert contents(tmp_path) == {"kept.damaged": b"0", "kept.damaged2": b"1", "kept.damaged3": b"2"}
