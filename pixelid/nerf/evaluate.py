@@ -40,11 +40,16 @@ class Scores:
             for k in range(len(views))
         ]
         return {
-            "psnr": float(self.psnr.mean()),
-            "ssim": float(self.ssim.mean()),
-            "lpips": None if self.lpips is None else float(self.lpips.mean()),
+            "psnr": _mean(self.psnr),
+            "ssim": _mean(self.ssim),
+            "lpips": None if self.lpips is None else _mean(self.lpips),
             "per_view": per_view,
         }
+
+
+def _mean(values: np.ndarray) -> float:
+    """NaN of nothing."""
+    return float(values.mean()) if len(values) else float("nan")
 
 
 def render_views(field: Field, views: Views, dark, *, supersample: int = 1, engine: str = "auto") -> np.ndarray:
@@ -100,8 +105,10 @@ def evaluate(field: Field, validation: Views, test: Views, dark, supersample: in
         supersample: rays per pixel and side.
 
     Returns:
-        Scores of every test view.
+        Scores of every test view, of which there may be none.
     """
+    if len(test) == 0:
+        return no_scores(test)
     correction = fit_correction(
         render_views(field, validation, dark, supersample=supersample), validation.images, validation.exposure
     )

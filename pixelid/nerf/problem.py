@@ -14,7 +14,7 @@ from pixelid.nerf.gauge import crossing_time, gauge_of, scene_box
 from pixelid.nerf.intervals import intervals, split
 from pixelid.nerf.stretches import NOISE
 from pixelid.nerf.train import Problem
-from pixelid.nerf.views import Views
+from pixelid.nerf.views import Views, no_views
 
 CLOSE_PIXELS = 0.5  # pixels: about half the width of the field's edges
 HELD_OUT = 0.03  # share of pixels whose events are kept from training
@@ -80,15 +80,18 @@ def evaluation_views(dataset: Dataset) -> tuple[Views, Views]:
     """The views that fix the correction and those that are scored, apart from each other.
 
     Test views are scored and validation views correct them; a missing stage is stood in for by the next, a single one
-    is halved.
+    is halved; a dataset without views has none of either.
 
     Args:
-        dataset: with views of one stage at least.
+        dataset: as read.
 
     Returns:
         (views that fix the correction, views that are scored).
     """
     stages = [dataset.views[stage] for stage in ("test", "val", "train") if stage in dataset.views]
+    if not stages:
+        nothing = no_views(dataset.calibration.camera, dataset.calibration.channels)
+        return nothing, nothing
     if len(stages) == 1:
         every = np.arange(len(stages[0]))
         return (stages[0], stages[0]) if len(every) == 1 else (stages[0].some(every[1::2]), stages[0].some(every[::2]))

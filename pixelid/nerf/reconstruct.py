@@ -228,7 +228,7 @@ def reconstruct(
 
 def _running(state: State, problem: Problem, validation: Views) -> float:
     """PSNR of one validation view, corrected on another (or on itself when it is alone)."""
-    if not state.finite:
+    if not state.finite or len(validation) == 0:
         return float("nan")
     first, second = validation.some([0]), validation.some([len(validation) - 1])
     return float(evaluate(state.field, first, second, problem.dark).psnr.mean())

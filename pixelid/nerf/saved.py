@@ -51,10 +51,14 @@ class SavedReconstruction(Result):
     def headline(self) -> str:
         """Status and scores."""
         views = self.content["views"]
+        scored = (
+            f"{_digits(views['psnr'], 2)} dB, SSIM {_digits(views['ssim'], 3)} over {len(views['per_view'])} test views"
+            if views["per_view"]
+            else "no views to compare with"
+        )
         return (
-            f"reconstruction: {self.status}; {_digits(views['psnr'], 2)} dB, SSIM {_digits(views['ssim'], 3)} over "
-            f"{len(views['per_view'])} test views, {_digits(self.content['held_out_residual'], 2)} of held-out changes "
-            f"unexplained, {self.content['seconds']:.0f} s"
+            f"reconstruction: {self.status}; {scored}, {_digits(self.content['held_out_residual'], 2)} of held-out "
+            f"changes unexplained, {self.content['seconds']:.0f} s"
         )
 
     def tables(self) -> list[Table]:

@@ -55,12 +55,18 @@ class Views:
         )  # fmt: skip
 
 
-def views_folder(dataset: Path) -> Path:
-    """`views/` in the dataset's folder or one level up.  Raises InputError when there is none."""
+def views_folder(dataset: Path) -> Path | None:
+    """`views/` in the dataset's folder or one level up; None when there is none."""
     for folder in (Path(dataset) / FOLDER, Path(dataset).resolve().parent / FOLDER):
         if folder.is_dir():
             return folder
-    raise InputError(f"{Path(dataset) / FOLDER}: no such folder, here or one level up")
+    return None
+
+
+def no_views(camera: Camera, channels: int) -> Views:
+    """Views of nothing, of the size that this camera would take them in."""
+    images = np.empty((0, camera.height, camera.width, channels), np.float32)
+    return Views(images, np.empty((0, 3)), np.empty((0, 3, 3)), camera, (), np.empty(0), False, 1.0)
 
 
 def read_views(dataset: Path, channels: int) -> dict[str, Views]:
@@ -71,12 +77,14 @@ def read_views(dataset: Path, channels: int) -> dict[str, Views]:
         channels: colours, 1 or 3.
 
     Returns:
-        "train", "val", "test", as far as they are there → views.
+        "train", "val", "test", as far as they are there → views; nothing for a dataset without `views/`.
 
     Raises:
         InputError: images or poses that cannot be read, or that do not fit each other.
     """
     folder = views_folder(dataset)
+    if folder is None:
+        return {}
     log_eps = _log_eps(Path(dataset) / RENDERER)
     stages = {
         stage: _stage(folder / f"transforms_{stage}.json", channels, log_eps)
@@ -109,7 +117,7 @@ def _stage(file: Path, channels: int, log_eps: float) -> Views:
         raise InputError(f"{file}: frames: expected a list of at least one view")
     poses = np.array([_pose(file, k, frame) for k, frame in enumerate(frames)])
     names = [str(frame["file_path"]) for frame in frames]
-    raw = [_image(_picture(file, name)) for name in names]
+    raw = [_image(picture_of(file, name)) for name in names]
     if len({image.shape for image in raw}) != 1 or len({image.dtype for image in raw}) != 1:
         raise InputError(f"{file}: file_path: the pictures differ in size, channels or type")
     stack = np.stack(raw)
@@ -140,7 +148,7 @@ def _pose(file: Path, k: int, frame) -> np.ndarray:
     return pose[:3]
 
 
-def _picture(file: Path, name: str) -> Path:
+def picture_of(file: Path, name: str) -> Path:
     """The picture of a `file_path`, with or without its extension."""
     exact = file.parent / name
     if exact.is_file():
