@@ -21,6 +21,8 @@ from pixelid.nerf.dataset import Dataset
 from pixelid.nerf.trajectory import Trajectory
 from pixelid.nerf.views import FOLDER, Views
 
+# Optical axes that point this nearly one way have no point in common: mean squared sine of their angles, 0.6° rms.
+PARALLEL = 1e-4
 SCALES = ("auto", "level", "free")
 UNIFORM = 0.03  # standard deviation of ln L along the borders, below which they show a background
 BORDER = 0.5  # share of border pixels that must agree
@@ -64,7 +66,7 @@ def gauge_of(dataset: Dataset, background: float | None = None, scale: str = "au
         return Gauge(scale, np.exp(level), level, reference)
     if background is not None:
         return Gauge("background", np.full(channels, background), level, reference)
-    shown = np.full(channels, reference.peak) if reference.transparent else _border(reference)
+    shown = np.ones(channels) if reference.transparent else _border(reference)  # white, however bright a highlight
     if shown is not None:
         return Gauge("background", shown, level, reference)
     return Gauge("level", np.exp(level), level, reference)
@@ -82,12 +84,17 @@ def _border(views: Views) -> np.ndarray | None:
 
 
 def scene_box(trajectory: Trajectory, half_angle: float) -> tuple[np.ndarray, np.ndarray]:
-    """(low, high) of a cube about the point nearest to all optical axes, as large as the views are wide there."""
+    """(low, high) of a cube about the point nearest to all optical axes, as large as the views are wide there.
+
+    Raises InputError where the axes are parallel: they say nothing of how far the scene is.
+    """
     some = np.linspace(trajectory.t[0], trajectory.t[-1], 256)
     position, rotation = trajectory.at(some)
     axis = rotation[:, :, 2]
     across = np.eye(3) - axis[:, :, None] * axis[:, None, :]
-    centre = np.linalg.lstsq(across.sum(axis=0), (across @ position[:, :, None]).sum(axis=0)[:, 0], rcond=None)[0]
+    if np.linalg.eigvalsh(across.mean(axis=0))[0] < PARALLEL:
+        raise InputError("--box: missing; the camera looks one way all the time, which does not say where the scene is")
+    centre = np.linalg.solve(across.sum(axis=0), (across @ position[:, :, None]).sum(axis=0)[:, 0])
     depth = np.median(np.linalg.norm(position - centre, axis=1))
     half = depth * np.tan(half_angle)
     return centre - half, centre + half

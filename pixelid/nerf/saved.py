@@ -52,7 +52,8 @@ class SavedReconstruction(Result):
         """Status and scores."""
         views = self.content["views"]
         scored = (
-            f"{_digits(views['psnr'], 2)} dB, SSIM {_digits(views['ssim'], 3)} over {len(views['per_view'])} test views"
+            f"{_digits(views['psnr'], 2)} dB{self._published}, SSIM {_digits(views['ssim'], 3)} over "
+            f"{len(views['per_view'])} test views"
             if views["per_view"]
             else "no views to compare with"
         )
@@ -60,6 +61,12 @@ class SavedReconstruction(Result):
             f"reconstruction: {self.status}; {scored}, {_digits(self.content['held_out_residual'], 2)} of held-out "
             f"changes unexplained, {self.content['seconds']:.0f} s"
         )
+
+    @property
+    def _published(self) -> str:
+        """The score by the reference implementation's protocol, where it was asked for."""
+        other = self.content.get("published_protocol")
+        return f" ({_digits(other['psnr'], 2)} dB by the paper's protocol)" if other else ""
 
     def tables(self) -> list[Table]:
         """Scores of every test view."""

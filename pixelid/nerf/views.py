@@ -31,7 +31,8 @@ class Views:
 
     images: (n, H, W, C) radiance;  position: (n, 3), rotation: (n, 3, 3), camera to world;  names: n;
     exposure: (n,) exposure × gain, relative to the mean over all stages;  transparent: whether white shows through;
-    peak: the largest value an image can have
+    peak: the largest value an image can have;  span: from the smallest value that a stored picture can say to the
+    largest, the range that the reference implementation scores in
     """
 
     images: np.ndarray
@@ -42,6 +43,7 @@ class Views:
     exposure: np.ndarray
     transparent: bool
     peak: float
+    span: float = 1.0
 
     def __len__(self) -> int:
         return len(self.images)
@@ -51,7 +53,7 @@ class Views:
         names = tuple(np.array(self.names, dtype=object)[which])
         return Views(
             self.images[which], self.position[which], self.rotation[which], self.camera, names, self.exposure[which],
-            self.transparent, self.peak,
+            self.transparent, self.peak, self.span,
         )  # fmt: skip
 
 
@@ -121,7 +123,7 @@ def _stage(file: Path, channels: int, log_eps: float) -> Views:
     if len({image.shape for image in raw}) != 1 or len({image.dtype for image in raw}) != 1:
         raise InputError(f"{file}: file_path: the pictures differ in size, channels or type")
     stack = np.stack(raw)
-    images, peak = _radiance(file, stack, document, log_eps, channels)
+    images, peak, span = _radiance(file, stack, document, log_eps, channels)
     exposure = np.array([float(f.get("exposure_time", 1.0)) * float(f.get("gain", 1.0)) for f in frames])
     if not (np.isfinite(exposure) & (exposure > 0)).all():
         raise InputError(f"{file}: exposure_time, gain: expected positive numbers")
@@ -129,7 +131,7 @@ def _stage(file: Path, channels: int, log_eps: float) -> Views:
     short = tuple(Path(name).name for name in names)
     return Views(
         images, poses[:, :3, 3], poses[:, :3, :3] @ OPENGL, camera, short, exposure,
-        stack.shape[-1] == 4, peak,
+        stack.shape[-1] == 4, peak, span,
     )  # fmt: skip
 
 
@@ -199,8 +201,8 @@ def _exr(path: Path) -> np.ndarray:
     return image if image.ndim == 2 else image[..., [2, 1, 0, *range(3, image.shape[2])]]
 
 
-def _radiance(file: Path, stack, document: dict, log_eps: float, channels: int) -> tuple[np.ndarray, float]:
-    """(n, H, W, channels) radiance of stored pictures, and its peak."""
+def _radiance(file: Path, stack, document: dict, log_eps: float, channels: int) -> tuple[np.ndarray, float, float]:
+    """(n, H, W, channels) radiance of stored pictures, its peak and span."""
     quantised = stack.dtype.kind == "u"
     levels = 1.0
     if quantised:
@@ -223,9 +225,10 @@ def _radiance(file: Path, stack, document: dict, log_eps: float, channels: int) 
     elif values.shape[-1] == 1 and channels == 3:
         values = np.repeat(values, 3, axis=-1)
     if quantised:
-        return (values + 0.5) / levels, 1.0
+        return (values + 0.5) / levels, 1.0, (levels - 1) / levels
     values = values + log_eps
-    return values, max(1.0, float(np.quantile(values, 0.999)) if values.max() > 4.0 else 1.0)
+    peak = max(1.0, float(np.quantile(values, 0.999)) if values.max() > 4.0 else 1.0)
+    return values, peak, peak
 
 
 def _camera(file: Path, document: dict, width: int, height: int) -> Camera:
