@@ -36,7 +36,7 @@ def _factors(a, b2, tau):
 
 
 def respond(u: torch.Tensor, dynamics: torch.Tensor, t: np.ndarray, first: np.ndarray, midpoint: bool):
-    """As `scan.respond`."""
+    """As `scan.respond`; dynamics: (runs, 8)."""
     device = u.device
     length = np.diff(first)
     most = int(length.max()) if len(length) else 0
@@ -44,10 +44,11 @@ def respond(u: torch.Tensor, dynamics: torch.Tensor, t: np.ndarray, first: np.nd
     place = np.minimum(np.arange(most), length[:, None] - 1) + first[:-1, None]
     index = torch.as_tensor(place, device=device)
     light, when = u[index], torch.as_tensor(t, device=device)[index]
-    alpha, beta, gamma, w1, w2, wh, wd = dynamics
+    alpha, beta, gamma, w1, w2, _, wd, floor = dynamics.T
+    wh = dynamics[:1, 5].sum()
     start = light[:, 0]
     zero = torch.zeros_like(start)
-    lower, extra = bool(wh > 0), bool(w2 < equations.PRESENT_BELOW)
+    lower, extra = bool(wh > 0), bool((w2 < equations.PRESENT_BELOW).any())
     state = (zero, start, start, start, start if lower else zero, zero if lower else start)
     levels, outputs = [], []
     for k in range(most):
@@ -56,7 +57,7 @@ def respond(u: torch.Tensor, dynamics: torch.Tensor, t: np.ndarray, first: np.nd
             moved = gap > 0
             tau = torch.where(moved, gap, torch.ones_like(gap) * 1e-6)
             log_light = 0.5 * (light[:, k] + light[:, k - 1]) if midpoint else light[:, k]
-            L = torch.exp(log_light)
+            L = torch.exp(log_light) + floor
             a, b2 = alpha * L, beta + gamma * L
             pr, r = _factors(a, b2, tau), (light[:, k] - light[:, k - 1]) / tau
             k1, kd = torch.exp(-w1 * tau), torch.exp(-wd * tau)

@@ -29,8 +29,8 @@ GUESSED = 0.3  # of what is put into a dead time, as a share of it
 class Stretches(NamedTuple):
     """(M,) each, by pixel and time.
 
-    begin, end: s;  pixel: row-major index;  rise, fall: how many ON and OFF thresholds the level crosses in between,
-    shares and dead times included;  variance: of that count, thresholds²;  reset: whether it is a single whole
+    begin, end: s;  pixel: row-major index;  rise, fall: how many nominal ON and OFF thresholds the level crosses in
+    between, shares and dead times included;  variance: of that count, thresholds²;  reset: whether it is a single whole
     interval, at whose begin the amplifier was reset;  burst: whether it is a merged burst
     """
 
@@ -44,16 +44,20 @@ class Stretches(NamedTuple):
     burst: np.ndarray
 
 
-def stretches(t, pixel, on, dead: float, lag: float, shortest: float, noise: float = NOISE) -> Stretches:
+def stretches(
+    t, pixel, on, dead: float, lag: float, shortest: float, noise: float = NOISE, size: np.ndarray | None = None
+) -> Stretches:
     """Stretches of events sorted by (pixel, time).
 
     t: (N,) s;  pixel: (N,);  on: (N,) bool;  dead: s;  lag: s, time constant of the amplifier after its reset;
-    shortest: s, intervals shorter than that are merged (0: none);  noise: of a threshold, relative
+    shortest: s, intervals shorter than that are merged (0: none);  noise: of a threshold, relative;  size: (N,) of each
+    event's threshold, relative to the nominal one (default 1)
     """
+    size = np.ones(len(t)) if size is None else size
     most = 2 * len(t)
     times, counts = np.empty((most, 2)), np.zeros((most, 3))
     of, kind = np.empty(most, np.int64), np.empty((most, 2), bool)
-    n = _cut(t, pixel, on, dead, lag, shortest, noise, times, counts, of, kind)
+    n = _cut(t, pixel, on, size, dead, lag, shortest, noise, times, counts, of, kind)
     columns = (*times[:n].T, pixel[of[:n]], *counts[:n].T, *kind[:n].T)
     return Stretches(*(np.ascontiguousarray(column) for column in columns))
 
@@ -68,25 +72,25 @@ def _looking(t, i, dead, lag):
 
 
 @njit(cache=True, nogil=True)
-def _burst(t, on, first, k, j, last, dead, lag, noise, counts):
+def _burst(t, on, size, first, k, j, last, dead, lag, noise, counts):
     """Fill counts (3,) with rise, fall and variance from just after event k to the end of the dead time of event j.
 
     first, last: events of the pixel
     """
     for i in range(k, j + 1):
-        crossed = 1.0 if i > k else 0.0
+        crossed = size[i] if i > k else 0.0
         if i < last and on[i] == on[i + 1]:
             looked = _looking(t, i + 1, dead, lag)
             if i > first and on[i - 1] == on[i]:
                 looked = min(looked, _looking(t, i, dead, lag))
-            crossed += dead / looked
-            counts[2] += (GUESSED * dead / looked) ** 2
+            crossed += size[i + 1] * dead / looked
+            counts[2] += (GUESSED * size[i + 1] * dead / looked) ** 2
         counts[0 if on[i] else 1] += crossed
-        counts[2] += noise**2
+        counts[2] += (size[i] * noise) ** 2
 
 
 @njit(cache=True, nogil=True)
-def _cut(t, pixel, on, dead, lag, shortest, noise, times, counts, of, kind):
+def _cut(t, pixel, on, size, dead, lag, shortest, noise, times, counts, of, kind):
     """Fill times (M, 2), counts (M, 3), of (M,): an event of its pixel, kind (M, 2): reset, burst; how many."""
     n, first, away = 0, 0, 0.5 * shortest
     while first < len(t):
@@ -103,10 +107,10 @@ def _cut(t, pixel, on, dead, lag, shortest, noise, times, counts, of, kind):
             if j > k:
                 times[n, 0] = t[k] - (away if before > 0.0 else 0.0)
                 times[n, 1] = t[j] + dead + away if j < last else t[j]
-                _burst(t, on, first, k, j, last, dead, lag, noise, counts[n])
-                counts[n, 0 if on[k] else 1] += before
+                _burst(t, on, size, first, k, j, last, dead, lag, noise, counts[n])
+                counts[n, 0 if on[k] else 1] += before * size[k]
                 if j < last:
-                    counts[n, 0 if on[j + 1] else 1] += after
+                    counts[n, 0 if on[j + 1] else 1] += after * size[j + 1]
                 counts[n, 2] += ((before > 0.0) + (after > 0.0)) * INSIDE**2
                 of[n], kind[n, 0], kind[n, 1] = k, False, True
                 n += 1
@@ -118,9 +122,9 @@ def _cut(t, pixel, on, dead, lag, shortest, noise, times, counts, of, kind):
             end = t[k] - (away if ends_at_burst else 0.0)
             if end > begin:
                 times[n, 0], times[n, 1] = begin, end
-                counts[n, 0 if on[k] else 1] = 1.0 - before - after
+                counts[n, 0 if on[k] else 1] = (1.0 - before - after) * size[k]
                 whole = before == 0.0 and after == 0.0
-                counts[n, 2] = noise**2 + (0.0 if whole else INSIDE**2)
+                counts[n, 2] = (size[k] * noise) ** 2 + (0.0 if whole else INSIDE**2)
                 of[n], kind[n, 0], kind[n, 1] = k, whole, False
                 n += 1
         first = last + 1

@@ -31,7 +31,8 @@ class Views:
 
     images: (n, H, W, C) radiance;  position: (n, 3), rotation: (n, 3, 3), camera to world;  names: n;
     exposure: (n,) exposure × gain, relative to the mean over all stages;  transparent: whether white shows through;
-    peak: the largest value an image can have
+    peak: the largest value an image can have;  span: from the smallest value that a stored picture can say to the
+    largest, the range that the reference implementation scores in
     """
 
     images: np.ndarray
@@ -42,6 +43,7 @@ class Views:
     exposure: np.ndarray
     transparent: bool
     peak: float
+    span: float = 1.0
 
     def __len__(self) -> int:
         return len(self.images)
@@ -51,16 +53,22 @@ class Views:
         names = tuple(np.array(self.names, dtype=object)[which])
         return Views(
             self.images[which], self.position[which], self.rotation[which], self.camera, names, self.exposure[which],
-            self.transparent, self.peak,
+            self.transparent, self.peak, self.span,
         )  # fmt: skip
 
 
-def views_folder(dataset: Path) -> Path:
-    """`views/` in the dataset's folder or one level up.  Raises InputError when there is none."""
+def views_folder(dataset: Path) -> Path | None:
+    """`views/` in the dataset's folder or one level up; None when there is none."""
     for folder in (Path(dataset) / FOLDER, Path(dataset).resolve().parent / FOLDER):
         if folder.is_dir():
             return folder
-    raise InputError(f"{Path(dataset) / FOLDER}: no such folder, here or one level up")
+    return None
+
+
+def no_views(camera: Camera, channels: int) -> Views:
+    """Views of nothing, of the size that this camera would take them in."""
+    images = np.empty((0, camera.height, camera.width, channels), np.float32)
+    return Views(images, np.empty((0, 3)), np.empty((0, 3, 3)), camera, (), np.empty(0), False, 1.0)
 
 
 def read_views(dataset: Path, channels: int) -> dict[str, Views]:
@@ -71,12 +79,14 @@ def read_views(dataset: Path, channels: int) -> dict[str, Views]:
         channels: colours, 1 or 3.
 
     Returns:
-        "train", "val", "test", as far as they are there → views.
+        "train", "val", "test", as far as they are there → views; nothing for a dataset without `views/`.
 
     Raises:
         InputError: images or poses that cannot be read, or that do not fit each other.
     """
     folder = views_folder(dataset)
+    if folder is None:
+        return {}
     log_eps = _log_eps(Path(dataset) / RENDERER)
     stages = {
         stage: _stage(folder / f"transforms_{stage}.json", channels, log_eps)
@@ -109,11 +119,11 @@ def _stage(file: Path, channels: int, log_eps: float) -> Views:
         raise InputError(f"{file}: frames: expected a list of at least one view")
     poses = np.array([_pose(file, k, frame) for k, frame in enumerate(frames)])
     names = [str(frame["file_path"]) for frame in frames]
-    raw = [_image(_picture(file, name)) for name in names]
+    raw = [_image(picture_of(file, name)) for name in names]
     if len({image.shape for image in raw}) != 1 or len({image.dtype for image in raw}) != 1:
         raise InputError(f"{file}: file_path: the pictures differ in size, channels or type")
     stack = np.stack(raw)
-    images, peak = _radiance(file, stack, document, log_eps, channels)
+    images, peak, span = _radiance(file, stack, document, log_eps, channels)
     exposure = np.array([float(f.get("exposure_time", 1.0)) * float(f.get("gain", 1.0)) for f in frames])
     if not (np.isfinite(exposure) & (exposure > 0)).all():
         raise InputError(f"{file}: exposure_time, gain: expected positive numbers")
@@ -121,7 +131,7 @@ def _stage(file: Path, channels: int, log_eps: float) -> Views:
     short = tuple(Path(name).name for name in names)
     return Views(
         images, poses[:, :3, 3], poses[:, :3, :3] @ OPENGL, camera, short, exposure,
-        stack.shape[-1] == 4, peak,
+        stack.shape[-1] == 4, peak, span,
     )  # fmt: skip
 
 
@@ -140,7 +150,7 @@ def _pose(file: Path, k: int, frame) -> np.ndarray:
     return pose[:3]
 
 
-def _picture(file: Path, name: str) -> Path:
+def picture_of(file: Path, name: str) -> Path:
     """The picture of a `file_path`, with or without its extension."""
     exact = file.parent / name
     if exact.is_file():
@@ -191,8 +201,8 @@ def _exr(path: Path) -> np.ndarray:
     return image if image.ndim == 2 else image[..., [2, 1, 0, *range(3, image.shape[2])]]
 
 
-def _radiance(file: Path, stack, document: dict, log_eps: float, channels: int) -> tuple[np.ndarray, float]:
-    """(n, H, W, channels) radiance of stored pictures, and its peak."""
+def _radiance(file: Path, stack, document: dict, log_eps: float, channels: int) -> tuple[np.ndarray, float, float]:
+    """(n, H, W, channels) radiance of stored pictures, its peak and span."""
     quantised = stack.dtype.kind == "u"
     levels = 1.0
     if quantised:
@@ -215,9 +225,10 @@ def _radiance(file: Path, stack, document: dict, log_eps: float, channels: int) 
     elif values.shape[-1] == 1 and channels == 3:
         values = np.repeat(values, 3, axis=-1)
     if quantised:
-        return (values + 0.5) / levels, 1.0
+        return (values + 0.5) / levels, 1.0, (levels - 1) / levels
     values = values + log_eps
-    return values, max(1.0, float(np.quantile(values, 0.999)) if values.max() > 4.0 else 1.0)
+    peak = max(1.0, float(np.quantile(values, 0.999)) if values.max() > 4.0 else 1.0)
+    return values, peak, peak
 
 
 def _camera(file: Path, document: dict, width: int, height: int) -> Camera:
