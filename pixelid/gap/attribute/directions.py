@@ -97,8 +97,7 @@ def direction(at: Space, effect: str) -> Direction | None:
     # pixel means included: what shifts all pixels, thresholds imitate; a wide prior holds what the data do not know
     bias = np.linalg.solve(at.J.T @ at.J + np.eye(at.J.shape[1]) / PRIOR_SD**2, at.J.T @ v)
     clear = raw - J @ inner
-    ratio = stages.effect(effect).parameters[0].value / trial.values[name]
-    ratio = 1.0 / ratio if effect in INVERSE else ratio
+    ratio = _typical_ratio(effect, name, trial, at.fit.model)
     total = float(np.sum(v**2))
     hidden = float(np.sqrt(max(0.0, 1.0 - np.sum(clear**2) / total))) if total > 0 else 1.0
     return Direction(
@@ -110,6 +109,20 @@ def direction(at: Space, effect: str) -> Direction | None:
         float(np.sum(clear**2)) * ratio**2,
         hidden,
     )
+
+
+def _typical_ratio(effect: str, name: str, trial: Model, base: Model) -> float:
+    """How many times as strong as in `trial` an effect is at its shipped values; linear, as weak effects are.
+
+    A pole's strength is the delay that it adds.  A second-order photoreceptor adds to one pole the delay 1/β of
+    another, which α follows there, and to none that of both, nearly β/(αL).
+    """
+    shipped = {p.name: p.value for p in stages.effect(effect).parameters}
+    if effect == "second_order_photoreceptor" and base.photoreceptor == "unlimited":
+        late = trial.values["beta"] / trial.values["alpha"]
+        return shipped["beta"] / shipped["alpha"] / late
+    ratio = shipped[name] / trial.values[name]
+    return 1.0 / ratio if effect in INVERSE else ratio
 
 
 def cosine(a: np.ndarray, b: np.ndarray) -> float:
