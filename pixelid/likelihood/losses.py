@@ -6,11 +6,11 @@ threshold, and what the light did in the dead time after it, add to the level,
 
     f/2 · r · [ N(z; 2 C_p + r T, 2 s² + (r T)²)  +  N(z; C_p − C_p' + r T, s² + s'² + (r T)²) ]
 
-with rate r, dead time T (as the rate during it may have been another), and s the scatter of a threshold drawn.  Which of the two it was is decided by the larger
-density, as for background events: those are the events that can have had a lost one before them, and what else they
-may be competes with it.  Two lost in a row are rarer than f² and count as background.  The survivals get f for the
-chance that a crossing is missing; an event after a lost one needs no survival.  Only f itself is fitted to these
-events: they say nothing of thresholds or dynamics.
+with rate r, dead time T (in which the rate may have been another), and s the scatter of a threshold drawn.  Which of
+the two it was is decided by the larger density, as for background events: those are the events that can have had a lost
+one before them, and what else they may be competes with it.  Two lost in a row are rarer than f² and count as
+background.  The survivals get f for the chance that a crossing is missing; an event after a lost one needs no survival.
+Only f itself is fitted to these events: they say nothing of thresholds or dynamics.
 """
 
 from __future__ import annotations
