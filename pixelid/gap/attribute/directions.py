@@ -19,6 +19,7 @@ from pixelid.errors import InputError
 from pixelid.fit.maximise import Maximum
 from pixelid.gap.attribute.candidates import INVERSE, variants
 from pixelid.gap.detect.residuals import Residuals, compare, residuals, tangents
+from pixelid.gap.imputation.windows import DELAY
 from pixelid.likelihood.density import sum_by
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.model.model import Model
@@ -106,9 +107,23 @@ def direction(at: Space, effect: str) -> Direction | None:
         raw,
         clear,
         bias,
-        float(np.sum(clear**2)) * ratio**2,
+        _shown(at, J, ratio * raw) if DELAY in at.fit.coordinates.names else float(np.sum(clear**2)) * ratio**2,
         hidden,
     )
+
+
+def _shown(at: Space, J: np.ndarray, v: np.ndarray) -> float:
+    """Σ v⊥² of an effect at its typical strength, where the delay of the stamps can imitate it within its bounds only.
+
+    J: (2n, d) tangents, demeaned;  v: (2n,) the effect, demeaned
+    """
+    index = at.fit.coordinates.names.index(DELAY)
+    lower, upper = (edge[index] for edge in at.fit.coordinates.bounds())
+    held = np.zeros(J.shape[1])
+    held[index] = np.sqrt(12.0) / (upper - lower)  # the standard deviation of what is uniform between them
+    rows, wanted = np.vstack([J, held]), np.append(v, 0.0)
+    moved, *_ = np.linalg.lstsq(rows, wanted, rcond=1e-10)
+    return float(np.sum((wanted - rows @ moved) ** 2))
 
 
 def _typical_ratio(effect: str, name: str, trial: Model, base: Model) -> float:
