@@ -226,7 +226,7 @@ def _fit_event_times(recordings, model, clocks, starts, between, maximiser: Engi
         continuous = maximiser.continuous(objective, optimum.x)
         discrete = optimum
         optimum = newton_steps(continuous, discrete.x, tolerance=CONTINUOUS_TOLERANCE, max_steps=20)
-    background = objective.terms(optimum.x).background
+    background = objective.terms(optimum.x).unexplained
     details = {
         "stimulus_between_samples": kind,
         "starts": len(ends),
