@@ -117,9 +117,9 @@ def _stage(file: Path, channels: int, log_eps: float) -> Views:
     frames = document.get("frames")
     if not isinstance(frames, list) or not frames:
         raise InputError(f"{file}: frames: expected a list of at least one view")
-    poses = np.array([_pose(file, k, frame) for k, frame in enumerate(frames)])
+    poses = np.array([pose_of_frame(file, k, frame) for k, frame in enumerate(frames)])
     names = [str(frame["file_path"]) for frame in frames]
-    raw = [_image(picture_of(file, name)) for name in names]
+    raw = [image_of(picture_of(file, name)) for name in names]
     if len({image.shape for image in raw}) != 1 or len({image.dtype for image in raw}) != 1:
         raise InputError(f"{file}: file_path: the pictures differ in size, channels or type")
     stack = np.stack(raw)
@@ -127,7 +127,7 @@ def _stage(file: Path, channels: int, log_eps: float) -> Views:
     exposure = np.array([float(f.get("exposure_time", 1.0)) * float(f.get("gain", 1.0)) for f in frames])
     if not (np.isfinite(exposure) & (exposure > 0)).all():
         raise InputError(f"{file}: exposure_time, gain: expected positive numbers")
-    camera = _camera(file, document, images.shape[2], images.shape[1])
+    camera = camera_of_document(file, document, images.shape[2], images.shape[1])
     short = tuple(Path(name).name for name in names)
     return Views(
         images, poses[:, :3, 3], poses[:, :3, :3] @ OPENGL, camera, short, exposure,
@@ -135,7 +135,8 @@ def _stage(file: Path, channels: int, log_eps: float) -> Views:
     )  # fmt: skip
 
 
-def _pose(file: Path, k: int, frame) -> np.ndarray:
+def pose_of_frame(file: Path, k: int, frame) -> np.ndarray:
+    """(3, 4) of a view, as OpenGL has it."""
     for key in ("file_path", "transform_matrix"):
         if not isinstance(frame, dict) or key not in frame:
             raise InputError(f"{file}: frames[{k}].{key}: missing")
@@ -161,7 +162,7 @@ def picture_of(file: Path, name: str) -> Path:
     return matches[0]
 
 
-def _image(path: Path) -> np.ndarray:
+def image_of(path: Path) -> np.ndarray:
     """(H, W, 1, 3 or 4) as stored: integers when quantised."""
     try:
         if path.suffix == ".npy":
@@ -231,7 +232,8 @@ def _radiance(file: Path, stack, document: dict, log_eps: float, channels: int) 
     return values, peak, peak
 
 
-def _camera(file: Path, document: dict, width: int, height: int) -> Camera:
+def camera_of_document(file: Path, document: dict, width: int, height: int) -> Camera:
+    """The pinhole camera of a `transforms_*.json`."""
     if "camera_angle_x" in document:
         angle = document["camera_angle_x"]
         if not isinstance(angle, (int, float)) or not 0 < angle < np.pi:
