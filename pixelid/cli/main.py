@@ -36,6 +36,7 @@ COMMANDS = {
     "export": "A circuit in the parameters of another simulator.",
     "dataset": "Published raw data in the layout that reconstruct reads.",
     "reconstruct": "A sharp scene from motion-blurred events.",
+    "render": "Views, videos, depth, meshes and splats of a reconstruction.",
     "report": "A one-page report.html for any result folder.",
     "demo": "The whole story on embedded data, minutes on a laptop.",
 }
