@@ -160,8 +160,15 @@ def whole_file(path: Path, overwrite: bool = False) -> Iterator[Path]:
         yield temporary
         _flush(temporary)
         refuse_existing(path, overwrite)  # again: the work between may have taken hours
-        os.replace(temporary, path.resolve())
-        _flush(path.resolve().parent)
+        target, old = path.resolve(), folder / f"{path.name}{OLD}"
+        with suppress(OSError):  # nothing there, or a file system without links
+            os.link(target, old)
+        os.replace(temporary, target)
+        try:
+            _flush(target.parent)
+        except BaseException:  # then the old one is to stay
+            os.replace(old, target) if old.exists() else target.unlink()
+            raise
 
 
 @contextmanager
@@ -193,11 +200,20 @@ def whole_folder(
             _flush(Path(folder))
         refuse_existing(path, overwrite, markers=markers)  # again: the work between may have taken hours
         target = path.resolve()
-        if target.exists():
+        swapped = target.exists()
+        if swapped:
             _exchange(temporary, target)
         else:
             os.rename(temporary, target)
-        _flush(target.parent)
+        try:
+            _flush(target.parent)
+        except BaseException:  # then the old one is to stay
+            if swapped:
+                old = temporary if temporary.exists() else parent / f"{path.name}{OLD}"
+                _exchange(old, target)
+            else:
+                os.rename(target, temporary)
+            raise
 
 
 def set_aside(path: Path, why: str, suffix: str) -> Path:
