@@ -71,8 +71,12 @@ def refuse_inputs(path: Path, inputs: Iterable[str | Path]) -> None:
     target = Path(path).resolve()
     for name in inputs:
         source = Path(name)
-        if source.exists() and (source.resolve() == target or target in source.resolve().parents):
-            raise InputError(f"{path}: --out would replace the input {source}; choose another --out")
+        if not source.exists():
+            continue
+        links = [member for member in source.iterdir() if member.is_symlink()] if source.is_dir() else []
+        for file in (source, *links):
+            if file.resolve() == target or target in file.resolve().parents:
+                raise InputError(f"{path}: --out would replace the input {file}; choose another --out")
 
 
 def _ours(folder: Path, markers: Sequence[str]) -> bool:

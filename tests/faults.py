@@ -37,7 +37,7 @@ MOST_CALLS = 8  # of one kind that fail in turn, spread over all there are
 VARYING = {"seconds", "versions", "resumed", "exact_evaluations", "rays_per_second", "seconds_per_step"}
 LIGHT = "simulate dvs128 --stimulus chirp --out chirp.h5 --pixels 4 --quiet"
 STEPS = "simulate dvs128 --stimulus steps --out steps.h5 --pixels 4 --quiet"
-FIT = "fit chirp.h5 steps.h5 --model dvs128 --out {out} --engine scipy --quiet"
+FIT = "fit chirp.h5 steps.h5 --model dvs128 --out {out} --engine scipy"
 COMMANDS = {  # name → words; {out} is the result
     "simulate": "simulate dvs128 --stimulus chirp --out {out}.h5 --pixels 4",
     "convert to .h5": "convert chirp.h5 {out}.h5",
@@ -86,6 +86,7 @@ def run(
         os.chdir(folder)
         os.dup2(told[1], 2)
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+        sys.stdout, sys.stderr = (open(descriptor, "w", closefd=False) for descriptor in (1, 2))  # noqa: SIM115
         code, calls = 99, {}
         try:
             if most_bytes is not None:
@@ -146,9 +147,7 @@ def complaint(outcome: Outcome, before: dict[str, bytes], after: dict[str, bytes
 
 def faults_of(name: str, folder: Path) -> dict[str, dict[str, Any]]:
     """Fault → how many runs met it, were refused, survived, and the first complaint."""
-    words = [*COMMANDS[name].format(out="out").split(), "--overwrite"]
-    if name not in ("export",):
-        words.append("--quiet")
+    words = [*COMMANDS[name].format(out="out").split(), "--overwrite", "--quiet"]
     first = run(words, folder)
     assert first.code in (0, 1), first.said
     before = contents(folder)
@@ -204,7 +203,7 @@ def kills_of(name: str, folder: Path, count: int, seed: int) -> dict[str, Any]:
         child = os.fork()
         if child == 0:
             os.chdir(folder)
-            os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
+            sys.stdout = sys.stderr = open(os.devnull, "w")  # noqa: SIM115
             os._exit(main(words))
         time.sleep(chance.uniform(0.05, 1.0) * took)
         os.kill(child, signal.SIGKILL)

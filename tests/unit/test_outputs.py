@@ -80,6 +80,15 @@ def test_inputs_are_never_replaced(tmp_path):
     refuse_inputs(out, [tmp_path / "elsewhere.h5", tmp_path])
 
 
+def test_a_folder_of_links_to_inputs_counts_as_inputs(tmp_path):
+    out = result(tmp_path / "out")
+    (out / "steps.h5").write_text("events")
+    (tmp_path / "session").mkdir()
+    (tmp_path / "session" / "a.h5").symlink_to(out / "steps.h5")
+    with pytest.raises(InputError, match="would replace the input"):
+        refuse_inputs(out, [tmp_path / "session"])
+
+
 def test_inspect_does_not_delete_what_it_inspects(tmp_path, capsys):
     from pixelid.cli.main import main
     from pixelid.recordings import Events, Recording, write_recording
