@@ -96,7 +96,7 @@ def main(argv: list[str] | None = None) -> int:
         return 2
     except MemoryError as error:
         print(f"pixelid: not enough memory{f' ({error})' if str(error) else ''}", file=sys.stderr)
-        return 1
+        return 2
     except KeyboardInterrupt:
         return _interrupted()
     except Exception as error:

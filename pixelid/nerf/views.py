@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pixelid.documents import read_json
+from pixelid.documents import interpreting, read_json
 from pixelid.errors import InputError
 from pixelid.nerf.arrays import read_arrays
 from pixelid.nerf.camera import Camera
@@ -114,6 +114,11 @@ def _log_eps(file: Path) -> float:
 
 def _stage(file: Path, channels: int, log_eps: float) -> Views:
     document = read_json(file)
+    with interpreting(file, "posed views"), np.errstate(all="ignore"):  # what overflows is refused as infinite
+        return _views(file, document, channels, log_eps)
+
+
+def _views(file: Path, document: dict, channels: int, log_eps: float) -> Views:
     frames = document.get("frames")
     if not isinstance(frames, list) or not frames:
         raise InputError(f"{file}: frames: expected a list of at least one view")
