@@ -7,6 +7,7 @@ Python's parsers have no such limits: they recurse for every bracket, and take q
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import re
@@ -22,6 +23,7 @@ from pixelid.errors import InputError
 MOST_BYTES = {"TOML": 2 << 20, "JSON": 64 << 20, "CSV": 64 << 20}  # each is read within 5 s
 MOST_NESTED = 64  # of what pixelid writes, gap.json is the deepest: 8
 MOST_PARTS = 64  # of a dotted key
+HOLLOW_BYTES, MOST_RATIO, MOST_EXTENTS = 64 << 20, 1000, 1000  # smaller files are read at once, whatever they hold
 
 # What TOML consists of, as far as nesting matters; every alternative consumes what it has looked at: linear time.
 _TOKEN = re.compile(
@@ -98,6 +100,31 @@ def read_text(path: str | Path, kind: str) -> str:
         return content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise InputError(f"{path}: expected UTF-8 text, found other bytes at byte {error.start}") from None
+
+
+def refuse_hollow(path: Path) -> None:
+    """Refuse a large file of which next to nothing was ever written: reading its zeros takes as long as reading data.
+
+    Raises:
+        InputError: less than a thousandth of it lies on the disk.
+    """
+    size = path.stat().st_size
+    if size < HOLLOW_BYTES or not hasattr(os, "SEEK_DATA"):
+        return
+    held, at = 0, 0
+    with path.open("rb") as file:
+        for _ in range(MOST_EXTENTS):
+            try:
+                begin = os.lseek(file.fileno(), at, os.SEEK_DATA)
+                at = os.lseek(file.fileno(), begin, os.SEEK_HOLE)
+            except OSError as error:
+                if error.errno == errno.ENXIO:  # no data from here on
+                    break
+                return  # a file system that does not know
+            held += at - begin
+            if held * MOST_RATIO >= size:
+                return
+    raise InputError(f"{path}: expected data, found a sparse file: {held} bytes on the disk stand for {size}")
 
 
 @contextmanager

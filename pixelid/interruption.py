@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -54,8 +55,8 @@ def end_on_interrupt(clean: Callable[[], None], grace_s: float = GRACE_S) -> Non
         clean: called before a forced end; it must not wait for anything.
         grace_s: seconds that the run has to end by itself.
     """
-    if threading.current_thread() is not threading.main_thread():
-        return
+    if threading.current_thread() is not threading.main_thread() or sys.platform == "win32":
+        return  # Windows takes sockets instead of pipes, and ends compiled code by Ctrl-Break
     heard, told = os.pipe()
     os.set_blocking(told, False)
     signal.set_wakeup_fd(told, warn_on_full_buffer=False)

@@ -71,8 +71,12 @@ def refuse_inputs(path: Path, inputs: Iterable[str | Path]) -> None:
     target = Path(path).resolve()
     for name in inputs:
         source = Path(name)
-        if source.exists() and (source.resolve() == target or target in source.resolve().parents):
-            raise InputError(f"{path}: --out would replace the input {source}; choose another --out")
+        if not source.exists():
+            continue
+        links = [member for member in source.iterdir() if member.is_symlink()] if source.is_dir() else []
+        for file in (source, *links):
+            if file.resolve() == target or target in file.resolve().parents:
+                raise InputError(f"{path}: --out would replace the input {file}; choose another --out")
 
 
 def _ours(folder: Path, markers: Sequence[str]) -> bool:
@@ -160,8 +164,15 @@ def whole_file(path: Path, overwrite: bool = False) -> Iterator[Path]:
         yield temporary
         _flush(temporary)
         refuse_existing(path, overwrite)  # again: the work between may have taken hours
-        os.replace(temporary, path.resolve())
-        _flush(path.resolve().parent)
+        target, old = path.resolve(), folder / f"{path.name}{OLD}"
+        with suppress(OSError):  # nothing there, or a file system without links
+            os.link(target, old)
+        os.replace(temporary, target)
+        try:
+            _flush(target.parent)
+        except BaseException:  # then the old one is to stay
+            os.replace(old, target) if old.exists() else target.unlink()
+            raise
 
 
 @contextmanager
@@ -193,11 +204,20 @@ def whole_folder(
             _flush(Path(folder))
         refuse_existing(path, overwrite, markers=markers)  # again: the work between may have taken hours
         target = path.resolve()
-        if target.exists():
+        swapped = target.exists()
+        if swapped:
             _exchange(temporary, target)
         else:
             os.rename(temporary, target)
-        _flush(target.parent)
+        try:
+            _flush(target.parent)
+        except BaseException:  # then the old one is to stay
+            if swapped:
+                old = temporary if temporary.exists() else parent / f"{path.name}{OLD}"
+                _exchange(old, target)
+            else:
+                os.rename(target, temporary)
+            raise
 
 
 def set_aside(path: Path, why: str, suffix: str) -> Path:

@@ -127,8 +127,10 @@ def fuzz() -> int:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--target", help="only targets whose name contains this")
     parser.add_argument("--keep", type=Path, default=Path("fuzz-failures"), help="folder for what failed")
+    parser.add_argument("--out", type=Path, help="JSON file that this run is added to")
     options = parser.parse_args()
     limit_memory()
+    began = time.process_time()
     runs: Counter[str] = Counter()
     failures: dict[str, list[str]] = {}
     with tempfile.TemporaryDirectory() as name:
@@ -151,7 +153,12 @@ def fuzz() -> int:
                 stem = options.keep / f"{target.name.replace(' ', '_')}_{options.seed}_{k}"
                 stem.with_name(stem.name + target.suffix).write_bytes(content)
                 stem.with_name(stem.name + ".txt").write_text(said)
-    print(json.dumps({"runs": sum(runs.values()), "by_target": runs, "seed": options.seed}, indent=1))
+    found = {"seed": options.seed, "runs": sum(runs.values()), "failures": sum(map(len, failures.values()))}
+    found |= {"targets": len(runs), "kinds": len(failures), "cpu_s": round(time.process_time() - began)}
+    print(json.dumps(found | {"by_target": runs}, indent=1))
+    if options.out is not None:
+        before = json.loads(options.out.read_text()) if options.out.exists() else []
+        options.out.write_text(json.dumps([*before, found], indent=1) + "\n")
     for key, said in sorted(failures.items()):
         print(f"{len(said):5d} × {key}")
     print(f"{sum(map(len, failures.values()))} failures" + (f", kept in {options.keep}" if failures else ""))

@@ -36,6 +36,7 @@ COMMANDS = {
     "export": "A circuit in the parameters of another simulator.",
     "dataset": "Published raw data in the layout that reconstruct reads.",
     "reconstruct": "A sharp scene from motion-blurred events.",
+    "render": "Views, videos, depth, meshes and splats of a reconstruction.",
     "report": "A one-page report.html for any result folder.",
     "demo": "The whole story on embedded data, minutes on a laptop.",
 }
@@ -95,7 +96,7 @@ def main(argv: list[str] | None = None) -> int:
         return 2
     except MemoryError as error:
         print(f"pixelid: not enough memory{f' ({error})' if str(error) else ''}", file=sys.stderr)
-        return 1
+        return 2
     except KeyboardInterrupt:
         return _interrupted()
     except Exception as error:

@@ -96,6 +96,26 @@ def _huber(x: torch.Tensor) -> torch.Tensor:
     return F.huber_loss(x, torch.zeros_like(x), reduction="none")
 
 
+def variance_left(
+    change: torch.Tensor, chains: Chains, on_threshold: torch.Tensor, off_threshold: torch.Tensor
+) -> float:
+    """The variance [thresholds²] of Gaussian changes that would tell as much of a threshold as ℓ_diff does.
+
+    E ψ²/E ψ' of Huber's estimate, ψ its slope: what a prior weighs against.  Early in training, when the scene explains
+    little, it is above 1 and thresholds of single pixels wait; then it falls with what is left.
+    """
+    device = change.device
+    weight, rise, fall, variance = (
+        torch.as_tensor(a, device=device) for a in (chains.weight, chains.rise, chains.fall, chains.variance)
+    )
+    with torch.no_grad():
+        mean = 0.5 * (on_threshold + off_threshold)
+        rest = (change - rise * on_threshold + fall * off_threshold) / (mean * torch.sqrt(1.0 + variance))
+        square = (rest.clamp(-1, 1) ** 2 * weight).sum()
+        curvature = ((rest.abs() < 1) * weight).sum()
+        return float(square / curvature.clamp(min=1.0))
+
+
 def total(parts: dict[str, torch.Tensor], weights: Weights) -> torch.Tensor:
     """The weighted sum."""
     return weights.diff * parts["diff"] + weights.tv * parts["tv"] + weights.chain * parts["chain"]

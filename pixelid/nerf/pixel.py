@@ -28,7 +28,6 @@ FILTER = ("alpha", "beta", "gamma", "follower")
 COMPARATOR = ("threshold", "ratio", "refractory")
 TRAINED = FILTER + COMPARATOR
 PRIOR_SD = 1.5  # of ln(factor), when no fit says better
-LEFT = 0.2  # thresholds: what training leaves of a change, rms; sets the weight of a pixel's prior beside its events
 
 
 @dataclass(frozen=True)
@@ -148,9 +147,9 @@ class Pixel(torch.nn.Module):
         """Seconds by which the dead time in use exceeds the circuit's."""
         return float(self.circuit.refractory) * (self._scale[6] - 1)
 
-    def penalty(self) -> torch.Tensor:
-        """−ln prior of the factors, and of the pixels' thresholds in units of what a change leaves (`LEFT`²)."""
-        return 0.5 * ((self.factors / self.prior_sd) ** 2).sum() + 0.5 * LEFT**2 * (self.departures**2).sum()
+    def penalty(self, left: float = 1.0) -> torch.Tensor:
+        """−ln prior of the factors, and of the pixels' thresholds times `left`, the variance that a change leaves."""
+        return 0.5 * ((self.factors / self.prior_sd) ** 2).sum() + 0.5 * left * (self.departures**2).sum()
 
     def slowest(self, darkest: float) -> float:
         """The slowest dominant low-pass pole [rad/s] at a radiance, of the stages that the circuit has.

@@ -63,13 +63,15 @@ def problem_of(
             raise InputError(f"--box: expected low corner below high corner, found {list(box)}")
     circuit = calibration.circuit
     maps = maps_of_circuit(circuit, camera.width * camera.height) if maps is None else maps
-    events = dataset.t, dataset.x, dataset.y, dataset.on
-    hot = np.union1d(maps.hot, find_hot(*events[1:], camera, circuit, float(dataset.t[-1] - dataset.t[0])))
+    t, x, y, on = dataset.t, dataset.x, dataset.y, dataset.on
+    hot = np.union1d(maps.hot, find_hot(x, y, on, camera, circuit, float(t[-1] - t[0])))
     if len(hot):
-        kept = ~np.isin(dataset.y * camera.width + dataset.x, hot)
-        maps, events = replace(maps, hot=hot), tuple(column[kept] for column in events)
+        is_hot = np.zeros(camera.width * camera.height, bool)
+        is_hot[hot] = True
+        kept = ~is_hot[y * camera.width + x]
+        maps, (t, x, y, on) = replace(maps, hot=hot), (column[kept] for column in (t, x, y, on))
     every = intervals(
-        *events, camera.width, dead=circuit.refractory, lag=1 / circuit.differencing,
+        t, x, y, on, camera.width, dead=circuit.refractory, lag=1 / circuit.differencing,
         shortest=close * crossing_time(dataset.trajectory, camera, low, high),
         noise=math.hypot(circuit.noise, circuit.mismatch) or NOISE, drift=circuit.threshold_drift,
         memory=circuit.polarity_memory,

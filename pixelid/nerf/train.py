@@ -19,7 +19,7 @@ from pixelid.nerf.camera import Camera, sub_pixel_directions
 from pixelid.nerf.field import Field
 from pixelid.nerf.gauge import Gauge
 from pixelid.nerf.intervals import CHAIN, Chains, Intervals, chains
-from pixelid.nerf.losses import Weights, amplifier_drift, changes, terms, total, unexplained
+from pixelid.nerf.losses import Weights, amplifier_drift, changes, terms, total, unexplained, variance_left
 from pixelid.nerf.pixel import Bandwidth, Pixel
 from pixelid.nerf.pixel_maps import PixelMaps
 from pixelid.nerf.render import Rays
@@ -34,7 +34,7 @@ VISITS = 60
 BATCH_SHARE = 320 / 1e5
 SMALLEST_BATCH, LARGEST_BATCH = 320, 4096
 STEPS = (600, 30_000)
-DEPARTURES = 0.3  # learning rate of single pixels' thresholds, in their standard deviations, over the grid's
+DEPARTURES = 0.1  # learning rate of single pixels' thresholds, in their standard deviations, over the grid's
 EPSILON = 1e-3  # least radiance, dark current included, in the unit of the views (the paper's)
 
 
@@ -232,7 +232,8 @@ def step(problem: Problem, recipe: Recipe, state: State) -> dict[str, float]:
     rng = np.random.default_rng([recipe.seed, parallel.rank(), state.iteration])  # nothing to carry between steps
     batch = draw(problem, state, problem.training, max(recipe.batch // parallel.world(), 1), rng)
     change, level, _ = predict(problem, state, batch, rng, recipe.engine)
-    parts = terms(change, level, batch, *state.pixel.thresholds_at(batch.pixel))
+    thresholds = state.pixel.thresholds_at(batch.pixel)
+    parts = terms(change, level, batch, *thresholds)
     loss = total(parts, recipe.weights)
     if recipe.roughness > 0:
         loss = loss + recipe.roughness * state.field.roughness()
@@ -241,7 +242,8 @@ def step(problem: Problem, recipe: Recipe, state: State) -> dict[str, float]:
     if problem.gauge.kind == "level":
         loss = loss + recipe.level * _off_level(problem, state, recipe.engine, rng)
     if state.pixel.factors.requires_grad or state.pixel.departures.requires_grad:
-        loss = loss + state.pixel.penalty() / max(len(problem.training.starts), 1)
+        left = variance_left(change, batch, *thresholds)
+        loss = loss + state.pixel.penalty(left) / max(len(problem.training.starts), 1)
     measured = {"loss": float(loss.detach()), **{name: float(value.detach()) for name, value in parts.items()}}
     if not math.isfinite(parallel.average(measured["loss"])):
         state.diverged = True

@@ -27,7 +27,7 @@ from typing import IO, Any
 
 import numpy as np
 
-from pixelid.documents import printable
+from pixelid.documents import printable, refuse_hollow
 from pixelid.errors import InputError
 from pixelid.outputs import plain
 from pixelid.recordings.events import Events
@@ -78,6 +78,7 @@ def _regular(path: Path) -> tuple[Path, int]:
         raise InputError(f"{path}: cannot be read ({error.strerror})") from None
     if not stat.S_ISREG(status.st_mode):
         raise InputError(f"{path}: expected a regular file, found a device, pipe or socket")
+    refuse_hollow(path)
     return path, status.st_size
 
 

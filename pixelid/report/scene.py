@@ -82,3 +82,27 @@ def prepare_dataset(result: Result, folder: Path) -> dict[str, Any]:
         for name, value in result["pixel"].items()
     ]
     return {"kept": rows}
+
+
+def summarise_render(result: Result, folder: Path) -> Summary:
+    """The card of rendered views."""
+    return Summary(
+        "render",
+        "A reconstructed scene",
+        "",
+        "",
+        (
+            Number("frames", str(len(result["frames"]))),
+            Number("size", f"{result['width']} × {result['height']}", "pixels"),
+            Number("reconstruction", result["scene_status"]),
+            Number("files", str(len(result["files"]))),
+            Number("time taken", seconds(result["seconds"])),
+        ),
+        "",
+        headline="Rendered",
+    )
+
+
+def prepare_render(result: Result, folder: Path) -> dict[str, Any]:
+    """Rows of what was made."""
+    return {"files_made": [[name, what] for name, what in result["files"].items()]}

@@ -170,6 +170,19 @@ def test_hdf5_that_leads_out_of_the_file(tmp_path):
         assert "events/x" in answer(path)
 
 
+@pytest.mark.parametrize("name", ["a.csv", "a.raw", "a.h5", "a.npz", "light.csv"])
+def test_files_of_holes_are_refused_at_once(tmp_path, name):
+    """What was never written takes no place on the disk, and hours to read."""
+    path = tmp_path / name
+    path.write_text("t,radiance\n" if name == "light.csv" else "t,x,y,p\n")
+    os.truncate(path, 1 << 40)
+    with pytest.raises(InputError, match=r"sparse|at most|GiB"):
+        load_stimulus(path) if name == "light.csv" else open_recording(path)
+    os.truncate(path, 1 << 20)
+    with pytest.raises(InputError):
+        load_stimulus(path) if name == "light.csv" else open_recording(path)
+
+
 def test_what_is_no_regular_file(tmp_path):
     os.mkfifo(tmp_path / "pipe.h5")
     for path in (tmp_path / "pipe.h5", Path("/dev/zero"), Path("/dev/null"), tmp_path):

@@ -392,6 +392,53 @@ def test_pictures_lose_the_distortion_of_their_lens(model, lens):
     )
 
 
+def peak_bytes_of_events(folder: Path, copies: int, truth, monkeypatch) -> int:
+    """Most memory that Python holds while so many copies of the events go through, after their first block."""
+    import tracemalloc
+
+    from pixelid.nerf.published import hdf5_events
+    from pixelid.nerf.published.convert import convert
+
+    monkeypatch.setattr(hdf5_events, "BLOCK", 4096)
+    order = np.repeat(np.arange(len(truth["timestamp"])), copies)
+    many = {**truth, **{name: truth[name][order] for name in ("timestamp", "position", "polarity")}}
+    write_eds(folder, many)
+    (folder / "out").mkdir()
+    held: list[int] = []
+
+    def progress(what: str, share: float) -> None:
+        if what == "events" and not held:
+            tracemalloc.reset_peak()
+            held.append(tracemalloc.get_traced_memory()[0])
+        elif what == "views":
+            held.append(tracemalloc.get_traced_memory()[1])
+
+    tracemalloc.start()
+    kept = convert(folder, "eds", folder / "out", views=0, progress=progress).content["events"]["kept"]
+    tracemalloc.stop()
+    assert kept == len(order)
+    return held[-1] - held[0]
+
+
+def test_memory_does_not_grow_with_the_sequence(truth, tmp_path, monkeypatch):
+    small = peak_bytes_of_events(tmp_path / "small", 20, truth, monkeypatch)
+    large = peak_bytes_of_events(tmp_path / "large", 200, truth, monkeypatch)
+    more = 13 * 180 * len(truth["timestamp"])  # bytes of the events that are more
+    assert large - small < more / 4
+
+
+def test_an_event_takes_at_most_sixty_bytes_in_training(made):
+    from pixelid.nerf.problem import problem_of
+
+    data = read_dataset(made)
+    problem = problem_of(data)
+    kept = [data.t, data.x, data.y, data.on, problem.training.starts, problem.held_out.starts]
+    kept += list(problem.training.stretches)
+    assert problem.training.stretches is problem.held_out.stretches
+    assert sum(column.nbytes for column in kept) <= 60 * len(data.t)
+    assert data.views["test"].images.dtype == np.float32
+
+
 def without(name: str):
     def remove(folder: Path) -> None:
         next(folder.glob(f"**/{name}")).unlink()
@@ -467,6 +514,14 @@ def refused(words, says, out: Path, capsys) -> None:
     assert says in printed
     assert not out.exists()
     assert not [path for path in out.parent.iterdir() if path.name.startswith(f".{out.name}")]
+
+
+def test_one_sequence_of_several_has_to_be_named(truth, tmp_path, capsys):
+    folder = write_tumvie(tmp_path / "raw", truth)
+    shutil.copy(folder / "mocap-desk2-events_left.h5", folder / "skate-easy-events_left.h5")
+    refused(["dataset", "tumvie", str(folder), str(tmp_path / "out")], "one sequence", tmp_path / "out", capsys)
+    one = folder / "mocap-desk2-vi_gt_data"  # everything else lies beside it, under its name
+    assert main(["dataset", "tumvie", str(one), str(tmp_path / "out"), "--quiet", "--views", "0"]) == 0
 
 
 @pytest.mark.parametrize(

@@ -23,6 +23,9 @@ from pixelid.nerf.problem import problem_of
 from pixelid.nerf.reconstruct import Reconstruction, reconstruct
 from pixelid.nerf.synthetic import make_dataset
 from pixelid.nerf.train import Recipe, start, step, train
+from pixelid.sensors import SensorFit
+from pixelid.sensors.map import Map
+from pixelid.sensors.shrinkage import Population
 from pixelid.status import Status
 
 SMALL = Recipe(iterations=24, batch=16, vertices=(9, 17))
@@ -265,6 +268,27 @@ def test_size_and_length_of_a_training_are_chosen_or_follow_the_data(made, tmp_p
     assert (many.batch, many.iterations) == (4096, 30_000)
     usual = open_recipe.for_data(100_000)
     assert (usual.batch, usual.iterations) == (Recipe().batch, Recipe().iterations)
+
+
+def test_the_maps_of_a_sensor_are_reconstructed_with(made, tmp_path):
+    """The command takes the folder of `pixelid sensor`: thresholds with their uncertainty, bandwidth, a hot pixel."""
+    rng = np.random.default_rng(0)
+    model, shape = find_model("dvs128"), (16, 16)
+    maps = {}
+    for name, sd in (("on_threshold", 0.02), ("off_threshold", 0.02), ("sf_cutoff_hz", 0.1)):
+        log = np.log(model.values[name]) + 0.1 * rng.normal(size=shape)
+        error = np.full(shape, sd)
+        maps[name] = Map(name, "", log, error, log, error, Population(float(log.mean()), 0.1, 256), (0, 0), (0, 0))
+    events = np.full(shape, 200)
+    events[4, 9] = 50_000
+    SensorFit(maps, events, 1, 1, model, 1.0, 0, {}).save(tmp_path / "maps")
+    words = ["reconstruct", str(made), "--out", str(tmp_path / "out"), "--sensor", str(tmp_path / "maps"), "--quiet"]
+    main([*words, "--steps", "3"])
+    written = json.loads((tmp_path / "out" / "reconstruction.json").read_text())
+    assert written["pixels"]["bandwidth_mapped"]
+    assert written["pixels"]["hot"] == {"count": 1, "xy": [[9, 4]]}
+    assert written["pixels"]["threshold_spread"]["on"] == pytest.approx(0.1, rel=0.2)
+    assert {"sensor.json", "maps.npz"} <= set(written["inputs_sha256"])
 
 
 def test_what_a_search_for_the_gap_found_is_reconstructed_with(made, tmp_path, capsys):

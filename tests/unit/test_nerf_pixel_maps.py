@@ -10,7 +10,7 @@ from pixelid.errors import InputError
 from pixelid.model.shipped import find_model
 from pixelid.nerf.camera import pinhole
 from pixelid.nerf.intervals import chains, intervals
-from pixelid.nerf.losses import changes, terms
+from pixelid.nerf.losses import changes, terms, variance_left
 from pixelid.nerf.pixel import Bandwidth, Pixel
 from pixelid.nerf.pixel_maps import PixelMaps, find_hot, maps_of_circuit, maps_of_sensor
 from pixelid.sensors import SensorFit
@@ -53,8 +53,9 @@ def test_thresholds_of_single_pixels_are_found_under_their_prior():
     change = changes(level, level, batch, None)
     optimiser = torch.optim.Adam([pixel.departures], lr=0.1)
     for _ in range(150):
-        loss = terms(change, level, batch, *pixel.thresholds_at(batch.pixel))["diff"]
-        loss = loss + pixel.penalty() / len(spans.starts)
+        thresholds = pixel.thresholds_at(batch.pixel)
+        left = variance_left(change, batch, *thresholds)
+        loss = terms(change, level, batch, *thresholds)["diff"] + pixel.penalty(left) / len(spans.starts)
         optimiser.zero_grad()
         loss.backward()
         optimiser.step()

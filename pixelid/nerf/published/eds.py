@@ -58,7 +58,7 @@ def read(path: Path, camera: str = "") -> Source:
     if not path.is_dir():
         raise InputError(f"{path}: expected the folder of a sequence with events.h5 and stamped_groundtruth.txt")
     events, truth = wanted(path, "events.h5"), wanted(path, "stamped_groundtruth.txt")
-    chain = wanted(path, "camchain*.yaml", "calib*.yaml", "*calib*/*.yaml")
+    chain = wanted(path, "camchain*e2kalibr.yaml", "camchain*.yaml", "calib*.yaml")
     cameras = _yaml(chain)
     name = camera or _sensor(cameras, chain)
     table = read_table(truth, 8)

@@ -27,6 +27,7 @@ ENCODINGS = {
     "rgb8": (np.uint8, 3, (0, 1, 2)), "bgr8": (np.uint8, 3, (2, 1, 0)), "8UC3": (np.uint8, 3, (2, 1, 0)),
     "rgba8": (np.uint8, 4, (0, 1, 2, 3)), "bgra8": (np.uint8, 4, (2, 1, 0, 3)), "8UC4": (np.uint8, 4, (2, 1, 0, 3)),
 }  # fmt: skip
+BLOCK = 1 << 18  # events handed on together
 AFTER_NS = 1_000_000_000  # how much later than asked for a message may be before nothing else is expected
 THRESHOLD = 0.25  # assumed where there is no esim.conf: events leave a factor on all thresholds open
 
@@ -138,14 +139,28 @@ def _events(bag: Path, topic: str) -> Callable[[int, int], Iterator[Block]]:
     def blocks(begin: int, end: int) -> Iterator[Block]:
         with opened_bag(bag) as reader:
             connections = [c for c in reader.connections if c.topic == topic]
+            waiting: list[Block] = []
+            number = 0
             for _, _, data in reader.messages(connections=connections):
                 for t, x, y, p in record_columns(bytes(data), reader.is2, bag)[1]:
                     if len(t) and t.min() > end + AFTER_NS:
+                        yield from _joined(waiting)
                         return
                     if len(t) and t.max() >= begin:
-                        yield Block(t, x, y, p != 0)
+                        waiting.append(Block(t, x, y, p != 0))
+                        number += len(t)
+                if number >= BLOCK:
+                    yield from _joined(waiting)
+                    waiting, number = [], 0
+            yield from _joined(waiting)
 
     return blocks
+
+
+def _joined(blocks: list[Block]) -> Iterator[Block]:
+    """One block of the events of some messages, of which the simulator writes thousands a second."""
+    if blocks:
+        yield Block(*(np.concatenate(columns) for columns in zip(*blocks, strict=True)))
 
 
 def _pictures(bag: Path, reader, cam: str, camera: Camera) -> Pictures | None:

@@ -163,17 +163,27 @@ def read_table(file: Path, columns: int) -> np.ndarray:
 
 
 def found(folder: Path, *patterns: str) -> Path | None:
-    """The first file that matches a pattern: in the folder, one or two levels below it, then beside it."""
+    """The file that matches the first pattern that any does: in the folder, one or two levels below it, then beside it.
+
+    Raises:
+        InputError: several match, and their names do not say which belongs to the folder.
+    """
     for pattern in patterns:
         for where in (pattern, f"*/{pattern}", f"*/*/{pattern}"):
-            matches = sorted(folder.glob(where))
-            if matches:
-                return matches[0]
+            if matches := sorted(folder.glob(where)):
+                return _only(folder, pattern, matches)
     for pattern in patterns:
-        matches = sorted(folder.resolve().parent.glob(pattern))
-        if matches:
-            return matches[0]
+        if matches := sorted(folder.resolve().parent.glob(pattern)):
+            sequence = folder.resolve().name.removesuffix("-vi_gt_data")
+            return _only(folder, pattern, [m for m in matches if m.name.startswith(sequence)] or matches)
     return None
+
+
+def _only(folder: Path, pattern: str, matches: list[Path]) -> Path:
+    if len(matches) > 1:
+        names = ", ".join(f"{path.parent.name}/{path.name}" for path in matches[:3])
+        raise InputError(f"{folder}: {pattern}: expected one such file, found {names}; give the folder of one sequence")
+    return matches[0]
 
 
 def wanted(folder: Path, *patterns: str) -> Path:
