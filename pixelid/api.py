@@ -187,7 +187,7 @@ def sample(
         wanted: effective samples per parameter.
         ensembles: independent ones, at least 2: their agreement is the test of convergence.
         max_steps: of every walker; a posterior that needs more says that it did not converge.
-        chain_file: HDF5 file of the chains; an unfinished one of the same fit and seed is continued.
+        chain_file: .npz file of the chains; an unfinished one of the same fit and seed is continued.
         progress: called with what is done and the fraction.
 
     Returns:

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from pixelid.design.result import DesignReport
     from pixelid.inputs import ModelLike, RecordingsLike
     from pixelid.lowlight.result import LowlightReport
+    from pixelid.nerf.field import Field
     from pixelid.nerf.reconstruct import Reconstruction
     from pixelid.recordings.recording import Recording
 
@@ -168,6 +169,27 @@ def reconstruct(
         scale=scale, box=box, radiance_scale=radiance_scale, resume=None if resume is None else Path(resume),
         device=device, seed=seed, progress=progress or (lambda what, share: None),
     )  # fmt: skip
+
+
+def load_field(folder: str | Path) -> Field:
+    """The scene of a reconstruction's folder, to render or to look at.
+
+    Args:
+        folder: that `pixelid reconstruct` or `.save` wrote.
+
+    Returns:
+        The field: `field(rays)` gives radiance and opacity, `field.grid` log density and log radiance at the vertices.
+
+    Raises:
+        InputError: no scene there, or a damaged one.
+
+    Example:
+        >>> import pixelid as px
+        >>> px.load_field("sharp/").vertices  # doctest: +SKIP
+    """
+    from pixelid.nerf.saved import read_field
+
+    return read_field(Path(folder))
 
 
 def _fit_and_files(model: ModelLike) -> tuple[dict[str, Any] | None, list[Path]]:

@@ -7,6 +7,7 @@ Python's parsers have no such limits: they recurse for every bracket, and take q
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import re
@@ -22,6 +23,7 @@ from pixelid.errors import InputError
 MOST_BYTES = {"TOML": 2 << 20, "JSON": 64 << 20, "CSV": 64 << 20}  # each is read within 5 s
 MOST_NESTED = 64  # of what pixelid writes, gap.json is the deepest: 8
 MOST_PARTS = 64  # of a dotted key
+HOLLOW_BYTES, MOST_RATIO, MOST_EXTENTS = 64 << 20, 1000, 1000  # smaller files are read at once, whatever they hold
 
 # What TOML consists of, as far as nesting matters; every alternative consumes what it has looked at: linear time.
 _TOKEN = re.compile(
@@ -56,7 +58,7 @@ def read_toml(path: str | Path) -> dict[str, Any]:
         document = tomllib.loads(text)
         _check(document)
     except (ValueError, RecursionError) as error:
-        raise InputError(f"{path}: not valid TOML: {_first_line(error)}") from None
+        raise InputError(f"{path}: not valid TOML: {first_line(error)}") from None
     return cast(dict[str, Any], _cleaned(document))
 
 
@@ -70,7 +72,7 @@ def read_json(path: str | Path) -> dict[str, Any]:
         content = json.loads(read_text(path, "JSON"), parse_constant=_refuse_constant)
         _check(content)
     except (ValueError, RecursionError) as error:
-        raise InputError(f"{path}: not valid JSON: {_first_line(error)}") from None
+        raise InputError(f"{path}: not valid JSON: {first_line(error)}") from None
     if not isinstance(content, dict):
         raise InputError(f"{path}: expected a JSON object, found {type(content).__name__}")
     return cast(dict[str, Any], _cleaned(content))
@@ -100,6 +102,31 @@ def read_text(path: str | Path, kind: str) -> str:
         raise InputError(f"{path}: expected UTF-8 text, found other bytes at byte {error.start}") from None
 
 
+def refuse_hollow(path: Path) -> None:
+    """Refuse a large file of which next to nothing was ever written: reading its zeros takes as long as reading data.
+
+    Raises:
+        InputError: less than a thousandth of it lies on the disk.
+    """
+    size = path.stat().st_size
+    if size < HOLLOW_BYTES or not hasattr(os, "SEEK_DATA"):
+        return
+    held, at = 0, 0
+    with path.open("rb") as file:
+        for _ in range(MOST_EXTENTS):
+            try:
+                begin = os.lseek(file.fileno(), at, os.SEEK_DATA)
+                at = os.lseek(file.fileno(), begin, os.SEEK_HOLE)
+            except OSError as error:
+                if error.errno == errno.ENXIO:  # no data from here on
+                    break
+                return  # a file system that does not know
+            held += at - begin
+            if held * MOST_RATIO >= size:
+                return
+    raise InputError(f"{path}: expected data, found a sparse file: {held} bytes on the disk stand for {size}")
+
+
 @contextmanager
 def interpreting(path: str | Path, expected: str) -> Iterator[None]:
     """Turn what Python says about values of the wrong kind into an InputError that names the file.
@@ -113,7 +140,7 @@ def interpreting(path: str | Path, expected: str) -> Iterator[None]:
     except KeyError as error:
         raise InputError(f"{path}: expected {expected}, found no {shown(error.args[0])}") from error
     except (TypeError, ValueError, AttributeError, LookupError, ArithmeticError, RecursionError) as error:
-        raise InputError(f"{path}: expected {expected}, found another kind of value ({_first_line(error)})") from error
+        raise InputError(f"{path}: expected {expected}, found another kind of value ({first_line(error)})") from error
 
 
 def shown(value: object, most: int = 60) -> str:
@@ -125,7 +152,8 @@ def shown(value: object, most: int = 60) -> str:
     return printable(text if len(text) <= most else text[: most - 1] + "…")
 
 
-def _first_line(error: Exception) -> str:
+def first_line(error: Exception) -> str:
+    """What an exception says, in a message: short, on one line."""
     if isinstance(error, RecursionError):
         return "nested too deeply"
     lines = printable(str(error)).splitlines()

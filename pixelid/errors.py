@@ -31,6 +31,10 @@ class OutputError(PixelidError):
     exit_code = 2
 
 
+class SetAside(UserWarning):
+    """What an earlier run kept cannot be used: it was renamed, and is computed again."""
+
+
 class UntrustworthyResult(PixelidError):
     """A computation that finished without an answer that deserves trust."""
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import ctypes
 import errno
 import glob
+import itertools
 import json
 import math
 import os
@@ -17,21 +18,24 @@ import shutil
 import socket
 import sys
 import tempfile
+import warnings
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 from pixelid.documents import read_json
-from pixelid.errors import InputError, OutputError
+from pixelid.errors import InputError, OutputError, SetAside
 
 # The JSON files that mark a folder as a result, which --overwrite may replace.
 RESULT_FILES = (
     "fit.json", "gap.json", "posterior.json", "lowlight.json", "design.json", "rates.json", "flicker.json",
     "latency.json", "noise.json", "sensor.json", "compare.json", "inspect.json", "static_noise.json",
-    "reconstruction.json", "conform.json", "render.json",
+    "reconstruction.json", "conform.json", "render.json", "dataset.json",
 )  # fmt: skip
 _AT_FDCWD, _RENAME_EXCHANGE = -100, 2  # linux/fcntl.h, linux/fs.h
+OLD = ".old"  # added to the name of a result that is being replaced where the system cannot swap two folders
+_open: dict[Path, Path] = {}  # this process's temporary folders → what they are for
 
 
 def refuse_existing(path: Path, overwrite: bool, *, markers: Sequence[str] | None = RESULT_FILES) -> None:
@@ -67,8 +71,12 @@ def refuse_inputs(path: Path, inputs: Iterable[str | Path]) -> None:
     target = Path(path).resolve()
     for name in inputs:
         source = Path(name)
-        if source.exists() and (source.resolve() == target or target in source.resolve().parents):
-            raise InputError(f"{path}: --out would replace the input {source}; choose another --out")
+        if not source.exists():
+            continue
+        links = [member for member in source.iterdir() if member.is_symlink()] if source.is_dir() else []
+        for file in (source, *links):
+            if file.resolve() == target or target in file.resolve().parents:
+                raise InputError(f"{path}: --out would replace the input {file}; choose another --out")
 
 
 def _ours(folder: Path, markers: Sequence[str]) -> bool:
@@ -156,8 +164,15 @@ def whole_file(path: Path, overwrite: bool = False) -> Iterator[Path]:
         yield temporary
         _flush(temporary)
         refuse_existing(path, overwrite)  # again: the work between may have taken hours
-        os.replace(temporary, path.resolve())
-        _flush(path.resolve().parent)
+        target, old = path.resolve(), folder / f"{path.name}{OLD}"
+        with suppress(OSError):  # nothing there, or a file system without links
+            os.link(target, old)
+        os.replace(temporary, target)
+        try:
+            _flush(target.parent)
+        except BaseException:  # then the old one is to stay
+            os.replace(old, target) if old.exists() else target.unlink()
+            raise
 
 
 @contextmanager
@@ -189,11 +204,49 @@ def whole_folder(
             _flush(Path(folder))
         refuse_existing(path, overwrite, markers=markers)  # again: the work between may have taken hours
         target = path.resolve()
-        if target.exists():
+        swapped = target.exists()
+        if swapped:
             _exchange(temporary, target)
         else:
             os.rename(temporary, target)
-        _flush(target.parent)
+        try:
+            _flush(target.parent)
+        except BaseException:  # then the old one is to stay
+            if swapped:
+                old = temporary if temporary.exists() else parent / f"{path.name}{OLD}"
+                _exchange(old, target)
+            else:
+                os.rename(target, temporary)
+            raise
+
+
+def set_aside(path: Path, why: str, suffix: str) -> Path:
+    """Rename what an earlier run kept and this one cannot use, and warn; nothing is lost, and the run goes on without.
+
+    Args:
+        path: a file or folder.
+        why: in words, "is damaged" say.
+        suffix: that is added to its name, with a number where there is such a name already.
+
+    Returns:
+        Where it is now.
+
+    Raises:
+        OutputError: it cannot be renamed.
+    """
+    aside = next(
+        name
+        for k in itertools.count(1)
+        if not os.path.lexists(name := path.with_name(f"{path.name}.{suffix}{'' if k == 1 else k}"))
+    )
+    try:
+        os.rename(path, aside)
+    except FileNotFoundError:  # whoever removed it has spared us the trouble
+        return aside
+    except OSError as error:
+        raise _cannot_write(path, error) from error
+    warnings.warn(f"{path}: {why}; set aside as {aside.name}, and computed again", SetAside, stacklevel=2)
+    return aside
 
 
 @contextmanager
@@ -207,6 +260,7 @@ def _beside(path: Path) -> Iterator[Path]:
     try:
         _remove_stale(path)
         folder = Path(tempfile.mkdtemp(prefix=_prefix(path, os.getpid()), suffix=".tmp", dir=path.resolve().parent))
+        _open[folder] = path
         folder.chmod(0o755)
         yield folder
     except OSError as error:
@@ -218,7 +272,23 @@ def _beside(path: Path) -> Iterator[Path]:
         raise _cannot_write(path, error) from error
     finally:
         if folder is not None:
-            shutil.rmtree(folder, ignore_errors=True)
+            _remove_temporary(folder, path)
+            _open.pop(folder, None)
+
+
+def remove_temporaries() -> None:
+    """Remove what this process is writing at present: it is about to end, and not by itself."""
+    for folder, path in list(_open.items()):
+        _remove_temporary(folder, path)
+
+
+def _remove_temporary(folder: Path, path: Path) -> None:
+    """Remove a temporary folder of `path`; a result that was moved there and not yet replaced goes back first."""
+    target, old = path.resolve(), folder / f"{path.name}{OLD}"
+    with suppress(OSError):
+        if old.exists() and not os.path.lexists(target):
+            os.rename(old, target)
+    shutil.rmtree(folder, ignore_errors=True)
 
 
 def _cannot_write(path: Path, error: OSError) -> OutputError:
@@ -236,7 +306,7 @@ def _remove_stale(path: Path) -> None:
     for left in path.resolve().parent.glob(f".{glob.escape(path.name)}.*.tmp"):
         process = left.name.removeprefix(start).partition("-")[0]
         if left.name.startswith(start) and process.isdigit() and not _alive(int(process)):
-            shutil.rmtree(left, ignore_errors=True)
+            _remove_temporary(left, path)
 
 
 def _alive(process: int) -> bool:
@@ -265,7 +335,7 @@ def _exchange(new: Path, old: Path) -> None:
     """Swap two folders: in one step where the system can, else by two renames, the first undone if the second fails."""
     if _exchange_at_once(new, old):
         return
-    aside = new.with_name(f"{new.name}.old")
+    aside = new.with_name(f"{new.name}{OLD}")
     os.rename(old, aside)
     try:
         os.rename(new, old)

@@ -47,21 +47,20 @@ def command(model, to, out, white, level, with_, without, set_, overwrite, seed,
     from pixelid.fit.draws import read_fit
     from pixelid.model.options import changed
     from pixelid.model.shipped import find_model, model_files
-    from pixelid.outputs import refuse_existing, refuse_inputs, whole_file
+    from pixelid.outputs import claimed, whole_file
     from pixelid.provenance import provenance
 
-    refuse_inputs(out, [model])
-    refuse_existing(out, overwrite)
-    circuit_model, remarks = changed(find_model(model), with_, without, set_)
-    light = Light(white, white if level is None else level, circuit_model.radiance_unit)
-    result = export(circuit_model, to, light, seed)
-    fitted = read_fit(Path(model))
-    if fitted is not None:
-        open_ = [f"not identified by the fit: {sentence}" for sentence in fitted.get("unidentified", ())]
-        result = replace(result, lost=(*result.lost, *open_))
-    result = replace(result, provenance={"seed": seed, **provenance(*model_files(model))})
-    with whole_file(out, overwrite) as path:
-        write(result, path, as_json=out.suffix == ".json")
+    with claimed(out, overwrite, [model]):
+        circuit_model, remarks = changed(find_model(model), with_, without, set_)
+        light = Light(white, white if level is None else level, circuit_model.radiance_unit)
+        result = export(circuit_model, to, light, seed)
+        fitted = read_fit(Path(model))
+        if fitted is not None:
+            open_ = [f"not identified by the fit: {sentence}" for sentence in fitted.get("unidentified", ())]
+            result = replace(result, lost=(*result.lost, *open_))
+        result = replace(result, provenance={"seed": seed, **provenance(*model_files(model))})
+        with whole_file(out, overwrite) as path:
+            write(result, path, as_json=out.suffix == ".json")
     if not quiet:
         say(*remarks, result.table().text())
         say_sentences(result.remarks())

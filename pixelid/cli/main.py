@@ -9,8 +9,9 @@ import traceback
 
 import click
 
-from pixelid.cli.terminal import complain, use_utf8
+from pixelid.cli.terminal import complain, use_utf8, warnings_as_lines
 from pixelid.errors import PixelidError, did_you_mean
+from pixelid.interruption import INTERRUPTED, SENTENCE, end_on_interrupt
 
 # Recordings already share out the cores; BLAS threads for ten by ten matrices spin on them.  Before NumPy is imported.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -33,7 +34,9 @@ COMMANDS = {
     "gap": "Which effect a model lacks: find it, name it, add it.",
     "conform": "What of the signal path a simulator or camera has, effect by effect.",
     "export": "A circuit in the parameters of another simulator.",
+    "dataset": "Published raw data in the layout that reconstruct reads.",
     "reconstruct": "A sharp scene from motion-blurred events.",
+    "render": "Views, videos, depth, meshes and splats of a reconstruction.",
     "report": "A one-page report.html for any result folder.",
     "demo": "The whole story on embedded data, minutes on a laptop.",
 }
@@ -75,7 +78,8 @@ def main(argv: list[str] | None = None) -> int:
     """
     use_utf8()
     try:
-        code = cli.main(args=argv, prog_name="pixelid", standalone_mode=False)
+        with warnings_as_lines():
+            code = cli.main(args=argv, prog_name="pixelid", standalone_mode=False)
         return code if isinstance(code, int) else 0
     except PixelidError as error:
         complain(str(error))
@@ -92,11 +96,16 @@ def main(argv: list[str] | None = None) -> int:
         return 2
     except MemoryError as error:
         print(f"pixelid: not enough memory{f' ({error})' if str(error) else ''}", file=sys.stderr)
-        return 1
-    except (click.Abort, KeyboardInterrupt):
-        print("pixelid: interrupted; nothing was left half written", file=sys.stderr)
-        return 130
+        return 2
+    except KeyboardInterrupt:
+        return _interrupted()
     except Exception as error:
+        if isinstance(
+            error, click.Abort
+        ):  # what click makes of KeyboardInterrupt; and of EOFError, which is no such thing
+            if not isinstance(error.__cause__, EOFError):
+                return _interrupted()
+            error = error.__cause__
         if os.environ.get("PIXELID_DEBUG") == "1":
             traceback.print_exc()
         words = " ".join(str(error).split())[:300]
@@ -107,6 +116,19 @@ def main(argv: list[str] | None = None) -> int:
         return 1
 
 
+def _interrupted() -> int:
+    print(SENTENCE, file=sys.stderr)
+    return INTERRUPTED
+
+
 def run() -> None:
     """Console entry point."""
+    end_on_interrupt(_remove_temporaries)
     sys.exit(main())
+
+
+def _remove_temporaries() -> None:
+    """What a forced end leaves to do."""
+    outputs = sys.modules.get("pixelid.outputs")  # imported by whatever writes
+    if outputs is not None:
+        outputs.remove_temporaries()

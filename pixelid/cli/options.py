@@ -79,8 +79,8 @@ def _region(context: click.Context, parameter: click.Parameter, text: str | None
     if text is None:
         return None
     parts = text.split(",")
-    if len(parts) != 4 or not all(part.strip().isdigit() for part in parts):
-        raise click.BadParameter(f"expected x0,y0,x1,y1 in pixels, found {text!r}")
+    if len(parts) != 4 or not all(part.strip().isdecimal() and len(part) < 20 for part in parts):
+        raise click.BadParameter(f"expected x0,y0,x1,y1 in pixels, found {text[:60]!r}")
     x0, y0, x1, y1 = (int(part) for part in parts)
     return x0, y0, x1, y1
 
@@ -93,7 +93,7 @@ def _span(context: click.Context, parameter: click.Parameter, text: str | None) 
     try:
         begin, end = (float(part) if part.strip() else default for part, default in zip(parts, (0.0, 9e9), strict=True))
     except ValueError:
-        raise click.BadParameter(f"expected from:to in seconds, found {text!r}") from None
+        raise click.BadParameter(f"expected from:to in seconds, found {text[:60]!r}") from None
     return begin, end
 
 

@@ -29,11 +29,19 @@ Example:
 @click.option("--bootstrap", type=click.IntRange(0), default=200, show_default=True, help="Replicates over pixels.")
 @click.option("--workers", type=click.IntRange(0), default=0, help="Local Dask processes; 0: this process alone.")
 @click.option("--cluster", default="", metavar="tcp://HOST:PORT", help="A running Dask scheduler.")
+@click.option(
+    "--tls-ca", type=options.PATH, help="Certificate of the scheduler's authority (PEM), for tls://HOST:PORT."
+)
+@click.option("--tls-cert", type=options.PATH, help="Certificate to show the scheduler, which takes nobody without.")
+@click.option("--tls-key", type=options.PATH, help="Its private key.")
 @options.crop
 @options.overwrite
 @options.seed()
 @options.quiet
-def command(recordings, model, out, bandwidth, block, tile, bootstrap, workers, cluster, crop, overwrite, seed, quiet):
+def command(
+    recordings, model, out, bandwidth, block, tile, bootstrap, workers, cluster, tls_ca, tls_cert, tls_key, crop,
+    overwrite, seed, quiet,
+):  # fmt: skip
     """Map thresholds and a bandwidth over the sensor of RECORDINGS (files or folders, full-field light).
 
     Every pixel is estimated, the population fitted, and each pixel shrunk towards it by what its own events say.
@@ -44,13 +52,13 @@ def command(recordings, model, out, bandwidth, block, tile, bootstrap, workers, 
 
     from pixelid.cli.progress import bar
     from pixelid.cli.terminal import say
-    from pixelid.errors import InputError
     from pixelid.outputs import claimed, whole_folder
 
-    if cluster and workers:
-        raise InputError("--cluster and --workers exclude each other")
     keep = out.with_name(out.name + ".tiles")
     with claimed(out, overwrite, [*recordings, model]):
+        from pixelid.sensors.work import Where
+
+        where = Where(cluster, workers, tls_ca, tls_cert, tls_key)
         from pixelid.model.shipped import find_model
         from pixelid.recordings import open_recordings
 
@@ -58,7 +66,6 @@ def command(recordings, model, out, bandwidth, block, tile, bootstrap, workers, 
         opened = open_recordings(recordings, crop, seed)
         from pixelid.report.html import write_report
         from pixelid.sensors import fit_sensor
-        from pixelid.sensors.work import Where
 
         with bar(quiet, compiles=True) as report:
             fit = fit_sensor(
@@ -68,7 +75,7 @@ def command(recordings, model, out, bandwidth, block, tile, bootstrap, workers, 
                 block=block,
                 tile=tile,
                 replicates=bootstrap,
-                where=Where(cluster, workers),
+                where=where,
                 keep=keep,
                 seed=seed,
                 progress=report,

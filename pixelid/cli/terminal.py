@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import os
 import sys
-from collections.abc import Iterable
+import warnings
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from typing import Any
 
 import click
 
 from pixelid.documents import printable
+from pixelid.errors import SetAside
 
 MOST_CHARACTERS = 1000  # of a line of an error
 
@@ -18,6 +23,23 @@ def use_utf8() -> None:
         reconfigure = getattr(stream, "reconfigure", None)  # absent where a test or notebook has replaced the stream
         if reconfigure is not None:
             reconfigure(encoding="utf-8", errors="replace")
+
+
+@contextmanager
+def warnings_as_lines() -> Iterator[None]:
+    """Print our own warnings as one plain line each; those of libraries say nothing to users (PIXELID_DEBUG=1 does)."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("always", SetAside)
+        others = warnings.showwarning
+
+        def show(message: Warning | str, category: type[Warning], *where: Any) -> None:
+            if issubclass(category, SetAside):
+                complain(str(message))
+            elif os.environ.get("PIXELID_DEBUG") == "1":
+                others(message, category, *where)
+
+        warnings.showwarning = show
+        yield
 
 
 def complain(message: str) -> None:

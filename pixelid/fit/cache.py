@@ -3,7 +3,7 @@
 Whatever is decided from fits follows from them, and a fit follows from its events and stimuli, from the model it starts
 at and from its settings.  A hash of those is the key.  The file holds one JSON line per fit, each with a checksum, and
 only grows.  A line cut off by an interruption is dropped; a file that is damaged otherwise is set aside beside itself
-(`….damaged`), its sound lines are kept, and what they lack is computed again.
+(`….damaged`) and that is said, its sound lines are kept, and what they lack is computed again.
 """
 
 from __future__ import annotations
@@ -16,9 +16,11 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from pixelid import __version__
+from pixelid.errors import OutputError
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.model.files import to_document
 from pixelid.model.model import Model
+from pixelid.outputs import set_aside
 from pixelid.recordings.recording import Recording
 
 DIGEST_BYTES = 16  # 2⁻⁶⁴ for two of a search's few thousand fits to share a key
@@ -45,8 +47,11 @@ class FitCache:
     def add(self, key: str, entry: dict) -> None:
         """Keep an entry, and write it out."""
         self._entries[key] = entry
-        with self.path.open("a", encoding="utf-8") as file:
-            file.write("\n" + _line(key, entry))
+        try:
+            with self.path.open("a", encoding="utf-8") as file:
+                file.write("\n" + _line(key, entry))
+        except OSError as error:
+            raise OutputError(f"{self.path}: cannot be written ({error.strerror or error})") from error
 
     def remove(self) -> None:
         """Remove the file: the computation is done."""
@@ -65,6 +70,8 @@ class FitCache:
         hashed = hashlib.blake2b(self._events[likelihood], digest_size=DIGEST_BYTES)
         priors = {p.name: p.prior for p in model.parameters.values() if p.prior is not None}
         hashed.update(repr((__version__, to_document(model), priors, settings)).encode())
+        if model.nuisances:
+            hashed.update(repr(sorted(model.nuisances.items())).encode())
         return hashed.hexdigest()
 
     def _read(self) -> None:
@@ -72,7 +79,7 @@ class FitCache:
         read = [_entry(line) for line in lines if line]
         self._entries = dict(pair for pair in read if pair is not None)
         if None in read[:-1]:  # not just cut off at its end
-            self.path.replace(self.path.with_name(self.path.name + ".damaged"))
+            set_aside(self.path, "is damaged (its sound lines are kept)", "damaged")
             for key, entry in self._entries.items():
                 self.add(key, entry)
 
@@ -89,7 +96,7 @@ def _entry(line: bytes) -> tuple[str, dict] | None:
         if parts["checksum"] != _checksum(parts["key"], parts["entry"]):
             return None
         return parts["key"], json.loads(parts["entry"])
-    except (ValueError, KeyError, TypeError):
+    except (ValueError, KeyError, TypeError, RecursionError):
         return None
 
 

@@ -144,7 +144,7 @@ class Recipe:
 
 def chain_beside(out: Path) -> Path:
     """Where the chains of an unfinished sampling wait to be continued: beside the result folder, hidden."""
-    return out.with_name(f".{out.name}.chain.h5")
+    return out.with_name(f".{out.name}.chain.npz")
 
 
 def read_recipe(path: Path) -> Recipe:

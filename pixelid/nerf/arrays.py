@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import zipfile
 from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
 
+from pixelid.arrays import load_arrays
+from pixelid.documents import shown
 from pixelid.errors import InputError
 
 
@@ -15,22 +16,19 @@ def read_arrays(file: Path, keys: Iterable[str]) -> dict[str, np.ndarray]:
     """The arrays of an npz file under these keys.  Raises InputError for a missing or damaged file and missing keys."""
     if not file.is_file():
         raise InputError(f"{file}: no such file")
-    try:
-        with np.load(file, allow_pickle=False) as stored:
-            missing = [key for key in keys if key not in stored.files]
-            if missing:
-                raise InputError(f"{file}: {missing[0]}: missing; the file has {', '.join(stored.files) or 'nothing'}")
-            return {key: stored[key] for key in keys}
-    except (zipfile.BadZipFile, OSError, EOFError, ValueError, AttributeError, KeyError) as error:
-        raise InputError(f"{file}: expected an npz file of plain arrays ({str(error).splitlines()[0][:80]})") from None
+    stored = load_arrays(file)
+    missing = [key for key in keys if key not in stored]
+    if missing:
+        found = shown(", ".join(stored) or "nothing", 200)
+        raise InputError(f"{file}: {missing[0]}: missing; the file has {found}")
+    return {key: stored[key] for key in keys}
 
 
 def has_none(file: Path, keys: Iterable[str]) -> bool:
     """Whether an npz file is there and has none of these keys."""
     try:
-        with np.load(file, allow_pickle=False) as stored:
-            return not set(keys) & set(stored.files)
-    except (zipfile.BadZipFile, OSError, EOFError, ValueError, AttributeError):
+        return not set(keys) & set(load_arrays(file))
+    except InputError:
         return False
 
 

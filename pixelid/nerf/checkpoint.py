@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from pixelid.errors import InputError
+from pixelid.nerf import parallel
 from pixelid.nerf.pixel import Bandwidth
 from pixelid.nerf.train import Problem, Recipe, State, optimiser_of, start
-from pixelid.outputs import whole_file
+from pixelid.outputs import set_aside, whole_file
 
 FORMAT = "pixelid-reconstruction-checkpoint"
 
@@ -40,16 +40,32 @@ def save(path: Path, state: State, mark: str) -> None:
         torch.save(document, temporary)
 
 
-def load(path: Path, problem: Problem, recipe: Recipe, bandwidth: Bandwidth, mark: str, device: str = "cpu") -> State:
-    """The state of a checkpoint.  Raises InputError for a damaged file and for one of another run."""
+def load(
+    path: Path, problem: Problem, recipe: Recipe, bandwidth: Bandwidth, mark: str, device: str = "cpu"
+) -> State | None:
+    """The state of a checkpoint; None for a damaged file and for one of another run, which are set aside, and said."""
     try:
         document = torch.load(path, map_location=device, weights_only=True)
         if document["format"] != FORMAT:
             raise KeyError("format")
-    except Exception as error:  # unpickling fails in many ways
-        raise InputError(f"{path}: not a checkpoint of a reconstruction ({str(error).splitlines()[0][:80]})") from None
-    if document["mark"] != mark:
-        raise InputError(f"{path}: is of a run with other data, options or seed; remove it to start again")
+        foreign = document["mark"] != mark
+        state = None if foreign else _restored(document, problem, recipe, bandwidth, device)
+    except Exception:  # unpickling fails in many ways, and so does what was pickled otherwise
+        _refuse(path, "is no checkpoint of a reconstruction, or damaged", "damaged")
+        return None
+    if state is None:
+        _refuse(path, "is of a run with other data, options or seed", "other")
+    return state
+
+
+def _refuse(path: Path, why: str, suffix: str) -> None:
+    """Set the file aside, once where several processes share the work."""
+    if parallel.rank() == 0:
+        set_aside(path, why, suffix)
+
+
+def _restored(document: dict, problem: Problem, recipe: Recipe, bandwidth: Bandwidth, device: str) -> State:
+    """The state that `save` put down."""
     state = start(problem, recipe, bandwidth, device)
     state.field.grid = torch.nn.Parameter(document["grid"])
     with torch.no_grad():

@@ -44,10 +44,15 @@ class Scores:
     def means(self) -> dict[str, float | None]:
         """Over the test views."""
         return {
-            "psnr": float(self.psnr.mean()),
-            "ssim": float(self.ssim.mean()),
-            "lpips": None if self.lpips is None else float(self.lpips.mean()),
+            "psnr": _mean(self.psnr),
+            "ssim": _mean(self.ssim),
+            "lpips": None if self.lpips is None else _mean(self.lpips),
         }
+
+
+def _mean(values: np.ndarray) -> float:
+    """NaN of nothing."""
+    return float(values.mean()) if len(values) else float("nan")
 
 
 def render_views(field: Field, views: Views, dark, *, supersample: int = 1, engine: str = "auto") -> np.ndarray:
@@ -103,8 +108,10 @@ def evaluate(field: Field, validation: Views, test: Views, dark, supersample: in
         supersample: rays per pixel and side.
 
     Returns:
-        Scores of every test view.
+        Scores of every test view, of which there may be none.
     """
+    if len(test) == 0:
+        return no_scores(test)
     correction = fit_correction(
         render_views(field, validation, dark, supersample=supersample), validation.images, validation.exposure
     )
@@ -117,6 +124,8 @@ def evaluate_as_published(field: Field, test: Views, dark) -> Scores:
     The correction is fitted to the very views that are scored, with one exponent for all colours; nothing is clipped,
     and PSNR is relative to the span of values that a picture can hold.
     """
+    if len(test) == 0:
+        return no_scores(test)
     predicted = render_views(field, test, dark)
     correction = fit_shared_correction(predicted, test.images, test.exposure)
     images = correction(predicted, test.exposure)

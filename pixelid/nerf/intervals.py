@@ -66,26 +66,32 @@ class Chains(NamedTuple):
 def intervals(
     t, x, y, on, width: int, *, dead=0.0, lag=0.0, shortest=0.0, noise=NOISE, drift=0.0, memory=0.0
 ) -> Intervals:
-    """Stretches of events in order of time.
+    """Stretches of events (N,) in order of time.
 
     dead, lag, shortest, noise: see `stretches`;  drift: of the thresholds, relative, per second from t = 0;  memory:
     by how much, relative, an event of one polarity makes the next threshold of the same polarity larger and of the
     other smaller
     """
-    pixel = y * width + x
-    order = np.lexsort((t, pixel))
-    t, pixel, on = (np.ascontiguousarray(column[order]) for column in (t, pixel, on))
-    same = np.concatenate([[0.0], np.where(on[1:] == on[:-1], 1.0, -1.0) * (pixel[1:] == pixel[:-1])])
-    size = np.maximum(1.0 + drift * t + memory * same, LEAST) if drift or memory else None
+    pixel = np.asarray(y, np.int32) * np.int32(width) + np.asarray(x, np.int32)
+    order = np.argsort(pixel, kind="stable")
+    pixel, t, on = pixel[order], np.asarray(t)[order], np.asarray(on)[order]
+    del order  # as large as the times
+    size = None
+    if drift or memory:
+        same = np.concatenate([[0.0], np.where(on[1:] == on[:-1], 1.0, -1.0) * (pixel[1:] == pixel[:-1])])
+        size = np.maximum(1.0 + drift * t + memory * same, LEAST)
     cut = stretches(t, pixel, on, dead, lag, shortest, noise, size)
-    return Intervals(cut, np.arange(len(cut.begin)))
+    return Intervals(cut, np.arange(len(cut.begin), dtype=np.int32))
 
 
 def split(every: Intervals, share: float, rng: np.random.Generator) -> tuple[Intervals, Intervals]:
     """(training, held out): `share` of the pixels is held out with all its events."""
-    pixels = np.unique(every.stretches.pixel)
+    pixel = every.stretches.pixel  # in order
+    pixels = pixel[np.concatenate([[True], pixel[1:] != pixel[:-1]])].astype(np.int64)
     out = rng.permutation(pixels)[: max(1, round(share * len(pixels)))] if share > 0 else pixels[:0]
-    held = np.isin(every.stretches.pixel[every.starts], out)
+    is_out = np.zeros(pixels[-1] + 1, bool)
+    is_out[out] = True
+    held = is_out[pixel[every.starts]]
     return every.of(~held), every.of(held)
 
 
@@ -102,7 +108,7 @@ def chains(every: Intervals, starts, samples: int, rate: float, rng: np.random.G
     an output places a part `OWN` itself.
     """
     samples = 1 + math.ceil(OWN * (samples - 1))
-    first_of_run = every.starts[np.asarray(starts)]
+    first_of_run = every.starts[np.asarray(starts)].astype(np.int64)
     runs = len(first_of_run)
     random = rng.random((runs, CHAIN, 3))
     shape = (runs, CHAIN)
@@ -117,9 +123,10 @@ def chains(every: Intervals, starts, samples: int, rate: float, rng: np.random.G
         first_of_run, f.begin, f.end, f.pixel, f.burst, lifetimes, rate, random, t, first, begin, end, weight, which,
         sub,
     )  # fmt: skip
+    rise, fall, variance = (column[which].astype(np.float64) for column in (f.rise, f.fall, f.variance))
     return Chains(
-        t[:n].copy(), first, f.pixel[first_of_run], begin, end, weight, f.rise[which], f.fall[which],
-        f.variance[which], f.reset[which], f.burst[which], sub,
+        t[:n].copy(), first, f.pixel[first_of_run].astype(np.int64), begin, end, weight, rise, fall, variance,
+        f.reset[which], f.burst[which], sub,
     )  # fmt: skip
 
 

@@ -16,7 +16,7 @@ from pixelid.nerf.intervals import intervals, split
 from pixelid.nerf.pixel_maps import PixelMaps, find_hot, maps_of_circuit
 from pixelid.nerf.stretches import NOISE
 from pixelid.nerf.train import Problem
-from pixelid.nerf.views import Views
+from pixelid.nerf.views import Views, no_views
 
 CLOSE_PIXELS = 0.5  # pixels: about half the width of the field's edges
 HELD_OUT = 0.03  # share of pixels whose events are kept from training
@@ -63,13 +63,15 @@ def problem_of(
             raise InputError(f"--box: expected low corner below high corner, found {list(box)}")
     circuit = calibration.circuit
     maps = maps_of_circuit(circuit, camera.width * camera.height) if maps is None else maps
-    events = dataset.t, dataset.x, dataset.y, dataset.on
-    hot = np.union1d(maps.hot, find_hot(*events[1:], camera, circuit, float(dataset.t[-1] - dataset.t[0])))
+    t, x, y, on = dataset.t, dataset.x, dataset.y, dataset.on
+    hot = np.union1d(maps.hot, find_hot(x, y, on, camera, circuit, float(t[-1] - t[0])))
     if len(hot):
-        kept = ~np.isin(dataset.y * camera.width + dataset.x, hot)
-        maps, events = replace(maps, hot=hot), tuple(column[kept] for column in events)
+        is_hot = np.zeros(camera.width * camera.height, bool)
+        is_hot[hot] = True
+        kept = ~is_hot[y * camera.width + x]
+        maps, (t, x, y, on) = replace(maps, hot=hot), (column[kept] for column in (t, x, y, on))
     every = intervals(
-        *events, camera.width, dead=circuit.refractory, lag=1 / circuit.differencing,
+        t, x, y, on, camera.width, dead=circuit.refractory, lag=1 / circuit.differencing,
         shortest=close * crossing_time(dataset.trajectory, camera, low, high),
         noise=math.hypot(circuit.noise, circuit.mismatch) or NOISE, drift=circuit.threshold_drift,
         memory=circuit.polarity_memory,
@@ -90,15 +92,18 @@ def evaluation_views(dataset: Dataset) -> tuple[Views, Views]:
     """The views that fix the correction and those that are scored, apart from each other.
 
     Test views are scored and validation views correct them; a missing stage is stood in for by the next, a single one
-    is halved.
+    is halved; a dataset without views has none of either.
 
     Args:
-        dataset: with views of one stage at least.
+        dataset: as read.
 
     Returns:
         (views that fix the correction, views that are scored).
     """
     stages = [dataset.views[stage] for stage in ("test", "val", "train") if stage in dataset.views]
+    if not stages:
+        nothing = no_views(dataset.calibration.camera, dataset.calibration.channels)
+        return nothing, nothing
     if len(stages) == 1:
         every = np.arange(len(stages[0]))
         return (stages[0], stages[0]) if len(every) == 1 else (stages[0].some(every[1::2]), stages[0].some(every[::2]))

@@ -206,10 +206,10 @@ def reconstruct(
     validation, test = evaluation_views(dataset)
     mark = checkpoint.run_identity(problem, recipe, bandwidth, inputs)
     parallel.join()
+    state = None
     if resume is not None and Path(resume).exists():
-        state = checkpoint.load(resume, problem, recipe, bandwidth, mark, device)
-    else:
-        state = start(problem, recipe, bandwidth, device)
+        state = checkpoint.load(Path(resume), problem, recipe, bandwidth, mark, device)
+    state = start(problem, recipe, bandwidth, device) if state is None else state
     before, spent = state.rays, time.perf_counter()
 
     def report(now: State, measured: dict[str, float]) -> None:
@@ -242,7 +242,7 @@ def reconstruct(
 
 def _running(state: State, problem: Problem, validation: Views) -> float:
     """PSNR of one validation view, corrected on another (or on itself when it is alone)."""
-    if not state.finite:
+    if not state.finite or len(validation) == 0:
         return float("nan")
     first, second = validation.some([0]), validation.some([len(validation) - 1])
     return float(evaluate(state.field, first, second, problem.dark).psnr.mean())

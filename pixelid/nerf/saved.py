@@ -51,11 +51,15 @@ class SavedReconstruction(Result):
     def headline(self) -> str:
         """Status and scores."""
         views = self.content["views"]
+        scored = (
+            f"{_digits(views['psnr'], 2)} dB{self._published}, SSIM {_digits(views['ssim'], 3)} over "
+            f"{len(views['per_view'])} test views"
+            if views["per_view"]
+            else "no views to compare with"
+        )
         return (
-            f"reconstruction: {self.status}; {_digits(views['psnr'], 2)} dB{self._published}, "
-            f"SSIM {_digits(views['ssim'], 3)} over {len(views['per_view'])} test views, "
-            f"{_digits(self.content['held_out_residual'], 2)} of held-out changes unexplained, "
-            f"{self.content['seconds']:.0f} s"
+            f"reconstruction: {self.status}; {scored}, {_digits(self.content['held_out_residual'], 2)} of held-out "
+            f"changes unexplained, {self.content['seconds']:.0f} s"
         )
 
     @property

@@ -267,6 +267,7 @@ def _off_level(
     Dark current is part of the light: below it the events say nothing, and a mean of logs would be full of it.
     """
     views = problem.gauge.reference
+    assert views is not None  # a gauge of this kind has them
     which = rng.integers(0, len(views), number)
     x, y = rng.integers(0, views.camera.width, number), rng.integers(0, views.camera.height, number)
     channel = rng.integers(0, len(problem.dark), number)

@@ -14,6 +14,8 @@ if TYPE_CHECKING:
     from jaxtyping import Int64, UInt8, UInt16
 
 NS_PER_UNIT = {"ns": 1, "us": 1_000, "ms": 1_000_000, "s": 1_000_000_000}
+MOST_SIDE = 1 << 16  # addresses have 16 bits
+MOST_PIXELS = 1 << 24  # ten times the largest sensors; one number per pixel takes 128 MiB
 
 
 @dataclass(frozen=True)
@@ -74,7 +76,7 @@ class Events:
         A part of a longer recording says how many events came `before` and the time of the last of them.
 
         Raises InputError naming `where` for unequal lengths, non-integer or negative or decreasing
-        times, pixels outside the sensor, and polarities other than 0 and 1.
+        times, sensors larger than any that exist, pixels outside the sensor, and polarities other than 0 and 1.
         """
         t, x, y, p = (np.asarray(c) for c in (t, x, y, p))
         lengths = {len(c) for c in (t, x, y, p)}
@@ -87,6 +89,11 @@ class Events:
             raise InputError(f"{where}/t: {int(t.max())} does not fit a signed 64-bit integer")
         if width <= 0 or height <= 0:
             raise InputError(f"{where}: sensor size must be positive, found {width} x {height}")
+        if max(width, height) > MOST_SIDE or width * height > MOST_PIXELS:
+            raise InputError(
+                f"{where}: expected a sensor of at most {MOST_SIDE} columns and rows and {MOST_PIXELS} pixels, found "
+                f"{width} x {height}"
+            )
         t = t.astype(np.int64, copy=False)
         if len(t):
             if t[0] < 0:

@@ -27,7 +27,7 @@ from typing import IO, Any
 
 import numpy as np
 
-from pixelid.documents import printable
+from pixelid.documents import printable, refuse_hollow
 from pixelid.errors import InputError
 from pixelid.outputs import plain
 from pixelid.recordings.events import Events
@@ -44,10 +44,14 @@ READERS = {  # name → module with the function `read` (or the function named)
 STREAMING = {  # those with the function `stream`; bags and MATLAB files are read whole by the child
     name: READERS[name] for name in ("aedat2", "decoded", "hdf5", "npz", "text")
 }
-# per file: imports take up to 1 s, readers 1e-8 (binary) to 1e-7 s (text) a byte; .h5 packs to one byte an event, which
-# takes 2e-7 s to unpack and check
-CPU_S, CPU_S_PER_BYTE = 2.0, 5e-7
-WALL_S = 20.0  # beside the CPU's time: waiting for a disk
+LIBRARIES = {  # what readers import; that takes a second, which is none of a file's
+    "decoded": ("faery.extension", "faery.file_decoder"), "hdf5": ("h5py",), "matlab": ("scipy.io",),
+    "ros": ("rosbags.highlevel", "rosbags.typesys", "faery.extension"),
+}  # fmt: skip
+# per file, after the imports: readers take 1e-8 (binary) to 1e-7 s (text) a byte; .h5 packs to one byte an event, which
+# takes 2e-7 s to unpack and check.  A core that several programs share does them at half its speed.
+CPU_S, CPU_S_PER_BYTE = 3.0, 1e-6
+LOOK_S, MOST_IDLE_LOOKS = 2.0, 15  # a child that sleeps at every one of so many looks waits for nothing that comes
 MEMORY_BYTES, MEMORY_PER_BYTE = 4 << 30, 64  # address space: libraries take 1 GiB; compressed columns grow tenfold
 START = (
     "import json, sys; sys.path[:] = json.loads(sys.argv[1])\nfrom pixelid.recordings.isolated import serve; serve()"
@@ -74,6 +78,7 @@ def _regular(path: Path) -> tuple[Path, int]:
         raise InputError(f"{path}: cannot be read ({error.strerror})") from None
     if not stat.S_ISREG(status.st_mode):
         raise InputError(f"{path}: expected a regular file, found a device, pipe or socket")
+    refuse_hollow(path)
     return path, status.st_size
 
 
@@ -142,22 +147,23 @@ class _Child:
         assert process.stdin is not None
         assert process.stdout is not None
         cpu_s = _cpu_s(size)
-        watch = threading.Timer(_crowding() * (WALL_S + 4.0 * cpu_s), process.kill)
-        watch.daemon = True
+        received = _Counted(process.stdout)
+        answered = threading.Event()
+        watch = threading.Thread(target=_end_idle, args=(process, received, answered), daemon=True)
         watch.start()
         try:
             process.stdin.write(request)
             process.stdin.flush()
-            answer = _receive(process.stdout)
+            answer = _receive(received)
         except (EOFError, OSError, ValueError):
             code = process.wait()
             self._process = None
             why = {
-                -signal.SIGPROF: f"took more than {cpu_s:.0f} s", -signal.SIGKILL: "took too long, or too much memory",
+                -signal.SIGPROF: f"took more than {cpu_s:.0f} s", -signal.SIGKILL: "hung, or took too much memory",
             }.get(code, "made the decoder crash")  # fmt: skip
             raise InputError(f"{path}: damaged: reading it {why}") from None
         finally:
-            watch.cancel()
+            answered.set()
         if "error" in answer:
             raise InputError(answer["error"])
         return answer if "events" in answer else None
@@ -181,12 +187,47 @@ def _cpu_s(size: int) -> float:
     return CPU_S + CPU_S_PER_BYTE * size
 
 
-def _crowding() -> float:
-    """How many processes share a core at present, at least one: each gets its turn that much later."""
+class _Counted:
+    """A pipe that counts what came through it."""
+
+    def __init__(self, pipe: IO[bytes]) -> None:
+        self._pipe, self.count = pipe, 0
+
+    def read(self, count: int) -> bytes:
+        data = self._pipe.read(count)
+        self.count += len(data)
+        return data
+
+    def readinto(self, view: memoryview) -> int:
+        count = self._pipe.readinto(view) or 0  # type: ignore[attr-defined]
+        self.count += count
+        return count
+
+
+def _end_idle(process: subprocess.Popen, received: _Counted, answered: threading.Event) -> None:
+    """Kill a child that neither computes nor sends nor waits for its turn, look after look.
+
+    How long that takes is no measure: a child gets little of a core that others want, none while the machine sleeps or
+    the terminal has stopped it, and its own CPU limit sees to those that loop.
+    """
+    idle, before = 0, None
+    while not answered.wait(LOOK_S):
+        state, cpu = _state(process.pid)
+        now = cpu, received.count
+        idle = idle + 1 if now == before and state == "S" else 0
+        before = now
+        if idle >= MOST_IDLE_LOOKS:
+            process.kill()
+            return
+
+
+def _state(process: int) -> tuple[str, int]:
+    """(state, clock ticks of CPU used) of a process: S sleeps, R runs or could, D waits for a disk, T is stopped."""
     try:
-        return max(1.0, os.getloadavg()[0] / max(os.cpu_count() or 1, 1))
-    except (OSError, AttributeError):  # not known on this system
-        return 1.0
+        fields = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
+        return fields[0], int(fields[11]) + int(fields[12])
+    except (OSError, ValueError, IndexError):  # not known on this system: only the CPU's limit holds there
+        return "", 0
 
 
 def serve() -> None:
@@ -199,6 +240,9 @@ def serve() -> None:
         os.dup2(nothing, descriptor)
     for line in requests:
         request = json.loads(line)
+        for name in (READERS[request["reader"]], *LIBRARIES.get(request["reader"], ())):
+            with contextlib.suppress(ImportError):  # the reader will say so
+                importlib.import_module(name)
         _limit(request["cpu_s"], request["bytes"])
         for header, arrays in _answers(request):
             _send(answers, header, arrays)
@@ -311,7 +355,7 @@ def _send(pipe: IO[bytes], header: dict, arrays: list[np.ndarray]) -> None:
     pipe.flush()
 
 
-def _receive(pipe: IO[bytes]) -> dict[str, Any]:
+def _receive(pipe: _Counted) -> dict[str, Any]:
     """The header of an answer, each description of a column replaced by the column, in the order they were sent."""
     header = json.loads(_exactly(pipe, int.from_bytes(_exactly(pipe, 8), "little")))
 
@@ -326,17 +370,17 @@ def _receive(pipe: IO[bytes]) -> dict[str, Any]:
     return {**filled(header), "attributes": attributes}
 
 
-def _exactly(pipe: IO[bytes], count: int) -> bytes:
+def _exactly(pipe: _Counted, count: int) -> bytes:
     data = pipe.read(count)
     if len(data) < count:
         raise EOFError
     return data
 
 
-def _fill(pipe: IO[bytes], array: np.ndarray) -> None:
+def _fill(pipe: _Counted, array: np.ndarray) -> None:
     view, done = array.data, 0
     while done < len(view):
-        count = pipe.readinto(view[done:])  # type: ignore[attr-defined]
+        count = pipe.readinto(view[done:])
         if not count:
             raise EOFError
         done += count

@@ -59,7 +59,7 @@ def stream(path: Path) -> tuple[Recording, Iterator[Recording]]:
 def _opened(path: Path):
     """Metadata, arrays of the stimulus or None, blocks of columns, unit and tick [ns] of the times."""
     try:
-        with path.open(encoding="utf-8") as file:
+        with path.open(encoding="utf-8-sig") as file:
             meta, stimulus, order, first = _header(file, path)
     except UnicodeDecodeError as error:
         raise InputError(f"{path}: expected text, found binary data") from error
@@ -69,7 +69,7 @@ def _opened(path: Path):
 
     def blocks() -> Iterator[tuple]:
         try:
-            with path.open(encoding="utf-8") as file:
+            with path.open(encoding="utf-8-sig") as file:
                 *_, order, first = _header(file, path)
                 if first is not None:
                     yield from _blocks(file, first, order, seconds, f"{path}: events")

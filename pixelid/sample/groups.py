@@ -99,6 +99,7 @@ def save(posterior: Posterior, result: FitResult, recordings: Sequence[Recording
             for name, v in physical.items()
         }
     data = inference_data(posterior, result, recordings, physical=physical)
-    data.to_netcdf(folder / "posterior.nc", engine="h5netcdf")
+    # by way of memory: HDF5 ends the process where it meets a full disk
+    (folder / "posterior.nc").write_bytes(data.to_netcdf(engine="h5netcdf"))
     write_figures(posterior, folder)
     return summary

@@ -40,7 +40,7 @@ def sample(
     """Draws of the exact posterior of a fit's free parameters.
 
     result, recordings: a fit and what it was fitted to;  wanted: effective samples per parameter;
-    chain_file: HDF5 file of the chains; an unfinished one of the same fit and seed is continued.
+    chain_file: .npz file of the chains; an unfinished one of the same fit and seed is continued.
     It stops when N > 50 τ, the nested R̂ < 1.01 and `wanted` effective samples are there for every parameter, or at
     `max_steps`: then `status` says that it did not converge.
 
@@ -82,7 +82,7 @@ def sample(
         "events": result.events,
     }
     with tempfile.TemporaryDirectory() as folder:
-        path = Path(chain_file) if chain_file is not None else Path(folder) / "chain.h5"
+        path = Path(chain_file) if chain_file is not None else Path(folder) / "chain.npz"
         run = Ensembles(target, starts, proposal, trust, seed, path, identity)
         burn, reached = _until_converged(run, wanted, max_steps, report)
         chain, log_prob, pieces = run.chain(burn), run.log_prob(burn), run.pieces(burn)
@@ -162,7 +162,9 @@ def k_hat(log_ratio: np.ndarray) -> float:
 
 def _until_converged(run: Ensembles, wanted: int, max_steps: int, report) -> tuple[int, Convergence]:
     """(burn-in, convergence after it)."""
-    until = CHUNK * max(1, run.steps // CHUNK)
+    until = CHUNK
+    while until < run.steps:  # a resumed run looks where the first would have: what is behind it did not suffice
+        until = _next_look(until, max_steps)
     while True:
         run.advance(until)
         chain = run.chain()
@@ -173,7 +175,11 @@ def _until_converged(run: Ensembles, wanted: int, max_steps: int, report) -> tup
         report("sampling", share)
         if (reached.done and reached.effective.min() >= wanted) or until >= max_steps:
             return burn, reached
-        until = min(max(until + CHUNK, CHUNK * int(1.1 * until // CHUNK)), max_steps)
+        until = _next_look(until, max_steps)
+
+
+def _next_look(until: int, max_steps: int) -> int:
+    return min(max(until + CHUNK, CHUNK * int(1.1 * until // CHUNK)), max_steps)
 
 
 def _advice(reached: Convergence, names: tuple[str, ...], wanted: int) -> str:

@@ -20,14 +20,14 @@ def sampled(
     chain_file: Path,
     progress: Callable[[str, float], None] | None = None,
 ) -> FitResult:
-    """The result with `details["posterior"]`, and posterior.nc, chain.h5 and figures in `folder`.
+    """The result with `details["posterior"]`, and posterior.nc, chain.npz and figures in `folder`.
 
     chain_file: where the chains live meanwhile; left behind by a kill, it is continued by the next run.
     A posterior that did not converge makes the result's status say so.
     """
     posterior = sample(result, recordings, seed=result.seed, chain_file=chain_file, progress=progress)
     said = save(posterior, result, recordings, folder)
-    chain_file.replace(folder / "chain.h5")
+    chain_file.replace(folder / "chain.npz")
     result = replace(result, details={**result.details, "posterior": said})
     if posterior.status is not Status.converged:
         advice = "; ".join(text for text in (result.advice, posterior.advice) if text)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -12,11 +13,12 @@ from typing import ClassVar
 
 import numpy as np
 
-from pixelid.documents import interpreting
+from pixelid import __version__
+from pixelid.documents import interpreting, read_json
 from pixelid.errors import InputError
 from pixelid.model.files import load_model, save_model
 from pixelid.model.model import Model
-from pixelid.outputs import plain
+from pixelid.outputs import plain, set_aside, whole_file, write_json
 from pixelid.provenance import input_hashes, versions
 from pixelid.recordings.recording import Recording
 from pixelid.results import Result, Table, check_kinds, read_result, required
@@ -28,6 +30,7 @@ from pixelid.sensors.work import Where, connected, run_tasks
 from pixelid.status import Status
 
 CHUNK = 20  # bootstrap replicates per task
+NOTE = "problem.json"  # in the folder of finished tiles: what they belong to
 
 
 @dataclass(frozen=True, repr=False)
@@ -208,8 +211,7 @@ def fit_sensor(
     plan = Plan(model, bandwidth, block, width, reach)
     plan.check()
     tiles = tiles_of(width, height, tile)
-    if keep is not None:
-        _claim(keep, recordings, plan, tile)
+    identity = "" if keep is None else _claim(keep, recordings, plan, tile)
     with connected(where) as client:
         parts = run_tasks(
             estimate_tile,
@@ -217,6 +219,7 @@ def fit_sensor(
             lambda i: (plan, [tiles[i].cut(r) for r in recordings]),
             client=client,
             keep=keep,
+            identity=identity,
             progress=lambda done: report("tiles", 0.9 * done),
         )
         events = np.zeros(height * width, np.int64)
@@ -267,21 +270,32 @@ def _replicates(raw: np.ndarray, sd: np.ndarray, seeds: np.ndarray) -> dict[str,
     return {"samples": bootstrap(raw, sd, seeds)}
 
 
-def _claim(keep: Path, recordings: list[Recording], plan: Plan, tile: int) -> None:
-    """Make the folder of finished tiles, or check that it belongs to this very problem."""
+def _claim(keep: Path, recordings: list[Recording], plan: Plan, tile: int) -> str:
+    """Make the folder of finished tiles, setting one of another problem aside; the identity of this problem."""
     digest = hashlib.sha256()
     for r in recordings:
         assert r.stimulus is not None
         for column in (r.events.t, r.events.x, r.events.y, r.events.p, *r.stimulus.arrays.values()):
             digest.update(np.ascontiguousarray(column).tobytes())
     problem = {
+        "version": __version__,
         "data": digest.hexdigest(),
         "model": {**plan.model.values, "photoreceptor": plan.model.photoreceptor, "effects": plan.model.effects},
         "plan": [plan.bandwidth, plan.block, plan.reach, tile],
     }
-    text = json.dumps(plain(problem), sort_keys=True)
+    identity = hashlib.sha256(json.dumps(plain(problem), sort_keys=True).encode()).hexdigest()
+    note = keep / NOTE
+    if os.path.lexists(keep) and _noted(note) != identity and any(keep.iterdir() if keep.is_dir() else [keep]):
+        set_aside(keep, "holds tiles of another run", "other")
     keep.mkdir(exist_ok=True)
-    note = keep / "problem.json"
-    if note.is_file() and note.read_text() != text:
-        raise InputError(f"{keep}: holds tiles of another run; delete it, or choose another --out")
-    note.write_text(text)
+    with whole_file(note, overwrite=True) as path:
+        write_json(path, {"identity": identity})
+    return identity
+
+
+def _noted(note: Path) -> object:
+    """The identity that a folder of tiles was made for; None where none can be read."""
+    try:
+        return read_json(note).get("identity")
+    except InputError:
+        return None

@@ -6,6 +6,10 @@ run continues where it stopped.  Dask gives the tasks of a worker that dies to a
 
 from __future__ import annotations
 
+import logging
+import os
+import time
+import uuid
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -14,22 +18,58 @@ from typing import Any
 
 import numpy as np
 
+from pixelid.arrays import load_arrays
+from pixelid.documents import first_line, shown
 from pixelid.errors import InputError, UntrustworthyResult
-from pixelid.outputs import whole_file
+from pixelid.outputs import set_aside, whole_file
 
 Result = Mapping[str, np.ndarray]
+MARK = "of"  # the array of a kept result that says what it belongs to
 
 # Dask has its workers hand every freed 64 KiB back to the system; fits allocate and free arrays of megabytes thousands
 # of times, and getting the pages back took as long as the fits themselves.
 KEEP_FREED_MEMORY = "distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_"
 
 
+ANSWER_S = 5.0  # for a scheduler to answer, and to name a worker: one that runs takes milliseconds
+LOOPBACK = "127.0.0.1"
+GO_ON = "what is finished is kept: start the same command again"
+WORKERS_S = 30.0  # for a worker to come back when all are lost
+LOOK_S = 2.0  # between looks whether workers are left
+
+
 @dataclass(frozen=True)
 class Where:
-    """Where tasks run: in this process, on `workers` local processes, or on the scheduler at `cluster`."""
+    """Where tasks run: in this process, on `workers` local processes, or on the scheduler at `cluster`.
+
+    Attributes:
+        cluster: address of a running scheduler, tcp://HOST:PORT, or tls://HOST:PORT.
+        workers: how many local processes; they listen on this computer's loopback interface alone.
+        tls_ca: certificate of the authority that signed the scheduler's (PEM), for tls:// addresses.
+        tls_cert: the certificate that this client shows: TLS schedulers take nobody without.
+        tls_key: its private key.
+    """
 
     cluster: str = ""
     workers: int = 0
+    tls_ca: Path | None = None
+    tls_cert: Path | None = None
+    tls_key: Path | None = None
+
+    def __post_init__(self) -> None:
+        """Check that they fit each other.  Raises InputError naming the option."""
+        files = {"--tls-ca": self.tls_ca, "--tls-cert": self.tls_cert, "--tls-key": self.tls_key}
+        given = [name for name, file in files.items() if file is not None]
+        missing = [name for name, file in files.items() if file is None]
+        if self.cluster and self.workers:
+            raise InputError("--cluster and --workers exclude each other")
+        if given and not self.cluster.startswith("tls://"):
+            raise InputError(f"{given[0]}: expected --cluster tls://HOST:PORT beside it, found {shown(self.cluster)}")
+        if given and missing:
+            raise InputError(f"{given[0]}: expected {', '.join(missing)} beside it")
+        for name, file in files.items():
+            if file is not None and not file.is_file():
+                raise InputError(f"{name}: {file}: expected a PEM file, found no such file")
 
 
 def run_tasks(
@@ -39,25 +79,25 @@ def run_tasks(
     *,
     client: Any = None,
     keep: Path | None = None,
+    identity: str = "",
     progress: Callable[[float], None] | None = None,
 ) -> list[Result]:
     """[function(*task(i)) for i in range(count)], each a mapping of names to arrays.
 
     client: of `connected`, or None for this process.
     task(i) is called when task i is sent off, a few tasks ahead of the workers, so that memory stays bounded.
-    keep: folder for results (i.npz); those found there are not computed again.
+    keep: folder for results (i.npz); those found there are not computed again, unless they are damaged or of another
+    `identity`: these are set aside, and said.
     """
-    results: dict[int, Result] = {}
-    for i in range(count):
-        if keep is not None and (keep / f"{i}.npz").is_file():
-            with np.load(keep / f"{i}.npz") as archive:
-                results[i] = dict(archive)
+    kept = {} if keep is None else {i: _kept(keep / f"{i}.npz", f"{identity} {i}") for i in range(count)}
+    results: dict[int, Result] = {i: result for i, result in kept.items() if result is not None}
 
     def store(i: int, result: Result) -> None:
         results[i] = result
         if keep is not None:
             with whole_file(keep / f"{i}.npz", overwrite=True) as path:
-                np.savez(path, allow_pickle=False, **{name: np.asarray(column) for name, column in result.items()})
+                columns = {name: np.asarray(column) for name, column in result.items()}
+                np.savez(path, allow_pickle=False, **{MARK: np.array(f"{identity} {i}")}, **columns)
         if progress is not None:
             progress(len(results) / count)
 
@@ -73,64 +113,135 @@ def run_tasks(
     return [results[i] for i in range(count)]
 
 
+def _kept(path: Path, mark: str) -> Result | None:
+    """The result that an earlier run kept, if it is whole and belongs to this one."""
+    if not os.path.lexists(path):
+        return None
+    try:
+        arrays = load_arrays(path)
+    except InputError:
+        set_aside(path, "is damaged", "damaged")
+        return None
+    if str(arrays.pop(MARK, None)) != mark:
+        set_aside(path, "belongs to another run", "other")
+        return None
+    return arrays
+
+
 def _distributed(client, function, left: list[int], task) -> Iterator[tuple[int, Result]]:
-    from distributed import KilledWorker, as_completed
+    """Results as they come.  Raises UntrustworthyResult when no worker is left, or a task ends every one it gets."""
+    from distributed import KilledWorker, wait
 
     waiting = iter(left)
     ahead = 2 * max(sum(client.nthreads().values()), 1)
-    index: dict[str, int] = {}
-    sequence = as_completed()
+    index: dict[Any, int] = {}
+    run = uuid.uuid4().hex
+    alone_since = None
 
     def send() -> None:
         i = next(waiting, None)
         if i is not None:
-            future = client.submit(function, *task(i), key=f"pixelid-{id(index)}-{i}", pure=False)
-            index[future.key] = i
-            sequence.add(future)
+            future = client.submit(function, *task(i), key=f"pixelid-{run}-{i}", pure=False)
+            index[future] = i
 
     for _ in range(ahead):
         send()
-    for future in sequence:
+    while index:
         try:
-            result = future.result()
-        except KilledWorker as error:
-            raise UntrustworthyResult(
-                f"task {index[future.key]} brought down {error.last_worker}; its tasks may need more memory than "
-                "workers have: use smaller tiles"
-            ) from error
-        yield index[future.key], result
-        future.release()
-        send()
+            finished = wait(list(index), timeout=LOOK_S, return_when="FIRST_COMPLETED").done
+        except TimeoutError:
+            if _workers_left(client):
+                alone_since = None
+                continue
+            alone_since = time.monotonic() if alone_since is None else alone_since
+            if time.monotonic() - alone_since > WORKERS_S:
+                raise UntrustworthyResult(f"the cluster has lost every worker, and none came back; {GO_ON}") from None
+            continue
+        for future in finished:
+            i = index.pop(future)
+            try:
+                result = future.result()
+            except KilledWorker as error:
+                raise UntrustworthyResult(
+                    f"task {i} brought down {error.last_worker}; its tasks may need more memory than workers have: "
+                    "use smaller tiles"
+                ) from error
+            yield i, result
+            future.release()
+            send()
+
+
+def _workers_left(client: Any) -> bool:
+    """Whether the scheduler has a worker.  Raises UntrustworthyResult when there is no scheduler any more."""
+    try:
+        if client.status == "running":
+            return bool(client.nthreads())
+    except (OSError, TimeoutError):
+        pass
+    raise UntrustworthyResult(f"the Dask scheduler no longer answers; {GO_ON}")
 
 
 @contextmanager
 def connected(where: Where) -> Iterator[Any]:
     """A Dask client, or None for work in this process.
 
-    Raises InputError when dask is missing, or no scheduler answers at the address.
+    Raises:
+        InputError: dask is missing, no scheduler answers at the address, it does not take us, or it has no workers.
+        UntrustworthyResult: it was lost meanwhile.
     """
     if not where.cluster and where.workers < 1:
         yield None
         return
     try:
-        from distributed import Client, LocalCluster
+        import distributed
+        from distributed.client import FutureCancelledError
+        from distributed.comm.core import CommClosedError
     except ImportError as error:
         raise InputError("--workers and --cluster need dask: pip install 'pixelid[cluster]'") from error
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what matters of it is said here, in one line
+    try:
+        with _client(where, distributed) as client:
+            yield client
+    except (FutureCancelledError, CommClosedError) as error:
+        raise UntrustworthyResult(f"the Dask scheduler was lost; {GO_ON}") from error
+
+
+@contextmanager
+def _client(where: Where, distributed: Any) -> Iterator[Any]:
     if where.cluster:
         try:
-            client = Client(where.cluster, timeout=10)
-        except (OSError, ValueError) as error:
-            raise InputError(f"--cluster {where.cluster}: no Dask scheduler answers there") from error
+            client = distributed.Client(where.cluster, timeout=ANSWER_S, security=_security(where, distributed))
+        except (OSError, ValueError, RuntimeError, TypeError) as error:  # RuntimeError: TLS without certificates
+            raise InputError(
+                f"--cluster {shown(where.cluster)}: no Dask scheduler answers there ({first_line(error)})"
+            ) from error
         with client:
+            try:
+                client.wait_for_workers(1, timeout=ANSWER_S)
+            except TimeoutError as error:
+                raise InputError(
+                    f"--cluster {shown(where.cluster)}: its scheduler has no workers; start some"
+                ) from error
             yield client
         return
     from dask import config
 
     with (
         config.set({KEEP_FREED_MEMORY: 1 << 31}),
-        LocalCluster(
-            n_workers=where.workers, threads_per_worker=1, processes=True, dashboard_address="", silence_logs=50
+        distributed.LocalCluster(
+            n_workers=where.workers, threads_per_worker=1, processes=True, host=LOOPBACK,
+            dashboard_address=f"{LOOPBACK}:0", silence_logs=50,
         ) as cluster,
-        Client(cluster) as client,
-    ):
+        distributed.Client(cluster) as client,
+    ):  # fmt: skip
         yield client
+
+
+def _security(where: Where, distributed: Any) -> Any:
+    """What Dask needs to speak TLS; None leaves it to Dask's own configuration."""
+    if where.tls_ca is None:
+        return None
+    files = {
+        "tls_ca_file": where.tls_ca, "tls_client_cert": where.tls_cert, "tls_client_key": where.tls_key
+    }  # fmt: skip
+    return distributed.Security(require_encryption=True, **{name: str(file) for name, file in files.items()})

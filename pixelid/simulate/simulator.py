@@ -16,7 +16,7 @@ import numpy as np
 from pixelid import __version__
 from pixelid.errors import InputError
 from pixelid.model.model import Model
-from pixelid.recordings.events import Events
+from pixelid.recordings.events import MOST_PIXELS, MOST_SIDE, Events
 from pixelid.recordings.recording import Recording
 from pixelid.simulate import light, random
 from pixelid.simulate.full_field import FullField, Twins
@@ -30,8 +30,6 @@ from pixelid.stages.circuit import Circuit
 from pixelid.stimuli.pixel_lights import Light, PixelLights
 from pixelid.stimuli.resample import resampled
 from pixelid.stimuli.stimulus import Stimulus
-
-MOST_PIXELS = 65536
 
 
 def simulate(
@@ -169,6 +167,8 @@ def _size(shape: tuple, width: int | None, height: int | None) -> tuple[int, int
     elif len(shape) != 0:
         raise InputError(f"stimulus: expected frames of shape (height, width), found {shape}")
     width, height = 1 if width is None else width, 1 if height is None else height
-    if not (1 <= width <= MOST_PIXELS and 1 <= height <= MOST_PIXELS):
-        raise InputError(f"sensor: expected 1..{MOST_PIXELS} pixels a side, found {width} x {height}")
+    if not (1 <= width <= MOST_SIDE and 1 <= height <= MOST_SIDE and width * height <= MOST_PIXELS):
+        raise InputError(
+            f"sensor: expected 1..{MOST_SIDE} pixels a side and {MOST_PIXELS} in all, found {width} x {height}"
+        )
     return width, height

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from pixelid.arrays import load_arrays
-from pixelid.documents import shown
+from pixelid.documents import first_line, refuse_hollow, shown
 from pixelid.errors import InputError
 from pixelid.stimuli.stimulus import UNITS, Stimulus
 
@@ -41,13 +41,15 @@ UNIT_WORDS = {
     "w/m2": "W/m2", "w/m²": "W/m2", "w/m^2": "W/m2", "w_m2": "W/m2", "wm2": "W/m2",
 }  # fmt: skip
 DISPLAY_GAMMA = 2.2  # of a display or a camera's pictures; sRGB differs from it by at most 4 % of full scale
-MOST_ROWS = 50_000_000
+MOST_ROWS, MOST_BYTES = 50_000_000, 2 << 30  # of a table
+HEAD_BYTES = 1 << 16  # in which a table's header lies
 
 
 def is_light_table(path: Path) -> bool:
     """Whether a text file holds light over time, not events: by the names of its columns."""
     with path.open("rb") as file:
-        lines = [line.decode("utf-8-sig", "replace") for line in islice(file, 40)]
+        head = file.read(HEAD_BYTES)
+    lines = head.decode("utf-8-sig", "replace").splitlines()[:40]
     names = _names(next((line for line in lines if line.strip() and not line.lstrip().startswith("#")), ""))
     words = [re.split(r"[^a-zµ]+", name) for name in names]
     return len(names) >= 2 and any(word in LIGHT_WORDS for name in words for word in name)
@@ -94,6 +96,9 @@ def _kind_of(path: Path) -> str:
 
 
 def _table(path: Path, unit: str | None) -> Stimulus:
+    refuse_hollow(path)
+    if path.stat().st_size > MOST_BYTES:
+        raise InputError(f"{path}: expected at most {MOST_BYTES >> 30} GiB, found {path.stat().st_size} bytes")
     try:
         with path.open(encoding="utf-8-sig", newline="") as file:
             lines = list(islice(file, MOST_ROWS))
@@ -114,7 +119,7 @@ def _table(path: Path, unit: str | None) -> Stimulus:
     try:
         columns = np.loadtxt(lines[1:], delimiter=separator, usecols=(time, light), ndmin=2)
     except (ValueError, IndexError) as error:
-        raise InputError(f"{path}: expected numbers in every row: {str(error).splitlines()[0][:120]}") from None
+        raise InputError(f"{path}: expected numbers in every row: {first_line(error)}") from None
     scale = next((SECONDS_PER[word] for word in _words(names[time])[1:] if word in SECONDS_PER), 1.0)
     told = _unit_in(names[light]) or _unit_in(" ".join(re.findall(r"unit\s*[:=]\s*(\S+)", comments, re.I)))
     return _stimulus(columns[:, 0] * scale, columns[:, 1], unit or told or "relative", path)
@@ -194,8 +199,10 @@ def _folder(path: Path, fps: float | None) -> tuple[np.ndarray, np.ndarray]:
     for file in files:
         try:
             frames.append(_grey(imread(file), file))
-        except (OSError, ValueError, SyntaxError) as error:
-            raise InputError(f"{file}: expected a picture: {str(error).splitlines()[0][:100]}") from None
+        except InputError:
+            raise
+        except Exception as error:  # readers of many formats, each with its own exceptions
+            raise InputError(f"{file}: expected a picture: {first_line(error)}") from None
     if len({frame.shape for frame in frames}) > 1:
         raise InputError(f"{path}: expected pictures of one size, found {sorted({f.shape for f in frames})}")
     return np.stack(frames), t
@@ -204,6 +211,7 @@ def _folder(path: Path, fps: float | None) -> tuple[np.ndarray, np.ndarray]:
 def _video(path: Path, fps: float | None) -> tuple[np.ndarray, np.ndarray]:
     try:
         import av  # pyright: ignore[reportMissingImports]  (optional)
+        from av.error import FFmpegError  # pyright: ignore[reportMissingImports]
     except ImportError:
         raise InputError(f'{path}: videos need the package av: pip install "pixelid[video]"') from None
     try:
@@ -211,8 +219,8 @@ def _video(path: Path, fps: float | None) -> tuple[np.ndarray, np.ndarray]:
             stream = file.streams.video[0]
             rate = fps or float(stream.average_rate or 0) or None
             frames = [frame.to_ndarray(format="gray").astype(np.float32) / 255.0 for frame in file.decode(stream)]
-    except (av.FFmpegError, IndexError, ValueError) as error:
-        raise InputError(f"{path}: expected a video: {str(error).splitlines()[0][:100]}") from None
+    except (FFmpegError, LookupError, ValueError, ArithmeticError, MemoryError) as error:
+        raise InputError(f"{path}: expected a video: {first_line(error)}") from None
     if len(frames) < 2:
         raise InputError(f"{path}: expected a video of at least two frames, found {len(frames)}")
     return np.stack(frames), _regular(len(frames), rate, path)

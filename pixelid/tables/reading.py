@@ -39,7 +39,7 @@ class TextTable:
 
     def last_digit(self, names: tuple[str, ...]) -> float:
         """The smallest difference that the cells of these columns can write."""
-        return 10.0 ** -max(len(cell.partition(".")[2]) for name in names for cell in self.text(name))
+        return 10.0 ** -max((len(cell.partition(".")[2]) for name in names for cell in self.text(name)), default=0)
 
 
 def read_text_table(path: Path, *, first: str, expected: str) -> TextTable:

@@ -6,12 +6,15 @@ from pathlib import Path
 import pytest
 
 PACKAGE = Path(__file__).resolve().parents[2] / "pixelid"
-BASE = {"arrays", "documents", "errors", "figures", "outputs", "parallel", "provenance", "results", "status"}
+BASE = {
+    "arrays", "documents", "errors", "figures", "interruption", "outputs", "parallel", "provenance", "results", "status"
+}  # fmt: skip
 MAY_IMPORT = {
     "errors": set(),
     "documents": {"errors"},
     "arrays": {"documents", "errors"},
     "figures": set(),
+    "interruption": set(),
     "outputs": {"documents", "errors"},
     "provenance": set(),
     "status": set(),

@@ -182,6 +182,8 @@ USAGE = {
     "fit: unknown form": (FIT + " --form odd", "--form"),
     "fit: no pixels": (FIT + " --pixels 0", "--pixels"),
     "fit: region of words": (FIT + " --roi a,b,c,d", "--roi"),
+    "fit: region of other digits": (FIT + " --roi ²,²,³,³", "--roi"),
+    "fit: region of 5000 digits": (FIT + f" --roi 0,0,1,{'9' * 5000}", "--roi"),
     "fit: empty region": (FIT + " --roi 1,1,1,1", "--roi"),
     "fit: time of nonsense": (FIT + " --time a:b", "--time"),
     "fit: time that is none": (FIT + " --time nan:nan", "--time"),

@@ -106,7 +106,7 @@ def test_no_command_shows_the_commands(capsys):
     [
         (KeyboardInterrupt(), 130, "interrupted; nothing was left half written"),
         (UntrustworthyResult("no optimum", "start elsewhere"), 1, "no optimum"),
-        (MemoryError(), 1, "not enough memory"),
+        (MemoryError(), 2, "not enough memory"),
         (PermissionError(13, "Permission denied", "models"), 2, "models: Permission denied"),
         (ZeroDivisionError("division by zero"), 1, "unexpected ZeroDivisionError: division by zero; this is a bug"),
         (RuntimeError("two\nlines"), 1, "unexpected RuntimeError: two lines"),

@@ -90,6 +90,60 @@ def test_a_crashing_decoder_is_one_line_and_the_next_file_is_read(tmp_path, monk
         isolated._CHILD.stop()
 
 
+READERS_OF_TESTS = """
+import json, sys; sys.path[:] = json.loads(sys.argv[1])
+import pixelid.recordings.isolated as i
+sys.path.insert(0, FOLDER)
+i.READERS |= dict(slow="slow", hangs="hangs")
+i.serve()
+"""
+
+
+@pytest.fixture
+def readers(tmp_path, monkeypatch):
+    """A child that reads slowly, and one that waits for what never comes."""
+    from pixelid.recordings import isolated
+
+    slow = "import time\nfrom pixelid.recordings.npz import read as now\n"
+    slow += "def read(path):\n    end = time.process_time() + 0.5\n"
+    slow += "    while time.process_time() < end: pass\n    return now(path)\n"
+    (tmp_path / "slow.py").write_text(slow)
+    (tmp_path / "hangs.py").write_text("import threading\ndef read(path):\n    threading.Event().wait()\n")
+    write_recording(Recording(Events.from_columns([1], [0], [0], [1], 1, 1)), tmp_path / "good.npz")
+    monkeypatch.setattr(isolated, "START", READERS_OF_TESTS.replace("FOLDER", repr(str(tmp_path))))
+    monkeypatch.setattr(isolated, "LOOK_S", 0.05)
+    monkeypatch.setattr(isolated, "CPU_S", 2.0)
+    isolated._CHILD.stop()
+    yield isolated
+    isolated._CHILD.stop()
+
+
+def test_a_child_that_gets_no_turn_is_no_damaged_file(readers, tmp_path):
+    """It is stopped for longer than one that hangs is waited for: what it computes counts, not the time that passes."""
+    import signal
+    import threading
+    import time
+
+    def hold():
+        while readers._CHILD._process is None:
+            time.sleep(0.01)
+        for _ in range(4):
+            readers._CHILD._process.send_signal(signal.SIGSTOP)
+            time.sleep(1.5)
+            readers._CHILD._process.send_signal(signal.SIGCONT)
+            time.sleep(0.05)
+
+    holding = threading.Thread(target=hold)
+    holding.start()
+    assert len(readers.read_isolated("slow", tmp_path / "good.npz").events) == 1
+    holding.join()
+
+
+def test_a_child_that_waits_for_nothing_is_ended(readers, tmp_path):
+    with pytest.raises(InputError, match="hung"):
+        readers.read_isolated("hangs", tmp_path / "good.npz")
+
+
 def test_hdf5_that_leads_out_of_the_file(tmp_path):
     secret = tmp_path / "secret.h5"
     with h5py.File(secret, "w") as file:
@@ -114,6 +168,19 @@ def test_hdf5_that_leads_out_of_the_file(tmp_path):
             else:
                 group.create_dataset("x", (1 << 40,), "<i8", chunks=(1 << 16,))
         assert "events/x" in answer(path)
+
+
+@pytest.mark.parametrize("name", ["a.csv", "a.raw", "a.h5", "a.npz", "light.csv"])
+def test_files_of_holes_are_refused_at_once(tmp_path, name):
+    """What was never written takes no place on the disk, and hours to read."""
+    path = tmp_path / name
+    path.write_text("t,radiance\n" if name == "light.csv" else "t,x,y,p\n")
+    os.truncate(path, 1 << 40)
+    with pytest.raises(InputError, match=r"sparse|at most|GiB"):
+        load_stimulus(path) if name == "light.csv" else open_recording(path)
+    os.truncate(path, 1 << 20)
+    with pytest.raises(InputError):
+        load_stimulus(path) if name == "light.csv" else open_recording(path)
 
 
 def test_what_is_no_regular_file(tmp_path):

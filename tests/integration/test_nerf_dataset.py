@@ -222,7 +222,6 @@ BROKEN = {
     "no gain": (lambda s: edit(s / CALIBRATION, amplifier_gain=None), (CALIBRATION, "amplifier_gain: missing")),
     "unknown colours": (lambda s: edit(s / CALIBRATION, bayer_pattern=lambda _: np.array("XYZW")), ("bayer_pattern",)),
     "NaN cutoff": (lambda s: edit(s / CALIBRATION, sf_cutoff_freq=lambda f: f * np.nan), ("sf_cutoff_freq",)),
-    "no views": (lambda s: shutil.rmtree(s / "views"), ("views", "no such folder")),
     "no transforms": (
         lambda s: [path.unlink() for path in (s / "views").glob("*.json")],
         ("transforms_test.json", "missing"),

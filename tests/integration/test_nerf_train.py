@@ -97,16 +97,23 @@ def test_resuming_continues_with_the_same_numbers(made, tmp_path, mode):
     assert torch.equal(whole.pixel.factors, resumed.pixel.factors)
 
 
-def test_a_checkpoint_of_another_run_is_refused(made, tmp_path, capsys):
-    words = ["reconstruct", str(made), "--quiet", "--iterations", "5", "--checkpoint", str(tmp_path / "state.pt")]
-    main([*words, "--out", str(tmp_path / "one")])
-    assert (tmp_path / "state.pt").is_file()
-    assert main([*words, "--out", str(tmp_path / "two"), "--seed", "1"]) == 2
-    assert "other data, options or seed" in capsys.readouterr().err
+def test_a_checkpoint_of_another_run_or_a_damaged_one_is_set_aside(made, tmp_path, capsys):
+    words = ["reconstruct", str(made), "--quiet", "--iterations", "5"]
+    kept = ["--checkpoint", str(tmp_path / "state.pt")]
+    plain_code = main([*words, "--out", str(tmp_path / "plain"), "--seed", "1"])
+    main([*words, *kept, "--out", str(tmp_path / "one")])
+    first = (tmp_path / "state.pt").read_bytes()
+    assert main([*words, *kept, "--out", str(tmp_path / "two"), "--seed", "1"]) == plain_code
+    assert "other data, options or seed; set aside as state.pt.other" in capsys.readouterr().err
+    assert (tmp_path / "state.pt.other").read_bytes() == first
     (tmp_path / "state.pt").write_bytes(b"nothing")
-    assert main([*words, "--out", str(tmp_path / "two")]) == 2
-    assert "not a checkpoint" in capsys.readouterr().err
-    assert not (tmp_path / "two").exists()
+    assert main([*words, *kept, "--out", str(tmp_path / "three"), "--seed", "1"]) == plain_code
+    said = capsys.readouterr().err
+    assert "damaged" in said
+    assert said.count("\n") == 1
+    assert (tmp_path / "state.pt.damaged").read_bytes() == b"nothing"
+    views = [json.loads((tmp_path / n / "reconstruction.json").read_text())["views"] for n in ("plain", "two", "three")]
+    assert views[0] == views[1] == views[2]
 
 
 def test_tensors_train_as_the_compiled_engine_does(made):

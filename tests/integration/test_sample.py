@@ -5,16 +5,20 @@ import signal
 import subprocess
 import sys
 import time
+from typing import ClassVar
 
 import numpy as np
 import pytest
 
+from pixelid.errors import SetAside
 from pixelid.fit import fit
 from pixelid.model.shipped import find_model
 from pixelid.sample import sample
 from pixelid.sample.convergence import autocorrelation_time, convergence, nested_r_hat, ranked_nested_r_hat
+from pixelid.sample.ensembles import Ensembles
 from pixelid.sample.groups import save
 from pixelid.sample.proposal import Proposal, shaped
+from pixelid.sample.sample import CHUNK, _next_look, _until_converged
 from pixelid.simulate import simulate
 from pixelid.stimuli.shapes import steps
 
@@ -99,7 +103,6 @@ for until in range(10, 41, 10):
     run.advance(until)
 run.save()
 np.save(sys.argv[1] + ".npy", run.chain())
-run.finish()
 """
 
 
@@ -108,22 +111,69 @@ def test_a_killed_chain_resumes_to_the_same_chain(tmp_path):
         command = [sys.executable, "-c", ENSEMBLES, str(tmp_path / name), str(pause)]
         return subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=os.environ)
 
-    whole = start("whole.h5", 0.0)
-    killed = start("killed.h5", 0.01)
-    deadline = time.monotonic() + 40
-    while not (tmp_path / "killed.h5").exists() and time.monotonic() < deadline:
+    whole = start("whole.npz", 0.0)
+    killed = start("killed.npz", 0.01)
+    deadline = time.monotonic() + 300
+    while not (tmp_path / "killed.npz").exists() and time.monotonic() < deadline:
         time.sleep(0.01)
     time.sleep(0.3)
     killed.send_signal(signal.SIGKILL)
     assert killed.wait() == -signal.SIGKILL
-    assert not (tmp_path / "killed.h5.npy").exists()
-    again = start("killed.h5", 0.0)
-    output, _ = again.communicate(timeout=60)
-    assert whole.wait(timeout=60) == 0
+    assert not (tmp_path / "killed.npz.npy").exists()
+    again = start("killed.npz", 0.0)
+    output, _ = again.communicate(timeout=400)
+    assert whole.wait(timeout=400) == 0
     assert output.startswith("resumed True")
-    a, b = np.load(tmp_path / "whole.h5.npy"), np.load(tmp_path / "killed.h5.npy")
+    a, b = np.load(tmp_path / "whole.npz.npy"), np.load(tmp_path / "killed.npz.npy")
     np.testing.assert_array_equal(a, b)
     assert not np.array_equal(a[0], a[1])  # ensembles have their own random numbers
+
+
+def test_a_snapshot_that_is_damaged_or_of_another_run_is_set_aside(tmp_path):
+    proposal = Proposal(np.zeros(2), np.eye(2), np.ones(2), np.ones(2), np.zeros(2), 0)
+    starts = np.random.RandomState(5).normal(size=(2, 6, 2))
+
+    def ensembles(identity=1):
+        where, mark = tmp_path / "c.npz", {"fit": identity}
+        return Ensembles(lambda x: (-0.5 * float(x @ x), x), starts, proposal, 0.5, 3, where, mark)
+
+    first = ensembles()
+    first.samplers[0].run_mcmc(starts[0], 7)  # killed while the first ensemble is ahead of the second
+    first.save()
+    again = ensembles()
+    assert again.resumed
+    assert again.steps == 7
+    again.advance(20)
+    first.advance(20)
+    np.testing.assert_array_equal(again.chain(), first.chain())
+    np.testing.assert_array_equal(again.pieces(), first.pieces())
+    assert again.acceptance() == first.acceptance()
+    with pytest.warns(SetAside, match="another run"):
+        assert not ensembles(identity=2).resumed
+    content = (tmp_path / "c.npz.other").read_bytes()
+    for k, damaged in enumerate((content[:-1], content[:1000] + b"\xff" * 9 + content[1009:], b"nothing", b"")):
+        (tmp_path / "c.npz").write_bytes(damaged)
+        with pytest.warns(SetAside, match="damaged"):
+            assert not ensembles().resumed
+        assert (tmp_path / f"c.npz.damaged{k + 1 if k else ''}").read_bytes() == damaged
+
+
+def test_a_resumed_run_looks_where_the_first_would_have():
+    looks = [CHUNK]
+    while looks[-1] < 4000:
+        looks.append(_next_look(looks[-1], 4000))
+
+    class Run:
+        steps = 137
+        seen: ClassVar[list[int]] = []
+
+        def advance(self, until):
+            self.seen.append(until)
+            raise StopIteration
+
+    with pytest.raises(StopIteration):
+        _until_converged(Run(), 1000, 4000, None)  # type: ignore[arg-type]
+    assert Run.seen == [next(look for look in looks if look >= 137)]
 
 
 @pytest.fixture(scope="module")

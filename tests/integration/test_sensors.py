@@ -2,18 +2,23 @@
 
 import json
 import os
+import shutil
+import subprocess
+import threading
+import time
+from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from pixelid.cli.main import main
-from pixelid.errors import InputError
+from pixelid.errors import InputError, SetAside, UntrustworthyResult
 from pixelid.model.shipped import find_model
 from pixelid.recordings import write_recording
 from pixelid.recordings.events import Events
 from pixelid.recordings.recording import Recording
-from pixelid.sensors import SensorFit, fit_sensor
+from pixelid.sensors import SensorFit, fit_sensor, work
 from pixelid.sensors.shrinkage import population, shrink
 from pixelid.sensors.work import Where, connected, run_tasks
 from pixelid.simulate import simulate
@@ -133,6 +138,117 @@ def test_a_cluster_gives_the_same_numbers(sensor, model, serial, client):
         assert fit.maps[name].spread_interval == m.spread_interval
 
 
+def test_nothing_listens_beyond_this_computer(client):
+    import psutil
+
+    processes = [psutil.Process(), *psutil.Process().children(recursive=True)]
+    listening = [c.laddr.ip for p in processes for c in p.net_connections("tcp") if c.status == psutil.CONN_LISTEN]
+    assert len(listening) > 3
+    assert set(listening) == {"127.0.0.1"}
+
+
+@pytest.mark.parametrize("where", ["nobody", "someone else", "no workers", "nonsense", "no certificates"])
+def test_a_cluster_that_is_none_is_said_within_seconds(where, tmp_path, sensor, capsys, monkeypatch):
+    import socket
+
+    from distributed import LocalCluster
+
+    monkeypatch.setattr(work, "ANSWER_S", 1.0)
+    write_recording(sensor[0], tmp_path / "r.h5")
+    with socket.socket() as silent, ExitStack() as running:
+        silent.bind((work.LOOPBACK, 0))
+        address = {
+            "nobody": "tcp://127.0.0.1:1",
+            "nonsense": "mail://\x1b[31m",
+            "no certificates": "tls://127.0.0.1:1",
+        }.get(where)
+        if where == "someone else":
+            silent.listen()
+            address = f"tcp://127.0.0.1:{silent.getsockname()[1]}"
+        elif where == "no workers":
+            cluster = LocalCluster(0, host=work.LOOPBACK, dashboard_address=f"{work.LOOPBACK}:0", silence_logs=50)
+            address = running.enter_context(cluster).scheduler_address
+        begun = time.monotonic()
+        words = ["sensor", str(tmp_path / "r.h5"), "--model", "dvs128", "--out", str(tmp_path / "maps"), "--quiet"]
+        assert main([*words, "--cluster", str(address)]) == 2
+        assert time.monotonic() - begun < 10.0 + 60.0 * (os.getloadavg()[0] > (os.cpu_count() or 1))
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert "no workers" in said if where == "no workers" else "no Dask scheduler answers" in said
+
+
+def test_certificates_that_do_not_fit_are_refused(tmp_path):
+    (tmp_path / "a.pem").write_text("")
+    for settings, says in (
+        ({"cluster": "tcp://h:1", "tls_ca": tmp_path / "a.pem"}, "--cluster tls://"),
+        ({"cluster": "tls://h:1", "tls_ca": tmp_path / "a.pem"}, "--tls-cert, --tls-key"),
+        (
+            {"cluster": "tls://h:1", **dict.fromkeys(("tls_ca", "tls_cert", "tls_key"), tmp_path / "b.pem")},
+            "no such file",
+        ),
+    ):
+        with pytest.raises(InputError, match=says):
+            Where(**settings)
+    empty = dict.fromkeys(("tls_ca", "tls_cert", "tls_key"), tmp_path / "a.pem")
+    with pytest.raises(InputError, match="no Dask scheduler answers"), connected(Where("tls://127.0.0.1:1", **empty)):
+        pass
+
+
+@pytest.mark.skipif(shutil.which("openssl") is None, reason="makes certificates with openssl")
+def test_a_scheduler_that_asks_for_certificates(tmp_path):
+    from distributed import LocalCluster, Security
+
+    for name in ("ours", "others"):
+        request = (
+            f"openssl req -x509 -newkey rsa:2048 -nodes -keyout {name}.key -out {name}.pem -days 2 -subj /CN={name}"
+        )
+        subprocess.run(request.split(), cwd=tmp_path, check=True, capture_output=True)
+
+    def files(name, key="ours"):
+        return tmp_path / "ours.pem", tmp_path / f"{name}.pem", tmp_path / f"{name}.key"
+
+    ca, certificate, key = map(str, files("ours"))
+    each = {
+        f"tls_{who}_{what}": value
+        for who in ("scheduler", "worker", "client")
+        for what, value in (("cert", certificate), ("key", key))
+    }
+    security = Security(tls_ca_file=ca, require_encryption=True, **each)
+    quiet = {"host": work.LOOPBACK, "dashboard_address": f"{work.LOOPBACK}:0", "silence_logs": 50, "processes": False}
+    with LocalCluster(1, protocol="tls", security=security, **quiet) as cluster:
+        with connected(Where(cluster.scheduler_address, 0, *files("ours"))) as client:
+            assert [int(r["square"]) for r in run_tasks(_square, 3, lambda i: (i,), client=client)] == [0, 1, 4]
+        with pytest.raises(InputError, match="no Dask scheduler answers"):
+            connected(Where(cluster.scheduler_address, 0, *files("others"))).__enter__()
+
+
+def _square(i: int):
+    return {"square": np.array(i * i)}
+
+
+def _waits(i: int):
+    time.sleep(30.0)
+    return {"square": np.array(i * i)}
+
+
+@pytest.mark.parametrize("lost", ["worker", "scheduler"])
+def test_a_cluster_that_is_lost_is_said(lost, monkeypatch):
+    from distributed import LocalCluster
+
+    monkeypatch.setattr(work, "WORKERS_S", 0.5)
+    monkeypatch.setattr(work, "LOOK_S", 0.1)
+    settings = {"host": work.LOOPBACK, "dashboard_address": f"{work.LOOPBACK}:0", "silence_logs": 50}
+
+    def run(cluster):
+        with connected(Where(cluster=cluster.scheduler_address)) as client:
+            ending = threading.Timer(1.0, lambda: cluster.scale(0) if lost == "worker" else cluster.close(timeout=1))
+            ending.start()
+            run_tasks(_waits, 2, lambda i: (i,), client=client)
+
+    with LocalCluster(1, **settings) as cluster, pytest.raises(UntrustworthyResult, match="start the same"):
+        run(cluster)
+
+
 def _dies_once(i: int, folder: str):
     marker = Path(folder) / "died"
     if i == 3 and not marker.exists():
@@ -161,8 +277,23 @@ def test_an_interrupted_run_goes_on_where_it_stopped(tmp_path, sensor, model, se
     fit = fit_sensor([sensor[0]], model, tile=4, replicates=40, keep=keep)
     assert {path: path.stat().st_mtime_ns for path in kept} == kept
     assert np.array_equal(fit.maps["on_threshold"].log, serial.maps["on_threshold"].log)
-    with pytest.raises(InputError, match="another run"):
-        fit_sensor([sensor[0]], model.set({"beta": 2000.0}), tile=4, keep=keep)
+
+
+def test_damaged_and_foreign_tiles_are_set_aside_and_computed_again(tmp_path, sensor, model, serial):
+    keep = tmp_path / "maps.tiles"
+    fit_sensor([sensor[0]], model, tile=4, replicates=0, keep=keep)
+    (keep / "0.npz").write_bytes((keep / "0.npz").read_bytes()[:-40])
+    (keep / "1.npz").write_bytes((keep / "2.npz").read_bytes())
+    with pytest.warns(SetAside) as said:
+        fit = fit_sensor([sensor[0]], model, tile=4, replicates=40, keep=keep)
+    assert sorted(str(w.message).partition(": ")[2] for w in said if w.category is SetAside) == [
+        "belongs to another run; set aside as 1.npz.other, and computed again",
+        "is damaged; set aside as 0.npz.damaged, and computed again",
+    ]
+    assert np.array_equal(fit.maps["on_threshold"].log, serial.maps["on_threshold"].log)
+    with pytest.warns(SetAside, match="tiles of another run"):
+        fit_sensor([sensor[0]], model, bandwidth="", tile=4, replicates=0, keep=keep)
+    assert (tmp_path / "maps.tiles.other" / "0.npz.damaged").is_file()
 
 
 def test_command_writes_maps(tmp_path, sensor, capsys):

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from pixelid.errors import SetAside
 from pixelid.fit.cache import FitCache
 from pixelid.fit.maximise import maximise
 from pixelid.likelihood.event_times import EventTimes
@@ -74,7 +75,8 @@ def test_a_damaged_file_is_set_aside_and_its_sound_lines_kept(tmp_path, damage):
         cache.add(key, {"x": [1.0]})
     lines = path.read_bytes().split(b"\n")
     path.write_bytes(b"\n".join([lines[0], damage, *lines[2:]]))
-    again = FitCache(path)
+    with pytest.warns(SetAside, match="is damaged"):
+        again = FitCache(path)
     assert [again.get(key) for key in ("a", "b", "c")] == [None, {"x": [1.0]}, {"x": [1.0]}]
     assert (tmp_path / "fits.damaged").exists()
     assert FitCache(path).get("c") == {"x": [1.0]}

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from pixelid import outputs
-from pixelid.errors import InputError, OutputError
+from pixelid.errors import InputError, OutputError, SetAside
 from pixelid.outputs import claimed, refuse_inputs, whole_file, whole_folder, write_json
 
 
@@ -78,6 +78,15 @@ def test_inputs_are_never_replaced(tmp_path):
         with pytest.raises(InputError, match="would replace the input"):
             refuse_inputs(out, [given])
     refuse_inputs(out, [tmp_path / "elsewhere.h5", tmp_path])
+
+
+def test_a_folder_of_links_to_inputs_counts_as_inputs(tmp_path):
+    out = result(tmp_path / "out")
+    (out / "steps.h5").write_text("events")
+    (tmp_path / "session").mkdir()
+    (tmp_path / "session" / "a.h5").symlink_to(out / "steps.h5")
+    with pytest.raises(InputError, match="would replace the input"):
+        refuse_inputs(out, [tmp_path / "session"])
 
 
 def test_inspect_does_not_delete_what_it_inspects(tmp_path, capsys):
@@ -160,7 +169,7 @@ FAULTS = {code: os.strerror(code) for code in (errno.ENOSPC, errno.EIO, errno.ER
 
 @pytest.mark.parametrize("code", FAULTS, ids=lambda code: errno.errorcode[code])
 @pytest.mark.parametrize("at_once", [True, False], ids=["exchange", "two renames"])
-@pytest.mark.parametrize("step", ["mkdtemp", "fsync", "rename", "second rename"])
+@pytest.mark.parametrize("step", ["mkdtemp", "fsync", "rename", "second rename", "last fsync"])
 def test_a_fault_at_any_step_is_one_line_and_the_old_result_stays(step, at_once, code, tmp_path, monkeypatch):
     out = result(tmp_path / "out")
     before = contents(tmp_path)
@@ -180,6 +189,9 @@ def test_a_fault_at_any_step_is_one_line_and_the_old_result_stays(step, at_once,
         monkeypatch.setattr("tempfile.mkdtemp", fail)
     elif step == "fsync":
         monkeypatch.setattr(os, "fsync", fail)
+    elif step == "last fsync":  # the folder's, when the new result is in place
+        flush = outputs._flush
+        monkeypatch.setattr(outputs, "_flush", lambda path: fail(path) if path == tmp_path else flush(path))
     elif step == "rename":
         monkeypatch.setattr(outputs, "_exchange_at_once", fail) if at_once else monkeypatch.setattr(os, "rename", fail)
     elif at_once:
@@ -192,6 +204,24 @@ def test_a_fault_at_any_step_is_one_line_and_the_old_result_stays(step, at_once,
     assert str(caught.value) == f"{out}: cannot be written ({FAULTS[code]}); what was there before is unchanged"
     assert contents(tmp_path) == before
     assert os.listdir(tmp_path) == ["out"]
+
+
+@pytest.mark.parametrize("there", [True, False])
+def test_a_file_whose_entry_cannot_be_flushed_is_as_before(there, tmp_path, monkeypatch):
+    if there:
+        (tmp_path / "rec.h5").write_text("old")
+    before, flush = contents(tmp_path), outputs._flush
+
+    def fail(path):
+        if path == tmp_path:
+            raise OSError(errno.EIO, os.strerror(errno.EIO))
+        flush(path)
+
+    monkeypatch.setattr(outputs, "_flush", fail)
+    with pytest.raises(OutputError, match="unchanged"), whole_file(tmp_path / "rec.h5", True) as path:
+        path.write_text("new")
+    assert contents(tmp_path) == before
+    assert os.listdir(tmp_path) == (["rec.h5"] if there else [])
 
 
 @pytest.mark.parametrize("code", FAULTS, ids=lambda code: errno.errorcode[code])
@@ -287,3 +317,23 @@ def test_hdf5_survives_a_disk_that_fills_up(most, tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["a.npz"]
     write_recording(Recording(events), tmp_path / "b.h5")
     assert np.array_equal(open_recording(tmp_path / "b.h5").events.t, t)
+
+
+def test_a_run_killed_between_two_renames_has_lost_nothing(tmp_path):
+    """Where the system cannot swap folders the old result lies in the temporary folder for a moment."""
+    dead = subprocess.run([sys.executable, "-c", "import os; print(os.getpid())"], capture_output=True, check=True)
+    left = tmp_path / f"{outputs._prefix(tmp_path / 'out', int(dead.stdout))}x.tmp"
+    left.mkdir()
+    result(left / f"out{outputs.OLD}", 1)
+    with pytest.raises(InputError, match="exists already"), whole_folder(tmp_path / "out"):
+        pass
+    assert json.loads((tmp_path / "out" / "fit.json").read_text()) == {"value": 1}
+    assert os.listdir(tmp_path) == ["out"]
+
+
+def test_what_an_earlier_run_kept_is_set_aside_under_a_name_that_is_free(tmp_path):
+    for k in range(3):
+        (tmp_path / "kept").write_text(str(k))
+        with pytest.warns(SetAside, match="is damaged"):
+            outputs.set_aside(tmp_path / "kept", "is damaged", "damaged")
+    assert contents(tmp_path) == {"kept.damaged": b"0", "kept.damaged2": b"1", "kept.damaged3": b"2"}

@@ -162,3 +162,29 @@ def test_damaged_files_are_answered_in_one_line(tmp_path, name, content):
     (tmp_path / name).write_bytes(content + bytes(range(256)))
     with pytest.raises(InputError, match="expected"):
         open_recording(tmp_path / name)
+
+
+@pytest.mark.parametrize(
+    ("row", "says"),
+    [
+        ("5,70000,3,1", "65536 columns"),  # became 4464, modulo 2^16
+        ("5,3,70000,1", "65536 columns"),
+        ("5,65535,65535,1", "16777216 pixels"),  # a map of which takes 32 GiB
+        ("5,4294967299,3,1", "int32"),
+        ("5,3,3,257", "int8"),
+        ("99999999999999999999,3,3,1", "int64"),
+        ("-5,3,3,1", "negative"),
+    ],
+)
+def test_numbers_beyond_their_column_are_refused(tmp_path, row, says):
+    (tmp_path / "a.csv").write_text(f"t,x,y,p\n1,1,1,0\n{row}\n" if row[0] != "-" else f"t,x,y,p\n{row}\n9,1,1,0\n")
+    with pytest.raises(InputError, match=says) as refused:
+        open_recording(tmp_path / "a.csv")
+    assert str(tmp_path / "a.csv") in str(refused.value)
+
+
+def test_a_byte_order_mark_is_no_part_of_a_table(tmp_path):
+    (tmp_path / "a.csv").write_bytes("\ufefft,x,y,p\r\n1,2,3,1\r\n".encode())
+    (tmp_path / "b.txt").write_bytes("\ufeff1 2 3 1\n".encode())
+    for name in ("a.csv", "b.txt"):
+        equal(open_recording(tmp_path / name).events, [1000], [2], [3], [1])

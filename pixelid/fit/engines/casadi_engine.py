@@ -36,6 +36,7 @@ from pixelid.fit.engines.frozen import freeze
 from pixelid.fit.event_times import EventTimesObjective
 from pixelid.fit.newton import Optimum
 from pixelid.fit.objective import Local, Objective
+from pixelid.interruption import interrupt_kept
 from pixelid.likelihood.clocks import clocks_of
 
 REACH = 3.0  # how far, in longest moves, one solve may go: beyond, the frozen choices are no longer those of the data
@@ -128,7 +129,8 @@ def _solve(objective, x0, local: Local, symbolically: bool, tolerance: float, ma
         f = function(q)
         options |= {"grad_f": gradient, "hess_lag": hessian}
     solver = ca.nlpsol("solver", "ipopt", {"x": q, "f": f}, options)
-    solution = solver(x0=np.zeros(len(x0)), lbx=(low - x0) / scale, ubx=(high - x0) / scale)
+    with interrupt_kept():
+        solution = solver(x0=np.zeros(len(x0)), lbx=(low - x0) / scale, ubx=(high - x0) / scale)
     x = x0 + scale * np.array(solution["x"]).ravel()
     near = 1e-6 * longest
     x = np.where(x - lower < near, lower, np.where(upper - x < near, upper, x))

@@ -1,0 +1,128 @@
+"""Ctrl-C: exit code 130 within two seconds, whatever the run is busy with, and the old result whole."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import click
+import pytest
+
+from pixelid.cli import main as home
+from pixelid.interruption import INTERRUPTED, interrupt_kept
+
+BUSY = {
+    "in Python": "while True: pass",
+    "in a library that swallows it": """
+while True:
+    try:
+        time.sleep(60)
+    except KeyboardInterrupt:
+        pass
+""",
+    "in compiled code": "import ctypes\nwhile True: ctypes.CDLL(None).sleep(60)",
+    "in a thread that is waited for": """
+from concurrent.futures import ThreadPoolExecutor
+with ThreadPoolExecutor(1) as pool:
+    pool.submit(time.sleep, 60).result()
+""",
+}
+RUN = """
+import sys, time
+from pathlib import Path
+from pixelid.cli import main as home
+from pixelid.outputs import claimed, whole_folder
+def main(argv=None):
+    try:
+        with claimed(Path("out"), True), whole_folder(Path("out"), True) as folder:
+            (folder / "half.txt").write_text("half")
+            print("busy", flush=True)
+            {busy}
+    except KeyboardInterrupt:
+        return home._interrupted()
+home.main = main
+home.run()
+"""
+
+
+@pytest.mark.parametrize("what", BUSY)
+def test_ctrl_c_ends_a_run(what, tmp_path):
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "fit.json").write_text("{}")
+    run = RUN.replace("{busy}", BUSY[what].strip().replace("\n", "\n            "))
+    started = subprocess.Popen(
+        [sys.executable, "-c", run], cwd=tmp_path, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    )
+    assert started.stdout is not None
+    assert started.stdout.readline() == "busy\n"
+    begun = time.monotonic()
+    started.send_signal(signal.SIGINT)
+    _, said = started.communicate(timeout=60)
+    assert time.monotonic() - begun < 2.0 + 10.0 * (os.getloadavg()[0] > (os.cpu_count() or 1))
+    assert started.returncode == INTERRUPTED
+    assert said.strip() == "pixelid: interrupted; nothing was left half written"
+    assert sorted(os.listdir(tmp_path)) in (
+        ["out"],
+        [".out.lock", "out"],
+    )  # the lock ends with the process that held it
+    assert os.listdir(tmp_path / "out") == ["fit.json"]
+
+
+def test_an_interrupt_that_a_library_swallows_comes_back():
+    def swallows(then=None):
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
+        if then is not None:
+            raise then
+
+    with pytest.raises(KeyboardInterrupt), interrupt_kept():
+        swallows()
+    with pytest.raises(KeyboardInterrupt), interrupt_kept():
+        swallows(RuntimeError("what the library makes of it"))
+    with pytest.raises(RuntimeError), interrupt_kept():
+        raise RuntimeError
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_the_end_of_a_file_is_no_interruption(monkeypatch, capsys):
+    def ends(**settings):
+        raise click.Abort from EOFError("no more input")
+
+    monkeypatch.setattr(home.cli, "main", ends)
+    assert home.main([]) == 1
+    assert "unexpected EOFError: no more input" in capsys.readouterr().err
+    monkeypatch.setattr(home.cli, "main", lambda **settings: (_ for _ in ()).throw(click.Abort))
+    assert home.main([]) == INTERRUPTED
+
+
+def test_ipopt_does_not_keep_an_interrupt_to_itself():
+    """It takes what a callback raises for a failed evaluation."""
+    import numpy as np
+
+    from pixelid.fit.engines import casadi_engine
+    from pixelid.fit.objective import Local
+
+    class Coordinates:
+        def bounds(self):
+            return np.full(1, -9.0), np.full(1, 9.0)
+
+        def longest_moves(self):
+            return np.ones(1)
+
+    class Objective:
+        coordinates, calls = Coordinates(), 0
+
+        def value(self, x):
+            return self.local(x).value
+
+        def local(self, x):
+            self.calls += 1
+            if self.calls == 3:
+                signal.raise_signal(signal.SIGINT)
+            return Local(-float((x**4).sum()), -4 * x**3, np.diag(12 * x**2))
+
+    objective, x = Objective(), np.array([2.0])
+    with pytest.raises(KeyboardInterrupt):
+        casadi_engine._solve(objective, x, Local(-16.0, -32.0 * np.ones(1), 48.0 * np.eye(1)), False, 1e-6, 50)
+    assert objective.calls < 20
