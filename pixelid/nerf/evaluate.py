@@ -119,10 +119,10 @@ def evaluate(field: Field, validation: Views, test: Views, dark, supersample: in
 
 
 def evaluate_as_published(field: Field, test: Views, dark) -> Scores:
-    """Scores by the protocol of the reference implementation of Deblur e-NeRF, kinder than `evaluate`.
+    """Scores by the protocol of the reference implementation of Deblur e-NeRF.
 
-    The correction is fitted to the very views that are scored, with one exponent for all colours; nothing is clipped,
-    and PSNR is relative to the span of values that a picture can hold.
+    The correction is fitted to the very views that are scored, which is kinder than `evaluate`, with one exponent for
+    all colours; nothing is clipped, which is harder; PSNR is relative to the span of values that a picture can hold.
     """
     if len(test) == 0:
         return no_scores(test)

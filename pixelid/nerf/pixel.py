@@ -129,7 +129,9 @@ class Pixel(torch.nn.Module):
         """(ON, OFF), (n, 1) each, of pixels (n,)."""
         which = torch.as_tensor(pixels if len(self.expected) > 1 else np.zeros_like(pixels), device=self.nominal.device)
         on, off = self.thresholds
-        factor = torch.exp(self._departing()[which])
+        log = self._departing()[which]
+        log = log - log.mean(dim=0) + log.mean(dim=0).detach()  # what these pixels have in common moves none of them
+        factor = torch.exp(log)
         return on * factor[:, :1], off * factor[:, 1:]
 
     def threshold_spread(self) -> tuple[float, float]:
@@ -140,7 +142,7 @@ class Pixel(torch.nn.Module):
     def _departing(self) -> torch.Tensor:
         """(pixels, 2) ln of every pixel's thresholds over the circuit's."""
         moved = self.unknown * self.departures
-        return self.expected + moved - moved.mean(dim=0)
+        return self.expected + moved - moved.mean(dim=0).detach()
 
     @property
     def longer_dead_time(self) -> torch.Tensor:

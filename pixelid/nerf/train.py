@@ -34,7 +34,7 @@ VISITS = 60
 BATCH_SHARE = 320 / 1e5
 SMALLEST_BATCH, LARGEST_BATCH = 320, 4096
 STEPS = (600, 30_000)
-DEPARTURES = 0.1  # learning rate of single pixels' thresholds, in their standard deviations, over the grid's
+DEPARTURES = 0.4  # learning rate of single pixels' thresholds, in their standard deviations, over the grid's
 EPSILON = 1e-3  # least radiance, dark current included, in the unit of the views (the paper's)
 
 

@@ -66,6 +66,19 @@ def test_thresholds_of_single_pixels_are_found_under_their_prior():
     assert pixel.threshold_spread()[0] == pytest.approx(0.1, rel=0.4)
 
 
+def test_what_pixels_have_in_common_is_not_theirs():
+    """A scene that still lacks contrast would lower all thresholds; their mean is held, step by step."""
+    pixel = Pixel(CIRCUIT, Bandwidth("off"), maps_of_circuit(CIRCUIT, 10))
+    on, off = pixel.thresholds_at(np.array([2, 5, 7]))
+    (on.sum() + 2 * off.sum()).backward()
+    assert pixel.departures.grad is not None
+    np.testing.assert_allclose(pixel.departures.grad.numpy(), 0.0, atol=1e-12)
+    on, off = pixel.thresholds_at(np.array([2, 5, 7]))
+    (on[0] - on[1]).backward()
+    moved = np.flatnonzero(pixel.departures.grad[:, 0].abs().numpy() > 1e-12)
+    assert moved.tolist() == [2, 5]
+
+
 def test_known_thresholds_are_not_trained():
     known = maps_of_circuit(CIRCUIT.with_(mismatch=0.0), 4)
     pixel = Pixel(CIRCUIT, Bandwidth(), PixelMaps(np.full((4, 2), 0.1), known.threshold_sd))
