@@ -166,7 +166,9 @@ def test_a_cluster_that_is_none_is_said_within_seconds(where, tmp_path, sensor, 
             silent.listen()
             address = f"tcp://127.0.0.1:{silent.getsockname()[1]}"
         elif where == "no workers":
-            cluster = LocalCluster(0, host=work.LOOPBACK, dashboard_address=f"{work.LOOPBACK}:0", silence_logs=50)
+            cluster = LocalCluster(
+                0, threads_per_worker=1, host=work.LOOPBACK, dashboard_address=f"{work.LOOPBACK}:0", silence_logs=50
+            )
             address = running.enter_context(cluster).scheduler_address
         begun = time.monotonic()
         words = ["sensor", str(tmp_path / "r.h5"), "--model", "dvs128", "--out", str(tmp_path / "maps"), "--quiet"]
