@@ -48,9 +48,12 @@ STRENGTHS = {  # effect → parameters at its typical strength; graded by the fa
     "shot_noise": {"density": 3.2e-4},
     "bandwidth_floor": {"radiance": 20.0},
     "polarity_memory": {"strength": 0.05},
+    "linear_log": {"knee": 20.0},
+    "lost_events": {"fraction": 0.05},
 }
 WITHHELD = ("source_follower_pole", "differencing_pole", "threshold_mismatch", "refractory_period")  # from the base
-NEWER = ("bandwidth_floor", "polarity_memory")  # whose seeds come after those of the others, which keep theirs
+# Whose seeds come after those of the others, which keep theirs.
+NEWER = ("bandwidth_floor", "polarity_memory", "linear_log", "lost_events")
 WEAKER = {"extra_pole", "slew_limit"}  # by a larger number: their factors divide
 FACTORS = (0.1, 0.3, 1.0)
 GRADED = 4  # repeats at the weaker strengths

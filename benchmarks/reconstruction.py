@@ -9,6 +9,7 @@ samples     S of the past: 1, 5, 15, 30, 50
 joint       the filter trained with the scene from a start wrong by 3 in α and the source follower; the same start held
 pixel       the camera differs from nominal by 2 in α and the source follower: true, nominal, fitted, and twice too fast
 effect      a camera with 2 ms dead time: reconstructed with and without the effect
+whole       cameras with more than the data sets' pixel (`CAMERAS`): everything known, and only what the data set says
 scale       radiance unit pinned by the background, by the views' mean level, free, and free with the pixel trained
             under the prior of a fit
 
@@ -38,6 +39,15 @@ from pixelid.nerf.synthetic import SETTINGS, camera_model, make_dataset
 from pixelid.nerf.train import Recipe
 
 SAMPLES = (1, 5, 15, 30, 50)
+CAMERAS = {
+    "clean": ({}, {}),
+    "leak 5 Hz": ({"leak": {"rate_hz": 5.0}}, {}),
+    "mismatch 10 %": ({}, {"threshold_mismatch.sigma": 0.1}),
+    "leak 40 Hz, mismatch 10 %": ({"leak": {"rate_hz": 40.0}}, {"threshold_mismatch.sigma": 0.1}),
+    "drift 0.6/s": ({"threshold_drift": {"per_s": 0.6}}, {}),
+    "hot pixels": ({"hot_pixels": {"rate_hz": 1000.0, "count": 40.0}}, {}),
+    "bandwidth floor": ({"bandwidth_floor": {"radiance": 20.0}}, {}),
+}  # effects with their values, and other values
 SLOW = 0.5  # α and source follower of the camera that differs from nominal
 CHANGED = ("alpha", "sf_cutoff_hz")
 
@@ -118,6 +128,15 @@ def arms(name: str, work: Path, setting: str, seed: int):
         ignored = replace(data.calibration, circuit=data.calibration.circuit.with_(refractory=0.0))
         yield "dead time known", data, {}
         yield "dead time ignored", data, {"calibration": ignored}
+    elif name == "whole":
+        for camera, (effects, values) in CAMERAS.items():
+            model = camera_model(SETTINGS[setting]).set(values)
+            for effect, its_values in effects.items():
+                model = model.with_effect(effect, its_values)
+            data = dataset(work, setting, seed, "_" + camera.replace(" ", "_").replace("/", "_"), model)
+            circuit = in_unit(model.circuit(), SETTINGS[setting].white_fa).with_(dark=data.calibration.circuit.dark)
+            yield f"{camera}: known", data, {"calibration": replace(data.calibration, circuit=circuit)}
+            yield f"{camera}: ignored", data, {}
     elif name == "scale":
         data = dataset(work, setting, seed)
         sharp = {"alpha": 0.01, "beta": 0.01, "gamma": 0.05, "follower": 0.02}
@@ -188,7 +207,7 @@ def table(work: Path) -> str:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    names = ("bandwidth", "samples", "joint", "pixel", "effect", "scale")
+    names = ("bandwidth", "samples", "joint", "pixel", "effect", "scale", "whole")
     parser.add_argument("experiments", nargs="*", choices=[*names, []], default=[])
     parser.add_argument("--settings", nargs="+", choices=list(SETTINGS), default=["hard"])
     parser.add_argument("--seeds", nargs="+", type=int, default=[0])

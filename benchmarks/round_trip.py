@@ -10,8 +10,7 @@ last sample); the light as CSV in seconds of the photodiode's clock.  The public
     pixelid fit recordings --model dvs128 --between linear
 
 Target: 95 % intervals of every parameter, delay and drift included, hold the truth as often as they say, and delays are
-within 20 µs.  Known to miss it: `auto`, along the ridge of delay and fastest pole (docs/limits/fitting.md).
-Finished sessions are kept, a second call continues.
+within 20 µs.  Finished sessions are kept, a second call continues.
 
     python benchmarks/round_trip.py --sessions 30
 """

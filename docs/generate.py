@@ -194,6 +194,28 @@ def coverage() -> str:
     return table(heads, rows)
 
 
+def round_trip() -> str:
+    """What `benchmarks/round_trip.py` found."""
+    summary = of_json("benchmarks/round_trip.json")["summary"]
+    ways = list(summary)
+    names = list(summary[ways[0]]["parameters"])
+
+    def held(way: str, name: str) -> str:
+        row = summary[way]["parameters"][name]
+        low, high = row["expected_range"]
+        side = f", {row['one_sided']} with an open side" if row["one_sided"] else ""
+        return f"{row['held']} of {row['of']} ({low} to {high}){side}"
+
+    def late(way: str, when: str) -> str:
+        row = summary[way]["delay_error_us"][when]
+        return f"{row['median']:.1f} µs, at most {row['largest']:.1f} µs"
+
+    rows = [(f"`{name}`", *(held(way, name) for way in ways)) for name in names]
+    rows += [(f"error of the delay after `{when}`", *(late(way, when) for way in ways)) for when in ("convert", "fit")]
+    caption = "Sessions whose 95 % interval held the truth; in brackets what 99 % of exact intervals would show.\n\n"
+    return caption + table(("parameter", *(f"`--align {way}`" for way in ways)), rows)
+
+
 def ranks() -> str:
     """What `benchmarks/posterior_ranks.py` found."""
     summary = of_json("benchmarks/posterior_ranks.json")["summary"]
@@ -340,6 +362,7 @@ PAGES: dict[str, Callable[[], str]] = {
     "single_sessions": single_sessions,
     "coverage": coverage,
     "ranks": ranks,
+    "round_trip": round_trip,
     "reconstruction": reconstruction,
     "schemas": schemas,
     "api": reference.page,

@@ -15,7 +15,7 @@ from docutils.core import publish_doctree
 from sphinx.ext.napoleon import GoogleDocstring
 
 NAMES = (
-    "open", "find_model", "simulate", "fit", "sample", "gap", "lowlight", "design", "reconstruct",
+    "open", "find_model", "simulate", "fit", "sample", "gap", "lowlight", "design", "reconstruct", "load_field",
     "Model", "Recording", "Stimulus", "Status",
 )  # fmt: skip
 # Where the same things are in a version that does not show them at its top level.

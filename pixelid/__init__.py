@@ -25,6 +25,7 @@ __all__ = [
     "find_model",
     "fit",
     "gap",
+    "load_field",
     "lowlight",
     "open",
     "reconstruct",
@@ -34,7 +35,7 @@ __all__ = [
 
 if TYPE_CHECKING:
     from pixelid.api import find_model, fit, gap, open, sample, simulate
-    from pixelid.api_analyses import design, lowlight, reconstruct
+    from pixelid.api_analyses import design, load_field, lowlight, reconstruct
     from pixelid.model.model import Model
     from pixelid.recordings.recording import Recording
     from pixelid.status import Status
@@ -42,6 +43,7 @@ if TYPE_CHECKING:
 
 _HOMES = {
     "design": "pixelid.api_analyses",
+    "load_field": "pixelid.api_analyses",
     "lowlight": "pixelid.api_analyses",
     "reconstruct": "pixelid.api_analyses",
     "Model": "pixelid.model.model",

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from pixelid.design.result import DesignReport
     from pixelid.inputs import ModelLike, RecordingsLike
     from pixelid.lowlight.result import LowlightReport
+    from pixelid.nerf.field import Field
     from pixelid.nerf.reconstruct import Reconstruction
     from pixelid.recordings.recording import Recording
 
@@ -106,6 +107,7 @@ def reconstruct(
     dataset: str | Path,
     *,
     fit: str | Path | None = None,
+    sensor: str | Path | None = None,
     bandwidth: str = "on",
     samples: int = 30,
     trained: Sequence[str] = (),
@@ -123,7 +125,8 @@ def reconstruct(
 
     Args:
         dataset: a folder in the published layout of Robust e-NeRF and Deblur e-NeRF.
-        fit: folder of a fit whose pixel replaces the dataset's.
+        fit: folder of a fit or a search for the gap whose pixel replaces the dataset's.
+        sensor: folder of a sensor fit, whose maps say how the pixels differ.
         bandwidth: the pixel's filter: "on" (known), "off" (ignored), or "joint" (trained with the scene).
         samples: of the pixel's past.
         trained: also trained with "joint": "threshold", "ratio", "refractory".
@@ -161,10 +164,32 @@ def reconstruct(
     recipe = replace(Recipe(), iterations=iterations) if iterations else Recipe()
     return run(
         read_dataset(Path(dataset)), fit=None if fit is None else Path(fit),
+        sensor=None if sensor is None else Path(sensor),
         bandwidth=Bandwidth(bandwidth, samples, trained=(*FILTER, *trained)), recipe=recipe, background=background,
         scale=scale, box=box, radiance_scale=radiance_scale, resume=None if resume is None else Path(resume),
         device=device, seed=seed, progress=progress or (lambda what, share: None),
     )  # fmt: skip
+
+
+def load_field(folder: str | Path) -> Field:
+    """The scene of a reconstruction's folder, to render or to look at.
+
+    Args:
+        folder: that `pixelid reconstruct` or `.save` wrote.
+
+    Returns:
+        The field: `field(rays)` gives radiance and opacity, `field.grid` log density and log radiance at the vertices.
+
+    Raises:
+        InputError: no scene there, or a damaged one.
+
+    Example:
+        >>> import pixelid as px
+        >>> px.load_field("sharp/").vertices  # doctest: +SKIP
+    """
+    from pixelid.nerf.saved import read_field
+
+    return read_field(Path(folder))
 
 
 def _fit_and_files(model: ModelLike) -> tuple[dict[str, Any] | None, list[Path]]:

@@ -31,7 +31,7 @@ from pixelid.errors import InputError, OutputError, SetAside
 RESULT_FILES = (
     "fit.json", "gap.json", "posterior.json", "lowlight.json", "design.json", "rates.json", "flicker.json",
     "latency.json", "noise.json", "sensor.json", "compare.json", "inspect.json", "static_noise.json",
-    "reconstruction.json", "conform.json", "render.json",
+    "reconstruction.json", "conform.json", "render.json", "dataset.json",
 )  # fmt: skip
 _AT_FDCWD, _RENAME_EXCHANGE = -100, 2  # linux/fcntl.h, linux/fs.h
 OLD = ".old"  # added to the name of a result that is being replaced where the system cannot swap two folders

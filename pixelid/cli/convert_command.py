@@ -65,6 +65,7 @@ def command(
             from pixelid.recordings.sensor_light import with_measured_light
 
             recording = crop.applied(with_measured_light(open_recording(source)), seed)
+            said = f"; {recording.attributes['polarity']}" if "polarity" in recording.attributes else ""
         else:
             recording = open_cropped(source, crop, seed)
         if stimulus is not None and stimulus != SENSOR:

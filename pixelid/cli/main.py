@@ -34,7 +34,9 @@ COMMANDS = {
     "gap": "Which effect a model lacks: find it, name it, add it.",
     "conform": "What of the signal path a simulator or camera has, effect by effect.",
     "export": "A circuit in the parameters of another simulator.",
+    "dataset": "Published raw data in the layout that reconstruct reads.",
     "reconstruct": "A sharp scene from motion-blurred events.",
+    "render": "Views, videos, depth, meshes and splats of a reconstruction.",
     "report": "A one-page report.html for any result folder.",
     "demo": "The whole story on embedded data, minutes on a laptop.",
 }

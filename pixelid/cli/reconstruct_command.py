@@ -6,6 +6,7 @@ import click
 
 from pixelid.cli import options
 
+AUTO = "auto"
 EXAMPLE = """
 \b
 Example:
@@ -16,16 +17,35 @@ Example:
 """
 
 
+class StepsOrAuto(click.IntRange):
+    """A number of steps, or `AUTO`."""
+
+    name = "integer|auto"
+
+    def __init__(self) -> None:
+        super().__init__(min=1)
+
+    def convert(self, value, param, ctx):
+        """The number, or the word."""
+        return value if value == AUTO else super().convert(value, param, ctx)
+
+
 @click.command("reconstruct", epilog=EXAMPLE)
 @click.argument("dataset", type=options.PATH)
 @options.out()
-@click.option("--fit", type=options.PATH, help="Folder of a fit; its pixel replaces the dataset's.")
+@click.option("--fit", type=options.PATH,
+              help="Folder of a fit or of gap, or a model file; its pixel replaces the dataset's.")  # fmt: skip
+@click.option("--sensor", type=options.PATH, help="Folder of `pixelid sensor`: thresholds and bandwidth of each pixel.")
 @click.option("--bandwidth", type=click.Choice(["on", "off", "joint"]), default="on", show_default=True,
               help="The pixel's filter: known, ignored, or trained with the scene.")  # fmt: skip
 @click.option("--samples", type=click.IntRange(1, 1000), default=30, show_default=True, help="S, of the pixel's past.")
 @click.option("--train", "comparator", multiple=True, type=click.Choice(["threshold", "ratio", "refractory"]),
               help="Trained too, with --bandwidth joint: mean threshold, ON/OFF ratio, dead time.")  # fmt: skip
-@click.option("--iterations", type=click.IntRange(1), help="Training steps.")
+@click.option("--cells", type=click.IntRange(8, 512),
+              help="Cells of the field per side; by default one per pixel, 32 to 160.")  # fmt: skip
+@click.option("--steps", "--iterations", type=StepsOrAuto(), default=1200, show_default=True,
+              help="Training steps; auto: steps and batch by the number of events.")  # fmt: skip
+@click.option("--batch", type=click.IntRange(1), help="Chains of events per step; 320, or what --steps auto chooses.")
 @click.option("--background", type=options.Number(0.0, open_low=True),
               help="Radiance behind the scene; by default what the views show.")  # fmt: skip
 @click.option("--scale", type=click.Choice(["auto", "level", "free"]), default="auto", show_default=True,
@@ -34,14 +54,16 @@ Example:
               help="Corners of the scene; by default a cube where the views look.")  # fmt: skip
 @click.option("--radiance-scale", type=options.Number(0.0, open_low=True),
               help="The fit's radiance units per unit of the views; by default from q_in.")  # fmt: skip
+@click.option("--protocol", type=click.Choice(["strict", "paper"]), default="strict", show_default=True,
+              help="paper: also the reference implementation's scores, corrected on the scored views.")  # fmt: skip
 @click.option("--checkpoint", type=options.PATH, help="Continue from this file, and keep it up to date.")
 @click.option("--device", type=click.Choice(["auto", "cpu", "cuda"]), default="auto", show_default=True)
 @options.overwrite
 @options.seed()
 @options.quiet
 def command(
-    dataset, out, fit, bandwidth, samples, comparator, iterations, background, scale, box, radiance_scale, checkpoint,
-    device, overwrite, seed, quiet,
+    dataset, out, fit, sensor, bandwidth, samples, comparator, cells, steps, batch, background, scale, box,
+    radiance_scale, protocol, checkpoint, device, overwrite, seed, quiet,
 ):  # fmt: skip
     """Reconstruct the scene of DATASET, a folder in the published layout of Robust e-NeRF and Deblur e-NeRF.
 
@@ -59,8 +81,8 @@ def command(
         raise InputError(f"--train {comparator[0]}: needs --bandwidth joint, found {bandwidth}")
     if checkpoint is not None and not checkpoint.parent.exists():
         raise InputError(f"{checkpoint}: the folder {checkpoint.parent} does not exist")
-    for folder, what in ((dataset, "a dataset"), (fit, "a fit")):
-        if folder is not None and not folder.is_dir():
+    for folder, what in ((dataset, "a dataset"), (fit, "a fit"), (sensor, "a sensor's maps")):
+        if folder is not None and not folder.is_dir() and not (folder is fit and folder.is_file()):
             found = "a file" if folder.exists() else "nothing of that name"
             raise InputError(f"{folder}: expected the folder of {what}, found {found}")
     refuse_existing(out, overwrite)
@@ -73,14 +95,17 @@ def command(
     from pixelid.report.html import write_report
 
     first = parallel.rank() == 0
-    with claimed(out, overwrite, [dataset, *([fit] if fit else [])]) if first else nullcontext():
+    with claimed(out, overwrite, [folder for folder in (dataset, fit, sensor) if folder]) if first else nullcontext():
         data = read_dataset(dataset)
-        recipe = replace(Recipe(), iterations=iterations) if iterations else Recipe()
+        recipe = replace(Recipe(), iterations=0, batch=0) if steps == AUTO else replace(Recipe(), iterations=steps)
+        recipe = replace(recipe, batch=batch) if batch else recipe
+        recipe = recipe.with_cells(cells) if cells else recipe
         pixel = Bandwidth(bandwidth, samples, trained=(*FILTER, *comparator))
         with bar(quiet or not first, compiles=True) as report:
             result = reconstruct(
-                data, fit=fit, bandwidth=pixel, recipe=recipe, background=background, scale=scale, box=box or None,
-                radiance_scale=radiance_scale, resume=checkpoint, device=device, seed=seed, progress=report,
+                data, fit=fit, sensor=sensor, bandwidth=pixel, recipe=recipe, background=background, scale=scale,
+                box=box or None, radiance_scale=radiance_scale, protocol=protocol, resume=checkpoint, device=device,
+                seed=seed, progress=report,
             )  # fmt: skip
             if first:
                 with whole_folder(out, overwrite) as folder:

@@ -33,7 +33,7 @@ def widths_rows(found: dict) -> list[list[str]]:
                 name,
                 number(before["value"]),
                 *(" … ".join(number(end) for end in width["interval_95"]) for width in (before, after)),
-                f"{before['std_coordinate'] / after['std_coordinate']:.2f} ×",
+                f"{before['std_coordinate'] / after['std_coordinate']:.3g} ×",
                 before["unit"],
             ]
         )

@@ -1,7 +1,7 @@
 """The pixel's equations, written once, in plain arithmetic.
 
 Every function here uses only + − × ÷ on scalars, so the same lines serve floats, complex steps, Numba,
-CasADi symbols and torch tensors; the engines supply the transcendental functions.
+CasADi symbols and torch tensors; the engines supply the transcendental functions (`selected_factors` takes them).
 
 State, in signal order (Low & Lee, arXiv 2409.17988, supplement):
 
@@ -125,6 +125,38 @@ def state_of(modes, u1, r, a, pr, delays, pq, k1, kd):
         u1 - r * ty + ey,
         u1 - r * ts + p0 * ey + p1 * ev + m * k1,
         u1 - r * td + q0 * ey + q1 * ev + m1 * k1 + n * kd,
+    )
+
+
+def selected_factors(op, a, b2, tau):
+    """(f1, f2, g) of `kernels.photoreceptor_factors`, by selection; unselected branches stay finite.
+
+    op: exp, sqrt, sin, cos, abs and where of vectors: the module torch, or an engine's `Operations`
+    """
+    b = 0.5 * b2
+    disc = b * b - a
+    x = disc * tau * tau
+    near = op.abs(x) < 0.3
+    away = op.where(near, 1.0 + 0.0 * disc, disc)
+    over = away > 0.0
+    root = op.sqrt(op.abs(away))
+    half = 0.5 / root
+    fast = b + op.where(over, root, 0.0 * root)
+    slow = op.where(over, a / fast, b)
+    e_fast, e_slow = op.exp(-fast * tau), op.exp(-slow * tau)
+    phase = op.where(over, 0.0 * tau, root * tau)
+    g_far = op.where(over, (e_slow - e_fast) * half, e_slow * op.sin(phase) * 2.0 * half)
+    f1_far = op.where(over, (fast * e_slow - slow * e_fast) * half, e_slow * op.cos(phase) + b * g_far)
+    f2_far = op.where(over, (fast * e_fast - slow * e_slow) * half, e_slow * op.cos(phase) - b * g_far)
+    x = op.where(near, x, 0.0 * x)
+    c = 1.0 + x / 2.0 * (1.0 + x / 12.0 * (1.0 + x / 30.0 * (1.0 + x / 56.0 * (1.0 + x / 90.0 * (1.0 + x / 132.0)))))
+    s = 1.0 + x / 6.0 * (1.0 + x / 20.0 * (1.0 + x / 42.0 * (1.0 + x / 72.0 * (1.0 + x / 110.0 * (1.0 + x / 156.0)))))
+    eb = op.exp(-op.where(near, b, 0.0 * b) * tau)
+    g_near = eb * tau * s
+    return (
+        op.where(near, eb * c + b * g_near, f1_far),
+        op.where(near, eb * c - b * g_near, f2_far),
+        op.where(near, g_near, g_far),
     )
 
 

@@ -183,13 +183,14 @@ def smooth_state(state, rates):
     return slope - _low_pass(z, e, wh), 0.0, e - z, e - z, 0.0, d
 
 
-def slewed_states(t, radiance, dynamics, rates, midpoint: bool) -> np.ndarray:
+def slewed_states(t, radiance, dynamics, rates, midpoint: bool, log_radiance: np.ndarray | None = None) -> np.ndarray:
     """(n, 6) `smooth_state` at knots t (n,) under radiance (n,), from steady state at the first.
 
-    dynamics: of the circuit without its slew limit;  rates: `rates_of` it
+    dynamics: of the circuit without its slew limit;  rates: `rates_of` it;  log_radiance: as of `trajectory.integrate`
     """
+    u = np.log(radiance) if log_radiance is None else log_radiance
     states = np.empty((len(t), 6))
-    _slewed(t, np.log(radiance), radiance, dynamics, rates, midpoint, states)
+    _slewed(t, u, radiance, dynamics, rates, midpoint, states)
     return states
 
 

@@ -50,11 +50,17 @@ class SlewedTrajectory(Trajectory):
 
 
 def slewed(
-    t, radiance, circuit: Circuit, dynamics: Dynamics, first: Sequence[int] | np.ndarray | None = None
+    t,
+    radiance,
+    circuit: Circuit,
+    dynamics: Dynamics,
+    first: Sequence[int] | np.ndarray | None = None,
+    log_radiance: np.ndarray | None = None,
 ) -> SlewedTrajectory:
     """The trajectory of a slew-limited circuit under radiance (n,) at t (n,); dynamics: of it without the limit.
 
-    `first`: as of `trajectory.integrate`.  Steady state at the first sample, log radiance linear between samples.
+    `first`, `log_radiance`: as of `trajectory.integrate`.  Steady state at the first sample, log radiance linear
+    between samples.
     Raises InputError without source follower or differencing pole: the first would have nothing to slew, the second is
     what the level at an event is read through.
     """
@@ -63,7 +69,8 @@ def slewed(
     values = dynamics.uniform()
     rates = slew.rates_of(circuit, values)
     t, radiance = np.ascontiguousarray(t, np.float64), np.ascontiguousarray(radiance, np.float64)
-    u, midpoint = np.log(radiance), circuit.linearisation == "midpoint"
+    u = np.log(radiance) if log_radiance is None else log_radiance
+    midpoint = circuit.linearisation == "midpoint"
     states, mode, change = np.empty((len(t), 6)), np.zeros(len(t), np.int8), np.zeros(len(t) + 1, np.int64)
     parts, count = [], 0
     for begin, end in pairwise((0, len(t)) if first is None else first):

@@ -127,8 +127,8 @@ def integrate(
 
     Steady state at the first sample.  Two samples may share a time (a jump).  `linearisation`: "midpoint"
     (second order in the step) or "newer" (the newer sample, as in the paper; first order).  `log_radiance` (n,):
-    where it is known.  `first`: where the samples of several lights, one after the other, begin and end; each has a
-    trajectory of its own.
+    where it is known, or the pixel responds with something else.  `first`: where the samples of several lights, one
+    after the other, begin and end; each has a trajectory of its own.
 
     Raises InputError for radiance ≤ 0 or an unknown linearisation.
     """

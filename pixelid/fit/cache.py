@@ -70,6 +70,8 @@ class FitCache:
         hashed = hashlib.blake2b(self._events[likelihood], digest_size=DIGEST_BYTES)
         priors = {p.name: p.prior for p in model.parameters.values() if p.prior is not None}
         hashed.update(repr((__version__, to_document(model), priors, settings)).encode())
+        if model.nuisances:
+            hashed.update(repr(sorted(model.nuisances.items())).encode())
         return hashed.hexdigest()
 
     def _read(self) -> None:

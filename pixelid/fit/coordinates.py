@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -27,7 +27,10 @@ class Coordinates:
     @staticmethod
     def of(model: Model, nuisances: tuple[Parameter, ...] = ()) -> Coordinates:
         """Coordinates of everything free.  Raises InputError when nothing is."""
-        free = [p for p in (*model.parameters.values(), *nuisances) if p.free]
+        nuisances = (*model.nuisances.values(), *nuisances)
+        replaced = {name.split("[", 1)[0] for name in model.nuisances}
+        shared = [p for p in model.parameters.values() if p.name not in replaced]
+        free = [p for p in (*shared, *nuisances) if p.free]
         if not free:
             raise InputError(f"model {model.name}: every parameter is fixed, there is nothing to fit")
         return Coordinates(model, {p.name: p for p in nuisances}, tuple(free))
@@ -69,7 +72,9 @@ class Coordinates:
         """The model at a coordinate vector; bounds widen where the vector sits on them."""
         values = self.values(x)
         inside = {p.name: min(max(values[p.name], p.lower), p.upper) for p in self.model.parameters.values()}
-        return self.model.set(inside)
+        own = {name: min(max(values[name], p.lower), p.upper) for name, p in self.model.nuisances.items()}
+        model = self.model.set(inside)
+        return replace(model, nuisances={name: p.at(own[name]) for name, p in self.model.nuisances.items()})
 
     def nuisances_at(self, x: np.ndarray) -> dict[str, float]:
         """Values of the nuisances at a coordinate vector."""

@@ -80,14 +80,14 @@ class EventTimesObjective(Objective):
             back = self.coordinates.circuit(down)
             numbers[:] = [getattr(there, name) - getattr(back, name) for name in NUMBERS]
             numbers /= up[i] - down[i]
-        clock = self._moved_clock(x, i, up)
-        if clock is None and only_density_differs(circuit, there):
+        moved = self._moved_recording(x, i, up, circuit, there)
+        if moved is None and only_density_differs(circuit, there):
             return Tangent(None, numbers)
         here, likelihood = self.terms(x).changes, self.at(x)
-        if clock is None:
+        if moved is None:
             difference = likelihood.changes(there, here.extremes)
         else:
-            difference = likelihood.changes_by_clock(circuit, here, *clock)
+            difference = likelihood.changes_of_one(there, here, *moved)
         slope = difference.vector
         with np.errstate(over="ignore", invalid="ignore"):  # intervals whose density is zero
             slope -= here.vector
@@ -97,13 +97,20 @@ class EventTimesObjective(Objective):
         difference.events.early[:] = 0.0  # whether an event comes too early is not differentiable
         return Tangent(difference, numbers)
 
-    def _moved_clock(self, x: np.ndarray, i: int, up: np.ndarray) -> tuple[int, Clock] | None:
-        """(recording, its clock at `up`) when coordinate i is a clock's."""
+    def _moved_recording(
+        self, x: np.ndarray, i: int, up: np.ndarray, here: Circuit, there: Circuit
+    ) -> tuple[int, Clock | None] | None:
+        """(recording, its clock at `up`) when coordinate i, moved to `up`, is one recording's own."""
         if self.coordinates.parameters[i].name not in self.coordinates.nuisances:
             return None
-        before, after = self.clocks(x) or (), self.clocks(up) or ()
-        pairs = enumerate(zip(before, after, strict=True))
-        return next(((k, new) for k, (old, new) in pairs if new is not None and new != old), None)
+        recordings = self.likelihood.recordings
+        unknown = (None,) * len(recordings)
+        before, after = self.clocks(x) or unknown, self.clocks(up) or unknown
+        moved = [
+            k for k, recording in enumerate(recordings)
+            if before[k] != after[k] or here.in_recording(recording.name) != there.in_recording(recording.name)
+        ]  # fmt: skip
+        return (moved[0], after[moved[0]]) if len(moved) == 1 else None
 
 
 def _moved(x: np.ndarray, i: int, by: float) -> np.ndarray:

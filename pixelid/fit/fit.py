@@ -21,6 +21,7 @@ from pixelid.fit.result import FitResult, Stopwatch, estimates_of
 from pixelid.fit.starts import feasible, random_starts
 from pixelid.fit.uncertainty.challenge import challenged
 from pixelid.fit.uncertainty.curvature import read_curvature
+from pixelid.fit.uncertainty.ridge import profile_of_ridge, widened
 from pixelid.fit.uncertainty.small_sample import intervals
 from pixelid.likelihood.clocks import unseparated
 from pixelid.likelihood.event_times import EventTimes
@@ -134,11 +135,13 @@ def fit(
     details["directions_best_to_least_known"] = list(reading.directions)
     fitted = coordinates.model_at(optimum.x)
     physical, why = _physical(fitted, gauge is not None)
+    limits_95 = intervals(coordinates.names, optimum.x, reading.sd, pixels)
+    along = profile_of_ridge(objective, optimum.x, reading) if ridge else None
+    if along is not None:
+        limits_95 = widened(limits_95, along, objective, optimum.x, reading.covariance)
+        details["intervals_follow_profile_of"] = along.name
     estimates, open_ones = open_sides(
-        estimates_of(
-            coordinates, optimum.x, reading.sd, identified, intervals(coordinates.names, optimum.x, reading.sd, pixels)
-        ),
-        coordinates.parameters,
+        estimates_of(coordinates, optimum.x, reading.sd, identified, limits_95), coordinates.parameters
     )
     details["precision"] = {p.name: precision(estimates[p.name], p) for p in coordinates.parameters}
     status, advice = status_of(objective, optimum, estimates, details)
@@ -223,7 +226,7 @@ def _fit_event_times(recordings, model, clocks, starts, between, maximiser: Engi
         continuous = maximiser.continuous(objective, optimum.x)
         discrete = optimum
         optimum = newton_steps(continuous, discrete.x, tolerance=CONTINUOUS_TOLERANCE, max_steps=20)
-    background = objective.terms(optimum.x).background
+    background = objective.terms(optimum.x).unexplained
     details = {
         "stimulus_between_samples": kind,
         "starts": len(ends),

@@ -113,6 +113,6 @@ def _fit(likelihood: EventTimes, coordinates: Coordinates, tolerance: float, max
         "x": end.x.tolist(),
         "value": float(terms.total),
         "information": end.local.information.tolist(),
-        "unexplained": int(terms.background.sum()),
+        "unexplained": int(terms.unexplained.sum()),
         "converged": bool(end.converged),
     }

@@ -167,7 +167,8 @@ def draw_before_after(report: Searched, recordings: Sequence[Recording], axes: A
                 edges[:-1], rate, step="post", color=colour, alpha=0.4, linewidth=0, label=f"{name}, measured"
             )
         for model, colour, mark in ((report.base, MUTED, "x"), (report.model, IMPROVED, ".")):
-            copy = simulate(model, light, width=SIMULATED_PIXELS, height=1, seed=report.seed).events
+            here = model.in_recording(recording.name)
+            copy = simulate(here, light, width=SIMULATED_PIXELS, height=1, seed=report.seed).events
             for polarity, sign, _, _ in sides:
                 expected = np.histogram(copy.t[copy.p == polarity] * 1e-9, edges)[0] * pixels / SIMULATED_PIXELS
                 rate = sign * expected / pixels / np.diff(edges)

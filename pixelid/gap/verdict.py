@@ -108,6 +108,8 @@ def describe(
 def _strengths(effect: Named) -> str:
     shown = []
     for name, (value, interval) in effect.parameters.items():
+        if "[" in name:  # a recording's own, in the tables
+            continue
         bounds = f", 95 % {interval[0]:.4g}–{interval[1]:.4g}" if interval else ""
         shown.append(f"{name} = {value:.4g}{bounds}")
     return "; ".join(shown)

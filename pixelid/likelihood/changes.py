@@ -84,7 +84,10 @@ class Trajectories:
 
         `keep` remembers them for circuits that differ in none of these: thresholds, dead time, leak and delay do not.
         """
-        reaching = (circuit.dark, circuit.flicker_modulation, circuit.flicker_hz, circuit.flicker_phase)
+        reaching = (
+            circuit.dark, circuit.flicker_modulation, circuit.flicker_hz, circuit.flicker_phase, circuit.knee,
+            circuit.knee_slope,
+        )  # fmt: skip
         limit = (circuit.slew_rise, circuit.slew_fall)
         linear = circuit.with_(slew_rise=np.inf, slew_fall=np.inf)
         dynamics = dynamics_of(linear) if slew.slews(circuit) else _apart(dynamics_of(linear))
@@ -96,7 +99,7 @@ class Trajectories:
             light = stacked_drive(self._lights, circuit, self._end_s)
             self._light = reaching, light
         if slew.slews(circuit):
-            trajectory = slewed(light.t, light.radiance, circuit, dynamics, light.first)
+            trajectory = slewed(light.t, light.radiance, circuit, dynamics, light.first, light.log_radiance)
         else:
             trajectory = integrate(
                 light.t, light.radiance, dynamics, linearisation=circuit.linearisation,
@@ -188,8 +191,8 @@ class ChangeEvaluator:
         drifted[:], drift_slope[:] = 0.0, 0.0
         if drift is not None:
             _drifts(
-                release, time, sample, trajectory.t, trajectory.u, drift.rate, drift.per_light, drift.lights,
-                drift.light, drifted, drift_slope,
+                release, time, sample, trajectory.t, _logs_of_light(trajectory, circuit), drift.rate, drift.per_light,
+                drift.lights, drift.light, drifted, drift_slope,
             )  # fmt: skip
         np.less_equal(time, release, out=early)
 
@@ -228,9 +231,15 @@ class ChangeEvaluator:
         per_light = leaked(circuit, 0.0, 1.0)
         lights, light = np.zeros(len(trajectory.t)), np.zeros(len(release))
         if per_light != 0:
-            _light_integrals(trajectory.t, trajectory.u, lights)
-            _light_until(release, sample, trajectory.t, trajectory.u, lights, light)
+            logs = _logs_of_light(trajectory, circuit)
+            _light_integrals(trajectory.t, logs, lights)
+            _light_until(release, sample, trajectory.t, logs, lights, light)
         return begun, Drift(leaked(circuit, 1.0, 0.0), per_light, circuit.on_threshold, lights, light)
+
+
+def _logs_of_light(trajectory: Trajectory, circuit: Circuit) -> np.ndarray:
+    """(samples,) log radiance, which is not the response below a knee."""
+    return trajectory.u if circuit.knee == 0 else np.log(trajectory.radiance)
 
 
 def _subtract_threshold_shifts(circuit: Circuit, iv: Sequences, events: np.ndarray, pixels: np.ndarray) -> None:

@@ -32,6 +32,8 @@ threshold) contributes log BACKGROUND_HZ and says nothing about thresholds.  So 
 bounded price per event it cannot explain, instead of distorting every parameter.  Under a true model one event in 10⁵
 or fewer is called background.  Likewise a crossing goes missing with probability MISSED, which bounds the price of an
 event that the model expects and the recording lacks.
+
+**Lost events** (a share f of all): `losses.py`.
 """
 
 from __future__ import annotations
@@ -44,16 +46,15 @@ import numpy as np
 from pixelid.likelihood.density_backward import backward
 from pixelid.likelihood.density_forward import EventTerms, GroupTerms, Numbers, forward
 from pixelid.likelihood.layout import Layout, StackedChanges
+from pixelid.likelihood.losses import BACKGROUND_HZ, MISSED, Losses, losses_of
 from pixelid.stages.circuit import Circuit
 
-BACKGROUND_HZ = 1e-3
-MISSED = 1e-6
-NUMBERS = Numbers._fields
+NUMBERS = (*Numbers._fields, "lost")
 
 
 @dataclass(frozen=True)
 class Gradient:
-    """Derivatives of the log-likelihood: `by_changes`, and (6,) by the circuit's `NUMBERS`."""
+    """Derivatives of the log-likelihood: `by_changes`, and (7,) by the circuit's `NUMBERS`."""
 
     by_changes: StackedChanges
     by_numbers: np.ndarray
@@ -65,6 +66,7 @@ class Terms:
 
     event, group: per event and per (pixel, polarity) group, see `density_forward.py`;  background: (n,) bool
     end: (m,) log survival of the unfinished intervals
+    losses: what lost events make of it, None where none get lost
     """
 
     layout: Layout
@@ -75,11 +77,17 @@ class Terms:
     background: np.ndarray
     group: GroupTerms
     end: np.ndarray
+    losses: Losses | None = None
 
     @cached_property
     def total(self) -> float:
         """The log-likelihood."""
         return float(self.event.term.sum() + self.group.term.sum() + self.end.sum())
+
+    @property
+    def unexplained(self) -> np.ndarray:
+        """(n,) chance that nothing in the circuit explains an event: background events that no lost one preceded."""
+        return self.background if self.losses is None else self.background * (1.0 - self.losses.after)
 
     @cached_property
     def per_pixel(self) -> np.ndarray:
@@ -150,12 +158,15 @@ class Terms:
         at = self.layout
         by_changes = at.stacked(np.empty(at.size))
         by_changes.events.early[:] = 0.0
-        by_numbers = np.empty(len(NUMBERS))
+        by_numbers = np.zeros(len(NUMBERS))
+        lost = 0.0 if self.losses is None else self.losses.fraction
         backward(
             at.sign, at.group, at.time_s, self.clock_share, at.last_pixel, at.last_time_s,
-            self.changes.events, self.changes.ends, self.numbers, MISSED, self.event, self.group,
-            by_changes.events, by_changes.ends, by_numbers,
+            self.changes.events, self.changes.ends, self.numbers, MISSED + lost, self.event, self.group,
+            by_changes.events, by_changes.ends, by_numbers[:-1],
         )  # fmt: skip
+        if self.losses is not None:
+            by_numbers[-1] = self.losses.slope
         return Gradient(by_changes, by_numbers)
 
 
@@ -168,17 +179,22 @@ def density(layout: Layout, circuit: Circuit, changes: StackedChanges, clock_sha
         changes: The circuit's changes.
         clock_share: (n,) how often timestamp noise counts, see `EventTimes.weighed`.
     """
-    numbers = Numbers(*(float(getattr(circuit, name)) for name in NUMBERS))
+    numbers = Numbers(*(float(getattr(circuit, name)) for name in Numbers._fields))
+    lost = float(circuit.lost)
     n = layout.events
     event = EventTerms(*np.empty((len(EventTerms._fields), n)))
     group = GroupTerms(*np.empty((len(GroupTerms._fields), layout.groups)))
     background, end = np.empty(n, np.bool_), np.empty(layout.ends)
     forward(
         layout.sign, layout.group, layout.time_s, layout.tick_s, clock_share, layout.last_pixel, layout.last_time_s,
-        changes.events, changes.ends, numbers, BACKGROUND_HZ, MISSED,
+        changes.events, changes.ends, numbers, BACKGROUND_HZ, MISSED + lost,
         event, np.empty(n, np.bool_), background, group, end,
     )  # fmt: skip
-    return Terms(layout, numbers, clock_share, changes, event, background, group, end)
+    losses = None
+    if lost > 0.0:
+        losses = losses_of(layout, lost, float(circuit.refractory), numbers, event, background, group, end)
+        event.term[:] += losses.gain
+    return Terms(layout, numbers, clock_share, changes, event, background, group, end, losses)
 
 
 def sum_by(index: np.ndarray, values: np.ndarray, size: int) -> np.ndarray:

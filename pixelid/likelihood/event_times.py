@@ -126,22 +126,26 @@ class EventTimes:
         where = [True] * len(self.evaluators) if extremes is None else extremes
         clocks = self.clocks or (None,) * len(self.recordings)
         by = [clocks[recording] for recording in self._recording_of_section]
-        parts = list(zip(self.evaluators, where, self.layout.per_section(vector), by, strict=True))
+        circuits = self._circuits(circuit)
+        parts = list(zip(circuits, self.evaluators, where, self.layout.per_section(vector), by, strict=True))
 
-        located = self._filled(circuit, parts)
+        located = self._filled(parts)
         changes = self.layout.stacked(vector, tuple(located))
         if self.threshold_factor is not None:
             for row in changes.events.of_level:
                 row /= self.threshold_factor
         return changes
 
-    def changes_by_clock(self, circuit: Circuit, here: StackedChanges, recording: int, clock: Clock) -> StackedChanges:
-        """`here`, the changes under a circuit, but for one recording by another clock; its extremes where they were."""
+    def changes_of_one(
+        self, circuit: Circuit, here: StackedChanges, recording: int, clock: Clock | None
+    ) -> StackedChanges:
+        """`here`, but for one recording under another circuit or by another clock; its extremes where they were."""
         vector = here.vector.copy()
         sections = zip(
-            self._recording_of_section, self.evaluators, here.extremes, self.layout.per_section(vector), strict=True
-        )
-        self._filled(circuit, [(*section, clock) for of, *section in sections if of == recording])
+            self._recording_of_section, self._circuits(circuit), self.evaluators, here.extremes,
+            self.layout.per_section(vector), strict=True,
+        )  # fmt: skip
+        self._filled([(*section, clock) for of, *section in sections if of == recording])
         changes = self.layout.stacked(vector)
         if self.threshold_factor is not None:
             mine = self.layout.recording == recording
@@ -149,11 +153,16 @@ class EventTimes:
                 row[mine] /= self.threshold_factor[mine]
         return changes
 
-    def _filled(self, circuit: Circuit, parts: Sequence[tuple]) -> list[Extremes]:
-        """Fill the rows of sections (evaluator, extremes or True, rows, clock); where their extremes are."""
+    def _circuits(self, circuit: Circuit) -> list[Circuit]:
+        """Of every section: the circuit as it was in its recording."""
+        in_each = [circuit.in_recording(recording.name) for recording in self.recordings]
+        return [in_each[recording] for recording in self._recording_of_section]
+
+    def _filled(self, parts: Sequence[tuple]) -> list[Extremes]:
+        """Fill the rows of sections (circuit, evaluator, extremes or True, rows, clock); where their extremes are."""
 
         def fill(part) -> Extremes:
-            evaluator, at, rows, clock = part
+            circuit, evaluator, at, rows, clock = part
             return evaluator.fill(circuit, at, *rows, clock)
 
         return list(map_threads(fill, parts, threads=None if self._large else 1))

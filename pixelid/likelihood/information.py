@@ -18,7 +18,7 @@ from pixelid.likelihood.layout import StackedChanges
 
 @dataclass(frozen=True)
 class Tangent:
-    """Derivatives along one coordinate: of all changes (None: they do not move) and of the `NUMBERS` (6,)."""
+    """Derivatives along one coordinate: of all changes (None: they do not move) and of the `NUMBERS` (7,)."""
 
     changes: StackedChanges | None
     numbers: np.ndarray
@@ -40,11 +40,14 @@ class Information:
         self.is_on = np.arange(len(self.seen)) % 2 == 1
         self.events = np.zeros((tangents, 3, len(kept)))
         self.groups = np.zeros((tangents, 2, len(self.seen)))
+        self.lost = np.zeros(tangents)
 
     def add(self, i: int, tangent: Tangent) -> None:
         """Fill column i."""
         t, group, c = self.terms, self.terms.group, self.terms.numbers
-        d_on, d_off, d_noise, d_mismatch, d_drift, d_jitter = tangent.numbers
+        d_on, d_off, d_noise, d_mismatch, d_drift, d_jitter, d_lost = tangent.numbers
+        if t.losses is not None:
+            self.lost[i] = d_lost * np.sqrt(t.losses.information)
         d_level, d_rate = np.empty(len(self.kept)), np.empty(len(self.kept))
         moved = _NOTHING if tangent.changes is None else tangent.changes.events.of_level
         _levels_along(
@@ -71,7 +74,8 @@ class Information:
         """(d, d)."""
         events = self.events.reshape(len(self.events), -1)
         groups = self.groups.reshape(len(self.groups), -1)
-        return events @ events.T + groups @ groups.T
+        information = events @ events.T + groups @ groups.T
+        return information if self.terms.losses is None else information + np.outer(self.lost, self.lost)
 
 
 _NOTHING = (np.empty(0),) * 4

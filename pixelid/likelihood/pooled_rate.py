@@ -150,9 +150,12 @@ class PooledRate:
         wave = drive(stimulus, circuit, until)
         if slews(circuit):
             linear = circuit.with_(slew_rise=math.inf, slew_fall=math.inf)
-            trajectory = slewed(wave.t, wave.radiance, circuit, dynamics_of(linear))
+            trajectory = slewed(wave.t, wave.radiance, circuit, dynamics_of(linear), log_radiance=wave.log_radiance)
         else:
-            trajectory = integrate(wave.t, wave.radiance, dynamics_of(circuit), linearisation=circuit.linearisation)
+            trajectory = integrate(
+                wave.t, wave.radiance, dynamics_of(circuit), linearisation=circuit.linearisation,
+                log_radiance=wave.log_radiance,
+            )  # fmt: skip
         delay = values[delay_name(self.recordings, i)]
         clock = (clocks_of(self.recordings, values) or {i: None})[i]
         edges = counts.edges if clock is None else clock.on_light(counts.edges)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 
 from pixelid import stages
 from pixelid.errors import InputError, did_you_mean
@@ -27,7 +27,9 @@ class Model:
 
     photoreceptor: "second_order" | "one_pole" | "unlimited";  effects: names present, in signal order;
     parameters: name → Parameter, exactly those of the photoreceptor, the comparator, the clock and the effects;
-    physical, gauge: nominal circuit values and the statements that make them unique, when known.
+    physical, gauge: nominal circuit values and the statements that make them unique, when known;
+    nuisances: "parameter[recording]" → Parameter, values that a recording has for itself (`with_nuisances`).  They are
+    no part of the pixel, nor of its file.
     """
 
     name: str
@@ -40,6 +42,7 @@ class Model:
     physical: Physical | None = None
     physical_source: str = ""
     gauge: Gauge = field(default_factory=Gauge)
+    nuisances: Mapping[str, Parameter] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if self.linearisation not in ("midpoint", "newer"):
@@ -96,7 +99,19 @@ class Model:
 
     def circuit(self, values: Mapping[str, float] | None = None) -> Circuit:
         """The circuit at these parameter values (default: the model's own); values may be complex."""
-        values = {**self.values, **(values or {})}
+        values = {**self.values, **{name: p.value for name, p in self.nuisances.items()}, **(values or {})}
+        circuit = self._shared_circuit(values)
+        if not self.nuisances:
+            return circuit
+        own: dict[str, dict] = {}
+        for name in self.nuisances:
+            parameter, recording = name[:-1].split("[", 1)
+            own.setdefault(recording, {})[parameter] = values[name]
+        circuits = {name: self._shared_circuit({**values, **mine}) for name, mine in own.items()}
+        return circuit.with_(of_recordings=tuple((name, _differing(one, circuit)) for name, one in circuits.items()))
+
+    def _shared_circuit(self, values: Mapping[str, float]) -> Circuit:
+        """The circuit at values of all parameters, nothing in it a recording's own."""
         circuit = Circuit(linearisation=self.linearisation, delay=values["delay_s"])
         circuit = photoreceptor.apply(self.photoreceptor, circuit, values)
         circuit = comparator.apply(circuit, values)
@@ -135,6 +150,34 @@ class Model:
                 f"model {self.name} has no parameter {name!r}; it has {', '.join(self.parameters)}"
                 f"{did_you_mean(name, self.parameters)}"
             ) from None
+
+    def with_nuisances(self, values: Mapping[str, Mapping[str, float]]) -> Model:
+        """The model with values that recordings have for themselves: parameter → recording → value, free in fits.
+
+        They take the place of the shared parameter, which no fit moves any more.
+
+        Example:
+            >>> import pixelid as px
+            >>> phases = {"mains_flicker.phase_rad": {"chirp_0": 0.5, "steps_1": 2.5}}
+            >>> model = px.find_model("dvs128").with_effect("mains_flicker").with_nuisances(phases)
+            >>> model.in_recording("steps_1").values["mains_flicker.phase_rad"]
+            2.5
+        """
+        nuisances = dict(self.nuisances)
+        for parameter, own in values.items():
+            shared = self.parameter(parameter)
+            for recording, value in own.items():
+                name = f"{parameter}[{recording}]"
+                nuisances[name] = replace(shared, name=name, value=float(value), free=True)
+        return replace(self, nuisances=nuisances)
+
+    def in_recording(self, recording: str) -> Model:
+        """The model as it was in one recording: its own values in place of shared ones."""
+        if not self.nuisances:
+            return self
+        end = f"[{recording}]"
+        own = {name.removesuffix(end): p.value for name, p in self.nuisances.items() if name.endswith(end)}
+        return replace(self, nuisances={}).set(own)
 
     def with_effect(self, name: str, values: Mapping[str, float] | None = None) -> Model:
         """The model with an effect added (or its values changed when it is there already).
@@ -184,7 +227,15 @@ class Model:
         else:
             return self
         wanted = expected_parameters(kind, effects)
-        return replace(self, photoreceptor=kind, effects=effects, parameters={key: parameters[key] for key in wanted})
+        left = {key: parameters[key] for key in wanted}
+        nuisances = {key: p for key, p in self.nuisances.items() if key.split("[", 1)[0] in left}
+        return replace(self, photoreceptor=kind, effects=effects, parameters=left, nuisances=nuisances)
+
+
+def _differing(own: Circuit, shared: Circuit) -> tuple[tuple[str, float], ...]:
+    """The numbers of a circuit that are not those of another."""
+    pairs = ((f.name, getattr(own, f.name), getattr(shared, f.name)) for f in fields(Circuit))
+    return tuple((name, mine) for name, mine, others in pairs if mine is not others and mine != others)
 
 
 def expected_parameters(kind: str, effects: Iterable[str]) -> dict[str, Parameter]:

@@ -12,7 +12,7 @@ unit is tied to the dataset's by q_in, which both quote (the fit in its gauge).
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from pathlib import Path
 
 import numpy as np
@@ -158,8 +158,10 @@ def of_fit(calibration: Calibration, folder: Path, scale: float | None = None) -
     if not file.is_file():
         raise InputError(f"{file}: no such file; expected --fit to be the folder of a fit")
     model = find_model(file)
-    scale = _scale(calibration, model, file) if scale is None else scale
-    circuit = in_unit(model.circuit(), scale)
+    circuit = model.circuit()
+    if scale is None:
+        scale = 1.0 if _in_any_unit(circuit) else _scale(calibration, model, file)
+    circuit = in_unit(circuit, scale)
     if not math.isfinite(circuit.on_threshold) or not math.isfinite(circuit.off_threshold):
         raise InputError(f"{file}: on_threshold, off_threshold: missing")
     if "dark_current" in model.effects:
@@ -189,6 +191,15 @@ def uncertainty_of_fit(folder: Path) -> dict[str, float]:
     return {name: max(sd, 1e-3) for name, sd in deviations.items()}
 
 
+def unexplained_by(folder: Path | None) -> tuple[str, ...]:
+    """What a search for the gap found and could not name, in a word; nothing for a fit or a model file."""
+    file = Path(folder) / "gap.json" if folder is not None else None
+    if file is None or not file.is_file():
+        return ()
+    content = read_json(file)
+    return ("what no effect explains in gap.json",) if content.get("unknown_term") or content.get("remainder") else ()
+
+
 def _scale(calibration: Calibration, model: Model, file: Path) -> float:
     q_in = model.gauge.fixed.get("q_in") or (model.physical.q_in if model.physical else None)
     if not q_in or not calibration.q_in > 0:
@@ -199,10 +210,16 @@ def _scale(calibration: Calibration, model: Model, file: Path) -> float:
     return q_in / calibration.q_in
 
 
+def _in_any_unit(circuit: Circuit) -> bool:
+    """Whether nothing of the circuit depends on the unit of radiance."""
+    pairs = zip(astuple(circuit), astuple(in_unit(circuit, 2.0)), strict=True)
+    return all(a == b or (a != a and b != b) for a, b in pairs)  # NaN: a number that this photoreceptor has not
+
+
 def in_unit(circuit: Circuit, scale: float) -> Circuit:
     """The same circuit for radiance in units that are `scale` times larger: L' = L / scale."""
     return circuit.with_(
         alpha=circuit.alpha * scale, gamma=circuit.gamma * scale, corner=circuit.corner * scale,
         dark=circuit.dark / scale, shot_density=circuit.shot_density / scale,
-        leak_hz_per_radiance=circuit.leak_hz_per_radiance * scale,
+        leak_hz_per_radiance=circuit.leak_hz_per_radiance * scale, bandwidth_floor=circuit.bandwidth_floor / scale,
     )  # fmt: skip

@@ -33,6 +33,7 @@ def save(path: Path, state: State, mark: str) -> None:
         "log_background": state.field.log_background.detach().cpu(),
         "occupied": torch.from_numpy(state.field.occupied),
         "factors": state.pixel.factors.detach().cpu(),
+        "departures": state.pixel.departures.detach().cpu(),
         "optimiser": state.optimiser.state_dict(),
     }
     with whole_file(Path(path), overwrite=True) as temporary:
@@ -70,6 +71,7 @@ def _restored(document: dict, problem: Problem, recipe: Recipe, bandwidth: Bandw
     with torch.no_grad():
         state.field.log_background.copy_(document["log_background"])
         state.pixel.factors.copy_(document["factors"])
+        state.pixel.departures.copy_(document["departures"])
     state.field.occupied = np.ascontiguousarray(document["occupied"].cpu().numpy())
     state.optimiser = optimiser_of(state.field, state.pixel, recipe)
     state.optimiser.load_state_dict(document["optimiser"])

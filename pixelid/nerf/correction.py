@@ -39,6 +39,38 @@ def fit_correction(radiance: np.ndarray, images: np.ndarray, exposure: np.ndarra
     return Correction(a, b, c)
 
 
+def fit_shared_correction(radiance: np.ndarray, images: np.ndarray, exposure: np.ndarray) -> Correction:
+    """As `fit_correction`, with one exponent for all colours: the least squared error over them together."""
+    alone = fit_correction(radiance, images, exposure)
+    colours = images.shape[-1]
+    if colours == 1:
+        return alone
+    L = np.maximum(radiance.reshape(-1, colours), SMALLEST)
+    logs, target = np.log(L), images.reshape(-1, colours)
+    scale = np.repeat(exposure, radiance.shape[1] * radiance.shape[2])[:, None]
+
+    def unpacked(p):
+        return np.exp(p[:colours]), p[colours], p[colours + 1 :]
+
+    def residual(p):
+        a, b, c = unpacked(p)
+        return (scale * (a * L**b - c) - target).ravel()
+
+    def jacobian(p):
+        a, b, _ = unpacked(p)
+        power = scale * a * L**b
+        rows = np.zeros((len(L), colours, 2 * colours + 1))
+        for k in range(colours):
+            rows[:, k, k], rows[:, k, colours] = power[:, k], power[:, k] * logs[:, k]
+            rows[:, k, colours + 1 + k] = -scale[:, 0]
+        return rows.reshape(-1, 2 * colours + 1)
+
+    first = np.concatenate([np.log(np.maximum(alone.a, SMALLEST)), [alone.b.mean()], alone.c])
+    solution = least_squares(residual, first, jac=jacobian, method="trf", max_nfev=STEPS + 1)  # type: ignore[arg-type]
+    a, b, c = unpacked(solution.x)
+    return Correction(a, np.full(colours, b), c)
+
+
 def _one_colour(radiance, image, exposure) -> tuple[float, float, float]:
     L = np.maximum(radiance, SMALLEST).ravel()
     scale = np.repeat(exposure, radiance.shape[1])

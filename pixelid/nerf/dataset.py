@@ -22,6 +22,7 @@ from pixelid.nerf.calibration import Calibration, read_calibration
 from pixelid.nerf.trajectory import Trajectory
 from pixelid.nerf.views import RENDERER, Views, read_views
 
+BLOCK = 1 << 22  # events looked at together, where a copy of all would be in the way
 SLACK = 1000  # ns by which rounded clocks may disagree
 EVENTS, POSES = "raw_events.npz", "camera_poses.npz"
 FILES = (EVENTS, POSES, CALIBRATION, RENDERER)
@@ -31,7 +32,7 @@ FILES = (EVENTS, POSES, CALIBRATION, RENDERER)
 class Dataset:
     """Everything a reconstruction starts from.  Time zero is the first pose.
 
-    t: (N,) s, non-decreasing;  x, y: (N,);  on: (N,) bool;  views: stage → views
+    t: (N,) s, non-decreasing;  x, y: (N,) int32;  on: (N,) bool;  views: stage → views
     """
 
     path: Path
@@ -83,7 +84,7 @@ def _whole_ns(file: Path, key: str, values: np.ndarray) -> np.ndarray:
         raise InputError(f"{file}: {key}: expected one column of numbers, found {values.dtype} of shape {values.shape}")
     if values.dtype.kind == "f":
         values = np.rint(finite(file, key, values))
-    return values.astype(np.int64)
+    return values.astype(np.int64, copy=False)
 
 
 def _events(file: Path, calibration: Calibration):
@@ -102,8 +103,24 @@ def _events(file: Path, calibration: Calibration):
             raise InputError(
                 f"{file}: {key}: expected {len(t)} rows as in timestamp, found {len(np.atleast_1d(column))}"
             )
+    x, y = _pixels(file, position, calibration)
+    del arrays["position"], position
+    values = _distinct(polarity)
+    if not (values <= {0, 1} or values <= {-1, 1}):
+        raise InputError(f"{file}: polarity: expected booleans, 0 and 1, or −1 and 1, found {str(values)[:60]}")
+    on = polarity > 0
+    if (t[1:] < t[:-1]).any():
+        order = np.argsort(t, kind="stable")
+        t, x, y, on = t[order], x[order], y[order], on[order]
+    return t, x, y, on
+
+
+def _pixels(file: Path, position: np.ndarray, calibration: Calibration) -> tuple[np.ndarray, np.ndarray]:
+    """x and y (N,) int32, inside the sensor."""
     camera = calibration.camera
-    x, y = finite(file, "position", position).astype(np.int64).T
+    if position.dtype.kind == "f":
+        position = finite(file, "position", position)
+    x, y = position.T
     outside = (x < 0) | (x >= camera.width) | (y < 0) | (y >= camera.height)
     if outside.any():
         k = int(np.argmax(outside))
@@ -111,11 +128,17 @@ def _events(file: Path, calibration: Calibration):
             f"{file}: position: row {k} is ({x[k]}, {y[k]}), outside the {camera.width} × {camera.height} pixels of "
             f"{CALIBRATION} (img_width, img_height)"
         )
-    values = set(np.unique(polarity).tolist()) if polarity.ndim == 1 and polarity.dtype.kind in "biuf" else {None}
-    if not (values <= {0, 1} or values <= {-1, 1}):
-        raise InputError(f"{file}: polarity: expected booleans, 0 and 1, or −1 and 1, found {str(values)[:60]}")
-    order = np.argsort(t, kind="stable")
-    return t[order], x[order], y[order], (polarity > 0)[order]
+    return x.astype(np.int32), y.astype(np.int32)
+
+
+def _distinct(polarity: np.ndarray) -> set:
+    """The values of a column of polarities; {None} where it is none."""
+    if polarity.ndim != 1 or polarity.dtype.kind not in "biuf":
+        return {None}
+    if polarity.dtype.kind == "b":
+        return {0, 1}
+    blocks = (polarity[k : k + BLOCK] for k in range(0, len(polarity), BLOCK))
+    return set().union(*(np.unique(block).tolist() for block in blocks))
 
 
 def _poses(file: Path) -> tuple[Trajectory, int]:

@@ -9,7 +9,7 @@ from functools import lru_cache
 import numpy as np
 import torch
 
-from pixelid.nerf.correction import Correction, fit_correction
+from pixelid.nerf.correction import Correction, fit_correction, fit_shared_correction
 from pixelid.nerf.field import Field
 from pixelid.nerf.render import Rays
 from pixelid.nerf.views import Views
@@ -39,12 +39,20 @@ class Scores:
             }
             for k in range(len(views))
         ]
+        return {**self.means(), "per_view": per_view}
+
+    def means(self) -> dict[str, float | None]:
+        """Over the test views."""
         return {
-            "psnr": float(self.psnr.mean()),
-            "ssim": float(self.ssim.mean()),
-            "lpips": None if self.lpips is None else float(self.lpips.mean()),
-            "per_view": per_view,
+            "psnr": _mean(self.psnr),
+            "ssim": _mean(self.ssim),
+            "lpips": None if self.lpips is None else _mean(self.lpips),
         }
+
+
+def _mean(values: np.ndarray) -> float:
+    """NaN of nothing."""
+    return float(values.mean()) if len(values) else float("nan")
 
 
 def render_views(field: Field, views: Views, dark, *, supersample: int = 1, engine: str = "auto") -> np.ndarray:
@@ -100,12 +108,31 @@ def evaluate(field: Field, validation: Views, test: Views, dark, supersample: in
         supersample: rays per pixel and side.
 
     Returns:
-        Scores of every test view.
+        Scores of every test view, of which there may be none.
     """
+    if len(test) == 0:
+        return no_scores(test)
     correction = fit_correction(
         render_views(field, validation, dark, supersample=supersample), validation.images, validation.exposure
     )
     return score(render_views(field, test, dark, supersample=supersample), test, correction)
+
+
+def evaluate_as_published(field: Field, test: Views, dark) -> Scores:
+    """Scores by the protocol of the reference implementation of Deblur e-NeRF, kinder than `evaluate`.
+
+    The correction is fitted to the very views that are scored, with one exponent for all colours; nothing is clipped,
+    and PSNR is relative to the span of values that a picture can hold.
+    """
+    if len(test) == 0:
+        return no_scores(test)
+    predicted = render_views(field, test, dark)
+    correction = fit_shared_correction(predicted, test.images, test.exposure)
+    images = correction(predicted, test.exposure)
+    error = ((images - test.images) ** 2).mean(axis=(1, 2, 3))
+    psnr = 10 * np.log10(test.span**2 / np.maximum(error, 1e-12))
+    similar = ssim(images, test.images, test.peak)
+    return Scores(psnr, similar, lpips(images / test.peak, test.images / test.peak), images, correction)
 
 
 def no_scores(test: Views) -> Scores:

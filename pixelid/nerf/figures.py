@@ -15,7 +15,8 @@ SHOWN = 5
 
 def write_figures(result: Reconstruction, folder: Path) -> None:
     """Write views.svg and training.svg into an existing folder."""
-    save_figure(draw_views(result), folder / "views.svg")
+    if len(result.truth):
+        save_figure(draw_views(result), folder / "views.svg")
     if result.state.history:
         save_figure(draw_training(result), folder / "training.svg")
 

@@ -6,7 +6,7 @@ that is free drifts: a brighter scene is a faster pixel, so that a blurred scene
     "background"   by the radiance behind the scene, where the views show one value along their borders (white behind
                    transparent ones);
     "level"        otherwise by the mean log radiance over the validation (else training) views: one number per colour;
-    "free"         by nothing, on request, to see what happens.
+    "free"         by nothing, on request, to see what happens, and for data without views.
 """
 
 from __future__ import annotations
@@ -15,25 +15,29 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pixelid.errors import InputError
 from pixelid.nerf.camera import Camera
 from pixelid.nerf.dataset import Dataset
 from pixelid.nerf.trajectory import Trajectory
-from pixelid.nerf.views import Views
+from pixelid.nerf.views import FOLDER, Views
 
+# Optical axes that point this nearly one way have no point in common: mean squared sine of their angles, 0.6° rms.
+PARALLEL = 1e-4
 SCALES = ("auto", "level", "free")
 UNIFORM = 0.03  # standard deviation of ln L along the borders, below which they show a background
 BORDER = 0.5  # share of border pixels that must agree
+UNKNOWN = 1.0  # radiance behind a scene of which there are no views, to begin with: their unit's white
 
 
 @dataclass(frozen=True)
 class Gauge:
     """kind: "background", "level" or "free";  background: (C,) radiance behind the box;  level: (C,) mean log radiance
-    over the views `reference`, whose rays pin it"""
+    over the views `reference` (None: there are none), whose rays pin it"""
 
     kind: str
     background: np.ndarray
     level: np.ndarray
-    reference: Views
+    reference: Views | None
 
     @property
     def free_background(self) -> bool:
@@ -45,15 +49,24 @@ def gauge_of(dataset: Dataset, background: float | None = None, scale: str = "au
     """The gauge of a dataset.
 
     background: overrides what its views show;  scale: one of `SCALES`, "auto" for the background where there is one
+
+    Raises:
+        InputError: the scale is to come from views, and the dataset has none.
     """
-    reference = next(dataset.views[stage] for stage in ("val", "train", "test") if stage in dataset.views)
-    level = np.log(np.maximum(reference.images, 1e-3)).mean(axis=(0, 1, 2))
     channels = dataset.calibration.channels
+    reference = next((dataset.views[stage] for stage in ("val", "train", "test") if stage in dataset.views), None)
+    if reference is None:
+        if scale == "level":
+            raise InputError(f"{dataset.path / FOLDER}: no such folder; --scale level needs views")
+        kind = "background" if background is not None and scale == "auto" else "free"
+        shown = np.full(channels, UNKNOWN if background is None else background)
+        return Gauge(kind, shown, np.log(shown), None)
+    level = np.log(np.maximum(reference.images, 1e-3)).mean(axis=(0, 1, 2))
     if scale != "auto":
         return Gauge(scale, np.exp(level), level, reference)
     if background is not None:
         return Gauge("background", np.full(channels, background), level, reference)
-    shown = np.full(channels, reference.peak) if reference.transparent else _border(reference)
+    shown = np.ones(channels) if reference.transparent else _border(reference)  # white, however bright a highlight
     if shown is not None:
         return Gauge("background", shown, level, reference)
     return Gauge("level", np.exp(level), level, reference)
@@ -71,12 +84,17 @@ def _border(views: Views) -> np.ndarray | None:
 
 
 def scene_box(trajectory: Trajectory, half_angle: float) -> tuple[np.ndarray, np.ndarray]:
-    """(low, high) of a cube about the point nearest to all optical axes, as large as the views are wide there."""
+    """(low, high) of a cube about the point nearest to all optical axes, as large as the views are wide there.
+
+    Raises InputError where the axes are parallel: they say nothing of how far the scene is.
+    """
     some = np.linspace(trajectory.t[0], trajectory.t[-1], 256)
     position, rotation = trajectory.at(some)
     axis = rotation[:, :, 2]
     across = np.eye(3) - axis[:, :, None] * axis[:, None, :]
-    centre = np.linalg.lstsq(across.sum(axis=0), (across @ position[:, :, None]).sum(axis=0)[:, 0], rcond=None)[0]
+    if np.linalg.eigvalsh(across.mean(axis=0))[0] < PARALLEL:
+        raise InputError("--box: missing; the camera looks one way all the time, which does not say where the scene is")
+    centre = np.linalg.solve(across.sum(axis=0), (across @ position[:, :, None]).sum(axis=0)[:, 0])
     depth = np.median(np.linalg.norm(position - centre, axis=1))
     half = depth * np.tan(half_angle)
     return centre - half, centre + half

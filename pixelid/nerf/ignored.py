@@ -7,12 +7,12 @@ from dataclasses import fields
 from pixelid.stages import LIBRARY
 from pixelid.stages.circuit import Circuit
 
-# Fields of a circuit that training reads.  Noise and mismatch enter together, as the variance of a threshold.
+# Fields of a circuit that training reads, or whose pixels it leaves out (hot ones).
 MODELLED = frozenset(
     (
         "photoreceptor", "linearisation", "dark", "alpha", "beta", "gamma", "corner", "follower", "extra_pole",
         "lower_cutoff", "differencing", "leak_hz", "leak_hz_per_radiance", "on_threshold", "off_threshold", "mismatch",
-        "noise", "refractory",
+        "noise", "refractory", "threshold_drift", "polarity_memory", "bandwidth_floor", "hot_count", "hot_hz",
     )
 )  # fmt: skip
 
@@ -22,8 +22,8 @@ def ignored_effects(circuit: Circuit) -> tuple[str, ...]:
 
     A field that no effect of the library sets appears under its own name.
 
-    >>> ignored_effects(Circuit(threshold_drift=0.01, leak_hz=2.0))
-    ('threshold_drift',)
+    >>> ignored_effects(Circuit(slew_rise=3000.0, leak_hz=2.0))
+    ('slew_limit',)
     """
     neutral = Circuit()
     acting = {

@@ -1,10 +1,11 @@
 """Chains: consecutive stretches of a pixel's events that share their samples of past light.
 
 A chain is up to `CHAIN` consecutive stretches of one pixel.  Its light is sampled once, at sorted times: both ends of
-every stretch, a past before the first one, and points within long ones.  Where the samples go is importance
-sampling of past inputs (Low & Lee, arXiv 2409.17988, supplement): lifetimes before an output are exponential at the
-slowest dominant pole ω, truncated at cumulative probability 0.95, S evenly spaced quantiles, the output itself among
-them.  Within a chain the next output decides: over Δt, mass (S − 1)(1 − exp(−ω Δt))/0.95 of points is due.
+every stretch, both ends of a random part of every quiet one, a past before the first one, and points within long ones.
+Where the samples go is importance sampling of past inputs (Low & Lee, arXiv 2409.17988, supplement): lifetimes before
+an output are exponential at the slowest dominant pole ω, truncated at cumulative probability 0.95, S evenly spaced
+quantiles, the output itself among them.  Within a chain the next output decides: over Δt, mass
+(S − 1)(1 − exp(−ω Δt))/0.95 of points is due.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from pixelid.nerf.stretches import NOISE, Stretches, stretches
 CHAIN = 16
 OWN = 1 / 3
 COVERED = 0.95  # of the lifetimes' probability
+LEAST = 0.01  # of a drifting threshold, relative; the simulator's least
 
 
 @dataclass(frozen=True)
@@ -43,8 +45,8 @@ class Chains(NamedTuple):
 
     t: (n,) sample times, run after run;  first: (runs + 1,);  pixel: (runs,)
     begin, end: (runs, CHAIN) sample at the stretch's start and end;  weight: (runs, CHAIN) 1, or 0 where there is
-    none;  rise, fall, variance, reset, burst: (runs, CHAIN) of `Stretches`;  sub: (runs, CHAIN, 2) sample before the
-    ends of a random part and share: (runs, CHAIN, 2) how far towards the next sample
+    none;  rise, fall, variance, reset, burst: (runs, CHAIN) of `Stretches`;  sub: (runs, CHAIN, 2) samples at
+    the ends of a random part of a quiet stretch
     """
 
     t: np.ndarray
@@ -59,25 +61,37 @@ class Chains(NamedTuple):
     reset: np.ndarray
     burst: np.ndarray
     sub: np.ndarray
-    share: np.ndarray
 
 
-def intervals(t, x, y, on, width: int, *, dead=0.0, lag=0.0, shortest=0.0, noise=NOISE) -> Intervals:
-    """Stretches of events in order of time; dead, lag, shortest, noise: see `stretches`."""
-    pixel = y * width + x
-    order = np.lexsort((t, pixel))
-    cut = stretches(
-        np.ascontiguousarray(t[order]), np.ascontiguousarray(pixel[order]), np.ascontiguousarray(on[order]), dead, lag,
-        shortest, noise,
-    )  # fmt: skip
-    return Intervals(cut, np.arange(len(cut.begin)))
+def intervals(
+    t, x, y, on, width: int, *, dead=0.0, lag=0.0, shortest=0.0, noise=NOISE, drift=0.0, memory=0.0
+) -> Intervals:
+    """Stretches of events (N,) in order of time.
+
+    dead, lag, shortest, noise: see `stretches`;  drift: of the thresholds, relative, per second from t = 0;  memory:
+    by how much, relative, an event of one polarity makes the next threshold of the same polarity larger and of the
+    other smaller
+    """
+    pixel = np.asarray(y, np.int32) * np.int32(width) + np.asarray(x, np.int32)
+    order = np.argsort(pixel, kind="stable")
+    pixel, t, on = pixel[order], np.asarray(t)[order], np.asarray(on)[order]
+    del order  # as large as the times
+    size = None
+    if drift or memory:
+        same = np.concatenate([[0.0], np.where(on[1:] == on[:-1], 1.0, -1.0) * (pixel[1:] == pixel[:-1])])
+        size = np.maximum(1.0 + drift * t + memory * same, LEAST)
+    cut = stretches(t, pixel, on, dead, lag, shortest, noise, size)
+    return Intervals(cut, np.arange(len(cut.begin), dtype=np.int32))
 
 
 def split(every: Intervals, share: float, rng: np.random.Generator) -> tuple[Intervals, Intervals]:
     """(training, held out): `share` of the pixels is held out with all its events."""
-    pixels = np.unique(every.stretches.pixel)
+    pixel = every.stretches.pixel  # in order
+    pixels = pixel[np.concatenate([[True], pixel[1:] != pixel[:-1]])].astype(np.int64)
     out = rng.permutation(pixels)[: max(1, round(share * len(pixels)))] if share > 0 else pixels[:0]
-    held = np.isin(every.stretches.pixel[every.starts], out)
+    is_out = np.zeros(pixels[-1] + 1, bool)
+    is_out[out] = True
+    held = is_out[pixel[every.starts]]
     return every.of(~held), every.of(held)
 
 
@@ -94,28 +108,30 @@ def chains(every: Intervals, starts, samples: int, rate: float, rng: np.random.G
     an output places a part `OWN` itself.
     """
     samples = 1 + math.ceil(OWN * (samples - 1))
-    first_of_run = every.starts[np.asarray(starts)]
+    first_of_run = every.starts[np.asarray(starts)].astype(np.int64)
     runs = len(first_of_run)
     random = rng.random((runs, CHAIN, 3))
     shape = (runs, CHAIN)
     begin, end, sub = np.zeros(shape, np.int64), np.zeros(shape, np.int64), np.zeros((*shape, 2), np.int64)
-    weight, share = np.zeros(shape), np.zeros((*shape, 2))
+    weight = np.zeros(shape)
     lifetimes = past_lifetimes(samples, rate)[1:][::-1].copy()
     first = np.zeros(runs + 1, np.int64)
-    t = np.empty(runs * ((samples - 1) + CHAIN * (2 + samples)))
+    t = np.empty(runs * ((samples - 1) + CHAIN * (4 + samples)))
     which = np.zeros(shape, np.int64)
     f = every.stretches
     n = _fill(
-        first_of_run, f.begin, f.end, f.pixel, lifetimes, rate, random, t, first, begin, end, weight, which, sub, share
-    )
+        first_of_run, f.begin, f.end, f.pixel, f.burst, lifetimes, rate, random, t, first, begin, end, weight, which,
+        sub,
+    )  # fmt: skip
+    rise, fall, variance = (column[which].astype(np.float64) for column in (f.rise, f.fall, f.variance))
     return Chains(
-        t[:n].copy(), first, f.pixel[first_of_run], begin, end, weight, f.rise[which], f.fall[which],
-        f.variance[which], f.reset[which], f.burst[which], sub, share,
+        t[:n].copy(), first, f.pixel[first_of_run].astype(np.int64), begin, end, weight, rise, fall, variance,
+        f.reset[which], f.burst[which], sub,
     )  # fmt: skip
 
 
 @njit(cache=True, nogil=True)
-def _fill(starts, since, until, pixel, lifetimes, rate, random, out, first, begin, end, weight, which, sub, share):
+def _fill(starts, since, until, pixel, burst, lifetimes, rate, random, out, first, begin, end, weight, which, sub):
     n = 0
     density = len(lifetimes) / COVERED
     for run in range(len(starts)):
@@ -138,25 +154,31 @@ def _fill(starts, since, until, pixel, lifetimes, rate, random, out, first, begi
                 begin[run, k] = n
                 out[n] = start
                 n += 1
+            # a part of a quiet stretch: length triangular with mode 0, start uniform
+            part = (1.0 - np.sqrt(random[run, k, 1])) * length
+            sub_at = start + random[run, k, 2] * (length - part)
+            ends, wanted = (sub_at, sub_at + part), 0 if burst[i] else 2
+            placed, points = 0, 0
+            reach = 1.0 - np.exp(-rate * length)
             if density > 0.0:
-                reach = 1.0 - np.exp(-rate * length)
                 points = min(int(density * reach + random[run, k, 0]), len(lifetimes))
-                for j in range(points, 0, -1):
-                    out[n] = max(until[i] + np.log1p(-reach * (j - 0.5) / points) / rate, start)
+            for j in range(points, -1, -1):
+                at = until[i]
+                if j > 0:
+                    at = max(until[i] + np.log1p(-reach * (j - 0.5) / points) / rate, start)
+                while placed < wanted and ends[placed] <= at:
+                    sub[run, k, placed] = n
+                    out[n] = ends[placed]
                     n += 1
+                    placed += 1
+                if j > 0:
+                    out[n] = at
+                    n += 1
+            while placed < 2:  # a burst, or an end that rounding has put behind the stretch's
+                sub[run, k, placed] = begin[run, k] if burst[i] else n
+                placed += 1
             end[run, k] = n
             out[n] = until[i]
             n += 1
-            # a part of the stretch: length triangular with mode 0, start uniform
-            part = 1.0 - np.sqrt(random[run, k, 1])
-            a = start + (1.0 - part) * random[run, k, 2] * length
-            for side in range(2):
-                at = a + side * part * length
-                j = begin[run, k]
-                while j + 2 <= end[run, k] and out[j + 1] <= at:
-                    j += 1
-                sub[run, k, side] = j
-                step = out[j + 1] - out[j]
-                share[run, k, side] = min((at - out[j]) / step, 1.0) if step > 0.0 else 0.0
     first[len(starts)] = n
     return n

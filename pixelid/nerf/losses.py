@@ -37,8 +37,8 @@ def changes(
 ) -> torch.Tensor:  # fmt: skip
     """(runs, CHAIN) change over every stretch: of the amplifier since its reset, of the level over merged events.
 
-    level, output: (n,) of `scan.respond`;  cutoff: ωd, None for an amplifier without a pole;  later: s by which the
-    resets are later than the chains say, to first order;  drift: (n,) of `amplifier_drift`
+    level, output: (n,) of `scan.respond`;  cutoff: ωd, one or (runs, 1), None for an amplifier without a pole;  later:
+    s by which the resets are later than the chains say, to first order;  drift: (n,) of `amplifier_drift`
     """
     begin, end, reset = (torch.as_tensor(a, device=level.device) for a in (chains.begin, chains.end, chains.reset))
     length = torch.as_tensor(chains.t[chains.end] - chains.t[chains.begin], device=level.device)
@@ -72,7 +72,7 @@ def amplifier_drift(
 def terms(
     change: torch.Tensor, level: torch.Tensor, chains: Chains, on_threshold: torch.Tensor, off_threshold: torch.Tensor
 ) -> dict[str, torch.Tensor]:
-    """The means of ℓ_diff, ℓ_tv and ℓ_chain over the batch."""
+    """The means of ℓ_diff, ℓ_tv and ℓ_chain over the batch; thresholds: one or (runs, 1)."""
     device = level.device
     weight, rise, fall, variance, burst = (
         torch.as_tensor(a, device=device)
@@ -82,9 +82,7 @@ def terms(
     rest = (change - rise * on_threshold + fall * off_threshold) / mean
     number = weight.sum().clamp(min=1.0)
     diff = (_huber(rest / torch.sqrt(1.0 + variance)) * weight).sum() / number
-    sub, share = torch.as_tensor(chains.sub, device=device), torch.as_tensor(chains.share, device=device)
-    after = torch.clamp(sub + 1, max=len(level) - 1)
-    at = level[sub] + share * (level[after] - level[sub])
+    at = level[torch.as_tensor(chains.sub, device=device)]
     quiet = weight * ~burst
     tv = ((at[..., 1] - at[..., 0]).abs() / mean * quiet).sum() / number
     running = torch.cumsum(rest * weight, dim=1)
@@ -98,12 +96,32 @@ def _huber(x: torch.Tensor) -> torch.Tensor:
     return F.huber_loss(x, torch.zeros_like(x), reduction="none")
 
 
+def variance_left(
+    change: torch.Tensor, chains: Chains, on_threshold: torch.Tensor, off_threshold: torch.Tensor
+) -> float:
+    """The variance [thresholds²] of Gaussian changes that would tell as much of a threshold as ℓ_diff does.
+
+    E ψ²/E ψ' of Huber's estimate, ψ its slope: what a prior weighs against.  Early in training, when the scene explains
+    little, it is above 1 and thresholds of single pixels wait; then it falls with what is left.
+    """
+    device = change.device
+    weight, rise, fall, variance = (
+        torch.as_tensor(a, device=device) for a in (chains.weight, chains.rise, chains.fall, chains.variance)
+    )
+    with torch.no_grad():
+        mean = 0.5 * (on_threshold + off_threshold)
+        rest = (change - rise * on_threshold + fall * off_threshold) / (mean * torch.sqrt(1.0 + variance))
+        square = (rest.clamp(-1, 1) ** 2 * weight).sum()
+        curvature = ((rest.abs() < 1) * weight).sum()
+        return float(square / curvature.clamp(min=1.0))
+
+
 def total(parts: dict[str, torch.Tensor], weights: Weights) -> torch.Tensor:
     """The weighted sum."""
     return weights.diff * parts["diff"] + weights.tv * parts["tv"] + weights.chain * parts["chain"]
 
 
-def unexplained(change: np.ndarray, chains: Chains, on_threshold: float, off_threshold: float) -> float:
+def unexplained(change: np.ndarray, chains: Chains, on_threshold, off_threshold) -> float:
     """Root mean square of what events say beyond `change`, as a share of what they say (single events: a threshold)."""
     said = chains.rise * on_threshold - chains.fall * off_threshold
     weight = chains.weight

@@ -5,6 +5,9 @@ The invariants α, β, γ and the source follower are what the data can say of t
 fixing q_in, as the paper does, would leave flat directions.  On request the comparator is trained too: mean threshold,
 ON/OFF ratio and dead time, the last to first order, by moving where intervals begin.  Only stages that the circuit has
 enter, and only those are trained.
+
+Thresholds of single pixels are trained in every mode, as far as they are unknown (`pixel_maps`).  Their mean over the
+pixels is held: a common factor is the circuit's, and would otherwise follow the contrast that the field still lacks.
 """
 
 from __future__ import annotations
@@ -12,12 +15,13 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 
-from pixelid.dynamics.equations import PRESENT_BELOW
+from pixelid.dynamics.equations import PRESENT_BELOW, photoreceptor_rates
 from pixelid.dynamics.of_circuit import dynamics_of
 from pixelid.dynamics.trajectory import Dynamics
-from pixelid.errors import InputError
+from pixelid.nerf.pixel_maps import PixelMaps, maps_of_circuit
 from pixelid.stages.circuit import Circuit
 
 FILTER = ("alpha", "beta", "gamma", "follower")
@@ -54,19 +58,28 @@ def limits_bandwidth(circuit: Circuit) -> bool:
 
 
 class Pixel(torch.nn.Module):
-    """A circuit as tensors.  factors: (7,) logs of what multiplies `TRAINED`, trained in mode "joint"."""
+    """A circuit as tensors, and its pixels.
+
+    factors: (7,) logs of what multiplies `TRAINED`, trained in mode "joint";  departures: (pixels, 2) of single ON and
+    OFF thresholds from what `maps` expects, in its standard deviations, trained where they are not 0
+    """
 
     nominal: torch.Tensor
     prior_sd: torch.Tensor
     moves: torch.Tensor
+    expected: torch.Tensor
+    unknown: torch.Tensor
 
-    def __init__(self, circuit: Circuit, bandwidth: Bandwidth) -> None:
+    def __init__(self, circuit: Circuit, bandwidth: Bandwidth, maps: PixelMaps | None = None) -> None:
         super().__init__()
         self.circuit, self.bandwidth = circuit, bandwidth
+        self.maps = maps_of_circuit(circuit.with_(mismatch=0.0), 1) if maps is None else maps
         dynamics = dynamics_of(circuit.with_(slew_rise=math.inf, slew_fall=math.inf))
-        if dynamics.floor != 0:
-            raise InputError("bandwidth_floor: the reconstruction does not know a photoreceptor with it")
-        self.register_buffer("nominal", torch.tensor(dynamics.uniform()[:7], dtype=torch.float64))
+        self.register_buffer("nominal", torch.tensor(dynamics.uniform(), dtype=torch.float64))
+        self.register_buffer("expected", torch.tensor(self.maps.threshold))
+        self.register_buffer("unknown", torch.tensor(self.maps.threshold_sd))
+        trained = bool((self.unknown > 0).any())
+        self.departures = torch.nn.Parameter(torch.zeros_like(self.expected), requires_grad=trained)
         sd = [(bandwidth.prior_sd or {}).get(name, PRIOR_SD) for name in TRAINED]
         self.register_buffer("prior_sd", torch.tensor(sd, dtype=torch.float64))
         self.factors = torch.nn.Parameter(
@@ -88,12 +101,18 @@ class Pixel(torch.nn.Module):
 
     @property
     def dynamics(self) -> torch.Tensor:
-        """(7,) numbers of `Dynamics`."""
+        """(8,) numbers of `Dynamics`."""
         nominal = self.nominal
         if self.bandwidth.mode != "joint":
             return nominal
-        one = torch.ones(1, dtype=torch.float64, device=nominal.device)
-        return nominal * torch.cat([self._scale[: len(FILTER)], one, one, one])
+        ones = torch.ones(len(nominal) - len(FILTER), dtype=torch.float64, device=nominal.device)
+        return nominal * torch.cat([self._scale[: len(FILTER)], ones])
+
+    def dynamics_at(self, pixels: np.ndarray) -> torch.Tensor:
+        """(8,) numbers of `Dynamics`, or (n, 8) of pixels (n,) that differ."""
+        if self.maps.bandwidth is None:
+            return self.dynamics
+        return self.dynamics * torch.as_tensor(self.maps.bandwidth[pixels], device=self.nominal.device)
 
     @property
     def _scale(self) -> torch.Tensor:
@@ -106,14 +125,31 @@ class Pixel(torch.nn.Module):
         mean, ratio = 0.5 * (on + off) * self._scale[4], on / off * self._scale[5]
         return 2 * mean * ratio / (1 + ratio), 2 * mean / (1 + ratio)
 
+    def thresholds_at(self, pixels: np.ndarray) -> tuple[torch.Tensor, torch.Tensor]:
+        """(ON, OFF), (n, 1) each, of pixels (n,)."""
+        which = torch.as_tensor(pixels if len(self.expected) > 1 else np.zeros_like(pixels), device=self.nominal.device)
+        on, off = self.thresholds
+        factor = torch.exp(self._departing()[which])
+        return on * factor[:, :1], off * factor[:, 1:]
+
+    def threshold_spread(self) -> tuple[float, float]:
+        """Relative standard deviation of the pixels' ON and OFF thresholds in use."""
+        on, off = self._departing().detach().std(dim=0, correction=0)
+        return float(on), float(off)
+
+    def _departing(self) -> torch.Tensor:
+        """(pixels, 2) ln of every pixel's thresholds over the circuit's."""
+        moved = self.unknown * self.departures
+        return self.expected + moved - moved.mean(dim=0)
+
     @property
     def longer_dead_time(self) -> torch.Tensor:
         """Seconds by which the dead time in use exceeds the circuit's."""
         return float(self.circuit.refractory) * (self._scale[6] - 1)
 
-    def penalty(self) -> torch.Tensor:
-        """−ln prior of the factors."""
-        return 0.5 * ((self.factors / self.prior_sd) ** 2).sum()
+    def penalty(self, left: float = 1.0) -> torch.Tensor:
+        """−ln prior of the factors, and of the pixels' thresholds times `left`, the variance that a change leaves."""
+        return 0.5 * ((self.factors / self.prior_sd) ** 2).sum() + 0.5 * left * (self.departures**2).sum()
 
     def slowest(self, darkest: float) -> float:
         """The slowest dominant low-pass pole [rad/s] at a radiance, of the stages that the circuit has.
@@ -123,7 +159,7 @@ class Pixel(torch.nn.Module):
         circuit, dynamics = self.circuit, Dynamics(*(float(x) for x in self.dynamics.detach()))
         poles = [cutoff for cutoff in (dynamics.follower, dynamics.extra_pole) if cutoff < PRESENT_BELOW]
         if circuit.photoreceptor != "unlimited":
-            a, b2 = dynamics.alpha * darkest, dynamics.beta + dynamics.gamma * darkest
+            a, b2 = photoreceptor_rates(dynamics, darkest)
             disc = 0.25 * b2 * b2 - a
             poles.append(a / (0.5 * b2 + math.sqrt(disc)) if disc >= 0 else math.sqrt(a))
         return min(poles) if poles else (circuit.lower_cutoff or dynamics.differencing)

@@ -13,11 +13,12 @@ import torch
 
 from pixelid.errors import InputError
 from pixelid.nerf import checkpoint, parallel
-from pixelid.nerf.calibration import CIRCUIT, Calibration, of_fit, uncertainty_of_fit
+from pixelid.nerf.calibration import CIRCUIT, Calibration, of_fit, uncertainty_of_fit, unexplained_by
 from pixelid.nerf.dataset import CALIBRATION, Dataset
-from pixelid.nerf.evaluate import Scores, evaluate, no_scores, render_views
+from pixelid.nerf.evaluate import Scores, evaluate, evaluate_as_published, no_scores, render_views
 from pixelid.nerf.ignored import ignored_effects
 from pixelid.nerf.pixel import Bandwidth
+from pixelid.nerf.pixel_maps import maps_of_sensor
 from pixelid.nerf.problem import evaluation_views, problem_of
 from pixelid.nerf.saved import SavedReconstruction, write_field
 from pixelid.nerf.train import Problem, Recipe, State, held_out_residual, start, train
@@ -36,7 +37,8 @@ class Reconstruction(Result):
     """A reconstructed scene and how well it can be trusted.
 
     status: how it ended;  scores: of the test views, NaN when it diverged;  held_out: share of held-out changes left
-    unexplained;  truth: the test views;  ignored: effects of the pixel that the reconstruction does not model
+    unexplained;  truth: the test views;  ignored: what is known of the pixel and the reconstruction does not model;
+    published: scores by the reference implementation's protocol, on request
     """
 
     FILE: ClassVar[str] = "reconstruction.json"
@@ -55,6 +57,7 @@ class Reconstruction(Result):
     seed: int
     inputs: Mapping[str, str]
     ignored: tuple[str, ...] = ()
+    published: Scores | None = None
 
     def as_dict(self) -> dict:
         """The content of reconstruction.json (docs/formats.md)."""
@@ -70,6 +73,7 @@ class Reconstruction(Result):
                 name: float(value[0]) if one else value.tolist()
                 for name, value in (("a", correction.a), ("b", correction.b), ("c", correction.c))
             },
+            "published_protocol": self.published.means() if self.published is not None else None,
             "lpips_note": "" if self.scores.lpips is not None else "LPIPS or its weights are not installed",
             "iterations": self.state.iteration,
             "seconds": self.seconds,
@@ -84,6 +88,7 @@ class Reconstruction(Result):
                 "differencing": self.problem.circuit.differencing,
                 "dark": self.problem.dark,
             },
+            "pixels": self.problem.pixels_as_dict(self.state.pixel),
             "history": self.state.history,
             "seed": self.seed,
             "versions": versions(),
@@ -135,6 +140,7 @@ def reconstruct(
     dataset: Dataset,
     *,
     fit: Path | None = None,
+    sensor: Path | None = None,
     calibration: Calibration | None = None,
     bandwidth: Bandwidth | None = None,
     recipe: Recipe | None = None,
@@ -142,6 +148,7 @@ def reconstruct(
     scale: str = "auto",
     box: tuple[float, ...] | None = None,
     radiance_scale: float | None = None,
+    protocol: str = "strict",
     resume: Path | None = None,
     device: str = "auto",
     seed: int = 0,
@@ -153,7 +160,8 @@ def reconstruct(
 
     Args:
         dataset: as read.
-        fit: folder (or model file) of a fit whose pixel replaces the dataset's.
+        fit: folder of a fit or a search for the gap (or a model file) whose pixel replaces the dataset's.
+        sensor: folder of `pixelid sensor`, whose maps say how the pixels differ.
         calibration: another pixel altogether.
         bandwidth: the pixel's filter, known, ignored or trained.
         recipe: of the training.
@@ -161,6 +169,7 @@ def reconstruct(
         scale: what pins the radiance unit: "auto", "level" or "free" (see `gauge`).
         box: corners of the scene, x0 y0 z0 x1 y1 z1; by default a cube where the camera looks.
         radiance_scale: the fit's radiance units per unit of the views.
+        protocol: of the scores: "strict", or "paper" for those of the reference implementation beside them.
         resume: a checkpoint, continued when it exists and written as training goes on.
         device: "cpu", "cuda" or "auto".
         seed: of everything random.
@@ -187,9 +196,13 @@ def reconstruct(
         )
     if fit and bandwidth.mode == "joint" and bandwidth.prior_sd is None:
         bandwidth = replace(bandwidth, prior_sd=uncertainty_of_fit(Path(fit)))
-    problem = problem_of(dataset, calibration, background=background, scale=scale, box=box, seed=seed)
+    maps = maps_of_sensor(Path(sensor), calibration.circuit, calibration.camera) if sensor else None
+    problem = problem_of(dataset, calibration, background=background, scale=scale, box=box, maps=maps, seed=seed)
+    recipe = recipe.for_data(len(problem.training.starts))
     files = [*dataset.files, *([Path(fit) / "model.toml" if Path(fit).is_dir() else Path(fit)] if fit else [])]
+    files += [Path(sensor) / name for name in ("sensor.json", "maps.npz")] if sensor else []
     inputs = input_hashes(files)
+    ignored = (*ignored_effects(problem.circuit), *(maps.unused if maps else ()), *unexplained_by(fit))
     validation, test = evaluation_views(dataset)
     mark = checkpoint.run_identity(problem, recipe, bandwidth, inputs)
     parallel.join()
@@ -218,17 +231,18 @@ def reconstruct(
         checkpoint.save(Path(resume), state, mark)
     progress("evaluating", 0.95)
     scores = evaluate(state.field, validation, test, problem.dark) if finite else no_scores(test)
+    published = evaluate_as_published(state.field, test, problem.dark) if finite and protocol == "paper" else None
     held_out = held_out_residual(problem, state) if finite else float("nan")
     status, advice = _verdict(held_out, scores, state.iteration)
     return Reconstruction(
         status, advice, bandwidth, state, problem, scores, test, held_out, time.perf_counter() - watch, rate, device,
-        seed, inputs, ignored_effects(problem.circuit),
+        seed, inputs, ignored, published,
     )  # fmt: skip
 
 
 def _running(state: State, problem: Problem, validation: Views) -> float:
     """PSNR of one validation view, corrected on another (or on itself when it is alone)."""
-    if not state.finite:
+    if not state.finite or len(validation) == 0:
         return float("nan")
     first, second = validation.some([0]), validation.some([len(validation) - 1])
     return float(evaluate(state.field, first, second, problem.dark).psnr.mean())

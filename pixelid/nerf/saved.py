@@ -51,11 +51,22 @@ class SavedReconstruction(Result):
     def headline(self) -> str:
         """Status and scores."""
         views = self.content["views"]
-        return (
-            f"reconstruction: {self.status}; {_digits(views['psnr'], 2)} dB, SSIM {_digits(views['ssim'], 3)} over "
-            f"{len(views['per_view'])} test views, {_digits(self.content['held_out_residual'], 2)} of held-out changes "
-            f"unexplained, {self.content['seconds']:.0f} s"
+        scored = (
+            f"{_digits(views['psnr'], 2)} dB{self._published}, SSIM {_digits(views['ssim'], 3)} over "
+            f"{len(views['per_view'])} test views"
+            if views["per_view"]
+            else "no views to compare with"
         )
+        return (
+            f"reconstruction: {self.status}; {scored}, {_digits(self.content['held_out_residual'], 2)} of held-out "
+            f"changes unexplained, {self.content['seconds']:.0f} s"
+        )
+
+    @property
+    def _published(self) -> str:
+        """The score by the reference implementation's protocol, where it was asked for."""
+        other = self.content.get("published_protocol")
+        return f" ({_digits(other['psnr'], 2)} dB by the paper's protocol)" if other else ""
 
     def tables(self) -> list[Table]:
         """Scores of every test view."""

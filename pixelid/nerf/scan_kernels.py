@@ -5,6 +5,8 @@ The state x of `dynamics.equations` advances by closed-form steps with u linear 
 
     x[k+1] = A x[k] + B u[k] + B̃ u[k+1],     A, B, B̃ functions of (a, 2ζωn, ω1, ωd) at the step's radiance.
 
+Every run has numbers of its own (pixels differ).  The bandwidth floor is added to the radiance that sets a and 2ζωn.
+
 Gradients.  With λ the gradient by the state after a step, the gradient by the state before it is Aᵀλ, by the two
 inputs B·λ and B̃·λ.  The coefficients depend on the light through the linearisation: λ · ∂x[k+1]/∂(a, b2, ω1, ωd) is
 taken by complex steps (exact) of the same closed form, and from there by the chain rule to u, α, β, γ, ω1, ωd.
@@ -21,18 +23,21 @@ from pixelid.dynamics.kernels import linearised_at
 
 STATES = 6  # v, y, s, e, z, d, see `dynamics.equations`
 TINY = 1e-30  # complex step
-PARAMETERS = 7  # gradients by (α, β, γ, ω1, ω2, ωh, ωd); only α, β, γ, ω1, ωd are filled
+PARAMETERS = 8  # (α, β, γ, ω1, ω2, ωh, ωd, floor); gradients by all but ω2 and ωh
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def forward(first, t, u, dynamics, midpoint, states):
-    """Fill states (n, 6) of runs that begin at the samples first (runs + 1,), times t (n,), log radiance u (n,)."""
-    alpha, beta, gamma, w1, w2, wh, wd = dynamics
-    coincide = kernels.cutoffs_coincide(w1, w2, wh, wd)
+    """Fill states (n, 6) of runs that begin at the samples first (runs + 1,), times t (n,), log radiance u (n,).
+
+    dynamics: (runs, 8)
+    """
     for run in range(len(first) - 1):
         k = first[run]
         if k == first[run + 1]:
             continue
+        alpha, beta, gamma, w1, w2, wh, wd, floor = _row(dynamics, run)
+        coincide = kernels.cutoffs_coincide(w1, w2, wh, wd)
         high = 0.0 if wh == 0.0 else u[k]
         level = u[k] - high
         state = (0.0, u[k], u[k], u[k], u[k] if wh == 0.0 else high, level)
@@ -40,12 +45,21 @@ def forward(first, t, u, dynamics, midpoint, states):
         for k in range(first[run] + 1, first[run + 1]):
             tau = t[k] - t[k - 1]
             if tau > 0.0:
-                light = linearised_at(np.exp(u[k - 1]), np.exp(u[k]), midpoint)
+                light = linearised_at(np.exp(u[k - 1]), np.exp(u[k]), midpoint) + floor
                 state = kernels.advance(
                     state, u[k - 1], (u[k] - u[k - 1]) / tau, tau, alpha * light, beta + gamma * light,
                     w1, w2, wh, wd, coincide,
                 )  # fmt: skip
             _store(states, k, state)
+
+
+@njit(inline="always", error_model="numpy")
+def _row(dynamics, run):
+    """The numbers of one run."""
+    return (
+        dynamics[run, 0], dynamics[run, 1], dynamics[run, 2], dynamics[run, 3], dynamics[run, 4], dynamics[run, 5],
+        dynamics[run, 6], dynamics[run, 7],
+    )  # fmt: skip
 
 
 @njit(inline="always", error_model="numpy")
@@ -97,17 +111,17 @@ def _directional(state, u0, r, tau, a, b2, w1, w2, wh, wd, coincide, da, db, d1,
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def backward(first, t, u, dynamics, midpoint, states, by_level, by_output, parameters, by_u, by_dynamics):
-    """Add to by_u (n,), and to by_dynamics (7,) where `parameters`, the gradient of a function of the scan.
+    """Add to by_u (n,), and to by_dynamics (runs, 8) where `parameters`, the gradient of a function of the scan.
 
     by_level, by_output: (n,) its gradient by the reset level (follower output, or e − z) and by the never-reset
     amplifier output at every sample;  states: of `forward`
     """
-    alpha, beta, gamma, w1, w2, wh, wd = dynamics
-    coincide = kernels.cutoffs_coincide(w1, w2, wh, wd)
-    plain = w2 > kernels.PRESENT_BELOW and wh == 0.0
-    unlimited = gamma == 0.0 and beta > kernels.PRESENT_BELOW  # `Dynamics.unlimited`
     row, before = np.zeros(STATES), np.zeros(STATES)
     for run in range(len(first) - 1):
+        alpha, beta, gamma, w1, w2, wh, wd, floor = _row(dynamics, run)
+        coincide = kernels.cutoffs_coincide(w1, w2, wh, wd)
+        plain = w2 > kernels.PRESENT_BELOW and wh == 0.0
+        unlimited = gamma == 0.0 and beta > kernels.PRESENT_BELOW  # `Dynamics.unlimited`
         row[:] = 0.0
         for k in range(first[run + 1] - 1, first[run], -1):
             row[3] += by_level[k]
@@ -117,7 +131,7 @@ def backward(first, t, u, dynamics, midpoint, states, by_level, by_output, param
             if tau <= 0.0:
                 continue
             light = linearised_at(np.exp(u[k - 1]), np.exp(u[k]), midpoint)
-            a, b2 = alpha * light, beta + gamma * light
+            a, b2 = alpha * (light + floor), beta + gamma * (light + floor)
             if plain:  # e repeats s
                 row[2] += row[3]
                 row[3] = 0.0
@@ -141,11 +155,11 @@ def backward(first, t, u, dynamics, midpoint, states, by_level, by_output, param
             by_u[k - 1] += _dot(row, older)
             r = (u[k] - u[k - 1]) / tau
             if parameters and w1 < kernels.PRESENT_BELOW:
-                by_dynamics[3] += (
+                by_dynamics[run, 3] += (
                     _directional(state, u[k - 1], r, tau, a, b2, w1, w2, wh, wd, coincide, 0.0, 0.0, w1, 0.0, row) / w1
                 )
             if parameters and wd < kernels.PRESENT_BELOW:
-                by_dynamics[6] += (
+                by_dynamics[run, 6] += (
                     _directional(state, u[k - 1], r, tau, a, b2, w1, w2, wh, wd, coincide, 0.0, 0.0, 0.0, wd, row) / wd
                 )
             if unlimited:  # no photoreceptor whose coefficients the light could move; its complex step would overflow
@@ -155,14 +169,17 @@ def backward(first, t, u, dynamics, midpoint, states, by_level, by_output, param
                 by_b = (
                     _directional(state, u[k - 1], r, tau, a, b2, w1, w2, wh, wd, coincide, 0.0, b2, 0.0, 0.0, row) / b2
                 )
-                by_light = light * (alpha * by_a + gamma * by_b)
-                by_dynamics[0] += by_a * light
-                by_dynamics[1] += by_b
-                by_dynamics[2] += by_b * light
+                by_seen = alpha * by_a + gamma * by_b
+                by_light = light * by_seen
+                by_dynamics[run, 0] += by_a * (light + floor)
+                by_dynamics[run, 1] += by_b
+                by_dynamics[run, 2] += by_b * (light + floor)
+                by_dynamics[run, 7] += by_seen
             else:
                 by_light = _directional(
-                    state, u[k - 1], r, tau, a, b2, w1, w2, wh, wd, coincide, a, gamma * light, 0.0, 0.0, row
-                )
+                    state, u[k - 1], r, tau, a, b2, w1, w2, wh, wd, coincide, alpha * light, gamma * light, 0.0, 0.0,
+                    row,
+                )  # fmt: skip
             if midpoint:
                 by_u[k] += 0.5 * by_light
                 by_u[k - 1] += 0.5 * by_light

@@ -12,31 +12,8 @@ import torch
 from pixelid.dynamics import equations
 
 
-def _factors(a, b2, tau):
-    """(f1, f2, g) of `kernels.photoreceptor_factors`: real poles, complex pair, and the series between them."""
-    b = 0.5 * b2
-    disc = b * b - a
-    x = disc * tau * tau
-    small = x.abs() < 1e-2
-    root = torch.sqrt(torch.where(small, torch.ones_like(x), disc.abs()))
-    decay = torch.exp(-b * tau)
-    # real: b ± root, written without cancellation
-    fast = b + root
-    slow = a / fast
-    e_slow, e_fast = torch.exp(-slow * tau), torch.exp(-fast * tau)
-    real = (e_slow - e_fast) / (2 * root), (e_slow + e_fast) / 2
-    pair = decay * torch.sin(root * tau) / root, decay * torch.cos(root * tau)
-    s = torch.where(small, x, torch.zeros_like(x))
-    series = decay * tau * (1 + s / 6 * (1 + s / 20 * (1 + s / 42))), decay * (1 + s / 2 * (1 + s / 12 * (1 + s / 30)))
-    g, c = (
-        torch.where(small, near, torch.where(disc > 0, over, under))
-        for near, over, under in zip(series, real, pair, strict=True)
-    )
-    return c + b * g, c - b * g, g
-
-
 def respond(u: torch.Tensor, dynamics: torch.Tensor, t: np.ndarray, first: np.ndarray, midpoint: bool):
-    """As `scan.respond`."""
+    """As `scan.respond`; dynamics: (runs, 8)."""
     device = u.device
     length = np.diff(first)
     most = int(length.max()) if len(length) else 0
@@ -44,10 +21,11 @@ def respond(u: torch.Tensor, dynamics: torch.Tensor, t: np.ndarray, first: np.nd
     place = np.minimum(np.arange(most), length[:, None] - 1) + first[:-1, None]
     index = torch.as_tensor(place, device=device)
     light, when = u[index], torch.as_tensor(t, device=device)[index]
-    alpha, beta, gamma, w1, w2, wh, wd = dynamics
+    alpha, beta, gamma, w1, w2, _, wd, floor = dynamics.T
+    wh = dynamics[:1, 5].sum()
     start = light[:, 0]
     zero = torch.zeros_like(start)
-    lower, extra = bool(wh > 0), bool(w2 < equations.PRESENT_BELOW)
+    lower, extra = bool(wh > 0), bool((w2 < equations.PRESENT_BELOW).any())
     state = (zero, start, start, start, start if lower else zero, zero if lower else start)
     levels, outputs = [], []
     for k in range(most):
@@ -56,9 +34,9 @@ def respond(u: torch.Tensor, dynamics: torch.Tensor, t: np.ndarray, first: np.nd
             moved = gap > 0
             tau = torch.where(moved, gap, torch.ones_like(gap) * 1e-6)
             log_light = 0.5 * (light[:, k] + light[:, k - 1]) if midpoint else light[:, k]
-            L = torch.exp(log_light)
+            L = torch.exp(log_light) + floor
             a, b2 = alpha * L, beta + gamma * L
-            pr, r = _factors(a, b2, tau), (light[:, k] - light[:, k - 1]) / tau
+            pr, r = equations.selected_factors(torch, a, b2, tau), (light[:, k] - light[:, k - 1]) / tau
             k1, kd = torch.exp(-w1 * tau), torch.exp(-wd * tau)
             v, y, s, _, z, d = state
             if lower or extra:

@@ -27,10 +27,10 @@ GUESSED = 0.3  # of what is put into a dead time, as a share of it
 
 
 class Stretches(NamedTuple):
-    """(M,) each, by pixel and time.
+    """(M,) each, by pixel and time; pixel: int32, and float32 where seven digits do.
 
-    begin, end: s;  pixel: row-major index;  rise, fall: how many ON and OFF thresholds the level crosses in between,
-    shares and dead times included;  variance: of that count, thresholds²;  reset: whether it is a single whole
+    begin, end: s;  pixel: row-major index;  rise, fall: how many nominal ON and OFF thresholds the level crosses in
+    between, shares and dead times included;  variance: of that count, thresholds²;  reset: whether it is a single whole
     interval, at whose begin the amplifier was reset;  burst: whether it is a merged burst
     """
 
@@ -44,18 +44,33 @@ class Stretches(NamedTuple):
     burst: np.ndarray
 
 
-def stretches(t, pixel, on, dead: float, lag: float, shortest: float, noise: float = NOISE) -> Stretches:
+def stretches(
+    t, pixel, on, dead: float, lag: float, shortest: float, noise: float = NOISE, size: np.ndarray | None = None
+) -> Stretches:
     """Stretches of events sorted by (pixel, time).
 
     t: (N,) s;  pixel: (N,);  on: (N,) bool;  dead: s;  lag: s, time constant of the amplifier after its reset;
-    shortest: s, intervals shorter than that are merged (0: none);  noise: of a threshold, relative
+    shortest: s, intervals shorter than that are merged (0: none);  noise: of a threshold, relative;  size: (N,) of each
+    event's threshold, relative to the nominal one (default 1)
     """
-    most = 2 * len(t)
-    times, counts = np.empty((most, 2)), np.zeros((most, 3))
-    of, kind = np.empty(most, np.int64), np.empty((most, 2), bool)
-    n = _cut(t, pixel, on, dead, lag, shortest, noise, times, counts, of, kind)
-    columns = (*times[:n].T, pixel[of[:n]], *counts[:n].T, *kind[:n].T)
-    return Stretches(*(np.ascontiguousarray(column) for column in columns))
+    size = np.ones(1) if size is None else size
+    columns = t, pixel, on, size, dead, lag, shortest, noise
+    n = _cut(*columns, *_columns(0))  # counted first: room for twice the events would take more than they do
+    out = _columns(n)
+    _cut(*columns, *out)
+    return Stretches(*out)
+
+
+def _columns(n: int) -> tuple[np.ndarray, ...]:
+    """Room for n stretches, 34 bytes each."""
+    kinds = (np.float64, np.float64, np.int32, np.float32, np.float32, np.float32, np.bool_, np.bool_)
+    return tuple(np.empty(n, kind) for kind in kinds)
+
+
+@njit(inline="always")
+def _size(size, i):
+    """Of event i's threshold; one number where all are alike."""
+    return size[i] if len(size) > 1 else size[0]
 
 
 @njit(cache=True, nogil=True)
@@ -68,27 +83,34 @@ def _looking(t, i, dead, lag):
 
 
 @njit(cache=True, nogil=True)
-def _burst(t, on, first, k, j, last, dead, lag, noise, counts):
-    """Fill counts (3,) with rise, fall and variance from just after event k to the end of the dead time of event j.
+def _burst(t, on, size, first, k, j, last, dead, lag, noise):
+    """(rise, fall, variance) from just after event k to the end of the dead time of event j.
 
     first, last: events of the pixel
     """
+    rise, fall, variance = 0.0, 0.0, 0.0
     for i in range(k, j + 1):
-        crossed = 1.0 if i > k else 0.0
+        crossed = _size(size, i) if i > k else 0.0
         if i < last and on[i] == on[i + 1]:
             looked = _looking(t, i + 1, dead, lag)
             if i > first and on[i - 1] == on[i]:
                 looked = min(looked, _looking(t, i, dead, lag))
-            crossed += dead / looked
-            counts[2] += (GUESSED * dead / looked) ** 2
-        counts[0 if on[i] else 1] += crossed
-        counts[2] += noise**2
+            crossed += _size(size, i + 1) * dead / looked
+            variance += (GUESSED * _size(size, i + 1) * dead / looked) ** 2
+        if on[i]:
+            rise += crossed
+        else:
+            fall += crossed
+        variance += (_size(size, i) * noise) ** 2
+    return rise, fall, variance
 
 
 @njit(cache=True, nogil=True)
-def _cut(t, pixel, on, dead, lag, shortest, noise, times, counts, of, kind):
-    """Fill times (M, 2), counts (M, 3), of (M,): an event of its pixel, kind (M, 2): reset, burst; how many."""
-    n, first, away = 0, 0, 0.5 * shortest
+def _cut(
+    t, pixel, on, size, dead, lag, shortest, noise, begins, ends, pixels, rises, falls, variances, resets, bursts
+):  # fmt: skip
+    """Fill the columns of `Stretches` (M,), where they are not empty; how many stretches there are."""
+    n, first, away, fill = 0, 0, 0.5 * shortest, len(begins) > 0
     while first < len(t):
         last = first
         while last + 1 < len(t) and pixel[last + 1] == pixel[first]:
@@ -101,14 +123,21 @@ def _cut(t, pixel, on, dead, lag, shortest, noise, times, counts, of, kind):
             length = t[j + 1] - t[j] - dead if j < last else 0.0  # of the quiet interval after it
             after = away / length if j > k and j < last else 0.0
             if j > k:
-                times[n, 0] = t[k] - (away if before > 0.0 else 0.0)
-                times[n, 1] = t[j] + dead + away if j < last else t[j]
-                _burst(t, on, first, k, j, last, dead, lag, noise, counts[n])
-                counts[n, 0 if on[k] else 1] += before
-                if j < last:
-                    counts[n, 0 if on[j + 1] else 1] += after
-                counts[n, 2] += ((before > 0.0) + (after > 0.0)) * INSIDE**2
-                of[n], kind[n, 0], kind[n, 1] = k, False, True
+                if fill:
+                    begins[n] = t[k] - (away if before > 0.0 else 0.0)
+                    ends[n] = t[j] + dead + away if j < last else t[j]
+                    rise, fall, variance = _burst(t, on, size, first, k, j, last, dead, lag, noise)
+                    if on[k]:
+                        rise += before * _size(size, k)
+                    else:
+                        fall += before * _size(size, k)
+                    if j < last and on[j + 1]:
+                        rise += after * _size(size, j + 1)
+                    elif j < last:
+                        fall += after * _size(size, j + 1)
+                    variance += ((before > 0.0) + (after > 0.0)) * INSIDE**2
+                    pixels[n], rises[n], falls[n], variances[n] = pixel[k], rise, fall, variance
+                    resets[n], bursts[n] = False, True
                 n += 1
             if j == last:
                 break
@@ -117,11 +146,13 @@ def _cut(t, pixel, on, dead, lag, shortest, noise, times, counts, of, kind):
             begin = t[j] + dead + (away if after > 0.0 else 0.0)
             end = t[k] - (away if ends_at_burst else 0.0)
             if end > begin:
-                times[n, 0], times[n, 1] = begin, end
-                counts[n, 0 if on[k] else 1] = 1.0 - before - after
-                whole = before == 0.0 and after == 0.0
-                counts[n, 2] = noise**2 + (0.0 if whole else INSIDE**2)
-                of[n], kind[n, 0], kind[n, 1] = k, whole, False
+                if fill:
+                    crossed = (1.0 - before - after) * _size(size, k)
+                    whole = before == 0.0 and after == 0.0
+                    begins[n], ends[n], pixels[n] = begin, end, pixel[k]
+                    rises[n], falls[n] = (crossed, 0.0) if on[k] else (0.0, crossed)
+                    variances[n] = (_size(size, k) * noise) ** 2 + (0.0 if whole else INSIDE**2)
+                    resets[n], bursts[n] = whole, False
                 n += 1
         first = last + 1
     return n

@@ -18,15 +18,23 @@ from pixelid.nerf import parallel
 from pixelid.nerf.camera import Camera, sub_pixel_directions
 from pixelid.nerf.field import Field
 from pixelid.nerf.gauge import Gauge
-from pixelid.nerf.intervals import Chains, Intervals, chains
-from pixelid.nerf.losses import Weights, amplifier_drift, changes, terms, total, unexplained
+from pixelid.nerf.intervals import CHAIN, Chains, Intervals, chains
+from pixelid.nerf.losses import Weights, amplifier_drift, changes, terms, total, unexplained, variance_left
 from pixelid.nerf.pixel import Bandwidth, Pixel
+from pixelid.nerf.pixel_maps import PixelMaps
 from pixelid.nerf.render import Rays
 from pixelid.nerf.scan import respond
 from pixelid.nerf.trajectory import Trajectory
 from pixelid.stages.circuit import Circuit
 
 MOST_CELLS = (32, 160)  # per side
+# Of `--steps auto`.  The default recipe (1200 steps of 320 chains) was chosen on scenes of 64 × 64 pixels with some
+# 1e5 changes: the same batch per change and as many looks at each, within what a training may take.
+VISITS = 60
+BATCH_SHARE = 320 / 1e5
+SMALLEST_BATCH, LARGEST_BATCH = 320, 4096
+STEPS = (600, 30_000)
+DEPARTURES = 0.1  # learning rate of single pixels' thresholds, in their standard deviations, over the grid's
 EPSILON = 1e-3  # least radiance, dark current included, in the unit of the views (the paper's)
 
 
@@ -34,11 +42,11 @@ EPSILON = 1e-3  # least radiance, dark current included, in the unit of the view
 class Recipe:
     """How to train.
 
-    iterations: steps;  batch: chains per step (over all processes);  vertices: grid sizes, each for an equal share of
-    the steps (empty: `for_sensor` chooses);  rate, last_rate: learning rate, decaying exponentially;  weights: λ;
-    roughness: λ of the grid's total variation;  emptiness: λ of the mean log density, which clears what no event asks
-    for;  level: λ of the mean log radiance when the gauge needs it;  engine: of `render` and `respond`;
-    supersample: rays per pixel and side
+    iterations: steps, 0 for as many as the data ask for;  batch: chains per step (over all processes), 0 likewise;
+    vertices: grid sizes, each for an equal share of the steps (empty: `for_sensor` chooses);  rate, last_rate: learning
+    rate, decaying exponentially;  weights: λ;  roughness: λ of the grid's total variation;  emptiness: λ of the mean
+    log density, which clears what no event asks for;  level: λ of the mean log radiance when the gauge needs it;
+    engine: of `render` and `respond`;  supersample: rays per pixel and side
     """
 
     iterations: int = 1200
@@ -57,8 +65,21 @@ class Recipe:
     def for_sensor(self, width: int) -> Recipe:
         """The recipe with grid sizes for a sensor `width` pixels wide: about one cell per pixel in the end."""
         cells = min(max(width, MOST_CELLS[0]), MOST_CELLS[1])
-        sizes = tuple(cells * k // 4 + 1 for k in (2, 3, 4))
-        return self if self.vertices else dataclasses.replace(self, vertices=sizes)
+        return self if self.vertices else self.with_cells(cells)
+
+    def with_cells(self, cells: int) -> Recipe:
+        """The recipe that ends with so many cells per side."""
+        return dataclasses.replace(self, vertices=tuple(max(cells * k // 4, 1) + 1 for k in (2, 3, 4)))
+
+    def for_data(self, changes: int) -> Recipe:
+        """The recipe with steps and batch for so many changes of light, where they were left open.
+
+        Batches grow with the data up to `LARGEST_BATCH`; steps are as many as show every change `VISITS` times.
+        """
+        batch = self.batch or int(np.clip(changes * BATCH_SHARE, SMALLEST_BATCH, LARGEST_BATCH))
+        wanted = math.ceil(VISITS * changes / (CHAIN * batch) / 100) * 100
+        steps = self.iterations or int(np.clip(wanted, *STEPS))
+        return dataclasses.replace(self, batch=batch, iterations=steps)
 
     def vertices_at(self, iteration: int) -> int:
         """The grid size in use at a step."""
@@ -75,7 +96,8 @@ class Problem:
     """What is reconstructed from.
 
     training, held_out: intervals;  camera: of the sensor;  channel: (pixels,);  dark: (C,) added to the field's
-    radiance;  circuit: of the pixel;  gauge: what pins the radiance unit;  low, high: the box
+    radiance;  circuit: of the pixel;  gauge: what pins the radiance unit;  low, high: the box;  maps: how the pixels
+    depart from the circuit, None where they do not
     """
 
     training: Intervals
@@ -88,6 +110,18 @@ class Problem:
     gauge: Gauge
     low: np.ndarray
     high: np.ndarray
+    maps: PixelMaps | None = None
+
+    def pixels_as_dict(self, pixel: Pixel) -> dict[str, Any]:
+        """The entry "pixels" of reconstruction.json: thresholds and bandwidth over the sensor, and who was left out."""
+        hot = self.maps.hot if self.maps is not None else np.zeros(0, np.int64)
+        on, off = pixel.threshold_spread()
+        return {
+            "threshold_spread": {"on": on, "off": off},
+            "thresholds_trained": pixel.departures.requires_grad,
+            "bandwidth_mapped": pixel.maps.bandwidth is not None,
+            "hot": {"count": len(hot), "xy": [[int(k % self.camera.width), int(k // self.camera.width)] for k in hot]},
+        }
 
 
 @dataclass
@@ -110,7 +144,7 @@ class State:
     @property
     def finite(self) -> bool:
         """Whether no step diverged and the field holds numbers only."""
-        values = (self.field.grid, self.field.log_background, self.pixel.factors)
+        values = (self.field.grid, self.field.log_background, self.pixel.factors, self.pixel.departures)
         return not self.diverged and all(bool(torch.isfinite(value).all()) for value in values)
 
 
@@ -132,18 +166,20 @@ def start(problem: Problem, recipe: Recipe, bandwidth: Bandwidth, device: str = 
         problem.low, problem.high, recipe.vertices_at(0), len(problem.dark), gauge.background,
         free_background=gauge.free_background, level=float(np.exp(gauge.level.mean())),
     ).to(device)  # fmt: skip
-    pixel = Pixel(problem.circuit, bandwidth).to(device)
+    pixel = Pixel(problem.circuit, bandwidth, problem.maps).to(device)
     inside = sub_pixel_directions(problem.camera, recipe.supersample)
     return State(scene, pixel, optimiser_of(scene, pixel, recipe), inside, 0)
 
 
 def optimiser_of(scene: Field, pixel: Pixel, recipe: Recipe) -> torch.optim.Optimizer:
-    """Adam over the grid, the background when it is free, and the pixel's factors when they are trained."""
+    """Adam over the grid, the background when it is free, and what of the pixel is trained."""
     groups: list[dict[str, Any]] = [{"params": [scene.grid], "lr": recipe.rate, "share": 1.0}]
     if scene.log_background.requires_grad:
         groups.append({"params": [scene.log_background], "lr": recipe.rate, "share": 0.1})
     if pixel.factors.requires_grad:
         groups.append({"params": [pixel.factors], "lr": recipe.rate, "share": 0.2})
+    if pixel.departures.requires_grad:
+        groups.append({"params": [pixel.departures], "lr": recipe.rate, "share": DEPARTURES})
     return torch.optim.Adam(groups, betas=(0.9, 0.99), eps=1e-15, fused=True)
 
 
@@ -170,10 +206,10 @@ def predict(problem: Problem, state: State, batch: Chains, rng: np.random.Genera
         drift = amplifier_drift(u, batch.t, on_threshold, circuit.leak_hz, circuit.leak_hz_per_radiance)
     if not state.pixel.filtering:
         return changes(u, u, batch, None, later, drift), u, u
-    dynamics = state.pixel.dynamics
+    dynamics = state.pixel.dynamics_at(batch.pixel)
     midpoint = circuit.linearisation == "midpoint"
     level, output = respond(u, dynamics, batch.t, batch.first, midpoint=midpoint, engine=engine)
-    cutoff = dynamics[6] if state.pixel.has_amplifier_pole else None
+    cutoff = dynamics[..., 6:7] if state.pixel.has_amplifier_pole else None
     return changes(level, output, batch, cutoff, later, drift), level, u
 
 
@@ -196,7 +232,8 @@ def step(problem: Problem, recipe: Recipe, state: State) -> dict[str, float]:
     rng = np.random.default_rng([recipe.seed, parallel.rank(), state.iteration])  # nothing to carry between steps
     batch = draw(problem, state, problem.training, max(recipe.batch // parallel.world(), 1), rng)
     change, level, _ = predict(problem, state, batch, rng, recipe.engine)
-    parts = terms(change, level, batch, *state.pixel.thresholds)
+    thresholds = state.pixel.thresholds_at(batch.pixel)
+    parts = terms(change, level, batch, *thresholds)
     loss = total(parts, recipe.weights)
     if recipe.roughness > 0:
         loss = loss + recipe.roughness * state.field.roughness()
@@ -204,8 +241,9 @@ def step(problem: Problem, recipe: Recipe, state: State) -> dict[str, float]:
         loss = loss + recipe.emptiness * state.field.grid[..., 0].clamp(min=-6).mean()
     if problem.gauge.kind == "level":
         loss = loss + recipe.level * _off_level(problem, state, recipe.engine, rng)
-    if state.pixel.factors.requires_grad:
-        loss = loss + state.pixel.penalty() / max(len(problem.training.starts), 1)
+    if state.pixel.factors.requires_grad or state.pixel.departures.requires_grad:
+        left = variance_left(change, batch, *thresholds)
+        loss = loss + state.pixel.penalty(left) / max(len(problem.training.starts), 1)
     measured = {"loss": float(loss.detach()), **{name: float(value.detach()) for name, value in parts.items()}}
     if not math.isfinite(parallel.average(measured["loss"])):
         state.diverged = True
@@ -229,6 +267,7 @@ def _off_level(
     Dark current is part of the light: below it the events say nothing, and a mean of logs would be full of it.
     """
     views = problem.gauge.reference
+    assert views is not None  # a gauge of this kind has them
     which = rng.integers(0, len(views), number)
     x, y = rng.integers(0, views.camera.width, number), rng.integers(0, views.camera.height, number)
     channel = rng.integers(0, len(problem.dark), number)
@@ -258,8 +297,8 @@ def held_out_residual(problem: Problem, state: State, runs: int = 512) -> float:
     with torch.no_grad():
         batch = draw(problem, state, problem.held_out, runs, rng)
         change, _, _ = predict(problem, state, batch, rng)
-        on, off = state.pixel.thresholds
-    return unexplained(change.cpu().numpy(), batch, float(on), float(off))
+        thresholds = (x.cpu().numpy() for x in state.pixel.thresholds_at(batch.pixel))
+    return unexplained(change.cpu().numpy(), batch, *thresholds)
 
 
 def train(

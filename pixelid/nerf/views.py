@@ -29,9 +29,10 @@ OPENGL = np.diag([1.0, -1.0, -1.0])
 class Views:
     """Images and where they were taken.
 
-    images: (n, H, W, C) radiance;  position: (n, 3), rotation: (n, 3, 3), camera to world;  names: n;
+    images: (n, H, W, C) float32 radiance;  position: (n, 3), rotation: (n, 3, 3), camera to world;  names: n;
     exposure: (n,) exposure × gain, relative to the mean over all stages;  transparent: whether white shows through;
-    peak: the largest value an image can have
+    peak: the largest value an image can have;  span: from the smallest value that a stored picture can say to the
+    largest, the range that the reference implementation scores in
     """
 
     images: np.ndarray
@@ -42,6 +43,7 @@ class Views:
     exposure: np.ndarray
     transparent: bool
     peak: float
+    span: float = 1.0
 
     def __len__(self) -> int:
         return len(self.images)
@@ -51,16 +53,22 @@ class Views:
         names = tuple(np.array(self.names, dtype=object)[which])
         return Views(
             self.images[which], self.position[which], self.rotation[which], self.camera, names, self.exposure[which],
-            self.transparent, self.peak,
+            self.transparent, self.peak, self.span,
         )  # fmt: skip
 
 
-def views_folder(dataset: Path) -> Path:
-    """`views/` in the dataset's folder or one level up.  Raises InputError when there is none."""
+def views_folder(dataset: Path) -> Path | None:
+    """`views/` in the dataset's folder or one level up; None when there is none."""
     for folder in (Path(dataset) / FOLDER, Path(dataset).resolve().parent / FOLDER):
         if folder.is_dir():
             return folder
-    raise InputError(f"{Path(dataset) / FOLDER}: no such folder, here or one level up")
+    return None
+
+
+def no_views(camera: Camera, channels: int) -> Views:
+    """Views of nothing, of the size that this camera would take them in."""
+    images = np.empty((0, camera.height, camera.width, channels), np.float32)
+    return Views(images, np.empty((0, 3)), np.empty((0, 3, 3)), camera, (), np.empty(0), False, 1.0)
 
 
 def read_views(dataset: Path, channels: int) -> dict[str, Views]:
@@ -71,12 +79,14 @@ def read_views(dataset: Path, channels: int) -> dict[str, Views]:
         channels: colours, 1 or 3.
 
     Returns:
-        "train", "val", "test", as far as they are there → views.
+        "train", "val", "test", as far as they are there → views; nothing for a dataset without `views/`.
 
     Raises:
         InputError: images or poses that cannot be read, or that do not fit each other.
     """
     folder = views_folder(dataset)
+    if folder is None:
+        return {}
     log_eps = _log_eps(Path(dataset) / RENDERER)
     stages = {
         stage: _stage(folder / f"transforms_{stage}.json", channels, log_eps)
@@ -112,25 +122,30 @@ def _views(file: Path, document: dict, channels: int, log_eps: float) -> Views:
     frames = document.get("frames")
     if not isinstance(frames, list) or not frames:
         raise InputError(f"{file}: frames: expected a list of at least one view")
-    poses = np.array([_pose(file, k, frame) for k, frame in enumerate(frames)])
+    poses = np.array([pose_of_frame(file, k, frame) for k, frame in enumerate(frames)])
     names = [str(frame["file_path"]) for frame in frames]
-    raw = [_image(_picture(file, name)) for name in names]
-    if len({image.shape for image in raw}) != 1 or len({image.dtype for image in raw}) != 1:
-        raise InputError(f"{file}: file_path: the pictures differ in size, channels or type")
-    stack = np.stack(raw)
-    images, peak = _radiance(file, stack, document, log_eps, channels)
+    first = image_of(picture_of(file, names[0]))
+    height, width = first.shape[0], first.shape[1]
+    images = np.empty((len(names), height, width, channels), np.float32)
+    for k, name in enumerate(names):
+        image = image_of(picture_of(file, name))
+        if image.shape != first.shape or image.dtype != first.dtype:
+            raise InputError(f"{file}: file_path: the pictures differ in size, channels or type")
+        images[k] = _radiance(file, image, document, log_eps, channels)
+    peak, span = _peak_and_span(images, first.dtype, document)
     exposure = np.array([float(f.get("exposure_time", 1.0)) * float(f.get("gain", 1.0)) for f in frames])
     if not (np.isfinite(exposure) & (exposure > 0)).all():
         raise InputError(f"{file}: exposure_time, gain: expected positive numbers")
-    camera = _camera(file, document, images.shape[2], images.shape[1])
+    camera = camera_of_document(file, document, images.shape[2], images.shape[1])
     short = tuple(Path(name).name for name in names)
     return Views(
         images, poses[:, :3, 3], poses[:, :3, :3] @ OPENGL, camera, short, exposure,
-        stack.shape[-1] == 4, peak,
+        first.shape[-1] == 4, peak, span,
     )  # fmt: skip
 
 
-def _pose(file: Path, k: int, frame) -> np.ndarray:
+def pose_of_frame(file: Path, k: int, frame) -> np.ndarray:
+    """(3, 4) of a view, as OpenGL has it."""
     for key in ("file_path", "transform_matrix"):
         if not isinstance(frame, dict) or key not in frame:
             raise InputError(f"{file}: frames[{k}].{key}: missing")
@@ -145,7 +160,7 @@ def _pose(file: Path, k: int, frame) -> np.ndarray:
     return pose[:3]
 
 
-def _picture(file: Path, name: str) -> Path:
+def picture_of(file: Path, name: str) -> Path:
     """The picture of a `file_path`, with or without its extension."""
     exact = file.parent / name
     if exact.is_file():
@@ -156,7 +171,7 @@ def _picture(file: Path, name: str) -> Path:
     return matches[0]
 
 
-def _image(path: Path) -> np.ndarray:
+def image_of(path: Path) -> np.ndarray:
     """(H, W, 1, 3 or 4) as stored: integers when quantised."""
     try:
         if path.suffix == ".npy":
@@ -196,19 +211,19 @@ def _exr(path: Path) -> np.ndarray:
     return image if image.ndim == 2 else image[..., [2, 1, 0, *range(3, image.shape[2])]]
 
 
-def _radiance(file: Path, stack, document: dict, log_eps: float, channels: int) -> tuple[np.ndarray, float]:
-    """(n, H, W, channels) radiance of stored pictures, and its peak."""
-    quantised = stack.dtype.kind == "u"
+def _radiance(file: Path, image: np.ndarray, document: dict, log_eps: float, channels: int) -> np.ndarray:
+    """(H, W, channels) radiance of a stored picture."""
+    quantised = image.dtype.kind == "u"
     levels = 1.0
     if quantised:
-        bits = document.get("bit_depth", 8 * stack.dtype.itemsize)
+        bits = document.get("bit_depth", 8 * image.dtype.itemsize)
         if not isinstance(bits, int) or not 1 <= bits <= 16:
             raise InputError(f"{file}: bit_depth: expected 1..16, found {bits!r}")
-        levels = float(2**bits)
-    elif not np.isfinite(stack).all() or stack.min() < 0:
+        levels = _levels(document, image.dtype)
+    elif not np.isfinite(image).all() or image.min() < 0:
         raise InputError(f"{file}: file_path: a picture holds negative or non-finite values")
-    values = stack.astype(np.float64)
-    if stack.shape[-1] == 4:
+    values = image.astype(np.float64)
+    if image.shape[-1] == 4:
         alpha, colour = values[..., 3:], values[..., :3]
         if quantised:  # straight alpha
             alpha = alpha / (levels - 1)
@@ -219,13 +234,25 @@ def _radiance(file: Path, stack, document: dict, log_eps: float, channels: int) 
         values = (values @ LUMA)[..., None]
     elif values.shape[-1] == 1 and channels == 3:
         values = np.repeat(values, 3, axis=-1)
-    if quantised:
-        return (values + 0.5) / levels, 1.0
-    values = values + log_eps
-    return values, max(1.0, float(np.quantile(values, 0.999)) if values.max() > 4.0 else 1.0)
+    return (values + 0.5) / levels if quantised else values + log_eps
 
 
-def _camera(file: Path, document: dict, width: int, height: int) -> Camera:
+def _levels(document: dict, kind: np.dtype) -> float:
+    """How many values a quantised picture has."""
+    return float(2 ** document.get("bit_depth", 8 * kind.itemsize))
+
+
+def _peak_and_span(images: np.ndarray, kind: np.dtype, document: dict) -> tuple[float, float]:
+    """The largest value that pictures of this kind can have, and how far apart their values can be."""
+    if kind.kind == "u":
+        levels = _levels(document, kind)
+        return 1.0, (levels - 1) / levels
+    peak = max(1.0, float(np.quantile(images, 0.999)) if images.max() > 4.0 else 1.0)
+    return peak, peak
+
+
+def camera_of_document(file: Path, document: dict, width: int, height: int) -> Camera:
+    """The pinhole camera of a `transforms_*.json`."""
     if "camera_angle_x" in document:
         angle = document["camera_angle_x"]
         if not isinstance(angle, (int, float)) or not 0 < angle < np.pi:

@@ -51,7 +51,7 @@ def read(path: Path) -> Recording:
         raise InputError(f"{path}: expected an HDF5 file, found something else")
     try:
         with h5py.File(path, "r") as file:
-            _refuse_foreign_storage(file, path)
+            refuse_foreign_storage(file, path)
             return _read(file, path)
     except OSError as error:
         raise InputError(f"{path}: truncated or damaged HDF5 ({str(error).splitlines()[0][:120]})") from error
@@ -68,7 +68,7 @@ def stream(path: Path) -> tuple[Recording, Iterator[Recording]] | None:
         raise InputError(f"{path}: expected an HDF5 file, found something else")
     try:
         file = h5py.File(path, "r")
-        _refuse_foreign_storage(file, path)
+        refuse_foreign_storage(file, path)
         if "exposures" in file or _in_large_pieces(file):
             return None
         head, columns, settings, declared = _opened(file, path)
@@ -141,7 +141,7 @@ def _scanned_size(blocks: Iterable, stated: tuple[int | None, int | None]) -> tu
     return width, height
 
 
-def _refuse_foreign_storage(file, path: Path) -> None:
+def refuse_foreign_storage(file, path: Path) -> None:
     """Raise InputError for links and datasets that lead out of the file, and sizes that it cannot hold.
 
     What lies in another file is not what was given to be read, and may be nobody's business.

@@ -15,8 +15,10 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -26,6 +28,9 @@ from pixelid.recordings.decoded import decode_evt, evt_recording
 from pixelid.recordings.events import Events
 from pixelid.recordings.parts import joined
 from pixelid.recordings.recording import Recording
+
+if TYPE_CHECKING:
+    from rosbags.highlevel import AnyReader
 
 HEADER = "std_msgs/Header header\n"
 PACKET = f"{HEADER}uint32 height\nuint32 width\nuint64 seq\nuint64 time_base\nstring encoding\nbool is_bigendian\n"
@@ -48,6 +53,29 @@ def read(path: Path) -> Recording:
     Raises:
         InputError: for a damaged bag, one without events, and encodings that are not read.
     """
+    with opened_bag(path) as bag:
+        topics = [c for c in bag.connections if c.msgtype == PACKETS or c.msgtype in record_types()]
+        if not topics:
+            found = ", ".join(sorted({c.msgtype for c in bag.connections})) or "nothing"
+            raise InputError(f"{path}: expected a topic of events ({PACKETS}, {record_types()[0]}), found {found}")
+        topic = topics[0]
+        raw = (bytes(data) for connection, _, data in bag.messages(connections=[topic]))
+        little = bag.is2
+        if topic.msgtype == PACKETS:
+            recording = _read_packets(path, raw, cdr=little)
+        else:
+            recording = _read_records(path, raw, cdr=little)
+    recording.attributes["topic"] = topic.topic
+    return recording
+
+
+@contextmanager
+def opened_bag(path: Path) -> Iterator[AnyReader]:
+    """A bag of either ROS, open.
+
+    Raises:
+        InputError: for a file that is no bag or a damaged one, now or while it is read.
+    """
     from rosbags.highlevel import AnyReader, AnyReaderError
     from rosbags.rosbag1 import ReaderError as Ros1Error
     from rosbags.rosbag2 import ReaderError as Ros2Error
@@ -55,27 +83,16 @@ def read(path: Path) -> Recording:
 
     try:
         with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as bag:
-            topics = [c for c in bag.connections if c.msgtype == PACKETS or c.msgtype in _record_types()]
-            if not topics:
-                found = ", ".join(sorted({c.msgtype for c in bag.connections})) or "nothing"
-                raise InputError(f"{path}: expected a topic of events ({PACKETS}, {_record_types()[0]}), found {found}")
-            topic = topics[0]
-            raw = (bytes(data) for connection, _, data in bag.messages(connections=[topic]))
-            little = bag.is2
-            if topic.msgtype == PACKETS:
-                recording = _read_packets(path, raw, cdr=little)
-            else:
-                recording = _read_records(path, raw, cdr=little)
+            yield bag
     except InputError:
         raise
     except (AnyReaderError, Ros1Error, Ros2Error, OSError, ValueError, KeyError, IndexError, AssertionError) as error:
         reason = str(error).splitlines()[0][:120] if str(error) else type(error).__name__
         raise InputError(f"{path}: expected a ROS bag, found a damaged or different file ({reason})") from None
-    recording.attributes["topic"] = topic.topic
-    return recording
 
 
-def _record_types() -> tuple[str, ...]:
+def record_types() -> tuple[str, ...]:
+    """The message types whose events are records."""
     return tuple(f"{package}/msg/EventArray" for package in RECORDS)
 
 
@@ -164,13 +181,8 @@ def _read_records(path: Path, raw: Iterator[bytes], cdr: bool) -> Recording:
     width = height = 0
     columns: list[tuple[np.ndarray, ...]] = []
     for data in raw:
-        message = _Message(data, cdr, path)
-        message.skip_header()
-        height, width, count = message.number(4), message.number(4), message.number(4)
-        columns += [
-            (part["s"].astype(np.int64) * 1_000_000_000 + part["ns"], part["x"], part["y"], part["p"])
-            for part in (_cdr_records(message, count) if cdr else [_ros1_records(message, count)])
-        ]
+        (width, height), found = record_columns(data, cdr, path)
+        columns += found
     where = f"{path}: events"
     empty = np.empty(0, np.int64)
     t, x, y, p = (np.concatenate([c[k] for c in columns]) if columns else empty for k in range(4))
@@ -182,6 +194,25 @@ def _read_records(path: Path, raw: Iterator[bytes], cdr: bool) -> Recording:
     tick_ns = 1000 if not np.any(t % 1000) else 1
     events = Events.from_columns(t, x, y, p != 0, width, height, tick_ns=tick_ns, where=where)
     return Recording(events, source=path, attributes={"reordered": len(late)} if len(late) else {})
+
+
+def header_stamp(data: bytes, cdr: bool, path: Path) -> int:
+    """The time [ns] in the `std_msgs/Header` that a message begins with."""
+    message = _Message(data, cdr, path)
+    if not cdr:
+        message.number(4)
+    return message.number(4) * 1_000_000_000 + message.number(4)
+
+
+def record_columns(data: bytes, cdr: bool, path: Path) -> tuple[tuple[int, int], list[tuple[np.ndarray, ...]]]:
+    """((width, height), columns (t ns, x, y, p) in one or two pieces) of an `EventArray` message."""
+    message = _Message(data, cdr, path)
+    message.skip_header()
+    height, width, count = message.number(4), message.number(4), message.number(4)
+    parts = _cdr_records(message, count) if cdr else [_ros1_records(message, count)]
+    return (width, height), [
+        (part["s"].astype(np.int64) * 1_000_000_000 + part["ns"], part["x"], part["y"], part["p"]) for part in parts
+    ]
 
 
 def _ros1_records(message: _Message, count: int) -> np.ndarray:

@@ -146,8 +146,12 @@ def with_powers(text: str) -> str:
 
 
 def percent(share: float | None, digits: int = 2) -> str:
-    """A share in per cent; a dash for None."""
-    return "–" if share is None else f"{100 * share:.{digits}g} %"
+    """A share in per cent; a dash for None.
+
+    >>> percent(1.163), percent(0.0123)
+    ('120 %', '1.2 %')
+    """
+    return "–" if share is None else f"{number(100 * float(share), digits)} %"
 
 
 def _grouped(digits: str) -> str:

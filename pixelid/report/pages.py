@@ -16,6 +16,8 @@ PAGES = (
     Page("noise.json", "noise.html", tables.summarise_noise),
     Page("flicker.json", "flicker.html", tables.summarise_flicker, tables.prepare_flicker),
     Page("reconstruction.json", "reconstruction.html", scene.summarise, scene.prepare),
+    Page("dataset.json", "dataset.html", scene.summarise_dataset, scene.prepare_dataset),
+    Page("render.json", "render.html", scene.summarise_render, scene.prepare_render),
     Page("inspect.json", "inspect.html", health.summarise_inspect, health.prepare_inspect),
     Page("static_noise.json", "static_noise.html", health.summarise_static_noise, health.prepare_static_noise),
     Page("compare.json", "compare.html", fits.summarise_compare, fits.prepare_compare),

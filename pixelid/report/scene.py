@@ -1,4 +1,4 @@
-"""The page of a reconstruction."""
+"""The pages of a reconstruction and of the data that it starts from."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ def summarise(result: Result, folder: Path) -> Summary:
         result["status"],
         result.get("advice", ""),
         (
-            Number("PSNR, mean", f"{views['psnr']:.2f}", "dB"),
-            Number("SSIM, mean", f"{views['ssim']:.3f}"),
+            Number("PSNR, mean", _places(views["psnr"], 2), "dB"),
+            Number("SSIM, mean", _places(views["ssim"], 3)),
             Number("changes unexplained", number(result["held_out_residual"], 3), "rms, held-out pixels"),
             Number("bandwidth", result["bandwidth"]),
             Number("time taken", seconds(result["seconds"]), f"{result['iterations']} steps on {result['device']}"),
@@ -34,10 +34,75 @@ def prepare(result: Result, folder: Path) -> dict[str, Any]:
         return number(v) if isinstance(v, (int, float)) and not isinstance(v, bool) else str("–" if v is None else v)
 
     def row(name: str, v: dict) -> list[str]:
-        return [name, f"{v['psnr']:.2f}", f"{v['ssim']:.3f}", number(v["lpips"], 3)]
+        return [name, _places(v["psnr"], 2), _places(v["ssim"], 3), number(v["lpips"], 3)]
 
     views = [row(v["name"], v) for v in result["views"]["per_view"]]
     return {
-        "views": [row("mean", result["views"]), *views],
+        "views": [row("mean", result["views"]), *views] if views else [],
         "pixel": [[name, cell(v)] for name, v in result["pixel"].items()],
     }
+
+
+def _places(value: float | None, places: int) -> str:
+    """A dash where there are no views, or nothing to show."""
+    return "–" if value is None else f"{value:.{places}f}"
+
+
+def summarise_dataset(result: Result, folder: Path) -> Summary:
+    """The card of a converted dataset."""
+    events, sensor = result["events"], result["sensor"]
+    return Summary(
+        "dataset",
+        "A dataset for reconstructions",
+        "",
+        "",
+        (
+            Number("events", f"{events['kept']:,}".replace(",", " ")),
+            Number("sensor", f"{sensor['width']} × {sensor['height']}", "pixels"),
+            Number("time", seconds(result["duration_s"])),
+            Number("views", str(sum(result["views"].values()))),
+            Number("poses", str(result["poses"]["kept"])),
+        ),
+        "",
+        headline=f"From {result['layout']}",
+    )
+
+
+def prepare_dataset(result: Result, folder: Path) -> dict[str, Any]:
+    """Rows of what was kept."""
+    rows = [[name.replace("_", " "), str(value)] for name, value in result["events"].items()]
+    rows += [[f"views, {stage}", str(value)] for stage, value in result["views"].items()]
+    rows += [[name.replace("_", " "), number(result[name])] for name in ("start_s", "duration_s", "time_offset_s")]
+    rows += [
+        ["one pixel in", str(result["every"])],
+        ["longest step of poses (s)", number(result["poses"]["longest_step_s"])],
+    ]
+    rows += [
+        [name.replace("_", " "), str(value) if isinstance(value, bool) else number(value)]
+        for name, value in result["pixel"].items()
+    ]
+    return {"kept": rows}
+
+
+def summarise_render(result: Result, folder: Path) -> Summary:
+    """The card of rendered views."""
+    return Summary(
+        "render",
+        "A reconstructed scene",
+        "",
+        "",
+        (
+            Number("frames", str(len(result["frames"]))),
+            Number("size", f"{result['width']} × {result['height']}", "pixels"),
+            Number("reconstruction", result["scene_status"]),
+            Number("files", str(len(result["files"]))),
+            Number("time taken", seconds(result["seconds"])),
+        ),
+        "",
+        headline="Rendered",
+    )
+
+
+def prepare_render(result: Result, folder: Path) -> dict[str, Any]:
+    """Rows of what was made."""
+    return {"files_made": [[name, what] for name, what in result["files"].items()]}

@@ -29,9 +29,12 @@ def draw_map(m: Map, axes: Any = None) -> Any:
         for side in (axis.xaxis, axis.yaxis):
             side.get_major_locator().set_params(integer=True)
     axes[1].figure.colorbar(image, ax=list(axes[:2]), label=with_unit(m.name, m.unit))
-    edges = np.linspace(low - 0.3 * (high - low), high + 0.3 * (high - low) + 1e-12, 50)
+    bins = int(np.clip(2 * np.sqrt(m.value.size), 8, 50))
+    edges = np.linspace(low - 0.3 * (high - low), high + 0.3 * (high - low) + 1e-12, bins + 1)
     axes[2].hist(seen, edges, color=MUTED, alpha=0.6, label="alone")
     axes[2].hist(m.value.ravel(), edges, histtype="step", color=INK, linewidth=1.2, label="shrunk")
     axes[2].set(xlabel=with_unit(m.name, m.unit), ylabel="pixels")
+    axes[2].locator_params(axis="x", nbins=5)
+    axes[2].yaxis.get_major_locator().set_params(integer=True)
     axes[2].legend()
     return axes

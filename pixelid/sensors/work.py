@@ -196,13 +196,14 @@ def connected(where: Where) -> Iterator[Any]:
         return
     try:
         import distributed
+        from distributed.comm.core import CommClosedError
     except ImportError as error:
         raise InputError("--workers and --cluster need dask: pip install 'pixelid[cluster]'") from error
     logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what matters of it is said here, in one line
     try:
         with _client(where, distributed) as client:
             yield client
-    except (CancelledError, distributed.comm.CommClosedError) as error:
+    except (CancelledError, CommClosedError) as error:
         raise UntrustworthyResult(f"the Dask scheduler was lost; {GO_ON}") from error
 
 

@@ -27,12 +27,14 @@ FIRST_CAPACITY = 1024
 class Shared:
     """The trajectory that all pixels share, and what each of its n − 1 steps can do.
 
-    t, u, radiance: (n,) knots;  states: (n, 6);  high, low: (n − 1,) bounds on the amplifier's output in a step;
+    t, u, logs, radiance: (n,) knots, u the response to the radiance, logs its logarithm;  states: (n, 6)
+    high, low: (n − 1,) bounds on the amplifier's output in a step
     fade: (n − 1,) e^{−ωd Δt};  drift: (n − 1,) leak over the step, log radiance
     """
 
     t: np.ndarray
     u: np.ndarray
+    logs: np.ndarray
     radiance: np.ndarray
     states: np.ndarray
     high: np.ndarray
@@ -137,8 +139,8 @@ class FullField:
         """(times (m,) s, pixels (m,), polarities (m,)) of pixels first … after − 1, pixel by pixel."""
         shared, rules = self._shared, self._rules
         return _pixel_events(
-            self._places, first, after, steps.start, steps.stop, shared.t, shared.u, shared.radiance, shared.states,
-            shared.high, shared.low, shared.fade, shared.drift,
+            self._places, first, after, steps.start, steps.stop, shared.t, shared.u, shared.logs, shared.radiance,
+            shared.states, shared.high, shared.low, shared.fade, shared.drift,
             rules.dynamics, rules.chain, rules.circuit.linearisation == "midpoint", rules.laws,
             self._comparators, self._drawn,
         )  # fmt: skip
@@ -148,7 +150,8 @@ def _refined(light: Drive, longest_step: float) -> Drive:
     """The same light with knots at most `longest_step` apart."""
     t, left, weight = refined(light.t, longest_step)
     logs = np.log(light.radiance)
-    return Drive(t, np.exp((1 - weight) * logs[left] + weight * logs[left + 1]))
+    radiance = np.exp((1 - weight) * logs[left] + weight * logs[left + 1])
+    return Drive(t, radiance, light.knee, light.knee_slope)
 
 
 def shared_trajectory(light: Drive, rules: Rules) -> Shared:
@@ -156,17 +159,22 @@ def shared_trajectory(light: Drive, rules: Rules) -> Shared:
     midpoint = rules.circuit.linearisation == "midpoint"
     if rules.slewing:
         t, radiance = np.ascontiguousarray(light.t), np.ascontiguousarray(light.radiance)
-        u, states = np.log(radiance), slew.slewed_states(t, radiance, rules.dynamics, rules.rates, midpoint)
+        u = light.log_radiance
+        states = slew.slewed_states(t, radiance, rules.dynamics, rules.rates, midpoint, u)
     else:
-        run = integrate(light.t, light.radiance, rules.dynamics, linearisation=rules.circuit.linearisation)
+        run = integrate(
+            light.t, light.radiance, rules.dynamics, linearisation=rules.circuit.linearisation,
+            log_radiance=light.log_radiance,
+        )  # fmt: skip
         t, u, radiance, states = run.t, run.u, run.radiance, run.states
+    logs = u if rules.circuit.knee == 0 else np.log(radiance)
     high, low, fade, drift = (np.empty(len(t) - 1) for _ in range(4))
-    _bounds(t, u, radiance, states, rules.dynamics, rules.chain, midpoint, rules.laws, high, low, fade, drift)
-    return Shared(t, u, radiance, states, high, low, fade, drift)
+    _bounds(t, u, logs, radiance, states, rules.dynamics, rules.chain, midpoint, rules.laws, high, low, fade, drift)
+    return Shared(t, u, logs, radiance, states, high, low, fade, drift)
 
 
 @njit(forceinline=True, error_model="numpy")
-def _step(k, t, u, radiance, states, dynamics, chain, midpoint):
+def _step(k, t, u, logs, radiance, states, dynamics, chain, midpoint):
     """The `step` tuple of step k, see `step.py`."""
     w1, w2, wh, wd, _, smooth = chain
     tau = t[k + 1] - t[k]
@@ -180,18 +188,21 @@ def _step(k, t, u, radiance, states, dynamics, chain, midpoint):
     )  # fmt: skip
     if not smooth:
         begin = after_jump(begin, u[k], r, a, b2, w1, w2, wh, wd)
-    return begin, end, u[k], r, tau, a, b2, radiance[k], r, modes(begin, u[k], r, a, b2, chain)
+    light_r = (logs[k + 1] - logs[k]) / tau
+    return begin, end, u[k], r, tau, a, b2, radiance[k], light_r, modes(begin, u[k], r, a, b2, chain)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _bounds(t, u, radiance, states, dynamics, chain, midpoint, laws, high, low, fade, drift):
+def _bounds(t, u, logs, radiance, states, dynamics, chain, midpoint, laws, high, low, fade, drift):
     w1, w2, wh, wd, _, smooth = chain
     for k in range(len(t) - 1):
         tau = t[k + 1] - t[k]
         high[k], low[k], fade[k], drift[k] = -np.inf, np.inf, 1.0, 0.0
         if tau <= 0.0:
             continue
-        begin, end, u0, r, tau, a, b2, light, _, _ = _step(k, t, u, radiance, states, dynamics, chain, midpoint)
+        begin, end, u0, r, tau, a, b2, light, light_r, _ = _step(
+            k, t, u, logs, radiance, states, dynamics, chain, midpoint
+        )
         d0, d1 = begin[5], end[5]
         if smooth:
             # a cubic exceeds its end values by at most 4/27 of the length times the slopes that point outward
@@ -207,12 +218,12 @@ def _bounds(t, u, radiance, states, dynamics, chain, midpoint, laws, high, low, 
         fade[k] = np.exp(-wd * tau)
         drift[k] = laws[1] * tau
         if laws[2] > 0.0:
-            drift[k] += laws[2] * light_integral(light, r, tau)
+            drift[k] += laws[2] * light_integral(light, light_r, tau)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _pixel_events(
-    places, first, last, k_first, k_last, t, u, radiance, states, high, low, fade, drift,
+    places, first, last, k_first, k_last, t, u, logs, radiance, states, high, low, fade, drift,
     dynamics, chain, midpoint, laws, comparators, drawn,
 ):  # fmt: skip
     scratch = np.empty((6, DEPTH))
@@ -236,7 +247,7 @@ def _pixel_events(
                     level -= drift[k]
                     continue
             comparators[LEVEL, i], comparators[DECAY, i] = level, decay
-            step = _step(k, t, u, radiance, states, dynamics, chain, midpoint)
+            step = _step(k, t, u, logs, radiance, states, dynamics, chain, midpoint)
             found, count = events_in_step(
                 places[i], i, t0, t1, step, chain, comparators, drawn, laws, found, count, scratch
             )

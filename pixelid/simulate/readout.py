@@ -1,17 +1,19 @@
-"""Readout, as pure functions on columns of events: one server's queue, timestamp jitter, timestamp grid.
+"""Readout, as pure functions on columns of events: losses, one server's queue, timestamp jitter, timestamp grid.
 
-Times are int64 nanoseconds.  `Readout` chains the three over successive chunks.
+Times are int64 nanoseconds.  `Readout` chains them over successive chunks.
 """
 
 from __future__ import annotations
 
 import numpy as np
 from numba import njit
+from scipy.special import ndtri
 
 from pixelid.recordings.events import Events
 from pixelid.simulate import random
 from pixelid.stages.circuit import Circuit
 
+LOST = 8  # stream of random numbers, after those of `random.py`
 LARGEST_DRAW_SIGMAS = 8.7  # `random.normal_pair` never exceeds them
 
 
@@ -26,6 +28,13 @@ def queue(t, service_ns, busy_until, out):
         busy_until = max(float(t[k]), busy_until) + service_ns
         out[k] = round(busy_until)
     return busy_until
+
+
+def kept(count: int, fraction: float, first: int, seed: int) -> np.ndarray:
+    """(count,) bool, which events are not lost; `first`: number of events before these."""
+    draws = np.empty(count)
+    random.fill_normals(seed, LOST, first, draws)
+    return draws > ndtri(fraction)
 
 
 def jitter(t: np.ndarray, sigma_ns: float, first: int, seed: int) -> np.ndarray:
@@ -44,6 +53,8 @@ class Readout:
     """Queue, jitter and grid of one sensor, carried over chunks."""
 
     def __init__(self, circuit: Circuit, seed: int) -> None:
+        self._lost = circuit.lost
+        self._arrived = 0
         self._service = circuit.service * 1e9
         self._sigma = circuit.jitter * 1e9
         self._tick = circuit.tick * 1e9
@@ -57,6 +68,9 @@ class Readout:
 
         events: the next chunk in order of time;  until_ns: no later event arrives before this.
         """
+        if self._lost > 0:
+            arrived, self._arrived = self._arrived, self._arrived + len(events)
+            events = events.select(kept(len(events), self._lost, arrived, self._seed))
         t = events.t
         if self._service > 0:
             out = np.empty_like(t)

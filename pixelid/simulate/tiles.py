@@ -58,6 +58,7 @@ class Tiles:
             first, live,
             (block.t, radiance, block.parts, block.before, block.after, block.first, self._held),
             (circuit.dark, circuit.flicker_modulation, 2 * np.pi * circuit.flicker_hz, circuit.flicker_phase),
+            (circuit.knee, circuit.knee_slope),
             (circuit.shot_density, np.uint64(random.stream_key(rules.seed, random.SHOT))),
             rules.dynamics, circuit.linearisation == "midpoint", self._plain, rules.rates, rules.chain,
             rules.laws,
@@ -89,6 +90,16 @@ def _effective(radiance, gain, dark, out):
 def _logs(x, out):
     for i in range(len(x)):
         out[i] = vlog(x[i])
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+def _responses(L, bend, out):
+    """Log radiance, or below the knee the line that continues it (`photocurrent.logarithm`)."""
+    _logs(L, out)
+    knee, slope = bend
+    if knee > 0.0:
+        for i in range(len(L)):
+            out[i] = np.log(knee) + slope * (L[i] / knee - 1.0) if L[i] < knee else out[i]
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
@@ -189,8 +200,8 @@ def _start(u, wh, begin_state):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _tile(
-    first, live, block, light, noise, dynamics, midpoint, plain, rates, chain, laws, thresholds, seed, synchronous,
-    states, comparators, drawn,
+    first, live, block, light, bend, noise, dynamics, midpoint, plain, rates, chain, laws, thresholds, seed,
+    synchronous, states, comparators, drawn,
 ):  # fmt: skip
     t, frames, parts, before, after, knot, held = block
     dark, modulation, omega, phase = light
@@ -213,7 +224,7 @@ def _tile(
 
     gain = 1.0 + modulation * np.sin(omega * t[0] + phase)
     _effective(frames[0], gain, dark, L1)
-    _logs(L1, u1)
+    _responses(L1, bend, u1)
     if knot == 0:
         _start(u1, wh, end)
         on_mean, off_mean, mismatch, event_noise = thresholds
@@ -242,14 +253,14 @@ def _tile(
             gain = 1.0 + modulation * np.sin(omega * t1 + phase)
             if held and m == 0:
                 _effective(F0, 1.0 + modulation * np.sin(omega * t0 + phase), dark, L0)
-                _logs(L0, u0)
+                _responses(L0, bend, u0)
             if held:
                 _effective(F0, gain, dark, L1)
             elif m + 1 == steps:
                 _effective(F1, gain, dark, L1)
             else:
                 _between(lf0, lf1, weight, gain, dark, L1)
-            _logs(L1, u1)
+            _responses(L1, bend, u1)
             if density > 0.0:
                 if (held and m == 0) or (k == 0 and m == 0):
                     spacing = 0.5 * (length + (length_before if length_before > 0.0 else length))

@@ -23,6 +23,8 @@ class Circuit:
     flicker_modulation: float = 0.0
     flicker_hz: float = 100.0
     flicker_phase: float = 0.0
+    knee: float = 0.0  # radiance below which the response is linear
+    knee_slope: float = 1.0  # there, of the logarithm's slope at the knee
     shot_density: float = 0.0  # one-sided relative PSD = shot_density / L  [radiance/Hz]
     # photoreceptor
     alpha: float = math.nan
@@ -51,12 +53,21 @@ class Circuit:
     hot_count: int = 0
     hot_hz: float = 0.0
     # readout
+    lost: float = 0.0  # share of the events
     service: float = 0.0
     jitter: float = 0.0
     tick: float = 0.0
     # clock of the events against the stimulus
     delay: float = 0.0
+    # (recording, ((field, number), …)), …: what is a recording's own
+    of_recordings: tuple[tuple[str, tuple[tuple[str, float], ...]], ...] = ()
 
     def with_(self, **changes) -> Circuit:
         """The same circuit with some numbers changed."""
         return replace(self, **changes)
+
+    def in_recording(self, name: str) -> Circuit:
+        """The circuit as it was in the recording of that name, with the numbers that are the recording's own."""
+        if not self.of_recordings:
+            return self
+        return replace(self, of_recordings=(), **dict(dict(self.of_recordings).get(name, ())))

@@ -16,7 +16,8 @@ class Effect(ABC):
     name: the stable identifier;  stage: where it sits on the signal path;
     sentence: one line for the report;  equation, source: what it does and who says so;
     parameters: with shipped value, unit, bounds and transform;
-    photoreceptors: kinds of photoreceptor that it can be added to.
+    photoreceptors: kinds of photoreceptor that it can be added to;
+    starts_anew: names of those parameters that every recording has anew, as recordings are made minutes apart.
     """
 
     name: ClassVar[str]
@@ -26,6 +27,7 @@ class Effect(ABC):
     source: ClassVar[str]
     parameters: ClassVar[tuple[Parameter, ...]]
     photoreceptors: ClassVar[tuple[str, ...]] = PHOTORECEPTORS
+    starts_anew: ClassVar[tuple[str, ...]] = ()
 
     @abstractmethod
     def apply(self, circuit: Circuit, values: Mapping[str, float]) -> Circuit:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
+import numpy as np
+
 from pixelid.parameters.parameter import Parameter
 from pixelid.stages.circuit import Circuit
 from pixelid.stages.effect import Effect
@@ -45,6 +47,7 @@ class MainsFlicker(Effect):
         Parameter("mains_flicker.frequency_hz", 100.0, "Hz", 1.0, 1e4, "log", free=False),
         Parameter("mains_flicker.phase_rad", 0.0, "rad", -4 * math.pi, 4 * math.pi, "linear"),
     )
+    starts_anew = ("mains_flicker.phase_rad",)
 
     def apply(self, circuit: Circuit, values: Mapping[str, float]) -> Circuit:
         return circuit.with_(
@@ -54,4 +57,31 @@ class MainsFlicker(Effect):
         )
 
 
-EFFECTS = (DarkCurrent(), ShotNoise(), MainsFlicker())
+class LinearLog(Effect):
+    name = "linear_log"
+    stage = "photocurrent"
+    sentence = "In low light the response is linear in the light, not logarithmic: dark details lose contrast."
+    equation = "ln L → ln knee + slope (L / knee − 1) below the knee; the photoreceptor's rates still see L"
+    source = (
+        "Hu, Liu & Delbruck, CVPRW 2021, arXiv 2006.07722 (v2e: a line through the origin below 20 grey levels, which "
+        "is a slope of ln 20); a slope of 1 continues the logarithm without a kink"
+    )
+    parameters = (
+        Parameter("linear_log.knee", 20.0, "radiance", 1e-6, 1e6, "log"),
+        Parameter("linear_log.slope", 1.0, "1", 1e-2, 1e2, "log", free=False),
+    )
+
+    def apply(self, circuit: Circuit, values: Mapping[str, float]) -> Circuit:
+        return circuit.with_(knee=values["linear_log.knee"], knee_slope=values["linear_log.slope"])
+
+
+def logarithm(circuit: Circuit, radiance):
+    """(n,) what the pixel makes of effective radiance (n,): its logarithm, or a line below the knee."""
+    logs = np.log(radiance)
+    if circuit.knee == 0:
+        return logs
+    line = np.log(circuit.knee) + circuit.knee_slope * (radiance / circuit.knee - 1.0)
+    return np.where(np.real(radiance) < np.real(circuit.knee), line, logs)
+
+
+EFFECTS = (DarkCurrent(), ShotNoise(), MainsFlicker(), LinearLog())

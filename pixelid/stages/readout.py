@@ -9,6 +9,18 @@ from pixelid.stages.circuit import Circuit
 from pixelid.stages.effect import Effect
 
 
+class LostEvents(Effect):
+    name = "lost_events"
+    stage = "readout"
+    sentence = "Events get lost on their way out, by chance: the next one of the pixel comes a threshold late."
+    equation = "each event is dropped with probability `fraction`, after its pixel has been reset"
+    source = "docs/model.md: a loss that knows neither light nor pixel"
+    parameters = (Parameter("lost_events.fraction", 0.05, "1", 1e-5, 0.5, "log"),)
+
+    def apply(self, circuit: Circuit, values: Mapping[str, float]) -> Circuit:
+        return circuit.with_(lost=values["lost_events.fraction"])
+
+
 class ReadoutLatency(Effect):
     name = "readout_latency"
     stage = "readout"
@@ -45,4 +57,4 @@ class TimestampQuantisation(Effect):
         return circuit.with_(tick=values["timestamp_quantisation.tick_s"])
 
 
-EFFECTS = (ReadoutLatency(), TimestampJitter(), TimestampQuantisation())
+EFFECTS = (LostEvents(), ReadoutLatency(), TimestampJitter(), TimestampQuantisation())

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
 
 from pixelid.errors import InputError
 from pixelid.stages.circuit import Circuit
+from pixelid.stages.photocurrent import logarithm
 from pixelid.stimuli.stimulus import Stimulus
 
 HELD_S = 10.0  # longer than any dead time or clock delay
@@ -19,16 +20,19 @@ HELD_S = 10.0  # longer than any dead time or clock delay
 class Drive:
     """Effective radiance (n,) > 0 at times t (n,) seconds, non-decreasing; log radiance is linear in between.
 
-    Two samples may share a time: the light jumps there.
+    Two samples may share a time: the light jumps there.  knee, knee_slope: of the circuit, whose response is linear in
+    low light (`photocurrent.logarithm`).
     """
 
     t: np.ndarray
     radiance: np.ndarray
+    knee: float = 0.0
+    knee_slope: float = 1.0
 
     @cached_property
     def log_radiance(self) -> np.ndarray:
-        """(n,) log radiance: taken once for all circuits that see this light."""
-        return np.log(self.radiance)
+        """(n,) log radiance as the pixel responds: taken once for all circuits that see this light."""
+        return logarithm(Circuit(knee=self.knee, knee_slope=self.knee_slope), self.radiance)
 
 
 @dataclass(frozen=True)
@@ -38,7 +42,7 @@ class StackedDrive(Drive):
     first: (lights + 1,) where the samples of each begin, and where the last ones end
     """
 
-    first: np.ndarray
+    first: np.ndarray = field(default_factory=lambda: np.empty(0, np.int64))
 
 
 def knots(stimulus: Stimulus, until_s: float | None = None) -> tuple[np.ndarray, np.ndarray]:
@@ -87,7 +91,7 @@ def drive(stimulus: Stimulus, circuit: Circuit, until_s: float | None = None) ->
         radiance = radiance * (
             1 + circuit.flicker_modulation * np.sin(2 * np.pi * circuit.flicker_hz * t + circuit.flicker_phase)
         )
-    return Drive(t, radiance + circuit.dark)
+    return Drive(t, radiance + circuit.dark, circuit.knee, circuit.knee_slope)
 
 
 def stacked_drive(lights: Sequence[Stimulus], circuit: Circuit, until_s: float) -> StackedDrive:
@@ -96,13 +100,14 @@ def stacked_drive(lights: Sequence[Stimulus], circuit: Circuit, until_s: float) 
     One light alone is as `drive` gives it.  Of several, each is held for `HELD_S` after its end, so that no time of
     interest lies in the step from the last sample of one light to the first of the next.
     """
+    knee = circuit.knee, circuit.knee_slope
     if len(lights) == 1:
         only = drive(lights[0], circuit, until_s)
-        return StackedDrive(only.t, only.radiance, np.array([0, len(only.t)]))
+        return StackedDrive(only.t, only.radiance, *knee, np.array([0, len(only.t)]))
     times, radiances = [], []
     for light in lights:
         part = drive(light, circuit, until_s)
         times += [part.t, [part.t[-1] + HELD_S]]
         radiances += [part.radiance, part.radiance[-1:]]
     first = np.concatenate([[0], np.cumsum([len(t) + 1 for t in times[::2]])])
-    return StackedDrive(np.concatenate(times), np.concatenate(radiances), first)
+    return StackedDrive(np.concatenate(times), np.concatenate(radiances), *knee, first)

@@ -211,6 +211,7 @@ def _folder(path: Path, fps: float | None) -> tuple[np.ndarray, np.ndarray]:
 def _video(path: Path, fps: float | None) -> tuple[np.ndarray, np.ndarray]:
     try:
         import av  # pyright: ignore[reportMissingImports]  (optional)
+        from av.error import FFmpegError  # pyright: ignore[reportMissingImports]
     except ImportError:
         raise InputError(f'{path}: videos need the package av: pip install "pixelid[video]"') from None
     try:
@@ -218,7 +219,7 @@ def _video(path: Path, fps: float | None) -> tuple[np.ndarray, np.ndarray]:
             stream = file.streams.video[0]
             rate = fps or float(stream.average_rate or 0) or None
             frames = [frame.to_ndarray(format="gray").astype(np.float32) / 255.0 for frame in file.decode(stream)]
-    except (av.FFmpegError, LookupError, ValueError, ArithmeticError, MemoryError) as error:
+    except (FFmpegError, LookupError, ValueError, ArithmeticError, MemoryError) as error:
         raise InputError(f"{path}: expected a video: {first_line(error)}") from None
     if len(frames) < 2:
         raise InputError(f"{path}: expected a video of at least two frames, found {len(frames)}")

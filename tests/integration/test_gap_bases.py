@@ -8,6 +8,7 @@ import pytest
 from pixelid.gap.attribute.candidates import impossible, missing, remove_effect, variants
 from pixelid.gap.gap import gap
 from pixelid.gap.result import VERDICTS
+from pixelid.gap.shot_noise.shot_noise import can_be_simulated
 from pixelid.model.shipped import find_model
 from pixelid.simulate import simulate
 from pixelid.stages import LIBRARY
@@ -15,10 +16,10 @@ from pixelid.stimuli.resample import resampled
 from pixelid.stimuli.shapes import chirp, steps
 
 SHIPPED = ("dvs128", "dvs128_low_light", "photoreceptor", "ideal")
-ADDED = ("", "bandwidth_floor", "polarity_memory")
+ADDED = ("", "bandwidth_floor", "polarity_memory", "linear_log", "lost_events")
 NOT_TRIED = {"shot_noise", "hot_pixels", "readout_latency", "timestamp_quantisation"}
 FAST = [("dvs128", "", ""), ("dvs128_low_light", "bandwidth_floor", ""), ("ideal", "", "leak")]
-PLANTED = ("", "leak", "polarity_memory", "bandwidth_floor", "second_order_photoreceptor")
+PLANTED = ("", "leak", "polarity_memory", "bandwidth_floor", "second_order_photoreceptor", "linear_log", "lost_events")
 
 
 def base_model(name, added=""):
@@ -88,6 +89,15 @@ def test_every_effect_tried_makes_a_model_and_can_be_taken_back(name):
         back = remove_effect(trials[0], effect, base)
         assert (back.photoreceptor, back.effects) == (base.photoreceptor, base.effects)
     assert not set(impossible(base)) & set(missing(base))
+
+
+def test_shot_noise_is_looked_for_where_a_bandwidth_limits_it():
+    recordings = tiny_session(base_model("ideal"))
+    for name in SHIPPED:
+        assert can_be_simulated(recordings, base_model(name)) == (name != "ideal")
+    assert can_be_simulated(recordings, base_model("ideal", "source_follower_pole"))
+    ran_away = base_model("dvs128").set({"alpha": 1e15, "beta": 1e9})
+    assert not can_be_simulated(recordings, ran_away)
 
 
 def test_an_impossible_effect_is_skipped_with_its_reason():

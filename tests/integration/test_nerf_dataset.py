@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -79,6 +80,25 @@ def test_gauge_box_and_views(made):
     validation, test = evaluation_views(data)
     apart = np.linalg.norm(validation.position[:, None] - test.position[None], axis=2)
     assert apart.min() > 1e-3
+
+
+def test_a_camera_that_never_turns_needs_a_box(scene, tmp_path, capsys):
+    """Parallel optical axes do not say how far the scene is."""
+    edit(scene / "camera_poses.npz", T_wc_orientation=lambda q: np.tile(q[:1], (len(q), 1)))
+    words = ["reconstruct", str(scene), "--out", str(tmp_path / "out"), "--steps", "1", "--quiet"]
+    assert main(words) == 2
+    assert "--box: missing" in capsys.readouterr().err
+    main([*words, "--box", "-1.5", "-1.5", "-1.5", "1.5", "1.5", "1.5"])
+    assert (tmp_path / "out" / "reconstruction.json").is_file()
+
+
+def test_a_highlight_does_not_move_the_white_behind_transparent_views(made):
+    data = read_dataset(made)
+    bright = {
+        stage: replace(views, images=np.where(views.images > 0.8, 3.0, views.images), peak=3.0, transparent=True)
+        for stage, views in data.views.items()
+    }
+    assert gauge_of(replace(data, views=bright)).background == pytest.approx([1.0])
 
 
 @pytest.mark.parametrize(
@@ -202,7 +222,6 @@ BROKEN = {
     "no gain": (lambda s: edit(s / CALIBRATION, amplifier_gain=None), (CALIBRATION, "amplifier_gain: missing")),
     "unknown colours": (lambda s: edit(s / CALIBRATION, bayer_pattern=lambda _: np.array("XYZW")), ("bayer_pattern",)),
     "NaN cutoff": (lambda s: edit(s / CALIBRATION, sf_cutoff_freq=lambda f: f * np.nan), ("sf_cutoff_freq",)),
-    "no views": (lambda s: shutil.rmtree(s / "views"), ("views", "no such folder")),
     "no transforms": (
         lambda s: [path.unlink() for path in (s / "views").glob("*.json")],
         ("transforms_test.json", "missing"),
@@ -246,6 +265,9 @@ def test_a_broken_dataset_is_refused(wrong, scene, capsys):
     ("options", "says"),
     [
         (["--fit", "nowhere"], "nowhere"),
+        (["--sensor", "nowhere"], "nowhere"),
+        (["--steps", "some"], "--steps"),
+        (["--cells", "3"], "--cells"),
         (["--bandwidth", "maybe"], "maybe"),
         (["--samples", "0"], "--samples"),
         (["--box", "1", "1", "1", "0", "0", "0"], "--box"),

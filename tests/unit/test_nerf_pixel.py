@@ -14,11 +14,12 @@ from pixelid.nerf.scan import respond
 
 HARD = Dynamics(alpha=61287.0 * 20, beta=1851.0, gamma=1.1236 * 20, follower=19616.1, differencing=100531.0)
 FULL = HARD._replace(extra_pole=5000.0, lower_cutoff=3.0)
+FLOOR = HARD._replace(floor=0.4)
 COMPLEX_AND_COINCIDENT = Dynamics(alpha=4e6, beta=2000.0, gamma=10.0, follower=1000.0, differencing=1000.0)
 
 
 def tensor(dynamics: Dynamics) -> torch.Tensor:
-    return torch.tensor(dynamics.uniform()[:7], dtype=torch.float64)
+    return torch.tensor(dynamics.uniform(), dtype=torch.float64)
 
 
 def light(t):
@@ -36,7 +37,7 @@ def runs(seed=0, lengths=(30, 1, 22)):
     return t, u, first
 
 
-@pytest.mark.parametrize("dynamics", [HARD, FULL], ids=["plain", "full"])
+@pytest.mark.parametrize("dynamics", [HARD, FULL, FLOOR], ids=["plain", "full", "floor"])
 def test_importance_samples_equal_the_simulators_filter_in_the_dense_limit(dynamics):
     """S = 200 past inputs against the trajectory that events are simulated from: 1e-3 in ln L."""
     fine = np.linspace(0.0, 0.2, 40001)
@@ -53,6 +54,16 @@ def test_importance_samples_equal_the_simulators_filter_in_the_dense_limit(dynam
         else:  # a cutoff of 0.5 Hz remembers longer than the samples reach: the same samples, both ways
             same = integrate(t, light(t), dynamics)
             assert float(changed[-1]) == pytest.approx(same.states[-1, 5], abs=1e-9)
+
+
+def test_pixels_that_differ_are_scanned_each_with_its_own_numbers():
+    t, u, first = runs()
+    own = torch.stack([tensor(HARD), tensor(FLOOR), tensor(HARD._replace(follower=3000.0))])
+    together, _ = respond(torch.tensor(u), own, t, first)
+    for run in range(3):
+        some = slice(first[run], first[run + 1])
+        alone, _ = respond(torch.tensor(u[some]), own[run], t[some], np.array([0, len(t[some])]))
+        torch.testing.assert_close(together[some], alone)
 
 
 def test_the_scan_is_the_weighted_sum():
@@ -85,7 +96,9 @@ def test_weights_and_response_against_independent_numbers(shared):
 
 
 @pytest.mark.parametrize("midpoint", [True, False])
-@pytest.mark.parametrize("dynamics", [HARD, FULL, COMPLEX_AND_COINCIDENT], ids=["plain", "full", "coincident"])
+@pytest.mark.parametrize(
+    "dynamics", [HARD, FULL, COMPLEX_AND_COINCIDENT, FLOOR], ids=["plain", "full", "coincident", "floor"]
+)
 def test_gradients_are_those_of_finite_differences(dynamics, midpoint):
     t, u, first = runs()
     rng = np.random.default_rng(1)
@@ -106,7 +119,7 @@ def test_gradients_are_those_of_finite_differences(dynamics, midpoint):
         down[i] -= 1e-5
         slope = (value(up, numbers.detach()) - value(down, numbers.detach())) / 2e-5
         assert float(x.grad[i]) == pytest.approx(slope, rel=1e-3, abs=1e-5)
-    for j in (0, 1, 2, 3, 6):
+    for j in (0, 1, 2, 3, 6, *([7] if dynamics.floor else [])):
         up, down = numbers.detach().clone(), numbers.detach().clone()
         up[j] *= 1 + 1e-5
         down[j] *= 1 - 1e-5
@@ -114,17 +127,22 @@ def test_gradients_are_those_of_finite_differences(dynamics, midpoint):
         assert float(numbers.grad[j] * numbers.detach()[j]) == pytest.approx(slope, rel=1e-3, abs=1e-4)
 
 
-@pytest.mark.parametrize("dynamics", [HARD, FULL], ids=["plain", "full"])
-def test_both_engines_agree(dynamics):
+@pytest.mark.parametrize("dynamics", [HARD, FULL, FLOOR], ids=["plain", "full", "floor"])
+@pytest.mark.parametrize("apart", [False, True], ids=["alike", "pixels apart"])
+def test_both_engines_agree(dynamics, apart):
     t, u, first = runs()
+    factors = torch.ones(len(first) - 1, 8, dtype=torch.float64)
+    if apart:
+        factors[:, [0, 3, 6]] = torch.tensor(np.random.default_rng(2).uniform(0.5, 2, (len(first) - 1, 3)))
     passes = []
     for engine in ("compiled", "tensors"):
-        x, numbers = torch.tensor(u, requires_grad=True), tensor(dynamics).requires_grad_()
+        x, nominal = torch.tensor(u, requires_grad=True), tensor(dynamics)
+        numbers = (nominal * factors if apart else nominal).requires_grad_()
         level, output = respond(x, numbers, t, first, engine=engine)
         (level.sum() + (output**2).sum()).backward()
         assert x.grad is not None
         assert numbers.grad is not None
-        passes.append((level.detach(), output.detach(), x.grad, numbers.grad[[0, 1, 2, 3, 6]]))
+        passes.append((level.detach(), output.detach(), x.grad, numbers.grad[..., [0, 1, 2, 3, 6]]))
     for compiled, tensors in zip(*passes, strict=True):
         torch.testing.assert_close(compiled, tensors, rtol=1e-7, atol=1e-8)
 
@@ -162,14 +180,14 @@ def test_changes_reset_at_the_end_of_the_dead_time():
     assert float(parts["chain"]) < 1e-3
 
 
-@pytest.mark.parametrize("shortest", [0.0, 4e-3])
-def test_chains_are_sorted_padded_and_within_one_pixel(shortest):
+@pytest.mark.parametrize(("shortest", "samples"), [(0.0, 30), (4e-3, 30), (4e-3, 1)])
+def test_chains_are_sorted_padded_and_within_one_pixel(shortest, samples):
     rng = np.random.default_rng(3)
     t = np.sort(rng.uniform(0, 1, 400))
     x = rng.integers(0, 3, 400)
     spans = intervals(t, x, np.zeros(400, int), rng.random(400) < 0.5, 3, dead=1e-3, shortest=shortest)
     starts = np.arange(0, len(spans.starts), 5)
-    batch = chains(spans, starts, 30, 100.0, rng)
+    batch = chains(spans, starts, samples, 100.0, rng)
     for run in range(len(starts)):
         some = slice(batch.first[run], batch.first[run + 1])
         assert (np.diff(batch.t[some]) >= 0).all()
@@ -180,8 +198,13 @@ def test_chains_are_sorted_padded_and_within_one_pixel(shortest):
     lengths = batch.t[batch.end] - batch.t[batch.begin]
     assert (lengths[ends] > 0).all()
     assert (batch.sub >= batch.begin[..., None])[ends].all()
-    assert (batch.sub < np.maximum(batch.end, batch.begin + 1)[..., None])[ends].all()
-    assert ((batch.share >= 0) & (batch.share <= 1)).all()
+    assert (batch.sub <= batch.end[..., None])[ends].all()
+    quiet = ends & ~batch.burst
+    parts = batch.t[batch.sub][quiet]
+    assert quiet.any()
+    assert (parts[:, 1] > parts[:, 0]).all()
+    inside = (parts[:, 0] > batch.t[batch.begin][quiet]) & (parts[:, 1] < batch.t[batch.end][quiet])
+    assert inside.all()  # samples of their own, with and without a past
     last_of_pixel = spans.stretches.pixel[spans.starts[starts]] == batch.pixel
     assert last_of_pixel.all()
 

@@ -36,7 +36,7 @@ def test_gradients_are_finite_and_agree_where_stages_are_absent(dynamics):
     outcomes = []
     for engine in ("compiled", "tensors"):
         x = torch.tensor(u, requires_grad=True)
-        numbers = torch.tensor(dynamics.uniform()[:7], dtype=torch.float64, requires_grad=True)
+        numbers = torch.tensor(dynamics.uniform(), dtype=torch.float64, requires_grad=True)
         level, output = respond(x, numbers, t, first, engine=engine)
         (level.sum() + (output**2).sum()).backward()
         assert x.grad is not None
@@ -92,7 +92,7 @@ def test_every_effect_is_modelled_or_named():
     modelled = {
         "dark_current", "source_follower_pole", "extra_pole", "lower_cutoff", "differencing_pole", "leak",
         "parasitic_photocurrent", "threshold_mismatch", "threshold_noise", "refractory_period",
-        "second_order_photoreceptor",
+        "second_order_photoreceptor", "threshold_drift", "polarity_memory", "bandwidth_floor", "hot_pixels",
     }  # fmt: skip
     strong = {"mains_flicker.modulation": 0.1, "hot_pixels.count": 3.0}
     for name, effect in LIBRARY.items():
@@ -100,5 +100,5 @@ def test_every_effect_is_modelled_or_named():
         expected = () if name in modelled else (name,)
         if name != "second_order_photoreceptor":
             assert ignored_effects(effect.apply(base.circuit(), values)) == expected, name
-    assert ignored_effects(Circuit(threshold_drift=0.01, slew_rise=100.0)) == ("slew_limit", "threshold_drift")
+    assert ignored_effects(Circuit(jitter=1e-5, slew_rise=100.0)) == ("slew_limit", "timestamp_jitter")
     assert set(Circuit.__dataclass_fields__) >= MODELLED

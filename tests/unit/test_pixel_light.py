@@ -239,6 +239,21 @@ def test_an_atis_measures_its_own_light():
         with_measured_light(Recording(fired))
 
 
+def test_polarities_that_the_measured_light_contradicts_are_exchanged():
+    t = np.linspace(0.0, 1.0, 20001)
+    light = (t, 200.0 * np.exp(np.sin(6.0 * t)))
+    exposures = exposures_of([light], 0.2, {0: np.arange(0.02, 0.95, 0.004)})
+    told = np.diff(np.interp(np.arange(0.004, 0.97, 0.004), *light)) > 0  # rising light, at each event
+    when = np.arange(len(told)) * 4_000_000 + 6_000_000
+    zeros = np.zeros(len(told), int)
+    right = Recording(Events.from_columns(when, zeros, zeros, told, 3, 1), exposures=exposures)
+    wrong = replace(right, events=replace(right.events, p=1 - right.events.p))
+    kept, mended = with_measured_light(right), with_measured_light(wrong)
+    assert "polarity" not in kept.attributes
+    assert mended.attributes["polarity"].startswith("ON and OFF exchanged")
+    assert kept.events.p.tolist() == mended.events.p.tolist() == told.tolist()
+
+
 def twice(events: Events) -> Events:
     """Two events of the first pixel."""
     return Events.from_columns([1000, 50_000_000], [0, 0], [0, 0], [1, 1], events.width, events.height)

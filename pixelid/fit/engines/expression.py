@@ -46,40 +46,11 @@ class Operations(Protocol):
         ...
 
 
-def factors(op: Operations, a, b2, tau):
-    """(f1, f2, g) of `kernels.photoreceptor_factors`, by selection; unselected branches stay finite."""
-    b = 0.5 * b2
-    disc = b * b - a
-    x = disc * tau * tau
-    near = op.abs(x) < 0.3
-    away = op.where(near, 1.0 + 0.0 * disc, disc)
-    over = away > 0.0
-    root = op.sqrt(op.abs(away))
-    half = 0.5 / root
-    fast = b + op.where(over, root, 0.0 * root)
-    slow = op.where(over, a / fast, b)
-    e_fast, e_slow = op.exp(-fast * tau), op.exp(-slow * tau)
-    phase = op.where(over, 0.0 * tau, root * tau)
-    g_far = op.where(over, (e_slow - e_fast) * half, e_slow * op.sin(phase) * 2.0 * half)
-    f1_far = op.where(over, (fast * e_slow - slow * e_fast) * half, e_slow * op.cos(phase) + b * g_far)
-    f2_far = op.where(over, (fast * e_fast - slow * e_slow) * half, e_slow * op.cos(phase) - b * g_far)
-    x = op.where(near, x, 0.0 * x)
-    c = 1.0 + x / 2.0 * (1.0 + x / 12.0 * (1.0 + x / 30.0 * (1.0 + x / 56.0 * (1.0 + x / 90.0 * (1.0 + x / 132.0)))))
-    s = 1.0 + x / 6.0 * (1.0 + x / 20.0 * (1.0 + x / 42.0 * (1.0 + x / 72.0 * (1.0 + x / 110.0 * (1.0 + x / 156.0)))))
-    eb = op.exp(-op.where(near, b, 0.0 * b) * tau)
-    g_near = eb * tau * s
-    return (
-        op.where(near, eb * c + b * g_near, f1_far),
-        op.where(near, eb * c - b * g_near, f2_far),
-        op.where(near, g_near, g_far),
-    )
-
-
 def step(op: Operations, state, r, tau, light, dynamics: Dynamics):
     """States (v, y, s, d) after `tau` of the ramp r τ, from `state` relative to its foot."""
     a, b2 = equations.photoreceptor_rates(dynamics, light)
     k1, kd = op.exp(-dynamics.follower * tau), op.exp(-dynamics.differencing * tau)
-    pr = factors(op, a, b2, tau)
+    pr = equations.selected_factors(op, a, b2, tau)
     return equations.step_two_poles(state, 0.0, r, tau, a, b2, dynamics.follower, dynamics.differencing, pr, k1, kd)
 
 
@@ -118,7 +89,7 @@ def trajectory(op: Operations, light: Light, dynamics: Dynamics) -> list[Any]:
     columns = []
     a, b2 = equations.photoreceptor_rates(dynamics, light.linearised)
     k1, kd = op.exp(-dynamics.follower * light.tau), op.exp(-dynamics.differencing * light.tau)
-    pr = factors(op, a, b2, light.tau)
+    pr = equations.selected_factors(op, a, b2, light.tau)
 
     def stepped(state, r):
         w1, wd = dynamics.follower, dynamics.differencing

@@ -76,7 +76,7 @@ def freeze(objective: EventTimesObjective, x: np.ndarray) -> Frozen:
     """The discrete choices at x.
 
     Raises InputError for what only the compiled form has: light of each pixel's own, extra pole, lower cutoff, mains
-    flicker, thresholds that depend on the polarity before.
+    flicker, a response that is linear in low light, lost events, thresholds that depend on the polarity before.
     """
     likelihood = objective.likelihood
     circuit = objective.coordinates.circuit(x)
@@ -85,6 +85,8 @@ def freeze(objective: EventTimesObjective, x: np.ndarray) -> Frozen:
         ("extra_pole", dynamics.extra_pole < PRESENT_BELOW),
         ("lower_cutoff", dynamics.lower_cutoff > 0),
         ("mains_flicker", circuit.flicker_modulation != 0),
+        ("linear_log", circuit.knee != 0),
+        ("lost_events", circuit.lost != 0),
         ("a threshold that depends on the polarity before", circuit.polarity_memory != 0),
         ("an unlimited photoreceptor", dynamics.beta > PRESENT_BELOW and dynamics.gamma == 0),
     ):

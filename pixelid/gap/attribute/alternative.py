@@ -15,7 +15,7 @@ from pixelid.fit.maximise import Maximum, maximise
 from pixelid.gap.attribute.attribute import Candidate
 from pixelid.gap.attribute.candidates import missing
 from pixelid.gap.attribute.flexible import Flexible, fit_flexible
-from pixelid.gap.attribute.significance import chance_of_gain, leads
+from pixelid.gap.attribute.significance import chance_of_gain, leads, own_values
 from pixelid.gap.detect.covariates import sort_events
 from pixelid.gap.detect.diagnostics import Diagnostics
 from pixelid.gap.detect.pixels import PixelEvidence, per_pixel, relative_noise
@@ -67,7 +67,8 @@ def stands(
     without = maximise(fitting, fit.model, tolerance=0.05, max_steps=25, cache=cache)
     beside = maximise(fitting, winner.end.model, tolerance=0.05, max_steps=25, cache=cache)
     gain = beside.value - without.value
-    p = chance_of_gain(winner.effect, gain, len(missing(fit.model)))
+    own = own_values(winner.end.model, winner.effect)
+    p = chance_of_gain(winner.effect, gain, len(missing(fit.model)), own)
     held = per_pixel(judging, beside.model) - per_pixel(judging, without.model)
     kept = gain > criteria.min_share_beside_alternative * winner.gain
     if p < options.alpha_each and leads(held, criteria) and kept:

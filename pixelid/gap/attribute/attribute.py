@@ -13,7 +13,7 @@ from typing import Generic, Protocol, TypeVar
 
 import numpy as np
 
-from pixelid.gap.attribute.significance import chance_of_gain, leads, negligible
+from pixelid.gap.attribute.significance import chance_of_gain, leads, negligible, own_values
 from pixelid.gap.options import Options
 from pixelid.model.model import Model
 
@@ -133,7 +133,7 @@ def attribute(
             again = evidence.fit_without(effect, end)
             base = again if again is not None and again.value > base.value else base
         gain = end.value - base.value
-        p = chance_of_gain(effect, gain, len(effects))
+        p = chance_of_gain(effect, gain, len(effects), own_values(end.model, effect))
         candidates.append(Candidate(effect, end, gain, p, evidence.held_out_gain(end, base)))
     candidates.sort(key=lambda c: -c.gain)
     winner = next((c for c in candidates[:1] if _may_be_named(c, options)), None)

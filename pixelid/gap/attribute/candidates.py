@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import defaultdict
 from collections.abc import Iterator
 
 import numpy as np
@@ -17,6 +18,9 @@ DECADES = (-2.0, -1.5, -1.0, -0.5, 0.0, 0.5, 1.0, 1.5)  # strengths tried, about
 # strengths gains this much by itself, and no tighter one is tried from where it loses that much.
 MIN_SLEW_GAIN_NATS, MAX_SLEW_LOSS_NATS = 0.5, 20.0
 MAINS_HZ = (100.0, 120.0)
+# Below the knee, of the logarithm's slope at it: without a kink, and as in v2e, on a line through the origin from the
+# logarithm of 20 grey levels.
+LINEAR_SLOPES = (1.0, math.log(20.0))
 PHASES = (0.0, 0.5 * math.pi, math.pi, 1.5 * math.pi)
 # What no density of single events knows: read off the timestamps (`readout.py`), off the pixels, or not at all.
 NOT_IN_DENSITY = {"shot_noise", "hot_pixels", "readout_latency", "timestamp_quantisation"}
@@ -85,6 +89,33 @@ def strongest_start(likelihood: EventTimes, model: Model, effect: str, least: fl
     return best
 
 
+def start_in_each(likelihood: EventTimes, model: Model, effect: str) -> tuple[Model, float] | None:
+    """(the model with the effect, what starts anew in each recording free there;  its log-likelihood).
+
+    Of the strengths tried, each with the values that suit each recording best, the one that explains the events best.
+    None where nothing starts anew, or there are no several recordings of names of their own.
+    """
+    anew = stages.effect(effect).starts_anew
+    names = [recording.name for recording in likelihood.recordings]
+    if not anew or len(names) < 2 or len(set(names)) < len(names):
+        return None
+    tables: dict[tuple, list[tuple[Model, np.ndarray]]] = defaultdict(list)
+    for trial in variants(model, effect):
+        try:
+            parts = likelihood.terms(trial.circuit()).per_recording
+        except (InputError, FloatingPointError):
+            continue
+        if np.isfinite(parts).all():
+            tables[tuple(v for name, v in trial.values.items() if name not in anew)].append((trial, parts))
+    best = max(tables.values(), key=lambda rows: np.max([parts for _, parts in rows], axis=0).sum(), default=None)
+    if best is None:
+        return None
+    which = np.argmax([parts for _, parts in best], axis=0)
+    values = {p: {name: best[i][0].values[p] for name, i in zip(names, which, strict=True)} for p in anew}
+    grown = best[0][0].with_nuisances(values)
+    return grown, likelihood.log_likelihood(grown.circuit())
+
+
 def variants(model: Model, effect: str) -> Iterator[Model]:
     """The model with the effect at each strength to try, its own parameters free."""
     grown = model.with_effect(effect)
@@ -103,6 +134,9 @@ def variants(model: Model, effect: str) -> Iterator[Model]:
             sized = grown.set({strength.name: value})
             if effect == "slew_limit":
                 sized = sized.set({"slew_limit.fall_per_s": value})
+            if effect == "linear_log":
+                yield from (sized.set({"linear_log.slope": slope}) for slope in LINEAR_SLOPES)
+                continue
             if effect != "mains_flicker":
                 yield sized
                 continue

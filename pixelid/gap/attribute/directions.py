@@ -19,6 +19,7 @@ from pixelid.errors import InputError
 from pixelid.fit.maximise import Maximum
 from pixelid.gap.attribute.candidates import INVERSE, variants
 from pixelid.gap.detect.residuals import Residuals, compare, residuals, tangents
+from pixelid.gap.imputation.windows import DELAY
 from pixelid.likelihood.density import sum_by
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.model.model import Model
@@ -97,8 +98,7 @@ def direction(at: Space, effect: str) -> Direction | None:
     # pixel means included: what shifts all pixels, thresholds imitate; a wide prior holds what the data do not know
     bias = np.linalg.solve(at.J.T @ at.J + np.eye(at.J.shape[1]) / PRIOR_SD**2, at.J.T @ v)
     clear = raw - J @ inner
-    ratio = stages.effect(effect).parameters[0].value / trial.values[name]
-    ratio = 1.0 / ratio if effect in INVERSE else ratio
+    ratio = _typical_ratio(effect, name, trial, at.fit.model)
     total = float(np.sum(v**2))
     hidden = float(np.sqrt(max(0.0, 1.0 - np.sum(clear**2) / total))) if total > 0 else 1.0
     return Direction(
@@ -107,9 +107,37 @@ def direction(at: Space, effect: str) -> Direction | None:
         raw,
         clear,
         bias,
-        float(np.sum(clear**2)) * ratio**2,
+        _shown(at, J, ratio * raw) if DELAY in at.fit.coordinates.names else float(np.sum(clear**2)) * ratio**2,
         hidden,
     )
+
+
+def _shown(at: Space, J: np.ndarray, v: np.ndarray) -> float:
+    """Σ v⊥² of an effect at its typical strength, where the delay of the stamps can imitate it within its bounds only.
+
+    J: (2n, d) tangents, demeaned;  v: (2n,) the effect, demeaned
+    """
+    index = at.fit.coordinates.names.index(DELAY)
+    lower, upper = (edge[index] for edge in at.fit.coordinates.bounds())
+    held = np.zeros(J.shape[1])
+    held[index] = np.sqrt(12.0) / (upper - lower)  # the standard deviation of what is uniform between them
+    rows, wanted = np.vstack([J, held]), np.append(v, 0.0)
+    moved, *_ = np.linalg.lstsq(rows, wanted, rcond=1e-10)
+    return float(np.sum((wanted - rows @ moved) ** 2))
+
+
+def _typical_ratio(effect: str, name: str, trial: Model, base: Model) -> float:
+    """How many times as strong as in `trial` an effect is at its shipped values; linear, as weak effects are.
+
+    A pole's strength is the delay that it adds.  A second-order photoreceptor adds to one pole the delay 1/β of
+    another, which α follows there, and to none that of both, nearly β/(αL).
+    """
+    shipped = {p.name: p.value for p in stages.effect(effect).parameters}
+    if effect == "second_order_photoreceptor" and base.photoreceptor == "unlimited":
+        late = trial.values["beta"] / trial.values["alpha"]
+        return shipped["beta"] / shipped["alpha"] / late
+    ratio = shipped[name] / trial.values[name]
+    return 1.0 / ratio if effect in INVERSE else ratio
 
 
 def cosine(a: np.ndarray, b: np.ndarray) -> float:

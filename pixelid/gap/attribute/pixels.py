@@ -8,13 +8,19 @@ import numpy as np
 
 from pixelid.fit.cache import FitCache
 from pixelid.fit.maximise import Maximum, maximise
-from pixelid.gap.attribute.candidates import remove_effect, strongest_start
+from pixelid.gap.attribute.attribute import MIN_SCREENED_NATS
+from pixelid.gap.attribute.candidates import remove_effect, start_in_each, strongest_start
+from pixelid.gap.attribute.significance import chance_of_gain, own_values
 from pixelid.gap.detect.pixels import PixelEvidence, per_pixel
 from pixelid.model.model import Model
 
 POLES = ("source_follower_pole", "extra_pole", "differencing_pole")
 # Optimiser steps of a screening fit.  Poles trade places with those that the model has, which takes longer.
 SCREEN_STEPS, SCREEN_STEPS_POLES = 6, 15
+SCREEN_STEPS_OWN = 15  # of an effect with values of each recording's own: phases start up to 45° off
+# Chance of what an effect gains with values of each recording's own, from which a fit to all pixels is for those and
+# not for shared ones.  Only steers: what is named is judged by a p-value that counts them.
+WORTH_P = 0.01
 LEADING_STEPS, FIT_STEPS = 30, 10  # of the leading effect, and of the others: they start where screening left them
 WITHOUT_STEPS = 10
 
@@ -47,7 +53,26 @@ class PixelCandidates:
             end = maximise(pool, start, tolerance=0.3, max_steps=steps, cache=self.cache)
             if best is None or end.value > best.value:
                 best = end
-        return None if best is None else (best, best.value - self.base_screened.value)
+        if best is None:
+            return None
+        own = self._screen_in_each(effect, best.value)
+        best = best if own is None else own
+        return best, best.value - self.base_screened.value
+
+    def _screen_in_each(self, effect: str, shared: float) -> Maximum | None:
+        """The effect with what starts anew free in each recording; None where that is not surely worth it.
+
+        shared: log-likelihood with it shared by all
+        """
+        pool = self.evidence.screening
+        starts = [start_in_each(pool, m, effect) for m in (self.base_screened.model, self.restart) if m is not None]
+        start = max((s for s in starts if s is not None), key=lambda s: s[1], default=None)
+        if start is None or start[1] < self.base_screened.value + MIN_SCREENED_NATS:
+            return None
+        end = maximise(pool, start[0], tolerance=0.3, max_steps=SCREEN_STEPS_OWN, cache=self.cache)
+        of_own = chance_of_gain(effect, end.value - self.base_screened.value, 1, own_values(end.model, effect))
+        of_shared = chance_of_gain(effect, shared - self.base_screened.value, 1)
+        return end if of_own < min(WORTH_P, of_shared) else None
 
     def fit(self, start: Maximum, leading: bool) -> Maximum:
         """A screened candidate on the fit pixels."""

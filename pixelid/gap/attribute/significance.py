@@ -6,25 +6,40 @@ import numpy as np
 from scipy.stats import chi2
 
 from pixelid import stages
-from pixelid.gap.attribute.candidates import INVERSE, MAINS_HZ
+from pixelid.gap.attribute.candidates import INVERSE, LINEAR_SLOPES, MAINS_HZ
 from pixelid.gap.criteria import Criteria
 from pixelid.model.model import Model
 
 ON_BOUNDARY = 0.5  # share of the χ² in the mixture, the rest being 0 (Self & Liang 1987, JASA 82, 605, case 5)
+WAYS = 2  # values shared by all recordings, or of each one's own
 
 
-def chance_of_gain(effect: str, gain_nats: float, tried: int) -> float:
+def chance_of_gain(effect: str, gain_nats: float, tried: int, own: int = 0) -> float:
     """Bonferroni-adjusted chance of an effect's gain where it is absent and `tried` effects are.
 
     No effect is a strength of zero, on the boundary: twice the gain is 0 or χ² with equal chance.  A strength of either
     sign has no boundary there, nor have amplitude and phase of mains flicker, which is tried at each mains frequency.
+    The line of a linear response is tried at each slope.
+
+    own: values that recordings have each for themselves, in place of shared ones (`own_values`): then the effect was
+    tried both ways, and this was the better one
     """
-    free = [p for p in stages.effect(effect).parameters if p.free]
-    degrees = len(free)
+    new = stages.effect(effect)
+    free = [p for p in new.parameters if p.free]
+    degrees = len(free) + (own - len(new.starts_anew) if own else 0)
     share = ON_BOUNDARY if free[0].transform == "log" else 1.0
     if effect == "mains_flicker":
         share = float(len(MAINS_HZ))
+    if effect == "linear_log":
+        share *= len(LINEAR_SLOPES)
+    share *= WAYS if own else 1
     return min(1.0, share * tried * float(chi2.sf(2.0 * max(gain_nats, 0.0), degrees)))
+
+
+def own_values(model: Model, effect: str) -> int:
+    """How many values of an effect the recordings have each for themselves."""
+    anew = stages.effect(effect).starts_anew
+    return sum(name.split("[", 1)[0] in anew for name in model.nuisances)
 
 
 def leads(differences: np.ndarray, criteria: Criteria) -> bool:

@@ -41,7 +41,7 @@ def count_twins(
     on, off = _thresholds(only(timely, crowd), crowd, model)
     exact = model.without_effect("threshold_mismatch").without_effect("hot_pixels")
     extra_hz = model.circuit().hot_hz if hot is not None else 0.0
-    dead = float(np.real(model.circuit().refractory))
+    dead, delay = (float(np.real(number)) for number in (model.circuit().refractory, model.circuit().delay))
     sensors, each = (copies, 1) if queue else (1, copies)  # sensors of twins, twins of each pixel in a sensor
     place = np.searchsorted(crowd, pixels)
     watched = (np.arange(each)[:, None] * len(crowd) + place).ravel()
@@ -52,14 +52,15 @@ def count_twins(
         first = np.unique(own.events.pixel, return_index=True)
         after = np.zeros(len(crowd))
         place_of_first = np.searchsorted(crowd, first[0])
-        released[place_of_first] = own.events.t[first[1]] * 1e-9 + dead
+        released[place_of_first] = own.events.t[first[1]] * 1e-9 - delay + dead
         after[place_of_first] = np.where(own.events.p[first[1]] == 1, 1.0, -1.0)
         twins = Twins(*(np.tile(one, each) for one in (on, off, released, after)))
         assert recording.stimulus is not None
         light = in_a_row(recording.stimulus, np.tile(crowd, each))
         for k, done in enumerate(runs):
             own_seed = seed + i + 101 * k
-            run = simulate(exact, light, width=len(twins.on), height=1, seed=own_seed, twins=twins)
+            here = exact.in_recording(recording.name)
+            run = simulate(here, light, width=len(twins.on), height=1, seed=own_seed, twins=twins)
             done.append(_with_hot_events(run, hot_twins, extra_hz, own_seed) if len(hot_twins) else run)
     table = np.stack([count_events(done, watched, edges).table for done in runs])
     return table.reshape(copies, len(pixels), -1)
@@ -112,7 +113,8 @@ def count_sensors(
         own, light = seed + 101 * copy + i, recordings[i].stimulus
         assert light is not None
         light = in_a_row(light, row)
-        return simulate(model, light, width=width, height=1, seed=own, sensor_seed=seed + copy)
+        here = model.in_recording(recordings[i].name)
+        return simulate(here, light, width=width, height=1, seed=own, sensor_seed=seed + copy)
 
     tables = []
     for copy in range(copies):

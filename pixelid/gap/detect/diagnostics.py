@@ -63,7 +63,8 @@ def diagnose(
     maps = map_residuals(likelihood, here, tangent, factors, criteria, seed)
     p_background = 1.0
     if background_fraction is not None:
-        p_background = chance_of_background(maps.background, background_fraction * likelihood.events)
+        allowed = background_fraction + circuit.lost  # what follows a lost event
+        p_background = chance_of_background(maps.background, allowed * likelihood.events)
     significant = p_background < criteria.max_p_unexplained
     return Diagnostics(here, factors, maps, min(maps.p, p_background) if significant else maps.p)
 

@@ -283,7 +283,7 @@ def _begin(
 
 def _unexplained_share(likelihood: EventTimes, model: Model) -> np.ndarray:
     """(recordings,) share of the events without a cause."""
-    background = likelihood.terms(model.circuit()).background
+    background = likelihood.terms(model.circuit()).unexplained
     n = np.bincount(likelihood.recording_of_event, minlength=len(likelihood.recordings))
     return np.bincount(likelihood.recording_of_event, background, len(likelihood.recordings)) / np.maximum(n, 1)
 

@@ -18,6 +18,7 @@ from pixelid.simulate import simulate
 from pixelid.stimuli.pixel_lights import in_a_row
 
 CROWD_PIXELS = 400  # simulated, behind an expected number of events: it is known to a twentieth of an event
+DELAY = "delay_s"  # of the stamps, which is also that of the clock of events against the light
 SPACING = 1.1  # times the dead time that first guesses are apart: just feasible
 
 
@@ -53,6 +54,17 @@ def tick_windows(recording: Recording, tick_s: float) -> Windows:
     return Windows(t - half, t + half)
 
 
+def with_stamp_delay(model: Model, tick_s: float) -> Model:
+    """The model with a free delay of the stamps, within half a tick of the one it has.
+
+    Cameras stamp a tick's beginning, its middle, or its end, and say so nowhere; windows are about its middle.
+    """
+    delay = model.parameter(DELAY)
+    half = 0.5 * tick_s
+    freed = replace(delay, lower=delay.value - half, upper=delay.value + half, free=True)
+    return replace(model, parameters={**model.parameters, DELAY: freed})
+
+
 def jitter_windows(recording: Recording, sigma_s: float) -> Windows:
     """When jittered events can have come."""
     assert recording.stimulus is not None
@@ -79,7 +91,9 @@ def guess_by_rank(
         assert recording.stimulus is not None
         copies = max(1, round(CROWD_PIXELS / len(pixels)))
         light = in_a_row(recording.stimulus, np.tile(pixels, copies))
-        crowd = simulate(model, light, width=copies * len(pixels), height=1, seed=seed + i).events
+        crowd = simulate(
+            model.in_recording(recording.name), light, width=copies * len(pixels), height=1, seed=seed + i
+        ).events
         when, number = crowd.t.astype(float), np.arange(len(crowd)) / copies
         begins = window.hi <= window.lo
         head = np.maximum.accumulate(np.where(begins, np.arange(len(begins)), 0))

@@ -87,7 +87,8 @@ def simulate_again(
         light = r.stimulus if between is None else with_fine_light(r, between).stimulus
         assert light is not None
         seen = in_a_row(light, pixels)
-        run = simulate(truth, seen, width=len(pixels), height=1, seed=seed + 101 * i, sensor_seed=seed)
+        here = truth.in_recording(r.name)
+        run = simulate(here, seen, width=len(pixels), height=1, seed=seed + 101 * i, sensor_seed=seed)
         as_came = in_a_row(light if r.stimulus is None else r.stimulus, pixels)
         return replace(r, events=replace(run.events, tick_ns=r.events.tick_ns), stimulus=as_came)
 
@@ -109,7 +110,8 @@ def make_replicate(
     likelihood = made.weighed(truth.circuit())
     refit = maximise(likelihood, fit.model, tolerance=0.05, max_steps=25, cache=cache)
     if refit.unexplained > MAX_BACKGROUND_RATIO * (seen.maps.background + MAX_BACKGROUND_RATIO):
-        start = fit.model.set({name: truth.values[name] for name in fit.coordinates.names})
+        start = fit.model.set({name: truth.values[name] for name in fit.coordinates.names if name in truth.values})
+        start = replace(start, nuisances=truth.nuisances)
         again = maximise(likelihood, start, tolerance=0.05, max_steps=40, cache=cache)
         refit = again if again.value > refit.value else refit
     circuit = refit.model.circuit()

@@ -11,11 +11,13 @@ measurement and replicates apart.  How sure the share is, replicates say whose o
 from __future__ import annotations
 
 import itertools
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.stats import norm
 
+from pixelid.dynamics.equations import PRESENT_BELOW
 from pixelid.fit.cache import FitCache
 from pixelid.fit.maximise import Maximum
 from pixelid.gap.criteria import Criteria
@@ -24,6 +26,11 @@ from pixelid.gap.detect.pixels import PixelEvidence
 from pixelid.gap.options import Options
 from pixelid.gap.shot_noise.replicates import Corrected, Replicate, background_by_polarity, subtract_replicates
 from pixelid.gap.shot_noise.shares import NOISE, Shares, vector
+from pixelid.model.model import Model
+from pixelid.recordings.recording import Recording
+from pixelid.simulate.laws import rules_of
+from pixelid.simulate.light import noise_step
+from pixelid.stimuli.pixel_lights import Light, PixelLights
 
 NEGLIGIBLE_SHARE = 0.02  # as good as no shot noise
 TRIED_SHARES = (0.3, 0.6, 0.8, 0.95)
@@ -31,6 +38,9 @@ REPLICATES = 4  # at the share taken
 MAX_SHARE_MOVE = 0.1  # of the share that these leave from the one that they were made at: else they are made again
 MAX_SCORE = 10.0  # standard deviations: cells that differ by more count as this in a distance
 MAX_SCORE_AT_SIGHT = 30.0  # the same where maps are only looked at
+# Of all recordings together.  The shipped pixel needs 1e5 a second in bright light; a bandwidth hundreds of times as
+# high, which only a fit that ran away has, would take hours, and its noise would look like the thresholds'.
+MOST_STEPS = 5e7
 MIN_HALF_WIDTH = 0.05  # relative, of the interval: replicates are no better than this
 
 
@@ -68,9 +78,10 @@ def find_shot_noise(
 ) -> ShotNoise | None:
     """Shot noise that explains what is left under a fitted model.
 
-    None where a replicate's noise cannot be told, or replicates with it come little nearer than those without.
+    None where it cannot be simulated, a replicate's noise cannot be told, or replicates with it come little nearer than
+    those without.
     """
-    if NOISE not in fit.coordinates.names:
+    if NOISE not in fit.coordinates.names or not can_be_simulated(evidence.training.recordings, fit.model):
         return None
     criteria = options.criteria
     shares = Shares(evidence, fit, seen, options, cache).calibrated()
@@ -93,6 +104,25 @@ def find_shot_noise(
     if abs(shares.nearest(measured) - share) > MAX_SHARE_MOVE:
         shares = _with_replicates(shares, shares.nearest(measured))
     return _judged(shares, measured, without, criteria)
+
+
+def can_be_simulated(recordings: Sequence[Recording], model: Model) -> bool:
+    """Whether the model limits the bandwidth of white noise, and so that its steps are not too many to simulate."""
+    circuit = model.circuit()
+    rules = rules_of(circuit, 0, False, 0.0)
+    if circuit.photoreceptor == "unlimited" and min(rules.chain[0], rules.chain[1], rules.chain[3]) > PRESENT_BELOW:
+        return False
+    steps = 0.0
+    for recording in recordings:
+        light = recording.stimulus
+        assert light is not None
+        steps += light.duration_s / noise_step(rules, _brightest(light) + circuit.dark)
+    return steps < MOST_STEPS
+
+
+def _brightest(light: Light) -> float:
+    lights = light.lights if isinstance(light, PixelLights) else (light,)
+    return max(float(one.radiance.max()) for one in lights)
 
 
 def _with_replicates(shares: Shares, share: float) -> Shares:

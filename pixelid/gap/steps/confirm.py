@@ -121,7 +121,11 @@ def _of_step(step: NamedStep, at: Space, state: State, intervals: dict[str, tupl
     fitted = hypothesis.fit.model
     alike = similarities(at, name, missing(fitted)) if fitted.has(name) else {}
     nearest = max(alike, key=lambda k: alike[k], default="")
-    values = hypothesis.model.values
+    effect, model = stages.effect(name), hypothesis.model
+    values = {p.name: model.values[p.name] for p in effect.parameters}
+    own = {key: p.value for key, p in model.nuisances.items() if key.split("[", 1)[0] in effect.starts_anew}
+    if own:
+        values = {key: value for key, value in values.items() if key not in effect.starts_anew} | own
     return Named(
         name=name,
         p_value=step.winner.p,
@@ -130,7 +134,7 @@ def _of_step(step: NamedStep, at: Space, state: State, intervals: dict[str, tupl
         runner_up_gain=second.heldout_gain if second else None,
         max_cosine=alike.get(nearest, 0.0),
         max_cosine_with=nearest,
-        parameters={p.name: (values[p.name], intervals.get(p.name)) for p in stages.effect(name).parameters},
+        parameters={key: (value, intervals.get(key)) for key, value in values.items()},
         where=step.where,
     )
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from pixelid.fit.maximise import maximise_with_restarts
 from pixelid.gap.detect.covariates import Factor
@@ -60,7 +60,12 @@ def _at_these(imputation: Imputation, model: Model, setting: Setting, scatter, c
     evidence = gather_evidence(recordings, setting.split, setting.model, setting.between, seed)
     values = {name: model.values[name] for name in start.free if name in model.values}
     fit = maximise_with_restarts(
-        evidence.training, start.set(values), start, tolerance=0.01, max_steps=40, cache=context.cache
+        evidence.training,
+        replace(start.set(values), nuisances=model.nuisances),
+        start,
+        tolerance=0.01,
+        max_steps=40,
+        cache=context.cache,
     )
     jitter = (imputation.sigma_s, imputation.error) if imputation.effect == JITTER else None
     # events that imputation cannot place stay behind a jitter; behind a queue or a tick they do not count

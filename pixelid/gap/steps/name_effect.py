@@ -89,7 +89,7 @@ def _accepted(state: State, winner: Candidate[Maximum], attribution: Attribution
 def _grown(state: State, winner: Candidate[Maximum], evidence: PixelEvidence, context: Context) -> State:
     """The state with the winner in its model, and without what the winner leaves nothing to explain."""
     hypothesis, cache, options = state.hypothesis, context.cache, context.options
-    start = hypothesis.start.with_effect(winner.effect)
+    start = replace(hypothesis.start.with_effect(winner.effect), nuisances=winner.end.model.nuisances)
     model = canonical(winner.end.model, state.model)
     fit = maximise_with_restarts(evidence.training, model, start, tolerance=0.01, max_steps=40, cache=cache)
     state, fit, start = _pruned(state, winner, evidence, fit, start, context)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from pixelid.gap.detect.diagnostics import diagnose
 from pixelid.gap.detect.pixels import fit_base
-from pixelid.gap.imputation.impute import impute
+from pixelid.gap.imputation.impute import TICK, impute
+from pixelid.gap.imputation.windows import with_stamp_delay
 from pixelid.gap.options import Context
 from pixelid.gap.phases import Phase
 from pixelid.gap.rounds import signature_entry
@@ -30,6 +31,8 @@ def undo_readout(state: State, context: Context) -> State:
         recordings = tuple(only(recordings, split.everyone))
     for signature in undone:
         rounds = (*rounds, signature_entry(signature, model.has(signature.effect)))
+        if signature.effect == TICK:
+            model = with_stamp_delay(model, signature.value)
         imputation = impute(recordings, signature, model, options, lambda what: report(what, 0.08), cache)
         recordings, lost = imputation.recordings, lost + imputation.lost
         model = model.with_effect(signature.effect, {signature.parameter: signature.value})

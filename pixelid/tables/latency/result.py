@@ -90,10 +90,11 @@ def save_fit(fit: LatencyFit, folder: Path, extra: Mapping[str, Any] | None = No
         place.mkdir(exist_ok=True)
         save_camera(described(one, fit.table), place / "model.toml")
     result = {**fitted_result(fit), **(extra or {})}
-    unsettled = [name for name, said in result.get("posterior", {}).items() if said["status"] != Status.converged]
-    if unsettled:
+    unconverged = [name for name, said in result.get("posterior", {}).items() if said["status"] != Status.converged]
+    if unconverged:
         result["status"] = Status.worst([result["status"], Status.not_converged])
-        result["advice"] = f"{result['advice']} {', '.join(unsettled)}: the posterior's chains have not settled".strip()
+        said = f"{', '.join(unconverged)}: the posterior's chains have not converged"
+        result["advice"] = f"{result['advice']} {said}".strip()
     return _write(result, folder)
 
 

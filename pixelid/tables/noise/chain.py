@@ -100,7 +100,9 @@ def chain_of(process: NoiseProcess, circuit: Circuit, drift: float) -> Chain:
             )
     resolvents = np.linalg.inv(np.eye(2 * m) + between)
     for a in range(len(draws)):
-        crossings.settled(nodes, on[a], off[a], slopes, stationary[a], resolvents[a], drift, exits[a], times[a])
+        crossings.exits_long_after(
+            nodes, on[a], off[a], slopes, stationary[a], resolvents[a], drift, exits[a], times[a]
+        )
     moved, waited = np.zeros((states, states)), np.zeros(states)
     crossings.transitions(
         nodes, slopes, omega, p.zero_crossings_hz, p.sigma, factors, weights, released.maps, released.spread,

@@ -108,7 +108,7 @@ def _scatter(into, level, pick, m, share, first, step, count):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def settled(nodes, on, off, slopes, stationary, resolvent, drift, exits, times):
+def exits_long_after(nodes, on, off, slopes, stationary, resolvent, drift, exits, times):
     """Where a pixel exits that has forgotten its last event but its reference, which falls at the rate `drift`.
 
     nodes: (k,) references;  on, off: thresholds;  stationary: (k, 2 m);  resolvent: (k, 2 m, 2 m).

@@ -24,7 +24,7 @@ Levels are nodes of a uniform grid; what falls between is shared by four-point i
 functions exact.  Threshold noise is an average over draws of both thresholds (`threshold_draws`).
 
 **Leak** moves the reference slowly against the noise: the pixel forgets its last event but the reference, which then
-falls at the leak's rate through references of known exit rate (`crossings.settled`).
+falls at the leak's rate through references of known exit rate (`crossings.exits_long_after`).
 
 The reference after a reset that has just followed a crossing is far from the mean: an ON event by noise is followed by
 OFF events as the output relaxes.  That the chain follows; rates without it would be wrong several-fold.

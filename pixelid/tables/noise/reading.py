@@ -169,9 +169,9 @@ def reduced_recordings(recordings: Sequence[Recording]) -> NoiseTable:
         events = recording.events
         pixels = events.width * events.height
         duration = (1.0 - SETTLING) * (end - begin)
-        settled = events.t * 1e-9 > end - duration
+        steady = events.t * 1e-9 > end - duration
         for polarity, p in (("ON", 1), ("OFF", 0)):
-            counts = np.bincount(events.pixel[settled & (events.p == p)], minlength=pixels)
+            counts = np.bincount(events.pixel[steady & (events.p == p)], minlength=pixels)
             total = int(counts.sum())
             scatter = float(counts.var(ddof=1)) * pixels if pixels > 1 else 0.0
             error = np.sqrt(max(scatter, total, 1.0)) / max(total, 1)

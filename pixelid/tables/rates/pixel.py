@@ -9,8 +9,9 @@ from functools import cached_property
 import numpy as np
 
 from pixelid.parameters.parameter import Parameter
-from pixelid.tables.fit import TableFit, fit_table
+from pixelid.tables.fit import fit_table
 from pixelid.tables.model import Rows
+from pixelid.tables.rates.grid import GridFit, GridModel
 from pixelid.tables.rates.reading import RateTable
 from pixelid.tables.rates.square_wave import rate
 
@@ -23,7 +24,7 @@ DEAD_STARTS_S = (1e-6, 1e-5)  # the likelihood has one maximum where dead time s
 
 
 @dataclass(frozen=True)
-class PixelModel:
+class PixelModel(GridModel):
     """Rates of one pixel under a blinking light as a `TableModel`.
 
     Attributes:
@@ -42,11 +43,10 @@ class PixelModel:
         ("dead_time_s", "lower"), ("noise_hz", "lower"), ("cutoff_hz", "upper")
     )  # fmt: skip
 
-    @cached_property
-    def cells(self) -> tuple[np.ndarray, np.ndarray]:
-        """(row, column) of the measured cells."""
-        row, column = np.nonzero(np.isfinite(self.table.rate_hz))
-        return row, column
+    @property
+    def values(self) -> np.ndarray:
+        """(n, m) of the table."""
+        return self.table.rate_hz
 
     @property
     def rows(self) -> Rows:
@@ -107,27 +107,13 @@ class PixelModel:
         return rate(frequency_hz, swing, 1.0 / (2.0 * np.pi * cutoff), dead, noise)
 
 
-@dataclass(frozen=True)
-class PixelFit:
-    """A fitted table: its model and the regression over its measured cells."""
-
-    model: PixelModel
-    regression: TableFit
+class PixelFit(GridFit[PixelModel]):
+    """A fitted table of one pixel."""
 
     @property
     def table(self) -> RateTable:
         """What was measured."""
         return self.model.table
-
-    @property
-    def row(self) -> np.ndarray:
-        """(cells,) row of each measured cell."""
-        return self.model.cells[0]
-
-    @property
-    def column(self) -> np.ndarray:
-        """(cells,) column of each measured cell."""
-        return self.model.cells[1]
 
     @property
     def observed(self) -> np.ndarray:

@@ -16,14 +16,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
 from pixelid.errors import InputError
 from pixelid.parameters.parameter import Parameter
-from pixelid.tables.fit import TableFit, fit_table
+from pixelid.tables.fit import fit_table
 from pixelid.tables.model import Rows
+from pixelid.tables.rates.grid import GridFit, GridModel
 from pixelid.tables.rates.square_wave import after_hysteresis, edge_events
 
 DEPTH_NATS = 14.0  # how far below c_max cutoffs go: e⁻¹⁴ of the pixels' light
@@ -52,7 +52,7 @@ class PoolTable:
 
 
 @dataclass(frozen=True)
-class PoolModel:
+class PoolModel(GridModel):
     """Events per cycle of a light's image as a `TableModel`.
 
     Pixels and c_max per condition; p, swing and dead time shared by all, and a floor: events per cycle that the way of
@@ -72,11 +72,10 @@ class PoolModel:
         ("dead_time_s", "lower"), ("top_cutoff_hz", "upper"), ("pixels", "lower")
     )  # fmt: skip
 
-    @cached_property
-    def cells(self) -> tuple[np.ndarray, np.ndarray]:
-        """(row, column) of the measured cells."""
-        row, column = np.nonzero(np.isfinite(self.table.per_cycle))
-        return row, column
+    @property
+    def values(self) -> np.ndarray:
+        """(n, m) of the table."""
+        return self.table.per_cycle
 
     @property
     def rows(self) -> Rows:
@@ -128,27 +127,13 @@ class PoolModel:
         )
 
 
-@dataclass(frozen=True)
-class PoolFit:
-    """A fitted pool table: its model and the regression over its measured cells."""
-
-    model: PoolModel
-    regression: TableFit
+class PoolFit(GridFit[PoolModel]):
+    """A fitted table of a light's image."""
 
     @property
     def table(self) -> PoolTable:
         """What was measured."""
         return self.model.table
-
-    @property
-    def row(self) -> np.ndarray:
-        """(cells,) row of each measured cell."""
-        return self.model.cells[0]
-
-    @property
-    def column(self) -> np.ndarray:
-        """(cells,) column of each measured cell."""
-        return self.model.cells[1]
 
 
 def pool_events(frequency_hz, pixels, top_hz, spread, swing, dead_s) -> np.ndarray:

@@ -1,0 +1,118 @@
+"""What differs from pixel to pixel: thresholds and bandwidth of a mapped sensor, and pixels that are hot.
+
+Without a map a pixel's thresholds are known to the camera's mismatch only.  They are then trained with the scene, each
+under that prior: a pixel whose ON threshold is 10 % too low tells of a light that brightens on and on, and a scene
+that has to explain it is blurred and full of grain.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from pixelid.errors import InputError
+from pixelid.inspection.hot_pixels import NEIGHBOURHOOD, hot_of_counts
+from pixelid.nerf.camera import Camera
+from pixelid.stages.circuit import Circuit
+
+# Maps that act on a number of `Dynamics`, by its position there.  One pole: α scales its corner (`Dynamics.low_light`).
+COLUMNS = {
+    "alpha": 0, "alpha_over_beta": 0, "beta": 1, "gamma": 2, "sf_cutoff_hz": 3, "extra_pole.cutoff_hz": 4,
+    "diff_cutoff_hz": 6,
+}  # fmt: skip
+THRESHOLDS = ("on_threshold", "off_threshold")
+
+# Hot by ON events that no OFF events answer: 6 robust standard deviations of neighbours' differences, as for rates
+# (`inspection.hot_pixels`), and 6 more of what a 10 % mismatch, twice a usual sensor's, does to a pixel's counts.
+ROBUST_SIGMAS = 6.0
+MISMATCH = 0.1
+
+
+@dataclass(frozen=True)
+class PixelMaps:
+    """Departures of the pixels from their circuit, pixels in row-major order.
+
+    threshold: (pixels, 2) expected ln of a pixel's ON and OFF threshold over the circuit's;  threshold_sd: (pixels, 2)
+    its uncertainty, 0 where it is known;  bandwidth: (pixels, 8) factors of the numbers of `Dynamics`, None where all
+    are alike;  hot: (k,) pixels left out;  unused: names of maps that have no place in a reconstruction
+    """
+
+    threshold: np.ndarray
+    threshold_sd: np.ndarray
+    bandwidth: np.ndarray | None = None
+    hot: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
+    unused: tuple[str, ...] = ()
+
+
+def maps_of_circuit(circuit: Circuit, pixels: int) -> PixelMaps:
+    """Thresholds unknown to the circuit's mismatch, everything else alike."""
+    return PixelMaps(np.zeros((pixels, 2)), np.full((pixels, 2), float(circuit.mismatch)))
+
+
+def maps_of_sensor(folder: Path, circuit: Circuit, camera: Camera) -> PixelMaps:
+    """The maps of `pixelid sensor`.
+
+    Args:
+        folder: that it wrote.
+        circuit: in use; its thresholds are what the map's are taken relative to.
+        camera: of the dataset.
+
+    Returns:
+        Thresholds with what the map leaves uncertain; bandwidth relative to the model of the map, since the radiance
+        units may differ; pixels that fired far more than others under the map's light.
+
+    Raises:
+        InputError: no maps there, or of another sensor size.
+    """
+    from pixelid.sensors import SensorFit
+
+    fitted = SensorFit.load(folder)
+    shape = camera.height, camera.width
+    if fitted.events.shape != shape:
+        height, width = fitted.events.shape
+        raise InputError(
+            f"{Path(folder) / SensorFit.FILE}: width, height: expected {camera.width} × {camera.height} as in the "
+            f"dataset, found {width} × {height}"
+        )
+    nominal = circuit.on_threshold, circuit.off_threshold
+    known = maps_of_circuit(circuit, camera.width * camera.height)
+    mean, sd = known.threshold.copy(), known.threshold_sd.copy()
+    bandwidth, unused = np.ones((len(mean), 8)), []
+    for name, of_map in fitted.maps.items():
+        if name in THRESHOLDS:
+            k = THRESHOLDS.index(name)
+            log, error = of_map.log.ravel(), of_map.sd.ravel()
+            told = np.isfinite(log) & np.isfinite(error)
+            mean[told, k], sd[told, k] = log[told] - np.log(nominal[k]), error[told]
+        elif name in COLUMNS:
+            factor = np.exp(of_map.log - np.log(fitted.model.values[name]))
+            whole = np.repeat(np.repeat(factor, fitted.block, axis=0), fitted.block, axis=1)[: shape[0], : shape[1]]
+            bandwidth[:, COLUMNS[name]] = np.where(np.isfinite(whole), whole, 1.0).ravel()
+        else:
+            unused.append(f"map of {name}")
+    hot = np.array([p.y * camera.width + p.x for p in hot_of_counts(fitted.events, 1.0)], np.int64)
+    alike = (bandwidth == 1.0).all()
+    return PixelMaps(mean, sd, None if alike else bandwidth, hot, tuple(unused))
+
+
+def find_hot(x, y, on, camera: Camera, circuit: Circuit, duration_s: float) -> np.ndarray:
+    """(k,) pixels whose events no light explains: far more of them than around, or ON without OFF.
+
+    x, y, on: (N,) of all events.  Light that goes up comes down, and neighbours see the same: a pixel's ON thresholds
+    less its OFF thresholds are those of the pixels about it, but for mismatch.
+    """
+    from scipy.ndimage import median_filter
+
+    pixel, pixels = y * camera.width + x, camera.width * camera.height
+    up, down = (np.bincount(pixel[some], minlength=pixels).astype(float) for some in (on, ~on))
+    image = (up + down).reshape(camera.height, camera.width)
+    fast = np.array([p.y * camera.width + p.x for p in hot_of_counts(image, duration_s)], np.int64)
+    mean = 0.5 * (circuit.on_threshold + circuit.off_threshold)
+    net = (up * circuit.on_threshold - down * circuit.off_threshold) / mean
+    beyond = net - median_filter(net.reshape(image.shape), NEIGHBOURHOOD, mode="mirror").ravel()
+    seen = (up + down) > 0
+    spread = 1.4826 * float(np.median(np.abs(beyond[seen]))) if seen.any() else 0.0
+    allowed = ROBUST_SIGMAS * (max(spread, 1.0) + max(MISMATCH, circuit.mismatch) * np.hypot(up, down))
+    return np.union1d(fast, np.flatnonzero(beyond > allowed))

@@ -1,0 +1,1 @@
+"""Raw data as they are published, one file per layout, on their way to the layout that reconstructions read."""

@@ -1,0 +1,94 @@
+"""Events of HDF5 files with one column each of x, y, t, p, as DSEC, EDS and TUM-VIE publish them, block by block."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pixelid.errors import InputError
+from pixelid.nerf.published.source import Block
+from pixelid.recordings.hdf5 import refuse_foreign_storage
+
+BLOCK = 1 << 20  # events read together: 13 MB, and as much again while they are converted
+NS_PER_US = 1000
+COLUMNS = "xytp"
+
+
+def events_of(path: Path) -> Callable[[int, int], Iterator[Block]]:
+    """What reads the events of a file between two times [ns]; the file is looked at once, to see that it can be read.
+
+    Times are microseconds, later by `t_offset` where the file has one.
+
+    Raises:
+        InputError: columns that are missing or differ in length, or a compression that h5py cannot undo.
+    """
+    with _columns(path) as (columns, _):
+        for column in columns.values():
+            column[:1]
+
+    def blocks(begin: int, end: int) -> Iterator[Block]:
+        with _columns(path) as (columns, offset):
+            t = columns["t"]
+            first = _first_at(t, begin // NS_PER_US - offset)
+            for k in range(first, len(t), BLOCK):
+                some = slice(k, k + BLOCK)
+                time = (t[some].astype(np.int64) + offset) * NS_PER_US
+                if time[0] > end:
+                    return
+                yield Block(time, columns["x"][some], columns["y"][some], columns["p"][some] > 0)
+
+    return blocks
+
+
+@contextmanager
+def _columns(path: Path) -> Iterator[tuple[Any, int]]:
+    """({"x", "y", "t", "p"} → columns, offset of t [µs]) of an open file."""
+    import h5py
+
+    with suppress(ImportError):  # brings the filters that published files are compressed with
+        import hdf5plugin  # type: ignore[import-not-found]  # noqa: F401
+    if not path.is_file() or not h5py.is_hdf5(path):
+        raise InputError(
+            f"{path}: expected an HDF5 file of events, found {'something else' if path.exists() else 'none'}"
+        )
+    try:
+        with h5py.File(path, "r") as file:
+            refuse_foreign_storage(file, path)
+            yield _checked(file, path)
+    except OSError as error:
+        if "filter" in str(error):
+            raise InputError(
+                f"{path}: compressed by a filter that h5py here lacks; pip install hdf5plugin brings the usual ones"
+            ) from None
+        raise InputError(f"{path}: truncated or damaged HDF5 ({str(error).splitlines()[0][:120]})") from None
+
+
+def _checked(file: Any, path: Path) -> tuple[Any, int]:
+    """The columns of an open file, and the offset of their times."""
+    group = file.get("events", file)
+    missing = [name for name in COLUMNS if name not in group or len(getattr(group[name], "shape", ())) != 1]
+    if missing:
+        raise InputError(f"{path}: events/{missing[0]}: missing; expected columns x, y, t, p, found {', '.join(group)}")
+    columns = {name: group[name] for name in COLUMNS}
+    lengths = {name: len(column) for name, column in columns.items()}
+    if len(set(lengths.values())) != 1 or not lengths["t"]:
+        raise InputError(f"{path}: events: expected x, y, t, p of one length above 0, found {lengths}")
+    if columns["t"].dtype.kind not in "iu":
+        raise InputError(f"{path}: events/t: expected whole microseconds, found {columns['t'].dtype}")
+    return columns, int(file["t_offset"][()]) if "t_offset" in file else 0
+
+
+def _first_at(t, time: int) -> int:
+    """The index of the first event at or after a time, by bisection: `t` need not fit into memory."""
+    low, high = 0, len(t)
+    while low < high:
+        middle = (low + high) // 2
+        if int(t[middle]) < time:
+            low = middle + 1
+        else:
+            high = middle
+    return low

@@ -1,0 +1,98 @@
+"""What a field looks like as geometry: log density and colour at the vertices, depth along rays, a mesh."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import torch
+
+from pixelid.errors import InputError
+from pixelid.nerf.evaluate import render_views
+from pixelid.nerf.field import Field
+from pixelid.nerf.views import Views
+
+SURFACE = 0.5  # opacity of one cell at which a surface is drawn
+SEEN = 0.5  # opacity of a ray below which it has no depth
+
+
+class Mesh(NamedTuple):
+    """vertices: (n, 3) in the scene;  normals: (n, 3) unit, outwards;  radiance: (n, C);  faces: (m, 3) indices."""
+
+    vertices: np.ndarray
+    normals: np.ndarray
+    radiance: np.ndarray
+    faces: np.ndarray
+
+
+def vertex_values(field: Field) -> tuple[np.ndarray, np.ndarray]:
+    """(log density (n, n, n), log radiance (n, n, n, C)) at the vertices of a field."""
+    grid = field.grid.detach().cpu().numpy()
+    return grid[..., 0], grid[..., 1:]
+
+
+def depth_of(field: Field, views: Views) -> np.ndarray:
+    """Distances from the cameras to what they see, NaN where rays pass through.
+
+    The renderer's own sum with the distance in place of the radiance: Σ (T_i − T_{i+1}) t_i over the opacity.
+
+    Args:
+        field: the scene.
+        views: where from; their images are not looked at.
+
+    Returns:
+        (n, H, W) in the scene's unit.
+    """
+    density, _ = vertex_values(field)
+    axes = [np.linspace(a, b, n) for a, b, n in zip(field.low, field.high, density.shape, strict=True)]
+    out = []
+    for k in range(len(views)):
+        offset = [axis - views.position[k, j] for j, axis in enumerate(axes)]
+        squared = offset[0][:, None, None] ** 2 + offset[1][None, :, None] ** 2 + offset[2][None, None, :] ** 2
+        distances = _like(field, np.stack([density, 0.5 * np.log(np.maximum(squared, 1e-12))], axis=-1))
+        clear = _like(field, np.stack([density, np.full_like(density, -30.0)], axis=-1))
+        one = views.some([k])
+        passed = render_views(clear, one, np.zeros(1))[0, ..., 0]  # transmittance: the background is 1
+        total = render_views(distances, one, np.zeros(1))[0, ..., 0] - passed
+        opacity = 1.0 - passed
+        out.append(np.where(opacity > SEEN, total / np.maximum(opacity, SEEN), np.nan))
+    return np.array(out)
+
+
+def mesh_of(field: Field) -> Mesh:
+    """The surface where one cell lets half of the light through, by marching cubes.
+
+    Args:
+        field: the scene.
+
+    Returns:
+        The mesh; it is closed, and coloured by the radiance of the field there.
+
+    Raises:
+        InputError: nothing in the field is that dense.
+    """
+    from scipy.ndimage import map_coordinates
+    from skimage.measure import marching_cubes
+
+    density, log_radiance = vertex_values(field)
+    level = math.log(-math.log1p(-SURFACE) / field.step)
+    if not density.max() > level:
+        raise InputError("the scene has no surface: nothing in it is opaque")
+    spacing = (field.high - field.low) / (np.array(density.shape) - 1)
+    padded = np.pad(density, 1, constant_values=min(float(density.min()), level - 1))
+    # "ascent": density is high inside, so that normals and the faces' sense point outwards
+    vertices, faces, normals, _ = marching_cubes(padded, level, gradient_direction="ascent")
+    at = np.clip(vertices - 1, 0, np.array(density.shape) - 1)
+    radiance = np.stack([
+        np.exp(map_coordinates(log_radiance[..., c], at.T, order=1)) for c in range(log_radiance.shape[-1])
+    ], axis=-1)  # fmt: skip
+    return Mesh(field.low + (vertices - 1) * spacing, normals, radiance, faces)
+
+
+def _like(field: Field, grid: np.ndarray) -> Field:
+    """A field of one colour with another grid, before a background of 1."""
+    other = Field(field.low, field.high, grid.shape[0], 1, [1.0])
+    other.grid = torch.nn.Parameter(torch.from_numpy(np.ascontiguousarray(grid, np.float32)))
+    other.occupied = field.occupied
+    return other

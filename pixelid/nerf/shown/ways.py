@@ -1,0 +1,152 @@
+"""Where to look from: around the scene, or the poses of a file."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from pixelid.documents import read_json
+from pixelid.errors import InputError
+from pixelid.nerf.arrays import finite, read_arrays
+from pixelid.nerf.camera import Camera, pinhole
+from pixelid.nerf.dataset import POSES
+from pixelid.nerf.scenes import looking_at_centre, on_sphere
+from pixelid.nerf.views import (
+    FOLDER,
+    OPENGL,
+    STAGES,
+    camera_of_document,
+    image_of,
+    picture_of,
+    pose_of_frame,
+    views_folder,
+)
+
+FIELD_OF_VIEW = 0.6911  # rad, as of the published synthetic scenes
+ORBIT_ELEVATION, SPIRAL_ELEVATIONS = 0.4, (0.0, 0.9)  # rad; a spiral goes from the one to the other in two turns
+SPIRAL_TURNS = 2.0
+
+
+@dataclass(frozen=True)
+class Way:
+    """Cameras one after the other.
+
+    position: (n, 3), rotation: (n, 3, 3) camera to world (x right, y down, z forward);  camera: of them all;  names: n
+    """
+
+    position: np.ndarray
+    rotation: np.ndarray
+    camera: Camera
+    names: tuple[str, ...]
+
+    def __len__(self) -> int:
+        return len(self.position)
+
+
+def around(
+    low, high, kind: str, frames: int, size: tuple[int, int], *, fov: float = FIELD_OF_VIEW, up=(0.0, 0.0, 1.0),
+    distance: float | None = None,
+) -> Way:  # fmt: skip
+    """A way around the scene that looks at its centre.
+
+    Args:
+        low: (3,) corner of its box.
+        high: (3,) corner of its box.
+        kind: "orbit", one turn at one elevation, or "spiral", two turns that rise.
+        frames: on the way.
+        size: width and height in pixels.
+        fov: horizontal field of view, rad.
+        up: (3,) what is up in the scene.
+        distance: of the camera from the centre; by default so that the box' middle fills the view.
+
+    Returns:
+        The way; its last frame is one step before the first, so that an orbit plays in a loop.
+
+    Raises:
+        InputError: a direction of no length.
+    """
+    low, high, up = np.asarray(low, float), np.asarray(high, float), np.asarray(up, float)
+    if not np.linalg.norm(up) > 0:
+        raise InputError(f"--up: expected a direction, found {up.tolist()}")
+    centre, camera = 0.5 * (low + high), pinhole(*size, fov)
+    away = 0.5 * float((high - low).max()) / np.tan(fov / 2) if distance is None else distance
+    share = np.arange(frames) / frames
+    turns, (first, last) = (1.0, (ORBIT_ELEVATION,) * 2) if kind == "orbit" else (SPIRAL_TURNS, SPIRAL_ELEVATIONS)
+    azimuth, elevation = 2 * np.pi * turns * share, first + (last - first) * share
+    upright = _upright(up / np.linalg.norm(up))
+    seen_from = on_sphere(azimuth, elevation, away)
+    rotation = upright @ looking_at_centre(seen_from)
+    names = tuple(f"{kind}_{k:04d}" for k in range(frames))
+    return Way(centre + seen_from @ upright.T, rotation, camera, names)
+
+
+def way_of_file(path: Path, size: tuple[int, int] | None, fov: float = FIELD_OF_VIEW, most: int = 10_000) -> Way:
+    """The poses of a file, in its order.
+
+    Args:
+        path: a `transforms_*.json`, a dataset folder (its test views, else val, else train), or a `camera_poses.npz`.
+        size: width and height in pixels; by default those of the first picture, or 400 × 400.
+        fov: horizontal field of view [rad] where the file has none.
+        most: poses; more are thinned out evenly.
+
+    Returns:
+        The way.
+
+    Raises:
+        InputError: naming what the file lacks.
+    """
+    if path.is_dir():
+        path = _inside(path)
+    if not path.is_file():
+        raise InputError(f"{path}: no such file; expected transforms_*.json, a dataset folder, or {POSES}")
+    if path.suffix == ".npz":
+        arrays = read_arrays(path, ("T_wc_position", "T_wc_orientation"))
+        position, turned = (finite(path, key, arrays[key]) for key in ("T_wc_position", "T_wc_orientation"))
+        if position.ndim != 2 or position.shape[1] != 3 or turned.shape not in (
+            (len(position), 4), (len(position), 3, 3)
+        ):  # fmt: skip
+            raise InputError(f"{path}: T_wc_position, T_wc_orientation: expected (n, 3) and (n, 4)")
+        some = np.unique(np.linspace(0, len(position) - 1, min(len(position), most)).round().astype(int))
+        rotation = turned[some] if turned.ndim == 3 else Rotation.from_quat(turned[some]).as_matrix()
+        names = tuple(f"pose_{k:05d}" for k in some)
+        return Way(position[some], rotation, pinhole(*(size or (400, 400)), fov), names)
+    document = read_json(path)
+    frames = document.get("frames")
+    if not isinstance(frames, list) or not frames:
+        raise InputError(f"{path}: frames: expected a list of at least one view")
+    poses = np.array([pose_of_frame(path, k, frame) for k, frame in enumerate(frames[:most])])
+    names = tuple(f"{k:04d}_{Path(str(frame['file_path'])).name}" for k, frame in enumerate(frames[:most]))
+    shape = size or _shape(path, str(frames[0]["file_path"]))
+    stated = "camera_angle_x" in document or "intrinsics" in document
+    camera = camera_of_document(path, document, *shape) if stated else pinhole(*shape, fov)
+    return Way(poses[:, :3, 3], poses[:, :3, :3] @ OPENGL, camera, names)
+
+
+def _inside(folder: Path) -> Path:
+    views = views_folder(folder)
+    for stage in reversed(STAGES):
+        if views is not None and (views / f"transforms_{stage}.json").is_file():
+            return views / f"transforms_{stage}.json"
+    if (folder / POSES).is_file():
+        return folder / POSES
+    raise InputError(f"{folder}: neither {FOLDER}/ nor {POSES} there; expected a dataset")
+
+
+def _shape(path: Path, name: str) -> tuple[int, int]:
+    """Width and height of a view's picture, or a default where it is not there."""
+    try:
+        height, width = image_of(picture_of(path, name)).shape[:2]
+    except InputError:
+        return 400, 400
+    return width, height
+
+
+def _upright(up: np.ndarray) -> np.ndarray:
+    """(3, 3) the least rotation whose third column is `up`; the identity for z."""
+    axis = np.cross([0.0, 0.0, 1.0], up)
+    if np.linalg.norm(axis) < 1e-9:  # along z, or against it
+        return np.eye(3) if up[2] > 0 else np.diag([1.0, -1.0, -1.0])
+    return Rotation.from_rotvec(axis / np.linalg.norm(axis) * np.arccos(np.clip(up[2], -1, 1))).as_matrix()

@@ -1,0 +1,210 @@
+"""What a reconstruction shows: a ball whose views, depth, mesh and splats are known."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from test_schemas import check
+
+import pixelid as px
+from pixelid.cli.main import main
+from pixelid.nerf.evaluate import render_views
+from pixelid.nerf.field import Field
+from pixelid.nerf.saved import SavedReconstruction
+from pixelid.nerf.shown.ways import around
+from pixelid.nerf.views import Views
+
+RADIUS, CENTRE, CELLS = 0.6, np.array([0.2, -0.1, 0.0]), 32
+CORRECTION = {"a": 0.8, "b": 0.9, "c": 0.01}
+
+
+def ball(colours: int) -> Field:
+    """Opaque inside a radius, brighter towards +x, before a background of 0.3."""
+    field = Field(np.full(3, -1.0), np.full(3, 1.0), CELLS + 1, colours, [0.3] * colours)
+    axis = np.linspace(-1, 1, CELLS + 1)
+    x, y, z = np.meshgrid(axis, axis, axis, indexing="ij")
+    r = np.sqrt((x - CENTRE[0]) ** 2 + (y - CENTRE[1]) ** 2 + (z - CENTRE[2]) ** 2)
+    density = 8.0 * np.tanh((RADIUS - r) * 20) + 2.0
+    colour = np.stack([np.log(0.4 + 0.3 * x + 0.05 * c) for c in range(colours)], axis=-1)
+    grid = np.concatenate([density[..., None], colour], axis=-1)
+    field.grid = torch.nn.Parameter(torch.from_numpy(grid.astype(np.float32)))
+    return field
+
+
+def content(views: bool, status: str = "converged") -> dict:
+    per_view = [{"name": "r_0", "psnr": 30.0, "ssim": 0.9, "lpips": None}] if views else []
+    return {
+        "status": status, "advice": "", "bandwidth": "off", "ignored": [], "correction": CORRECTION,
+        "views": {"psnr": 30.0, "ssim": 0.9, "lpips": None, "per_view": per_view}, "held_out_residual": 0.3,
+        "seconds": 1.0, "pixel": {"dark": [0.05]}, "lpips_note": "", "iterations": 1, "device": "cpu", "samples": 1,
+        "rays_per_second": 1.0, "gauge": {"kind": "free", "background": 1.0}, "history": [], "seed": 0, "versions": {},
+        "box": {"low": [-1.0] * 3, "high": [1.0] * 3}, "inputs_sha256": {},
+    }  # fmt: skip
+
+
+@pytest.fixture
+def folder(tmp_path) -> Path:
+    SavedReconstruction(content(True), ball(1)).save(tmp_path / "scene")
+    return tmp_path / "scene"
+
+
+def read_ply(path: Path) -> dict[str, np.ndarray]:
+    """The elements of a binary PLY, by the format's definition."""
+    kinds = {"float": "<f4", "uchar": "u1", "int": "<i4"}
+    head, body = path.read_bytes().split(b"end_header\n", 1)
+    lines = head.decode().splitlines()
+    assert lines[:2] == ["ply", "format binary_little_endian 1.0"]
+    elements: list[tuple[str, int, list]] = []
+    for words in (line.split() for line in lines[2:]):
+        if words[0] == "element":
+            elements.append((words[1], int(words[2]), []))
+        elif words[1] == "list":
+            elements[-1][2].extend([("number", kinds[words[2]]), ("vertices", kinds[words[3]], 3)])
+        else:
+            elements[-1][2].append((words[2], kinds[words[1]]))
+    out = {}
+    for name, number, fields in elements:
+        kind = np.dtype(fields)
+        out[name], body = np.frombuffer(body[: number * kind.itemsize], kind), body[number * kind.itemsize :]
+    assert not body
+    return out
+
+
+def test_frames_are_the_views_that_are_scored(folder, tmp_path):
+    """The poses of a file, the dark current, and the correction: what `evaluate` compares with test views."""
+    from skimage.io import imread
+
+    way = around([-1] * 3, [1] * 3, "spiral", 5, (24, 20), fov=0.7)
+    opengl = np.diag([1.0, -1.0, -1.0])
+    frames = []
+    for k in range(5):
+        pose = np.eye(4)
+        pose[:3, :3], pose[:3, 3] = way.rotation[k] @ opengl, way.position[k]
+        frames.append({"file_path": f"./test/r_{k}", "transform_matrix": pose.tolist()})
+    file = tmp_path / "transforms_test.json"
+    file.write_text(json.dumps({"camera_angle_x": 0.7, "frames": frames}))
+    words = ["render", str(folder), "--out", str(tmp_path / "out"), "--views", str(file), "--size", "24", "20"]
+    assert main([*words, "--quiet"]) == 0
+    views = Views(
+        np.empty((5, 20, 24, 1)), way.position, way.rotation, way.camera, ("",) * 5, np.ones(5), False, 1.0
+    )  # fmt: skip
+    radiance = render_views(px.load_field(folder), views, np.array([0.05]))[..., 0]
+    expected = 0.8 * radiance**0.9 - 0.01
+    for k in range(5):
+        found = imread(tmp_path / "out" / "frames" / f"{k:04d}_r_{k}.png")
+        np.testing.assert_allclose(found[..., 1] / 255, np.clip(expected[k], 0, 1), atol=0.5 / 255 + 1e-6)
+    result = json.loads((tmp_path / "out" / "render.json").read_text())
+    check("render", result)
+    np.testing.assert_allclose(result["frames"][2]["position"], way.position[2])
+    assert (tmp_path / "out" / "report.html").is_file()
+
+
+def test_an_orbit_looks_at_the_middle_with_depth(folder, tmp_path):
+    words = ["render", str(folder), "--out", str(tmp_path / "out"), "--frames", "3", "--size", "33", "33", "--depth"]
+    assert main([*words, "--up", "0", "1", "0", "--distance", "4", "--quiet"]) == 0
+    result = json.loads((tmp_path / "out" / "render.json").read_text())
+    check("render", result)
+    for frame in result["frames"]:
+        position, rotation = np.array(frame["position"]), np.array(frame["rotation"])
+        np.testing.assert_allclose(rotation[:, 2], -position / 4, atol=1e-9)  # at the origin, from 4 away
+        assert position[1] == pytest.approx(4 * np.sin(0.4))
+        assert rotation[1, 1] < 0  # down in the picture is down in the scene
+        depth = np.load(tmp_path / "out" / "depth" / f"{frame['name']}.npy")
+        axis = -position / 4  # the middle ray meets the ball where (p + t a − c)² = r²
+        along, off = (CENTRE - position) @ axis, np.linalg.norm(np.cross(axis, CENTRE - position))
+        assert depth[16, 16] == pytest.approx(along - np.sqrt(RADIUS**2 - off**2), abs=2 / CELLS)
+        assert np.isnan(depth[0, 0])
+
+
+def test_a_mesh_and_splats_of_the_ball(tmp_path):
+    SavedReconstruction(content(True), ball(3)).save(tmp_path / "scene")
+    words = ["render", str(tmp_path / "scene"), "--out", str(tmp_path / "out"), "--frames", "1", "--size", "8", "8"]
+    assert main([*words, "--mesh", "--splats", "--quiet"]) == 0
+    mesh = read_ply(tmp_path / "out" / "mesh.ply")
+    vertices = np.column_stack([mesh["vertex"][name] for name in "xyz"])
+    normals = np.column_stack([mesh["vertex"][f"n{name}"] for name in "xyz"])
+    faces = mesh["face"]["vertices"]
+    assert (mesh["face"]["number"] == 3).all()
+    outwards = (vertices - CENTRE) / np.linalg.norm(vertices - CENTRE, axis=1, keepdims=True)
+    np.testing.assert_allclose(np.linalg.norm(vertices - CENTRE, axis=1), RADIUS, atol=2 / CELLS)
+    assert (normals * outwards).sum(axis=1).min() > 0.8
+    corner = vertices[faces]
+    turned = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    volume = np.einsum("ni,ni->n", corner[:, 0] - CENTRE, turned).sum() / 6
+    assert volume == pytest.approx(4 / 3 * np.pi * RADIUS**3, rel=0.1)  # closed, its faces turned outwards
+    radiance = 0.4 + 0.3 * vertices[:, 0] + 0.05  # the second colour
+    expected = 255 * (0.8 * (radiance + 0.05) ** 0.9 - 0.01)
+    np.testing.assert_allclose(mesh["vertex"]["green"], expected, atol=2.5)
+    splats = read_ply(tmp_path / "out" / "splats.ply")["vertex"]
+    assert splats.dtype.names[:3] == ("x", "y", "z")
+    assert {"f_dc_0", "f_dc_2", "opacity", "scale_2", "rot_0", "rot_3"} <= set(splats.dtype.names)
+    r = np.linalg.norm(np.column_stack([splats[name] for name in "xyz"]) - CENTRE, axis=1)
+    assert 0.4 < r.min() < r.max() < RADIUS + 4 / CELLS  # a shell: nobody sees inside
+    np.testing.assert_allclose(np.exp(splats["scale_0"]), 2 / CELLS / np.sqrt(2 * np.pi), rtol=1e-5)
+    assert (1 / (1 + np.exp(-splats["opacity"]))).max() > 0.99
+    green = 0.5 + 0.28209479177387814 * splats["f_dc_1"]
+    expected = 0.8 * (0.4 + 0.3 * splats["x"] + 0.05 + 0.05) ** 0.9 - 0.01
+    np.testing.assert_allclose(green, expected, atol=2.5 / 255)
+
+
+def test_a_video_plays_every_frame(folder, tmp_path):
+    av = pytest.importorskip("av")
+    words = ["render", str(folder), "--out", str(tmp_path / "out"), "--frames", "7", "--size", "33", "17", "--video"]
+    assert main([*words, "--path", "spiral", "--depth", "--fps", "10", "--quiet"]) == 0
+    for name in ("video.mp4", "depth.mp4"):
+        with av.open(str(tmp_path / "out" / name)) as container:
+            frames = list(container.decode(video=0))
+            assert container.streams.video[0].codec_context.name == "h264"
+        assert len(frames) == 7
+        assert min(frames[0].width, frames[0].height) >= 256
+        assert frames[0].width % 2 == frames[0].height % 2 == 0
+
+
+def test_without_av_the_frames_remain(folder, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("pixelid.nerf.shown.video.can_write", lambda: False)
+    words = ["render", str(folder), "--out", str(tmp_path / "out"), "--frames", "2", "--size", "8", "8", "--video"]
+    assert main(words) == 0
+    assert "pixelid[video]" in capsys.readouterr().out
+    assert len(list((tmp_path / "out" / "frames").iterdir())) == 2
+    assert not (tmp_path / "out" / "video.mp4").exists()
+
+
+def test_a_scene_without_views_is_shown_by_its_own_brightness(tmp_path, capsys):
+    SavedReconstruction(content(False, "misfit"), ball(1)).save(tmp_path / "scene")
+    words = ["render", str(tmp_path / "scene"), "--out", str(tmp_path / "out"), "--frames", "1", "--size", "16", "16"]
+    assert main(words) == 0
+    printed = capsys.readouterr().out
+    assert "no views" in printed
+    assert "misfit" in printed
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["{none}"], "found nothing of that name"),
+        (["{empty}"], "reconstruction.json"),
+        (["{scene}", "--views", "{none}"], "no such file"),
+        (["{scene}", "--views", "{empty}"], "neither views/ nor camera_poses.npz"),
+        (["{scene}", "--views", "{empty}", "--path", "orbit"], "--path orbit"),
+        (["{scene}", "--path", "zigzag"], "zigzag"),
+        (["{scene}", "--up", "0", "0", "0"], "--up"),
+        (["{scene}", "--frames", "0"], "--frames"),
+        (["{clear}", "--mesh", "--frames", "1", "--size", "4", "4"], "no surface"),
+        (["{clear}", "--splats", "--frames", "1", "--size", "4", "4"], "no splats"),
+    ],
+)
+def test_wrong_usage_is_refused(words, says, folder, tmp_path, capsys):
+    (tmp_path / "empty").mkdir()
+    nothing = Field(np.full(3, -1.0), np.full(3, 1.0), 9, 1, [0.3])
+    with torch.no_grad():
+        nothing.grid[..., 0] = -9.0
+    SavedReconstruction(content(True), nothing).save(tmp_path / "clear")
+    names = {name: str(tmp_path / name) for name in ("none", "empty", "scene", "clear")}
+    filled = [word.format(**names) for word in words]
+    assert main(["render", filled[0], "--out", str(tmp_path / "out"), *filled[1:]]) == 2
+    printed = capsys.readouterr().err
+    assert 1 <= len(printed.splitlines()) <= 2
+    assert says in printed
+    assert not (tmp_path / "out").exists()

@@ -1,0 +1,83 @@
+"""Events lost on their way out: simulated, in the likelihood and its derivative, and found again."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pixelid.fit.coordinates import Coordinates
+from pixelid.fit.event_times import EventTimesObjective
+from pixelid.fit.maximise import maximise
+from pixelid.gap.gap import gap
+from pixelid.likelihood.event_times import EventTimes
+from pixelid.model.shipped import find_model
+from pixelid.simulate import simulate, simulate_stream
+from pixelid.stimuli.resample import resampled
+from pixelid.stimuli.shapes import chirp, steps
+
+FRACTION = 0.05
+MODEL = find_model("dvs128").set({"threshold_sigma": 0.03, "refractory_s": 2e-4})
+LOSSY = MODEL.with_effect("lost_events", {"fraction": FRACTION})
+LIGHTS = (chirp(60.0, stop_hz=40.0, duration_s=0.6), steps(60.0, seed=1, duration_s=0.6))
+
+
+def thinned(side, seed=0):
+    """Recordings without the effect, of whose events a share was taken away by hand."""
+    rng, made = np.random.default_rng(seed), []
+    for i, light in enumerate(LIGHTS):
+        r = simulate(MODEL, resampled(light, "smooth"), width=side, height=side, seed=i, sensor_seed=3)
+        kept = rng.random(len(r.events)) > FRACTION
+        made.append(replace(r, events=r.events.select(kept), stimulus=light, condition=f"part_{i}", attributes={}))
+    return made
+
+
+@pytest.fixture(scope="module")
+def likelihood():
+    return EventTimes([r.with_stimulus(resampled(r.stimulus, "smooth")) for r in thinned(3)])
+
+
+def test_the_simulator_drops_its_share_and_nothing_else():
+    light = resampled(LIGHTS[0], "smooth")
+    whole, less = (simulate(m, light, width=8, height=8, seed=5).events for m in (MODEL, LOSSY))
+    n, lost = len(whole), len(whole) - len(less)
+    assert abs(lost - FRACTION * n) < 4.0 * np.sqrt(FRACTION * (1 - FRACTION) * n)
+    keys = [set(zip(e.t.tolist(), e.pixel.tolist(), e.p.tolist(), strict=True)) for e in (whole, less)]
+    assert keys[1] < keys[0]
+    streamed = np.concatenate([part.t for part in simulate_stream(LOSSY, light, width=8, height=8, seed=5)])
+    np.testing.assert_array_equal(streamed, less.t)
+
+
+def test_the_derivative_by_the_fraction_is_a_difference_of_values(likelihood):
+    objective = EventTimesObjective(likelihood, Coordinates.of(LOSSY))
+    x = objective.coordinates.start
+    i = objective.coordinates.names.index("lost_events.fraction")
+    up, down = x.copy(), x.copy()
+    up[i], down[i] = x[i] + 1e-4, x[i] - 1e-4
+    slope = (objective.value(up) - objective.value(down)) / 2e-4
+    assert objective.gradient(x)[i] == pytest.approx(slope, rel=0.02, abs=0.5)
+
+
+def test_the_fraction_comes_back_and_little_stays_unexplained(likelihood):
+    plain = maximise(likelihood, MODEL, tolerance=0.1, max_steps=20)
+    found = maximise(likelihood, LOSSY.set({"lost_events.fraction": 0.01}), tolerance=0.1, max_steps=20)
+    n = likelihood.events
+    assert found.value > plain.value + 50.0
+    assert abs(found.values["lost_events.fraction"] - FRACTION) < 4.0 * np.sqrt(FRACTION / n)
+    assert found.unexplained < 0.2 * plain.unexplained
+    for name in ("on_threshold", "off_threshold"):
+        assert found.values[name] == pytest.approx(MODEL.values[name], rel=0.02)
+
+
+def test_where_nothing_was_lost_the_effect_gains_nothing():
+    made = [simulate(MODEL, resampled(light, "smooth"), width=2, height=2, seed=7, sensor_seed=1) for light in LIGHTS]
+    whole = EventTimes(made)
+    none, few = (whole.log_likelihood(LOSSY.set({"lost_events.fraction": f}).circuit()) for f in (1e-5, 1e-3))
+    assert abs(none - whole.log_likelihood(MODEL.circuit())) < 0.2
+    assert few < none
+
+
+@pytest.mark.slow
+def test_lost_events_are_named():
+    report = gap(thinned(3), find_model("dvs128"), recommend=False)
+    assert (report.verdict, [e.name for e in report.effects]) == ("named", ["lost_events"])
+    assert report.effects[0].parameters["lost_events.fraction"][0] == pytest.approx(FRACTION, rel=0.15)

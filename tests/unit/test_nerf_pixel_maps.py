@@ -1,0 +1,151 @@
+"""What differs from pixel to pixel: thresholds trained under their prior, maps of a sensor, hot pixels left out."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from pixelid.errors import InputError
+from pixelid.model.shipped import find_model
+from pixelid.nerf.camera import pinhole
+from pixelid.nerf.intervals import chains, intervals
+from pixelid.nerf.losses import changes, terms, variance_left
+from pixelid.nerf.pixel import Bandwidth, Pixel
+from pixelid.nerf.pixel_maps import PixelMaps, find_hot, maps_of_circuit, maps_of_sensor
+from pixelid.sensors import SensorFit
+from pixelid.sensors.map import Map
+from pixelid.sensors.shrinkage import Population
+from pixelid.stages.circuit import Circuit
+
+CIRCUIT = Circuit(photoreceptor="unlimited", on_threshold=0.2, off_threshold=0.25, mismatch=0.1)
+
+
+def crossings(u, t, on: float, off: float):
+    """(times, polarities) at which light u (n,) has moved by a threshold since the event before."""
+    level, times, polarity = u[0], [], []
+    for now, value in zip(t, u, strict=True):
+        if value - level >= on or level - value >= off:
+            times.append(now)
+            polarity.append(value > level)
+            level = value
+    return np.array(times), np.array(polarity, bool)
+
+
+def test_thresholds_of_single_pixels_are_found_under_their_prior():
+    """On the true light: thresholds that differ by 10 % come back to 3 %, and their mean stays the circuit's."""
+    rng = np.random.default_rng(0)
+    truth = 0.1 * rng.normal(size=(24, 2))
+    truth -= truth.mean(axis=0)
+    t = np.linspace(0.0, 1.0, 20_001)
+    columns = []
+    for pixel, (on, off) in enumerate(truth):
+        u = np.sin(2 * np.pi * 7 * t + pixel) + 0.6 * np.sin(2 * np.pi * 17 * t + 2 * pixel)
+        when, up = crossings(u, t, 0.2 * math.exp(on), 0.25 * math.exp(off))
+        columns.append((when, np.full(len(when), pixel), up))
+    when, x, up = (np.concatenate(column) for column in zip(*columns, strict=True))
+    spans = intervals(when, x, np.zeros_like(x), up, 24)
+    batch = chains(spans, np.arange(0, len(spans.starts), 16), 1, 1.0, rng)
+    phase = np.repeat(batch.pixel, np.diff(batch.first))
+    light = np.sin(2 * np.pi * 7 * batch.t + phase) + 0.6 * np.sin(2 * np.pi * 17 * batch.t + 2 * phase)
+    pixel = Pixel(CIRCUIT, Bandwidth("off"), maps_of_circuit(CIRCUIT, 24))
+    level = torch.tensor(light)
+    change = changes(level, level, batch, None)
+    optimiser = torch.optim.Adam([pixel.departures], lr=0.1)
+    for _ in range(150):
+        thresholds = pixel.thresholds_at(batch.pixel)
+        left = variance_left(change, batch, *thresholds)
+        loss = terms(change, level, batch, *thresholds)["diff"] + pixel.penalty(left) / len(spans.starts)
+        optimiser.zero_grad()
+        loss.backward()
+        optimiser.step()
+    on, off = pixel.thresholds_at(np.arange(24))
+    found = torch.log(torch.cat([on / 0.2, off / 0.25], dim=1)).detach().numpy()
+    assert np.sqrt(((found - truth) ** 2).mean()) < 0.03
+    np.testing.assert_allclose(found.mean(axis=0), 0.0, atol=1e-9)
+    assert pixel.threshold_spread()[0] == pytest.approx(0.1, rel=0.4)
+
+
+def test_known_thresholds_are_not_trained():
+    known = maps_of_circuit(CIRCUIT.with_(mismatch=0.0), 4)
+    pixel = Pixel(CIRCUIT, Bandwidth(), PixelMaps(np.full((4, 2), 0.1), known.threshold_sd))
+    assert not pixel.departures.requires_grad
+    on, off = pixel.thresholds_at(np.array([3]))
+    assert float(on.detach()) == pytest.approx(0.2 * math.exp(0.1))
+    assert float(off.detach()) == pytest.approx(0.25 * math.exp(0.1))
+
+
+def of_values(name: str, value: np.ndarray, sd: float) -> Map:
+    """A map of these values."""
+    log, error = np.log(value), np.full(value.shape, sd)
+    return Map(name, "", log, error, log, error, Population(float(log.mean()), 0.1, value.size), (0, 0), (0, 0))
+
+
+def sensor(folder, maps, events, block=1):
+    """A folder as `pixelid sensor` writes it."""
+    folder.mkdir()
+    model = find_model("dvs128")
+    SensorFit({m.name: m for m in maps}, events, 1, block, model, 1.0, 0, {}).write(folder)
+    return folder
+
+
+def test_maps_of_a_sensor_replace_the_mismatch(tmp_path):
+    """6 × 4 pixels; bandwidth in blocks of 2 × 2, relative to the model that the map was made with."""
+    rng = np.random.default_rng(1)
+    on, off = 0.3 * np.exp(0.1 * rng.normal(size=(2, 4, 6)))
+    follower = find_model("dvs128").values["sf_cutoff_hz"] * np.array([[1.0, 0.5, 2.0], [1.0, 1.0, 1.0]])
+    events = np.full((4, 6), 100)
+    events[2, 3] = 100_000
+    maps = [of_values("on_threshold", on, 0.02), of_values("off_threshold", off, 0.03),
+            of_values("sf_cutoff_hz", follower, 0.05)]  # fmt: skip
+    folder = sensor(tmp_path / "maps", maps, events, block=2)
+    found = maps_of_sensor(folder, CIRCUIT, pinhole(6, 4, 0.7))
+    pixel = Pixel(CIRCUIT.with_(photoreceptor="one_pole", corner=100.0, follower=1e4), Bandwidth(), found)
+    shown = [x.detach().numpy().reshape(4, 6) for x in pixel.thresholds_at(np.arange(24))]
+    np.testing.assert_allclose(shown, [on, off], rtol=1e-6)
+    np.testing.assert_allclose(found.threshold_sd, [[0.02, 0.03]] * 24)
+    rates = pixel.dynamics_at(np.array([0, 2, 4, 17])).numpy()[:, 3]
+    np.testing.assert_allclose(rates, 1e4 * np.array([1.0, 0.5, 2.0, 1.0]))
+    assert found.hot.tolist() == [2 * 6 + 3]
+    assert found.unused == ()
+    with pytest.raises(InputError, match=r"expected 5 × 4 as in the dataset, found 6 × 4"):
+        maps_of_sensor(folder, CIRCUIT, pinhole(5, 4, 0.7))
+
+
+def test_a_map_without_a_place_is_named(tmp_path):
+    events = np.full((3, 3), 50)
+    folder = sensor(tmp_path / "maps", [of_values("lower_cutoff.cutoff_hz", np.full((3, 3), 0.5), 0.1)], events)
+    found = maps_of_sensor(folder, CIRCUIT, pinhole(3, 3, 0.7))
+    assert found.unused == ("map of lower_cutoff.cutoff_hz",)
+    assert found.bandwidth is None
+    np.testing.assert_array_equal(found.threshold_sd, 0.1)  # no map of thresholds: the circuit's mismatch
+
+
+def test_hot_pixels_are_those_that_no_light_explains():
+    """Balanced events whose rate varies 30-fold along an edge hide nobody; ON events that nothing answers do."""
+    rng = np.random.default_rng(2)
+    side = 24
+    rate = 8.0 + 240.0 * np.exp(-(((np.arange(side) - 9) / 2.0) ** 2))
+    counts = rng.poisson(np.tile(rate, (side, 1)))
+    pixel = np.repeat(np.arange(side * side), counts.ravel())
+    on = np.arange(len(pixel)) % 2 == 0
+    camera = pinhole(side, side, 0.7)
+    y, x = np.divmod(pixel, side)
+    assert len(find_hot(x, y, on, camera, CIRCUIT, 1.0)) == 0
+    slow, fast = 5 * side + 20, 11 * side + 3
+    extra = np.repeat([slow, fast], [60, 4000])
+    pixel, on = np.concatenate([pixel, extra]), np.concatenate([on, np.ones(len(extra), bool)])
+    y, x = np.divmod(pixel, side)
+    assert find_hot(x, y, on, camera, CIRCUIT, 1.0).tolist() == [slow, fast]
+
+
+def test_drifting_thresholds_and_their_memory_are_those_of_each_event():
+    t = np.array([0.0, 1.0, 2.0, 3.0, 4.0, 0.5, 1.5])
+    on = np.array([True, True, False, False, True, True, False])
+    x = np.array([0, 0, 0, 0, 0, 1, 1])
+    spans = intervals(t, x, np.zeros(7, int), on, 2, drift=0.1, memory=0.05).stretches
+    np.testing.assert_allclose(spans.rise, [1.1 + 0.05, 0, 0, 1.4 - 0.05, 0])
+    np.testing.assert_allclose(spans.fall, [0, 1.2 - 0.05, 1.3 + 0.05, 0, 1.15 - 0.05])
+    merged = intervals(t, x, np.zeros(7, int), on, 2, drift=0.1, memory=0.05, shortest=10.0).stretches
+    np.testing.assert_allclose(merged.rise, [1.15 + 1.35, 0.0])
+    np.testing.assert_allclose(merged.fall, [1.15 + 1.35, 1.1])
