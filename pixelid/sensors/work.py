@@ -239,7 +239,7 @@ def _client(where: Where, distributed: Any) -> Iterator[Any]:
 async def _workers_of(address: str, security: Any) -> int:
     """How many workers the scheduler at an address has, asked within `ANSWER_S`: a Dask client may wait for ever."""
     from distributed import Security
-    from distributed.comm import connect
+    from distributed.comm.core import connect
 
     arguments = (security or Security()).get_connection_args("client")
     async with asyncio.timeout(ANSWER_S):
