@@ -351,6 +351,26 @@ def _strength(row: dict) -> str:
     return "; ".join(said)
 
 
+def faults() -> str:
+    """What `tests/faults.py` saw: commands against faults, and kills."""
+    content = of_json("docs/results/faults.json")
+    kinds = ["full disk", "fsync", "rename", "mkdir"]
+    rows = []
+    for name, found in content["faults"].items():
+        cells = [f"{e['survived']} of {e['runs']}" if (e := found.get(kind)) else "none made" for kind in kinds]
+        rows.append((f"`{name}`", *cells))
+    text = table(("command", "full disk", "fsync fails", "rename fails", "mkdir fails"), rows)
+    kills = [(f"`{name}`", e["kills"], e["equal"]) for name, e in content["kills"].items()]
+    return text + ("\n" + table(("command", "kills", "next run equal"), kills) if kills else "")
+
+
+def fuzzing() -> str:
+    """What `tests/fuzz.py` found, run after run."""
+    heads = ("seed", "damaged files", "kinds of file", "answered wrongly", "kinds of wrong answer")
+    found = of_json("docs/results/fuzz.json")
+    return table(heads, ((e["seed"], e["runs"], e["targets"], e["failures"], e["kinds"]) for e in found))
+
+
 PAGES: dict[str, Callable[[], str]] = {
     "effects": effect_library,
     "commands": commands,
@@ -361,6 +381,8 @@ PAGES: dict[str, Callable[[], str]] = {
     "conform_results": conform_results,
     "single_sessions": single_sessions,
     "coverage": coverage,
+    "faults": faults,
+    "fuzzing": fuzzing,
     "ranks": ranks,
     "round_trip": round_trip,
     "reconstruction": reconstruction,

@@ -6,11 +6,13 @@ run continues where it stopped.  Dask gives the tasks of a worker that dies to a
 
 from __future__ import annotations
 
+import asyncio
 import logging
 import os
 import time
 import uuid
 from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import CancelledError, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -194,7 +196,6 @@ def connected(where: Where) -> Iterator[Any]:
         return
     try:
         import distributed
-        from distributed.client import FutureCancelledError
         from distributed.comm.core import CommClosedError
     except ImportError as error:
         raise InputError("--workers and --cluster need dask: pip install 'pixelid[cluster]'") from error
@@ -202,26 +203,24 @@ def connected(where: Where) -> Iterator[Any]:
     try:
         with _client(where, distributed) as client:
             yield client
-    except (FutureCancelledError, CommClosedError) as error:
+    except (CancelledError, CommClosedError) as error:
         raise UntrustworthyResult(f"the Dask scheduler was lost; {GO_ON}") from error
 
 
 @contextmanager
 def _client(where: Where, distributed: Any) -> Iterator[Any]:
     if where.cluster:
+        security = _security(where, distributed)
         try:
-            client = distributed.Client(where.cluster, timeout=ANSWER_S, security=_security(where, distributed))
-        except (OSError, ValueError, RuntimeError, TypeError) as error:  # RuntimeError: TLS without certificates
+            with ThreadPoolExecutor(1) as alone:  # a notebook has a loop of its own in this thread
+                workers = alone.submit(lambda: asyncio.run(_workers_of(where.cluster, security))).result()
+        except Exception as error:  # whatever answers there may say anything
             raise InputError(
                 f"--cluster {shown(where.cluster)}: no Dask scheduler answers there ({first_line(error)})"
-            ) from error
-        with client:
-            try:
-                client.wait_for_workers(1, timeout=ANSWER_S)
-            except TimeoutError as error:
-                raise InputError(
-                    f"--cluster {shown(where.cluster)}: its scheduler has no workers; start some"
-                ) from error
+            ) from None
+        if not workers:
+            raise InputError(f"--cluster {shown(where.cluster)}: its scheduler has no workers; start some")
+        with distributed.Client(where.cluster, timeout=ANSWER_S, security=security) as client:
             yield client
         return
     from dask import config
@@ -235,6 +234,22 @@ def _client(where: Where, distributed: Any) -> Iterator[Any]:
         distributed.Client(cluster) as client,
     ):  # fmt: skip
         yield client
+
+
+async def _workers_of(address: str, security: Any) -> int:
+    """How many workers the scheduler at an address has, asked within `ANSWER_S`: a Dask client may wait for ever."""
+    from distributed import Security
+    from distributed.comm.core import connect
+
+    arguments = (security or Security()).get_connection_args("client")
+    async with asyncio.timeout(ANSWER_S):
+        comm = await connect(address, timeout=ANSWER_S, **arguments)
+        try:
+            await comm.write({"op": "identity", "reply": True})
+            answer = await comm.read()
+            return len(answer["workers"])
+        finally:
+            comm.abort()
 
 
 def _security(where: Where, distributed: Any) -> Any:

@@ -4,7 +4,6 @@ import json
 import os
 import shutil
 import subprocess
-import threading
 import time
 from contextlib import ExitStack
 from pathlib import Path
@@ -166,8 +165,12 @@ def test_a_cluster_that_is_none_is_said_within_seconds(where, tmp_path, sensor, 
             silent.listen()
             address = f"tcp://127.0.0.1:{silent.getsockname()[1]}"
         elif where == "no workers":
-            cluster = LocalCluster(0, host=work.LOOPBACK, dashboard_address=f"{work.LOOPBACK}:0", silence_logs=50)
+            quiet = {"host": work.LOOPBACK, "dashboard_address": f"{work.LOOPBACK}:0", "silence_logs": 50}
+            cluster = LocalCluster(1, threads_per_worker=1, processes=False, protocol="tcp", **quiet)
             address = running.enter_context(cluster).scheduler_address
+            cluster.scale(0)
+            while cluster.scheduler.workers:
+                time.sleep(0.05)
         begun = time.monotonic()
         words = ["sensor", str(tmp_path / "r.h5"), "--model", "dvs128", "--out", str(tmp_path / "maps"), "--quiet"]
         assert main([*words, "--cluster", str(address)]) == 2
@@ -226,27 +229,28 @@ def _square(i: int):
     return {"square": np.array(i * i)}
 
 
-def _waits(i: int):
-    time.sleep(30.0)
-    return {"square": np.array(i * i)}
+@pytest.mark.parametrize(("status", "says"), [("running", "lost every worker"), ("closed", "no longer answers")])
+def test_a_cluster_that_is_lost_is_said(status, says, monkeypatch):
+    class Client:
+        def __init__(self):
+            self.status, self.begun = "running", False
 
+        def nthreads(self):
+            return {} if self.begun else {"a": 1}
 
-@pytest.mark.parametrize("lost", ["worker", "scheduler"])
-def test_a_cluster_that_is_lost_is_said(lost, monkeypatch):
-    from distributed import LocalCluster
+        def submit(self, function, *arguments, **settings):
+            self.begun, self.status = True, status
+            return object()
 
-    monkeypatch.setattr(work, "WORKERS_S", 0.5)
-    monkeypatch.setattr(work, "LOOK_S", 0.1)
-    settings = {"host": work.LOOPBACK, "dashboard_address": f"{work.LOOPBACK}:0", "silence_logs": 50}
+    def nothing_comes(futures, timeout, return_when):
+        time.sleep(timeout)
+        raise TimeoutError
 
-    def run(cluster):
-        with connected(Where(cluster=cluster.scheduler_address)) as client:
-            ending = threading.Timer(1.0, lambda: cluster.scale(0) if lost == "worker" else cluster.close(timeout=1))
-            ending.start()
-            run_tasks(_waits, 2, lambda i: (i,), client=client)
-
-    with LocalCluster(1, **settings) as cluster, pytest.raises(UntrustworthyResult, match="start the same"):
-        run(cluster)
+    monkeypatch.setattr("distributed.wait", nothing_comes)
+    monkeypatch.setattr(work, "WORKERS_S", 0.1)
+    monkeypatch.setattr(work, "LOOK_S", 0.02)
+    with pytest.raises(UntrustworthyResult, match=f"{says}.*start the same command again"):
+        run_tasks(_square, 2, lambda i: (i,), client=Client())
 
 
 def _dies_once(i: int, folder: str):
