@@ -91,6 +91,7 @@ def test_resuming_continues_with_the_same_numbers(made, tmp_path, mode):
     half = train(problem, SMALL, start(problem, SMALL, bandwidth), until=17)
     checkpoint.save(tmp_path / "half.pt", half, "mark")
     resumed = checkpoint.load(tmp_path / "half.pt", problem, SMALL, bandwidth, "mark")
+    assert resumed is not None
     assert resumed.iteration == 17
     train(problem, SMALL, resumed)
     assert torch.equal(whole.field.grid, resumed.field.grid)
@@ -247,6 +248,7 @@ def test_thresholds_of_pixels_are_trained_when_the_fit_has_mismatch(made, tmp_pa
     half = train(problem, SMALL, start(problem, SMALL, Bandwidth("on", 10)), until=7)
     checkpoint.save(tmp_path / "half.pt", half, "mark")
     resumed = checkpoint.load(tmp_path / "half.pt", problem, SMALL, Bandwidth("on", 10), "mark")
+    assert resumed is not None
     train(problem, SMALL, resumed, until=12)
     assert torch.equal(whole.pixel.departures, resumed.pixel.departures)
 
