@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -12,9 +12,10 @@ from pixelid.gap.attribute.attribute import MIN_SCREENED_NATS
 from pixelid.gap.attribute.candidates import remove_effect, start_in_each, strongest_start
 from pixelid.gap.attribute.significance import chance_of_gain, own_values
 from pixelid.gap.detect.pixels import PixelEvidence, per_pixel
+from pixelid.gap.imputation.windows import DELAY
 from pixelid.model.model import Model
 
-POLES = ("source_follower_pole", "extra_pole", "differencing_pole")
+POLES = ("source_follower_pole", "extra_pole", "differencing_pole", "bandwidth_floor")  # and what they stand for
 # Optimiser steps of a screening fit.  Poles trade places with those that the model has, which takes longer.
 SCREEN_STEPS, SCREEN_STEPS_POLES = 6, 15
 SCREEN_STEPS_OWN = 15  # of an effect with values of each recording's own: phases start up to 45° off
@@ -50,7 +51,7 @@ class PixelCandidates:
             start = None if origin is None else strongest_start(pool, origin, effect, self.base_screened.value)
             if start is None:
                 continue
-            end = maximise(pool, start, tolerance=0.3, max_steps=steps, cache=self.cache)
+            end = self._screened(start, steps)
             if best is None or end.value > best.value:
                 best = end
         if best is None:
@@ -58,6 +59,20 @@ class PixelCandidates:
         own = self._screen_in_each(effect, best.value)
         best = best if own is None else own
         return best, best.value - self.base_screened.value
+
+    def _screened(self, start: Model, steps: int) -> Maximum:
+        """A start fitted to a few pixels; where the delay of the stamps is free, also with it held at first.
+
+        Far from the optimum a delay runs to its bound in the place of what is missing, and holds the fit there.
+        """
+        pool, cache = self.evidence.screening, self.cache
+        end = maximise(pool, start, tolerance=0.3, max_steps=steps, cache=cache)
+        if DELAY not in start.free:
+            return end
+        held = maximise(pool, start.fix({DELAY: None}), tolerance=0.3, max_steps=steps, cache=cache).model
+        freed = replace(held, parameters={**held.parameters, DELAY: start.parameter(DELAY)})
+        again = maximise(pool, freed, tolerance=0.3, max_steps=steps, cache=cache)
+        return again if again.value > end.value else end
 
     def _screen_in_each(self, effect: str, shared: float) -> Maximum | None:
         """The effect with what starts anew free in each recording; None where that is not surely worth it.
