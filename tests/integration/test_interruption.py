@@ -46,13 +46,31 @@ home.run()
 """
 
 
+def heeded() -> None:
+    """Ctrl-C means something here, also where a shell started the tests in the background, which ignores it."""
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+@pytest.fixture(autouse=True)
+def _heeded():
+    before = signal.getsignal(signal.SIGINT)
+    heeded()
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
 @pytest.mark.parametrize("what", BUSY)
 def test_ctrl_c_ends_a_run(what, tmp_path):
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "fit.json").write_text("{}")
     run = RUN.replace("{busy}", BUSY[what].strip().replace("\n", "\n            "))
     started = subprocess.Popen(
-        [sys.executable, "-c", run], cwd=tmp_path, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE
+        [sys.executable, "-c", run],
+        cwd=tmp_path,
+        text=True,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        preexec_fn=heeded,
     )
     assert started.stdout is not None
     assert started.stdout.readline() == "busy\n"
