@@ -56,13 +56,15 @@ def command(
 
     keep = out.with_name(out.name + ".tiles")
     with claimed(out, overwrite, [*recordings, model]):
+        from pixelid.model.shipped import find_model
+        from pixelid.recordings import open_recordings
+        from pixelid.recordings.reading import check_readable
+
+        circuit = find_model(model)
+        check_readable(recordings)  # before anything slow is imported
         from pixelid.sensors.work import Where
 
         where = Where(cluster, workers, tls_ca, tls_cert, tls_key)
-        from pixelid.model.shipped import find_model
-        from pixelid.recordings import open_recordings
-
-        circuit = find_model(model)
         opened = open_recordings(recordings, crop, seed)
         from pixelid.report.html import write_report
         from pixelid.sensors import fit_sensor

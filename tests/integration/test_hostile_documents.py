@@ -174,7 +174,7 @@ def test_what_is_no_regular_file(tmp_path, place, capsys):
 def test_a_page_takes_no_pictures_from_elsewhere(tmp_path):
     folder = tmp_path / "fit"
     folder.mkdir()
-    shutil.copy(Path(fuzz.ROOT) / "tests/data/fit.json", folder)
+    shutil.copy(Path(fuzz.__file__).parents[1] / "tests/data/fit.json", folder)
     (tmp_path / "secret.png").write_bytes(b"secret")
     (folder / "a.png").symlink_to(tmp_path / "secret.png")
     os.mkfifo(folder / "b.png")
