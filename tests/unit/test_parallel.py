@@ -59,8 +59,9 @@ def test_the_environment_sets_the_number_of_threads(monkeypatch):
 
 def test_an_interrupt_ends_the_work_promptly():
     program = """
-import time
+import signal, time
 from pixelid.parallel import map_threads
+signal.signal(signal.SIGINT, signal.default_int_handler)  # shells start what runs in the background without it
 print("ready", flush=True)
 map_threads(lambda i: time.sleep(0.1), range(1000), threads=2)
 """
