@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, cast
 from pixelid.documents import read_json, shown
 from pixelid.errors import InputError
 from pixelid.outputs import refuse_existing, whole_folder, write_json
+from pixelid.status import Status
 
 if TYPE_CHECKING:
     import pandas as pd  # pyright: ignore[reportMissingTypeStubs]
@@ -132,6 +133,32 @@ class Result(ABC):
 
     def _repr_html_(self) -> str:
         return html_page(self.headline, list(self.tables())[:1], self.sentences())
+
+
+@dataclass(frozen=True, repr=False)
+class WrittenResult(Result):
+    """A result whose files are written as they are made, and that ends in an error where it cannot be made.
+
+    content: of the JSON, with caveats under `notes`
+    """
+
+    content: Mapping[str, Any]
+
+    @property
+    def status(self) -> Status:
+        """Always converged."""
+        return Status.converged
+
+    def sentences(self) -> list[str]:
+        """What was assumed or could not be made."""
+        return list(self.content["notes"])
+
+    def as_dict(self) -> dict[str, Any]:
+        """The content of the JSON (docs/formats.md)."""
+        return dict(self.content)
+
+    def write_companions(self, folder: Path) -> None:
+        """Nothing: they are there."""
 
 
 def _text(headline: str, tables: Sequence[Table], sentences: Sequence[str], most_rows: int | None = None) -> str:

@@ -18,7 +18,7 @@ MAY_IMPORT = {
     "outputs": {"documents", "errors"},
     "provenance": set(),
     "status": set(),
-    "results": {"documents", "errors", "outputs"},
+    "results": {"documents", "errors", "outputs", "status"},
     "lazy": set(),
     "parallel": {"errors"},
     "parameters": BASE,

@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import click
 import pytest
@@ -61,12 +62,21 @@ def _heeded():
 
 @pytest.mark.parametrize("what", BUSY)
 def test_ctrl_c_ends_a_run(what, tmp_path):
-    (tmp_path / "out").mkdir()
-    (tmp_path / "out" / "fit.json").write_text("{}")
     run = RUN.replace("{busy}", BUSY[what].strip().replace("\n", "\n            "))
+    for attempt in range(3):  # a busy computer may hold one up
+        folder = tmp_path / str(attempt)
+        (folder / "out").mkdir(parents=True)
+        (folder / "out" / "fit.json").write_text("{}")
+        if interrupted(run, folder) < 2.0:
+            return
+    pytest.fail("none of three runs ended within two seconds")
+
+
+def interrupted(run: str, folder: Path) -> float:
+    """Seconds from Ctrl-C to the end of a run, of which nothing is left but what was there."""
     started = subprocess.Popen(
         [sys.executable, "-c", run],
-        cwd=tmp_path,
+        cwd=folder,
         text=True,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
@@ -77,14 +87,12 @@ def test_ctrl_c_ends_a_run(what, tmp_path):
     begun = time.monotonic()
     started.send_signal(signal.SIGINT)
     _, said = started.communicate(timeout=60)
-    assert time.monotonic() - begun < 2.0 + 10.0 * (os.getloadavg()[0] > (os.cpu_count() or 1))
+    took = time.monotonic() - begun
     assert started.returncode == INTERRUPTED
     assert said.strip() == "pixelid: interrupted; nothing was left half written"
-    assert sorted(os.listdir(tmp_path)) in (
-        ["out"],
-        [".out.lock", "out"],
-    )  # the lock ends with the process that held it
-    assert os.listdir(tmp_path / "out") == ["fit.json"]
+    assert sorted(os.listdir(folder)) in (["out"], [".out.lock", "out"])  # the lock ends with the process that held it
+    assert os.listdir(folder / "out") == ["fit.json"]
+    return took
 
 
 def test_an_interrupt_that_a_library_swallows_comes_back():

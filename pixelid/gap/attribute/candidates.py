@@ -12,7 +12,6 @@ from pixelid import stages
 from pixelid.errors import InputError
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.model.model import Model
-from pixelid.stimuli.pixel_lights import log_radiance_at
 
 DECADES = (-2.0, -1.5, -1.0, -0.5, 0.0, 0.5, 1.0, 1.5)  # strengths tried, about the shipped value
 # A slew limit is slow to fit, and its likelihood only falls as it tightens past the best: it is fitted where one of the
@@ -76,7 +75,7 @@ def strongest_start(likelihood: EventTimes, model: Model, effect: str, least: fl
     None if none can be evaluated, or (slew_limit, slow to fit, harmless when weak) none explains more than `least`.
     """
     best, top = None, -np.inf
-    for trial in variants(model, effect, _mean_radiance(likelihood)):
+    for trial in variants(model, effect):
         try:
             value = likelihood.log_likelihood(trial.circuit())
         except (InputError, FloatingPointError):
@@ -117,22 +116,8 @@ def start_in_each(likelihood: EventTimes, model: Model, effect: str) -> tuple[Mo
     return grown, likelihood.log_likelihood(grown.circuit())
 
 
-def _mean_radiance(likelihood: EventTimes) -> float:
-    """The light at the events, geometric mean."""
-    logs = [
-        log_radiance_at(recording.stimulus, recording.events.pixel, recording.events.t * 1e-9)
-        for recording in likelihood.recordings
-        if recording.stimulus is not None and len(recording.events)
-    ]
-    return float(np.exp(np.concatenate(logs).mean())) if logs else 1.0
-
-
-def variants(model: Model, effect: str, radiance: float | None = None) -> Iterator[Model]:
-    """The model with the effect at each strength to try, its own parameters free.
-
-    radiance: at which a bandwidth with a floor is also tried as large as without; from a photoreceptor that is slow in
-    bright light since it would else be too slow in dim light, no floor gains anything by itself
-    """
+def variants(model: Model, effect: str) -> Iterator[Model]:
+    """The model with the effect at each strength to try, its own parameters free."""
     grown = model.with_effect(effect)
     if effect == "second_order_photoreceptor":
         yield from _second_order_variants(model, grown)
@@ -152,11 +137,6 @@ def variants(model: Model, effect: str, radiance: float | None = None) -> Iterat
             if effect == "linear_log":
                 yield from (sized.set({"linear_log.slope": slope}) for slope in LINEAR_SLOPES)
                 continue
-            if effect == "bandwidth_floor" and radiance is not None:
-                share = radiance / (radiance + value)
-                corner = "alpha" if model.photoreceptor == "second_order" else "alpha_over_beta"
-                parameter = sized.parameter(corner)
-                yield sized.set({corner: min(max(share * parameter.value, parameter.lower), parameter.upper)})
             if effect != "mains_flicker":
                 yield sized
                 continue

@@ -15,9 +15,10 @@ from pixelid.gap.detect.pixels import PixelEvidence, per_pixel
 from pixelid.gap.imputation.windows import DELAY
 from pixelid.model.model import Model
 
-POLES = ("source_follower_pole", "extra_pole", "differencing_pole", "bandwidth_floor")  # and what they stand for
-# Optimiser steps of a screening fit.  Poles trade places with those that the model has, which takes longer.
-SCREEN_STEPS, SCREEN_STEPS_POLES = 6, 15
+# Optimiser steps of a screening fit.  Poles, and a floor of the bandwidth, trade places with the poles that the model
+# has, which takes longer.
+TRADING_PLACES = ("source_follower_pole", "extra_pole", "differencing_pole", "bandwidth_floor")
+SCREEN_STEPS, SCREEN_STEPS_TRADING = 6, 15
 SCREEN_STEPS_OWN = 15  # of an effect with values of each recording's own: phases start up to 45° off
 # Chance of what an effect gains with values of each recording's own, from which a fit to all pixels is for those and
 # not for shared ones.  Only steers: what is named is judged by a p-value that counts them.
@@ -46,7 +47,7 @@ class PixelCandidates:
     def screen(self, effect: str) -> tuple[Maximum, float] | None:
         """(the effect fitted to a few pixels, nats gained there), from the best of the strengths tried."""
         best: Maximum | None = None
-        pool, steps = self.evidence.screening, SCREEN_STEPS_POLES if effect in POLES else SCREEN_STEPS
+        pool, steps = self.evidence.screening, SCREEN_STEPS_TRADING if effect in TRADING_PLACES else SCREEN_STEPS
         for origin in (self.base_screened.model, self.restart):
             start = None if origin is None else strongest_start(pool, origin, effect, self.base_screened.value)
             if start is None:

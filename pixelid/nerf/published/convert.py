@@ -21,7 +21,7 @@ from pixelid.nerf.published.source import Block, Source
 from pixelid.nerf.published.window import Window, window_of
 from pixelid.nerf.views import RENDERER
 from pixelid.provenance import provenance
-from pixelid.results import Result, Table
+from pixelid.results import Table, WrittenResult
 from pixelid.status import Status
 
 LAYOUTS = {"esim": esim.read, "eds": eds.read, "tumvie": tumvie.read}
@@ -30,7 +30,7 @@ THRESHOLDS = ("pos_contrast_threshold", "neg_contrast_threshold")
 
 
 @dataclass(frozen=True, repr=False)
-class Conversion(Result):
+class Conversion(WrittenResult):
     """What was kept of a published sequence.
 
     content: of dataset.json;  counts: (height, width) events of every pixel;  rate: (bins,) events/s over the part kept
@@ -38,14 +38,8 @@ class Conversion(Result):
 
     FILE: ClassVar[str] = "dataset.json"
 
-    content: Mapping[str, Any]
     counts: np.ndarray
     rate: np.ndarray
-
-    @property
-    def status(self) -> Status:
-        """Always converged: what cannot be converted is an error."""
-        return Status.converged
 
     @property
     def headline(self) -> str:
@@ -64,17 +58,6 @@ class Conversion(Result):
     def records(self) -> list[dict[str, Any]]:
         """One row per kind of event."""
         return [{"events": name, "number": value} for name, value in self.content["events"].items()]
-
-    def sentences(self) -> list[str]:
-        """What was assumed, and what to say to `pixelid reconstruct`."""
-        return list(self.content["notes"])
-
-    def as_dict(self) -> dict[str, Any]:
-        """The content of dataset.json (docs/formats.md)."""
-        return dict(self.content)
-
-    def write_companions(self, folder: Path) -> None:
-        """Nothing: the events and poses are written as they are read."""
 
 
 def convert(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
@@ -20,7 +20,7 @@ from pixelid.nerf.shown.splats import splats_of
 from pixelid.nerf.shown.ways import Way
 from pixelid.nerf.views import Views
 from pixelid.provenance import provenance
-from pixelid.results import Result, Table
+from pixelid.results import Table, WrittenResult
 from pixelid.status import Status
 
 FRAMES, DEPTH, VIDEO, DEPTH_VIDEO = "frames", "depth", "video.mp4", "depth.mp4"
@@ -43,7 +43,7 @@ class Wanted:
 
 
 @dataclass(frozen=True, repr=False)
-class Rendered(Result):
+class Rendered(WrittenResult):
     """What was rendered.
 
     content: of render.json;  shown: (k, H, W, 3) 8-bit, a few of the frames;  depths: (k, H, W) their depths, or None
@@ -51,14 +51,8 @@ class Rendered(Result):
 
     FILE: ClassVar[str] = "render.json"
 
-    content: Mapping[str, Any]
     shown: np.ndarray
     depths: np.ndarray | None = None
-
-    @property
-    def status(self) -> Status:
-        """Always converged: what cannot be rendered is an error; `scene_status` is that of the reconstruction."""
-        return Status.converged
 
     @property
     def headline(self) -> str:
@@ -73,17 +67,6 @@ class Rendered(Result):
     def records(self) -> list[dict[str, Any]]:
         """One row per file."""
         return [{"file": name, "what": what} for name, what in self.content["files"].items()]
-
-    def sentences(self) -> list[str]:
-        """What could not be made, and how far the scene can be trusted."""
-        return list(self.content["notes"])
-
-    def as_dict(self) -> dict[str, Any]:
-        """The content of render.json (docs/formats.md)."""
-        return dict(self.content)
-
-    def write_companions(self, folder: Path) -> None:
-        """Nothing: frames and exports are written as they are made."""
 
 
 def render(
