@@ -3,21 +3,29 @@
 A criterion acts on a verdict through comparisons alone.  `Varied` is a criterion that carries its value halved and
 doubled along through arithmetic, and notes at each comparison whether the outcome there is another.  Where no outcome
 is, the search with the changed criterion takes the same way to the same verdict and need not be run.
+
+Criteria of cells choose among them by comparisons that nearly always come out otherwise somewhere.  What a search
+reads of the maps is the chance of the whole, so the maps are made under each change and that chance carries what it
+would have been; where the cells themselves are read (shot noise, imputed times), every change of these criteria counts.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import fields
+from dataclasses import dataclass, field, fields, replace
+from unittest.mock import patch
 
 import numpy as np
 from scipy.stats import poisson
 
 from pixelid.gap.criteria import Criteria
 from pixelid.gap.detect import diagnostics, pixels
+from pixelid.gap.detect.maps import Maps
+from pixelid.gap.steps import discount_imputation_noise, explain_by_shot_noise, name_effect
 
 FACTORS = (0.5, 2.0)
+OF_CELLS = ("min_cell_events", "min_cell_share_unfitted")
 OF_WHAT_IS_LEFT_TO_ONE = ("min_hidden_cosine", "complete_closed_fraction")
 COMPARISONS = (np.less, np.less_equal, np.greater, np.greater_equal, np.equal, np.not_equal)
 
@@ -103,6 +111,54 @@ def _install() -> None:
 _install()
 
 
+@dataclass(frozen=True)
+class VariedMaps(Maps):
+    """Maps whose `p` knows what it would have been;  others: (criterion of cells, factor) → the maps under it."""
+
+    others: dict[tuple[str, float], Maps] = field(default_factory=dict)
+
+
+def _map_residuals(likelihood, residual, tangent, factors, criteria: Criteria, seed: int) -> Maps:
+    """`maps.map_residuals` as `diagnose` calls it, under each change of the criteria of cells as well."""
+    varied = criteria.min_cell_events
+    if not isinstance(varied, Varied):
+        return _PLAIN_MAPS(likelihood, residual, tangent, factors, criteria, seed)
+    others = {
+        (name, factor): _PLAIN_MAPS(
+            likelihood, residual, tangent, factors, replace(Criteria(), **{name: scaled(name, factor)}), seed
+        )
+        for name in OF_CELLS
+        for factor in FACTORS
+    }
+    usual = _PLAIN_MAPS(likelihood, residual, tangent, factors, Criteria(), seed)
+    p = Varied(usual.p, {key: maps.p for key, maps in others.items()}, varied.noted)
+    return VariedMaps(usual.cells, p, usual.p_normal, usual.p_pixels, usual.background, others)
+
+
+def _looks_like_shot_noise(seen, criteria: Criteria) -> bool:
+    """`shot_noise.looks_like_shot_noise`, of each of the maps."""
+    usual = _PLAIN_LOOKS(seen, criteria)
+    if isinstance(seen.maps, VariedMaps) and isinstance(criteria.min_cell_events, Varied):
+        others = {key: _PLAIN_LOOKS(replace(seen, maps=maps), Criteria()) for key, maps in seen.maps.others.items()}
+        criteria.min_cell_events._note(others, usual)
+    return usual
+
+
+def _reading_cells(function: Callable, noted: set[tuple[str, float]]) -> Callable:
+    """The function, which reads cells: whatever chooses other cells may change what it finds."""
+
+    def reading(*inputs, **named):
+        noted.update((name, factor) for name in OF_CELLS for factor in FACTORS)
+        return function(*inputs, **named)
+
+    return reading
+
+
+def _least(*numbers) -> float:
+    """`min` of chances that are reported and decide nothing."""
+    return min(*map(plain, numbers)) if len(numbers) > 1 else min(map(plain, numbers[0]))
+
+
 def _chance_of_background(events: int, expected: float) -> float:
     """`diagnostics.chance_of_background`, of a number that depends on criteria as well."""
     if not isinstance(expected, Varied):
@@ -111,6 +167,8 @@ def _chance_of_background(events: int, expected: float) -> float:
 
 
 _PLAIN = diagnostics.chance_of_background
+_PLAIN_MAPS = diagnostics.map_residuals
+_PLAIN_LOOKS = explain_by_shot_noise.looks_like_shot_noise
 
 
 @contextmanager
@@ -118,12 +176,18 @@ def noted_decisions() -> Iterator[tuple[Criteria, set[tuple[str, float]]]]:
     """(criteria to search with, (criterion, factor) of the decisions that it would change) within the block."""
     noted: set[tuple[str, float]] = set()
     criteria = Criteria()
-    for field in fields(Criteria):
-        default = getattr(criteria, field.name)
-        others = {(field.name, factor): scaled(field.name, factor) for factor in FACTORS}
-        object.__setattr__(criteria, field.name, Varied(default, others, noted))
-    diagnostics.chance_of_background = pixels.chance_of_background = _chance_of_background
-    try:
+    for one in fields(Criteria):
+        default = getattr(criteria, one.name)
+        others = {(one.name, factor): scaled(one.name, factor) for factor in FACTORS}
+        object.__setattr__(criteria, one.name, Varied(default, others, noted))
+    find, subtract = explain_by_shot_noise.find_shot_noise, discount_imputation_noise.subtract_replicates
+    with (
+        patch.object(diagnostics, "chance_of_background", _chance_of_background),
+        patch.object(pixels, "chance_of_background", _chance_of_background),
+        patch.object(diagnostics, "map_residuals", _map_residuals),
+        patch.object(name_effect, "min", _least, create=True),
+        patch.object(explain_by_shot_noise, "looks_like_shot_noise", _looks_like_shot_noise),
+        patch.object(explain_by_shot_noise, "find_shot_noise", _reading_cells(find, noted)),
+        patch.object(discount_imputation_noise, "subtract_replicates", _reading_cells(subtract, noted)),
+    ):
         yield criteria, noted
-    finally:
-        diagnostics.chance_of_background = pixels.chance_of_background = _PLAIN

@@ -16,9 +16,8 @@ def feasible(model: Model, likelihood: EventTimes) -> Model:
     """
     changes: dict[str, float] = {}
     if "refractory_s" in model.free:
-        limit = 0.9 * likelihood.shortest_intervals_s(1e-3)
         parameter = model.parameter("refractory_s")
-        changes["refractory_s"] = max(min(parameter.value, limit), parameter.lower)
+        changes["refractory_s"] = min(parameter.value, longest_dead_time(model, likelihood))
         model = model.set(changes)
     terms = likelihood.terms(model.circuit())
     on = likelihood.sign > 0
@@ -33,6 +32,12 @@ def feasible(model: Model, likelihood: EventTimes) -> Model:
     if "threshold_sigma" in model.free:
         levels["threshold_sigma"] = float(np.clip(1.48 * np.median(relative), 0.02, 0.5))
     return model.set({name: value for name, value in levels.items() if name in model.free})
+
+
+def longest_dead_time(model: Model, likelihood: EventTimes) -> float:
+    """The longest dead time in seconds to start a fit at, within the parameter's bounds: below nearly all intervals."""
+    parameter = model.parameter("refractory_s")
+    return float(np.clip(0.9 * likelihood.shortest_intervals_s(1e-3), parameter.lower, parameter.upper))
 
 
 def random_starts(start: np.ndarray, count: int, rng: np.random.Generator, spread: float = 0.5) -> list[np.ndarray]:

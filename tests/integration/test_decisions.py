@@ -8,11 +8,18 @@ import numpy as np
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
-from decisions import FACTORS, Varied, combine, noted_decisions, plain
+from decisions import FACTORS, OF_CELLS, Varied, combine, noted_decisions, plain
+from gap_certification import camera, session
 from gap_sensitivity import changed
 
+from pixelid.fit.maximise import maximise
+from pixelid.fit.starts import feasible
 from pixelid.gap.criteria import Criteria
 from pixelid.gap.detect import diagnostics
+from pixelid.gap.detect.diagnostics import diagnose
+from pixelid.likelihood.event_times import EventTimes
+from pixelid.model.shipped import find_model
+from pixelid.recordings.selection import only
 
 
 @pytest.mark.parametrize("name", [field.name for field in fields(Criteria)])
@@ -55,3 +62,18 @@ def test_what_leaves_for_an_array_or_a_float_counts_as_turned():
     noted.clear()
     assert float(value) == 1.0
     assert noted == {("a", 0.5)}
+
+
+def test_the_chance_of_maps_carries_what_it_would_have_been():
+    base = find_model("dvs128")
+    likelihood = EventTimes(only(session(camera(3), 3), np.arange(4)))
+    fit = maximise(likelihood, feasible(base, likelihood), tolerance=0.5, max_steps=20)
+    with noted_decisions() as (criteria, noted):
+        p = diagnose(likelihood, fit, criteria, 0, background_fraction=1e-4).p
+    assert isinstance(p, Varied)
+    assert plain(p) == diagnose(likelihood, fit, Criteria(), 0, background_fraction=1e-4).p
+    assert {name for name, _ in p.others} >= {"min_cell_events", "min_cell_share_unfitted"}
+    for name, factor in p.others:
+        there = diagnose(likelihood, fit, changed(name, factor), 0, background_fraction=1e-4).p
+        assert p.others[name, factor] == pytest.approx(there, rel=1e-12)
+    assert not noted & {(name, factor) for name in OF_CELLS for factor in FACTORS}
