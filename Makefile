@@ -11,11 +11,11 @@ PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c const
 TORCH_INDEX ?=
 # Test processes.
 WORKERS ?= 2
-# Damaged files of `make fuzz`: some 100 a second.
+# Damaged files of `make fuzz`: some 300 a second.
 RUNS ?= 20000
 SEED ?= 0
 
-.PHONY: help setup demo test test-all bench fuzz lint docs clean
+.PHONY: help setup demo test test-all bench fuzz models lint docs clean
 .DEFAULT_GOAL := help
 
 help:
@@ -24,6 +24,7 @@ help:
 	@echo "make test-all   every test"
 	@echo "make bench      the speed benchmarks (statistics: interval_coverage.py, posterior_ranks.py)"
 	@echo "make fuzz       damaged files for every reader, RUNS of them from SEED; failures are kept in fuzz-failures/"
+	@echo "make models     fit the shipped models of real sensors again, from the tables in fits/"
 	@echo "make lint       ruff and pyright"
 	@echo "make docs       the documentation site, in docs/_build/html; any warning is an error"
 	@echo "make clean      remove what make and the tests have made, the environment included"
@@ -53,6 +54,12 @@ bench: $(STAMP)
 
 fuzz: $(STAMP)
 	$(BIN)/python tests/fuzz.py --runs $(RUNS) --seed $(SEED)
+
+models: $(STAMP)
+	mkdir -p out
+	set -e; for sensor in gen31 imx636; do \
+	  $(BIN)/pixelid latency fits/$$sensor.toml --out out/$$sensor --overwrite; \
+	  cp out/$$sensor/model.toml models/$$sensor.toml; done
 
 lint: $(STAMP)
 	$(BIN)/ruff check .

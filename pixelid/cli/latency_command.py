@@ -11,6 +11,7 @@ EXAMPLE = """
 Example:
     pixelid latency fits/nist_latency/nist_latency_by_roi.csv --out latency
     pixelid latency other_irradiances.csv --model latency --predict --out check
+    pixelid latency fits/imx636.toml --out imx636
 """
 
 
@@ -27,7 +28,8 @@ Example:
 def command(tables, out, model, predict, camera, sample, overwrite, seed, quiet):
     """Fit TABLES (CSV: camera, lens, polarity, irradiance_W_m2, bias_config, min, median, max, stdev in µs).
 
-    One circuit per camera, radiance in W/m²; thresholds and delays per setting. Writes latency.json (rows with measured
+    One circuit per camera, radiance in W/m²; thresholds and delays per setting. A recipe (.toml) says which cameras of
+    its tables are of one kind, fits them as one, and names the model. Writes latency.json (rows with measured
     and predicted seconds, which stage limits where, what stays open), model.toml (one folder per camera where there are
     several), figures and report.html.
     """
@@ -40,14 +42,19 @@ def command(tables, out, model, predict, camera, sample, overwrite, seed, quiet)
         raise InputError("--predict: expected --model with it")
     if predict and sample:
         raise InputError("--sample: nothing to sample with --predict")
+    by_recipe = tables[0].suffix == ".toml"
+    if by_recipe and (len(tables) > 1 or predict or camera):
+        raise InputError(f"{tables[0]}: a recipe stands alone, without other tables, --predict and --camera")
     with claimed(out, overwrite, [*tables, *([model] if model else [])]):
         from pixelid.report.html import write_report
         from pixelid.tables.latency.choosing import chosen_cameras, chosen_rows
         from pixelid.tables.latency.fit import fit_latency
         from pixelid.tables.latency.reading import read_tables
+        from pixelid.tables.latency.recipe import read_latency_recipe
         from pixelid.tables.latency.result import save_fit, save_prediction
 
-        table = chosen_rows(read_tables(tables, measured=not predict), camera)
+        recipe = read_latency_recipe(tables[0]) if by_recipe else None
+        table = recipe.table if recipe else chosen_rows(read_tables(tables, measured=not predict), camera)
         cameras, files = chosen_cameras(model) if model is not None else ((), ())
         if predict:
             with whole_folder(out, overwrite) as folder:
@@ -62,7 +69,7 @@ def command(tables, out, model, predict, camera, sample, overwrite, seed, quiet)
                     from pixelid.tables.latency.posterior import sample_fit
 
                     extra |= sample_fit(fit, seed, folder)
-                written = save_fit(fit, folder, extra)
+                written = save_fit(fit, folder, extra, recipe)
                 write_report(folder)
     if not quiet:
         for name, errors in written["errors"].items():

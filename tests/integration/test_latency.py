@@ -2,13 +2,14 @@
 
 import csv
 import json
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from pixelid.cli.main import main
-from pixelid.model.shipped import find_model
+from pixelid.model.shipped import find_model, shipped_models
 from pixelid.tables.latency.camera import load_camera
 from pixelid.tables.latency.fit import fit_latency
 from pixelid.tables.latency.posterior import log_posterior, sample_fit
@@ -125,3 +126,45 @@ def test_public_table_of_a_gen31(tmp_path):
     first = min((e for e in found["limits"] if e["edge"] == "on"), key=lambda e: e["irradiance_W_m2"])
     assert first["stage"] == "photoreceptor"
     assert last["stage"] != "photoreceptor"
+
+
+@pytest.mark.skipif(not NIST.is_file(), reason="needs a checkout")
+@pytest.mark.parametrize(("name", "cameras", "least"), [("gen31", ["CAM3"], 0.03), ("imx636", ["CAM1", "CAM2"], 0.08)])
+def test_a_shipped_sensor_is_what_its_recipe_gives(name, cameras, least, tmp_path):
+    assert run("latency", NIST.parent.parent / f"{name}.toml", "--out", tmp_path / "out") == 0
+    found, shipped = load_camera(tmp_path / "out" / "model.toml"), load_camera(shipped_models()[name])
+    assert found.model.name == name
+    assert found.model.effects == shipped.model.effects
+    for key, entry in result(tmp_path / "out")["parameters"].items():
+        if key in found.model.values and entry["identified"]:
+            low, high = entry["interval_95"]
+            assert low < shipped.model.values[key] < high
+    for mine, theirs in zip(found.settings, shipped.settings, strict=True):
+        assert mine.on_threshold == pytest.approx(theirs.on_threshold, rel=0.02)
+        assert mine.off_threshold == pytest.approx(theirs.off_threshold, rel=0.02)
+    errors = result(tmp_path / "out")["errors"]
+    assert sorted(errors) == cameras
+    assert all(errors[camera]["median"]["rms_without_spoiled"] < least for camera in cameras)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("[rates]\n", "expected a \\[latency\\] table"),
+        ('[latency]\ntables = []\ncameras = ["A"]\nname = "a"\nsummary = "s"\n', "tables: expected a list of texts"),
+        ('[latency]\ntables = ["t.csv"]\ncameras = ["B"]\nname = "a"\nsummary = "s"\n', "have A, found 'B'"),
+        ('[latency]\ntables = ["t.csv"]\ncameras = ["A"]\nname = 3\nsummary = "s"\n', "name: expected a text"),
+        ('[latency]\nname = "a"\nkind = 1\n', "expected one of tables"),
+        ('[latency]\ntables = ["t.csv"]\ncameras = ["A"]\nname = "a"\nsummary = "s"\nwithout = ["leek"]\n',
+         "did you mean .*leak"),
+    ],
+)  # fmt: skip
+def test_a_wrong_recipe_is_said(text, words, tmp_path, capsys):
+    lines = ["camera,lens,polarity,irradiance_W_m2,bias_config,median", "A,l,1,0.01,0,500", "A,l,1,0.1,0,80"]
+    (tmp_path / "t.csv").write_text("\n".join(lines) + "\n")
+    (tmp_path / "r.toml").write_text(text)
+    assert run("latency", tmp_path / "r.toml", "--out", tmp_path / "out") == 2
+    said = capsys.readouterr().err
+    assert re.search(words, said)
+    assert said.count("\n") <= 2
+    assert not (tmp_path / "out").exists()

@@ -22,6 +22,7 @@ from pixelid.tables.latency.fit import CameraFit, LatencyFit
 from pixelid.tables.latency.limits import limit_sentences, limits
 from pixelid.tables.latency.model import EXTRA_ERROR, NUISANCES, SHARED
 from pixelid.tables.latency.reading import STATISTICS, TIMESTAMP_S, LatencyTable
+from pixelid.tables.latency.recipe import LatencyRecipe
 from pixelid.tables.result import open_sentences, write_result
 
 REPEATABLE = 0.02  # regions of one condition agree no better in the public table's clean rows
@@ -83,13 +84,18 @@ def predicted_result(table: LatencyTable, cameras: Sequence[Camera], *inputs: Pa
     }
 
 
-def save_fit(fit: LatencyFit, folder: Path, extra: Mapping[str, Any] | None = None) -> dict[str, Any]:
+def save_fit(
+    fit: LatencyFit, folder: Path, extra: Mapping[str, Any] | None = None, recipe: LatencyRecipe | None = None
+) -> dict[str, Any]:
     """Write latency.json, the model (one folder per camera where there are several) and figures; returns the JSON."""
     for one in fit.fits:
         place = folder if len(fit.fits) == 1 else folder / _file_name(one.name)
         place.mkdir(exist_ok=True)
-        save_camera(described(one, fit.table), place / "model.toml")
+        camera = described(one, fit.table)
+        save_camera(recipe.finished(camera) if recipe else camera, place / "model.toml")
     result = {**fitted_result(fit), **(extra or {})}
+    if recipe:
+        result |= provenance(*fit.table.sources, recipe.path)
     unconverged = [name for name, said in result.get("posterior", {}).items() if said["status"] != Status.converged]
     if unconverged:
         result["status"] = Status.worst([result["status"], Status.not_converged])

@@ -9,14 +9,15 @@ import numpy as np
 
 from pixelid.provenance import provenance
 from pixelid.tables.fit import SUSPECT_SCALES, TableFit
+from pixelid.tables.rates.bias_law import bias_law, law_sentences
 from pixelid.tables.rates.figures import draw_pixel, draw_pool
 from pixelid.tables.rates.pixel import PixelFit, fit_pixel
 from pixelid.tables.rates.pool import PoolFit, fit_pool
 from pixelid.tables.result import open_sentences, table_result, write_result
 
 
-def pixel_result(fit: PixelFit) -> dict:
-    """The content of rates.json for one pixel's table."""
+def pixel_result(fit: PixelFit, by_bias: bool = False) -> dict:
+    """The content of rates.json for one pixel's table; by_bias: with the law of its cutoffs over biases."""
     r, table = fit.regression, fit.table
     together = fit_pixel(table, ("swing", "dead")).regression
     cells = [
@@ -32,8 +33,10 @@ def pixel_result(fit: PixelFit) -> dict:
         }
         for j, (i, k) in enumerate(zip(fit.row, fit.column, strict=True))
     ]
+    law = bias_law(fit) if by_bias else None
     return {
         **_head(r, "pixel", table.frequency_hz),
+        **({"bias_law": {**law, "sentences": law_sentences(law)}} if law else {}),
         "cells": cells,
         "one_dead_time": {"log_likelihood": together.log_likelihood, "parameters": together.as_dict()},
         "disagreements": _pixel_sentences(fit, together, cells),
@@ -117,9 +120,9 @@ def pool_result(fit: PoolFit, alike: PoolFit) -> dict:
     }
 
 
-def save_pixel(fit: PixelFit, folder: Path) -> dict:
+def save_pixel(fit: PixelFit, folder: Path, by_bias: bool = False) -> dict:
     """Write rates.json and rates.svg into an existing folder; returns the JSON."""
-    return write_result(pixel_result(fit), "rates.json", {"rates": partial(draw_pixel, fit)}, folder)
+    return write_result(pixel_result(fit, by_bias), "rates.json", {"rates": partial(draw_pixel, fit)}, folder)
 
 
 def save_pool(fit: PoolFit, folder: Path, *inputs: Path) -> dict:
