@@ -15,25 +15,27 @@ Example:
     pixelid dataset tumvie mocap-desk2/ scene --camera right --every 4
     pixelid reconstruct scene --out sharp --bandwidth off
 """
-POSITIVE = options.Number(0.0, open_low=True)
+POSITIVE = options.Number(0.0, 1e9, open_low=True)
 
 
 @click.command("dataset", epilog=EXAMPLE)
 @click.argument("layout", type=click.Choice(LAYOUTS))
 @click.argument("source", metavar="IN", type=options.PATH)
-@click.argument("out", type=options.PATH)
-@click.option("--start", type=options.Number(0.0), metavar="S", help="Begin S seconds after the first pose.")
+@click.argument("out", type=options.NEW)
+@click.option("--start", type=options.Number(0.0, 1e9), metavar="S", help="Begin S seconds after the first pose.")
 @click.option("--end", type=POSITIVE, metavar="S", help="End S seconds after the first pose.")
-@click.option("--every", type=click.IntRange(1), default=1, show_default=True, metavar="N",
+@click.option("--every", type=options.PIXELS, default=1, show_default=True, metavar="N",
               help="Keep one pixel in N, with all of its events.")  # fmt: skip
-@click.option("--views", type=click.IntRange(0), default=40, show_default=True, metavar="N",
+@click.option("--views", type=click.IntRange(0, 1_000_000), default=40, show_default=True, metavar="N",
               help="At most N pictures as views to compare with; 0: none.")  # fmt: skip
 @click.option("--camera", default="", metavar="NAME", help="esim: first word of the topics; eds: the sensor's name in "
               "the calibration; tumvie: left or right.")  # fmt: skip
-@click.option("--time-offset", type=options.Number(), default=0.0, metavar="S", help="Added to the events' times.")
+@click.option(
+    "--time-offset", type=options.Number(-1e9, 1e9), default=0.0, metavar="S", help="Added to the events' times."
+)
 @click.option("--on-threshold", type=POSITIVE, help="In place of the one known or assumed.")
 @click.option("--off-threshold", type=POSITIVE, help="In place of the one known or assumed.")
-@click.option("--dead-time", type=options.Number(0.0), metavar="S", help="In place of the one known or assumed.")
+@click.option("--dead-time", type=options.Number(0.0, 1e9), metavar="S", help="In place of the one known or assumed.")
 @options.overwrite
 @options.seed("Of the pixels that --every keeps.")
 @options.quiet

@@ -23,7 +23,7 @@ class StepsOrAuto(click.IntRange):
     name = "integer|auto"
 
     def __init__(self) -> None:
-        super().__init__(min=1)
+        super().__init__(1, 1_000_000_000)
 
     def convert(self, value, param, ctx):
         """The number, or the word."""
@@ -45,7 +45,9 @@ class StepsOrAuto(click.IntRange):
               help="Cells of the field per side; by default one per pixel, 32 to 160.")  # fmt: skip
 @click.option("--steps", "--iterations", type=StepsOrAuto(), default=1200, show_default=True,
               help="Training steps; auto: steps and batch by the number of events.")  # fmt: skip
-@click.option("--batch", type=click.IntRange(1), help="Chains of events per step; 320, or what --steps auto chooses.")
+@click.option(
+    "--batch", type=click.IntRange(1, 10_000_000), help="Chains of events per step; 320, or what --steps auto chooses."
+)
 @click.option("--background", type=options.Number(0.0, open_low=True),
               help="Radiance behind the scene; by default what the views show.")  # fmt: skip
 @click.option("--scale", type=click.Choice(["auto", "level", "free"]), default="auto", show_default=True,
@@ -56,7 +58,7 @@ class StepsOrAuto(click.IntRange):
               help="The fit's radiance units per unit of the views; by default from q_in.")  # fmt: skip
 @click.option("--protocol", type=click.Choice(["strict", "paper"]), default="strict", show_default=True,
               help="paper: also the reference implementation's scores, corrected on the scored views.")  # fmt: skip
-@click.option("--checkpoint", type=options.PATH, help="Continue from this file, and keep it up to date.")
+@click.option("--checkpoint", type=options.NEW, help="Keep the training in this file, and continue from it.")
 @click.option("--device", type=click.Choice(["auto", "cpu", "cuda"]), default="auto", show_default=True)
 @options.overwrite
 @options.seed()
@@ -68,6 +70,7 @@ def command(
     """Reconstruct the scene of DATASET, a folder in the published layout of Robust e-NeRF and Deblur e-NeRF.
 
     Writes reconstruction.json, field.npz, figures and report.html.  Exit code 1 when the events were not explained.
+    An interrupted run continues when started again.
     """
     from contextlib import nullcontext
     from dataclasses import replace
@@ -79,6 +82,8 @@ def command(
 
     if comparator and bandwidth != "joint":
         raise InputError(f"--train {comparator[0]}: needs --bandwidth joint, found {bandwidth}")
+    if checkpoint is not None and checkpoint.is_dir():
+        raise InputError(f"{checkpoint}: expected a file for the training's state, found a folder")
     if checkpoint is not None and not checkpoint.parent.exists():
         raise InputError(f"{checkpoint}: the folder {checkpoint.parent} does not exist")
     for folder, what in ((dataset, "a dataset"), (fit, "a fit"), (sensor, "a sensor's maps")):
@@ -95,6 +100,7 @@ def command(
     from pixelid.report.html import write_report
 
     first = parallel.rank() == 0
+    kept = checkpoint or out.with_name(f".{out.name}.checkpoint.pt")  # the latter until the result is there
     with claimed(out, overwrite, [folder for folder in (dataset, fit, sensor) if folder]) if first else nullcontext():
         data = read_dataset(dataset)
         recipe = replace(Recipe(), iterations=0, batch=0) if steps == AUTO else replace(Recipe(), iterations=steps)
@@ -104,7 +110,7 @@ def command(
         with bar(quiet or not first, compiles=True) as report:
             result = reconstruct(
                 data, fit=fit, sensor=sensor, bandwidth=pixel, recipe=recipe, background=background, scale=scale,
-                box=box or None, radiance_scale=radiance_scale, protocol=protocol, resume=checkpoint, device=device,
+                box=box or None, radiance_scale=radiance_scale, protocol=protocol, resume=kept, device=device,
                 seed=seed, progress=report,
             )  # fmt: skip
             if first:
@@ -112,6 +118,8 @@ def command(
                     result.write(folder)
                     write_figures(result, folder)
                     write_report(folder)
+                if checkpoint is None:
+                    kept.unlink(missing_ok=True)
     parallel.leave()
     if first and result.ignored:
         click.echo(f"warning: the reconstruction does not model {', '.join(result.ignored)} of this pixel", err=True)

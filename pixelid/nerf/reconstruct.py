@@ -29,7 +29,7 @@ from pixelid.status import Status
 
 LEARNED = 0.9  # share of held-out changes left unexplained, above which the field explains too little
 LOOKS = 10  # running PSNR, per run
-SAVE_EVERY = 100  # steps between checkpoints
+SAVE_EVERY, SAVE_AFTER_S = 100, 30.0  # steps between checkpoints; sooner where steps take long
 
 
 @dataclass(frozen=True, repr=False)
@@ -211,8 +211,10 @@ def reconstruct(
         state = checkpoint.load(Path(resume), problem, recipe, bandwidth, mark, device)
     state = start(problem, recipe, bandwidth, device) if state is None else state
     before, spent = state.rays, time.perf_counter()
+    saved = spent
 
     def report(now: State, measured: dict[str, float]) -> None:
+        nonlocal saved
         rate = (now.rays - before) / max(time.perf_counter() - spent, 1e-9)
         if now.iteration % max(recipe.iterations // LOOKS, 1) == 0:
             psnr = _running(now, problem, validation)
@@ -221,8 +223,10 @@ def reconstruct(
         last = now.history[-1]["running_psnr"] if now.history else float("nan")
         words = f"loss {measured['loss']:.3f}, {rate / 1e3:.0f}k rays/s, {last:.1f} dB"
         progress(words, 0.95 * now.iteration / recipe.iterations)
-        if resume is not None and parallel.rank() == 0 and now.iteration % SAVE_EVERY == 0 and now.finite:
+        due = now.iteration % SAVE_EVERY == 0 or time.perf_counter() - saved > SAVE_AFTER_S
+        if resume is not None and parallel.rank() == 0 and due and now.finite:
             checkpoint.save(Path(resume), now, mark)
+            saved = time.perf_counter()
 
     train(problem, recipe, state, report=report)
     rate = (state.rays - before) * parallel.world() / max(time.perf_counter() - spent, 1e-9)

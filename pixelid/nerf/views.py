@@ -17,6 +17,7 @@ from pixelid.documents import interpreting, read_json
 from pixelid.errors import InputError
 from pixelid.nerf.arrays import read_arrays
 from pixelid.nerf.camera import Camera
+from pixelid.recordings.pictures import read_picture
 
 FOLDER = "views"
 STAGES = ("train", "val", "test")
@@ -173,42 +174,13 @@ def picture_of(file: Path, name: str) -> Path:
 
 def image_of(path: Path) -> np.ndarray:
     """(H, W, 1, 3 or 4) as stored: integers when quantised."""
-    try:
-        if path.suffix == ".npy":
-            image = np.load(path, allow_pickle=False)
-        elif path.suffix.lower() == ".exr":
-            image = _exr(path)
-        else:
-            from skimage.io import imread
-
-            image = imread(path)
-    except InputError:
-        raise
-    except Exception as error:  # readers of many formats, each with its own exceptions
-        raise InputError(
-            f"{path}: not a readable picture ({str(error).splitlines()[0][:80] if str(error) else ''})"
-        ) from None
-    image = np.asarray(image)
+    image = read_picture(path)
     image = image[..., None] if image.ndim == 2 else image
     if image.ndim == 3 and image.shape[2] == 2:
         image = np.concatenate([np.repeat(image[..., :1], 3, axis=2), image[..., 1:]], axis=2)
     if image.ndim != 3 or image.shape[2] not in (1, 3, 4) or image.dtype.kind not in "uf":
         raise InputError(f"{path}: expected a grey, RGB or RGBA picture, found {image.dtype} of shape {image.shape}")
     return image
-
-
-def _exr(path: Path) -> np.ndarray:
-    import os
-
-    os.environ.setdefault("OPENCV_IO_ENABLE_OPENEXR", "1")
-    try:
-        import cv2  # type: ignore[import-not-found]
-    except ImportError:
-        raise InputError(f"{path}: reading EXR needs OpenCV (pip install opencv-python-headless)") from None
-    image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
-    if image is None:
-        raise InputError(f"{path}: OpenCV cannot read it")
-    return image if image.ndim == 2 else image[..., [2, 1, 0, *range(3, image.shape[2])]]
 
 
 def _radiance(file: Path, image: np.ndarray, document: dict, log_eps: float, channels: int) -> np.ndarray:

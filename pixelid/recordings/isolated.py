@@ -39,14 +39,21 @@ from pixelid.stimuli.pixel_lights import PixelLights
 from pixelid.stimuli.stimulus import Stimulus
 
 READERS = {  # name → module with the function `read` (or the function named)
-    name: f"pixelid.recordings.{name}" for name in ("aedat2", "decoded", "hdf5", "matlab", "npz", "ros", "text")
+    name: f"pixelid.recordings.{name}"
+    for name in ("aedat2", "decoded", "frames", "hdf5", "matlab", "npz", "ros", "text")
 }
 STREAMING = {  # those with the function `stream`; bags and MATLAB files are read whole by the child
     name: READERS[name] for name in ("aedat2", "decoded", "hdf5", "npz", "text")
 }
+FUNCTIONS = {  # name → module with a generator of that name: (path, arguments) → arrays by name
+    "picture": "pixelid.recordings.pictures", "video": "pixelid.recordings.pictures",
+    "event_blocks": "pixelid.nerf.published.hdf5_events",
+}  # fmt: skip
 LIBRARIES = {  # what readers import; that takes a second, which is none of a file's
-    "decoded": ("faery.extension", "faery.file_decoder"), "hdf5": ("h5py",), "matlab": ("scipy.io",),
+    "decoded": ("faery.extension", "faery.file_decoder"), "frames": ("faery.extension",), "hdf5": ("h5py",),
+    "matlab": ("scipy.io",),
     "ros": ("rosbags.highlevel", "rosbags.typesys", "faery.extension"),
+    "picture": ("skimage.io", "imageio.v3", "tifffile"), "video": ("av",), "event_blocks": ("h5py", "hdf5plugin"),
 }  # fmt: skip
 # per file, after the imports: readers take 1e-8 (binary) to 1e-7 s (text) a byte; .h5 packs to one byte an event, which
 # takes 2e-7 s to unpack and check.  A core that several programs share does them at half its speed.
@@ -100,6 +107,36 @@ def stream_isolated(reader: str, path: Path) -> Iterator[Recording]:
         child.stop()
 
 
+def arrays_isolated(
+    function: str, path: Path, *, single: bool = False, **arguments: Any
+) -> Iterator[dict[str, np.ndarray]]:
+    """What a generator of `FUNCTIONS` yields, arrays by name; each of its steps has the time of a file.
+
+    Args:
+        function: its name.
+        path: the file that it reads.
+        single: only what it yields first, which spares starting a process of its own.
+        arguments: more of its arguments, that JSON can hold.
+
+    Raises:
+        InputError: as `read_isolated`, also between steps.
+    """
+    path, size = _regular(path)
+    request = {"reader": function, "arguments": arguments, "stream": not single}
+    if single:
+        yield _CHILD.arrays(request, path, size)
+        return
+    child = _Child()
+    try:
+        process = child.start()
+        answer = child.ask(process, request, path, size)
+        while answer is not None:
+            yield answer["arrays"]
+            answer = child.answer(process, path, size)
+    finally:
+        child.stop()
+
+
 class _Child:
     """The reading process, started when first needed."""
 
@@ -109,20 +146,29 @@ class _Child:
         self._owner = 0
 
     def read(self, reader: str, path: Path, size: int) -> Recording:
+        """The recording that a reader finds in a file."""
         with self._lock:
             try:
                 process = self.start()
             except OSError:  # no process can be started: read here
                 return _reader(reader)(path)
-            try:
-                header = self.ask(process, {"reader": reader}, path, size)
-            except InputError:
-                raise
-            except BaseException:  # an answer half read would be taken for the next one
-                self.stop()
-                raise
-            assert header is not None
-            return _assembled(header, path)
+            return _assembled(self._whole(process, {"reader": reader}, path, size), path)
+
+    def arrays(self, request: dict[str, Any], path: Path, size: int) -> dict[str, np.ndarray]:
+        """The arrays of a request that has one answer."""
+        with self._lock:
+            return self._whole(self.start(), request, path, size)["arrays"]
+
+    def _whole(self, process: subprocess.Popen, request: dict[str, Any], path: Path, size: int) -> dict[str, Any]:
+        try:
+            header = self.ask(process, request, path, size)
+        except InputError:
+            raise
+        except BaseException:  # an answer half read would be taken for the next one
+            self.stop()
+            raise
+        assert header is not None
+        return header
 
     def start(self) -> subprocess.Popen:
         """The process, which is started where none runs."""
@@ -166,7 +212,7 @@ class _Child:
             answered.set()
         if "error" in answer:
             raise InputError(answer["error"])
-        return answer if "events" in answer else None
+        return answer if answer.keys() & {"events", "arrays"} else None
 
     def stop(self) -> None:
         """End the process, if one runs."""
@@ -240,12 +286,14 @@ def serve() -> None:
         os.dup2(nothing, descriptor)
     for line in requests:
         request = json.loads(line)
-        for name in (READERS[request["reader"]], *LIBRARIES.get(request["reader"], ())):
+        for name in ((READERS | FUNCTIONS)[request["reader"]], *LIBRARIES.get(request["reader"], ())):
             with contextlib.suppress(ImportError):  # the reader will say so
                 importlib.import_module(name)
         _limit(request["cpu_s"], request["bytes"])
         for header, arrays in _answers(request):
             _send(answers, header, arrays)
+            if "arguments" in request:
+                _limit(request["cpu_s"], request["bytes"])
         _limit(0.0, request["bytes"])
 
 
@@ -253,6 +301,9 @@ def _answers(request: dict[str, Any]) -> Iterator[tuple[dict[str, Any], list[np.
     """What answers a request: headers, each with the columns that it describes."""
     path = Path(request["path"])
     try:
+        if "arguments" in request:
+            yield from _of_function(request, path)
+            return
         for recording in _recordings(request["reader"], path, bool(request.get("stream"))):
             arrays: list[np.ndarray] = []
             yield _taken_apart(recording, arrays), arrays
@@ -265,6 +316,20 @@ def _answers(request: dict[str, Any]) -> Iterator[tuple[dict[str, Any], list[np.
     except Exception as error:
         reason = str(error).splitlines()[0][:120] if str(error) else ""
         yield {"error": f"{path}: damaged ({type(error).__name__}: {reason})"}, []
+
+
+def _of_function(request: dict[str, Any], path: Path) -> Iterator[tuple[dict[str, Any], list[np.ndarray]]]:
+    name = request["reader"]
+    for found in getattr(importlib.import_module(FUNCTIONS[name]), name)(path, **request["arguments"]):
+        arrays = [np.ascontiguousarray(array) for array in found.values()]
+        columns = {
+            key: {"dtype": array.dtype.str, "shape": list(array.shape)}
+            for key, array in zip(found, arrays, strict=True)
+        }
+        yield {"arrays": columns}, arrays
+        if not request["stream"]:
+            return
+    yield {}, []
 
 
 def _recordings(reader: str, path: Path, in_parts: bool) -> Iterator[Recording]:

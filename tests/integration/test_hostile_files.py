@@ -1,6 +1,8 @@
 """Files that nobody should trust: every reader answers in one plain line, and the process lives on."""
 
 import os
+import struct
+import zlib
 from pathlib import Path
 
 import h5py
@@ -11,6 +13,8 @@ from hypothesis import strategies as st
 
 from pixelid.errors import InputError
 from pixelid.recordings import Events, Recording, open_recording, write_recording
+from pixelid.recordings.pictures import read_picture
+from pixelid.stimuli import sampled
 from pixelid.stimuli.files import load_stimulus
 from pixelid.stimuli.shapes import steps
 
@@ -189,3 +193,51 @@ def test_what_is_no_regular_file(tmp_path):
         assert answer(path)
         with pytest.raises(InputError):
             load_stimulus(path)
+
+
+def png(width: int, height: int, data: bytes) -> bytes:
+    """A grey picture that declares a size, whatever its data are."""
+
+    def chunk(kind: bytes, content: bytes) -> bytes:
+        return struct.pack(">I", len(content)) + kind + content + struct.pack(">I", zlib.crc32(kind + content))
+
+    header = struct.pack(">IIBBBBB", width, height, 8, 0, 0, 0, 0)
+    return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(data)) + chunk(b"IEND", b"")
+
+
+def test_pictures_that_declare_more_than_they_hold(tmp_path):
+    (tmp_path / "good.png").write_bytes(png(3, 2, b"\0\1\2\3" * 2))
+    np.testing.assert_array_equal(read_picture(tmp_path / "good.png"), [[1, 2, 3]] * 2)
+    tiff = b"II*\0\x08\0\0\0\x04\0" + b"".join(
+        struct.pack("<HHII", tag, 4, 1, value) for tag, value in ((256, 1 << 31), (257, 1 << 31), (273, 8), (279, 9))
+    )
+    bombs = {
+        "wide.png": png(1 << 30, 1 << 30, b"\0"), "short.png": png(13_000, 13_000, b"\0" * 100),
+        "bomb.png": png(60_000, 60_000, b"\0" * 10**6), "huge.tif": tiff + bytes(4), "empty.jpg": b"",
+        "text.bmp": b"BM",
+        "pickle.npy": b"\x93NUMPY\x01\x00v\x00{'descr': '|O', 'fortran_order': False, 'shape': (9, 9), }",
+    }  # fmt: skip
+    for name, content in bombs.items():
+        (tmp_path / name).write_bytes(content)
+        with pytest.raises(InputError, match=name):
+            read_picture(tmp_path / name)
+    (tmp_path / "frames").mkdir()
+    for name in ("wide.png", "short.png"):
+        (tmp_path / "frames" / name).write_bytes(bombs[name])
+    (tmp_path / "frames" / "timestamps.txt").write_text("0\n1\n")
+    with pytest.raises(InputError, match=r"short\.png"):
+        load_stimulus(tmp_path / "frames")
+    (tmp_path / "video.mp4").write_bytes(b"\0\0\0\x18ftypmp42" + bytes(100))
+    with pytest.raises(InputError, match=r"video\.mp4"):
+        load_stimulus(tmp_path / "video.mp4")
+
+
+def test_frames_that_do_not_fit_into_memory(tmp_path, monkeypatch):
+    (tmp_path / "frames").mkdir()
+    for k in range(3):
+        (tmp_path / "frames" / f"{k}.png").write_bytes(png(30, 20, bytes(31 * 20)))
+    (tmp_path / "frames" / "timestamps.txt").write_text("0\n1\n2\n")
+    assert load_stimulus(tmp_path / "frames").radiance.shape == (3, 20, 30)
+    monkeypatch.setattr(sampled, "_memory_bytes", lambda: 2 * 2 * 3 * 30 * 20 * 4 - 1)
+    with pytest.raises(InputError, match="fit into memory"):
+        load_stimulus(tmp_path / "frames")

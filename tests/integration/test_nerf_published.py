@@ -35,6 +35,11 @@ def made(tmp_path_factory) -> Path:
 @pytest.fixture(scope="module")
 def truth(made) -> dict[str, np.ndarray]:
     """Events, poses and intrinsics as the simulator made them, and six frames on the way."""
+    return as_simulated(made)
+
+
+def as_simulated(made: Path) -> dict[str, np.ndarray]:
+    """The arrays of a dataset of `SIDE` × `SIDE` pixels, and six frames on the way."""
     names = ("raw_events.npz", "camera_poses.npz", "camera_calibration.npz")
     arrays = {}
     for name in names:

@@ -26,10 +26,10 @@ from pixelid.nerf.published.source import (
     camera_of,
     found,
     poses_of,
-    read_picture,
     read_table,
     wanted,
 )
+from pixelid.recordings.pictures import read_picture
 
 MODELS = {"radtan": "plumb_bob", "equi": "equidistant", "none": "plumb_bob"}  # Kalibr's names → ours
 # Biases of the published sequences, in mV: ON, OFF, their common level and the refractory one.  The thresholds' ratio

@@ -9,9 +9,11 @@ from typing import Any
 
 import numpy as np
 
+from pixelid.documents import interpreting
 from pixelid.errors import InputError
 from pixelid.nerf.published.source import Block
 from pixelid.recordings.hdf5 import refuse_foreign_storage
+from pixelid.recordings.isolated import arrays_isolated
 
 BLOCK = 1 << 20  # events read together: 13 MB, and as much again while they are converted
 NS_PER_US = 1000
@@ -26,22 +28,30 @@ def events_of(path: Path) -> Callable[[int, int], Iterator[Block]]:
     Raises:
         InputError: columns that are missing or differ in length, or a compression that h5py cannot undo.
     """
-    with _columns(path) as (columns, _):
-        for column in columns.values():
-            column[:1]
+    next(arrays_isolated("event_blocks", path, begin=0, end=-1))
 
     def blocks(begin: int, end: int) -> Iterator[Block]:
-        with _columns(path) as (columns, offset):
-            t = columns["t"]
-            first = _first_at(t, begin // NS_PER_US - offset)
-            for k in range(first, len(t), BLOCK):
-                some = slice(k, k + BLOCK)
-                time = (t[some].astype(np.int64) + offset) * NS_PER_US
-                if time[0] > end:
-                    return
-                yield Block(time, columns["x"][some], columns["y"][some], columns["p"][some] > 0)
+        answers = arrays_isolated("event_blocks", path, begin=begin, end=end)
+        next(answers)
+        return (Block(**columns) for columns in answers)
 
     return blocks
+
+
+def event_blocks(path: Path, begin: int, end: int) -> Iterator[dict[str, np.ndarray]]:
+    """What the reading process does: first the number of events, then blocks with those between two times [ns]."""
+    with interpreting(path, "columns x, y, t, p of numbers"), _columns(path) as (columns, offset):
+        t = columns["t"]
+        yield {"events": np.array([len(t)])}
+        for column in columns.values():
+            column[:1]
+        first = _first_at(t, begin // NS_PER_US - offset) if begin <= end else len(t)
+        for k in range(first, len(t), BLOCK):
+            some = slice(k, k + BLOCK)
+            time = (t[some].astype(np.int64) + offset) * NS_PER_US
+            if time[0] > end:
+                return
+            yield {"t": time, "x": columns["x"][some], "y": columns["y"][some], "on": columns["p"][some] > 0}
 
 
 @contextmanager
@@ -59,7 +69,7 @@ def _columns(path: Path) -> Iterator[tuple[Any, int]]:
         with h5py.File(path, "r") as file:
             refuse_foreign_storage(file, path)
             yield _checked(file, path)
-    except OSError as error:
+    except (OSError, RuntimeError, KeyError) as error:  # h5py raises all of them for damaged files
         if "filter" in str(error):
             raise InputError(
                 f"{path}: compressed by a filter that h5py here lacks; pip install hdf5plugin brings the usual ones"

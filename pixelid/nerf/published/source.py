@@ -196,20 +196,3 @@ def wanted(folder: Path, *patterns: str) -> Path:
     if path is None:
         raise InputError(f"{folder}: {' or '.join(patterns)}: no such file there, two levels below or beside it")
     return path
-
-
-def read_picture(path: Path) -> np.ndarray:
-    """A stored picture, (H, W) or (H, W, channels).
-
-    Raises:
-        InputError: it is missing or damaged.
-    """
-    from skimage.io import imread
-
-    if not path.is_file():
-        raise InputError(f"{path}: no such picture")
-    try:
-        return np.asarray(imread(path))
-    except Exception as error:  # readers of many formats, each with its own exceptions
-        reason = str(error).splitlines()[0][:80] if str(error) else type(error).__name__
-        raise InputError(f"{path}: not a readable picture ({reason})") from None

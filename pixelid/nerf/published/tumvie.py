@@ -27,10 +27,10 @@ from pixelid.nerf.published.source import (
     found,
     matrices,
     poses_of,
-    read_picture,
     read_table,
     wanted,
 )
+from pixelid.recordings.pictures import read_picture
 
 SIDES = {"left": (0, 2), "right": (1, 3)}  # camera and sensor in the calibration
 RIG_A = ("loop-floor", "mocap-desk", "skate-easy")  # sequences of the first calibration, the others are of the second

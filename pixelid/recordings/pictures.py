@@ -1,0 +1,104 @@
+"""Pictures and videos, decoded in the reading process: their decoders are compiled libraries too.
+
+A picture that declares more pixels than `MOST_PIXELS` is refused; what a video or a folder of pictures takes altogether
+is for its caller to limit, frame by frame.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from pixelid.documents import first_line
+from pixelid.errors import InputError
+from pixelid.recordings.isolated import arrays_isolated
+
+MOST_PIXELS = 1 << 27  # of a picture, 11 000 × 11 000; of a grey frame as float32 0.5 GiB
+
+
+def read_picture(path: Path) -> np.ndarray:
+    """A stored picture.
+
+    Args:
+        path: PNG, TIFF, JPEG, BMP, OpenEXR, or a .npy array.
+
+    Returns:
+        (H, W) or (H, W, channels), of the type that it is stored in.
+
+    Raises:
+        InputError: it is missing, damaged, too large, or decoding it crashed or hung.
+    """
+    if not path.is_file():
+        raise InputError(f"{path}: {'expected a picture, found no file' if path.exists() else 'no such picture'}")
+    (found,) = arrays_isolated("picture", path, single=True)
+    return found["picture"]
+
+
+def read_video(path: Path) -> tuple[float, Iterator[np.ndarray]]:
+    """Frames per second (0 where the file does not say), and grey frames of a video one by one, (H, W) uint8.
+
+    Raises:
+        InputError: it is damaged or no video, the package that decodes videos is missing, or it crashed or hung; also
+            between frames.
+    """
+    answers = arrays_isolated("video", path)
+    rate = float(next(answers)["rate"][0])
+    return rate, (answer["frame"] for answer in answers)
+
+
+def picture(path: Path) -> Iterator[dict[str, np.ndarray]]:
+    """What the reading process does for `read_picture`."""
+    try:
+        if path.suffix == ".npy":
+            image = np.load(path, mmap_mode="r", allow_pickle=False)
+        elif path.suffix.lower() == ".exr":
+            image = _exr(path)
+        else:
+            from skimage.io import imread
+
+            image = imread(path)
+    except (InputError, MemoryError):
+        raise
+    except Exception as error:  # readers of many formats, each with its own exceptions
+        raise InputError(f"{path}: not a readable picture ({first_line(error)[:80]})") from None
+    image = np.asarray(image)
+    if not 2 <= image.ndim <= 4 or image.size > 4 * MOST_PIXELS or image.dtype.kind not in "buif":
+        raise InputError(
+            f"{path}: expected a picture of at most {MOST_PIXELS} pixels, found {image.dtype} of shape {image.shape}"
+        )
+    yield {"picture": image}
+
+
+def video(path: Path) -> Iterator[dict[str, np.ndarray]]:
+    """What the reading process does for `read_video`."""
+    try:
+        import av  # pyright: ignore[reportMissingImports]  (optional)
+        from av.error import FFmpegError  # pyright: ignore[reportMissingImports]
+    except ImportError:
+        raise InputError(f'{path}: videos need the package av: pip install "pixelid[video]"') from None
+    try:
+        with av.open(str(path)) as file:
+            stream = file.streams.video[0]
+            yield {"rate": np.array([float(stream.average_rate or 0)])}
+            for frame in file.decode(stream):
+                if frame.width * frame.height > MOST_PIXELS:
+                    raise InputError(f"{path}: expected frames of at most {MOST_PIXELS} pixels")
+                yield {"frame": frame.to_ndarray(format="gray")}
+    except (FFmpegError, LookupError, ValueError, ArithmeticError) as error:
+        raise InputError(f"{path}: expected a video: {first_line(error)}") from None
+
+
+def _exr(path: Path) -> np.ndarray:
+    import os
+
+    os.environ.setdefault("OPENCV_IO_ENABLE_OPENEXR", "1")
+    try:
+        import cv2  # type: ignore[import-not-found]
+    except ImportError:
+        raise InputError(f"{path}: reading EXR needs OpenCV (pip install opencv-python-headless)") from None
+    image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+    if image is None:
+        raise InputError(f"{path}: OpenCV cannot read it")
+    return image if image.ndim == 2 else image[..., [2, 1, 0, *range(3, image.shape[2])]]

@@ -1,0 +1,174 @@
+"""Every option and argument of every command, with values that nobody should pass: one to three lines, exit code 2.
+
+The commands get good inputs beside the hostile value, so that what passes the command line meets what computes.
+"""
+
+import shutil
+import signal
+import sys
+from pathlib import Path
+
+import click
+import h5py
+import numpy as np
+import pytest
+
+from pixelid.cli import options
+from pixelid.cli.main import COMMANDS, LazyGroup, cli, main
+from pixelid.documents import printable
+from pixelid.recordings import Events, Recording, write_recording
+from pixelid.stimuli.stimulus import Stimulus
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+import fuzz_targets
+
+DATA = Path(__file__).parents[1] / "data"
+MOST_S = 20.0  # CPU time of an answer; imports and compilation are in it
+GOOD = {  # command → words that run; {out} is free
+    "models": "dvs128",
+    "inspect": "good.h5 --out {out}",
+    "convert": "good.h5 {out}.h5",
+    "simulate": "dvs128 --stimulus good.h5 --out {out}.h5 --pixels 1",
+    "fit": "good.h5 --model dvs128 --out {out}",
+    "compare": "good.h5 --model dvs128 --model ideal --out {out}",
+    "sensor": "good.h5 --model dvs128 --out {out} --bootstrap 0",
+    "rates": "rates.csv --out {out}",
+    "latency": "latency.csv --out {out} --predict --model gen31",
+    "flicker": "good.h5 --out {out} --groups 1x1",
+    "noise": "noise.csv --out {out} --predict --model dvs128",
+    "lowlight": "dvs128 good.h5 --out {out}",
+    "design": "dvs128 --out {out} --pixels 1 --draws 1",
+    "gap": "good.h5 --model dvs128 --out {out}",
+    "conform": "good.h5 --model dvs128 --out {out}",
+    "export": "dvs128 --to v2e --out {out}.yaml",
+    "dataset": "eds eds {out}",
+    "reconstruct": "scene --out {out} --steps 2 --cells 8 --bandwidth off --box -1 -1 -1 1 1 1",
+    "render": "result --out {out} --frames 1 --size 4 4",
+    "report": "result",
+    "demo": "--out {out}",
+}
+NINES = "9" * 5000
+NUMBERS = ("-1e999", "nan", "inf", "-inf", "1e999", NINES, f"-{NINES}", "", "0x10", "1,5", "²", "\x1b[2J", "\0", "a b")
+HUGE = ("-1", "9223372036854775808", "1e300")  # some numbers may be that
+TEXTS = ("", "\0", NINES, "nan", "=", "a=nan", "a=b=c", "\x1b[31mred\u202e", "🎈" * 300, "-", "../..", ",,,")
+PATHS = ("", "\0", "x" * 5000, "/dev/zero", "/nonexistent/x", ".")
+
+
+def cases(command: str) -> list[tuple[list[str], bool]]:
+    """(words to add to those of `GOOD`, whether they must be refused) for every option of a command."""
+    group = cli
+    assert isinstance(group, LazyGroup)
+    found_command = group.get_command(click.Context(group), command)
+    assert found_command is not None
+    found = []
+    for parameter in found_command.params:
+        kind = parameter.type
+        if isinstance(parameter, click.Argument) or isinstance(kind, click.types.BoolParamType):
+            continue
+        if isinstance(kind, click.Path):
+            values = [(value, value == "\0") for value in PATHS]
+        elif isinstance(kind, click.types.StringParamType):
+            values = [(value, False) for value in (*TEXTS, *PATHS)]
+        else:
+            values = [(value, True) for value in NUMBERS]
+            whole = not isinstance(kind, options.Number)
+            values += [] if isinstance(kind, click.Choice) else [(v, whole and v != "-1") for v in HUGE]
+        found += [([parameter.opts[0], value, *["1"] * (parameter.nargs - 1)], refused) for value, refused in values]
+    return found
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory):
+    """A folder with good inputs of every kind."""
+    folder = tmp_path_factory.mktemp("options")
+    rng, n = np.random.default_rng(3), 200
+    t = np.sort(rng.choice(12 * 10**5, n, replace=False)) * 1000
+    events = Events.from_columns(
+        t, rng.integers(0, 2, n), rng.integers(0, 2, n), rng.integers(0, 2, n), 2, 2, tick_ns=1000
+    )
+    light = Stimulus.from_arrays(np.linspace(0, 1.2, 50), 20 + rng.random(50), "fA")
+    write_recording(Recording(events, light), folder / "good.h5")
+    (folder / "rates.csv").write_text("freq_hz,slow,fast\n1,70,80\n5,200,300\n10,300,500\n50,100.5,200\n")
+    (folder / "noise.csv").write_text("lux,ON_events_per_s_per_px,OFF_events_per_s_per_px\n1,2.5,0.1\n10,0.5,0.05\n")
+    rows = "CAM3,f2,1,0.05,0,210,3,100\n"
+    (folder / "latency.csv").write_text(f"camera,lens,polarity,irradiance_W_m2,bias_config,median,stdev,pixels\n{rows}")
+    list(fuzz_targets._scenes(folder))
+    write_sequence(folder / "eds")
+    (folder / "result").mkdir()
+    shutil.copy(DATA / "results" / "reconstruction.json", folder / "result")
+    shutil.copy(folder / "field.npz", folder / "result")
+    return folder
+
+
+def write_sequence(folder: Path) -> None:
+    """A sequence as EDS publishes it: a camera of 4 × 4 pixels that stands still for a second."""
+    folder.mkdir()
+    t = np.arange(0, 10**6, 10**4)
+    with h5py.File(folder / "events.h5", "w") as file:
+        file["t"], file["x"], file["y"], file["p"] = t, t // 10**4 % 4, t // 10**5 % 4, t // 10**4 % 2
+    (folder / "stamped_groundtruth.txt").write_text("".join(f"{s} 0 0 0 0 0 0 1\n" for s in (0.0, 0.5, 1.0)))
+    camera = "cam1:\n  intrinsics: [4.0, 4.0, 1.5, 1.5]\n  resolution: [4, 4]\n"
+    (folder / "camchain.yaml").write_text(camera)
+
+
+def answer(words: list[str], place: Path, capsys, monkeypatch) -> int:
+    """The exit code; wrong answers fail here."""
+    monkeypatch.chdir(place)
+    before = everything(place)
+
+    def too_long(*_):
+        raise TimeoutError
+
+    signal.signal(signal.SIGVTALRM, too_long)
+    signal.setitimer(signal.ITIMER_VIRTUAL, MOST_S)
+    try:
+        code = main([*words, "--quiet"])
+    finally:
+        signal.setitimer(signal.ITIMER_VIRTUAL, 0)
+    said = capsys.readouterr().err
+    assert code in (0, 1, 2), said
+    assert "this is a bug" not in said
+    assert "Traceback" not in said
+    assert printable(said) == said
+    assert len(said.splitlines()) <= 3
+    assert max(map(len, said.splitlines()), default=0) < 1100
+    new = everything(place) - before
+    if code == 2:
+        assert not new
+        assert said.startswith("pixelid: ")
+    for file in sorted(new):
+        if file.exists():
+            shutil.rmtree(file) if file.is_dir() else file.unlink()
+    return code
+
+
+def everything(place: Path) -> set[Path]:
+    """Every file and folder but the pages that `report` writes."""
+    return {file for file in place.rglob("*") if file.name != "report.html"}
+
+
+def test_every_command_has_words():
+    assert GOOD.keys() == COMMANDS.keys()
+
+
+@pytest.mark.parametrize("command", GOOD)
+def test_what_is_no_number_and_no_choice(command, place, capsys, monkeypatch):
+    good = GOOD[command].format(out="out").split()
+    for words, refused in cases(command):
+        if refused:
+            assert answer([command, *good, *words], place, capsys, monkeypatch) == 2, words
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("command", [name for name in GOOD if name not in ("demo", "flicker")])
+def test_the_words_run(command, place, capsys, monkeypatch):
+    assert answer([command, *GOOD[command].format(out="out").split()], place, capsys, monkeypatch) in (0, 1)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("command", GOOD)
+def test_texts_and_huge_numbers(command, place, capsys, monkeypatch):
+    good = GOOD[command].format(out="out").split()
+    for words, refused in cases(command):
+        if not refused:
+            answer([command, *good, *words], place, capsys, monkeypatch)
