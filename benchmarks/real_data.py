@@ -33,7 +33,8 @@ def commands(recordings: Path, out: Path) -> dict[str, list[str]]:
     return {
         "flicker120_gen31.npz": ["flicker", str(recordings / "flicker120_gen31.npz"), "--out", str(out / "flicker")],
         "rate_vs_frequency_gen31.csv": [
-            "rates", str(recordings / "rate_vs_frequency_gen31.csv"), "--unit", "mev/s", "--out", str(out / "gen31"),
+            "rates", str(recordings / "rate_vs_frequency_gen31.csv"), "--unit", "mev/s", "--bias-law",
+            "--out", str(out / "gen31"),
         ],
         "led_rate_vs_frequency_evk4.npz": [
             "rates", str(FITS / "led_rate_vs_frequency_evk4.toml"), "--data", str(recordings),

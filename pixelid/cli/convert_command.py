@@ -12,7 +12,7 @@ from pixelid.cli import options
 if TYPE_CHECKING:
     from pixelid.recordings.crop import Crop
 
-SENSOR = "sensor"  # of --stimulus: the light as the sensor itself measured it
+SENSOR, FRAMES = "sensor", "frames"  # of --stimulus: the light as the sensor itself measured it
 EXAMPLE = """
 \b
 Example:
@@ -24,10 +24,11 @@ Example:
 
 @click.command("convert", epilog=EXAMPLE)
 @click.argument("source", metavar="IN", type=options.PATH)
-@click.argument("target", metavar="OUT", type=options.PATH)
+@click.argument("target", metavar="OUT", type=options.NEW)
 @click.option("--stimulus", metavar="S",
               help="The light: a table, array, video, recording, .toml or built-in name; "
-                   "or sensor: the exposure measurements of an ATIS.")  # fmt: skip
+                   "or sensor: the exposure measurements of an ATIS; frames[:DARK]: a DAVIS' frames, DARK the grey "
+                   "level of no light.")  # fmt: skip
 @click.option("--align", metavar="HOW",
               help="The light's time zero on the camera's clock: trigger, first-event, auto, or seconds.")  # fmt: skip
 @options.crop
@@ -43,6 +44,7 @@ def command(
     Nothing is lost on the way: times, addresses, polarities, stimulus, labels and biases come back as they were
     (triggers and exposure measurements in .h5).  With --align, time zero becomes the light's first sample.
     """
+    from pixelid.cli.terminal import say
     from pixelid.errors import InputError
     from pixelid.outputs import claimed
     from pixelid.recordings.writing import check_writable
@@ -50,10 +52,11 @@ def command(
     check_writable(target)
     if align is not None and stimulus is None:
         raise InputError("--align: expected --stimulus beside it, the light to align")
-    if align is not None and stimulus == SENSOR:
-        raise InputError("--align: --stimulus sensor is on the camera's clock already")
+    own, dark = _own_light(stimulus)
+    if align is not None and own:
+        raise InputError(f"--align: --stimulus {own} is on the camera's clock already")
     said = ""
-    with claimed(target, overwrite, [source, *([stimulus] if stimulus and stimulus != SENSOR else [])]):
+    with claimed(target, overwrite, [source, *([stimulus] if stimulus and not own else [])]):
         from pixelid.cli.progress import bar
         from pixelid.recordings import write_recording
         from pixelid.recordings.parts import LongRecording, Totals
@@ -61,14 +64,18 @@ def command(
 
         check_readable([source])
 
-        if stimulus == SENSOR:  # cut afterwards: what a pixel measured counts whole
+        if own == SENSOR:  # cut afterwards: what a pixel measured counts whole
             from pixelid.recordings.sensor_light import with_measured_light
 
             recording = crop.applied(with_measured_light(open_recording(source)), seed)
             said = f"; {recording.attributes['polarity']}" if "polarity" in recording.attributes else ""
+        elif own == FRAMES:
+            from pixelid.recordings.frames import with_frames
+
+            recording = crop.applied(with_frames(open_recording(source), dark), seed)
         else:
             recording = open_cropped(source, crop, seed)
-        if stimulus is not None and stimulus != SENSOR:
+        if stimulus is not None and not own:
             from pixelid.stimuli.files import load_stimulus
 
             light = load_stimulus(stimulus)
@@ -95,7 +102,25 @@ def command(
             write_recording(recording, target, overwrite=overwrite)
     if not quiet:
         beside = "with its stimulus" if recording.stimulus is not None else "without stimulus"
-        click.echo(f"{target}: {totals.events} events, {totals.duration_s:g} s, {beside}{said}")
+        say(f"{target}: {totals.events} events, {totals.duration_s:g} s, {beside}{said}")
+
+
+def _own_light(stimulus: str | None) -> tuple[str, float]:
+    """(sensor, frames, or "" for other light; the grey level of no light)."""
+    from pixelid.errors import InputError
+
+    name, _, dark = (stimulus or "").partition(":")
+    if name == SENSOR and not dark:
+        return SENSOR, 0.0
+    if name != FRAMES:
+        return "", 0.0
+    try:
+        level = float(dark or 0.0)
+    except ValueError:
+        level = -1.0
+    if not 0.0 <= level < 65535.0:
+        raise InputError(f"--stimulus frames:DARK: expected a grey level of no light, found {dark!r}")
+    return FRAMES, level
 
 
 def _refuse_other_clock(recording) -> None:

@@ -18,6 +18,7 @@ from pixelid.likelihood.event_times import EventTimes
 from pixelid.likelihood.information import Information, Tangent
 from pixelid.stages.circuit import Circuit
 from pixelid.stages.comparator import threshold_shifts
+from pixelid.stages.modulation import at_reset, since_event
 
 # Circuit numbers that leave the trajectories and changes alone and act in the density only.
 DENSITY_ONLY = (*NUMBERS, "tick")
@@ -57,8 +58,8 @@ class EventTimesObjective(Objective):
 
     def gradient(self, x: np.ndarray) -> np.ndarray:
         here, circuit = self.terms(x).gradient(), self.coordinates.circuit(x)
-        along = [_product(here, self._tangent(x, i, circuit)) for i in range(len(x))]
-        return self.coordinates.prior_gradient_and_curvature(x)[0] + along
+        slopes = [along(here, self._tangent(x, i, circuit)) for i in range(len(x))]
+        return self.coordinates.prior_gradient_and_curvature(x)[0] + slopes
 
     def local(self, x: np.ndarray) -> Local:
         terms, circuit = self.terms(x), self.coordinates.circuit(x)
@@ -67,9 +68,13 @@ class EventTimesObjective(Objective):
         gradient = gradient.copy()
         for i in range(len(x)):
             tangent = self._tangent(x, i, circuit)
-            gradient[i] += _product(here, tangent)
+            gradient[i] += along(here, tangent)
             information.add(i, tangent)
         return Local(self.value(x), gradient, information.matrix() + np.diag(curvature))
+
+    def tangent(self, x: np.ndarray, i: int) -> Tangent:
+        """How changes and numbers move along coordinate i at x."""
+        return self._tangent(x, i, self.coordinates.circuit(x))
 
     def _tangent(self, x: np.ndarray, i: int, circuit: Circuit) -> Tangent:
         step = STEP * self.coordinates.longest_moves()[i]
@@ -119,15 +124,22 @@ def _moved(x: np.ndarray, i: int, by: float) -> np.ndarray:
     return moved
 
 
-def _product(gradient: Gradient, tangent: Tangent) -> float:
+def along(gradient: Gradient, tangent: Tangent) -> float:
     """The derivative of the log-likelihood along a tangent."""
-    along = float(gradient.by_numbers @ tangent.numbers)
-    return along if tangent.changes is None else along + float(gradient.by_changes.vector @ tangent.changes.vector)
+    total = float(gradient.by_numbers @ tangent.numbers)
+    return total if tangent.changes is None else total + float(gradient.by_changes.vector @ tangent.changes.vector)
+
+
+def _set_by_events(circuit: Circuit) -> tuple:
+    """What of a described effect depends on other numbers of the circuit."""
+    return at_reset(circuit).tolist(), since_event(circuit), circuit.threshold_drift
 
 
 def only_density_differs(a: Circuit, b: Circuit) -> bool:
     """Whether two circuits have the same trajectories and changes."""
     shifts = [(threshold_shifts(c, 1.0), c.threshold_drift) for c in (a, b)]
     if shifts[0] != shifts[1] and (a.polarity_memory != 0 or b.polarity_memory != 0):
+        return False
+    if (a.described or b.described) and _set_by_events(a) != _set_by_events(b):
         return False
     return replace(a, **{name: getattr(b, name) for name in DENSITY_ONLY}) == b

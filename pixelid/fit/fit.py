@@ -14,6 +14,7 @@ from pixelid.fit.engines import FORMS, Engine
 from pixelid.fit.engines import engine as engine_named
 from pixelid.fit.event_times import EventTimesObjective
 from pixelid.fit.judge import open_sides, precision, residual_tests, status_of
+from pixelid.fit.measured_light import NO_PHYSICAL, as_light_tells, held_in_words, line_errors, unresolved
 from pixelid.fit.newton import Optimum
 from pixelid.fit.newton import maximise as newton_steps
 from pixelid.fit.pooled import fit_pooled
@@ -25,13 +26,14 @@ from pixelid.fit.uncertainty.ridge import profile_of_ridge, widened
 from pixelid.fit.uncertainty.small_sample import intervals
 from pixelid.likelihood.clocks import unseparated
 from pixelid.likelihood.event_times import EventTimes
+from pixelid.likelihood.light_between_samples import with_told
 from pixelid.model.model import Model
 from pixelid.parameters.gauge import Gauge
 from pixelid.provenance import input_hashes, versions
 from pixelid.recordings.own_light import with_fine_light, with_pixel_lights
 from pixelid.recordings.recording import Recording
 from pixelid.recordings.selection import few
-from pixelid.recordings.sensor_light import light_caveats
+from pixelid.recordings.sensor_light import is_measured, light_caveats
 
 Progress = Callable[[str, float], None]
 STARTS = 2  # random starts beside the model's own
@@ -101,7 +103,11 @@ def fit(
         raise InputError("some recordings are pooled and some have pixels; fit them separately")
     for recording in recordings:
         recording.check_stimulus_covers_events()
-    recordings = with_pixel_lights([recording.within_stimulus() for recording in recordings])
+    recordings = with_told(with_pixel_lights([recording.within_stimulus() for recording in recordings]))
+    sampled = any(map(is_measured, recordings))
+    held, model = unresolved(model) if sampled else [], as_light_tells(model, recordings)
+    if sampled and form != "discrete":
+        raise InputError("form: light that the sensor measured itself is followed in the discrete form only")
     rng = np.random.default_rng(seed)
     if all(pooled):
         if form != "discrete":
@@ -134,7 +140,13 @@ def fit(
     details["condition_number"] = reading.condition
     details["directions_best_to_least_known"] = list(reading.directions)
     fitted = coordinates.model_at(optimum.x)
-    physical, why = _physical(fitted, gauge is not None)
+    physical, why = (None, NO_PHYSICAL) if sampled else _physical(fitted, gauge is not None)
+    if sampled and isinstance(objective, EventTimesObjective):
+        added = line_errors(objective, optimum.x)
+        reading = replace(
+            reading, sd=np.hypot(reading.sd, added), covariance=reading.covariance + np.diag(added**2)
+        )  # fmt: skip
+        details["added_by_light_between_samples"] = dict(zip(coordinates.names, added.tolist(), strict=True))
     limits_95 = intervals(coordinates.names, optimum.x, reading.sd, pixels)
     along = profile_of_ridge(objective, optimum.x, reading) if ridge else None
     if along is not None:
@@ -162,6 +174,7 @@ def fit(
             *reading.sentences,
             *limits,
             *details.pop("caveats", ()),
+            *held_in_words(held, recordings),
             *([apart] if apart else []),
         ),
         physical=physical,
@@ -210,7 +223,8 @@ def _fit_event_times(recordings, model, clocks, starts, between, maximiser: Engi
     agree = sum(end.local.value > best.local.value - 1.0 for end in ends)
     candidates = {}
     x = best.x
-    for kind in ("linear", "smooth") if between == "auto" else (between,):
+    sampled = any(map(is_measured, recordings))  # then only the samples are known
+    for kind in ("linear",) if sampled else ("linear", "smooth") if between == "auto" else (between,):
         finer = [with_fine_light(r, kind) for r in recordings]
         likelihood = EventTimes(finer)
         if "timestamp_jitter" in model.effects:

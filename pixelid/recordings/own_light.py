@@ -8,6 +8,7 @@ import numpy as np
 
 from pixelid.errors import InputError
 from pixelid.recordings.recording import Recording
+from pixelid.recordings.sensor_light import is_measured
 from pixelid.stimuli.pixel_lights import pixel_lights
 from pixelid.stimuli.resample import resampled
 
@@ -31,7 +32,10 @@ def with_fine_light(recording: Recording, between: str) -> Recording:
     """
     if recording.stimulus is None:
         raise InputError(f"{recording.name}: no stimulus; this needs to know what the light did")
-    light = _grouped(recording, recording.events.pixel).stimulus
+    grouped = _grouped(recording, recording.events.pixel)
+    if is_measured(recording):  # no straighter or smoother than its samples: `likelihood.light_between_samples`
+        return grouped
+    light = grouped.stimulus
     assert light is not None
     return recording.with_stimulus(resampled(light, between))
 

@@ -23,6 +23,8 @@ def nearly_square(pixels: int) -> tuple[int, int]:
     """
     if pixels < 1:
         raise InputError(f"--pixels: expected at least 1, found {pixels}")
+    if pixels > LONGEST_SIDE_PIXELS**2:
+        raise InputError(f"--pixels: expected at most {LONGEST_SIDE_PIXELS**2}, found {pixels}")
     height = int(pixels**0.5)
     while pixels % height:
         height -= 1

@@ -6,8 +6,8 @@ units of Q per second, put at the window's middle.  Between samples log radiance
 first and after the last it is held.  A measurement that the next one breaks off has no end, and is left out.
 
 What that cannot say: the light between two samples.  It changed by about one threshold there, at a moment that only the
-event tells.  A straight line spreads it over the whole time, so fast poles, the dead time and latency are not to be
-read from such a fit, and what the line is off by adds to the noise of the thresholds (`CAVEAT`).
+event tells.  A likelihood integrates that out (`likelihood/light_between_samples.py`); fast poles and the dead time are
+not to be read from such a fit (`CAVEAT`).
 
 Files differ in which polarity is ON.  Here the measurements tell: light rises between the measurements before and after
 an ON event.  Where it falls for most, polarities are exchanged, and the recording says so (`EXCHANGED`).
@@ -26,7 +26,7 @@ from pixelid.recordings.recording import Recording
 from pixelid.stimuli.pixel_lights import UNKNOWN, PixelLights
 from pixelid.stimuli.stimulus import Stimulus
 
-ATTRIBUTE, MEASURED = "light", "exposure measurements"
+ATTRIBUTE, MEASURED, FRAMES = "light", "exposure measurements", "frames"
 MIN_TICKS = 10  # of an exposure: a shorter one is rounded by more than 3 % (1/√12 tick)
 MIN_MEASUREMENTS = 2  # of a pixel: one tells no change
 # Changes of light with the sign of the events between: 98 % in a public recording, once its polarities are right.
@@ -34,9 +34,13 @@ MIN_MEASUREMENTS = 2  # of a pixel: one tells no change
 MAX_SHARE_AGREEING, MIN_TELLING = 1 / 3, 100
 EXCHANGED = "ON and OFF exchanged: the light measured after most ON events is less than before them"
 CAVEAT = (
-    "the light is the sensor's own, one sample per exposure and a straight line between: threshold noise holds what "
-    "the line is off by, and dead time, cutoffs and latency follow from when in between the light is taken to have "
-    "changed; each pixel's unknown gain of the light shifts nothing but its bandwidth and dark current"
+    "the light is the sensor's own, a sample per exposure: its course between two samples is integrated out as a "
+    "random path, threshold noise holds that of the exposures, and the intervals of thresholds and delay hold what the "
+    "level differs by between short and long intervals; each pixel's unknown gain of the light shifts nothing"
+)
+DARK = (
+    "the frames' grey level without light is not fitted: what it is off by scales thresholds, in dim pixels more than "
+    "in bright ones"
 )
 
 
@@ -107,6 +111,12 @@ def measurements(exposures: Events) -> tuple[np.ndarray, np.ndarray, np.ndarray]
     return pixel[begins], 0.5e-9 * (begin + end), 1e9 / (end - begin)
 
 
+def is_measured(recording: Recording) -> bool:
+    """Whether the sensor measured the light itself, at samples between which its course is not known."""
+    return recording.attributes.get(ATTRIBUTE) in (MEASURED, FRAMES)
+
+
 def light_caveats(recordings: Sequence[Recording]) -> list[str]:
     """What to say of fits to light that the sensor measured itself."""
-    return [CAVEAT] if any(r.attributes.get(ATTRIBUTE) == MEASURED for r in recordings) else []
+    said = [CAVEAT] if any(map(is_measured, recordings)) else []
+    return [*said, DARK] if any(r.attributes.get(ATTRIBUTE) == FRAMES for r in recordings) else said

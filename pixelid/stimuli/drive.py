@@ -10,6 +10,7 @@ import numpy as np
 
 from pixelid.errors import InputError
 from pixelid.stages.circuit import Circuit
+from pixelid.stages.modulation import Modulation, factor_of
 from pixelid.stages.photocurrent import logarithm
 from pixelid.stimuli.stimulus import Stimulus
 
@@ -21,18 +22,32 @@ class Drive:
     """Effective radiance (n,) > 0 at times t (n,) seconds, non-decreasing; log radiance is linear in between.
 
     Two samples may share a time: the light jumps there.  knee, knee_slope: of the circuit, whose response is linear in
-    low light (`photocurrent.logarithm`).
+    low light (`photocurrent.logarithm`);  described: its modulations of response and rate (`stages/modulation.py`).
     """
 
     t: np.ndarray
     radiance: np.ndarray
     knee: float = 0.0
     knee_slope: float = 1.0
+    described: tuple[Modulation, ...] = ()
 
     @cached_property
     def log_radiance(self) -> np.ndarray:
         """(n,) log radiance as the pixel responds: taken once for all circuits that see this light."""
-        return logarithm(Circuit(knee=self.knee, knee_slope=self.knee_slope), self.radiance)
+        logs = logarithm(Circuit(knee=self.knee, knee_slope=self.knee_slope), self.radiance)
+        return logs + np.log(factor_of(self.described, "response", self.radiance, self.t)) if self.described else logs
+
+    @cached_property
+    def rate_radiance(self) -> np.ndarray:
+        """(n,) the radiance that the photoreceptor's rates are those of."""
+        if not self.described:
+            return self.radiance
+        return self.radiance * factor_of(self.described, "rate", self.radiance, self.t)
+
+    @property
+    def straight(self) -> bool:
+        """Whether the response is the logarithm of the radiance."""
+        return self.knee == 0 and all(m.quantity != "response" for m in self.described)
 
 
 @dataclass(frozen=True)
@@ -91,7 +106,16 @@ def drive(stimulus: Stimulus, circuit: Circuit, until_s: float | None = None) ->
         radiance = radiance * (
             1 + circuit.flicker_modulation * np.sin(2 * np.pi * circuit.flicker_hz * t + circuit.flicker_phase)
         )
-    return Drive(t, radiance + circuit.dark, circuit.knee, circuit.knee_slope)
+    radiance = radiance + circuit.dark
+    if not circuit.described:
+        return Drive(t, radiance, circuit.knee, circuit.knee_slope)
+    radiance = radiance * factor_of(circuit.described, "light", radiance, t)
+    return Drive(t, radiance, circuit.knee, circuit.knee_slope, behind_light(circuit))
+
+
+def behind_light(circuit: Circuit) -> tuple[Modulation, ...]:
+    """The modulations of response and rate."""
+    return tuple(m for m in circuit.described if m.quantity in ("response", "rate"))
 
 
 def stacked_drive(lights: Sequence[Stimulus], circuit: Circuit, until_s: float) -> StackedDrive:
@@ -100,14 +124,14 @@ def stacked_drive(lights: Sequence[Stimulus], circuit: Circuit, until_s: float) 
     One light alone is as `drive` gives it.  Of several, each is held for `HELD_S` after its end, so that no time of
     interest lies in the step from the last sample of one light to the first of the next.
     """
-    knee = circuit.knee, circuit.knee_slope
+    response = circuit.knee, circuit.knee_slope, behind_light(circuit)
     if len(lights) == 1:
         only = drive(lights[0], circuit, until_s)
-        return StackedDrive(only.t, only.radiance, *knee, np.array([0, len(only.t)]))
+        return StackedDrive(only.t, only.radiance, *response, np.array([0, len(only.t)]))
     times, radiances = [], []
     for light in lights:
         part = drive(light, circuit, until_s)
         times += [part.t, [part.t[-1] + HELD_S]]
         radiances += [part.radiance, part.radiance[-1:]]
     first = np.concatenate([[0], np.cumsum([len(t) + 1 for t in times[::2]])])
-    return StackedDrive(np.concatenate(times), np.concatenate(radiances), *knee, first)
+    return StackedDrive(np.concatenate(times), np.concatenate(radiances), *response, first)

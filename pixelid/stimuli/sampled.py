@@ -10,7 +10,9 @@ Times count from the clock of whatever measured the light; `pixelid convert --al
 from __future__ import annotations
 
 import csv
+import os
 import re
+from collections.abc import Iterable
 from itertools import islice
 from pathlib import Path
 
@@ -180,7 +182,7 @@ def _stimulus(t: np.ndarray, radiance: np.ndarray, unit: str, path: Path, betwee
 
 
 def _folder(path: Path, fps: float | None) -> tuple[np.ndarray, np.ndarray]:
-    from skimage.io import imread
+    from pixelid.recordings.pictures import read_picture
 
     files = sorted(file for file in path.iterdir() if file.suffix.lower() in PICTURES and file.is_file())
     if len(files) < 2:
@@ -195,35 +197,46 @@ def _folder(path: Path, fps: float | None) -> tuple[np.ndarray, np.ndarray]:
             raise InputError(f"{stamps}: expected {len(files)} times, one for each picture, found {t.shape}")
     else:
         t = _regular(len(files), fps, path)
-    frames = []
-    for file in files:
-        try:
-            frames.append(_grey(imread(file), file))
-        except InputError:
-            raise
-        except Exception as error:  # readers of many formats, each with its own exceptions
-            raise InputError(f"{file}: expected a picture: {first_line(error)}") from None
-    if len({frame.shape for frame in frames}) > 1:
-        raise InputError(f"{path}: expected pictures of one size, found {sorted({f.shape for f in frames})}")
-    return np.stack(frames), t
+    return _stacked((_grey(read_picture(file), file) for file in files), len(files), path), t
 
 
 def _video(path: Path, fps: float | None) -> tuple[np.ndarray, np.ndarray]:
-    try:
-        import av  # pyright: ignore[reportMissingImports]  (optional)
-        from av.error import FFmpegError  # pyright: ignore[reportMissingImports]
-    except ImportError:
-        raise InputError(f'{path}: videos need the package av: pip install "pixelid[video]"') from None
-    try:
-        with av.open(str(path)) as file:
-            stream = file.streams.video[0]
-            rate = fps or float(stream.average_rate or 0) or None
-            frames = [frame.to_ndarray(format="gray").astype(np.float32) / 255.0 for frame in file.decode(stream)]
-    except (FFmpegError, LookupError, ValueError, ArithmeticError, MemoryError) as error:
-        raise InputError(f"{path}: expected a video: {first_line(error)}") from None
-    if len(frames) < 2:
-        raise InputError(f"{path}: expected a video of at least two frames, found {len(frames)}")
-    return np.stack(frames), _regular(len(frames), rate, path)
+    from pixelid.recordings.pictures import read_video
+
+    rate, pictures = read_video(path)
+    frames = _stacked((picture.astype(np.float32) / np.float32(255.0) for picture in pictures), 0, path)
+    return frames, _regular(len(frames), fps or rate or None, path)
+
+
+def _memory_bytes() -> int:
+    """Of the computer; 8 GiB where the system does not say."""
+    if not hasattr(os, "sysconf"):
+        return 8 << 30
+    return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+
+
+def _stacked(frames: Iterable[np.ndarray], expected: int, path: Path) -> np.ndarray:
+    """(n, h, w) of grey frames of one size, as far as they fit into half of the memory.
+
+    Args:
+        frames: (h, w) each.
+        expected: how many there are; 0: not known.
+        path: named in errors.
+    """
+    found: list[np.ndarray] = []
+    most = _memory_bytes() // 2
+    for frame in frames:
+        if found and frame.shape != found[0].shape:
+            raise InputError(f"{path}: expected pictures of one size, found {found[0].shape} and {frame.shape}")
+        found.append(frame)
+        if 2 * frame.nbytes * max(len(found), expected) > most:  # the frames, and the array that they are copied into
+            raise InputError(
+                f"{path}: expected frames that fit into memory, found {max(len(found), expected)} or more of "
+                f"{frame.shape[1]} × {frame.shape[0]} pixels; take fewer or smaller ones"
+            )
+    if len(found) < 2:
+        raise InputError(f"{path}: expected at least two frames, found {len(found)}")
+    return np.stack(found)
 
 
 def _regular(n: int, fps: float | None, path: Path) -> np.ndarray:

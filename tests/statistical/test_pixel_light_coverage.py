@@ -19,7 +19,7 @@ def script():
 @pytest.mark.slow
 def test_intervals_hold_the_truth(script):
     """As full-field intervals do: tests/statistical/test_coverage.py."""
-    table = script.summary([script.one(seed, 5) for seed in range(1000, 1012)])
+    table = script.coverage(12, 5, None, first=1000)["parameters"]
     assert sum(row["sessions"] for row in table.values()) > 80
     held = sum(row["covered"] for row in table.values()) / sum(row["sessions"] for row in table.values())
     assert held > 0.87
