@@ -18,6 +18,11 @@ from pathlib import Path
 import reference
 
 ROOT = Path(__file__).resolve().parent.parent
+GENERATED = ROOT / "docs" / "_generated"
+SENSOR_FIGURES = {
+    "latency": "Median latencies over irradiance, measured (marks) and predicted (lines), one colour per setting",
+    "limits": "Share of the latency that goes with each stage, over irradiance",
+}
 
 
 def table(heads: Iterable[str], rows: Iterable[Iterable[object]]) -> str:
@@ -147,6 +152,36 @@ def certification() -> str:
     )  # fmt: skip
 
 
+def described() -> str:
+    """What `benchmarks/described_effects.py` found."""
+    content = of_json("docs/described_effects.json")
+    kinds = [(kind, *row.values()) for kind, row in content["summary"].items()]
+    heads = ("sessions of", *next(iter(content["summary"].values())))
+    rows = []
+    for run in content["runs"]:
+        said = "; ".join(run["words"]) or run["verdict"] + (": " + ", ".join(run["named"]) if run["named"] else "")
+        right = {True: "yes", False: "no", None: ""}
+        marks = [right[run[key]] if run["described"] else "" for key in ("right_stage", "right_quantity")]
+        shown = run["described"] and run["closed"] is not None
+        closed = f"{run['closed']:.2f}" if shown else ""
+        ends = "{:.2f} to {:.2f}".format(*run["closed_interval"]) if shown and run["closed_interval"] else ""
+        rows.append((run["kind"], run["effect"], run["seed"], said, *marks, closed, ends))
+    return "\n".join(
+        [
+            table(heads, kinds),
+            table(("", "planted", "seed", "said", "right stage", "right quantity", "closed", "95 %"), rows),
+        ]
+    )
+
+
+def grammar() -> str:
+    """The cells of `stages/described.py`, with their equations."""
+    from pixelid.stages.described import all_cells
+
+    rows = [(c.stage, f"`{c.quantity}`", f"`{c.covariate}`", f"`{c.form}`", c.equation) for c in all_cells()]
+    return table(("stage", "quantity", "covariate", "form", "equation"), rows)
+
+
 def sensitivity() -> str:
     """What `benchmarks/gap_sensitivity.py` found: a row per criterion, halved and doubled."""
     summary = of_json("docs/gap_sensitivity.json")["summary"]
@@ -192,6 +227,28 @@ def coverage() -> str:
     ]  # fmt: skip
     heads = ("parameter", "covered", "share", "95 % interval of the share", "mean of error/std", "sd of error/std")
     return table(heads, rows)
+
+
+def pixel_light() -> str:
+    """What `benchmarks/pixel_light.py` found."""
+    summary = of_json("benchmarks/pixel_light.json")["summary"]
+    parts = []
+    for pixels, part in summary.items():
+        rows = [
+            (f"`{name}`", f"{row['covered']} of {row['sessions']}",
+             "–".join(percent(x) for x in row["share_interval_95"]), f"{row['mean_error_sd']:+.2f}",
+             f"{row['sd_error_sd']:.2f}")
+            for name, row in part["parameters"].items()
+        ]  # fmt: skip
+        ended = ", ".join(f"{count} {status}" for status, count in part["statuses"].items())
+        parts.append(
+            f"{pixels} pixels, {part['sessions']} sessions ({ended}), {part['median_events']:.0f} events and "
+            f"{part['median_cpu_s']:.1f} s of CPU each in the median.\n\n"
+            + table(
+                ("parameter", "covered", "95 % interval of the share", "mean of error/std", "sd of error/std"), rows
+            )
+        )
+    return "\n\n".join(parts)
 
 
 def round_trip() -> str:
@@ -352,16 +409,22 @@ def _strength(row: dict) -> str:
 
 
 def faults() -> str:
-    """What `tests/faults.py` saw: commands against faults, and kills."""
+    """What `tests/faults.py` saw: commands against faults, kills and interrupts."""
     content = of_json("docs/results/faults.json")
-    kinds = ["full disk", "fsync", "rename", "mkdir"]
+    kinds = list(dict.fromkeys(kind for found in content["faults"].values() for kind in found))
     rows = []
     for name, found in content["faults"].items():
-        cells = [f"{e['survived']} of {e['runs']}" if (e := found.get(kind)) else "none made" for kind in kinds]
+        cells = [f"{e['survived']} of {e['runs']}" if (e := found.get(kind)) and e["runs"] else "–" for kind in kinds]
         rows.append((f"`{name}`", *cells))
-    text = table(("command", "full disk", "fsync fails", "rename fails", "mkdir fails"), rows)
+    text = table(("command", *(kind if " " in kind else f"{kind} fails" for kind in kinds)), rows)
     kills = [(f"`{name}`", e["kills"], e["equal"]) for name, e in content["kills"].items()]
-    return text + ("\n" + table(("command", "kills", "next run equal"), kills) if kills else "")
+    text += "\n" + table(("command", "kills", "next run equal"), kills) if kills else ""
+    heads = ("command", "interrupts", "exit code 130 in two seconds", "slowest [s]")
+    ended = [
+        (f"`{name}`", e["interrupts"], e["in_two_seconds"], e["slowest_s"])
+        for name, e in content.get("interrupts", {}).items()
+    ]
+    return text + ("\n" + table(heads, ended) if ended else "")
 
 
 def fuzzing() -> str:
@@ -371,11 +434,57 @@ def fuzzing() -> str:
     return table(heads, ((e["seed"], e["runs"], e["targets"], e["failures"], e["kinds"]) for e in found))
 
 
+def sensors() -> str:
+    """The shipped models of real sensors against the table they were fitted to, predicted when the site is built."""
+    from pixelid.figures.style import save_figure
+    from pixelid.model.shipped import shipped_models
+    from pixelid.tables.latency.camera import load_camera
+    from pixelid.tables.latency.figures import draw_latency, draw_limits
+    from pixelid.tables.latency.recipe import read_latency_recipe
+    from pixelid.tables.latency.result import predicted_result
+
+    lines = []
+    for name in ("gen31", "imx636"):
+        recipe = read_latency_recipe(ROOT / "fits" / f"{name}.toml")
+        camera = load_camera(shipped_models()[name])
+        result = predicted_result(recipe.table, (camera,))
+        lines += [f"## `{name}`\n", camera.model.summary + "\n"]
+        for file, axes in (("latency", draw_latency(result["rows"])), ("limits", draw_limits(result["limits"]))):
+            save_figure(axes, GENERATED / f"{name}_{file}.svg")
+            lines.append(f"![{SENSOR_FIGURES[file]}](../_generated/{name}_{file}.svg)\n")
+        lines += [f"- {sentence}" for sentence in result["limiting_stages"]]
+        errors = [
+            (label, statistic, e["rows"], percent(e["rms"]), e["spoiled"], percent(e["rms_without_spoiled"]))
+            for label, by in result["errors"].items()
+            for statistic, e in by.items()
+        ]
+        heads = ("camera", "statistic", "rows", "rms of ln, all rows", "set aside", "rms of ln, without them")
+        lines += ["", table(heads, errors)]
+        rows = [(f"`{p.name}`", f"{p.value:.4g} {p.unit}", p.source) for p in camera.model.parameters.values()]
+        lines.append(table(("parameter", "value", "from"), rows))
+        rows = [
+            (
+                s.name,
+                f"{s.on_threshold:.3g}",
+                f"{s.off_threshold:.3g}",
+                f"{1e6 * s.on_delay_s:.0f}",
+                f"{1e6 * s.off_delay_s:.0f}",
+            )
+            for s in camera.settings
+        ]
+        heads = ("setting", "ON threshold", "OFF threshold", "ON delay [µs]", "OFF delay [µs]")
+        lines.append(table(heads, rows))
+    return "\n".join(lines)
+
+
 PAGES: dict[str, Callable[[], str]] = {
+    "sensors": sensors,
     "effects": effect_library,
     "commands": commands,
     "lowlight": lowlight,
     "certification": certification,
+    "described": described,
+    "grammar": grammar,
     "sensitivity": sensitivity,
     "export_comparison": export_comparison,
     "conform_results": conform_results,
@@ -384,6 +493,7 @@ PAGES: dict[str, Callable[[], str]] = {
     "faults": faults,
     "fuzzing": fuzzing,
     "ranks": ranks,
+    "pixel_light": pixel_light,
     "round_trip": round_trip,
     "reconstruction": reconstruction,
     "schemas": schemas,

@@ -20,7 +20,7 @@ Example:
 )
 @options.out("Folder for compare.json and report.html.")
 @click.option(
-    "--folds", type=click.IntRange(min=2), default=2, show_default=True, help="Parts the pixels are dealt into."
+    "--folds", type=click.IntRange(2, 1000), default=2, show_default=True, help="Parts the pixels are dealt into."
 )
 @click.option("--sample", is_flag=True, help="Also PSIS-LOO over pixels, from posteriors.")
 @options.overwrite

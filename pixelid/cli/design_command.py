@@ -24,8 +24,10 @@ Example:
 @click.option("--recorded", multiple=True, metavar="REC", type=options.PATH,
               help="A recording (or folder) there is already; repeatable.")  # fmt: skip
 @click.option("--menu", type=options.PATH, metavar="FILE", help="TOML of [[stimulus]] tables.")
-@click.option("--pixels", type=click.IntRange(1), help="Pixels that would record [those recorded or fitted, else 25].")
-@click.option("--draws", type=click.IntRange(1), default=4, show_default=True, help="Parameter values averaged over.")
+@click.option("--pixels", type=options.PIXELS, help="Pixels that would record [those recorded or fitted, else 25].")
+@click.option(
+    "--draws", type=click.IntRange(1, 10_000), default=4, show_default=True, help="Parameter values averaged over."
+)
 @click.option("--spread", type=options.Number(0.0), help="Their standard deviation in ln, without a fit [0.2].")
 @click.option("--per-second", is_flag=True, help="Rank by score per second of light.")
 @options.overwrite

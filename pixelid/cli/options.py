@@ -40,8 +40,26 @@ class Number(click.ParamType):
         return f"a number {above}" if math.isfinite(self.low) else "a finite number"
 
 
-PATH = click.Path(path_type=Path)
+class Name(click.Path):
+    """The path of a file or folder; `new`: that is to be made, and needs a name of its own."""
+
+    def __init__(self, new: bool = False) -> None:
+        super().__init__(path_type=Path)
+        self.new = new
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """The path of a word."""
+        if "\0" in str(value):
+            self.fail("expected the name of a file or folder, found a null character in it", param, ctx)
+        if self.new and not Path(value).name:
+            self.fail(f"expected the name of a file or folder to make, found {str(value)!r}", param, ctx)
+        return super().convert(value, param, ctx)
+
+
+PATH, NEW = Name(), Name(new=True)
 SEED = click.IntRange(0, 2**32 - 1)
+PIXELS = click.IntRange(1, 1 << 24)  # recordings.events.MOST_PIXELS
+SIDE = click.IntRange(1, 1 << 16)  # recordings.events.MOST_SIDE
 
 overwrite = click.option("--overwrite", is_flag=True, help="Replace the result that --out holds.")
 quiet = click.option("--quiet", is_flag=True, help="No progress, no table.")
@@ -58,7 +76,7 @@ recordings = click.argument("recordings", nargs=-1, required=True, type=PATH)
 
 def out(help: str = "Folder for the result.", **settings: Any) -> Decorator:
     """--out; required unless there is a default or `required=False`."""
-    return click.option("--out", **{"required": "default" not in settings, **settings}, type=PATH, help=help)
+    return click.option("--out", **{"required": "default" not in settings, **settings}, type=NEW, help=help)
 
 
 def model(required: bool = True, help: str = "A shipped model, a model file, or a fit folder.", **settings: Any):
@@ -108,7 +126,7 @@ def crop(command: Decorated) -> Decorated:
 
     for option in (
         click.option("--without-hot-pixels", is_flag=True, help="Leave out pixels that fire whatever the others do."),
-        click.option("--pixels", type=click.IntRange(1), metavar="N", help="Only N pixels, chosen by --seed."),
+        click.option("--pixels", type=PIXELS, metavar="N", help="Only N pixels, chosen by --seed."),
         click.option("--time", "time_s", metavar="FROM:TO", callback=_span, help="Only these seconds."),
         click.option(
             "--roi", metavar="X0,Y0,X1,Y1", callback=_region, help="Only these columns and rows (X1, Y1 out)."

@@ -21,8 +21,9 @@ Example:
 @options.quiet
 def command(folder: Path, seed: int, quiet: bool) -> None:
     """Write report.html into the result FOLDER."""
+    from pixelid.cli.terminal import say
     from pixelid.report.html import write_report
 
     path = write_report(folder)
     if not quiet:
-        click.echo(path)
+        say(str(path))

@@ -23,11 +23,13 @@ Example:
     "--bandwidth", default="sf_cutoff_hz", show_default=True, help='Parameter to map; "none": thresholds alone.'
 )
 @click.option(
-    "--block", type=click.IntRange(1), default=1, show_default=True, help="Side of pixel groups with one bandwidth."
+    "--block", type=options.SIDE, default=1, show_default=True, help="Side of pixel groups with one bandwidth."
 )
-@click.option("--tile", type=click.IntRange(1), default=32, show_default=True, help="Side of the units of work.")
-@click.option("--bootstrap", type=click.IntRange(0), default=200, show_default=True, help="Replicates over pixels.")
-@click.option("--workers", type=click.IntRange(0), default=0, help="Local Dask processes; 0: this process alone.")
+@click.option("--tile", type=options.SIDE, default=32, show_default=True, help="Side of the units of work.")
+@click.option(
+    "--bootstrap", type=click.IntRange(0, 1_000_000), default=200, show_default=True, help="Replicates over pixels."
+)
+@click.option("--workers", type=click.IntRange(0, 1024), default=0, help="Local Dask processes; 0: this process alone.")
 @click.option("--cluster", default="", metavar="tcp://HOST:PORT", help="A running Dask scheduler.")
 @click.option(
     "--tls-ca", type=options.PATH, help="Certificate of the scheduler's authority (PEM), for tls://HOST:PORT."

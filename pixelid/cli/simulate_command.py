@@ -26,7 +26,7 @@ Example:
 @options.set_value
 @click.option("--synchronous", is_flag=True, help="Every pixel takes its first reference at t = 0; no random start.")
 @click.option("--condition", default="", help="Label of the recording; default: the stimulus.")
-@click.option("--threads", type=click.IntRange(1), help="Default: one per core; results do not depend on it.")
+@click.option("--threads", type=click.IntRange(1, 1024), help="Default: one per core; results do not depend on it.")
 @click.option("--overwrite", is_flag=True, help="Replace the recording --out.")
 @options.seed("Of every random draw.")
 @click.option("--sensor-seed", type=options.SEED, help="Of the pixels' thresholds and hot pixels; default: --seed.")
@@ -55,6 +55,7 @@ def command(
 
     from pixelid.cli.progress import bar
     from pixelid.cli.terminal import say
+    from pixelid.documents import printable
     from pixelid.outputs import claimed
     from pixelid.recordings.writing import check_writable
 
@@ -74,7 +75,7 @@ def command(
                 circuit_model, light, pixels=pixels, seed=seed, sensor_seed=sensor_seed, synchronous=synchronous,
                 threads=threads, progress=report,
             )  # fmt: skip
-        recording = replace(recording, condition=condition or Path(stimulus).stem)
+        recording = replace(recording, condition=printable(condition) or Path(stimulus).stem)
         write_recording(recording, out, overwrite=overwrite)
     if not quiet:
         events = recording.events

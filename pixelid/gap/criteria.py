@@ -45,6 +45,9 @@ class Criteria:
             does: more than the alternative takes away.
         max_alternative_gain_ratio: Of the alternative's held-out gain to the effect's, from which an effect that keeps
             less ends the search: whatever is missing, it is a neighbour at best.
+    A description of what no effect explains
+        min_description_share: Of the flexible term's gain on unseen pixels that a description must gain there, its
+            penalty paid: a description that explains less than what localises the remainder is of something else.
     Times behind a readout
         max_wait_service_times: Window of nine events in ten behind a queue, beyond which a recording has lost its
             times.  Chosen on simulated queues.
@@ -81,6 +84,7 @@ class Criteria:
     min_relative_strength_flicker: float = 0.05
     min_share_beside_alternative: float = 0.5
     max_alternative_gain_ratio: float = 4.0
+    min_description_share: float = 1.0
     max_wait_service_times: float = 200.0
     max_unexplained_share_of_recording: float = 0.01
     max_jitter_divergence_nats: float = 0.1

@@ -16,6 +16,8 @@ from pixelid.gap.confirm.free_run import FreeRun
 from pixelid.model.files import load_model, save_model
 from pixelid.model.model import Model
 from pixelid.results import Result, Table, check_kinds, interval, number, read_result, required
+from pixelid.stages.described import cell, described
+from pixelid.stages.described_words import in_words
 from pixelid.status import Status
 
 if TYPE_CHECKING:
@@ -58,12 +60,44 @@ class Named:
         }
 
 
+@dataclass(frozen=True)
+class DescribedEffect:
+    """An effect without a name, written as an equation.
+
+    effect: its name in the model, of `stages/described.py`;  equation, words: with numbers
+    parameters: short name → (value, 95 % interval);  heldout_gain: nats on pixels no fit had seen
+    closed: fraction of the free-run gap that the model with all of `described` closes
+    """
+
+    effect: str
+    equation: str
+    words: str
+    parameters: Mapping[str, tuple[float, tuple[float, float] | None]]
+    heldout_gain: float
+    closed: float | None
+
+    def as_dict(self) -> dict:
+        """Its entry in gap.json."""
+        own = described(self.effect)
+        return {
+            "stage": own.stage,
+            "quantity": own.quantity,
+            "covariate": own.covariate,
+            "form": own.form,
+            "equation": self.equation,
+            "parameters": {k: {"value": v, "interval_95": i} for k, (v, i) in self.parameters.items()},
+            "heldout_gain_nats": self.heldout_gain,
+            "closed_fraction": self.closed,
+        }
+
+
 @dataclass(frozen=True, repr=False)
 class GapReport(Result):
     """A finished search.
 
     verdict: one of `VERDICTS`;  remainder: whether something significant is left unexplained
     base, model: the fitted base model and the grown one;  rounds: what each round saw, as JSON
+    described: effects without a name, where the verdict is "unknown"
     free_run: the gap before and after;  term: the flexible alternative, for what no effect explains
     status: a search that ends has a verdict that can be trusted, "unknown" included
 
@@ -89,6 +123,7 @@ class GapReport(Result):
     recommended_next: Mapping
     seconds: float
     seed: int
+    described: tuple[DescribedEffect, ...] = ()
     details: Mapping = field(default_factory=dict)
     versions: Mapping[str, str] = field(default_factory=dict)
     inputs_sha256: Mapping[str, str] = field(default_factory=dict)
@@ -106,6 +141,7 @@ class GapReport(Result):
             "global_p": self.global_p,
             "alpha": self.alpha,
             "effects": [effect.as_dict() for effect in self.effects],
+            "described": [effect.as_dict() for effect in self.described],
             "gap": self.free_run.as_dict() if self.free_run else None,
             "rounds": list(self.rounds),
             "unknown_term": self.term.as_dict(self._sigma) if self.term else None,
@@ -142,7 +178,18 @@ class GapReport(Result):
             for entry in self.rounds for c in entry["candidates"]
         )  # fmt: skip
         headings = ("round", "effect", "gain [nats]", "held-out [nats]", "adjusted p", "said")
-        return [named, Table("effects tried", headings, tried, frozenset({"effect", "said"}))]
+        tables = [named, *([self._descriptions] if self.described else [])]
+        return [*tables, Table("effects tried", headings, tried, frozenset({"effect", "said"}))]
+
+    @property
+    def _descriptions(self) -> Table:
+        rows = tuple(
+            (e.words, e.equation, f"{e.heldout_gain:.1f}",
+             "; ".join(f"{k} {number(v)} ({interval(i)})" for k, (v, i) in e.parameters.items()))
+            for e in self.described
+        )  # fmt: skip
+        headings = ("in words", "equation", "held-out [nats]", "parameters (95 %)")
+        return Table("described", headings, rows, frozenset({"in words", "equation", "parameters (95 %)"}))
 
     def records(self) -> list[dict[str, Any]]:
         """One row per effect named."""
@@ -185,6 +232,7 @@ class GapReport(Result):
             base = Path(folder) / "base.toml"
             return cls(
                 effects=tuple(_named(entry) for entry in effects),
+                described=tuple(_described(entry) for entry in content.get("described", [])),
                 free_run=_free_run(gap) if gap else None,
                 rounds=tuple(rounds),
                 base=load_model(base) if base.is_file() else model,
@@ -232,6 +280,18 @@ def _named(entry: Mapping[str, Any]) -> Named:
         entry["name"], entry["p_value"], entry["heldout_gain_nats"], entry["runner_up"], entry["runner_up_gain_nats"],
         entry["max_cosine"], entry["max_cosine_with"], strengths, entry["where"],
     )  # fmt: skip
+
+
+def _described(entry: Mapping[str, Any]) -> DescribedEffect:
+    own = cell(entry["quantity"], entry["covariate"], entry["form"])
+    values = {
+        name: (value["value"], tuple(value["interval_95"]) if value["interval_95"] else None)
+        for name, value in entry["parameters"].items()
+    }
+    words = in_words(own, {name: value for name, (value, _) in values.items()})
+    return DescribedEffect(
+        own.name, entry["equation"], words, values, entry["heldout_gain_nats"], entry["closed_fraction"]
+    )
 
 
 def _free_run(entry: Mapping[str, Any]) -> FreeRun:

@@ -7,9 +7,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+from pixelid.fit.measured_light import as_light_tells
 from pixelid.gap.detect.diagnostics import diagnose
 from pixelid.gap.detect.pixels import fit_base
 from pixelid.gap.fold import Step, fold
+from pixelid.gap.mended_clocks import with_mended_clocks
 from pixelid.gap.options import Context
 from pixelid.gap.phases import Phase
 from pixelid.gap.result import GapReport
@@ -21,6 +23,7 @@ from pixelid.gap.steps.explain_by_shot_noise import try_before_second_effect, tr
 from pixelid.gap.steps.name_effect import name_effect
 from pixelid.gap.steps.undo_readout import undo_readout
 from pixelid.gap.steps.withdraw import withdraw
+from pixelid.likelihood.light_between_samples import with_told
 from pixelid.model.model import Model
 from pixelid.recordings.own_light import with_pixel_lights
 from pixelid.recordings.recording import Recording
@@ -36,7 +39,9 @@ def begin(recordings: Sequence[Recording], model: Model, context: Context) -> St
     options, criteria = context.options, context.options.criteria
     split = split_pixels(recordings, options.seed)
     context.report("base model", 0.02)
-    recordings = with_pixel_lights(recordings)
+    recordings = with_told(with_pixel_lights(recordings))
+    model = as_light_tells(model, recordings)
+    recordings = with_mended_clocks(recordings, model, options.seed)
     timely = tuple(r.within_stimulus() for r in recordings)
     evidence, base = fit_base(timely, split, model, criteria, options.seed, context.cache)
     allowed = criteria.max_unexplained_fraction

@@ -14,7 +14,7 @@ from pixelid.gap.attribute.directions import Direction, Space
 from pixelid.gap.attribute.flexible import Flexible
 from pixelid.gap.confirm.free_run import FreeRun
 from pixelid.gap.options import Options
-from pixelid.gap.result import Named
+from pixelid.gap.result import DescribedEffect, Named
 
 
 @dataclass(frozen=True)
@@ -75,6 +75,7 @@ def describe(
     where: str,
     term: Flexible | None,
     p: float,
+    described: Sequence[DescribedEffect] = (),
 ) -> str:
     """The verdict in words."""
     listed = "; ".join(f"{effect.name} ({_strengths(effect)})" for effect in effects)
@@ -97,7 +98,15 @@ def describe(
         others = ", ".join(other.effect for other in runners_up)
         return f"Something is missing, and these recordings cannot say which: {listed}, or {others}."
     text = f"Something is missing that no effect of the library explains: {where}."
-    if term is not None:
+    if described:
+        closed = ""
+        if run is not None and run.closed is not None and run.interval is not None:
+            closed = (
+                f", which closes {100 * run.closed:.0f} % of the free-run gap "
+                f"({100 * run.interval[0]:.0f}–{100 * run.interval[1]:.0f} %)"
+            )
+        text += f" Described: {'; '.join(one.words for one in described)}{closed}."
+    elif term is not None:
         gain = float(term.held_out.sum())
         text += f" Thresholds that depend on {term.factor} gain {gain:.3g} nats on pixels not used to find them."
     if effects:

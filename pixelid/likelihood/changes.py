@@ -10,7 +10,7 @@ units of C_on) because it is the only part that depends on a threshold.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -25,11 +25,20 @@ from pixelid.dynamics.trajectory import Dynamics, Trajectory, integrate
 from pixelid.dynamics.vector_math import vexp
 from pixelid.likelihood.clocks import Clock
 from pixelid.likelihood.extremes import DECAYED, Begun, Drift, Extremes, Output, at_samples, locate_extremes
+from pixelid.likelihood.modulated import (
+    Modulated,
+    locate_relaxing,
+    modulated,
+    moves_changes,
+    subtract,
+    subtract_from_ends,
+)  # fmt: skip
 from pixelid.likelihood.sections import Section
 from pixelid.likelihood.sequences import Sequences
 from pixelid.stages.circuit import Circuit
 from pixelid.stages.comparator import threshold_shifts
 from pixelid.stages.differencing import leaked, leaks
+from pixelid.stages.modulation import OF_LIGHT
 from pixelid.stimuli.drive import StackedDrive, stacked_drive
 from pixelid.stimuli.stimulus import Stimulus
 
@@ -76,17 +85,17 @@ class Trajectories:
 
     def __init__(self, lights: Sequence[Stimulus], end_s: float, remember: bool = True) -> None:
         self._lights, self._end_s, self._remember = lights, end_s, remember
-        self._latest: tuple[tuple, tuple[Trajectory, Output, np.ndarray]] | None = None
+        self._latest: tuple[tuple, tuple[Trajectory, Output, StackedDrive]] | None = None
         self._light: tuple[tuple, StackedDrive] | None = None
 
-    def of(self, circuit: Circuit, keep: bool) -> tuple[Trajectory, Output, np.ndarray]:
-        """The trajectory of a circuit, its output, and where the samples of each light begin and the last ones end.
+    def of(self, circuit: Circuit, keep: bool) -> tuple[Trajectory, Output, StackedDrive]:
+        """The trajectory of a circuit, its output, and the light behind it.
 
         `keep` remembers them for circuits that differ in none of these: thresholds, dead time, leak and delay do not.
         """
         reaching = (
             circuit.dark, circuit.flicker_modulation, circuit.flicker_hz, circuit.flicker_phase, circuit.knee,
-            circuit.knee_slope,
+            circuit.knee_slope, *(m for m in circuit.described if m.quantity in OF_LIGHT),
         )  # fmt: skip
         limit = (circuit.slew_rise, circuit.slew_fall)
         linear = circuit.with_(slew_rise=np.inf, slew_fall=np.inf)
@@ -99,13 +108,13 @@ class Trajectories:
             light = stacked_drive(self._lights, circuit, self._end_s)
             self._light = reaching, light
         if slew.slews(circuit):
-            trajectory = slewed(light.t, light.radiance, circuit, dynamics, light.first, light.log_radiance)
+            trajectory = slewed(light.t, light.rate_radiance, circuit, dynamics, light.first, light.log_radiance)
         else:
             trajectory = integrate(
-                light.t, light.radiance, dynamics, linearisation=circuit.linearisation,
+                light.t, light.rate_radiance, dynamics, linearisation=circuit.linearisation,
                 log_radiance=light.log_radiance, first=light.first,
             )  # fmt: skip
-        made = trajectory, Output.of(trajectory), light.first
+        made = trajectory, Output.of(trajectory), light
         if keep and self._remember:
             self._latest = key, made
         return made
@@ -173,14 +182,21 @@ class ChangeEvaluator:
             Where the extremes are.
         """
         iv, looked_for = self.intervals, not isinstance(locate, Extremes)
-        trajectory, output, first = self._trajectories.of(circuit, keep=looked_for)
+        trajectory, output, drive = self._trajectories.of(circuit, keep=looked_for)
+        first = drive.first
         of_event, of_last = self.section.light, self.section.last_light
         shift = circuit.refractory - circuit.delay
         stamps = iv.previous_s, iv.time_s, iv.last_s
         previous, stamp, begin = stamps if clock is None else map(clock.on_light, stamps)
         release, time, last = previous + shift, stamp - circuit.delay, begin + shift
-        begun, drift = self._begun(trajectory, circuit, release, self._near_samples[0], first, of_event)
-        begun_last, drift_last = self._begun(trajectory, circuit, last, self._near_samples[2], first, of_last)
+        own = own_last = None
+        if moves_changes(circuit):
+            own = self._modulated(trajectory, drive, circuit, previous, 0, of_event, iv.previous_sign)
+            own_last = self._modulated(trajectory, drive, circuit, begin, 2, of_last, iv.last_sign)
+            release, last = release + own.dead_s, last + own_last.dead_s
+        logs = _logs_of_light(trajectory, drive)
+        begun, drift = self._begun(trajectory, circuit, release, self._near_samples[0], first, of_event, logs)
+        begun_last, drift_last = self._begun(trajectory, circuit, last, self._near_samples[2], first, of_last, logs)
         sample = located(trajectory.t, time, self._near_samples[1], first, of_event)
 
         change, slope, drifted, drift_slope, opposite, opposite_drift, early = events
@@ -191,8 +207,8 @@ class ChangeEvaluator:
         drifted[:], drift_slope[:] = 0.0, 0.0
         if drift is not None:
             _drifts(
-                release, time, sample, trajectory.t, _logs_of_light(trajectory, circuit), drift.rate, drift.per_light,
-                drift.lights, drift.light, drifted, drift_slope,
+                release, time, sample, trajectory.t, logs(), drift.rate, drift.per_light, drift.lights, drift.light,
+                drifted, drift_slope,
             )  # fmt: skip
         np.less_equal(time, release, out=early)
 
@@ -201,17 +217,43 @@ class ChangeEvaluator:
         else:
             final = located(trajectory.t, np.full(len(last), iv.end_s), first[of_last], first, of_last)
             up, near = np.ones(len(last)), (-np.inf, -np.inf)
-            extremes = Extremes(
-                locate_extremes(trajectory, output, begun, -iv.sign, sample, _near(circuit), drift),
-                locate_extremes(trajectory, output, begun_last, up, final, near, drift_last),
-                locate_extremes(trajectory, output, begun_last, -up, final, near, drift_last),
-            )
+            if own is not None and own_last is not None and own.relaxes:
+                extremes = Extremes(
+                    locate_relaxing(trajectory, output, begun, -iv.sign, sample, drift, own),
+                    locate_relaxing(trajectory, output, begun_last, up, final, drift_last, own_last),
+                    locate_relaxing(trajectory, output, begun_last, -up, final, drift_last, own_last),
+                )
+            else:
+                extremes = Extremes(
+                    locate_extremes(trajectory, output, begun, -iv.sign, sample, _near(circuit), drift),
+                    locate_extremes(trajectory, output, begun_last, up, final, near, drift_last),
+                    locate_extremes(trajectory, output, begun_last, -up, final, near, drift_last),
+                )
         at_samples(trajectory, output, begun, -iv.sign, extremes.opposite, drift, opposite, opposite_drift)
         for sign, at, rows in ((1.0, extremes.rise, pixels[:2]), (-1.0, extremes.fall, pixels[2:])):
             at_samples(trajectory, output, begun_last, np.full(len(last), sign), at, drift_last, *rows)
         if circuit.polarity_memory != 0:
             _subtract_threshold_shifts(circuit, iv, events, pixels)
+        if own is not None and own_last is not None:
+            growth, t = circuit.threshold_drift, trajectory.t
+            subtract(own, growth, iv.sign, time, t, extremes.opposite, events)
+            subtract_from_ends(own_last, growth, iv.end_s, t, (extremes.rise, extremes.fall), pixels)
         return extremes
+
+    def _modulated(
+        self,
+        trajectory: Trajectory,
+        light: StackedDrive,
+        circuit: Circuit,
+        stamp: np.ndarray,
+        near: int,
+        light_of: np.ndarray,
+        sign: np.ndarray,
+    ) -> Modulated:
+        """What the events stamped `stamp` (k,), on the light's clock, set for the intervals after them."""
+        time = stamp - circuit.delay
+        sample = located(trajectory.t, time, self._near_samples[near], light.first, light_of)
+        return modulated(circuit, trajectory.t, _logs_of_light(trajectory, light)(), sample, time, sign)
 
     def _begun(
         self,
@@ -221,6 +263,7 @@ class ChangeEvaluator:
         near: np.ndarray,
         first: np.ndarray,
         light_of: np.ndarray,
+        logs_of_light: Callable[[], np.ndarray],
     ) -> tuple[Begun, Drift | None]:
         """Where the intervals released at `release` (k,) begin, near the samples `near`; and what leaks into them."""
         sample = located(trajectory.t, release, near, first, light_of)
@@ -231,15 +274,15 @@ class ChangeEvaluator:
         per_light = leaked(circuit, 0.0, 1.0)
         lights, light = np.zeros(len(trajectory.t)), np.zeros(len(release))
         if per_light != 0:
-            logs = _logs_of_light(trajectory, circuit)
+            logs = logs_of_light()
             _light_integrals(trajectory.t, logs, lights)
             _light_until(release, sample, trajectory.t, logs, lights, light)
         return begun, Drift(leaked(circuit, 1.0, 0.0), per_light, circuit.on_threshold, lights, light)
 
 
-def _logs_of_light(trajectory: Trajectory, circuit: Circuit) -> np.ndarray:
-    """(samples,) log radiance, which is not the response below a knee."""
-    return trajectory.u if circuit.knee == 0 else np.log(trajectory.radiance)
+def _logs_of_light(trajectory: Trajectory, light: StackedDrive) -> Callable[[], np.ndarray]:
+    """What gives (samples,) log radiance, which is not the response below a knee."""
+    return lambda: trajectory.u if light.straight else np.log(light.radiance)
 
 
 def _subtract_threshold_shifts(circuit: Circuit, iv: Sequences, events: np.ndarray, pixels: np.ndarray) -> None:
@@ -361,7 +404,7 @@ def _apart(dynamics: Dynamics) -> Dynamics:
 
 def _near(circuit: Circuit) -> tuple[float, float]:
     """Changes (ON, OFF) below which the chance of having reached a threshold is under 1e-15, whatever the pixel."""
-    if circuit.threshold_drift != 0:
+    if circuit.threshold_drift != 0 or circuit.described:
         return -np.inf, -np.inf
     closest = 1.0 - 8.0 * float(np.hypot(circuit.noise, circuit.mismatch))
     on, off = (min(shifts) for shifts in zip(*(threshold_shifts(circuit, p) for p in (-1.0, 1.0)), strict=True))

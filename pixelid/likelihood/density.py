@@ -13,7 +13,8 @@ neither threshold was reached.
 Where thresholds drift, C(t) = C (1 + d·t), z is the change over 1 + d·t, whose rate has a part −z·d/(1 + d·t).
 
 s_k² = (σ C_i)² + q_k r_k² (tick²/12 + jitter²): threshold noise scales with the pixel's own threshold, and a
-timestamp's width is noise in time (q_k: `EventTimes.weighed`).  For C_i in s_k stands its posterior mean under s_k²
+timestamp's width is noise in time (q_k: `EventTimes.weighed`).  Light that is only known at
+samples adds to s_k² and changes r_k (`light_between_samples.py`).  For C_i in s_k stands its posterior mean under s_k²
 with the population's C, known to a few tenths of a percent where a pixel has a hundred events.  (With the population's
 C there, the scatter of events would pretend to tell the population's thresholds, and their intervals would be some
 10 % too short.)
@@ -162,7 +163,8 @@ class Terms:
         lost = 0.0 if self.losses is None else self.losses.fraction
         backward(
             at.sign, at.group, at.time_s, self.clock_share, at.last_pixel, at.last_time_s,
-            self.changes.events, self.changes.ends, self.numbers, MISSED + lost, self.event, self.group,
+            self.changes.events, self.changes.ends, self.numbers, MISSED + lost, at.light_reset, at.light_last,
+            self.event, self.group,
             by_changes.events, by_changes.ends, by_numbers[:-1],
         )  # fmt: skip
         if self.losses is not None:
@@ -188,7 +190,7 @@ def density(layout: Layout, circuit: Circuit, changes: StackedChanges, clock_sha
     forward(
         layout.sign, layout.group, layout.time_s, layout.tick_s, clock_share, layout.last_pixel, layout.last_time_s,
         changes.events, changes.ends, numbers, BACKGROUND_HZ, MISSED + lost,
-        event, np.empty(n, np.bool_), background, group, end,
+        (layout.light, layout.light_reset, layout.light_last), event, np.empty(n, np.bool_), background, group, end,
     )  # fmt: skip
     losses = None
     if lost > 0.0:

@@ -25,7 +25,7 @@ NO_ZERO = 1e-300  # below any sum of weights
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def backward(
-    sign, group, time, clock_share, last_pixel, last_time, rows, ends, numbers, missed, event, at_group,
+    sign, group, time, clock_share, last_pixel, last_time, rows, ends, numbers, missed, reset, last, event, at_group,
     by_rows, by_ends, by_number,
 ):  # fmt: skip
     """Fill the derivatives of the log-likelihood by the changes, EventRows `by_rows` and EndRows `by_ends` (all but
@@ -36,7 +36,7 @@ def backward(
     groups = len(C)
     by_mean, by_sd = np.zeros(groups), np.zeros(groups)
     by_on, by_drift = _survivals_back(
-        group, time, last_pixel, last_time, rows, ends, numbers, missed, event, at_group, by_rows, by_ends,
+        group, time, last_pixel, last_time, rows, ends, numbers, missed, reset, last, event, at_group, by_rows, by_ends,
         by_mean, by_sd,
     )  # fmt: skip
 
@@ -107,9 +107,13 @@ def _posterior_back(at_group, W, A, g, by_mean, by_variance):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _survivals_back(
-    group, time, last_pixel, last_time, rows, ends, numbers, missed, event, at_group, by_rows, by_ends, by_mean, by_sd
+    group, time, last_pixel, last_time, rows, ends, numbers, missed, reset, last, event, at_group, by_rows, by_ends,
+    by_mean, by_sd,
 ):  # fmt: skip
-    """Back through the survivals; returns the parts of the derivatives by (ON threshold, drift)."""
+    """Back through the survivals; returns the parts of the derivatives by (ON threshold, drift).
+
+    reset, last: variances by the light, (n,) and (m,), see `Layout`, or empty
+    """
     on, _, noise, _, drift, _ = numbers
     mean, sd, reached = at_group.mean, spread_of_draws(at_group, noise), event.reached
     by_on, by_drift = 0.0, 0.0
@@ -118,10 +122,11 @@ def _survivals_back(
     for k in range(len(group)):
         if reached[k] > 0.0:
             g = group[k] ^ 1
-            margin = (mean[g] - reached[k]) / sd[g]
-            slope = survival(margin, missed)[1] / sd[g]
+            wide = sd[g] if len(reset) == 0 else np.sqrt(sd[g] ** 2 + reset[k])
+            margin = (mean[g] - reached[k]) / wide
+            slope = survival(margin, missed)[1] / wide
             by_mean[g] += slope
-            by_sd[g] -= slope * margin
+            by_sd[g] -= slope * margin if len(reset) == 0 else slope * margin * sd[g] / wide
             growth = 1.0 + drift * time[k]
             by_rows.opposite[k] = -slope / growth
             by_rows.opposite_drift[k] = -slope * on / growth
@@ -136,10 +141,11 @@ def _survivals_back(
                 (by_ends.rise, by_ends.rise_drift) if side == 0 else (by_ends.fall, by_ends.fall_drift)
             )
             level = (extreme[i] + on * leaked[i]) / growth
-            margin = (mean[g] - level) / sd[g]
-            slope = survival(margin, missed)[1] / sd[g]
+            wide = sd[g] if len(last) == 0 else np.sqrt(sd[g] ** 2 + last[i])
+            margin = (mean[g] - level) / wide
+            slope = survival(margin, missed)[1] / wide
             by_mean[g] += slope
-            by_sd[g] -= slope * margin
+            by_sd[g] -= slope * margin if len(last) == 0 else slope * margin * sd[g] / wide
             by_extreme[i] = -slope / growth
             by_leaked[i] = -slope * on / growth
             by_on -= slope * leaked[i] / growth

@@ -66,15 +66,17 @@ class GroupTerms(NamedTuple):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def forward(
-    sign, group, time, tick, clock_share, last_pixel, last_time, rows, ends, numbers, background_hz, missed,
+    sign, group, time, tick, clock_share, last_pixel, last_time, rows, ends, numbers, background_hz, missed, light,
     event, impossible, background, at_group, end_term,
 ):  # fmt: skip
     """Fill EventTerms `event`, `background` (n,), GroupTerms `at_group` and `end_term` (m,).
 
-    impossible: (n,) work space
+    light: variances (n,), (n,), (m,) by the light, see `Layout`, or three empty arrays;  impossible: (n,) work space
     """
     _populations(numbers, at_group)
     _levels(sign, group, time, tick, clock_share, rows, numbers, at_group.centre, event, impossible)
+    for k in range(len(light[0])):
+        event.variance[k] += light[0][k]
     _classify(group, event, impossible, background_hz, at_group, background)
     for g in range(len(at_group.own)):
         at_group.own[g] = posterior(at_group, at_group.first_W, at_group.first_A, g)[0]
@@ -82,7 +84,24 @@ def forward(
     _sum_weights(group, event, at_group.W, at_group.A)
     _group_terms(at_group)
     _event_terms(group, background, math.log(background_hz), at_group, event)
-    _survivals(group, time, last_pixel, last_time, rows, ends, numbers, missed, at_group, event, end_term)
+    if len(light[0]) == 0:
+        _survivals(group, time, last_pixel, last_time, rows, ends, numbers, missed, at_group, event, end_term)
+    else:
+        _survivals_in_unknown_light(
+            group,
+            time,
+            last_pixel,
+            last_time,
+            rows,
+            ends,
+            numbers,
+            missed,
+            light[1],
+            light[2],
+            at_group,
+            event,
+            end_term,
+        )
 
 
 @njit(cache=True, error_model="numpy")
@@ -242,3 +261,22 @@ def _survivals(group, time, last_pixel, last_time, rows, ends, numbers, missed, 
         )
         end_term[i] = survival((mean[g + 1] - rise) / sd[g + 1], missed)[0]
         end_term[i] += survival((mean[g] - fall) / sd[g], missed)[0]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _survivals_in_unknown_light(
+    group, time, last_pixel, last_time, rows, ends, numbers, missed, reset, last, at_group, event, end_term
+):  # fmt: skip
+    """As `_survivals`, with extremes that the light leaves a variance: reset (n,), last (m,)."""
+    on, _, noise, _, drift, _ = numbers
+    mean, sd, reached = at_group.mean, spread_of_draws(at_group, noise), event.reached
+    for k in range(len(group)):
+        reached[k] = (rows.opposite[k] + on * rows.opposite_drift[k]) / (1.0 + drift * time[k])
+        if reached[k] > 0.0:
+            other = group[k] ^ 1
+            event.term[k] += survival((mean[other] - reached[k]) / math.sqrt(sd[other] ** 2 + reset[k]), missed)[0]
+    for i in range(len(last_pixel)):
+        growth, g = 1.0 + drift * last_time[i], 2 * last_pixel[i]
+        rise, fall = ends.rise[i] + on * ends.rise_drift[i], ends.fall[i] + on * ends.fall_drift[i]
+        end_term[i] = survival((mean[g + 1] - rise / growth) / math.sqrt(sd[g + 1] ** 2 + last[i]), missed)[0]
+        end_term[i] += survival((mean[g] - fall / growth) / math.sqrt(sd[g] ** 2 + last[i]), missed)[0]

@@ -16,6 +16,7 @@ from pixelid.likelihood.clocks import Clock
 from pixelid.likelihood.density import Terms, density
 from pixelid.likelihood.extremes import Extremes
 from pixelid.likelihood.layout import StackedChanges, flat_index, layout_of, read_only
+from pixelid.likelihood.light_between_samples import unknown_light
 from pixelid.likelihood.sections import sections_of
 from pixelid.parallel import map_threads
 from pixelid.recordings.recording import Recording
@@ -40,6 +41,7 @@ class EventTimes:
         clock_share: (n,) how often timestamp noise counts, 1 until `weighed`.
         threshold_factor: (n,) what each event's threshold is multiplied by beside all that the circuit says, or None.
         clocks: One per recording, None where its times are taken as they are; None: for none of them.
+        unknown_light: What is not known of light that sensors measured themselves, None where there is none.
 
     Raises:
         InputError: For pooled recordings, a missing stimulus, or fewer than two events in any pixel.
@@ -60,6 +62,9 @@ class EventTimes:
         if sum(map(len, self.intervals)) == 0:
             raise InputError("no pixel has two events: there is no interval to explain")
         self.layout = layout_of(self.recordings, self.intervals, sections)
+        self.unknown_light = unknown_light(self.recordings, [some for _, some in divided])
+        if self.unknown_light is not None:
+            self.layout = self.unknown_light.added(self.layout)
         self.clock_share = read_only(np.ones(self.events))
         self.threshold_factor: np.ndarray | None = None
         self.clocks: tuple[Clock | None, ...] | None = None
@@ -131,6 +136,8 @@ class EventTimes:
 
         located = self._filled(parts)
         changes = self.layout.stacked(vector, tuple(located))
+        if self.unknown_light is not None:
+            self.unknown_light.apply(changes, self.sign)
         if self.threshold_factor is not None:
             for row in changes.events.of_level:
                 row /= self.threshold_factor
@@ -147,6 +154,8 @@ class EventTimes:
         )  # fmt: skip
         self._filled([(*section, clock) for of, *section in sections if of == recording])
         changes = self.layout.stacked(vector)
+        if self.unknown_light is not None:
+            self.unknown_light.apply(changes, self.sign, self.layout.recording == recording)
         if self.threshold_factor is not None:
             mine = self.layout.recording == recording
             for row in changes.events.of_level:

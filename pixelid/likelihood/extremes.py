@@ -132,7 +132,7 @@ def _runs(states, plain, values, run):
 
 
 @njit(cache=True, error_model="numpy")
-def _change_at(k, tr, level, offset, t, values, wd):
+def change_at(k, tr, level, offset, t, values, wd):
     """The change at sample k of an interval released at tr."""
     change = values[k] - level
     x = wd * (t[k] - tr)
@@ -221,7 +221,7 @@ def _locate(sign, low, high, release, level, offset, near_up, near_down, at, t, 
             best, at[i] = peak, where
         for k in range(after - 1, low[i] - 1, -1):
             if sign[i] * (output[0][k] - level[i]) + left >= best:
-                value = sign[i] * _change_at(k, release[i], level[i], offset[i], t, output[0], wd)
+                value = sign[i] * change_at(k, release[i], level[i], offset[i], t, output[0], wd)
                 if value >= best and value > 0.0:
                     best, at[i] = value, k
 
@@ -235,7 +235,7 @@ def _locate_drifting(sign, low, high, release, level, offset, t, values, wd, rat
             drift = rate * (t[k] - release[i])
             if per_light != 0.0:
                 drift += per_light * (lights[k] - light[i])
-            value = sign[i] * (_change_at(k, release[i], level[i], offset[i], t, values, wd) + on * drift)
+            value = sign[i] * (change_at(k, release[i], level[i], offset[i], t, values, wd) + on * drift)
             if value > best:
                 best, at[i] = value, k
 
@@ -244,4 +244,4 @@ def _locate_drifting(sign, low, high, release, level, offset, t, values, wd, rat
 def _at_extremes(sign, release, level, offset, at, value, t, values, wd):
     for i in range(len(at)):
         if at[i] >= 0:
-            value[i] = sign[i] * _change_at(at[i], release[i], level[i], offset[i], t, values, wd)
+            value[i] = sign[i] * change_at(at[i], release[i], level[i], offset[i], t, values, wd)

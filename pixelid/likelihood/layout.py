@@ -12,7 +12,7 @@ each other.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -22,6 +22,8 @@ from pixelid.likelihood.sections import Section
 from pixelid.likelihood.sequences import Sequences
 from pixelid.recordings.recording import Recording
 
+NOTHING = np.empty(0)
+NOTHING.flags.writeable = False
 FLAT_BITS = 40  # of a pixel key, for the flat index: addresses have 16 bits each
 
 
@@ -73,6 +75,9 @@ class Layout:
     group: (n,) 2 · pixel + ON, the groups that share a threshold
     last_pixel, last_time_s, last_recording: (m,) of the unfinished intervals; the time is the recording's end
     event_ends, end_ends: where the columns of one section end and those of the next begin
+    light, light_reset: (n,) variance of the change, and of its reference alone, by light that is not known between
+        samples (`light_between_samples.py`);  light_last: (m,) of the changes in unfinished intervals
+        Empty where the light is known.
     """
 
     recordings: int
@@ -88,6 +93,9 @@ class Layout:
     last_recording: np.ndarray
     event_ends: np.ndarray
     end_ends: np.ndarray
+    light: np.ndarray = field(default_factory=lambda: NOTHING)
+    light_reset: np.ndarray = field(default_factory=lambda: NOTHING)
+    light_last: np.ndarray = field(default_factory=lambda: NOTHING)
 
     @property
     def events(self) -> int:

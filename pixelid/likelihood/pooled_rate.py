@@ -147,6 +147,8 @@ class PooledRate:
         shown = stimulus.t <= until
         if not shown.all():
             stimulus = replace(stimulus, t=stimulus.t[shown], radiance=stimulus.radiance[shown])
+        if circuit.described:
+            raise InputError("described effects: not in the pooled-rate likelihood")
         wave = drive(stimulus, circuit, until)
         if slews(circuit):
             linear = circuit.with_(slew_rise=math.inf, slew_fall=math.inf)

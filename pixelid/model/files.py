@@ -4,6 +4,7 @@
     [parameters]  name = { value, unit, lower, upper, transform, free, prior = { mean, sd }, source }
     [physical]    A_amp, A_loop, tau_out, q_in, q_mil, radiance_scale, source      (optional)
     [gauge]       q_in = 0.875, A_loop = "0.7 A_amp", …                            (optional)
+    [[described]] stage, quantity, covariate, form, parameters                     (optional, `stages/described.py`)
 
 What a parameter leaves out is taken from the effect library.
 """
@@ -22,6 +23,8 @@ from pixelid.model.model import Model, expected_parameters
 from pixelid.parameters.gauge import Gauge
 from pixelid.parameters.invariants import PHYSICAL_NAMES, Physical
 from pixelid.parameters.parameter import Parameter, Prior
+from pixelid.stages.described import PREFIX, cell
+from pixelid.stages.described import described as described_effect
 
 _PARAMETER_KEYS = {"value", "unit", "lower", "upper", "transform", "free", "prior", "source"}
 
@@ -51,8 +54,10 @@ def from_document(document: dict) -> Model:
     effects = head.get("effects", [])
     if not isinstance(effects, list) or not all(isinstance(name, str) for name in effects):
         raise InputError(f"[model] effects: expected a list of names, found {shown(effects)}")
+    described, own = _described(document.get("described", []))
+    effects = [*effects, *described]
     parameters = dict(expected_parameters(kind, effects))
-    for name, entry in document.get("parameters", {}).items():
+    for name, entry in {**document.get("parameters", {}), **own}.items():
         if name not in parameters:
             raise InputError(f"[parameters] {shown(name)} belongs to no effect of this model")
         parameters[name] = _parameter(parameters[name], entry)
@@ -69,6 +74,26 @@ def from_document(document: dict) -> Model:
         physical_source=source,
         gauge=Gauge.parse(document.get("gauge", {})),
     )
+
+
+def _described(entries) -> tuple[list[str], dict]:
+    """(names, parameters by full name) of the [[described]] tables."""
+    if not isinstance(entries, list) or not all(isinstance(entry, dict) for entry in entries):
+        raise InputError(f"[[described]]: expected tables, found {shown(entries)}")
+    names, parameters = [], {}
+    for entry in entries:
+        unknown = set(entry) - {"stage", "quantity", "covariate", "form", "parameters"}
+        if unknown:
+            raise InputError(f"[[described]] unknown keys {', '.join(sorted(unknown))}")
+        own = cell(*(_text(entry, "[[described]]", key, "") for key in ("quantity", "covariate", "form")))
+        if _text(entry, "[[described]]", "stage", own.stage) != own.stage:
+            raise InputError(f"[[described]] stage: {own.quantity} belongs to {own.stage!r}, found {entry['stage']!r}")
+        values = entry.get("parameters", {})
+        if not isinstance(values, dict):
+            raise InputError(f"[[described]] parameters: expected a table, found {shown(values)}")
+        names.append(own.name)
+        parameters |= {f"{own.name}.{key}": value for key, value in values.items()}
+    return names, parameters
 
 
 def _parameter(default: Parameter, entry) -> Parameter:
@@ -127,11 +152,12 @@ def to_document(model: Model) -> dict:
         "name": model.name,
         "summary": model.summary,
         "photoreceptor": model.photoreceptor,
-        "effects": list(model.effects),
+        "effects": [name for name in model.effects if not name.startswith(PREFIX)],
         "linearisation": model.linearisation,
         "radiance_unit": model.radiance_unit,
     }
     document: dict = {"model": head, "parameters": {}}
+    described = {name: described_entry(name) for name in model.effects if name.startswith(PREFIX)}
     for parameter in model.parameters.values():
         entry: dict = {"value": parameter.value, "unit": parameter.unit}
         for key in ("lower", "upper"):
@@ -142,12 +168,23 @@ def to_document(model: Model) -> dict:
             entry["prior"] = {"mean": parameter.prior.mean, "sd": parameter.prior.sd}
         if parameter.source:
             entry["source"] = parameter.source
-        document["parameters"][parameter.name] = entry
+        owner, _, short = parameter.name.rpartition(".")
+        own = described.get(owner)
+        (document if own is None else own)["parameters"][parameter.name if own is None else short] = entry
+    if described:
+        document["described"] = list(described.values())
     if model.physical:
         document["physical"] = {**model.physical.as_dict(), "source": model.physical_source}
     if model.gauge.statements():
         document["gauge"] = model.gauge.statements()
     return document
+
+
+def described_entry(name: str) -> dict:
+    """The [[described]] table of an effect of the grammar, its parameters to be filled in."""
+    own = described_effect(name)
+    return {"stage": own.stage, "quantity": own.quantity, "covariate": own.covariate, "form": own.form,
+            "parameters": {}}  # fmt: skip
 
 
 def save_model(model: Model, path: Path) -> None:

@@ -203,8 +203,7 @@ class Model:
             kind = "second_order"
             parameters.pop("alpha_over_beta", None)
         else:
-            order = list(stages.LIBRARY)
-            effects = tuple(sorted((*effects, name), key=order.index))
+            effects = stages.in_signal_order((*effects, name))
         wanted = expected_parameters(kind, effects)
         model = replace(self, photoreceptor=kind, effects=effects, parameters={key: parameters[key] for key in wanted})
         return model.set(full)

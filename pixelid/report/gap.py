@@ -10,6 +10,8 @@ from pixelid.model.files import load_model
 from pixelid.report.format import chance, interval, number, percent, seconds, value
 from pixelid.report.page import Number, Result, Summary, command_line
 from pixelid.stages import effect
+from pixelid.stages.described import cell
+from pixelid.stages.described_words import in_words
 
 
 def summarise(result: Result, folder: Path) -> Summary:
@@ -119,10 +121,26 @@ def prepare(result: Result, folder: Path) -> dict[str, Any]:
         ]
         for name, v in details.get("confusion", {}).items()
     ]
-    grown = bool(result["effects"])
+    grown = bool(result["effects"] or result.get("described"))
     columns = ("measured", "base", "grown") if grown else ("measured", "base")
     jumps = [[row["where"], *(number(row[key], 4) for key in columns)] for row in details.get("after_jumps", ())]
+    described = [
+        [
+            in_words(
+                cell(e["quantity"], e["covariate"], e["form"]), {k: v["value"] for k, v in e["parameters"].items()}
+            ),
+            e["equation"],
+            "; ".join(
+                f"{name} = {value(v['value'], v.get('interval_95'))}"
+                + (f" ({interval(v['interval_95'])})" if v.get("interval_95") else "")
+                for name, v in e["parameters"].items()
+            ),
+            number(e["heldout_gain_nats"], 3),
+        ]
+        for e in result.get("described", ())
+    ]
     return {
+        "described": described,
         "base": _base_name(folder), "effects": effects, "tried": _tried(result), "names_tried": _names_tried(result),
         "confusion": confusion, "after_jumps": jumps, "grown": grown, "pooled": "after_jumps" in details,
         "named": [(e["name"], _what_it_does(e["name"]), e["where"]) for e in result["effects"]],

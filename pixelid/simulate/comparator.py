@@ -1,11 +1,12 @@
 """The comparator of each pixel: thresholds, reset, dead time, and the events of one step.
 
-State of n pixels, `comparators` (7, n) float64 and `drawn` (n,) int64, carried from step to step:
+State of n pixels, `comparators` (8, n) float64 and `drawn` (n,) int64, carried from step to step:
 
     LEVEL    what the amplifier restarted from, less the drift since: change = d − level − decay
     DECAY    what is left of (d − level at release) e^{−ωd (t − tr)}
     RELEASE  end of the dead time in progress [s]; +∞ when the pixel is live
     ON, OFF  the thresholds of the next event, without drift;   BASE_ON, BASE_OFF  the pixel's means
+    LAST     time of the last event [s]; −∞ before the first
     drawn    how many threshold pairs this pixel has drawn
 """
 
@@ -17,10 +18,11 @@ from numba import njit
 from pixelid.dynamics.equations import PRESENT_BELOW
 from pixelid.simulate import random
 from pixelid.simulate.crossing import first_crossing
+from pixelid.simulate.relaxing import first_crossing_relaxing, set_at_reset
 from pixelid.simulate.step import light_integral, probe
 
-LEVEL, DECAY, RELEASE, ON, OFF, BASE_ON, BASE_OFF = range(7)
-FIELDS = 7
+LEVEL, DECAY, RELEASE, ON, OFF, BASE_ON, BASE_OFF, LAST = range(8)
+FIELDS = 8
 LEAST = 0.01  # relative draws of thresholds are repeated until they exceed this
 _RETRY = 1 << 40  # counters of repeated draws
 
@@ -71,7 +73,7 @@ def start(first_pixel, on, off, mismatch, noise, seed, synchronous, level, out, 
         comparators[BASE_ON, i], comparators[BASE_OFF, i] = on * a, off * b
         drawn[i] = 0
         draw_thresholds(pixel, i, comparators, drawn, event, noise, (0.0, 0.0))
-        comparators[RELEASE, i] = np.inf
+        comparators[RELEASE, i], comparators[LAST, i] = np.inf, -np.inf
         if synchronous:
             comparators[LEVEL, i], comparators[DECAY, i] = level[i], out[i] - level[i]
         else:
@@ -103,7 +105,7 @@ def events_in_step(pixel, place, t0, t1, step, chain, comparators, drawn, laws, 
     fired: (times (m,) s, pixels (m,), polarities (m,)), grown as needed.
     Returns (fired, count).
     """
-    refractory, leak, parasitic, drift, noise, key, history = laws
+    refractory, leak, parasitic, drift, noise, key, history, described, relaxing = laws
     tau, wd = step[4], chain[3]
     x = 0.0
     level, decay = comparators[LEVEL, place], comparators[DECAY, place]
@@ -119,23 +121,36 @@ def events_in_step(pixel, place, t0, t1, step, chain, comparators, drawn, laws, 
     else:
         here = probe(x, step, chain)
     while True:
-        at, polarity = first_crossing(
-            x, here, step, chain, (level, decay, x, leak, parasitic),
-            comparators[ON, place] * (1.0 + drift * t0), comparators[ON, place] * drift,
-            comparators[OFF, place] * (1.0 + drift * t0), comparators[OFF, place] * drift, scratch,
-        )  # fmt: skip
+        if relaxing[0] != 0.0 or relaxing[1] != 0.0:
+            at, polarity = first_crossing_relaxing(
+                x, here, step, chain, (level, decay, x, leak, parasitic), comparators[ON, place],
+                comparators[OFF, place], drift, relaxing, t0, comparators[LAST, place], scratch,
+            )  # fmt: skip
+        else:
+            at, polarity = first_crossing(
+                x, here, step, chain, (level, decay, x, leak, parasitic),
+                comparators[ON, place] * (1.0 + drift * t0), comparators[ON, place] * drift,
+                comparators[OFF, place] * (1.0 + drift * t0), comparators[OFF, place] * drift, scratch, tau,
+            )  # fmt: skip
         if polarity < 0:
             break
         if count == len(fired[0]):
             fired = grown(fired)
         fired[0][count], fired[1][count], fired[2][count] = t0 + at, pixel, polarity
         count += 1
-        draw_thresholds(pixel, place, comparators, drawn, key, noise, history[polarity])
-        if t0 + at + refractory > t1:
-            comparators[RELEASE, place] = t0 + at + refractory
+        dead, shifts = refractory, history[polarity]
+        if len(described) > 0:
+            on, off, longer = set_at_reset(
+                described, 2.0 * polarity - 1.0, t0 + at, step[7] * np.exp(step[8] * at), abs(step[8])
+            )
+            dead, shifts = max(dead + longer, 0.0), (shifts[0] + on, shifts[1] + off)
+        comparators[LAST, place] = t0 + at
+        draw_thresholds(pixel, place, comparators, drawn, key, noise, shifts)
+        if t0 + at + dead > t1:
+            comparators[RELEASE, place] = t0 + at + dead
             comparators[LEVEL, place], comparators[DECAY, place] = np.nan, 0.0
             return fired, count
-        x = min(at + refractory, tau)
+        x = min(at + dead, tau)
         here = probe(x, step, chain)
         level, decay = here[0], here[1] - here[0] if wd < PRESENT_BELOW else 0.0
     level -= leak * (tau - x)

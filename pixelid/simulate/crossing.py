@@ -148,13 +148,13 @@ def _predicted(h, ca, sa, cb, sb, on_a, on_b, off_a, off_b):
 
 
 @njit(cache=True, error_model="numpy")
-def first_crossing(x0, here, step, chain, reset, on, on_rate, off, off_rate, scratch):
-    """(x, polarity) of the first event after x0 ≤ tau: polarity 1 ON, 0 OFF, −1 none.
+def first_crossing(x0, here, step, chain, reset, on, on_rate, off, off_rate, scratch, stop):
+    """(x, polarity) of the first event after x0 ≤ stop ≤ tau: polarity 1 ON, 0 OFF, −1 none.
 
     here: `probe` at x0;  on, off: thresholds at the start of the step, growing at on_rate, off_rate per second;
     scratch: (6, DEPTH) work space.
     """
-    tau, wd = step[4], chain[3]
+    wd = chain[3]
     level = reset[0]
     trust = TRUST * min(on, off)
     _, da, slope, bound = here
@@ -164,9 +164,9 @@ def first_crossing(x0, here, step, chain, reset, on, on_rate, off, off_rate, scr
         return x0, 1
     if -ca >= off + off_rate * x0:
         return x0, 0
-    _, d, slope, later = probe(tau, step, chain)
-    scratch[0, 0], scratch[1, 0], scratch[5, 0] = tau, d, later
-    scratch[2, 0], scratch[3, 0], scratch[4, 0], _ = change(tau, d, slope, step, wd, reset)
+    _, d, slope, later = probe(stop, step, chain)
+    scratch[0, 0], scratch[1, 0], scratch[5, 0] = stop, d, later
+    scratch[2, 0], scratch[3, 0], scratch[4, 0], _ = change(stop, d, slope, step, wd, reset)
     top = 0
     while top >= 0:
         xb, db, cb, sb, fb, later = (

@@ -11,10 +11,12 @@ from numba import njit
 from pixelid.dynamics import kernels, slew
 from pixelid.dynamics.trajectory import integrate
 from pixelid.simulate import comparator
-from pixelid.simulate.comparator import DECAY, LEVEL, OFF, ON, RELEASE, events_in_step
+from pixelid.simulate.comparator import DECAY, LAST, LEVEL, OFF, ON, RELEASE, events_in_step
 from pixelid.simulate.crossing import DEPTH
 from pixelid.simulate.laws import Rules
+from pixelid.simulate.relaxing import relaxed
 from pixelid.simulate.step import after_jump, light_integral, modes, slope_bound
+from pixelid.stages.modulation import set_at_reset
 from pixelid.stimuli.drive import Drive, drive, refined
 from pixelid.stimuli.stimulus import Stimulus
 
@@ -27,7 +29,8 @@ FIRST_CAPACITY = 1024
 class Shared:
     """The trajectory that all pixels share, and what each of its n − 1 steps can do.
 
-    t, u, logs, radiance: (n,) knots, u the response to the radiance, logs its logarithm;  states: (n, 6)
+    t, u, logs, light, radiance: (n,) knots, u the response to the light, logs its logarithm, radiance what sets the
+    photoreceptor's rates;  states: (n, 6)
     high, low: (n − 1,) bounds on the amplifier's output in a step
     fade: (n − 1,) e^{−ωd Δt};  drift: (n − 1,) leak over the step, log radiance
     """
@@ -35,6 +38,7 @@ class Shared:
     t: np.ndarray
     u: np.ndarray
     logs: np.ndarray
+    light: np.ndarray
     radiance: np.ndarray
     states: np.ndarray
     high: np.ndarray
@@ -108,16 +112,29 @@ class FullField:
         ):  # fmt: skip
             state[drawn] *= own / state[base]
             state[base] = own
+        waiting = np.isfinite(twins.released_s)
         if twins.after is not None:
             history = np.array([self._rules.laws.history[0], (0.0, 0.0), self._rules.laws.history[1]])
             shift = history[np.sign(twins.after).astype(int) + 1].T
+            if len(self._rules.laws.described):
+                shift = shift + np.where(waiting & (twins.after != 0), self._set_before(twins), 0.0)
             for drawn, base, moved in zip(
                 (comparator.ON, comparator.OFF), (comparator.BASE_ON, comparator.BASE_OFF), shift, strict=True
             ):
                 state[drawn] = np.maximum(state[drawn] + moved, comparator.LEAST * state[base])
-        waiting = np.isfinite(twins.released_s)
+        state[comparator.LAST, waiting] = twins.released_s[waiting] - self._rules.circuit.refractory
         state[RELEASE, waiting] = twins.released_s[waiting]
         state[LEVEL, waiting], state[DECAY, waiting] = np.nan, 0.0
+
+    def _set_before(self, twins: Twins) -> np.ndarray:
+        """(2, n) what the event before each twin's release adds to its ON and OFF thresholds."""
+        shared, after = self._shared, np.zeros(len(twins.on)) if twins.after is None else twins.after
+        time = np.clip(twins.released_s - self._rules.circuit.refractory, shared.t[0], shared.t[-1])
+        k = np.minimum(np.searchsorted(shared.t, time, side="right") - 1, len(shared.t) - 2)
+        step = np.maximum(shared.t[k + 1] - shared.t[k], 1e-300)
+        slope = np.where(shared.t[k + 1] > shared.t[k], (shared.logs[k + 1] - shared.logs[k]) / step, 0.0)
+        light = np.exp(shared.logs[k] + slope * (time - shared.t[k]))
+        return np.array(set_at_reset(self._rules.laws.described, after, time, light, np.abs(slope))[:2])
 
     def run(self, pool: Executor):
         """(event lists of tiles, time up to which they are complete, whether that is all), some steps at a time."""
@@ -139,8 +156,8 @@ class FullField:
         """(times (m,) s, pixels (m,), polarities (m,)) of pixels first … after − 1, pixel by pixel."""
         shared, rules = self._shared, self._rules
         return _pixel_events(
-            self._places, first, after, steps.start, steps.stop, shared.t, shared.u, shared.logs, shared.radiance,
-            shared.states, shared.high, shared.low, shared.fade, shared.drift,
+            self._places, first, after, steps.start, steps.stop, shared.t, shared.u, shared.logs, shared.light,
+            shared.radiance, shared.states, shared.high, shared.low, shared.fade, shared.drift,
             rules.dynamics, rules.chain, rules.circuit.linearisation == "midpoint", rules.laws,
             self._comparators, self._drawn,
         )  # fmt: skip
@@ -151,30 +168,33 @@ def _refined(light: Drive, longest_step: float) -> Drive:
     t, left, weight = refined(light.t, longest_step)
     logs = np.log(light.radiance)
     radiance = np.exp((1 - weight) * logs[left] + weight * logs[left + 1])
-    return Drive(t, radiance, light.knee, light.knee_slope)
+    return Drive(t, radiance, light.knee, light.knee_slope, light.described)
 
 
 def shared_trajectory(light: Drive, rules: Rules) -> Shared:
     """The trajectory under full-field light.  Light for a slew-limited follower must come in steps `slew` resolves."""
     midpoint = rules.circuit.linearisation == "midpoint"
     if rules.slewing:
-        t, radiance = np.ascontiguousarray(light.t), np.ascontiguousarray(light.radiance)
+        t, radiance = np.ascontiguousarray(light.t), np.ascontiguousarray(light.rate_radiance)
         u = light.log_radiance
         states = slew.slewed_states(t, radiance, rules.dynamics, rules.rates, midpoint, u)
     else:
         run = integrate(
-            light.t, light.radiance, rules.dynamics, linearisation=rules.circuit.linearisation,
+            light.t, light.rate_radiance, rules.dynamics, linearisation=rules.circuit.linearisation,
             log_radiance=light.log_radiance,
         )  # fmt: skip
         t, u, radiance, states = run.t, run.u, run.radiance, run.states
-    logs = u if rules.circuit.knee == 0 else np.log(radiance)
+    seen = np.ascontiguousarray(light.radiance, np.float64) if light.described else radiance
+    logs = u if light.straight else np.log(seen)
     high, low, fade, drift = (np.empty(len(t) - 1) for _ in range(4))
-    _bounds(t, u, logs, radiance, states, rules.dynamics, rules.chain, midpoint, rules.laws, high, low, fade, drift)
-    return Shared(t, u, logs, radiance, states, high, low, fade, drift)
+    _bounds(
+        t, u, logs, seen, radiance, states, rules.dynamics, rules.chain, midpoint, rules.laws, high, low, fade, drift
+    )
+    return Shared(t, u, logs, seen, radiance, states, high, low, fade, drift)
 
 
 @njit(forceinline=True, error_model="numpy")
-def _step(k, t, u, logs, radiance, states, dynamics, chain, midpoint):
+def _step(k, t, u, logs, light, radiance, states, dynamics, chain, midpoint):
     """The `step` tuple of step k, see `step.py`."""
     w1, w2, wh, wd, _, smooth = chain
     tau = t[k + 1] - t[k]
@@ -189,11 +209,11 @@ def _step(k, t, u, logs, radiance, states, dynamics, chain, midpoint):
     if not smooth:
         begin = after_jump(begin, u[k], r, a, b2, w1, w2, wh, wd)
     light_r = (logs[k + 1] - logs[k]) / tau
-    return begin, end, u[k], r, tau, a, b2, radiance[k], light_r, modes(begin, u[k], r, a, b2, chain)
+    return begin, end, u[k], r, tau, a, b2, light[k], light_r, modes(begin, u[k], r, a, b2, chain)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _bounds(t, u, logs, radiance, states, dynamics, chain, midpoint, laws, high, low, fade, drift):
+def _bounds(t, u, logs, seen, radiance, states, dynamics, chain, midpoint, laws, high, low, fade, drift):
     w1, w2, wh, wd, _, smooth = chain
     for k in range(len(t) - 1):
         tau = t[k + 1] - t[k]
@@ -201,7 +221,7 @@ def _bounds(t, u, logs, radiance, states, dynamics, chain, midpoint, laws, high,
         if tau <= 0.0:
             continue
         begin, end, u0, r, tau, a, b2, light, light_r, _ = _step(
-            k, t, u, logs, radiance, states, dynamics, chain, midpoint
+            k, t, u, logs, seen, radiance, states, dynamics, chain, midpoint
         )
         d0, d1 = begin[5], end[5]
         if smooth:
@@ -223,15 +243,16 @@ def _bounds(t, u, logs, radiance, states, dynamics, chain, midpoint, laws, high,
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _pixel_events(
-    places, first, last, k_first, k_last, t, u, logs, radiance, states, high, low, fade, drift,
+    places, first, last, k_first, k_last, t, u, logs, seen, radiance, states, high, low, fade, drift,
     dynamics, chain, midpoint, laws, comparators, drawn,
 ):  # fmt: skip
     scratch = np.empty((6, DEPTH))
     found, count = comparator.room(np.int64(FIRST_CAPACITY)), np.int64(0)  # literals would compile twice
-    growth = laws[3]
+    growth, relaxing = laws[3], laws[8]
+    relaxes = relaxing[0] != 0.0 or relaxing[1] != 0.0
     for i in range(first, last):
         level, decay, release = comparators[LEVEL, i], comparators[DECAY, i], comparators[RELEASE, i]
-        on, off = comparators[ON, i], comparators[OFF, i]
+        on, off, last_event = comparators[ON, i], comparators[OFF, i], comparators[LAST, i]
         for k in range(k_first, k_last):
             t0, t1 = t[k], t[k + 1]
             if release < np.inf:
@@ -242,16 +263,20 @@ def _pixel_events(
                 factor = 1.0 + growth * (t1 if growth < 0.0 else t0)
                 upper = high[k] - level + drift[k] - min(decay, faded)
                 lower = low[k] - level - max(decay, faded)
-                if (upper < on * factor and lower > -off * factor) or t1 == t0:
+                least_on, least_off = on, off
+                if relaxes:
+                    begin, end = relaxed(relaxing, t0 - last_event), relaxed(relaxing, t1 - last_event)
+                    least_on, least_off = on + min(begin[0], end[0]), off + min(begin[1], end[1])
+                if (upper < least_on * factor and lower > -least_off * factor) or t1 == t0:
                     decay = faded if abs(faded) > 1e-15 else 0.0
                     level -= drift[k]
                     continue
             comparators[LEVEL, i], comparators[DECAY, i] = level, decay
-            step = _step(k, t, u, logs, radiance, states, dynamics, chain, midpoint)
+            step = _step(k, t, u, logs, seen, radiance, states, dynamics, chain, midpoint)
             found, count = events_in_step(
                 places[i], i, t0, t1, step, chain, comparators, drawn, laws, found, count, scratch
             )
             level, decay, release = comparators[LEVEL, i], comparators[DECAY, i], comparators[RELEASE, i]
-            on, off = comparators[ON, i], comparators[OFF, i]
+            on, off, last_event = comparators[ON, i], comparators[OFF, i], comparators[LAST, i]
         comparators[LEVEL, i], comparators[DECAY, i] = level, decay
     return found[0][:count], found[1][:count], found[2][:count]

@@ -16,12 +16,14 @@ from pixelid.simulate import random
 from pixelid.stages.circuit import Circuit
 from pixelid.stages.comparator import threshold_shifts
 from pixelid.stages.differencing import leaked
+from pixelid.stages.modulation import at_reset, since_event
 
 
 class Laws(NamedTuple):
     """The comparator's laws as the kernels want them; see `comparator.events_in_step`.
 
     history: what is added to ON and OFF thresholds after an OFF event, and after an ON event
+    described, relaxing: `modulation.at_reset` and `modulation.since_event`
     """
 
     refractory: float
@@ -31,6 +33,8 @@ class Laws(NamedTuple):
     noise: float
     key: np.uint64
     history: tuple[tuple[float, float], tuple[float, float]]
+    described: np.ndarray
+    relaxing: tuple[float, float, float]
 
 
 class Rules(NamedTuple):
@@ -80,5 +84,7 @@ def rules_of(circuit: Circuit, seed: int, synchronous: bool, t_end: float) -> Ru
         circuit.noise,
         np.uint64(random.stream_key(seed, random.THRESHOLD)),  # as int, compiled code would overflow from some seeds on
         (threshold_shifts(circuit, -1.0), threshold_shifts(circuit, 1.0)),
+        at_reset(circuit),
+        since_event(circuit),
     )
     return Rules(circuit, dynamics, chain, laws, seed, synchronous)

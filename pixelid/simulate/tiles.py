@@ -207,7 +207,7 @@ def _tile(
     dark, modulation, omega, phase = light
     density, key = noise
     wh, wd, smooth = chain[2], chain[3], chain[5]
-    _, leak, parasitic, growth, _, _, _ = laws
+    _, leak, parasitic, growth, _, _, _, described, relaxing = laws
     size = states.shape[1]
     begin, end, local, count_drawn = states.copy(), states.copy(), comparators.copy(), drawn.copy()
     work = np.empty((chain_step.WORK_ROWS, size))
@@ -291,6 +291,9 @@ def _tile(
             factor = 1.0 + growth * (t1 if growth < 0.0 else t0)
             _scaled(local[ON], factor, on)
             _scaled(local[OFF], factor, off)
+            if min(relaxing[0], relaxing[1]) < 0.0:
+                _lowered(on, -min(relaxing[0], 0.0) * factor)
+                _lowered(off, -min(relaxing[1], 0.0) * factor)
             _possible(begin[5], end[5], spare, local[LEVEL], local[DECAY], kd, on, off, local[RELEASE], drift, t1, flag)
             possible = 0
             for i in range(live):
@@ -308,7 +311,7 @@ def _tile(
             for j in range(possible):
                 i = which[j]
                 local[LEVEL, i], local[DECAY, i] = old_level[j], old_decay[j]
-                light_rate = np.log(L1[i] / L0[i]) / tau if parasitic > 0.0 else 0.0
+                light_rate = np.log(L1[i] / L0[i]) / tau if parasitic > 0.0 or len(described) > 0 else 0.0
                 state = _state(begin, i, plain, smooth, rates)
                 step = (
                     state, _state(end, i, plain, smooth, rates), u0[i], r[i], tau, a[i], b2[i], L0[i], light_rate,

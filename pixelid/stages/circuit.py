@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
+from pixelid.stages.modulation import Modulation
+
 PHOTORECEPTORS = ("second_order", "one_pole", "unlimited")
 
 
@@ -57,6 +59,8 @@ class Circuit:
     service: float = 0.0
     jitter: float = 0.0
     tick: float = 0.0
+    # quantities that depend on a covariate
+    described: tuple[Modulation, ...] = ()
     # clock of the events against the stimulus
     delay: float = 0.0
     # (recording, ((field, number), …)), …: what is a recording's own

@@ -11,7 +11,7 @@ from pixelid.stages.circuit import PHOTORECEPTORS, Circuit
 
 
 class Effect(ABC):
-    """One effect of the library.  Subclasses are final; an instance has no state.
+    """One effect.  Subclasses are final; an instance does not change.
 
     name: the stable identifier;  stage: where it sits on the signal path;
     sentence: one line for the report;  equation, source: what it does and who says so;
@@ -20,13 +20,13 @@ class Effect(ABC):
     starts_anew: names of those parameters that every recording has anew, as recordings are made minutes apart.
     """
 
-    name: ClassVar[str]
-    stage: ClassVar[str]
-    sentence: ClassVar[str]
-    equation: ClassVar[str]
-    source: ClassVar[str]
-    parameters: ClassVar[tuple[Parameter, ...]]
-    photoreceptors: ClassVar[tuple[str, ...]] = PHOTORECEPTORS
+    name: str
+    stage: str
+    sentence: str
+    equation: str
+    source: str
+    parameters: tuple[Parameter, ...]
+    photoreceptors: tuple[str, ...] = PHOTORECEPTORS
     starts_anew: ClassVar[tuple[str, ...]] = ()
 
     @abstractmethod

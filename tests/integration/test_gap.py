@@ -34,7 +34,7 @@ from pixelid.gap.steps.name_effect import name_effect
 from pixelid.inspection.timestamps import find_grid, find_service_time
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.model.shipped import find_model
-from pixelid.recordings import Events, Recording, write_recording
+from pixelid.recordings import Events, Recording, open_recordings, write_recording
 from pixelid.recordings.selection import only
 from pixelid.simulate import Twins, simulate
 from pixelid.stimuli.course import course
@@ -275,6 +275,15 @@ def test_poles_that_commute_are_named_by_convention():
 
 
 @pytest.mark.slow
+def test_a_dead_time_far_above_the_shipped_one_is_fitted(shared):
+    recordings = open_recordings(sorted((shared / "gap_cases" / "refractory").glob("*.h5")))
+    state = begin(recordings, MODEL, Context(Options(alpha=0.01, seed=0)))
+    assert MODEL.values["refractory_s"] < 1.5e-3 / 10
+    assert state.base.model.values["refractory_s"] == pytest.approx(1.5e-3, rel=1e-3)
+    assert state.base.model.values["threshold_sigma"] == pytest.approx(0.02, rel=0.05)  # not noise in place of filters
+    assert state.first.p > 0.01
+
+
 def test_leak_is_found_and_nothing_in_its_absence():
     leaking = MODEL.with_effect("leak", {"rate_hz": 3.0})
     report = gap(session(leaking, side=4, seed=1), MODEL)

@@ -14,12 +14,12 @@ import numpy as np
 
 from pixelid.gap.confirm.counts import count_events
 from pixelid.likelihood.event_times import EventTimes
+from pixelid.likelihood.light_drawn import light_in_a_row
 from pixelid.model.model import Model
 from pixelid.parallel import map_threads
 from pixelid.recordings.recording import Recording
 from pixelid.recordings.selection import only
 from pixelid.simulate import Twins, simulate
-from pixelid.stimuli.pixel_lights import in_a_row
 
 
 def count_twins(
@@ -56,10 +56,11 @@ def count_twins(
         after[place_of_first] = np.where(own.events.p[first[1]] == 1, 1.0, -1.0)
         twins = Twins(*(np.tile(one, each) for one in (on, off, released, after)))
         assert recording.stimulus is not None
-        light = in_a_row(recording.stimulus, np.tile(crowd, each))
+        seen = recording.stimulus, np.tile(crowd, each)
         for k, done in enumerate(runs):
             own_seed = seed + i + 101 * k
             here = exact.in_recording(recording.name)
+            light = light_in_a_row(recording, *seen, own_seed)
             run = simulate(here, light, width=len(twins.on), height=1, seed=own_seed, twins=twins)
             done.append(_with_hot_events(run, hot_twins, extra_hz, own_seed) if len(hot_twins) else run)
     table = np.stack([count_events(done, watched, edges).table for done in runs])
@@ -112,7 +113,7 @@ def count_sensors(
         copy, i = job
         own, light = seed + 101 * copy + i, recordings[i].stimulus
         assert light is not None
-        light = in_a_row(light, row)
+        light = light_in_a_row(recordings[i], light, row, own)
         here = model.in_recording(recordings[i].name)
         return simulate(here, light, width=width, height=1, seed=own, sensor_seed=seed + copy)
 

@@ -10,7 +10,7 @@ import numpy as np
 from pixelid.fit.cache import FitCache
 from pixelid.fit.coordinates import Coordinates
 from pixelid.fit.maximise import Maximum, maximise, maximise_with_restarts
-from pixelid.fit.starts import feasible, random_starts
+from pixelid.fit.starts import feasible, longest_dead_time, random_starts
 from pixelid.gap.criteria import Criteria
 from pixelid.gap.detect.diagnostics import chance_of_background
 from pixelid.gap.split import Split
@@ -23,7 +23,8 @@ from pixelid.stages.circuit import Circuit
 
 BETWEEN_SAMPLES = ("smooth", "linear")  # how the light may run between the stimulus's samples
 SCREEN_EVENTS = 6_000  # of the pixels that a first search looks at: thresholds to 0.1 % in a tenth of a second a fit
-NOISE = "threshold_sigma"
+NOISE, DEAD_TIME = "threshold_sigma", "refractory_s"
+FAR_DEAD_TIME = 4.0  # times the shipped one, from which a fit does not find it: the density barely feels it so far out
 MAX_NOISE_FACTOR = 2.0  # of the shipped noise, in a start: pixels of one kind differ by less
 RANDOM_STARTS = 3  # beside the nominal values, where a base fit leaves events without a cause
 
@@ -101,14 +102,19 @@ def fit_base(
 
 
 def _screened(screening: EventTimes, nominal: Model, shipped: Model, cache: FitCache | None) -> Maximum:
-    """The base fitted to a few pixels, from the noise that makes its start feasible and from the shipped noise.
+    """The base fitted to a few pixels, from its feasible start and from others where that start is likely to mislead.
 
     Where the start explains the events badly, the noise that covers for it is so large that a fit may end there:
     nothing is surprising enough to move the filters.  With little noise, what cannot be explained is background.
+    Where no interval is nearly as short as the shipped dead time, the one that the intervals reach down to is tried.
     """
     starts = [nominal]
     if NOISE in nominal.free and nominal.values[NOISE] > MAX_NOISE_FACTOR * shipped.values[NOISE]:
         starts.append(nominal.set({NOISE: shipped.values[NOISE]}))
+    if DEAD_TIME in nominal.free:
+        longest = longest_dead_time(nominal, screening)
+        if longest > FAR_DEAD_TIME * nominal.values[DEAD_TIME]:
+            starts.append(feasible(shipped.set({DEAD_TIME: longest}), screening))
     fits = [
         maximise_with_restarts(screening, start, nominal, tolerance=0.1, max_steps=40, cache=cache) for start in starts
     ]

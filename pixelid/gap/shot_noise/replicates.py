@@ -24,10 +24,12 @@ from pixelid.gap.detect.maps import Cell, Scores, map_residuals
 from pixelid.gap.detect.pixels import PixelEvidence
 from pixelid.gap.detect.residuals import residuals, tangents
 from pixelid.likelihood.event_times import EventTimes
+from pixelid.likelihood.light_drawn import light_in_a_row
 from pixelid.model.model import Model
 from pixelid.parallel import map_threads
 from pixelid.recordings.own_light import with_fine_light
 from pixelid.recordings.recording import Recording
+from pixelid.recordings.sensor_light import is_measured
 from pixelid.simulate import simulate
 from pixelid.stimuli.pixel_lights import in_a_row
 
@@ -86,11 +88,12 @@ def simulate_again(
         i, r = job
         light = r.stimulus if between is None else with_fine_light(r, between).stimulus
         assert light is not None
-        seen = in_a_row(light, pixels)
+        seen = light_in_a_row(r, light, pixels, seed + 101 * i)
         here = truth.in_recording(r.name)
         run = simulate(here, seen, width=len(pixels), height=1, seed=seed + 101 * i, sensor_seed=seed)
         as_came = in_a_row(light if r.stimulus is None else r.stimulus, pixels)
-        return replace(r, events=replace(run.events, tick_ns=r.events.tick_ns), stimulus=as_came)
+        made = replace(r, events=replace(run.events, tick_ns=r.events.tick_ns), stimulus=as_came)
+        return made.within_stimulus() if is_measured(r) else made  # its delay is free, and carries events past the end
 
     return map_threads(simulated, enumerate(recordings))
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -12,21 +12,21 @@ from pixelid.gap.attribute.alternative import flexible_alternative
 from pixelid.gap.attribute.candidates import missing
 from pixelid.gap.attribute.directions import Direction, Space, confusion, direction, residual_space, similarities
 from pixelid.gap.attribute.flexible import Flexible
-from pixelid.gap.confirm.free_run import FreeRun, closes_nothing, free_run, leaves_much
-from pixelid.gap.confirm.intervals import interval_95
+from pixelid.gap.confirm.free_run import FreeRun, closes_nothing, leaves_much
 from pixelid.gap.detect.maps import Cell
 from pixelid.gap.detect.pixels import relative_noise
 from pixelid.gap.detect.words import where
-from pixelid.gap.imputation.impute import SIGMA
 from pixelid.gap.options import Context
 from pixelid.gap.recommend import advise
 from pixelid.gap.result import GapReport, Named
 from pixelid.gap.shot_noise.shares import EFFECT, STRENGTH
-from pixelid.gap.state import Hypothesis, NamedStep, State
-from pixelid.gap.verdict import Confounder, confounded, describe, judge
+from pixelid.gap.state import NamedStep, State
+from pixelid.gap.steps.describe_remainder import Described, describe_remainder
+from pixelid.gap.steps.numbers import free_run_of, intervals_of
+from pixelid.gap.verdict import Confounder, confounded, judge
+from pixelid.gap.verdict import describe as in_a_sentence
 from pixelid.inspection.timestamps import TimestampSignature
 from pixelid.provenance import input_hashes, versions
-from pixelid.recordings.own_light import with_fine_light
 
 SHOWN_CELLS = 8  # of the maps, in the result
 
@@ -40,6 +40,7 @@ class _Findings:
     effects: tuple[Named, ...]
     run: FreeRun | None
     withdrawn: tuple[str, ...] = ()
+    described: Described = field(default_factory=Described)
 
 
 def confirm(state: State, context: Context) -> GapReport:
@@ -53,6 +54,9 @@ def confirm(state: State, context: Context) -> GapReport:
     named_any = bool(state.steps or state.new_signatures or state.shot_noise)
     confounder = None if named_any or remainder else confounded(at, directions, options)
     findings = _confirmed(state, at, judge(named_any, bool(state.doubts), remainder, confounder), context)
+    if findings.verdict == "unknown":
+        described = describe_remainder(state, bool(findings.withdrawn), context)
+        findings = replace(findings, run=described.run or findings.run, described=described)
     report("what to record next", 0.95)
     next_ = advise(state, at, directions, confounder, findings.remainder, options) if options.recommend else {}
     report("done", 1.0)
@@ -66,44 +70,12 @@ def _confirmed(state: State, at: Space, said: str, context: Context) -> _Finding
     report("intervals", 0.8)
     effects = (*(_from_signature(f, state) for f in state.new_signatures), *_named(at, state), *_shot_noise(state))
     report("free run", 0.85)
-    run = _free_run(state, context) if effects else None
+    run = free_run_of(state, context) if effects else None
     if run is not None and closes_nothing(run, remainder, options.criteria):
         return _Findings("unknown", True, (), None, tuple(effect.name for effect in effects))
     if run is not None and state.shot_noise is not None and leaves_much(run, options.criteria):
         return _Findings("unknown", True, effects, run)  # under shot noise maps are compared roughly
     return _Findings(said, remainder, effects, run)
-
-
-def _free_run(state: State, context: Context) -> FreeRun:
-    """The gap before and after, on the pixels that nothing has looked at."""
-    hypothesis, split = state.hypothesis, state.split
-    between = hypothesis.evidence.between
-    as_came, undone = (
-        [with_fine_light(r, between) for r in some] for some in (state.recordings, hypothesis.recordings)
-    )
-    pixels = state.confirming_pixels
-    hot = np.isin(pixels, state.hot.pixels) if state.hot is not None else None
-    everyone = np.union1d(split.train, split.confirm)
-    return free_run(
-        as_came, undone, pixels, everyone, len(split.train), state.base.model, state.grown_model,
-        context.options.criteria, context.options.seed, hot,
-    )  # fmt: skip
-
-
-def intervals_of(hypothesis: Hypothesis) -> dict[str, tuple[float, float]]:
-    """95 % intervals of the free parameters, and of the jitter."""
-    plain = interval_95(hypothesis.evidence.training, hypothesis.fit, hypothesis.scatter)
-    if hypothesis.jitter is not None:
-        sigma, error = hypothesis.jitter
-        plain[SIGMA] = (sigma * (1.0 - 1.96 * error), sigma * (1.0 + 1.96 * error))
-    if hypothesis.corrected is None:
-        return plain
-    moved = {}
-    for p, shift in zip(hypothesis.fit.coordinates.parameters, hypothesis.corrected.shift, strict=True):
-        edges = (p.to_coordinate(edge) for edge in plain[p.name])
-        low, high = (float(p.from_coordinate(float(shift + edge))) for edge in edges)
-        moved[p.name] = (max(low, p.lower), min(high, p.upper))
-    return moved
 
 
 def _named(at: Space, state: State) -> tuple[Named, ...]:
@@ -171,7 +143,10 @@ def _report(
     unit, background = relative_noise(hypothesis.fit.model), hypothesis.seen.residual.background
     place = where(hypothesis.seen.maps, hypothesis.evidence.training, background, unit)
     runners_up = [other for _, other in state.doubts]
-    sentence = describe(findings.verdict, effects, runners_up, confounder, findings.run, place, term, hypothesis.seen.p)
+    sentence = in_a_sentence(
+        findings.verdict, effects, runners_up, confounder, findings.run, place, term, hypothesis.seen.p,
+        findings.described.effects,
+    )  # fmt: skip
     return GapReport(
         verdict=findings.verdict,
         sentence=sentence,
@@ -182,24 +157,27 @@ def _report(
         free_run=findings.run,
         rounds=state.rounds,
         base=state.base.model,
-        model=state.grown_model if effects else state.base.model,
+        model=findings.described.model or (state.grown_model if effects else state.base.model),
+        described=findings.described.effects,
         term=term,
         recommended_next=recommended_next,
         seconds=context.watch.seconds(),
         seed=options.seed,
-        details=_details(state, directions, findings.withdrawn),
+        details=_details(state, directions, findings),
         versions=versions(),
         inputs_sha256=input_hashes(r.source for r in state.recordings),
     )
 
 
-def _details(state: State, directions: Sequence[Direction], withdrawn: Sequence[str]) -> dict:
-    split, seen = state.split, state.hypothesis.seen
+def _details(state: State, directions: Sequence[Direction], findings: _Findings) -> dict:
+    split, seen = state.split, findings.described.seen or state.hypothesis.seen
+    tried = {"descriptions_tried": list(findings.described.tried)} if findings.described.tried else {}
     return {
+        **tried,
         "stimulus_between_samples": state.hypothesis.evidence.between,
         "pixels": {"fit": len(split.fit), "select": len(split.select), "confirm": len(split.confirm)},
         "held_out": split.apart,
-        "withdrawn": list(withdrawn),
+        "withdrawn": list(findings.withdrawn),
         "recordings_whose_times_are_lost": list(state.lost),
         "remaining_p": seen.p,
         "remaining": [_cell(c) for c in seen.maps.cells[:SHOWN_CELLS]],

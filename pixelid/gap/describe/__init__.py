@@ -1,0 +1,1 @@
+"""Describe: what no effect of the library explains, as an equation."""

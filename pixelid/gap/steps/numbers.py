@@ -1,0 +1,44 @@
+"""Numbers of a state that its confirmation needs: the free-run gap, and intervals of parameters."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pixelid.gap.confirm.free_run import FreeRun, free_run
+from pixelid.gap.confirm.intervals import interval_95
+from pixelid.gap.imputation.impute import SIGMA
+from pixelid.gap.options import Context
+from pixelid.gap.state import Hypothesis, State
+from pixelid.recordings.own_light import with_fine_light
+
+
+def free_run_of(state: State, context: Context) -> FreeRun:
+    """The gap before and after, on the pixels that nothing has looked at."""
+    hypothesis, split = state.hypothesis, state.split
+    between = hypothesis.evidence.between
+    as_came, undone = (
+        [with_fine_light(r, between) for r in some] for some in (state.recordings, hypothesis.recordings)
+    )
+    pixels = state.confirming_pixels
+    hot = np.isin(pixels, state.hot.pixels) if state.hot is not None else None
+    everyone = np.union1d(split.train, split.confirm)
+    return free_run(
+        as_came, undone, pixels, everyone, len(split.train), state.base.model, state.grown_model,
+        context.options.criteria, context.options.seed, hot,
+    )  # fmt: skip
+
+
+def intervals_of(hypothesis: Hypothesis) -> dict[str, tuple[float, float]]:
+    """95 % intervals of the free parameters, and of the jitter."""
+    plain = interval_95(hypothesis.evidence.training, hypothesis.fit, hypothesis.scatter)
+    if hypothesis.jitter is not None:
+        sigma, error = hypothesis.jitter
+        plain[SIGMA] = (sigma * (1.0 - 1.96 * error), sigma * (1.0 + 1.96 * error))
+    if hypothesis.corrected is None:
+        return plain
+    moved = {}
+    for p, shift in zip(hypothesis.fit.coordinates.parameters, hypothesis.corrected.shift, strict=True):
+        edges = (p.to_coordinate(edge) for edge in plain[p.name])
+        low, high = (float(p.from_coordinate(float(shift + edge))) for edge in edges)
+        moved[p.name] = (max(low, p.lower), min(high, p.upper))
+    return moved

@@ -1,0 +1,135 @@
+"""Changes under described effects: what a pixel's last event set for the interval after it (`stages/modulation.py`).
+
+Dead times differ from interval to interval.  Thresholds are held to be those of the population; what an event adds to
+them is taken from the changes instead, at the event and at the extremes, as for `polarity_memory`:
+
+    ON  change − C_on g          OFF  −change − C_off g          slope less that of C g
+
+A shift that is the same throughout an interval does not move its extremes.  One that relaxes does: every sample of the
+interval is looked at.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from pixelid.dynamics.trajectory import Trajectory
+from pixelid.likelihood.extremes import Begun, Drift, Output, change_at
+from pixelid.stages.circuit import Circuit
+from pixelid.stages.modulation import AT_RESET, OF_LIGHT, at_reset, set_at_reset, since_event
+
+
+@dataclass(frozen=True)
+class Modulated:
+    """What previous events set for k intervals.
+
+    before_s: (k,) time of the previous event, on the light's clock
+    dead_s: (k,) added to the dead time;  on, off: (k,) added to the thresholds throughout, log radiance
+    relaxing: (ON, OFF, scale s), added just after the previous event
+    """
+
+    before_s: np.ndarray
+    dead_s: np.ndarray
+    on: np.ndarray
+    off: np.ndarray
+    relaxing: tuple[float, float, float]
+
+    @property
+    def relaxes(self) -> bool:
+        """Whether thresholds change during an interval."""
+        return self.relaxing[0] != 0.0 or self.relaxing[1] != 0.0
+
+    def shifts(self, sign: np.ndarray, time_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(k,) shift of the thresholds of polarities `sign` (k,) at times (k,), and its slope."""
+        on, off, scale = self.relaxing
+        rising = sign > 0
+        relaxed = np.where(rising, on, off) * np.exp(-(time_s - self.before_s) / scale)
+        return np.where(rising, self.on, self.off) + relaxed, -relaxed / scale
+
+
+def moves_changes(circuit: Circuit) -> bool:
+    """Whether a described effect acts on thresholds or dead time."""
+    return any(m.quantity not in OF_LIGHT for m in circuit.described)
+
+
+def modulated(
+    circuit: Circuit, t: np.ndarray, logs: np.ndarray, sample: np.ndarray, before_s: np.ndarray, polarity: np.ndarray
+) -> Modulated:
+    """What events set for the intervals after them.
+
+    Args:
+        circuit: With described effects.
+        t, logs: (samples,) times and log radiance.
+        sample: (k,) the sample at or before each event.
+        before_s: (k,) its time.
+        polarity: (k,) ±1.
+    """
+    table = at_reset(circuit)
+    radiance, speed = np.ones(len(before_s)), np.zeros(len(before_s))
+    if np.isin(table[:, 0], (AT_RESET.index("radiance"), AT_RESET.index("speed"))).any():
+        after = np.minimum(sample + 1, len(t) - 1)
+        step = t[after] - t[sample]
+        slope = np.where(step > 0, (logs[after] - logs[sample]) / np.where(step > 0, step, 1.0), 0.0)
+        radiance, speed = np.exp(logs[sample] + slope * (before_s - t[sample])), np.abs(slope)
+    on, off, dead = set_at_reset(table, polarity, before_s, radiance, speed)
+    return Modulated(before_s, np.maximum(dead, -circuit.refractory), on, off, since_event(circuit))
+
+
+def locate_relaxing(
+    trajectory: Trajectory, output: Output, begun: Begun, sign, last, drift: Drift | None, of: Modulated
+) -> np.ndarray:
+    """As `extremes.locate_extremes`, where the thresholds relax."""
+    at, wd = np.empty(len(sign), np.int64), trajectory.dynamics.differencing
+    rate, per_light, on, lights, light = 0.0, 0.0, 1.0, np.zeros(0), np.zeros(len(sign))
+    if drift is not None:
+        rate, per_light, on, lights, light = drift.rate, drift.per_light, drift.on, drift.lights, drift.light
+    shifts = np.where(np.asarray(sign) > 0, of.relaxing[0], of.relaxing[1])
+    _locate(
+        np.asarray(sign, np.float64), begun.sample + 1, last, begun.release_s, begun.level, begun.offset, trajectory.t,
+        output.values, wd, rate, per_light, on, lights, light, of.before_s, shifts, of.relaxing[2], at,
+    )  # fmt: skip
+    return at
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _locate(
+    sign, low, high, release, level, offset, t, values, wd, rate, per_light, on, lights, light, before, shift, scale, at
+):  # fmt: skip
+    """Fill `at` with the sample in low … high where sign · (change + drift) − shift is largest and above 0, or −1."""
+    for i in range(len(at)):
+        best, at[i] = 0.0, -1
+        for k in range(low[i], high[i] + 1):
+            drift = rate * (t[k] - release[i])
+            if per_light != 0.0:
+                drift += per_light * (lights[k] - light[i])
+            value = sign[i] * (change_at(k, release[i], level[i], offset[i], t, values, wd) + on * drift)
+            value -= shift[i] * np.exp(-(t[k] - before[i]) / scale)
+            if value > best:
+                best, at[i] = value, k
+
+
+def subtract(
+    of: Modulated, growth: float, sign: np.ndarray, time_s: np.ndarray, t: np.ndarray, opposite: np.ndarray,
+    events: np.ndarray,
+) -> None:  # fmt: skip
+    """Take the shifts from the rows (7, n) of `changes.PER_EVENT`.
+
+    growth: of thresholds, per second;  opposite: (n,) sample of the other polarity's extreme, −1: none
+    """
+    own, slope = of.shifts(sign, time_s)
+    grown = 1.0 + growth * time_s
+    events[0] -= sign * own * grown
+    events[1] -= sign * (own * growth + slope * grown)
+    events[4] -= of.shifts(-sign, np.where(opposite >= 0, t[opposite], time_s))[0] * grown
+
+
+def subtract_from_ends(
+    of: Modulated, growth: float, end_s: float, t: np.ndarray, at: tuple[np.ndarray, np.ndarray], pixels: np.ndarray
+) -> None:
+    """Take the shifts from the rows (4, m) of `changes.PER_PIXEL`; at: samples (m,) of both extremes, −1: none."""
+    for sign, where, row in ((1.0, at[0], pixels[0]), (-1.0, at[1], pixels[2])):
+        signs = np.full(len(where), sign)
+        row -= of.shifts(signs, np.where(where >= 0, t[where], end_s))[0] * (1.0 + growth * end_s)

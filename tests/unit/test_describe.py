@@ -1,0 +1,91 @@
+"""Descriptions of what no effect explains: scores, candidates, and a search that ends in one."""
+
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pixelid.fit.maximise import maximise
+from pixelid.gap.describe.cells import beginnings, covariates
+from pixelid.gap.describe.screen import screened
+from pixelid.gap.gap import gap
+from pixelid.gap.result import GapReport
+from pixelid.likelihood.event_times import EventTimes
+from pixelid.model.shipped import find_model
+from pixelid.simulate import simulate
+from pixelid.stimuli import shapes
+
+CELL = "described.on_threshold.previous_polarity.constant"
+
+
+@pytest.fixture(scope="module")
+def likelihood():
+    truth = find_model("dvs128").with_effect(CELL, {"strength": 0.02})
+    light = shapes.chirp(60.0, duration_s=0.4)
+    return EventTimes([simulate(truth, light, width=3, height=3, seed=4)])
+
+
+def test_covariates_are_those_of_the_previous_events(likelihood):
+    values = covariates(likelihood)
+    (iv,) = likelihood.intervals
+    stimulus = likelihood.recordings[0].stimulus
+    light = np.exp(np.interp(iv.previous_s, stimulus.t, np.log(stimulus.radiance)))
+    np.testing.assert_allclose(values["radiance"], light, rtol=1e-9)
+    np.testing.assert_array_equal(values["previous_polarity"], iv.previous_sign)
+    np.testing.assert_allclose(values["time_since_event"], iv.time_s - iv.previous_s)
+    slope = np.diff(np.log(stimulus.radiance)) / np.diff(stimulus.t)
+    k = np.searchsorted(stimulus.t, iv.previous_s, side="right") - 1
+    inside = iv.previous_s + 2e-5 < stimulus.t[k + 1]
+    np.testing.assert_allclose(values["speed"][inside], np.abs(slope[k])[inside], rtol=1e-3, atol=1e-3)
+
+
+def test_the_score_promises_what_a_fit_of_a_weak_effect_gains(likelihood):
+    base = maximise(likelihood, find_model("dvs128"), tolerance=1e-3, max_steps=40)
+    starts = [(own, start) for own, start in beginnings(likelihood, base.model) if own.name == CELL]
+    (one,) = screened(likelihood, base, starts)
+    end = maximise(likelihood, one.start, tolerance=1e-3, max_steps=40)
+    assert one.gain == pytest.approx(end.value - base.value, rel=0.15)
+    assert one.start.values[f"{CELL}.strength"] == pytest.approx(end.values[f"{CELL}.strength"], rel=0.15)
+    index = end.coordinates.names.index(f"{CELL}.strength")
+    error = np.sqrt(np.linalg.inv(end.information)[index, index])
+    assert abs(end.x[index] - 0.02) < 3.0 * error
+
+
+def test_a_model_is_not_offered_what_it_has_under_its_own_name(likelihood):
+    plain = {own.name for own, _ in beginnings(likelihood, find_model("dvs128"))}
+    leaking = {own.name for own, _ in beginnings(likelihood, find_model("dvs128").with_effect("leak"))}
+    assert plain - leaking == {"described.leak.none.constant"}
+    ideal = {own.quantity for own, _ in beginnings(likelihood, find_model("ideal"))}
+    assert "rate" not in ideal
+    with_one = find_model("dvs128").with_effect("described.on_threshold.time_since_event.relaxation")
+    assert not any(".time_since_event." in own.name for own, _ in beginnings(likelihood, with_one))
+
+
+@pytest.mark.slow
+def test_an_effect_left_out_of_the_library_is_described(tmp_path):
+    sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))
+    from gap_certification import camera, planted, session
+
+    model, base = planted("polarity_memory", 1.0, camera(6870))
+    report = gap(session(model, 6870), base, seed=6870, leave_out=("polarity_memory",), recommend=False)
+    assert report.verdict == "unknown"
+    assert report.remainder
+    (found,) = report.described
+    entry = found.as_dict()
+    assert (entry["stage"], entry["quantity"], entry["covariate"]) == ("comparator", "threshold", "previous_polarity")
+    value, (low, high) = found.parameters["strength"]
+    assert low < 0.05 < high
+    assert value == pytest.approx(0.05, abs=0.005)
+    assert found.closed is not None
+    assert found.closed > 0.8
+    assert found.effect in report.model.effects
+    report.save(tmp_path / "gap")
+    again = GapReport.load(tmp_path / "gap")
+    assert again.described == report.described
+    assert again.model.effects == report.model.effects
+    written = json.loads((tmp_path / "gap" / "gap.json").read_text())["described"][0]
+    assert set(written) == {
+        "stage", "quantity", "covariate", "form", "equation", "parameters", "heldout_gain_nats", "closed_fraction",
+    }  # fmt: skip
