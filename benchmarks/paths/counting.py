@@ -2,9 +2,15 @@
 
 from __future__ import annotations
 
+import ast
+import inspect
+import textwrap
+from collections.abc import Callable
+
 from pixelid.dynamics import equations
 from pixelid.dynamics.equations import photoreceptor_rates
 from pixelid.dynamics.trajectory import Dynamics
+from pixelid.nerf import scan_adjoint
 
 
 class Counter:
@@ -21,6 +27,7 @@ class Counter:
 
 
 FACTORS = 15  # + − × ÷ of `kernels.photoreceptor_factors` where poles are real; its √ and two exp are counted apart
+BY_FACTORS = 42  # of `scan_adjoint._by_factors` there
 EXPONENTIALS = 5  # of a step: √ and two exp there, exp(−ω1 τ), exp(−ωd τ)
 
 
@@ -34,3 +41,15 @@ def step_flops() -> int:
                         floor=v)  # fmt: skip
     photoreceptor_rates(dynamics, u0)
     return tally[0] + FACTORS
+
+
+def source_flops(function: Callable) -> int:
+    """+ − × ÷ written in a function's source: right where it has neither loops nor branches."""
+    tree = ast.parse(textwrap.dedent(inspect.getsource(function)))
+    return sum(isinstance(node, ast.BinOp | ast.AugAssign) for node in ast.walk(tree))
+
+
+def step_back_flops() -> int:
+    """+ − × ÷ of one step of the gradient of the fourth-order chain."""
+    parts = (equations.responses, equations.low_pass_response, equations.low_pass_response, equations.modes_of)
+    return source_flops(scan_adjoint.step_back.py_func) + sum(map(source_flops, parts)) + FACTORS + BY_FACTORS

@@ -8,12 +8,13 @@ from functools import lru_cache
 import numpy as np
 import torch
 
-from paths.counting import EXPONENTIALS, step_flops
+from paths.counting import EXPONENTIALS, step_back_flops, step_flops
 from paths.sizes import Sizes
 from paths.timing import Counts, Other, Target, Task, compared
 from pixelid.dynamics.of_circuit import dynamics_of
 from pixelid.model.shipped import find_model
 from pixelid.nerf.scan import respond
+from pixelid.nerf.scan_kernels import STATES
 
 KINDS = {"forward": (False, False), "gradient by light": (True, False), "all gradients": (True, True)}
 TARGETS = {"float32": 30.0, "float64": 40.0}
@@ -106,13 +107,11 @@ def measured(kind: str, precision: str, sizes: Sizes) -> dict:
     dtype, shape = getattr(torch, precision), sizes.filter_shape
     difference = apart(kind, dtype, shape)
     assert difference < AGREEMENT[precision], f"filter, {kind}, {precision}: the two differ by {difference:.1e}"
-    # counted for the step forwards; backwards the state's and light's weights cost about as much again, and each
-    # parameter's derivative too: see `scan_kernels.backward`
-    times = {"forward": 1, "gradient by light": 3, "all gradients": 4}[kind]
-    counts = Counts(
-        bytes=8 * (2 + 6 + 2) + (8 * (2 + 6 + 3) if kind != "forward" else 0),
-        flops=times * step_flops(),
-        exponentials=EXPONENTIALS * (1 if kind == "forward" else 2) + 1,
+    backward = kind != "forward"
+    counts = Counts(  # time, light and six states forwards; these, two gradients by outputs and one by light backwards
+        bytes=8.0 * (2 + STATES) + backward * 8.0 * (2 + STATES + 3),
+        flops=step_flops() + backward * step_back_flops(),
+        exponentials=(EXPONENTIALS + 1) * (1 + backward),
     )
     other = Other("matrix exponentials", f"torch {torch.__version__}", lambda: once(plain, kind, dtype, shape))
     return compared(

@@ -15,11 +15,14 @@ from paths.sizes import Sizes
 from paths.timing import Counts, Other, Task, compared
 from pixelid.nerf.camera import pinhole
 from pixelid.nerf.render import Box, Rays, render
+from pixelid.nerf.render_kernels import BLOCK
 from pixelid.nerf.scenes import spiral
 from pixelid.nerf.train import Recipe
 
 HALF = 1.44  # of the box
 FIELD_OF_VIEW = 0.69
+# Both engines work in float32.  A ray on the point of being opaque may end one sample earlier in one of them.
+AGREEMENT, STRAY = 1e-5, 1e-3
 # Per sample of a ray, counted in `render_kernels`: eight corners of two float32 are read forwards, read again and
 # written backwards; 8 weights (16 flops), two sums of 8 products (32), compositing (about 12), and thrice that with
 # the gradients; one exponential each for density, radiance and opacity, forwards.
@@ -38,7 +41,8 @@ def problem(side: int, rays: int):
     torch.manual_seed(0)
     vertices = Recipe().for_sensor(side).vertices[-1]
     high = np.full(3, HALF)
-    box = Box(-high, high, 2 * HALF / (vertices - 1), np.ones((16, 16, 16), np.uint8))
+    blocks = -(-(vertices - 1) // BLOCK)
+    box = Box(-high, high, 2 * HALF / (vertices - 1), np.ones((blocks, blocks, blocks), np.uint8))
     rng = np.random.default_rng(0)
     inside = pinhole(side, side, FIELD_OF_VIEW).all_directions()[rng.integers(0, side * side, rays)]
     origins, directions = spiral(1.0, 1.0).rays(rng.random(rays), inside)
@@ -60,7 +64,8 @@ def measured(side: int, sizes: Sizes) -> dict:
         radiance.sum().backward()
         return radiance.detach()
 
-    assert torch.allclose(run("compiled"), run("tensors"), rtol=1e-3, atol=1e-4)
+    apart = (run("compiled") / run("tensors") - 1.0).abs()
+    assert float((apart > AGREEMENT).double().mean()) < STRAY, "rendering: the two engines differ"
     per_ray = samples / sizes.rays
     counts = Counts(*(per_ray * n for n in (PER_SAMPLE.bytes, PER_SAMPLE.flops, PER_SAMPLE.exponentials)))
     return compared(
