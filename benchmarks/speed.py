@@ -69,7 +69,10 @@ def line(rows: list[dict], task: Task) -> str:
     """A row in a line of text."""
     found = next(row for row in rows if (row["section"], row["path"]) == (task.section, task.path))
     seconds = statistics.median(found["ours_s"])
-    words = [f"{task.section:10} {task.path:42} {seconds:10.4g} s", f"{found['items'] / seconds:10.4g} {found['item']}s/s"]
+    words = [
+        f"{task.section:10} {task.path:42} {seconds:10.4g} s",
+        f"{found['items'] / seconds:10.4g} {found['item']}s/s",
+    ]
     if found["ratio"]:
         words.append("{median:.3g} x ({least:.3g} to {most:.3g})".format(**found["ratio"]))
     if found["target"]:

@@ -88,11 +88,12 @@ def once(way: Callable, kind: str, dtype: torch.dtype, shape: tuple[int, int]) -
     u, dynamics = u.to(dtype).detach().clone().requires_grad_(by_light), dynamics.clone().requires_grad_(by_parameters)
     level, output = way(u, dynamics, t, first)
     results = [level.detach(), output.detach()]
-    if by_light:
+    if u.requires_grad:
         weights = torch.cos(torch.arange(len(u), dtype=dtype))
         ((weights * level).sum() + (weights.flip(0) * output).sum()).backward()
+    if u.grad is not None:
         results.append(u.grad)
-    if by_parameters:
+    if dynamics.grad is not None:
         results.append((dynamics * dynamics.grad)[PARAMETERS].detach())  # by logs
     return results
 

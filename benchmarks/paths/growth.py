@@ -75,7 +75,9 @@ def _of_command(name: str, sizes: Sequence[int]) -> dict:
 
         start_up, *points = (measured(count) for count in (START_UP_EVENTS, *sizes))
     less = [{key: p[key] - start_up[key] for key in p} for p in points]
-    note = f"less a file of {START_UP_EVENTS} events: {start_up['cpu_s']:.1f} s, {start_up['peak_bytes'] / 2**20:.0f} MiB"
+    note = (
+        f"less a file of {START_UP_EVENTS} events: {start_up['cpu_s']:.1f} s, {start_up['peak_bytes'] / 2**20:.0f} MiB"
+    )
     return _row("event", sizes, less, note)
 
 

@@ -6,6 +6,7 @@ density in NumPy (`tests/oracles`).
 
 from __future__ import annotations
 
+import importlib
 import sys
 from collections.abc import Iterator
 from functools import lru_cache
@@ -58,7 +59,7 @@ def measured(with_gradient: bool, limit: float, sizes: Sizes) -> dict:
     samples = sizes.likelihood_samples
     likelihood, circuit, changes = evaluated(samples, sizes.likelihood_seconds, sizes.likelihood_pixels)
     sys.path.insert(0, str(TESTS))
-    from oracles import event_time_density
+    event_time_density = importlib.import_module("oracles.event_time_density")
 
     def ours():
         terms = likelihood.terms(circuit, changes())

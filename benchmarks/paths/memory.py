@@ -1,6 +1,6 @@
 """Work measured in a process of its own: CPU time, and how far memory rose above what was there before.
 
-    python -m paths.memory JOB '[SIZE, …]'      (from benchmarks/; prints a line of JSON)
+python -m paths.memory JOB '[SIZE, …]'      (from benchmarks/; prints a line of JSON)
 """
 
 from __future__ import annotations

@@ -11,6 +11,7 @@ from functools import lru_cache
 import numpy as np
 import torch
 
+from paths.hash_grid import Hash
 from paths.sizes import Sizes
 from paths.timing import Counts, Other, Task, compared
 from pixelid.nerf.camera import pinhole
@@ -30,9 +31,10 @@ PER_SAMPLE = Counts(bytes=3 * 8 * 2 * 4, flops=3 * 60, exponentials=3)
 
 
 def tasks(sizes: Sizes) -> Iterator[Task]:
-    """A row per size of sensor."""
+    """A row per size of sensor, and the smallest beside another kind of field."""
     for side in sizes.sensors:
         yield Task("rays", f"rendering, {side} × {side} pixels", lambda s=side: measured(s, sizes))
+    yield Task("rays", "rendering beside a hash grid", lambda: beside_hash_grid(sizes))
 
 
 @lru_cache(maxsize=1)
@@ -78,4 +80,29 @@ def measured(side: int, sizes: Sizes) -> dict:
         counts=counts,
         words="reading and adding to scattered corners of the grid",
         note="a ray that no longer lets light through ends early; samples are counted to the far side of the box",
+    )
+
+
+def beside_hash_grid(sizes: Sizes) -> dict:
+    """Rendering and its gradient, beside the features alone of a hash grid at as many points, and their gradient."""
+    grid, behind, some, box, samples = problem(sizes.sensors[0], sizes.rays)
+    network, points = Hash(), torch.rand(5 * sizes.rays, 3)
+
+    def ours() -> None:
+        grid.grad = None
+        render(grid, behind, some, box, "compiled")[0].sum().backward()
+
+    def theirs() -> None:
+        network.zero_grad()
+        network(points).sum().backward()
+
+    return compared(
+        ours,
+        Other("hash grid, features alone", f"torch {torch.__version__}", theirs, len(points) / samples),
+        sizes.runs,
+        size=f"{samples} samples",
+        item="sample",
+        items=samples,
+        counts=PER_SAMPLE,
+        words="as above",
     )

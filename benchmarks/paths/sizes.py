@@ -9,7 +9,9 @@ from dataclasses import dataclass
 class Sizes:
     """Sizes of all sections; the defaults are what the page shows, `TINY` is for tests.
 
-    filter_shape: (samples of the past, runs);  video: (width, height, steps);  sections: `growth_*` are ascending
+    runs: of each way;  filter_shape: (samples of the past, runs);  video: (width, height, steps);  plain_steps: of the
+    video, for the plain ways;  model: of fit and posterior;  effective: samples wanted;  gap_runs: of the search
+    for the gap;  sensors: sides of those rendered;  growth_*: ascending
     """
 
     runs: int = 5
@@ -21,11 +23,12 @@ class Sizes:
     likelihood_samples: int = 500_000
     likelihood_seconds: float = 20.0
     likelihood_pixels: tuple[int, int] = (11, 8)
+    model: str = "dvs128"
     fit_starts: int = 2
     effective: int = 1000
     sensor_side: int = 16
     whole_sensor: tuple[int, int] = (346, 260)
-    gap: bool = True
+    gap_runs: int = 3
     sensors: tuple[int, ...] = (64, 200, 800)
     rays: int = 20_000
     growth_pixels: tuple[int, ...] = (40, 80, 160)
@@ -46,10 +49,11 @@ TINY = Sizes(
     likelihood_samples=2_000,
     likelihood_seconds=0.1,
     likelihood_pixels=(2, 1),
+    model="ideal",
     fit_starts=0,
     effective=20,
     sensor_side=2,
-    gap=False,
+    gap_runs=0,
     sensors=(8,),
     rays=50,
     growth_pixels=(4, 8),
