@@ -28,9 +28,9 @@ CORES = 2  # of the target for whole sensors
 def tasks(sizes: Sizes) -> Iterator[Task]:
     """The rows; all seeded, so that every run does the same."""
     yield Task("analysis", "fit", lambda: _fit(sizes))
-    yield Task("analysis", "posterior", lambda: _posterior(sizes))
     yield Task("analysis", "sensor", lambda: _sensor(sizes))
-    if sizes.gap_runs:
+    yield Task("analysis", "posterior", lambda: _posterior(sizes))
+    if sizes.gap:
         yield Task("analysis", "gap", lambda: _gap(sizes))
 
 
@@ -66,7 +66,7 @@ def _posterior(sizes: Sizes) -> dict:
     recordings = _recordings(sizes)
     result = fit(recordings, find_model(sizes.model), starts=sizes.fit_starts, seed=SEED)
     times, effective = [], []
-    for seed in range(sizes.runs):
+    for seed in range(sizes.long_runs):
         begun = time.process_time()
         posterior = sample(result, recordings, seed=seed, wanted=sizes.effective)
         spent = time.process_time() - begun
@@ -79,7 +79,7 @@ def _posterior(sizes: Sizes) -> dict:
         items=1000,
         target=Target("seconds", POSTERIOR_S),
         words="exact evaluations of the likelihood",
-        note="seconds per 1000 effective samples of the slowest parameter",
+        note=f"seconds per 1000 effective samples of the slowest parameter; {sizes.long_runs} runs",
         extra={"effective": effective},
     )
 
@@ -87,7 +87,7 @@ def _posterior(sizes: Sizes) -> dict:
 def _gap(sizes: Sizes) -> dict:
     recordings = small_session(camera(1000), 1000)
     times, verdicts = [], []
-    for _ in range(sizes.gap_runs):
+    for _ in range(sizes.long_runs):
         begun = time.process_time()
         verdicts.append(gap(recordings, find_model("dvs128"), seed=1000, recommend=False).verdict)
         times.append(time.process_time() - begun)
@@ -98,7 +98,7 @@ def _gap(sizes: Sizes) -> dict:
         items=sum(len(r.events) for r in recordings),
         target=Target("seconds", GAP_S),
         words="fits of the base and of every candidate, simulations for the free run",
-        note=f"a session that lacks nothing; {sizes.gap_runs} runs",
+        note=f"a session that lacks nothing; {sizes.long_runs} runs",
         extra={"verdicts": verdicts},
     )
 

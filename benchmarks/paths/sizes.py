@@ -10,8 +10,8 @@ class Sizes:
     """Sizes of all sections; the defaults are what the page shows, `TINY` is for tests.
 
     runs: of each way;  filter_shape: (samples of the past, runs);  video: (width, height, steps);  plain_steps: of the
-    video, for the plain ways;  model: of fit and posterior;  effective: samples wanted;  gap_runs: of the search
-    for the gap;  sensors: sides of those rendered;  growth_*: ascending
+    video, for the plain ways;  model: of fit and posterior;  effective: samples wanted;  gap: whether to
+    search for it;  long_runs: of posterior and gap;  sensors: sides of those rendered;  growth_*: ascending
     """
 
     runs: int = 5
@@ -28,9 +28,10 @@ class Sizes:
     effective: int = 1000
     sensor_side: int = 16
     whole_sensor: tuple[int, int] = (346, 260)
-    gap_runs: int = 3
+    gap: bool = True
+    long_runs: int = 3
     sensors: tuple[int, ...] = (64, 200, 800)
-    rays: int = 20_000
+    rays: int = 5_000
     growth_pixels: tuple[int, ...] = (40, 80, 160)
     growth_steps: tuple[int, ...] = (200, 400, 800)
     growth_events: tuple[int, ...] = (300_000, 1_200_000, 4_800_000)
@@ -53,7 +54,8 @@ TINY = Sizes(
     fit_starts=0,
     effective=20,
     sensor_side=2,
-    gap_runs=0,
+    gap=False,
+    long_runs=1,
     sensors=(8,),
     rays=50,
     growth_pixels=(4, 8),
