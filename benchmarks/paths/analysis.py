@@ -14,6 +14,7 @@ from paths.timing import Target, Task, compared, row
 from pixelid.demo.demo import calibration_session, hidden_camera
 from pixelid.fit import fit
 from pixelid.gap.gap import gap
+from pixelid.model.model import Model
 from pixelid.model.shipped import find_model
 from pixelid.sample import sample
 from pixelid.sensors import fit_sensor
@@ -34,12 +35,18 @@ def tasks(sizes: Sizes) -> Iterator[Task]:
         yield Task("analysis", "gap", lambda: _gap(sizes))
 
 
+def _model(sizes: Sizes) -> Model:
+    """What is fitted: with noise of the thresholds, which the likelihood needs."""
+    model = find_model(sizes.model)
+    return model if "threshold_noise" in model.effects else model.with_effect("threshold_noise")
+
+
 @lru_cache(maxsize=1)
 def _recordings(sizes: Sizes):
     """The demo's session (five recordings, nine pixels), or for another model one recording of its own."""
     if sizes.model == "dvs128":
         return calibration_session(hidden_camera(SEED), SEED)
-    return (simulate(find_model(sizes.model), steps(24.0, duration_s=0.2), width=2, height=2, seed=SEED),)
+    return (simulate(_model(sizes), steps(24.0, duration_s=0.2), width=2, height=2, seed=SEED),)
 
 
 def _size(recordings) -> str:
@@ -50,7 +57,7 @@ def _size(recordings) -> str:
 def _fit(sizes: Sizes) -> dict:
     recordings = _recordings(sizes)
     return compared(
-        lambda: fit(recordings, find_model(sizes.model), starts=sizes.fit_starts, seed=SEED),
+        lambda: fit(recordings, _model(sizes), starts=sizes.fit_starts, seed=SEED),
         None,
         sizes.runs,
         size=_size(recordings),
@@ -64,7 +71,7 @@ def _fit(sizes: Sizes) -> dict:
 def _posterior(sizes: Sizes) -> dict:
     """CPU time of 1000 effective samples of the parameter that has fewest, with the proposal's shaping."""
     recordings = _recordings(sizes)
-    result = fit(recordings, find_model(sizes.model), starts=sizes.fit_starts, seed=SEED)
+    result = fit(recordings, _model(sizes), starts=sizes.fit_starts, seed=SEED)
     times, effective = [], []
     for seed in range(sizes.long_runs):
         begun = time.process_time()
