@@ -34,7 +34,9 @@ def page_of(content):
     return speed_page.page(content, generate.table)
 
 
-@pytest.mark.parametrize("section", ROWS)
+@pytest.mark.parametrize(
+    "section", [pytest.param(name, marks=[pytest.mark.slow] if name == "growth" else []) for name in ROWS]
+)
 def test_a_small_run_of_each_section(section, tmp_path):
     content, _ = measure(tmp_path / "speed.json", section)
     assert len(content["rows"]) == ROWS[section]
