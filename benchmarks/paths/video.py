@@ -100,7 +100,7 @@ def _esim_way(stimulus: Stimulus, sizes: Sizes):
     package.__path__ = [str(Path(found.submodule_search_locations[0]) / "simulation")]
     sys.modules["evlib_simulation"] = package
     esim, config = (importlib.import_module(f"evlib_simulation.{name}") for name in ("esim", "config"))
-    exported = export(find_model("dvs128"), "esim", Light(level=LEVEL), 0).parameters
+    exported = export(find_model("dvs128"), "esim", Light(level=LEVEL)).parameters
     settings = config.ESIMConfig(
         positive_threshold=exported["contrast_threshold_pos"], negative_threshold=exported["contrast_threshold_neg"],
         refractory_period_ms=1e-6 * exported["refractory_period_ns"], log_floor=max(exported["log_eps"], 1e-9),
