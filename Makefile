@@ -22,7 +22,7 @@ help:
 	@echo "make demo       the whole story on embedded data, written to demo-out/"
 	@echo "make test       every test that is not slow"
 	@echo "make test-all   every test"
-	@echo "make bench      the speed benchmarks (statistics: interval_coverage.py, posterior_ranks.py)"
+	@echo "make bench      measure the speed of every path again, into docs/speed.json (without --again a run is continued)"
 	@echo "make fuzz       damaged files for every reader, RUNS of them from SEED; failures are kept in fuzz-failures/"
 	@echo "make models     fit the shipped models of real sensors again, from the tables in fits/"
 	@echo "make lint       ruff and pyright"
@@ -50,7 +50,7 @@ test-all: $(STAMP)
 	$(BIN)/python -m pytest -n $(WORKERS)
 
 bench: $(STAMP)
-	set -e; for script in benchmarks/*_speed.py; do echo "== $$script"; $(BIN)/python $$script; done
+	$(BIN)/python benchmarks/speed.py --out docs/speed.json --again
 
 fuzz: $(STAMP)
 	$(BIN)/python tests/fuzz.py --runs $(RUNS) --seed $(SEED)

@@ -16,6 +16,7 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import reference
+import speed_page
 
 ROOT = Path(__file__).resolve().parent.parent
 GENERATED = ROOT / "docs" / "_generated"
@@ -427,6 +428,11 @@ def faults() -> str:
     return text + ("\n" + table(heads, ended) if ended else "")
 
 
+def speed() -> str:
+    """What `benchmarks/speed.py` measured."""
+    return speed_page.page(of_json("docs/speed.json"), table)
+
+
 def fuzzing() -> str:
     """What `tests/fuzz.py` found, run after run."""
     heads = ("seed", "damaged files", "kinds of file", "answered wrongly", "kinds of wrong answer")
@@ -492,6 +498,7 @@ PAGES: dict[str, Callable[[], str]] = {
     "coverage": coverage,
     "faults": faults,
     "fuzzing": fuzzing,
+    "speed": speed,
     "ranks": ranks,
     "pixel_light": pixel_light,
     "round_trip": round_trip,

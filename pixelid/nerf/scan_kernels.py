@@ -8,8 +8,9 @@ The state x of `dynamics.equations` advances by closed-form steps with u linear 
 Every run has numbers of its own (pixels differ).  The bandwidth floor is added to the radiance that sets a and 2ζωn.
 
 Gradients.  With λ the gradient by the state after a step, the gradient by the state before it is Aᵀλ, by the two
-inputs B·λ and B̃·λ.  The coefficients depend on the light through the linearisation: λ · ∂x[k+1]/∂(a, b2, ω1, ωd) is
-taken by complex steps (exact) of the same closed form, and from there by the chain rule to u, α, β, γ, ω1, ωd.
+inputs B·λ and B̃·λ.  The coefficients depend on the light through the linearisation: λ · ∂x[k+1]/∂(a, b2, ω1, ωd), and
+from there by the chain rule to u, α, β, γ, ω1, ωd.  For the chain of four states the closed form is differentiated by
+hand (`scan_adjoint`); for others, and where poles nearly coincide, by unit vectors and complex steps (exact).
 Source of the weighted form: Low & Lee, arXiv 2409.17988, supplement; here the weights are never formed.
 """
 
@@ -20,6 +21,7 @@ from numba import njit
 
 from pixelid.dynamics import kernels
 from pixelid.dynamics.kernels import linearised_at
+from pixelid.nerf import scan_adjoint
 
 STATES = 6  # v, y, s, e, z, d, see `dynamics.equations`
 TINY = 1e-30  # complex step
@@ -122,6 +124,7 @@ def backward(first, t, u, dynamics, midpoint, states, by_level, by_output, param
         coincide = kernels.cutoffs_coincide(w1, w2, wh, wd)
         plain = w2 > kernels.PRESENT_BELOW and wh == 0.0
         unlimited = gamma == 0.0 and beta > kernels.PRESENT_BELOW  # `Dynamics.unlimited`
+        by_hand = plain and not coincide and beta < kernels.PRESENT_BELOW
         row[:] = 0.0
         for k in range(first[run + 1] - 1, first[run], -1):
             row[3] += by_level[k]
@@ -135,6 +138,24 @@ def backward(first, t, u, dynamics, midpoint, states, by_level, by_output, param
             if plain:  # e repeats s
                 row[2] += row[3]
                 row[3] = 0.0
+            r = (u[k] - u[k - 1]) / tau
+            if by_hand and scan_adjoint.accurate(r, tau, a, b2, w1, wd):
+                at = (states[k - 1, 0], states[k - 1, 1], states[k - 1, 2], states[k - 1, 5])
+                earlier, older, newer, by_a, by_b, by_1, by_d = scan_adjoint.step_back(
+                    at, u[k - 1], r, tau, a, b2, w1, wd, (row[0], row[1], row[2], row[5])
+                )
+                by_light = light * (alpha * by_a + gamma * by_b)
+                by_u[k] += newer + (0.5 * by_light if midpoint else by_light)
+                by_u[k - 1] += older + (0.5 * by_light if midpoint else 0.0)
+                if parameters:
+                    by_dynamics[run, 0] += by_a * (light + floor)
+                    by_dynamics[run, 1] += by_b
+                    by_dynamics[run, 2] += by_b * (light + floor)
+                    by_dynamics[run, 3] += by_1 if w1 < kernels.PRESENT_BELOW else 0.0
+                    by_dynamics[run, 6] += by_d if wd < kernels.PRESENT_BELOW else 0.0
+                    by_dynamics[run, 7] += alpha * by_a + gamma * by_b
+                row[0], row[1], row[2], row[5] = earlier
+                continue
             for j in range(STATES):
                 before[j] = 0.0
                 if plain and (j == 3 or j == 4):
@@ -153,7 +174,6 @@ def backward(first, t, u, dynamics, midpoint, states, by_level, by_output, param
             older = kernels.advance(at_rest, 1.0, -1.0 / tau, tau, a, b2, w1, w2, wh, wd, coincide)
             by_u[k] += _dot(row, newer)
             by_u[k - 1] += _dot(row, older)
-            r = (u[k] - u[k - 1]) / tau
             if parameters and w1 < kernels.PRESENT_BELOW:
                 by_dynamics[run, 3] += (
                     _directional(state, u[k - 1], r, tau, a, b2, w1, w2, wh, wd, coincide, 0.0, 0.0, w1, 0.0, row) / w1

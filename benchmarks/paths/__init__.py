@@ -1,0 +1,1 @@
+"""The paths that `benchmarks/speed.py` measures, a file per section."""
