@@ -30,7 +30,15 @@ def summarise_lowlight(result: Result, folder: Path) -> Summary:
 
 
 def prepare_lowlight(result: Result, folder: Path) -> dict[str, Any]:
-    from pixelid.lowlight.table import MEASURED_HEADINGS, RADII_HEADINGS, measured_rows, not_measurable, radii_rows
+    from pixelid.lowlight.table import (
+        LATENCY_HEADINGS,
+        MEASURED_HEADINGS,
+        RADII_HEADINGS,
+        latency_rows,
+        measured_rows,
+        not_measurable,
+        radii_rows,
+    )
 
     levels = [
         [number(x["radiance"], 3)]
@@ -48,6 +56,8 @@ def prepare_lowlight(result: Result, folder: Path) -> dict[str, Any]:
         "measured": measured_rows(result),
         "not_measurable": not_measurable(result),
         "levels": levels,
+        "latency_headings": LATENCY_HEADINGS,
+        "latency": latency_rows(result["latency"]) if result.get("latency") else [],
     }
 
 
