@@ -16,7 +16,7 @@ pytestmark = pytest.mark.slow
 def _half(pixel: Pixel, setting: int, on: bool) -> float:
     """Light after the step at which a latency is twice that of boundless light [W/m²]."""
     floor = pixel.latency_s(1e5, on, setting)
-    log_light = brentq(lambda ln: pixel.latency_s(np.exp(ln), on, setting) - 2.0 * floor, np.log(1e-4), np.log(1e3))
+    log_light = brentq(lambda ln: pixel.latency_s(np.exp(ln), on, setting) - 2.0 * floor, np.log(1e-4), np.log(1e3), xtol=1e-3)
     return pixel.light(float(np.exp(log_light)), on)  # type: ignore[arg-type]
 
 
