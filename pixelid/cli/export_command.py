@@ -30,7 +30,7 @@ Example:
 @options.without
 @options.set_value
 @options.overwrite
-@options.seed("Of simulated noise rates.")
+@options.seed("Written into the result; nothing here is random.")
 @options.quiet
 def command(model, to, out, white, level, with_, without, set_, overwrite, seed, quiet):
     """Write the parameters of another simulator that come nearest to MODEL (shipped, .toml file or fit folder).
@@ -53,7 +53,7 @@ def command(model, to, out, white, level, with_, without, set_, overwrite, seed,
     with claimed(out, overwrite, [model]):
         circuit_model, remarks = changed(find_model(model), with_, without, set_)
         light = Light(white, white if level is None else level, circuit_model.radiance_unit)
-        result = export(circuit_model, to, light, seed)
+        result = export(circuit_model, to, light)
         fitted = read_fit(Path(model))
         if fitted is not None:
             open_ = [f"not identified by the fit: {sentence}" for sentence in fitted.get("unidentified", ())]

@@ -16,7 +16,7 @@ from pixelid.export.light import Light
 from pixelid.model.model import Model
 
 
-def export(model: Model, light: Light, seed: int = 0) -> Exported:
+def export(model: Model, light: Light) -> Exported:
     """The pixel's part of the calibration for a circuit."""
     circuit = model.circuit()
     values = circuit_values(model)

@@ -21,7 +21,7 @@ import math
 from pixelid.export.exported import Entry, Exported, spelt
 from pixelid.export.light import Light
 from pixelid.export.losses import losses
-from pixelid.export.noise_rates import NoiseRates, leak_rate, shot_noise_rates
+from pixelid.export.noise_rates import NoiseRates, leak_rate, noise_unexpressed, shot_noise_rates
 from pixelid.model.model import Model
 
 # Of σ, where the model has no noise: the simulator divides by σ².  A noise event in 12 days.
@@ -37,11 +37,11 @@ CARRIED = {
 }
 
 
-def export(model: Model, light: Light, seed: int = 0) -> Exported:
+def export(model: Model, light: Light) -> Exported:
     """k1 … k6 for a circuit."""
     circuit = model.circuit()
     threshold = mean_threshold(circuit.on_threshold, circuit.off_threshold)
-    noise = shot_noise_rates(model, light.level, seed)
+    noise = shot_noise_rates(model, light.level)
     dark = circuit.dark / light.per_grey
     drift = PER_US * circuit.on_threshold / threshold
     k5 = drift * circuit.leak_hz_per_radiance * light.per_grey
@@ -82,8 +82,7 @@ def _lost(model: Model, noise: NoiseRates) -> list[str]:
             f"unequal thresholds ({circuit.on_threshold:.4g} ON, {circuit.off_threshold:.4g} OFF): one stands for both."
         )
     sentences += losses(model, CARRIED)
-    if model.has("shot_noise") and noise.hz == 0:
-        sentences.append(f"shot noise below {1 / noise.pixel_seconds:.2g} Hz at the level: none was counted.")
+    sentences += noise_unexpressed(model, noise)
     sentences.append(
         "the remainder of a crossing: between frames the motion is drawn from its end points, and stamps are whole µs."
     )

@@ -34,7 +34,7 @@ CARRIED = {
 }
 
 
-def export(model: Model, light: Light, seed: int = 0) -> Exported:
+def export(model: Model, light: Light) -> Exported:
     """The flags of the improved ESIM for a circuit."""
     circuit = model.circuit()
     values = circuit_values(model)

@@ -16,7 +16,7 @@ from pixelid.model.model import Model
 class Target:
     """A simulator: how a circuit becomes its parameters, and the lines of its file (None: it reads no text)."""
 
-    convert: Callable[[Model, Light, int], Exported]
+    convert: Callable[[Model, Light], Exported]
     lines: Callable[[Exported], Sequence[str]] | None = None
 
 
@@ -29,14 +29,13 @@ TARGETS = {
 }
 
 
-def export(model: Model, to: str, light: Light, seed: int = 0) -> Exported:
+def export(model: Model, to: str, light: Light) -> Exported:
     """The parameters of a simulator that come nearest to a circuit.
 
     Args:
         model: The circuit.
         to: One of `TARGETS`.
         light: How images show radiance.
-        seed: Of simulated noise rates.
 
     Example:
         >>> from pixelid.export.export import export
@@ -45,7 +44,7 @@ def export(model: Model, to: str, light: Light, seed: int = 0) -> Exported:
         >>> round(export(find_model("dvs128"), "v2e", Light()).parameters["pos_thres"], 2)
         0.25
     """
-    return TARGETS[to].convert(model, light, seed)
+    return TARGETS[to].convert(model, light)
 
 
 def write(exported: Exported, path: Path, *, as_json: bool) -> None:

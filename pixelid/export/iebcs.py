@@ -19,7 +19,7 @@ from pixelid.export.exported import Entry, Exported
 from pixelid.export.lag import lag_of
 from pixelid.export.light import Light
 from pixelid.export.losses import losses
-from pixelid.export.noise_rates import NoiseRates, leak_rate, shot_noise_rates
+from pixelid.export.noise_rates import NoiseRates, leak_rate, noise_unexpressed, shot_noise_rates
 from pixelid.model.model import Model
 from pixelid.stages.circuit import Circuit
 
@@ -39,12 +39,12 @@ CARRIED = {
 }  # fmt: skip
 
 
-def export(model: Model, light: Light, seed: int = 0) -> Exported:
+def export(model: Model, light: Light) -> Exported:
     """The arguments of IEBCS for a circuit."""
     circuit, lag = model.circuit(), lag_of(model.circuit())
     unit = image_unit(circuit, light)
     late = lag.photoreceptor + lag.follower
-    noise = shot_noise_rates(model, light.level, seed)
+    noise = shot_noise_rates(model, light.level)
     rates = (leak_rate(model, light.level) + noise.on_hz, noise.off_hz)
     entries = (
         Entry("lat", 1e6 * (late + lag.differencing + max(circuit.delay, 0.0)), "µs",
@@ -100,8 +100,7 @@ def _lost(model: Model, light: Light, late: float, noise: NoiseRates) -> list[st
             "reference should have; intervals are longer by the difference."
         )
     sentences += losses(model, carried)
-    if model.has("shot_noise") and noise.hz == 0:
-        sentences.append(f"shot noise below {1 / noise.pixel_seconds:.2g} Hz at the level: none was counted.")
+    sentences += noise_unexpressed(model, noise)
     sentences.append(f"no background events: {NEVER_HZ:g} Hz stands for none, since a rate of 0 is an error.")
     return sentences
 

@@ -13,7 +13,7 @@ from pixelid.export.exported import Entry, Exported
 from pixelid.export.lag import lag_of
 from pixelid.export.light import GREY_LEVELS, Light
 from pixelid.export.losses import losses
-from pixelid.export.noise_rates import NoiseRates, leak_rate, shot_noise_rates
+from pixelid.export.noise_rates import NoiseRates, leak_rate, noise_unexpressed, shot_noise_rates
 from pixelid.model.model import Model
 
 OFFSET = 20.0  # grey levels, added to those that set the corner; also the end of the linear part
@@ -35,11 +35,11 @@ CARRIED = {
 }
 
 
-def export(model: Model, light: Light, seed: int = 0) -> Exported:
+def export(model: Model, light: Light) -> Exported:
     """The options of v2e for a circuit."""
     circuit = model.circuit()
     on, off = circuit.on_threshold, circuit.off_threshold
-    noise = shot_noise_rates(model, DIM * light.per_grey, seed)
+    noise = shot_noise_rates(model, DIM * light.per_grey)
     entries = (
         Entry("pos_thres", on, "ln", "on_threshold"),
         Entry("neg_thres", off, "ln", "off_threshold"),
@@ -101,8 +101,7 @@ def _lost(model: Model, light: Light, noise: NoiseRates) -> list[str]:
     sentences += losses(model, carried)
     if not math.isclose(circuit.on_threshold, circuit.off_threshold) and circuit.mismatch > 0:
         sentences.append("mismatch in proportion to each threshold: v2e has one standard deviation for both.")
-    if model.has("shot_noise") and noise.hz == 0:
-        sentences.append(f"shot noise below {1 / noise.pixel_seconds:.2g} Hz at one grey level: none was counted.")
+    sentences += noise_unexpressed(model, noise)
     sentences.append(
         "time between frames: events of a frame are stamped at its end, or spread over it where a pixel has several."
     )

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
+from numba.extending import register_jitable
 
 from pixelid.simulate.crossing import NOTHING, first_crossing
 from pixelid.simulate.step import probe
@@ -16,6 +17,7 @@ from pixelid.stages import modulation
 SHARE = 0.01
 GONE = 40.0  # time constants after which nothing is left
 
+register_jitable(modulation.value_of)
 set_at_reset = njit(modulation.set_at_reset, error_model="numpy")
 
 

@@ -16,7 +16,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba.extending import register_jitable
 
 FORMS = ("constant", "linear", "power", "relaxation", "step")
 # Of the moment when the pixel was reset; what is known then holds for the whole interval.
@@ -49,7 +48,6 @@ class Modulation:
         return self.strength * value_of(FORMS.index(self.form), v, self.shape, self.reference)
 
 
-@register_jitable
 def value_of(form, v, shape, reference):
     """g / s of a form, by its place in `FORMS`, at v; also compiled for the simulator."""
     if form == 0:

@@ -78,7 +78,7 @@ def test_a_crashing_decoder_is_one_line_and_the_next_file_is_read(tmp_path, monk
     events = Events.from_columns([1], [0], [0], [1], 1, 1)
     write_recording(Recording(events), tmp_path / "good.npz")
     child = (
-        "import json, sys; sys.path[:] = json.loads(sys.argv[1])\nimport pixelid.recordings.isolated as i\n"
+        "import json, sys; sys.path[:] = json.loads(sys.argv[1])\nimport pixelid.recordings.reading_child as i\n"
         f"sys.path.insert(0, {str(tmp_path)!r})\n"
         "i.READERS |= dict(crash='crash', loop='loop', greedy='greedy')\ni.serve()"
     )
@@ -96,7 +96,7 @@ def test_a_crashing_decoder_is_one_line_and_the_next_file_is_read(tmp_path, monk
 
 READERS_OF_TESTS = """
 import json, sys; sys.path[:] = json.loads(sys.argv[1])
-import pixelid.recordings.isolated as i
+import pixelid.recordings.reading_child as i
 sys.path.insert(0, FOLDER)
 i.READERS |= dict(slow="slow", hangs="hangs")
 i.serve()

@@ -2,6 +2,7 @@
 
 import csv
 import json
+import math
 import re
 from pathlib import Path
 
@@ -135,13 +136,18 @@ def test_a_shipped_sensor_is_what_its_recipe_gives(name, cameras, least, tmp_pat
     found, shipped = load_camera(tmp_path / "out" / "model.toml"), load_camera(shipped_models()[name])
     assert found.model.name == name
     assert found.model.effects == shipped.model.effects
-    for key, entry in result(tmp_path / "out")["parameters"].items():
+    parameters = result(tmp_path / "out")["parameters"]
+    for key, entry in parameters.items():
         if key in found.model.values and entry["identified"]:
             low, high = entry["interval_95"]
             assert low < shipped.model.values[key] < high
+    # What the table hardly tells moves with the rounding of a computer's linear algebra, within what is known.
     for mine, theirs in zip(found.settings, shipped.settings, strict=True):
-        assert mine.on_threshold == pytest.approx(theirs.on_threshold, rel=0.02)
-        assert mine.off_threshold == pytest.approx(theirs.off_threshold, rel=0.02)
+        for side in ("on", "off"):
+            low, high = parameters[f"{side}_threshold[{mine.name}]"]["interval_95"]
+            sd = math.log(high / low) / (2 * 1.96)
+            away = math.log(getattr(mine, f"{side}_threshold") / getattr(theirs, f"{side}_threshold"))
+            assert abs(away) < 0.5 * sd
     errors = result(tmp_path / "out")["errors"]
     assert sorted(errors) == cameras
     assert all(errors[camera]["median"]["rms_without_spoiled"] < least for camera in cameras)

@@ -75,9 +75,7 @@ def test_v2e_without_bandwidth_limit_has_no_cutoff():
 
 
 def test_shot_noise_rate_of_the_dark_is_scaled_as_v2e_scales_it_back(monkeypatch):
-    monkeypatch.setattr(
-        "pixelid.export.v2e.shot_noise_rates", lambda model, radiance, seed: NoiseRates(2.0, 1.0, 640.0)
-    )
+    monkeypatch.setattr("pixelid.export.v2e.shot_noise_rates", lambda model, radiance: NoiseRates(2.0, 1.0, ""))
     rate = parameters(find_model("dvs128").with_effect("shot_noise"), "v2e")["shot_noise_rate_hz"]
     factor = (0.25 - 1.0) * (1.0 + 20.0) / 275.0 + 1.0  # of a pixel of one grey level
     assert rate * factor == pytest.approx(3.0)
@@ -121,8 +119,8 @@ def test_voltmeter_drift_of_a_slow_change():
 
 
 def test_voltmeter_noise_leaves_the_thresholds_at_the_circuits_rate(monkeypatch):
-    rates = NoiseRates(1500.0, 1500.0, 640.0)
-    monkeypatch.setattr("pixelid.export.dvs_voltmeter.shot_noise_rates", lambda model, radiance, seed: rates)
+    rates = NoiseRates(1500.0, 1500.0, "")
+    monkeypatch.setattr("pixelid.export.dvs_voltmeter.shot_noise_rates", lambda model, radiance: rates)
     p = parameters(find_model("dvs128").with_effect("shot_noise"), "dvs-voltmeter", Light(level=100.0))
     sigma = p["k3"] * math.sqrt(100.0) / (100.0 + p["k2"]) + p["k6"]
     rng, step_us = np.random.default_rng(0), 0.2
@@ -228,3 +226,11 @@ def test_what_cannot_be_exported_is_refused(tmp_path, capsys):
     assert not out.exists()
     with pytest.raises(InputError):
         Light(-1.0)
+
+
+def test_shot_noise_through_two_poles_is_named_as_lost():
+    """White noise through two poles crosses a threshold infinitely often: no rate stands for it."""
+    model = find_model("photoreceptor").with_effect("shot_noise")
+    exported = export(model, "v2e", Light())
+    assert exported.parameters["shot_noise_rate_hz"] == 0
+    assert any("at least three poles" in sentence for sentence in exported.lost)
