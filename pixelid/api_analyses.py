@@ -24,6 +24,8 @@ def lowlight(
     model: ModelLike,
     recordings: RecordingsLike = (),
     *,
+    latency: str | Path | Sequence[str | Path] = (),
+    camera: str | None = None,
     seed: int = 0,
     progress: Progress | None = None,
 ) -> LowlightReport:
@@ -32,6 +34,8 @@ def lowlight(
     Args:
         model: the circuit; a fit folder brings its uncertainty, drawn as bands.
         recordings: of chirps or steps, whose bandwidth or step time is put beside the model's; none by default.
+        latency: tables of the sensor's latencies, a recipe, or the folder of a finished fit; none by default.
+        camera: which of the tables' cameras the model is.
         seed: of draws and simulations.
         progress: called with what is done and the fraction.
 
@@ -50,9 +54,11 @@ def lowlight(
     from pixelid.lowlight.result import lowlight_report
 
     fitted, sources = _fit_and_files(model)
+    tables = [latency] if isinstance(latency, str | Path) else list(latency)
     return lowlight_report(
-        as_model(model), _opened(recordings), fitted=fitted, sources=sources, seed=seed, progress=progress
-    )
+        as_model(model), _opened(recordings), fitted=fitted, sources=sources, latency=[Path(t) for t in tables],
+        camera=camera, seed=seed, progress=progress,
+    )  # fmt: skip
 
 
 def design(

@@ -8,12 +8,17 @@ import click
 
 from pixelid.cli import options
 
+POSITIVE = options.Number(0.0, open_low=True)
+OF_BIASES = ("bias", "bandwidth", "noise", "rate", "frequency")
+OF_STIMULI = ("criterion", "recorded", "menu", "pixels", "draws", "spread", "per_second")
 EXAMPLE = """
 \b
 Example:
     pixelid design dvs128 --out design
     pixelid simulate dvs128 --stimulus chirp --out chirp.h5 --pixels 9
     pixelid design dvs128 --recorded chirp.h5 --criterion gamma --out design-gamma
+    pixelid rates rate_vs_bias.csv --bias-law --out rates
+    pixelid design rates --biases --bandwidth 1000 --noise 50 --out biases
 """
 
 
@@ -30,14 +35,30 @@ Example:
 )
 @click.option("--spread", type=options.Number(0.0), help="Their standard deviation in ln, without a fit [0.2].")
 @click.option("--per-second", is_flag=True, help="Rank by score per second of light.")
+@click.option(
+    "--biases", is_flag=True, help="MODEL is a folder of `rates --bias-law`: recommend a setting of its bias."
+)
+@click.option("--bias", metavar="NAME", help="Which bias, with --biases [the fitted one].")
+@click.option("--bandwidth", type=POSITIVE, metavar="HZ", help="At least so much cutoff, with --biases.")
+@click.option("--noise", type=POSITIVE, metavar="HZ", help="At most so many noise events per pixel and second.")
+@click.option("--rate", type=POSITIVE, metavar="HZ", help="At most so many events per pixel and second.")
+@click.option("--frequency", type=POSITIVE, metavar="HZ", help="Of the light that --rate is of [--bandwidth].")
 @options.overwrite
 @options.seed("Of the draws and simulations.")
 @options.quiet
-def command(model, out, criterion, recorded, menu, pixels, draws, spread, per_second, overwrite, seed, quiet):
+@click.pass_context
+def command(context, model, out, criterion, recorded, menu, pixels, draws, spread, per_second, biases, bias, bandwidth,
+            noise, rate, frequency, overwrite, seed, quiet):  # fmt: skip
     """Say which stimulus to record next to learn most about MODEL (shipped, .toml or fit folder).
 
-    Writes design.json, next.toml (the recommended stimulus), figures and report.html.
+    Writes design.json, next.toml (the recommended stimulus), figures and report.html. With --biases, say instead which
+    setting of a bias gives the bandwidth, noise and events that are wanted, and how surely.
     """
+    _check_options(context, biases)
+    if biases:
+        wanted = {"bandwidth": bandwidth, "noise": noise, "rate": rate}
+        wanted = {name: value for name, value in wanted.items() if value is not None}
+        return _recommend_setting(model, out, wanted, bias, frequency, overwrite, seed, quiet)
     from pixelid.cli.progress import bar
     from pixelid.cli.terminal import say
     from pixelid.outputs import claimed, whole_folder
@@ -64,6 +85,39 @@ def command(model, out, criterion, recorded, menu, pixels, draws, spread, per_se
                 result.write(folder)
                 write_figures(result.as_dict(), folder)
                 write_report(folder)
+    if not quiet:
+        say(result.summary(), str(out / "report.html"))
+    return result.status.exit_code
+
+
+def _check_options(context: click.Context, biases: bool) -> None:
+    """Refuse options of the one question with the other."""
+    from pixelid.errors import InputError
+
+    for name in OF_STIMULI if biases else OF_BIASES:
+        if context.get_parameter_source(name) is click.core.ParameterSource.COMMANDLINE:
+            option = f"--{name.replace('_', '-')}"
+            raise InputError(f"{option}: not with --biases" if biases else f"{option}: expected --biases with it")
+
+
+def _recommend_setting(model, out, wanted, bias, frequency, overwrite, seed, quiet):
+    """`pixelid design FOLDER --biases`."""
+    from pixelid.cli.terminal import say
+    from pixelid.errors import InputError
+    from pixelid.outputs import claimed, whole_folder
+
+    if not wanted:
+        raise InputError("--biases: expected one or more of --bandwidth, --noise and --rate with it")
+    with claimed(out, overwrite, [model]):
+        from pixelid.design.bias_result import bias_report
+        from pixelid.design.figures import write_bias_figure
+        from pixelid.report.html import write_report
+
+        result = bias_report(Path(model), wanted, bias=bias, frequency_hz=frequency, seed=seed)
+        with whole_folder(out, overwrite) as folder:
+            result.write(folder)
+            write_bias_figure(result.as_dict(), folder)
+            write_report(folder)
     if not quiet:
         say(result.summary(), str(out / "report.html"))
     return result.status.exit_code

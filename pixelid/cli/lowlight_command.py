@@ -14,6 +14,7 @@ Example:
     pixelid lowlight dvs128 --out lowlight
     pixelid simulate dvs128 --stimulus steps --out steps.h5
     pixelid lowlight dvs128 steps.h5 --with dark_current:radiance=4 --out lowlight-dark
+    pixelid lowlight gen31 --latency fits/gen31.toml --out lowlight-gen31
 """
 
 
@@ -21,23 +22,27 @@ Example:
 @click.argument("model")
 @click.argument("recordings", nargs=-1, metavar="[REC]…", type=options.PATH)
 @options.out()
+@click.option("--latency", multiple=True, type=options.PATH, metavar="TABLE",
+              help="Latencies of the sensor: CSV tables (repeatable), a recipe, or the folder of a fit.")  # fmt: skip
+@click.option("--camera", help="Which camera of the --latency tables the model is.")
 @options.with_effect
 @options.without
 @options.set_value
 @options.overwrite
 @options.seed("Of the draws and simulations.")
 @options.quiet
-def command(model, recordings, out, with_, without, set_, overwrite, seed, quiet):
+def command(model, recordings, out, latency, camera, with_, without, set_, overwrite, seed, quiet):
     """Say where one pole describes the photoreceptor of MODEL (shipped, .toml or fit folder), and where it does not.
 
-    With recordings of chirps or steps, REC…, their measured bandwidth or step time is put beside the model's.
-    Writes lowlight.json, figures and report.html.
+    With recordings of chirps or steps, REC…, their measured bandwidth or step time is put beside the model's; with
+    --latency, the dominant pole in each light of the table, where its delay goes as one over the light, and which stage
+    limits where. A folder of `pixelid latency` brings its own table. Writes lowlight.json, figures and report.html.
     """
     from pixelid.cli.progress import bar
     from pixelid.cli.terminal import say
     from pixelid.outputs import claimed, whole_folder
 
-    with claimed(out, overwrite, [*recordings, model]):
+    with claimed(out, overwrite, [*recordings, model, *latency]):
         from pixelid.inputs import check_given
 
         check_given(recordings, [model], with_=with_, without=without, set_=set_)
@@ -54,8 +59,8 @@ def command(model, recordings, out, with_, without, set_, overwrite, seed, quiet
 
         with bar(quiet, compiles=True) as report:
             result = lowlight_report(
-                circuit_model, opened, fitted=read_fit(Path(model)), sources=model_files(model), seed=seed,
-                progress=report,
+                circuit_model, opened, fitted=read_fit(Path(model)), sources=model_files(model), latency=latency,
+                camera=camera, seed=seed, progress=report,
             )  # fmt: skip
             with whole_folder(out, overwrite) as folder:
                 result.write(folder)

@@ -5,7 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from pixelid.figures.style import IMPROVED, INK, MUTED, new_axis, save_figure, styled
+import numpy as np
+
+from pixelid.figures.style import IMPROVED, INK, MUTED, new_axes, new_axis, save_figure, styled
+
+LABELS = {"bandwidth": "cutoff (Hz)", "noise": "noise (1/s)", "rate": "events (1/s)"}
 
 
 def write_figures(result: dict, folder: Path) -> None:
@@ -49,3 +53,35 @@ def draw_widths(result: dict, axis: Any = None) -> Any:
     axis.set(xscale="log", xlabel="standard error in the fitting coordinate (0.1 is 10 % for log parameters)")
     axis.legend()
     return axis
+
+
+def write_bias_figure(result: dict, folder: Path) -> None:
+    """Write biases.svg into `folder`."""
+    save_figure(draw_biases(result), folder / "biases.svg")
+
+
+@styled
+def draw_biases(result: dict, axes: Any = None) -> Any:
+    """Every quantity predicted over the bias, with what is wanted and what was measured; returns the axes."""
+    curve, best = result["curve"], result["recommended"]
+    names = [name for name in LABELS if name in curve]
+    if axes is None:
+        axes = new_axes(1, len(names), 3.8, 3.0)
+    bias = np.asarray(curve["bias_mv"])
+    for axis, name in zip(axes[0], names, strict=True):
+        middle, low, high = (np.asarray(curve[name][key]) for key in ("middle", "low", "high"))
+        axis.fill_between(bias, low, high, color=MUTED, alpha=0.3, linewidth=0)
+        axis.plot(bias, middle, color=INK)
+        for one in result["measured_settings"]:
+            if one.get(name):
+                axis.plot([one["bias_mv"]] * 2, one[name]["interval_95"], color=INK, linewidth=1)
+                axis.plot(one["bias_mv"], one[name]["value"], "o", color=INK, markersize=4)
+        if name in result["wishes"]:
+            axis.axhline(result["wishes"][name]["wanted"], color=INK, linestyle="--", linewidth=0.8)
+        axis.axvline(best["bias_mv"], color=IMPROVED)
+        for side in (slice(None), slice(None, None, -1)):
+            axis.axvspan(result["fitted_range_mv"][side][0], bias[side][0], color=MUTED, alpha=0.12, linewidth=0)
+        # the band of a quantity that is open spans hundreds of decades
+        axis.set(yscale="log", ylim=(1e-3 * middle.min(), 1e3 * middle.max()))
+        axis.set(xlabel=f"{result['bias'] or 'bias'} (mV)", ylabel=LABELS[name])
+    return axes

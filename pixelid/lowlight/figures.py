@@ -16,7 +16,7 @@ LABELS = {"exact": "exact", "one_pole": "one pole (α/β) L", "at_dark": "tangen
 
 
 def write_figures(result: dict, circuit: Circuit, folder: Path) -> None:
-    """Write poles, errors, bode, steps and, with recordings, measured, as SVG into `folder`."""
+    """Write poles, errors, bode, steps, with recordings measured and with latencies latency_poles, into `folder`."""
     kinds = kinds_of(circuit)
     drawn = {
         "poles": draw_poles(result, circuit, kinds),
@@ -26,6 +26,8 @@ def write_figures(result: dict, circuit: Circuit, folder: Path) -> None:
     }
     if any(entry.get("curve") and len(entry["curve"]["x"]) for entry in result["measured"]):
         drawn["measured"] = draw_measured(result)
+    if result.get("latency"):
+        drawn["latency_poles"] = draw_latency_poles(result["latency"])
     for name, axes in drawn.items():
         save_figure(axes, folder / f"{name}.svg")
 
@@ -177,5 +179,35 @@ def draw_measured(result: dict, axes: Any = None) -> Any:
             axis.set_xscale("log")
     for axis in axes.flat[len(entries) :]:
         axis.set_axis_off()
+    axes[0, 0].legend()
+    return axes
+
+
+@styled
+def draw_latency_poles(latency: dict, axes: Any = None) -> Any:
+    """Dominant pole in every light of a table of latencies, and of the model with its band; one panel per edge."""
+    if axes is None:
+        axes = new_axes(1, 2, 4.0, 3.2)
+    for axis, edge in zip(axes[0], ("on", "off"), strict=True):
+        here = sorted((e for e in latency["levels"] if e["edge"] == edge), key=lambda e: e["light_W_m2"])
+        light = np.array([e["light_W_m2"] for e in here])
+        for name, colour, line, label in (
+            ("model", INK, "-", "model"), ("one_law", SERIES[1], "--", "one circuit fitted to this table")
+        ):  # fmt: skip
+            axis.plot(light, [e[name]["pole_rad_s"] for e in here], line, color=colour, label=label)
+            if here and here[0][name]["interval_95"]:
+                low, high = np.array([[np.inf if v is None else v for v in e[name]["interval_95"]] for e in here]).T
+                axis.fill_between(light, low, high, color=colour, alpha=0.15, linewidth=0)
+        for known, mark in ((True, "o"), (False, "^")):
+            some = [e for e in here if e["identified"] == known]
+            for e in some:
+                low, high = e["interval_95"]
+                top = high if known and high is not None else 3.0 * low
+                axis.plot([e["light_W_m2"]] * 2, [low, top], color=IMPROVED, linewidth=1.5)
+            x, y = [e["light_W_m2"] for e in some], [e["pole_rad_s" if known else "interval_95"] for e in some]
+            label = "measured" if known else "measured: above"
+            axis.plot(x, y if known else [low for low, _ in y], mark, color=IMPROVED, markersize=4, label=label)
+        axis.set(xscale="log", yscale="log", xlabel="light after the step (W/m²)", title=f"light {edge}")
+    axes[0, 0].set_ylabel("dominant pole (rad/s)")
     axes[0, 0].legend()
     return axes

@@ -3,14 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
 
 from pixelid.documents import interpreting
-from pixelid.lowlight.table import MEASURED_HEADINGS, RADII_HEADINGS, measured_rows, not_measurable, radii_rows
+from pixelid.errors import InputError
+from pixelid.lowlight.table import (
+    LATENCY_HEADINGS,
+    MEASURED_HEADINGS,
+    RADII_HEADINGS,
+    latency_rows,
+    measured_rows,
+    not_measurable,
+    radii_rows,
+)
 from pixelid.model.files import load_model, save_model
 from pixelid.model.model import Model
 from pixelid.provenance import provenance
@@ -60,6 +69,10 @@ class LowlightReport(Result):
             rows = tuple(tuple(row) for row in measured_rows(content))
             left = frozenset({"recording", "quantity"})
             tables.append(Table("measured, and the model under the same light", MEASURED_HEADINGS, rows, left))
+        if latency := self.content.get("latency"):
+            rows = tuple(tuple(row) for row in latency_rows(latency))
+            title = f"dominant pole [rad/s] of {latency['camera']} from its latencies, and of the model"
+            tables.append(Table(title, LATENCY_HEADINGS, rows, frozenset(LATENCY_HEADINGS[:2])))
         return tables
 
     def records(self) -> list[dict[str, Any]]:
@@ -75,7 +88,9 @@ class LowlightReport(Result):
 
     def sentences(self) -> list[str]:
         """The regimes in words, what could not be measured, and advice."""
-        said = [*self.content["sentences"], *not_measurable(dict(self.content)), self.content["advice"]]
+        latency = self.content.get("latency") or {"sentences": []}
+        said = [*self.content["sentences"], *not_measurable(dict(self.content)), *latency["sentences"]]
+        said.append(self.content["advice"])
         return [text for text in said if text]
 
     def write_companions(self, folder: Path) -> None:
@@ -118,21 +133,43 @@ def lowlight_report(
     *,
     fitted: dict[str, Any] | None = None,
     sources: Sequence[Path] = (),
+    latency: Sequence[Path] = (),
+    camera: str | None = None,
     seed: int = 0,
     progress: Callable[[str, float], None] | None = None,
 ) -> LowlightReport:
     """The whole analysis, with provenance.
 
     fitted: the fit.json that the model came from, whose uncertainty is drawn as bands;  sources: the model's files
+    latency: tables of latencies, a recipe, or the folder of a finished fit; that of `sources` by default
+    camera: which of the tables' cameras the model is
     """
     from pixelid.fit.draws import drawn, uncertainty
     from pixelid.lowlight.analysis import analyse, sentences
+    from pixelid.lowlight.latencies import latency_analysis
+    from pixelid.lowlight.latency_source import camera_of, latency_draws, read_source
+    from pixelid.tables.latency.camera import Camera
 
     draws: list[Model] = []
     if fitted is not None:
         draws = drawn(model, *uncertainty(fitted, model), BAND_DRAWS, np.random.default_rng(seed))
+    finished = sources[0] if sources and (sources[0] / "latency.json").is_file() else None
+    if finished is not None and not draws:
+        draws = latency_draws(finished, model, BAND_DRAWS, np.random.default_rng(seed))
+    tables = list(latency) or ([finished] if finished is not None and draws else [])
+    if camera is not None and not tables:
+        raise InputError("--camera: which of the cameras of --latency; expected that option with it")
     content = analyse(model, recordings, draws=draws, seed=seed, progress=progress)
+    content["latency"] = None
     files = [*sources, *(r.source for r in recordings if r.source is not None)]
+    if tables:
+        known = replace(camera_of(sources[0]) if sources else Camera(model.name, model, ()), model=model)
+        source = read_source(tables, known, camera)
+        found = latency_analysis(source, known, draws, seed)
+        worst = Status.worst([content["status"], found["status"]])
+        advice = "; ".join(text for text in (content["advice"], found["advice"]) if text)
+        content |= {"latency": found, "status": worst, "advice": advice}
+        files += source.files
     return LowlightReport(model, {**content, "sentences": sentences(content), "seed": seed, **provenance(*files)})
 
 

@@ -69,7 +69,33 @@ def not_measurable(content: dict) -> list[str]:
     ]
 
 
+def latency_rows(latency: dict) -> list[list[str]]:
+    """One row per light of a table of latencies, dim first."""
+    return [
+        [
+            one["edge"],
+            one["lens"],
+            number(one["irradiance_W_m2"]),
+            number(one["light_W_m2"]),
+            number(one["pole_rad_s"]) if one["identified"] else "open",
+            _limits(one["interval_95"]),
+            number(one["model"]["pole_rad_s"]),
+            _limits(one["model"]["interval_95"]),
+            number(one["one_law"]["pole_rad_s"]),
+        ]
+        for one in sorted(latency["levels"], key=lambda one: one["light_W_m2"])
+    ]
+
+
+def _limits(interval: Sequence[float | None] | None) -> str:
+    if interval is None:
+        return "–"
+    low, high = interval
+    return f"{number(low)} …" if high is None else f"{number(low)} … {number(high)}"
+
+
 RADII_HEADINGS = ("approx.", "quantity", "1 %", "10 %", "50 %", "under", "over")
+LATENCY_HEADINGS = ("light", "lens", "lit [W/m²]", "after [W/m²]", "measured", "95 %", "model", "95 % ", "one law")
 MEASURED_HEADINGS = ("recording", "radiance", "quantity", "measured", "95 %", "model", "one pole", "small signal")
 
 

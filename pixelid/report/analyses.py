@@ -30,7 +30,15 @@ def summarise_lowlight(result: Result, folder: Path) -> Summary:
 
 
 def prepare_lowlight(result: Result, folder: Path) -> dict[str, Any]:
-    from pixelid.lowlight.table import MEASURED_HEADINGS, RADII_HEADINGS, measured_rows, not_measurable, radii_rows
+    from pixelid.lowlight.table import (
+        LATENCY_HEADINGS,
+        MEASURED_HEADINGS,
+        RADII_HEADINGS,
+        latency_rows,
+        measured_rows,
+        not_measurable,
+        radii_rows,
+    )
 
     levels = [
         [number(x["radiance"], 3)]
@@ -48,10 +56,14 @@ def prepare_lowlight(result: Result, folder: Path) -> dict[str, Any]:
         "measured": measured_rows(result),
         "not_measurable": not_measurable(result),
         "levels": levels,
+        "latency_headings": LATENCY_HEADINGS,
+        "latency": latency_rows(result["latency"]) if result.get("latency") else [],
     }
 
 
 def summarise_design(result: Result, folder: Path) -> Summary:
+    if "wishes" in result:
+        return _summarise_biases(result, folder)
     best = result["recommended"]
     return Summary(
         "design",
@@ -70,7 +82,38 @@ def summarise_design(result: Result, folder: Path) -> Summary:
     )  # fmt: skip
 
 
+def _summarise_biases(result: Result, folder: Path) -> Summary:
+    best, numbers = result["recommended"], []
+    for name, said in best["predicted"].items():
+        numbers.append(Number(f"{name}, 95 % {interval(said['interval_95'])}", number(said["value"], 3)))
+    words = [f"--{name} {one['wanted']:g}" for name, one in result["wishes"].items()]
+    low, high = result["fitted_range_mv"]
+    return Summary(
+        "design",
+        f"Set {result['bias'] or 'the bias'} to {best['bias_mv']:.0f} mV",
+        result["status"],
+        " ".join(x for x in (result["why"], result.get("advice", "")) if x),
+        (
+            Number("recommended", f"{best['bias_mv']:.0f}", "mV"),
+            Number("fitted settings", f"{low:g} to {high:g}", "mV"),
+            Number("the wish that binds", result["binding"]),
+            *numbers,
+        ),
+        command_line("design", result, str(result["model"]), "--biases", *" ".join(words).split(), out=folder,
+                     inputs=False),
+    )  # fmt: skip
+
+
 def prepare_design(result: Result, folder: Path) -> dict[str, Any]:
+    if "wishes" in result:
+        from pixelid.design import bias_result
+
+        return {
+            "wish_headings": bias_result.WISH_HEADINGS,
+            "wishes": bias_result.wish_rows(result),
+            "measured_headings": bias_result.MEASURED_HEADINGS,
+            "measured": bias_result.measured_rows(result),
+        }
     from pixelid.design.table import RANKING_HEADINGS, WIDTHS_HEADINGS, ranking_rows, widths_rows
 
     return {

@@ -23,6 +23,7 @@ from pixelid.tables.model import TableModel, predicted_rows
 
 FREEDOM = 4.0  # of Student's t: heavy enough for a slipped decimal point, 83 % efficient for normal errors
 SUSPECT_SCALES = 4.0  # scales; 1.6 % of clean rows of t₄ lie beyond
+MOST_SUSPECT = 0.25  # of a table's rows; more are not outliers
 Z95 = 1.959963984540054
 OPEN_SD = 0.5  # a log coordinate known no better than this is not identified (as in `fit.identifiability`)
 AT_BOUND = 1e-3  # of a log coordinate
@@ -30,6 +31,15 @@ AT_BOUND = 1e-3  # of a log coordinate
 # that is wrong by 10³ scatters by 42 % and 116 %
 MAX_SCATTER = 0.2
 MAX_EM_STEPS = 80
+
+
+@dataclass(frozen=True)
+class Tie:
+    """A Gaussian prior on the mean of fitting coordinates: their places (k,), its mean and standard deviation."""
+
+    places: tuple[int, ...]
+    mean: float
+    sd: float
 
 
 @dataclass(frozen=True)
@@ -43,6 +53,7 @@ class TableFit:
         scale: σ, the relative scatter.
         predicted, residual, weight: (rows,) prediction, residual in scales, and weight 0…1 given to the row.
         log_likelihood: at the maximum;  converged: whether EM came to rest.
+        ties: priors beside the parameters' own.
     """
 
     model: TableModel
@@ -55,6 +66,7 @@ class TableFit:
     weight: np.ndarray
     log_likelihood: float
     converged: bool
+    ties: tuple[Tie, ...] = ()
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -86,7 +98,7 @@ class TableFit:
                 f"The rows scatter by {100 * self.scale:.0f} % about the best fit: check the unit of the table, of its "
                 "rates and of its frequencies, before anything else."
             )
-        elif np.mean(self.suspect) > 0.25:
+        elif np.mean(self.suspect) > MOST_SUSPECT:
             verdicts[Status.misfit] = (
                 f"{np.mean(self.suspect):.0%} of the rows lie far off the fit: the table is not one of this model."
             )
@@ -129,12 +141,13 @@ class TableFit:
         return predicted_rows(self.model, self.predicted, self.residual)
 
 
-def fit_table(model: TableModel, start: Sequence[float] | None = None) -> TableFit:
+def fit_table(model: TableModel, start: Sequence[float] | None = None, ties: Sequence[Tie] = ()) -> TableFit:
     """Fit a table of values.  All parameters are logarithmic.
 
     Args:
         model: rows, parameters and prediction.
         start: values to begin at, in the order of the parameters; their own by default.
+        ties: priors on means of fitting coordinates, beside the parameters' own.
     """
     from scipy.optimize import least_squares
 
@@ -147,7 +160,7 @@ def fit_table(model: TableModel, start: Sequence[float] | None = None) -> TableF
     d = rows.last_digit
     target = np.log(rows.measured + d)
     known = (d / np.sqrt(12.0) / (rows.measured + d)) ** 2 + np.asarray(rows.relative_error) ** 2
-    held = [(k, p.prior.mean, p.prior.sd) for k, p in enumerate(parameters) if p.prior is not None]
+    prior_rows, prior_target = _priors(model, ties)
 
     def residuals(x: np.ndarray) -> np.ndarray:
         return target - np.log(model.predict(x) + d)
@@ -155,12 +168,8 @@ def fit_table(model: TableModel, start: Sequence[float] | None = None) -> TableF
     def jacobian(x: np.ndarray) -> np.ndarray:
         return -slopes(model, x)
 
-    prior_rows = np.zeros((len(held), len(x)))
-    for row, (k, _, sd) in enumerate(held):
-        prior_rows[row, k] = 1.0 / sd
-
     def prior_residuals(x: np.ndarray) -> np.ndarray:
-        return np.array([(x[k] - mean) / sd for k, mean, sd in held])
+        return prior_rows @ x - prior_target
 
     r = residuals(x)
     sigma, last, converged = max(1.48 * float(np.median(np.abs(r))), 0.02), -np.inf, False
@@ -194,7 +203,7 @@ def fit_table(model: TableModel, start: Sequence[float] | None = None) -> TableF
     limit = np.where(low, np.exp(x) + Z95 * sd, np.where(high, 1.0 / (np.exp(-x) + Z95 * sd), np.nan))
     sd = np.where(low | high, np.inf, sd)
     weight = (FREEDOM + 1.0) / (FREEDOM + (r / s) ** 2) / ((FREEDOM + 1.0) / FREEDOM)
-    return TableFit(model, x, sd, limit, sigma, model.predict(x), r / s, weight, value, converged)
+    return TableFit(model, x, sd, limit, sigma, model.predict(x), r / s, weight, value, converged, tuple(ties))
 
 
 def slopes(model: TableModel, x: np.ndarray) -> np.ndarray:
@@ -207,6 +216,27 @@ def slopes(model: TableModel, x: np.ndarray) -> np.ndarray:
         change = np.log(model.predict(x + step) + d) - np.log(model.predict(x - step) + d)
         J[np.arange(len(J)), slot] += change / 2e-5
     return J
+
+
+def information_at(fit: TableFit) -> np.ndarray:
+    """(n, n) Fisher information of a fit's coordinates at its maximum, priors included."""
+    model = fit.model
+    rows, d = model.rows, model.rows.last_digit
+    known = (d / np.sqrt(12.0) / (rows.measured + d)) ** 2 + np.asarray(rows.relative_error) ** 2
+    s = np.sqrt(fit.scale**2 + known)
+    J = slopes(model, fit.x) / s[:, None] * np.sqrt((FREEDOM + 1.0) / (FREEDOM + 3.0))
+    prior = _priors(model, fit.ties)[0]
+    return J.T @ J + prior.T @ prior
+
+
+def _priors(model: TableModel, ties: Sequence[Tie]) -> tuple[np.ndarray, np.ndarray]:
+    """(rows (m, n), target (m,)): the priors as further residuals, rows @ x − target."""
+    own = [Tie((k,), p.prior.mean, p.prior.sd) for k, p in enumerate(model.parameters) if p.prior is not None]
+    every = [*own, *ties]
+    rows = np.zeros((len(every), len(model.parameters)))
+    for row, tie in zip(rows, every, strict=True):
+        row[list(tie.places)] = 1.0 / (len(tie.places) * tie.sd)
+    return rows, np.array([tie.mean / tie.sd for tie in every])
 
 
 def standard_errors(information: np.ndarray) -> np.ndarray:

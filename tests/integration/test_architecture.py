@@ -37,6 +37,8 @@ MAY_IMPORT["fit"] = MAY_IMPORT["sensors"] = MAY_IMPORT["simulate"] | {"simulate"
 MAY_IMPORT["tables"] = MAY_IMPORT["simulate"] | {"simulate"}  # observation models of tables instead of events
 for folder in ("sample", "compare", "lowlight", "design"):  # what follows from a fit
     MAY_IMPORT[folder] = MAY_IMPORT["fit"] | {"fit", "sample"}
+for folder in ("lowlight", "design"):
+    MAY_IMPORT[folder] = MAY_IMPORT[folder] | {"tables"}  # what tables of latencies and rates say of a sensor
 MAY_IMPORT["gap"] = MAY_IMPORT["fit"] | {"fit", "design", "inspection"}
 MAY_IMPORT["conform"] = MAY_IMPORT["gap"] | {"gap"}  # the gap's verdict, effect by effect
 MAY_IMPORT["export"] = BASE | {"model", "parameters", "stages"}  # asks `tables` for rates of noise

@@ -122,19 +122,31 @@ class Camera:
 
 
 def predict(
-    circuit: Circuit, off_fraction: float, spread: Spread, irradiance, on, threshold, delay, pixels
+    circuit: Circuit,
+    off_fraction: float,
+    spread: Spread,
+    irradiance,
+    on,
+    threshold,
+    delay,
+    pixels,
+    speed: np.ndarray | float = 1.0,
 ) -> dict[str, np.ndarray]:
-    """Statistic → (rows,) seconds; the arguments behind `spread` are (rows,) arrays, irradiance that of the lit LED."""
-    lights, step = np.unique(np.stack([irradiance, np.where(on, 1.0, 0.0)]), axis=1, return_inverse=True)
+    """Statistic → (rows,) seconds; the arguments behind `spread` are (rows,) arrays.
+
+    irradiance: of the lit LED;  speed: factor of the photoreceptor's α after the step, scalar or (rows,)
+    """
+    factor = np.broadcast_to(speed, np.shape(irradiance))
+    lights, step = np.unique(np.stack([irradiance, np.where(on, 1.0, 0.0), factor]), axis=1, return_inverse=True)
     step = step.ravel()
     bright, rises = lights[0], lights[1] == 1.0
     dim = off_fraction * bright
     before, after = np.where(rises, dim, bright), np.where(rises, bright, dim)
     # noise of the level at the reset, and of that at the crossing: half of either, since the new one builds up with
     # the response itself
-    shot = np.sqrt(0.5 * (noise_level(circuit, before) ** 2 + noise_level(circuit, after) ** 2))
+    shot = np.sqrt(0.5 * (noise_level(circuit, before) ** 2 + noise_level(circuit, after, lights[2]) ** 2))
     regions = Regions(step, threshold, delay, shot[step], pixels)
-    return statistics(changes(circuit, before, after), regions, spread)
+    return statistics(changes(circuit, before, after, lights[2]), regions, spread)
 
 
 def save_camera(camera: Camera, path: Path) -> None:

@@ -13,6 +13,7 @@ from pixelid.model.model import Model, expected_parameters
 from pixelid.parameters.parameter import Parameter, Prior
 from pixelid.tables.latency.camera import DELAY_SIGMA, OFF_FRACTION, UNIT, Camera, Setting, predict
 from pixelid.tables.latency.cells import Cells
+from pixelid.tables.latency.levels import Level, levels_of
 from pixelid.tables.latency.reading import STATISTICS, TIMESTAMP_S
 from pixelid.tables.latency.spread import Spread
 from pixelid.tables.model import Rows
@@ -50,6 +51,8 @@ NUISANCES = frozenset({"led_off_fraction", "edge_jitter_s"})
 LENS = _log("lens_factor", 1.0, "1", 0.2, 5.0, 0.3)
 THRESHOLD = _log("threshold", 0.3, "log radiance", 1e-3, 10.0, 1.5)
 DELAY = _log("delay_s", 1e-5, "s", 1e-8, 1e-1, 2.0)
+# A factor e either way: it only matters where latencies do not show the photoreceptor, and keeps their slope finite
+DEPARTURE = _log("departure", 1.0, "1", 1e-3, 1e3, 1.0)
 FOLLOWER_STARTS_HZ = (1e3, 3e4)  # a follower slower, or faster, than the latencies
 
 
@@ -63,6 +66,7 @@ class LatencyModel:
         follower_hz: cutoff that the fit begins at.
         start: a camera to begin at instead.
         one_delay: all settings and edges share one delay, for comparison.
+        departing: every light has a speed of the photoreceptor of its own (`levels.py`).
         start: name → value to begin at instead of the library's.
     """
 
@@ -71,12 +75,13 @@ class LatencyModel:
     follower_hz: float = FOLLOWER_STARTS_HZ[0]
     one_delay: bool = False
     start: Camera | None = None
+    departing: bool = False
 
     # stages too fast to see, a light or an effect too small to show
     neutral_bounds: tuple[tuple[str, str], ...] = (
         ("beta", "upper"), ("sf_cutoff_hz", "upper"), ("diff_cutoff_hz", "upper"), ("dark_current", "lower"),
         ("shot_noise", "lower"), ("threshold_mismatch", "lower"), ("threshold_sigma", "lower"),
-        ("delay_sigma", "lower"), ("on_delay_s", "lower"), ("off_delay_s", "lower"),
+        ("delay_sigma", "lower"), ("on_delay_s", "lower"), ("off_delay_s", "lower"), ("departure", "upper"),
     )  # fmt: skip
 
     @cached_property
@@ -138,6 +143,7 @@ class LatencyModel:
         ]
         known = _values_of(self.start) if self.start is not None else {}
         everything = shared + lenses + per_setting + ([DELAY] if self.one_delay else [])
+        everything += [replace(DEPARTURE, name=level.name) for level in self.levels if self.departing]
         return tuple(p.at(min(max(known.get(p.name, p.value), p.lower), p.upper)) for p in everything)
 
     @property
@@ -152,17 +158,33 @@ class LatencyModel:
         lens = np.array([self.lenses.index(str(name)) - 1 for name in table.lens])
         setting = np.array([self.settings.index(str(name)) for name in table.setting])
         threshold = first + len(self.lenses) - 1 + np.where(table.on, 0, count) + setting
-        delay = np.full(len(lens), len(self.parameters) - 1) if self.one_delay else threshold + 2 * count
+        delay = (
+            np.full(len(lens), first + len(self.lenses) - 1 + 2 * count) if self.one_delay else threshold + 2 * count
+        )
         return np.where(lens >= 0, first + lens, -1), threshold, delay
 
+    @cached_property
+    def levels(self) -> tuple[Level, ...]:
+        """Every light that a step of the table ends in."""
+        return levels_of(self.cells.table)
+
+    @cached_property
+    def departures(self) -> np.ndarray:
+        """(cells,) where each cell's departure sits in x."""
+        table, first = self.cells.table, len(self.parameters) - len(self.levels)
+        place = {level: first + k for k, level in enumerate(self.levels)}
+        each = zip(table.on.tolist(), table.lens.tolist(), table.irradiance.tolist(), strict=True)
+        return np.array([place[Level(*key)] for key in each])
+
     def dependence(self) -> Sequence[np.ndarray]:
-        """Every cell depends on the circuit, on its lens, and on its setting's threshold and delay."""
+        """Every cell depends on the circuit, on its lens, on its setting's threshold and delay, and on its light."""
         cell = self.entries[0]
         lens, threshold, delay = self.places
         slots = [np.full(len(cell), k) for k in range(len(SHARED))]
         if len(self.lenses) > 1:
             slots.append(np.where(lens[cell] >= 0, lens[cell], len(SHARED)))
-        return [*slots, threshold[cell], delay[cell]]
+        slots += [threshold[cell], delay[cell]]
+        return [*slots, self.departures[cell]] if self.departing else slots
 
     @cached_property
     def template(self) -> Model:
@@ -187,7 +209,7 @@ class LatencyModel:
         factor = np.where(lens >= 0, np.exp(x[lens]), 1.0)
         return predict(
             circuit, v["led_off_fraction"], spread, factor * table.irradiance, table.on, np.exp(x[threshold]),
-            np.exp(x[delay]), table.pixels,
+            np.exp(x[delay]), table.pixels, np.exp(x[self.departures]) if self.departing else 1.0,
         )  # fmt: skip
 
     def predict(self, x: np.ndarray) -> np.ndarray:

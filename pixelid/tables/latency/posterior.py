@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pixelid.status import Status
-from pixelid.tables.fit import FREEDOM, slopes
+from pixelid.tables.fit import FREEDOM, information_at
 from pixelid.tables.latency.fit import CameraFit, LatencyFit
 
 if TYPE_CHECKING:
@@ -100,15 +100,9 @@ def _gaussian(fit: CameraFit) -> Proposal:
     """The Gaussian about the maximum, ln σ beside x."""
     from pixelid.sample.proposal import Proposal
 
-    regression, model = fit.regression, fit.model
-    rows, x = model.rows, regression.x
-    d = rows.last_digit
-    s = np.sqrt(
-        regression.scale**2 + (d / np.sqrt(12.0) / (rows.measured + d)) ** 2 + np.asarray(rows.relative_error) ** 2
-    )
-    J = slopes(model, x) / s[:, None] * np.sqrt((FREEDOM + 1.0) / (FREEDOM + 3.0))
-    prior = np.array([0.0 if p.prior is None else 1.0 / p.prior.sd**2 for p in model.parameters])
-    covariance = np.linalg.pinv(J.T @ J + np.diag(prior))
+    regression = fit.regression
+    x, rows = regression.x, fit.model.rows
+    covariance = np.linalg.pinv(information_at(regression))
     sd = np.sqrt(np.diag(covariance))
     covariance *= np.outer(np.minimum(1.0, MOST_SD / sd), np.minimum(1.0, MOST_SD / sd))
     size = len(x) + 1

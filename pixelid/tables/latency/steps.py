@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from pixelid.dynamics.of_circuit import dynamics_of
@@ -12,17 +14,21 @@ from pixelid.stages.circuit import Circuit
 TIMES_S = np.concatenate([[0.0], np.geomspace(3e-7, 1.0, 180)])
 
 
-def changes(circuit: Circuit, before: np.ndarray, after: np.ndarray) -> np.ndarray:
+def changes(circuit: Circuit, before: np.ndarray, after: np.ndarray, speed: np.ndarray | None = None) -> np.ndarray:
     """(steps, times) the largest change so far, towards the new level, of the never-reset amplifier at `TIMES_S`.
 
     Args:
         circuit: its numbers; its dark current adds to the light.
         before, after: (steps,) radiance up to and from time 0 on; the circuit has settled at the first.
+        speed: (steps,) factor of α (of the corner of one pole) after each step, 1 by default.
     """
     dynamics = dynamics_of(circuit)
     t = np.append(0.0, TIMES_S)
     out = np.empty((len(before), len(TIMES_S)))
     for k, (low, high) in enumerate(zip(before + circuit.dark, after + circuit.dark, strict=True)):
+        if speed is not None:
+            factor = float(speed[k])
+            dynamics = dynamics_of(replace(circuit, alpha=circuit.alpha * factor, corner=circuit.corner * factor))
         radiance = np.full(len(t), high)
         radiance[0] = low
         output = integrate(t, radiance, dynamics, linearisation=circuit.linearisation).stage("differencing")[1:]
@@ -30,14 +36,15 @@ def changes(circuit: Circuit, before: np.ndarray, after: np.ndarray) -> np.ndarr
     return np.maximum.accumulate(out, axis=1)
 
 
-def noise_level(circuit: Circuit, radiance: np.ndarray) -> np.ndarray:
+def noise_level(circuit: Circuit, radiance: np.ndarray, speed: np.ndarray | float = 1.0) -> np.ndarray:
     """(n,) standard deviation of the output, log radiance, from shot noise under constant light.
 
     White noise of one-sided density S/L through three real poles a (the photoreceptor's slow one), b and c:
     variance S/(4L) · abc (a+b+c) / ((a+b)(b+c)(c+a)).  Behind a = αL/β alone it is S α/(4β) at every light.
+    speed: factor of α, scalar or (n,).
     """
     light = radiance + circuit.dark
     corner = circuit.corner if circuit.photoreceptor == "one_pole" else circuit.alpha / circuit.beta
-    a, b, c = corner * light, min(circuit.follower, 1e12), min(circuit.differencing, 1e13)
+    a, b, c = speed * corner * light, min(circuit.follower, 1e12), min(circuit.differencing, 1e13)
     passed = a * b * c * (a + b + c) / ((a + b) * (b + c) * (c + a))
     return np.sqrt(circuit.shot_density / (4.0 * light) * passed)
