@@ -136,13 +136,30 @@ class Result(ABC):
 
 
 @dataclass(frozen=True, repr=False)
-class WrittenResult(Result):
+class ContentResult(Result):
+    """A result that is what its JSON says.
+
+    content: of the JSON (docs/formats.md)
+    """
+
+    content: Mapping[str, Any]
+
+    @property
+    def status(self) -> Status:
+        """How it ended."""
+        return Status(self.content["status"])
+
+    def as_dict(self) -> dict[str, Any]:
+        """The content of the JSON."""
+        return dict(self.content)
+
+
+@dataclass(frozen=True, repr=False)
+class WrittenResult(ContentResult):
     """A result whose files are written as they are made, and that ends in an error where it cannot be made.
 
     content: of the JSON, with caveats under `notes`
     """
-
-    content: Mapping[str, Any]
 
     @property
     def status(self) -> Status:
@@ -152,10 +169,6 @@ class WrittenResult(Result):
     def sentences(self) -> list[str]:
         """What was assumed or could not be made."""
         return list(self.content["notes"])
-
-    def as_dict(self) -> dict[str, Any]:
-        """The content of the JSON (docs/formats.md)."""
-        return dict(self.content)
 
     def write_companions(self, folder: Path) -> None:
         """Nothing: they are there."""

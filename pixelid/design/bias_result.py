@@ -10,32 +10,20 @@ from typing import Any, ClassVar
 from pixelid.design.bias_fits import read_bias_fit
 from pixelid.design.biases import QUANTITIES, recommend_setting
 from pixelid.provenance import provenance
-from pixelid.results import Result, Table, interval, number
-from pixelid.status import Status
+from pixelid.results import ContentResult, Table, interval, number
 
 WISH_HEADINGS = ("quantity", "predicted", "95 %", "wanted", "unit", "met")
 MEASURED_HEADINGS = ("setting", "bias [mV]", "bandwidth [Hz]", "95 %", "noise [1/s]", "95 % ", "meets")
 
 
 @dataclass(frozen=True, repr=False)
-class BiasReport(Result):
+class BiasReport(ContentResult):
     """A recommended setting of a bias.
 
     content: of design.json (docs/howto/design.md)
     """
 
     FILE: ClassVar[str] = "design.json"
-
-    content: Mapping[str, Any]
-
-    @property
-    def status(self) -> Status:
-        """How it ended."""
-        return Status(self.content["status"])
-
-    def as_dict(self) -> dict[str, Any]:
-        """The content of design.json."""
-        return dict(self.content)
 
     @property
     def headline(self) -> str:

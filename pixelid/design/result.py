@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
@@ -14,8 +14,7 @@ from pixelid.errors import InputError
 from pixelid.model.model import Model
 from pixelid.provenance import provenance
 from pixelid.recordings.recording import Recording
-from pixelid.results import Result, Table, read_result, required
-from pixelid.status import Status
+from pixelid.results import ContentResult, Table, read_result, required
 from pixelid.stimuli.files import shape
 from pixelid.stimuli.stimulus import Stimulus
 
@@ -23,7 +22,7 @@ SPREAD = 0.2  # standard deviation in ln of the values averaged over, where no f
 
 
 @dataclass(frozen=True, repr=False)
-class DesignReport(Result):
+class DesignReport(ContentResult):
     """A recommended experiment.
 
     content: of design.json (docs/design.md)
@@ -31,22 +30,11 @@ class DesignReport(Result):
 
     FILE: ClassVar[str] = "design.json"
 
-    content: Mapping[str, Any]
-
-    @property
-    def status(self) -> Status:
-        """How it ended."""
-        return Status(self.content["status"])
-
     @property
     def stimulus(self) -> Stimulus:
         """The stimulus to record next."""
         best = self.content["recommended"]
         return shape(best["kind"], best["parameters"])
-
-    def as_dict(self) -> dict[str, Any]:
-        """The content of design.json."""
-        return dict(self.content)
 
     @property
     def headline(self) -> str:

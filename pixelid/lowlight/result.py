@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar
@@ -24,32 +24,22 @@ from pixelid.model.files import load_model, save_model
 from pixelid.model.model import Model
 from pixelid.provenance import provenance
 from pixelid.recordings.recording import Recording
-from pixelid.results import Result, Table, read_result, required
+from pixelid.results import ContentResult, Table, read_result, required
 from pixelid.status import Status
 
 BAND_DRAWS = 60  # models behind the bands of a fit: their 95 % limits to about a tenth of their width
 
 
 @dataclass(frozen=True, repr=False)
-class LowlightReport(Result):
+class LowlightReport(ContentResult):
     """A finished low-light analysis.
 
-    model: the circuit analysed;  content: of lowlight.json (docs/lowlight.md)
+    content: of lowlight.json (docs/lowlight.md);  model: the circuit analysed
     """
 
     FILE: ClassVar[str] = "lowlight.json"
 
     model: Model
-    content: Mapping[str, Any]
-
-    @property
-    def status(self) -> Status:
-        """How it ended."""
-        return Status(self.content["status"])
-
-    def as_dict(self) -> dict[str, Any]:
-        """The content of lowlight.json."""
-        return dict(self.content)
 
     @property
     def headline(self) -> str:
@@ -110,7 +100,7 @@ class LowlightReport(Result):
             content["curves"] = _arrays(content["curves"])
             if content.get("bands"):
                 content["bands"] = _arrays(content["bands"])
-            return cls(load_model(Path(folder) / "model.toml"), content)
+            return cls(content, load_model(Path(folder) / "model.toml"))
 
     def plot_poles(self) -> np.ndarray:
         """Poles, −3 dB frequency and step time over radiance: matplotlib axes."""
@@ -170,7 +160,7 @@ def lowlight_report(
         advice = "; ".join(text for text in (content["advice"], found["advice"]) if text)
         content |= {"latency": found, "status": worst, "advice": advice}
         files += source.files
-    return LowlightReport(model, {**content, "sentences": sentences(content), "seed": seed, **provenance(*files)})
+    return LowlightReport({**content, "sentences": sentences(content), "seed": seed, **provenance(*files)}, model)
 
 
 def _arrays(value: Any) -> Any:
