@@ -89,7 +89,7 @@ def summary(sessions: dict[str, dict], runs: list[dict]) -> list[dict]:
         done[r["criterion"], r["factor"]].append(r)
     table = []
     for (name, factor), keys in in_question(sessions).items():
-        mine = done[name, factor]
+        mine = [r for r in done[name, factor] if r["session"] in keys]  # others were in question for an earlier search
         turned = [r for r in mine if not _same(r, sessions[r["session"]])]
         share = (len(turned) / len(mine) if mine else 1.0) * len(keys) / len(sessions)
         table.append(

@@ -210,7 +210,9 @@ def grammar() -> str:
 
 def sensitivity() -> str:
     """What `benchmarks/gap_sensitivity.py` found: a row per criterion, halved and doubled."""
-    summary = of_json("docs/gap_sensitivity.json")["summary"]
+    content = of_json("docs/gap_sensitivity.json")
+    summary = content["summary"]
+    earlier = sum(bool(run.get("earlier_code")) for run in content["runs"])
     halves: dict[str, list[dict]] = defaultdict(list)
     for row in summary:
         halves[row["criterion"]].append(row)
@@ -229,6 +231,7 @@ def sensitivity() -> str:
             f"{summary[0]['sessions']} sessions. *Decisions*: sessions in which some decision on the way would be "
             "another; *searched*: of these, searched again with the criterion changed; *verdicts*: of these, with "
             "another verdict or name.\n",
+            f"{earlier} of the {len(content['runs'])} searches were made with an earlier version (`earlier_code`).\n",
             table(heads, rows),
             "**Verdicts that changed**\n",
             table(("criterion", "session and verdict"), turned) if turned else "None.\n",
