@@ -30,9 +30,9 @@ def tasks(sizes: Sizes) -> Iterator[Task]:
     """The rows; all seeded, so that every run does the same."""
     yield Task("analysis", "fit", lambda: _fit(sizes))
     yield Task("analysis", "sensor", lambda: _sensor(sizes))
-    yield Task("analysis", "posterior", lambda: _posterior(sizes))
     if sizes.gap:
         yield Task("analysis", "gap", lambda: _gap(sizes))
+    yield Task("analysis", "posterior", lambda: _posterior(sizes))  # the longest last
 
 
 def _model(sizes: Sizes) -> Model:
