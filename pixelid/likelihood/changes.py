@@ -10,24 +10,28 @@ units of C_on) because it is the only part that depends on a threshold.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 from numba import njit
 
-from pixelid.dynamics import equations, slew
+from pixelid.dynamics import equations
 from pixelid.dynamics.equations import PRESENT_BELOW
-from pixelid.dynamics.of_circuit import dynamics_of
-from pixelid.dynamics.slewed import slewed
-from pixelid.dynamics.trajectory import Dynamics, Trajectory, integrate
+from pixelid.dynamics.trajectory import Trajectory
 from pixelid.dynamics.vector_math import vexp
 from pixelid.likelihood.clocks import Clock
-from pixelid.likelihood.extremes import DECAYED, Begun, Drift, Extremes, Output, at_samples, locate_extremes
+from pixelid.likelihood.extremes import (
+    DECAYED,
+    Begun,
+    Drift,
+    Extremes,
+    at_samples,
+    locate_by_sample,
+    locate_extremes,
+)
 from pixelid.likelihood.modulated import (
     Modulated,
-    locate_relaxing,
     modulated,
     moves_changes,
     subtract,
@@ -35,16 +39,14 @@ from pixelid.likelihood.modulated import (
 )  # fmt: skip
 from pixelid.likelihood.sections import Section
 from pixelid.likelihood.sequences import Sequences
+from pixelid.likelihood.trajectories import Trajectories
 from pixelid.stages.circuit import Circuit
 from pixelid.stages.comparator import threshold_shifts
 from pixelid.stages.differencing import leaked, leaks
-from pixelid.stages.modulation import OF_LIGHT
 from pixelid.stimuli.drive import StackedDrive, stacked_drive
-from pixelid.stimuli.stimulus import Stimulus
 
 PER_EVENT = ("change", "slope", "drift", "drift_slope", "opposite", "opposite_drift", "early")
 PER_PIXEL = ("rise", "rise_drift", "fall", "fall_drift")
-APART = 4e-3  # least relative gap of follower and extra pole: closer ones are as good as this far apart, see `_apart`
 
 
 @dataclass(frozen=True)
@@ -70,58 +72,6 @@ class Changes:
     fall: np.ndarray
     fall_drift: np.ndarray
     early: np.ndarray
-
-
-class Trajectories:
-    """The trajectories of one section: two are remembered at most, the latest asked for with `keep` and its light.
-
-    What is remembered does not change any result.
-
-    Args:
-        lights: Full-field, one trajectory each.
-        end_s: Until when, the last value held.
-        remember: Whether to remember the latest trajectory; its light is remembered anyway.
-    """
-
-    def __init__(self, lights: Sequence[Stimulus], end_s: float, remember: bool = True) -> None:
-        self._lights, self._end_s, self._remember = lights, end_s, remember
-        self._latest: tuple[tuple, tuple[Trajectory, Output, StackedDrive]] | None = None
-        self._light: tuple[tuple, StackedDrive] | None = None
-
-    def of(self, circuit: Circuit, keep: bool) -> tuple[Trajectory, Output, StackedDrive]:
-        """The trajectory of a circuit, its output, and the light behind it.
-
-        `keep` remembers them for circuits that differ in none of these: thresholds, dead time, leak and delay do not.
-        """
-        reaching = (
-            circuit.dark, circuit.flicker_modulation, circuit.flicker_hz, circuit.flicker_phase, circuit.knee,
-            circuit.knee_slope, *(m for m in circuit.described if m.quantity in OF_LIGHT),
-        )  # fmt: skip
-        limit = (circuit.slew_rise, circuit.slew_fall)
-        linear = circuit.with_(slew_rise=np.inf, slew_fall=np.inf)
-        dynamics = dynamics_of(linear) if slew.slews(circuit) else _apart(dynamics_of(linear))
-        key = (dynamics, circuit.linearisation, *limit, *reaching)
-        if self._latest is not None and self._latest[0] == key:
-            return self._latest[1]
-        light = self._light[1] if self._light is not None and self._light[0] == reaching else None
-        if light is None:
-            light = stacked_drive(self._lights, circuit, self._end_s)
-            self._light = reaching, light
-        if slew.slews(circuit):
-            trajectory = slewed(light.t, light.rate_radiance, circuit, dynamics, light.first, light.log_radiance)
-        else:
-            trajectory = integrate(
-                light.t, light.rate_radiance, dynamics, linearisation=circuit.linearisation,
-                log_radiance=light.log_radiance, first=light.first,
-            )  # fmt: skip
-        made = trajectory, Output.of(trajectory), light
-        if keep and self._remember:
-            self._latest = key, made
-        return made
-
-    def forget(self) -> None:
-        """Drop the remembered trajectory."""
-        self._latest = None
 
 
 class ChangeEvaluator:
@@ -194,9 +144,8 @@ class ChangeEvaluator:
             own = self._modulated(trajectory, drive, circuit, previous, 0, of_event, iv.previous_sign)
             own_last = self._modulated(trajectory, drive, circuit, begin, 2, of_last, iv.last_sign)
             release, last = release + own.dead_s, last + own_last.dead_s
-        logs = _logs_of_light(trajectory, drive)
-        begun, drift = self._begun(trajectory, circuit, release, self._near_samples[0], first, of_event, logs)
-        begun_last, drift_last = self._begun(trajectory, circuit, last, self._near_samples[2], first, of_last, logs)
+        begun, drift = self._begun(trajectory, drive, circuit, release, 0, of_event)
+        begun_last, drift_last = self._begun(trajectory, drive, circuit, last, 2, of_last)
         sample = located(trajectory.t, time, self._near_samples[1], first, of_event)
 
         change, slope, drifted, drift_slope, opposite, opposite_drift, early = events
@@ -207,8 +156,8 @@ class ChangeEvaluator:
         drifted[:], drift_slope[:] = 0.0, 0.0
         if drift is not None:
             _drifts(
-                release, time, sample, trajectory.t, logs(), drift.rate, drift.per_light, drift.lights, drift.light,
-                drifted, drift_slope,
+                release, time, sample, trajectory.t, drive.log_light, drift.rate, drift.per_light, drift.lights,
+                drift.light, drifted, drift_slope,
             )  # fmt: skip
         np.less_equal(time, release, out=early)
 
@@ -218,10 +167,11 @@ class ChangeEvaluator:
             final = located(trajectory.t, np.full(len(last), iv.end_s), first[of_last], first, of_last)
             up, near = np.ones(len(last)), (-np.inf, -np.inf)
             if own is not None and own_last is not None and own.relaxes:
+                relaxing = own.just_after(-iv.sign), own_last.just_after(up), own_last.just_after(-up)
                 extremes = Extremes(
-                    locate_relaxing(trajectory, output, begun, -iv.sign, sample, drift, own),
-                    locate_relaxing(trajectory, output, begun_last, up, final, drift_last, own_last),
-                    locate_relaxing(trajectory, output, begun_last, -up, final, drift_last, own_last),
+                    locate_by_sample(trajectory, output, begun, -iv.sign, sample, drift, relaxing[0]),
+                    locate_by_sample(trajectory, output, begun_last, up, final, drift_last, relaxing[1]),
+                    locate_by_sample(trajectory, output, begun_last, -up, final, drift_last, relaxing[2]),
                 )
             else:
                 extremes = Extremes(
@@ -253,20 +203,22 @@ class ChangeEvaluator:
         """What the events stamped `stamp` (k,), on the light's clock, set for the intervals after them."""
         time = stamp - circuit.delay
         sample = located(trajectory.t, time, self._near_samples[near], light.first, light_of)
-        return modulated(circuit, trajectory.t, _logs_of_light(trajectory, light)(), sample, time, sign)
+        return modulated(circuit, trajectory.t, light.log_light, sample, time, sign)
 
     def _begun(
         self,
         trajectory: Trajectory,
+        drive: StackedDrive,
         circuit: Circuit,
         release: np.ndarray,
-        near: np.ndarray,
-        first: np.ndarray,
+        near: int,
         light_of: np.ndarray,
-        logs_of_light: Callable[[], np.ndarray],
     ) -> tuple[Begun, Drift | None]:
-        """Where the intervals released at `release` (k,) begin, near the samples `near`; and what leaks into them."""
-        sample = located(trajectory.t, release, near, first, light_of)
+        """Where the intervals released at `release` (k,) begin, and what leaks into them.
+
+        near: which of the samples found last are near them
+        """
+        sample = located(trajectory.t, release, self._near_samples[near], drive.first, light_of)
         level, output = trajectory.outputs_at(release, sample)
         begun = Begun(release, sample, level, output - level)
         if not leaks(circuit):
@@ -274,15 +226,9 @@ class ChangeEvaluator:
         per_light = leaked(circuit, 0.0, 1.0)
         lights, light = np.zeros(len(trajectory.t)), np.zeros(len(release))
         if per_light != 0:
-            logs = logs_of_light()
-            _light_integrals(trajectory.t, logs, lights)
-            _light_until(release, sample, trajectory.t, logs, lights, light)
+            _light_integrals(trajectory.t, drive.log_light, lights)
+            _light_until(release, sample, trajectory.t, drive.log_light, lights, light)
         return begun, Drift(leaked(circuit, 1.0, 0.0), per_light, circuit.on_threshold, lights, light)
-
-
-def _logs_of_light(trajectory: Trajectory, light: StackedDrive) -> Callable[[], np.ndarray]:
-    """What gives (samples,) log radiance, which is not the response below a knee."""
-    return lambda: trajectory.u if light.straight else np.log(light.radiance)
 
 
 def _subtract_threshold_shifts(circuit: Circuit, iv: Sequences, events: np.ndarray, pixels: np.ndarray) -> None:
@@ -386,20 +332,6 @@ def _drifts(release, time, sample, t, u, rate, per_light, lights, light, drift, 
             ramp, since = _ramp(k, t, u), time[i] - t[k]
             drift[i] += per_light * (lights[k] + _light_integral(np.exp(u[k]), ramp, since) - light[i])
             slope[i] += per_light * np.exp(u[k] + ramp * since)
-
-
-def _apart(dynamics: Dynamics) -> Dynamics:
-    """The dynamics, with follower and extra pole at least `APART` from each other at the same total delay.
-
-    Fits end where the two coincide, as their order leaves no trace.  There the closed form fails and steps cost ten
-    times as much; a gap of 0.4 % moves the response to a step by 4e-6 of it.
-    """
-    first, second = dynamics.follower, dynamics.extra_pole
-    if max(first, second) > PRESENT_BELOW or abs(first - second) >= APART * (first + second):
-        return dynamics
-    half = 0.5 * (1.0 / first + 1.0 / second)
-    tilt = APART if first >= second else -APART
-    return dynamics._replace(follower=1.0 / (half * (1.0 - tilt)), extra_pole=1.0 / (half * (1.0 + tilt)))
 
 
 def _near(circuit: Circuit) -> tuple[float, float]:

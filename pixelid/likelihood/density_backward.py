@@ -18,7 +18,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from pixelid.likelihood.density_forward import posterior, spread_of_draws, survival
+from pixelid.likelihood.density_forward import posterior, spread_of_draws, survival, widened
 
 NO_ZERO = 1e-300  # below any sum of weights
 
@@ -122,11 +122,11 @@ def _survivals_back(
     for k in range(len(group)):
         if reached[k] > 0.0:
             g = group[k] ^ 1
-            wide = sd[g] if len(reset) == 0 else np.sqrt(sd[g] ** 2 + reset[k])
+            wide = widened(sd[g], reset, k)
             margin = (mean[g] - reached[k]) / wide
             slope = survival(margin, missed)[1] / wide
             by_mean[g] += slope
-            by_sd[g] -= slope * margin if len(reset) == 0 else slope * margin * sd[g] / wide
+            by_sd[g] -= slope * margin * (sd[g] / wide)
             growth = 1.0 + drift * time[k]
             by_rows.opposite[k] = -slope / growth
             by_rows.opposite_drift[k] = -slope * on / growth
@@ -141,11 +141,11 @@ def _survivals_back(
                 (by_ends.rise, by_ends.rise_drift) if side == 0 else (by_ends.fall, by_ends.fall_drift)
             )
             level = (extreme[i] + on * leaked[i]) / growth
-            wide = sd[g] if len(last) == 0 else np.sqrt(sd[g] ** 2 + last[i])
+            wide = widened(sd[g], last, i)
             margin = (mean[g] - level) / wide
             slope = survival(margin, missed)[1] / wide
             by_mean[g] += slope
-            by_sd[g] -= slope * margin if len(last) == 0 else slope * margin * sd[g] / wide
+            by_sd[g] -= slope * margin * (sd[g] / wide)
             by_extreme[i] = -slope / growth
             by_leaked[i] = -slope * on / growth
             by_on -= slope * leaked[i] / growth

@@ -84,24 +84,9 @@ def forward(
     _sum_weights(group, event, at_group.W, at_group.A)
     _group_terms(at_group)
     _event_terms(group, background, math.log(background_hz), at_group, event)
-    if len(light[0]) == 0:
-        _survivals(group, time, last_pixel, last_time, rows, ends, numbers, missed, at_group, event, end_term)
-    else:
-        _survivals_in_unknown_light(
-            group,
-            time,
-            last_pixel,
-            last_time,
-            rows,
-            ends,
-            numbers,
-            missed,
-            light[1],
-            light[2],
-            at_group,
-            event,
-            end_term,
-        )
+    _survivals(
+        group, time, last_pixel, last_time, rows, ends, numbers, missed, light[1], light[2], at_group, event, end_term
+    )
 
 
 @njit(cache=True, error_model="numpy")
@@ -241,9 +226,20 @@ def spread_of_draws(at_group, noise):
     return np.sqrt((noise * at_group.mean) ** 2 + at_group.variance)
 
 
+@njit(cache=True, error_model="numpy")
+def widened(sd, variances, k):
+    """A standard deviation with the k-th of some variances added; as it is where there are none."""
+    return sd if len(variances) == 0 else math.sqrt(sd**2 + variances[k])
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
-def _survivals(group, time, last_pixel, last_time, rows, ends, numbers, missed, at_group, event, end_term):
-    """Add the survival of the other polarity to the events' terms, and fill the terms of the unfinished intervals."""
+def _survivals(
+    group, time, last_pixel, last_time, rows, ends, numbers, missed, reset, last, at_group, event, end_term
+):  # fmt: skip
+    """Add the survival of the other polarity to the events' terms, and fill the terms of the unfinished intervals.
+
+    reset, last: variances by the light, (n,) and (m,), see `Layout`, or empty
+    """
     on, _, noise, _, drift, _ = numbers
     mean, sd, reached = at_group.mean, spread_of_draws(at_group, noise), event.reached
     for k in range(len(group)):
@@ -251,7 +247,7 @@ def _survivals(group, time, last_pixel, last_time, rows, ends, numbers, missed, 
     for k in range(len(group)):
         if reached[k] > 0.0:
             other = group[k] ^ 1
-            event.term[k] += survival((mean[other] - reached[k]) / sd[other], missed)[0]
+            event.term[k] += survival((mean[other] - reached[k]) / widened(sd[other], reset, k), missed)[0]
     for i in range(len(last_pixel)):
         growth = 1.0 + drift * last_time[i]
         g = 2 * last_pixel[i]
@@ -259,24 +255,5 @@ def _survivals(group, time, last_pixel, last_time, rows, ends, numbers, missed, 
             (ends.rise[i] + on * ends.rise_drift[i]) / growth,
             (ends.fall[i] + on * ends.fall_drift[i]) / growth,
         )
-        end_term[i] = survival((mean[g + 1] - rise) / sd[g + 1], missed)[0]
-        end_term[i] += survival((mean[g] - fall) / sd[g], missed)[0]
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _survivals_in_unknown_light(
-    group, time, last_pixel, last_time, rows, ends, numbers, missed, reset, last, at_group, event, end_term
-):  # fmt: skip
-    """As `_survivals`, with extremes that the light leaves a variance: reset (n,), last (m,)."""
-    on, _, noise, _, drift, _ = numbers
-    mean, sd, reached = at_group.mean, spread_of_draws(at_group, noise), event.reached
-    for k in range(len(group)):
-        reached[k] = (rows.opposite[k] + on * rows.opposite_drift[k]) / (1.0 + drift * time[k])
-        if reached[k] > 0.0:
-            other = group[k] ^ 1
-            event.term[k] += survival((mean[other] - reached[k]) / math.sqrt(sd[other] ** 2 + reset[k]), missed)[0]
-    for i in range(len(last_pixel)):
-        growth, g = 1.0 + drift * last_time[i], 2 * last_pixel[i]
-        rise, fall = ends.rise[i] + on * ends.rise_drift[i], ends.fall[i] + on * ends.fall_drift[i]
-        end_term[i] = survival((mean[g + 1] - rise / growth) / math.sqrt(sd[g + 1] ** 2 + last[i]), missed)[0]
-        end_term[i] += survival((mean[g] - fall / growth) / math.sqrt(sd[g] ** 2 + last[i]), missed)[0]
+        end_term[i] = survival((mean[g + 1] - rise) / widened(sd[g + 1], last, i), missed)[0]
+        end_term[i] += survival((mean[g] - fall) / widened(sd[g], last, i), missed)[0]

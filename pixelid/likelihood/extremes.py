@@ -89,16 +89,37 @@ def locate_extremes(
     −1 where it never exceeds 0, its value at release, or stays below `near`: the changes (ON, OFF) that cannot have
     reached a threshold.
     """
-    at, wd = np.empty(len(sign), np.int64), trajectory.dynamics.differencing
     if drift is not None:
-        _locate_drifting(
-            sign, begun.sample + 1, last, begun.release_s, begun.level, begun.offset, trajectory.t, output.values, wd,
-            drift.rate, drift.per_light, drift.on, drift.lights, drift.light, at,
-        )  # fmt: skip
-        return at
+        return locate_by_sample(trajectory, output, begun, sign, last, drift)
+    at = np.empty(len(sign), np.int64)
     _locate(
         sign, begun.sample + 1, last, begun.release_s, begun.level, begun.offset, *near, at, trajectory.t,
-        (output.values, output.run, output.highest, output.lowest), wd,
+        (output.values, output.run, output.highest, output.lowest), trajectory.dynamics.differencing,
+    )  # fmt: skip
+    return at
+
+
+def locate_by_sample(
+    trajectory: Trajectory,
+    output: Output,
+    begun: Begun,
+    sign: np.ndarray,
+    last: np.ndarray,
+    drift: Drift | None,
+    relaxing: tuple[np.ndarray, np.ndarray, float] | None = None,
+) -> np.ndarray:
+    """As `locate_extremes`, where something leaks or thresholds relax: every sample is looked at.
+
+    relaxing: (time of the event before (k,), shift of the threshold just after it (k,), scale s)
+    """
+    k = len(sign)
+    at, nothing = np.empty(k, np.int64), np.zeros(k)
+    leaking = drift or Drift(0.0, 0.0, 1.0, np.zeros(0), nothing)
+    before, shift, scale = relaxing or (nothing, nothing, 1.0)
+    _locate_by_sample(
+        sign, begun.sample + 1, last, begun.release_s, begun.level, begun.offset, trajectory.t, output.values,
+        trajectory.dynamics.differencing, leaking.rate, leaking.per_light, leaking.on, leaking.lights, leaking.light,
+        before, shift, scale, at,
     )  # fmt: skip
     return at
 
@@ -132,7 +153,7 @@ def _runs(states, plain, values, run):
 
 
 @njit(cache=True, error_model="numpy")
-def change_at(k, tr, level, offset, t, values, wd):
+def _change_at(k, tr, level, offset, t, values, wd):
     """The change at sample k of an interval released at tr."""
     change = values[k] - level
     x = wd * (t[k] - tr)
@@ -221,21 +242,25 @@ def _locate(sign, low, high, release, level, offset, near_up, near_down, at, t, 
             best, at[i] = peak, where
         for k in range(after - 1, low[i] - 1, -1):
             if sign[i] * (output[0][k] - level[i]) + left >= best:
-                value = sign[i] * change_at(k, release[i], level[i], offset[i], t, output[0], wd)
+                value = sign[i] * _change_at(k, release[i], level[i], offset[i], t, output[0], wd)
                 if value >= best and value > 0.0:
                     best, at[i] = value, k
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _locate_drifting(sign, low, high, release, level, offset, t, values, wd, rate, per_light, on, lights, light, at):
-    """As `_locate`, of the change with its drift."""
+def _locate_by_sample(
+    sign, low, high, release, level, offset, t, values, wd, rate, per_light, on, lights, light, before, shift, scale, at
+):  # fmt: skip
+    """As `_locate`, of the change with its drift, less a shift of the threshold that relaxes since `before`."""
     for i in range(len(at)):
         best, at[i] = 0.0, -1
         for k in range(low[i], high[i] + 1):
             drift = rate * (t[k] - release[i])
             if per_light != 0.0:
                 drift += per_light * (lights[k] - light[i])
-            value = sign[i] * (change_at(k, release[i], level[i], offset[i], t, values, wd) + on * drift)
+            value = sign[i] * (_change_at(k, release[i], level[i], offset[i], t, values, wd) + on * drift)
+            if shift[i] != 0.0:
+                value -= shift[i] * np.exp(-(t[k] - before[i]) / scale)
             if value > best:
                 best, at[i] = value, k
 
@@ -244,4 +269,4 @@ def _locate_drifting(sign, low, high, release, level, offset, t, values, wd, rat
 def _at_extremes(sign, release, level, offset, at, value, t, values, wd):
     for i in range(len(at)):
         if at[i] >= 0:
-            value[i] = sign[i] * change_at(at[i], release[i], level[i], offset[i], t, values, wd)
+            value[i] = sign[i] * _change_at(at[i], release[i], level[i], offset[i], t, values, wd)

@@ -14,10 +14,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
-from pixelid.dynamics.trajectory import Trajectory
-from pixelid.likelihood.extremes import Begun, Drift, Output, change_at
 from pixelid.stages.circuit import Circuit
 from pixelid.stages.modulation import AT_RESET, OF_LIGHT, at_reset, set_at_reset, since_event
 
@@ -41,6 +38,10 @@ class Modulated:
     def relaxes(self) -> bool:
         """Whether thresholds change during an interval."""
         return self.relaxing[0] != 0.0 or self.relaxing[1] != 0.0
+
+    def just_after(self, sign: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+        """(time of the previous event (k,), shift of the thresholds of polarities `sign` (k,) just after it, scale)."""
+        return self.before_s, np.where(sign > 0, self.relaxing[0], self.relaxing[1]), self.relaxing[2]
 
     def shifts(self, sign: np.ndarray, time_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(k,) shift of the thresholds of polarities `sign` (k,) at times (k,), and its slope."""
@@ -76,39 +77,6 @@ def modulated(
         radiance, speed = np.exp(logs[sample] + slope * (before_s - t[sample])), np.abs(slope)
     on, off, dead = set_at_reset(table, polarity, before_s, radiance, speed)
     return Modulated(before_s, np.maximum(dead, -circuit.refractory), on, off, since_event(circuit))
-
-
-def locate_relaxing(
-    trajectory: Trajectory, output: Output, begun: Begun, sign, last, drift: Drift | None, of: Modulated
-) -> np.ndarray:
-    """As `extremes.locate_extremes`, where the thresholds relax."""
-    at, wd = np.empty(len(sign), np.int64), trajectory.dynamics.differencing
-    rate, per_light, on, lights, light = 0.0, 0.0, 1.0, np.zeros(0), np.zeros(len(sign))
-    if drift is not None:
-        rate, per_light, on, lights, light = drift.rate, drift.per_light, drift.on, drift.lights, drift.light
-    shifts = np.where(np.asarray(sign) > 0, of.relaxing[0], of.relaxing[1])
-    _locate(
-        np.asarray(sign, np.float64), begun.sample + 1, last, begun.release_s, begun.level, begun.offset, trajectory.t,
-        output.values, wd, rate, per_light, on, lights, light, of.before_s, shifts, of.relaxing[2], at,
-    )  # fmt: skip
-    return at
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _locate(
-    sign, low, high, release, level, offset, t, values, wd, rate, per_light, on, lights, light, before, shift, scale, at
-):  # fmt: skip
-    """Fill `at` with the sample in low … high where sign · (change + drift) − shift is largest and above 0, or −1."""
-    for i in range(len(at)):
-        best, at[i] = 0.0, -1
-        for k in range(low[i], high[i] + 1):
-            drift = rate * (t[k] - release[i])
-            if per_light != 0.0:
-                drift += per_light * (lights[k] - light[i])
-            value = sign[i] * (change_at(k, release[i], level[i], offset[i], t, values, wd) + on * drift)
-            value -= shift[i] * np.exp(-(t[k] - before[i]) / scale)
-            if value > best:
-                best, at[i] = value, k
 
 
 def subtract(

@@ -49,6 +49,11 @@ class Drive:
         """Whether the response is the logarithm of the radiance."""
         return self.knee == 0 and all(m.quantity != "response" for m in self.described)
 
+    @cached_property
+    def log_light(self) -> np.ndarray:
+        """(n,) the logarithm of the radiance, whatever the response."""
+        return self.log_radiance if self.straight else np.log(self.radiance)
+
 
 @dataclass(frozen=True)
 class StackedDrive(Drive):
