@@ -17,7 +17,7 @@ from pixelid.model.files import load_model, save_model
 from pixelid.model.model import Model
 from pixelid.results import Result, Table, check_kinds, interval, number, read_result, required
 from pixelid.stages.described import cell, described
-from pixelid.stages.described_words import in_words
+from pixelid.stages.described_words import words_of_entry
 from pixelid.status import Status
 
 if TYPE_CHECKING:
@@ -288,9 +288,8 @@ def _described(entry: Mapping[str, Any]) -> DescribedEffect:
         name: (value["value"], tuple(value["interval_95"]) if value["interval_95"] else None)
         for name, value in entry["parameters"].items()
     }
-    words = in_words(own, {name: value for name, (value, _) in values.items()})
     return DescribedEffect(
-        own.name, entry["equation"], words, values, entry["heldout_gain_nats"], entry["closed_fraction"]
+        own.name, entry["equation"], words_of_entry(entry), values, entry["heldout_gain_nats"], entry["closed_fraction"]
     )
 
 

@@ -10,8 +10,7 @@ from pixelid.model.files import load_model
 from pixelid.report.format import chance, interval, number, percent, seconds, value
 from pixelid.report.page import Number, Result, Summary, command_line
 from pixelid.stages import effect
-from pixelid.stages.described import cell
-from pixelid.stages.described_words import in_words
+from pixelid.stages.described_words import words_of_entry
 
 
 def summarise(result: Result, folder: Path) -> Summary:
@@ -126,9 +125,7 @@ def prepare(result: Result, folder: Path) -> dict[str, Any]:
     jumps = [[row["where"], *(number(row[key], 4) for key in columns)] for row in details.get("after_jumps", ())]
     described = [
         [
-            in_words(
-                cell(e["quantity"], e["covariate"], e["form"]), {k: v["value"] for k, v in e["parameters"].items()}
-            ),
+            words_of_entry(e),
             e["equation"],
             "; ".join(
                 f"{name} = {value(v['value'], v.get('interval_95'))}"

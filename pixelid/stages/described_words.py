@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
-from pixelid.stages.described import Described
+from pixelid.stages.described import Described, cell
 from pixelid.stages.modulation import THRESHOLDS
 
 SUBJECT = {
@@ -40,6 +41,12 @@ def in_words(own: Described, values: Mapping[str, float]) -> str:
         )
         return f"{subject} {_amount(own, s)} {first}, {_amount(own, -s)} {second}"
     return f"{subject} {_amount(own, s)} {_where(own, values)}"
+
+
+def words_of_entry(entry: Mapping[str, Any]) -> str:
+    """The same of an entry of gap.json."""
+    own = cell(entry["quantity"], entry["covariate"], entry["form"])
+    return in_words(own, {name: found["value"] for name, found in entry["parameters"].items()})
 
 
 def _amount(own: Described, strength: float) -> str:
