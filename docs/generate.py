@@ -1,46 +1,29 @@
-"""Pages made when the site is built: from the effect classes, the help texts, docstrings and benchmark results.
+"""Pages made when the site is built: from the effect classes, the help texts, docstrings and the shipped models.
 
-Nothing here is committed as text, so a figure on a page cannot differ from the file that a benchmark wrote.
+What benchmarks measured is in `measured.py`.  Nothing here is committed as text, so a figure on a page cannot differ
+from the file that a benchmark wrote.
 """
 
 from __future__ import annotations
 
 import json
 import os
-import statistics
 import subprocess
 import sys
 import tempfile
 from collections import defaultdict
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from pathlib import Path
 
+import measured
 import reference
-import speed_page
+from page_parts import ROOT, percent, table
 
-ROOT = Path(__file__).resolve().parent.parent
 GENERATED = ROOT / "docs" / "_generated"
 SENSOR_FIGURES = {
     "latency": "Median latencies over irradiance, measured (marks) and predicted (lines), one colour per setting",
     "limits": "Share of the latency that goes with each stage, over irradiance",
 }
-
-
-def table(heads: Iterable[str], rows: Iterable[Iterable[object]]) -> str:
-    """A Markdown table; pipes in cells are escaped."""
-    heads = list(heads)
-    lines = [heads, ["---"] * len(heads), *([str(cell).replace("|", "\\|") for cell in row] for row in rows)]
-    return "\n".join("| " + " | ".join(line) + " |" for line in lines) + "\n"
-
-
-def of_json(name: str):
-    """The content of a results file, by its path in the repository."""
-    return json.loads((ROOT / name).read_text())
-
-
-def percent(share: float, digits: int = 1) -> str:
-    """0.945 → 94.5 %."""
-    return f"{100 * share:.{digits}f} %"
 
 
 def effect_library() -> str:
@@ -127,225 +110,12 @@ def lowlight_latencies() -> str:
     return "\n".join([*lines, ""])
 
 
-def certification() -> str:
-    """What `benchmarks/gap_certification.py` found."""
-    certified = of_json("docs/gap_certification.json")
-    summary, runs = certified["summary"], certified["runs"]
-    labels = {
-        "nulls, named": "nothing planted: an effect is named",
-        "nulls, anything but none": "nothing planted: any verdict but `none`",
-        "left out, a neighbour named": "planted effect left out of the library: another one is named",
-    }
-    rows = [
-        (
-            labels.get(name, name),
-            f"{entry['count']} of {entry['of']}",
-            "–".join(percent(x) for x in entry["interval_95"]),
-        )
-        for name, entry in summary.items()
-        if isinstance(entry, dict) and "count" in entry
-    ]
-    named, strengths = summary["named_exactly_of_tries"], summary["strengths_of_right_names"]
-    factors = sorted({factor for tries in named.values() for factor in tries}, key=float, reverse=True)
-    per_effect = []
-    for name, tries in named.items():
-        right = strengths.get(name, {}).get("1", {})
-        covers = "{}\u00a0of\u00a0{}".format(*right["interval_covers"]) if right else ""
-        errors = (percent(right["median_error"]), percent(right["largest_error"])) if right else ("", "")
-        counts = ["{}\u00a0of\u00a0{}".format(*tries[factor]) if factor in tries else "" for factor in factors]
-        per_effect.append((f"`{name}`", *counts, *errors, covers))
-    total = [sum(tries["1"][k] for tries in named.values()) for k in (0, 1)]
-    covered = [sum(e["interval_covers"][k] for by in strengths.values() for e in by.values()) for k in (0, 1)]
-    confusion = [
-        (cell, ", ".join(f"{verdict} ({count})" for verdict, count in verdicts.items()))
-        for cell, verdicts in summary["confusion"].get("effect left out", {}).items()
-    ]
-    earlier = sum(bool(run.get("earlier_code")) for run in runs)
-    heads = ("effect", *(f"× {factor}" for factor in factors), "median error", "largest error", "interval covers")
-    note = f"{earlier} of the {len(runs)} runs were made with an earlier version and are marked `earlier_code`.\n"
-    return "\n".join(
-        [
-            f"Level α = {summary['alpha']}; {len(runs)} sessions.\n",
-            table(("question", "count", "95 % interval"), rows),
-            f"At typical strength {total[0]} of {total[1]} sessions end with exactly the planted effect named. "
-            f"Of the strengths found, {covered[0]} of {covered[1]} intervals of nominally 95 % contain the truth.\n",
-            note if earlier else "",
-            "**Named exactly, by planted strength in units of the typical one; errors of the strength found at × 1**\n",
-            table(heads, per_effect),
-            "**Verdict when the planted effect is left out of the library**\n",
-            table(("planted", "verdicts (sessions)"), confusion),
-        ]
-    )  # fmt: skip
-
-
-def described() -> str:
-    """What `benchmarks/described_effects.py` found."""
-    content = of_json("docs/described_effects.json")
-    kinds = [(kind, *row.values()) for kind, row in content["summary"].items()]
-    heads = ("sessions of", *next(iter(content["summary"].values())))
-    rows = []
-    for run in content["runs"]:
-        said = "; ".join(run["words"]) or run["verdict"] + (": " + ", ".join(run["named"]) if run["named"] else "")
-        right = {True: "yes", False: "no", None: ""}
-        marks = [right[run[key]] if run["described"] else "" for key in ("right_stage", "right_quantity")]
-        shown = run["described"] and run["closed"] is not None
-        closed = f"{run['closed']:.2f}" if shown else ""
-        ends = "{:.2f} to {:.2f}".format(*run["closed_interval"]) if shown and run["closed_interval"] else ""
-        rows.append((run["kind"], run["effect"], run["seed"], said, *marks, closed, ends))
-    return "\n".join(
-        [
-            table(heads, kinds),
-            table(("", "planted", "seed", "said", "right stage", "right quantity", "closed", "95 %"), rows),
-        ]
-    )
-
-
 def grammar() -> str:
     """The cells of `stages/described.py`, with their equations."""
     from pixelid.stages.described import all_cells
 
     rows = [(c.stage, f"`{c.quantity}`", f"`{c.covariate}`", f"`{c.form}`", c.equation) for c in all_cells()]
     return table(("stage", "quantity", "covariate", "form", "equation"), rows)
-
-
-def sensitivity() -> str:
-    """What `benchmarks/gap_sensitivity.py` found: a row per criterion, halved and doubled."""
-    content = of_json("docs/gap_sensitivity.json")
-    summary = content["summary"]
-    earlier = sum(bool(run.get("earlier_code")) for run in content["runs"])
-    halves: dict[str, list[dict]] = defaultdict(list)
-    for row in summary:
-        halves[row["criterion"]].append(row)
-    rows, turned = [], []
-    for name, pair in halves.items():
-        cells = [f"{r['some_decision_changes']} / {r['searched']} / {r['verdict_changes']}" for r in pair]
-        shares = [percent(r["share"]) if "share" in r else "≤ " + percent(r["share_at_most"]) for r in pair]
-        rows.append((f"`{name}`", f"{pair[0]['value']:g}", *cells, " and ".join(shares)))
-        turned += [(f"`{name}` = {r['changed_to']:g}", line.replace("->", "→")) for r in pair for line in r["which"]]
-    heads = (
-        "criterion", "value", "halved: decisions / searched / verdicts", "doubled: decisions / searched / verdicts",
-        "verdicts changed",
-    )  # fmt: skip
-    return "\n".join(
-        [
-            f"{summary[0]['sessions']} sessions. *Decisions*: sessions in which some decision on the way would be "
-            "another; *searched*: of these, searched again with the criterion changed; *verdicts*: of these, with "
-            "another verdict or name.\n",
-            f"{earlier} of the {len(content['runs'])} searches were made with an earlier version (`earlier_code`).\n",
-            table(heads, rows),
-            "**Verdicts that changed**\n",
-            table(("criterion", "session and verdict"), turned) if turned else "None.\n",
-        ]
-    )
-
-
-def single_sessions() -> str:
-    """Single simulated sessions, recorded by hand as their verdicts were read."""
-    recorded = of_json("docs/results/gap_sessions.json")
-    return recorded["note"] + "\n\n" + table(("planted", "verdict and strengths"), recorded["sessions"])
-
-
-def coverage() -> str:
-    """What `benchmarks/interval_coverage.py` found."""
-    summary = of_json("benchmarks/interval_coverage.json")["summary"]
-    rows = [
-        (f"`{name}`", f"{row['covered']} of {row['sessions']}", percent(row["share"]),
-         "–".join(percent(x) for x in row["share_interval_95"]), f"{row['mean_error_sd']:+.2f}",
-         f"{row['sd_error_sd']:.2f}")
-        for name, row in summary.items()
-    ]  # fmt: skip
-    heads = ("parameter", "covered", "share", "95 % interval of the share", "mean of error/std", "sd of error/std")
-    return table(heads, rows)
-
-
-def pixel_light() -> str:
-    """What `benchmarks/pixel_light.py` found."""
-    summary = of_json("benchmarks/pixel_light.json")["summary"]
-    parts = []
-    for pixels, part in summary.items():
-        rows = [
-            (f"`{name}`", f"{row['covered']} of {row['sessions']}",
-             "–".join(percent(x) for x in row["share_interval_95"]), f"{row['mean_error_sd']:+.2f}",
-             f"{row['sd_error_sd']:.2f}")
-            for name, row in part["parameters"].items()
-        ]  # fmt: skip
-        ended = ", ".join(f"{count} {status}" for status, count in part["statuses"].items())
-        parts.append(
-            f"{pixels} pixels, {part['sessions']} sessions ({ended}), {part['median_events']:.0f} events and "
-            f"{part['median_cpu_s']:.1f} s of CPU each in the median.\n\n"
-            + table(
-                ("parameter", "covered", "95 % interval of the share", "mean of error/std", "sd of error/std"), rows
-            )
-        )
-    return "\n\n".join(parts)
-
-
-def round_trip() -> str:
-    """What `benchmarks/round_trip.py` found."""
-    summary = of_json("benchmarks/round_trip.json")["summary"]
-    ways = list(summary)
-    names = list(summary[ways[0]]["parameters"])
-
-    def held(way: str, name: str) -> str:
-        row = summary[way]["parameters"][name]
-        low, high = row["expected_range"]
-        side = f", {row['one_sided']} with an open side" if row["one_sided"] else ""
-        return f"{row['held']} of {row['of']} ({low} to {high}){side}"
-
-    def late(way: str, when: str) -> str:
-        row = summary[way]["delay_error_us"][when]
-        return f"{row['median']:.1f} µs, at most {row['largest']:.1f} µs"
-
-    rows = [(f"`{name}`", *(held(way, name) for way in ways)) for name in names]
-    rows += [(f"error of the delay after `{when}`", *(late(way, when) for way in ways)) for when in ("convert", "fit")]
-    caption = "Sessions whose 95 % interval held the truth; in brackets what 99 % of exact intervals would show.\n\n"
-    return caption + table(("parameter", *(f"`--align {way}`" for way in ways)), rows)
-
-
-def ranks() -> str:
-    """What `benchmarks/posterior_ranks.py` found."""
-    summary = of_json("benchmarks/posterior_ranks.json")["summary"]
-    rows = [
-        (f"`{name}`", " ".join(map(str, row["counts"])), f"{row['p_chi2']:.3f}", f"{row['p_ks']:.3f}")
-        for name, row in summary["parameters"].items()
-    ]
-    return (
-        f"{summary['posteriors_converged']} of {summary['sessions']} posteriors converged. Smallest χ² p-value over "
-        f"the parameters, adjusted by Holm's method: {summary['smallest_p_holm']:.2f}.\n\n"
-        + table(("parameter", "ranks in ten bins", "p (χ²)", "p (Kolmogorov–Smirnov)"), rows)
-    )
-
-
-def reconstruction() -> str:
-    """What `benchmarks/reconstruction.py` found, one table per experiment."""
-    groups: dict[str, dict[tuple, list[dict]]] = defaultdict(lambda: defaultdict(list))
-    for run in of_json("docs/reconstruction.json"):
-        groups[run["experiment"]][run["setting"], run["arm"], run["iterations"]].append(run)
-    lines = []
-    for experiment, arms in groups.items():
-        rows = []
-        for (setting, arm, iterations), runs in arms.items():
-            psnr = [run["psnr"] for run in runs]
-            spread = f"{statistics.stdev(psnr):.2f}" if len(psnr) > 1 else ""
-            seconds = statistics.mean(run["cpu_seconds"] for run in runs)
-            ssim = statistics.mean(run["ssim"] for run in runs)
-            rows.append((setting, arm, iterations, len(runs), f"{statistics.mean(psnr):.2f}", spread, f"{ssim:.3f}",
-                         f"{seconds:.0f}"))  # fmt: skip
-        heads = ("setting", "arm", "steps", "seeds", "PSNR [dB]", "sd", "SSIM", "CPU s")
-        lines += [f"## {experiment.capitalize()}\n", table(heads, rows)]
-        if experiment == "bandwidth":
-            lines.append(_gain(arms))
-    return "\n".join(lines)
-
-
-def _gain(arms: dict[tuple, list[dict]]) -> str:
-    """PSNR with the pixel model minus without, seed by seed."""
-    rows = []
-    for (setting, arm, iterations), runs in arms.items():
-        off = {run["seed"]: run["psnr"] for run in arms.get((setting, "off", iterations), [])}
-        if arm == "on" and off:
-            rows.append((setting, ", ".join(f"{r['psnr'] - off[r['seed']]:+.2f}" for r in runs if r["seed"] in off)))
-    return "Gain of modelling the pixel, on minus off, seed by seed:\n\n" + table(("setting", "dB"), rows)
 
 
 def schemas() -> str:
@@ -377,95 +147,6 @@ def _meaning(entry: dict) -> str:
         )
     said = entry.get("description", "")
     return f"{kind}: {said}" if kind and said else kind or said or "any"
-
-
-def export_comparison() -> str:
-    """What `benchmarks/export_comparison.py` measured, one table per simulator."""
-    content = of_json("docs/results/export_comparison.json")
-    names = {"v2e": "v2e", "iebcs": "IEBCS", "dvs-voltmeter": "DVS-Voltmeter", "evlib": "ESIM of evlib 0.13.2"}
-    lines = []
-    for name, title in names.items():
-        rows = []
-        for run in content["runs"]:
-            if run["simulator"] != name:
-                continue
-            theirs, ours = run["theirs"], run["ours"]
-            cells = [f"{theirs[k]:.2f} / {ours[k]:.2f}" for k in ("on_steps", "off_steps", "on_sine", "off_sine")]
-            late = [
-                " / ".join("none" if side[k] is None else f"{side[k]:.3f}" for side in (theirs, ours))
-                for k in ("latency_up_ms", "latency_down_ms")
-            ]
-            rows.append((run["circuit"], *cells, *late))
-        heads = ("circuit", "ON, steps", "OFF, steps", "ON, sine", "OFF, sine", "first ON [ms]", "first OFF [ms]")
-        lines += [f"## {title}\n", table(heads, rows)] if rows else []
-    if content["filter"]:
-        apart = content["filter"]["difference_ln"]
-        lines.append(
-            "The pixel filter of Deblur e-NeRF, given the exported calibration, differs from the trajectory of this "
-            f"package by {apart:.1e} in ln after 400 samples of a sine.\n"
-        )
-    return "\n".join(lines)
-
-
-def conform_results() -> str:
-    """Tables that `pixelid conform` made of recordings of simulators."""
-    lines = []
-    for path in sorted((ROOT / "docs" / "results" / "conform").glob("*.json")):
-        content = json.loads(path.read_text())
-        lines += [f"## {content['title']}\n", content["about"] + "\n", content["sentence"] + "\n"]
-        rows = [
-            (row["stage"].replace("_", " "), f"`{row['effect']}`", row["verdict"].replace("_", " "), _strength(row),
-             "" if row["evidence"]["heldout_gain_nats"] is None else f"{row['evidence']['heldout_gain_nats']:.1f}",
-             row["evidence"]["why"])
-            for row in content["rows"]
-        ]  # fmt: skip
-        heads = ("stage", "effect", "verdict", "strength (95 %)", "held-out gain [nats]", "why")
-        lines.append(table(heads, rows))
-    return "\n".join(lines)
-
-
-def _strength(row: dict) -> str:
-    """The strengths of a row of conform.json, or what would have shown."""
-    limit = row["evidence"]["detection_limit"]
-    if limit:
-        return f"would have shown at {limit['parameter']} = {limit['value']:.3g}"
-    said = []
-    for name, each in row["parameters"].items():
-        ends = each["interval_95"]
-        limits = f" ({' to '.join('–' if x is None else f'{x:.4g}' for x in ends)})" if ends else ""
-        said.append(f"{name} = {each['value']:.4g}{limits}")
-    return "; ".join(said)
-
-
-def faults() -> str:
-    """What `tests/faults.py` saw: commands against faults, kills and interrupts."""
-    content = of_json("docs/results/faults.json")
-    kinds = list(dict.fromkeys(kind for found in content["faults"].values() for kind in found))
-    rows = []
-    for name, found in content["faults"].items():
-        cells = [f"{e['survived']} of {e['runs']}" if (e := found.get(kind)) and e["runs"] else "–" for kind in kinds]
-        rows.append((f"`{name}`", *cells))
-    text = table(("command", *(kind if " " in kind else f"{kind} fails" for kind in kinds)), rows)
-    kills = [(f"`{name}`", e["kills"], e["equal"]) for name, e in content["kills"].items()]
-    text += "\n" + table(("command", "kills", "next run equal"), kills) if kills else ""
-    heads = ("command", "interrupts", "exit code 130 in two seconds", "slowest [s]")
-    ended = [
-        (f"`{name}`", e["interrupts"], e["in_two_seconds"], e["slowest_s"])
-        for name, e in content.get("interrupts", {}).items()
-    ]
-    return text + ("\n" + table(heads, ended) if ended else "")
-
-
-def speed() -> str:
-    """What `benchmarks/speed.py` measured."""
-    return speed_page.page(of_json("docs/speed.json"), table)
-
-
-def fuzzing() -> str:
-    """What `tests/fuzz.py` found, run after run."""
-    heads = ("seed", "damaged files", "kinds of file", "answered wrongly", "kinds of wrong answer")
-    found = of_json("docs/results/fuzz.json")
-    return table(heads, ((e["seed"], e["runs"], e["targets"], e["failures"], e["kinds"]) for e in found))
 
 
 def sensors() -> str:
@@ -517,21 +198,21 @@ PAGES: dict[str, Callable[[], str]] = {
     "commands": commands,
     "lowlight": lowlight,
     "lowlight_latencies": lowlight_latencies,
-    "certification": certification,
-    "described": described,
+    "certification": measured.certification,
+    "described": measured.described,
     "grammar": grammar,
-    "sensitivity": sensitivity,
-    "export_comparison": export_comparison,
-    "conform_results": conform_results,
-    "single_sessions": single_sessions,
-    "coverage": coverage,
-    "faults": faults,
-    "fuzzing": fuzzing,
-    "speed": speed,
-    "ranks": ranks,
-    "pixel_light": pixel_light,
-    "round_trip": round_trip,
-    "reconstruction": reconstruction,
+    "sensitivity": measured.sensitivity,
+    "export_comparison": measured.export_comparison,
+    "conform_results": measured.conform_results,
+    "single_sessions": measured.single_sessions,
+    "coverage": measured.coverage,
+    "faults": measured.faults,
+    "fuzzing": measured.fuzzing,
+    "speed": measured.speed,
+    "ranks": measured.ranks,
+    "pixel_light": measured.pixel_light,
+    "round_trip": measured.round_trip,
+    "reconstruction": measured.reconstruction,
     "schemas": schemas,
     "api": reference.page,
 }
