@@ -24,7 +24,7 @@ POSITIVE = options.Number(0.0, 1e9, open_low=True)
 @click.argument("out", type=options.NEW)
 @click.option("--start", type=options.Number(0.0, 1e9), metavar="S", help="Begin S seconds after the first pose.")
 @click.option("--end", type=POSITIVE, metavar="S", help="End S seconds after the first pose.")
-@click.option("--every", type=options.PIXELS, default=1, show_default=True, metavar="N",
+@click.option("--every", type=click.IntRange(1, 1 << 24), default=1, show_default=True, metavar="N",
               help="Keep one pixel in N, with all of its events.")  # fmt: skip
 @click.option("--views", type=click.IntRange(0, 1_000_000), default=40, show_default=True, metavar="N",
               help="At most N pictures as views to compare with; 0: none.")  # fmt: skip
