@@ -33,7 +33,7 @@ Example:
 @click.option(
     "--draws", type=click.IntRange(1, 10_000), default=4, show_default=True, help="Parameter values averaged over."
 )
-@click.option("--spread", type=options.Number(0.0), help="Their standard deviation in ln, without a fit [0.2].")
+@click.option("--spread", type=options.Number(0.0, 10.0), help="Their standard deviation in ln, without a fit [0.2].")
 @click.option("--per-second", is_flag=True, help="Rank by score per second of light.")
 @click.option(
     "--biases", is_flag=True, help="MODEL is a folder of `rates --bias-law`: recommend a setting of its bias."

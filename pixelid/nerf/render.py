@@ -93,9 +93,10 @@ def _tensors(grid: torch.Tensor, background: torch.Tensor, rays: Rays, box: Box)
     a, b = (low - o) / safe, (high - o) / safe
     near = torch.minimum(a, b).amax(dim=1).clamp(min=0.0)
     far = torch.maximum(a, b).amin(dim=1)
-    most = max(int(torch.ceil((far - near).clamp(min=0).max() / box.step).item()), 1) + 1
+    hit = (near < far) & (far < kernels.FARTHEST * box.step)
+    most = max(int(torch.ceil(((far - near) * hit).nan_to_num().max() / box.step).item()), 1) + 1
     t = near[:, None] + (offset[:, None] + torch.arange(most, device=device)) * box.step
-    inside = (t < far[:, None]) & (far > near)[:, None]
+    inside = (t < far[:, None]) & hit[:, None]
     ray, sample = torch.nonzero(inside, as_tuple=True)
     point = (o[ray] + t[ray, sample][:, None] * d[ray] - low) / (high - low)  # 0 … 1 in the box
     shape = torch.tensor(grid.shape[:3], device=device)
@@ -119,7 +120,7 @@ def _tensors(grid: torch.Tensor, background: torch.Tensor, rays: Rays, box: Box)
     # transmittance where the march stopped: the last sample that was still visited
     last = (seen.cumsum(dim=1) - 1).clamp(min=0).argmax(dim=1)
     T = after.gather(1, last[:, None])[:, 0]
-    T = torch.where(far > near, T, torch.ones_like(T))
+    T = torch.where(hit, T, torch.ones_like(T))
     return radiance + T * background[channel], (1 - T).detach()
 
 

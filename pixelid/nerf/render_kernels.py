@@ -21,6 +21,7 @@ OPAQUE = 1e-3
 CLEAR = 1e-3  # opacity of a step below which a sample is passed over
 BLOCK = 4  # cells per side of an occupancy block
 HIGHEST = 12.0  # of log density and log radiance
+FARTHEST = 1e6  # steps from the camera: beyond, origins in single precision miss cells, and further a march stands still
 
 
 @njit(inline="always", error_model="numpy")
@@ -76,7 +77,7 @@ def forward(origins, directions, channels, offsets, grid, occupied, low, high, s
         o, d, c = origins[i], directions[i], channels[i]
         near, far = _span(o, d, low, high)
         T, L = np.float32(1.0), np.float32(0.0)
-        if far > near:
+        if near < far < FARTHEST * step:
             px, py, pz = (o[0] - low[0]) * sx, (o[1] - low[1]) * sy, (o[2] - low[2]) * sz
             qx, qy, qz = d[0] * sx, d[1] * sy, d[2] * sz
             t = near + offsets[i] * step
@@ -118,7 +119,7 @@ def backward(
         o, d, c = origins[i], directions[i], channels[i]
         near, far = _span(o, d, low, high)
         T, left = np.float32(1.0), radiance[i]
-        if far > near:
+        if near < far < FARTHEST * step:
             px, py, pz = (o[0] - low[0]) * sx, (o[1] - low[1]) * sy, (o[2] - low[2]) * sz
             qx, qy, qz = d[0] * sx, d[1] * sy, d[2] * sz
             t = near + offsets[i] * step

@@ -211,8 +211,8 @@ def fit_sensor(
     plan = Plan(model, bandwidth, block, width, reach)
     plan.check()
     tiles = tiles_of(width, height, tile)
-    identity = "" if keep is None else _claim(keep, recordings, plan, tile)
     with connected(where) as client:
+        identity = "" if keep is None else _claim(keep, recordings, plan, tile)
         parts = run_tasks(
             estimate_tile,
             len(tiles),

@@ -24,6 +24,7 @@ import fuzz_targets
 
 DATA = Path(__file__).parents[1] / "data"
 MOST_S = 20.0  # CPU time of an answer; imports and compilation are in it
+MOST_WORK_S = 120.0  # of good inputs beside good options, in commands that fit again and again
 GOOD = {  # command → words that run; {out} is free
     "models": "dvs128",
     "inspect": "good.h5 --out {out}",
@@ -111,7 +112,7 @@ def write_sequence(folder: Path) -> None:
     (folder / "camchain.yaml").write_text(camera)
 
 
-def answer(words: list[str], place: Path, capsys, monkeypatch) -> int:
+def answer(words: list[str], place: Path, capsys, monkeypatch, most_s: float = MOST_S) -> int:
     """The exit code; wrong answers fail here."""
     monkeypatch.chdir(place)
     before = everything(place)
@@ -120,7 +121,7 @@ def answer(words: list[str], place: Path, capsys, monkeypatch) -> int:
         raise TimeoutError
 
     signal.signal(signal.SIGVTALRM, too_long)
-    signal.setitimer(signal.ITIMER_VIRTUAL, MOST_S)
+    signal.setitimer(signal.ITIMER_VIRTUAL, most_s)
     try:
         code = main([*words, "--quiet"])
     finally:
@@ -162,11 +163,12 @@ def test_what_is_no_number_and_no_choice(command, place, capsys, monkeypatch):
 @pytest.mark.slow
 @pytest.mark.parametrize("command", [name for name in GOOD if name not in ("demo", "flicker")])
 def test_the_words_run(command, place, capsys, monkeypatch):
-    assert answer([command, *GOOD[command].format(out="out").split()], place, capsys, monkeypatch) in (0, 1)
+    words = [command, *GOOD[command].format(out="out").split()]
+    assert answer(words, place, capsys, monkeypatch, MOST_WORK_S) in (0, 1)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("command", GOOD)
+@pytest.mark.parametrize("command", [name for name in GOOD if name != "demo"])  # which takes minutes, whatever its seed
 def test_texts_and_huge_numbers(command, place, capsys, monkeypatch):
     good = GOOD[command].format(out="out").split()
     for words, refused in cases(command):

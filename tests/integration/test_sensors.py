@@ -175,6 +175,7 @@ def test_a_cluster_that_is_none_is_said_within_seconds(where, tmp_path, sensor, 
         words = ["sensor", str(tmp_path / "r.h5"), "--model", "dvs128", "--out", str(tmp_path / "maps"), "--quiet"]
         assert main([*words, "--cluster", str(address)]) == 2
         assert time.monotonic() - begun < 10.0 + 60.0 * (os.getloadavg()[0] > (os.cpu_count() or 1))
+    assert [file.name for file in tmp_path.iterdir()] == ["r.h5"]
     said = capsys.readouterr().err
     assert said.count("\n") == 1
     assert "no workers" in said if where == "no workers" else "no Dask scheduler answers" in said

@@ -39,6 +39,22 @@ def test_a_uniform_box_absorbs_exponentially(engine):
     assert float(opacity) == pytest.approx(1 - through, rel=1e-4)
 
 
+@pytest.mark.parametrize("away", [1e8, 9e18, np.inf])
+@pytest.mark.parametrize("engine", ["compiled", "tensors"])
+def test_from_too_far_away_there_is_only_the_background(engine, away):
+    grid = torch.zeros(17, 17, 17, 2, requires_grad=True)
+    rays = Rays(
+        np.array([[-away, 0.1, 0.2]], np.float32), np.array([[1, 0, 0]], np.float32), np.zeros(1, int),
+        np.full(1, 0.5, np.float32),
+    )  # fmt: skip
+    box = Box(LOW, HIGH, 2 / 64, np.ones((4, 4, 4), np.uint8))
+    radiance, opacity = render(grid, torch.tensor([5.0]), rays, box, engine)
+    radiance.sum().backward()
+    assert (float(radiance.detach()), float(opacity)) == (5.0, 0.0)
+    assert grid.grad is not None
+    assert not grid.grad.any()
+
+
 @pytest.mark.parametrize("channels", [1, 3])
 def test_both_engines_agree_with_their_gradients(channels):
     rng = np.random.default_rng(0)
