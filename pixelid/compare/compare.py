@@ -18,6 +18,7 @@ from pixelid.documents import interpreting
 from pixelid.errors import InputError
 from pixelid.fit import FitResult, fit
 from pixelid.fit.event_times import EventTimesObjective
+from pixelid.fit.fit import check_event_times
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.model.files import save_model
 from pixelid.model.model import Model
@@ -183,11 +184,13 @@ def compare(
         Every model's fit and held-out log-likelihood, and what to conclude.
 
     Raises:
-        InputError: fewer than two models, two of one name, and fewer pixels than folds.
+        InputError: fewer than two models, two of one name, one without threshold noise, and fewer pixels than folds.
     """
     names = [model.name for model in models]
     if len(models) < 2 or len(set(names)) < len(names):
         raise InputError(f"compare: expected two or more models of different names, found {', '.join(names) or 'none'}")
+    for model in models:
+        check_event_times(model)
     report = progress or (lambda what, fraction: None)
     pixels = np.unique(np.concatenate([r.events.pixel for r in recordings]))
     if len(pixels) < folds or folds < 2:

@@ -71,8 +71,8 @@ class Coordinates:
     def model_at(self, x: np.ndarray) -> Model:
         """The model at a coordinate vector; bounds widen where the vector sits on them."""
         values = self.values(x)
-        inside = {p.name: min(max(values[p.name], p.lower), p.upper) for p in self.model.parameters.values()}
-        own = {name: min(max(values[name], p.lower), p.upper) for name, p in self.model.nuisances.items()}
+        inside = {p.name: p.within(values[p.name]) for p in self.model.parameters.values()}
+        own = {name: p.within(values[name]) for name, p in self.model.nuisances.items()}
         model = self.model.set(inside)
         return replace(model, nuisances={name: p.at(own[name]) for name, p in self.model.nuisances.items()})
 

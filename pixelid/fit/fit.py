@@ -192,11 +192,16 @@ def fit(
     )
 
 
-def _fit_event_times(recordings, model, clocks, starts, between, maximiser: Engine, form, rng, report):
+def check_event_times(model: Model) -> None:
+    """Raise InputError for a model without threshold noise: event times have no density under it."""
     if "threshold_noise" not in model.effects:
         raise InputError(
             f"model {model.name}: the event-time likelihood needs threshold_noise (add it with --with threshold_noise)"
         )
+
+
+def _fit_event_times(recordings, model, clocks, starts, between, maximiser: Engine, form, rng, report):
+    check_event_times(model)
     full = EventTimes(recordings)
     scout = EventTimes(few(recordings, SCOUT_EVENTS, rng))
     if unseparated(recordings):

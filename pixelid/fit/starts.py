@@ -31,13 +31,13 @@ def feasible(model: Model, likelihood: EventTimes) -> Model:
     relative = np.abs(terms.z / np.where(on, levels["on_threshold"], levels["off_threshold"]) - 1.0)
     if "threshold_sigma" in model.free:
         levels["threshold_sigma"] = float(np.clip(1.48 * np.median(relative), 0.02, 0.5))
-    return model.set({name: value for name, value in levels.items() if name in model.free})
+    return model.set({name: model.parameter(name).within(levels[name]) for name in levels if name in model.free})
 
 
 def longest_dead_time(model: Model, likelihood: EventTimes) -> float:
     """The longest dead time in seconds to start a fit at, within the parameter's bounds: below nearly all intervals."""
     parameter = model.parameter("refractory_s")
-    return float(np.clip(0.9 * likelihood.shortest_intervals_s(1e-3), parameter.lower, parameter.upper))
+    return parameter.within(0.9 * likelihood.shortest_intervals_s(1e-3))
 
 
 def random_starts(start: np.ndarray, count: int, rng: np.random.Generator, spread: float = 0.5) -> list[np.ndarray]:

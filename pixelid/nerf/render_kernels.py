@@ -21,7 +21,7 @@ OPAQUE = 1e-3
 CLEAR = 1e-3  # opacity of a step below which a sample is passed over
 BLOCK = 4  # cells per side of an occupancy block
 HIGHEST = 12.0  # of log density and log radiance
-FARTHEST = 1e6  # steps from the camera: beyond, origins in single precision miss cells, and further a march stands still
+FARTHEST = 1e6  # steps from the camera: beyond, single-precision origins miss cells, in the end a march stands still
 
 
 @njit(inline="always", error_model="numpy")

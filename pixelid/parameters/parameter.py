@@ -79,6 +79,10 @@ class Parameter:
         """The same parameter at another value."""
         return replace(self, value=float(value))
 
+    def within(self, value: float) -> float:
+        """`value`, or the bound that it lies beyond."""
+        return min(max(value, self.lower), self.upper)
+
     def fixed(self) -> Parameter:
         """The same parameter, not to be moved by fits."""
         return replace(self, free=False)

@@ -67,3 +67,5 @@ def test_leave_one_pixel_out_agrees_with_held_out_pixels():
 def test_comparisons_that_make_no_sense():
     with pytest.raises(InputError, match="two or more models"):
         compare([], [find_model("dvs128")])
+    with pytest.raises(InputError, match="threshold_noise"):
+        compare([], [find_model("dvs128"), find_model("ideal")])

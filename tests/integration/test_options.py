@@ -31,7 +31,7 @@ GOOD = {  # command → words that run; {out} is free
     "convert": "good.h5 {out}.h5",
     "simulate": "dvs128 --stimulus good.h5 --out {out}.h5 --pixels 1",
     "fit": "good.h5 --model dvs128 --out {out}",
-    "compare": "good.h5 --model dvs128 --model ideal --out {out}",
+    "compare": "good.h5 --model dvs128 --model dvs128_low_light --out {out}",
     "sensor": "good.h5 --model dvs128 --out {out} --bootstrap 0",
     "rates": "rates.csv --out {out}",
     "latency": "latency.csv --out {out} --predict --model gen31",
