@@ -135,7 +135,7 @@ def reconstruct(
         sensor: folder of a sensor fit, whose maps say how the pixels differ.
         bandwidth: the pixel's filter: "on" (known), "off" (ignored), or "joint" (trained with the scene).
         samples: of the pixel's past.
-        trained: also trained with "joint": "threshold", "ratio", "refractory".
+        trained: of the comparator, trained with the scene: "threshold", "ratio", "refractory".
         iterations: training steps.
         background: radiance behind the scene; by default what the views show.
         scale: what pins the radiance unit: "auto", "level" or "free".
@@ -159,19 +159,19 @@ def reconstruct(
     from dataclasses import replace
 
     from pixelid.nerf.dataset import read_dataset
-    from pixelid.nerf.pixel import FILTER, Bandwidth
+    from pixelid.nerf.pixel import COMPARATOR, Bandwidth
     from pixelid.nerf.reconstruct import reconstruct as run
     from pixelid.nerf.train import Recipe
 
     if bandwidth not in ("on", "off", "joint"):
         raise InputError(f"bandwidth: expected on, off or joint, found {bandwidth!r}")
-    if trained and bandwidth != "joint":
-        raise InputError(f"trained: {trained[0]} needs bandwidth='joint', found {bandwidth!r}")
+    if unknown := [name for name in trained if name not in COMPARATOR]:
+        raise InputError(f"trained: expected names of {', '.join(COMPARATOR)}, found {unknown[0]!r}")
     recipe = replace(Recipe(), iterations=iterations) if iterations else Recipe()
     return run(
         read_dataset(Path(dataset)), fit=None if fit is None else Path(fit),
         sensor=None if sensor is None else Path(sensor),
-        bandwidth=Bandwidth(bandwidth, samples, trained=(*FILTER, *trained)), recipe=recipe, background=background,
+        bandwidth=Bandwidth(bandwidth, samples, trained=tuple(trained)), recipe=recipe, background=background,
         scale=scale, box=box, radiance_scale=radiance_scale, resume=None if resume is None else Path(resume),
         device=device, seed=seed, progress=progress or (lambda what, share: None),
     )  # fmt: skip

@@ -40,7 +40,7 @@ class StepsOrAuto(click.IntRange):
               help="The pixel's filter: known, ignored, or trained with the scene.")  # fmt: skip
 @click.option("--samples", type=click.IntRange(1, 1000), default=30, show_default=True, help="S, of the pixel's past.")
 @click.option("--train", "comparator", multiple=True, type=click.Choice(["threshold", "ratio", "refractory"]),
-              help="Trained too, with --bandwidth joint: mean threshold, ON/OFF ratio, dead time.")  # fmt: skip
+              help="Of the comparator, trained with the scene: mean threshold, ON/OFF ratio, dead time.")  # fmt: skip
 @click.option("--cells", type=click.IntRange(8, 512),
               help="Cells of the field per side; by default one per pixel, 32 to 160.")  # fmt: skip
 @click.option("--steps", "--iterations", type=StepsOrAuto(), default=1200, show_default=True,
@@ -80,8 +80,6 @@ def command(
     from pixelid.errors import InputError
     from pixelid.outputs import claimed, refuse_existing, whole_folder
 
-    if comparator and bandwidth != "joint":
-        raise InputError(f"--train {comparator[0]}: needs --bandwidth joint, found {bandwidth}")
     if checkpoint is not None and checkpoint.is_dir():
         raise InputError(f"{checkpoint}: expected a file for the training's state, found a folder")
     if checkpoint is not None and not checkpoint.parent.exists():
@@ -94,7 +92,7 @@ def command(
     from pixelid.nerf import parallel
     from pixelid.nerf.dataset import read_dataset
     from pixelid.nerf.figures import write_figures
-    from pixelid.nerf.pixel import FILTER, Bandwidth
+    from pixelid.nerf.pixel import Bandwidth
     from pixelid.nerf.reconstruct import reconstruct
     from pixelid.nerf.train import Recipe
     from pixelid.report.html import write_report
@@ -106,7 +104,7 @@ def command(
         recipe = replace(Recipe(), iterations=0, batch=0) if steps == AUTO else replace(Recipe(), iterations=steps)
         recipe = replace(recipe, batch=batch) if batch else recipe
         recipe = recipe.with_cells(cells) if cells else recipe
-        pixel = Bandwidth(bandwidth, samples, trained=(*FILTER, *comparator))
+        pixel = Bandwidth(bandwidth, samples, trained=comparator)
         with bar(quiet or not first, compiles=True) as report:
             result = reconstruct(
                 data, fit=fit, sensor=sensor, bandwidth=pixel, recipe=recipe, background=background, scale=scale,

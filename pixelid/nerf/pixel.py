@@ -2,9 +2,10 @@
 
 Trained parameters are factors e^x, positive, with a Gaussian prior on x: what a fit leaves uncertain, or a wide one.
 The invariants α, β, γ and the source follower are what the data can say of the filter (docs/model.md, "Invariants");
-fixing q_in, as the paper does, would leave flat directions.  On request the comparator is trained too: mean threshold,
-ON/OFF ratio and dead time, the last to first order, by moving where intervals begin.  Only stages that the circuit has
-enter, and only those are trained.
+fixing q_in, as the paper does, would leave flat directions.  On request the comparator is trained too, whatever is done
+of the filter: mean threshold, ON/OFF ratio and dead time, the last to first order, by moving where intervals begin.
+Without a filter that is the pixel of Low & Lee, arXiv 2309.08596.  Only stages that the circuit has enter, and only
+those are trained.
 
 Thresholds of single pixels are trained in every mode, as far as they are unknown (`pixel_maps`).  Their mean over the
 pixels is held: a common factor is the circuit's, and would otherwise follow the contrast that the field still lacks.
@@ -34,14 +35,19 @@ PRIOR_SD = 1.5  # of ln(factor), when no fit says better
 class Bandwidth:
     """How the pixel enters.
 
-    mode: "on", "off" or "joint";  samples: S of the past;  prior_sd: of ln(factor), per name of `TRAINED` (default
-    `PRIOR_SD`);  trained: names of `TRAINED` that "joint" trains
+    mode: the filter is known ("on"), ignored ("off") or trained ("joint");  samples: S of the past;  prior_sd: of
+    ln(factor), per name of `TRAINED` (default `PRIOR_SD`);  trained: names of `COMPARATOR` that are trained too
     """
 
     mode: str = "on"
     samples: int = 30
     prior_sd: dict[str, float] | None = None
-    trained: tuple[str, ...] = FILTER
+    trained: tuple[str, ...] = ()
+
+    @property
+    def moving(self) -> tuple[str, ...]:
+        """The names of `TRAINED` that are trained, in a circuit that has them."""
+        return (*FILTER, *self.trained) if self.mode == "joint" else self.trained
 
 
 def filter_parameters(circuit: Circuit) -> tuple[str, ...]:
@@ -60,8 +66,8 @@ def limits_bandwidth(circuit: Circuit) -> bool:
 class Pixel(torch.nn.Module):
     """A circuit as tensors, and its pixels.
 
-    factors: (7,) logs of what multiplies `TRAINED`, trained in mode "joint";  departures: (pixels, 2) of single ON and
-    OFF thresholds from what `maps` expects, in its standard deviations, trained where they are not 0
+    factors: (7,) logs of what multiplies `TRAINED`, trained where `moves` is 1;  departures: (pixels, 2) of single ON
+    and OFF thresholds from what `maps` expects, in its standard deviations, trained where they are not 0
     """
 
     nominal: torch.Tensor
@@ -82,11 +88,9 @@ class Pixel(torch.nn.Module):
         self.departures = torch.nn.Parameter(torch.zeros_like(self.expected), requires_grad=trained)
         sd = [(bandwidth.prior_sd or {}).get(name, PRIOR_SD) for name in TRAINED]
         self.register_buffer("prior_sd", torch.tensor(sd, dtype=torch.float64))
-        self.factors = torch.nn.Parameter(
-            torch.zeros(len(TRAINED), dtype=torch.float64), requires_grad=bandwidth.mode == "joint"
-        )
-        present = (*filter_parameters(circuit), *COMPARATOR)
-        moves = [float(bandwidth.mode == "joint" and name in bandwidth.trained and name in present) for name in TRAINED]
+        moving = {*filter_parameters(circuit), *COMPARATOR} & {*bandwidth.moving}
+        moves = [float(name in moving) for name in TRAINED]
+        self.factors = torch.nn.Parameter(torch.zeros(len(TRAINED), dtype=torch.float64), requires_grad=bool(moving))
         self.register_buffer("moves", torch.tensor(moves, dtype=torch.float64))
 
     @property

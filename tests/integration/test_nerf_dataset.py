@@ -273,7 +273,7 @@ def test_a_broken_dataset_is_refused(wrong, scene, capsys):
         (["--box", "1", "1", "1", "0", "0", "0"], "--box"),
         (["--checkpoint", "missing/x.pt"], "does not exist"),
         (["--seed", "-1"], "--seed"),
-        (["--train", "ratio"], "--bandwidth joint"),
+        (["--train", "alpha"], "--train"),
     ],
 )
 def test_bad_usage_is_refused(made, tmp_path, capsys, options, says):

@@ -74,14 +74,16 @@ def test_the_command_writes_its_contract(made, tmp_path, capsys, bandwidth):
     assert capsys.readouterr().out == ""
 
 
-def test_the_command_trains_the_comparator_on_request(made, tmp_path):
+@pytest.mark.parametrize("bandwidth", ["on", "off", "joint"])
+def test_the_command_trains_the_comparator_on_request(made, tmp_path, bandwidth):
     words = ["reconstruct", str(made), "--out", str(tmp_path / "out"), "--iterations", "20", "--quiet"]
-    main([*words, "--bandwidth", "joint", "--train", "threshold", "--train", "refractory"])
+    main([*words, "--bandwidth", bandwidth, "--train", "threshold", "--train", "refractory"])
     pixel = json.loads((tmp_path / "out" / "reconstruction.json").read_text())["pixel"]
     assert pixel["on_threshold"] != 0.25
     assert pixel["on_threshold"] == pytest.approx(pixel["off_threshold"])  # the ratio was not asked for
     assert pixel["refractory_s"] > 0
     assert pixel["refractory_s"] != 1e-4
+    assert (pixel["alpha"] != read_dataset(made).calibration.circuit.alpha) == (bandwidth == "joint")
 
 
 @pytest.mark.parametrize("mode", ["on", "joint"])

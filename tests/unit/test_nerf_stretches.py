@@ -100,7 +100,7 @@ def test_thresholds_and_dead_time_are_trained_with_the_rest():
         on_threshold=0.19, off_threshold=0.17, refractory=5.2e-4,
     )  # fmt: skip
     zero = np.zeros(len(when), int)
-    pixel = Pixel(circuit, Bandwidth("joint", trained=("threshold", "ratio", "refractory")))
+    pixel = Pixel(circuit, Bandwidth("on", trained=("threshold", "ratio", "refractory")))
     spans = intervals(when, zero, zero, on, 1, dead=circuit.refractory)
     batch = chains(spans, np.arange(0, len(spans.starts) - 16, 8), 100, 1000.0, np.random.default_rng(0))
     u = torch.tensor(np.log(np.interp(batch.t, t, light)))
