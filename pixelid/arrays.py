@@ -7,8 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pixelid.documents import shown
-from pixelid.errors import InputError
+from pixelid.errors import InputError, shown
 
 MOST_BYTES = 2 << 30  # unpacked; deflate packs zeros a thousandfold
 

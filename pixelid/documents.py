@@ -18,7 +18,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, cast
 
-from pixelid.errors import InputError
+from pixelid.errors import InputError, first_line, printable, shown
 
 MOST_BYTES = {"TOML": 2 << 20, "JSON": 64 << 20, "CSV": 64 << 20}  # each is read within 5 s
 MOST_NESTED = 64  # of what pixelid writes, gap.json is the deepest: 8
@@ -31,19 +31,6 @@ _TOKEN = re.compile(
     r'|"(?:[^"\\\n]|\\(?:.|\Z))*+"?|\'[^\'\n]*+\'?|#[^\n]*+|[\[{]|[\]}]|\.|[=,\n]|[^"\'#\[\]{}.=,\n]++',
     re.DOTALL,
 )
-# Control characters, also those that turn the direction of text: nothing that a terminal or a page should be sent.
-_UNPRINTABLE = re.compile(
-    "[\x00-\x08\x0b-\x1f\x7f-\x9f\u200e\u200f\u202a-\u202e\u2066-\u2069\ud800-\udfff\ufffe\uffff]"
-)
-
-
-def printable(text: str) -> str:
-    """`text` without control characters; line breaks and tabs stay.
-
-    >>> printable("\x1b[31mred\x1b[0m")
-    '[31mred[0m'
-    """
-    return _UNPRINTABLE.sub("", text)
 
 
 def read_toml(path: str | Path) -> dict[str, Any]:
@@ -143,23 +130,6 @@ def interpreting(path: str | Path, expected: str) -> Iterator[None]:
         raise InputError(f"{path}: expected {expected}, found another kind of value ({first_line(error)})") from error
 
 
-def shown(value: object, most: int = 60) -> str:
-    """A value in a message: short, on one line."""
-    try:
-        text = repr(value)
-    except (ValueError, RecursionError):  # an integer of more digits than Python writes
-        text = type(value).__name__
-    return printable(text if len(text) <= most else text[: most - 1] + "…")
-
-
-def first_line(error: Exception) -> str:
-    """What an exception says, in a message: short, on one line."""
-    if isinstance(error, RecursionError):
-        return "nested too deeply"
-    lines = printable(str(error)).splitlines()
-    return lines[0][:160] if lines else type(error).__name__
-
-
 def _check_structure(text: str, path: Path) -> None:
     """Refuse nesting and keys that would take the parser out of its depth."""
     depth, parts = 0, 0
@@ -185,7 +155,7 @@ def _check(value: Any, depth: int = 0) -> None:
         raise ValueError(f"nested more than {MOST_NESTED} deep")
     if isinstance(value, dict):
         for key, inner in value.items():
-            if _UNPRINTABLE.search(key) or "\n" in key:
+            if printable(key) != key or "\n" in key:
                 raise ValueError(f"a key holds control characters: {shown(key)}")
             _check(inner, depth + 1)
     elif isinstance(value, list):

@@ -1,4 +1,4 @@
-"""Errors a user can act on.
+"""Errors a user can act on, and what may stand in their messages.
 
 `InputError` is for bad input or usage (exit code 2): its message names the file, the field, what was
 expected and what was found.  `UntrustworthyResult` is for a computation that ran but must not be believed
@@ -7,7 +7,13 @@ expected and what was found.  `UntrustworthyResult` is for a computation that ra
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
+
+# Control characters, also those that turn the direction of text: nothing that a terminal or a page should be sent.
+_UNPRINTABLE = re.compile(
+    "[\x00-\x08\x0b-\x1f\x7f-\x9f\u200e\u200f\u202a-\u202e\u2066-\u2069\ud800-\udfff\ufffe\uffff]"
+)
 
 
 class PixelidError(Exception):
@@ -55,3 +61,29 @@ def did_you_mean(name: object, known: Iterable[str]) -> str:
 
     close = difflib.get_close_matches(str(name), list(known), n=1, cutoff=0.6)
     return f" (did you mean {close[0]!r}?)" if close else ""
+
+
+def printable(text: str) -> str:
+    """`text` without control characters; line breaks and tabs stay.
+
+    >>> printable("\x1b[31mred\x1b[0m")
+    '[31mred[0m'
+    """
+    return _UNPRINTABLE.sub("", text)
+
+
+def shown(value: object, most: int = 60) -> str:
+    """A value in a message: short, on one line."""
+    try:
+        text = repr(value)
+    except (ValueError, RecursionError):  # an integer of more digits than Python writes
+        text = type(value).__name__
+    return printable(text if len(text) <= most else text[: most - 1] + "…")
+
+
+def first_line(error: Exception) -> str:
+    """What an exception says, in a message: short, on one line."""
+    if isinstance(error, RecursionError):
+        return "nested too deeply"
+    lines = printable(str(error)).splitlines()
+    return lines[0][:160] if lines else type(error).__name__

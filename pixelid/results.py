@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, cast
 
-from pixelid.documents import read_json, shown
-from pixelid.errors import InputError
+from pixelid.documents import read_json
+from pixelid.errors import InputError, shown
 from pixelid.outputs import refuse_existing, whole_folder, write_json
 from pixelid.status import Status
 

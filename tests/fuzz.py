@@ -27,8 +27,7 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 from fuzz_targets import Target, targets
 
-from pixelid.documents import printable
-from pixelid.errors import InputError
+from pixelid.errors import InputError, printable
 from pixelid.recordings import isolated
 
 CPU_S = 5.0

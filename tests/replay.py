@@ -23,7 +23,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 from fuzz import damaged
 from processes import Outcome, import_everything, run
 
-from pixelid.documents import printable
+from pixelid.errors import printable
 
 CPU_S, MOST_CPU_S = 5.0, 30  # beyond imports and compilation: of an answer, and before the process is ended
 MOST_BYTES = 6 << 30  # at most at once, the imports' 0.6 GiB included

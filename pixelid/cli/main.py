@@ -5,7 +5,6 @@ from __future__ import annotations
 import importlib
 import os
 import sys
-import traceback
 
 import click
 
@@ -107,6 +106,8 @@ def main(argv: list[str] | None = None) -> int:
                 return _interrupted()
             error = error.__cause__
         if os.environ.get("PIXELID_DEBUG") == "1":
+            import traceback
+
             traceback.print_exc()
         words = " ".join(str(error).split())[:300]
         complain(

@@ -55,7 +55,7 @@ def command(
 
     from pixelid.cli.progress import bar
     from pixelid.cli.terminal import say
-    from pixelid.documents import printable
+    from pixelid.errors import printable
     from pixelid.outputs import claimed
     from pixelid.recordings.writing import check_writable
 

@@ -11,8 +11,7 @@ from typing import Any
 
 import click
 
-from pixelid.documents import printable
-from pixelid.errors import SetAside
+from pixelid.errors import SetAside, printable
 
 MOST_CHARACTERS = 1000  # of a line of an error
 

@@ -18,8 +18,8 @@ from typing import Any
 import numpy as np
 from scipy.stats import t as student
 
-from pixelid.documents import interpreting, read_json, shown
-from pixelid.errors import InputError
+from pixelid.documents import interpreting, read_json
+from pixelid.errors import InputError, shown
 from pixelid.tables.fit import Z95
 from pixelid.tables.rates.bias_law import LEAST_COLUMNS
 from pixelid.tables.rates.square_wave import rate

@@ -13,8 +13,8 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 
-from pixelid.documents import read_toml, shown
-from pixelid.errors import InputError
+from pixelid.documents import read_toml
+from pixelid.errors import InputError, shown
 from pixelid.model.model import Model
 from pixelid.stimuli.files import shape
 from pixelid.stimuli.stimulus import Stimulus

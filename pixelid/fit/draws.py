@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from pixelid.documents import read_json, shown
-from pixelid.errors import InputError
+from pixelid.documents import read_json
+from pixelid.errors import InputError, shown
 from pixelid.model.model import Model
 from pixelid.results import check_parameters
 

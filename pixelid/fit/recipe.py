@@ -22,8 +22,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from pixelid.documents import read_toml, shown
-from pixelid.errors import InputError, did_you_mean
+from pixelid.documents import read_toml
+from pixelid.errors import InputError, did_you_mean, shown
 from pixelid.fit.engines import ENGINES, FORMS
 from pixelid.fit.fit import fit
 from pixelid.fit.result import FitResult

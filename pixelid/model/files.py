@@ -17,8 +17,8 @@ from pathlib import Path
 
 import tomli_w
 
-from pixelid.documents import read_toml, shown
-from pixelid.errors import InputError
+from pixelid.documents import read_toml
+from pixelid.errors import InputError, shown
 from pixelid.model.model import Model, expected_parameters
 from pixelid.parameters.gauge import Gauge
 from pixelid.parameters.invariants import PHYSICAL_NAMES, Physical

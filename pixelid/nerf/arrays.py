@@ -8,8 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from pixelid.arrays import load_arrays
-from pixelid.documents import shown
-from pixelid.errors import InputError
+from pixelid.errors import InputError, shown
 
 
 def read_arrays(file: Path, keys: Iterable[str]) -> dict[str, np.ndarray]:

@@ -11,7 +11,7 @@ from typing import IO, Any
 
 import numpy as np
 
-from pixelid.documents import printable
+from pixelid.errors import printable
 from pixelid.outputs import plain
 from pixelid.recordings.events import Events
 from pixelid.recordings.recording import Recording

@@ -11,8 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pixelid.documents import first_line
-from pixelid.errors import InputError
+from pixelid.errors import InputError, first_line
 from pixelid.recordings.isolated import arrays_isolated
 
 MOST_PIXELS = 1 << 27  # of a picture, 11 000 × 11 000; of a grey frame as float32 0.5 GiB

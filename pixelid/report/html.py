@@ -11,8 +11,8 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
-from pixelid.documents import interpreting, printable, read_json
-from pixelid.errors import InputError
+from pixelid.documents import interpreting, read_json
+from pixelid.errors import InputError, printable
 from pixelid.figures.style import without_control_characters
 from pixelid.figures.words import in_words
 from pixelid.outputs import whole_file

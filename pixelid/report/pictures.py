@@ -10,7 +10,7 @@ from xml.etree import ElementTree
 
 from markupsafe import Markup
 
-from pixelid.documents import printable
+from pixelid.errors import printable
 from pixelid.figures.style import INK, OFF, ON, PAPER, without_control_characters
 
 SVG = "http://www.w3.org/2000/svg"

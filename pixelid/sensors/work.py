@@ -21,8 +21,7 @@ from typing import Any
 import numpy as np
 
 from pixelid.arrays import load_arrays
-from pixelid.documents import first_line, shown
-from pixelid.errors import InputError, UntrustworthyResult
+from pixelid.errors import InputError, UntrustworthyResult, first_line, shown
 from pixelid.outputs import set_aside, whole_file
 
 Result = Mapping[str, np.ndarray]

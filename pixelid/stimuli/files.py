@@ -18,8 +18,8 @@ from pathlib import Path
 
 import numpy as np
 
-from pixelid.documents import interpreting, read_toml, shown
-from pixelid.errors import InputError, did_you_mean
+from pixelid.documents import interpreting, read_toml
+from pixelid.errors import InputError, did_you_mean, shown
 from pixelid.stimuli.pixel_lights import Light
 from pixelid.stimuli.sampled import TABLES, VIDEOS, holds_pictures, is_light_table, read_light
 from pixelid.stimuli.shapes import SHAPES

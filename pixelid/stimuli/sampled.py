@@ -19,8 +19,8 @@ from pathlib import Path
 import numpy as np
 
 from pixelid.arrays import load_arrays
-from pixelid.documents import first_line, refuse_hollow, shown
-from pixelid.errors import InputError
+from pixelid.documents import refuse_hollow
+from pixelid.errors import InputError, first_line, shown
 from pixelid.stimuli.stimulus import UNITS, Stimulus
 
 TABLES, ARRAYS = (".csv", ".txt", ".tsv"), (".npy", ".npz")

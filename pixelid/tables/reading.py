@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from pixelid.documents import printable, read_text, shown
-from pixelid.errors import InputError, did_you_mean
+from pixelid.documents import read_text
+from pixelid.errors import InputError, did_you_mean, printable, shown
 
 
 @dataclass(frozen=True)

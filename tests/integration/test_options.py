@@ -15,7 +15,7 @@ import pytest
 
 from pixelid.cli import options
 from pixelid.cli.main import COMMANDS, LazyGroup, cli, main
-from pixelid.documents import printable
+from pixelid.errors import printable
 from pixelid.recordings import Events, Recording, write_recording
 from pixelid.stimuli.stimulus import Stimulus
 

@@ -18,8 +18,8 @@ from typing import Any
 import numpy as np
 import tomli_w
 
-from pixelid.documents import read_toml, shown
-from pixelid.errors import InputError
+from pixelid.documents import read_toml
+from pixelid.errors import InputError, shown
 from pixelid.model.files import from_document, to_document
 from pixelid.model.model import Model
 from pixelid.stages.circuit import Circuit

@@ -18,8 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pixelid.documents import shown
-from pixelid.errors import InputError
+from pixelid.errors import InputError, shown
 from pixelid.tables.latency.settings import bias_of
 from pixelid.tables.reading import TextTable, read_text_table
 

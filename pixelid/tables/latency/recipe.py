@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from pixelid import stages
-from pixelid.documents import read_toml, shown
-from pixelid.errors import InputError, did_you_mean
+from pixelid.documents import read_toml
+from pixelid.errors import InputError, did_you_mean, shown
 from pixelid.tables.latency.camera import Camera
 from pixelid.tables.latency.reading import LatencyTable, read_tables
 

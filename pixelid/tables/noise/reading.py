@@ -14,8 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from pixelid.documents import shown
-from pixelid.errors import InputError
+from pixelid.errors import InputError, shown
 from pixelid.recordings.recording import Recording
 from pixelid.tables.reading import TextTable, read_text_table
 

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from pixelid.arrays import load_arrays
-from pixelid.documents import read_toml, shown
-from pixelid.errors import InputError
+from pixelid.documents import read_toml
+from pixelid.errors import InputError, shown
 from pixelid.tables.rates.pool import PoolTable
 
 
