@@ -124,10 +124,10 @@ def fit(
     coordinates = objective.coordinates
     # A clock moves every event across samples of the light, where the density has corners, and is nearly exchangeable
     # for the fastest poles: along that ridge differences of the gradient are noise, and the information matrix is not.
-    ridge = not all(pooled) and any(p.name in coordinates.nuisances for p in coordinates.parameters)
+    clocks_free = not all(pooled) and any(p.name in coordinates.nuisances for p in coordinates.parameters)
     information = optimum.local.information / dispersion
-    curvature = information if ridge else -objective.hessian(optimum.x, optimum.local) / dispersion
-    if ridge:
+    curvature = information if clocks_free else -objective.hessian(optimum.x, optimum.local) / dispersion
+    if clocks_free:
         details["curvature"] = "information matrix (the clocks' delays are free)"
     elif not _positive(curvature):
         curvature = information
@@ -148,7 +148,8 @@ def fit(
         )  # fmt: skip
         details["added_by_light_between_samples"] = dict(zip(coordinates.names, added.tolist(), strict=True))
     limits_95 = intervals(coordinates.names, optimum.x, reading.sd, pixels)
-    along = profile_of_ridge(objective, optimum.x, reading) if ridge else None
+    bends = clocks_free or (reading.bends and not sampled and not all(pooled))
+    along = profile_of_ridge(objective, optimum.x, reading) if bends else None
     if along is not None:
         limits_95 = widened(limits_95, along, objective, optimum.x, reading.covariance)
         details["intervals_follow_profile_of"] = along.name

@@ -533,7 +533,12 @@ def test_practice_cases(case):
         left_out = gap(open_recordings([CASES / case]), model, leave_out=["polarity_memory"])
         assert left_out.verdict == "unknown"
         assert not left_out.effects
-        assert "previous event's polarity" in left_out.sentence
+        assert "OFF after OFF" in left_out.sentence
+        (described,) = left_out.described
+        entry = described.as_dict()
+        assert (entry["quantity"], entry["covariate"]) == ("threshold", "previous_polarity")
+        assert abs(described.parameters["strength"][0]) == pytest.approx(0.15, rel=0.02)
+        assert described.closed > 0.8
     else:
         assert (report.verdict, [e.name for e in report.effects]) == ("named", truth["hidden"])
         (_, (value, interval)), *_ = report.effects[0].parameters.items()

@@ -35,8 +35,8 @@ def shown(notebook: nbformat.NotebookNode) -> list[str]:
 
 
 def known(table: str, name: str) -> bool:
-    """Whether a fit's table calls a parameter known."""
-    return next(line for line in table.splitlines() if line.startswith(f"{name} ")).split()[-1] == "yes"
+    """Whether a fit's table calls a parameter known within so many per cent."""
+    return "known within" in next(line for line in table.splitlines() if line.startswith(f"{name} "))
 
 
 def figures(notebook: nbformat.NotebookNode) -> list[str]:

@@ -11,7 +11,7 @@ import pytest
 
 from pixelid.fit.coordinates import Coordinates
 from pixelid.fit.objective import Local, Objective
-from pixelid.fit.uncertainty.curvature import read_curvature
+from pixelid.fit.uncertainty.curvature import Identified, read_curvature
 from pixelid.fit.uncertainty.ridge import profile_of_ridge, widened
 from pixelid.fit.uncertainty.small_sample import Z95, intervals
 from pixelid.model.shipped import find_model
@@ -79,3 +79,13 @@ def test_a_side_that_the_profile_leaves_open_ends_at_the_bound():
     assert high[A] == 0.5
     assert low[A] == pytest.approx(-np.log(1 + Z95 * LAG_SD), abs=0.02)
     assert low[B] == pytest.approx(0.5 - np.hypot(0.5 * (1 - np.exp(-0.5)), Z95 * DELAY_SD), abs=0.02)
+
+
+@pytest.mark.parametrize(
+    ("widths", "bends"),
+    [((0.01, 0.05), False), ((0.01, 0.3), True), ((0.3, 2.0), True), ((0.9, 2.0), False), ((0.3,), True), ((), False)],
+)
+def test_a_profile_is_asked_for_where_one_direction_is_known_little(widths, bends):
+    """Better than to 10 % a parabola will do; where several directions are open, one profile would not."""
+    directions = tuple({"in_words": "", "sd": width} for width in widths)
+    assert Identified(np.eye(2), np.ones(2), np.ones(2, bool), (), directions=directions).bends == bends

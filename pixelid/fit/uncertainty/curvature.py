@@ -11,6 +11,9 @@ if TYPE_CHECKING:
     from pixelid.fit.coordinates import Coordinates
 
 OPEN_SD = 0.5  # a log coordinate known no better than a factor e^±0.5 (a standard deviation) counts as not identified
+# Lags go as 1/f: in ln f the third derivative of the log posterior is of the size of the second.  The limits of a
+# direction of standard deviation s are then off by a share of about s.
+BENT_SD = 0.1
 CONDITION = 1e13
 
 
@@ -29,6 +32,12 @@ class Identified:
     sentences: tuple[str, ...]
     condition: float = 1.0
     directions: tuple[dict, ...] = ()
+
+    @property
+    def bends(self) -> bool:
+        """Whether a single direction is known so little that the log posterior need not be a parabola along it."""
+        *_, next_to_last, last = (0.0, 0.0, *(direction["sd"] for direction in self.directions))
+        return last > BENT_SD and next_to_last < OPEN_SD
 
 
 def read_curvature(coordinates: Coordinates, curvature: np.ndarray, on_bound: np.ndarray) -> Identified:

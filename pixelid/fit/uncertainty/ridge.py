@@ -1,10 +1,10 @@
 """Intervals along the direction that is known least, where the log posterior bends: one profile for all parameters.
 
-A delay of the clock is nearly exchangeable for the fastest pole and the dead time.  Along that ridge the likelihood is
-far from a parabola (in ln f_diff, the pole's lag goes as 1/f_diff), and x ± 1.96 sd from the curvature at the optimum
-held the truth in 6 of 10 sessions.  So the parameter with the largest part in the ridge is profiled, and each other
-one follows with what it moves to at the profile's limits.  With v_j the variance of parameter j, r_j its correlation
-with the profiled one and d_j its move from the optimum to a limit,
+The fastest poles, the dead time and a clock's delay are nearly exchangeable.  Along that ridge the likelihood is far
+from a parabola (in ln f_diff, the pole's lag goes as 1/f_diff), and x ± 1.96 sd from the curvature at the optimum held
+the truth in 6 of 10 sessions with free clocks.  So the parameter with the largest part in the ridge is profiled, and
+each other one follows with what it moves to at the profile's limits.  With v_j the variance of parameter j, r_j its
+correlation with the profiled one and d_j its move from the optimum to a limit,
 
     half width = √(d_j² + (half width of the normal interval)² − 1.96² r_j² v_j)
 
