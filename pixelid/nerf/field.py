@@ -1,6 +1,6 @@
 """The radiance field: log density and log radiance at the vertices of a dense grid, refined as training goes on.
 
-Chosen by measurement (docs/reconstruction.md): on a CPU the compiled march through a dense grid is an order of
+Chosen by measurement (docs/results/speed.md): on a CPU the compiled march through a dense grid is an order of
 magnitude faster than a hash grid with a small network, and 64 × 64 pixels do not ask for more resolution.
 """
 
