@@ -95,5 +95,5 @@ def match_counts(likelihood: PooledRate, model: Model, values: dict[str, float])
     parameter = model.parameter("off_threshold")
     return {
         "pooled.pixels": float(pixels),
-        "off_threshold": float(np.clip(pixels * fall / off, parameter.lower, parameter.upper)),
+        "off_threshold": float(parameter.within(pixels * fall / off)),
     }

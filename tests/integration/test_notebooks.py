@@ -10,7 +10,7 @@ NOTEBOOKS = Path(__file__).resolve().parents[2] / "notebooks"
 QUICK = ("gauge.ipynb",)
 SLOW = ("calibrate.ipynb", "hidden_effect.ipynb", "reconstruction.ipynb")
 LARGEST_OUTPUT = 140_000  # characters of base64: 100 kB of picture
-LIMIT_S = 900  # for a loaded machine; each takes less than three minutes of an idle core
+LIMIT_S = 900  # for a loaded machine; the longest takes three and a half minutes on two idle cores
 
 
 def execute(name: str, folder: Path) -> nbformat.NotebookNode:

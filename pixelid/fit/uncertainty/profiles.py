@@ -172,7 +172,7 @@ def _own_prior(parameter: Parameter, c: float) -> float:
 def _holding(coordinates: Coordinates, i: int, c: float) -> Coordinates:
     """The coordinates without number i, which keeps the value at c."""
     p = coordinates.parameters[i]
-    value = min(max(float(p.from_coordinate(c)), p.lower), p.upper)
+    value = p.within(p.from_coordinate(c))
     rest = tuple(q for q in coordinates.parameters if q.name != p.name)
     if p.name in coordinates.nuisances:
         nuisances = {**coordinates.nuisances, p.name: p.at(value).fixed()}

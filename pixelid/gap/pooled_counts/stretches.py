@@ -87,7 +87,7 @@ class Stretches:
 
     def fit(self, model: Model, nuisances: Mapping[str, float], likelihood: PooledRate, steps: int) -> Fitted:
         """The model fitted to a part of the stretches."""
-        free = tuple(p.at(min(max(nuisances[p.name], p.lower), p.upper)) for p in self.whole.nuisances())
+        free = tuple(p.at(p.within(nuisances[p.name])) for p in self.whole.nuisances())
         coordinates = Coordinates.of(model, free)
         objective = PooledRateObjective(likelihood, coordinates)
         end = newton.maximise(objective, coordinates.start, tolerance=0.1 * self.dispersion, max_steps=steps)

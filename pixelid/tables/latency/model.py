@@ -144,7 +144,7 @@ class LatencyModel:
         known = _values_of(self.start) if self.start is not None else {}
         everything = shared + lenses + per_setting + ([DELAY] if self.one_delay else [])
         everything += [replace(DEPARTURE, name=level.name) for level in self.levels if self.departing]
-        return tuple(p.at(min(max(known.get(p.name, p.value), p.lower), p.upper)) for p in everything)
+        return tuple(p.at(p.within(known.get(p.name, p.value))) for p in everything)
 
     @property
     def nuisances(self) -> frozenset[str]:

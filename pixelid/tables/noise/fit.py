@@ -48,7 +48,7 @@ class NoiseFit:
         own = self.model.circuit.parameters
         x = zip(self.regression.parameters, self.regression.x, strict=True)
         values = {p.name: math.exp(v) for p, v in x if p.name in own}
-        return self.model.circuit.set({n: float(np.clip(v, own[n].lower, own[n].upper)) for n, v in values.items()})
+        return self.model.circuit.set({n: own[n].within(v) for n, v in values.items()})
 
     @property
     def floor(self) -> float:
@@ -164,7 +164,7 @@ def started(noise: NoiseModel, report: Callable[[str, float], None]) -> NoiseMod
             factors = {"on_threshold": f, "off_threshold": f, "alpha": lit, "gamma": lit, "alpha_over_beta": lit,
                        "sf_cutoff_hz": slow}  # fmt: skip
             scaled = {n: (p, p.value * factors[n]) for n, p in plain.parameters.items() if n in factors}
-            values = {n: float(np.clip(v, p.lower, p.upper)) for n, (p, v) in scaled.items()}
+            values = {n: p.within(v) for n, (p, v) in scaled.items()}
             trial = NoiseModel(part, plain.set(values), noise.floor)
             rates = rates_by_light(trial, np.unique(part.light))
             found = np.log([rates[light][0 if on else 1] for light, on in zip(part.light, part.on, strict=True)])
