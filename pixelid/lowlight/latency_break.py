@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pixelid.tables.fit import Z95, TableFit, information_at
+from pixelid.tables.fit import Z95, TableFit, covariance_at
 from pixelid.tables.latency.camera import predict
 from pixelid.tables.latency.model import LatencyModel
 from pixelid.tables.latency.spread import Spread
@@ -59,7 +59,7 @@ def breaks(model: LatencyModel, fit: TableFit, light: np.ndarray) -> list[Break]
     ]
     slots = np.array([*shared, *own])  # (kinds, settings): coordinates that are moved at once
     at, floor = _lights(model, fit.x, settings, grid)
-    covariance = np.linalg.pinv(information_at(fit))
+    covariance = covariance_at(fit)
     slopes = np.zeros((2, len(settings), len(fit.x)))
     for kind in slots:
         ends = []

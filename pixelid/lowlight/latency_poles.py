@@ -22,7 +22,7 @@ import numpy as np
 
 from pixelid.lowlight import poles
 from pixelid.stages.circuit import Circuit
-from pixelid.tables.fit import OPEN_SD, Z95, TableFit, Tie, fit_table, information_at
+from pixelid.tables.fit import OPEN_SD, Z95, TableFit, Tie, covariance_at, fit_table
 from pixelid.tables.latency.camera import Camera
 from pixelid.tables.latency.cells import Cells
 from pixelid.tables.latency.fit import CameraFit, fit_camera
@@ -123,7 +123,7 @@ def measured_poles(name: str, cells: Cells, camera: Camera, seed: int = 0, *, de
     slope = np.hstack([np.zeros((count + 1, len(free.x) - count)), np.eye(count + 1, count)])
     slope[:-1, 0] = 1.0
     slope[-1, _BETA] = 1.0
-    covariance = slope @ np.linalg.pinv(information_at(free)) @ slope.T
+    covariance = slope @ covariance_at(free) @ slope.T
     low, high = _limits(own)
     law_low, law_high = _limits(law_own)
     gain = free.log_likelihood - law.regression.log_likelihood
@@ -171,7 +171,7 @@ def _poles(model: LatencyModel, fit: TableFit, rng: np.random.Generator) -> tupl
         step = np.zeros(len(fit.x))
         step[n] = 1e-5
         slope[:-1, n] = (_log_cutoffs(model, fit.x + step) - _log_cutoffs(model, fit.x - step)) / 2e-5
-    values, vectors = np.linalg.eigh(slope @ np.linalg.pinv(information_at(fit)) @ slope.T)
+    values, vectors = np.linalg.eigh(slope @ covariance_at(fit) @ slope.T)
     drawn = rng.standard_normal((DRAWS, len(values))) @ (vectors * np.sqrt(np.maximum(values, 0.0))).T
     left = 1.0 - drawn  # of each time constant
     fastest = np.log(_FASTEST)

@@ -5,8 +5,10 @@ A table without errors says nothing about its own precision: the relative scatte
     ln(measured + d) = ln(predicted + d) + s t₄,   s² = σ² + (d / √12 / (measured + d))² + stated errors²
 
 with d the last digit written (so "no events" is a measurement: less than d) and t₄ Student's t with 4 degrees of
-freedom, fitted by EM (Lange, Little & Taylor 1989, JASA 84).  Rows beyond `SUSPECT_SCALES` are named, and stay in the
-fit.  Priors of parameters are Gaussian in their fitting coordinates and count as further residuals.
+freedom, fitted by EM (Lange, Little & Taylor 1989, JASA 84).  Maximum likelihood forgets that residuals were fitted:
+σ² is raised by n / (n − k) in every step, k the number of parameters that the rows rather than the priors determine, or
+a small table would be fitted to a fraction of its scatter, against its priors.  Rows beyond `SUSPECT_SCALES` are named,
+and stay in the fit.  Priors of parameters are Gaussian in their fitting coordinates and count as further residuals.
 """
 
 from __future__ import annotations
@@ -31,6 +33,7 @@ AT_BOUND = 1e-3  # of a log coordinate
 # that is wrong by 10³ scatters by 42 % and 116 %
 MAX_SCATTER = 0.2
 MAX_EM_STEPS = 80
+REST = 1e-4  # nats
 
 
 @dataclass(frozen=True)
@@ -54,6 +57,7 @@ class TableFit:
         predicted, residual, weight: (rows,) prediction, residual in scales, and weight 0…1 given to the row.
         log_likelihood: at the maximum;  converged: whether EM came to rest.
         ties: priors beside the parameters' own.
+        wider: (parameters,) further deviation of all together, of `profile.follow_profile`.
     """
 
     model: TableModel
@@ -67,6 +71,7 @@ class TableFit:
     log_likelihood: float
     converged: bool
     ties: tuple[Tie, ...] = ()
+    wider: np.ndarray | None = None
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -141,13 +146,16 @@ class TableFit:
         return predicted_rows(self.model, self.predicted, self.residual)
 
 
-def fit_table(model: TableModel, start: Sequence[float] | None = None, ties: Sequence[Tie] = ()) -> TableFit:
+def fit_table(
+    model: TableModel, start: Sequence[float] | None = None, ties: Sequence[Tie] = (), *, rest: float = REST
+) -> TableFit:
     """Fit a table of values.  All parameters are logarithmic.
 
     Args:
         model: rows, parameters and prediction.
         start: values to begin at, in the order of the parameters; their own by default.
         ties: priors on means of fitting coordinates, beside the parameters' own.
+        rest: nats by which a step of EM may still gain when it has come to rest.
     """
     from scipy.optimize import least_squares
 
@@ -185,14 +193,13 @@ def fit_table(model: TableModel, start: Sequence[float] | None = None, ties: Seq
         )
         x = optimum.x
         r = residuals(x)
-        sigma = _maximise_scatter(r, known, sigma)
+        sigma = _maximise_scatter(r, known, sigma) * np.sqrt(len(r) / max(len(r) - _determined(optimum.jac, len(r)), 1))
         value = _log_likelihood(r, np.sqrt(sigma**2 + known)) - 0.5 * float((prior_residuals(x) ** 2).sum())
-        if abs(value - last) < 1e-4:
+        if abs(value - last) < rest:
             converged = True
             break
         last = value
     value = _log_likelihood(r, np.sqrt(sigma**2 + known))
-    sigma *= np.sqrt(len(r) / max(len(r) - len(x), 1))  # maximum likelihood forgets that x was fitted
     s = np.sqrt(sigma**2 + known)
     low, high = x < lower + AT_BOUND, x > upper - AT_BOUND
     # a parameter on a bound counts in its own unit (at its lower bound) or inverted (at its upper), where its effect
@@ -229,6 +236,23 @@ def information_at(fit: TableFit) -> np.ndarray:
     return J.T @ J + prior.T @ prior
 
 
+def covariance_at(fit: TableFit) -> np.ndarray:
+    """(n, n) covariance of a fit's coordinates, in the normal approximation and what a profile added to it."""
+    normal = np.linalg.pinv(information_at(fit))
+    return normal if fit.wider is None else normal + np.outer(fit.wider, fit.wider)
+
+
+def log_posterior_at(fit: TableFit, x: np.ndarray) -> float:
+    """Log likelihood and log prior, to a constant, of coordinates x (n,) under the scatter of a fit."""
+    rows = fit.model.rows
+    d = rows.last_digit
+    known = (d / np.sqrt(12.0) / (rows.measured + d)) ** 2 + np.asarray(rows.relative_error) ** 2
+    r = np.log(rows.measured + d) - np.log(fit.model.predict(x) + d)
+    prior_rows, prior_target = _priors(fit.model, fit.ties)
+    prior = 0.5 * float(((prior_rows @ x - prior_target) ** 2).sum())
+    return _log_likelihood(r, np.sqrt(fit.scale**2 + known)) - prior
+
+
 def _priors(model: TableModel, ties: Sequence[Tie]) -> tuple[np.ndarray, np.ndarray]:
     """(rows (m, n), target (m,)): the priors as further residuals, rows @ x − target."""
     own = [Tie((k,), p.prior.mean, p.prior.sd) for k, p in enumerate(model.parameters) if p.prior is not None]
@@ -252,6 +276,12 @@ def standard_errors(information: np.ndarray) -> np.ndarray:
     variance = (vectors**2 / np.maximum(values, floor)).sum(1)
     blind = (vectors**2 * (values < floor)).sum(1) > 1e-6
     return np.where(blind | (size <= 1e-12), np.inf, np.sqrt(variance) / np.maximum(size, 1e-300))
+
+
+def _determined(weighted: np.ndarray, rows: int) -> float:
+    """How many parameters the rows determine, and not the priors behind them: the trace of the hat matrix."""
+    of_rows = weighted[:rows].T @ weighted[:rows]
+    return float(np.trace(np.linalg.pinv(weighted.T @ weighted) @ of_rows))
 
 
 def _maximise_scatter(r: np.ndarray, known: np.ndarray, sigma: float) -> float:

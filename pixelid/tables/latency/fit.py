@@ -14,8 +14,10 @@ from pixelid.tables.latency.camera import Camera, camera_for
 from pixelid.tables.latency.cells import Cells, gather
 from pixelid.tables.latency.model import FOLLOWER_STARTS_HZ, LatencyModel
 from pixelid.tables.latency.reading import LatencyTable
+from pixelid.tables.profile import follow_profile
 
 LEAST_CELLS = 4  # a threshold, a delay and a bandwidth, and one to spare
+SWING = "led_off_fraction"  # scales all thresholds of a table: the likelihood is skewed along it
 
 
 @dataclass(frozen=True)
@@ -88,4 +90,4 @@ def fit_camera(name: str, cells: Cells, *, one_delay: bool = False, start: Camer
     models = [LatencyModel(name, cells, hz, one_delay, start) for hz in starts]
     fits = [(fit_table(model), model) for model in models]
     best, model = max(fits, key=lambda pair: pair[0].log_likelihood)
-    return CameraFit(model, best)
+    return CameraFit(model, follow_profile(best, SWING))

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pixelid.status import Status
-from pixelid.tables.fit import FREEDOM, information_at
+from pixelid.tables.fit import FREEDOM, covariance_at
 from pixelid.tables.latency.fit import CameraFit, LatencyFit
 
 if TYPE_CHECKING:
@@ -102,7 +102,7 @@ def _gaussian(fit: CameraFit) -> Proposal:
 
     regression = fit.regression
     x, rows = regression.x, fit.model.rows
-    covariance = np.linalg.pinv(information_at(regression))
+    covariance = covariance_at(regression)
     sd = np.sqrt(np.diag(covariance))
     covariance *= np.outer(np.minimum(1.0, MOST_SD / sd), np.minimum(1.0, MOST_SD / sd))
     size = len(x) + 1

@@ -1,0 +1,64 @@
+"""Errors that follow the likelihood where it is no parabola, along one coordinate that the others go with.
+
+The normal approximation knows the curvature at the maximum only.  Where a direction is nearly open and the likelihood
+skewed, as along the swing of a light that scales all thresholds, it excludes what the rows hardly speak against.  So
+the coordinate is moved until the profile has fallen by what a 95 % interval allows, and its error raised to that
+distance, with all that goes with it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from pixelid.tables.fit import Z95, TableFit, Tie, covariance_at, fit_table, log_posterior_at
+
+FALL = 0.5 * Z95**2  # nats at the ends of a 95 % interval
+LEAST_SD = 0.1  # known to 10 %: skewness does not matter
+REST = 0.02  # nats; the end of an interval moves by half a per cent
+HELD_SD = 1e-3  # in ln: far below LEAST_SD
+GROWTH, TRIES = 1.6, 4  # of the step that looks for the end of the interval; up to ten standard errors away
+
+
+def follow_profile(fit: TableFit, name: str) -> TableFit:
+    """The fit with errors widened to the profile of one parameter, where that is wider than the normal approximation.
+
+    Args:
+        fit: at its maximum.
+        name: of the parameter.
+
+    Returns:
+        The same fit where the parameter is known to `LEAST_SD`, lies on a bound or is wide open.
+    """
+    k = [p.name for p in fit.parameters].index(name)
+    covariance = covariance_at(fit)
+    sd = float(np.sqrt(covariance[k, k]))
+    if not (LEAST_SD < sd < np.inf and np.isfinite(fit.sd[k])):
+        return fit
+    along = covariance[:, k] / covariance[k, k]
+    reach = max(_reach(fit, k, side, sd, along) for side in (-1.0, 1.0)) / Z95
+    if reach <= sd:
+        return fit
+    wider = along * np.sqrt(reach**2 - sd**2)
+    return replace(fit, wider=wider, sd=np.sqrt(fit.sd**2 + wider**2))
+
+
+def _reach(fit: TableFit, k: int, side: float, sd: float, along: np.ndarray) -> float:
+    """How far the coordinate goes to one side until the profile has fallen by `FALL`; up to its bound."""
+    lower, upper = np.array([p.coordinate_bounds() for p in fit.parameters]).T
+    most = abs((upper if side > 0 else lower)[k] - fit.x[k])
+    top, before, fallen_before, distance = log_posterior_at(fit, fit.x), 0.0, 0.0, Z95 * sd
+    for _ in range(TRIES):
+        distance = min(distance, most)
+        wanted = fit.x[k] + side * distance
+        start = np.clip(fit.x + along * side * distance, lower, upper)
+        held = fit_table(fit.model, np.exp(start).tolist(), (*fit.ties, Tie((k,), float(wanted), HELD_SD)), rest=REST)
+        fallen = top - log_posterior_at(fit, held.x)
+        if fallen >= FALL:  # roots of the fall are nearly linear in the distance
+            a, b = np.sqrt(max(fallen_before, 0.0)), np.sqrt(fallen)
+            return before + (distance - before) * float((np.sqrt(FALL) - a) / (b - a))
+        if distance >= most:
+            return most
+        before, fallen_before, distance = distance, fallen, distance * GROWTH
+    return before
