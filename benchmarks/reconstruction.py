@@ -9,7 +9,8 @@ samples     S of the past: 1, 5, 15, 30, 50
 joint       the filter trained with the scene from a start wrong by 3 in α and the source follower; the same start held
 pixel       the camera differs from nominal by 2 in α and the source follower: true, nominal, fitted, and twice too fast
 effect      a camera with 2 ms dead time: reconstructed with and without the effect
-whole       cameras with more than the data sets' pixel (`CAMERAS`): everything known, and only what the data set says
+whole       cameras with more than the data sets' pixel (`CAMERAS`): everything known, only what the data set says, and
+            what `--gap` finds in the events beside that
 scale       radiance unit pinned by the background, by the views' mean level, free, and free with the pixel trained
             under the prior of a fit
 
@@ -34,9 +35,9 @@ from pixelid.model.shipped import find_model
 from pixelid.nerf.calibration import in_unit, of_fit
 from pixelid.nerf.dataset import Dataset, read_dataset
 from pixelid.nerf.pixel import Bandwidth
+from pixelid.nerf.recipe import Recipe
 from pixelid.nerf.reconstruct import reconstruct
 from pixelid.nerf.synthetic import SETTINGS, camera_model, make_dataset
-from pixelid.nerf.train import Recipe
 
 SAMPLES = (1, 5, 15, 30, 50)
 CAMERAS = {
@@ -44,6 +45,7 @@ CAMERAS = {
     "leak 5 Hz": ({"leak": {"rate_hz": 5.0}}, {}),
     "mismatch 10 %": ({}, {"threshold_mismatch.sigma": 0.1}),
     "leak 40 Hz, mismatch 10 %": ({"leak": {"rate_hz": 40.0}}, {"threshold_mismatch.sigma": 0.1}),
+    "dead time 2 ms": ({}, {"refractory_s": 2e-3}),
     "drift 0.6/s": ({"threshold_drift": {"per_s": 0.6}}, {}),
     "hot pixels": ({"hot_pixels": {"rate_hz": 1000.0, "count": 40.0}}, {}),
     "bandwidth floor": ({"bandwidth_floor": {"radiance": 20.0}}, {}),
@@ -136,7 +138,9 @@ def arms(name: str, work: Path, setting: str, seed: int):
             data = dataset(work, setting, seed, "_" + camera.replace(" ", "_").replace("/", "_"), model)
             circuit = in_unit(model.circuit(), SETTINGS[setting].white_fa).with_(dark=data.calibration.circuit.dark)
             yield f"{camera}: known", data, {"calibration": replace(data.calibration, circuit=circuit)}
-            yield f"{camera}: ignored", data, {}
+            told = data.calibration.circuit.with_(refractory=camera_model(SETTINGS[setting]).values["refractory_s"])
+            yield f"{camera}: ignored", data, {"calibration": replace(data.calibration, circuit=told)}
+            yield f"{camera}: found", data, {"calibration": replace(data.calibration, circuit=told), "gap": True}
     elif name == "scale":
         data = dataset(work, setting, seed)
         sharp = {"alpha": 0.01, "beta": 0.01, "gamma": 0.05, "follower": 0.02}
@@ -160,6 +164,7 @@ def run(name: str, work: Path, setting: str, seed: int, iterations: int | None, 
             "held_out": round(result.held_out, 4), "seconds": round(result.seconds, 1),
             "cpu_seconds": round(time.process_time() - used, 1), "rays_per_second": round(result.rays_per_second),
             "iterations": recipe.iterations, "pixel": result.state.pixel.values(),
+            "found": [effect["name"] for effect in result.gap["effects"]] if result.gap else None,
         }  # fmt: skip
         with (work / "results.jsonl").open("a") as file:
             file.write(json.dumps(row) + "\n")
@@ -182,8 +187,8 @@ def last_runs(work: Path) -> dict[tuple, dict[int, dict]]:
 
 def save(work: Path, path: Path) -> None:
     """Write the last runs, a line each, without what differs from computer to computer."""
-    names = ("experiment", "setting", "arm", "seed", "iterations", "psnr", "ssim", "cpu_seconds", "pixel")
-    runs = [{name: row[name] for name in names} for seeds in last_runs(work).values() for row in seeds.values()]
+    names = ("experiment", "setting", "arm", "seed", "iterations", "psnr", "ssim", "cpu_seconds", "pixel", "found")
+    runs = [{name: row.get(name) for name in names} for seeds in last_runs(work).values() for row in seeds.values()]
     path.write_text("[\n" + ",\n".join(json.dumps(row) for row in runs) + "\n]\n")
 
 

@@ -20,11 +20,11 @@ from pixelid.nerf.dataset import Dataset, read_dataset
 from pixelid.nerf.intervals import chains
 from pixelid.nerf.losses import changes, unexplained
 from pixelid.nerf.pixel import Bandwidth, Pixel
+from pixelid.nerf.predict import EPSILON
 from pixelid.nerf.problem import problem_of
 from pixelid.nerf.scan import respond
 from pixelid.nerf.scenes import procedural
 from pixelid.nerf.synthetic import SETTINGS, make_dataset
-from pixelid.nerf.train import EPSILON
 
 CHAINS = 200
 

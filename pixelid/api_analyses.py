@@ -117,6 +117,7 @@ def reconstruct(
     bandwidth: str = "on",
     samples: int = 30,
     trained: Sequence[str] = (),
+    gap: bool = False,
     iterations: int | None = None,
     background: float | None = None,
     scale: str = "auto",
@@ -135,7 +136,9 @@ def reconstruct(
         sensor: folder of a sensor fit, whose maps say how the pixels differ.
         bandwidth: the pixel's filter: "on" (known), "off" (ignored), or "joint" (trained with the scene).
         samples: of the pixel's past.
-        trained: of the comparator, trained with the scene: "threshold", "ratio", "refractory".
+        trained: of the pixel, trained with the scene: "threshold", "ratio", "refractory", "leak",
+            "parasitic_photocurrent", "threshold_drift", "polarity_memory".
+        gap: look in the events for effects that the pixel lacks, and train with those found.
         iterations: training steps.
         background: radiance behind the scene; by default what the views show.
         scale: what pins the radiance unit: "auto", "level" or "free".
@@ -159,19 +162,19 @@ def reconstruct(
     from dataclasses import replace
 
     from pixelid.nerf.dataset import read_dataset
-    from pixelid.nerf.pixel import COMPARATOR, Bandwidth
+    from pixelid.nerf.pixel import TRAINABLE, Bandwidth
+    from pixelid.nerf.recipe import Recipe
     from pixelid.nerf.reconstruct import reconstruct as run
-    from pixelid.nerf.train import Recipe
 
     if bandwidth not in ("on", "off", "joint"):
         raise InputError(f"bandwidth: expected on, off or joint, found {bandwidth!r}")
-    if unknown := [name for name in trained if name not in COMPARATOR]:
-        raise InputError(f"trained: expected names of {', '.join(COMPARATOR)}, found {unknown[0]!r}")
+    if unknown := [name for name in trained if name not in TRAINABLE]:
+        raise InputError(f"trained: expected names of {', '.join(TRAINABLE)}, found {unknown[0]!r}")
     recipe = replace(Recipe(), iterations=iterations) if iterations else Recipe()
     return run(
         read_dataset(Path(dataset)), fit=None if fit is None else Path(fit),
         sensor=None if sensor is None else Path(sensor),
-        bandwidth=Bandwidth(bandwidth, samples, trained=tuple(trained)), recipe=recipe, background=background,
+        bandwidth=Bandwidth(bandwidth, samples, trained=tuple(trained)), recipe=recipe, gap=gap, background=background,
         scale=scale, box=box, radiance_scale=radiance_scale, resume=None if resume is None else Path(resume),
         device=device, seed=seed, progress=progress or (lambda what, share: None),
     )  # fmt: skip

@@ -76,8 +76,10 @@ def training(chains: int) -> Work:
     from pixelid.nerf.dataset import read_dataset
     from pixelid.nerf.pixel import Bandwidth
     from pixelid.nerf.problem import problem_of
+    from pixelid.nerf.recipe import Recipe
+    from pixelid.nerf.state import start
     from pixelid.nerf.synthetic import make_dataset
-    from pixelid.nerf.train import Recipe, start, step
+    from pixelid.nerf.train import step
 
     torch.set_num_threads(1)
     with tempfile.TemporaryDirectory() as folder:

@@ -15,10 +15,10 @@ from paths.hash_grid import Hash
 from paths.sizes import Sizes
 from paths.timing import Counts, Other, Task, compared
 from pixelid.nerf.camera import pinhole
+from pixelid.nerf.recipe import Recipe
 from pixelid.nerf.render import Box, Rays, render
 from pixelid.nerf.render_kernels import BLOCK
 from pixelid.nerf.scenes import spiral
-from pixelid.nerf.train import Recipe
 
 HALF = 1.44  # of the box
 FIELD_OF_VIEW = 0.69

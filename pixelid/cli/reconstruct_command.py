@@ -7,6 +7,9 @@ import click
 from pixelid.cli import options
 
 AUTO = "auto"
+TRAINABLE = (  # `pixel.TRAINABLE`, here without what it takes to import it
+    "threshold", "ratio", "refractory", "leak", "parasitic_photocurrent", "threshold_drift", "polarity_memory",
+)  # fmt: skip
 EXAMPLE = """
 \b
 Example:
@@ -39,8 +42,11 @@ class StepsOrAuto(click.IntRange):
 @click.option("--bandwidth", type=click.Choice(["on", "off", "joint"]), default="on", show_default=True,
               help="The pixel's filter: known, ignored, or trained with the scene.")  # fmt: skip
 @click.option("--samples", type=click.IntRange(1, 1000), default=30, show_default=True, help="S, of the pixel's past.")
-@click.option("--train", "comparator", multiple=True, type=click.Choice(["threshold", "ratio", "refractory"]),
-              help="Of the comparator, trained with the scene: mean threshold, ON/OFF ratio, dead time.")  # fmt: skip
+@click.option("--train", "trained", multiple=True, type=click.Choice(TRAINABLE),
+              help="Of the pixel, trained with the scene: mean threshold, ON/OFF ratio, dead time (refractory), or an "
+                   "effect.")  # fmt: skip
+@click.option("--gap", is_flag=True,
+              help="Look in the events for effects that the pixel lacks, and train with those found.")  # fmt: skip
 @click.option("--cells", type=click.IntRange(8, 512),
               help="Cells of the field per side; by default one per pixel, 32 to 160.")  # fmt: skip
 @click.option("--steps", "--iterations", type=StepsOrAuto(), default=1200, show_default=True,
@@ -64,7 +70,7 @@ class StepsOrAuto(click.IntRange):
 @options.seed()
 @options.quiet
 def command(
-    dataset, out, fit, sensor, bandwidth, samples, comparator, cells, steps, batch, background, scale, box,
+    dataset, out, fit, sensor, bandwidth, samples, trained, gap, cells, steps, batch, background, scale, box,
     radiance_scale, protocol, checkpoint, device, overwrite, seed, quiet,
 ):  # fmt: skip
     """Reconstruct the scene of DATASET, a folder in the published layout of Robust e-NeRF and Deblur e-NeRF.
@@ -90,11 +96,12 @@ def command(
             raise InputError(f"{folder}: expected the folder of {what}, found {found}")
     refuse_existing(out, overwrite)
     from pixelid.nerf import parallel
+    from pixelid.nerf.checkpoint import search_file
     from pixelid.nerf.dataset import read_dataset
     from pixelid.nerf.figures import write_figures
     from pixelid.nerf.pixel import Bandwidth
+    from pixelid.nerf.recipe import Recipe
     from pixelid.nerf.reconstruct import reconstruct
-    from pixelid.nerf.train import Recipe
     from pixelid.report.html import write_report
 
     first = parallel.rank() == 0
@@ -104,11 +111,11 @@ def command(
         recipe = replace(Recipe(), iterations=0, batch=0) if steps == AUTO else replace(Recipe(), iterations=steps)
         recipe = replace(recipe, batch=batch) if batch else recipe
         recipe = recipe.with_cells(cells) if cells else recipe
-        pixel = Bandwidth(bandwidth, samples, trained=comparator)
+        pixel = Bandwidth(bandwidth, samples, trained=trained)
         with bar(quiet or not first, compiles=True) as report:
             result = reconstruct(
                 data, fit=fit, sensor=sensor, bandwidth=pixel, recipe=recipe, background=background, scale=scale,
-                box=box or None, radiance_scale=radiance_scale, protocol=protocol, resume=kept, device=device,
+                box=box or None, radiance_scale=radiance_scale, protocol=protocol, gap=gap, resume=kept, device=device,
                 seed=seed, progress=report,
             )  # fmt: skip
             if first:
@@ -118,6 +125,7 @@ def command(
                     write_report(folder)
                 if checkpoint is None:
                     kept.unlink(missing_ok=True)
+                    search_file(kept).unlink(missing_ok=True)
     parallel.leave()
     if first and result.ignored:
         click.echo(f"warning: the reconstruction does not model {', '.join(result.ignored)} of this pixel", err=True)

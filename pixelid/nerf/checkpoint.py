@@ -1,15 +1,21 @@
-"""A training state on disk, whole or not at all; read back, training continues with the same numbers."""
+"""What a reconstruction has come to, on disk, whole or not at all; read back, it continues with the same numbers."""
 
 from __future__ import annotations
 
+import json
+from collections.abc import Mapping
+from dataclasses import fields, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
 
 from pixelid.nerf import parallel
+from pixelid.nerf.calibration import Calibration
 from pixelid.nerf.pixel import Bandwidth
-from pixelid.nerf.train import Problem, Recipe, State, optimiser_of, start
+from pixelid.nerf.recipe import Recipe
+from pixelid.nerf.state import Problem, State, optimiser_of, start
 from pixelid.outputs import set_aside, whole_file
 
 FORMAT = "pixelid-reconstruction-checkpoint"
@@ -33,6 +39,7 @@ def save(path: Path, state: State, mark: str) -> None:
         "log_background": state.field.log_background.detach().cpu(),
         "occupied": torch.from_numpy(state.field.occupied),
         "factors": state.pixel.factors.detach().cpu(),
+        "added": state.pixel.added.detach().cpu(),
         "departures": state.pixel.departures.detach().cpu(),
         "optimiser": state.optimiser.state_dict(),
     }
@@ -71,9 +78,47 @@ def _restored(document: dict, problem: Problem, recipe: Recipe, bandwidth: Bandw
     with torch.no_grad():
         state.field.log_background.copy_(document["log_background"])
         state.pixel.factors.copy_(document["factors"])
+        state.pixel.added.copy_(document["added"])
         state.pixel.departures.copy_(document["departures"])
     state.field.occupied = np.ascontiguousarray(document["occupied"].cpu().numpy())
     state.optimiser = optimiser_of(state.field, state.pixel, recipe)
     state.optimiser.load_state_dict(document["optimiser"])
     state.iteration, state.rays, state.history = document["iteration"], document["rays"], document["history"]
     return state
+
+
+def search_file(checkpoint: Path) -> Path:
+    """Where the outcome of a search for effects is kept, beside a checkpoint."""
+    return checkpoint.with_name(f"{checkpoint.name}.gap.json")
+
+
+def save_search(
+    path: Path, told: Calibration, found: Calibration, trained: tuple[str, ...], gap: Mapping[str, Any], mark: str
+) -> None:
+    """Write what a search has found."""
+    changed = {
+        f.name: getattr(found.circuit, f.name)
+        for f in fields(found.circuit)
+        if getattr(found.circuit, f.name) != getattr(told.circuit, f.name)
+        and isinstance(getattr(found.circuit, f.name), float)
+    }
+    document = {"mark": mark, "circuit": changed, "trained": list(trained), "gap": gap}
+    with whole_file(Path(path), overwrite=True) as temporary:
+        temporary.write_text(json.dumps(document))
+
+
+def load_search(path: Path, told: Calibration, mark: str) -> tuple[Calibration, tuple[str, ...], dict[str, Any]] | None:
+    """(calibration, what to train, entry "gap") of a finished search; None for a damaged file and for another run's."""
+    if not path.exists():
+        return None
+    try:
+        document = json.loads(path.read_text())
+        if document["mark"] == mark:
+            numbers = {name: float(value) for name, value in document["circuit"].items()}
+            found = replace(told, circuit=told.circuit.with_(**numbers))
+            return found, tuple(document["trained"]), dict(document["gap"])
+    except (ValueError, KeyError, TypeError, AttributeError, OSError):
+        _refuse(path, "is no outcome of a search for effects, or damaged", "damaged")
+        return None
+    _refuse(path, "is of a run with other data, options or seed", "other")
+    return None

@@ -1,24 +1,27 @@
-"""Figures of a reconstruction: views side by side with their errors, and how training went."""
+"""Figures of a reconstruction: views side by side with their errors, how training went, what events say beyond it."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from pixelid.figures.style import INK, new_axes, save_figure, series_colours, styled
+from pixelid.figures.style import INK, OFF, ON, new_axes, save_figure, series_colours, styled
 from pixelid.nerf.reconstruct import Reconstruction
 
 SHOWN = 5
 
 
 def write_figures(result: Reconstruction, folder: Path) -> None:
-    """Write views.svg and training.svg into an existing folder."""
+    """Write views.svg, training.svg and, where effects were found, gap.svg into an existing folder."""
     if len(result.truth):
         save_figure(draw_views(result), folder / "views.svg")
     if result.state.history:
         save_figure(draw_training(result), folder / "training.svg")
+    if result.gap and result.gap["residuals"]:
+        save_figure(draw_residuals(result.gap["residuals"]), folder / "gap.svg")
 
 
 @styled
@@ -64,4 +67,38 @@ def draw_training(result: Reconstruction, axes: Any = None) -> Any:
     right.set(xlabel="step", ylabel="PSNR of a validation view (dB)")
     for axis in (left, right):
         axis.xaxis.get_major_locator().set_params(integer=True)
+    return axes
+
+
+COVARIATES = {
+    "interval_s": "time since the last event (s)",
+    "time_s": "time in the recording (s)",
+    "radiance": "radiance (units of the views)",
+}
+
+
+@styled
+def draw_residuals(residuals: Mapping[str, Mapping[str, list]], axes: Any = None) -> Any:
+    """What held-out events say beyond the scene, without and with what was found; returns the axes (2, covariates)."""
+    if axes is None:
+        axes = new_axes(2, len(residuals), 2.8, 2.2)
+    for column, (name, one) in enumerate(residuals.items()):
+        edges = np.array(one["edges"])
+        logarithmic = name != "time_s" and edges[0] > 0
+        middle = np.sqrt(edges[1:] * edges[:-1]) if logarithmic else 0.5 * (edges[1:] + edges[:-1])
+        for row, when in enumerate(("before", "after")):
+            axis = axes[row, column]
+            for polarity, colour in (("on", ON), ("off", OFF)):
+                values = np.array([np.nan if v is None else v for v in one[f"{polarity}_{when}"]])
+                axis.plot(middle, values, "o-", color=colour, label=polarity.upper())
+            axis.axhline(0.0, color=INK, linewidth=0.6)
+            if logarithmic:
+                axis.set_xscale("log")
+        axes[1, column].set_xlabel(COVARIATES.get(name, name))
+        low, high = (f(f(axes[row, column].get_ylim()) for row in (0, 1)) for f in (min, max))
+        for row in (0, 1):
+            axes[row, column].set_ylim(low, high)
+    for row, words in enumerate(("pixel as told", "with what was found")):
+        axes[row, 0].set_ylabel(f"{words}:\nmean rest (thresholds)")
+    axes[0, 0].legend()
     return axes

@@ -45,8 +45,8 @@ class Chains(NamedTuple):
 
     t: (n,) sample times, run after run;  first: (runs + 1,);  pixel: (runs,)
     begin, end: (runs, CHAIN) sample at the stretch's start and end;  weight: (runs, CHAIN) 1, or 0 where there is
-    none;  rise, fall, variance, reset, burst: (runs, CHAIN) of `Stretches`;  sub: (runs, CHAIN, 2) samples at
-    the ends of a random part of a quiet stretch
+    none;  rise, fall, variance, reset, burst: (runs, CHAIN) of `Stretches`, of which `which` are the rows;  sub: (runs,
+    CHAIN, 2) samples at the ends of a random part of a quiet stretch
     """
 
     t: np.ndarray
@@ -61,6 +61,7 @@ class Chains(NamedTuple):
     reset: np.ndarray
     burst: np.ndarray
     sub: np.ndarray
+    which: np.ndarray
 
 
 def intervals(
@@ -126,7 +127,7 @@ def chains(every: Intervals, starts, samples: int, rate: float, rng: np.random.G
     rise, fall, variance = (column[which].astype(np.float64) for column in (f.rise, f.fall, f.variance))
     return Chains(
         t[:n].copy(), first, f.pixel[first_of_run].astype(np.int64), begin, end, weight, rise, fall, variance,
-        f.reset[which], f.burst[which], sub,
+        f.reset[which], f.burst[which], sub, which,
     )  # fmt: skip
 
 

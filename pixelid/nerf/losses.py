@@ -57,7 +57,11 @@ def changes(
 
 
 def amplifier_drift(
-    u: torch.Tensor, t: np.ndarray, on_threshold: torch.Tensor, leak_hz: float, leak_hz_per_radiance: float
+    u: torch.Tensor,
+    t: np.ndarray,
+    on_threshold: torch.Tensor,
+    leak_hz: torch.Tensor | float,
+    leak_hz_per_radiance: torch.Tensor | float,
 ) -> torch.Tensor:
     """(n,) what leak and parasitic photocurrent have added up to at samples of log radiance u (n,), in ln L.
 

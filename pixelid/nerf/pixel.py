@@ -1,11 +1,11 @@
 """The pixel that training assumes: a circuit's dynamics and thresholds as tensors, fixed or trained with the scene.
 
-Trained parameters are factors e^x, positive, with a Gaussian prior on x: what a fit leaves uncertain, or a wide one.
-The invariants α, β, γ and the source follower are what the data can say of the filter (docs/model.md, "Invariants");
-fixing q_in, as the paper does, would leave flat directions.  On request the comparator is trained too, whatever is done
-of the filter: mean threshold, ON/OFF ratio and dead time, the last to first order, by moving where intervals begin.
-Without a filter that is the pixel of Low & Lee, arXiv 2309.08596.  Only stages that the circuit has enter, and only
-those are trained.
+Filter, mean threshold and ON/OFF ratio are trained as factors e^x, positive, with a Gaussian prior on x: what a fit
+leaves uncertain, or a wide one.  The invariants α, β, γ and the source follower are what the data can say of the filter
+(docs/model.md, "Invariants"); fixing q_in, as the paper does, would leave flat directions.  What may be zero is trained
+as a sum (`additions`): dead time, leak, parasitic photocurrent, drift and memory of the thresholds.  All but the filter
+can be trained whatever is done of the filter; threshold, ratio and dead time without one are the pixel of Low & Lee,
+arXiv 2309.08596.  Only stages that the circuit has enter, and only those are trained.
 
 Thresholds of single pixels are trained in every mode, as far as they are unknown (`pixel_maps`).  Their mean over the
 pixels is held: a common factor is the circuit's, and would otherwise follow the contrast that the field still lacks.
@@ -22,12 +22,13 @@ import torch
 from pixelid.dynamics.equations import PRESENT_BELOW, photoreceptor_rates
 from pixelid.dynamics.of_circuit import dynamics_of
 from pixelid.dynamics.trajectory import Dynamics
+from pixelid.nerf.additions import ADDITIONS
 from pixelid.nerf.pixel_maps import PixelMaps, maps_of_circuit
 from pixelid.stages.circuit import Circuit
 
 FILTER = ("alpha", "beta", "gamma", "follower")
-COMPARATOR = ("threshold", "ratio", "refractory")
-TRAINED = FILTER + COMPARATOR
+FACTORS = (*FILTER, "threshold", "ratio")
+TRAINABLE = ("threshold", "ratio", *ADDITIONS)  # whatever is done of the filter
 PRIOR_SD = 1.5  # of ln(factor), when no fit says better
 
 
@@ -36,7 +37,8 @@ class Bandwidth:
     """How the pixel enters.
 
     mode: the filter is known ("on"), ignored ("off") or trained ("joint");  samples: S of the past;  prior_sd: of
-    ln(factor), per name of `TRAINED` (default `PRIOR_SD`);  trained: names of `COMPARATOR` that are trained too
+    ln(factor), per name of `FACTORS` (default `PRIOR_SD`);  trained: names of `TRAINABLE` (and of `FILTER`, when it is
+    on) that are trained too
     """
 
     mode: str = "on"
@@ -46,7 +48,7 @@ class Bandwidth:
 
     @property
     def moving(self) -> tuple[str, ...]:
-        """The names of `TRAINED` that are trained, in a circuit that has them."""
+        """The names of `FACTORS` and `ADDITIONS` that are trained, in a circuit that has them."""
         return (*FILTER, *self.trained) if self.mode == "joint" else self.trained
 
 
@@ -66,13 +68,16 @@ def limits_bandwidth(circuit: Circuit) -> bool:
 class Pixel(torch.nn.Module):
     """A circuit as tensors, and its pixels.
 
-    factors: (7,) logs of what multiplies `TRAINED`, trained where `moves` is 1;  departures: (pixels, 2) of single ON
-    and OFF thresholds from what `maps` expects, in its standard deviations, trained where they are not 0
+    factors: (6,) logs of what multiplies `FACTORS`, trained where `moves` is 1;  added: (5,) what is added to the
+    circuit's `ADDITIONS`, in their steps, trained where `adds` is 1;  departures: (pixels, 2) of single ON and OFF
+    thresholds from what `maps` expects, in its standard deviations, trained where they are not 0
     """
 
     nominal: torch.Tensor
     prior_sd: torch.Tensor
     moves: torch.Tensor
+    adds: torch.Tensor
+    steps: torch.Tensor
     expected: torch.Tensor
     unknown: torch.Tensor
 
@@ -86,12 +91,17 @@ class Pixel(torch.nn.Module):
         self.register_buffer("unknown", torch.tensor(self.maps.threshold_sd))
         trained = bool((self.unknown > 0).any())
         self.departures = torch.nn.Parameter(torch.zeros_like(self.expected), requires_grad=trained)
-        sd = [(bandwidth.prior_sd or {}).get(name, PRIOR_SD) for name in TRAINED]
+        sd = [(bandwidth.prior_sd or {}).get(name, PRIOR_SD) for name in FACTORS]
         self.register_buffer("prior_sd", torch.tensor(sd, dtype=torch.float64))
-        moving = {*filter_parameters(circuit), *COMPARATOR} & {*bandwidth.moving}
-        moves = [float(name in moving) for name in TRAINED]
-        self.factors = torch.nn.Parameter(torch.zeros(len(TRAINED), dtype=torch.float64), requires_grad=bool(moving))
-        self.register_buffer("moves", torch.tensor(moves, dtype=torch.float64))
+        moving = {*filter_parameters(circuit), *TRAINABLE} & {*bandwidth.moving}
+        moves = torch.tensor([float(name in moving) for name in FACTORS], dtype=torch.float64)
+        adds = torch.tensor([float(name in moving) for name in ADDITIONS], dtype=torch.float64)
+        self.factors = torch.nn.Parameter(torch.zeros_like(moves), requires_grad=bool(moves.any()))
+        self.added = torch.nn.Parameter(torch.zeros_like(adds), requires_grad=bool(adds.any()))
+        self.register_buffer("moves", moves)
+        self.register_buffer("adds", adds)
+        steps = [addition.step_from(circuit) for addition in ADDITIONS.values()]
+        self.register_buffer("steps", torch.tensor(steps, dtype=torch.float64))
 
     @property
     def filtering(self) -> bool:
@@ -107,7 +117,7 @@ class Pixel(torch.nn.Module):
     def dynamics(self) -> torch.Tensor:
         """(8,) numbers of `Dynamics`."""
         nominal = self.nominal
-        if self.bandwidth.mode != "joint":
+        if not bool(self.moves[: len(FILTER)].any()):
             return nominal
         ones = torch.ones(len(nominal) - len(FILTER), dtype=torch.float64, device=nominal.device)
         return nominal * torch.cat([self._scale[: len(FILTER)], ones])
@@ -148,14 +158,29 @@ class Pixel(torch.nn.Module):
         moved = self.unknown * self.departures
         return self.expected + moved - moved.mean(dim=0).detach()
 
-    @property
-    def longer_dead_time(self) -> torch.Tensor:
-        """Seconds by which the dead time in use exceeds the circuit's."""
-        return float(self.circuit.refractory) * (self._scale[6] - 1)
+    def adds_to(self, name: str) -> bool:
+        """Whether one of `ADDITIONS` is trained."""
+        return bool(self.adds[list(ADDITIONS).index(name)])
+
+    def addition(self, name: str) -> torch.Tensor:
+        """What is added to the circuit's value of one of `ADDITIONS`."""
+        k = list(ADDITIONS).index(name)
+        return self.steps[k] * self.adds[k] * self.added[k]
+
+    def strength(self, name: str) -> torch.Tensor:
+        """The value in use of one of `ADDITIONS`, in the circuit's unit."""
+        return getattr(self.circuit, ADDITIONS[name].field) + self.addition(name)
+
+    def keep_within_bounds(self) -> None:
+        """Move what is added up to the least value that each may have."""
+        with torch.no_grad():
+            least = [(a.least - getattr(self.circuit, a.field)) for a in ADDITIONS.values()]
+            self.added.clamp_(min=torch.tensor(least, dtype=torch.float64, device=self.added.device) / self.steps)
 
     def penalty(self, left: float = 1.0) -> torch.Tensor:
         """−ln prior of the factors, and of the pixels' thresholds times `left`, the variance that a change leaves."""
-        return 0.5 * ((self.factors / self.prior_sd) ** 2).sum() + 0.5 * left * (self.departures**2).sum()
+        of_factors = ((self.factors / self.prior_sd) ** 2).sum()
+        return 0.5 * of_factors + 0.5 * left * (self.departures**2).sum()
 
     def slowest(self, darkest: float) -> float:
         """The slowest dominant low-pass pole [rad/s] at a radiance, of the stages that the circuit has.
@@ -171,9 +196,11 @@ class Pixel(torch.nn.Module):
         return min(poles) if poles else (circuit.lower_cutoff or dynamics.differencing)
 
     def values(self) -> dict[str, float]:
-        """The numbers in use, by name."""
+        """The numbers in use, by name; of `ADDITIONS` those that the circuit has or that are trained."""
         used = Dynamics(*(float(x) for x in self.dynamics.detach()))
         on, off = (float(x.detach()) for x in self.thresholds)
-        dead = self.circuit.refractory + float(self.longer_dead_time.detach())
         filtered = {name: getattr(used, name) for name in FILTER}
-        return {**filtered, "on_threshold": on, "off_threshold": off, "refractory_s": dead}
+        strengths = {a.parameter: float(self.strength(name).detach()) for name, a in ADDITIONS.items()}
+        shown = {a.parameter for name, a in ADDITIONS.items() if name == "refractory" or self.adds_to(name)}
+        acting = {name: value for name, value in strengths.items() if value or name in shown}
+        return {**filtered, "on_threshold": on, "off_threshold": off, **acting}

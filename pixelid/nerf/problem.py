@@ -9,14 +9,16 @@ from dataclasses import replace
 import numpy as np
 
 from pixelid.errors import InputError
+from pixelid.nerf.additions import tilts
 from pixelid.nerf.calibration import Calibration
 from pixelid.nerf.dataset import Dataset
 from pixelid.nerf.gauge import crossing_time, gauge_of, scene_box
-from pixelid.nerf.intervals import intervals, split
+from pixelid.nerf.intervals import Intervals, intervals, split
 from pixelid.nerf.pixel_maps import PixelMaps, find_hot, maps_of_circuit
+from pixelid.nerf.state import Problem
 from pixelid.nerf.stretches import NOISE
-from pixelid.nerf.train import Problem
 from pixelid.nerf.views import Views, no_views
+from pixelid.stages.circuit import Circuit
 
 CLOSE_PIXELS = 0.5  # pixels: about half the width of the field's edges
 HELD_OUT = 0.03  # share of pixels whose events are kept from training
@@ -26,6 +28,7 @@ def problem_of(
     dataset: Dataset,
     calibration: Calibration | None = None,
     *,
+    trained: Sequence[str] = (),
     background: float | None = None,
     scale: str = "auto",
     box: Sequence[float] | None = None,
@@ -39,6 +42,7 @@ def problem_of(
     Args:
         dataset: as read.
         calibration: of the camera and its pixel; the dataset's own by default.
+        trained: of the pixel, what is trained with the scene (`Bandwidth.moving`).
         background: radiance behind the scene; by default what the views show.
         scale: what pins the radiance unit: "auto", "level" or "free".
         box: corners of the scene, x0 y0 z0 x1 y1 z1; by default a cube where the camera looks.
@@ -70,22 +74,34 @@ def problem_of(
         is_hot[hot] = True
         kept = ~is_hot[y * camera.width + x]
         maps, (t, x, y, on) = replace(maps, hot=hot), (column[kept] for column in (t, x, y, on))
-    every = intervals(
-        t, x, y, on, camera.width, dead=circuit.refractory, lag=1 / circuit.differencing,
-        shortest=close * crossing_time(dataset.trajectory, camera, low, high),
-        noise=math.hypot(circuit.noise, circuit.mismatch) or NOISE, drift=circuit.threshold_drift,
-        memory=circuit.polarity_memory,
-    )  # fmt: skip
+    shortest = close * crossing_time(dataset.trajectory, camera, low, high)
+
+    def cut(of: Circuit) -> Intervals:
+        return intervals(
+            t, x, y, on, camera.width, dead=of.refractory, lag=1 / of.differencing, shortest=shortest,
+            noise=math.hypot(of.noise, of.mismatch) or NOISE, drift=of.threshold_drift, memory=of.polarity_memory,
+        )  # fmt: skip
+
+    every = cut(circuit)
     if len(every.starts) == 0:
         raise InputError(f"{dataset.path}: raw_events.npz: timestamp: no pixel has two events, nothing to learn from")
     training, held = split(every, held_out, np.random.default_rng([seed, 77]))
     if len(training.starts) == 0:
         training, held = every, every.of(np.zeros(len(every.starts), bool))
-    y, x = np.divmod(np.arange(camera.width * camera.height), camera.width)
+    row, column = np.divmod(np.arange(camera.width * camera.height), camera.width)
     return Problem(
-        training, held, dataset.trajectory, camera, calibration.channel_of(x, y), calibration.dark,
+        training, held, dataset.trajectory, camera, calibration.channel_of(column, row), calibration.dark,
         calibration.circuit, gauge_of(dataset, background, scale), low, high, maps,
+        tilts(cut, circuit, trained), shortest_interval(t, y * camera.width + x),
     )  # fmt: skip
+
+
+def shortest_interval(t: np.ndarray, pixel: np.ndarray) -> float:
+    """Seconds between two events (N,) of one pixel at least; 0 without intervals."""
+    order = np.argsort(pixel, kind="stable")
+    t, pixel = t[order], pixel[order]
+    lengths = np.diff(t)[pixel[1:] == pixel[:-1]]
+    return float(lengths.min()) if len(lengths) else 0.0
 
 
 def evaluation_views(dataset: Dataset) -> tuple[Views, Views]:

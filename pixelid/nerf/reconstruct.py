@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 import torch
@@ -19,9 +19,13 @@ from pixelid.nerf.evaluate import Scores, evaluate, evaluate_as_published, no_sc
 from pixelid.nerf.ignored import ignored_effects
 from pixelid.nerf.pixel import Bandwidth
 from pixelid.nerf.pixel_maps import maps_of_sensor
-from pixelid.nerf.problem import evaluation_views, problem_of
+from pixelid.nerf.problem import HELD_OUT, evaluation_views, problem_of
+from pixelid.nerf.recipe import Recipe
 from pixelid.nerf.saved import SavedReconstruction, write_field
-from pixelid.nerf.train import Problem, Recipe, State, held_out_residual, start, train
+from pixelid.nerf.search import HELD_OUT as SEARCH_HELD_OUT
+from pixelid.nerf.search import search
+from pixelid.nerf.state import Problem, State, start
+from pixelid.nerf.train import held_out_residual, train
 from pixelid.nerf.views import Views
 from pixelid.provenance import input_hashes, versions
 from pixelid.results import Result, Table
@@ -38,7 +42,8 @@ class Reconstruction(Result):
 
     status: how it ended;  scores: of the test views, NaN when it diverged;  held_out: share of held-out changes left
     unexplained;  truth: the test views;  ignored: what is known of the pixel and the reconstruction does not model;
-    published: scores by the reference implementation's protocol, on request
+    published: scores by the reference implementation's protocol, on request;  gap: effects found in the events, on
+    request (`search.Found.as_dict`)
     """
 
     FILE: ClassVar[str] = "reconstruction.json"
@@ -58,6 +63,7 @@ class Reconstruction(Result):
     inputs: Mapping[str, str]
     ignored: tuple[str, ...] = ()
     published: Scores | None = None
+    gap: Mapping[str, Any] | None = None
 
     def as_dict(self) -> dict:
         """The content of reconstruction.json (docs/formats.md)."""
@@ -68,6 +74,7 @@ class Reconstruction(Result):
             "advice": self.advice,
             "bandwidth": self.bandwidth.mode,
             "ignored": list(self.ignored),
+            "gap": self.gap,
             "views": self.scores.as_dict(self.truth),
             "correction": {
                 name: float(value[0]) if one else value.tolist()
@@ -149,6 +156,7 @@ def reconstruct(
     box: tuple[float, ...] | None = None,
     radiance_scale: float | None = None,
     protocol: str = "strict",
+    gap: bool = False,
     resume: Path | None = None,
     device: str = "auto",
     seed: int = 0,
@@ -170,6 +178,7 @@ def reconstruct(
         box: corners of the scene, x0 y0 z0 x1 y1 z1; by default a cube where the camera looks.
         radiance_scale: the fit's radiance units per unit of the views.
         protocol: of the scores: "strict", or "paper" for those of the reference implementation beside them.
+        gap: look in the events for effects that the pixel lacks, and train with those found (`search`).
         resume: a checkpoint, continued when it exists and written as training goes on.
         device: "cpu", "cuda" or "auto".
         seed: of everything random.
@@ -197,15 +206,39 @@ def reconstruct(
     if fit and bandwidth.mode == "joint" and bandwidth.prior_sd is None:
         bandwidth = replace(bandwidth, prior_sd=uncertainty_of_fit(Path(fit)))
     maps = maps_of_sensor(Path(sensor), calibration.circuit, calibration.camera) if sensor else None
-    problem = problem_of(dataset, calibration, background=background, scale=scale, box=box, maps=maps, seed=seed)
+
+    def make(of: Calibration, trained: tuple[str, ...], held_out: float = HELD_OUT) -> Problem:
+        return problem_of(
+            dataset, of, trained=trained, background=background, scale=scale, box=box, maps=maps, held_out=held_out,
+            seed=seed,
+        )  # fmt: skip
+
+    problem = make(calibration, bandwidth.moving)
     recipe = recipe.for_data(len(problem.training.starts))
     files = [*dataset.files, *([Path(fit) / "model.toml" if Path(fit).is_dir() else Path(fit)] if fit else [])]
     files += [Path(sensor) / name for name in ("sensor.json", "maps.npz")] if sensor else []
     inputs = input_hashes(files)
-    ignored = (*ignored_effects(problem.circuit), *(maps.unused if maps else ()), *unexplained_by(fit))
     validation, test = evaluation_views(dataset)
     mark = checkpoint.run_identity(problem, recipe, bandwidth, inputs)
     parallel.join()
+    found: Mapping[str, Any] | None = None
+    if gap:
+        kept = checkpoint.search_file(Path(resume)) if resume is not None else None
+        outcome = checkpoint.load_search(kept, calibration, mark) if kept else None
+        if outcome is None:
+            result = search(
+                calibration, bandwidth, recipe, lambda of, trained: make(of, trained, SEARCH_HELD_OUT),
+                mapped=maps is not None, score=lambda state: _running(state, problem, validation), device=device,
+                progress=lambda what, share: progress(what, 0.5 * share),
+            )  # fmt: skip
+            outcome = result.calibration, result.trained, result.as_dict()
+            if kept and parallel.rank() == 0:
+                checkpoint.save_search(kept, calibration, *outcome, mark)
+        calibration, trained, found = outcome
+        bandwidth = replace(bandwidth, trained=(*bandwidth.trained, *trained))
+        problem = make(calibration, bandwidth.moving)
+        mark = checkpoint.run_identity(problem, recipe, bandwidth, inputs)
+    ignored = (*ignored_effects(problem.circuit), *(maps.unused if maps else ()), *unexplained_by(fit))
     state = None
     if resume is not None and Path(resume).exists():
         state = checkpoint.load(Path(resume), problem, recipe, bandwidth, mark, device)
@@ -222,7 +255,8 @@ def reconstruct(
             now.history.append({name: float(value) for name, value in entry.items()})
         last = now.history[-1]["running_psnr"] if now.history else float("nan")
         words = f"loss {measured['loss']:.3f}, {rate / 1e3:.0f}k rays/s, {last:.1f} dB"
-        progress(words, 0.95 * now.iteration / recipe.iterations)
+        done = 0.95 * now.iteration / recipe.iterations
+        progress(words, 0.5 + 0.5 * done if gap else done)
         due = now.iteration % SAVE_EVERY == 0 or time.perf_counter() - saved > SAVE_AFTER_S
         if resume is not None and parallel.rank() == 0 and due and now.finite:
             checkpoint.save(Path(resume), now, mark)
@@ -240,7 +274,7 @@ def reconstruct(
     status, advice = _verdict(held_out, scores, state.iteration)
     return Reconstruction(
         status, advice, bandwidth, state, problem, scores, test, held_out, time.perf_counter() - watch, rate, device,
-        seed, inputs, ignored, published,
+        seed, inputs, ignored, published, found,
     )  # fmt: skip
 
 

@@ -84,10 +84,23 @@ class SavedReconstruction(Result):
         ]
 
     def sentences(self) -> list[str]:
-        """Advice, and what the pixel has but the reconstruction does not model."""
+        """Advice, what was found in the events, and what the pixel has but the reconstruction does not model."""
         ignored = self.content["ignored"]
         said = f"not modelled: {', '.join(ignored)}" if ignored else ""
-        return [text for text in (self.advice or self.status.advice, said) if text]
+        return [text for text in (self.advice or self.status.advice, self._found, said) if text]
+
+    @property
+    def _found(self) -> str:
+        """Effects found in the events, where they were looked for."""
+        gap = self.content.get("gap")
+        if not gap:
+            return ""
+        names = [effect["name"] for effect in gap["effects"]]
+        if not names:
+            return "found in the events: no effect that the pixel lacks"
+        return (
+            f"found in the events: {', '.join(names)}, {100 * gap['heldout_gain']:.0f} % of the held-out loss explained"
+        )
 
     def as_dict(self) -> dict[str, Any]:
         """The content of reconstruction.json (docs/formats.md)."""

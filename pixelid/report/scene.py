@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from pixelid.nerf.limits import LEAST_SHARE
 from pixelid.report.format import number, seconds
 from pixelid.report.page import Number, Result, Summary, command_line
 
@@ -40,7 +41,32 @@ def prepare(result: Result, folder: Path) -> dict[str, Any]:
     return {
         "views": [row("mean", result["views"]), *views] if views else [],
         "pixel": [[name, cell(v)] for name, v in result["pixel"].items()],
+        "gap": _gap(result["gap"]) if result.get("gap") else None,
     }
+
+
+def _gap(gap: dict) -> dict[str, Any]:
+    """Rows and words of a search for effects."""
+    rows = []
+    for k, trials in enumerate(gap["rounds"]):
+        for trial in trials:
+            kept = k < len(gap["effects"]) and gap["effects"][k]["name"] == trial["name"]
+            values = ", ".join(f"{name} {number(value)}" for name, value in trial["values"].items())
+            share = f"{100 * trial['heldout_gain']:.1f} %"
+            rows.append([str(k + 1), trial["name"], share, number(trial["p_value"], 2), "yes" if kept else "", values])
+    names = ", ".join(effect["name"] for effect in gap["effects"])
+    psnr = gap.get("coarse_psnr") or {}
+    views = (
+        f" A validation view of the coarse scenes has {_places(psnr['after'], 1)} dB instead of "
+        f"{_places(psnr['before'], 1)}."
+        if psnr.get("before") is not None and psnr.get("after") is not None
+        else ""
+    )
+    sentence = (
+        f"{names}: together they explain {100 * gap['heldout_gain']:.0f} % of the loss of held-out events under the "
+        f"pixel as told.{views} The final training moves their strengths on."
+    )
+    return {"rows": rows, "kept": bool(names), "sentence": sentence, "least": f"{100 * LEAST_SHARE:.0f} %"}
 
 
 def _places(value: float | None, places: int) -> str:

@@ -20,9 +20,11 @@ from pixelid.nerf.calibration import of_fit
 from pixelid.nerf.dataset import read_dataset
 from pixelid.nerf.pixel import Bandwidth
 from pixelid.nerf.problem import problem_of
+from pixelid.nerf.recipe import Recipe
 from pixelid.nerf.reconstruct import Reconstruction, reconstruct
+from pixelid.nerf.state import start
 from pixelid.nerf.synthetic import make_dataset
-from pixelid.nerf.train import Recipe, start, step, train
+from pixelid.nerf.train import step, train
 from pixelid.sensors import SensorFit
 from pixelid.sensors.map import Map
 from pixelid.sensors.shrinkage import Population
@@ -98,6 +100,7 @@ def test_resuming_continues_with_the_same_numbers(made, tmp_path, mode):
     train(problem, SMALL, resumed)
     assert torch.equal(whole.field.grid, resumed.field.grid)
     assert torch.equal(whole.pixel.factors, resumed.pixel.factors)
+    assert torch.equal(whole.pixel.added, resumed.pixel.added)
 
 
 def test_a_checkpoint_of_another_run_or_a_damaged_one_is_set_aside(made, tmp_path, capsys):

@@ -104,10 +104,10 @@ def test_thresholds_and_dead_time_are_trained_with_the_rest():
     spans = intervals(when, zero, zero, on, 1, dead=circuit.refractory)
     batch = chains(spans, np.arange(0, len(spans.starts) - 16, 8), 100, 1000.0, np.random.default_rng(0))
     u = torch.tensor(np.log(np.interp(batch.t, t, light)))
-    optimiser = torch.optim.Adam([pixel.factors], lr=0.02)
+    optimiser = torch.optim.Adam([pixel.factors, pixel.added], lr=0.02)
     for _ in range(250):
         level, output = respond(u, pixel.dynamics, batch.t, batch.first)
-        change = changes(level, output, batch, None, pixel.longer_dead_time)
+        change = changes(level, output, batch, None, pixel.addition("refractory"))
         loss = terms(change, level, batch, *pixel.thresholds)["diff"]
         optimiser.zero_grad()
         loss.backward()

@@ -33,8 +33,8 @@ def _log(name: str, value: float, unit: str, lower: float, upper: float, sd: flo
     return Parameter(name, value, unit, lower, upper, "log", prior=Prior(math.log(value), sd))
 
 
-# A prior of sd 3 spans a factor 400 both ways: the order of magnitude of any sensor.  Of the dark current more is known:
-# pixels still answer to contrast at 0.1 lx, and the DVS128's is worth some 0.01 lx
+# A prior of sd 3 spans a factor 400 both ways: the order of magnitude of any sensor.  Of the dark current more is
+# known: pixels still answer to contrast at 0.1 lx, and the DVS128's is worth some 0.01 lx
 SHARED = (
     _log("alpha_over_beta", 1e5, "rad/s/(W/m²)", 1.0, 1e8, 4.0),
     _log("beta", 1e5, "1/s", 1e2, 1e7, 2.0),

@@ -1,0 +1,73 @@
+"""How a scene is trained: steps, batches, grid sizes, learning rates and weights."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from pixelid.nerf.intervals import CHAIN
+from pixelid.nerf.losses import Weights
+
+MOST_CELLS = (32, 160)  # per side
+# Of `--steps auto`.  The default recipe (1200 steps of 320 chains) was chosen on scenes of 64 × 64 pixels with some
+# 1e5 changes: the same batch per change and as many looks at each, within what a training may take.
+VISITS = 60
+BATCH_SHARE = 320 / 1e5
+SMALLEST_BATCH, LARGEST_BATCH = 320, 4096
+STEPS = (600, 30_000)
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """How to train.
+
+    iterations: steps, 0 for as many as the data ask for;  batch: chains per step (over all processes), 0 likewise;
+    vertices: grid sizes, each for an equal share of the steps (empty: `for_sensor` chooses);  rate, last_rate: learning
+    rate, decaying exponentially;  weights: λ;  roughness: λ of the grid's total variation;  emptiness: λ of the mean
+    log density, which clears what no event asks for;  level: λ of the mean log radiance when the gauge needs it;
+    engine: of `render` and `respond`;  supersample: rays per pixel and side
+    """
+
+    iterations: int = 1200
+    batch: int = 320
+    vertices: tuple[int, ...] = ()
+    rate: float = 0.1
+    last_rate: float = 0.01
+    weights: Weights = dataclasses.field(default_factory=Weights)
+    roughness: float = 0.0
+    emptiness: float = 0.01
+    level: float = 10.0
+    engine: str = "auto"
+    supersample: int = 1
+    seed: int = 0
+
+    def for_sensor(self, width: int) -> Recipe:
+        """The recipe with grid sizes for a sensor `width` pixels wide: about one cell per pixel in the end."""
+        cells = min(max(width, MOST_CELLS[0]), MOST_CELLS[1])
+        return self if self.vertices else self.with_cells(cells)
+
+    def with_cells(self, cells: int) -> Recipe:
+        """The recipe that ends with so many cells per side."""
+        return dataclasses.replace(self, vertices=tuple(max(cells * k // 4, 1) + 1 for k in (2, 3, 4)))
+
+    def for_data(self, changes: int) -> Recipe:
+        """The recipe with steps and batch for so many changes of light, where they were left open.
+
+        Batches grow with the data up to `LARGEST_BATCH`; steps are as many as show every change `VISITS` times.
+        """
+        batch = self.batch or int(np.clip(changes * BATCH_SHARE, SMALLEST_BATCH, LARGEST_BATCH))
+        wanted = math.ceil(VISITS * changes / (CHAIN * batch) / 100) * 100
+        steps = self.iterations or int(np.clip(wanted, *STEPS))
+        return dataclasses.replace(self, batch=batch, iterations=steps)
+
+    def vertices_at(self, iteration: int) -> int:
+        """The grid size in use at a step."""
+        stage = min(iteration * len(self.vertices) // max(self.iterations, 1), len(self.vertices) - 1)
+        return self.vertices[stage]
+
+    def rate_at(self, iteration: int) -> float:
+        """The learning rate of a step."""
+        return self.rate * (self.last_rate / self.rate) ** (iteration / max(self.iterations, 1))

@@ -1,0 +1,177 @@
+"""What a scene seen through a pixel leaves unexplained of held-out events, row by row, and how two pixels compare.
+
+A row is a stretch between events of a pixel that training has not seen.  Two pixels are compared by Huber's loss of the
+same rows; pixels of the sensor are the independent units, since a chain's rows share what the scene gets wrong there.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from scipy.stats import t as student
+
+from pixelid.nerf.intervals import CHAIN, Intervals
+from pixelid.nerf.losses import Weights
+from pixelid.nerf.predict import chains_at, predict
+from pixelid.nerf.state import Problem, State
+
+BLOCK = 256  # chains rendered at a time
+BINS = 8  # of a residual map
+RUN = 8  # rows whose rests are summed up
+
+
+@dataclass(frozen=True)
+class Rows:
+    """(n,) each, by pixel and time.
+
+    pixel: row-major index;  begin, end: s;  rest: what events say beyond the predicted change, in `unit`, positive
+    where the scene explains too little of an ON event or too much of an OFF event;  variance: of the events' own part
+    in thresholds²;  rise: whether it ends in ON events more than OFF;  burst: several events at once;  radiance: at its
+    end;  unit: ln L
+    """
+
+    pixel: np.ndarray
+    begin: np.ndarray
+    end: np.ndarray
+    rest: np.ndarray
+    variance: np.ndarray
+    rise: np.ndarray
+    burst: np.ndarray
+    radiance: np.ndarray
+    unit: float
+
+
+class Gain(NamedTuple):
+    """How much better rows are explained than by another pixel.
+
+    share: of the other's loss that is gone;  p_value: one-sided, of no gain at all, pixels being the units;  rows:
+    compared
+    """
+
+    share: float
+    p_value: float
+    rows: int
+
+
+def apart(of: Intervals) -> np.ndarray:
+    """Indices into `of.starts` at which chains begin that share no stretch and leave none of these pixels out."""
+    pixel = of.stretches.pixel
+    first = np.flatnonzero(np.concatenate([[True], pixel[1:] != pixel[:-1]]))
+    since = of.starts - first[np.searchsorted(first, of.starts, side="right") - 1]
+    return np.flatnonzero(since % CHAIN == 0)
+
+
+def rows_of(problem: Problem, state: State, of: Intervals, unit: float, most: int | None = None) -> Rows:
+    """The rows of all pixels of `of` (at most so many chains), with the same random numbers every time.
+
+    unit: thresholds that rests are counted in, ln L
+    """
+    starts, parts = apart(of), []
+    if most is not None and len(starts) > most:
+        starts = np.sort(np.random.default_rng(5).choice(starts, most, replace=False))
+    for k in range(0, len(starts), BLOCK):
+        rng = np.random.default_rng([1, k])
+        with torch.no_grad():
+            batch = chains_at(problem, state, of, starts[k : k + BLOCK], rng)
+            change, _, u = predict(problem, state, batch, rng)
+            on, off = (x.cpu().numpy() for x in state.pixel.thresholds_at(batch.pixel))
+        told = batch.weight > 0
+        said = batch.rise * on - batch.fall * off
+        rest = (said - change.cpu().numpy()) / unit
+        columns = (
+            np.broadcast_to(batch.pixel[:, None], told.shape), batch.t[batch.begin], batch.t[batch.end], rest,
+            batch.variance, batch.rise > batch.fall, batch.burst, np.exp(u.cpu().numpy())[batch.end],
+        )  # fmt: skip
+        parts.append([column[told] for column in columns])
+    return Rows(*(np.concatenate(part) for part in zip(*parts, strict=True)), unit=unit)
+
+
+def residual_map(before: Rows, after: Rows) -> dict[str, dict[str, list]]:
+    """Mean rests over what may move them, in bins of equally many rows.
+
+    Args:
+        before, after: rows under two pixels.
+
+    Returns:
+        Per covariate ("interval_s", "time_s", "radiance"): "edges" of the bins, and per polarity and pixel
+        ("on_before", …) by how many thresholds events say more than the scene.
+    """
+    found = {}
+    for name in ("interval_s", "time_s", "radiance"):
+        edges = np.unique(np.quantile(_covariate(before, name), np.linspace(0, 1, BINS + 1)))
+        edges = edges if len(edges) > 1 else np.repeat(edges, 2)  # one value everywhere
+        columns: dict[str, list] = {"edges": edges.tolist()}
+        for when, rows in (("before", before), ("after", after)):
+            bin_ = np.clip(np.searchsorted(edges, _covariate(rows, name), side="right") - 1, 0, len(edges) - 2)
+            for polarity, some in (("on", rows.rise), ("off", ~rows.rise)):
+                some = some & ~rows.burst
+                beyond = rows.rest * np.where(rows.rise, 1.0, -1.0)
+                number = np.bincount(bin_[some], minlength=len(edges) - 1)
+                total = np.bincount(bin_[some], beyond[some], minlength=len(edges) - 1)
+                means = [float(t / n) if n else None for t, n in zip(total, number, strict=True)]
+                columns[f"{polarity}_{when}"] = means
+        found[name] = columns
+    return found
+
+
+def _covariate(rows: Rows, name: str) -> np.ndarray:
+    return {"interval_s": rows.end - rows.begin, "time_s": rows.end, "radiance": rows.radiance}[name]
+
+
+def compare(before: Rows, after: Rows) -> Gain:
+    """How much better `after` explains the rows that both have.
+
+    Pixels that differ in their dead time cut the events differently; then quiet intervals that end with the same event
+    are compared, and the sums of all that lies between them: of single rows alone, a scene that has lost its contrast
+    explains more.
+    """
+    a, b = _shared(before, after)
+    if len(a) == 0:
+        return Gain(0.0, 1.0, 0)
+    variance = before.variance[a]
+    old, new = _losses(before, a, variance), _losses(after, b, variance)
+    _, unit = np.unique(before.pixel[a], return_inverse=True)
+    gains = np.bincount(unit, old - new)
+    spread = float(np.sqrt(((gains - gains.mean()) ** 2).sum()))
+    n = len(gains)
+    score = float(gains.sum()) / spread if spread > 0 else 0.0
+    p_value = float(student.sf(score, n - 1)) if n > 1 else 1.0
+    return Gain(float(gains.sum() / old.sum()) if old.sum() > 0 else 0.0, p_value, len(a))
+
+
+def _losses(rows: Rows, which: np.ndarray, variance: np.ndarray) -> np.ndarray:
+    """(k,) of some rows (k,): what training minimises, of each row and of sums of rests in runs of `RUN` of them."""
+    each = _huber(rows.rest[which] / np.sqrt(1.0 + variance))
+    pixel, total = rows.pixel[which], np.cumsum(rows.rest)[which]
+    first = np.flatnonzero(np.concatenate([[True], pixel[1:] != pixel[:-1]]))
+    place = np.arange(len(which)) - np.repeat(first, np.diff(np.append(first, len(which))))
+    run = np.cumsum(place % RUN == 0) - 1
+    size = np.bincount(run)
+    centred = total - (np.bincount(run, total) / size)[run]
+    spread = np.bincount(run, variance)[run] / 6  # of a centred random walk
+    return each + Weights().chain * _huber(centred / np.sqrt(1.0 + spread))
+
+
+def _huber(size: np.ndarray) -> np.ndarray:
+    size = np.abs(size)
+    return np.where(size < 1, 0.5 * size**2, size - 0.5)
+
+
+def _shared(before: Rows, after: Rows) -> tuple[np.ndarray, np.ndarray]:
+    """Indices of the rows that both have, in order."""
+    if len(before.end) == len(after.end) and np.array_equal(before.begin, after.begin):
+        every = np.arange(len(before.end))
+        return every, every
+    quiet = [np.flatnonzero(~rows.burst) for rows in (before, after)]
+    place = [
+        {
+            key: int(k)
+            for key, k in zip(zip(rows.pixel[some].tolist(), rows.end[some].tolist(), strict=True), some, strict=True)
+        }
+        for rows, some in zip((before, after), quiet, strict=True)
+    ]
+    both = np.array([(k, place[1][key]) for key, k in place[0].items() if key in place[1]], np.int64).reshape(-1, 2)
+    return both[:, 0], both[:, 1]

@@ -1,0 +1,123 @@
+"""What training works on, and everything that it reads and changes."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+
+from pixelid.nerf.additions import Tilt
+from pixelid.nerf.camera import Camera, sub_pixel_directions
+from pixelid.nerf.field import Field
+from pixelid.nerf.gauge import Gauge
+from pixelid.nerf.intervals import Intervals
+from pixelid.nerf.pixel import Bandwidth, Pixel
+from pixelid.nerf.pixel_maps import PixelMaps
+from pixelid.nerf.recipe import Recipe
+from pixelid.nerf.trajectory import Trajectory
+from pixelid.stages.circuit import Circuit
+
+DEPARTURES = 0.4  # learning rate of single pixels' thresholds, in their standard deviations, over the grid's
+
+
+@dataclass(frozen=True)
+class Problem:
+    """What is reconstructed from.
+
+    training, held_out: intervals;  camera: of the sensor;  channel: (pixels,);  dark: (C,) added to the field's
+    radiance;  circuit: of the pixel;  gauge: what pins the radiance unit;  low, high: the box;  maps: how the pixels
+    depart from the circuit, None where they do not;  tilts: of `additions.tilts`, for what is trained;  shortest: s,
+    between two events of one pixel
+    """
+
+    training: Intervals
+    held_out: Intervals
+    trajectory: Trajectory
+    camera: Camera
+    channel: np.ndarray
+    dark: np.ndarray
+    circuit: Circuit
+    gauge: Gauge
+    low: np.ndarray
+    high: np.ndarray
+    maps: PixelMaps | None = None
+    tilts: Mapping[str, Tilt] = dataclasses.field(default_factory=dict)
+    shortest: float = 0.0
+
+    def pixels_as_dict(self, pixel: Pixel) -> dict[str, Any]:
+        """The entry "pixels" of reconstruction.json: thresholds and bandwidth over the sensor, and who was left out."""
+        hot = self.maps.hot if self.maps is not None else np.zeros(0, np.int64)
+        on, off = pixel.threshold_spread()
+        return {
+            "threshold_spread": {"on": on, "off": off},
+            "thresholds_trained": pixel.departures.requires_grad,
+            "bandwidth_mapped": pixel.maps.bandwidth is not None,
+            "hot": {"count": len(hot), "xy": [[int(k % self.camera.width), int(k // self.camera.width)] for k in hot]},
+        }
+
+
+@dataclass
+class State:
+    """Everything that a step reads and changes.
+
+    inside: (pixels · rays, 3) directions in the camera frame, a pixel's together;  diverged: whether a loss was NaN or
+    infinite; the state is then that before the step, and no further step is made
+    """
+
+    field: Field
+    pixel: Pixel
+    optimiser: torch.optim.Optimizer
+    inside: np.ndarray
+    iteration: int
+    rays: int = 0
+    history: list[dict[str, float]] = dataclasses.field(default_factory=list)
+    diverged: bool = False
+
+    @property
+    def finite(self) -> bool:
+        """Whether no step diverged and the field holds numbers only."""
+        pixel = self.pixel
+        values = (self.field.grid, self.field.log_background, pixel.factors, pixel.added, pixel.departures)
+        return not self.diverged and all(bool(torch.isfinite(value).all()) for value in values)
+
+
+def start(problem: Problem, recipe: Recipe, bandwidth: Bandwidth, device: str = "cpu") -> State:
+    """The state before the first step.
+
+    Args:
+        problem: what is reconstructed from.
+        recipe: with the seed, and the vertices to begin with.
+        bandwidth: the pixel's filter.
+        device: "cpu" or "cuda".
+
+    Returns:
+        An untrained field and pixel, with their optimiser.
+    """
+    torch.manual_seed(recipe.seed)
+    gauge = problem.gauge
+    scene = Field(
+        problem.low, problem.high, recipe.vertices_at(0), len(problem.dark), gauge.background,
+        free_background=gauge.free_background, level=float(np.exp(gauge.level.mean())),
+    ).to(device)  # fmt: skip
+    pixel = Pixel(problem.circuit, bandwidth, problem.maps).to(device)
+    inside = sub_pixel_directions(problem.camera, recipe.supersample)
+    return State(scene, pixel, optimiser_of(scene, pixel, recipe), inside, 0)
+
+
+def optimiser_of(scene: Field, pixel: Pixel, recipe: Recipe) -> torch.optim.Optimizer:
+    """Adam over the grid, the background when it is free, and what of the pixel is trained."""
+    groups: list[dict[str, Any]] = [{"params": [scene.grid], "lr": recipe.rate, "share": 1.0}]
+    if scene.log_background.requires_grad:
+        groups.append({"params": [scene.log_background], "lr": recipe.rate, "share": 0.1})
+    groups += [
+        {"params": [values], "lr": recipe.rate, "share": 0.2}
+        for values in (pixel.factors, pixel.added)
+        if values.requires_grad
+    ]
+    if pixel.departures.requires_grad:
+        groups.append({"params": [pixel.departures], "lr": recipe.rate, "share": DEPARTURES})
+    return torch.optim.Adam(groups, betas=(0.9, 0.99), eps=1e-15, fused=True)
