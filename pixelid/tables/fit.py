@@ -159,19 +159,17 @@ def fit_table(
     """
     from scipy.optimize import least_squares
 
-    parameters, rows = model.parameters, model.rows
+    parameters = model.parameters
     lower, upper = np.array([p.coordinate_bounds() for p in parameters]).T
     first = [p.value for p in parameters] if start is None else start
     x = np.clip(
         [p.to_coordinate(value) for p, value in zip(parameters, first, strict=True)], lower + 1e-9, upper - 1e-9
     )
-    d = rows.last_digit
-    target = np.log(rows.measured + d)
-    known = (d / np.sqrt(12.0) / (rows.measured + d)) ** 2 + np.asarray(rows.relative_error) ** 2
     prior_rows, prior_target = _priors(model, ties)
+    known = _residuals(model, x)[1]
 
     def residuals(x: np.ndarray) -> np.ndarray:
-        return target - np.log(model.predict(x) + d)
+        return _residuals(model, x)[0]
 
     def jacobian(x: np.ndarray) -> np.ndarray:
         return -slopes(model, x)
@@ -199,18 +197,45 @@ def fit_table(
             converged = True
             break
         last = value
-    value = _log_likelihood(r, np.sqrt(sigma**2 + known))
-    s = np.sqrt(sigma**2 + known)
+    return fit_at(model, x, float(sigma), converged, ties)
+
+
+def fit_at(
+    model: TableModel, x: np.ndarray, scale: float, converged: bool = True, ties: Sequence[Tie] = ()
+) -> TableFit:
+    """Errors, limits and residuals of a table at coordinates that another search has found.
+
+    Args:
+        model: rows, parameters and prediction.
+        x: (parameters,) fitting coordinates.
+        scale: relative scatter σ.
+        converged: whether the search came to rest.
+        ties: priors beside the parameters' own.
+    """
+    lower, upper = np.array([p.coordinate_bounds() for p in model.parameters]).T
+    r, known = _residuals(model, x)
+    s = np.sqrt(scale**2 + known)
     low, high = x < lower + AT_BOUND, x > upper - AT_BOUND
     # a parameter on a bound counts in its own unit (at its lower bound) or inverted (at its upper), where its effect
     # is linear: the others' errors then include it, and it gets a one-sided limit
     unit = np.where(low, np.exp(-x), np.where(high, np.exp(x), 1.0))
-    J = np.vstack([jacobian(x) / s[:, None] * np.sqrt((FREEDOM + 1.0) / (FREEDOM + 3.0)), prior_rows]) * unit
+    J = np.vstack([
+        slopes(model, x) / s[:, None] * np.sqrt((FREEDOM + 1.0) / (FREEDOM + 3.0)), _priors(model, ties)[0]
+    ]) * unit  # fmt: skip
     sd = standard_errors(J.T @ J)
     limit = np.where(low, np.exp(x) + Z95 * sd, np.where(high, 1.0 / (np.exp(-x) + Z95 * sd), np.nan))
     sd = np.where(low | high, np.inf, sd)
     weight = (FREEDOM + 1.0) / (FREEDOM + (r / s) ** 2) / ((FREEDOM + 1.0) / FREEDOM)
-    return TableFit(model, x, sd, limit, sigma, model.predict(x), r / s, weight, value, converged, tuple(ties))
+    value = _log_likelihood(r, s)
+    return TableFit(model, x, sd, limit, scale, model.predict(x), r / s, weight, value, converged, tuple(ties))
+
+
+def _residuals(model: TableModel, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(rows,) ln measured over predicted, and variances that are known."""
+    rows = model.rows
+    d = rows.last_digit
+    known = (d / np.sqrt(12.0) / (rows.measured + d)) ** 2 + np.asarray(rows.relative_error) ** 2
+    return np.log(rows.measured + d) - np.log(model.predict(x) + d), np.broadcast_to(known, rows.measured.shape)
 
 
 def slopes(model: TableModel, x: np.ndarray) -> np.ndarray:
@@ -227,12 +252,9 @@ def slopes(model: TableModel, x: np.ndarray) -> np.ndarray:
 
 def information_at(fit: TableFit) -> np.ndarray:
     """(n, n) Fisher information of a fit's coordinates at its maximum, priors included."""
-    model = fit.model
-    rows, d = model.rows, model.rows.last_digit
-    known = (d / np.sqrt(12.0) / (rows.measured + d)) ** 2 + np.asarray(rows.relative_error) ** 2
-    s = np.sqrt(fit.scale**2 + known)
-    J = slopes(model, fit.x) / s[:, None] * np.sqrt((FREEDOM + 1.0) / (FREEDOM + 3.0))
-    prior = _priors(model, fit.ties)[0]
+    s = np.sqrt(fit.scale**2 + _residuals(fit.model, fit.x)[1])
+    J = slopes(fit.model, fit.x) / s[:, None] * np.sqrt((FREEDOM + 1.0) / (FREEDOM + 3.0))
+    prior = _priors(fit.model, fit.ties)[0]
     return J.T @ J + prior.T @ prior
 
 
@@ -244,10 +266,7 @@ def covariance_at(fit: TableFit) -> np.ndarray:
 
 def log_posterior_at(fit: TableFit, x: np.ndarray) -> float:
     """Log likelihood and log prior, to a constant, of coordinates x (n,) under the scatter of a fit."""
-    rows = fit.model.rows
-    d = rows.last_digit
-    known = (d / np.sqrt(12.0) / (rows.measured + d)) ** 2 + np.asarray(rows.relative_error) ** 2
-    r = np.log(rows.measured + d) - np.log(fit.model.predict(x) + d)
+    r, known = _residuals(fit.model, x)
     prior_rows, prior_target = _priors(fit.model, fit.ties)
     prior = 0.5 * float(((prior_rows @ x - prior_target) ** 2).sum())
     return _log_likelihood(r, np.sqrt(fit.scale**2 + known)) - prior

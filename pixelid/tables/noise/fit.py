@@ -2,7 +2,8 @@
 
 A prediction costs tens of milliseconds per light, and ln rate is nearly linear in the fit's logarithmic coordinates.
 So each round differentiates once, lets `fit_table` find the optimum of the linearised table within `TRUST`, and looks
-whether the table itself is then better described; if not, the step is halved.
+whether the table itself is then better described, as the linear one promised; if not, the step is halved.  What is
+reported is the best place visited, with errors of its own linearisation.
 """
 
 from __future__ import annotations
@@ -16,15 +17,18 @@ import numpy as np
 
 from pixelid.model.model import Model
 from pixelid.parameters.parameter import Parameter
-from pixelid.tables.fit import FREEDOM, TableFit, fit_table
+from pixelid.tables.fit import FREEDOM, MAX_SCATTER, TableFit, fit_at, fit_table
 from pixelid.tables.model import Rows
 from pixelid.tables.noise.model import FLOOR, NoiseModel, in_unit
 from pixelid.tables.noise.reading import NoiseTable
 
-STEP = 0.02  # of a coordinate, for forward differences; curvature there is some per cent of the slope
+STEP = 0.02  # of a coordinate, for central differences
 TRUST = 0.7  # of a coordinate per round: a factor of 2
-ROUNDS = 14
-REST = 0.05  # standard errors moved in a round below which a fit has come to rest
+LEAST_TRUST = 0.02  # where the rates are not linear even so near, the search has failed
+FREE_TRUST = 0.2  # a step that short promises little wherever it begins: rest is judged by longer ones
+ROUNDS = 40
+REST = 0.02  # nats that a step promises, below which a fit has come to rest: 0.2 standard errors
+LEAST_GAINED, GOOD = 0.1, 0.7  # of what a step promised: taken from, and longer steps tried from
 # Where a fit looks first: factors on both thresholds (over the noise), on the light's photocurrent and the follower's
 # cutoff; the latter two where the light's unit leaves the photocurrent open
 THRESHOLD_STARTS = np.geomspace(0.35, 1.6, 8)
@@ -93,28 +97,28 @@ def fit_noise(table: NoiseTable, model: Model, progress: Callable[[str, float], 
     names = [p.name for p in noise.parameters]
     limits = np.array([p.coordinate_bounds() for p in noise.parameters])
     x = np.array([p.to_coordinate(p.value) for p in noise.parameters])
-    trust, converged = TRUST, False
     level = np.log(noise.predict(x))
-    fit: TableFit | None = None
+    trust, converged, scale = TRUST, False, MAX_SCATTER
     for round_ in range(ROUNDS):
         report("fitting", 0.1 + 0.9 * round_ / ROUNDS)
         line = _linearise(noise, x, level)
         while True:
             fit = fit_table(_within(line, limits, trust), np.exp(x).tolist())
-            moved = fit.x - x
-            trial = np.log(noise.predict(fit.x))
             s = np.sqrt(fit.scale**2 + _known(noise))
-            if trust < 0.01 or _misfit(noise, trial, fit.x, s) < _misfit(noise, level, x, s) + 1e-3:
+            here = _misfit(noise, level, x, s)
+            promised = here - _misfit(noise, np.log(line.predict(fit.x)), fit.x, s)
+            trial = np.log(noise.predict(fit.x))
+            gained = here - _misfit(noise, trial, fit.x, s)
+            if promised < REST or gained > LEAST_GAINED * promised or trust < LEAST_TRUST:
                 break
             trust *= 0.5
-        x, level = fit.x, trial
-        error = np.where(np.isfinite(fit.sd), fit.sd, 1.0)
-        if np.all(np.abs(moved) < np.maximum(REST * error, 1e-3)):
-            converged = True
+        if gained > 0.0:
+            x, level, scale = fit.x, trial, fit.scale
+        if trust < LEAST_TRUST or (promised < REST and trust >= FREE_TRUST):
+            converged = promised < REST and trust >= FREE_TRUST
             break
-        trust = min(1.5 * trust, TRUST)
-    assert fit is not None
-    final = fit_table(_linearise(noise, x, level), np.exp(x).tolist())
+        trust = min(2.0 * trust, TRUST) if promised < REST or gained > GOOD * promised else trust
+    final = fit_at(_linearise(noise, x, level), x, scale, converged)
     r = np.log(noise.rows.measured + noise.rows.last_digit) - np.log(np.exp(level) + noise.rows.last_digit)
     s = np.sqrt(final.scale**2 + _known(noise))
     # pixels are a sample: their mean threshold is off the sensor's by the mismatch over the root of their number
@@ -122,7 +126,6 @@ def fit_noise(table: NoiseTable, model: Model, progress: Callable[[str, float], 
     own = np.array([spread if table.pixels and name.endswith("_threshold") else 0.0 for name in names])
     regression = replace(
         final, model=noise, predicted=np.exp(level), residual=r / s, sd=np.hypot(final.sd, own),
-        converged=converged and final.converged,
     )  # fmt: skip
     return NoiseFit(regression, noise, time.perf_counter() - begun)
 
@@ -184,8 +187,9 @@ def rates_by_light(noise: NoiseModel, lights: np.ndarray) -> dict[float, tuple[f
 
 
 def _linearise(noise: NoiseModel, x: np.ndarray, level: np.ndarray) -> Linearised:
-    points = [x + STEP * unit for unit in np.eye(len(x))]
-    slopes = np.stack([(np.log(rates) - level) / STEP for rates in noise.predict_many(points)], axis=1)
+    points = [x + side * STEP * unit for unit in np.eye(len(x)) for side in (1.0, -1.0)]
+    logs = np.log(noise.predict_many(points))
+    slopes = ((logs[0::2] - logs[1::2]) / (2.0 * STEP)).T
     return Linearised(noise.rows, noise.parameters, noise.nuisances, noise.neutral_bounds, x, level, slopes)
 
 
