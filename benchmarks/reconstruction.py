@@ -186,10 +186,13 @@ def last_runs(work: Path) -> dict[tuple, dict[int, dict]]:
 
 
 def save(work: Path, path: Path) -> None:
-    """Write the last runs, a line each, without what differs from computer to computer."""
+    """Write the last runs, a line each, without what differs between computers; what was not run again stays."""
     names = ("experiment", "setting", "arm", "seed", "iterations", "psnr", "ssim", "cpu_seconds", "pixel", "found")
-    runs = [{name: row.get(name) for name in names} for seeds in last_runs(work).values() for row in seeds.values()]
-    path.write_text("[\n" + ",\n".join(json.dumps(row) for row in runs) + "\n]\n")
+    key = ("experiment", "setting", "arm", "seed", "iterations")
+    there = json.loads(path.read_text()) if path.is_file() else []
+    new = [{name: row.get(name) for name in names} for seeds in last_runs(work).values() for row in seeds.values()]
+    runs = {tuple(run[name] for name in key): run for run in (*there, *new)}
+    path.write_text("[\n" + ",\n".join(json.dumps(row) for row in runs.values()) + "\n]\n")
 
 
 def table(work: Path) -> str:

@@ -198,6 +198,9 @@ def reconstruction() -> str:
         groups[run["experiment"]][run["setting"], run["arm"], run["iterations"]].append(run)
     lines = []
     for experiment, arms in groups.items():
+        if experiment == "whole":
+            lines.append(_whole(arms))
+            continue
         rows = []
         for (setting, arm, iterations), runs in arms.items():
             psnr = [run["psnr"] for run in runs]
@@ -211,6 +214,27 @@ def reconstruction() -> str:
         if experiment == "bandwidth":
             lines.append(_gain(arms))
     return "\n".join(lines)
+
+
+def _whole(arms: dict[tuple, list[dict]]) -> str:
+    """Cameras with more than the data sets' pixel: PSNR with everything known, ignored, and found in the events."""
+    cameras: dict[str, dict[str, list[dict]]] = defaultdict(dict)
+    for (_, arm, _), runs in arms.items():
+        camera, _, which = arm.rpartition(": ")
+        cameras[camera][which] = runs
+    rows = []
+    for camera, by in cameras.items():
+        psnr = [
+            f"{statistics.mean(run['psnr'] for run in by[which]):.2f}" if which in by else ""
+            for which in ("known", "ignored", "found")
+        ]
+        named = sorted({name for run in by.get("found", []) for name in run["found"]})
+        seconds = [
+            f"{statistics.mean(r['cpu_seconds'] for r in by[w]):.0f}" if w in by else "" for w in ("known", "found")
+        ]
+        rows.append((camera, *psnr, ", ".join(named) or ("none" if "found" in by else ""), *seconds))
+    heads = ("camera", "known [dB]", "ignored [dB]", "found [dB]", "what was found", "CPU s, known", "CPU s, found")
+    return "## More of the pixel than the data sets say\n\n" + table(heads, rows)
 
 
 def _gain(arms: dict[tuple, list[dict]]) -> str:

@@ -26,7 +26,7 @@ STEP = 0.02  # of a coordinate, for central differences
 TRUST = 0.7  # of a coordinate per round: a factor of 2
 LEAST_TRUST = 0.02  # where the rates are not linear even so near, the search has failed
 FREE_TRUST = 0.2  # a step that short promises little wherever it begins: rest is judged by longer ones
-ROUNDS = 40
+ROUNDS = 20
 REST = 0.02  # nats that a step promises, below which a fit has come to rest: 0.2 standard errors
 LEAST_GAINED, GOOD = 0.1, 0.7  # of what a step promised: taken from, and longer steps tried from
 # Where a fit looks first: factors on both thresholds (over the noise), on the light's photocurrent and the follower's
