@@ -24,7 +24,7 @@ from pixelid.nerf.pixel import FILTER, Bandwidth, Pixel, filter_parameters
 from pixelid.nerf.pixel_maps import MISMATCH
 from pixelid.nerf.predict import draw, predict
 from pixelid.nerf.recipe import Recipe
-from pixelid.nerf.residuals import Gain, compare, residual_map, rows_of
+from pixelid.nerf.residuals import Gain, Rows, compare, residual_map, rows_of
 from pixelid.nerf.state import Problem, State, start
 from pixelid.nerf.train import train
 
@@ -115,11 +115,10 @@ def search(
     Returns:
         The pixel with what was found.
     """
-    coarse = replace(recipe, vertices=recipe.vertices[:1])
-    warm, steps = max(round(WARM * recipe.iterations), 1), max(round(TRIAL * recipe.iterations), 1)
     names = _candidates(calibration, bandwidth, mapped)
+    warm, steps = (max(round(share * recipe.iterations), 1) for share in (WARM, TRIAL))
     # as if the search kept one effect; it may keep none, or more
-    total, done = float(warm + 2 * (len(names) + 1) * steps), 0.0
+    total, done = float(warm + (2 * len(names) + 6) * steps), 0.0
 
     def report(now: State, measured: dict[str, float]) -> None:
         nonlocal done
@@ -127,67 +126,111 @@ def search(
         progress(f"searching for effects, loss {measured['loss']:.3f}", min(done / total, 1.0))
 
     unit = 0.5 * float(calibration.circuit.on_threshold + calibration.circuit.off_threshold)
+    bench = _Bench(make, replace(recipe, vertices=recipe.vertices[:1]), bandwidth, steps, unit, device, report)
     problem = make(calibration, bandwidth.moving)
-    state = train(problem, coarse, start(problem, coarse, bandwidth, device), until=warm, report=report)
-    calibration = settled(calibration, state.pixel, problem)
-    problem = make(calibration, bandwidth.moving)
-    told = problem, calibration, state  # what goes on under the pixel as told, for comparison at the end
-    trained: tuple[str, ...] = ()
+    state = train(problem, bench.recipe, start(problem, bench.recipe, bandwidth, device), until=warm, report=report)
+    here = told = _Place(settled(calibration, state.pixel, problem), (), state)
     kept: list[Trial] = []
     rounds: list[tuple[Trial, ...]] = []
-
-    def grown(state: State, calibration: Calibration, trained: tuple[str, ...]) -> tuple[State, Calibration]:
-        """Scene and pixel after as many steps as a trial takes, from strengths that the residuals suggest."""
-        using = replace(bandwidth, trained=(*bandwidth.trained, *trained))
-        every = make(calibration, (*using.moving, *ADDITIONS))
-        suggested = suggestions(every, state)
-        for name in trained:
-            calibration = _begun(name, calibration, suggested, every)
-        problem = make(calibration, using.moving)
-        state = _go_on(problem, state, coarse, using, steps, device, report)
-        return state, settled(calibration, state.pixel, problem)
-
-    while len(rounds) < MOST_ROUNDS and names and not state.diverged:
-        using = replace(bandwidth, trained=(*bandwidth.trained, *trained))
-        every = make(calibration, (*using.moving, *ADDITIONS))
-        suggested = suggestions(every, state)
-        problem = make(calibration, using.moving)
-        plain = _go_on(problem, state, coarse, using, steps, device, report)
-        reference = rows_of(problem, plain, problem.held_out, unit)
-        trials, states = [], []
-        for name in names:
-            begun = _begun(name, calibration, suggested, every)
-            moved = replace(using, trained=tuple(dict.fromkeys((*using.trained, *_trained_by(name, calibration)))))
-            its_problem = make(begun, moved.moving)
-            after = _go_on(its_problem, state, coarse, moved, steps, device, report)
-            gain = compare(reference, rows_of(its_problem, after, its_problem.held_out, unit))
-            trials.append(Trial(EFFECTS.get(name, name), _told(name, begun), _values(name, after.pixel), gain))
-            states.append((after, settled(begun, after.pixel, its_problem), moved))
-        rounds.append(tuple(trials))
-        most = max(trial.gain.share for trial in trials)
-        best = next(k for k, trial in enumerate(trials) if trial.gain.share > most - TIE)
-        if trials[best].gain.p_value * len(names) > ALPHA or trials[best].gain.share < LEAST_SHARE:
-            state, calibration = plain, settled(calibration, plain.pixel, problem)
+    while len(rounds) < MOST_ROUNDS and names and not here.state.diverged:
+        trials, places, plain = bench.round(here, names)
+        rounds.append(trials)
+        named = [k for k, t in enumerate(trials) if t.gain.p_value * len(names) < ALPHA and t.gain.share >= LEAST_SHARE]
+        if not named:
+            here = plain
             break
-        state, calibration, moved = states[best]
-        trained = tuple(name for name in moved.trained if name not in bandwidth.trained)
+        most = max(trials[k].gain.share for k in named)
+        best = next(k for k in named if trials[k].gain.share > most - TIE)
+        here = places[best]
         for _ in range(SETTLING):
-            state, calibration = grown(state, calibration, trained)
+            here = bench.grown(here)
         kept.append(trials[best])
         names = tuple(name for k, name in enumerate(names) if k != best)
-        total = max(total, done + (len(names) + 2) * steps)
     if not kept:
-        return Found(told[1], (), (), tuple(rounds))
-    problem, alone = told[0], told[2]
-    alone = _go_on(problem, alone, coarse, bandwidth, state.iteration - alone.iteration, device, report)
-    before = rows_of(problem, alone, problem.held_out, unit)
-    problem = make(calibration, (*bandwidth.moving, *trained))
-    state = _moved_to(problem, state, coarse, replace(bandwidth, trained=(*bandwidth.trained, *trained)), device)
-    after = rows_of(problem, state, problem.held_out, unit)
+        return Found(told.calibration, (), (), tuple(rounds))
+    told = bench.go_on(told, here.state.iteration - told.state.iteration)
+    before, after = bench.rows(told), bench.rows(here)
     return Found(
-        calibration, trained, tuple(kept), tuple(rounds), compare(before, after), (score(alone), score(state)),
-        residual_map(before, after),
+        here.calibration, here.trained, tuple(kept), tuple(rounds), compare(before, after),
+        (score(told.state), score(here.state)), residual_map(before, after),
     )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class _Place:
+    """Where a search is: a pixel, what of it is trained beyond the told, and a scene trained under it."""
+
+    calibration: Calibration
+    trained: tuple[str, ...]
+    state: State
+
+
+@dataclass(frozen=True)
+class _Bench:
+    """What all steps of a search share: how problems are made, scenes trained and rests counted."""
+
+    make: Make
+    recipe: Recipe
+    bandwidth: Bandwidth
+    steps: int
+    unit: float
+    device: str
+    report: Callable[[State, dict[str, float]], None]
+
+    def round(
+        self, here: _Place, names: tuple[str, ...]
+    ) -> tuple[tuple[Trial, ...], tuple[_Place, ...], _Place]:  # fmt: skip
+        """(trials, where they ended, where the scene without any of them ended)."""
+        every = self.make(here.calibration, (*self._using(here.trained).moving, *ADDITIONS))
+        suggested = suggestions(every, here.state)
+        plain = self.go_on(here, self.steps)
+        reference = self.rows(plain)
+        trials, places = [], []
+        for name in names:
+            begun = _begun(name, here.calibration, suggested, every)
+            trained = tuple(dict.fromkeys((*here.trained, *_trained_by(name, here.calibration))))
+            there = self.go_on(_Place(begun, trained, here.state), self.steps)
+            gain = compare(reference, self.rows(there))
+            values = _values(name, there.calibration, there.state.pixel)
+            trials.append(Trial(EFFECTS.get(name, name), _told(name, begun), values, gain))
+            places.append(there)
+        return tuple(trials), tuple(places), plain
+
+    def grown(self, here: _Place) -> _Place:
+        """Scene and pixel after as many steps as a trial takes, from strengths that the residuals suggest."""
+        every = self.make(here.calibration, (*self._using(here.trained).moving, *ADDITIONS))
+        suggested, calibration = suggestions(every, here.state), here.calibration
+        for name in here.trained:
+            calibration = _begun(name, calibration, suggested, every)
+        return self.go_on(replace(here, calibration=calibration), self.steps)
+
+    def go_on(self, here: _Place, steps: int) -> _Place:
+        """The same, trained on for some steps, in a copy; the pixel is what training has moved it to."""
+        problem, state = self._moved(here)
+        state = train(problem, self.recipe, state, until=state.iteration + steps, report=self.report)
+        return replace(here, calibration=settled(here.calibration, state.pixel, problem), state=state)
+
+    def rows(self, here: _Place) -> Rows:
+        """What is left unexplained of held-out events."""
+        problem, state = self._moved(here)
+        return rows_of(problem, state, problem.held_out, self.unit)
+
+    def _using(self, trained: tuple[str, ...]) -> Bandwidth:
+        return replace(self.bandwidth, trained=(*self.bandwidth.trained, *trained))
+
+    def _moved(self, here: _Place) -> tuple[Problem, State]:
+        """The problem under a place's pixel, and a copy of its scene; what single thresholds were trained to stays."""
+        using = self._using(here.trained)
+        problem = self.make(here.calibration, using.moving)
+        copy = start(problem, self.recipe, using, self.device)
+        with torch.no_grad():
+            copy.field.grid.copy_(here.state.field.grid)
+            copy.field.log_background.copy_(here.state.field.log_background)
+            if copy.pixel.departures.requires_grad and here.state.pixel.departures.requires_grad:
+                copy.pixel.departures.copy_(here.state.pixel.departures)
+        copy.field.occupied = here.state.field.occupied.copy()
+        copy.iteration, copy.rays = here.state.iteration, here.state.rays
+        return problem, copy
 
 
 def suggestions(problem: Problem, state: State) -> dict[str, float]:
@@ -292,33 +335,8 @@ def _told(name: str, calibration: Calibration) -> dict[str, float]:
     return {ADDITIONS[name].parameter: getattr(circuit, ADDITIONS[name].field)}
 
 
-def _values(name: str, pixel: Pixel) -> dict[str, float]:
+def _values(name: str, calibration: Calibration, pixel: Pixel) -> dict[str, float]:
     """The same after training; of the mismatch, the spread that thresholds of single pixels have come to."""
     if name == MISMATCHED:
         return {"threshold_mismatch.sigma": float(np.hypot(*pixel.threshold_spread()) / np.sqrt(2.0))}
-    values = pixel.values()
-    if name == BANDWIDTH:
-        return {part: values[part] for part in ("alpha", "follower")}
-    return {ADDITIONS[name].parameter: values[ADDITIONS[name].parameter]}
-
-
-def _go_on(
-    problem: Problem, state: State, recipe: Recipe, bandwidth: Bandwidth, steps: int, device: str,
-    report: Callable[[State, dict[str, float]], None],
-) -> State:  # fmt: skip
-    """A copy of the state, trained on for some steps under another problem and pixel."""
-    copy = _moved_to(problem, state, recipe, bandwidth, device)
-    return train(problem, recipe, copy, until=copy.iteration + steps, report=report)
-
-
-def _moved_to(problem: Problem, state: State, recipe: Recipe, bandwidth: Bandwidth, device: str) -> State:
-    """The scene of a state under another problem and pixel; what a pixel's thresholds were trained to stays."""
-    copy = start(problem, recipe, bandwidth, device)
-    with torch.no_grad():
-        copy.field.grid.copy_(state.field.grid)
-        copy.field.log_background.copy_(state.field.log_background)
-        if copy.pixel.departures.requires_grad and state.pixel.departures.requires_grad:
-            copy.pixel.departures.copy_(state.pixel.departures)
-    copy.field.occupied = state.field.occupied.copy()
-    copy.iteration, copy.rays = state.iteration, state.rays
-    return copy
+    return _told(name, calibration)

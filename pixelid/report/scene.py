@@ -24,7 +24,16 @@ def summarise(result: Result, folder: Path) -> Summary:
             Number("bandwidth", result["bandwidth"]),
             Number("time taken", seconds(result["seconds"]), f"{result['iterations']} steps on {result['device']}"),
         ),
-        command_line("reconstruct", result, "DATASET", "--bandwidth", result["bandwidth"], out=folder, inputs=False),
+        command_line(
+            "reconstruct",
+            result,
+            "DATASET",
+            "--bandwidth",
+            result["bandwidth"],
+            *(["--gap"] if result.get("gap") else []),
+            out=folder,
+            inputs=False,
+        ),
     )
 
 
@@ -63,8 +72,8 @@ def _gap(gap: dict) -> dict[str, Any]:
         else ""
     )
     sentence = (
-        f"{names}: together they explain {100 * gap['heldout_gain']:.0f} % of the loss of held-out events under the "
-        f"pixel as told.{views} The final training moves their strengths on."
+        f"{names}: of the loss of held-out events under the pixel as told, {100 * gap['heldout_gain']:.0f} % is "
+        f"explained with what was found.{views} The final training moves the strengths on."
     )
     return {"rows": rows, "kept": bool(names), "sentence": sentence, "least": f"{100 * LEAST_SHARE:.0f} %"}
 
