@@ -19,6 +19,7 @@ from pixelid.nerf.predict import chains_at, predict
 from pixelid.nerf.state import Problem, State
 
 BLOCK = 256  # chains rendered at a time
+MOST_CHAINS = 8192  # that judge a pixel, some 1e5 rows: the cost of a search does not grow with the sensor
 BINS = 8  # of a residual map
 RUN = 8  # rows whose rests are summed up
 
@@ -64,14 +65,24 @@ def apart(of: Intervals) -> np.ndarray:
     return np.flatnonzero(since % CHAIN == 0)
 
 
-def rows_of(problem: Problem, state: State, of: Intervals, unit: float, most: int | None = None) -> Rows:
-    """The rows of all pixels of `of` (at most so many chains), with the same random numbers every time.
+def of_some_pixels(of: Intervals, starts: np.ndarray, most: int) -> np.ndarray:
+    """Places in `starts` (k,), indices into `of.starts`, of as many whole pixels as have some `most` of them.
+
+    The pixels are drawn, the same ones every time, also when their events are cut differently.
+    """
+    pixel = of.stretches.pixel[of.starts[starts]].astype(np.int64)
+    order = np.argsort(np.random.default_rng(5).random(int(pixel.max()) + 1)[pixel], kind="stable")
+    last = pixel[order[most - 1]]
+    return np.sort(order[: int(np.flatnonzero(pixel[order] == last)[-1]) + 1])
+
+
+def rows_of(problem: Problem, state: State, of: Intervals, unit: float, most: int = MOST_CHAINS) -> Rows:
+    """The rows of the pixels of `of`, of as many as have some `most` chains, with the same random numbers every time.
 
     unit: thresholds that rests are counted in, ln L
     """
     starts, parts = apart(of), []
-    if most is not None and len(starts) > most:
-        starts = np.sort(np.random.default_rng(5).choice(starts, most, replace=False))
+    starts = starts[of_some_pixels(of, starts, most)] if len(starts) > most else starts
     for k in range(0, len(starts), BLOCK):
         rng = np.random.default_rng([1, k])
         with torch.no_grad():

@@ -11,7 +11,7 @@ from pixelid.nerf.additions import ADDITIONS, tilts
 from pixelid.nerf.intervals import CHAIN, chains, intervals
 from pixelid.nerf.losses import amplifier_drift, changes, terms
 from pixelid.nerf.pixel import Bandwidth, Pixel
-from pixelid.nerf.residuals import Rows, apart, compare, residual_map
+from pixelid.nerf.residuals import Rows, apart, compare, of_some_pixels, residual_map
 from pixelid.nerf.scan import respond
 from pixelid.stages.circuit import Circuit
 from tests.unit.test_nerf_stretches import QUICK, comparator
@@ -92,6 +92,22 @@ def test_chains_apart_share_no_stretch_and_leave_none_out():
         some = np.arange(start, min(start + CHAIN, len(pixel)))
         covered[some[pixel[some] == pixel[start]]] += 1
     assert (covered == 1).all()
+
+
+def test_some_pixels_are_whole_and_the_same_however_they_are_cut():
+    t = np.cumsum(np.random.default_rng(4).uniform(2e-4, 2e-3, 9000))
+    x, on = np.random.default_rng(5).integers(0, 30, 9000), np.random.default_rng(6).random(9000) < 0.5
+    chosen = []
+    for dead in (0.0, 1e-3):
+        every = intervals(t, x, np.zeros(9000, int), on, 30, dead=dead, shortest=0.005)
+        starts = apart(every)
+        pixel = every.stretches.pixel[every.starts[starts]]
+        some = of_some_pixels(every, starts, 60)
+        assert 60 <= len(some) < 60 + np.bincount(pixel).max()
+        for one in np.unique(pixel[some]):
+            assert set(np.flatnonzero(pixel == one)) <= set(some.tolist())
+        chosen.append(set(pixel[some].tolist()))
+    assert len(chosen[0] & chosen[1]) >= min(map(len, chosen)) - 1
 
 
 def rows(rest: np.ndarray, end: np.ndarray, burst: np.ndarray | None = None, begin: np.ndarray | None = None) -> Rows:
