@@ -230,7 +230,7 @@ class GapReport(Result):
             effects, gap, rounds, term = required(content, folder, cls.FILE, "effects", "gap", "rounds", "unknown_term")
             model = load_model(Path(folder) / "model.toml")
             base = Path(folder) / "base.toml"
-            return cls(
+            report = cls(
                 effects=tuple(_named(entry) for entry in effects),
                 described=tuple(_described(entry) for entry in content.get("described", [])),
                 free_run=_free_run(gap) if gap else None,
@@ -242,6 +242,8 @@ class GapReport(Result):
                 advice=content.get("advice", ""),
                 **known,
             )
+            report.summary()  # what cannot be shown is of another kind than it should be
+            return report
 
     def plot_map(self) -> np.ndarray:
         """Where the base model is wrong, and what is left with the grown one: matplotlib axes."""

@@ -1,5 +1,6 @@
 """Files that nobody should trust: every reader answers in one plain line, and the process lives on."""
 
+import json
 import os
 import struct
 import zlib
@@ -11,7 +12,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from pixelid.arrays import load_arrays
 from pixelid.errors import InputError
+from pixelid.model.files import save_model
+from pixelid.model.shipped import find_model
 from pixelid.recordings import Events, Recording, open_recording, write_recording
 from pixelid.recordings.pictures import read_picture
 from pixelid.stimuli import sampled
@@ -241,3 +245,27 @@ def test_frames_that_do_not_fit_into_memory(tmp_path, monkeypatch):
     monkeypatch.setattr(sampled, "_memory_bytes", lambda: 2 * 2 * 3 * 30 * 20 * 4 - 1)
     with pytest.raises(InputError, match="fit into memory"):
         load_stimulus(tmp_path / "frames")
+
+
+@pytest.mark.parametrize("value", [[1.0], {"a": 1}, "much"])
+def test_a_gap_report_that_cannot_be_shown_is_refused(tmp_path, value):
+    """Found by the fuzz: a strength that is no number was only met when the report was printed."""
+    from pixelid.gap.result import GapReport
+
+    report = json.loads((Path(__file__).resolve().parents[1] / "data" / "gap.json").read_text())
+    save_model(find_model("dvs128"), tmp_path / "model.toml")
+    (tmp_path / "gap.json").write_text(json.dumps(report))
+    GapReport.load(tmp_path)
+    for entry in report["effects"][0]["parameters"].values():
+        entry["value"] = value
+    (tmp_path / "gap.json").write_text(json.dumps(report))
+    with pytest.raises(InputError, match=r"gap\.json"):
+        GapReport.load(tmp_path)
+
+
+def test_a_header_that_is_no_python_is_refused_in_one_line(tmp_path, recwarn):
+    header = b"{'descr': '<f8', 'fortran_order': False, 'shape': (2inf 20), }".ljust(117) + b"\n"
+    (tmp_path / "light.npy").write_bytes(b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header + bytes(320))
+    with pytest.raises(InputError, match="damaged or different"):
+        load_arrays(tmp_path / "light.npy")
+    assert not recwarn.list
