@@ -10,7 +10,7 @@ from pixelid.dynamics.trajectory import Dynamics, integrate
 from pixelid.nerf.additions import ADDITIONS, tilts
 from pixelid.nerf.intervals import CHAIN, chains, intervals
 from pixelid.nerf.losses import amplifier_drift, changes, terms
-from pixelid.nerf.pixel import Bandwidth, Pixel
+from pixelid.nerf.pixel import TRAINABLE, Bandwidth, Pixel
 from pixelid.nerf.residuals import Rows, apart, compare, of_some_pixels, residual_map
 from pixelid.nerf.scan import respond
 from pixelid.stages.circuit import Circuit
@@ -178,3 +178,9 @@ def test_the_filter_can_be_trained_alone():
         pixel.factors.fill_(np.log(2.0))
     assert pixel.values()["alpha"] == pytest.approx(2e6)
     assert pixel.values()["follower"] == pytest.approx(1e4)
+
+
+def test_the_command_offers_what_can_be_trained():
+    from pixelid.cli import reconstruct_command
+
+    assert reconstruct_command.TRAINABLE == TRAINABLE

@@ -119,14 +119,10 @@ def fit_noise(table: NoiseTable, model: Model, progress: Callable[[str, float], 
             break
         trust = min(2.0 * trust, TRUST) if promised < REST or gained > GOOD * promised else trust
     final = fit_at(_linearise(noise, x, level), x, scale, converged)
-    r = np.log(noise.rows.measured + noise.rows.last_digit) - np.log(np.exp(level) + noise.rows.last_digit)
-    s = np.sqrt(final.scale**2 + _known(noise))
     # pixels are a sample: their mean threshold is off the sensor's by the mismatch over the root of their number
     spread = noise.circuit.values.get("threshold_mismatch.sigma", 0.0) / math.sqrt(max(table.pixels, 1))
     own = np.array([spread if table.pixels and name.endswith("_threshold") else 0.0 for name in names])
-    regression = replace(
-        final, model=noise, predicted=np.exp(level), residual=r / s, sd=np.hypot(final.sd, own),
-    )  # fmt: skip
+    regression = replace(final, model=noise, sd=np.hypot(final.sd, own))
     return NoiseFit(regression, noise, time.perf_counter() - begun)
 
 
