@@ -148,8 +148,13 @@ def with_shot_noise(model: Model, density: float) -> Model:
 
 
 def vector(model: Model, fit: Maximum) -> np.ndarray:
-    """(d,) the model's values in the coordinates of the fit."""
-    return np.array([p.to_coordinate(model.values[p.name]) for p in fit.coordinates.parameters])
+    """(d,) the model's values in the coordinates of the fit; delays of recordings are the fit's."""
+    own = {name: parameter.value for name, parameter in model.nuisances.items()}  # such as phases of each recording
+    known = {**own, **model.values}
+    return np.array([
+        p.to_coordinate(known[p.name]) if p.name in known else at
+        for p, at in zip(fit.coordinates.parameters, fit.x, strict=True)
+    ])  # fmt: skip
 
 
 def _telling(made: tuple[Made, ...]) -> tuple[Made, ...]:
