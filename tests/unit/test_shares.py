@@ -1,6 +1,7 @@
 """Where a model stands in the coordinates of a fit whose recordings have values of their own."""
 
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 
@@ -15,7 +16,7 @@ def test_phases_of_recordings_are_the_models_and_delays_the_fits():
     model = model.with_nuisances({"mains_flicker.phase_rad": {"dim": 0.4, "bright": 1.1}})
     delay = Parameter("delay_s[dim]", 2e-4, "s", -1.0, 1.0)
     coordinates = Coordinates.of(model, (delay,))
-    fit = SimpleNamespace(coordinates=coordinates, x=coordinates.start + 0.01)
+    fit: Any = SimpleNamespace(coordinates=coordinates, x=coordinates.start + 0.01)
     moved = model.set({"alpha": 1.1 * model.values["alpha"]})
     at = dict(zip(coordinates.names, vector(moved, fit), strict=True))
     start = dict(zip(coordinates.names, coordinates.start, strict=True))
