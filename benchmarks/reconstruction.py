@@ -11,6 +11,10 @@ pixel       the camera differs from nominal by 2 in α and the source follower: 
 effect      a camera with 2 ms dead time: reconstructed with and without the effect
 whole       cameras with more than the data sets' pixel (`CAMERAS`): everything known, only what the data set says, and
             what `--gap` finds in the events beside that
+field       what the field is asked for, trained on `ideal` events: nothing, small total variation, and colour by
+            harmonics of degree 1 and 2
+size        200 × 200 pixels, on and off
+pictures    no events: a field fitted to the posed pictures of --images, one in ten of them held out
 scale       radiance unit pinned by the background, by the views' mean level, free, and free with the pixel trained
             under the prior of a fit
 
@@ -33,11 +37,15 @@ from pixelid.fit import fit
 from pixelid.model.model import Model
 from pixelid.model.shipped import find_model
 from pixelid.nerf.calibration import in_unit, of_fit
+from pixelid.nerf.camera import Camera
 from pixelid.nerf.dataset import Dataset, read_dataset
+from pixelid.nerf.evaluate import ssim
 from pixelid.nerf.pixel import Bandwidth
+from pixelid.nerf.posed import DEGREE, ITERATIONS, scene_of_images
 from pixelid.nerf.recipe import Recipe
 from pixelid.nerf.reconstruct import reconstruct
 from pixelid.nerf.synthetic import SETTINGS, camera_model, make_dataset
+from pixelid.nerf.views import LUMA, OPENGL
 
 SAMPLES = (1, 5, 15, 30, 50)
 CAMERAS = {
@@ -50,15 +58,28 @@ CAMERAS = {
     "hot pixels": ({"hot_pixels": {"rate_hz": 1000.0, "count": 40.0}}, {}),
     "bandwidth floor": ({"bandwidth_floor": {"radiance": 20.0}}, {}),
 }  # effects with their values, and other values
+FIELDS = {
+    "nothing": (0.0, 0, 0.0),
+    "total variation": (0.1, 0, 0.0),
+    "degree 1": (0.1, 1, 10.0),
+    "degree 1, held by 1": (0.1, 1, 1.0),
+    "degree 1, held by 100": (0.1, 1, 100.0),
+    "degree 1, no total variation": (0.0, 1, 10.0),
+    "degree 2": (0.1, 2, 10.0),
+    "degree 2, held by 100": (0.1, 2, 100.0),
+}  # weight of the total variation, degree of the harmonics, weight of their mean square
+LARGE_BATCH = 2048  # chains per step for 200 × 200 pixels
 SLOW = 0.5  # α and source follower of the camera that differs from nominal
 CHANGED = ("alpha", "sf_cutoff_hz")
 
 
-def dataset(work: Path, setting: str, seed: int, label: str = "", model: Model | None = None) -> Dataset:
+def dataset(
+    work: Path, setting: str, seed: int, label: str = "", model: Model | None = None, side: int = 64
+) -> Dataset:
     """A scene's dataset, made when it is not there yet."""
     path = work / f"{setting}_{seed}{label}"
     if not path.is_dir():
-        make_dataset(path, setting, seed=seed, model=model)
+        make_dataset(path, setting, seed=seed, model=model, side=side)
     return read_dataset(path)
 
 
@@ -141,6 +162,15 @@ def arms(name: str, work: Path, setting: str, seed: int):
             told = data.calibration.circuit.with_(refractory=camera_model(SETTINGS[setting]).values["refractory_s"])
             yield f"{camera}: ignored", data, {"calibration": replace(data.calibration, circuit=told)}
             yield f"{camera}: found", data, {"calibration": replace(data.calibration, circuit=told), "gap": True}
+    elif name == "field":
+        data, off = dataset(work, setting, seed, "_ideal", fast_camera(setting)), Bandwidth("off")
+        for arm, (roughness, degree, stiffness) in FIELDS.items():
+            recipe = Recipe(roughness=roughness, degree=degree, stiffness=stiffness)
+            yield arm, data, {"bandwidth": off, "recipe": recipe}
+    elif name == "size":
+        data = dataset(work, setting, seed, "_200", side=200)
+        for mode in ("on", "off"):
+            yield mode, data, {"bandwidth": Bandwidth(mode), "recipe": Recipe(batch=LARGE_BATCH)}
     elif name == "scale":
         data = dataset(work, setting, seed)
         sharp = {"alpha": 0.01, "beta": 0.01, "gamma": 0.05, "follower": 0.02}
@@ -157,13 +187,14 @@ def run(name: str, work: Path, setting: str, seed: int, iterations: int | None, 
             continue
         data = make() if callable(make) else make
         used = time.process_time()
-        result = reconstruct(data, recipe=recipe, seed=seed, **options)
+        chosen = options.pop("recipe", recipe)
+        result = reconstruct(data, recipe=chosen, seed=seed, **options)
         row = {
             "experiment": name, "setting": setting, "seed": seed, "arm": arm,
             "psnr": round(float(result.scores.psnr.mean()), 3), "ssim": round(float(result.scores.ssim.mean()), 4),
             "held_out": round(result.held_out, 4), "seconds": round(result.seconds, 1),
             "cpu_seconds": round(time.process_time() - used, 1), "rays_per_second": round(result.rays_per_second),
-            "iterations": recipe.iterations, "pixel": result.state.pixel.values(),
+            "iterations": result.state.iteration, "degree": chosen.degree, "pixel": result.state.pixel.values(),
             "found": [effect["name"] for effect in result.gap["effects"]] if result.gap else None,
         }  # fmt: skip
         with (work / "results.jsonl").open("a") as file:
@@ -173,6 +204,33 @@ def run(name: str, work: Path, setting: str, seed: int, iterations: int | None, 
             f"{row['seconds']:5.0f} s wall, {row['cpu_seconds']:5.0f} s CPU",
             flush=True,
         )
+
+
+def pictures(work: Path, images: Path, seeds: list[int]) -> None:
+    """Fit a field to nine in ten posed pictures and compare it with the others."""
+    with np.load(images) as file:
+        shots, poses, focal = file["images"], file["poses"], float(file["focal"])
+    held = np.arange(0, len(shots), 10)
+    kept = np.setdiff1d(np.arange(len(shots)), held)
+    height, width = shots.shape[1:3]
+    camera = Camera(np.array([[focal, 0, width / 2 - 0.5], [0, focal, height / 2 - 0.5], [0, 0, 1]]), width, height,
+                    np.empty(0))  # fmt: skip
+    values, alpha = shots[held, ..., :3] / 255.0, shots[held, ..., 3:] / 255.0 if shots.shape[-1] == 4 else 1.0
+    truth = (alpha * values + 1.0 - alpha) @ LUMA
+    for seed in seeds:
+        used = time.process_time()
+        scene = scene_of_images(shots[kept], poses[kept], focal, seed=seed)
+        spent = time.process_time() - used
+        shown = scene.render(camera, poses[held, :3, 3], poses[held, :3, :3] @ OPENGL)
+        quality = float(np.mean(10 * np.log10(1 / ((shown - truth) ** 2).mean(axis=(1, 2)))))
+        alike = float(ssim(shown[..., None], truth[..., None], 1.0).mean())
+        row = {
+            "experiment": "pictures", "setting": f"{width} × {height}", "seed": seed, "arm": "direct fit",
+            "psnr": round(quality, 3), "ssim": round(alike, 4), "cpu_seconds": round(spent, 1),
+            "iterations": ITERATIONS, "degree": DEGREE,
+        }  # fmt: skip
+        with (work / "results.jsonl").open("a") as file:
+            file.write(json.dumps(row) + "\n")
 
 
 def last_runs(work: Path) -> dict[tuple, dict[int, dict]]:
@@ -187,7 +245,19 @@ def last_runs(work: Path) -> dict[tuple, dict[int, dict]]:
 
 def save(work: Path, path: Path) -> None:
     """Write the last runs, a line each, without what differs between computers; what was not run again stays."""
-    names = ("experiment", "setting", "arm", "seed", "iterations", "psnr", "ssim", "cpu_seconds", "pixel", "found")
+    names = (
+        "experiment",
+        "setting",
+        "arm",
+        "seed",
+        "iterations",
+        "psnr",
+        "ssim",
+        "cpu_seconds",
+        "degree",
+        "pixel",
+        "found",
+    )
     key = ("experiment", "setting", "arm", "seed", "iterations")
     there = json.loads(path.read_text()) if path.is_file() else []
     new = [{name: row.get(name) for name in names} for seeds in last_runs(work).values() for row in seeds.values()]
@@ -215,17 +285,21 @@ def table(work: Path) -> str:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    names = ("bandwidth", "samples", "joint", "pixel", "effect", "scale", "whole")
+    names = ("bandwidth", "samples", "joint", "pixel", "effect", "scale", "whole", "field", "size", "pictures")
     parser.add_argument("experiments", nargs="*", choices=[*names, []], default=[])
     parser.add_argument("--settings", nargs="+", choices=list(SETTINGS), default=["hard"])
     parser.add_argument("--seeds", nargs="+", type=int, default=[0])
     parser.add_argument("--arms", nargs="+", help="only these")
     parser.add_argument("--iterations", type=int)
+    parser.add_argument("--images", type=Path, help="for pictures: npz of images, poses, focal")
     parser.add_argument("--save", type=Path, help="write all results of --work to a JSON file")
     parser.add_argument("--work", type=Path, default=Path("out/reconstruction"))
     options = parser.parse_args()
     options.work.mkdir(parents=True, exist_ok=True)
     for name in options.experiments:
+        if name == "pictures":
+            pictures(options.work, options.images, options.seeds)
+            continue
         for setting in options.settings:
             for seed in options.seeds:
                 run(name, options.work, setting, seed, options.iterations, options.arms)

@@ -49,6 +49,8 @@ class StepsOrAuto(click.IntRange):
               help="Look in the events for effects that the pixel lacks, and train with those found.")  # fmt: skip
 @click.option("--cells", type=click.IntRange(8, 512),
               help="Cells of the field per side; by default one per pixel, 32 to 160.")  # fmt: skip
+@click.option("--harmonics", type=click.IntRange(0, 2), default=1, show_default=True,
+              help="Degree of the harmonics by which colours depend on the direction; 0: they do not.")  # fmt: skip
 @click.option("--steps", "--iterations", type=StepsOrAuto(), default=1200, show_default=True,
               help="Training steps; auto: steps and batch by the number of events.")  # fmt: skip
 @click.option(
@@ -70,7 +72,7 @@ class StepsOrAuto(click.IntRange):
 @options.seed()
 @options.quiet
 def command(
-    dataset, out, fit, sensor, bandwidth, samples, trained, gap, cells, steps, batch, background, scale, box,
+    dataset, out, fit, sensor, bandwidth, samples, trained, gap, cells, harmonics, steps, batch, background, scale, box,
     radiance_scale, protocol, checkpoint, device, overwrite, seed, quiet,
 ):  # fmt: skip
     """Reconstruct the scene of DATASET, a folder in the published layout of Robust e-NeRF and Deblur e-NeRF.
@@ -109,7 +111,7 @@ def command(
     with claimed(out, overwrite, [folder for folder in (dataset, fit, sensor) if folder]) if first else nullcontext():
         data = read_dataset(dataset)
         recipe = replace(Recipe(), iterations=0, batch=0) if steps == AUTO else replace(Recipe(), iterations=steps)
-        recipe = replace(recipe, batch=batch) if batch else recipe
+        recipe = replace(recipe, degree=harmonics, batch=batch or recipe.batch)
         recipe = recipe.with_cells(cells) if cells else recipe
         pixel = Bandwidth(bandwidth, samples, trained=trained)
         with bar(quiet or not first, compiles=True) as report:

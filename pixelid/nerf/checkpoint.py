@@ -36,6 +36,7 @@ def save(path: Path, state: State, mark: str) -> None:
         "rays": state.rays,
         "history": state.history,
         "grid": state.field.grid.detach().cpu(),
+        "coefficients": state.field.coefficients.detach().cpu(),
         "log_background": state.field.log_background.detach().cpu(),
         "occupied": torch.from_numpy(state.field.occupied),
         "factors": state.pixel.factors.detach().cpu(),
@@ -75,6 +76,9 @@ def _restored(document: dict, problem: Problem, recipe: Recipe, bandwidth: Bandw
     """The state that `save` put down."""
     state = start(problem, recipe, bandwidth, device)
     state.field.grid = torch.nn.Parameter(document["grid"])
+    state.field.coefficients = torch.nn.Parameter(
+        document["coefficients"], requires_grad=state.field.coefficients.requires_grad
+    )
     with torch.no_grad():
         state.field.log_background.copy_(document["log_background"])
         state.pixel.factors.copy_(document["factors"])

@@ -1,5 +1,7 @@
 """The radiance field: log density and log radiance at the vertices of a dense grid, refined as training goes on.
 
+Log radiance may depend on the direction it is seen from (`harmonics`), which is what highlights ask for.
+
 Chosen by measurement (docs/results/speed.md): on a CPU the compiled march through a dense grid is an order of
 magnitude faster than a hash grid with a small network, and 64 × 64 pixels do not ask for more resolution.
 """
@@ -13,6 +15,7 @@ import torch
 import torch.nn.functional as F
 
 from pixelid.nerf import render_kernels
+from pixelid.nerf.harmonics import number_of
 from pixelid.nerf.render import Box, Rays, render
 
 EMPTY = 0.02  # opacity of one step below which a block is skipped
@@ -22,11 +25,14 @@ class Field(torch.nn.Module):
     """A box of vertices.
 
     low, high: (3,) corners;  vertices: per side;  channels: colours;  background: (C,) radiance behind the box, held
-    unless `free_background`;  level: radiance that the grid starts from
+    unless `free_background`;  level: radiance that the grid starts from;  degree: of the spherical harmonics by which
+    log radiance depends on the direction, 0 to 2
+
+    grid: (n, n, n, 1 + C);  coefficients: (n, n, n, C, K) of the harmonics beside the constant
     """
 
     def __init__(
-        self, low, high, vertices: int, channels: int, background, *, free_background=False, level=None
+        self, low, high, vertices: int, channels: int, background, *, free_background=False, level=None, degree=0
     ) -> None:
         super().__init__()
         self.low, self.high = np.asarray(low, dtype=np.float64), np.asarray(high, dtype=np.float64)
@@ -35,6 +41,8 @@ class Field(torch.nn.Module):
         grid[..., 0] = math.log(0.3 / side)
         grid[..., 1:] = math.log(level if level is not None else 0.5 * float(np.mean(background)))
         self.grid = torch.nn.Parameter(grid)
+        coefficients = torch.zeros(vertices, vertices, vertices, channels, number_of(degree))
+        self.coefficients = torch.nn.Parameter(coefficients, requires_grad=degree > 0)
         log_background = torch.log(torch.as_tensor(np.atleast_1d(background), dtype=torch.float32))
         self.log_background = torch.nn.Parameter(log_background, requires_grad=free_background)
         self.occupied = np.ones(_blocks(vertices), np.uint8)
@@ -49,13 +57,18 @@ class Field(torch.nn.Module):
         """Of the march: one cell."""
         return float((self.high - self.low).max()) / (self.vertices - 1)
 
+    @property
+    def finite(self) -> bool:
+        """Whether it holds numbers only."""
+        return all(bool(torch.isfinite(held).all()) for held in (self.grid, self.coefficients, self.log_background))
+
     def box(self) -> Box:
         """What the renderer needs beside the grid."""
         return Box(self.low, self.high, self.step, self.occupied)
 
     def forward(self, rays: Rays, engine: str = "auto") -> tuple[torch.Tensor, torch.Tensor]:
         """(radiance, opacity), (n,) each."""
-        return render(self.grid, torch.exp(self.log_background), rays, self.box(), engine)
+        return render(self.grid, torch.exp(self.log_background), rays, self.box(), engine, self.coefficients)
 
     def look_for_empty_blocks(self) -> float:
         """Renew which blocks are visited; the share of them."""
@@ -67,10 +80,10 @@ class Field(torch.nn.Module):
     def refine(self, vertices: int) -> None:
         """Interpolate to more vertices, in place."""
         with torch.no_grad():
-            fine = F.interpolate(
-                self.grid.permute(3, 0, 1, 2)[None], size=(vertices,) * 3, mode="trilinear", align_corners=True
-            )
-            self.grid = torch.nn.Parameter(fine[0].permute(1, 2, 3, 0).contiguous())
+            self.grid = torch.nn.Parameter(_finer(self.grid, vertices))
+            per_vertex, trained = self.coefficients.shape[3:], self.coefficients.requires_grad
+            fine = _finer(self.coefficients.flatten(3), vertices).reshape(*(vertices,) * 3, *per_vertex)
+            self.coefficients = torch.nn.Parameter(fine, requires_grad=trained)
         self.occupied = np.ones(_blocks(vertices), np.uint8)
 
     def roughness(self) -> torch.Tensor:
@@ -82,6 +95,14 @@ class Field(torch.nn.Module):
         for axis in range(3):
             total = total + torch.diff(value, dim=axis).abs().mean()
         return total
+
+
+def _finer(values: torch.Tensor, vertices: int) -> torch.Tensor:
+    """(nx, ny, nz, features) interpolated to `vertices` per side; there may be no features."""
+    if values.shape[3] == 0:
+        return values.new_zeros((vertices, vertices, vertices, 0))
+    fine = F.interpolate(values.permute(3, 0, 1, 2)[None], size=(vertices,) * 3, mode="trilinear", align_corners=True)
+    return fine[0].permute(1, 2, 3, 0).contiguous()
 
 
 def _blocks(vertices: int) -> tuple[int, int, int]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -18,6 +19,7 @@ VISITS = 60
 BATCH_SHARE = 320 / 1e5
 SMALLEST_BATCH, LARGEST_BATCH = 320, 4096
 STEPS = (600, 30_000)
+ELSEWHERE = ("iterations", "seed")  # in reconstruction.json
 
 
 @dataclass(frozen=True)
@@ -27,8 +29,9 @@ class Recipe:
     iterations: steps, 0 for as many as the data ask for;  batch: chains per step (over all processes), 0 likewise;
     vertices: grid sizes, each for an equal share of the steps (empty: `for_sensor` chooses);  rate, last_rate: learning
     rate, decaying exponentially;  weights: λ;  roughness: λ of the grid's total variation;  emptiness: λ of the mean
-    log density, which clears what no event asks for;  level: λ of the mean log radiance when the gauge needs it;
-    engine: of `render` and `respond`;  supersample: rays per pixel and side
+    log density, which clears what no event asks for;  degree: of the harmonics by which colour depends on the
+    direction;  stiffness: λ of their mean square;  level: λ of the mean log radiance when the gauge needs it;  engine:
+    of `render` and `respond`;  supersample: rays per pixel and side
     """
 
     iterations: int = 1200
@@ -37,8 +40,10 @@ class Recipe:
     rate: float = 0.1
     last_rate: float = 0.01
     weights: Weights = dataclasses.field(default_factory=Weights)
-    roughness: float = 0.0
+    roughness: float = 0.1
     emptiness: float = 0.01
+    degree: int = 1
+    stiffness: float = 10.0
     level: float = 10.0
     engine: str = "auto"
     supersample: int = 1
@@ -62,6 +67,11 @@ class Recipe:
         wanted = math.ceil(VISITS * changes / (CHAIN * batch) / 100) * 100
         steps = self.iterations or int(np.clip(wanted, *STEPS))
         return dataclasses.replace(self, batch=batch, iterations=steps)
+
+    def as_dict(self) -> dict[str, Any]:
+        """What reconstruction.json says of it; steps and seed are told elsewhere."""
+        content = {name: value for name, value in dataclasses.asdict(self).items() if name not in ELSEWHERE}
+        return content | {"vertices": list(self.vertices), "weights": self.weights._asdict()}
 
     def vertices_at(self, iteration: int) -> int:
         """The grid size in use at a step."""

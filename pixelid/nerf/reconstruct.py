@@ -43,7 +43,7 @@ class Reconstruction(Result):
     status: how it ended;  scores: of the test views, NaN when it diverged;  held_out: share of held-out changes left
     unexplained;  truth: the test views;  ignored: what is known of the pixel and the reconstruction does not model;
     published: scores by the reference implementation's protocol, on request;  gap: effects found in the events, on
-    request (`search.Found.as_dict`)
+    request (`search.Found.as_dict`);  recipe: how it was trained
     """
 
     FILE: ClassVar[str] = "reconstruction.json"
@@ -53,6 +53,7 @@ class Reconstruction(Result):
     bandwidth: Bandwidth
     state: State
     problem: Problem
+    recipe: Recipe
     scores: Scores
     truth: Views
     held_out: float
@@ -87,6 +88,7 @@ class Reconstruction(Result):
             "device": self.device,
             "rays_per_second": self.rays_per_second,
             "samples": self.bandwidth.samples,
+            "recipe": self.recipe.as_dict(),
             "held_out_residual": self.held_out,
             "gauge": {"kind": self.problem.gauge.kind, "background": self.problem.gauge.background},
             "box": {"low": self.problem.low, "high": self.problem.high},
@@ -273,8 +275,8 @@ def reconstruct(
     held_out = held_out_residual(problem, state) if finite else float("nan")
     status, advice = _verdict(held_out, scores, state.iteration)
     return Reconstruction(
-        status, advice, bandwidth, state, problem, scores, test, held_out, time.perf_counter() - watch, rate, device,
-        seed, inputs, ignored, published, found,
+        status, advice, bandwidth, state, problem, recipe, scores, test, held_out, time.perf_counter() - watch, rate,
+        device, seed, inputs, ignored, published, found,
     )  # fmt: skip
 
 

@@ -15,6 +15,7 @@ import torch
 import torch.nn.functional as F
 
 from pixelid.nerf import render_kernels as kernels
+from pixelid.nerf.harmonics import harmonics
 from pixelid.parallel import map_threads, ranges
 
 
@@ -43,18 +44,20 @@ def threads() -> int:
 
 class _Compiled(torch.autograd.Function):
     @staticmethod
-    def forward(ctx: Any, grid: torch.Tensor, background: torch.Tensor, rays: Rays, box: Box):
-        values, behind = grid.detach().numpy(), background.detach().numpy()
+    def forward(
+        ctx: Any, grid: torch.Tensor, coefficients: torch.Tensor, background: torch.Tensor, rays: Rays, box: Box
+    ):
+        values, directional, behind = grid.detach().numpy(), coefficients.detach().numpy(), background.detach().numpy()
         radiance, opacity = np.empty(len(rays.origins), np.float32), np.empty(len(rays.origins), np.float32)
 
         def part(some: slice) -> None:
             kernels.forward(
-                *(column[some] for column in rays), values, box.occupied, box.low, box.high, box.step, behind,
-                radiance[some], opacity[some],
+                *(column[some] for column in rays), values, directional, box.occupied, box.low, box.high, box.step,
+                behind, radiance[some], opacity[some],
             )  # fmt: skip
 
         map_threads(part, ranges(len(radiance), threads()), threads=threads())
-        ctx.save_for_backward(grid, background)
+        ctx.save_for_backward(grid, coefficients, background)
         ctx.rays, ctx.box, ctx.radiance = rays, box, radiance
         out, covered = torch.from_numpy(radiance), torch.from_numpy(opacity)
         ctx.mark_non_differentiable(covered)
@@ -62,28 +65,35 @@ class _Compiled(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx: Any, *by_outputs: torch.Tensor):
-        grid, background = ctx.saved_tensors
+        grid, coefficients, background = ctx.saved_tensors
         rays, box, behind = ctx.rays, ctx.box, background.detach().numpy()
-        values, by_radiance = grid.detach().numpy(), np.ascontiguousarray(by_outputs[0].numpy())
+        values, directional = grid.detach().numpy(), coefficients.detach().numpy()
+        by_radiance = np.ascontiguousarray(by_outputs[0].numpy())
         cuts = ranges(len(by_radiance), threads())
         by_grid = [np.zeros(values.shape, np.float32) for _ in cuts]
+        by_coefficients = [np.zeros(directional.shape, np.float32) for _ in cuts]
         by_behind = [np.zeros(behind.shape, np.float32) for _ in cuts]
 
         def part(k: int) -> None:
             some = cuts[k]
             kernels.backward(
-                *(column[some] for column in rays), values, box.occupied, box.low, box.high, box.step, behind,
-                ctx.radiance[some], by_radiance[some], by_grid[k], by_behind[k],
+                *(column[some] for column in rays), values, directional, box.occupied, box.low, box.high, box.step,
+                behind, ctx.radiance[some], by_radiance[some], by_grid[k], by_coefficients[k], by_behind[k],
             )  # fmt: skip
 
         map_threads(part, range(len(cuts)), threads=threads())
-        total = torch.from_numpy(by_grid[0])
-        for other in by_grid[1:]:
-            total += torch.from_numpy(other)
-        return total, torch.from_numpy(np.sum(by_behind, axis=0)), None, None
+        return _total(by_grid), _total(by_coefficients), _total(by_behind), None, None
 
 
-def _tensors(grid: torch.Tensor, background: torch.Tensor, rays: Rays, box: Box):
+def _total(parts: list[np.ndarray]) -> torch.Tensor:
+    """The sum of what threads have found, in the first one's place."""
+    total = torch.from_numpy(parts[0])
+    for other in parts[1:]:
+        total += torch.from_numpy(other)
+    return total
+
+
+def _tensors(grid: torch.Tensor, coefficients: torch.Tensor, background: torch.Tensor, rays: Rays, box: Box):
     """The same sum with all samples at once; occupancy decides which samples are looked up."""
     device = grid.device
     o, d, offset = (torch.as_tensor(a, device=device) for a in (rays.origins, rays.directions, rays.offsets))
@@ -104,12 +114,14 @@ def _tensors(grid: torch.Tensor, background: torch.Tensor, rays: Rays, box: Box)
     occupied = torch.as_tensor(box.occupied, device=device)
     keep = occupied[block[:, 0], block[:, 1], block[:, 2]] > 0
     ray, sample, point = ray[keep], sample[keep], point[keep]
-    looked_up = F.grid_sample(
-        grid.permute(3, 0, 1, 2)[None], (2 * point.flip(1) - 1)[None, :, None, None], align_corners=True
-    )[0, :, :, 0, 0]  # fmt: skip
+    looked_up = _looked_up(grid, point)
     shown = looked_up[0] > math.log(kernels.CLEAR / box.step)
     sigma = torch.exp(looked_up[0].clamp(max=kernels.HIGHEST)) * shown
     value = looked_up[1:].gather(0, channel[ray][None])[0] if len(looked_up) > 2 else looked_up[1]
+    if coefficients.shape[-1]:
+        directional = _looked_up(coefficients.flatten(3), point).reshape(*coefficients.shape[3:], -1)
+        directional = directional[channel[ray], :, torch.arange(len(ray), device=device)]
+        value = value + (directional * harmonics(d, coefficients.shape[-1])[ray]).sum(dim=1)
     colour = torch.exp(value.clamp(max=kernels.HIGHEST))
     depth = torch.zeros(inside.shape, device=device).index_put((ray, sample), sigma * box.step)
     after = torch.exp(-depth.cumsum(dim=1))
@@ -124,11 +136,24 @@ def _tensors(grid: torch.Tensor, background: torch.Tensor, rays: Rays, box: Box)
     return radiance + T * background[channel], (1 - T).detach()
 
 
-def render(grid: torch.Tensor, background: torch.Tensor, rays: Rays, box: Box, engine: str = "auto"):
+def _looked_up(values: torch.Tensor, point: torch.Tensor) -> torch.Tensor:
+    """(features, n) trilinear values of (nx, ny, nz, features) at points (n, 3), 0 … 1 in the box."""
+    return F.grid_sample(
+        values.permute(3, 0, 1, 2)[None], (2 * point.flip(1) - 1)[None, :, None, None], align_corners=True
+    )[0, :, :, 0, 0]  # fmt: skip
+
+
+def render(
+    grid: torch.Tensor, background: torch.Tensor, rays: Rays, box: Box, engine: str = "auto",
+    coefficients: torch.Tensor | None = None,
+):  # fmt: skip
     """(radiance (n,), opacity (n,)) of rays through grid (nx, ny, nz, 1 + C) before background (C,).
 
-    Radiance is differentiable in grid and background.  engine: "compiled", "tensors" or "auto" (by device).
+    coefficients: (nx, ny, nz, C, K) of the harmonics by which log radiance depends on the direction.  Radiance is
+    differentiable in grid, coefficients and background.  engine: "compiled", "tensors" or "auto" (by device).
     """
+    if coefficients is None:
+        coefficients = grid.new_zeros((*grid.shape[:3], len(background), 0))
     if engine == "tensors" or (engine == "auto" and grid.device.type != "cpu"):
-        return _tensors(grid, background, rays, box)
-    return _Compiled.apply(grid, background, rays, box)
+        return _tensors(grid, coefficients, background, rays, box)
+    return _Compiled.apply(grid, coefficients, background, rays, box)

@@ -1,6 +1,7 @@
 """The volume renderer, compiled: march, interpolate, composite; and its gradient by marching again.
 
-A field is a grid of log density and log radiances at the vertices of a box, trilinear in between, exponential after.
+A field is a grid of log density and log radiances at the vertices of a box, trilinear in between, exponential after;
+log radiance may also depend on the ray's direction (`harmonics`).
 With step h, density σ_i, radiance c_i, transmittance T_i = exp(−h Σ_{j<i} σ_j) and background b,
 
     L = Σ_i (T_i − T_{i+1}) c_i + T_n b
@@ -16,6 +17,8 @@ import math
 
 import numpy as np
 from numba import njit
+
+from pixelid.nerf import harmonics
 
 OPAQUE = 1e-3
 CLEAR = 1e-3  # opacity of a step below which a sample is passed over
@@ -62,19 +65,24 @@ def _spread(flat, at, other, X, Y, Z, x, y, z, first, second):
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "afn", "reassoc"})
-def forward(origins, directions, channels, offsets, grid, occupied, low, high, step, background, radiance, opacity):
+def forward(
+    origins, directions, channels, offsets, grid, coefficients, occupied, low, high, step, background, radiance, opacity
+):  # fmt: skip
     """Fill radiance (n,) and opacity (n,) of rays.
 
     origins, directions: (n, 3) float32;  channels: (n,) colour of each ray;  offsets: (n,) of the first sample in
-    steps;  grid: (nx, ny, nz, 1 + C) float32;  occupied: (bx, by, bz) uint8 per block;  low, high: (3,) the box;
-    background: (C,) radiance behind it
+    steps;  grid: (nx, ny, nz, 1 + C) float32;  coefficients: (nx, ny, nz, C, K) float32 of the harmonics, K may be 0;
+    occupied: (bx, by, bz) uint8 per block;  low, high: (3,) the box;  background: (C,) radiance behind it
     """
     nx, ny, nz, depth = grid.shape
     stride_z, stride_y, stride_x = depth, nz * depth, ny * nz * depth
     flat, floor = grid.reshape(-1), np.float32(math.log(CLEAR / step))
+    each, every = coefficients.shape[4], coefficients.shape[3] * coefficients.shape[4]
+    directional, basis = coefficients.reshape(-1), np.empty(each, np.float32)
     sx, sy, sz = (nx - 1) / (high[0] - low[0]), (ny - 1) / (high[1] - low[1]), (nz - 1) / (high[2] - low[2])
     for i in range(len(origins)):
         o, d, c = origins[i], directions[i], channels[i]
+        harmonics.fill(d, basis)
         near, far = _span(o, d, low, high)
         T, L = np.float32(1.0), np.float32(0.0)
         if near < far < FARTHEST * step:
@@ -90,6 +98,11 @@ def forward(origins, directions, channels, offsets, grid, occupied, low, high, s
                     density = _interpolated(flat, at, stride_x, stride_y, stride_z, fx, fy, fz)
                     if density > floor:
                         value = _interpolated(flat, at + 1 + c, stride_x, stride_y, stride_z, fx, fy, fz)
+                        vertex = ((ix * ny + iy) * nz + iz) * every + c * each
+                        if each:
+                            value += harmonics.seen(
+                                directional, vertex, ny * nz * every, nz * every, every, fx, fy, fz, basis
+                            )  # fmt: skip
                         sigma = math.exp(min(density, np.float32(HIGHEST)))
                         T_next = T * math.exp(-np.float32(step) * sigma)
                         L += (T - T_next) * math.exp(min(value, np.float32(HIGHEST)))
@@ -103,20 +116,26 @@ def forward(origins, directions, channels, offsets, grid, occupied, low, high, s
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "afn", "reassoc"})
 def backward(
-    origins, directions, channels, offsets, grid, occupied, low, high, step, background, radiance, by_radiance,
-    by_grid, by_background,
+    origins, directions, channels, offsets, grid, coefficients, occupied, low, high, step, background, radiance,
+    by_radiance, by_grid, by_coefficients, by_background,
 ):  # fmt: skip
-    """Add to by_grid (as grid) and by_background (C,) the gradient of Σ by_radiance · radiance; see `forward`."""
+    """Add the gradient of Σ by_radiance · radiance; see `forward`.
+
+    by_grid, by_coefficients, by_background: (…) as grid, coefficients, background
+    """
     nx, ny, nz, depth = grid.shape
     stride_z, stride_y, stride_x = depth, nz * depth, ny * nz * depth
     flat, floor = grid.reshape(-1), np.float32(math.log(CLEAR / step))
+    each, every = coefficients.shape[4], coefficients.shape[3] * coefficients.shape[4]
+    directional, basis = coefficients.reshape(-1), np.empty(each, np.float32)
     sx, sy, sz = (nx - 1) / (high[0] - low[0]), (ny - 1) / (high[1] - low[1]), (nz - 1) / (high[2] - low[2])
-    by_flat = by_grid.reshape(-1)
+    by_flat, by_directional = by_grid.reshape(-1), by_coefficients.reshape(-1)
     for i in range(len(origins)):
         g = by_radiance[i]
         if g == 0.0:
             continue
         o, d, c = origins[i], directions[i], channels[i]
+        harmonics.fill(d, basis)
         near, far = _span(o, d, low, high)
         T, left = np.float32(1.0), radiance[i]
         if near < far < FARTHEST * step:
@@ -132,6 +151,11 @@ def backward(
                     density = _interpolated(flat, at, stride_x, stride_y, stride_z, fx, fy, fz)
                     if density > floor:
                         value = _interpolated(flat, at + 1 + c, stride_x, stride_y, stride_z, fx, fy, fz)
+                        vertex = ((ix * ny + iy) * nz + iz) * every + c * each
+                        if each:
+                            value += harmonics.seen(
+                                directional, vertex, ny * nz * every, nz * every, every, fx, fy, fz, basis
+                            )  # fmt: skip
                         sigma = math.exp(min(density, np.float32(HIGHEST)))
                         colour = math.exp(min(value, np.float32(HIGHEST)))
                         T_next = T * math.exp(-np.float32(step) * sigma)
@@ -143,6 +167,10 @@ def backward(
                         if value >= HIGHEST:
                             by_value = np.float32(0.0)
                         _spread(by_flat, at, 1 + c, stride_x, stride_y, stride_z, fx, fy, fz, by_density, by_value)
+                        if each:
+                            harmonics.spread(
+                                by_directional, vertex, ny * nz * every, nz * every, every, fx, fy, fz, basis, by_value
+                            )  # fmt: skip
                         T = T_next
                         if T < OPAQUE:
                             break

@@ -13,10 +13,12 @@ import torch
 from pixelid.arrays import load_arrays
 from pixelid.documents import interpreting
 from pixelid.nerf.field import Field
+from pixelid.nerf.harmonics import HIGHEST_DEGREE, number_of
 from pixelid.results import Result, Table, check_kinds, number, read_result, required
 from pixelid.status import Status
 
 FIELD = "field.npz"
+DEGREES = {number_of(degree): degree for degree in range(HIGHEST_DEGREE + 1)}  # number of harmonics → degree
 
 
 @dataclass(frozen=True, repr=False)
@@ -140,11 +142,13 @@ class SavedReconstruction(Result):
 def write_field(scene: Field, folder: Path) -> None:
     """Write field.npz into an existing folder.
 
-    Its arrays: grid (n, n, n, 1 + C) in half precision, low, high (3,), background (C,).
+    Its arrays: grid (n, n, n, 1 + C), coefficients (n, n, n, C, K), both in half precision, low, high (3,) and
+    background (C,).
     """
     np.savez_compressed(
-        folder / FIELD, grid=scene.grid.detach().cpu().numpy().astype(np.float16), low=scene.low,
-        high=scene.high, background=np.exp(scene.log_background.detach().cpu().numpy()),
+        folder / FIELD, grid=scene.grid.detach().cpu().numpy().astype(np.float16),
+        coefficients=scene.coefficients.detach().cpu().numpy().astype(np.float16), low=scene.low, high=scene.high,
+        background=np.exp(scene.log_background.detach().cpu().numpy()),
     )  # fmt: skip
 
 
@@ -160,8 +164,14 @@ def read_field(folder: Path) -> Field:
         n, channels = grid.shape[0], grid.shape[-1] - 1
         if grid.shape[:3] != (n, n, n) or channels != arrays["background"].size:
             raise ValueError(f"grid {tuple(grid.shape)} of {arrays['background'].size} colours")
+        coefficients = torch.from_numpy(arrays["coefficients"].astype(np.float32)) if "coefficients" in arrays else None
         scene = Field(arrays["low"], arrays["high"], n, channels, arrays["background"])
         scene.grid = torch.nn.Parameter(grid)
+        if coefficients is not None:
+            degree = DEGREES.get(coefficients.shape[-1])
+            if degree is None or coefficients.shape[:-1] != (n, n, n, channels):
+                raise ValueError(f"coefficients {tuple(coefficients.shape)} of a grid {tuple(grid.shape)}")
+            scene.coefficients = torch.nn.Parameter(coefficients, requires_grad=degree > 0)
         return scene
 
 

@@ -21,6 +21,7 @@ from pixelid.nerf.recipe import Recipe
 from pixelid.nerf.trajectory import Trajectory
 from pixelid.stages.circuit import Circuit
 
+HARMONICS_RATE = 0.3  # learning rate of the harmonics over the grid's
 DEPARTURES = 0.4  # learning rate of single pixels' thresholds, in their standard deviations, over the grid's
 
 
@@ -80,9 +81,9 @@ class State:
     @property
     def finite(self) -> bool:
         """Whether no step diverged and the field holds numbers only."""
-        pixel = self.pixel
-        values = (self.field.grid, self.field.log_background, pixel.factors, pixel.added, pixel.departures)
-        return not self.diverged and all(bool(torch.isfinite(value).all()) for value in values)
+        values = (self.pixel.factors, self.pixel.added, self.pixel.departures)
+        finite = all(bool(torch.isfinite(value).all()) for value in values)
+        return not self.diverged and self.field.finite and finite
 
 
 def start(problem: Problem, recipe: Recipe, bandwidth: Bandwidth, device: str = "cpu") -> State:
@@ -101,7 +102,7 @@ def start(problem: Problem, recipe: Recipe, bandwidth: Bandwidth, device: str = 
     gauge = problem.gauge
     scene = Field(
         problem.low, problem.high, recipe.vertices_at(0), len(problem.dark), gauge.background,
-        free_background=gauge.free_background, level=float(np.exp(gauge.level.mean())),
+        free_background=gauge.free_background, level=float(np.exp(gauge.level.mean())), degree=recipe.degree,
     ).to(device)  # fmt: skip
     pixel = Pixel(problem.circuit, bandwidth, problem.maps).to(device)
     inside = sub_pixel_directions(problem.camera, recipe.supersample)
@@ -111,6 +112,8 @@ def start(problem: Problem, recipe: Recipe, bandwidth: Bandwidth, device: str = 
 def optimiser_of(scene: Field, pixel: Pixel, recipe: Recipe) -> torch.optim.Optimizer:
     """Adam over the grid, the background when it is free, and what of the pixel is trained."""
     groups: list[dict[str, Any]] = [{"params": [scene.grid], "lr": recipe.rate, "share": 1.0}]
+    if scene.coefficients.requires_grad:
+        groups.append({"params": [scene.coefficients], "lr": recipe.rate, "share": HARMONICS_RATE})
     if scene.log_background.requires_grad:
         groups.append({"params": [scene.log_background], "lr": recipe.rate, "share": 0.1})
     groups += [

@@ -37,6 +37,8 @@ def step(problem: Problem, recipe: Recipe, state: State) -> dict[str, float]:
         loss = loss + recipe.roughness * state.field.roughness()
     if recipe.emptiness > 0:
         loss = loss + recipe.emptiness * state.field.grid[..., 0].clamp(min=-6).mean()
+    if recipe.stiffness > 0 and state.field.coefficients.requires_grad:
+        loss = loss + recipe.stiffness * state.field.coefficients.square().mean()
     if problem.gauge.kind == "level":
         loss = loss + recipe.level * _off_level(problem, state, recipe.engine, rng)
     if any(values.requires_grad for values in state.pixel.parameters()):

@@ -10,8 +10,10 @@ from test_schemas import check
 
 import pixelid as px
 from pixelid.cli.main import main
+from pixelid.errors import InputError
 from pixelid.nerf.evaluate import render_views
 from pixelid.nerf.field import Field
+from pixelid.nerf.harmonics import harmonics
 from pixelid.nerf.saved import SavedReconstruction
 from pixelid.nerf.shown.ways import around
 from pixelid.nerf.views import Views
@@ -147,6 +149,56 @@ def test_a_mesh_and_splats_of_the_ball(tmp_path):
     green = 0.5 + 0.28209479177387814 * splats["f_dc_1"]
     expected = 0.8 * (0.4 + 0.3 * splats["x"] + 0.05 + 0.05) ** 0.9 - 0.01
     np.testing.assert_allclose(green, expected, atol=2.5 / 255)
+
+
+def theirs(direction: np.ndarray) -> np.ndarray:
+    """(8,) harmonics of degree 1 and 2 as Kerbl et al. (2023) evaluate them."""
+    x, y, z = direction
+    first, second = 0.4886025119029199, (1.0925484305920792, 0.31539156525252005, 0.5462742152960396)
+    return np.array([
+        -first * y, first * z, -first * x, second[0] * x * y, -second[0] * y * z,
+        second[1] * (2 * z * z - x * x - y * y), -second[0] * x * z, second[2] * (x * x - y * y),
+    ])  # fmt: skip
+
+
+@pytest.mark.parametrize("degree", [1, 2])
+def test_splats_and_meshes_of_highlights_show_them_where_they_are_seen(tmp_path, degree):
+    """Radiance that depends on the direction: evaluated as viewers do, splats have the colours of the field."""
+    field, rng = ball(3), np.random.default_rng(degree)
+    coefficients = torch.zeros(*field.grid.shape[:3], 3, (degree + 1) ** 2 - 1)
+    coefficients += torch.as_tensor(rng.normal(0, 0.03, coefficients.shape[3:]), dtype=torch.float32)
+    field.coefficients = torch.nn.Parameter(coefficients)
+    SavedReconstruction(content(True), field).save(tmp_path / "scene")
+    read = SavedReconstruction.load(tmp_path / "scene").field
+    torch.testing.assert_close(read.coefficients, field.coefficients, rtol=1e-3, atol=1e-6)
+    words = ["render", str(tmp_path / "scene"), "--out", str(tmp_path / "out"), "--frames", "1", "--size", "8", "8"]
+    assert main([*words, "--mesh", "--splats", "--quiet"]) == 0
+    splats = read_ply(tmp_path / "out" / "splats.ply")["vertex"]
+    assert sum(name.startswith("f_rest_") for name in splats.dtype.names) == 45
+    for direction in rng.normal(size=(5, 3)):
+        direction /= np.linalg.norm(direction)
+        basis = harmonics(torch.from_numpy(direction[None]), coefficients.shape[-1])[0]
+        tilt = float(coefficients[0, 0, 0, 1] @ basis.float())
+        radiance = (0.4 + 0.3 * splats["x"] + 0.05) * np.exp(tilt) + 0.05  # the second colour, and the dark light
+        rest = np.array([splats[f"f_rest_{15 + k}"] for k in range(8)])
+        green = 0.5 + 0.28209479177387814 * splats["f_dc_1"] + theirs(direction) @ rest
+        np.testing.assert_allclose(green, 0.8 * radiance**0.9 - 0.01, atol=3 / 255)
+    mesh = read_ply(tmp_path / "out" / "mesh.ply")["vertex"]
+    normals = np.column_stack([mesh[f"n{name}"] for name in "xyz"])
+    tilts = harmonics(torch.from_numpy(-normals), coefficients.shape[-1]).float() @ coefficients[0, 0, 0, 1]
+    radiance = (0.4 + 0.3 * mesh["x"] + 0.05) * np.exp(tilts.numpy()) + 0.05
+    np.testing.assert_allclose(mesh["green"], 255 * (0.8 * radiance**0.9 - 0.01), atol=2.5)
+
+
+def test_fields_without_harmonics_are_read_and_damaged_ones_refused(folder):
+    arrays = dict(np.load(folder / "field.npz"))
+    grid = arrays["grid"]
+    np.savez(folder / "field.npz", **{name: value for name, value in arrays.items() if name != "coefficients"})
+    assert SavedReconstruction.load(folder).field.coefficients.shape == (*grid.shape[:3], 1, 0)
+    for shape in ((*grid.shape[:3], 1, 5), (*grid.shape[:3], 2, 3), (3, 3, 3, 1, 3), (3,)):
+        np.savez(folder / "field.npz", **arrays | {"coefficients": np.zeros(shape, np.float16)})
+        with pytest.raises(InputError, match="coefficients"):
+            SavedReconstruction.load(folder)
 
 
 def test_a_video_plays_every_frame(folder, tmp_path):

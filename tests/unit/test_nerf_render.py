@@ -4,10 +4,12 @@ import numpy as np
 import pytest
 import torch
 from scipy.spatial.transform import Rotation, Slerp
+from scipy.special import factorial, lpmv
 
 from pixelid.nerf.camera import Camera, pinhole
 from pixelid.nerf.correction import fit_correction
 from pixelid.nerf.field import Field
+from pixelid.nerf.harmonics import fill, harmonics, number_of
 from pixelid.nerf.render import Box, Rays, render
 from pixelid.nerf.scenes import procedural, random_views, spiral
 from pixelid.nerf.trajectory import Trajectory
@@ -55,41 +57,84 @@ def test_from_too_far_away_there_is_only_the_background(engine, away):
     assert not grid.grad.any()
 
 
-@pytest.mark.parametrize("channels", [1, 3])
-def test_both_engines_agree_with_their_gradients(channels):
+def test_harmonics_are_orthonormal_and_those_of_scipy():
+    """Mean square 1 over the sphere; SciPy's Legendre functions times cos and sin, of either sign, in our order."""
+    z, weight = np.polynomial.legendre.leggauss(8)
+    angle = np.arange(16) * 2 * np.pi / 16
+    z, angle, weight = np.repeat(z, 16), np.tile(angle, 8), np.repeat(weight / 32, 16)
+    theta = np.arccos(z)
+    directions = np.column_stack([np.sin(theta) * np.cos(angle), np.sin(theta) * np.sin(angle), z])
+    ours = harmonics(torch.from_numpy(directions), number_of(2)).numpy()
+    np.testing.assert_allclose(np.einsum("n,ni,nj->ij", weight, ours, ours), np.eye(8), atol=1e-12)
+    np.testing.assert_allclose(weight @ ours, 0.0, atol=1e-12)
+    for column, (degree, order) in enumerate([(1, 1), (1, -1), (1, 0), (2, -2), (2, -1), (2, 1), (2, 0), (2, 2)]):
+        m, twice = abs(order), 2 if order else 1
+        scale = np.sqrt(twice * (2 * degree + 1) * factorial(degree - m) / factorial(degree + m))
+        expected = scale * lpmv(m, degree, z) * (np.cos(m * angle) if order >= 0 else np.sin(m * angle))
+        sign = np.sign((expected * ours[:, column]).sum())
+        np.testing.assert_allclose(ours[:, column], sign * expected, atol=1e-12)
+    compiled = np.empty(8, np.float32)
+    for k in range(0, len(directions), 7):
+        fill(directions[k].astype(np.float32), compiled)
+        np.testing.assert_allclose(compiled, ours[k], atol=1e-5)
+
+
+@pytest.mark.parametrize("engine", ["compiled", "tensors"])
+def test_a_uniform_box_shows_another_radiance_from_every_side(engine):
+    """ln L = c + h · Y(d), by hand for one direction."""
+    grid, coefficients = torch.zeros(9, 9, 9, 2), torch.zeros(9, 9, 9, 1, 3)
+    grid[..., 0], grid[..., 1] = 6.0, np.log(0.5)
+    coefficients[..., 0], coefficients[..., 2] = 0.2, -0.1
+    ray = np.array([0.6, 0.0, 0.8])
+    rays = Rays(-3 * ray[None].astype(np.float32), ray[None].astype(np.float32), np.zeros(1, int), np.zeros(1, "f4"))
+    box = Box(LOW, HIGH, 0.02, np.ones((2, 2, 2), np.uint8))
+    radiance, opacity = render(grid, torch.tensor([0.53]), rays, box, engine, coefficients)
+    assert float(opacity) > 0.998  # the march ends where nothing more shows
+    assert float(radiance) == pytest.approx(0.5 * np.exp(np.sqrt(3) * (0.2 * 0.6 - 0.1 * 0.8)), rel=3e-5)
+
+
+@pytest.mark.parametrize(("channels", "degree"), [(1, 0), (3, 0), (1, 1), (3, 2)])
+def test_both_engines_agree_with_their_gradients(channels, degree):
     rng = np.random.default_rng(0)
     values = rng.normal(0, 1, (13, 13, 13, 1 + channels)).astype(np.float32)
+    directional = 0.3 * rng.normal(0, 1, (13, 13, 13, channels, number_of(degree))).astype(np.float32)
     rays = random_rays(500, channels)
     box = Box(LOW, HIGH, 0.11, (rng.random((3, 3, 3)) < 0.8).astype(np.uint8))
     rendered = []
     for engine in ("compiled", "tensors"):
         grid, behind = torch.tensor(values, requires_grad=True), torch.full((channels,), 0.4, requires_grad=True)
-        radiance, opacity = render(grid, behind, rays, box, engine)
+        coefficients = torch.tensor(directional, requires_grad=True)
+        radiance, opacity = render(grid, behind, rays, box, engine, coefficients)
         (radiance * torch.linspace(-1, 1, len(radiance))).sum().backward()
-        rendered.append((radiance.detach(), opacity, grid.grad, behind.grad))
+        slopes = (grid.grad, behind.grad, *([coefficients.grad] if degree else []))
+        rendered.append((radiance.detach(), opacity, *slopes))
     for compiled, tensors in zip(*rendered, strict=True):
         torch.testing.assert_close(compiled, tensors, rtol=1e-3, atol=1e-4)
 
 
-def test_gradients_are_those_of_finite_differences():
+@pytest.mark.parametrize("of", ["grid", "coefficients"])
+def test_gradients_are_those_of_finite_differences(of):
     rng = np.random.default_rng(1)
-    values = rng.normal(0, 0.5, (9, 9, 9, 2)).astype(np.float32)
+    arrays = {"grid": rng.normal(0, 0.5, (9, 9, 9, 2)).astype(np.float32)}
+    arrays["coefficients"] = rng.normal(0, 0.2, (9, 9, 9, 1, 8)).astype(np.float32)
     rays, box = random_rays(200, 1), Box(LOW, HIGH, 0.25, np.ones((2, 2, 2), np.uint8))
     behind, weight = torch.tensor([0.4]), torch.tensor(rng.normal(size=200))
 
-    def value(array):
-        return float((render(torch.tensor(array), behind, rays, box)[0].double() * weight).sum())
+    def value(given):
+        both = {name: torch.as_tensor(array) for name, array in (arrays | {of: given}).items()}
+        return (render(both["grid"], behind, rays, box, coefficients=both["coefficients"])[0].double() * weight).sum()
 
-    grid = torch.tensor(values, requires_grad=True)
-    (render(grid, behind, rays, box)[0].double() * weight).sum().backward()
-    assert grid.grad is not None
-    strongest = np.argsort(-grid.grad.abs().numpy().ravel())[:12]
+    values = arrays[of]
+    at = torch.tensor(values, requires_grad=True)
+    value(at).backward()
+    assert at.grad is not None
+    strongest = np.argsort(-at.grad.abs().numpy().ravel())[:12]
     for flat in strongest:
         up, down = values.copy().ravel(), values.copy().ravel()
         up[flat] += 0.01
         down[flat] -= 0.01
-        slope = (value(up.reshape(values.shape)) - value(down.reshape(values.shape))) / 0.02
-        assert float(grid.grad.ravel()[flat]) == pytest.approx(slope, rel=2e-2)
+        slope = float(value(up.reshape(values.shape)) - value(down.reshape(values.shape))) / 0.02
+        assert float(at.grad.ravel()[flat]) == pytest.approx(slope, rel=2e-2)
 
 
 def test_skipping_empty_blocks_changes_nothing_that_shows():
@@ -104,12 +149,15 @@ def test_skipping_empty_blocks_changes_nothing_that_shows():
 
 
 def test_refining_keeps_the_scene():
-    field = Field(LOW, HIGH, 17, 1, [0.4])
+    field = Field(LOW, HIGH, 17, 3, [0.4] * 3, degree=1)
+    generator = torch.Generator().manual_seed(0)
     with torch.no_grad():
-        field.grid += 0.5 * torch.randn(field.grid.shape, generator=torch.Generator().manual_seed(0))
-    at = field.grid[::2, ::2, ::2].clone()
+        field.grid += 0.5 * torch.randn(field.grid.shape, generator=generator)
+        field.coefficients += 0.5 * torch.randn(field.coefficients.shape, generator=generator)
+    at, directional = field.grid[::2, ::2, ::2].clone(), field.coefficients[::2, ::2, ::2].clone()
     field.refine(33)
     torch.testing.assert_close(field.grid[::4, ::4, ::4], at)
+    torch.testing.assert_close(field.coefficients[::4, ::4, ::4], directional)
 
 
 def test_poses_are_interpolated_linearly_and_by_slerp():

@@ -10,6 +10,9 @@ from pixelid.nerf.shown.solid import Mesh
 from pixelid.nerf.shown.splats import Splats
 
 BAND_0 = 0.28209479177387814  # the constant spherical harmonic, 1 / (2 √π): splats hold colour − 0.5 in units of it
+# For theirs, in their order, the indices of ours (`harmonics`) and the signs.  Viewers expect three degrees or none.
+ORDER, SIGNS = (1, 2, 0, 3, 4, 6, 5, 7), (-1, 1, -1, 1, -1, 1, -1, 1)
+THREE_DEGREES = 15
 NAMES = {"<f4": "float", "|u1": "uchar", "<i4": "int"}
 
 
@@ -28,16 +31,20 @@ def write_mesh(path: Path, mesh: Mesh, colour: np.ndarray) -> None:
     _write(path, head, rows.tobytes() + faces.tobytes())
 
 
-def write_splats(path: Path, splats: Splats, colour: np.ndarray) -> None:
-    """Write splats; colour: (n, 3) in 0 … 1."""
-    names = ("x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1", "scale_2",
-             "rot_0", "rot_1", "rot_2", "rot_3")  # fmt: skip
+def write_splats(path: Path, splats: Splats, colours: np.ndarray) -> None:
+    """Write splats; colours: (n, 3, 1 + K) in 0 … 1, as `Splats.colours` gives them."""
+    number = colours.shape[2] - 1
+    rest = [f"f_rest_{k}" for k in range(3 * THREE_DEGREES if number else 0)]
+    names = ("x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2", *rest, "opacity", "scale_0", "scale_1",
+             "scale_2", "rot_0", "rot_1", "rot_2", "rot_3")  # fmt: skip
     rows = np.zeros(len(splats.centre), [(name, "<f4") for name in names])
     for k, name in enumerate(("x", "y", "z")):
         rows[name] = splats.centre[:, k]
-    for k in range(3):
-        rows[f"f_dc_{k}"] = (colour[:, k] - 0.5) / BAND_0
-        rows[f"scale_{k}"] = np.log(splats.deviation[k])
+    for c in range(3):
+        rows[f"f_dc_{c}"] = (colours[:, c, 0] - 0.5) / BAND_0
+        rows[f"scale_{c}"] = np.log(splats.deviation[c])
+        for k in range(number):
+            rows[f"f_rest_{c * THREE_DEGREES + k}"] = SIGNS[k] * colours[:, c, 1 + ORDER[k]] / BAND_0
     rows["opacity"] = np.log(splats.opacity / (1 - splats.opacity))
     rows["rot_0"] = 1.0
     _write(path, _element("vertex", rows), rows.tobytes())

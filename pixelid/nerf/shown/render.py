@@ -99,7 +99,7 @@ def render(
         InputError: a scene without surface is to become a mesh, or one without density splats.
     """
     watch = time.perf_counter()
-    if not np.isfinite(saved.field.grid.detach().numpy()).all():
+    if not saved.field.finite:
         raise InputError(f"{path / FIELD}: the field holds numbers that are not finite: the reconstruction diverged")
     colours = saved.field.grid.shape[-1] - 1
     dark = np.resize(np.asarray(saved.content["pixel"].get("dark") or 0.0, dtype=float), colours)
@@ -128,7 +128,7 @@ def render(
         files[MESH] = f"{len(mesh.faces)} triangles, coloured"
     if wanted.splats:
         splats = splats_of(saved.field)
-        ply.write_splats(folder / SPLATS, splats, tone(splats.radiance[None] + dark)[0] / 255)
+        ply.write_splats(folder / SPLATS, splats, splats.colours(lambda radiance: tone(radiance[None] + dark)[0] / 255))
         files[SPLATS] = f"{len(splats.centre)} Gaussian splats"
     some = np.unique(np.linspace(0, len(frames) - 1, min(5, len(frames))).astype(int))
     content = {

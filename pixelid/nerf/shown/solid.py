@@ -11,6 +11,7 @@ import torch
 from pixelid.errors import InputError
 from pixelid.nerf.evaluate import render_views
 from pixelid.nerf.field import Field
+from pixelid.nerf.harmonics import harmonics
 from pixelid.nerf.views import Views
 
 SURFACE = 0.5  # opacity of one cell at which a surface is drawn
@@ -18,7 +19,8 @@ SEEN = 0.5  # opacity of a ray below which it has no depth
 
 
 class Mesh(NamedTuple):
-    """vertices: (n, 3) in the scene;  normals: (n, 3) unit, outwards;  radiance: (n, C);  faces: (m, 3) indices."""
+    """vertices: (n, 3) in the scene;  normals: (n, 3) unit, outwards;  radiance: (n, C) as
+    seen head-on;  faces: (m, 3) indices."""
 
     vertices: np.ndarray
     normals: np.ndarray
@@ -84,10 +86,14 @@ def mesh_of(field: Field) -> Mesh:
     # "ascent": density is high inside, so that normals and the faces' sense point outwards
     vertices, faces, normals, _ = marching_cubes(padded, level, gradient_direction="ascent")
     at = np.clip(vertices - 1, 0, np.array(density.shape) - 1)
-    radiance = np.stack([
-        np.exp(map_coordinates(log_radiance[..., c], at.T, order=1)) for c in range(log_radiance.shape[-1])
-    ], axis=-1)  # fmt: skip
-    return Mesh(field.low + (vertices - 1) * spacing, normals, radiance, faces)
+    coefficients = field.coefficients.detach().cpu().numpy()
+    head_on = harmonics(torch.from_numpy(-normals), coefficients.shape[-1]).numpy()
+    radiance = np.empty((len(at), log_radiance.shape[-1]))
+    for c in range(radiance.shape[1]):
+        radiance[:, c] = map_coordinates(log_radiance[..., c], at.T, order=1)
+        for k in range(coefficients.shape[-1]):
+            radiance[:, c] += map_coordinates(coefficients[..., c, k], at.T, order=1) * head_on[:, k]
+    return Mesh(field.low + (vertices - 1) * spacing, normals, np.exp(radiance), faces)
 
 
 def _like(field: Field, grid: np.ndarray) -> Field:

@@ -1,0 +1,76 @@
+"""Real spherical harmonics: how a colour depends on the direction it is seen from.
+
+    ln L(x, d) = c(x) + Σ_k h_k(x) Y_k(d),   d the unit direction of the ray
+
+Y_k are the harmonics of degree 1 (x, y, z) and 2 (xy, yz, zx, 3z² − 1, x² − y²), each of mean square 1 over the
+sphere; degree 0 is c.  Source: Ramamoorthi and Hanrahan, SIGGRAPH 2001, with another scale.  Radiance stays positive,
+since it is the logarithm that they describe.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import torch
+from numba import njit
+
+HIGHEST_DEGREE = 2
+_FIRST, _MIXED, _POLAR = math.sqrt(3.0), math.sqrt(15.0), 0.5 * math.sqrt(5.0)
+
+
+def number_of(degree: int) -> int:
+    """How many harmonics there are up to a degree, beside the constant."""
+    return (degree + 1) ** 2 - 1
+
+
+@njit(inline="always", error_model="numpy")
+def fill(d, out):
+    """Fill out (K,) float32 with the harmonics at a direction d (3,); K: 0, 3 or 8."""
+    if len(out) >= 3:
+        for j in range(3):
+            out[j] = _FIRST * d[j]
+    if len(out) >= 8:
+        x, y, z = d[0], d[1], d[2]
+        out[3], out[4], out[5] = _MIXED * x * y, _MIXED * y * z, _MIXED * z * x
+        out[6], out[7] = _POLAR * (3.0 * z * z - 1.0), 0.5 * _MIXED * (x * x - y * y)
+
+
+def harmonics(directions: torch.Tensor, number: int) -> torch.Tensor:
+    """(n, number) at unit directions (n, 3)."""
+    x, y, z = directions.unbind(dim=1)
+    every = (
+        _FIRST * x, _FIRST * y, _FIRST * z, _MIXED * x * y, _MIXED * y * z, _MIXED * z * x, _POLAR * (3 * z * z - 1),
+        0.5 * _MIXED * (x * x - y * y),
+    )  # fmt: skip
+    return torch.stack(every, dim=1)[:, :number]
+
+
+@njit(inline="always", error_model="numpy")
+def seen(flat, at, X, Y, Z, x, y, z, basis):
+    """Σ_k basis_k times the trilinear value of harmonic k; at: index of the first at the cell's low corner."""
+    one, total = np.float32(1.0), np.float32(0.0)
+    for corner in range(8):
+        w = x if corner & 4 else one - x
+        w *= y if corner & 2 else one - y
+        w *= z if corner & 1 else one - z
+        i = at + (X if corner & 4 else 0) + (Y if corner & 2 else 0) + (Z if corner & 1 else 0)
+        dot = np.float32(0.0)
+        for k in range(len(basis)):
+            dot += basis[k] * flat[i + k]
+        total += w * dot
+    return total
+
+
+@njit(inline="always", error_model="numpy")
+def spread(flat, at, X, Y, Z, x, y, z, basis, by_value):
+    """The transpose: add a cell's shares of the gradient by `seen`."""
+    one = np.float32(1.0)
+    for corner in range(8):
+        w = x if corner & 4 else one - x
+        w *= y if corner & 2 else one - y
+        w *= z if corner & 1 else one - z
+        w *= by_value
+        i = at + (X if corner & 4 else 0) + (Y if corner & 2 else 0) + (Z if corner & 1 else 0)
+        for k in range(len(basis)):
+            flat[i + k] += w * basis[k]
