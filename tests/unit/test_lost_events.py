@@ -8,6 +8,7 @@ import pytest
 from pixelid.fit.coordinates import Coordinates
 from pixelid.fit.event_times import EventTimesObjective
 from pixelid.fit.maximise import maximise
+from pixelid.gap.detect.residuals import residuals
 from pixelid.gap.gap import gap
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.model.shipped import find_model
@@ -66,6 +67,15 @@ def test_the_fraction_comes_back_and_little_stays_unexplained(likelihood):
     assert found.unexplained < 0.2 * plain.unexplained
     for name in ("on_threshold", "off_threshold"):
         assert found.values[name] == pytest.approx(MODEL.values[name], rel=0.02)
+
+
+def test_residuals_are_standard_normal_where_events_of_the_other_polarity_were_lost():
+    """An extreme far beyond the other threshold means a lost event; it once made residuals of 40."""
+    lossy = EventTimes([r.with_stimulus(resampled(r.stimulus, "smooth")) for r in thinned(8)])
+    here = residuals(lossy, LOSSY.circuit())
+    e = here.e[~here.background]
+    assert np.abs(e).max() < 5.0
+    assert e.std() == pytest.approx(1.0, abs=3.0 / np.sqrt(2 * len(e)))
 
 
 def test_where_nothing_was_lost_the_effect_gains_nothing():

@@ -8,6 +8,9 @@ Ventura, Kass & Frank 2002, Neural Computation 14, 325).  For thresholds drawn a
 with z_k the level at the event, m_k the extreme that the other polarity had reached, M and s the posterior mean and
 spread of the thresholds.  With the other polarity far away, e_k = (z_k − M_p)/s_k: how far beyond its threshold, in
 standard deviations, the change was when the event came.  e > 0 late, e < 0 early.
+
+Where a share f of events gets lost, the other polarity's may have been: its factor becomes f + (1 − f) Φ.  (Events
+after a lost one of their own polarity are no part of this: `losses.py`.)
 """
 
 from __future__ import annotations
@@ -63,7 +66,10 @@ def residuals(likelihood: EventTimes, circuit: Circuit, changes: StackedChanges 
     margin = (terms.group_mean[group] - terms.z) / terms.scale
     spread = np.sqrt((circuit.noise * terms.group_mean) ** 2 + terms.group_variance)
     other_margin = (terms.group_mean[other] - terms.reached) / spread[other]
-    log_survival = log_ndtr(margin) + np.where(terms.reached > 0, log_ndtr(other_margin), 0.0)
+    other_survives = log_ndtr(other_margin)
+    if circuit.lost > 0.0:
+        other_survives = np.logaddexp(np.log(circuit.lost), np.log1p(-circuit.lost) + other_survives)
+    log_survival = log_ndtr(margin) + np.where(terms.reached > 0, other_survives, 0.0)
     e = np.clip(-ndtri_exp(np.minimum(log_survival, -1e-300)), -LARGEST, LARGEST)
     shown = np.where(terms.background, 0.0, e)
     return Residuals(shown, np.log(terms.scale), terms.log_rate, terms.background, terms.changes.extremes)
