@@ -86,16 +86,6 @@ class Field(torch.nn.Module):
             self.coefficients = torch.nn.Parameter(fine, requires_grad=trained)
         self.occupied = np.ones(_blocks(vertices), np.uint8)
 
-    def roughness(self) -> torch.Tensor:
-        """Mean absolute difference of neighbouring log radiances plus that of opacities, over the grid."""
-        value = torch.cat(
-            [1 - torch.exp(-self.step * torch.exp(self.grid[..., :1].clamp(max=8))), self.grid[..., 1:]], dim=-1
-        )
-        total = value.new_zeros(())
-        for axis in range(3):
-            total = total + torch.diff(value, dim=axis).abs().mean()
-        return total
-
 
 def _finer(values: torch.Tensor, vertices: int) -> torch.Tensor:
     """(nx, ny, nz, features) interpolated to `vertices` per side; there may be no features."""

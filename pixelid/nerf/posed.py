@@ -12,6 +12,7 @@ from pixelid.nerf.camera import Camera
 from pixelid.nerf.evaluate import render_views
 from pixelid.nerf.field import Field
 from pixelid.nerf.render import Rays
+from pixelid.nerf.smoothness import mean_square, variation
 from pixelid.nerf.state import HARMONICS_RATE
 from pixelid.nerf.views import LUMA, OPENGL, Views
 
@@ -92,7 +93,7 @@ def scene_of_images(
         predicted, _ = field(rays)
         truth = torch.from_numpy(grey.reshape(len(grey), -1)[which, pixel].astype(np.float32))
         loss = ((predicted - truth) ** 2).mean() + EMPTINESS * field.grid[..., 0].clamp(min=-6).mean()
-        loss = loss + ROUGHNESS * field.roughness() + STIFFNESS * field.coefficients.square().mean()
+        loss = loss + ROUGHNESS * variation(field.grid) + STIFFNESS * mean_square(field.coefficients)
         optimiser.zero_grad(set_to_none=True)
         loss.backward()
         optimiser.step()
@@ -103,4 +104,4 @@ def scene_of_images(
 
 def _optimiser(field: Field) -> torch.optim.Optimizer:
     groups = [{"params": [field.grid], "share": 1.0}, {"params": [field.coefficients], "share": HARMONICS_RATE}]
-    return torch.optim.Adam(groups, lr=RATE, eps=1e-15)
+    return torch.optim.Adam(groups, lr=RATE, eps=1e-15, fused=True)

@@ -16,6 +16,7 @@ from pixelid.nerf.losses import terms, total, unexplained, variance_left
 from pixelid.nerf.predict import EPSILON, draw, predict
 from pixelid.nerf.recipe import Recipe
 from pixelid.nerf.render import Rays
+from pixelid.nerf.smoothness import mean_square, variation
 from pixelid.nerf.state import Problem, State, optimiser_of
 
 
@@ -34,11 +35,11 @@ def step(problem: Problem, recipe: Recipe, state: State) -> dict[str, float]:
     parts = terms(change, level, batch, *thresholds)
     loss = total(parts, recipe.weights)
     if recipe.roughness > 0:
-        loss = loss + recipe.roughness * state.field.roughness()
+        loss = loss + recipe.roughness * variation(state.field.grid, recipe.engine)
     if recipe.emptiness > 0:
         loss = loss + recipe.emptiness * state.field.grid[..., 0].clamp(min=-6).mean()
     if recipe.stiffness > 0 and state.field.coefficients.requires_grad:
-        loss = loss + recipe.stiffness * state.field.coefficients.square().mean()
+        loss = loss + recipe.stiffness * mean_square(state.field.coefficients)
     if problem.gauge.kind == "level":
         loss = loss + recipe.level * _off_level(problem, state, recipe.engine, rng)
     if any(values.requires_grad for values in state.pixel.parameters()):

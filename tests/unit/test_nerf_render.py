@@ -12,6 +12,7 @@ from pixelid.nerf.field import Field
 from pixelid.nerf.harmonics import fill, harmonics, number_of
 from pixelid.nerf.render import Box, Rays, render
 from pixelid.nerf.scenes import procedural, random_views, spiral
+from pixelid.nerf.smoothness import mean_square, variation
 from pixelid.nerf.trajectory import Trajectory
 
 LOW, HIGH = np.full(3, -1.0), np.full(3, 1.0)
@@ -222,3 +223,29 @@ def test_the_correction_is_found():
     correction = fit_correction(radiance, images, exposure)
     np.testing.assert_allclose([correction.a, correction.b, correction.c], [a, b, c], rtol=1e-3)
     np.testing.assert_allclose(correction(radiance, exposure), images, atol=1e-4)
+
+
+@pytest.mark.parametrize("channels", [1, 3])
+def test_both_forms_of_the_total_variation_agree_with_their_gradients(channels):
+    rng = np.random.default_rng(0)
+    values = rng.normal(size=(7, 7, 7, 1 + channels)).astype(np.float32)
+    values[2, 3, :, 1] = 0.5  # neighbours alike: no slope
+    found = []
+    for engine in ("compiled", "tensors"):
+        grid = torch.tensor(values, requires_grad=True)
+        total = variation(grid, engine)
+        (3.0 * total).backward()
+        found.append((total.detach(), grid.grad))
+    for compiled, tensors in zip(*found, strict=True):
+        torch.testing.assert_close(compiled, tensors)
+    by_hand = [np.abs(np.diff(values[..., 1:].astype(float), axis=axis)).mean() for axis in range(3)]
+    assert float(found[0][0]) == pytest.approx(np.sum(by_hand), rel=1e-5)
+
+
+def test_the_mean_square_and_its_gradient():
+    values = torch.randn(5, 4, 3, 2, 3, generator=torch.Generator().manual_seed(0), requires_grad=True)
+    (4.0 * mean_square(values)).backward()
+    assert float(mean_square(values).detach()) == pytest.approx(float(values.detach().square().mean()), rel=1e-6)
+    assert values.grad is not None
+    torch.testing.assert_close(values.grad, 8.0 * values.detach() / values.numel())
+    assert float(mean_square(torch.zeros(3, 0))) == 0.0
