@@ -60,13 +60,13 @@ CAMERAS = {
 }  # effects with their values, and other values
 FIELDS = {
     "nothing": (0.0, 0, 0.0),
-    "total variation": (0.1, 0, 0.0),
-    "degree 1": (0.1, 1, 10.0),
-    "degree 1, held by 1": (0.1, 1, 1.0),
-    "degree 1, held by 100": (0.1, 1, 100.0),
+    "total variation": (0.05, 0, 0.0),
+    "degree 1": (0.05, 1, 10.0),
+    "degree 1, held by 1": (0.05, 1, 1.0),
+    "degree 1, held by 100": (0.05, 1, 100.0),
     "degree 1, no total variation": (0.0, 1, 10.0),
-    "degree 2": (0.1, 2, 10.0),
-    "degree 2, held by 100": (0.1, 2, 100.0),
+    "degree 2": (0.05, 2, 10.0),
+    "degree 2, held by 100": (0.05, 2, 100.0),
 }  # weight of the total variation, degree of the harmonics, weight of their mean square
 LARGE_BATCH = 2048  # chains per step for 200 × 200 pixels
 SLOW = 0.5  # α and source follower of the camera that differs from nominal

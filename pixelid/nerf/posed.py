@@ -19,7 +19,7 @@ from pixelid.nerf.views import LUMA, OPENGL, Views
 VERTICES = (33, 65, 97)
 BATCH, ITERATIONS = 8192, 2000
 # Chosen on the Lego pictures of NeRF at 100 × 100 pixels, one in ten of them held out (docs/results/reconstruction.md).
-DEGREE, STIFFNESS, ROUGHNESS, EMPTINESS = 1, 1e-2, 1e-3, 1e-4
+DEGREE, STIFFNESS, ROUGHNESS, EMPTINESS = 1, 1e-2, 5e-4, 1e-4
 DARKEST = 5e-3
 RATE = 0.1
 
