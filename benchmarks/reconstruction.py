@@ -5,6 +5,8 @@
 
 bandwidth   on, off, and `ideal`: the same field trained on events of a camera without bandwidth limit; `ideal, no dead
             time`: and without dead time
+baselines   on, off, the pixel of Robust e-NeRF (no bandwidth; thresholds, their ratio and dead time trained with the
+            scene), and images of the events first, a field fitted to them then (`two_stage.py`)
 samples     S of the past: 1, 5, 15, 30, 50
 joint       the filter trained with the scene from a start wrong by 3 in α and the source follower; the same start held
 pixel       the camera differs from nominal by 2 in α and the source follower: true, nominal, fitted, and twice too fast
@@ -26,11 +28,13 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import time
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from two_stage import two_stage
 
 from pixelid.demo.demo import calibration_session
 from pixelid.fit import fit
@@ -68,6 +72,8 @@ FIELDS = {
     "degree 2": (0.05, 2, 10.0),
     "degree 2, held by 100": (0.05, 2, 100.0),
 }  # weight of the total variation, degree of the harmonics, weight of their mean square
+ROBUST = ("threshold", "ratio", "refractory")  # trained by Robust e-NeRF with the scene
+CUTOFFS = (0.0, 0.1, 0.3, 1.0)  # of the filter that makes images, per revolution
 LARGE_BATCH = 2048  # chains per step for 200 × 200 pixels
 SLOW = 0.5  # α and source follower of the camera that differs from nominal
 CHANGED = ("alpha", "sf_cutoff_hz")
@@ -110,7 +116,7 @@ def fitted(work: Path, seed: int) -> Path:
 
 def arms(name: str, work: Path, setting: str, seed: int):
     """(arm, dataset or what makes it, options of `reconstruct`) of an experiment."""
-    if name in ("bandwidth", "samples", "joint"):
+    if name in ("bandwidth", "baselines", "samples", "joint"):
         data = dataset(work, setting, seed)
         circuit = data.calibration.circuit
     if name == "bandwidth":
@@ -127,6 +133,13 @@ def arms(name: str, work: Path, setting: str, seed: int):
             lambda: dataset(work, setting, seed, "_ideal_nodead", tireless),
             {"bandwidth": Bandwidth("off")},
         )
+    elif name == "baselines":
+        yield "on", data, {}
+        yield "off", data, {"bandwidth": Bandwidth("off")}
+        yield "Robust e-NeRF's pixel", data, {"bandwidth": Bandwidth("off", trained=ROBUST)}
+        for turns in CUTOFFS:
+            cutoff = 2 * math.pi * turns * SETTINGS[setting].revolutions_per_s
+            yield f"two stages, {turns:g} per revolution", data, {"cutoff": cutoff}
     elif name == "samples":
         for samples in SAMPLES:
             yield f"S={samples}", data, {"bandwidth": Bandwidth("on", samples)}
@@ -186,24 +199,21 @@ def run(name: str, work: Path, setting: str, seed: int, iterations: int | None, 
         if only and arm not in only:
             continue
         data = make() if callable(make) else make
-        used = time.process_time()
-        chosen = options.pop("recipe", recipe)
-        result = reconstruct(data, recipe=chosen, seed=seed, **options)
-        row = {
-            "experiment": name, "setting": setting, "seed": seed, "arm": arm,
-            "psnr": round(float(result.scores.psnr.mean()), 3), "ssim": round(float(result.scores.ssim.mean()), 4),
-            "held_out": round(result.held_out, 4), "seconds": round(result.seconds, 1),
-            "cpu_seconds": round(time.process_time() - used, 1), "rays_per_second": round(result.rays_per_second),
-            "iterations": result.state.iteration, "degree": chosen.degree, "pixel": result.state.pixel.values(),
-            "found": [effect["name"] for effect in result.gap["effects"]] if result.gap else None,
-        }  # fmt: skip
-        with (work / "results.jsonl").open("a") as file:
-            file.write(json.dumps(row) + "\n")
-        print(
-            f"{name:10} {setting:7} seed {seed}  {arm:22} {row['psnr']:6.2f} dB  SSIM {row['ssim']:.3f}  "
-            f"{row['seconds']:5.0f} s wall, {row['cpu_seconds']:5.0f} s CPU",
-            flush=True,
-        )
+        began, used = time.perf_counter(), time.process_time()
+        row: dict = {"experiment": name, "setting": setting, "seed": seed, "arm": arm}
+        if "cutoff" in options:
+            scores = two_stage(data, options["cutoff"], seed=seed)
+            row |= {"iterations": ITERATIONS, "degree": DEGREE}
+        else:
+            chosen = options.pop("recipe", recipe)
+            result = reconstruct(data, recipe=chosen, seed=seed, **options)
+            scores = result.scores
+            row |= {
+                "iterations": result.state.iteration, "degree": chosen.degree, "held_out": round(result.held_out, 4),
+                "rays_per_second": round(result.rays_per_second), "pixel": result.state.pixel.values(),
+                "found": [effect["name"] for effect in result.gap["effects"]] if result.gap else None,
+            }  # fmt: skip
+        note(work, row | {"psnr": scores.psnr.mean(), "ssim": scores.ssim.mean()}, began, used)
 
 
 def pictures(work: Path, images: Path, seeds: list[int]) -> None:
@@ -213,24 +223,35 @@ def pictures(work: Path, images: Path, seeds: list[int]) -> None:
     held = np.arange(0, len(shots), 10)
     kept = np.setdiff1d(np.arange(len(shots)), held)
     height, width = shots.shape[1:3]
-    camera = Camera(np.array([[focal, 0, width / 2 - 0.5], [0, focal, height / 2 - 0.5], [0, 0, 1]]), width, height,
-                    np.empty(0))  # fmt: skip
+    intrinsics = np.array([[focal, 0, width / 2 - 0.5], [0, focal, height / 2 - 0.5], [0, 0, 1]])
+    camera = Camera(intrinsics, width, height, np.empty(0))
     values, alpha = shots[held, ..., :3] / 255.0, shots[held, ..., 3:] / 255.0 if shots.shape[-1] == 4 else 1.0
     truth = (alpha * values + 1.0 - alpha) @ LUMA
     for seed in seeds:
-        used = time.process_time()
+        began, used = time.perf_counter(), time.process_time()
         scene = scene_of_images(shots[kept], poses[kept], focal, seed=seed)
-        spent = time.process_time() - used
         shown = scene.render(camera, poses[held, :3, 3], poses[held, :3, :3] @ OPENGL)
-        quality = float(np.mean(10 * np.log10(1 / ((shown - truth) ** 2).mean(axis=(1, 2)))))
-        alike = float(ssim(shown[..., None], truth[..., None], 1.0).mean())
         row = {
             "experiment": "pictures", "setting": f"{width} × {height}", "seed": seed, "arm": "direct fit",
-            "psnr": round(quality, 3), "ssim": round(alike, 4), "cpu_seconds": round(spent, 1),
             "iterations": ITERATIONS, "degree": DEGREE,
+            "psnr": np.mean(10 * np.log10(1 / ((shown - truth) ** 2).mean(axis=(1, 2)))),
+            "ssim": ssim(shown[..., None], truth[..., None], 1.0).mean(),
         }  # fmt: skip
-        with (work / "results.jsonl").open("a") as file:
-            file.write(json.dumps(row) + "\n")
+        note(work, row, began, used)
+
+
+def note(work: Path, row: dict, began: float, used: float) -> None:
+    """Append a run to the results, and say it; began, used: clocks of wall and process before it [s]."""
+    row["psnr"], row["ssim"] = round(float(row["psnr"]), 3), round(float(row["ssim"]), 4)
+    row["seconds"] = round(time.perf_counter() - began, 1)
+    row["cpu_seconds"] = round(time.process_time() - used, 1)
+    with (work / "results.jsonl").open("a") as file:
+        file.write(json.dumps(row) + "\n")
+    print(
+        f"{row['experiment']:10} {row['setting']:7} seed {row['seed']}  {row['arm']:22} {row['psnr']:6.2f} dB  "
+        f"SSIM {row['ssim']:.3f}  {row['seconds']:5.0f} s wall, {row['cpu_seconds']:5.0f} s CPU",
+        flush=True,
+    )
 
 
 def last_runs(work: Path) -> dict[tuple, dict[int, dict]]:
@@ -285,7 +306,19 @@ def table(work: Path) -> str:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    names = ("bandwidth", "samples", "joint", "pixel", "effect", "scale", "whole", "field", "size", "pictures")
+    names = (
+        "bandwidth",
+        "samples",
+        "joint",
+        "pixel",
+        "effect",
+        "scale",
+        "whole",
+        "field",
+        "size",
+        "baselines",
+        "pictures",
+    )
     parser.add_argument("experiments", nargs="*", choices=[*names, []], default=[])
     parser.add_argument("--settings", nargs="+", choices=list(SETTINGS), default=["hard"])
     parser.add_argument("--seeds", nargs="+", type=int, default=[0])

@@ -70,10 +70,33 @@ def scene_of_images(
     grey = np.maximum(values @ LUMA, DARKEST)
     height, width = grey.shape[1:]
     intrinsics = np.array([[focal, 0, width / 2 - 0.5], [0, focal, height / 2 - 0.5], [0, 0, 1]])
-    inside = Camera(intrinsics, width, height, np.empty(0)).all_directions()
-    rotation, position = poses[:, :3, :3] @ OPENGL, poses[:, :3, 3]
+    camera = Camera(intrinsics, width, height, np.empty(0))
+    box = np.full(3, -half), np.full(3, half)
+    position, rotation = poses[:, :3, 3], poses[:, :3, :3] @ OPENGL
+    return PosedScene(fit_field(grey, position, rotation, camera, *box, iterations=iterations, seed=seed), 1.0)
+
+
+def fit_field(
+    images: np.ndarray, position: np.ndarray, rotation: np.ndarray, camera: Camera, low: np.ndarray, high: np.ndarray,
+    *, background: float = 1.0, iterations: int = ITERATIONS, seed: int = 0,
+) -> Field:  # fmt: skip
+    """Fit a grey field to images, by squared differences.
+
+    Args:
+        images: (n, H, W) radiance, not below 0.
+        position, rotation: (n, 3), (n, 3, 3) of the cameras, to world.
+        camera: that took them.
+        low, high: (3,) corners of the box.
+        background: radiance behind it.
+        iterations: of the fit.
+        seed: of the rays drawn.
+
+    Returns:
+        The field.
+    """
+    inside, pixels = camera.all_directions(), images.reshape(len(images), -1)
     rng = np.random.default_rng(seed)
-    field = Field(np.full(3, -half), np.full(3, half), VERTICES[0], 1, [1.0], level=0.5, degree=DEGREE)
+    field = Field(low, high, VERTICES[0], 1, [background], level=0.5 * background, degree=DEGREE)
     optimiser = _optimiser(field)
     for k in range(iterations):
         vertices = VERTICES[k * len(VERTICES) // iterations]
@@ -82,16 +105,12 @@ def scene_of_images(
             optimiser = _optimiser(field)
         for group in optimiser.param_groups:
             group["lr"] = group["share"] * RATE * 0.1 ** (k / iterations)
-        which, pixel = rng.integers(0, len(grey), BATCH), rng.integers(0, height * width, BATCH)
+        which, pixel = rng.integers(0, len(images), BATCH), rng.integers(0, pixels.shape[1], BATCH)
         directions = np.einsum("nij,nj->ni", rotation[which], inside[pixel]).astype(np.float32)
-        rays = Rays(
-            position[which].astype(np.float32),
-            directions,
-            np.zeros(BATCH, np.int64),
-            rng.random(BATCH, dtype=np.float32),
-        )
+        offsets = rng.random(BATCH, dtype=np.float32)
+        rays = Rays(position[which].astype(np.float32), directions, np.zeros(BATCH, np.int64), offsets)
         predicted, _ = field(rays)
-        truth = torch.from_numpy(grey.reshape(len(grey), -1)[which, pixel].astype(np.float32))
+        truth = torch.from_numpy(pixels[which, pixel].astype(np.float32))
         loss = ((predicted - truth) ** 2).mean() + EMPTINESS * field.grid[..., 0].clamp(min=-6).mean()
         loss = loss + ROUGHNESS * variation(field.grid) + STIFFNESS * mean_square(field.coefficients)
         optimiser.zero_grad(set_to_none=True)
@@ -99,7 +118,7 @@ def scene_of_images(
         optimiser.step()
         if k >= 64 and k % 16 == 0:
             field.look_for_empty_blocks()
-    return PosedScene(field, 1.0)
+    return field
 
 
 def _optimiser(field: Field) -> torch.optim.Optimizer:
