@@ -211,13 +211,13 @@ def draw_edges(result: Fitted, recordings: Sequence[Recording], axes: Any = None
                 (counts.off, model_off, OFF, "OFF"),
             ):
                 index = centre[:, None] + window
-                n, mu = measured[index].sum(axis=0), model[index].sum(axis=0)
+                seen, mu = measured[index].sum(axis=0), model[index].sum(axis=0)
                 many = max(len(index), 1)
                 axis.fill_between(
-                    time_ms, n / many, step="post", color=colour, alpha=0.4, linewidth=0, label=f"{label}, measured"
+                    time_ms, seen / many, step="post", color=colour, alpha=0.4, linewidth=0, label=f"{label}, measured"
                 )
                 axis.step(time_ms, mu / many, where="post", color=colour, linewidth=0.9, label=f"{label}, model")
-                left.plot(time_ms, (n - mu) / np.sqrt(spread * np.maximum(mu, 1.0)), ".", color=colour, markersize=3)
+                left.plot(time_ms, (seen - mu) / np.sqrt(spread * np.maximum(mu, 1.0)), ".", color=colour, markersize=3)
             axis.set_title(f"{recording.name}: {name}")
             left.set_xlabel("time after the edge, stimulus clock (ms)")
             axis.set_ylabel(f"events per {1e6 * width:.0f} µs")

@@ -1,12 +1,17 @@
 """The gap of pooled recordings: what many simulated pixels fire together, their addresses forgotten."""
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from pixelid.errors import InputError
+from pixelid.fit.coordinates import Coordinates
+from pixelid.fit.figures import draw_edges
 from pixelid.gap.gap import gap
+from pixelid.likelihood.pooled_rate import PooledRate
 from pixelid.model.shipped import find_model
 from pixelid.recordings import Recording
 from pixelid.simulate import simulate
@@ -65,3 +70,18 @@ def test_pooled_and_other_recordings_do_not_mix():
     recording = bits(POOL, pixels=5)
     with pytest.raises(InputError, match="pooled"):
         gap([recording, replace(recording, pooled=False)], MODEL)
+
+
+def test_edges_of_a_pooled_fit_are_drawn():
+    """Both columns, of edges up and edges down; the second once took its number of bins from the first."""
+    recording = bits(POOL, pixels=20)
+    coordinates = Coordinates.of(MODEL, PooledRate([recording]).nuisances())
+    fitted: Any = SimpleNamespace(coordinates=coordinates, x=coordinates.start, details={"dispersion": 2.0})
+    axes = draw_edges(fitted, [recording])
+    assert axes.shape == (2, 2)
+    for column in (0, 1):
+        measured, left = axes[0, column].lines, axes[1, column].lines
+        assert min(len(measured), len(left)) >= 2
+        assert all(
+            np.isfinite(line.get_ydata()).all() and len(line.get_ydata()) > 10 for line in (*measured, *left[:2])
+        )
