@@ -16,6 +16,7 @@ whole       cameras with more than the data sets' pixel (`CAMERAS`): everything 
 field       what the field is asked for, trained on `ideal` events: nothing, small total variation, and colour by
             harmonics of degree 1 and 2
 size        200 × 200 pixels, on and off
+poses       a camera of changing speed whose poses are 5 ms late, or shaken: as they are, and refined with the scene
 pictures    no events: a field fitted to the posed pictures of --images, one in ten of them held out
 scale       radiance unit pinned by the background, by the views' mean level, free, and free with the pixel trained
             under the prior of a fit
@@ -34,6 +35,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 from two_stage import two_stage
 
 from pixelid.demo.demo import calibration_session
@@ -46,11 +48,19 @@ from pixelid.nerf.dataset import Dataset, read_dataset
 from pixelid.nerf.evaluate import ssim
 from pixelid.nerf.pixel import Bandwidth
 from pixelid.nerf.posed import DEGREE, ITERATIONS, scene_of_images
+from pixelid.nerf.poses import Refinement
 from pixelid.nerf.recipe import Recipe
 from pixelid.nerf.reconstruct import reconstruct
+from pixelid.nerf.scenes import spiral
 from pixelid.nerf.synthetic import SETTINGS, camera_model, make_dataset
+from pixelid.nerf.trajectory import Trajectory
 from pixelid.nerf.views import LUMA, OPENGL
 
+EXPERIMENTS = (
+    "bandwidth", "baselines", "samples", "joint", "pixel", "effect", "scale", "whole", "field", "poses",
+    "size", "pictures",
+)  # fmt: skip
+KEPT = ("experiment", "setting", "arm", "seed", "iterations")  # what tells runs apart
 SAMPLES = (1, 5, 15, 30, 50)
 CAMERAS = {
     "clean": ({}, {}),
@@ -74,18 +84,20 @@ FIELDS = {
 }  # weight of the total variation, degree of the harmonics, weight of their mean square
 ROBUST = ("threshold", "ratio", "refractory")  # trained by Robust e-NeRF with the scene
 CUTOFFS = (0.0, 0.1, 0.3, 1.0)  # of the filter that makes images, per revolution
+LATE_S, SWING, SHAKEN, SHAKEN_DEG = 5e-3, 0.7, 0.02, 0.5  # of experiment "poses"
 LARGE_BATCH = 2048  # chains per step for 200 × 200 pixels
 SLOW = 0.5  # α and source follower of the camera that differs from nominal
 CHANGED = ("alpha", "sf_cutoff_hz")
 
 
 def dataset(
-    work: Path, setting: str, seed: int, label: str = "", model: Model | None = None, side: int = 64
-) -> Dataset:
+    work: Path, setting: str, seed: int, label: str = "", model: Model | None = None, side: int = 64,
+    trajectory: Trajectory | None = None,
+) -> Dataset:  # fmt: skip
     """A scene's dataset, made when it is not there yet."""
     path = work / f"{setting}_{seed}{label}"
     if not path.is_dir():
-        make_dataset(path, setting, seed=seed, model=model, side=side)
+        make_dataset(path, setting, seed=seed, model=model, side=side, trajectory=trajectory)
     return read_dataset(path)
 
 
@@ -101,6 +113,29 @@ def slow_camera(setting: str) -> Model:
     """A camera that differs from nominal by `SLOW` in α and the source follower."""
     model = camera_model(SETTINGS[setting])
     return model.set({name: SLOW * model.values[name] for name in CHANGED})
+
+
+def swinging(duration_s: float, revolutions: float) -> Trajectory:
+    """The usual spiral at a speed that changes by 70 %, five times per revolution: clocks that disagree then show."""
+    even = spiral(duration_s, revolutions)
+    share, cycles = even.t / even.t[-1], 5 * revolutions
+    uneven = share + SWING * np.sin(2 * np.pi * cycles * share) / (2 * np.pi * cycles)
+    return replace(even, t=even.t[-1] * uneven)
+
+
+def shaken(trajectory: Trajectory, seed: int) -> Trajectory:
+    """The trajectory with smooth errors, of rms `SHAKEN` in the scene's unit and `SHAKEN_DEG` per coordinate."""
+    rng = np.random.default_rng(seed)
+    share = trajectory.t[:, None] / trajectory.t[-1]
+
+    def smooth() -> np.ndarray:
+        error = np.zeros((len(share), 3))
+        for waves in (1, 2, 3):
+            error += rng.normal(size=3) * np.sin(2 * np.pi * waves * share + rng.uniform(0, 2 * np.pi, 3))
+        return error / np.sqrt((error**2).mean())
+
+    turned = Rotation.from_rotvec(np.radians(SHAKEN_DEG) * smooth()) * Rotation.from_quat(trajectory.orientation)
+    return replace(trajectory, position=trajectory.position + SHAKEN * smooth(), orientation=turned.as_quat())
 
 
 def fitted(work: Path, seed: int) -> Path:
@@ -180,6 +215,17 @@ def arms(name: str, work: Path, setting: str, seed: int):
         for arm, (roughness, degree, stiffness) in FIELDS.items():
             recipe = Recipe(roughness=roughness, degree=degree, stiffness=stiffness)
             yield arm, data, {"bandwidth": off, "recipe": recipe}
+    elif name == "poses":
+        duration = 4.0 / SETTINGS[setting].revolutions_per_s
+        data = dataset(work, setting, seed, "_swinging", trajectory=swinging(duration, 4.0))
+        right = data.trajectory
+        late, wrong = replace(right, t=right.t + LATE_S), shaken(right, seed)
+        yield "right", data, {}
+        yield "late", replace(data, trajectory=late), {}
+        yield "late, refined", replace(data, trajectory=late), {"recipe": Recipe(refinement=Refinement(0.01))}
+        refinement = Refinement.of(None, (SHAKEN, SHAKEN_DEG))
+        yield "shaken", replace(data, trajectory=wrong), {}
+        yield "shaken, refined", replace(data, trajectory=wrong), {"recipe": Recipe(refinement=refinement)}
     elif name == "size":
         data = dataset(work, setting, seed, "_200", side=200)
         for mode in ("on", "off"):
@@ -212,6 +258,7 @@ def run(name: str, work: Path, setting: str, seed: int, iterations: int | None, 
                 "iterations": result.state.iteration, "degree": chosen.degree, "held_out": round(result.held_out, 4),
                 "rays_per_second": round(result.rays_per_second), "pixel": result.state.pixel.values(),
                 "found": [effect["name"] for effect in result.gap["effects"]] if result.gap else None,
+                "poses": result.state.poses.as_dict(),
             }  # fmt: skip
         note(work, row | {"psnr": scores.psnr.mean(), "ssim": scores.ssim.mean()}, began, used)
 
@@ -266,23 +313,10 @@ def last_runs(work: Path) -> dict[tuple, dict[int, dict]]:
 
 def save(work: Path, path: Path) -> None:
     """Write the last runs, a line each, without what differs between computers; what was not run again stays."""
-    names = (
-        "experiment",
-        "setting",
-        "arm",
-        "seed",
-        "iterations",
-        "psnr",
-        "ssim",
-        "cpu_seconds",
-        "degree",
-        "pixel",
-        "found",
-    )
-    key = ("experiment", "setting", "arm", "seed", "iterations")
+    names = (*KEPT, "psnr", "ssim", "cpu_seconds", "degree", "pixel", "found", "poses")
     there = json.loads(path.read_text()) if path.is_file() else []
     new = [{name: row.get(name) for name in names} for seeds in last_runs(work).values() for row in seeds.values()]
-    runs = {tuple(run[name] for name in key): run for run in (*there, *new)}
+    runs = {tuple(run[name] for name in KEPT): run for run in (*there, *new)}
     path.write_text("[\n" + ",\n".join(json.dumps(row) for row in runs.values()) + "\n]\n")
 
 
@@ -306,20 +340,7 @@ def table(work: Path) -> str:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    names = (
-        "bandwidth",
-        "samples",
-        "joint",
-        "pixel",
-        "effect",
-        "scale",
-        "whole",
-        "field",
-        "size",
-        "baselines",
-        "pictures",
-    )
-    parser.add_argument("experiments", nargs="*", choices=[*names, []], default=[])
+    parser.add_argument("experiments", nargs="*", choices=[*EXPERIMENTS, []], default=[])
     parser.add_argument("--settings", nargs="+", choices=list(SETTINGS), default=["hard"])
     parser.add_argument("--seeds", nargs="+", type=int, default=[0])
     parser.add_argument("--arms", nargs="+", help="only these")

@@ -117,6 +117,8 @@ def reconstruct(
     bandwidth: str = "on",
     samples: int = 30,
     trained: Sequence[str] = (),
+    refine_time: float | None = None,
+    refine_poses: tuple[float, float] | None = None,
     gap: bool = False,
     iterations: int | None = None,
     background: float | None = None,
@@ -138,6 +140,8 @@ def reconstruct(
         samples: of the pixel's past.
         trained: of the pixel, trained with the scene: "threshold", "ratio", "refractory", "leak",
             "parasitic_photocurrent", "threshold_drift", "polarity_memory".
+        refine_time: train an offset between the clocks of poses and events, known to so many seconds.
+        refine_poses: train smooth corrections of the poses, known to so much of the scene's unit and so many degrees.
         gap: look in the events for effects that the pixel lacks, and train with those found.
         iterations: training steps.
         background: radiance behind the scene; by default what the views show.
@@ -163,6 +167,7 @@ def reconstruct(
 
     from pixelid.nerf.dataset import read_dataset
     from pixelid.nerf.pixel import TRAINABLE, Bandwidth
+    from pixelid.nerf.poses import Refinement
     from pixelid.nerf.recipe import Recipe
     from pixelid.nerf.reconstruct import reconstruct as run
 
@@ -170,7 +175,8 @@ def reconstruct(
         raise InputError(f"bandwidth: expected on, off or joint, found {bandwidth!r}")
     if unknown := [name for name in trained if name not in TRAINABLE]:
         raise InputError(f"trained: expected names of {', '.join(TRAINABLE)}, found {unknown[0]!r}")
-    recipe = replace(Recipe(), iterations=iterations) if iterations else Recipe()
+    recipe = Recipe(refinement=Refinement.of(refine_time, refine_poses))
+    recipe = replace(recipe, iterations=iterations) if iterations else recipe
     return run(
         read_dataset(Path(dataset)), fit=None if fit is None else Path(fit),
         sensor=None if sensor is None else Path(sensor),

@@ -45,6 +45,10 @@ class StepsOrAuto(click.IntRange):
 @click.option("--train", "trained", multiple=True, type=click.Choice(TRAINABLE),
               help="Of the pixel, trained with the scene: mean threshold, ON/OFF ratio, dead time (refractory), or an "
                    "effect.")  # fmt: skip
+@click.option("--refine-time", type=options.Number(0.0, open_low=True), metavar="SD",
+              help="Train an offset between the clocks of poses and events, known to SD seconds.")  # fmt: skip
+@click.option("--refine-poses", nargs=2, type=options.Number(0.0), metavar="SD DEGREES",
+              help="Train smooth corrections of the poses, known to SD in the scene's unit and DEGREES.")  # fmt: skip
 @click.option("--gap", is_flag=True,
               help="Look in the events for effects that the pixel lacks, and train with those found.")  # fmt: skip
 @click.option("--cells", type=click.IntRange(8, 512),
@@ -72,8 +76,8 @@ class StepsOrAuto(click.IntRange):
 @options.seed()
 @options.quiet
 def command(
-    dataset, out, fit, sensor, bandwidth, samples, trained, gap, cells, harmonics, steps, batch, background, scale, box,
-    radiance_scale, protocol, checkpoint, device, overwrite, seed, quiet,
+    dataset, out, fit, sensor, bandwidth, samples, trained, refine_time, refine_poses, gap, cells, harmonics, steps,
+    batch, background, scale, box, radiance_scale, protocol, checkpoint, device, overwrite, seed, quiet,
 ):  # fmt: skip
     """Reconstruct the scene of DATASET, a folder in the published layout of Robust e-NeRF and Deblur e-NeRF.
 
@@ -102,6 +106,7 @@ def command(
     from pixelid.nerf.dataset import read_dataset
     from pixelid.nerf.figures import write_figures
     from pixelid.nerf.pixel import Bandwidth
+    from pixelid.nerf.poses import Refinement
     from pixelid.nerf.recipe import Recipe
     from pixelid.nerf.reconstruct import reconstruct
     from pixelid.report.html import write_report
@@ -111,7 +116,8 @@ def command(
     with claimed(out, overwrite, [folder for folder in (dataset, fit, sensor) if folder]) if first else nullcontext():
         data = read_dataset(dataset)
         recipe = replace(Recipe(), iterations=0, batch=0) if steps == AUTO else replace(Recipe(), iterations=steps)
-        recipe = replace(recipe, degree=harmonics, batch=batch or recipe.batch)
+        refinement = Refinement.of(refine_time, refine_poses)
+        recipe = replace(recipe, degree=harmonics, batch=batch or recipe.batch, refinement=refinement)
         recipe = recipe.with_cells(cells) if cells else recipe
         pixel = Bandwidth(bandwidth, samples, trained=trained)
         with bar(quiet or not first, compiles=True) as report:

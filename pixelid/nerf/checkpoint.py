@@ -42,6 +42,8 @@ def save(path: Path, state: State, mark: str) -> None:
         "factors": state.pixel.factors.detach().cpu(),
         "added": state.pixel.added.detach().cpu(),
         "departures": state.pixel.departures.detach().cpu(),
+        "offset": state.poses.offset.detach().cpu(),
+        "moved": state.poses.moved.detach().cpu(),
         "optimiser": state.optimiser.state_dict(),
     }
     with whole_file(Path(path), overwrite=True) as temporary:
@@ -84,8 +86,10 @@ def _restored(document: dict, problem: Problem, recipe: Recipe, bandwidth: Bandw
         state.pixel.factors.copy_(document["factors"])
         state.pixel.added.copy_(document["added"])
         state.pixel.departures.copy_(document["departures"])
+        state.poses.offset.copy_(document["offset"])
+        state.poses.moved.copy_(document["moved"])
     state.field.occupied = np.ascontiguousarray(document["occupied"].cpu().numpy())
-    state.optimiser = optimiser_of(state.field, state.pixel, recipe)
+    state.optimiser = optimiser_of(state.field, state.pixel, state.poses, recipe)
     state.optimiser.load_state_dict(document["optimiser"])
     state.iteration, state.rays, state.history = document["iteration"], document["rays"], document["history"]
     return state

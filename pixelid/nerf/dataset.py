@@ -66,7 +66,8 @@ def read_dataset(path: Path) -> Dataset:
     if not path.is_dir():
         raise InputError(f"{path}: no such folder; expected a dataset with {EVENTS}, {POSES}, {CALIBRATION} and views/")
     calibration = read_calibration(path)
-    trajectory, zero = _poses(path / POSES)
+    trajectory = _poses(path / POSES)
+    zero = trajectory.zero_ns
     t, x, y, on = _events(path / EVENTS, calibration)
     begin, end = zero, round(trajectory.t[-1] * 1e9) + zero
     if t[0] < begin - SLACK or t[-1] > end + SLACK:
@@ -76,6 +77,14 @@ def read_dataset(path: Path) -> Dataset:
         )
     views = read_views(path, calibration.channels)
     return Dataset(path, (t - zero) * 1e-9, x, y, on, trajectory, calibration, views)
+
+
+def write_poses(folder: Path, trajectory: Trajectory) -> None:
+    """Write camera_poses.npz into an existing folder."""
+    t = np.rint(trajectory.t * 1e9).astype(np.int64) + trajectory.zero_ns
+    np.savez(
+        folder / POSES, T_wc_position=trajectory.position, T_wc_orientation=trajectory.orientation, T_wc_timestamp=t
+    )  # fmt: skip
 
 
 def _whole_ns(file: Path, key: str, values: np.ndarray) -> np.ndarray:
@@ -141,8 +150,8 @@ def _distinct(polarity: np.ndarray) -> set:
     return set().union(*(np.unique(block).tolist() for block in blocks))
 
 
-def _poses(file: Path) -> tuple[Trajectory, int]:
-    """The trajectory in seconds from its first pose, and the first pose's timestamp [ns]."""
+def _poses(file: Path) -> Trajectory:
+    """The trajectory in seconds from its first pose."""
     arrays = read_arrays(file, ("T_wc_position", "T_wc_orientation", "T_wc_timestamp"))
     t = _whole_ns(file, "T_wc_timestamp", arrays["T_wc_timestamp"])
     position, orientation = arrays["T_wc_position"], arrays["T_wc_orientation"]
@@ -167,5 +176,5 @@ def _poses(file: Path) -> tuple[Trajectory, int]:
         raise InputError(
             f"{file}: T_wc_orientation: expected unit quaternions, found norms {norm.min():.3g} … {norm.max():.3g}"
         )
-    seconds = (t - t[0]) * 1e-9
-    return Trajectory(seconds, np.ascontiguousarray(position), np.ascontiguousarray(orientation / norm)), int(t[0])
+    position, orientation = np.ascontiguousarray(position), np.ascontiguousarray(orientation / norm)
+    return Trajectory((t - t[0]) * 1e-9, position, orientation, int(t[0]))

@@ -47,6 +47,20 @@ def harmonics(directions: torch.Tensor, number: int) -> torch.Tensor:
 
 
 @njit(inline="always", error_model="numpy")
+def turned(d, coefficient, out):
+    """Add to out (3,) the gradient of Σ_k coefficient_k Y_k by the direction d (3,); coefficient: (K,)."""
+    number = len(coefficient)
+    if number >= 3:
+        for j in range(3):
+            out[j] += _FIRST * coefficient[j]
+    if number >= 8:
+        x, y, z = d[0], d[1], d[2]
+        out[0] += _MIXED * (y * coefficient[3] + z * coefficient[5] + x * coefficient[7])
+        out[1] += _MIXED * (x * coefficient[3] + z * coefficient[4] - y * coefficient[7])
+        out[2] += _MIXED * (y * coefficient[4] + x * coefficient[5]) + 6.0 * _POLAR * z * coefficient[6]
+
+
+@njit(inline="always", error_model="numpy")
 def seen(flat, at, X, Y, Z, x, y, z, basis):
     """Σ_k basis_k times the trilinear value of harmonic k; at: index of the first at the cell's low corner."""
     one, total = np.float32(1.0), np.float32(0.0)

@@ -15,19 +15,20 @@ from pixelid.nerf.state import Problem, State
 EPSILON = 1e-3  # least radiance, dark current included, in the unit of the views (the paper's)
 
 
-def sample_rays(problem: Problem, inside: np.ndarray, batch: Chains, rng: np.random.Generator) -> Rays:
+def sample_rays(problem: Problem, state: State, batch: Chains, rng: np.random.Generator) -> Rays:
     """The rays of all samples of a batch, a sample's together; all of a chain start at one offset."""
-    each, length = len(inside) // len(problem.channel), np.diff(batch.first)
+    inside, length = state.inside, np.diff(batch.first)
+    each = len(inside) // len(problem.channel)
     pixel = np.repeat(np.repeat(batch.pixel, length), each)
     sub = np.tile(np.arange(each), len(batch.t))
-    origins, directions = problem.trajectory.rays(np.repeat(batch.t, each), inside[pixel * each + sub])
+    origins, directions = state.poses.rays(np.repeat(batch.t, each), inside[pixel * each + sub])
     offsets = np.repeat(rng.random(len(length), dtype=np.float32), length * each)
     return Rays(origins, directions, problem.channel[pixel], offsets)
 
 
 def predict(problem: Problem, state: State, batch: Chains, rng: np.random.Generator, engine: str = "auto"):
     """(change (runs, CHAIN), level (n,), log radiance (n,)) of a batch."""
-    rays = sample_rays(problem, state.inside, batch, rng)
+    rays = sample_rays(problem, state, batch, rng)
     radiance = state.field(rays, engine)[0].reshape(len(batch.t), -1).mean(dim=1)
     dark = torch.as_tensor(problem.dark[problem.channel[np.repeat(batch.pixel, np.diff(batch.first))]])
     u = torch.log((radiance.double() + dark.to(radiance.device)).clamp(min=EPSILON))

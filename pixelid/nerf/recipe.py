@@ -11,6 +11,7 @@ import numpy as np
 
 from pixelid.nerf.intervals import CHAIN
 from pixelid.nerf.losses import Weights
+from pixelid.nerf.poses import Refinement
 
 MOST_CELLS = (32, 160)  # per side
 # Of `--steps auto`.  The default recipe (1200 steps of 320 chains) was chosen on scenes of 64 × 64 pixels with some
@@ -30,8 +31,8 @@ class Recipe:
     vertices: grid sizes, each for an equal share of the steps (empty: `for_sensor` chooses);  rate, last_rate: learning
     rate, decaying exponentially;  weights: λ;  roughness: λ of the total variation of log radiance;  emptiness: λ of
     the mean log density, which clears what no event asks for;  degree: of the harmonics by which colour depends on the
-    direction;  stiffness: λ of their mean square;  level: λ of the mean log radiance when the gauge needs it;  engine:
-    of `render` and `respond`;  supersample: rays per pixel and side
+    direction;  stiffness: λ of their mean square;  level: λ of the mean log radiance when the gauge needs it;
+    refinement: of the poses;  engine: of `render` and `respond`;  supersample: rays per pixel and side
     """
 
     iterations: int = 1200
@@ -45,6 +46,7 @@ class Recipe:
     degree: int = 1
     stiffness: float = 10.0
     level: float = 10.0
+    refinement: Refinement = dataclasses.field(default_factory=Refinement)
     engine: str = "auto"
     supersample: int = 1
     seed: int = 0

@@ -14,7 +14,7 @@ import torch
 from pixelid.errors import InputError
 from pixelid.nerf import checkpoint, parallel
 from pixelid.nerf.calibration import CIRCUIT, Calibration, of_fit, uncertainty_of_fit, unexplained_by
-from pixelid.nerf.dataset import CALIBRATION, Dataset
+from pixelid.nerf.dataset import CALIBRATION, Dataset, write_poses
 from pixelid.nerf.evaluate import Scores, evaluate, evaluate_as_published, no_scores, render_views
 from pixelid.nerf.ignored import ignored_effects
 from pixelid.nerf.pixel import Bandwidth
@@ -98,6 +98,7 @@ class Reconstruction(Result):
                 "dark": self.problem.dark,
             },
             "pixels": self.problem.pixels_as_dict(self.state.pixel),
+            "poses": self.state.poses.as_dict(),
             "history": self.state.history,
             "seed": self.seed,
             "versions": versions(),
@@ -126,8 +127,10 @@ class Reconstruction(Result):
         return self._saved.sentences()
 
     def write_companions(self, folder: Path) -> None:
-        """Write field.npz, the scene."""
+        """Write field.npz, the scene, and camera_poses.npz where they were refined."""
         write_field(self.state.field, folder)
+        if self.state.poses.trained:
+            write_poses(folder, self.state.poses.refined())
 
     @staticmethod
     def load(folder: str | Path) -> SavedReconstruction:

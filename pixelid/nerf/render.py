@@ -29,10 +29,13 @@ class Box(NamedTuple):
 
 
 class Rays(NamedTuple):
-    """origins, directions (n, 3) float32;  channels (n,) int64;  offsets (n,) float32 of the first sample, in steps."""
+    """origins, directions (n, 3) float32;  channels (n,) int64;  offsets (n,) float32 of the first sample, in steps.
 
-    origins: np.ndarray
-    directions: np.ndarray
+    Origins and directions are tensors where their gradient is wanted.
+    """
+
+    origins: np.ndarray | torch.Tensor
+    directions: np.ndarray | torch.Tensor
     channels: np.ndarray
     offsets: np.ndarray
 
@@ -45,8 +48,9 @@ def threads() -> int:
 class _Compiled(torch.autograd.Function):
     @staticmethod
     def forward(
-        ctx: Any, grid: torch.Tensor, coefficients: torch.Tensor, background: torch.Tensor, rays: Rays, box: Box
-    ):
+        ctx: Any, grid: torch.Tensor, coefficients: torch.Tensor, background: torch.Tensor, origins: torch.Tensor,
+        directions: torch.Tensor, rays: Rays, box: Box,
+    ):  # fmt: skip
         values, directional, behind = grid.detach().numpy(), coefficients.detach().numpy(), background.detach().numpy()
         radiance, opacity = np.empty(len(rays.origins), np.float32), np.empty(len(rays.origins), np.float32)
 
@@ -73,16 +77,20 @@ class _Compiled(torch.autograd.Function):
         by_grid = [np.zeros(values.shape, np.float32) for _ in cuts]
         by_coefficients = [np.zeros(directional.shape, np.float32) for _ in cuts]
         by_behind = [np.zeros(behind.shape, np.float32) for _ in cuts]
+        moving = any(ctx.needs_input_grad[3:5])
+        by_origins, by_directions = (np.zeros((len(by_radiance) if moving else 0, 3), np.float32) for _ in range(2))
 
         def part(k: int) -> None:
             some = cuts[k]
             kernels.backward(
                 *(column[some] for column in rays), values, directional, box.occupied, box.low, box.high, box.step,
                 behind, ctx.radiance[some], by_radiance[some], by_grid[k], by_coefficients[k], by_behind[k],
+                by_origins[some], by_directions[some],
             )  # fmt: skip
 
         map_threads(part, range(len(cuts)), threads=threads())
-        return _total(by_grid), _total(by_coefficients), _total(by_behind), None, None
+        of_rays = (torch.from_numpy(by_origins), torch.from_numpy(by_directions)) if moving else (None, None)
+        return _total(by_grid), _total(by_coefficients), _total(by_behind), *of_rays, None, None
 
 
 def _total(parts: list[np.ndarray]) -> torch.Tensor:
@@ -101,7 +109,7 @@ def _tensors(grid: torch.Tensor, coefficients: torch.Tensor, background: torch.T
     low, high = (torch.as_tensor(a, dtype=torch.float32, device=device) for a in (box.low, box.high))
     safe = torch.where(d.abs() < 1e-9, torch.full_like(d, 1e-9), d)
     a, b = (low - o) / safe, (high - o) / safe
-    near = torch.minimum(a, b).amax(dim=1).clamp(min=0.0)
+    near = torch.minimum(a, b).amax(dim=1).clamp(min=0.0).detach()  # samples stay at their distances
     far = torch.maximum(a, b).amin(dim=1)
     hit = (near < far) & (far < kernels.FARTHEST * box.step)
     most = max(int(torch.ceil(((far - near) * hit).nan_to_num().max() / box.step).item()), 1) + 1
@@ -150,10 +158,13 @@ def render(
     """(radiance (n,), opacity (n,)) of rays through grid (nx, ny, nz, 1 + C) before background (C,).
 
     coefficients: (nx, ny, nz, C, K) of the harmonics by which log radiance depends on the direction.  Radiance is
-    differentiable in grid, coefficients and background.  engine: "compiled", "tensors" or "auto" (by device).
+    differentiable in grid, coefficients and background, and in origins and directions that are tensors.  engine:
+    "compiled", "tensors" or "auto" (by device).
     """
     if coefficients is None:
         coefficients = grid.new_zeros((*grid.shape[:3], len(background), 0))
     if engine == "tensors" or (engine == "auto" and grid.device.type != "cpu"):
         return _tensors(grid, coefficients, background, rays, box)
-    return _Compiled.apply(grid, coefficients, background, rays, box)
+    origins, directions = torch.as_tensor(rays.origins), torch.as_tensor(rays.directions)
+    plain = rays._replace(origins=origins.detach().numpy(), directions=directions.detach().numpy())
+    return _Compiled.apply(grid, coefficients, background, origins, directions, plain, box)

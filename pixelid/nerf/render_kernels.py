@@ -9,6 +9,9 @@ With step h, density σ_i, radiance c_i, transmittance T_i = exp(−h Σ_{j<i} �
 
 so one more march with L known gives all gradients, and nothing is stored per sample.  Empty blocks are skipped, clear
 samples too; a ray ends where T falls below `OPAQUE`.  Source: Max, IEEE TVCG 1995 (compositing).
+
+A sample at o + t d moves with origin and direction as o does and as t times d; that t itself moves with the face of
+the box where the march begins is left out, since the offset of the first sample is random.
 """
 
 from __future__ import annotations
@@ -64,6 +67,18 @@ def _spread(flat, at, other, X, Y, Z, x, y, z, first, second):
         flat[i + other] += w * second
 
 
+@njit(inline="always", error_model="numpy")
+def _add_slopes(flat, at, X, Y, Z, x, y, z, by_value, out):
+    """Add to out (3,) by_value times the gradient, in cells, of the trilinear value of one feature."""
+    one = np.float32(1.0)
+    for k in range(8):
+        wx, wy, wz = x if k & 4 else one - x, y if k & 2 else one - y, z if k & 1 else one - z
+        value = by_value * flat[at + (X if k & 4 else 0) + (Y if k & 2 else 0) + (Z if k & 1 else 0)]
+        out[0] += (value if k & 4 else -value) * wy * wz
+        out[1] += (value if k & 2 else -value) * wx * wz
+        out[2] += (value if k & 1 else -value) * wx * wy
+
+
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "afn", "reassoc"})
 def forward(
     origins, directions, channels, offsets, grid, coefficients, occupied, low, high, step, background, radiance, opacity
@@ -78,6 +93,7 @@ def forward(
     stride_z, stride_y, stride_x = depth, nz * depth, ny * nz * depth
     flat, floor = grid.reshape(-1), np.float32(math.log(CLEAR / step))
     each, every = coefficients.shape[4], coefficients.shape[3] * coefficients.shape[4]
+    hop_y, hop_x = nz * every, ny * nz * every
     directional, basis = coefficients.reshape(-1), np.empty(each, np.float32)
     sx, sy, sz = (nx - 1) / (high[0] - low[0]), (ny - 1) / (high[1] - low[1]), (nz - 1) / (high[2] - low[2])
     for i in range(len(origins)):
@@ -100,9 +116,7 @@ def forward(
                         value = _interpolated(flat, at + 1 + c, stride_x, stride_y, stride_z, fx, fy, fz)
                         vertex = ((ix * ny + iy) * nz + iz) * every + c * each
                         if each:
-                            value += harmonics.seen(
-                                directional, vertex, ny * nz * every, nz * every, every, fx, fy, fz, basis
-                            )  # fmt: skip
+                            value += harmonics.seen(directional, vertex, hop_x, hop_y, every, fx, fy, fz, basis)
                         sigma = math.exp(min(density, np.float32(HIGHEST)))
                         T_next = T * math.exp(-np.float32(step) * sigma)
                         L += (T - T_next) * math.exp(min(value, np.float32(HIGHEST)))
@@ -117,19 +131,22 @@ def forward(
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "afn", "reassoc"})
 def backward(
     origins, directions, channels, offsets, grid, coefficients, occupied, low, high, step, background, radiance,
-    by_radiance, by_grid, by_coefficients, by_background,
+    by_radiance, by_grid, by_coefficients, by_background, by_origins, by_directions,
 ):  # fmt: skip
     """Add the gradient of Σ by_radiance · radiance; see `forward`.
 
-    by_grid, by_coefficients, by_background: (…) as grid, coefficients, background
+    by_grid, by_coefficients, by_background: (…) as grid, coefficients, background;  by_origins, by_directions: (n, 3),
+    or (0, 3) when nobody asks
     """
+    moving, slopes, turning = len(by_origins) > 0, np.empty(3, np.float32), np.empty(3, np.float32)
     nx, ny, nz, depth = grid.shape
     stride_z, stride_y, stride_x = depth, nz * depth, ny * nz * depth
     flat, floor = grid.reshape(-1), np.float32(math.log(CLEAR / step))
     each, every = coefficients.shape[4], coefficients.shape[3] * coefficients.shape[4]
+    hop_y, hop_x = nz * every, ny * nz * every
     directional, basis = coefficients.reshape(-1), np.empty(each, np.float32)
     sx, sy, sz = (nx - 1) / (high[0] - low[0]), (ny - 1) / (high[1] - low[1]), (nz - 1) / (high[2] - low[2])
-    by_flat, by_directional = by_grid.reshape(-1), by_coefficients.reshape(-1)
+    by_flat, by_directional, here = by_grid.reshape(-1), by_coefficients.reshape(-1), np.empty(each, np.float32)
     for i in range(len(origins)):
         g = by_radiance[i]
         if g == 0.0:
@@ -153,9 +170,7 @@ def backward(
                         value = _interpolated(flat, at + 1 + c, stride_x, stride_y, stride_z, fx, fy, fz)
                         vertex = ((ix * ny + iy) * nz + iz) * every + c * each
                         if each:
-                            value += harmonics.seen(
-                                directional, vertex, ny * nz * every, nz * every, every, fx, fy, fz, basis
-                            )  # fmt: skip
+                            value += harmonics.seen(directional, vertex, hop_x, hop_y, every, fx, fy, fz, basis)
                         sigma = math.exp(min(density, np.float32(HIGHEST)))
                         colour = math.exp(min(value, np.float32(HIGHEST)))
                         T_next = T * math.exp(-np.float32(step) * sigma)
@@ -169,8 +184,23 @@ def backward(
                         _spread(by_flat, at, 1 + c, stride_x, stride_y, stride_z, fx, fy, fz, by_density, by_value)
                         if each:
                             harmonics.spread(
-                                by_directional, vertex, ny * nz * every, nz * every, every, fx, fy, fz, basis, by_value
+                                by_directional, vertex, hop_x, hop_y, every, fx, fy, fz, basis, by_value
                             )  # fmt: skip
+                        if moving:
+                            slopes[:], turning[:] = 0.0, 0.0
+                            _add_slopes(flat, at, stride_x, stride_y, stride_z, fx, fy, fz, by_density, slopes)
+                            _add_slopes(flat, at + 1 + c, stride_x, stride_y, stride_z, fx, fy, fz, by_value, slopes)
+                            for k in range(each):
+                                one = by_value * basis[k]
+                                _add_slopes(directional, vertex + k, hop_x, hop_y, every, fx, fy, fz, one, slopes)
+                                here[k] = by_value * _interpolated(
+                                    directional, vertex + k, hop_x, hop_y, every, fx, fy, fz
+                                )  # fmt: skip
+                            harmonics.turned(d, here, turning)
+                            for j in range(3):
+                                slope = slopes[j] * (sx if j == 0 else (sy if j == 1 else sz))
+                                by_origins[i, j] += slope
+                                by_directions[i, j] += t * slope + turning[j]
                         T = T_next
                         if T < OPAQUE:
                             break

@@ -89,7 +89,18 @@ class SavedReconstruction(Result):
         """Advice, what was found in the events, and what the pixel has but the reconstruction does not model."""
         ignored = self.content["ignored"]
         said = f"not modelled: {', '.join(ignored)}" if ignored else ""
-        return [text for text in (self.advice or self.status.advice, self._found, said) if text]
+        return [text for text in (self.advice or self.status.advice, self._found, self._moved, said) if text]
+
+    @property
+    def _moved(self) -> str:
+        """What became of the poses, where they were refined."""
+        poses = self.content.get("poses")
+        if not poses:
+            return ""
+        return (
+            f"poses refined: events at t saw the poses of t {1e3 * poses['time_offset_s']:+.3g} ms, moved by "
+            f"{poses['position_rms']:.3g} of the scene's unit and {poses['rotation_rms_deg']:.2g}° (root mean square)"
+        )
 
     @property
     def _found(self) -> str:

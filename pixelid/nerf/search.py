@@ -231,6 +231,7 @@ class _Bench:
             copy.field.grid.copy_(here.state.field.grid)
             copy.field.coefficients.copy_(here.state.field.coefficients)
             copy.field.log_background.copy_(here.state.field.log_background)
+            copy.poses.load_state_dict(here.state.poses.state_dict())
             if copy.pixel.departures.requires_grad and here.state.pixel.departures.requires_grad:
                 copy.pixel.departures.copy_(here.state.pixel.departures)
         copy.field.occupied = here.state.field.occupied.copy()

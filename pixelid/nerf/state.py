@@ -17,11 +17,13 @@ from pixelid.nerf.gauge import Gauge
 from pixelid.nerf.intervals import Intervals
 from pixelid.nerf.pixel import Bandwidth, Pixel
 from pixelid.nerf.pixel_maps import PixelMaps
+from pixelid.nerf.poses import Poses
 from pixelid.nerf.recipe import Recipe
 from pixelid.nerf.trajectory import Trajectory
 from pixelid.stages.circuit import Circuit
 
 HARMONICS_RATE = 0.3  # learning rate of the harmonics over the grid's
+POSES = 0.3  # learning rate of what moves the poses, in standard deviations of its prior, over the grid's
 DEPARTURES = 0.4  # learning rate of single pixels' thresholds, in their standard deviations, over the grid's
 
 
@@ -71,6 +73,7 @@ class State:
 
     field: Field
     pixel: Pixel
+    poses: Poses
     optimiser: torch.optim.Optimizer
     inside: np.ndarray
     iteration: int
@@ -81,7 +84,7 @@ class State:
     @property
     def finite(self) -> bool:
         """Whether no step diverged and the field holds numbers only."""
-        values = (self.pixel.factors, self.pixel.added, self.pixel.departures)
+        values = (self.pixel.factors, self.pixel.added, self.pixel.departures, self.poses.offset, self.poses.moved)
         finite = all(bool(torch.isfinite(value).all()) for value in values)
         return not self.diverged and self.field.finite and finite
 
@@ -106,11 +109,12 @@ def start(problem: Problem, recipe: Recipe, bandwidth: Bandwidth, device: str = 
     ).to(device)  # fmt: skip
     pixel = Pixel(problem.circuit, bandwidth, problem.maps).to(device)
     inside = sub_pixel_directions(problem.camera, recipe.supersample)
-    return State(scene, pixel, optimiser_of(scene, pixel, recipe), inside, 0)
+    poses = Poses(problem.trajectory, recipe.refinement).to(device)
+    return State(scene, pixel, poses, optimiser_of(scene, pixel, poses, recipe), inside, 0)
 
 
-def optimiser_of(scene: Field, pixel: Pixel, recipe: Recipe) -> torch.optim.Optimizer:
-    """Adam over the grid, the background when it is free, and what of the pixel is trained."""
+def optimiser_of(scene: Field, pixel: Pixel, poses: Poses, recipe: Recipe) -> torch.optim.Optimizer:
+    """Adam over the grid, the background when it is free, and what of the pixel and the poses is trained."""
     groups: list[dict[str, Any]] = [{"params": [scene.grid], "lr": recipe.rate, "share": 1.0}]
     if scene.coefficients.requires_grad:
         groups.append({"params": [scene.coefficients], "lr": recipe.rate, "share": HARMONICS_RATE})
@@ -123,4 +127,9 @@ def optimiser_of(scene: Field, pixel: Pixel, recipe: Recipe) -> torch.optim.Opti
     ]
     if pixel.departures.requires_grad:
         groups.append({"params": [pixel.departures], "lr": recipe.rate, "share": DEPARTURES})
+    groups += [
+        {"params": [values], "lr": recipe.rate, "share": POSES}
+        for values in (poses.offset, poses.moved)
+        if values.requires_grad
+    ]
     return torch.optim.Adam(groups, betas=(0.9, 0.99), eps=1e-15, fused=True)

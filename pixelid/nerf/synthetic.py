@@ -19,7 +19,7 @@ from pixelid.model.model import Model
 from pixelid.model.shipped import find_model
 from pixelid.nerf import calibration as layout
 from pixelid.nerf.camera import Camera, pinhole
-from pixelid.nerf.dataset import EVENTS, POSES
+from pixelid.nerf.dataset import EVENTS, write_poses
 from pixelid.nerf.scenes import procedural, random_views, spiral
 from pixelid.nerf.trajectory import Trajectory
 from pixelid.nerf.views import FOLDER, OPENGL, RENDERER
@@ -70,6 +70,7 @@ def make_dataset(
     scene: Renders | None = None,
     side: int = 64,
     revolutions: float = 4.0,
+    trajectory: Trajectory | None = None,
     model: Model | None = None,
     nominal: Physical = NOMINAL,
     frames_per_turn: int = 1200,
@@ -79,7 +80,8 @@ def make_dataset(
 ) -> Path:
     """Write a dataset folder of a procedural scene.
 
-    scene: what is filmed (default `scenes.procedural(seed)`);  model: the camera that makes the events, radiance in fA
+    scene: what is filmed (default `scenes.procedural(seed)`);  trajectory: of the camera, from time zero (default
+    `scenes.spiral` of so many revolutions);  model: the camera that makes the events, radiance in fA
     (default `camera_model`);  nominal: the circuit values that the calibration file quotes, which need not be the
     camera's;  frames_per_turn: of the rendered light, log radiance linear in between;  supersample: rays per pixel and
     side.
@@ -87,7 +89,8 @@ def make_dataset(
     setting = SETTINGS[setting] if isinstance(setting, str) else setting
     scene, camera = procedural(seed) if scene is None else scene, pinhole(side, side, FIELD_OF_VIEW)
     model = camera_model(setting) if model is None else model
-    trajectory = spiral(revolutions / setting.revolutions_per_s, revolutions)
+    if trajectory is None:
+        trajectory = spiral(revolutions / setting.revolutions_per_s, revolutions)
     frames = round(revolutions * frames_per_turn) + 1
     video = _video(scene, camera, trajectory, frames, supersample, setting.white_fa, progress)
     chunks = list(simulate_stream(model, video, seed=seed + 1000))
@@ -98,7 +101,7 @@ def make_dataset(
         np.savez(
             folder / EVENTS, position=np.column_stack([x, y])[kept], timestamp=t[kept], polarity=p[kept].astype(bool)
         )
-        _write_poses(folder, trajectory)
+        write_poses(folder, trajectory)
         _write_calibration(folder, camera, model, setting, nominal)
         np.savez(folder / RENDERER, interm_color_space="linear", log_eps=0.0)
         write_views(folder, scene, camera, seed)
@@ -113,13 +116,6 @@ def _video(scene, camera, trajectory, frames, supersample, white, progress) -> I
         images = scene.render(camera, *trajectory.at(some), supersample)
         progress("rendering light", begin / frames)
         yield from ((float(t), white * image) for t, image in zip(some, images, strict=True))
-
-
-def _write_poses(folder: Path, trajectory: Trajectory) -> None:
-    t = np.rint(trajectory.t * 1e9).astype(np.int64)
-    np.savez(
-        folder / POSES, T_wc_position=trajectory.position, T_wc_orientation=trajectory.orientation, T_wc_timestamp=t
-    )  # fmt: skip
 
 
 def _write_calibration(folder: Path, camera: Camera, model: Model, setting: Setting, nominal: Physical) -> None:

@@ -25,7 +25,7 @@ def step(problem: Problem, recipe: Recipe, state: State) -> dict[str, float]:
     wanted = recipe.vertices_at(state.iteration)
     if wanted != state.field.vertices:
         state.field.refine(wanted)
-        state.optimiser = optimiser_of(state.field, state.pixel, recipe)
+        state.optimiser = optimiser_of(state.field, state.pixel, state.poses, recipe)
     for group in state.optimiser.param_groups:
         group["lr"] = recipe.rate_at(state.iteration) * group["share"]
     rng = np.random.default_rng([recipe.seed, parallel.rank(), state.iteration])  # nothing to carry between steps
@@ -45,6 +45,8 @@ def step(problem: Problem, recipe: Recipe, state: State) -> dict[str, float]:
     if any(values.requires_grad for values in state.pixel.parameters()):
         left = variance_left(change, batch, *thresholds)
         loss = loss + state.pixel.penalty(left) / max(len(problem.training.starts), 1)
+    if state.poses.trained:
+        loss = loss + state.poses.penalty() / max(len(problem.training.starts), 1)
     measured = {"loss": float(loss.detach()), **{name: float(value.detach()) for name, value in parts.items()}}
     if not math.isfinite(parallel.average(measured["loss"])):
         state.diverged = True

@@ -15,12 +15,14 @@ from numba import njit
 class Trajectory:
     """Camera-to-world poses, constant rate in between and held outside.
 
-    t: (K,) s, increasing;  position: (K, 3);  orientation: (K, 4) unit quaternions x, y, z, w
+    t: (K,) s, increasing;  position: (K, 3);  orientation: (K, 4) unit quaternions x, y, z, w;  zero_ns: what time zero
+    is called in the file
     """
 
     t: np.ndarray
     position: np.ndarray
     orientation: np.ndarray
+    zero_ns: int = 0
 
     def at(self, times) -> tuple[np.ndarray, np.ndarray]:
         """Positions (n, 3) and rotation matrices (n, 3, 3) at `times` (n,) s."""

@@ -70,7 +70,8 @@ def window_of(poses: Poses, start: float | None, end: float | None) -> Window:
 def _between(poses: Poses, begin: int, end: int) -> Poses:
     """The poses inside, and interpolated ones at both ends."""
     inside = (poses.t > begin) & (poses.t < end)
-    whole = Trajectory((poses.t - begin) * 1e-9, *(np.ascontiguousarray(column) for column in poses[1:]))
+    position, orientation = (np.ascontiguousarray(column) for column in poses[1:])
+    whole = Trajectory((poses.t - begin) * 1e-9, position, orientation)
     times = np.array([0.0, (end - begin) * 1e-9])
     position, rotation = whole.at(times)
     orientation = Rotation.from_matrix(rotation).as_quat()

@@ -1,0 +1,106 @@
+"""Poses as training sees them: an offset between clocks, smooth corrections, their gradients and what they become."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+from scipy.spatial.transform import Rotation
+
+from pixelid.nerf.dataset import _poses as read_poses
+from pixelid.nerf.dataset import write_poses
+from pixelid.nerf.poses import Poses, Refinement
+from pixelid.nerf.scenes import spiral
+
+TRAJECTORY = spiral(2.0, 3)
+BOTH = Refinement(5e-3, 0.05, math.radians(1.0), knots=9)
+
+
+def some_rays(n=50, seed=0):
+    rng = np.random.default_rng(seed)
+    inside = rng.normal(size=(n, 3)) * 0.2 + [0, 0, 1]
+    return rng.uniform(0.1, 1.9, n), inside / np.linalg.norm(inside, axis=1, keepdims=True)
+
+
+def moved(refinement=BOTH, seed=1) -> Poses:
+    poses = Poses(TRAJECTORY, refinement)
+    with torch.no_grad():
+        poses.offset += 0.7
+        poses.moved += torch.randn(
+            poses.moved.shape, generator=torch.Generator().manual_seed(seed), dtype=torch.float64
+        )
+    return poses
+
+
+def test_nothing_trained_nothing_changed():
+    times, inside = some_rays()
+    poses = Poses(TRAJECTORY, Refinement())
+    assert not poses.trained
+    assert poses.as_dict() is None
+    for ours, plain in zip(poses.rays(times, inside), TRAJECTORY.rays(times, inside), strict=True):
+        np.testing.assert_array_equal(ours, plain)
+
+
+def test_an_offset_reads_the_trajectory_at_another_time():
+    times, inside = some_rays()
+    poses = moved(Refinement(5e-3))
+    assert poses.time_offset_s == pytest.approx(3.5e-3)
+    for ours, there in zip(poses.rays(times, inside), TRAJECTORY.rays(times + 3.5e-3, inside), strict=True):
+        np.testing.assert_allclose(ours.detach().numpy(), there, atol=1e-6)
+
+
+def test_rays_are_those_of_the_refined_trajectory():
+    """By another way: rotations and quaternions of SciPy."""
+    poses = moved()
+    refined = poses.refined()
+    which = np.arange(3, len(TRAJECTORY.t) - 3, 7)
+    _, inside = some_rays(len(which))
+    origins, directions = poses.rays(TRAJECTORY.t[which], inside)
+    np.testing.assert_allclose(origins.detach().numpy(), refined.position[which], atol=2e-6)
+    turned = Rotation.from_quat(refined.orientation[which]).apply(inside)
+    np.testing.assert_allclose(directions.detach().numpy(), turned, atol=2e-6)
+    away = Rotation.from_quat(refined.orientation) * Rotation.from_matrix(TRAJECTORY.at(TRAJECTORY.t + 3.5e-3)[1]).inv()
+    assert 0.2 < math.degrees(away.magnitude().max()) < 5.0
+
+
+@pytest.mark.parametrize("name", ["offset", "moved"])
+def test_gradients_are_those_of_finite_differences(name):
+    times, inside = some_rays()
+    weight = torch.tensor(np.random.default_rng(4).normal(size=(2, len(times), 3)))
+
+    def value(poses):
+        return sum((w * column.double()).sum() for w, column in zip(weight, poses.rays(times, inside), strict=True))
+
+    poses = moved()
+    value(poses).backward()
+    slopes = getattr(poses, name).grad.ravel()
+    for k in range(0, len(slopes), 11):
+        ends = []
+        for step in (-0.05, 0.05):
+            there = moved()
+            with torch.no_grad():
+                getattr(there, name).ravel()[k] += step
+                ends.append(float(value(there)))
+        assert float(slopes[k]) == pytest.approx((ends[1] - ends[0]) / 0.1, rel=0.02, abs=2e-3)
+
+
+def test_what_cameras_have_in_common_moves_nothing():
+    times, inside = some_rays()
+    one, other = moved(), moved()
+    with torch.no_grad():
+        other.moved += torch.tensor([1.0, -2.0, 0.5, 0.3, 0.1, -0.4], dtype=torch.float64)
+    for a, b in zip(one.rays(times, inside), other.rays(times, inside), strict=True):
+        torch.testing.assert_close(a, b)
+    assert float(other.penalty().detach()) > float(one.penalty().detach())
+
+
+def test_refined_poses_are_written_on_the_clock_of_the_file(tmp_path):
+    late = Poses(TRAJECTORY.__class__(*vars(TRAJECTORY).values()), BOTH)
+    write_poses(tmp_path, late.refined())
+    read = read_poses(tmp_path / "camera_poses.npz")
+    np.testing.assert_allclose(read.position, TRAJECTORY.position, atol=1e-9)
+    assert read.zero_ns == 0
+    shifted = TRAJECTORY.__class__(TRAJECTORY.t, TRAJECTORY.position, TRAJECTORY.orientation, 1_600_000_000_123_456_789)
+    write_poses(tmp_path, Poses(shifted, BOTH).refined())
+    with np.load(tmp_path / "camera_poses.npz") as file:
+        assert file["T_wc_timestamp"][0] == 1_600_000_000_123_456_789
