@@ -195,21 +195,21 @@ def reconstruction() -> str:
     """What `benchmarks/reconstruction.py` found, one table per experiment."""
     groups: dict[str, dict[tuple, list[dict]]] = defaultdict(lambda: defaultdict(list))
     for run in of_json("docs/reconstruction.json"):
-        groups[run["experiment"]][run["setting"], run["arm"], run["iterations"]].append(run)
+        groups[run["experiment"]][run["setting"], run["arm"], run["iterations"], run.get("degree") or 0].append(run)
     lines = []
     for experiment, arms in groups.items():
         if experiment == "whole":
             lines.append(_whole(arms))
             continue
         rows = []
-        for (setting, arm, iterations), runs in arms.items():
+        for (setting, arm, iterations, degree), runs in sorted(arms.items(), key=lambda item: -item[0][3]):
             psnr = [run["psnr"] for run in runs]
             spread = f"{statistics.stdev(psnr):.2f}" if len(psnr) > 1 else ""
             seconds = statistics.mean(run["cpu_seconds"] for run in runs)
             ssim = statistics.mean(run["ssim"] for run in runs)
-            rows.append((setting, arm, iterations, len(runs), f"{statistics.mean(psnr):.2f}", spread, f"{ssim:.3f}",
-                         f"{seconds:.0f}"))  # fmt: skip
-        heads = ("setting", "arm", "steps", "seeds", "PSNR [dB]", "sd", "SSIM", "CPU s")
+            mean = f"{statistics.mean(psnr):.2f}"
+            rows.append((setting, arm, degree, iterations, len(runs), mean, spread, f"{ssim:.3f}", f"{seconds:.0f}"))
+        heads = ("setting", "arm", "harmonics", "steps", "seeds", "PSNR [dB]", "sd", "SSIM", "CPU s")
         lines += [f"## {experiment.capitalize()}\n", table(heads, rows)]
         if experiment == "bandwidth":
             lines.append(_gain(arms))
@@ -219,7 +219,7 @@ def reconstruction() -> str:
 def _whole(arms: dict[tuple, list[dict]]) -> str:
     """Cameras with more than the data sets' pixel: PSNR with everything known, ignored, and found in the events."""
     cameras: dict[str, dict[str, list[dict]]] = defaultdict(dict)
-    for (_, arm, _), runs in arms.items():
+    for (_, arm, *_), runs in arms.items():
         camera, _, which = arm.rpartition(": ")
         cameras[camera][which] = runs
     rows = []
@@ -240,9 +240,9 @@ def _whole(arms: dict[tuple, list[dict]]) -> str:
 def _gain(arms: dict[tuple, list[dict]]) -> str:
     """PSNR with the pixel model minus without, seed by seed."""
     rows = []
-    for (setting, arm, iterations), runs in arms.items():
-        off = {run["seed"]: run["psnr"] for run in arms.get((setting, "off", iterations), [])}
-        if arm == "on" and off:
+    for (setting, arm, iterations, degree), runs in arms.items():
+        off = {run["seed"]: run["psnr"] for run in arms.get((setting, "off", iterations, degree), [])}
+        if arm == "on" and off and degree:
             rows.append((setting, ", ".join(f"{r['psnr'] - off[r['seed']]:+.2f}" for r in runs if r["seed"] in off)))
     return "Gain of modelling the pixel, on minus off, seed by seed:\n\n" + table(("setting", "dB"), rows)
 
