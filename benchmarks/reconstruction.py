@@ -47,14 +47,14 @@ from pixelid.nerf.camera import Camera
 from pixelid.nerf.dataset import Dataset, read_dataset
 from pixelid.nerf.evaluate import ssim
 from pixelid.nerf.pixel import Bandwidth
-from pixelid.nerf.posed import DEGREE, ITERATIONS, scene_of_images
+from pixelid.nerf.posed import DEGREE, ITERATIONS, grey_over_white, scene_of_images
 from pixelid.nerf.poses import Refinement
 from pixelid.nerf.recipe import Recipe
 from pixelid.nerf.reconstruct import reconstruct
 from pixelid.nerf.scenes import spiral
 from pixelid.nerf.synthetic import SETTINGS, camera_model, make_dataset
 from pixelid.nerf.trajectory import Trajectory
-from pixelid.nerf.views import LUMA, OPENGL
+from pixelid.nerf.views import OPENGL
 
 EXPERIMENTS = (
     "bandwidth", "baselines", "samples", "joint", "pixel", "effect", "scale", "whole", "field", "poses",
@@ -272,8 +272,7 @@ def pictures(work: Path, images: Path, seeds: list[int]) -> None:
     height, width = shots.shape[1:3]
     intrinsics = np.array([[focal, 0, width / 2 - 0.5], [0, focal, height / 2 - 0.5], [0, 0, 1]])
     camera = Camera(intrinsics, width, height, np.empty(0))
-    values, alpha = shots[held, ..., :3] / 255.0, shots[held, ..., 3:] / 255.0 if shots.shape[-1] == 4 else 1.0
-    truth = (alpha * values + 1.0 - alpha) @ LUMA
+    truth = grey_over_white(shots[held])
     for seed in seeds:
         began, used = time.perf_counter(), time.process_time()
         scene = scene_of_images(shots[kept], poses[kept], focal, seed=seed)

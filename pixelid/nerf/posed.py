@@ -63,17 +63,22 @@ def scene_of_images(
     """
     if images.ndim != 4 or images.shape[3] not in (3, 4) or poses.shape != (len(images), 4, 4):
         raise InputError(f"posed images: expected (n, H, W, 3 or 4) and (n, 4, 4), found {images.shape}, {poses.shape}")
-    values = images[..., :3] / 255.0
-    if images.shape[3] == 4:
-        alpha = images[..., 3:] / 255.0
-        values = alpha * values + 1.0 - alpha
-    grey = np.maximum(values @ LUMA, DARKEST)
+    grey = np.maximum(grey_over_white(images), DARKEST)
     height, width = grey.shape[1:]
     intrinsics = np.array([[focal, 0, width / 2 - 0.5], [0, focal, height / 2 - 0.5], [0, 0, 1]])
     camera = Camera(intrinsics, width, height, np.empty(0))
     box = np.full(3, -half), np.full(3, half)
     position, rotation = poses[:, :3, 3], poses[:, :3, :3] @ OPENGL
     return PosedScene(fit_field(grey, position, rotation, camera, *box, iterations=iterations, seed=seed), 1.0)
+
+
+def grey_over_white(images: np.ndarray) -> np.ndarray:
+    """(n, H, W) grey of images (n, H, W, 3 or 4) of 8 bits, 0 to 1, over white where they are transparent."""
+    values = images[..., :3] / 255.0
+    if images.shape[3] == 4:
+        alpha = images[..., 3:] / 255.0
+        values = alpha * values + 1.0 - alpha
+    return values @ LUMA
 
 
 def fit_field(

@@ -1,6 +1,7 @@
 """Poses as training sees them: an offset between clocks, smooth corrections, their gradients and what they become."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -95,12 +96,11 @@ def test_what_cameras_have_in_common_moves_nothing():
 
 
 def test_refined_poses_are_written_on_the_clock_of_the_file(tmp_path):
-    late = Poses(TRAJECTORY.__class__(*vars(TRAJECTORY).values()), BOTH)
-    write_poses(tmp_path, late.refined())
+    write_poses(tmp_path, Poses(TRAJECTORY, BOTH).refined())
     read = read_poses(tmp_path / "camera_poses.npz")
     np.testing.assert_allclose(read.position, TRAJECTORY.position, atol=1e-9)
     assert read.zero_ns == 0
-    shifted = TRAJECTORY.__class__(TRAJECTORY.t, TRAJECTORY.position, TRAJECTORY.orientation, 1_600_000_000_123_456_789)
+    shifted = replace(TRAJECTORY, zero_ns=1_600_000_000_123_456_789)
     write_poses(tmp_path, Poses(shifted, BOTH).refined())
     with np.load(tmp_path / "camera_poses.npz") as file:
         assert file["T_wc_timestamp"][0] == 1_600_000_000_123_456_789
