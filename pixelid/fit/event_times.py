@@ -6,8 +6,6 @@ background events, survival) by the backward pass of the density.
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from pixelid.fit.coordinates import Coordinates
@@ -142,4 +140,4 @@ def only_density_differs(a: Circuit, b: Circuit) -> bool:
         return False
     if (a.described or b.described) and _set_by_events(a) != _set_by_events(b):
         return False
-    return replace(a, **{name: getattr(b, name) for name in DENSITY_ONLY}) == b
+    return a.with_(**{name: getattr(b, name) for name in DENSITY_ONLY}) == b

@@ -122,7 +122,8 @@ def deciding_bounds(objective: Objective, optimum: Optimum, dispersion: float = 
     for i in map(int, np.flatnonzero(optimum.on_bound)):
         moved = x.copy()
         moved[i] = np.clip(x[i] + (moves[i] if x[i] <= lower[i] else -moves[i]), lower[i], upper[i])
-        if len(x) == 1 or optimum.local.value - at_fixed(objective, moved, i)[0] >= DROP_NATS * dispersion:
+        enough = optimum.local.value - DROP_NATS * dispersion
+        if len(x) == 1 or at_fixed(objective, moved, i, enough)[0] <= enough:
             names.append(objective.coordinates.names[i])
     return names
 

@@ -13,6 +13,8 @@ import numpy as np
 
 from pixelid.fit.objective import Local, Objective
 
+CRAWL, ALIKE, FASTER = 5, 1.1, 10.0  # steps; ratio of promises that are the same; by which crawls may yet speed up
+
 
 @dataclass(frozen=True)
 class Optimum:
@@ -35,11 +37,13 @@ def maximise(
     *,
     tolerance: float = 1e-6,
     max_steps: int = 200,
+    wanted: float | None = None,
     progress: Callable[[int, float], None] | None = None,
 ) -> Optimum:
     """Move from `start` until one more step promises less than `tolerance` nats.
 
-    progress(step, value) is called after every step.
+    wanted: a value that the maximum is asked to reach; a search that crawls towards less ends early, not converged
+    (`_hopeless`);  progress(step, value): called after every step
     """
     lower, upper = objective.coordinates.bounds()
     longest = objective.coordinates.longest_moves()
@@ -49,6 +53,7 @@ def maximise(
     converged = False
     steps = 0
     held = np.zeros(len(x), dtype=bool)
+    promises: list[float] = []
     while steps < max_steps:
         held = ((x <= lower) & (here.gradient < 0)) | ((x >= upper) & (here.gradient > 0))
         free = ~held
@@ -68,6 +73,9 @@ def maximise(
         if damping <= 1.0 and predicted < tolerance:
             converged = True
             break
+        promises.append(predicted)
+        if wanted is not None and _hopeless(promises, wanted - here.value, max_steps - steps):
+            break
         value = objective.value(trial)
         gain = value - here.value
         if np.isfinite(value) and gain > 1e-4 * predicted:
@@ -84,3 +92,13 @@ def maximise(
         if progress:
             progress(steps, here.value)
     return Optimum(x, here, converged, held, steps)
+
+
+def _hopeless(promises: list[float], missing: float, left: int) -> bool:
+    """Whether a search crawls: `CRAWL` steps have promised the same, and `FASTER` times that would not do.
+
+    One small promise says little, since promises may double with every step along a ridge of exchangeable poles.
+    """
+    latest = promises[-CRAWL:]
+    steady = len(latest) == CRAWL and max(latest) < ALIKE * min(latest)
+    return steady and FASTER * left * latest[-1] < missing

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from pixelid.stages.modulation import Modulation
 
@@ -67,11 +67,18 @@ class Circuit:
     of_recordings: tuple[tuple[str, tuple[tuple[str, float], ...]], ...] = ()
 
     def with_(self, **changes) -> Circuit:
-        """The same circuit with some numbers changed."""
-        return replace(self, **changes)
+        """The same circuit with some numbers changed.
+
+        As `dataclasses.replace`, which takes ten times as long: fits make a dozen circuits per evaluation.
+        """
+        if not changes.keys() <= self.__dict__.keys():
+            raise TypeError(f"a circuit has no {', '.join(sorted(changes.keys() - self.__dict__.keys()))}")
+        changed = object.__new__(Circuit)
+        changed.__dict__.update(self.__dict__, **changes)
+        return changed
 
     def in_recording(self, name: str) -> Circuit:
         """The circuit as it was in the recording of that name, with the numbers that are the recording's own."""
         if not self.of_recordings:
             return self
-        return replace(self, of_recordings=(), **dict(dict(self.of_recordings).get(name, ())))
+        return self.with_(of_recordings=(), **dict(dict(self.of_recordings).get(name, ())))

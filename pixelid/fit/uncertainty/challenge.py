@@ -40,7 +40,7 @@ def challenged(
         for sign in (-1, 1):
             moved = x.copy()
             moved[i] = np.clip(x[i] + sign * DISTANCE, lower[i], upper[i])
-            if top - at_fixed(objective, moved, i)[0] < DROP_NATS:
+            if top - at_fixed(objective, moved, i, top - DROP_NATS)[0] < DROP_NATS:
                 identified[i] = False
                 sentences.append(f"{name}: a factor {np.exp(sign * DISTANCE):.2g} fits as well once the rest follows")
                 break
@@ -55,7 +55,7 @@ def challenged(
                 for name in names:
                     moved[index[name]] = np.log(other[name])
                 moved = np.clip(moved, lower, upper)
-                end = maximise(objective, moved, tolerance=1e-2, max_steps=25)
+                end = maximise(objective, moved, tolerance=1e-2, max_steps=25, wanted=top - DROP_NATS)
                 if top - end.local.value < DROP_NATS and np.abs(end.x - x)[[index[n] for n in names]].max() > 0.1:
                     exchanged = coordinates.values(end.x)
                     for name in names:

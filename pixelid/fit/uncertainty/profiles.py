@@ -106,7 +106,8 @@ def _side(objective, x, i, sign, sd, along, top, dispersion, points) -> tuple[fl
     for _ in range(MOST_STEPS):
         if move <= 0:
             return None, near[2]
-        value, end = _best_at(objective, near[2], x, i, x[i] + sign * move, along, top - DROP_NATS * dispersion)
+        enough, wanted = top - DROP_NATS * dispersion, top - NEAR * DROP_NATS * dispersion
+        value, end = _best_at(objective, near[2], x, i, x[i] + sign * move, along, enough, wanted)
         drop = max(top - value, 0.0) / dispersion
         points[sign * move] = drop
         if drop < DROP_NATS:
@@ -130,14 +131,22 @@ def _side(objective, x, i, sign, sd, along, top, dispersion, points) -> tuple[fl
 
 
 def _best_at(
-    objective, nearest: np.ndarray, x: np.ndarray, i: int, target: float, along: np.ndarray, enough: float
+    objective,
+    nearest: np.ndarray,
+    x: np.ndarray,
+    i: int,
+    target: float,
+    along: np.ndarray,
+    enough: float,
+    wanted: float,
 ) -> tuple[float, np.ndarray]:
     """(log posterior, coordinates) with coordinate i held at `target` and all others maximised.
 
     The others start where they were at the profile's nearest point, from there moved along the covariance (no
     coordinate by more than a long step: flat directions have covariances that lead out of the world), or where they
     are at the optimum x; the likeliest of these first.  Others that did not follow would look like a drop, and end a
-    profile that is open, so below `enough` the remaining starts are tried, too.
+    profile that is open, so below `enough` the remaining starts are tried, too.  What cannot come up to `wanted` is
+    not followed to its end.
     """
     lower, upper = objective.coordinates.bounds()
     longest = objective.coordinates.longest_moves()
@@ -149,20 +158,27 @@ def _best_at(
         starts.append(start)
     best = -np.inf, x
     for start in sorted(starts, key=lambda start: -np.nan_to_num(objective.value(start), nan=-np.inf)):
-        best = max(best, at_fixed(objective, start, i), key=lambda end: end[0])
+        best = max(best, at_fixed(objective, start, i, wanted), key=lambda end: end[0])
         if best[0] > enough:
             break
     return best
 
 
-def at_fixed(objective, x: np.ndarray, i: int) -> tuple[float, np.ndarray]:
-    """(log posterior, coordinates) with coordinate i held at x[i] and all others maximised from x."""
+def at_fixed(objective, x: np.ndarray, i: int, wanted: float | None = None) -> tuple[float, np.ndarray]:
+    """(log posterior, coordinates) with coordinate i held at x[i] and all others maximised from x.
+
+    wanted: a value below which the maximum need not be known, see `newton.maximise`.
+    """
     held = _holding(objective.coordinates, i, float(x[i]))
     others = np.arange(len(x)) != i
-    end = maximise(type(objective)(objective.likelihood, held), x[others], tolerance=1e-2, max_steps=STEPS_OF_OTHERS)
+    own = _own_prior(objective.coordinates.parameters[i], float(x[i]))
+    end = maximise(
+        type(objective)(objective.likelihood, held), x[others], tolerance=1e-2, max_steps=STEPS_OF_OTHERS,
+        wanted=None if wanted is None else wanted - own,
+    )  # fmt: skip
     full = x.copy()
     full[others] = end.x
-    return end.local.value + _own_prior(objective.coordinates.parameters[i], float(x[i])), full
+    return end.local.value + own, full
 
 
 def _own_prior(parameter: Parameter, c: float) -> float:
