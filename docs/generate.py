@@ -213,6 +213,7 @@ PAGES: dict[str, Callable[[], str]] = {
     "pixel_light": measured.pixel_light,
     "round_trip": measured.round_trip,
     "reconstruction": measured.reconstruction,
+    "moving_plane": measured.moving_plane,
     "schemas": schemas,
     "api": reference.page,
 }

@@ -208,12 +208,24 @@ def reconstruction() -> str:
             seconds = statistics.mean(run["cpu_seconds"] for run in runs)
             ssim = statistics.mean(run["ssim"] for run in runs)
             mean = f"{statistics.mean(psnr):.2f}"
-            rows.append((setting, arm, degree, iterations, len(runs), mean, spread, f"{ssim:.3f}", f"{seconds:.0f}"))
+            row = (setting, arm, degree, iterations, len(runs), mean, spread, f"{ssim:.3f}", f"{seconds:.0f}")
+            peak = max(run.get("peak_gib") or 0.0 for run in runs)
+            rows.append((*row, f"{peak:.1f}") if experiment == "memory" else row)
         heads = ("setting", "arm", "harmonics", "steps", "seeds", "PSNR [dB]", "sd", "SSIM", "CPU s")
+        heads = (*heads, "peak GiB") if experiment == "memory" else heads
         lines += [f"## {experiment.capitalize()}\n", table(heads, rows)]
         if experiment == "bandwidth":
             lines.append(_gain(arms))
     return "\n".join(lines)
+
+
+def moving_plane() -> str:
+    """What `benchmarks/moving_plane.py` found."""
+    rows = [
+        (f"{run['white_fa']:,g}", f"{run['events']:,}", *(f"{value:.2f}" for value in run["scores"]))
+        for run in of_json("docs/moving_plane.json")
+    ]
+    return table(("photocurrent of white [fA]", "events", "as recorded", "pixel undone"), rows)
 
 
 def _whole(arms: dict[tuple, list[dict]]) -> str:
