@@ -16,6 +16,7 @@ whole       cameras with more than the data sets' pixel (`CAMERAS`): everything 
 field       what the field is asked for, trained on `ideal` events: nothing, small total variation, and colour by
             harmonics of degree 1 and 2
 size        200 × 200 pixels, on and off
+memory      the same scene filmed again and again until there are 60 million events: peak memory of a short training
 poses       a camera of changing speed whose poses are 5 ms late, or shaken: as they are, and refined with the scene
 pictures    no events: a field fitted to the posed pictures of --images, one in ten of them held out
 scale       radiance unit pinned by the background, by the views' mean level, free, and free with the pixel trained
@@ -30,6 +31,10 @@ from __future__ import annotations
 import argparse
 import json
 import math
+import resource
+import shutil
+import subprocess
+import sys
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -42,9 +47,10 @@ from pixelid.demo.demo import calibration_session
 from pixelid.fit import fit
 from pixelid.model.model import Model
 from pixelid.model.shipped import find_model
+from pixelid.nerf import calibration as layout
 from pixelid.nerf.calibration import in_unit, of_fit
 from pixelid.nerf.camera import Camera
-from pixelid.nerf.dataset import Dataset, read_dataset
+from pixelid.nerf.dataset import EVENTS, Dataset, read_dataset, write_poses
 from pixelid.nerf.evaluate import ssim
 from pixelid.nerf.pixel import Bandwidth
 from pixelid.nerf.posed import DEGREE, ITERATIONS, grey_over_white, scene_of_images
@@ -54,11 +60,11 @@ from pixelid.nerf.reconstruct import reconstruct
 from pixelid.nerf.scenes import spiral
 from pixelid.nerf.synthetic import SETTINGS, camera_model, make_dataset
 from pixelid.nerf.trajectory import Trajectory
-from pixelid.nerf.views import OPENGL
+from pixelid.nerf.views import FOLDER, OPENGL, RENDERER
 
 EXPERIMENTS = (
     "bandwidth", "baselines", "samples", "joint", "pixel", "effect", "scale", "whole", "field", "poses",
-    "size", "pictures",
+    "size", "memory", "pictures",
 )  # fmt: skip
 KEPT = ("experiment", "setting", "arm", "seed", "iterations")  # what tells runs apart
 SAMPLES = (1, 5, 15, 30, 50)
@@ -85,7 +91,8 @@ FIELDS = {
 ROBUST = ("threshold", "ratio", "refractory")  # trained by Robust e-NeRF with the scene
 CUTOFFS = (0.0, 0.1, 0.3, 1.0)  # of the filter that makes images, per revolution
 LATE_S, SWING, SHAKEN, SHAKEN_DEG = 5e-3, 0.7, 0.02, 0.5  # of experiment "poses"
-LARGE_BATCH = 2048  # chains per step for 200 × 200 pixels
+LARGE_BATCH = 512  # chains per step for 200 × 200 pixels
+MANY_EVENTS, FEW_STEPS = 60_000_000, 60  # of experiment "memory"
 SLOW = 0.5  # α and source follower of the camera that differs from nominal
 CHANGED = ("alpha", "sf_cutoff_hz")
 
@@ -263,6 +270,52 @@ def run(name: str, work: Path, setting: str, seed: int, iterations: int | None, 
         note(work, row | {"psnr": scores.psnr.mean(), "ssim": scores.ssim.mean()}, began, used)
 
 
+def filmed_again(data: Dataset, events: int, path: Path) -> Path:
+    """The dataset as a folder with at least so many events: camera and scene as before, again and again."""
+    times = -(-events // len(data.t))
+    right = data.trajectory
+    period = right.t[-1] + right.t[1] - right.t[0]
+    again = replace(
+        right, t=np.concatenate([right.t + k * period for k in range(times)]),
+        position=np.tile(right.position, (times, 1)), orientation=np.tile(right.orientation, (times, 1)),
+    )  # fmt: skip
+    path.mkdir()
+    for name in (layout.FILE, RENDERER):
+        shutil.copy(data.path / name, path)
+    shutil.copytree(data.path / FOLDER, path / FOLDER)
+    write_poses(path, again)
+    once = np.rint(data.t * 1e9).astype(np.int64) + right.zero_ns
+    np.savez(
+        path / EVENTS, position=np.tile(np.column_stack([data.x, data.y]).astype(np.int16), (times, 1)),
+        timestamp=np.concatenate([once + round(k * period * 1e9) for k in range(times)]),
+        polarity=np.tile(data.on, times),
+    )  # fmt: skip
+    return path
+
+
+def memory(work: Path, setting: str, seed: int) -> None:
+    """Peak memory of the command line's `reconstruct` on many events, as the system counts it."""
+    source = work / f"{setting}_{seed}_many"
+    if not source.is_dir():
+        filmed_again(dataset(work, setting, seed, "_200", side=200), MANY_EVENTS, source)
+    events = len(np.load(source / EVENTS)["polarity"])
+    command = [
+        sys.executable, "-m", "pixelid", "reconstruct", str(source), "--out", str(work / "many"), "--overwrite",
+        "--iterations", str(FEW_STEPS), "--seed", str(seed),
+    ]  # fmt: skip
+    began, used = time.perf_counter(), resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime
+    subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+    spent = resource.getrusage(resource.RUSAGE_CHILDREN)  # of the largest child; there is one
+    views = json.loads((work / "many" / "reconstruction.json").read_text())["views"]
+    row = {
+        "experiment": "memory", "setting": setting, "seed": seed, "arm": f"{events / 1e6:.0f} million events",
+        "iterations": FEW_STEPS, "degree": Recipe().degree, "peak_gib": round(spent.ru_maxrss / 2**20, 2),
+        "psnr": np.mean([view["psnr"] for view in views]), "ssim": np.mean([view["ssim"] for view in views]),
+    }  # fmt: skip
+    note(work, row, began, time.process_time() - (spent.ru_utime - used))
+    print(f"{'':10} peak memory {row['peak_gib']} GiB")
+
+
 def pictures(work: Path, images: Path, seeds: list[int]) -> None:
     """Fit a field to nine in ten posed pictures and compare it with the others."""
     with np.load(images) as file:
@@ -312,7 +365,7 @@ def last_runs(work: Path) -> dict[tuple, dict[int, dict]]:
 
 def save(work: Path, path: Path) -> None:
     """Write the last runs, a line each, without what differs between computers; what was not run again stays."""
-    names = (*KEPT, "psnr", "ssim", "cpu_seconds", "degree", "pixel", "found", "poses")
+    names = (*KEPT, "psnr", "ssim", "cpu_seconds", "degree", "pixel", "found", "poses", "peak_gib")
     there = json.loads(path.read_text()) if path.is_file() else []
     new = [{name: row.get(name) for name in names} for seeds in last_runs(work).values() for row in seeds.values()]
     runs = {tuple(run[name] for name in KEPT): run for run in (*there, *new)}
@@ -355,6 +408,9 @@ def main() -> None:
             continue
         for setting in options.settings:
             for seed in options.seeds:
+                if name == "memory":
+                    memory(options.work, setting, seed)
+                    continue
                 run(name, options.work, setting, seed, options.iterations, options.arms)
     if (options.work / "results.jsonl").is_file():
         print(table(options.work))

@@ -2,6 +2,7 @@
 
 import importlib
 import json
+import math
 import os
 import subprocess
 import sys
@@ -43,7 +44,8 @@ def test_a_small_run_of_each_section(section, tmp_path):
     for row in content["rows"]:
         assert set(row) >= KEYS
         assert row["section"] == section
-        assert all(seconds > 0 for seconds in row["ours_s"])
+        difference = row["note"].startswith("less")  # of two runs: on tiny files noise
+        assert all(math.isfinite(seconds) and (seconds > 0 or difference) for seconds in row["ours_s"])
         assert row["clock"] == ("cpu" if row["threads"] == 1 else "wall")
         if row["other"]:
             assert len(row["other"]["seconds"]) == len(row["ours_s"])
