@@ -117,6 +117,7 @@ def reconstruct(
     bandwidth: str = "on",
     samples: int = 30,
     trained: Sequence[str] = (),
+    between_poses: str = "linear",
     refine_time: float | None = None,
     refine_poses: tuple[float, float] | None = None,
     gap: bool = False,
@@ -140,6 +141,7 @@ def reconstruct(
         samples: of the pixel's past.
         trained: of the pixel, trained with the scene: "threshold", "ratio", "refractory", "leak",
             "parasitic_photocurrent", "threshold_drift", "polarity_memory".
+        between_poses: how the camera went, "linear" (constant rates) or "cubic" (splines).
         refine_time: train an offset between the clocks of poses and events, known to so many seconds.
         refine_poses: train smooth corrections of the poses, known to so much of the scene's unit and so many degrees.
         gap: look in the events for effects that the pixel lacks, and train with those found.
@@ -170,12 +172,15 @@ def reconstruct(
     from pixelid.nerf.poses import Refinement
     from pixelid.nerf.recipe import Recipe
     from pixelid.nerf.reconstruct import reconstruct as run
+    from pixelid.nerf.trajectory import BETWEEN_POSES
 
     if bandwidth not in ("on", "off", "joint"):
         raise InputError(f"bandwidth: expected on, off or joint, found {bandwidth!r}")
     if unknown := [name for name in trained if name not in TRAINABLE]:
         raise InputError(f"trained: expected names of {', '.join(TRAINABLE)}, found {unknown[0]!r}")
-    recipe = Recipe(refinement=Refinement.of(refine_time, refine_poses))
+    if between_poses not in BETWEEN_POSES:
+        raise InputError(f"between_poses: expected {' or '.join(BETWEEN_POSES)}, found {between_poses!r}")
+    recipe = Recipe(between_poses=between_poses, refinement=Refinement.of(refine_time, refine_poses))
     recipe = replace(recipe, iterations=iterations) if iterations else recipe
     return run(
         read_dataset(Path(dataset)), fit=None if fit is None else Path(fit),

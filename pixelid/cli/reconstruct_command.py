@@ -45,6 +45,8 @@ class StepsOrAuto(click.IntRange):
 @click.option("--train", "trained", multiple=True, type=click.Choice(TRAINABLE),
               help="Of the pixel, trained with the scene: mean threshold, ON/OFF ratio, dead time (refractory), or an "
                    "effect.")  # fmt: skip
+@click.option("--between-poses", type=click.Choice(["linear", "cubic"]), default="linear", show_default=True,
+              help="The camera's way from pose to pose: at constant rates, or along cubic splines.")  # fmt: skip
 @click.option("--refine-time", type=options.Number(0.0, open_low=True), metavar="SD",
               help="Train an offset between the clocks of poses and events, known to SD seconds.")  # fmt: skip
 @click.option("--refine-poses", nargs=2, type=options.Number(0.0), metavar="SD DEGREES",
@@ -76,8 +78,9 @@ class StepsOrAuto(click.IntRange):
 @options.seed()
 @options.quiet
 def command(
-    dataset, out, fit, sensor, bandwidth, samples, trained, refine_time, refine_poses, gap, cells, harmonics, steps,
-    batch, background, scale, box, radiance_scale, protocol, checkpoint, device, overwrite, seed, quiet,
+    dataset, out, fit, sensor, bandwidth, samples, trained, between_poses, refine_time, refine_poses, gap, cells,
+    harmonics, steps, batch, background, scale, box, radiance_scale, protocol, checkpoint, device, overwrite, seed,
+    quiet,
 ):  # fmt: skip
     """Reconstruct the scene of DATASET, a folder in the published layout of Robust e-NeRF and Deblur e-NeRF.
 
@@ -117,7 +120,9 @@ def command(
         data = read_dataset(dataset)
         recipe = replace(Recipe(), iterations=0, batch=0) if steps == AUTO else replace(Recipe(), iterations=steps)
         refinement = Refinement.of(refine_time, refine_poses)
-        recipe = replace(recipe, degree=harmonics, batch=batch or recipe.batch, refinement=refinement)
+        recipe = replace(
+            recipe, degree=harmonics, batch=batch or recipe.batch, between_poses=between_poses, refinement=refinement
+        )
         recipe = recipe.with_cells(cells) if cells else recipe
         pixel = Bandwidth(bandwidth, samples, trained=trained)
         with bar(quiet or not first, compiles=True) as report:

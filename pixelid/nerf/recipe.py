@@ -32,7 +32,8 @@ class Recipe:
     rate, decaying exponentially;  weights: λ;  roughness: λ of the total variation of log radiance;  emptiness: λ of
     the mean log density, which clears what no event asks for;  degree: of the harmonics by which colour depends on the
     direction;  stiffness: λ of their mean square;  level: λ of the mean log radiance when the gauge needs it;
-    refinement: of the poses;  engine: of `render` and `respond`;  supersample: rays per pixel and side
+    between_poses: "linear" or "cubic", how the camera went;  refinement: of the poses;  engine: of `render` and
+    `respond`;  supersample: rays per pixel and side
     """
 
     iterations: int = 1200
@@ -46,6 +47,7 @@ class Recipe:
     degree: int = 1
     stiffness: float = 10.0
     level: float = 10.0
+    between_poses: str = "linear"
     refinement: Refinement = dataclasses.field(default_factory=Refinement)
     engine: str = "auto"
     supersample: int = 1

@@ -210,6 +210,8 @@ def reconstruct(
         )
     if fit and bandwidth.mode == "joint" and bandwidth.prior_sd is None:
         bandwidth = replace(bandwidth, prior_sd=uncertainty_of_fit(Path(fit)))
+    if recipe.between_poses == "cubic":
+        dataset = replace(dataset, trajectory=dataset.trajectory.splined())
     maps = maps_of_sensor(Path(sensor), calibration.circuit, calibration.camera) if sensor else None
 
     def make(of: Calibration, trained: tuple[str, ...], held_out: float = HELD_OUT) -> Problem:

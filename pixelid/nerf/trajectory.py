@@ -1,14 +1,19 @@
-"""Where the camera was: linear position and slerped orientation between pose samples, and the rays of its pixels.
+"""Where the camera was: at constant rates or along cubic splines between pose samples, and the rays of its pixels.
 
 Camera axes as in computer vision: x right, y down, z forward.  Pixel centres are at integer coordinates.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numba import njit
+from scipy.interpolate import CubicSpline
+from scipy.spatial.transform import Rotation, RotationSpline
+
+FINER = 16  # poses per pose of a splined trajectory: a straight line between them leaves 1/256 of what it left before
+BETWEEN_POSES = ("linear", "cubic")
 
 
 @dataclass(frozen=True)
@@ -23,6 +28,24 @@ class Trajectory:
     position: np.ndarray
     orientation: np.ndarray
     zero_ns: int = 0
+
+    def splined(self, finer: int = FINER) -> Trajectory:
+        """The trajectory with cubic splines through its poses instead of constant rates, as more poses.
+
+        Positions by cubic splines (not-a-knot ends), orientations by rotation vectors whose angular velocity and
+        acceleration are continuous (SciPy's `RotationSpline`).
+
+        Args:
+            finer: poses in the place of one.
+
+        Returns:
+            The same poses, and `finer` − 1 between any two.
+        """
+        known = np.arange(len(self.t))
+        t = np.interp(np.arange((len(self.t) - 1) * finer + 1) / finer, known, self.t)
+        position = CubicSpline(self.t, self.position)(t)
+        orientation = RotationSpline(self.t, Rotation.from_quat(self.orientation))(t).as_quat()
+        return replace(self, t=t, position=position, orientation=orientation)
 
     def at(self, times) -> tuple[np.ndarray, np.ndarray]:
         """Positions (n, 3) and rotation matrices (n, 3, 3) at `times` (n,) s."""

@@ -14,7 +14,9 @@ import torch
 from scipy.spatial.transform import Rotation
 from test_schemas import check
 
+import pixelid as px
 from pixelid.cli.main import main
+from pixelid.errors import InputError
 from pixelid.model.files import save_model
 from pixelid.model.shipped import find_model, shipped_models
 from pixelid.nerf import checkpoint
@@ -105,6 +107,20 @@ def test_the_command_refines_poses_on_request(made, tmp_path, capsys):
         away = np.linalg.norm(file["T_wc_position"] - before["T_wc_position"], axis=1)
     assert 0.0 < away.max() < 1.0
     assert main([*words[:-2], "--iterations", "2", "--refine-time", "-1", "--overwrite"]) == 2
+
+
+def test_splines_between_poses_on_request(made, tmp_path):
+    words = ["reconstruct", str(made), "--iterations", "3", "--quiet"]
+    kinds = ("linear", "cubic")
+    for kind in kinds:
+        assert main([*words, "--out", str(tmp_path / kind), "--between-poses", kind]) in (0, 1)
+    results = [json.loads((tmp_path / kind / "reconstruction.json").read_text()) for kind in kinds]
+    for result, kind in zip(results, kinds, strict=True):
+        check("reconstruction", result)
+        assert result["recipe"]["between_poses"] == kind
+    assert results[0]["held_out_residual"] != results[1]["held_out_residual"]
+    with pytest.raises(InputError, match="expected linear or cubic"):
+        px.reconstruct(made, between_poses="quadratic")
 
 
 @pytest.mark.slow

@@ -12,9 +12,46 @@ from pixelid.nerf.dataset import _poses as read_poses
 from pixelid.nerf.dataset import write_poses
 from pixelid.nerf.poses import Poses, Refinement
 from pixelid.nerf.scenes import spiral
+from pixelid.nerf.trajectory import Trajectory
 
 TRAJECTORY = spiral(2.0, 3)
 BOTH = Refinement(5e-3, 0.05, math.radians(1.0), knots=9)
+
+
+def flight(t):
+    """(position (n, 3), rotations) of a camera in formulas."""
+    position = np.stack([np.cos(3 * t), np.sin(2 * t), 0.3 * t**2], axis=1)
+    return position, Rotation.from_euler("xyz", np.stack([0.6 * np.sin(3 * t), 0.4 * np.cos(5 * t), 2 * t], axis=1))
+
+
+@pytest.mark.parametrize(("poses", "better"), [(40, 15), (80, 60)])  # fourth order beside second order
+def test_splines_follow_a_camera_between_sparse_poses(poses, better):
+    t, times = np.linspace(0.0, 2.0, poses), np.random.default_rng(0).uniform(0.1, 1.9, 500)
+    position, rotations = flight(t)
+    sparse, (place, turn) = Trajectory(t, position, rotations.as_quat()), flight(times)
+    errors = {}
+    for name, trajectory in (("linear", sparse), ("cubic", sparse.splined())):
+        ours, rotation = trajectory.at(times)
+        apart = (Rotation.from_matrix(rotation) * turn.inv()).magnitude()
+        errors[name] = np.array([np.abs(ours - place).max(), apart.max()])
+    step = t[1] - t[0]
+    assert errors["linear"][0] == pytest.approx(9.0 * step**2 / 8, rel=0.1)  # a chord, of a second derivative of 9
+    assert (errors["cubic"] < errors["linear"] / better).all()
+
+
+def test_splines_go_through_the_poses():
+    for poses in (2, 3, 20):
+        some = replace(
+            TRAJECTORY, t=TRAJECTORY.t[:poses], position=TRAJECTORY.position[:poses],
+            orientation=TRAJECTORY.orientation[:poses], zero_ns=7,
+        )  # fmt: skip
+        splined = some.splined(4)
+        assert len(splined.t) == 4 * (poses - 1) + 1
+        assert splined.zero_ns == 7
+        np.testing.assert_allclose(splined.t[::4], some.t, rtol=1e-15)
+        np.testing.assert_allclose(splined.position[::4], some.position, atol=1e-12)
+        same = Rotation.from_quat(splined.orientation[::4]) * Rotation.from_quat(some.orientation).inv()
+        assert same.magnitude().max() < 1e-12
 
 
 def some_rays(n=50, seed=0):
