@@ -73,7 +73,7 @@ def maximise(
         if damping <= 1.0 and predicted < tolerance:
             converged = True
             break
-        promises.append(predicted)
+        promises.append(float(predicted))
         if wanted is not None and _hopeless(promises, wanted - here.value, max_steps - steps):
             break
         value = objective.value(trial)
