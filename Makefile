@@ -15,13 +15,14 @@ WORKERS ?= 2
 RUNS ?= 20000
 SEED ?= 0
 
-.PHONY: help setup demo test test-all bench fuzz models lint docs clean
+.PHONY: help setup demo test test-all bench ablations fuzz models lint docs clean
 .DEFAULT_GOAL := help
 
 help:
 	@echo "make demo       the whole story on embedded data, written to demo-out/"
 	@echo "make test       every test that is not slow"
 	@echo "make test-all   every test"
+	@echo "make ablations  train scenes under other pixels, samples, batches, speeds and lights, into docs/reconstruction.json (hours)"
 	@echo "make bench      measure the speed of every path again, into docs/speed.json (without --again a run is continued)"
 	@echo "make fuzz       damaged files for every reader, RUNS of them from SEED; failures are kept in fuzz-failures/"
 	@echo "make models     fit the shipped models of real sensors again, from the tables in fits/"
@@ -48,6 +49,9 @@ test: $(STAMP)
 
 test-all: $(STAMP)
 	$(BIN)/python -m pytest -n $(WORKERS)
+
+ablations: $(STAMP)
+	$(BIN)/python benchmarks/reconstruction.py bandwidth baselines samples batch joint grid --settings hard8 --save docs/reconstruction.json
 
 bench: $(STAMP)
 	$(BIN)/python benchmarks/speed.py --out docs/speed.json --again

@@ -8,6 +8,8 @@ bandwidth   on, off, and `ideal`: the same field trained on events of a camera w
 baselines   on, off, the pixel of Robust e-NeRF (no bandwidth; thresholds, their ratio and dead time trained with the
             scene), and images of the events first, a field fitted to them then (`two_stage.py`)
 samples     S of the past: 1, 5, 15, 30, 50
+batch       a quarter and four times as many chains per step, as many in all
+grid        speeds and illuminances of their own (--settings does not matter): on and off
 joint       the filter trained with the scene from a start wrong by 3 in α and the source follower; the same start held
 pixel       the camera differs from nominal by 2 in α and the source follower: true, nominal, fitted, and twice too fast
 effect      a camera with 2 ms dead time: reconstructed with and without the effect
@@ -29,6 +31,7 @@ docs/reconstruction.json is made by --save.
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
 import math
 import resource
@@ -58,16 +61,18 @@ from pixelid.nerf.poses import Refinement
 from pixelid.nerf.recipe import Recipe
 from pixelid.nerf.reconstruct import reconstruct
 from pixelid.nerf.scenes import spiral
-from pixelid.nerf.synthetic import SETTINGS, camera_model, make_dataset
+from pixelid.nerf.synthetic import SETTINGS, Setting, camera_model, make_dataset
 from pixelid.nerf.trajectory import Trajectory
 from pixelid.nerf.views import FOLDER, OPENGL, RENDERER
 
 EXPERIMENTS = (
-    "bandwidth", "baselines", "samples", "joint", "pixel", "effect", "scale", "whole", "field", "poses",
-    "size", "memory", "pictures",
+    "bandwidth", "baselines", "samples", "batch", "grid", "joint", "pixel", "effect", "scale", "whole", "field",
+    "poses", "size", "memory", "pictures",
 )  # fmt: skip
 KEPT = ("experiment", "setting", "arm", "seed", "iterations")  # what tells runs apart
 SAMPLES = (1, 5, 15, 30, 50)
+BATCHES = (80, 320, 1280)  # chains per step
+SPEEDS, WHITES = (0.5, 2.0, 8.0), (20.0, 200.0, 2_000.0)  # revolutions per second; fA at white
 CAMERAS = {
     "clean": ({}, {}),
     "leak 5 Hz": ({"leak": {"rate_hz": 5.0}}, {}),
@@ -98,11 +103,11 @@ CHANGED = ("alpha", "sf_cutoff_hz")
 
 
 def dataset(
-    work: Path, setting: str, seed: int, label: str = "", model: Model | None = None, side: int = 64,
+    work: Path, setting: str | Setting, seed: int, label: str = "", model: Model | None = None, side: int = 64,
     trajectory: Trajectory | None = None,
 ) -> Dataset:  # fmt: skip
     """A scene's dataset, made when it is not there yet."""
-    path = work / f"{setting}_{seed}{label}"
+    path = work / f"{setting if isinstance(setting, str) else ''}_{seed}{label}"
     if not path.is_dir():
         make_dataset(path, setting, seed=seed, model=model, side=side, trajectory=trajectory)
     return read_dataset(path)
@@ -158,7 +163,7 @@ def fitted(work: Path, seed: int) -> Path:
 
 def arms(name: str, work: Path, setting: str, seed: int):
     """(arm, dataset or what makes it, options of `reconstruct`) of an experiment."""
-    if name in ("bandwidth", "baselines", "samples", "joint"):
+    if name in ("bandwidth", "baselines", "samples", "batch", "joint"):
         data = dataset(work, setting, seed)
         circuit = data.calibration.circuit
     if name == "bandwidth":
@@ -186,6 +191,15 @@ def arms(name: str, work: Path, setting: str, seed: int):
         for samples in SAMPLES:
             yield f"S={samples}", data, {"bandwidth": Bandwidth("on", samples)}
         yield "off", data, {"bandwidth": Bandwidth("off")}
+    elif name == "batch":
+        for batch in BATCHES:
+            steps = Recipe().iterations * Recipe().batch // batch
+            yield f"{batch} chains", data, {"recipe": Recipe(batch=batch, iterations=steps)}
+    elif name == "grid":
+        for speed, white in itertools.product(SPEEDS, WHITES):
+            data = dataset(work, Setting(speed, white), seed, f"grid_{speed:g}_{white:g}")
+            for mode in ("on", "off"):
+                yield f"{speed:g} rev/s, {white:g} fA: {mode}", data, {"bandwidth": Bandwidth(mode)}
     elif name == "joint":
         wrong = replace(data.calibration, circuit=circuit.with_(alpha=circuit.alpha * 3, follower=circuit.follower * 3))
         yield "joint from x3", data, {"calibration": wrong, "bandwidth": Bandwidth("joint")}

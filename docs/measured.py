@@ -198,8 +198,8 @@ def reconstruction() -> str:
         groups[run["experiment"]][run["setting"], run["arm"], run["iterations"], run.get("degree") or 0].append(run)
     lines = []
     for experiment, arms in groups.items():
-        if experiment == "whole":
-            lines.append(_whole(arms))
+        if experiment in ("whole", "grid"):
+            lines.append(_whole(arms) if experiment == "whole" else _grid(arms))
             continue
         rows = []
         for (setting, arm, iterations, degree), runs in sorted(arms.items(), key=lambda item: -item[0][3]):
@@ -247,6 +247,21 @@ def _whole(arms: dict[tuple, list[dict]]) -> str:
         rows.append((camera, *psnr, ", ".join(named) or ("none" if "found" in by else ""), *seconds))
     heads = ("camera", "known [dB]", "ignored [dB]", "found [dB]", "what was found", "CPU s, known", "CPU s, found")
     return "## More of the pixel than the data sets say\n\n" + table(heads, rows)
+
+
+def _grid(arms: dict[tuple, list[dict]]) -> str:
+    """PSNR over speed and illuminance: with the pixel modelled, ignored, and the gain."""
+    cells: dict[str, dict[str, float]] = defaultdict(dict)
+    for (_, arm, *_), runs in arms.items():
+        cell, _, mode = arm.rpartition(": ")
+        cells[cell][mode] = statistics.mean(run["psnr"] for run in runs)
+    rows = [
+        (*cell.split(", "), f"{by['on']:.2f}", f"{by['off']:.2f}", f"{by['on'] - by['off']:+.2f}")
+        for cell, by in cells.items()
+        if set(by) == {"on", "off"}
+    ]
+    heads = ("speed", "photocurrent of white", "on [dB]", "off [dB]", "gain [dB]")
+    return "## Speed and illuminance\n\n" + table(heads, rows)
 
 
 def _gain(arms: dict[tuple, list[dict]]) -> str:
