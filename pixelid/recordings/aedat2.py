@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pixelid.errors import InputError
+from pixelid.errors import InputError, shown
 from pixelid.recordings.columns import PART_EVENTS, validated
 from pixelid.recordings.events import Events
 from pixelid.recordings.parts import joined
@@ -36,10 +36,13 @@ def read(path: Path) -> Recording:
 def stream(path: Path) -> tuple[Recording, Iterator[Recording]]:
     """The same in parts: the recording without events, and its parts."""
     lines, start = _header(path)
-    chip = next((line.split("AEChip:")[1].strip().rsplit(".", 1)[-1] for line in lines if "AEChip:" in line), "")
+    said = next((line.split("AEChip:")[1].split() for line in lines if "AEChip:" in line), [])
+    chip = said[0].rsplit(".", 1)[-1] if said else ""
     size = next((size for name, size in SIZES.items() if chip.upper().startswith(name)), None)
     if size is None:
-        raise InputError(f"{path}: AEChip: expected one of {', '.join(SIZES)}, found {chip or 'nothing'}")
+        raise InputError(
+            f"{path}: AEChip: expected one of {', '.join(SIZES)}, found {shown(chip) if chip else 'nothing'}"
+        )
     length = path.stat().st_size - start
     if length % 8:
         raise InputError(f"{path}: expected 8 bytes per event after the header, found {length % 8} left over")

@@ -119,6 +119,16 @@ def test_aedat2_bits_and_biases(tmp_path):
     assert recording.attributes["biases"] == {"Bias.PrBp": "7"}
 
 
+def test_an_aedat2_header_of_anything_gets_one_line(tmp_path):
+    path = tmp_path / "r.aedat"
+    for chip in (b"davis.DAVIS\x00C\x0b\x1c\x85\r19\x1b[31m", b" \r", b"x" * 9000):
+        path.write_bytes(b"#!AER-DAT2.0\n# AEChip: eu.seebetter." + chip + b"\n" + bytes(8))
+        with pytest.raises(InputError, match="AEChip: expected one of") as caught:
+            open_recording(path)
+        assert len(str(caught.value).splitlines()) == 1
+        assert len(str(caught.value)) < 300 + len(str(path))
+
+
 def change(path, **columns):
     with h5py.File(path, "r+") as file:
         for name, value in columns.items():
