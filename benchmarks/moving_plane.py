@@ -14,6 +14,7 @@ on the edge that made it.
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
 from pathlib import Path
 
@@ -22,10 +23,12 @@ import torch
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from scipy.ndimage import gaussian_filter
+from torch.nn.functional import huber_loss
 
 from pixelid.figures.style import styled
 from pixelid.model.shipped import find_model
 from pixelid.nerf.pixel import Bandwidth, Pixel
+from pixelid.nerf.recipe import Recipe
 from pixelid.nerf.scan import respond
 from pixelid.simulate import simulate_stream
 from pixelid.stages.circuit import Circuit
@@ -36,7 +39,7 @@ WIDTH, HEIGHT = 8, 64  # of the sensor
 MARGIN = 24  # plane pixels beside the word
 SAMPLES = 2  # of the light, per pixel of motion
 DARKEST = 0.15  # of the plane, relative to white
-STEPS, RATE, LAST_RATE = 400, 0.1, 0.01  # of the search for the light
+STEPS = 400  # of the search for the light
 SPREAD, PULL = 0.2, 2.0  # thresholds: how well an event tells the output; weight of the total variation
 
 
@@ -59,48 +62,53 @@ def frames(shown: np.ndarray, white: float):
         yield k / SAMPLES / SPEED, white * np.array([np.interp(at, columns, row) for row in shown])
 
 
+def told_by(t, x, y, on, circuit: Circuit, level: float, grid: np.ndarray):
+    """What events (N,) tell of the output: (pixel (N,), its level (N,), the last level at times (n,): (pixels, n)).
+
+    Events are put into order of pixels: t (N,) comes first.
+    """
+    pixel = y * WIDTH + x
+    order = np.argsort(pixel, kind="stable")
+    t, pixel, on = t[order], pixel[order], on[order]
+    total = np.concatenate([[0.0], np.cumsum(np.where(on, circuit.on_threshold, -circuit.off_threshold))])
+    first = np.searchsorted(pixel, np.arange(WIDTH * HEIGHT + 1))
+    told = level + total[1:] - total[first[pixel]]
+    last = np.empty((WIDTH * HEIGHT, len(grid)))
+    for k, (begin, end) in enumerate(itertools.pairwise(first)):
+        levels = np.concatenate([[level], told[begin:end]])
+        last[k] = levels[np.searchsorted(t[begin:end], grid, side="right")]
+    return t, pixel, told, last
+
+
 def light_behind(t, x, y, on, circuit: Circuit, level: float, end: float) -> tuple[np.ndarray, np.ndarray]:
     """(t (n,) s, ln light (pixels, n)) of the plane that explains the events (N,) through the circuit.
 
     level: ln light before the first event;  end: s, of the recording
     """
-    pixel = Pixel(circuit, Bandwidth("on"))
-    pixels, grid = WIDTH * HEIGHT, np.arange(0.0, end, 1 / (SAMPLES * SPEED))
-    order = np.argsort(y * WIDTH + x, kind="stable")
-    where, t, on = (y * WIDTH + x)[order], t[order], on[order]
-    told = np.cumsum(np.where(on, circuit.on_threshold, -circuit.off_threshold))  # of one pixel after the other
-    begins = np.searchsorted(where, np.arange(pixels))
-    told = level + told - np.concatenate([[0.0], told])[begins][where]
+    dynamics, grid = Pixel(circuit, Bandwidth("on")).dynamics, np.arange(0.0, end, 1 / (SAMPLES * SPEED))
+    t, pixel, told, last = told_by(t, x, y, on, circuit, level, grid)
     place = t * SAMPLES * SPEED
-    cell = np.minimum(place.astype(int), len(grid) - 2)
-    share = torch.from_numpy(place - cell)
-    row, cell, told_at = torch.from_numpy(where), torch.from_numpy(cell), torch.from_numpy(told)
-    # between events the output stays within a threshold of what the last one told
-    last = np.full((pixels, len(grid)), level)
-    for k in range(pixels):
-        mine = slice(begins[k], begins[k + 1] if k + 1 < pixels else len(t))
-        latest = np.searchsorted(t[mine], grid, side="right") - 1
-        last[k] = np.where(latest >= 0, told[mine][np.maximum(latest, 0)] if mine.start < mine.stop else level, level)
-    held, threshold = torch.from_numpy(last), 0.5 * (circuit.on_threshold + circuit.off_threshold)
-    y, x = np.divmod(np.arange(pixels), WIDTH)
-    looks_at = torch.from_numpy(SAMPLES * x[:, None] + np.arange(len(grid)))  # columns of the plane, (pixels, n)
+    before = np.minimum(place.astype(int), len(grid) - 2)
+    share, told, last = (torch.from_numpy(values) for values in (place - before, told, last))
+    row, column = np.divmod(np.arange(WIDTH * HEIGHT)[:, None], WIDTH)
+    looks_at = row, SAMPLES * column + np.arange(len(grid))  # of the plane, (pixels, n)
     shown = torch.full((HEIGHT, len(grid) + SAMPLES * (WIDTH - 1)), level, dtype=torch.float64, requires_grad=True)
-    times, first = np.tile(grid, pixels), np.arange(pixels + 1) * len(grid)
-    optimiser = torch.optim.Adam([shown], lr=RATE)
+    times, first = np.tile(grid, len(row)), np.arange(len(row) + 1) * len(grid)
+    threshold = 0.5 * (circuit.on_threshold + circuit.off_threshold)
+    recipe, optimiser = Recipe(iterations=STEPS), torch.optim.Adam([shown])
     for step in range(STEPS):
-        for group in optimiser.param_groups:
-            group["lr"] = RATE * (LAST_RATE / RATE) ** (step / STEPS)
-        u = shown[torch.from_numpy(y)[:, None], looks_at]
-        seen = respond(u.flatten(), pixel.dynamics, times, first)[0].reshape(u.shape)
-        at_event = seen[row, cell] * (1 - share) + seen[row, cell + 1] * share
-        events_left = torch.nn.functional.huber_loss((at_event - told_at) / threshold, torch.zeros_like(at_event))
-        silence = torch.relu((seen - held).abs() / threshold - 1.0).square().mean()
+        optimiser.param_groups[0]["lr"] = recipe.rate_at(step)
+        seen = respond(shown[looks_at].flatten(), dynamics, times, first)[0].reshape(len(row), -1)
+        at_event = torch.lerp(seen[pixel, before], seen[pixel, before + 1], share)
+        events_left = huber_loss((at_event - told) / threshold, torch.zeros_like(at_event))
+        # between events the output stays within a threshold of what the last one told
+        silence = torch.relu((seen - last).abs() / threshold - 1.0).square().mean()
         variation = sum(torch.diff(shown, dim=axis).abs().mean() for axis in (0, 1)) / threshold
         loss = (events_left + silence) / SPREAD**2 + PULL * shown.numel() / len(t) * variation
         optimiser.zero_grad()
         loss.backward()
         optimiser.step()
-    return grid, shown.detach().numpy()[y[:, None], looks_at.numpy()]
+    return grid, shown.detach().numpy()[looks_at]
 
 
 def events_of(grid: np.ndarray, u: np.ndarray, threshold: float, level: float):

@@ -34,15 +34,15 @@ import argparse
 import itertools
 import json
 import math
-import resource
 import shutil
-import subprocess
 import sys
 import time
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from many_events import filmed_again
+from paths.memory import command_apart
 from scipy.spatial.transform import Rotation
 from two_stage import two_stage
 
@@ -50,10 +50,9 @@ from pixelid.demo.demo import calibration_session
 from pixelid.fit import fit
 from pixelid.model.model import Model
 from pixelid.model.shipped import find_model
-from pixelid.nerf import calibration as layout
 from pixelid.nerf.calibration import in_unit, of_fit
 from pixelid.nerf.camera import Camera
-from pixelid.nerf.dataset import EVENTS, Dataset, read_dataset, write_poses
+from pixelid.nerf.dataset import Dataset, read_dataset
 from pixelid.nerf.evaluate import ssim
 from pixelid.nerf.pixel import Bandwidth
 from pixelid.nerf.posed import DEGREE, ITERATIONS, grey_over_white, scene_of_images
@@ -63,7 +62,7 @@ from pixelid.nerf.reconstruct import reconstruct
 from pixelid.nerf.scenes import spiral
 from pixelid.nerf.synthetic import SETTINGS, Setting, camera_model, make_dataset
 from pixelid.nerf.trajectory import Trajectory
-from pixelid.nerf.views import FOLDER, OPENGL, RENDERER
+from pixelid.nerf.views import OPENGL
 
 EXPERIMENTS = (
     "bandwidth", "baselines", "samples", "batch", "grid", "joint", "pixel", "effect", "scale", "whole", "field",
@@ -103,13 +102,13 @@ CHANGED = ("alpha", "sf_cutoff_hz")
 
 
 def dataset(
-    work: Path, setting: str | Setting, seed: int, label: str = "", model: Model | None = None, side: int = 64,
-    trajectory: Trajectory | None = None,
+    work: Path, setting: str, seed: int, label: str = "", model: Model | None = None, side: int = 64,
+    trajectory: Trajectory | None = None, own: Setting | None = None,
 ) -> Dataset:  # fmt: skip
-    """A scene's dataset, made when it is not there yet."""
-    path = work / f"{setting if isinstance(setting, str) else ''}_{seed}{label}"
+    """A scene's dataset, made when it is not there yet;  own: a setting that is not in `SETTINGS`."""
+    path = work / f"{setting}_{seed}{label}"
     if not path.is_dir():
-        make_dataset(path, setting, seed=seed, model=model, side=side, trajectory=trajectory)
+        make_dataset(path, own or setting, seed=seed, model=model, side=side, trajectory=trajectory)
     return read_dataset(path)
 
 
@@ -197,7 +196,7 @@ def arms(name: str, work: Path, setting: str, seed: int):
             yield f"{batch} chains", data, {"recipe": Recipe(batch=batch, iterations=steps)}
     elif name == "grid":
         for speed, white in itertools.product(SPEEDS, WHITES):
-            data = dataset(work, Setting(speed, white), seed, f"grid_{speed:g}_{white:g}")
+            data = dataset(work, "grid", seed, f"_{speed:g}_{white:g}", own=Setting(speed, white))
             for mode in ("on", "off"):
                 yield f"{speed:g} rev/s, {white:g} fA: {mode}", data, {"bandwidth": Bandwidth(mode)}
     elif name == "joint":
@@ -261,6 +260,9 @@ def arms(name: str, work: Path, setting: str, seed: int):
 
 
 def run(name: str, work: Path, setting: str, seed: int, iterations: int | None, only: list[str] | None) -> None:
+    """Train every arm of an experiment and note what it reached."""
+    if name == "memory":
+        return memory(work, setting, seed)
     recipe = replace(Recipe(), iterations=iterations) if iterations else Recipe()
     for arm, make, options in arms(name, work, setting, seed):
         if only and arm not in only:
@@ -284,50 +286,23 @@ def run(name: str, work: Path, setting: str, seed: int, iterations: int | None, 
         note(work, row | {"psnr": scores.psnr.mean(), "ssim": scores.ssim.mean()}, began, used)
 
 
-def filmed_again(data: Dataset, events: int, path: Path) -> Path:
-    """The dataset as a folder with at least so many events: camera and scene as before, again and again."""
-    times = -(-events // len(data.t))
-    right = data.trajectory
-    period = right.t[-1] + right.t[1] - right.t[0]
-    again = replace(
-        right, t=np.concatenate([right.t + k * period for k in range(times)]),
-        position=np.tile(right.position, (times, 1)), orientation=np.tile(right.orientation, (times, 1)),
-    )  # fmt: skip
-    path.mkdir()
-    for name in (layout.FILE, RENDERER):
-        shutil.copy(data.path / name, path)
-    shutil.copytree(data.path / FOLDER, path / FOLDER)
-    write_poses(path, again)
-    once = np.rint(data.t * 1e9).astype(np.int64) + right.zero_ns
-    np.savez(
-        path / EVENTS, position=np.tile(np.column_stack([data.x, data.y]).astype(np.int16), (times, 1)),
-        timestamp=np.concatenate([once + round(k * period * 1e9) for k in range(times)]),
-        polarity=np.tile(data.on, times),
-    )  # fmt: skip
-    return path
-
-
 def memory(work: Path, setting: str, seed: int) -> None:
     """Peak memory of the command line's `reconstruct` on many events, as the system counts it."""
-    source = work / f"{setting}_{seed}_many"
-    if not source.is_dir():
-        filmed_again(dataset(work, setting, seed, "_200", side=200), MANY_EVENTS, source)
-    events = len(np.load(source / EVENTS)["polarity"])
-    command = [
+    once, source = dataset(work, setting, seed, "_200", side=200), work / f"{setting}_{seed}_many"
+    shutil.rmtree(source, ignore_errors=True)
+    events = filmed_again(once, MANY_EVENTS, source)
+    began, used = time.perf_counter(), time.process_time()
+    spent = command_apart([
         sys.executable, "-m", "pixelid", "reconstruct", str(source), "--out", str(work / "many"), "--overwrite",
         "--iterations", str(FEW_STEPS), "--seed", str(seed),
-    ]  # fmt: skip
-    began, used = time.perf_counter(), resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime
-    subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
-    spent = resource.getrusage(resource.RUSAGE_CHILDREN)  # of the largest child; there is one
+    ])  # fmt: skip
     views = json.loads((work / "many" / "reconstruction.json").read_text())["views"]
     row = {
         "experiment": "memory", "setting": setting, "seed": seed, "arm": f"{events / 1e6:.0f} million events",
-        "iterations": FEW_STEPS, "degree": Recipe().degree, "peak_gib": round(spent.ru_maxrss / 2**20, 2),
+        "iterations": FEW_STEPS, "degree": Recipe().degree, "peak_gib": round(spent["peak_bytes"] / 2**30, 2),
         "psnr": views["psnr"], "ssim": views["ssim"],
     }  # fmt: skip
-    note(work, row, began, time.process_time() - (spent.ru_utime - used))
-    print(f"{'':10} peak memory {row['peak_gib']} GiB")
+    note(work, row, began, used - spent["cpu_s"])
 
 
 def pictures(work: Path, images: Path, seeds: list[int]) -> None:
@@ -422,9 +397,6 @@ def main() -> None:
             continue
         for setting in options.settings:
             for seed in options.seeds:
-                if name == "memory":
-                    memory(options.work, setting, seed)
-                    continue
                 run(name, options.work, setting, seed, options.iterations, options.arms)
     if (options.work / "results.jsonl").is_file():
         print(table(options.work))

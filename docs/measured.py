@@ -196,10 +196,10 @@ def reconstruction() -> str:
     groups: dict[str, dict[tuple, list[dict]]] = defaultdict(lambda: defaultdict(list))
     for run in of_json("docs/reconstruction.json"):
         groups[run["experiment"]][run["setting"], run["arm"], run["iterations"], run.get("degree") or 0].append(run)
-    lines = []
+    lines, own_tables = [], {"whole": _whole, "grid": _grid}
     for experiment, arms in groups.items():
-        if experiment in ("whole", "grid"):
-            lines.append(_whole(arms) if experiment == "whole" else _grid(arms))
+        if experiment in own_tables:
+            lines.append(own_tables[experiment](arms))
             continue
         rows = []
         for (setting, arm, iterations, degree), runs in sorted(arms.items(), key=lambda item: -item[0][3]):
@@ -208,9 +208,10 @@ def reconstruction() -> str:
             seconds = statistics.mean(run["cpu_seconds"] for run in runs)
             ssim = statistics.mean(run["ssim"] for run in runs)
             mean = f"{statistics.mean(psnr):.2f}"
-            row = (setting, arm, degree, iterations, len(runs), mean, spread, f"{ssim:.3f}", f"{seconds:.0f}")
-            peak = max(run.get("peak_gib") or 0.0 for run in runs)
-            rows.append((*row, f"{peak:.1f}") if experiment == "memory" else row)
+            peak = [f"{max(run['peak_gib'] for run in runs):.1f}"] if experiment == "memory" else []
+            rows.append(
+                (setting, arm, degree, iterations, len(runs), mean, spread, f"{ssim:.3f}", f"{seconds:.0f}", *peak)
+            )
         heads = ("setting", "arm", "harmonics", "steps", "seeds", "PSNR [dB]", "sd", "SSIM", "CPU s")
         heads = (*heads, "peak GiB") if experiment == "memory" else heads
         lines += [f"## {experiment.capitalize()}\n", table(heads, rows)]
@@ -230,12 +231,8 @@ def moving_plane() -> str:
 
 def _whole(arms: dict[tuple, list[dict]]) -> str:
     """Cameras with more than the data sets' pixel: PSNR with everything known, ignored, and found in the events."""
-    cameras: dict[str, dict[str, list[dict]]] = defaultdict(dict)
-    for (_, arm, *_), runs in arms.items():
-        camera, _, which = arm.rpartition(": ")
-        cameras[camera][which] = runs
     rows = []
-    for camera, by in cameras.items():
+    for camera, by in _two_words(arms).items():
         psnr = [
             f"{statistics.mean(run['psnr'] for run in by[which]):.2f}" if which in by else ""
             for which in ("known", "ignored", "found")
@@ -249,17 +246,21 @@ def _whole(arms: dict[tuple, list[dict]]) -> str:
     return "## More of the pixel than the data sets say\n\n" + table(heads, rows)
 
 
+def _two_words(arms: dict[tuple, list[dict]]) -> dict[str, dict[str, list[dict]]]:
+    """Runs by what stands before and after the colon of their arm."""
+    by: dict[str, dict[str, list[dict]]] = defaultdict(dict)
+    for (_, arm, *_), runs in arms.items():
+        before, _, after = arm.rpartition(": ")
+        by[before][after] = runs
+    return by
+
+
 def _grid(arms: dict[tuple, list[dict]]) -> str:
     """PSNR over speed and illuminance: with the pixel modelled, ignored, and the gain."""
-    cells: dict[str, dict[str, float]] = defaultdict(dict)
-    for (_, arm, *_), runs in arms.items():
-        cell, _, mode = arm.rpartition(": ")
-        cells[cell][mode] = statistics.mean(run["psnr"] for run in runs)
-    rows = [
-        (*cell.split(", "), f"{by['on']:.2f}", f"{by['off']:.2f}", f"{by['on'] - by['off']:+.2f}")
-        for cell, by in cells.items()
-        if set(by) == {"on", "off"}
-    ]
+    rows = []
+    for cell, by in _two_words(arms).items():
+        on, off = (statistics.mean(run["psnr"] for run in by[mode]) for mode in ("on", "off"))
+        rows.append((*cell.split(", "), f"{on:.2f}", f"{off:.2f}", f"{on - off:+.2f}"))
     heads = ("speed", "photocurrent of white", "on [dB]", "off [dB]", "gain [dB]")
     return "## Speed and illuminance\n\n" + table(heads, rows)
 

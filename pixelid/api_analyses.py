@@ -172,14 +172,11 @@ def reconstruct(
     from pixelid.nerf.poses import Refinement
     from pixelid.nerf.recipe import Recipe
     from pixelid.nerf.reconstruct import reconstruct as run
-    from pixelid.nerf.trajectory import BETWEEN_POSES
 
     if bandwidth not in ("on", "off", "joint"):
         raise InputError(f"bandwidth: expected on, off or joint, found {bandwidth!r}")
     if unknown := [name for name in trained if name not in TRAINABLE]:
         raise InputError(f"trained: expected names of {', '.join(TRAINABLE)}, found {unknown[0]!r}")
-    if between_poses not in BETWEEN_POSES:
-        raise InputError(f"between_poses: expected {' or '.join(BETWEEN_POSES)}, found {between_poses!r}")
     recipe = Recipe(between_poses=between_poses, refinement=Refinement.of(refine_time, refine_poses))
     recipe = replace(recipe, iterations=iterations) if iterations else recipe
     return run(

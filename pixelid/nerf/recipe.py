@@ -9,9 +9,11 @@ from typing import Any
 
 import numpy as np
 
+from pixelid.errors import InputError
 from pixelid.nerf.intervals import CHAIN
 from pixelid.nerf.losses import Weights
 from pixelid.nerf.poses import Refinement
+from pixelid.nerf.trajectory import BETWEEN_POSES
 
 MOST_CELLS = (32, 160)  # per side
 # Of `--steps auto`.  The default recipe (1200 steps of 320 chains) was chosen on scenes of 64 × 64 pixels with some
@@ -52,6 +54,10 @@ class Recipe:
     engine: str = "auto"
     supersample: int = 1
     seed: int = 0
+
+    def __post_init__(self) -> None:
+        if self.between_poses not in BETWEEN_POSES:
+            raise InputError(f"between_poses: expected {' or '.join(BETWEEN_POSES)}, found {self.between_poses!r}")
 
     def for_sensor(self, width: int) -> Recipe:
         """The recipe with grid sizes for a sensor `width` pixels wide: about one cell per pixel in the end."""

@@ -131,15 +131,9 @@ def _side(objective, x, i, sign, sd, along, top, dispersion, points) -> tuple[fl
 
 
 def _best_at(
-    objective,
-    nearest: np.ndarray,
-    x: np.ndarray,
-    i: int,
-    target: float,
-    along: np.ndarray,
-    enough: float,
+    objective, nearest: np.ndarray, x: np.ndarray, i: int, target: float, along: np.ndarray, enough: float,
     wanted: float,
-) -> tuple[float, np.ndarray]:
+) -> tuple[float, np.ndarray]:  # fmt: skip
     """(log posterior, coordinates) with coordinate i held at `target` and all others maximised.
 
     The others start where they were at the profile's nearest point, from there moved along the covariance (no
