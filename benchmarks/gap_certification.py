@@ -22,11 +22,11 @@ import numpy as np
 from decisions import noted_decisions, plain
 from scipy.stats import beta
 
+from pixelid.cluster import Where, connected
 from pixelid.gap.gap import gap
 from pixelid.model.model import Model
 from pixelid.model.shipped import find_model
 from pixelid.recordings.recording import Recording
-from pixelid.sensors.work import Where, connected
 from pixelid.simulate import simulate
 from pixelid.stimuli.resample import resampled
 from pixelid.stimuli.shapes import chirp, constant, slow, steps

@@ -1,7 +1,7 @@
 """Independent work on all cores: the one place where the package starts threads.
 
 Threads suffice because the compiled kernels, NumPy and torch release the interpreter's lock.  Work over several
-machines or processes is Dask's (`sensors/work.py`) or `torchrun`'s (`nerf/parallel.py`).
+machines or processes is Dask's (`cluster.py`) or `torchrun`'s (`nerf/parallel.py`).
 """
 
 from __future__ import annotations

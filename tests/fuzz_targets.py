@@ -266,11 +266,11 @@ def _kept(folder: Path) -> Iterator[Target]:
     """What runs keep to be continued: damaged files are set aside, and computed again."""
     import torch
 
+    from pixelid.cluster import MARK, _kept
     from pixelid.fit.cache import FitCache, _line
     from pixelid.nerf import checkpoint
     from pixelid.sample.ensembles import Ensembles
     from pixelid.sample.proposal import Proposal
-    from pixelid.sensors.work import MARK, _kept
 
     proposal = Proposal(np.zeros(2), np.eye(2), np.ones(2), np.ones(2), np.zeros(2), 0)
     starts = np.random.RandomState(5).normal(size=(2, 6, 2))

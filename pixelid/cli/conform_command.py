@@ -18,7 +18,7 @@ Example:
 
 @click.command("conform", epilog=EXAMPLE)
 @options.search
-def command(recordings, model, out, with_, without, alpha, crop, overwrite, seed, quiet):
+def command(recordings, model, out, with_, without, alpha, crop, where, overwrite, seed, quiet):
     """Say of every effect of the signal path whether RECORDINGS (files or folders) have it, for their makers.
 
     The search is that of `pixelid gap`; what the model has from the beginning is then tested by taking it out.  Writes
@@ -41,7 +41,7 @@ def command(recordings, model, out, with_, without, alpha, crop, overwrite, seed
 
         kept = out.with_name(f".{out.name}.fits")  # interrupted and called again, the search reads back its fits
         with bar(quiet) as report:
-            result = conform(opened, base, alpha=alpha, seed=seed, progress=report, resume=kept)
+            result = conform(opened, base, alpha=alpha, seed=seed, progress=report, resume=kept, where=where)
         with whole_folder(out, overwrite) as folder:
             result.write(folder)
             write_figures(result, opened, folder)

@@ -18,7 +18,7 @@ Example:
 
 @click.command("gap", epilog=EXAMPLE)
 @options.search
-def command(recordings, model, out, with_, without, alpha, crop, overwrite, seed, quiet):
+def command(recordings, model, out, with_, without, alpha, crop, where, overwrite, seed, quiet):
     """Find where a model and RECORDINGS (files or folders) disagree, and which effect is missing.
 
     The verdict is none, named, ambiguous or unknown.  Writes gap.json, model.toml (the grown model), figures and
@@ -41,7 +41,7 @@ def command(recordings, model, out, with_, without, alpha, crop, overwrite, seed
 
         kept = out.with_name(f".{out.name}.fits")  # interrupted and called again, the search reads back its fits
         with bar(quiet, compiles=True) as report:
-            result = gap(opened, base, alpha=alpha, seed=seed, progress=report, resume=kept)
+            result = gap(opened, base, alpha=alpha, seed=seed, progress=report, resume=kept, where=where)
         with whole_folder(out, overwrite) as folder:
             result.write(folder)
             write_figures(result, opened, folder)

@@ -29,20 +29,13 @@ Example:
 @click.option(
     "--bootstrap", type=click.IntRange(0, 1_000_000), default=200, show_default=True, help="Replicates over pixels."
 )
-@click.option("--workers", type=click.IntRange(0, 1024), default=0, help="Local Dask processes; 0: this process alone.")
-@click.option("--cluster", default="", metavar="tcp://HOST:PORT", help="A running Dask scheduler.")
-@click.option(
-    "--tls-ca", type=options.PATH, help="Certificate of the scheduler's authority (PEM), for tls://HOST:PORT."
-)
-@click.option("--tls-cert", type=options.PATH, help="Certificate to show the scheduler, which takes nobody without.")
-@click.option("--tls-key", type=options.PATH, help="Its private key.")
+@options.where
 @options.crop
 @options.overwrite
 @options.seed()
 @options.quiet
 def command(
-    recordings, model, out, bandwidth, block, tile, bootstrap, workers, cluster, tls_ca, tls_cert, tls_key, crop,
-    overwrite, seed, quiet,
+    recordings, model, out, bandwidth, block, tile, bootstrap, where, crop, overwrite, seed, quiet,
 ):  # fmt: skip
     """Map thresholds and a bandwidth over the sensor of RECORDINGS (files or folders, full-field light).
 
@@ -64,9 +57,6 @@ def command(
 
         circuit = find_model(model)
         check_readable(recordings)  # before anything slow is imported
-        from pixelid.sensors.work import Where
-
-        where = Where(cluster, workers, tls_ca, tls_cert, tls_key)
         opened = open_recordings(recordings, crop, seed)
         from pixelid.report.html import write_report
         from pixelid.sensors import fit_sensor

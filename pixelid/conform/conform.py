@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from pixelid.cluster import Where, Work, connected
 from pixelid.conform.fold import Beside, rows_of
 from pixelid.conform.removals import removals
 from pixelid.conform.result import ConformReport
@@ -36,6 +37,7 @@ def conform(
     seed: int = 0,
     progress: Report | None = None,
     resume: Path | None = None,
+    where: Where | None = None,
 ) -> ConformReport:
     """What of the signal path recordings of a simulator or a camera have.
 
@@ -49,6 +51,7 @@ def conform(
         seed: Decides the split of the pixels and every draw.
         progress: Called with what is being done and the fraction of the whole that is done.
         resume: A file that keeps the fits made so far; removed at the end.
+        where: Who fits and simulates, as for `gap`.
 
     Raises:
         InputError: As `gap`.
@@ -56,12 +59,13 @@ def conform(
     check_searchable(recordings, model, alpha)
     cache = None if resume is None else FitCache(resume)
     report = progress or (lambda what, fraction: None)
-    context = Context(Options(alpha, seed), cache, report)
     criteria = Criteria()
-    if all(r.pooled for r in recordings):
-        found, beside = search_pooled(recordings, model, context), Beside(pixels=False)
-    else:
-        found, beside = _searched(recordings, model, context)
+    with connected(where or Where()) as client:
+        context = Context(Options(alpha, seed), cache, report, Work(client))
+        if all(r.pooled for r in recordings):
+            found, beside = search_pooled(recordings, model, context), Beside(pixels=False)
+        else:
+            found, beside = _searched(recordings, model, context)
     if cache is not None:
         cache.remove()
     sensor = ", ".join(dict.fromkeys(r.sensor for r in recordings if r.sensor))

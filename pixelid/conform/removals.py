@@ -44,7 +44,7 @@ def removals(state: State, context: Context) -> dict[str, Removal]:
     named = {step.effect for step in state.steps}
     effects = [e for e in stages.LIBRARY if fitted.has(e) and e not in {*named, *NOT_IN_DENSITY, IN_ANY_DENSITY}]
     evidence = state.hypothesis.evidence.weighed(fitted.circuit())
-    judged = candidates_of(evidence, fitted, None, context.cache)
+    judged = candidates_of(evidence, fitted, None, context.cache, context.work)
     tried = len(effects) + 1
     told: dict[str, Removal] = {}
     for effect in effects:

@@ -10,12 +10,16 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Generic, TypeVar
 from weakref import WeakKeyDictionary
 
 import numpy as np
 
 from pixelid import __version__
+from pixelid.cluster import Work
 from pixelid.errors import OutputError
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.model.files import to_document
@@ -26,19 +30,35 @@ from pixelid.recordings.recording import Recording
 DIGEST_BYTES = 16  # 2⁻⁶⁴ for two of a search's few thousand fits to share a key
 
 
+Item = TypeVar("Item")
+Made = TypeVar("Made")
+
+
 class FitCache:
     """Entries of fits by key, in memory and in a file.
 
     Args:
-        path: The file; read when it exists, made with the first entry.
+        path: The file; read when it exists, made with the first entry.  None: in memory alone.
+        entries: Fits already made.
     """
 
-    def __init__(self, path: Path) -> None:
-        self.path = Path(path)
-        self._entries: dict[str, dict] = {}
+    def __init__(self, path: Path | None, entries: Mapping[str, dict] | None = None) -> None:
+        self.path = path
+        self._entries: dict[str, dict] = dict(entries or {})
         self._events: WeakKeyDictionary[EventTimes, bytes] = WeakKeyDictionary()  # of likelihoods, which do not change
-        if self.path.exists():
-            self._read()
+        if path is not None and path.exists():
+            self._read(path)
+        self._known = set(self._entries)
+
+    @property
+    def entries(self) -> Mapping[str, dict]:
+        """All entries."""
+        return self._entries
+
+    @property
+    def added(self) -> dict[str, dict]:
+        """The entries that it neither read nor was made with."""
+        return {key: entry for key, entry in self._entries.items() if key not in self._known}
 
     def get(self, key: str) -> dict | None:
         """The entry of a fit, None when it has not been made."""
@@ -47,6 +67,8 @@ class FitCache:
     def add(self, key: str, entry: dict) -> None:
         """Keep an entry, and write it out."""
         self._entries[key] = entry
+        if self.path is None:
+            return
         try:
             with self.path.open("a", encoding="utf-8") as file:
                 file.write("\n" + _line(key, entry))
@@ -55,7 +77,8 @@ class FitCache:
 
     def remove(self) -> None:
         """Remove the file: the computation is done."""
-        self.path.unlink(missing_ok=True)
+        if self.path is not None:
+            self.path.unlink(missing_ok=True)
 
     def key(self, likelihood: EventTimes, model: Model, *settings: float) -> str:
         """Hash, in hexadecimal, of all that a fit depends on.
@@ -74,14 +97,56 @@ class FitCache:
             hashed.update(repr(sorted(model.nuisances.items())).encode())
         return hashed.hexdigest()
 
-    def _read(self) -> None:
-        lines = self.path.read_bytes().split(b"\n")
+    def _read(self, path: Path) -> None:
+        lines = path.read_bytes().split(b"\n")
         read = [_entry(line) for line in lines if line]
         self._entries = dict(pair for pair in read if pair is not None)
         if None in read[:-1]:  # not just cut off at its end
-            set_aside(self.path, "is damaged (its sound lines are kept)", "damaged")
+            set_aside(path, "is damaged (its sound lines are kept)", "damaged")
             for key, entry in self._entries.items():
                 self.add(key, entry)
+
+
+def map_fits(
+    work: Work,
+    function: Callable[[Item, FitCache | None], Made],
+    items: Iterable[Item],
+    cache: FitCache | None,
+    begun: Callable[[Item], None] = lambda item: None,
+) -> list[Made]:
+    """Apply a function that fits to every item, and keep the fits that it makes, whoever makes them.
+
+    Args:
+        work: Who does it.
+        function: What to do with an item and a cache.
+        items: The items.
+        cache: Fits already made.
+        begun: Called with each item when its turn comes.
+
+    Returns:
+        The results in the order of the items.
+    """
+    if not work.apart:
+        return work.map(lambda item: function(item, cache), items, begun)
+    results = work.map(_Apart(function, None if cache is None else dict(cache.entries)), items, begun)
+    for _, added in results:
+        for key, entry in added.items():
+            if cache is not None and cache.get(key) is None:
+                cache.add(key, entry)
+    return [result for result, _ in results]
+
+
+@dataclass(frozen=True)
+class _Apart(Generic[Item, Made]):
+    """A function that fits, in a process that cannot write the cache: what it adds comes back beside the result."""
+
+    function: Callable[[Item, FitCache | None], Made]
+    entries: Mapping[str, dict] | None
+
+    def __call__(self, item: Item) -> tuple[Made, dict[str, dict]]:
+        cache = None if self.entries is None else FitCache(None, self.entries)
+        made = self.function(item, cache)
+        return made, {} if cache is None else cache.added
 
 
 def _line(key: str, entry: dict) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+from pixelid.cluster import Where, Work, connected
 from pixelid.errors import InputError
 from pixelid.fit.cache import FitCache
 from pixelid.gap.criteria import Criteria
@@ -27,6 +28,7 @@ def gap(
     progress: Report | None = None,
     resume: Path | None = None,
     recommend: bool = True,
+    where: Where | None = None,
 ) -> GapReport:
     """Search the recordings for effects that the model lacks.
 
@@ -41,10 +43,12 @@ def gap(
         resume: A file that keeps the fits made so far: a search interrupted and called again reads them back and comes
             to the same result.  It is removed at the end.
         recommend: Also work out what to record next.
+        where: Who fits candidates and simulates: this process, local ones or a cluster.  The result is the same.
 
     Raises:
-        InputError: For recordings without pixels or stimulus, of several sensors, and a model that the event-time
-            likelihood cannot use.
+        InputError: For recordings without pixels or stimulus, of several sensors, a model that the event-time
+            likelihood cannot use, and a cluster that does not answer.
+        UntrustworthyResult: The cluster was lost.
 
     Example:
         >>> from pixelid.gap.gap import gap
@@ -57,9 +61,10 @@ def gap(
     check_searchable(recordings, model, alpha)
     options = Options(alpha, seed, tuple(leave_out), criteria or Criteria(), recommend)
     cache = None if resume is None else FitCache(resume)
-    context = Context(options, cache, progress or (lambda what, fraction: None))
     pooled = all(r.pooled for r in recordings)
-    report = search_pooled(recordings, model, context) if pooled else search(recordings, model, context)
+    with connected(where or Where()) as client:
+        context = Context(options, cache, progress or (lambda what, fraction: None), Work(client))
+        report = search_pooled(recordings, model, context) if pooled else search(recordings, model, context)
     if cache is not None:
         cache.remove()
     return report

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
+from pixelid.cluster import Work
 from pixelid.fit.cache import FitCache
 from pixelid.fit.result import Stopwatch
 from pixelid.gap.criteria import Criteria
@@ -40,10 +41,11 @@ class Options:
 
 @dataclass(frozen=True)
 class Context:
-    """What every step is handed beside the state: how to decide, where fits are kept, whom to tell how far it is,
-    and since when it runs."""
+    """What every step is handed beside the state: how to decide, where fits are kept, who does what can be
+    done side by side, whom to tell how far it is, and since when it runs."""
 
     options: Options
     cache: FitCache | None = None
     report: Report = lambda what, fraction: None
+    work: Work = field(default_factory=Work)
     watch: Stopwatch = field(default_factory=Stopwatch)

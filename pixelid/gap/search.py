@@ -43,7 +43,7 @@ def begin(recordings: Sequence[Recording], model: Model, context: Context) -> St
     model = as_light_tells(model, recordings)
     recordings = with_mended_clocks(recordings, model, options.seed)
     timely = tuple(r.within_stimulus() for r in recordings)
-    evidence, base = fit_base(timely, split, model, criteria, options.seed, context.cache)
+    evidence, base = fit_base(timely, split, model, criteria, options.seed, context.cache, context.work)
     allowed = criteria.max_unexplained_fraction
     first = diagnose(evidence.training, base, criteria, options.seed, background_fraction=allowed)
     hypothesis = Hypothesis(timely, evidence, base, first, evidence.nominal)

@@ -14,6 +14,7 @@ from typing import ClassVar
 import numpy as np
 
 from pixelid import __version__
+from pixelid.cluster import Where, connected, run_tasks
 from pixelid.documents import interpreting, read_json
 from pixelid.errors import InputError
 from pixelid.model.files import load_model, save_model
@@ -26,7 +27,6 @@ from pixelid.sensors.map import Map
 from pixelid.sensors.profile import REACH, Plan, estimate_tile
 from pixelid.sensors.shrinkage import bootstrap, population, shrink
 from pixelid.sensors.tiles import common_size, tiles_of
-from pixelid.sensors.work import Where, connected, run_tasks
 from pixelid.status import Status
 
 CHUNK = 20  # bootstrap replicates per task

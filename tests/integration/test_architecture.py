@@ -7,12 +7,14 @@ import pytest
 
 PACKAGE = Path(__file__).resolve().parents[2] / "pixelid"
 BASE = {
-    "arrays", "documents", "errors", "figures", "interruption", "outputs", "parallel", "provenance", "results", "status"
+    "arrays", "cluster", "documents", "errors", "figures", "interruption", "outputs", "parallel", "provenance",
+    "results", "status",
 }  # fmt: skip
 MAY_IMPORT = {
     "errors": set(),
     "documents": {"errors"},
     "arrays": {"documents", "errors"},
+    "cluster": {"arrays", "errors", "outputs"},
     "figures": set(),
     "interruption": set(),
     "outputs": {"documents", "errors"},

@@ -10,6 +10,7 @@ from scipy import stats
 from scipy.interpolate import CubicSpline
 
 from pixelid.cli.main import main
+from pixelid.cluster import Where, Work
 from pixelid.design.menu import candidate
 from pixelid.errors import InputError
 from pixelid.fit.coordinates import Coordinates
@@ -452,6 +453,24 @@ def test_an_interrupted_search_goes_on(tmp_path):
     assert (again.verdict, again.global_p, again.rounds) == (plain.verdict, plain.global_p, plain.rounds)
 
 
+@pytest.mark.slow
+def test_workers_change_nothing(tmp_path):
+    lights = {"slow_24": slow(24.0, seed=2), "steps_24": steps(24.0, seed=1), "constant_24": constant(24.0)}
+    recordings = session(MODEL.with_effect("leak", {"rate_hz": 5.0}), side=3, seed=4, lights=lights)
+    alone = gap(recordings, MODEL, resume=tmp_path / "fits", recommend=False)
+    began = []
+    shared = gap(
+        recordings, MODEL, resume=tmp_path / "fits", recommend=False, where=Where(workers=2),
+        progress=lambda what, fraction: began.append(what),
+    )  # fmt: skip
+    assert {"leak", "dark_current"} <= {what.rsplit(" ", 1)[-1] for what in began}  # each is said as it is sent off
+    plain, other = (report.as_dict() for report in (alone, shared))
+    for told in (plain, other):
+        del told["seconds"]
+    assert plain == other
+    assert plain["effects"]
+
+
 def test_a_round_compares_under_one_likelihood_and_leaves_its_state_as_it_was():
     recordings = session(
         MODEL.with_effect("leak", {"rate_hz": 5.0}), side=3, seed=4, lights={"slow_24": slow(24.0, seed=2)}
@@ -460,8 +479,8 @@ def test_a_round_compares_under_one_likelihood_and_leaves_its_state_as_it_was():
     state = begin(recordings, MODEL, context)
     pools = state.hypothesis.evidence
     weighed = pools.weighed(MODEL.with_effect("timestamp_jitter").circuit())
-    judged = candidates_of(weighed, state.base.model, None, None)
-    for fit in (judged.base, judged.fit_without("leak", judged.screen("leak")[0])):  # either side of a gain
+    judged = candidates_of(weighed, state.base.model, None, None, Work())
+    for fit in (judged.base, judged.fit_without("leak", judged.screen(["leak"], print)[0][0])):  # either side of a gain
         assert fit.value == pytest.approx(weighed.fitting.log_likelihood(fit.model.circuit()), abs=1e-6)
     then = name_effect(replace(state, phase=Phase.NAME), context)
     assert len(then.rounds) == 1

@@ -11,15 +11,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from pixelid import cluster as cluster_module
 from pixelid.cli.main import main
+from pixelid.cluster import LOOPBACK, Where, connected, run_tasks
 from pixelid.errors import InputError, SetAside, UntrustworthyResult
 from pixelid.model.shipped import find_model
 from pixelid.recordings import write_recording
 from pixelid.recordings.events import Events
 from pixelid.recordings.recording import Recording
-from pixelid.sensors import SensorFit, fit_sensor, work
+from pixelid.sensors import SensorFit, fit_sensor
 from pixelid.sensors.shrinkage import population, shrink
-from pixelid.sensors.work import Where, connected, run_tasks
 from pixelid.simulate import simulate
 from pixelid.stimuli import shapes
 
@@ -152,10 +153,10 @@ def test_a_cluster_that_is_none_is_said_within_seconds(where, tmp_path, sensor, 
 
     from distributed import LocalCluster
 
-    monkeypatch.setattr(work, "ANSWER_S", 1.0)
+    monkeypatch.setattr(cluster_module, "ANSWER_S", 1.0)
     write_recording(sensor[0], tmp_path / "r.h5")
     with socket.socket() as silent, ExitStack() as running:
-        silent.bind((work.LOOPBACK, 0))
+        silent.bind((LOOPBACK, 0))
         address = {
             "nobody": "tcp://127.0.0.1:1",
             "nonsense": "mail://\x1b[31m",
@@ -165,7 +166,11 @@ def test_a_cluster_that_is_none_is_said_within_seconds(where, tmp_path, sensor, 
             silent.listen()
             address = f"tcp://127.0.0.1:{silent.getsockname()[1]}"
         elif where == "no workers":
-            quiet = {"host": work.LOOPBACK, "dashboard_address": f"{work.LOOPBACK}:0", "silence_logs": 50}
+            quiet = {
+                "host": LOOPBACK,
+                "dashboard_address": f"{LOOPBACK}:0",
+                "silence_logs": 50,
+            }
             cluster = LocalCluster(1, threads_per_worker=1, processes=False, protocol="tcp", **quiet)
             address = running.enter_context(cluster).scheduler_address
             cluster.scale(0)
@@ -218,7 +223,12 @@ def test_a_scheduler_that_asks_for_certificates(tmp_path):
         for what, value in (("cert", certificate), ("key", key))
     }
     security = Security(tls_ca_file=ca, require_encryption=True, **each)
-    quiet = {"host": work.LOOPBACK, "dashboard_address": f"{work.LOOPBACK}:0", "silence_logs": 50, "processes": False}
+    quiet = {
+        "host": LOOPBACK,
+        "dashboard_address": f"{LOOPBACK}:0",
+        "silence_logs": 50,
+        "processes": False,
+    }
     with LocalCluster(1, protocol="tls", security=security, **quiet) as cluster:
         with connected(Where(cluster.scheduler_address, 0, *files("ours"))) as client:
             assert [int(r["square"]) for r in run_tasks(_square, 3, lambda i: (i,), client=client)] == [0, 1, 4]
@@ -248,8 +258,8 @@ def test_a_cluster_that_is_lost_is_said(status, says, monkeypatch):
         raise TimeoutError
 
     monkeypatch.setattr("distributed.wait", nothing_comes)
-    monkeypatch.setattr(work, "WORKERS_S", 0.1)
-    monkeypatch.setattr(work, "LOOK_S", 0.02)
+    monkeypatch.setattr(cluster_module, "WORKERS_S", 0.1)
+    monkeypatch.setattr(cluster_module, "LOOK_S", 0.02)
     with pytest.raises(UntrustworthyResult, match=f"{says}.*start the same command again"):
         run_tasks(_square, 2, lambda i: (i,), client=Client())
 

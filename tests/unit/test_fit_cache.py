@@ -5,8 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from pixelid.cluster import LOOPBACK, Work
 from pixelid.errors import SetAside
-from pixelid.fit.cache import FitCache
+from pixelid.fit.cache import FitCache, map_fits
 from pixelid.fit.maximise import maximise
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.model.shipped import find_model
@@ -80,3 +81,26 @@ def test_a_damaged_file_is_set_aside_and_its_sound_lines_kept(tmp_path, damage):
     assert [again.get(key) for key in ("a", "b", "c")] == [None, {"x": [1.0]}, {"x": [1.0]}]
     assert (tmp_path / "fits.damaged").exists()
     assert FitCache(path).get("c") == {"x": [1.0]}
+
+
+def test_fits_made_elsewhere_are_the_same_and_are_kept(tmp_path, likelihood):
+    from distributed import Client, LocalCluster
+
+    starts = [MODEL.set({"on_threshold": threshold}) for threshold in (0.19, 0.2, 0.21)]
+    quiet = {"host": LOOPBACK, "dashboard_address": f"{LOOPBACK}:0", "silence_logs": 50, "protocol": "tcp"}
+
+    def fit(start, cache):
+        return maximise(likelihood, start, tolerance=0.5, max_steps=2, cache=cache)
+
+    begun = []
+    here = map_fits(Work(), fit, starts, None)
+    with LocalCluster(1, threads_per_worker=2, processes=False, **quiet) as cluster, Client(cluster) as client:
+        there = map_fits(Work(client), fit, starts, FitCache(tmp_path / "fits"), begun.append)
+    assert begun == starts
+    for one, other in zip(here, there, strict=True):
+        assert one.value == other.value
+        np.testing.assert_array_equal(one.x, other.x)
+    kept = FitCache(tmp_path / "fits")
+    assert len(kept.entries) == len(starts)
+    assert kept.added == {}
+    assert all(kept.get(kept.key(likelihood, start, 0.5, 2)) is not None for start in starts)

@@ -21,6 +21,7 @@ from pixelid.model.model import Model
 MAX_LEADERS = 4
 MIN_SCREENED_NATS = 3.0  # a name needs 5.5 at alpha 0.01; screening stops early and sees part of the pixels
 MIN_SHARE_OF_LEADER = 0.05  # of the best screened gain, for a third effect to be fitted
+Report = Callable[[str], None]  # called with the effect that is tried
 NO_START = "none of the strengths tried can be evaluated here, or is worth a fit"
 
 
@@ -45,12 +46,12 @@ class Evidence(Protocol[F]):
         """The model without any of the candidates, on the fit units."""
         ...
 
-    def screen(self, effect: str) -> tuple[F, float] | None:
-        """(the effect fitted to a few units, nats gained there); None where no strength of it can be evaluated."""
+    def screen(self, effects: Sequence[str], report: Report) -> list[tuple[F, float] | None]:
+        """For each effect (it fitted to a few units, nats gained there); None where no strength can be evaluated."""
         ...
 
-    def fit(self, start: F, leading: bool) -> F:
-        """A screened candidate on the fit units; the leading one to the end."""
+    def fit(self, starts: Sequence[tuple[str, F]], report: Report) -> list[F]:
+        """Screened candidates on the fit units; the first one, which leads, to the end."""
         ...
 
     def fit_without(self, effect: str, end: F) -> F | None:
@@ -109,27 +110,23 @@ def attribute(
     evidence: Evidence[F],
     effects: Sequence[str],
     options: Options,
-    report: Callable[[str], None] = lambda what: None,
+    report: Report = lambda what: None,
 ) -> Attribution[F]:
     """Try effects that the model of the evidence lacks."""
     base = evidence.base
     screened: dict[str, F] = {}
     gains: dict[str, float] = {}
     skipped: dict[str, str] = {}
-    for effect in effects:
-        report(effect)
-        fitted = evidence.screen(effect)
+    for effect, fitted in zip(effects, evidence.screen(effects, report), strict=True):
         if fitted is None:
             skipped[effect] = NO_START
         else:
             screened[effect], gains[effect] = fitted
     candidates = []
     leaders = _leaders(gains)
-    for effect in leaders:
-        report(effect)
-        leading = effect == leaders[0]
-        end = evidence.fit(screened[effect], leading)
-        if leading:  # the model without it may owe its lower place to its other parameters
+    ends = evidence.fit([(effect, screened[effect]) for effect in leaders], report)
+    for effect, end in zip(leaders, ends, strict=True):
+        if effect == leaders[0]:  # the model without it may owe its lower place to its other parameters
             again = evidence.fit_without(effect, end)
             base = again if again is not None and again.value > base.value else base
         gain = end.value - base.value

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from pixelid.fit.cache import FitCache
+from pixelid.cluster import Work
+from pixelid.fit.cache import FitCache, map_fits
 from pixelid.fit.maximise import Maximum, maximise
-from pixelid.gap.attribute.attribute import MIN_SCREENED_NATS
+from pixelid.gap.attribute.attribute import MIN_SCREENED_NATS, Report
 from pixelid.gap.attribute.candidates import remove_effect, start_in_each, strongest_start
 from pixelid.gap.attribute.significance import chance_of_gain, own_values
 from pixelid.gap.detect.pixels import PixelEvidence, per_pixel
 from pixelid.gap.imputation.windows import DELAY
+from pixelid.likelihood.event_times import EventTimes
 from pixelid.model.model import Model
 
 # Optimiser steps of a screening fit.  Poles, and a floor of the bandwidth, trade places with the poles that the model
@@ -36,6 +39,7 @@ class PixelCandidates:
         base_screened, base: That model on the pixels to screen on, and on the fit pixels.
         restart: The model at its shipped values, to screen from as well; None where the fitted ones are to be trusted.
         cache: Fits already made.
+        work: Who fits.
     """
 
     evidence: PixelEvidence
@@ -43,57 +47,18 @@ class PixelCandidates:
     base: Maximum
     restart: Model | None
     cache: FitCache | None
+    work: Work = field(default_factory=Work)
 
-    def screen(self, effect: str) -> tuple[Maximum, float] | None:
-        """(the effect fitted to a few pixels, nats gained there), from the best of the strengths tried."""
-        best: Maximum | None = None
-        pool, steps = self.evidence.screening, SCREEN_STEPS_TRADING if effect in TRADING_PLACES else SCREEN_STEPS
-        for origin in (self.base_screened.model, self.restart):
-            start = None if origin is None else strongest_start(pool, origin, effect, self.base_screened.value)
-            if start is None:
-                continue
-            end = self._screened(start, steps)
-            if best is None or end.value > best.value:
-                best = end
-        if best is None:
-            return None
-        own = self._screen_in_each(effect, best.value)
-        best = best if own is None else own
-        return best, best.value - self.base_screened.value
+    def screen(self, effects: Sequence[str], report: Report) -> list[tuple[Maximum, float] | None]:
+        """For each effect (it fitted to a few pixels, nats gained there), from the best of the strengths tried."""
+        screen = _Screen(self.evidence.screening, self.base_screened, self.restart)
+        return map_fits(self.work, screen, effects, self.cache, report)
 
-    def _screened(self, start: Model, steps: int) -> Maximum:
-        """A start fitted to a few pixels; where the delay of the stamps is free, also with it held at first.
-
-        Far from the optimum a delay runs to its bound in the place of what is missing, and holds the fit there.
-        """
-        pool, cache = self.evidence.screening, self.cache
-        end = maximise(pool, start, tolerance=0.3, max_steps=steps, cache=cache)
-        if DELAY not in start.free:
-            return end
-        held = maximise(pool, start.fix({DELAY: None}), tolerance=0.3, max_steps=steps, cache=cache).model
-        freed = replace(held, parameters={**held.parameters, DELAY: start.parameter(DELAY)})
-        again = maximise(pool, freed, tolerance=0.3, max_steps=steps, cache=cache)
-        return again if again.value > end.value else end
-
-    def _screen_in_each(self, effect: str, shared: float) -> Maximum | None:
-        """The effect with what starts anew free in each recording; None where that is not surely worth it.
-
-        shared: log-likelihood with it shared by all
-        """
-        pool = self.evidence.screening
-        starts = [start_in_each(pool, m, effect) for m in (self.base_screened.model, self.restart) if m is not None]
-        start = max((s for s in starts if s is not None), key=lambda s: s[1], default=None)
-        if start is None or start[1] < self.base_screened.value + MIN_SCREENED_NATS:
-            return None
-        end = maximise(pool, start[0], tolerance=0.3, max_steps=SCREEN_STEPS_OWN, cache=self.cache)
-        of_own = chance_of_gain(effect, end.value - self.base_screened.value, 1, own_values(end.model, effect))
-        of_shared = chance_of_gain(effect, shared - self.base_screened.value, 1)
-        return end if of_own < min(WORTH_P, of_shared) else None
-
-    def fit(self, start: Maximum, leading: bool) -> Maximum:
-        """A screened candidate on the fit pixels."""
-        steps = LEADING_STEPS if leading else FIT_STEPS
-        return maximise(self.evidence.fitting, start.model, tolerance=0.02, max_steps=steps, cache=self.cache)
+    def fit(self, starts: Sequence[tuple[str, Maximum]], report: Report) -> list[Maximum]:
+        """Screened candidates on the fit pixels; the first one, which leads, to the end."""
+        jobs = [(name, end.model, FIT_STEPS if i else LEADING_STEPS) for i, (name, end) in enumerate(starts)]
+        fit = _Fit(self.evidence.fitting)
+        return map_fits(self.work, fit, jobs, self.cache, lambda job: report(job[0]))
 
     def fit_without(self, effect: str, end: Maximum) -> Maximum:
         """The model without an effect, from the values that it has with it."""
@@ -106,8 +71,79 @@ class PixelCandidates:
         return per_pixel(pool, better.model) - per_pixel(pool, worse.model)
 
 
+@dataclass(frozen=True)
+class _Fit:
+    """A candidate (name, model to start from, steps) fitted to the fit pixels."""
+
+    pool: EventTimes
+
+    def __call__(self, job: tuple[str, Model, int], cache: FitCache | None) -> Maximum:
+        _, start, steps = job
+        return maximise(self.pool, start, tolerance=0.02, max_steps=steps, cache=cache)
+
+
+@dataclass(frozen=True)
+class _Screen:
+    """An effect fitted to a few pixels.
+
+    Attributes:
+        pool: These pixels.
+        base: The model under test there.
+        restart: As of `PixelCandidates`.
+    """
+
+    pool: EventTimes
+    base: Maximum
+    restart: Model | None
+
+    def __call__(self, effect: str, cache: FitCache | None) -> tuple[Maximum, float] | None:
+        """(the effect fitted, nats gained); None where no strength of it can be evaluated."""
+        best: Maximum | None = None
+        steps = SCREEN_STEPS_TRADING if effect in TRADING_PLACES else SCREEN_STEPS
+        for origin in (self.base.model, self.restart):
+            start = None if origin is None else strongest_start(self.pool, origin, effect, self.base.value)
+            if start is None:
+                continue
+            end = self._screened(start, steps, cache)
+            if best is None or end.value > best.value:
+                best = end
+        if best is None:
+            return None
+        own = self._in_each(effect, best.value, cache)
+        best = best if own is None else own
+        return best, best.value - self.base.value
+
+    def _screened(self, start: Model, steps: int, cache: FitCache | None) -> Maximum:
+        """A start fitted to a few pixels; where the delay of the stamps is free, also with it held at first.
+
+        Far from the optimum a delay runs to its bound in the place of what is missing, and holds the fit there.
+        """
+        pool = self.pool
+        end = maximise(pool, start, tolerance=0.3, max_steps=steps, cache=cache)
+        if DELAY not in start.free:
+            return end
+        held = maximise(pool, start.fix({DELAY: None}), tolerance=0.3, max_steps=steps, cache=cache).model
+        freed = replace(held, parameters={**held.parameters, DELAY: start.parameter(DELAY)})
+        again = maximise(pool, freed, tolerance=0.3, max_steps=steps, cache=cache)
+        return again if again.value > end.value else end
+
+    def _in_each(self, effect: str, shared: float, cache: FitCache | None) -> Maximum | None:
+        """The effect with what starts anew free in each recording; None where that is not surely worth it.
+
+        shared: log-likelihood with it shared by all
+        """
+        starts = [start_in_each(self.pool, m, effect) for m in (self.base.model, self.restart) if m is not None]
+        start = max((s for s in starts if s is not None), key=lambda s: s[1], default=None)
+        if start is None or start[1] < self.base.value + MIN_SCREENED_NATS:
+            return None
+        end = maximise(self.pool, start[0], tolerance=0.3, max_steps=SCREEN_STEPS_OWN, cache=cache)
+        of_own = chance_of_gain(effect, end.value - self.base.value, 1, own_values(end.model, effect))
+        of_shared = chance_of_gain(effect, shared - self.base.value, 1)
+        return end if of_own < min(WORTH_P, of_shared) else None
+
+
 def candidates_of(
-    evidence: PixelEvidence, model: Model, restart: Model | None, cache: FitCache | None
+    evidence: PixelEvidence, model: Model, restart: Model | None, cache: FitCache | None, work: Work
 ) -> PixelCandidates:
     """Evidence for candidates beside a model, from its fitted values.
 
@@ -116,7 +152,8 @@ def candidates_of(
         model: At its fitted values.
         restart: The model at shipped values, where what is missing may have led the fitted ones astray.
         cache: Fits already made.
+        work: Who fits.
     """
     screened = maximise(evidence.screening, model, tolerance=0.1, max_steps=25, cache=cache)
     base = maximise(evidence.fitting, model, tolerance=0.05, max_steps=25, cache=cache)
-    return PixelCandidates(evidence, screened, base, restart, cache)
+    return PixelCandidates(evidence, screened, base, restart, cache, work)

@@ -18,6 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pixelid.cluster import Work
 from pixelid.gap.confirm.counts import cell_weights, count_events, wait_edges
 from pixelid.gap.confirm.simulated import count_sensors, count_twins
 from pixelid.gap.criteria import Criteria
@@ -97,25 +98,23 @@ def free_run(
     criteria: Criteria,
     seed: int,
     hot: np.ndarray | None = None,
+    work: Work | None = None,
 ) -> FreeRun:
     """The gap of two models on the events of `pixels` (P,).
 
     recordings: with their stimuli as the fit reads them;  timely: the same with what the readout did undone
     everyone: the active pixels of the sensor, which share one readout;  fitted: how many are behind the models' values
     hot: (P,) which of the pixels are hot: their twins fire the extra events of the model's hot_pixels
+    work: who simulates
     """
     edges = [wait_edges(r) for r in recordings]
     copies = COPIES + GROUPS
     alike = not after.has("shot_noise")
     measured = count_events(recordings, pixels, edges, after_first=alike)
-    expected = {}
-    for name, model, salt in (("before", before, 1), ("after", after, 2)):
-        tables = (
-            count_twins(recordings, timely, pixels, everyone, model, edges, copies, seed + 1000 * salt, hot)
-            if alike
-            else count_sensors(recordings, pixels, everyone, model, edges, copies, seed + 1000 * salt)
-        )
-        expected[name] = _expected(tables, 0.0 if alike else len(pixels) / fitted)
+    counts = _Counts(tuple(recordings), tuple(timely) if alike else None, pixels, everyone, edges, copies, hot)
+    simulated = (work or Work()).map(counts, ((before, seed + 1000), (after, seed + 2000)))
+    shared = 0.0 if alike else len(pixels) / fitted
+    expected = {name: _expected(table, shared) for name, table in zip(("before", "after"), simulated, strict=True)}
     variance = np.maximum(expected["after"].variance, MIN_VARIANCE)
     totals = sum(part.mean.sum(axis=0) for part in expected.values())
     weights = cell_weights(measured, (measured.table.sum(axis=0) + totals) > 0)
@@ -149,6 +148,29 @@ def free_run(
         total = max(own.sum(), 1e-300)
         per_recording[r.name] = tuple(float(own @ part / total) for part in parts)
     return FreeRun(*G, closed, interval, per_recording)  # type: ignore[arg-type]
+
+
+@dataclass(frozen=True)
+class _Counts:
+    """Counts (copies, P, cells) of the pixels' twins, or of other sensors, under a model and from a seed.
+
+    timely: as of `free_run`, None for other sensors
+    """
+
+    recordings: tuple[Recording, ...]
+    timely: tuple[Recording, ...] | None
+    pixels: np.ndarray
+    everyone: np.ndarray
+    edges: list[np.ndarray]
+    copies: int
+    hot: np.ndarray | None
+
+    def __call__(self, job: tuple[Model, int]) -> np.ndarray:
+        model, seed = job
+        seen = self.pixels, self.everyone, model, self.edges, self.copies, seed
+        if self.timely is None:
+            return count_sensors(self.recordings, *seen)
+        return count_twins(self.recordings, self.timely, *seen, self.hot)
 
 
 def _expected(tables: np.ndarray, shared: float) -> Expected:

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.stats import chi2
 
-from pixelid.fit.cache import FitCache
+from pixelid.fit.cache import FitCache, map_fits
 from pixelid.fit.maximise import Maximum, maximise
 from pixelid.gap.attribute.alternative import flexible_alternative
 from pixelid.gap.attribute.significance import leads
@@ -25,6 +25,7 @@ from pixelid.gap.detect.diagnostics import diagnose
 from pixelid.gap.detect.pixels import PixelEvidence, per_pixel
 from pixelid.gap.options import Context
 from pixelid.gap.state import Hypothesis
+from pixelid.likelihood.event_times import EventTimes
 from pixelid.stages.described import Described
 
 # Work that is saved: each leader costs a fit.
@@ -122,7 +123,8 @@ def _candidates(evidence: PixelEvidence, fit: Maximum, context: Context) -> tupl
     promising: dict[str, float] = {}
     for one in looked_at:
         promising.setdefault(one.own.name, one.gain)
-    candidates = [_fitted(one, base, evidence, len(looked_at), penalty, cache) for one in leaders]
+    fitted = _Fit(base, evidence.fitting, evidence.judging, len(looked_at), penalty)
+    candidates = map_fits(context.work, fitted, leaders, cache)
     candidates.sort(key=lambda c: -c.worth)
     return candidates, dict(list(promising.items())[: 2 * MAX_LEADERS])
 
@@ -149,19 +151,34 @@ def _leaders(looked_at: list[Screened], penalty: float) -> list[Screened]:
     return leaders[:MAX_LEADERS]
 
 
-def _fitted(
-    one: Screened, base: Maximum, evidence: PixelEvidence, tried: int, penalty: float, cache: FitCache | None
-) -> Candidate:
-    end = maximise(evidence.fitting, one.start, tolerance=0.02, max_steps=FIT_STEPS, cache=cache)
-    again = maximise(
-        evidence.fitting, end.model.without_effect(one.own.name), tolerance=0.1, max_steps=WITHOUT_STEPS, cache=cache
-    )  # the model without it may owe its lower place to its other parameters
-    worse = again if again.value > base.value else base
-    gain = end.value - worse.value
-    parameters = _parameters(one.own)
-    p = min(1.0, tried * float(chi2.sf(2.0 * max(gain, 0.0), parameters)))
-    held_out = per_pixel(evidence.judging, end.model) - per_pixel(evidence.judging, worse.model)
-    return Candidate(one.own, end, gain, p, held_out, penalty * parameters)
+@dataclass(frozen=True)
+class _Fit:
+    """A description fitted.
+
+    Attributes:
+        base: The model without any.
+        fitting, judging: Likelihoods of the fit pixels and of the select pixels.
+        tried: Number of shapes looked at.
+        penalty: Nats for each parameter.
+    """
+
+    base: Maximum
+    fitting: EventTimes
+    judging: EventTimes
+    tried: int
+    penalty: float
+
+    def __call__(self, one: Screened, cache: FitCache | None) -> Candidate:
+        end = maximise(self.fitting, one.start, tolerance=0.02, max_steps=FIT_STEPS, cache=cache)
+        less = end.model.without_effect(one.own.name)
+        again = maximise(self.fitting, less, tolerance=0.1, max_steps=WITHOUT_STEPS, cache=cache)
+        # the model without it may owe its lower place to its other parameters
+        worse = again if again.value > self.base.value else self.base
+        gain = end.value - worse.value
+        parameters = _parameters(one.own)
+        p = min(1.0, self.tried * float(chi2.sf(2.0 * max(gain, 0.0), parameters)))
+        held_out = per_pixel(self.judging, end.model) - per_pixel(self.judging, worse.model)
+        return Candidate(one.own, end, gain, p, held_out, self.penalty * parameters)
 
 
 def _earns_its_place(candidate: Candidate, flexible: float, context: Context) -> bool:

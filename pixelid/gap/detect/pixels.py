@@ -7,7 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pixelid.fit.cache import FitCache
+from pixelid.cluster import Work
+from pixelid.fit.cache import FitCache, map_fits
 from pixelid.fit.coordinates import Coordinates
 from pixelid.fit.maximise import Maximum, maximise, maximise_with_restarts
 from pixelid.fit.starts import feasible, longest_dead_time, random_starts
@@ -85,6 +86,7 @@ def fit_base(
     criteria: Criteria,
     seed: int,
     cache: FitCache | None = None,
+    work: Work | None = None,
 ) -> tuple[PixelEvidence, Maximum]:
     """The evidence with the light between samples under which the base model fits best, and the base fitted to it."""
     best: tuple[PixelEvidence, Maximum] | None = None
@@ -98,7 +100,7 @@ def fit_base(
         if best is None or end.value > best[1].value:
             best = evidence, end
     assert best is not None
-    return best[0], _search_elsewhere(*best, criteria, seed, cache)
+    return best[0], _search_elsewhere(*best, criteria, seed, cache, work or Work())
 
 
 def _screened(screening: EventTimes, nominal: Model, shipped: Model, cache: FitCache | None) -> Maximum:
@@ -122,7 +124,7 @@ def _screened(screening: EventTimes, nominal: Model, shipped: Model, cache: FitC
 
 
 def _search_elsewhere(
-    evidence: PixelEvidence, end: Maximum, criteria: Criteria, seed: int, cache: FitCache | None
+    evidence: PixelEvidence, end: Maximum, criteria: Criteria, seed: int, cache: FitCache | None, work: Work
 ) -> Maximum:
     """The base fit, from random starts as well where it leaves more events without a cause than it should.
 
@@ -136,14 +138,25 @@ def _search_elsewhere(
     here = maximise(few_pixels, end.model, tolerance=0.1, max_steps=25, cache=cache)
     coordinates = Coordinates.of(evidence.nominal)
     points = random_starts(coordinates.start, RANDOM_STARTS, np.random.default_rng(seed))
-    for start in (evidence.nominal, *(feasible(coordinates.model_at(point), few_pixels) for point in points)):
-        other = maximise_with_restarts(few_pixels, start, evidence.nominal, tolerance=0.1, max_steps=40, cache=cache)
+    starts = (evidence.nominal, *(feasible(coordinates.model_at(point), few_pixels) for point in points))
+    for other in map_fits(work, _FromAfar(few_pixels, evidence.nominal), starts, cache):
         if other.value > here.value + criteria.min_lead_nats:
             there = maximise_with_restarts(
                 evidence.training, other.model, evidence.nominal, tolerance=0.05, max_steps=25, cache=cache
             )
             here, end = other, there if there.value > end.value else end
     return end
+
+
+@dataclass(frozen=True)
+class _FromAfar:
+    """The base fitted to a few pixels from a start, and from its nominal cutoffs where some ran away."""
+
+    pool: EventTimes
+    nominal: Model
+
+    def __call__(self, start: Model, cache: FitCache | None) -> Maximum:
+        return maximise_with_restarts(self.pool, start, self.nominal, tolerance=0.1, max_steps=40, cache=cache)
 
 
 def reconsider_stimuli(

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pixelid.errors import InputError
+from pixelid.gap.attribute.attribute import Report
 from pixelid.gap.attribute.candidates import missing, remove_effect, variants
 from pixelid.gap.pooled_counts.stretches import Fitted, Stretches
 from pixelid.model.model import Model
@@ -30,8 +31,15 @@ class PooledCandidates:
     stretches: Stretches
     base: Fitted
 
-    def screen(self, effect: str) -> tuple[Fitted, float] | None:
-        """(the effect fitted to the stretches to fit, quasi nats gained), from the best of the strengths tried."""
+    def screen(self, effects: Sequence[str], report: Report) -> list[tuple[Fitted, float] | None]:
+        """For each effect (it fitted to the stretches to fit, quasi nats gained), from the best of the strengths."""
+        screened = []
+        for effect in effects:
+            report(effect)
+            screened.append(self._screen(effect))
+        return screened
+
+    def _screen(self, effect: str) -> tuple[Fitted, float] | None:
         part, base = self.stretches.part(FIT), self.base
         best: tuple[float, Model] | None = None
         for trial in variants(base.model, effect):
@@ -46,9 +54,9 @@ class PooledCandidates:
         end = self.stretches.fit(best[1], base.nuisances, part, STEPS)
         return end, end.value - base.value
 
-    def fit(self, start: Fitted, leading: bool) -> Fitted:
-        """The candidate as screened: that was a fit to all stretches to fit."""
-        return start
+    def fit(self, starts: Sequence[tuple[str, Fitted]], report: Report) -> list[Fitted]:
+        """The candidates as screened: that was a fit to all stretches to fit."""
+        return [end for _, end in starts]
 
     def fit_without(self, effect: str, end: Fitted) -> Fitted:
         """The model without an effect, from the values that it has with it."""

@@ -61,7 +61,8 @@ def _attribute(state: State, evidence: PixelEvidence, context: Context) -> Attri
     skip = {*options.leave_out, *([JITTER] if _hides_jitter(state) else [])}
     share = 0.1 + 0.6 * state.turn / MAX_ROUNDS
     return attribute(
-        candidates_of(evidence, model, restart, context.cache), [e for e in missing(model) if e not in skip], options,
+        candidates_of(evidence, model, restart, context.cache, context.work),
+        [e for e in missing(model) if e not in skip], options,
         lambda what: context.report(f"round {state.turn + 1}: {what}", share),
     )  # fmt: skip
 

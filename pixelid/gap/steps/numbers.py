@@ -24,7 +24,7 @@ def free_run_of(state: State, context: Context) -> FreeRun:
     everyone = np.union1d(split.train, split.confirm)
     return free_run(
         as_came, undone, pixels, everyone, len(split.train), state.base.model, state.grown_model,
-        context.options.criteria, context.options.seed, hot,
+        context.options.criteria, context.options.seed, hot, context.work,
     )  # fmt: skip
 
 

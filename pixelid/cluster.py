@@ -1,6 +1,6 @@
 """Many independent tasks, one after the other or on a Dask cluster, with the same results.
 
-A task carries its own data, so workers need no shared disk.  Results are kept on disk as they arrive: an interrupted
+A task carries its own data, so workers need no shared disk.  Results may be kept on disk as they arrive: an interrupted
 run continues where it stopped.  Dask gives the tasks of a worker that dies to another one.
 """
 
@@ -11,12 +11,12 @@ import logging
 import os
 import time
 import uuid
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import CancelledError, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -25,12 +25,14 @@ from pixelid.errors import InputError, UntrustworthyResult, first_line, shown
 from pixelid.outputs import set_aside, whole_file
 
 Result = Mapping[str, np.ndarray]
+Item = TypeVar("Item")
+Made = TypeVar("Made")
 MARK = "of"  # the array of a kept result that says what it belongs to
 
 # Dask has its workers hand every freed 64 KiB back to the system; fits allocate and free arrays of megabytes thousands
 # of times, and getting the pages back took as long as the fits themselves.
 KEEP_FREED_MEMORY = "distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_"
-
+ONE_THREAD = "distributed.nanny.pre-spawn-environ.PIXELID_THREADS"  # local workers share the cores already
 
 ANSWER_S = 5.0  # for a scheduler to answer, and to name a worker: one that runs takes milliseconds
 LOOPBACK = "127.0.0.1"
@@ -71,6 +73,49 @@ class Where:
         for name, file in files.items():
             if file is not None and not file.is_file():
                 raise InputError(f"{name}: {file}: expected a PEM file, found no such file")
+
+
+@dataclass(frozen=True)
+class Work:
+    """Who does the independent parts of a computation: this process, or the workers of a Dask client.
+
+    Attributes:
+        client: Of `connected`; None: this process.
+    """
+
+    client: Any = None
+
+    @property
+    def apart(self) -> bool:
+        """Whether other processes do it."""
+        return self.client is not None
+
+    def map(
+        self,
+        function: Callable[[Item], Made],
+        items: Iterable[Item],
+        begun: Callable[[Item], None] = lambda item: None,
+    ) -> list[Made]:
+        """Apply a function to every item.
+
+        Args:
+            function: What to do with one item; with a client it and the items are sent to other processes.
+            items: The items.
+            begun: Called with each item when its turn comes.
+
+        Returns:
+            The results in the order of the items.
+
+        Raises:
+            UntrustworthyResult: The workers were lost.
+        """
+        items = list(items)
+
+        def task(i: int) -> tuple[Item]:
+            begun(items[i])
+            return (items[i],)
+
+        return run_tasks(function, len(items), task, client=self.client)  # type: ignore[arg-type, return-value]
 
 
 def run_tasks(
@@ -225,7 +270,7 @@ def _client(where: Where, distributed: Any) -> Iterator[Any]:
     from dask import config
 
     with (
-        config.set({KEEP_FREED_MEMORY: 1 << 31}),
+        config.set({KEEP_FREED_MEMORY: 1 << 31, ONE_THREAD: 1}),
         distributed.LocalCluster(
             n_workers=where.workers, threads_per_worker=1, processes=True, host=LOOPBACK,
             dashboard_address=f"{LOOPBACK}:0", silence_logs=50,
