@@ -121,6 +121,7 @@ def reconstruct(
     refine_time: float | None = None,
     refine_poses: tuple[float, float] | None = None,
     gap: bool = False,
+    beside: str | Path | None = None,
     iterations: int | None = None,
     background: float | None = None,
     scale: str = "auto",
@@ -145,6 +146,7 @@ def reconstruct(
         refine_time: train an offset between the clocks of poses and events, known to so many seconds.
         refine_poses: train smooth corrections of the poses, known to so much of the scene's unit and so many degrees.
         gap: look in the events for effects that the pixel lacks, and train with those found.
+        beside: folder of another reconstruction of the dataset, shown beside this one.
         iterations: training steps.
         background: radiance behind the scene; by default what the views show.
         scale: what pins the radiance unit: "auto", "level" or "free".
@@ -182,8 +184,9 @@ def reconstruct(
     return run(
         read_dataset(Path(dataset)), fit=None if fit is None else Path(fit),
         sensor=None if sensor is None else Path(sensor),
-        bandwidth=Bandwidth(bandwidth, samples, trained=tuple(trained)), recipe=recipe, gap=gap, background=background,
-        scale=scale, box=box, radiance_scale=radiance_scale, resume=None if resume is None else Path(resume),
+        bandwidth=Bandwidth(bandwidth, samples, trained=tuple(trained)), recipe=recipe, gap=gap,
+        beside=None if beside is None else Path(beside), background=background, scale=scale, box=box,
+        radiance_scale=radiance_scale, resume=None if resume is None else Path(resume),
         device=device, seed=seed, progress=progress or (lambda what, share: None),
     )  # fmt: skip
 

@@ -14,8 +14,8 @@ EXAMPLE = """
 \b
 Example:
     python -m pixelid.nerf.synthetic hard scene
-    pixelid reconstruct scene --out sharp
     pixelid reconstruct scene --out blurred --bandwidth off
+    pixelid reconstruct scene --out sharp --beside blurred
     torchrun --nproc-per-node 2 -m pixelid reconstruct scene --out sharp
 """
 
@@ -53,6 +53,7 @@ class StepsOrAuto(click.IntRange):
               help="Train smooth corrections of the poses, known to SD in the scene's unit and DEGREES.")  # fmt: skip
 @click.option("--gap", is_flag=True,
               help="Look in the events for effects that the pixel lacks, and train with those found.")  # fmt: skip
+@click.option("--beside", type=options.PATH, help="Folder of another reconstruction of DATASET, to compare with.")
 @click.option("--cells", type=click.IntRange(8, 512),
               help="Cells of the field per side; by default one per pixel, 32 to 160.")  # fmt: skip
 @click.option("--harmonics", type=click.IntRange(0, 2), default=1, show_default=True,
@@ -78,9 +79,9 @@ class StepsOrAuto(click.IntRange):
 @options.seed()
 @options.quiet
 def command(
-    dataset, out, fit, sensor, bandwidth, samples, trained, between_poses, refine_time, refine_poses, gap, cells,
-    harmonics, steps, batch, background, scale, box, radiance_scale, protocol, checkpoint, device, overwrite, seed,
-    quiet,
+    dataset, out, fit, sensor, bandwidth, samples, trained, between_poses, refine_time, refine_poses, gap, beside,
+    cells, harmonics, steps, batch, background, scale, box, radiance_scale, protocol, checkpoint, device, overwrite,
+    seed, quiet,
 ):  # fmt: skip
     """Reconstruct the scene of DATASET, a folder in the published layout of Robust e-NeRF and Deblur e-NeRF.
 
@@ -99,7 +100,8 @@ def command(
         raise InputError(f"{checkpoint}: expected a file for the training's state, found a folder")
     if checkpoint is not None and not checkpoint.parent.exists():
         raise InputError(f"{checkpoint}: the folder {checkpoint.parent} does not exist")
-    for folder, what in ((dataset, "a dataset"), (fit, "a fit"), (sensor, "a sensor's maps")):
+    given = ((dataset, "a dataset"), (fit, "a fit"), (sensor, "a sensor's maps"), (beside, "a reconstruction"))
+    for folder, what in given:
         if folder is not None and not folder.is_dir() and not (folder is fit and folder.is_file()):
             found = "a file" if folder.exists() else "nothing of that name"
             raise InputError(f"{folder}: expected the folder of {what}, found {found}")
@@ -116,7 +118,11 @@ def command(
 
     first = parallel.rank() == 0
     kept = checkpoint or out.with_name(f".{out.name}.checkpoint.pt")  # the latter until the result is there
-    with claimed(out, overwrite, [folder for folder in (dataset, fit, sensor) if folder]) if first else nullcontext():
+    with (
+        claimed(out, overwrite, [folder for folder in (dataset, fit, sensor, beside) if folder])
+        if first
+        else nullcontext()
+    ):
         data = read_dataset(dataset)
         recipe = replace(Recipe(), iterations=0, batch=0) if steps == AUTO else replace(Recipe(), iterations=steps)
         refinement = Refinement.of(refine_time, refine_poses)
@@ -128,8 +134,8 @@ def command(
         with bar(quiet or not first, compiles=True) as report:
             result = reconstruct(
                 data, fit=fit, sensor=sensor, bandwidth=pixel, recipe=recipe, background=background, scale=scale,
-                box=box or None, radiance_scale=radiance_scale, protocol=protocol, gap=gap, resume=kept, device=device,
-                seed=seed, progress=report,
+                box=box or None, radiance_scale=radiance_scale, protocol=protocol, gap=gap, beside=beside,
+                resume=kept, device=device, seed=seed, progress=report,
             )  # fmt: skip
             if first:
                 with whole_folder(out, overwrite) as folder:

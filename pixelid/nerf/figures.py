@@ -9,15 +9,17 @@ from typing import Any
 import numpy as np
 
 from pixelid.figures.style import INK, OFF, ON, new_axes, save_figure, series_colours, styled
+from pixelid.nerf.beside import write_slider
 from pixelid.nerf.reconstruct import Reconstruction
 
 SHOWN = 5
 
 
 def write_figures(result: Reconstruction, folder: Path) -> None:
-    """Write views.svg, training.svg and, where effects were found, gap.svg into an existing folder."""
+    """Write views.svg, the slider's pictures, training.svg and, where effects were found, gap.svg into a folder."""
     if len(result.truth):
         save_figure(draw_views(result), folder / "views.svg")
+        write_slider(result.truth, result.scores, result.beside, folder)
     if result.state.history:
         save_figure(draw_training(result), folder / "training.svg")
     if result.gap and result.gap["residuals"]:

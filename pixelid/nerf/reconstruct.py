@@ -13,6 +13,7 @@ import torch
 
 from pixelid.errors import InputError
 from pixelid.nerf import checkpoint, parallel
+from pixelid.nerf.beside import Beside
 from pixelid.nerf.calibration import CIRCUIT, Calibration, of_fit, uncertainty_of_fit, unexplained_by
 from pixelid.nerf.dataset import CALIBRATION, Dataset, write_poses
 from pixelid.nerf.evaluate import Scores, evaluate, evaluate_as_published, no_scores, render_views
@@ -43,7 +44,7 @@ class Reconstruction(Result):
     status: how it ended;  scores: of the test views, NaN when it diverged;  held_out: share of held-out changes left
     unexplained;  truth: the test views;  ignored: what is known of the pixel and the reconstruction does not model;
     published: scores by the reference implementation's protocol, on request;  gap: effects found in the events, on
-    request (`search.Found.as_dict`);  recipe: how it was trained
+    request (`search.Found.as_dict`);  recipe: how it was trained;  beside: another scene of the same data
     """
 
     FILE: ClassVar[str] = "reconstruction.json"
@@ -65,6 +66,7 @@ class Reconstruction(Result):
     ignored: tuple[str, ...] = ()
     published: Scores | None = None
     gap: Mapping[str, Any] | None = None
+    beside: Beside | None = None
 
     def as_dict(self) -> dict:
         """The content of reconstruction.json (docs/formats.md)."""
@@ -76,6 +78,7 @@ class Reconstruction(Result):
             "bandwidth": self.bandwidth.mode,
             "ignored": list(self.ignored),
             "gap": self.gap,
+            "beside": None if self.beside is None else self.beside.as_dict(),
             "views": self.scores.as_dict(self.truth),
             "correction": {
                 name: float(value[0]) if one else value.tolist()
@@ -162,6 +165,7 @@ def reconstruct(
     radiance_scale: float | None = None,
     protocol: str = "strict",
     gap: bool = False,
+    beside: Path | None = None,
     resume: Path | None = None,
     device: str = "auto",
     seed: int = 0,
@@ -184,6 +188,7 @@ def reconstruct(
         radiance_scale: the fit's radiance units per unit of the views.
         protocol: of the scores: "strict", or "paper" for those of the reference implementation beside them.
         gap: look in the events for effects that the pixel lacks, and train with those found (`search`).
+        beside: folder of another reconstruction of the dataset, shown beside this one.
         resume: a checkpoint, continued when it exists and written as training goes on.
         device: "cpu", "cuda" or "auto".
         seed: of everything random.
@@ -196,6 +201,7 @@ def reconstruct(
         InputError: input that cannot be used.
     """
     watch = time.perf_counter()
+    other = None if beside is None else Beside.read(beside, dataset.files)
     bandwidth = Bandwidth() if bandwidth is None else bandwidth
     recipe = replace(Recipe() if recipe is None else recipe, seed=seed).for_sensor(dataset.calibration.camera.width)
     device = ("cuda" if torch.cuda.is_available() else "cpu") if device == "auto" else device
@@ -281,7 +287,7 @@ def reconstruct(
     status, advice = _verdict(held_out, scores, state.iteration)
     return Reconstruction(
         status, advice, bandwidth, state, problem, recipe, scores, test, held_out, time.perf_counter() - watch, rate,
-        device, seed, inputs, ignored, published, found,
+        device, seed, inputs, ignored, published, found, other,
     )  # fmt: skip
 
 

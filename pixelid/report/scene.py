@@ -2,12 +2,21 @@
 
 from __future__ import annotations
 
+import base64
+import hashlib
 from pathlib import Path
 from typing import Any
+
+from markupsafe import Markup
 
 from pixelid.nerf.limits import LEAST_SHARE
 from pixelid.report.format import number, seconds
 from pixelid.report.page import Number, Result, Summary, command_line
+
+# The one script of any page: it moves the edge between two pictures.  The policy of the page names its hash, and lets
+# no other run.
+SLIDER = (Path(__file__).parent / "templates" / "slider.js").read_text(encoding="utf-8")
+SLIDER_HASH = "sha256-" + base64.b64encode(hashlib.sha256(SLIDER.encode()).digest()).decode()
 
 
 def summarise(result: Result, folder: Path) -> Summary:
@@ -47,7 +56,13 @@ def prepare(result: Result, folder: Path) -> dict[str, Any]:
         return [name, _places(v["psnr"], 2), _places(v["ssim"], 3), number(v["lpips"], 3)]
 
     views = [row(v["name"], v) for v in result["views"]["per_view"]]
+    beside = result.get("beside")
+    other = f"bandwidth {beside['bandwidth']}, {_places(beside['psnr'], 1)} dB" if beside else ""
     return {
+        "slid": (folder / "slider_reference.png").is_file(),
+        "slider_script": Markup(SLIDER),
+        "slider_hash": SLIDER_HASH,
+        "beside": other,
         "views": [row("mean", result["views"]), *views] if views else [],
         "pixel": [[name, cell(v)] for name, v in result["pixel"].items()],
         "gap": _gap(result["gap"]) if result.get("gap") else None,

@@ -1,8 +1,12 @@
 """Training: the command end to end, exact resume, two processes, and (slow) that modelling the pixel pays."""
 
+import base64
+import hashlib
 import json
 import math
 import os
+import re
+import shutil
 import subprocess
 import sys
 from dataclasses import replace
@@ -12,6 +16,7 @@ import numpy as np
 import pytest
 import torch
 from scipy.spatial.transform import Rotation
+from skimage.io import imread
 from test_schemas import check
 
 import pixelid as px
@@ -21,7 +26,7 @@ from pixelid.model.files import save_model
 from pixelid.model.shipped import find_model, shipped_models
 from pixelid.nerf import checkpoint
 from pixelid.nerf.calibration import of_fit
-from pixelid.nerf.dataset import read_dataset
+from pixelid.nerf.dataset import CALIBRATION, read_dataset
 from pixelid.nerf.pixel import Bandwidth
 from pixelid.nerf.poses import Refinement
 from pixelid.nerf.problem import problem_of
@@ -107,6 +112,38 @@ def test_the_command_refines_poses_on_request(made, tmp_path, capsys):
         away = np.linalg.norm(file["T_wc_position"] - before["T_wc_position"], axis=1)
     assert 0.0 < away.max() < 1.0
     assert main([*words[:-2], "--iterations", "2", "--refine-time", "-1", "--overwrite"]) == 2
+
+
+def test_another_reconstruction_beside(made, tmp_path, capsys):
+    words = ["reconstruct", str(made), "--iterations", "3", "--quiet"]
+    assert main([*words, "--out", str(tmp_path / "off"), "--bandwidth", "off"]) in (0, 1)
+    assert main([*words, "--out", str(tmp_path / "on"), "--beside", str(tmp_path / "off")]) in (0, 1)
+    off, on = (json.loads((tmp_path / name / "reconstruction.json").read_text()) for name in ("off", "on"))
+    check("reconstruction", on)
+    assert off["beside"] is None
+    assert on["beside"] == {"status": off["status"], "bandwidth": "off", "psnr": off["views"]["psnr"]}
+    names = ("slider_reference.png", "slider_reconstruction.png", "slider_beside.png")
+    reference, own, other = (imread(tmp_path / "on" / name).astype(float) for name in names)
+    assert max(reference.shape) >= 384
+    np.testing.assert_array_equal(reference, imread(tmp_path / "off" / names[0]))
+    # rendered again from the half precision of a saved scene
+    assert np.abs(other - imread(tmp_path / "off" / names[1])).max() <= 2.0
+    assert np.abs(other - own).max() > 4.0
+    page = (tmp_path / "on" / "report.html").read_text()
+    script = re.search(r"<script>(.*?)</script>", page, re.DOTALL)[1]
+    digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
+    assert f"script-src 'sha256-{digest}'" in page  # the only one that may run
+    assert page.count('type="range"') == 2
+    assert (tmp_path / "off" / "report.html").read_text().count('type="range"') == 1
+    capsys.readouterr()
+    changed = tmp_path / "changed"
+    shutil.copytree(made, changed)
+    with np.load(changed / CALIBRATION) as file:
+        told = dict(file)
+    np.savez_compressed(changed / CALIBRATION, **told)  # the same calibration, another file
+    again = ["reconstruct", str(changed), "--quiet", "--out", str(tmp_path / "new"), "--beside", str(tmp_path / "off")]
+    assert main(again) == 2
+    assert "same data" in capsys.readouterr().err
 
 
 def test_splines_between_poses_on_request(made, tmp_path):
