@@ -41,7 +41,7 @@ BETWEEN = "light_between_samples"  # attribute of a recording: what `told` found
 LEAST_NOISE = 0.02  # of a threshold, s/C at least: no sensor is known below
 MOST_TELLING = 20_000  # events that tell v and s²: enough for 1 % of them
 STARTS = (0.5, 0.005)  # of v in squared thresholds, a rough light and a smooth one
-SURE, FAR = 30.0, -5.0  # x, from which the path never falls back to its beginning, and from which it seldom leaves it
+CERTAIN, FAR = 30.0, -5.0  # x, from which the path never falls back to its beginning, and from which it seldom leaves it
 
 
 class First(NamedTuple):
@@ -109,7 +109,7 @@ def first_passage(rate: np.ndarray, since_s: np.ndarray, variance: np.ndarray) -
     """Of paths with a line's rate (n,) [1/s], begun since_s (n,) ago, of variance (n,) about the line now."""
     spread = np.sqrt(np.maximum(variance, 1e-12))
     away = rate * since_s / spread
-    x = np.clip(away, -SURE, SURE)
+    x = np.clip(away, -CERTAIN, CERTAIN)
     below, density = ndtr(x), np.exp(-0.5 * x * x) / np.sqrt(2.0 * np.pi)
     first, second = x * below + density, (x * x + 1.0) * below + x * density
     third = (x**3 + 3.0 * x) * below + (x * x + 2.0) * density
@@ -119,7 +119,7 @@ def first_passage(rate: np.ndarray, since_s: np.ndarray, variance: np.ndarray) -
     low = np.minimum(x, FAR)
     mean, square = np.where(far, -2.0 / low, mean), np.where(far, 6.0 / low**2, square)
     first = np.where(far, density / np.maximum(x * x, 1.0), first)
-    sure, small = x >= SURE, 1.0 / np.maximum(away, SURE)  # Y is above 0 for sure: E Y² / E Y = m + B/m
+    sure, small = x >= CERTAIN, 1.0 / np.maximum(away, CERTAIN)  # Y is above 0 for sure: E Y² / E Y = m + B/m
     return First(
         spread * np.where(sure, small, mean - x),
         spread**2 * np.where(sure, 1.0 - small**2, np.clip(square - mean**2, 0.0, 1.0)),

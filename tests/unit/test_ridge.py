@@ -1,7 +1,7 @@
-"""Intervals along a bent ridge, against a posterior whose exact intervals are known.
+"""Intervals along a curved ridge, against a posterior whose exact intervals are known.
 
 With T and B independent normals, the coordinates are a = −ln(1 + T) and b = (1 + T)/2 + B: a lag that a pole of rate
-e^a causes, and a delay that stands for half of it.  In a the posterior is bent; T and b have normal intervals.
+e^a causes, and a delay that stands for half of it.  In a the posterior is curved; T and b have normal intervals.
 """
 
 from dataclasses import dataclass
@@ -46,7 +46,7 @@ class Bent(Objective):
         return Local(self.value(x), -J.T @ residual, J.T @ J)
 
 
-def bent(most: float) -> Bent:
+def curved(most: float) -> Bent:
     """The posterior with a up to `most`."""
     model = find_model("dvs128")
     model = model.fix(dict.fromkeys(model.free))
@@ -65,7 +65,7 @@ def found(objective: Bent):
 
 
 def test_limits_are_exact_where_the_ridge_bends():
-    reading, profile, (low, high) = found(bent(3.0))
+    reading, profile, (low, high) = found(curved(3.0))
     half, whole = Z95 * LAG_SD, Z95 * np.hypot(0.5 * LAG_SD, DELAY_SD)
     assert profile.name == "a"
     assert [low[A], high[A]] == pytest.approx([-np.log(1 + half), -np.log(1 - half)], abs=0.02)
@@ -74,7 +74,7 @@ def test_limits_are_exact_where_the_ridge_bends():
 
 
 def test_a_side_that_the_profile_leaves_open_ends_at_the_bound():
-    _, profile, (low, high) = found(bent(0.5))  # before the limit at 0.89
+    _, profile, (low, high) = found(curved(0.5))  # before the limit at 0.89
     assert profile.interval_95[1] is None
     assert high[A] == 0.5
     assert low[A] == pytest.approx(-np.log(1 + Z95 * LAG_SD), abs=0.02)
