@@ -41,7 +41,8 @@ BETWEEN = "light_between_samples"  # attribute of a recording: what `told` found
 LEAST_NOISE = 0.02  # of a threshold, s/C at least: no sensor is known below
 MOST_TELLING = 20_000  # events that tell v and s²: enough for 1 % of them
 STARTS = (0.5, 0.005)  # of v in squared thresholds, a rough light and a smooth one
-CERTAIN, FAR = 30.0, -5.0  # x, from which the path never falls back to its beginning, and from which it seldom leaves it
+CERTAIN = 30.0  # x, from which the path never falls back to its beginning
+FAR = -5.0  # x, from which it seldom leaves it
 
 
 class First(NamedTuple):
