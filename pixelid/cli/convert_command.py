@@ -99,7 +99,7 @@ def command(
                 recording = recording.watched(lambda part: report(f"{totals.add(part) / 1e6:.0f} M events", 0.0))
             else:
                 totals.add(recording)
-            write_recording(recording, target, overwrite=overwrite)
+            write_recording(recording, target, overwrite=overwrite, progress=report)
     if not quiet:
         beside = "with its stimulus" if recording.stimulus is not None else "without stimulus"
         say(f"{target}: {totals.events} events, {totals.duration_s:g} s, {beside}{said}")

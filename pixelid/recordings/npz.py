@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import tempfile
 import zipfile
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -15,9 +17,11 @@ from pixelid.errors import InputError
 from pixelid.recordings import metadata
 from pixelid.recordings.columns import PART_EVENTS, sensor_size, to_nanoseconds, validated
 from pixelid.recordings.events import Events
+from pixelid.recordings.parts import LongRecording
 from pixelid.recordings.recording import Recording
 
 PREFIX = "stimulus_"  # of the arrays of the light
+COLUMNS = {"t": np.dtype(np.int64), "x": np.dtype(np.uint16), "y": np.dtype(np.uint16), "p": np.dtype(np.uint8)}
 NAMES = {
     "t": ("t", "ts", "time", "times", "timestamp", "timestamps"),
     "x": ("x", "xs", "col", "column"),
@@ -168,10 +172,80 @@ def _scalar(archive, name: str) -> int | None:
     return int(archive[name]) if name in archive and archive[name].size == 1 else None
 
 
-def write(recording: Recording, path: Path) -> None:
-    """Write `recording` to a compressed .npz with t in nanoseconds and everything else in `metadata`."""
-    events, stimulus = recording.events, recording.stimulus
-    columns: dict = {"t": events.t, "x": events.x, "y": events.y, "p": events.p}
-    if stimulus is not None:
-        columns |= {f"{PREFIX}{name}": array for name, array in stimulus.arrays.items()}
-    np.savez_compressed(path, metadata=np.array(metadata.to_json(recording)), **columns)
+def write(
+    recording: Recording | LongRecording, path: Path, progress: Callable[[str, float], None] | None = None
+) -> None:
+    """Write `recording` to a compressed .npz with t in nanoseconds and everything else in `metadata`.
+
+    Columns are packed one after the other, piece by piece: those of a long recording wait in raw files beside `path`
+    (13 bytes an event) until all its parts have been read, since a column's length stands before its first number.
+
+    Args:
+        recording: Of any length; memory does not grow with it.
+        path: To be written.
+        progress: Told which column is being packed, and the share of all columns that is done.
+    """
+    head = recording.head if isinstance(recording, LongRecording) else recording
+    with ExitStack() as stack:
+        if isinstance(recording, LongRecording):
+            folder = stack.enter_context(tempfile.TemporaryDirectory(prefix=".columns-", dir=path.parent))
+            columns = _spilled(recording, Path(folder))
+        else:
+            columns = {name: _in_memory(getattr(recording.events, name)) for name in COLUMNS}
+        archive = stack.enter_context(zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, allowZip64=True))
+        _pack(archive, "metadata", np.array(metadata.to_json(head)))
+        for k, (name, column) in enumerate(columns.items()):
+            for done in _packed(archive, name, column):
+                if progress is not None:
+                    progress(f"packing {name}", (k + done) / len(columns))
+        if head.stimulus is not None:
+            for name, array in head.stimulus.arrays.items():
+                _pack(archive, f"{PREFIX}{name}", array)
+
+
+class _Column(NamedTuple):
+    """Of an archive: type, shape, and its numbers in pieces, in the order of the file."""
+
+    dtype: np.dtype
+    shape: tuple[int, ...]
+    pieces: Iterable[np.ndarray]
+
+
+def _in_memory(array: np.ndarray) -> _Column:
+    flat = np.ascontiguousarray(array).reshape(-1)
+    return _Column(array.dtype, array.shape, (flat[k : k + PART_EVENTS] for k in range(0, flat.size, PART_EVENTS)))
+
+
+def _spilled(recording: LongRecording, folder: Path) -> dict[str, _Column]:
+    """The columns of a long recording, which is read once, each in a raw file of `folder`."""
+    count = 0
+    with ExitStack() as stack:
+        files = {name: stack.enter_context((folder / name).open("wb")) for name in COLUMNS}
+        for part in recording.read():
+            for name, file in files.items():
+                file.write(np.ascontiguousarray(getattr(part.events, name), COLUMNS[name]).data)
+            count += len(part.events)
+
+    def pieces(name: str) -> Iterator[np.ndarray]:
+        with (folder / name).open("rb") as file:
+            while data := file.read(PART_EVENTS * COLUMNS[name].itemsize):
+                yield np.frombuffer(data, COLUMNS[name])
+
+    return {name: _Column(dtype, (count,), pieces(name)) for name, dtype in COLUMNS.items()}
+
+
+def _pack(archive: zipfile.ZipFile, name: str, array: np.ndarray) -> None:
+    for _ in _packed(archive, name, _in_memory(array)):
+        pass
+
+
+def _packed(archive: zipfile.ZipFile, name: str, column: _Column) -> Iterator[float]:
+    """Write one array of the archive as np.savez does; the share that is written, after every piece."""
+    header = {"descr": np.lib.format.dtype_to_descr(column.dtype), "fortran_order": False, "shape": column.shape}
+    total, written = int(np.prod(column.shape, dtype=np.int64)), 0
+    with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
+        np.lib.format.write_array_header_1_0(member, header)
+        for piece in column.pieces:
+            member.write(piece.view(np.uint8).data)
+            written += piece.size
+            yield written / total

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 from pixelid.errors import InputError
 from pixelid.outputs import whole_file
-from pixelid.recordings.parts import LongRecording, joined
+from pixelid.recordings.parts import LongRecording
 from pixelid.recordings.recording import Recording
 
 WRITABLE = (".h5", ".hdf5", ".npz", ".csv", ".txt")
@@ -20,24 +22,34 @@ def check_writable(path: str | Path) -> None:
         raise InputError(f"{path}: expected an output ending in {', '.join(WRITABLE)}, found {found}")
 
 
-def write_recording(recording: Recording | LongRecording, path: str | Path, *, overwrite: bool = False) -> None:
+def write_recording(
+    recording: Recording | LongRecording,
+    path: str | Path,
+    *,
+    overwrite: bool = False,
+    progress: Callable[[str, float], None] | None = None,
+) -> None:
     """Write `recording` to `path` (.h5, .npz, .csv or .txt); reading it back gives the same recording.
 
-    A long recording goes there part by part, except to .npz, for which all of it is taken into memory.
+    A long recording goes there part by part, in memory that does not grow with it.
 
-    Raises InputError for an unknown extension, an existing file without `overwrite`, and a per-pixel
-    stimulus in a text file.
+    Args:
+        recording: Of any length.
+        path: The file.
+        overwrite: Whether a file that is there is replaced.
+        progress: Called with what is being done and the share that is done, while columns of .npz are packed.
+
+    Raises:
+        InputError: an unknown extension, an existing file without `overwrite`, a per-pixel stimulus in a text file.
     """
     from pixelid.recordings import hdf5_writing, npz, text
 
     path = Path(path)
     check_writable(path)
-    if isinstance(recording, LongRecording) and path.suffix.lower() == ".npz":
-        recording = joined(recording.head, recording.read())
     writers = {
         ".h5": hdf5_writing.write,
         ".hdf5": hdf5_writing.write,
-        ".npz": npz.write,
+        ".npz": partial(npz.write, progress=progress),
         ".csv": text.write,
         ".txt": text.write,
     }

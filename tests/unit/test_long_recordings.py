@@ -1,5 +1,6 @@
 """Recordings in parts give what they give whole: readers, crops, inspection, alignment, writing; EVT 2.1."""
 
+import tracemalloc
 from contextlib import suppress
 from dataclasses import replace
 
@@ -12,7 +13,18 @@ from pixelid.cli.main import main
 from pixelid.errors import InputError
 from pixelid.inspection.health import inspect
 from pixelid.inspection.intervals import Intervals, pixel_intervals
-from pixelid.recordings import Events, Recording, aedat2, decoded, hdf5, npz, open_recording, text, write_recording
+from pixelid.recordings import (
+    Events,
+    Recording,
+    aedat2,
+    decoded,
+    hdf5,
+    metadata,
+    npz,
+    open_recording,
+    text,
+    write_recording,
+)
 from pixelid.recordings import parts as in_parts
 from pixelid.recordings import reading as opening
 from pixelid.recordings.alignment import Alignment, aligned, aligned_parts, sample_to_align
@@ -222,6 +234,57 @@ def test_written_in_parts(tmp_path, suffix, late_ns):
     write_recording(recording, tmp_path / f"whole{suffix}")
     write_recording(long_of(recording), tmp_path / f"parts{suffix}")
     same(open_recording(tmp_path / f"parts{suffix}"), open_recording(tmp_path / f"whole{suffix}"))
+
+
+@pytest.mark.parametrize("in_parts_too", [False, True])
+def test_npz_in_pieces_is_what_numpy_writes(tmp_path, monkeypatch, in_parts_too):
+    monkeypatch.setattr(npz, "PART_EVENTS", 777)
+    recording, told = made(), []
+    npz.write(
+        long_of(recording, 1000) if in_parts_too else recording,
+        tmp_path / "a.npz",
+        lambda what, done: told.append(done),
+    )
+    e, light = recording.events, recording.stimulus
+    told_by_numpy = {"t": e.t, "x": e.x, "y": e.y, "p": e.p, "stimulus_t": light.t, "stimulus_radiance": light.radiance}
+    np.savez_compressed(tmp_path / "b.npz", metadata=np.array(metadata.to_json(recording)), **told_by_numpy)
+    with np.load(tmp_path / "a.npz") as found, np.load(tmp_path / "b.npz") as expected:
+        assert found.files == expected.files
+        for name in expected.files:
+            assert found[name].dtype == expected[name].dtype
+            np.testing.assert_array_equal(found[name], expected[name])
+    assert told == sorted(told)
+    assert told[-1] == 1.0
+    assert [path.name for path in sorted(tmp_path.iterdir())] == ["a.npz", "b.npz"]
+
+
+@pytest.mark.parametrize("suffix", [".npz", ".csv"])
+def test_memory_does_not_grow_with_what_is_written(tmp_path, monkeypatch, suffix):
+    monkeypatch.setattr(npz, "PART_EVENTS", 1 << 14)
+    recording, peaks = made(20_000), []
+    for times in (2, 10):
+
+        def read(times=times):
+            for k in range(times):
+                yield replace(recording, events=replace(recording.events, t=recording.events.t + k * 4 * 10**9))
+
+        tracemalloc.start()
+        write_recording(LongRecording(recording, read), tmp_path / f"{times}{suffix}")
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    assert peaks[1] < 1.2 * peaks[0]
+
+
+def test_a_part_that_cannot_be_read_leaves_no_npz(tmp_path):
+    long = long_of(made())
+
+    def read():
+        yield from list(long.read())[:3]
+        raise InputError("the file ends here")
+
+    with pytest.raises(InputError, match="ends here"):
+        write_recording(LongRecording(long.head, read), tmp_path / "a.npz")
+    assert not list(tmp_path.iterdir())
 
 
 def test_aligned_in_parts():
