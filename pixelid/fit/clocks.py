@@ -5,16 +5,17 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from pixelid.errors import InputError
+from pixelid.errors import InputError, did_you_mean
 from pixelid.fit.result import Estimate
 from pixelid.likelihood.clocks import DELAY, DRIFT, clock_parameters, names_of
 from pixelid.likelihood.pooled_rate import delay_name
+from pixelid.model.model import Model
 from pixelid.parameters.parameter import Parameter
 from pixelid.recordings.clocks import clock_of
 from pixelid.recordings.recording import Recording
 
 
-def held_clocks(recordings: Sequence[Recording], fixed: Mapping[str, float], model: str) -> tuple[Parameter, ...]:
+def held_clocks(recordings: Sequence[Recording], fixed: Mapping[str, float], model: Model) -> tuple[Parameter, ...]:
     """The clocks' nuisances of an event-time fit, those in `fixed` held at the value given.
 
     Raises:
@@ -23,7 +24,8 @@ def held_clocks(recordings: Sequence[Recording], fixed: Mapping[str, float], mod
     parameters = {p.name: p for p in clock_parameters(recordings)}
     for name, value in fixed.items():
         if name not in parameters:
-            raise InputError(f"model {model} has no parameter {name!r} to hold")
+            meant = did_you_mean(name, [*model.parameters, *parameters])
+            raise InputError(f"model {model.name} has no parameter {name!r} to hold{meant}")
         parameters[name] = parameters[name].at(value).fixed()
     return tuple(parameters.values())
 

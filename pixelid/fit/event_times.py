@@ -6,6 +6,8 @@ background events, survival) by the backward pass of the density.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from pixelid.fit.coordinates import Coordinates
@@ -59,6 +61,41 @@ class EventTimesObjective(Objective):
         slopes = [along(here, self._tangent(x, i, circuit)) for i in range(len(x))]
         return self.coordinates.prior_gradient_and_curvature(x)[0] + slopes
 
+    def hessian(self, x: np.ndarray, here: Local | None = None) -> np.ndarray:
+        """As any objective's.  Coordinates that act in the density alone leave changes and their tangents as at x.
+
+        So their rows cost no trajectory, and hold no noise of extremes and samples that changes move across; the rows
+        of all others take their part from them.
+        """
+        base, steps = self.gradient(x) if here is None else here.gradient, self.difference_steps()
+        circuit, moved = self.coordinates.circuit(x), [_moved(x, i, step) for i, step in enumerate(steps)]
+        sharing = [
+            i for i, at in enumerate(moved)
+            if self.clocks(at) == self.clocks(x) and only_density_differs(circuit, self.coordinates.circuit(at))
+        ]  # fmt: skip
+        others = [i for i in range(len(x)) if i not in sharing]
+        H = np.empty((len(x), len(x)))
+        H[sharing] = self._rows_sharing_changes(x, circuit, sharing, moved)
+        H[sharing] = (H[sharing] - base) / steps[sharing, None]
+        for i in others:
+            H[i] = (self.gradient(moved[i]) - base) / steps[i]
+        H[np.ix_(others, sharing)] = H[np.ix_(sharing, others)].T
+        return 0.5 * (H + H.T)
+
+    def _rows_sharing_changes(
+        self, x: np.ndarray, circuit: Circuit, which: Sequence[int], moved: Sequence[np.ndarray]
+    ) -> np.ndarray:
+        """(k, d) gradients at `moved[i]`, i of `which`, where changes and their tangents are those at x."""
+        changes = self.terms(x).changes
+        circuits = {i: self.coordinates.circuit(moved[i]) for i in which}
+        there = [self.at(moved[i]).terms(circuits[i], changes).gradient() for i in which]
+        rows = np.array([self.coordinates.prior_gradient_and_curvature(moved[i])[0] for i in which])
+        for j in range(len(x)):
+            changes = self._tangent(x, j, circuit).changes
+            for row, gradient, i in zip(rows, there, which, strict=True):
+                row[j] += along(gradient, Tangent(changes, self._numbers_along(moved[i], j, circuits[i])))
+        return rows.reshape(len(which), len(x))
+
     def local(self, x: np.ndarray) -> Local:
         terms, circuit = self.terms(x), self.coordinates.circuit(x)
         here, information = terms.gradient(), Information(terms, len(x))
@@ -75,14 +112,8 @@ class EventTimesObjective(Objective):
         return self._tangent(x, i, self.coordinates.circuit(x))
 
     def _tangent(self, x: np.ndarray, i: int, circuit: Circuit) -> Tangent:
-        step = STEP * self.coordinates.longest_moves()[i]
-        up, down = _moved(x, i, step), _moved(x, i, -step)
-        there = self.coordinates.circuit(up)
-        numbers = np.zeros(len(NUMBERS))
-        if any(getattr(there, name) != getattr(circuit, name) for name in NUMBERS):
-            back = self.coordinates.circuit(down)
-            numbers[:] = [getattr(there, name) - getattr(back, name) for name in NUMBERS]
-            numbers /= up[i] - down[i]
+        up = _moved(x, i, STEP * self.coordinates.longest_moves()[i])
+        there, numbers = self.coordinates.circuit(up), self._numbers_along(x, i, circuit)
         moved = self._moved_recording(x, i, up, circuit, there)
         if moved is None and only_density_differs(circuit, there):
             return Tangent(None, numbers)
@@ -99,6 +130,18 @@ class EventTimesObjective(Objective):
             np.nan_to_num(slope, copy=False, posinf=0.0, neginf=0.0)
         difference.events.early[:] = 0.0  # whether an event comes too early is not differentiable
         return Tangent(difference, numbers)
+
+    def _numbers_along(self, x: np.ndarray, i: int, circuit: Circuit) -> np.ndarray:
+        """(7,) how the circuit's `NUMBERS` move along coordinate i at x."""
+        step = STEP * self.coordinates.longest_moves()[i]
+        up, down = _moved(x, i, step), _moved(x, i, -step)
+        there = self.coordinates.circuit(up)
+        numbers = np.zeros(len(NUMBERS))
+        if any(getattr(there, name) != getattr(circuit, name) for name in NUMBERS):
+            back = self.coordinates.circuit(down)
+            numbers[:] = [getattr(there, name) - getattr(back, name) for name in NUMBERS]
+            numbers /= up[i] - down[i]
+        return numbers
 
     def _moved_recording(
         self, x: np.ndarray, i: int, up: np.ndarray, here: Circuit, there: Circuit

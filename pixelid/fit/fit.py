@@ -18,6 +18,7 @@ from pixelid.fit.measured_light import NO_PHYSICAL, as_light_tells, held_in_word
 from pixelid.fit.newton import Optimum
 from pixelid.fit.newton import maximise as newton_steps
 from pixelid.fit.pooled import fit_pooled
+from pixelid.fit.refine import BETWEEN, refine
 from pixelid.fit.result import FitResult, Stopwatch, estimates_of
 from pixelid.fit.starts import feasible, random_starts
 from pixelid.fit.uncertainty.challenge import challenged
@@ -30,7 +31,7 @@ from pixelid.likelihood.light_between_samples import with_told
 from pixelid.model.model import Model
 from pixelid.parameters.gauge import Gauge
 from pixelid.provenance import input_hashes, versions
-from pixelid.recordings.own_light import with_fine_light, with_pixel_lights
+from pixelid.recordings.own_light import with_pixel_lights
 from pixelid.recordings.recording import Recording
 from pixelid.recordings.selection import few
 from pixelid.recordings.sensor_light import is_measured, light_caveats
@@ -115,7 +116,7 @@ def fit(
         objective, optimum, details, pixels = fit_pooled(recordings, model, fixed or {}, report)
         dispersion = details["dispersion"]
     else:
-        clocks = held_clocks(recordings, fixed or {}, model.name)
+        clocks = held_clocks(recordings, fixed or {}, model)
         objective, optimum, details, pixels = _fit_event_times(
             recordings, model, clocks, starts, between, maximiser, form, rng, report
         )
@@ -203,7 +204,7 @@ def check_event_times(model: Model) -> None:
 
 def _fit_event_times(recordings, model, clocks, starts, between, maximiser: Engine, form, rng, report):
     check_event_times(model)
-    full = EventTimes(recordings)
+    pixels = EventTimes(recordings).pixels
     scout = EventTimes(few(recordings, SCOUT_EVENTS, rng))
     if unseparated(recordings):
         model = model.fix({"delay_s": None})
@@ -227,28 +228,21 @@ def _fit_event_times(recordings, model, clocks, starts, between, maximiser: Engi
         search(feasible_start(random_starts(coordinates.start, 1, rng, FAR)[0]))
     best = max(ends, key=lambda end: end.local.value)
     agree = sum(end.local.value > best.local.value - 1.0 for end in ends)
-    candidates = {}
-    x = best.x
     sampled = any(map(is_measured, recordings))  # then only the samples are known
-    for kind in ("linear",) if sampled else ("linear", "smooth") if between == "auto" else (between,):
-        finer = [with_fine_light(r, kind) for r in recordings]
-        likelihood = EventTimes(finer)
-        if "timestamp_jitter" in model.effects:
-            likelihood = EventTimesObjective(likelihood, coordinates).at(x).weighed(coordinates.circuit(x))
-        objective = EventTimesObjective(likelihood, coordinates)
-        candidates[kind] = objective, maximiser.maximise(objective, x, max_steps=60)
-        x = candidates[kind][1].x
-        report("refining", 0.5 + 0.2 * len(candidates))
-    kind = max(candidates, key=lambda k: candidates[k][1].local.value)
-    objective, optimum = candidates[kind]
+    refined = refine(
+        recordings, coordinates, best.x, ("linear",) if sampled else BETWEEN if between == "auto" else (between,),
+        maximiser, rng, lambda share: report("refining", 0.5 + 0.4 * share),
+    )  # fmt: skip
+    objective, optimum = refined.objective, refined.optimum
     if form == "continuous":
-        report("continuous form", 0.75)
+        report("continuous form", 0.9)
         continuous = maximiser.continuous(objective, optimum.x)
         discrete = optimum
         optimum = newton_steps(continuous, discrete.x, tolerance=CONTINUOUS_TOLERANCE, max_steps=20)
     background = objective.terms(optimum.x).unexplained
     details = {
-        "stimulus_between_samples": kind,
+        "stimulus_between_samples": refined.between,
+        **refined.details,
         "starts": len(ends),
         "starts_at_this_optimum": agree,
         "steps": optimum.steps,
@@ -260,11 +254,7 @@ def _fit_event_times(recordings, model, clocks, starts, between, maximiser: Engi
     }
     if form == "continuous":
         details["continuous_minus_discrete_nats"] = float(optimum.local.value - discrete.local.value)
-    if len(candidates) == 2:
-        details["smooth_minus_linear_nats"] = float(
-            candidates["smooth"][1].local.value - candidates["linear"][1].local.value
-        )
-    return objective, optimum, details, full.pixels
+    return objective, optimum, details, pixels
 
 
 def _physical(model: Model, demanded: bool) -> tuple[dict[str, float] | None, str]:

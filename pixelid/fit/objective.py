@@ -41,8 +41,7 @@ class Objective(ABC):
 
         One-sided (relative error ~1e-4, plenty for standard errors); `here` is `local(x)` when it is known.
         """
-        base = self.gradient(x) if here is None else here.gradient
-        steps = 1e-4 * self.coordinates.longest_moves()
+        base, steps = self.gradient(x) if here is None else here.gradient, self.difference_steps()
         rows = []
         for i, h in enumerate(steps):
             moved = x.copy()
@@ -50,3 +49,7 @@ class Objective(ABC):
             rows.append((self.gradient(moved) - base) / h)
         H = np.array(rows)
         return 0.5 * (H + H.T)
+
+    def difference_steps(self) -> np.ndarray:
+        """(d,) how far each coordinate is moved for a difference of gradients."""
+        return 1e-4 * self.coordinates.longest_moves()

@@ -13,7 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from pixelid.errors import InputError
+from pixelid.errors import InputError, did_you_mean
 from pixelid.recordings.alignment_from_events import RATE_BOUND, alignment_from_events
 from pixelid.recordings.clocks import CRYSTAL, Alignment, ClockPrior
 from pixelid.recordings.parts import WHOLE_EVENTS, LongRecording, joined
@@ -42,13 +42,20 @@ def find_alignment(recording: Recording, light: Light, how: str) -> Alignment:
         InputError: for an unknown method, no triggers, no events, and events that do not tell: no correlation with the
             light, or two offsets as good as each other.
     """
+    found = _found(recording, light, how)
+    return replace(found, start_s=found.offset_s + (1.0 + found.rate_error) * light.start_s)
+
+
+def _found(recording: Recording, light: Light, how: str) -> Alignment:
     if how not in METHODS:
         try:
             seconds = float(how)
         except ValueError:
             seconds = np.nan
         if not np.isfinite(seconds):
-            raise InputError(f"--align: expected {', '.join(METHODS)} or seconds, found {how!r}")
+            raise InputError(
+                f"--align: expected {', '.join(METHODS)} or seconds, found {how!r}{did_you_mean(how, METHODS)}"
+            )
         return Alignment(seconds, "given")
     if how == "trigger":
         if recording.triggers is None or not len(recording.triggers):
@@ -148,9 +155,9 @@ def _beside(recording: Recording, light: Light, alignment: Alignment, outside: i
 
 
 def _nothing_inside(name: str, light_ns: tuple[int, int], events_ns: tuple[int, int]) -> InputError:
+    light, events = (f"{first * 1e-9:.10g}..{last * 1e-9:.10g} s" for first, last in (light_ns, events_ns))
     return InputError(
-        f"{name}: no event lies within the light, at {light_ns[0] * 1e-9:g}..{light_ns[1] * 1e-9:g} s of the camera's "
-        f"clock; events are at {events_ns[0] * 1e-9:g}..{events_ns[1] * 1e-9:g} s (--align)"
+        f"{name}: no event lies within the light, at {light} of the camera's clock; events are at {events} (--align)"
     )
 
 
@@ -183,6 +190,7 @@ def _from_triggers(edges: np.ndarray, light: Light, tick_ns: int) -> Alignment:
         rate,
         (rate - 1.96 * prior.rate_sd, rate + 1.96 * prior.rate_sd),
         prior,
+        start_half_s=1.96 * float(np.hypot(prior.delay_sd_s, (begin - prior.at_s) * prior.rate_sd)),
     )
 
 

@@ -130,6 +130,7 @@ def alignment_from_events(recording: Recording, light: Light) -> Alignment:
     if len(changes.time) > len(few.time):
         best = _refined(changes, seen.lights, best.offset, best)
     half = 1.96 * np.sqrt(np.maximum(np.diag(best.covariance), 0.0))
+    at_start = np.array([1.0, light.start_s])
     return Alignment(
         best.offset,
         "auto",
@@ -137,6 +138,7 @@ def alignment_from_events(recording: Recording, light: Light) -> Alignment:
         best.rate,
         (best.rate - float(half[1]), best.rate + float(half[1])),
         ClockPrior(0.5 * (light.start_s + light.end_s), light.duration_s, None, 0.0, CRYSTAL),
+        start_half_s=1.96 * float(np.sqrt(max(at_start @ best.covariance @ at_start, 0.0))),
     )
 
 

@@ -107,6 +107,8 @@ class Alignment:
     rate_error: seconds that the camera counts per second of the light, less one
     rate_interval_95: likewise;  method: "trigger", "first-event", "auto" or "given"
     prior: of the clock without the events, at a moment of the light's clock; None: offset and rate count as exact
+    start_s, start_half_s: the light's first sample on the camera's clock, and half its 95 % interval: far from the time
+        zero of a trace that began long before, the rate's uncertainty has not added up
     """
 
     offset_s: float
@@ -115,6 +117,8 @@ class Alignment:
     rate_error: float = 0.0
     rate_interval_95: tuple[float, float] | None = None
     prior: ClockPrior | None = None
+    start_s: float | None = None
+    start_half_s: float | None = None
 
     def as_dict(self) -> dict:
         """What the recording's attribute `alignment` says."""
@@ -128,11 +132,16 @@ class Alignment:
 
     def sentence(self) -> str:
         """The alignment in words."""
-        if self.offset_interval_95 is None:
-            return f"light starts at {self.offset_s:.6f} s of the camera's clock ({self.method})"
-        half = 0.5e6 * (self.offset_interval_95[1] - self.offset_interval_95[0])
-        text = f"light starts at {self.offset_s:.6f} s ± {half:.0f} µs of the camera's clock"
+        start = self.offset_s if self.start_s is None else self.start_s
+        if self.start_half_s is None:
+            return f"light starts at {start:.6f} s of the camera's clock ({self.method})"
+        text = f"light starts at {start:.6f} s ± {_digits(1e6 * self.start_half_s)} µs of the camera's clock"
         if self.rate_interval_95 is not None:
             half = 0.5e6 * (self.rate_interval_95[1] - self.rate_interval_95[0])
-            text += f", clocks differ by {1e6 * self.rate_error:.0f} ± {half:.0f} ppm"
+            text += f", clocks differ by {_digits(1e6 * self.rate_error, half)} ± {_digits(half)} ppm"
         return text
+
+
+def _digits(value: float, error: float | None = None) -> str:
+    """A value with as many places as its error deserves, its own size where none is given."""
+    return f"{value:.{0 if abs(value if error is None else error) >= 9.5 else 1}f}"

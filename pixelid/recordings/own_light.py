@@ -9,7 +9,7 @@ import numpy as np
 from pixelid.errors import InputError
 from pixelid.recordings.recording import Recording
 from pixelid.recordings.sensor_light import is_measured
-from pixelid.stimuli.pixel_lights import pixel_lights
+from pixelid.stimuli.pixel_lights import PixelLights, pixel_lights
 from pixelid.stimuli.resample import resampled
 
 
@@ -37,6 +37,9 @@ def with_fine_light(recording: Recording, between: str) -> Recording:
         return grouped
     light = grouped.stimulus
     assert light is not None
+    if isinstance(light, PixelLights):  # of its own pixels only: finer samples of all others would be made for nothing
+        pixels = np.unique(grouped.events.pixel)
+        light = light.restricted(pixels[pixels < grouped.events.width * grouped.events.height])
     return recording.with_stimulus(resampled(light, between))
 
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 
-from pixelid.errors import InputError
+from pixelid.errors import InputError, did_you_mean
 from pixelid.recordings.crop import Crop
 from pixelid.recordings.isolated import read_isolated, stream_isolated
 from pixelid.recordings.parts import LongRecording, as_whole, joined_if_short
@@ -103,7 +103,8 @@ def _files(path: Path) -> list[Path]:
 def _recognised(path: Path) -> str:
     """The name of the file's reader.  Raises InputError for what is no file, is empty, or is of no known format."""
     if not path.exists():
-        raise InputError(f"{path}: no such file")
+        beside = [] if not path.parent.is_dir() else [file.name for file in path.parent.iterdir()]
+        raise InputError(f"{path}: no such file{did_you_mean(path.name, beside)}")
     if path.is_dir():
         raise InputError(f"{path}: expected a recording file, found a folder")
     if not path.is_file():

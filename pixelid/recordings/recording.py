@@ -101,7 +101,7 @@ class Recording:
         if t[0] * 1e-9 < start - LATENCY_S or (late and not _drains(t, t[np.searchsorted(t, last * 1e9) :])):
             raise InputError(
                 f"{self.source or self.name}: stimulus: expected to cover the events "
-                f"{t[0] * 1e-9:g}..{t[-1] * 1e-9:g} s, found {start:g}..{last:g} s"
+                f"{t[0] * 1e-9:.10g}..{t[-1] * 1e-9:.10g} s, found {start:.10g}..{last:.10g} s"
             )
 
     def within_stimulus(self) -> Recording:
