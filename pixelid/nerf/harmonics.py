@@ -61,30 +61,44 @@ def turned(d, coefficient, out):
 
 
 @njit(inline="always", error_model="numpy")
-def seen(flat, at, X, Y, Z, x, y, z, basis):
-    """Σ_k basis_k times the trilinear value of harmonic k; at: index of the first at the cell's low corner."""
-    one, total = np.float32(1.0), np.float32(0.0)
-    for corner in range(8):
-        w = x if corner & 4 else one - x
-        w *= y if corner & 2 else one - y
-        w *= z if corner & 1 else one - z
-        i = at + (X if corner & 4 else 0) + (Y if corner & 2 else 0) + (Z if corner & 1 else 0)
-        dot = np.float32(0.0)
-        for k in range(len(basis)):
-            dot += basis[k] * flat[i + k]
-        total += w * dot
-    return total
+def _at_corner(flat, i, basis):
+    """Σ_k basis_k times harmonic k at one vertex, the first at i; degree 1, the usual one, without a loop."""
+    if len(basis) == 3:
+        return basis[0] * flat[i] + basis[1] * flat[i + 1] + basis[2] * flat[i + 2]
+    dot = np.float32(0.0)
+    for k in range(len(basis)):
+        dot += basis[k] * flat[i + k]
+    return dot
 
 
 @njit(inline="always", error_model="numpy")
-def spread(flat, at, X, Y, Z, x, y, z, basis, by_value):
+def seen(flat, at, X, Y, Z, shares, basis):
+    """Σ_k basis_k times the trilinear value of harmonic k.
+
+    at: index of the first at the cell's low corner;  X, Y, Z: strides;  shares: (8,) of the corners, z fastest
+    """
+    return (
+        shares[0] * _at_corner(flat, at, basis)
+        + shares[1] * _at_corner(flat, at + Z, basis)
+        + shares[2] * _at_corner(flat, at + Y, basis)
+        + shares[3] * _at_corner(flat, at + Y + Z, basis)
+        + shares[4] * _at_corner(flat, at + X, basis)
+        + shares[5] * _at_corner(flat, at + X + Z, basis)
+        + shares[6] * _at_corner(flat, at + X + Y, basis)
+        + shares[7] * _at_corner(flat, at + X + Y + Z, basis)
+    )
+
+
+@njit(inline="always", error_model="numpy")
+def spread(flat, at, X, Y, Z, shares, basis, by_value):
     """The transpose: add a cell's shares of the gradient by `seen`."""
-    one = np.float32(1.0)
     for corner in range(8):
-        w = x if corner & 4 else one - x
-        w *= y if corner & 2 else one - y
-        w *= z if corner & 1 else one - z
-        w *= by_value
+        w = shares[corner] * by_value
         i = at + (X if corner & 4 else 0) + (Y if corner & 2 else 0) + (Z if corner & 1 else 0)
-        for k in range(len(basis)):
-            flat[i + k] += w * basis[k]
+        if len(basis) == 3:
+            flat[i] += w * basis[0]
+            flat[i + 1] += w * basis[1]
+            flat[i + 2] += w * basis[2]
+        else:
+            for k in range(len(basis)):
+                flat[i + k] += w * basis[k]

@@ -45,24 +45,33 @@ def threads() -> int:
     return max(1, min(torch.get_num_threads(), os.cpu_count() or 1))
 
 
+KEPT_PER_RAY = 24  # room for samples to begin with, by some fields more and by most less than what is met
+
+
 class _Compiled(torch.autograd.Function):
     @staticmethod
     def forward(
         ctx: Any, grid: torch.Tensor, coefficients: torch.Tensor, background: torch.Tensor, origins: torch.Tensor,
-        directions: torch.Tensor, rays: Rays, box: Box,
+        directions: torch.Tensor, rays: Rays, box: Box, keep: bool,
     ):  # fmt: skip
         values, directional, behind = grid.detach().numpy(), coefficients.detach().numpy(), background.detach().numpy()
         radiance, opacity = np.empty(len(rays.origins), np.float32), np.empty(len(rays.origins), np.float32)
 
-        def part(some: slice) -> None:
-            kernels.forward(
+        def part(some: slice) -> tuple[np.ndarray, ...]:
+            number = some.stop - some.start
+            first = np.empty(number + 1 if keep else 0, np.int64)
+            room = KEPT_PER_RAY * number if keep else 0
+            samples, depths, colours = (np.empty(room, kind) for kind in (np.int32, np.float32, np.float32))
+            kept = kernels.forward(
                 *(column[some] for column in rays), values, directional, box.occupied, box.low, box.high, box.step,
-                behind, radiance[some], opacity[some],
+                behind, radiance[some], opacity[some], first, samples, depths, colours,
             )  # fmt: skip
+            return first, *kept
 
-        map_threads(part, ranges(len(radiance), threads()), threads=threads())
+        cuts = ranges(len(radiance), threads())
+        ctx.kept = map_threads(part, cuts, threads=threads())
         ctx.save_for_backward(grid, coefficients, background)
-        ctx.rays, ctx.box, ctx.radiance = rays, box, radiance
+        ctx.rays, ctx.box, ctx.radiance, ctx.cuts = rays, box, radiance, cuts
         out, covered = torch.from_numpy(radiance), torch.from_numpy(opacity)
         ctx.mark_non_differentiable(covered)
         return out, covered
@@ -73,7 +82,7 @@ class _Compiled(torch.autograd.Function):
         rays, box, behind = ctx.rays, ctx.box, background.detach().numpy()
         values, directional = grid.detach().numpy(), coefficients.detach().numpy()
         by_radiance = np.ascontiguousarray(by_outputs[0].numpy())
-        cuts = ranges(len(by_radiance), threads())
+        cuts = ctx.cuts
         by_grid = [np.zeros(values.shape, np.float32) for _ in cuts]
         by_coefficients = [np.zeros(directional.shape, np.float32) for _ in cuts]
         by_behind = [np.zeros(behind.shape, np.float32) for _ in cuts]
@@ -83,14 +92,14 @@ class _Compiled(torch.autograd.Function):
         def part(k: int) -> None:
             some = cuts[k]
             kernels.backward(
-                *(column[some] for column in rays), values, directional, box.occupied, box.low, box.high, box.step,
-                behind, ctx.radiance[some], by_radiance[some], by_grid[k], by_coefficients[k], by_behind[k],
+                *(column[some] for column in rays), values, directional, box.low, box.high, box.step, behind,
+                ctx.radiance[some], *ctx.kept[k], by_radiance[some], by_grid[k], by_coefficients[k], by_behind[k],
                 by_origins[some], by_directions[some],
             )  # fmt: skip
 
         map_threads(part, range(len(cuts)), threads=threads())
         of_rays = (torch.from_numpy(by_origins), torch.from_numpy(by_directions)) if moving else (None, None)
-        return _total(by_grid), _total(by_coefficients), _total(by_behind), *of_rays, None, None
+        return _total(by_grid), _total(by_coefficients), _total(by_behind), *of_rays, None, None, None
 
 
 def _total(parts: list[np.ndarray]) -> torch.Tensor:
@@ -167,4 +176,6 @@ def render(
         return _tensors(grid, coefficients, background, rays, box)
     origins, directions = torch.as_tensor(rays.origins), torch.as_tensor(rays.directions)
     plain = rays._replace(origins=origins.detach().numpy(), directions=directions.detach().numpy())
-    return _Compiled.apply(grid, coefficients, background, origins, directions, plain, box)
+    asked = any(of.requires_grad for of in (grid, coefficients, background, origins, directions))
+    keep = asked and torch.is_grad_enabled()
+    return _Compiled.apply(grid, coefficients, background, origins, directions, plain, box, keep)

@@ -1,4 +1,4 @@
-"""The volume renderer, compiled: march, interpolate, composite; and its gradient by marching again.
+"""The volume renderer, compiled: march, interpolate, composite; and its gradient.
 
 A field is a grid of log density and log radiances at the vertices of a box, trilinear in between, exponential after;
 log radiance may also depend on the ray's direction (`harmonics`).
@@ -7,8 +7,9 @@ With step h, density σ_i, radiance c_i, transmittance T_i = exp(−h Σ_{j<i} �
     L = Σ_i (T_i − T_{i+1}) c_i + T_n b
     ∂L/∂c_i = T_i − T_{i+1}        ∂L/∂σ_i = h (T_{i+1} c_i − R_i),   R_i what the ray still collects after sample i
 
-so one more march with L known gives all gradients, and nothing is stored per sample.  Empty blocks are skipped, clear
-samples too; a ray ends where T falls below `OPAQUE`.  Source: Max, IEEE TVCG 1995 (compositing).
+so a walk along the samples with L known gives all gradients.  Blocks that are empty are left in one stride, clear samples
+passed over; a ray ends where T falls below `OPAQUE`.  For the gradient a ray keeps which samples were neither, with
+their h σ and c: 12 bytes each, some twenty per ray.  Source: Max, IEEE TVCG 1995 (compositing).
 
 A sample at o + t d moves with origin and direction as o does and as t times d; that t itself moves with the face of
 the box where the march begins is left out, since the offset of the first sample is random.
@@ -44,27 +45,31 @@ def _span(o, d, low, high):
 
 
 @njit(inline="always", error_model="numpy")
-def _interpolated(flat, at, X, Y, Z, x, y, z):
-    """Trilinear value of one feature; at: its index at the cell's low corner, X, Y, Z: strides."""
+def _shares(x, y, z):
+    """(8,) shares of a cell's corners in its trilinear value at (x, y, z), 0 … 1 each; z changes fastest."""
     one = np.float32(1.0)
-    a = (one - z) * flat[at] + z * flat[at + Z]
-    b = (one - z) * flat[at + Y] + z * flat[at + Y + Z]
-    c = (one - z) * flat[at + X] + z * flat[at + X + Z]
-    d = (one - z) * flat[at + X + Y] + z * flat[at + X + Y + Z]
-    return (one - x) * ((one - y) * a + y * b) + x * ((one - y) * c + y * d)
+    a, b, c, d = (one - x) * (one - y), (one - x) * y, x * (one - y), x * y
+    e = one - z
+    return a * e, a * z, b * e, b * z, c * e, c * z, d * e, d * z
 
 
 @njit(inline="always", error_model="numpy")
-def _spread(flat, at, other, X, Y, Z, x, y, z, first, second):
+def _interpolated(flat, at, X, Y, Z, shares):
+    """Trilinear value of one feature; at: its index at the cell's low corner, X, Y, Z: strides."""
+    return (
+        shares[0] * flat[at] + shares[1] * flat[at + Z] + shares[2] * flat[at + Y] + shares[3] * flat[at + Y + Z]
+        + shares[4] * flat[at + X] + shares[5] * flat[at + X + Z] + shares[6] * flat[at + X + Y]
+        + shares[7] * flat[at + X + Y + Z]
+    )  # fmt: skip
+
+
+@njit(inline="always", error_model="numpy")
+def _spread(flat, at, other, X, Y, Z, shares, first, second):
     """The transpose: add a cell's shares of `first`, and of `second` for the feature `other` places later."""
-    one = np.float32(1.0)
     for k in range(8):
-        w = x if k & 4 else one - x
-        w *= y if k & 2 else one - y
-        w *= z if k & 1 else one - z
         i = at + (X if k & 4 else 0) + (Y if k & 2 else 0) + (Z if k & 1 else 0)
-        flat[i] += w * first
-        flat[i + other] += w * second
+        flat[i] += shares[k] * first
+        flat[i + other] += shares[k] * second
 
 
 @njit(inline="always", error_model="numpy")
@@ -79,61 +84,118 @@ def _add_slopes(flat, at, X, Y, Z, x, y, z, by_value, out):
         out[2] += (value if k & 1 else -value) * wx * wy
 
 
+@njit(inline="always", error_model="numpy")
+def _steps_in_block(x, y, z, ix, iy, iz, rate_x, rate_y, rate_z):
+    """Steps from (x, y, z) in cell (ix, iy, iz) to the first sample outside its block; rates: steps per cell."""
+    a = ((ix // BLOCK + (rate_x > 0)) * BLOCK - x) * rate_x
+    b = ((iy // BLOCK + (rate_y > 0)) * BLOCK - y) * rate_y
+    c = ((iz // BLOCK + (rate_z > 0)) * BLOCK - z) * rate_z
+    return max(int(min(a, b, c)) + 1, 1)
+
+
+@njit(inline="always", error_model="numpy")
+def _per_cell(q, step):
+    """Steps of the march per cell along an axis, q: cells per unit of length."""
+    return 1.0 / (step * (q if abs(q) > 1e-9 else 1e-9))
+
+
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "afn", "reassoc"})
 def forward(
-    origins, directions, channels, offsets, grid, coefficients, occupied, low, high, step, background, radiance, opacity
+    origins, directions, channels, offsets, grid, coefficients, occupied, low, high, step, background, radiance,
+    opacity, first, samples, depths, colours,
 ):  # fmt: skip
-    """Fill radiance (n,) and opacity (n,) of rays.
+    """Fill radiance (n,) and opacity (n,) of rays; (samples, depths, colours), where rays met something.
 
     origins, directions: (n, 3) float32;  channels: (n,) colour of each ray;  offsets: (n,) of the first sample in
     steps;  grid: (nx, ny, nz, 1 + C) float32;  coefficients: (nx, ny, nz, C, K) float32 of the harmonics, K may be 0;
     occupied: (bx, by, bz) uint8 per block;  low, high: (3,) the box;  background: (C,) radiance behind it
+    first: (n + 1,) where the samples of each ray begin, or (0,) when nobody asks for them;  samples, depths, colours:
+    room for number of the step (int32), optical depth and radiance of samples that are not clear; larger arrays are
+    returned where it does not suffice
     """
-    nx, ny, nz, depth = grid.shape
-    stride_z, stride_y, stride_x = depth, nz * depth, ny * nz * depth
-    flat, floor = grid.reshape(-1), np.float32(math.log(CLEAR / step))
-    each, every = coefficients.shape[4], coefficients.shape[3] * coefficients.shape[4]
-    hop_y, hop_x = nz * every, ny * nz * every
-    directional, basis = coefficients.reshape(-1), np.empty(each, np.float32)
+    nx, ny, nz, _ = grid.shape
+    floor, basis = np.float32(math.log(CLEAR / step)), np.empty(coefficients.shape[4], np.float32)
     sx, sy, sz = (nx - 1) / (high[0] - low[0]), (ny - 1) / (high[1] - low[1]), (nz - 1) / (high[2] - low[2])
+    kept, keeping = 0, len(first) > 0
     for i in range(len(origins)):
         o, d, c = origins[i], directions[i], channels[i]
         harmonics.fill(d, basis)
         near, far = _span(o, d, low, high)
         T, L = np.float32(1.0), np.float32(0.0)
+        if keeping:
+            first[i] = kept
         if near < far < FARTHEST * step:
+            while keeping and kept + (far - near) / step + 2 > len(samples):
+                samples, depths, colours = _longer(samples), _longer(depths), _longer(colours)
             px, py, pz = (o[0] - low[0]) * sx, (o[1] - low[1]) * sy, (o[2] - low[2]) * sz
-            qx, qy, qz = d[0] * sx, d[1] * sy, d[2] * sz
-            t = near + offsets[i] * step
-            while t < far:
-                x, y, z = px + t * qx, py + t * qy, pz + t * qz
-                ix, iy, iz = min(max(int(x), 0), nx - 2), min(max(int(y), 0), ny - 2), min(max(int(z), 0), nz - 2)
-                if occupied[ix // BLOCK, iy // BLOCK, iz // BLOCK]:
-                    fx, fy, fz = np.float32(x - ix), np.float32(y - iy), np.float32(z - iz)
-                    at = ix * stride_x + iy * stride_y + iz * stride_z
-                    density = _interpolated(flat, at, stride_x, stride_y, stride_z, fx, fy, fz)
-                    if density > floor:
-                        value = _interpolated(flat, at + 1 + c, stride_x, stride_y, stride_z, fx, fy, fz)
-                        vertex = ((ix * ny + iy) * nz + iz) * every + c * each
-                        if each:
-                            value += harmonics.seen(directional, vertex, hop_x, hop_y, every, fx, fy, fz, basis)
-                        sigma = math.exp(min(density, np.float32(HIGHEST)))
-                        T_next = T * math.exp(-np.float32(step) * sigma)
-                        L += (T - T_next) * math.exp(min(value, np.float32(HIGHEST)))
-                        T = T_next
-                        if T < OPAQUE:
-                            break
-                t += step
+            T, L, kept = _march(
+                px, py, pz, d[0] * sx, d[1] * sy, d[2] * sz, near + offsets[i] * step, far, step, c, basis, grid,
+                coefficients, occupied, floor, keeping, samples, depths, colours, kept,
+            )  # fmt: skip
         radiance[i] = L + T * background[c]
         opacity[i] = 1.0 - T
+    if keeping:
+        first[len(origins)] = kept
+    return samples, depths, colours
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "afn", "reassoc"})
+def _march(
+    px, py, pz, qx, qy, qz, start, far, step, c, basis, grid, coefficients, occupied, floor, keeping, samples, depths,
+    colours, kept,
+):  # fmt: skip
+    """(transmittance, radiance, kept) at the end of one ray."""
+    nx, ny, nz, depth = grid.shape
+    stride_z, stride_y, stride_x = depth, nz * depth, ny * nz * depth
+    flat, directional = grid.reshape(-1), coefficients.reshape(-1)
+    each, every = coefficients.shape[4], coefficients.shape[3] * coefficients.shape[4]
+    hop_y, hop_x = nz * every, ny * nz * every
+    rate_x, rate_y, rate_z = _per_cell(qx, step), _per_cell(qy, step), _per_cell(qz, step)
+    k, t = 0, start
+    T, L = np.float32(1.0), np.float32(0.0)
+    while t < far:
+        x, y, z = px + t * qx, py + t * qy, pz + t * qz
+        ix, iy, iz = min(max(int(x), 0), nx - 2), min(max(int(y), 0), ny - 2), min(max(int(z), 0), nz - 2)
+        if occupied[ix // BLOCK, iy // BLOCK, iz // BLOCK]:
+            fx, fy, fz = np.float32(x - ix), np.float32(y - iy), np.float32(z - iz)
+            at, shares = ix * stride_x + iy * stride_y + iz * stride_z, _shares(fx, fy, fz)
+            density = _interpolated(flat, at, stride_x, stride_y, stride_z, shares)
+            if density > floor:
+                value = _interpolated(flat, at + 1 + c, stride_x, stride_y, stride_z, shares)
+                if each:
+                    vertex = ((ix * ny + iy) * nz + iz) * every + c * each
+                    value += harmonics.seen(directional, vertex, hop_x, hop_y, every, shares, basis)
+                passed = np.float32(step) * math.exp(min(density, np.float32(HIGHEST)))
+                colour = math.exp(min(value, np.float32(HIGHEST)))
+                if keeping:
+                    samples[kept], depths[kept], colours[kept] = k, passed, colour
+                    kept += 1
+                T_next = T * math.exp(-passed)
+                L += (T - T_next) * colour
+                T = T_next
+                if T < OPAQUE:
+                    break
+            k += 1
+        else:
+            k += _steps_in_block(x, y, z, ix, iy, iz, rate_x, rate_y, rate_z)
+        t = start + k * step
+    return T, L, kept
+
+
+@njit(inline="always", error_model="numpy")
+def _longer(column):
+    """The same numbers (n,), with room for as many again."""
+    longer = np.empty(2 * len(column) + 1024, column.dtype)
+    longer[: len(column)] = column
+    return longer
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "afn", "reassoc"})
 def backward(
-    origins, directions, channels, offsets, grid, coefficients, occupied, low, high, step, background, radiance,
-    by_radiance, by_grid, by_coefficients, by_background, by_origins, by_directions,
+    origins, directions, channels, offsets, grid, coefficients, low, high, step, background, radiance,
+    first, samples, depths, colours, by_radiance, by_grid, by_coefficients, by_background, by_origins, by_directions,
 ):  # fmt: skip
-    """Add the gradient of Σ by_radiance · radiance; see `forward`.
+    """Add the gradient of Σ by_radiance · radiance, from the samples that `forward` kept.
 
     by_grid, by_coefficients, by_background: (…) as grid, coefficients, background;  by_origins, by_directions: (n, 3),
     or (0, 3) when nobody asks
@@ -141,7 +203,8 @@ def backward(
     moving, slopes, turning = len(by_origins) > 0, np.empty(3, np.float32), np.empty(3, np.float32)
     nx, ny, nz, depth = grid.shape
     stride_z, stride_y, stride_x = depth, nz * depth, ny * nz * depth
-    flat, floor = grid.reshape(-1), np.float32(math.log(CLEAR / step))
+    flat, most = grid.reshape(-1), np.float32(step) * math.exp(np.float32(HIGHEST - 1e-5))
+    brightest = math.exp(np.float32(HIGHEST - 1e-5))
     each, every = coefficients.shape[4], coefficients.shape[3] * coefficients.shape[4]
     hop_y, hop_x = nz * every, ny * nz * every
     directional, basis = coefficients.reshape(-1), np.empty(each, np.float32)
@@ -153,58 +216,43 @@ def backward(
             continue
         o, d, c = origins[i], directions[i], channels[i]
         harmonics.fill(d, basis)
-        near, far = _span(o, d, low, high)
+        near, _ = _span(o, d, low, high)
         T, left = np.float32(1.0), radiance[i]
-        if near < far < FARTHEST * step:
-            px, py, pz = (o[0] - low[0]) * sx, (o[1] - low[1]) * sy, (o[2] - low[2]) * sz
-            qx, qy, qz = d[0] * sx, d[1] * sy, d[2] * sz
-            t = near + offsets[i] * step
-            while t < far:
-                x, y, z = px + t * qx, py + t * qy, pz + t * qz
-                ix, iy, iz = min(max(int(x), 0), nx - 2), min(max(int(y), 0), ny - 2), min(max(int(z), 0), nz - 2)
-                if occupied[ix // BLOCK, iy // BLOCK, iz // BLOCK]:
-                    fx, fy, fz = np.float32(x - ix), np.float32(y - iy), np.float32(z - iz)
-                    at = ix * stride_x + iy * stride_y + iz * stride_z
-                    density = _interpolated(flat, at, stride_x, stride_y, stride_z, fx, fy, fz)
-                    if density > floor:
-                        value = _interpolated(flat, at + 1 + c, stride_x, stride_y, stride_z, fx, fy, fz)
-                        vertex = ((ix * ny + iy) * nz + iz) * every + c * each
-                        if each:
-                            value += harmonics.seen(directional, vertex, hop_x, hop_y, every, fx, fy, fz, basis)
-                        sigma = math.exp(min(density, np.float32(HIGHEST)))
-                        colour = math.exp(min(value, np.float32(HIGHEST)))
-                        T_next = T * math.exp(-np.float32(step) * sigma)
-                        left -= (T - T_next) * colour
-                        by_density = g * np.float32(step) * (T_next * colour - left) * sigma
-                        by_value = g * (T - T_next) * colour
-                        if density >= HIGHEST:
-                            by_density = np.float32(0.0)
-                        if value >= HIGHEST:
-                            by_value = np.float32(0.0)
-                        _spread(by_flat, at, 1 + c, stride_x, stride_y, stride_z, fx, fy, fz, by_density, by_value)
-                        if each:
-                            harmonics.spread(
-                                by_directional, vertex, hop_x, hop_y, every, fx, fy, fz, basis, by_value
-                            )  # fmt: skip
-                        if moving:
-                            slopes[:], turning[:] = 0.0, 0.0
-                            _add_slopes(flat, at, stride_x, stride_y, stride_z, fx, fy, fz, by_density, slopes)
-                            _add_slopes(flat, at + 1 + c, stride_x, stride_y, stride_z, fx, fy, fz, by_value, slopes)
-                            for k in range(each):
-                                one = by_value * basis[k]
-                                _add_slopes(directional, vertex + k, hop_x, hop_y, every, fx, fy, fz, one, slopes)
-                                here[k] = by_value * _interpolated(
-                                    directional, vertex + k, hop_x, hop_y, every, fx, fy, fz
-                                )  # fmt: skip
-                            harmonics.turned(d, here, turning)
-                            for j in range(3):
-                                slope = slopes[j] * (sx if j == 0 else (sy if j == 1 else sz))
-                                by_origins[i, j] += slope
-                                by_directions[i, j] += t * slope + turning[j]
-                        T = T_next
-                        if T < OPAQUE:
-                            break
-                t += step
+        px, py, pz = (o[0] - low[0]) * sx, (o[1] - low[1]) * sy, (o[2] - low[2]) * sz
+        qx, qy, qz = d[0] * sx, d[1] * sy, d[2] * sz
+        start = near + offsets[i] * step
+        for m in range(first[i], first[i + 1]):
+            t, passed, colour = start + samples[m] * step, depths[m], colours[m]
+            x, y, z = px + t * qx, py + t * qy, pz + t * qz
+            ix, iy, iz = min(max(int(x), 0), nx - 2), min(max(int(y), 0), ny - 2), min(max(int(z), 0), nz - 2)
+            fx, fy, fz = np.float32(x - ix), np.float32(y - iy), np.float32(z - iz)
+            at, shares = ix * stride_x + iy * stride_y + iz * stride_z, _shares(fx, fy, fz)
+            T_next = T * math.exp(-passed)
+            by_value = g * (T - T_next) * colour
+            left -= (T - T_next) * colour
+            by_density = g * (T_next * colour - left) * passed
+            if passed >= most:
+                by_density = np.float32(0.0)
+            if colour >= brightest:
+                by_value = np.float32(0.0)
+            _spread(by_flat, at, 1 + c, stride_x, stride_y, stride_z, shares, by_density, by_value)
+            vertex = ((ix * ny + iy) * nz + iz) * every + c * each
+            if each:
+                harmonics.spread(by_directional, vertex, hop_x, hop_y, every, shares, basis, by_value)
+            if moving:
+                slopes[:], turning[:] = 0.0, 0.0
+                _add_slopes(flat, at, stride_x, stride_y, stride_z, fx, fy, fz, by_density, slopes)
+                _add_slopes(flat, at + 1 + c, stride_x, stride_y, stride_z, fx, fy, fz, by_value, slopes)
+                for k in range(each):
+                    one = by_value * basis[k]
+                    _add_slopes(directional, vertex + k, hop_x, hop_y, every, fx, fy, fz, one, slopes)
+                    here[k] = by_value * _interpolated(directional, vertex + k, hop_x, hop_y, every, shares)
+                harmonics.turned(d, here, turning)
+                for j in range(3):
+                    slope = slopes[j] * (sx if j == 0 else (sy if j == 1 else sz))
+                    by_origins[i, j] += slope
+                    by_directions[i, j] += t * slope + turning[j]
+            T = T_next
         by_background[c] += g * T
 
 

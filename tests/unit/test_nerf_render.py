@@ -115,6 +115,21 @@ def test_both_engines_agree_with_their_gradients(channels, degree):
         torch.testing.assert_close(compiled, tensors, rtol=1e-3, atol=1e-4)
 
 
+@pytest.mark.parametrize(("step", "density", "value"), [(0.004, -1.0, 0.0), (0.11, 13.0, 0.0), (0.11, 0.0, 13.0)])
+def test_both_engines_agree_in_fog_and_beyond_the_highest_values(step, density, value):
+    """Hundreds of samples per ray, more than there is room for at first; and values that are cut off have no slope."""
+    rng = np.random.default_rng(3)
+    values = 0.1 * rng.normal(size=(13, 13, 13, 2)).astype(np.float32) + np.array([density, value], np.float32)
+    rays, box, slopes = random_rays(60, 1), Box(LOW, HIGH, step, np.ones((3, 3, 3), np.uint8)), []
+    for engine in ("compiled", "tensors"):
+        grid = torch.tensor(values, requires_grad=True)
+        radiance, _ = render(grid, torch.tensor([0.4]), rays, box, engine)
+        (radiance * torch.linspace(-1, 1, len(radiance))).sum().backward()
+        slopes.append((radiance.detach(), grid.grad))
+    for compiled, tensors in zip(*slopes, strict=True):
+        torch.testing.assert_close(compiled, tensors, rtol=1e-3, atol=1e-4)
+
+
 @pytest.mark.parametrize("of", ["grid", "coefficients"])
 def test_gradients_are_those_of_finite_differences(of):
     rng = np.random.default_rng(1)
