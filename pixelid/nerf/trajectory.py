@@ -70,19 +70,30 @@ class Trajectory:
         return origins, out
 
 
+@njit(inline="always")
+def _place(time, t, k):
+    """The interval of poses at a time; k: one that may be it, as times of a run follow each other closely."""
+    if t[k] <= time < t[k + 1]:
+        return k
+    return min(max(np.searchsorted(t, time, side="right") - 1, 0), len(t) - 2)
+
+
 @njit(cache=True, nogil=True)
-def _pose(time, t, position, orientation):
-    """(px, py, pz, qx, qy, qz, qw) at one time."""
-    k = min(max(np.searchsorted(t, time, side="right") - 1, 0), len(t) - 2)
+def _pose(time, k, t, position, orientation):
+    """(px, py, pz, qx, qy, qz, qw) at one time, in the interval k of poses."""
     f = min(max((time - t[k]) / (t[k + 1] - t[k]), 0.0), 1.0)
     dot = 0.0
     for j in range(4):
         dot += orientation[k, j] * orientation[k + 1, j]
     sign = 1.0 if dot >= 0.0 else -1.0
-    angle = np.arccos(min(abs(dot), 1.0))
-    if angle < 1e-4:  # sin x = x to 1e-9
-        w0, w1 = 1.0 - f, f * sign
+    short = 1.0 - min(abs(dot), 1.0)
+    if short < 1e-3:  # series of sin(f x)/sin x, x the angle between the quaternions, to 1e-11
+        x2 = 2.0 * short * (1.0 + short / 6.0 * (1.0 + 4.0 * short / 15.0))
+        rest = (1.0 - f) * (1.0 - f) * x2
+        sine, rest, gone = 1.0 - x2 / 6.0 * (1.0 - x2 / 20.0), 1.0 - rest / 6.0 * (1.0 - rest / 20.0), f * f * x2
+        w0, w1 = (1.0 - f) * rest / sine, sign * f * (1.0 - gone / 6.0 * (1.0 - gone / 20.0)) / sine
     else:
+        angle = np.arccos(1.0 - short)
         w0, w1 = np.sin((1.0 - f) * angle) / np.sin(angle), sign * np.sin(f * angle) / np.sin(angle)
     q0 = w0 * orientation[k, 0] + w1 * orientation[k + 1, 0]
     q1 = w0 * orientation[k, 1] + w1 * orientation[k + 1, 1]
@@ -106,8 +117,10 @@ def rotate(x, y, z, w, a, b, c):
 
 @njit(cache=True, nogil=True)
 def _poses(times, t, position, orientation, out_position, out_rotation):
+    k = 0
     for i in range(len(times)):
-        p0, p1, p2, x, y, z, w = _pose(times[i], t, position, orientation)
+        k = _place(times[i], t, k)
+        p0, p1, p2, x, y, z, w = _pose(times[i], k, t, position, orientation)
         out_position[i, 0], out_position[i, 1], out_position[i, 2] = p0, p1, p2
         for j in range(3):
             e0, e1, e2 = 1.0 * (j == 0), 1.0 * (j == 1), 1.0 * (j == 2)
@@ -117,8 +130,10 @@ def _poses(times, t, position, orientation, out_position, out_rotation):
 
 @njit(cache=True, nogil=True)
 def _rays(times, directions, t, position, orientation, origins, out):
+    k = 0
     for i in range(len(times)):
-        p0, p1, p2, x, y, z, w = _pose(times[i], t, position, orientation)
+        k = _place(times[i], t, k)
+        p0, p1, p2, x, y, z, w = _pose(times[i], k, t, position, orientation)
         d0, d1, d2 = rotate(x, y, z, w, directions[i, 0], directions[i, 1], directions[i, 2])
         origins[i, 0], origins[i, 1], origins[i, 2] = p0, p1, p2
         out[i, 0], out[i, 1], out[i, 2] = d0, d1, d2

@@ -209,12 +209,17 @@ def test_refining_keeps_the_scene():
     torch.testing.assert_close(field.coefficients[::4, ::4, ::4], directional)
 
 
-def test_poses_are_interpolated_linearly_and_by_slerp():
+@pytest.mark.parametrize("degrees", [180.0, 8.0, 4.0, 0.1, 0.0])
+def test_poses_are_interpolated_linearly_and_by_slerp(degrees):
+    """At any times in any order; small angles are interpolated by a series."""
     rng = np.random.default_rng(2)
     t, rotations = np.array([0.0, 0.3, 1.0]), Rotation.random(3, random_state=4)
+    if degrees < 180:
+        turned = Rotation.from_rotvec(np.radians(degrees) * np.array([[0, 0, 0], [0.6, 0, 0.8], [0.6, 1.0, 0.8]]))
+        rotations = rotations[0] * turned
     quaternions = rotations.as_quat() * np.array([[1], [-1], [1]])
     trajectory = Trajectory(t, rng.normal(size=(3, 3)), quaternions)
-    times = np.linspace(0, 1, 23)
+    times = rng.permutation(np.linspace(0, 1, 23))
     position, rotation = trajectory.at(times)
     np.testing.assert_allclose(rotation, Slerp(t, rotations)(times).as_matrix(), atol=1e-9)
     for j in range(3):
