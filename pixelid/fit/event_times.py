@@ -21,7 +21,7 @@ from pixelid.stages.comparator import threshold_shifts
 from pixelid.stages.modulation import at_reset, since_event
 
 # Circuit numbers that leave the trajectories and changes alone and act in the density only.
-DENSITY_ONLY = (*NUMBERS, "tick")
+DENSITY_ONLY = (*(name for name in NUMBERS if name != "silent"), "tick")
 # Difference in fitting coordinates.  Of the changes one-sided: they bend by about themselves per unit, so the error is
 # 1e-6 relative, and their own error 1e-14 adds 1e-8.  Of the circuit's numbers central: elementary functions of the
 # coordinates, whose rounding leaves 1e-10.
@@ -128,7 +128,6 @@ class EventTimesObjective(Objective):
             slope /= up[i] - x[i]
         if not np.isfinite(slope.sum()):
             np.nan_to_num(slope, copy=False, posinf=0.0, neginf=0.0)
-        difference.events.early[:] = 0.0  # whether an event comes too early is not differentiable
         return Tangent(difference, numbers)
 
     def _numbers_along(self, x: np.ndarray, i: int, circuit: Circuit) -> np.ndarray:

@@ -119,7 +119,7 @@ def standardised(result: Fitted, recordings: Sequence[Recording]) -> tuple[Event
     objective = EventTimesObjective(likelihood, result.coordinates)
     terms = objective.terms(result.x)
     residual = (terms.z - terms.group_mean[likelihood.group]) / terms.scale
-    return likelihood, residual, ~terms.background
+    return likelihood, residual, ~terms.background & ~terms.at_once
 
 
 @styled

@@ -72,7 +72,7 @@ def residual_tests(objective: EventTimesObjective, x: np.ndarray) -> list[Residu
     """
     likelihood = objective.likelihood
     terms = objective.terms(x)
-    kept = np.flatnonzero(~terms.background)
+    kept = np.flatnonzero(~terms.background & ~terms.at_once)  # what came at once does not tell its level
     if len(kept) < 2 * BLOCK_EVENTS:
         return []
     group = likelihood.group[kept]

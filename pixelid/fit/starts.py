@@ -8,30 +8,44 @@ from pixelid.likelihood.event_times import EventTimes
 from pixelid.likelihood.pooled_rate import PooledRate, delay_name
 from pixelid.model.model import Model
 
+SILENCE = "dead_time_without_reset.s"
+
 
 def feasible(model: Model, likelihood: EventTimes) -> Model:
     """The model with dead time below the observed intervals and thresholds that match the levels it predicts.
 
-    Thresholds start at the median level at the events, threshold noise at its spread; fixed parameters stay.
+    Thresholds start at the median level at the events, threshold noise at its spread; fixed parameters stay.  A silence
+    starts where intervals recur, or where it is if that explains the events better: its end is too sharp to climb to.
     """
     changes: dict[str, float] = {}
     if "refractory_s" in model.free:
         parameter = model.parameter("refractory_s")
         changes["refractory_s"] = min(parameter.value, longest_dead_time(model, likelihood))
         model = model.set(changes)
+    if SILENCE in model.free:
+        model = _with_silence(model, likelihood)
     terms = likelihood.terms(model.circuit())
-    on = likelihood.sign > 0
+    told = ~terms.at_once
+    on, off = (likelihood.sign > 0) & told, (likelihood.sign < 0) & told
     levels = {}
-    for name, chosen in (("on_threshold", on), ("off_threshold", ~on)):
+    for name, chosen in (("on_threshold", on), ("off_threshold", off)):
         parameter = model.parameter(name)
         levels[name] = parameter.value
         if chosen.any() and parameter.free:
             median = float(np.median(terms.z[chosen]))
             levels[name] = float(np.clip(median, 0.1 * parameter.value, 10.0 * parameter.value))
-    relative = np.abs(terms.z / np.where(on, levels["on_threshold"], levels["off_threshold"]) - 1.0)
-    if "threshold_sigma" in model.free:
+    expected = np.where(likelihood.sign > 0, levels["on_threshold"], levels["off_threshold"])
+    relative = np.abs(terms.z / expected - 1.0)[told]
+    if "threshold_sigma" in model.free and told.any():
         levels["threshold_sigma"] = float(np.clip(1.48 * np.median(relative), 0.02, 0.5))
     return model.set({name: model.parameter(name).within(levels[name]) for name in levels if name in model.free})
+
+
+def _with_silence(model: Model, likelihood: EventTimes) -> Model:
+    parameter = model.parameter(SILENCE)
+    waits = [parameter.within(wait) for wait in likelihood.commonest_intervals_s()]
+    starts = [model, *(model.set({SILENCE: wait}) for wait in waits)]
+    return max(starts, key=lambda start: likelihood.log_likelihood(start.circuit()))
 
 
 def longest_dead_time(model: Model, likelihood: EventTimes) -> float:

@@ -6,11 +6,14 @@ For an interval released at tr (previous event + dead time)
 
 with d the never-reset amplifier output and h what it is reset to.  The leak part is kept apart (`drift`, in
 units of C_on) because it is the only part that depends on a threshold.
+
+Where the comparator stays blind for longer than the amplifier is held (`dead_time_without_reset`), the change is the
+same, and counts from the end of that silence on: what it is there has not been crossed on the way.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -58,7 +61,7 @@ class Changes:
     change, slope: (n,) at the event;  drift, drift_slope: (n,) leak at the event, in C_on and C_on/s
     opposite: (n,) extreme of −sign·change before the event, and opposite_drift there
     rise, rise_drift, fall, fall_drift: (m,) extremes of +change and −change over the censored last intervals
-    early: (n,) whether the event comes before its pixel's release (impossible under the model)
+    early: (n,) whether the event comes before its pixel can fire again (impossible under the model)
     """
 
     change: np.ndarray
@@ -108,7 +111,7 @@ class ChangeEvaluator:
         """The changes of every interval under `circuit`; `locate`: see `fill`."""
         events, pixels = np.empty((7, len(self.intervals))), np.empty((4, len(self.intervals.last_s)))
         self.fill(circuit, locate, events, pixels)
-        return Changes(*events[:6], *pixels, early=events[6] > 0)
+        return Changes(*events[:6], *pixels, early=events[6] >= 0)
 
     def fill(
         self,
@@ -146,6 +149,12 @@ class ChangeEvaluator:
             release, last = release + own.dead_s, last + own_last.dead_s
         begun, drift = self._begun(trajectory, drive, circuit, release, 0, of_event)
         begun_last, drift_last = self._begun(trajectory, drive, circuit, last, 2, of_last)
+        looks, looks_last, opened, opened_last = release, last, None, None
+        if circuit.silent > 0:
+            looks = np.maximum(release, previous - circuit.delay + circuit.silent)
+            looks_last = np.maximum(last, begin - circuit.delay + circuit.silent)
+            opened = self._opened(trajectory, drive, begun, drift, looks, 0, of_event)
+            opened_last = self._opened(trajectory, drive, begun_last, drift_last, looks_last, 2, of_last)
         sample = located(trajectory.t, time, self._near_samples[1], first, of_event)
 
         change, slope, drifted, drift_slope, opposite, opposite_drift, early = events
@@ -159,35 +168,45 @@ class ChangeEvaluator:
                 release, time, sample, trajectory.t, drive.log_light, drift.rate, drift.per_light, drift.lights,
                 drift.light, drifted, drift_slope,
             )  # fmt: skip
-        np.less_equal(time, release, out=early)
+        np.subtract(looks, time, out=early)
 
         if isinstance(locate, Extremes):
             extremes = locate
         else:
+            searched = begun if opened is None else opened.begun
+            searched_last = begun_last if opened_last is None else opened_last.begun
             final = located(trajectory.t, np.full(len(last), iv.end_s), first[of_last], first, of_last)
             up, near = np.ones(len(last)), (-np.inf, -np.inf)
             if own is not None and own_last is not None and own.relaxes:
                 relaxing = own.just_after(-iv.sign), own_last.just_after(up), own_last.just_after(-up)
                 extremes = Extremes(
-                    locate_by_sample(trajectory, output, begun, -iv.sign, sample, drift, relaxing[0]),
-                    locate_by_sample(trajectory, output, begun_last, up, final, drift_last, relaxing[1]),
-                    locate_by_sample(trajectory, output, begun_last, -up, final, drift_last, relaxing[2]),
+                    locate_by_sample(trajectory, output, searched, -iv.sign, sample, drift, relaxing[0]),
+                    locate_by_sample(trajectory, output, searched_last, up, final, drift_last, relaxing[1]),
+                    locate_by_sample(trajectory, output, searched_last, -up, final, drift_last, relaxing[2]),
                 )
             else:
                 extremes = Extremes(
-                    locate_extremes(trajectory, output, begun, -iv.sign, sample, _near(circuit), drift),
-                    locate_extremes(trajectory, output, begun_last, up, final, near, drift_last),
-                    locate_extremes(trajectory, output, begun_last, -up, final, near, drift_last),
+                    locate_extremes(trajectory, output, searched, -iv.sign, sample, _near(circuit), drift),
+                    locate_extremes(trajectory, output, searched_last, up, final, near, drift_last),
+                    locate_extremes(trajectory, output, searched_last, -up, final, near, drift_last),
                 )
         at_samples(trajectory, output, begun, -iv.sign, extremes.opposite, drift, opposite, opposite_drift)
+        reached_s = _times_of(extremes.opposite, trajectory.t, time)
+        reached_last_s = []
+        if opened is not None:
+            opened.raise_extremes(-iv.sign, circuit.on_threshold, time, (opposite, opposite_drift), reached_s)
         for sign, at, rows in ((1.0, extremes.rise, pixels[:2]), (-1.0, extremes.fall, pixels[2:])):
-            at_samples(trajectory, output, begun_last, np.full(len(last), sign), at, drift_last, *rows)
+            signs = np.full(len(last), sign)
+            at_samples(trajectory, output, begun_last, signs, at, drift_last, *rows)
+            reached_last_s.append(_times_of(at, trajectory.t, np.full(len(last), iv.end_s)))
+            if opened_last is not None:
+                opened_last.raise_extremes(signs, circuit.on_threshold, iv.end_s, tuple(rows), reached_last_s[-1])
         if circuit.polarity_memory != 0:
             _subtract_threshold_shifts(circuit, iv, events, pixels)
         if own is not None and own_last is not None:
-            growth, t = circuit.threshold_drift, trajectory.t
-            subtract(own, growth, iv.sign, time, t, extremes.opposite, events)
-            subtract_from_ends(own_last, growth, iv.end_s, t, (extremes.rise, extremes.fall), pixels)
+            growth = circuit.threshold_drift
+            subtract(own, growth, iv.sign, time, reached_s, events)
+            subtract_from_ends(own_last, growth, iv.end_s, reached_last_s, pixels)
         return extremes
 
     def _modulated(
@@ -229,6 +248,61 @@ class ChangeEvaluator:
             _light_integrals(trajectory.t, drive.log_light, lights)
             _light_until(release, sample, trajectory.t, drive.log_light, lights, light)
         return begun, Drift(leaked(circuit, 1.0, 0.0), per_light, circuit.on_threshold, lights, light)
+
+    def _opened(
+        self,
+        trajectory: Trajectory,
+        light: StackedDrive,
+        begun: Begun,
+        drift: Drift | None,
+        at_s: np.ndarray,
+        near: int,
+        light_of: np.ndarray,
+    ) -> Opened:
+        """Where intervals that have begun are looked at from `at_s` (k,) on; near: as of `_begun`."""
+        sample = located(trajectory.t, at_s, self._near_samples[near], light.first, light_of)
+        change, spare, drifted = np.empty(len(at_s)), np.empty(len(at_s)), np.zeros(len(at_s))
+        _changes(
+            begun.release_s, at_s, begun.level, begun.offset, *trajectory.slopes_at(at_s, sample)[1:],
+            trajectory.dynamics.differencing, change, spare,
+        )  # fmt: skip
+        if drift is not None:
+            _drifts(
+                begun.release_s, at_s, sample, trajectory.t, light.log_light, drift.rate, drift.per_light,
+                drift.lights, drift.light, drifted, spare,
+            )  # fmt: skip
+        return Opened(replace(begun, sample=sample), at_s, change, drifted)
+
+
+@dataclass(frozen=True)
+class Opened:
+    """Where k pixels that were silent look again.
+
+    begun: the intervals, whose samples to look at begin there;  at_s: (k,) when
+    change, drifted: (k,) the change there without leak, and what has leaked, in ON thresholds
+    """
+
+    begun: Begun
+    at_s: np.ndarray
+    change: np.ndarray
+    drifted: np.ndarray
+
+    def raise_extremes(
+        self, sign: np.ndarray, on: float, until_s: np.ndarray | float, rows: tuple[np.ndarray, ...], when: np.ndarray
+    ) -> None:
+        """Put what sign · change is there in the place of extremes (k,) that it exceeds.
+
+        on: the ON threshold;  until_s: when the intervals end;  rows: the extremes and what had leaked
+        when: (k,) times of the extremes
+        """
+        change, drifted = sign * self.change, sign * self.drifted
+        higher = (self.at_s < until_s) & (change + on * drifted > np.maximum(rows[0] + on * rows[1], 0.0))
+        rows[0][higher], rows[1][higher], when[higher] = change[higher], drifted[higher], self.at_s[higher]
+
+
+def _times_of(at: np.ndarray, t: np.ndarray, otherwise: np.ndarray) -> np.ndarray:
+    """(k,) times of the samples `at` (k,); `otherwise` where that is −1."""
+    return np.where(at >= 0, t[at], otherwise)
 
 
 def _subtract_threshold_shifts(circuit: Circuit, iv: Sequences, events: np.ndarray, pixels: np.ndarray) -> None:

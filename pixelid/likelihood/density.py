@@ -35,18 +35,21 @@ or fewer is called background.  Likewise a crossing goes missing with probabilit
 event that the model expects and the recording lacks.
 
 **Lost events** (a share f of all): `losses.py`.
+
+**Events at the end of a silence** (`dead_time_without_reset`): `density_release.py`.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
 
 from pixelid.likelihood.density_backward import backward
 from pixelid.likelihood.density_forward import EventTerms, GroupTerms, Numbers, forward
-from pixelid.likelihood.layout import Layout, StackedChanges
+from pixelid.likelihood.density_release import Released, candidates, released
+from pixelid.likelihood.layout import NOTHING, Layout, StackedChanges
 from pixelid.likelihood.losses import BACKGROUND_HZ, MISSED, Losses, losses_of
 from pixelid.stages.circuit import Circuit
 
@@ -55,7 +58,7 @@ NUMBERS = (*Numbers._fields, "lost")
 
 @dataclass(frozen=True)
 class Gradient:
-    """Derivatives of the log-likelihood: `by_changes`, and (7,) by the circuit's `NUMBERS`."""
+    """Derivatives of the log-likelihood: `by_changes`, and (8,) by the circuit's `NUMBERS`."""
 
     by_changes: StackedChanges
     by_numbers: np.ndarray
@@ -67,6 +70,7 @@ class Terms:
 
     event, group: per event and per (pixel, polarity) group, see `density_forward.py`;  background: (n,) bool
     end: (m,) log survival of the unfinished intervals
+    at_release: (n,) bool, events at the end of a silence; empty where pixels do not fall silent
     losses: what lost events make of it, None where none get lost
     """
 
@@ -79,11 +83,17 @@ class Terms:
     group: GroupTerms
     end: np.ndarray
     losses: Losses | None = None
+    at_release: np.ndarray = field(default_factory=lambda: NOTHING)
 
     @cached_property
     def total(self) -> float:
         """The log-likelihood."""
         return float(self.event.term.sum() + self.group.term.sum() + self.end.sum())
+
+    @property
+    def at_once(self) -> np.ndarray:
+        """(n,) events at the end of a silence, whose level lies beyond the threshold, not at it."""
+        return self.at_release if len(self.at_release) else np.zeros(len(self.background), np.bool_)
 
     @property
     def unexplained(self) -> np.ndarray:
@@ -154,17 +164,21 @@ class Terms:
         """(g,) its variance."""
         return self.group.variance
 
+    @cached_property
+    def released(self) -> Released:
+        """The events at the end of a silence, as `density_release` wants them."""
+        return released(np.flatnonzero(self.at_release), self.layout, self.changes.events, self.numbers)
+
     def gradient(self) -> Gradient:
         """The derivatives of the total by everything it was made of."""
         at = self.layout
         by_changes = at.stacked(np.empty(at.size))
-        by_changes.events.early[:] = 0.0
         by_numbers = np.zeros(len(NUMBERS))
         lost = 0.0 if self.losses is None else self.losses.fraction
         backward(
             at.sign, at.group, at.time_s, self.clock_share, at.last_pixel, at.last_time_s,
-            self.changes.events, self.changes.ends, self.numbers, MISSED + lost, at.light_reset, at.light_last,
-            self.event, self.group,
+            self.changes.events, self.changes.ends, self.numbers, MISSED + lost, at.light, at.light_reset,
+            at.light_last, self.event, self.group, self.released,
             by_changes.events, by_changes.ends, by_numbers[:-1],
         )  # fmt: skip
         if self.losses is not None:
@@ -187,16 +201,22 @@ def density(layout: Layout, circuit: Circuit, changes: StackedChanges, clock_sha
     event = EventTerms(*np.empty((len(EventTerms._fields), n)))
     group = GroupTerms(*np.empty((len(GroupTerms._fields), layout.groups)))
     background, end = np.empty(n, np.bool_), np.empty(layout.ends)
+    which = candidates(layout, changes.events, numbers)
     forward(
         layout.sign, layout.group, layout.time_s, layout.tick_s, clock_share, layout.last_pixel, layout.last_time_s,
         changes.events, changes.ends, numbers, BACKGROUND_HZ, MISSED + lost,
-        (layout.light, layout.light_reset, layout.light_last), event, np.empty(n, np.bool_), background, group, end,
+        (layout.light, layout.light_reset, layout.light_last), released(which, layout, changes.events, numbers),
+        event, np.empty(n, np.bool_), background, group, end,
     )  # fmt: skip
+    at_release = NOTHING
+    if numbers.silent > 0.0:
+        at_release = np.zeros(n, np.bool_)
+        at_release[which] = ~background[which]
     losses = None
     if lost > 0.0:
         losses = losses_of(layout, lost, float(circuit.refractory), numbers, event, background, group, end)
         event.term[:] += losses.gain
-    return Terms(layout, numbers, clock_share, changes, event, background, group, end, losses)
+    return Terms(layout, numbers, clock_share, changes, event, background, group, end, losses, at_release)
 
 
 def sum_by(index: np.ndarray, values: np.ndarray, size: int) -> np.ndarray:

@@ -18,20 +18,21 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from pixelid.likelihood.density_forward import posterior, spread_of_draws, survival, widened
+from pixelid.likelihood.density_forward import posterior, survival
+from pixelid.likelihood.density_release import at_release_back, release_rows_back, spread_of_draws, widened
 
 NO_ZERO = 1e-300  # below any sum of weights
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def backward(
-    sign, group, time, clock_share, last_pixel, last_time, rows, ends, numbers, missed, reset, last, event, at_group,
-    by_rows, by_ends, by_number,
+    sign, group, time, clock_share, last_pixel, last_time, rows, ends, numbers, missed, light, reset, last, event,
+    at_group, release, by_rows, by_ends, by_number,
 ):  # fmt: skip
-    """Fill the derivatives of the log-likelihood by the changes, EventRows `by_rows` and EndRows `by_ends` (all but
-    `early`), and by the `numbers` (6,).  `event`, `at_group`: what `forward` filled.
+    """Fill the derivatives of the log-likelihood by the changes, EventRows `by_rows` and EndRows `by_ends`, and by the
+    `numbers` (7,).  `event`, `at_group`: what `forward` filled;  release: events at the end of a silence, `Released`.
     """
-    on, _, noise, mismatch, drift, jitter = numbers
+    on, _, noise, mismatch, drift, jitter, _ = numbers
     C, S, W, own = at_group.centre, at_group.spread, at_group.W, at_group.own
     groups = len(C)
     by_mean, by_sd = np.zeros(groups), np.zeros(groups)
@@ -39,6 +40,8 @@ def backward(
         group, time, last_pixel, last_time, rows, ends, numbers, missed, reset, last, event, at_group, by_rows, by_ends,
         by_mean, by_sd,
     )  # fmt: skip
+
+    by_margin = at_release_back(group, noise, light, release, at_group, by_mean, by_sd)
 
     # groups: their terms, and the posteriors that the survivals saw
     D, by_C, by_S, by_W, by_A = (
@@ -86,12 +89,15 @@ def backward(
         by_noise += by_V[g] * 2.0 * noise * C[g] ** 2
         by_C[g] += by_V[g] * 2.0 * noise * noise * C[g] + by_S[g] * 2.0 * mismatch * mismatch * C[g]
     more_on, more_drift = _levels_back(sign, time, rows, on, drift, event, by_rows)
-    by_number[0] = by_on + more_on + by_C[1::2].sum()
+    by_rows.early[:] = 0.0
+    at_on, at_drift, at_jitter, by_silent = release_rows_back(sign, time, on, drift, release, by_margin, rows, by_rows)
+    by_number[0] = at_on + by_on + more_on + by_C[1::2].sum()
     by_number[1] = by_C[0::2].sum()
     by_number[2] = by_noise
     by_number[3] = (by_S * 2.0 * mismatch * C * C).sum()
-    by_number[4] = by_drift + more_drift
-    by_number[5] = by_jitter
+    by_number[4] = by_drift + more_drift + at_drift
+    by_number[5] = by_jitter + at_jitter * jitter
+    by_number[6] = by_silent * numbers.silent
 
 
 @njit(cache=True, error_model="numpy")
@@ -114,7 +120,7 @@ def _survivals_back(
 
     reset, last: variances by the light, (n,) and (m,), see `Layout`, or empty
     """
-    on, _, noise, _, drift, _ = numbers
+    on, _, noise, _, drift, _, _ = numbers
     mean, sd, reached = at_group.mean, spread_of_draws(at_group, noise), event.reached
     by_on, by_drift = 0.0, 0.0
     by_rows.opposite[:] = 0.0

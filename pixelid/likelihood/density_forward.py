@@ -13,6 +13,7 @@ import numpy as np
 from numba import njit
 
 from pixelid.dynamics.vector_math import vlog
+from pixelid.likelihood.density_release import at_release, spread_of_draws, widened
 
 
 class Numbers(NamedTuple):
@@ -24,6 +25,7 @@ class Numbers(NamedTuple):
     mismatch: float
     threshold_drift: float
     jitter: float
+    silent: float
 
 
 class EventTerms(NamedTuple):
@@ -67,14 +69,18 @@ class GroupTerms(NamedTuple):
 @njit(cache=True, nogil=True, error_model="numpy")
 def forward(
     sign, group, time, tick, clock_share, last_pixel, last_time, rows, ends, numbers, background_hz, missed, light,
-    event, impossible, background, at_group, end_term,
+    release, event, impossible, background, at_group, end_term,
 ):  # fmt: skip
     """Fill EventTerms `event`, `background` (n,), GroupTerms `at_group` and `end_term` (m,).
 
-    light: variances (n,), (n,), (m,) by the light, see `Layout`, or three empty arrays;  impossible: (n,) work space
+    light: variances (n,), (n,), (m,) by the light, see `Layout`, or three empty arrays
+    release: events that may be those at the end of a silence, `density_release.Released`;  impossible: (n,) work space
     """
     _populations(numbers, at_group)
     _levels(sign, group, time, tick, clock_share, rows, numbers, at_group.centre, event, impossible)
+    for j in range(len(release.k)):
+        k = release.k[j]
+        impossible[k], event.level[k], event.rate[k] = True, 0.0, 1.0
     for k in range(len(light[0])):
         event.variance[k] += light[0][k]
     _classify(group, event, impossible, background_hz, at_group, background)
@@ -84,6 +90,7 @@ def forward(
     _sum_weights(group, event, at_group.W, at_group.A)
     _group_terms(at_group)
     _event_terms(group, background, math.log(background_hz), at_group, event)
+    at_release(group, numbers.noise, math.log(background_hz), light[0], release, at_group, event, background)
     _survivals(
         group, time, last_pixel, last_time, rows, ends, numbers, missed, light[1], light[2], at_group, event, end_term
     )
@@ -91,7 +98,7 @@ def forward(
 
 @njit(cache=True, error_model="numpy")
 def _populations(numbers, at_group):
-    on, off, _, mismatch, _, _ = numbers
+    on, off, _, mismatch, _, _, _ = numbers
     for g in range(len(at_group.centre)):
         at_group.centre[g] = on if g % 2 == 1 else off
         at_group.spread[g] = (mismatch * at_group.centre[g]) ** 2
@@ -100,7 +107,7 @@ def _populations(numbers, at_group):
 @njit(cache=True, nogil=True, error_model="numpy")
 def _levels(sign, group, time, tick, clock_share, rows, numbers, centre, event, impossible):
     """Level, rate and variance of every event, and whether the circuit cannot have fired it."""
-    on, off, noise, _, drift, jitter = numbers
+    on, off, noise, _, drift, jitter, _ = numbers
     noise_on, noise_off = (noise * on) ** 2, (noise * off) ** 2
     z, rate, variance, clock = event.level, event.rate, event.variance, event.clock
     change, slope, leak, leak_rate, early = rows.change, rows.slope, rows.drift, rows.drift_slope, rows.early
@@ -111,7 +118,7 @@ def _levels(sign, group, time, tick, clock_share, rows, numbers, centre, event, 
         rate[k] = scale * (slope[k] + on * leak_rate[k]) - z[k] * drift / growth
     # a change beyond any sensible level comes from parameters far outside physics: not worth its digits
     for k in range(len(z)):
-        impossible[k] = (not rate[k] > 0.0) or early[k] > 0.0 or (not abs(z[k]) < 1e6) or (not rate[k] < 1e12)
+        impossible[k] = (not rate[k] > 0.0) or early[k] >= 0.0 or (not abs(z[k]) < 1e6) or (not rate[k] < 1e12)
     for k in range(len(z)):
         z[k] = 0.0 if impossible[k] else z[k]
         rate[k] = 1.0 if impossible[k] else rate[k]
@@ -220,18 +227,6 @@ def survival(margin, missed):
     return math.log(chance), slope / chance
 
 
-@njit(cache=True, error_model="numpy")
-def spread_of_draws(at_group, noise):
-    """(g,) standard deviation of the thresholds that a group draws, given its events."""
-    return np.sqrt((noise * at_group.mean) ** 2 + at_group.variance)
-
-
-@njit(cache=True, error_model="numpy")
-def widened(sd, variances, k):
-    """A standard deviation with the k-th of some variances added; as it is where there are none."""
-    return sd if len(variances) == 0 else math.sqrt(sd**2 + variances[k])
-
-
 @njit(cache=True, nogil=True, error_model="numpy")
 def _survivals(
     group, time, last_pixel, last_time, rows, ends, numbers, missed, reset, last, at_group, event, end_term
@@ -240,7 +235,7 @@ def _survivals(
 
     reset, last: variances by the light, (n,) and (m,), see `Layout`, or empty
     """
-    on, _, noise, _, drift, _ = numbers
+    on, _, noise, _, drift, _, _ = numbers
     mean, sd, reached = at_group.mean, spread_of_draws(at_group, noise), event.reached
     for k in range(len(group)):
         reached[k] = (rows.opposite[k] + on * rows.opposite_drift[k]) / (1.0 + drift * time[k])

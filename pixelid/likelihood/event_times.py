@@ -25,6 +25,7 @@ from pixelid.stages.circuit import Circuit
 NUDGE_S = 1e-7  # of the release, to find how a level depends on it: 1e-3 of a dead time, 1e7 times a float's rounding
 MOST_CLOCK_SHARE = 100.0  # a level that falls ten times as fast by its reset as it rises: the light has all but turned
 MOST_REMEMBERED = 4_000_000  # samples of light in sections whose trajectories are remembered: 0.3 GB
+SAME = (1e-3, 1e-2, 5e-2)  # of an interval: equal to a stamp's jitter; stamps of a foreign clock may be blurred more
 LARGE = 60_000  # samples and events, a few milliseconds of work, from which handing it to other threads pays
 
 
@@ -118,6 +119,23 @@ class EventTimes:
     def shortest_intervals_s(self, quantile: float) -> float:
         """A low quantile of the times between two events of a pixel: dead time can hardly be longer."""
         return float(np.quantile(np.concatenate([iv.time_s - iv.previous_s for iv in self.intervals]), quantile))
+
+    def commonest_intervals_s(self) -> list[float]:
+        """Times between two events of a pixel that recur most, counted in windows of each of `SAME`.
+
+        There a silence may end: what comes at its end comes after the same time.
+        """
+        waits = np.sort(np.concatenate([iv.time_s - iv.previous_s for iv in self.intervals]))
+        waits = waits[waits > 0]
+        tick = float(self.layout.tick_s.max())
+        found: list[float] = []
+        for share in SAME:
+            last = np.searchsorted(waits, waits * (1.0 + share) + 2.0 * tick, side="right")
+            k = int(np.argmax(last - np.arange(len(waits)))) if len(waits) else 0
+            middle = float(np.median(waits[k : last[k]])) if len(waits) else 0.0
+            if middle > 0 and all(abs(middle / other - 1.0) > SAME[0] for other in found):
+                found.append(middle)
+        return found
 
     def changes(self, circuit: Circuit, extremes: Sequence[Extremes] | None = None) -> StackedChanges:
         """The changes of all recordings under a circuit.

@@ -2,7 +2,8 @@
 
 Its blocks, each a standardised residual or a log scale whose squares the log-likelihood sums: per event the level
 within its group (about the weighted mean), the log rate, and the log scale; per group the weighted mean about the
-population, and the log variance of that mean.
+population, and the log variance of that mean; per event at the end of a silence its moment and the log width of that,
+and the margin of its level above the threshold.
 """
 
 from __future__ import annotations
@@ -11,14 +12,16 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
+from scipy.stats import norm
 
 from pixelid.likelihood.density import Terms
+from pixelid.likelihood.density_release import SHARE, WINDOW
 from pixelid.likelihood.layout import StackedChanges
 
 
 @dataclass(frozen=True)
 class Tangent:
-    """Derivatives along one coordinate: of all changes (None: they do not move) and of the `NUMBERS` (7,)."""
+    """Derivatives along one coordinate: of all changes (None: they do not move) and of the `NUMBERS` (8,)."""
 
     changes: StackedChanges | None
     numbers: np.ndarray
@@ -29,7 +32,9 @@ class Information:
 
     def __init__(self, terms: Terms, tangents: int) -> None:
         self.terms = terms
-        kept = self.kept = np.flatnonzero(~terms.background)
+        usual = ~terms.background
+        usual[np.flatnonzero(terms.at_release)] = False
+        kept = self.kept = np.flatnonzero(usual)
         at, event, rows = terms.layout, terms.event, terms.changes.events
         self.group, self.weight = at.group[kept], event.weight[kept]
         self.growth = 1.0 + terms.numbers.threshold_drift * at.time_s[kept]
@@ -41,11 +46,13 @@ class Information:
         self.events = np.zeros((tangents, 3, len(kept)))
         self.groups = np.zeros((tangents, 2, len(self.seen)))
         self.lost = np.zeros(tangents)
+        self.release = terms.released
+        self.at_release = np.zeros((tangents, 3, len(self.release.k)))
 
     def add(self, i: int, tangent: Tangent) -> None:
         """Fill column i."""
         t, group, c = self.terms, self.terms.group, self.terms.numbers
-        d_on, d_off, d_noise, d_mismatch, d_drift, d_jitter, d_lost = tangent.numbers
+        d_on, d_off, d_noise, d_mismatch, d_drift, d_jitter, d_silent, d_lost = tangent.numbers
         if t.losses is not None:
             self.lost[i] = d_lost * np.sqrt(t.losses.information)
         d_level, d_rate = np.empty(len(self.kept)), np.empty(len(self.kept))
@@ -59,6 +66,9 @@ class Information:
         d_centre = np.where(self.is_on, d_on, d_off)
         share = np.where(self.seen, group.spread / t.mean_variance, 0.0)  # of a group's threshold that its events tell
         d_own = d_centre + share * (d_mean - d_centre)
+        if len(self.release.k):
+            width = 2.0 * c.jitter * d_jitter + SHARE**2 * c.silent * d_silent
+            self._add_released(i, tangent, width / self.release.width, d_on, d_drift, d_own)
         d_noise_variance = 2.0 * c.noise * group.mean * (d_noise * group.mean + c.noise * d_own)
         d_weight_sum = np.zeros(len(safe))
         _residuals_along(
@@ -70,11 +80,36 @@ class Information:
         self.groups[i, 0] = np.where(self.seen, (d_mean - d_centre) / np.sqrt(t.mean_variance), 0.0)
         self.groups[i, 1] = np.where(self.seen, np.sqrt(0.5) * d_mean_variance / t.mean_variance, 0.0)
 
+    def _add_released(self, i: int, tangent: Tangent, d_width: np.ndarray, d_on: float, d_drift: float, d_own) -> None:
+        """Fill column i of the events at the end of a silence; d_width: (j,), of the width of their moment."""
+        t, c, release = self.terms, self.terms.numbers, self.release
+        at, rows, k, group = t.layout, t.changes.events, release.k, t.layout.group[release.k]
+        growth = 1.0 + c.threshold_drift * at.time_s[k]
+        moved = _NOTHING if tangent.changes is None else tangent.changes.events.of_level
+        d_late = np.zeros(len(k)) if tangent.changes is None else -tangent.changes.events.early[k]
+        d_level, d_rate = np.empty(len(k)), np.empty(len(k))
+        _levels_along(
+            k, at.sign[k], at.time_s[k], release.level, release.rate, rows.drift[k], rows.drift_slope[k], growth,
+            *moved, c.on_threshold, c.threshold_drift, d_on, d_drift, d_level, d_rate,
+        )  # fmt: skip
+        ahead = WINDOW * release.width - release.late
+        d_level += ahead * d_rate + release.rate * (WINDOW * d_width - d_late)
+        spread = np.sqrt((c.noise * t.group_mean[group]) ** 2 + t.group_variance[group])
+        margin = (release.level + ahead * release.rate - t.group_mean[group]) / spread
+        hazard = np.exp(norm.logpdf(margin) - norm.logcdf(margin))
+        bend = np.sqrt(np.maximum(hazard * (hazard + margin), 0.0))  # of −log Φ
+        self.at_release[i, 0] = d_late / release.width
+        self.at_release[i, 1] = np.sqrt(2.0) * d_width / release.width
+        self.at_release[i, 2] = bend * (d_level - d_own[group]) / spread
+
     def matrix(self) -> np.ndarray:
         """(d, d)."""
         events = self.events.reshape(len(self.events), -1)
         groups = self.groups.reshape(len(self.groups), -1)
         information = events @ events.T + groups @ groups.T
+        if len(self.release.k):
+            released = self.at_release.reshape(len(self.at_release), -1)
+            information += released @ released.T
         return information if self.terms.losses is None else information + np.outer(self.lost, self.lost)
 
 

@@ -28,7 +28,8 @@ FLAT_BITS = 40  # of a pixel key, for the flat index: addresses have 16 bits eac
 
 
 class EventRows(NamedTuple):
-    """Rows (n,) of `Changes` per event; `early` is 1.0 where an event comes before its pixel's release."""
+    """Rows (n,) of `Changes` per event; `early`: by how many seconds it comes before its pixel can fire
+    again, impossible from 0 on."""
 
     change: np.ndarray
     slope: np.ndarray

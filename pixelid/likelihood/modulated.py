@@ -11,6 +11,7 @@ interval is looked at.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -80,24 +81,22 @@ def modulated(
 
 
 def subtract(
-    of: Modulated, growth: float, sign: np.ndarray, time_s: np.ndarray, t: np.ndarray, opposite: np.ndarray,
-    events: np.ndarray,
-) -> None:  # fmt: skip
+    of: Modulated, growth: float, sign: np.ndarray, time_s: np.ndarray, reached_s: np.ndarray, events: np.ndarray
+) -> None:
     """Take the shifts from the rows (7, n) of `changes.PER_EVENT`.
 
-    growth: of thresholds, per second;  opposite: (n,) sample of the other polarity's extreme, −1: none
+    growth: of thresholds, per second;  reached_s: (n,) time of the other polarity's extreme
     """
     own, slope = of.shifts(sign, time_s)
     grown = 1.0 + growth * time_s
     events[0] -= sign * own * grown
     events[1] -= sign * (own * growth + slope * grown)
-    events[4] -= of.shifts(-sign, np.where(opposite >= 0, t[opposite], time_s))[0] * grown
+    events[4] -= of.shifts(-sign, reached_s)[0] * grown
 
 
 def subtract_from_ends(
-    of: Modulated, growth: float, end_s: float, t: np.ndarray, at: tuple[np.ndarray, np.ndarray], pixels: np.ndarray
+    of: Modulated, growth: float, end_s: float, reached_s: Sequence[np.ndarray], pixels: np.ndarray
 ) -> None:
-    """Take the shifts from the rows (4, m) of `changes.PER_PIXEL`; at: samples (m,) of both extremes, −1: none."""
-    for sign, where, row in ((1.0, at[0], pixels[0]), (-1.0, at[1], pixels[2])):
-        signs = np.full(len(where), sign)
-        row -= of.shifts(signs, np.where(where >= 0, t[where], end_s))[0] * (1.0 + growth * end_s)
+    """Take the shifts from the rows (4, m) of `changes.PER_PIXEL`; reached_s: times (m,) of both extremes."""
+    for sign, when, row in ((1.0, reached_s[0], pixels[0]), (-1.0, reached_s[1], pixels[2])):
+        row -= of.shifts(np.full(len(when), sign), when)[0] * (1.0 + growth * end_s)

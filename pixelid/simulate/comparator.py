@@ -105,7 +105,7 @@ def events_in_step(pixel, place, t0, t1, step, chain, comparators, drawn, laws, 
     fired: (times (m,) s, pixels (m,), polarities (m,)), grown as needed.
     Returns (fired, count).
     """
-    refractory, leak, parasitic, drift, noise, key, history, described, relaxing = laws
+    refractory, leak, parasitic, drift, noise, key, history, described, relaxing, silent = laws
     tau, wd = step[4], chain[3]
     x = 0.0
     level, decay = comparators[LEVEL, place], comparators[DECAY, place]
@@ -121,14 +121,20 @@ def events_in_step(pixel, place, t0, t1, step, chain, comparators, drawn, laws, 
     else:
         here = probe(x, step, chain)
     while True:
+        begin, seen = x, here  # from where on the change is compared: the reference may be older
+        if silent > 0.0:
+            begin = max(x, comparators[LAST, place] + silent - t0)
+            if begin >= tau:
+                break
+            seen = here if begin == x else probe(begin, step, chain)
         if relaxing[0] != 0.0 or relaxing[1] != 0.0:
             at, polarity = first_crossing_relaxing(
-                x, here, step, chain, (level, decay, x, leak, parasitic), comparators[ON, place],
+                begin, seen, step, chain, (level, decay, x, leak, parasitic), comparators[ON, place],
                 comparators[OFF, place], drift, relaxing, t0, comparators[LAST, place], scratch,
             )  # fmt: skip
         else:
             at, polarity = first_crossing(
-                x, here, step, chain, (level, decay, x, leak, parasitic),
+                begin, seen, step, chain, (level, decay, x, leak, parasitic),
                 comparators[ON, place] * (1.0 + drift * t0), comparators[ON, place] * drift,
                 comparators[OFF, place] * (1.0 + drift * t0), comparators[OFF, place] * drift, scratch, tau,
             )  # fmt: skip

@@ -24,6 +24,7 @@ class Laws(NamedTuple):
 
     history: what is added to ON and OFF thresholds after an OFF event, and after an ON event
     described, relaxing: `modulation.at_reset` and `modulation.since_event`
+    silent: seconds after an event in which nothing is compared
     """
 
     refractory: float
@@ -35,6 +36,7 @@ class Laws(NamedTuple):
     history: tuple[tuple[float, float], tuple[float, float]]
     described: np.ndarray
     relaxing: tuple[float, float, float]
+    silent: float
 
 
 class Rules(NamedTuple):
@@ -86,5 +88,6 @@ def rules_of(circuit: Circuit, seed: int, synchronous: bool, t_end: float) -> Ru
         (threshold_shifts(circuit, -1.0), threshold_shifts(circuit, 1.0)),
         at_reset(circuit),
         since_event(circuit),
+        circuit.silent,
     )
     return Rules(circuit, dynamics, chain, laws, seed, synchronous)

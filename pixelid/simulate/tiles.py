@@ -207,7 +207,7 @@ def _tile(
     dark, modulation, omega, phase = light
     density, key = noise
     wh, wd, smooth = chain[2], chain[3], chain[5]
-    _, leak, parasitic, growth, _, _, _, described, relaxing = laws
+    _, leak, parasitic, growth, _, _, _, described, relaxing, _ = laws
     size = states.shape[1]
     begin, end, local, count_drawn = states.copy(), states.copy(), comparators.copy(), drawn.copy()
     work = np.empty((chain_step.WORK_ROWS, size))

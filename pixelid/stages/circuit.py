@@ -52,6 +52,7 @@ class Circuit:
     threshold_drift: float = 0.0  # relative, per second
     polarity_memory: float = 0.0  # relative, of the threshold of the polarity before
     refractory: float = 0.0
+    silent: float = 0.0  # seconds after an event in which the comparator is blind; the reference stays
     hot_count: int = 0
     hot_hz: float = 0.0
     # readout

@@ -1,4 +1,4 @@
-"""Comparator: ON and OFF thresholds, their spread, noise and drift, and the dead time after an event."""
+"""Comparator: ON and OFF thresholds, their spread, noise and drift, and the dead times after an event."""
 
 from __future__ import annotations
 
@@ -88,6 +88,18 @@ class RefractoryPeriod(Effect):
         return circuit.with_(refractory=values["refractory_s"])
 
 
+class DeadTimeWithoutReset(Effect):
+    name = "dead_time_without_reset"
+    stage = "comparator"
+    sentence = "After each event the pixel is silent for a while, but its reference is that of the event."
+    equation = "no event for s after an event; then the change since that event is compared, and fires at once beyond C"
+    source = "docs/model.md: the refractory period of simulators that keep the reference, such as v2e"
+    parameters = (Parameter("dead_time_without_reset.s", 2e-3, "s", 1e-7, 1.0, "log"),)
+
+    def apply(self, circuit: Circuit, values: Mapping[str, float]) -> Circuit:
+        return circuit.with_(silent=values["dead_time_without_reset.s"])
+
+
 class HotPixels(Effect):
     name = "hot_pixels"
     stage = "comparator"
@@ -103,4 +115,7 @@ class HotPixels(Effect):
         return circuit.with_(hot_hz=values["hot_pixels.rate_hz"], hot_count=round(values["hot_pixels.count"]))
 
 
-EFFECTS = (ThresholdMismatch(), ThresholdNoise(), ThresholdDrift(), PolarityMemory(), RefractoryPeriod(), HotPixels())
+EFFECTS = (
+    ThresholdMismatch(), ThresholdNoise(), ThresholdDrift(), PolarityMemory(), RefractoryPeriod(),
+    DeadTimeWithoutReset(), HotPixels(),
+)  # fmt: skip

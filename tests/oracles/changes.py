@@ -49,12 +49,14 @@ def plain_changes(evaluator: ChangeEvaluator, circuit: Circuit) -> dict[str, np.
 
         return change, drift, offset
 
-    def extreme(release, end, sign):
+    def extreme(release, looks, end, sign):
         change, drift, _ = begun(release)
-        samples = np.flatnonzero((T.t > release) & (T.t <= end))
-        if len(samples) == 0:
-            return 0.0, 0.0
+        samples = np.flatnonzero((T.t > looks) & (T.t <= end))
         c, d = change(output[samples], T.t[samples]), drift(T.t[samples])
+        if release < looks < end:
+            c, d = np.append(c, change(outputs(looks)[1], looks)), np.append(d, drift(looks))
+        if len(c) == 0:
+            return 0.0, 0.0
         best = int(np.argmax(sign * (c + circuit.on_threshold * d)))
         if sign * (c + circuit.on_threshold * d)[best] <= 0:
             return 0.0, 0.0
@@ -71,13 +73,15 @@ def plain_changes(evaluator: ChangeEvaluator, circuit: Circuit) -> dict[str, np.
         rows["slope"].append(slope + decay * offset * np.exp(-decay * (time - release)))
         rows["drift"].append(drift(time)[0])
         rows["drift_slope"].append(circuit.leak_hz + circuit.leak_hz_per_radiance * light)
-        value = extreme(release, time, -iv.sign[k])
+        looks = max(release, iv.previous_s[k] - circuit.delay + circuit.silent)
+        value = extreme(release, looks, time, -iv.sign[k])
         rows["opposite"].append(value[0])
         rows["opposite_drift"].append(value[1])
-        rows["early"].append(time <= release)
-    for release in iv.last_s + circuit.refractory - circuit.delay:
+        rows["early"].append(time <= looks)
+    for before in iv.last_s - circuit.delay:
+        release, looks = before + circuit.refractory, before + max(circuit.refractory, circuit.silent)
         for name, sign in (("rise", 1.0), ("fall", -1.0)):
-            value = extreme(release, iv.end_s, sign)
+            value = extreme(release, looks, iv.end_s, sign)
             rows[name].append(value[0])
             rows[f"{name}_drift"].append(value[1])
     return {name: np.array(values) for name, values in rows.items()}

@@ -24,7 +24,11 @@ def terms(likelihood, circuit, vector: np.ndarray) -> SimpleNamespace:
     growth = 1.0 + circuit.threshold_drift * at.time_s
     z = at.sign * (change + on * drift) / growth
     rate = at.sign * (slope + on * drift_slope) / growth - z * circuit.threshold_drift / growth
-    impossible = ~(rate.real > 0) | (early.real > 0) | ~(np.abs(z.real) < 1e6) | ~(rate.real < 1e12)
+    width_of_release = np.sqrt(at.tick_s**2 / 6.0 + 2.0 * circuit.jitter**2 + (1e-3 * circuit.silent) ** 2)
+    window = 5.0 * width_of_release
+    released = (np.abs(early.real) < window.real) & (np.real(circuit.silent) > 0)
+    ahead = z + rate * (window + early)  # where the change is when the window ends
+    impossible = released | ~(rate.real > 0) | (early.real >= 0) | ~(np.abs(z.real) < 1e6) | ~(rate.real < 1e12)
     rate = np.where(impossible, 1.0, rate)
     z = np.where(impossible, 0.0, z)
     width = rate * rate * likelihood.clock_share * (at.tick_s**2 / 12.0 + circuit.jitter**2)
@@ -60,6 +64,13 @@ def terms(likelihood, circuit, vector: np.ndarray) -> SimpleNamespace:
     event_term = -0.5 * np.log(2.0 * np.pi * variance) - 0.5 * within * within * weight + np.log(rate)
     event_term = np.where(background, np.log(BACKGROUND_HZ), event_term)
     sd = np.sqrt((circuit.noise * group_mean) ** 2 + group_variance)
+    at_once = log_ndtr((ahead - group_mean[at.group]) / sd[at.group]) - 0.5 * (early / width_of_release) ** 2
+    at_once = at_once - np.log(np.sqrt(2.0 * np.pi) * width_of_release)
+    released = released & (at_once.real > np.log(BACKGROUND_HZ))
+    event_term = np.where(released, at_once, event_term)
+    background = background & ~released
+    z = np.where(released, ahead, z)
+    variance = np.where(released, (circuit.noise * group_mean[at.group]) ** 2, variance)
     other = at.group ^ 1
     reached = (opposite + on * opposite_drift) / growth
     event_term = event_term + np.where(reached.real > 0, log_survival((group_mean[other] - reached) / sd[other]), 0.0)

@@ -376,7 +376,8 @@ def test_rows_have_the_names_of_the_changes():
     stacked, each = likelihood.changes(circuit), [evaluate(circuit) for evaluate in likelihood.evaluators]
     for rows in (stacked.events, stacked.ends):
         for name, row in rows._asdict().items():
-            np.testing.assert_array_equal(row, np.concatenate([getattr(part, name) for part in each]), err_msg=name)
+            shown = row >= 0 if name == "early" else row
+            np.testing.assert_array_equal(shown, np.concatenate([getattr(part, name) for part in each]), err_msg=name)
             assert np.shares_memory(row, stacked.vector)
     assert stacked.vector.shape == (likelihood.layout.size,)
 

@@ -64,12 +64,24 @@ def test_changes_and_extremes_written_out(kind, refractory):
         ("lower_cutoff", {"cutoff_hz": 2.0}),
         ("extra_pole", {"cutoff_hz": 1500.0}),
         ("slew_limit", {"rise_per_s": 400.0, "fall_per_s": 250.0}),
+        ("dead_time_without_reset", {"s": 3e-3}),
     ],
 )
 def test_effects_that_change_the_changes_written_out(effect, values):
     recording, circuit = session("steps"), MODEL.with_effect(effect, values).circuit()
     evaluator = ChangeEvaluator(*sections_of(recording)[1])
     assert_equal(evaluator(circuit), plain_changes(evaluator, circuit), near=0.2)
+
+
+def test_silence_with_a_leak_and_without_poles_written_out():
+    """A leak moves the extremes; ends of silences are extremes where the change has turned meanwhile."""
+    recording = session("jitter")
+    for effects in ((), ("source_follower_pole", "differencing_pole")):
+        model = MODEL.with_effect("leak", {"rate_hz": 20.0}).with_effect("dead_time_without_reset", {"s": 5e-3})
+        for effect in effects:
+            model = model.without_effect(effect)
+        evaluator = ChangeEvaluator(*sections_of(recording)[1])
+        assert_equal(evaluator(model.circuit()), plain_changes(evaluator, model.circuit()), near=0.2)
 
 
 @pytest.mark.parametrize(

@@ -21,6 +21,7 @@ MAINS_HZ = (100.0, 120.0)
 # Below the knee, of the logarithm's slope at it: without a kink, and as in v2e, on a line through the origin from the
 # logarithm of 20 grey levels.
 LINEAR_SLOPES = (1.0, math.log(20.0))
+SILENCE, DEAD_TIME = "dead_time_without_reset", "refractory_s"
 PHASES = (0.0, 0.5 * math.pi, math.pi, 1.5 * math.pi)
 # What no density of single events knows: read off the timestamps (`readout.py`), off the pixels, or not at all.
 NOT_IN_DENSITY = {"shot_noise", "hot_pixels", "readout_latency", "timestamp_quantisation"}
@@ -75,7 +76,7 @@ def strongest_start(likelihood: EventTimes, model: Model, effect: str, least: fl
     None if none can be evaluated, or (slew_limit, slow to fit, harmless when weak) none explains more than `least`.
     """
     best, top = None, -np.inf
-    for trial in variants(model, effect):
+    for trial in _trials(likelihood, model, effect):
         try:
             value = likelihood.log_likelihood(trial.circuit())
         except (InputError, FloatingPointError):
@@ -87,6 +88,26 @@ def strongest_start(likelihood: EventTimes, model: Model, effect: str, least: fl
     if effect == "slew_limit" and top <= least + MIN_SLEW_GAIN_NATS:
         return None
     return best
+
+
+def _trials(likelihood: EventTimes, model: Model, effect: str) -> Iterator[Model]:
+    """The model with the effect at each strength to try on these events.
+
+    The end of a silence is sharp: it is looked for where intervals recur.  A dead time that resets may have stood in
+    for it, and is tried as shipped as well.
+    """
+    if effect != SILENCE:
+        yield from variants(model, effect)
+        return
+    grown = model.with_effect(effect)
+    silence = grown.parameter(f"{SILENCE}.s")
+    for wait in likelihood.commonest_intervals_s():
+        if silence.lower < wait < silence.upper:
+            sized = grown.set({silence.name: wait})
+            yield sized
+            if DEAD_TIME in sized.free:
+                shipped = next(p for p in stages.effect("refractory_period").parameters)
+                yield sized.set({DEAD_TIME: min(sized.values[DEAD_TIME], shipped.value)})
 
 
 def start_in_each(likelihood: EventTimes, model: Model, effect: str) -> tuple[Model, float] | None:

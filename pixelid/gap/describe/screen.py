@@ -65,7 +65,6 @@ def screened(likelihood: EventTimes, fit: Maximum, beginnings: Iterable[tuple[De
         slope /= step
         if not np.isfinite(slope).all():
             continue
-        moved.events.early[:] = 0.0
         tangent = Tangent(moved, np.zeros(len(NUMBERS)))
         information.add(d, tangent)
         matrix = information.matrix()

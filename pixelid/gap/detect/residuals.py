@@ -11,12 +11,15 @@ standard deviations, the change was when the event came.  e > 0 late, e < 0 earl
 
 Where a share f of events gets lost, the other polarity's may have been: its factor becomes f + (1 − f) Φ.  (Events
 after a lost one of their own polarity are no part of this: `losses.py`.)
+
+An event at the end of a silence (`density_release.py`) came with a chance P all at once: S_k is drawn uniformly between
+1 − P and 1.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.special import log_ndtr, ndtri_exp
@@ -24,9 +27,10 @@ from scipy.special import log_ndtr, ndtri_exp
 from pixelid.fit.coordinates import Coordinates
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.likelihood.extremes import Extremes
-from pixelid.likelihood.layout import StackedChanges
+from pixelid.likelihood.layout import NOTHING, StackedChanges
 from pixelid.stages.circuit import Circuit
 
+DRAWS = 0  # seed of what is drawn for events at the end of a silence: the same whenever asked
 NUDGE_S = 1e-6  # one-sided difference of the time: short beside any filter's time constant, long beside rounding
 STEP = 1e-4  # of a coordinate's longest move, one-sided difference: a relative error about as large
 LARGEST = 40.0  # residual: beyond it Φ is 0 in double precision
@@ -36,18 +40,22 @@ LARGEST = 40.0  # residual: beyond it Φ is 0 in double precision
 class Residuals:
     """e: (n,) residuals, 0 for background events;  log_scale: (n,) log of the spread they are measured in;
     log_rate: (n,) log speed of the change at the event;  background: (n,) events left to the background;
-    extremes: where the changes' extremes are, which circuits close by share."""
+    extremes: where the changes' extremes are, which circuits close by share;  at_release: (n,) events at the end of a
+    silence, or empty"""
 
     e: np.ndarray
     log_scale: np.ndarray
     log_rate: np.ndarray
     background: np.ndarray
     extremes: Sequence[Extremes]
+    at_release: np.ndarray = field(default_factory=lambda: NOTHING)
 
     @property
     def late(self) -> np.ndarray:
         """(n,) s by which each event comes after the model's expectation, to first order."""
-        return np.where(self.background, 0.0, self.e * np.exp(self.log_scale - self.log_rate))
+        late = np.where(self.background, 0.0, self.e * np.exp(self.log_scale - self.log_rate))
+        late[np.flatnonzero(self.at_release)] = 0.0
+        return late
 
 
 @dataclass(frozen=True)
@@ -70,9 +78,15 @@ def residuals(likelihood: EventTimes, circuit: Circuit, changes: StackedChanges 
     if circuit.lost > 0.0:
         other_survives = np.logaddexp(np.log(circuit.lost), np.log1p(-circuit.lost) + other_survives)
     log_survival = log_ndtr(margin) + np.where(terms.reached > 0, other_survives, 0.0)
+    if len(terms.at_release):
+        chance = np.exp(log_ndtr((terms.z - terms.group_mean[group]) / spread[group]))
+        drawn = np.random.default_rng(DRAWS).random(len(chance))
+        log_survival = np.where(terms.at_release, np.log1p(-drawn * chance), log_survival)
     e = np.clip(-ndtri_exp(np.minimum(log_survival, -1e-300)), -LARGEST, LARGEST)
     shown = np.where(terms.background, 0.0, e)
-    return Residuals(shown, np.log(terms.scale), terms.log_rate, terms.background, terms.changes.extremes)
+    return Residuals(
+        shown, np.log(terms.scale), terms.log_rate, terms.background, terms.changes.extremes, terms.at_release
+    )
 
 
 def expected_log_rate(likelihood: EventTimes, circuit: Circuit, here: Residuals) -> np.ndarray:
