@@ -396,6 +396,17 @@ def _light_until(times, sample, t, u, lights, light):
         light[i] = lights[k] + _light_integral(np.exp(u[k]), _ramp(k, t, u), times[i] - t[k])
 
 
+def light_until(times: np.ndarray, sample: np.ndarray, t: np.ndarray, u: np.ndarray) -> np.ndarray:
+    """(k,) ∫ L dt from the first sample to `times` (k,), in the steps that begin at `sample` (k,).
+
+    t, u: (samples,) times and log radiance
+    """
+    lights, light = np.zeros(len(t)), np.empty(len(times))
+    _light_integrals(t, u, lights)
+    _light_until(times, sample, t, u, lights, light)
+    return light
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
 def _drifts(release, time, sample, t, u, rate, per_light, lights, light, drift, slope):
     """Fill what has leaked at `time` since `release`, and its slope, in ON thresholds (per second)."""

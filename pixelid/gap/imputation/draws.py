@@ -45,11 +45,12 @@ class Draw:
 
 def draw_times(
     recordings: Sequence[Recording], windows: Sequence[Windows], times: Sequence[np.ndarray], model: Model,
-    rng: np.random.Generator, exact: bool = False,
+    rng: np.random.Generator, exact: bool = False, reordered: bool = False,
 ) -> Draw:  # fmt: skip
     """One sweep over all times, (n,) ns per recording, from the previous ones.
 
     exact: draws are kept or not by what the density says of them, twice the work; far from the truth they get stuck
+    reordered: a pixel's events need not be in the order they were read out, and what has no room stays where it is
     """
     times = [t.copy() for t in times]
     misses, variances = [], []
@@ -58,7 +59,7 @@ def draw_times(
         moved, bounds = [], []
         for recording, window, t, told in zip(recordings, windows, times, here, strict=True):
             at = np.flatnonzero((_rank(recording, t) % 2 == parity) & (window.hi > window.lo))
-            low, high = _bounds(recording, window, t, 1e9 * float(model.circuit().refractory))
+            low, high = _bounds(recording, window, t, 1e9 * float(model.circuit().refractory), reordered)
             bounds.append((at, low[at], high[at]))
             moved.append(t.copy())
             moved[-1][at] = _cut_normal(t[at], told.precision[at], told.push[at], low[at], high[at], rng)
@@ -71,14 +72,14 @@ def draw_times(
         there = _conditionals(recordings, windows, moved, model) if exact else None
         for i, (recording, (at, low, high)) in enumerate(zip(recordings, bounds, strict=True)):
             if there is None:
-                times[i] = in_order(recording, moved[i])
+                times[i] = moved[i] if reordered else in_order(recording, moved[i])
                 continue
             x, y, told, other = times[i][at], moved[i][at], here[i], there[i]
             forth = _log_cut_normal(y, x, told.precision[at], told.push[at], low, high)
             back = _log_cut_normal(x, y, other.precision[at], other.push[at], low, high)
             gain = other.score[at] - told.score[at] + back - forth
             times[i][at] = np.where(np.log(rng.random(len(at))) < gain, y, x)
-            times[i] = in_order(recording, times[i])
+            times[i] = times[i] if reordered else in_order(recording, times[i])
     none = np.empty(0)
     return Draw(times, np.concatenate([none, *misses]), np.concatenate([none, *variances]))
 
@@ -131,15 +132,20 @@ def _conditionals(
     return conditionals
 
 
-def _bounds(recording: Recording, window: Windows, t: np.ndarray, dead: float) -> tuple[np.ndarray, np.ndarray]:
-    """(low, high) (n,) ns: the window, and a dead time from the pixel's events before and after where there is room."""
+def _bounds(
+    recording: Recording, window: Windows, t: np.ndarray, dead: float, held: bool
+) -> tuple[np.ndarray, np.ndarray]:
+    """(low, high) (n,) ns: the window, and a dead time from the pixel's events before and after where there is room.
+
+    held: else nothing but the present time
+    """
     before = _previous(recording, t)
     after = np.full(len(t), -1)
     after[before[before >= 0]] = np.flatnonzero(before >= 0)
     low = np.where(before >= 0, np.maximum(window.lo, t[before] + dead), window.lo)
     high = np.where(after >= 0, np.minimum(window.hi, t[after] - dead), window.hi)
     room = (high > low) & (t >= low) & (t <= high)  # else its neighbours are too near, and will be moved in their turn
-    return np.where(room, low, window.lo), np.where(room, high, window.hi)
+    return np.where(room, low, t if held else window.lo), np.where(room, high, t if held else window.hi)
 
 
 def _normal(t, precision, push) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

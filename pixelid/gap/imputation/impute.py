@@ -3,15 +3,15 @@
 Stochastic EM (Celeux & Diebolt 1985, Comput. Stat. Quarterly 2, 73).  Behind a queue or a tick, first only recordings
 whose windows are short, until thresholds and their noise settle; then those with longer windows, whose times first
 follow the model so found.  Filters have wide priors near the model's values meanwhile.  A recording whose events mostly
-waited for far longer (a saturated readout) has lost its times and is left out.  Behind a jitter all times are drawn at
-once, and its spread is estimated with them.  A model that gains an effect later moves the times behind it: they are
-drawn again (`impute_again`).
+waited for far longer (a saturated readout) has lost its times and is left out.  Behind a jitter and a coarse tick whole
+paths are drawn, and the model follows the stamps with the times integrated out (`blurred.py`).  A model that gains an
+effect later moves the times behind it: they are drawn again (`impute_again`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -19,10 +19,10 @@ from pixelid.fit.cache import FitCache
 from pixelid.fit.maximise import Maximum, maximise
 from pixelid.fit.starts import feasible
 from pixelid.gap.detect.pixels import SCREEN_EVENTS
-from pixelid.gap.imputation.draws import draw_times
-from pixelid.gap.imputation.jitter import estimate_spread, exchange_stamps, uneven
+from pixelid.gap.imputation.blurred import follow, follow_again
+from pixelid.gap.imputation.imputed import JITTER, QUEUE, SIGMA, TICK, Imputation, draw_again
+from pixelid.gap.imputation.paths import followable
 from pixelid.gap.imputation.windows import (
-    Windows,
     guess_by_rank,
     guess_edges,
     guess_spaced,
@@ -39,11 +39,7 @@ from pixelid.parameters.parameter import Prior
 from pixelid.recordings.own_light import with_fine_light
 from pixelid.recordings.recording import Recording
 from pixelid.recordings.selection import few
-from pixelid.stimuli.pixel_lights import Light
 
-QUEUE, TICK, JITTER, SIGMA = (
-    "readout_latency", "timestamp_quantisation", "timestamp_jitter", "timestamp_jitter.sigma_s",
-)  # fmt: skip
 FINEST_TICK_S = 5e-6  # a finer tick is a width of the event-time density, not a window
 SHORT_SERVICE_TIMES = 20.0  # windows (nine of ten) of the recordings that the first stage begins with
 MIN_EVENTS = 100  # to begin with
@@ -51,6 +47,7 @@ ROUNDS = (20, 8, 8)  # of draws and refits in each stage, the last with exact dr
 ROUNDS_AGAIN = 24  # with exact draws, after the model has gained an effect
 SETTLING_DRAWS = 60  # without refits, before the second stage
 DRAWS_PER_ROUND = 2
+FINEST_PATH_S, COARSE_TICK_S = 6e-6, 3e-5  # jitters and ticks of several cells of a path; finer: drawn one by one
 JITTER_DRAWS = 8  # before the first refit behind a jitter
 JITTER_ROUNDS = (12, 12, 24)  # with the thresholds' noise held, then free, then with exact draws
 # Refits follow the times drawn in small steps: after so many rounds the model is extrapolated along the way that the
@@ -62,90 +59,6 @@ FILTERS = ("alpha", "beta", "gamma", "alpha_over_beta", "sf_cutoff_hz", "diff_cu
 MIN_DEAD_SHARE = 0.1  # of the nominal dead time
 
 Report = Callable[[str], None]
-
-
-@dataclass(frozen=True)
-class Imputation:
-    """Recordings at imputed event times.
-
-    Attributes:
-        effect: What the readout did.
-        stimuli: As they came.
-        fine: The recordings as stamped, their stimuli as a fit reads them.
-        windows, times: Per recording (`windows.py`); () where nothing has to be drawn.
-        random: State of the generator that the next draw begins with.
-        priors: Of filters, while times are drawn.
-        lost: Names of recordings left out.
-        error: Relative standard error of a jitter's spread.
-        scatter: By parameter, standard deviation of its coordinate between draws.
-    """
-
-    effect: str
-    stimuli: tuple[Light | None, ...]
-    fine: tuple[Recording, ...]
-    windows: tuple[Windows, ...]
-    times: tuple[np.ndarray, ...]
-    random: Mapping
-    priors: Mapping[str, Prior]
-    lost: tuple[str, ...] = ()
-    error: float = 0.0
-    scatter: Mapping[str, float] = field(default_factory=dict)
-
-    @property
-    def recordings(self) -> tuple[Recording, ...]:
-        """At the times drawn last, with the stimuli they came with."""
-        made = with_times(self.fine, self.times) if self.windows else self.fine
-        return tuple(replace(r, stimulus=stimulus) for r, stimulus in zip(made, self.stimuli, strict=True))
-
-    @property
-    def sigma_s(self) -> float:
-        """The jitter's standard deviation."""
-        return 1e-9 * self.windows[0].sd
-
-    @property
-    def likelihood(self) -> EventTimes:
-        """Of the times drawn last."""
-        return EventTimes(with_times(self.fine, self.times))
-
-    def with_filter_priors(self, model: Model) -> Model:
-        """The model with the priors on its free filters."""
-        parameters = {
-            name: replace(p, prior=self.priors[name]) if p.free and name in self.priors else p
-            for name, p in model.parameters.items()
-        }
-        return replace(model, parameters=parameters)
-
-    def only(self, kept: np.ndarray) -> Imputation:
-        """Without some recordings: kept (recordings,) bool."""
-
-        def some(values: Sequence) -> tuple:
-            return tuple(value for value, stays in zip(values, kept, strict=True) if stays)
-
-        lost = tuple(r.name for r, stays in zip(self.fine, kept, strict=True) if not stays)
-        return replace(
-            self, stimuli=some(self.stimuli), fine=some(self.fine), windows=some(self.windows),
-            times=some(self.times), lost=self.lost + lost,
-        )  # fmt: skip
-
-    def is_uneven(self, options: Options) -> bool:
-        """Whether what was imputed does not look like a jitter, the same for all recordings and polarities."""
-        limit = options.criteria.max_jitter_divergence_nats
-        return uneven(self.fine, self.windows, self.times, limit, options.alpha_each)
-
-
-def draw_again(imputation: Imputation, model: Model, *, estimate: bool = True, exact: bool = False) -> Imputation:
-    """All times drawn once more, and the jitter estimated from them."""
-    rng = np.random.default_rng(0)
-    rng.bit_generator.state = imputation.random
-    draw = draw_times(imputation.fine, imputation.windows, imputation.times, model, rng, exact)
-    windows, error = imputation.windows, imputation.error
-    if imputation.effect == JITTER:
-        windows = tuple(exchange_stamps(imputation.fine, windows, draw.times, rng))
-        if estimate:
-            sd, error = estimate_spread(draw, windows[0].sd)
-            windows = tuple(replace(w, sd=sd) for w in windows)
-    random = rng.bit_generator.state
-    return replace(imputation, windows=windows, times=tuple(draw.times), random=random, error=error)
 
 
 def impute_again(
@@ -160,6 +73,8 @@ def impute_again(
     """Draw times and refit the model in turns, and the model so found."""
     if not imputation.windows:
         return imputation, model
+    if imputation.by_paths:
+        return follow_again(imputation, model, report)
     model, ends = imputation.with_filter_priors(model), []
     for turn in range(rounds):
         report("true times")
@@ -200,6 +115,10 @@ def impute(
     times = tuple(guess_edges(fine, windows, early=signature.effect == QUEUE))
     priors = _filter_priors(model)
     whole = Imputation(signature.effect, stimuli, fine, windows, times, random, priors).only(kept)
+    coarse = signature.effect == TICK and signature.value >= COARSE_TICK_S
+    if coarse and followable(fine, model):
+        whole, model = follow(replace(whole, by_paths=True), model, options.seed, report)
+        return whole
     brief = reach[kept] <= SHORT_SERVICE_TIMES * unit
     whole, model = _begin(whole, brief, whole.with_filter_priors(model), options.seed, report, cache)
     whole, model = impute_again(whole, model, ROUNDS[1], exact=False, report=report, cache=cache)
@@ -235,6 +154,9 @@ def impute_behind_jitter(
     stimuli = tuple(r.stimulus for r in recordings)
     random = np.random.default_rng(seed).bit_generator.state
     whole = Imputation(JITTER, stimuli, fine, windows, times, random, _filter_priors(nominal))
+    if fitted.values[SIGMA] >= FINEST_PATH_S and followable(fine, model):
+        stamped = tuple(w.stamp for w in windows if w.stamp is not None)
+        return follow(replace(whole, times=stamped, by_paths=True), model, seed, report)
     for _ in range(JITTER_DRAWS):
         whole = draw_again(whole, model, estimate=False)
     held = model.fix({NOISE: None})

@@ -47,11 +47,11 @@ def uneven(
 def exchange_stamps(
     recordings: Sequence[Recording], windows: Sequence[Windows], times: Sequence[np.ndarray], rng: np.random.Generator
 ) -> list[Windows]:
-    """The windows with stamps drawn anew: jitter lets neighbouring events of a pixel and polarity swap theirs."""
+    """The windows with stamps drawn anew: jitter lets successive events of a pixel and polarity swap theirs."""
     drawn = []
     for recording, window, t in zip(recordings, windows, times, strict=True):
         assert window.stamp is not None
-        order = np.lexsort((t, recording.events.pixel))
+        order = np.lexsort((t, recording.events.p, recording.events.pixel))
         pixel, polarity, stamp = recording.events.pixel[order], recording.events.p[order], window.stamp[order]
         moment = t[order]
         for start in (0, 1):

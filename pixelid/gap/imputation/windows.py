@@ -35,6 +35,20 @@ class Windows:
     stamp: np.ndarray | None = None
     sd: float = np.inf
 
+    @property
+    def centre(self) -> np.ndarray:
+        """(n,) ns, what stands for the stamp: it, or the middle of the window."""
+        return 0.5 * (self.lo + self.hi) if self.stamp is None else self.stamp
+
+    @property
+    def spread_s(self) -> float:
+        """Standard deviation of the centres about the times, s."""
+        return 1e-9 * self.sd if self.stamp is not None else 1e-9 * float(np.mean(self.hi - self.lo)) / np.sqrt(12.0)
+
+    def only(self, kept: np.ndarray) -> Windows:
+        """Of some events: kept (n,) bool."""
+        return Windows(self.lo[kept], self.hi[kept], None if self.stamp is None else self.stamp[kept], self.sd)
+
 
 def queue_windows(recording: Recording, service_s: float) -> Windows:
     """When the events of a recording can have arrived at a server of that service time."""

@@ -9,6 +9,7 @@ from pixelid.fit.maximise import maximise_with_restarts
 from pixelid.gap.detect.covariates import Factor
 from pixelid.gap.detect.diagnostics import diagnose
 from pixelid.gap.detect.pixels import gather_evidence
+from pixelid.gap.imputation.blurred import draw_once_more
 from pixelid.gap.imputation.impute import JITTER, Imputation, impute_again
 from pixelid.gap.options import Context
 from pixelid.gap.split import Split
@@ -47,7 +48,11 @@ def at_imputed_times(
     scatter = imputation.scatter
     judged = []
     for turn in range(DRAWS_JUDGED):
-        if turn:
+        if turn and imputation.by_paths:
+            if judged[-1].seen.p >= context.options.alpha_each:
+                break  # whole paths owe nothing to the draw before: the next one can only show less
+            imputation, model = draw_once_more(imputation, model)
+        elif turn:
             imputation, model = impute_again(imputation, model, ROUNDS_BETWEEN, cache=context.cache)
         judged.append(_at_these(imputation, model, setting, scatter, context))
     return imputation, max(judged, key=lambda hypothesis: hypothesis.seen.p)

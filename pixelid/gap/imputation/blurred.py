@@ -1,0 +1,79 @@
+"""True times behind a jitter or a coarse tick: whole paths drawn, and the model stepped towards the stamps, in turns.
+
+First with few pixels, until steps are small beside what the stamps tell, then with all.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from pixelid.fit.coordinates import Coordinates
+from pixelid.gap.imputation.imputed import JITTER, Imputation, draw_again
+from pixelid.gap.imputation.marginal import MarginalStep, marginal_step
+from pixelid.model.model import Model
+
+FEW_EVENTS = 5_000  # filters to a percent or a few, in half a second a draw
+MOST_ROUNDS, LEAST_ROUNDS = 24, 4  # of draws and steps with few pixels
+ROUNDS_AGAIN = 10  # at most, after the model has gained an effect
+SETTLED_SD = 2.0  # a step is small by, in standard errors of each coordinate: draws alone move it by one
+ROUNDS_WITH_ALL = 2  # averaged
+
+Report = Callable[[str], None]
+
+
+def follow(whole: Imputation, model: Model, seed: int, report: Report) -> tuple[Imputation, Model]:
+    """The imputation with its times drawn, and the model so found, from a start that need not be near."""
+    return _follow(whole, model, MOST_ROUNDS, seed, report)
+
+
+def follow_again(whole: Imputation, model: Model, report: Report) -> tuple[Imputation, Model]:
+    """The same for a model that has gained an effect."""
+    return _follow(whole, model, ROUNDS_AGAIN, 0, report)
+
+
+def draw_once_more(whole: Imputation, model: Model) -> tuple[Imputation, Model]:
+    """Other times from the same model, and the model a step on."""
+    return _step(whole, whole.with_filter_priors(model))[:2]
+
+
+def _follow(whole: Imputation, model: Model, rounds: int, seed: int, report: Report) -> tuple[Imputation, Model]:
+    model = whole.with_filter_priors(model)
+    part = whole.few(FEW_EVENTS, np.random.default_rng(seed))
+    small = 0
+    for turn in range(rounds):
+        report("true times")
+        before = Coordinates.of(model).start
+        part, model, step = _step(part, model)
+        moved = np.abs(step.x - before) <= SETTLED_SD * np.maximum(step.sd, 1e-3)
+        small = small + 1 if moved.all() else 0
+        if small >= 2 and turn + 1 >= LEAST_ROUNDS:
+            break
+    if whole.effect == JITTER:
+        whole = whole.with_spread(part.sigma_s)
+    ends = []
+    for _ in range(ROUNDS_WITH_ALL):
+        report("true times")
+        whole, model, step = _step(whole, model)
+        ends.append(step)
+    model = Coordinates.of(model).model_at(np.mean([end.x for end in ends], axis=0))
+    if whole.effect == JITTER:
+        whole = whole.with_spread(float(np.mean([end.sigma_s for end in ends])))
+    return whole, model
+
+
+def _step(imputation: Imputation, model: Model) -> tuple[Imputation, Model, MarginalStep]:
+    """Times drawn, and the model a step on."""
+    imputation = draw_again(imputation, model, estimate=False)
+    jitters = imputation.effect == JITTER
+    stamps = [
+        1e-9 * w.centre[np.argsort(t, kind="stable")] for w, t in zip(imputation.windows, imputation.times, strict=True)
+    ]
+    sigma_s = next((w.spread_s for w in imputation.windows if len(w.lo)), 0.0)
+    step = marginal_step(imputation.likelihood, stamps, model, sigma_s, jitters)
+    coordinates = Coordinates.of(model)
+    scatter = dict(zip(coordinates.names, step.missing_sd.tolist(), strict=True))
+    imputation = replace(imputation, error=step.sigma_error, scatter=scatter)
+    return imputation.with_spread(step.sigma_s) if jitters else imputation, coordinates.model_at(step.x), step

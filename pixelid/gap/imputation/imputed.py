@@ -1,0 +1,131 @@
+"""Recordings at imputed event times: an immutable value that every draw replaces."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from pixelid.gap.imputation.draws import draw_times
+from pixelid.gap.imputation.jitter import estimate_spread, exchange_stamps, uneven
+from pixelid.gap.imputation.paths import draw_paths
+from pixelid.gap.imputation.windows import Windows, with_times
+from pixelid.gap.options import Options
+from pixelid.likelihood.event_times import EventTimes
+from pixelid.model.model import Model
+from pixelid.parameters.parameter import Prior
+from pixelid.recordings.recording import Recording
+from pixelid.stimuli.pixel_lights import Light
+
+QUEUE, TICK, JITTER, SIGMA = (
+    "readout_latency", "timestamp_quantisation", "timestamp_jitter", "timestamp_jitter.sigma_s",
+)  # fmt: skip
+EXCHANGES = 4  # of stamps, per path: paths find the order of polarities, these who has which stamp of one polarity
+
+
+@dataclass(frozen=True)
+class Imputation:
+    """Recordings at imputed event times.
+
+    Attributes:
+        effect: What the readout did.
+        stimuli: As they came.
+        fine: The recordings as stamped, their stimuli as a fit reads them.
+        windows, times: Per recording (`windows.py`); () where nothing has to be drawn.
+        random: State of the generator that the next draw begins with.
+        priors: Of filters, while times are drawn.
+        by_paths: Whether whole paths are drawn (`paths.py`).
+        lost: Names of recordings left out.
+        error: Relative standard error of a jitter's spread.
+        scatter: By parameter, standard deviation of its coordinate between draws.
+    """
+
+    effect: str
+    stimuli: tuple[Light | None, ...]
+    fine: tuple[Recording, ...]
+    windows: tuple[Windows, ...]
+    times: tuple[np.ndarray, ...]
+    random: Mapping
+    priors: Mapping[str, Prior]
+    by_paths: bool = False
+    lost: tuple[str, ...] = ()
+    error: float = 0.0
+    scatter: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def recordings(self) -> tuple[Recording, ...]:
+        """At the times drawn last, with the stimuli they came with."""
+        made = with_times(self.fine, self.times) if self.windows else self.fine
+        return tuple(replace(r, stimulus=stimulus) for r, stimulus in zip(made, self.stimuli, strict=True))
+
+    @property
+    def sigma_s(self) -> float:
+        """The jitter's standard deviation."""
+        return 1e-9 * self.windows[0].sd
+
+    @property
+    def likelihood(self) -> EventTimes:
+        """Of the times drawn last."""
+        return EventTimes(with_times(self.fine, self.times))
+
+    def with_filter_priors(self, model: Model) -> Model:
+        """The model with the priors on its free filters."""
+        parameters = {
+            name: replace(p, prior=self.priors[name]) if p.free and name in self.priors else p
+            for name, p in model.parameters.items()
+        }
+        return replace(model, parameters=parameters)
+
+    def only(self, kept: np.ndarray) -> Imputation:
+        """Without some recordings: kept (recordings,) bool."""
+
+        def some(values: Sequence) -> tuple:
+            return tuple(value for value, stays in zip(values, kept, strict=True) if stays)
+
+        lost = tuple(r.name for r, stays in zip(self.fine, kept, strict=True) if not stays)
+        return replace(
+            self, stimuli=some(self.stimuli), fine=some(self.fine), windows=some(self.windows),
+            times=some(self.times), lost=self.lost + lost,
+        )  # fmt: skip
+
+    def few(self, events: int, rng: np.random.Generator) -> Imputation:
+        """With as many pixels, at least two, as hold about so many events; chosen at random."""
+        pixel = np.concatenate([r.events.pixel for r in self.fine])
+        pixels, counts = np.unique(pixel, return_counts=True)
+        order = rng.permutation(len(pixels))
+        enough = max(int(np.searchsorted(np.cumsum(counts[order]), events)) + 1, 2)
+        chosen = pixels[order[:enough]]
+        kept = [np.isin(r.events.pixel, chosen) for r in self.fine]
+        fine = tuple(replace(r, events=r.events.select(some)) for r, some in zip(self.fine, kept, strict=True))
+        windows = tuple(w.only(some) for w, some in zip(self.windows, kept, strict=True))
+        times = tuple(t[some] for t, some in zip(self.times, kept, strict=True))
+        return replace(self, fine=fine, windows=windows, times=times)
+
+    def with_spread(self, sigma_s: float) -> Imputation:
+        """With stamps about the times by another standard deviation."""
+        return replace(self, windows=tuple(replace(w, sd=1e9 * sigma_s) for w in self.windows))
+
+    def is_uneven(self, options: Options) -> bool:
+        """Whether what was imputed does not look like a jitter, the same for all recordings and polarities."""
+        limit = options.criteria.max_jitter_divergence_nats
+        return uneven(self.fine, self.windows, self.times, limit, options.alpha_each)
+
+
+def draw_again(imputation: Imputation, model: Model, *, estimate: bool = True, exact: bool = False) -> Imputation:
+    """All times drawn once more, and the jitter estimated from them."""
+    rng = np.random.default_rng(0)
+    rng.bit_generator.state = imputation.random
+    times, paths = imputation.times, imputation.by_paths
+    if paths:
+        times = draw_paths(imputation.fine, imputation.windows, times, model, rng).times
+    draw = draw_times(imputation.fine, imputation.windows, times, model, rng, exact or paths, paths)
+    windows, error = imputation.windows, imputation.error
+    if imputation.effect == JITTER:
+        for _ in range(EXCHANGES if paths else 1):
+            windows = tuple(exchange_stamps(imputation.fine, windows, draw.times, rng))
+        if estimate:
+            sd, error = estimate_spread(draw, windows[0].sd)
+            windows = tuple(replace(w, sd=sd) for w in windows)
+    random = rng.bit_generator.state
+    return replace(imputation, windows=windows, times=tuple(draw.times), random=random, error=error)

@@ -1,0 +1,158 @@
+"""Whole paths of true times behind a jitter or a coarse tick, pixel by pixel (`lattice.py`).
+
+Where times are blurred by more than a threshold's noise makes of an interval, moving one time between its neighbours
+gets nowhere: each is held by the next.  Here all times of a pixel are drawn together, and with them the order of its ON
+and OFF events, which a blur can turn around.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pixelid.dynamics.equations import PRESENT_BELOW
+from pixelid.gap.imputation.lattice import BLOCK, Light, Thresholds, draw_path
+from pixelid.gap.imputation.windows import Windows, with_times
+from pixelid.likelihood.changes import light_until, located
+from pixelid.likelihood.density import BACKGROUND_HZ
+from pixelid.likelihood.event_times import EventTimes
+from pixelid.likelihood.trajectories import Trajectories
+from pixelid.model.model import Model
+from pixelid.parallel import map_threads
+from pixelid.recordings.recording import Recording
+from pixelid.recordings.sensor_light import is_measured
+from pixelid.stages.circuit import Circuit
+from pixelid.stages.comparator import threshold_shifts
+from pixelid.stages.differencing import leaked, leaks
+from pixelid.stimuli.stimulus import Stimulus
+
+REACH = 6.0  # standard deviations of a jitter that a stamp can be off by
+FINEST_CELL_S = 2e-6  # the least step of the fastest edges: level moves by half a noise there
+MOST_CELLS = 2_000_000  # of one recording: 48 MB
+
+
+@dataclass(frozen=True)
+class Paths:
+    """Times drawn.
+
+    times: (n,) ns per recording, in the order of its events;  log_likelihood: of the stamps, nats
+    stuck: pixels (in one recording each) without a path, which keep the times they had
+    """
+
+    times: list[np.ndarray]
+    log_likelihood: float
+    stuck: int
+
+
+def followable(recordings: Sequence[Recording], model: Model) -> bool:
+    """Whether paths can be drawn: full-field light that is known between its samples, nothing described."""
+    return not model.circuit().described and all(
+        isinstance(r.stimulus, Stimulus) and r.stimulus.full_field and not is_measured(r) for r in recordings
+    )
+
+
+def draw_paths(
+    recordings: Sequence[Recording], windows: Sequence[Windows], times: Sequence[np.ndarray], model: Model,
+    rng: np.random.Generator,
+) -> Paths:  # fmt: skip
+    """All times drawn anew, given stamps in the order of the present times (n,) ns per recording.
+
+    Args:
+        recordings: As a fit reads them.
+        windows: Of a jitter, or of a tick.
+        times: The present ones; they tell each pixel's thresholds, and which stamp of a polarity is whose.
+        model: That the times follow.
+        rng: Of the draws.
+    """
+    circuit = model.circuit()
+    thresholds = _thresholds(recordings, times, circuit)
+    seeds = rng.integers(1 << 62, size=len(recordings))
+
+    def drawn(job) -> tuple[np.ndarray, float, int]:
+        recording, window, t, own, seed = job
+        here = circuit.in_recording(recording.name)
+        return _draw(recording, window, t, here, own, np.random.default_rng(seed))
+
+    made = map_threads(drawn, list(zip(recordings, windows, times, thresholds, seeds, strict=True)))
+    return Paths([t for t, _, _ in made], sum(value for _, value, _ in made), sum(stuck for _, _, stuck in made))
+
+
+def _thresholds(
+    recordings: Sequence[Recording], times: Sequence[np.ndarray], circuit: Circuit
+) -> list[dict[int, Thresholds]]:
+    """Per recording: flat pixel → its thresholds, given the present times."""
+    likelihood = EventTimes(with_times(recordings, times))
+    terms, at = likelihood.terms(circuit), likelihood.layout
+    mean = terms.group_mean.reshape(-1, 2)
+    sd = np.sqrt((circuit.noise * mean) ** 2 + terms.group_variance.reshape(-1, 2))
+    memory = [float(shift) for shift in threshold_shifts(circuit, 1.0)]
+    found = []
+    for i, intervals in enumerate(likelihood.intervals):
+        pixels = at.last_pixel[at.last_recording == i]
+        found.append({
+            int(flat): Thresholds(mean[k, 1], mean[k, 0], sd[k, 1], sd[k, 0], *memory)
+            for flat, k in zip(intervals.last_pixel, pixels, strict=True)
+        })  # fmt: skip
+    return found
+
+
+def _draw(
+    recording: Recording, window: Windows, t: np.ndarray, circuit: Circuit, thresholds: dict[int, Thresholds],
+    rng: np.random.Generator,
+) -> tuple[np.ndarray, float, int]:  # fmt: skip
+    """(times (n,) ns, log-likelihood, pixels stuck) of one recording."""
+    drawn, log_likelihood, stuck = t.copy(), 0.0, 0
+    if not len(t):
+        return drawn, 0.0, 0
+    stamp = window.centre
+    sd, reach = 1e-9 * window.sd, REACH * 1e-9 * window.sd
+    if window.stamp is None:
+        reach = 0.5e-9 * float(np.max(window.hi - window.lo))
+    light = light_of(recording, circuit, reach)
+    order = np.lexsort((t, recording.events.pixel))
+    pixel, rising = recording.events.pixel[order], recording.events.p[order] == 1
+    for chunk in np.split(np.arange(len(order)), np.flatnonzero(np.diff(pixel)) + 1):
+        on, off = order[chunk[rising[chunk]]], order[chunk[~rising[chunk]]]
+        times = np.empty(len(on)), np.empty(len(off))
+        uniform = rng.random(2 * len(chunk))
+        value = draw_path(
+            light, thresholds[int(pixel[chunk[0]])], 1e-9 * stamp[on], 1e-9 * stamp[off], sd, reach, BACKGROUND_HZ,
+            uniform, *times,
+        )  # fmt: skip
+        if not np.isfinite(value):
+            stuck += 1
+            continue
+        log_likelihood += value
+        for some, at in zip((on, off), times, strict=True):
+            drawn[some] = np.clip(1e9 * at, window.lo[some], window.hi[some])
+    if np.isfinite(sd):
+        log_likelihood -= len(t) * float(np.log(sd * np.sqrt(2.0 * np.pi)))
+    return drawn, log_likelihood, stuck
+
+
+def light_of(recording: Recording, circuit: Circuit, blur_s: float) -> Light:
+    """What a circuit makes of a recording's light, on cells fine enough for times blurred by so much."""
+    stimulus = recording.stimulus
+    assert isinstance(stimulus, Stimulus)
+    end = max(stimulus.end_s, 1e-9 * float(recording.events.t[-1]))
+    span = end - stimulus.start_s
+    step = max(FINEST_CELL_S, span / MOST_CELLS)
+    times = stimulus.start_s + step * np.arange(int(span / step) + 2)
+    trajectory, _, drive = Trajectories([stimulus], end).of(circuit, keep=False)
+    on_light = times - circuit.delay
+    first = np.array([0, len(trajectory.t)])
+    zeros = np.zeros(len(times), np.int64)
+    sample = located(trajectory.t, on_light, zeros, first, zeros)
+    level, output = trajectory.outputs_at(on_light, sample)
+    drift = np.zeros(len(times))
+    if leaks(circuit):
+        lights = light_until(on_light, sample, trajectory.t, drive.log_light)
+        drift = circuit.on_threshold * leaked(circuit, on_light - on_light[0], lights - lights[0])
+    blocks = np.append(output, np.full(-len(output) % BLOCK, output[-1])).reshape(-1, BLOCK)
+    decay = circuit.differencing if circuit.differencing < PRESENT_BELOW else np.inf
+    return Light(
+        stimulus.start_s, step, output, level, drift, blocks.max(axis=1), blocks.min(axis=1),
+        float(circuit.threshold_drift), float(decay), float(circuit.refractory),
+    )  # fmt: skip
