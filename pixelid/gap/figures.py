@@ -32,6 +32,7 @@ from pixelid.stimuli.pixel_lights import in_a_row
 
 BINS = 100
 SIMULATED_PIXELS = 64  # their scatter adds to the measured one, a fourth of it where 16 pixels were recorded
+LARGE_GAP = 10.0  # times chance, from which what is left beside it shows on a logarithmic scale only
 
 
 class Searched(Protocol):
@@ -104,7 +105,7 @@ def draw_map(report: Searched, axes: Any = None) -> Any:
 def draw_gains(report: Searched, axes: Any = None) -> Any:
     """Held-out gain of every effect fitted, per round."""
     rows = [(entry["round"], c) for entry in report.rounds for c in entry["candidates"]][::-1]
-    axis = axes if axes is not None else new_axis(7, 1.2 + 0.28 * len(rows))
+    axis = axes if axes is not None else new_axis(7, 0.8 + 0.28 * len(rows))
     named = {(entry["round"], entry["named"]) for entry in report.rounds}
     for i, (turn, c) in enumerate(rows):
         colour = IMPROVED if (turn, c["name"]) in named else MUTED
@@ -126,7 +127,8 @@ def draw_free_run(report: Searched, axes: Any = None) -> Any:
     at = np.arange(len(names))
     for k, (label, colour) in enumerate((("before", MUTED), ("after", IMPROVED), ("chance", INK))):
         axis.bar(at + 0.27 * (k - 1), [run.per_recording[n][k] for n in names], 0.25, label=label, color=colour)
-    axis.set_yscale("symlog", linthresh=1)
+    if max(map(max, run.per_recording.values())) > LARGE_GAP:
+        axis.set_yscale("symlog", linthresh=1)
     axis.set_xticks(at, names, rotation=45, ha="right")
     axis.set_ylabel("difference of event counts\n(about 1: chance)")
     axis.legend()

@@ -13,6 +13,7 @@ from pixelid.inspection.health import Health, Overview
 from pixelid.inspection.static_noise_result import StaticNoise
 
 HOT_PIXELS_SHOWN = 100
+WIDE = 20.0  # ratio of counts from which a map of them takes logarithms
 
 
 def write_figures(health: Health, overview: Overview, folder: Path) -> None:
@@ -32,6 +33,7 @@ def draw_rate(health: Health, overview: Overview, axis: Any = None) -> Any:
         axis.stairs(sign * counts / np.diff(edges), edges, label=label, color=colour, fill=True, alpha=0.7)
     axis.axhline(0.0, color=INK, linewidth=0.5)
     axis.set(xlabel="time since the first event (s)", ylabel="events per second, OFF downwards")
+    axis.yaxis.set_major_formatter(lambda rate, _: _prefixed(abs(rate)))
     axis.set_title(", ".join(f"line at {line.frequency_hz:.2f} Hz" for line in health.lines[:3]))
     axis.legend(ncols=2)
     return axis
@@ -62,12 +64,20 @@ def draw_intervals(health: Health, overview: Overview, axis: Any = None) -> Any:
 def draw_pixels(health: Health, overview: Overview, axis: Any = None) -> Any:
     """Events per pixel as an image, hot pixels ringed; returns the axis."""
     axis = axis if axis is not None else new_axis(6.0, 4.2)
-    shown = axis.imshow(np.log10(overview.image + 1), cmap=SEQUENTIAL)
+    least, most = float(overview.image.min()), float(overview.image.max())
+    wide = most > WIDE * (least + 1.0)  # then as logarithms, zero a step below one
+    shown = axis.imshow(np.log10(overview.image + 1.0) if wide else overview.image, cmap=SEQUENTIAL)
     for pixel in health.hot_pixels[:HOT_PIXELS_SHOWN]:
         axis.plot(pixel.x, pixel.y, "o", mfc="none", mec=UNEXPLAINED, mew=1.2, markersize=8)
-    bar = axis.figure.colorbar(shown, ax=axis, label="events of the pixel")
-    decades = [n for k in range(9) for n in (10**k, 3 * 10**k) if n <= overview.image.max()]
-    bar.set_ticks([0.0, *np.log10(np.add(decades, 1.0))], labels=["0", *(f"{n:g}" for n in decades)])
+    rows, columns = overview.image.shape
+    high = 0.047 * min(rows / columns, 1.0)  # of the axis' width: as high as the image
+    bar = axis.figure.colorbar(shown, ax=axis, label="events of the pixel", fraction=high, pad=0.03)
+    if wide:
+        ticks = [0, *(n for k in range(9) for n in (10**k, 3 * 10**k))]
+        ticks = [n for n in ticks if least <= n <= most]
+        bar.set_ticks(list(np.log10(np.add(ticks, 1.0))), labels=[f"{n:g}" for n in ticks])
+    for one in (axis.xaxis, axis.yaxis):
+        one.get_major_locator().set_params(integer=True)
     axis.grid(False)
     axis.set(xlabel="column (pixels)", ylabel="row (pixels)")
     return axis
@@ -97,3 +107,13 @@ def draw_static_noise(noise: StaticNoise, axes: Any = None) -> Any:
     regularity.set(xscale="log", ylim=(0.0, 1.15), xlabel="light (lux)", ylabel="coefficient of variation of intervals")
     rate.legend()
     return axes
+
+
+def _prefixed(rate: float) -> str:
+    """A rate at a tick, in thousands or millions where it has so many.
+
+    >>> _prefixed(0.0), _prefixed(500.0), _prefixed(2e4), _prefixed(1.5e7)
+    ('0', '500', '20 k', '15 M')
+    """
+    scale, letter = next((pair for pair in ((1e6, " M"), (1e3, " k")) if rate >= pair[0]), (1.0, ""))
+    return f"{rate / scale:g}{letter}"

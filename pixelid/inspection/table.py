@@ -36,7 +36,9 @@ def rows_of_result(result: dict[str, Any]) -> list[tuple[str, str]]:
     ]
     if rate["mean"] is not None and rate["peak"] is not None:
         window = rate["peak_window_s"] * 1e3
-        rows.append(("rate", f"{_hz(rate['mean'])} on average, {_hz(rate['peak'])} in the fastest {window:g} ms"))
+        rows.append(
+            ("rate", f"{in_hertz(rate['mean'])} on average, {in_hertz(rate['peak'])} in the fastest {window:g} ms")
+        )
     if result["on_fraction"] is not None:
         rows.append(("ON / OFF", f"{result['on_fraction']:.1%} / {1 - result['on_fraction']:.1%}"))
     if result["duplicates"]:
@@ -84,7 +86,7 @@ def _lines(lines: list[dict[str, Any]]) -> str:
 
 
 def _hot_pixels(pixels: list[dict[str, Any]], count: int) -> str:
-    shown = [f"({pixel['x']}, {pixel['y']}) at {_hz(pixel['rate_hz'])}" for pixel in pixels[:PIXELS_SHOWN]]
+    shown = [f"({pixel['x']}, {pixel['y']}) at {in_hertz(pixel['rate_hz'])}" for pixel in pixels[:PIXELS_SHOWN]]
     return f"{count}: {', '.join(shown)}" if shown else "none"
 
 
@@ -93,11 +95,16 @@ def _ceiling(ceiling: dict[str, Any] | None) -> str:
         return "too few events to tell"
     if not ceiling["saturated"]:
         return "not reached"
-    words = "" if ceiling["grouping"] == "event" else f" ({_hz(ceiling['groups_hz'])} {ceiling['grouping']} words)"
-    return f"saturated {ceiling['time_fraction']:.0%} of the time at {_hz(ceiling['rate_hz'])}{words}"
+    words = "" if ceiling["grouping"] == "event" else f" ({in_hertz(ceiling['groups_hz'])} {ceiling['grouping']} words)"
+    return f"saturated {ceiling['time_fraction']:.0%} of the time at {in_hertz(ceiling['rate_hz'])}{words}"
 
 
-def _hz(value: float) -> str:
+def in_hertz(value: float) -> str:
+    """A rate in Hz, kHz or MHz.
+
+    >>> in_hertz(2.49e7), in_hertz(12.0)
+    ('24.9 MHz', '12 Hz')
+    """
     for scale, unit in ((1e6, "MHz"), (1e3, "kHz")):
         if value >= scale:
             return f"{value / scale:.3g} {unit}"

@@ -83,7 +83,7 @@ def _tried(result: Result) -> list[list[str]]:
         best_first = {**fitted, **dict(sorted(looked.items(), key=lambda item: -item[1]))}
         for name in best_first:
             c = fitted.get(name, {})
-            said = "named" if name == entry["named"] else "" if c else "not worth a fit"
+            said = "named" if name == entry["named"] else "fitted" if c else "not fitted"
             rows.append(
                 [str(entry["round"]), name, _what_it_does(name), number(looked.get(name), 3),
                  number(c.get("gain_nats"), 3), number(c.get("heldout_gain_nats"), 3),

@@ -10,6 +10,8 @@ from pixelid.report.page import Number, Result, Summary, command_line
 
 
 def summarise_inspect(result: Result, folder: Path) -> Summary:
+    from pixelid.inspection.table import in_hertz
+
     dead, rate, lines = result["dead_time_s"], result["rate_hz"], result["lines"]
     if dead.get("kind") == "upper_bound":
         dead_time = Number("dead time", f"≤ {seconds(dead['interval_95'][1])}", "shortest interval")
@@ -25,7 +27,7 @@ def summarise_inspect(result: Result, folder: Path) -> Summary:
         "What the events of the recording show by themselves, without knowing the light.",
         (
             Number("events", count(result["events"]), f"in {seconds(result['duration_s'])}"),
-            Number("mean rate", number(rate["mean"], 3), "Hz"),
+            Number("mean rate", *("–" if rate["mean"] is None else in_hertz(rate["mean"])).split()),
             dead_time,
             Number("strongest line", number(lines[0]["frequency_hz"]) if lines else "none", "Hz" if lines else ""),
             Number("hot pixels", str(result["hot_pixel_count"])),

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pixelid.figures.words import between
 from pixelid.gap.detect.residuals import Residuals, expected_log_rate
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.stages.circuit import Circuit
@@ -70,10 +71,15 @@ def sort_events(
     home = 2 * where + on
     home_labels = [f"{POLARITY[p]} in {name}" for name in names for p in (0, 1)]
     for name, value, slices, words in (
-        ("time in the recording", time, TIMES, "at {:.3g}–{:.3g} s"),
-        ("time since the last event", time - last, WAITS, "{:.3g}–{:.3g} s after the last event"),
-        ("log radiance", light, LIGHTS, "at log radiance {:.3g}–{:.3g}"),
-        ("speed of the change", expected_log_rate(likelihood, circuit, residual), SPEEDS, "at log speed {:.3g}–{:.3g}"),
+        ("time in the recording", time, TIMES, "at {:.3g}–{:.3g} s".format),
+        ("time since the last event", time - last, WAITS, _after_the_last),
+        ("log radiance", light, LIGHTS, "at log radiance {:.3g}–{:.3g}".format),
+        (
+            "speed of the change",
+            expected_log_rate(likelihood, circuit, residual),
+            SPEEDS,
+            "at log speed {:.3g}–{:.3g}".format,
+        ),
     ):
         known = next((f.cuts for f in like if f.name == name), None)
         cuts = _cuts(home, len(home_labels), value, slices) if known is None else known
@@ -136,13 +142,20 @@ def _cuts(home, homes, value, parts) -> tuple[np.ndarray, ...]:
     return tuple(cuts)
 
 
+def _after_the_last(first_s: float, last_s: float) -> str:
+    return f"{between(first_s, last_s)} after the last event"
+
+
 def _sliced(name, home, home_labels, value, cuts, words) -> Factor:
-    """`value` cut at the given edges within each home; what lies beyond them counts to the outermost slices."""
+    """`value` cut at the given edges within each home; what lies beyond them counts to the outermost slices.
+
+    words: what to say of two edges
+    """
     cell = np.empty(len(value), np.int64)
     labels: list[str] = []
     for h, (label, edges) in enumerate(zip(home_labels, cuts, strict=True)):
         inside = np.flatnonzero(home == h)
         which = np.clip(np.searchsorted(edges, value[inside], side="right") - 1, 0, len(edges) - 2)
         cell[inside] = len(labels) + which
-        labels += [f"{label}, {words.format(a, b)}" for a, b in itertools.pairwise(edges)]
+        labels += [f"{label}, {words(a, b)}" for a, b in itertools.pairwise(edges)]
     return Factor(name, cell, tuple(labels), cuts)
