@@ -96,6 +96,12 @@ def terms(
     return {"diff": diff, "tv": tv, "chain": chain}
 
 
+def quiet_change(light: torch.Tensor, on_threshold: torch.Tensor, off_threshold: torch.Tensor) -> torch.Tensor:
+    """Mean ℓ_quiet of log radiance (n, 2) at pairs of times in which nothing fired (see `quiet`)."""
+    mean = (0.5 * (on_threshold + off_threshold)).detach()
+    return (light[:, 1] - light[:, 0]).abs().mean() / mean
+
+
 def _huber(x: torch.Tensor) -> torch.Tensor:
     return F.huber_loss(x, torch.zeros_like(x), reduction="none")
 

@@ -8,6 +8,7 @@ import torch
 from pixelid.nerf.intervals import Chains, Intervals, chains
 from pixelid.nerf.losses import amplifier_drift, changes
 from pixelid.nerf.pixel import Pixel
+from pixelid.nerf.quiet import LAGS, Pairs, draw_pairs
 from pixelid.nerf.render import Rays
 from pixelid.nerf.scan import respond
 from pixelid.nerf.state import Problem, State
@@ -17,21 +18,50 @@ EPSILON = 1e-3  # least radiance, dark current included, in the unit of the view
 
 def sample_rays(problem: Problem, state: State, batch: Chains, rng: np.random.Generator) -> Rays:
     """The rays of all samples of a batch, a sample's together; all of a chain start at one offset."""
-    inside, length = state.inside, np.diff(batch.first)
+    return _rays_at(problem, state, *_samples(batch, rng))
+
+
+def _samples(batch: Chains, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(times, pixels, offsets of the rays), (n,) each, of the samples of a batch."""
+    length = np.diff(batch.first)
+    offsets = np.repeat(rng.random(len(length), dtype=np.float32), length)
+    return batch.t, np.repeat(batch.pixel, length), offsets
+
+
+def _rays_at(problem: Problem, state: State, t: np.ndarray, pixel: np.ndarray, offsets: np.ndarray) -> Rays:
+    """The rays of pixels (n,) at times t (n,), a sample's together; offsets: (n,) of `Rays`."""
+    inside = state.inside
     each = len(inside) // len(problem.channel)
-    pixel = np.repeat(np.repeat(batch.pixel, length), each)
-    sub = np.tile(np.arange(each), len(batch.t))
-    origins, directions = state.poses.rays(np.repeat(batch.t, each), inside[pixel * each + sub])
-    offsets = np.repeat(rng.random(len(length), dtype=np.float32), length * each)
-    return Rays(origins, directions, problem.channel[pixel], offsets)
+    pixel = np.repeat(pixel, each)
+    sub = np.tile(np.arange(each), len(t))
+    origins, directions = state.poses.rays(np.repeat(t, each), inside[pixel * each + sub])
+    return Rays(origins, directions, problem.channel[pixel], np.repeat(offsets, each))
+
+
+def light(
+    problem: Problem, state: State, batch: Chains, rng: np.random.Generator, engine: str = "auto",
+    pairs: Pairs | None = None,
+) -> tuple[torch.Tensor, torch.Tensor]:  # fmt: skip
+    """(log radiance (n,) at the samples of a batch, at both ends of pairs (k, 2)), rendered in one go."""
+    t, pixel, offsets = _samples(batch, rng)
+    if pairs is not None:
+        shared = np.repeat(rng.random(len(pairs.t), dtype=np.float32), 2)
+        t, pixel = np.concatenate([t, pairs.t.ravel()]), np.concatenate([pixel, np.repeat(pairs.pixel, 2)])
+        offsets = np.concatenate([offsets, shared])
+    radiance = state.field(_rays_at(problem, state, t, pixel, offsets), engine)[0].reshape(len(t), -1).mean(dim=1)
+    dark = torch.as_tensor(problem.dark[problem.channel[pixel]])
+    u = torch.log((radiance.double() + dark.to(radiance.device)).clamp(min=EPSILON))
+    return u[: len(batch.t)], u[len(batch.t) :].reshape(-1, 2)
 
 
 def predict(problem: Problem, state: State, batch: Chains, rng: np.random.Generator, engine: str = "auto"):
     """(change (runs, CHAIN), level (n,), log radiance (n,)) of a batch."""
-    rays = sample_rays(problem, state, batch, rng)
-    radiance = state.field(rays, engine)[0].reshape(len(batch.t), -1).mean(dim=1)
-    dark = torch.as_tensor(problem.dark[problem.channel[np.repeat(batch.pixel, np.diff(batch.first))]])
-    u = torch.log((radiance.double() + dark.to(radiance.device)).clamp(min=EPSILON))
+    u, _ = light(problem, state, batch, rng, engine)
+    return *response(problem, state, batch, u, engine), u
+
+
+def response(problem: Problem, state: State, batch: Chains, u: torch.Tensor, engine: str = "auto"):
+    """(change (runs, CHAIN), level (n,)) of a batch whose samples have log radiance u (n,)."""
     pixel = state.pixel
     later = pixel.addition("refractory") if pixel.adds_to("refractory") else None
     leaks, drift = [pixel.strength(name) for name in ("leak", "parasitic_photocurrent")], None
@@ -44,7 +74,7 @@ def predict(problem: Problem, state: State, batch: Chains, rng: np.random.Genera
         level, output = respond(u, dynamics, batch.t, batch.first, midpoint=midpoint, engine=engine)
         cutoff = dynamics[..., 6:7] if pixel.has_amplifier_pole else None
     change = changes(level, output, batch, cutoff, later, drift)
-    return change - _moved_thresholds(problem, pixel, batch), level, u
+    return change - _moved_thresholds(problem, pixel, batch), level
 
 
 def _moved_thresholds(problem: Problem, pixel: Pixel, batch: Chains) -> torch.Tensor:
@@ -62,8 +92,21 @@ def draw(problem: Problem, state: State, from_: Intervals, runs: int, rng: np.ra
     return chains_at(problem, state, from_, rng.integers(0, len(from_.starts), runs), rng)
 
 
+def draw_quiet(problem: Problem, state: State, number: int, rng: np.random.Generator) -> Pairs | None:
+    """Pairs of times at which nothing fired, None where something always does."""
+    if number == 0 or len(problem.quiet.until) == 0:
+        return None
+    lag = LAGS / state.pixel.slowest(_darkest(problem)) if state.pixel.filtering else 0.0
+    return draw_pairs(problem.quiet, number, lag, rng)
+
+
+def _darkest(problem: Problem) -> float:
+    """The least light that any pixel sees."""
+    return float(np.maximum(problem.dark, EPSILON).min())
+
+
 def chains_at(problem: Problem, state: State, from_: Intervals, starts, rng: np.random.Generator) -> Chains:
     """The chains that begin at `starts` (runs,), indices into `from_.starts`, with samples as the pixel asks."""
     samples = state.pixel.bandwidth.samples if state.pixel.filtering else 1
-    slowest = state.pixel.slowest(float(np.maximum(problem.dark, EPSILON).min()))
+    slowest = state.pixel.slowest(_darkest(problem))
     return chains(from_, starts, samples, slowest, rng)

@@ -15,6 +15,7 @@ from pixelid.nerf.dataset import Dataset
 from pixelid.nerf.gauge import crossing_time, gauge_of, scene_box
 from pixelid.nerf.intervals import Intervals, intervals, split
 from pixelid.nerf.pixel_maps import PixelMaps, find_hot, maps_of_circuit
+from pixelid.nerf.quiet import LONG, quiet_intervals
 from pixelid.nerf.state import Problem
 from pixelid.nerf.stretches import NOISE
 from pixelid.nerf.views import Views, no_views
@@ -88,11 +89,17 @@ def problem_of(
     training, held = split(every, held_out, np.random.default_rng([seed, 77]))
     if len(training.starts) == 0:
         training, held = every, every.of(np.zeros(len(every.starts), bool))
+    held_pixels = np.unique(held.stretches.pixel[held.starts])
+    quiet = quiet_intervals(
+        t, y * camera.width + x, camera.width, camera.height, least=LONG * shortest, dead=circuit.refractory,
+        left_out=np.union1d(hot, held_pixels),
+    )  # fmt: skip
     row, column = np.divmod(np.arange(camera.width * camera.height), camera.width)
     return Problem(
         training, held, dataset.trajectory, camera, calibration.channel_of(column, row), calibration.dark,
         calibration.circuit, gauge_of(dataset, background, scale), low, high, maps,
         tilts(cut, circuit, trained), shortest_interval(t, y * camera.width + x),
+        quiet,
     )  # fmt: skip
 
 

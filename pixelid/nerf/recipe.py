@@ -32,10 +32,10 @@ class Recipe:
     iterations: steps, 0 for as many as the data ask for;  batch: chains per step (over all processes), 0 likewise;
     vertices: grid sizes, each for an equal share of the steps (empty: `for_sensor` chooses);  rate, last_rate: learning
     rate, decaying exponentially;  weights: λ;  roughness: λ of the total variation of log radiance;  emptiness: λ of
-    the mean log density, which clears what no event asks for;  degree: of the harmonics by which colour depends on the
-    direction;  stiffness: λ of their mean square;  level: λ of the mean log radiance when the gauge needs it;
-    between_poses: "linear" or "cubic", how the camera went;  refinement: of the poses;  engine: of `render` and
-    `respond`;  supersample: rays per pixel and side
+    the mean log density, which clears what no event asks for;  quiet: λ of changes where nothing fired;  degree: of
+    the harmonics by which colour depends on the direction;  stiffness: λ of their mean square;  level: λ of the mean
+    log radiance when the gauge needs it;  between_poses: "linear" or "cubic", how the camera went;  refinement: of the
+    poses;  engine: of `render` and `respond`;  supersample: rays per pixel and side
     """
 
     iterations: int = 1200
@@ -46,6 +46,7 @@ class Recipe:
     weights: Weights = dataclasses.field(default_factory=Weights)
     roughness: float = 0.05
     emptiness: float = 0.01
+    quiet: float = 0.1
     degree: int = 1
     stiffness: float = 10.0
     level: float = 10.0

@@ -7,9 +7,9 @@ With step h, density σ_i, radiance c_i, transmittance T_i = exp(−h Σ_{j<i} �
     L = Σ_i (T_i − T_{i+1}) c_i + T_n b
     ∂L/∂c_i = T_i − T_{i+1}        ∂L/∂σ_i = h (T_{i+1} c_i − R_i),   R_i what the ray still collects after sample i
 
-so a walk along the samples with L known gives all gradients.  Blocks that are empty are left in one stride, clear samples
-passed over; a ray ends where T falls below `OPAQUE`.  For the gradient a ray keeps which samples were neither, with
-their h σ and c: 12 bytes each, some twenty per ray.  Source: Max, IEEE TVCG 1995 (compositing).
+so a walk along the samples with L known gives all gradients.  Blocks that are empty are left in one stride, clear
+samples passed over; a ray ends where T falls below `OPAQUE`.  For the gradient a ray keeps which samples were neither,
+with their h σ and c: 12 bytes each, some twenty per ray.  Source: Max, IEEE TVCG 1995 (compositing).
 
 A sample at o + t d moves with origin and direction as o does and as t times d; that t itself moves with the face of
 the box where the march begins is left out, since the offset of the first sample is random.

@@ -18,6 +18,7 @@ from pixelid.nerf.intervals import Intervals
 from pixelid.nerf.pixel import Bandwidth, Pixel
 from pixelid.nerf.pixel_maps import PixelMaps
 from pixelid.nerf.poses import Poses
+from pixelid.nerf.quiet import NOTHING, Quiet
 from pixelid.nerf.recipe import Recipe
 from pixelid.nerf.trajectory import Trajectory
 from pixelid.stages.circuit import Circuit
@@ -34,7 +35,7 @@ class Problem:
     training, held_out: intervals;  camera: of the sensor;  channel: (pixels,);  dark: (C,) added to the field's
     radiance;  circuit: of the pixel;  gauge: what pins the radiance unit;  low, high: the box;  maps: how the pixels
     depart from the circuit, None where they do not;  tilts: of `additions.tilts`, for what is trained;  shortest: s,
-    between two events of one pixel
+    between two events of one pixel;  quiet: where and when nothing fired, of the pixels that training sees
     """
 
     training: Intervals
@@ -50,6 +51,7 @@ class Problem:
     maps: PixelMaps | None = None
     tilts: Mapping[str, Tilt] = dataclasses.field(default_factory=dict)
     shortest: float = 0.0
+    quiet: Quiet = NOTHING
 
     def pixels_as_dict(self, pixel: Pixel) -> dict[str, Any]:
         """The entry "pixels" of reconstruction.json: thresholds and bandwidth over the sensor, and who was left out."""

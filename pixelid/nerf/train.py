@@ -12,12 +12,14 @@ import numpy as np
 import torch
 
 from pixelid.nerf import parallel
-from pixelid.nerf.losses import terms, total, unexplained, variance_left
-from pixelid.nerf.predict import EPSILON, draw, predict
+from pixelid.nerf.losses import quiet_change, terms, total, unexplained, variance_left
+from pixelid.nerf.predict import EPSILON, draw, draw_quiet, light, predict, response
 from pixelid.nerf.recipe import Recipe
 from pixelid.nerf.render import Rays
 from pixelid.nerf.smoothness import mean_square, variation
 from pixelid.nerf.state import Problem, State, optimiser_of
+
+PAIRS = 3  # of times in which nothing fired, per chain: a twentieth of the rays of a step
 
 
 def step(problem: Problem, recipe: Recipe, state: State) -> dict[str, float]:
@@ -30,7 +32,9 @@ def step(problem: Problem, recipe: Recipe, state: State) -> dict[str, float]:
         group["lr"] = recipe.rate_at(state.iteration) * group["share"]
     rng = np.random.default_rng([recipe.seed, parallel.rank(), state.iteration])  # nothing to carry between steps
     batch = draw(problem, state, problem.training, max(recipe.batch // parallel.world(), 1), rng)
-    change, level, _ = predict(problem, state, batch, rng, recipe.engine)
+    pairs = draw_quiet(problem, state, PAIRS * len(batch.pixel) if recipe.quiet > 0 else 0, rng)
+    u, in_quiet = light(problem, state, batch, rng, recipe.engine, pairs)
+    change, level = response(problem, state, batch, u, recipe.engine)
     thresholds = state.pixel.thresholds_at(batch.pixel)
     parts = terms(change, level, batch, *thresholds)
     loss = total(parts, recipe.weights)
@@ -40,6 +44,8 @@ def step(problem: Problem, recipe: Recipe, state: State) -> dict[str, float]:
         loss = loss + recipe.emptiness * state.field.grid[..., 0].clamp(min=-6).mean()
     if recipe.stiffness > 0 and state.field.coefficients.requires_grad:
         loss = loss + recipe.stiffness * mean_square(state.field.coefficients)
+    if pairs is not None:
+        loss = loss + recipe.quiet * quiet_change(in_quiet, *state.pixel.thresholds)
     if problem.gauge.kind == "level":
         loss = loss + recipe.level * _off_level(problem, state, recipe.engine, rng)
     if any(values.requires_grad for values in state.pixel.parameters()):

@@ -25,15 +25,16 @@ from pixelid.errors import InputError
 from pixelid.model.files import save_model
 from pixelid.model.shipped import find_model, shipped_models
 from pixelid.nerf import checkpoint
+from pixelid.nerf.calibration import FILE as CALIBRATION
 from pixelid.nerf.calibration import of_fit
-from pixelid.nerf.dataset import CALIBRATION, read_dataset
-from pixelid.nerf.pixel import Bandwidth
+from pixelid.nerf.dataset import read_dataset
+from pixelid.nerf.pixel import Bandwidth, limits_bandwidth
 from pixelid.nerf.poses import Refinement
 from pixelid.nerf.problem import problem_of
 from pixelid.nerf.recipe import Recipe
 from pixelid.nerf.reconstruct import Reconstruction, reconstruct
 from pixelid.nerf.state import start
-from pixelid.nerf.synthetic import make_dataset
+from pixelid.nerf.synthetic import SETTINGS, make_dataset
 from pixelid.nerf.train import step, train
 from pixelid.sensors import SensorFit
 from pixelid.sensors.map import Map
@@ -48,6 +49,14 @@ def made(tmp_path_factory) -> Path:
     """A dataset of 16 × 16 pixels."""
     return make_dataset(
         tmp_path_factory.mktemp("scene") / "hard", "hard", seed=3, side=16, revolutions=1.0, frames_per_turn=300
+    )
+
+
+@pytest.fixture(scope="module")
+def made_bright(tmp_path_factory) -> Path:
+    """Another, slow and bright."""
+    return make_dataset(
+        tmp_path_factory.mktemp("scene") / "easy", "easy", seed=5, side=16, revolutions=1.0, frames_per_turn=300
     )
 
 
@@ -325,16 +334,37 @@ def test_absent_stages_leave_a_finite_field(made, present):
     assert state.iteration == 3
 
 
+@pytest.mark.parametrize("setting", ["hard", "easy"])
 @pytest.mark.parametrize(("name", "file"), shipped_models().items(), ids=shipped_models())
-def test_every_shipped_model_trains(made, name, file):
-    """On and off stay finite; without bandwidth limit they are one and the same."""
-    data = read_dataset(made)
-    calibration = of_fit(data.calibration, file, scale=None if name == "ideal" else 20.0)
+def test_every_shipped_model_trains(made, made_bright, name, file, setting):
+    """On, off and joint stay finite; without bandwidth limit they are one and the same."""
+    data = read_dataset(made if setting == "hard" else made_bright)
+    white_fa = SETTINGS[setting].white_fa
+    calibration = of_fit(data.calibration, file, scale=None if name == "ideal" else white_fa)
     problem = problem_of(data, calibration)
-    states = [train(problem, SMALL, start(problem, SMALL, Bandwidth(mode)), until=4) for mode in ("on", "off")]
+    states = [train(problem, SMALL, start(problem, SMALL, Bandwidth(mode)), until=4) for mode in ("on", "off", "joint")]
     assert all(state.finite and state.iteration == 4 for state in states)
-    alike = torch.equal(states[0].field.grid, states[1].field.grid)
-    assert alike == (name == "ideal")
+    alike = [torch.equal(states[0].field.grid, other.field.grid) for other in states[1:]]
+    assert alike == ([True, True] if name == "ideal" else [False, False])
+
+
+@pytest.mark.parametrize("setting", ["hard", "easy"])
+def test_a_file_with_zero_capacitances_is_a_pixel_without_bandwidth_limit(made, made_bright, tmp_path, setting):
+    """On and off reach the same scores, to 0.05 dB and in fact to the last bit, and no view is NaN."""
+    folder = tmp_path / "scene"
+    shutil.copytree(made if setting == "hard" else made_bright, folder)
+    with np.load(folder / CALIBRATION) as file:
+        arrays = dict(file)
+    zero = ("input_time_const_eff_it_prod", "miller_time_const_eff_it_prod", "output_time_const", "lower_cutoff_freq")
+    arrays |= dict.fromkeys(zero, np.array(0.0)) | dict.fromkeys(("sf_cutoff_freq", "diff_amp_cutoff_freq"), np.inf)
+    np.savez(folder / CALIBRATION, **arrays)
+    data = read_dataset(folder)
+    assert not limits_bandwidth(data.calibration.circuit)
+    psnr = [
+        reconstruct(data, bandwidth=Bandwidth(mode), recipe=SMALL, device="cpu").scores.psnr for mode in ("on", "off")
+    ]
+    assert np.isfinite(psnr).all()
+    np.testing.assert_array_equal(psnr[0], psnr[1])
 
 
 def test_thresholds_of_pixels_are_trained_when_the_fit_has_mismatch(made, tmp_path):

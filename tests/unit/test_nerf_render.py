@@ -213,7 +213,7 @@ def test_refining_keeps_the_scene():
 def test_poses_are_interpolated_linearly_and_by_slerp(degrees):
     """At any times in any order; small angles are interpolated by a series."""
     rng = np.random.default_rng(2)
-    t, rotations = np.array([0.0, 0.3, 1.0]), Rotation.random(3, random_state=4)
+    t, rotations = np.array([0.0, 0.3, 1.0]), Rotation.from_quat(rng.normal(size=(3, 4)))
     if degrees < 180:
         turned = Rotation.from_rotvec(np.radians(degrees) * np.array([[0, 0, 0], [0.6, 0, 0.8], [0.6, 1.0, 0.8]]))
         rotations = rotations[0] * turned

@@ -1,0 +1,97 @@
+"""What no event says: pixels and times at which nothing fired, where the light hardly changed.
+
+Chains hold what lies between two events of a pixel, and begin at one event as likely as at another.  A pixel that saw
+nothing but the background for a second makes no event, so nothing would keep haze out of its view; and an interval as
+long as a turn of the camera is asked for as rarely as one of a millisecond.  So pairs of times are drawn here, evenly
+over all pixels and all of the recording, both within one interval without events.  Between them the light has moved by
+less than the two thresholds together; as ℓ_tv does, the loss takes it for as little as the scene allows,
+
+    ℓ_quiet = |u(t₂) − u(t₁)|/C̄,     u = ln L.
+
+It is the light that is compared, not the response: within an interval that long the pixel has caught up, but for its
+lag before the next event, which is left out.
+
+A pixel without any event among pixels that fire is no witness: it may be broken.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.ndimage import median_filter
+
+LONG = 8.0  # of the shortest quiet interval: the image then moves by four pixels; what is shorter, chains see enough of
+FIRING = 4  # events of the median neighbour: a working pixel would be silent beside it one time in fifty
+LAGS = 2.0  # time constants of the slowest pole before an event, in which the light may have moved already
+
+
+class Quiet(NamedTuple):
+    """Intervals without events (n,) of pixels, s;  pixel: row-major index;  until: (n,) running sum of lengths."""
+
+    begin: np.ndarray
+    end: np.ndarray
+    pixel: np.ndarray
+    until: np.ndarray
+
+
+class Pairs(NamedTuple):
+    """t: (n, 2) s, both within one quiet interval;  pixel: (n,)."""
+
+    t: np.ndarray
+    pixel: np.ndarray
+
+
+NOTHING = Quiet(np.zeros(0), np.zeros(0), np.zeros(0, np.int32), np.zeros(0))
+
+
+def quiet_intervals(t, pixel, width: int, height: int, *, least: float, dead: float, left_out) -> Quiet:
+    """The quiet intervals of a recording, from its first event to its last.
+
+    Args:
+        t: (N,) s, of all events in order of time.
+        pixel: (N,) row-major index.
+        width: of the sensor.
+        height: of the sensor.
+        least: s, shorter ones are left out.
+        dead: s after an event in which a pixel does not look.
+        left_out: (k,) pixels that are no witnesses.
+
+    Returns:
+        Intervals of at least `least`, by pixel and time.
+    """
+    pixels = width * height
+    counts = np.bincount(pixel, minlength=pixels)
+    around = np.ones((3, 3), bool)
+    around[1, 1] = False
+    beside = median_filter(counts.reshape(height, width), footprint=around, mode="mirror")
+    asked = (counts > 0) | (beside.ravel() < FIRING)
+    asked[np.asarray(left_out, np.int64)] = False
+    order = np.argsort(pixel, kind="stable")
+    first = np.concatenate([[0], np.cumsum(counts)])
+    begins, ends = np.empty(len(t) + pixels), np.empty(len(t) + pixels)
+    of = np.repeat(np.arange(pixels, dtype=np.int32), counts + 1)
+    # interval j of a pixel is before its event j; the last one is behind all of them
+    at = np.arange(len(of)) - of
+    last = np.zeros(len(of), bool)
+    last[first[1:] + np.arange(pixels)] = True
+    ends[~last] = t[order]
+    ends[last] = t[-1]
+    earlier = np.roll(last, 1)
+    earlier[0] = True
+    begins[earlier] = t[0]
+    begins[~earlier] = t[order[at[~earlier] - 1]] + dead
+    kept = asked[of] & (ends - begins > max(least, 0.0))
+    begins, ends, of = begins[kept], ends[kept], of[kept]
+    return Quiet(begins, ends, of, np.cumsum(ends - begins))
+
+
+def draw_pairs(quiet: Quiet, number: int, lag: float, rng: np.random.Generator) -> Pairs:
+    """Pairs whose intervals are drawn evenly over quiet time, both times anywhere in the interval.
+
+    lag: s before the end of an interval in which no time is taken
+    """
+    at = rng.random(number) * quiet.until[-1]
+    k = np.minimum(np.searchsorted(quiet.until, at, side="right"), len(quiet.until) - 1)
+    begin, length = quiet.begin[k], np.maximum(quiet.end[k] - quiet.begin[k] - lag, 0.0)
+    return Pairs(begin[:, None] + rng.random((number, 2)) * length[:, None], quiet.pixel[k].astype(np.int64))
