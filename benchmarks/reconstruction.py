@@ -20,6 +20,7 @@ field       what the field is asked for, trained on `ideal` events: nothing, sma
 size        200 × 200 pixels, on and off
 memory      the same scene filmed again and again until there are 60 million events: peak memory of a short training
 poses       a camera of changing speed whose poses are 5 ms late, or shaken: as they are, and refined with the scene
+elsewhere   scenes of another make (`other_scenes.py`): on, off, and on with nothing asked of silence
 pictures    no events: a field fitted to the posed pictures of --images, one in ten of them held out
 scale       radiance unit pinned by the background, by the views' mean level, free, and free with the pixel trained
             under the prior of a fit
@@ -42,6 +43,7 @@ from pathlib import Path
 
 import numpy as np
 from many_events import filmed_again
+from other_scenes import SCENES
 from paths.memory import command_apart
 from scipy.spatial.transform import Rotation
 from two_stage import two_stage
@@ -60,13 +62,13 @@ from pixelid.nerf.poses import Refinement
 from pixelid.nerf.recipe import Recipe
 from pixelid.nerf.reconstruct import reconstruct
 from pixelid.nerf.scenes import spiral
-from pixelid.nerf.synthetic import SETTINGS, Setting, camera_model, make_dataset
+from pixelid.nerf.synthetic import SETTINGS, Renders, Setting, camera_model, make_dataset
 from pixelid.nerf.trajectory import Trajectory
 from pixelid.nerf.views import OPENGL
 
 EXPERIMENTS = (
     "bandwidth", "baselines", "samples", "batch", "grid", "joint", "pixel", "effect", "scale", "whole", "field",
-    "poses", "size", "memory", "pictures",
+    "poses", "size", "memory", "elsewhere", "pictures",
 )  # fmt: skip
 KEPT = ("experiment", "setting", "arm", "seed", "iterations")  # what tells runs apart
 SAMPLES = (1, 5, 15, 30, 50)
@@ -103,12 +105,12 @@ CHANGED = ("alpha", "sf_cutoff_hz")
 
 def dataset(
     work: Path, setting: str, seed: int, label: str = "", model: Model | None = None, side: int = 64,
-    trajectory: Trajectory | None = None, own: Setting | None = None,
+    trajectory: Trajectory | None = None, own: Setting | None = None, scene: Renders | None = None,
 ) -> Dataset:  # fmt: skip
     """A scene's dataset, made when it is not there yet;  own: a setting that is not in `SETTINGS`."""
     path = work / f"{setting}_{seed}{label}"
     if not path.is_dir():
-        make_dataset(path, own or setting, seed=seed, model=model, side=side, trajectory=trajectory)
+        make_dataset(path, own or setting, seed=seed, model=model, side=side, trajectory=trajectory, scene=scene)
     return read_dataset(path)
 
 
@@ -250,6 +252,12 @@ def arms(name: str, work: Path, setting: str, seed: int):
         data = dataset(work, setting, seed, "_200", side=200)
         for mode in ("on", "off"):
             yield mode, data, {"bandwidth": Bandwidth(mode), "recipe": Recipe(batch=LARGE_BATCH)}
+    elif name == "elsewhere":
+        for label, scene in SCENES.items():
+            data = dataset(work, setting, seed, f"_{label}", scene=scene)
+            yield f"{label}: on", data, {}
+            yield f"{label}: off", data, {"bandwidth": Bandwidth("off")}
+            yield f"{label}: on, silence not asked", data, {"recipe": Recipe(quiet=0.0)}
     elif name == "scale":
         data = dataset(work, setting, seed)
         sharp = {"alpha": 0.01, "beta": 0.01, "gamma": 0.05, "follower": 0.02}
