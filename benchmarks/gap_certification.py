@@ -50,10 +50,11 @@ STRENGTHS = {  # effect → parameters at its typical strength; graded by the fa
     "polarity_memory": {"strength": 0.05},
     "linear_log": {"knee": 20.0},
     "lost_events": {"fraction": 0.05},
+    "dead_time_without_reset": {"s": 2e-3},
 }
 WITHHELD = ("source_follower_pole", "differencing_pole", "threshold_mismatch", "refractory_period")  # from the base
 # Whose seeds come after those of the others, which keep theirs.
-NEWER = ("bandwidth_floor", "polarity_memory", "linear_log", "lost_events")
+NEWER = ("bandwidth_floor", "polarity_memory", "linear_log", "lost_events", "dead_time_without_reset")
 WEAKER = {"extra_pole", "slew_limit"}  # by a larger number: their factors divide
 FACTORS = (0.1, 0.3, 1.0)
 GRADED = 4  # repeats at the weaker strengths

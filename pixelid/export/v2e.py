@@ -15,6 +15,7 @@ from pixelid.export.light import GREY_LEVELS, Light
 from pixelid.export.losses import losses
 from pixelid.export.noise_rates import NoiseRates, leak_rate, noise_unexpressed, shot_noise_rates
 from pixelid.model.model import Model
+from pixelid.stages.circuit import Circuit
 
 OFFSET = 20.0  # grey levels, added to those that set the corner; also the end of the linear part
 FALL = 0.75  # of the shot noise rate, from none to full light: the rate is × (1 − FALL (DN + OFFSET)/275)
@@ -29,6 +30,7 @@ CARRIED = {
     "threshold_mismatch": "",
     "refractory_period": "silent for as long, but the reference stays that of the last event instead of being taken at "
     "the end, so that no contrast is lost; events due in the meantime come late, or in one frame.",
+    "dead_time_without_reset": "",
     "leak": "",
     "parasitic_photocurrent": "a constant leak, as at the level; it should follow the light.",
     "shot_noise": "Poisson events at a rate that falls to a quarter from dark to white; ON and OFF do not alternate.",
@@ -52,7 +54,7 @@ def export(model: Model, light: Light) -> Exported:
         Entry("noise_rate_cov_decades", 0.0, "", "and the same in all pixels"),
         Entry("shot_noise_rate_hz", noise.hz / (1 - FALL * (DIM + OFFSET) / (GREY_LEVELS + OFFSET)), "Hz",
               f"ON and OFF noise events at one grey level: {noise.words}"),
-        Entry("refractory_period", circuit.refractory, "s", "refractory_s"),
+        Entry("refractory_period", max(circuit.refractory, circuit.silent), "s", _dead_time(circuit)),
     )  # fmt: skip
     return Exported(
         "v2e", "v2e (github.com/SensorsINI/v2e at cac6384)", model.name, light, entries,
@@ -81,10 +83,16 @@ def corner_hz(cutoff: float, grey: float) -> float:
     return cutoff * (grey + OFFSET) / (GREY_LEVELS + OFFSET)
 
 
+def _dead_time(circuit: Circuit) -> str:
+    return "dead_time_without_reset.s" if circuit.silent > circuit.refractory else "refractory_s"
+
+
 def _lost(model: Model, light: Light, noise: NoiseRates) -> list[str]:
     circuit, lag = model.circuit(), lag_of(model.circuit())
     carried = dict(CARRIED)
     floor = circuit.bandwidth_floor / light.per_grey
+    if circuit.silent > circuit.refractory:
+        carried["refractory_period"] = "the reference is taken at the event, not at the end of the reset."
     if circuit.bandwidth_floor and not math.isclose(floor, OFFSET, rel_tol=1e-3):
         carried["bandwidth_floor"] = f"always {OFFSET:g} grey levels; the model has {floor:.3g}."
     sentences = []

@@ -26,7 +26,14 @@ class Coordinates:
 
     @staticmethod
     def of(model: Model, nuisances: tuple[Parameter, ...] = ()) -> Coordinates:
-        """Coordinates of everything free.  Raises InputError when nothing is."""
+        """Coordinates of everything free.
+
+        Nuisances named after what of the model starts anew in a recording ("mains_flicker.phase_rad[NAME]") become the
+        model's own.  Raises InputError when nothing is free.
+        """
+        own = {p.name: p for p in nuisances if "[" in p.name and p.name.split("[", 1)[0] in model.starts_anew}
+        model = replace(model, nuisances={**model.nuisances, **own}) if own else model
+        nuisances = tuple(p for p in nuisances if p.name not in own)
         nuisances = (*model.nuisances.values(), *nuisances)
         replaced = {name.split("[", 1)[0] for name in model.nuisances}
         shared = [p for p in model.parameters.values() if p.name not in replaced]

@@ -17,6 +17,7 @@ from pixelid.fit.judge import open_sides, precision, residual_tests, status_of
 from pixelid.fit.measured_light import NO_PHYSICAL, as_light_tells, held_in_words, line_errors, unresolved
 from pixelid.fit.newton import Optimum
 from pixelid.fit.newton import maximise as newton_steps
+from pixelid.fit.own_values import held_values
 from pixelid.fit.pooled import fit_pooled
 from pixelid.fit.refine import BETWEEN, refine
 from pixelid.fit.result import FitResult, Stopwatch, estimates_of
@@ -62,14 +63,16 @@ def fit(
     Recordings with pixel addresses use the event-time likelihood, pooled ones the pooled-rate likelihood (all or
     none).  The search starts from the model's values and `starts` random points around them, and from a few more while
     the best has not converged.  Recordings whose light was brought onto the camera's clock by a trigger or by their
-    events carry a delay and a drift of their clock as nuisances (`likelihood.clocks`).
+    events carry a delay and a drift of their clock as nuisances (`likelihood.clocks`).  What starts anew in each
+    recording (a lamp's phase), where it is free, is fitted in each (`fit.own_values`).
 
     Args:
         recordings: one or more, of the same sensor.
         model: what to fit; its values are the start.
         gauge: statements that make physical values unique, instead of the model's own; refused when incomplete or
             over-determined.
-        fixed: nuisances of the recordings to hold ("stimulus.gain", "pooled.pixels", "alignment.delay_s[NAME]").
+        fixed: nuisances of the recordings to hold ("stimulus.gain", "pooled.pixels", "alignment.delay_s[NAME]",
+            "mains_flicker.phase_rad[NAME]").
         starts: random starts beside the model's own.
         between: how recorded stimuli run between their samples, "linear", "smooth", or "auto": whichever explains the
             events better.
@@ -116,16 +119,17 @@ def fit(
         objective, optimum, details, pixels = fit_pooled(recordings, model, fixed or {}, report)
         dispersion = details["dispersion"]
     else:
-        clocks = held_clocks(recordings, fixed or {}, model)
         objective, optimum, details, pixels = _fit_event_times(
-            recordings, model, clocks, starts, between, maximiser, form, rng, report
+            recordings, model, fixed or {}, starts, between, maximiser, form, rng, report
         )
         dispersion = 1.0
     report("standard errors", 0.9)
     coordinates = objective.coordinates
     # A clock moves every event across samples of the light, where the density has corners, and is nearly exchangeable
     # for the fastest poles: along that ridge differences of the gradient are noise, and the information matrix is not.
-    clocks_free = not all(pooled) and any(p.name in coordinates.nuisances for p in coordinates.parameters)
+    clocks_free = not all(pooled) and any(
+        p.name in coordinates.nuisances and p.name not in coordinates.model.nuisances for p in coordinates.parameters
+    )
     information = optimum.local.information / dispersion
     curvature = information if clocks_free else -objective.hessian(optimum.x, optimum.local) / dispersion
     if clocks_free:
@@ -202,13 +206,14 @@ def check_event_times(model: Model) -> None:
         )
 
 
-def _fit_event_times(recordings, model, clocks, starts, between, maximiser: Engine, form, rng, report):
+def _fit_event_times(recordings, model, fixed, starts, between, maximiser: Engine, form, rng, report):
     check_event_times(model)
     pixels = EventTimes(recordings).pixels
     scout = EventTimes(few(recordings, SCOUT_EVENTS, rng))
     if unseparated(recordings):
         model = model.fix({"delay_s": None})
-    model = feasible(model, scout)
+    model, rest = held_values(feasible(model, scout), fixed)
+    clocks = held_clocks(recordings, rest, model)
     coordinates = Coordinates.of(model, clocks)
     report("searching", 0.05)
     searcher = engine_named("scipy") if maximiser.name == "torch" else maximiser  # far starts need curvature

@@ -9,6 +9,7 @@ import numpy as np
 from pixelid.errors import InputError
 from pixelid.fit.coordinates import Coordinates
 from pixelid.fit.newton import Optimum, maximise
+from pixelid.fit.own_values import held_values, with_own_values
 from pixelid.fit.pooled_rate import PooledRateObjective
 from pixelid.fit.starts import align, match_counts
 from pixelid.likelihood.pooled_rate import PooledRate
@@ -33,7 +34,10 @@ def fit_pooled(
         model = model.fix({"diff_cutoff_hz": None})
     scout = PooledRate(recordings, first_s=SCOUT_S)
     nuisances = {p.name: p for p in scout.nuisances()}
+    owned = {f"{parameter}[{recording.name}]" for parameter in model.starts_anew for recording in recordings}
     for name, value in fixed.items():
+        if name in owned:
+            continue
         if name not in nuisances:
             raise InputError(f"--fix {name}: neither the model nor these recordings have it")
         nuisances[name] = nuisances[name].at(value).fixed()
@@ -42,6 +46,11 @@ def fit_pooled(
     start |= align(scout, model, start)
     start |= {name: value for name, value in match_counts(scout, model, start).items() if name not in fixed}
     model = model.set({name: value for name, value in start.items() if name in model.parameters})
+    names = [recording.name for recording in recordings]
+    model = with_own_values(
+        model, names, lambda trial: scout.per_recording(scout.expected(trial.circuit(), {**start, **trial.values}))
+    )
+    model, _ = held_values(model, fixed)
     coordinates = Coordinates.of(model, tuple(p.at(start[name]) for name, p in nuisances.items()))
     report("searching", 0.1)
     scouted = maximise(

@@ -224,7 +224,7 @@ class FitResult(Result):
             result = cls(
                 status=Status(status),
                 advice=content.get("advice", ""),
-                model=model,
+                model=coordinates.model,
                 coordinates=coordinates,
                 x=x,
                 covariance=matrix,

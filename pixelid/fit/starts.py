@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from pixelid.fit.own_values import in_event_times
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.likelihood.pooled_rate import PooledRate, delay_name
 from pixelid.model.model import Model
@@ -16,7 +17,9 @@ def feasible(model: Model, likelihood: EventTimes) -> Model:
 
     Thresholds start at the median level at the events, threshold noise at its spread; fixed parameters stay.  A silence
     starts where intervals recur, or where it is if that explains the events better: its end is too sharp to climb to.
+    What starts anew in each recording starts where it suits each best.
     """
+    model = in_event_times(model, likelihood)
     changes: dict[str, float] = {}
     if "refractory_s" in model.free:
         parameter = model.parameter("refractory_s")

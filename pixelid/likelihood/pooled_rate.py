@@ -138,6 +138,7 @@ class PooledRate:
     def output(self, i: int, circuit: Circuit, values: Mapping[str, float]) -> np.ndarray:
         """(n+1,) amplifier output at the bin edges of recording i."""
         recording, counts = self.recordings[i], self.counts[i]
+        circuit = circuit.in_recording(recording.name)
         stimulus = recording.stimulus
         assert isinstance(stimulus, Stimulus)
         if stimulus.unit == "shape":

@@ -90,6 +90,11 @@ class Model:
         """Names of the free parameters, in order."""
         return [name for name, parameter in self.parameters.items() if parameter.free]
 
+    @property
+    def starts_anew(self) -> tuple[str, ...]:
+        """Names of the parameters that every recording has anew."""
+        return tuple(name for effect in self.effects for name in stages.effect(effect).starts_anew)
+
     def has(self, effect: str) -> bool:
         """Whether the effect is part of this model, by name or by the structure of its photoreceptor."""
         stages.effect(effect)

@@ -41,25 +41,28 @@ def events(
     """
     on, off = thresholds
 
-    def slopes(t, v, y, s, a, held):
+    def slopes(t, x, held):
+        v, y, s, a = x
         u = log_light(t)
         light = float(np.exp(u))
-        return (
-            alpha * light * (u - y) - (beta + gamma * light) * v,
-            v,
-            follower * (y - s),
-            follower * (y - s) if held else differencing * (s - a),
+        return np.array(
+            (
+                alpha * light * (u - y) - (beta + gamma * light) * v,
+                v,
+                follower * (y - s),
+                follower * (y - s) if held else differencing * (s - a),
+            )
         )
 
     def advanced(t, h, x, held):
-        k1 = slopes(t, *x, held)
-        k2 = slopes(t + h / 2, *(p + h / 2 * k for p, k in zip(x, k1, strict=True)), held)
-        k3 = slopes(t + h / 2, *(p + h / 2 * k for p, k in zip(x, k2, strict=True)), held)
-        k4 = slopes(t + h, *(p + h * k for p, k in zip(x, k3, strict=True)), held)
-        return tuple(p + h / 6 * (a + 2 * b + 2 * c + d) for p, a, b, c, d in zip(x, k1, k2, k3, k4, strict=True))
+        k1 = slopes(t, x, held)
+        k2 = slopes(t + h / 2, x + h / 2 * k1, held)
+        k3 = slopes(t + h / 2, x + h / 2 * k2, held)
+        k4 = slopes(t + h, x + h * k3, held)
+        return x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
 
     u0 = log_light(0.0)
-    t, x = 0.0, (0.0, u0, u0, u0)
+    t, x = 0.0, np.array([0.0, u0, u0, u0])
     reference, released, last, held = u0, 0.0, -np.inf, False
     times, signs = [], []
 
@@ -72,7 +75,7 @@ def events(
         later = advanced(t, h, x, held) if h > 0.0 else x
         then = min(stops) if h < step_s else t + h
         if held and then >= last + dead_s:  # released: the amplifier and its reference are what the follower shows
-            t, x, held = then, (*later[:3], later[2]), False
+            t, x, held = then, np.array([*later[:3], later[2]]), False
             reference, released = later[2], then
             continue
         if held or then < last + silent_s or (h <= 0.0 and then > last + silent_s):
@@ -95,5 +98,5 @@ def events(
         signs.append(sign)
         last, held = t, True
         if dead_s == 0.0:
-            x, held, reference, released = (*x[:3], x[2]), False, x[2], t
+            x, held, reference, released = np.array([*x[:3], x[2]]), False, x[2], t
     return np.array(times), np.array(signs)

@@ -7,7 +7,10 @@ import pytest
 
 from pixelid.fit.coordinates import Coordinates
 from pixelid.fit.event_times import EventTimesObjective
+from pixelid.fit.fit import fit
 from pixelid.fit.maximise import maximise
+from pixelid.fit.own_values import in_event_times
+from pixelid.fit.result import FitResult
 from pixelid.gap.attribute.candidates import remove_effect, start_in_each
 from pixelid.gap.attribute.significance import chance_of_gain, own_values
 from pixelid.gap.gap import gap
@@ -99,6 +102,61 @@ def test_modulation_and_phases_come_back_from_light_multiplied_by_hand(likelihoo
     for name, phase in PHASES.items():
         off = end.model.in_recording(name).values[PHASE] - phase
         assert abs((off + np.pi) % (2.0 * np.pi) - np.pi) < 0.05
+
+
+@pytest.fixture(scope="module")
+def fitted():
+    camera = MODEL.with_effect("mains_flicker", {"modulation": 0.05})
+    return fit(session(), camera, fixed={f"{PHASE}[slow]": PHASES["slow"]}, starts=0)
+
+
+def test_a_fit_frees_the_phase_in_every_recording(fitted):
+    assert fitted.status == "converged"
+    assert fitted.estimates["mains_flicker.modulation"].value == pytest.approx(MODULATION, rel=0.02)
+    interval = fitted.estimates["mains_flicker.modulation"].interval_95
+    assert interval[0] < MODULATION < interval[1]
+    for name, phase in PHASES.items():
+        found = fitted.estimates[f"{PHASE}[{name}]"]
+        assert abs((found.value - phase + np.pi) % (2.0 * np.pi) - np.pi) < 0.05
+        assert found.fixed == (name == "slow")  # held where it was told
+    assert PHASE not in fitted.coordinates.names
+    assert "clocks" not in fitted.details["curvature"]
+
+
+def test_a_fit_with_phases_of_each_recording_is_read_back(fitted, tmp_path):
+    fitted.save(tmp_path / "fit")
+    again = FitResult.load(tmp_path / "fit")
+    assert again.coordinates.names == fitted.coordinates.names
+    assert again.model.nuisances.keys() == {f"{PHASE}[{name}]" for name in PHASES}
+    likelihood = EventTimes(session())
+    here, there = (likelihood.log_likelihood(result.coordinates.circuit(result.x)) for result in (fitted, again))
+    assert there == pytest.approx(here, abs=1e-6)
+
+
+def test_a_phase_that_is_held_is_one_for_all_recordings(likelihood):
+    camera = MODEL.with_effect("mains_flicker", {"modulation": MODULATION}).fix({PHASE: 0.4})
+    assert in_event_times(camera, likelihood) is camera
+    free = in_event_times(camera.release([PHASE]), likelihood)
+    assert free.nuisances.keys() == {f"{PHASE}[{name}]" for name in PHASES}
+    for name, phase in PHASES.items():
+        off = free.in_recording(name).values[PHASE] - phase
+        assert abs((off + np.pi) % (2.0 * np.pi) - np.pi) < 0.5 * np.pi
+
+
+def test_pooled_counts_have_a_phase_in_every_recording():
+    """Thresholds far below the modulation: the pooled rate is the limit of many events per swing."""
+    made, sensitive = [], MODEL.set({"on_threshold": 0.02, "off_threshold": 0.02, "refractory_s": 1e-6})
+    for i, (name, phase) in enumerate((("one", 0.5), ("other", 2.9))):
+        t = np.arange(0.0, 1.0, 1e-3)
+        light = Stimulus(t, 100.0 * np.exp(0.8 * np.sin(2.0 * np.pi * 7.0 * t + i)))
+        seen = flickering(light, phase)
+        r = simulate(sensitive, seen, width=100, seed=i)
+        events = replace(r.events, x=np.zeros(len(r.events), np.uint16), width=1)
+        made.append(replace(r, events=events, stimulus=light, condition=name, pooled=True, attributes={}))
+    end = fit(made, MODEL.with_effect("mains_flicker", {"modulation": 0.05}))
+    assert end.estimates["mains_flicker.modulation"].value == pytest.approx(MODULATION, rel=0.1)
+    apart = end.estimates[f"{PHASE}[other]"].value - end.estimates[f"{PHASE}[one]"].value
+    assert abs((apart - 2.4 + np.pi) % (2.0 * np.pi) - np.pi) < 0.1
 
 
 def test_nothing_starts_anew_in_one_recording_or_in_recordings_of_one_name(likelihood):

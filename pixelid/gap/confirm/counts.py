@@ -14,6 +14,7 @@ import numpy as np
 from pixelid.recordings.recording import Recording
 
 PARTS, WAITS = (1, 2, 4, 8), 6
+ALIKE = 0.005  # of a wait: what is told of a silence that the pixels keep, and stamps, err by less
 
 
 @dataclass(frozen=True)
@@ -72,14 +73,21 @@ def cell_weights(counts: Counts, shown: np.ndarray) -> np.ndarray:
 
 
 def wait_edges(recording: Recording) -> np.ndarray:
-    """(WAITS − 1,) edges between waits, the same for measurement and models: quantiles of what was measured."""
+    """(WAITS − 1,) edges between waits, the same for measurement and models: quantiles of what was measured.
+
+    Where the waits of half a cell are alike (the end of a silence, few ticks of a clock), an edge through them would
+    count their rounding: it lies below them.
+    """
     events = recording.events
     order = np.lexsort((events.t, events.pixel))
     pixel, t = events.pixel[order], events.t[order] * 1e-9
     waits = np.diff(t)[pixel[1:] == pixel[:-1]]
     if len(waits) < WAITS:
         return np.linspace(0.01, 1.0, WAITS - 1)
-    return np.quantile(waits, np.linspace(0, 1, WAITS + 1)[1:-1])
+    edges, waits = np.quantile(waits, np.linspace(0, 1, WAITS + 1)[1:-1]), np.sort(waits)
+    around = [np.searchsorted(waits, edges * (1.0 + side * ALIKE)) for side in (-1, 1)]
+    crowded = around[1] - around[0] > 0.5 * len(waits) / WAITS
+    return np.where(crowded, edges * (1.0 - 2.0 * ALIKE), edges)
 
 
 def _table(row, cell, rows, cells) -> np.ndarray:
