@@ -15,9 +15,7 @@ from pixelid.errors import InputError
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.model.model import Model
 
-PHASES = tuple(
-    np.pi * (k / 4.0 - 1.0) for k in range(8)
-)  # 45° apart: at most 22.5° from the best, well inside its hill
+PHASES = tuple(np.pi * (k / 4.0 - 1.0) for k in range(8))  # at most 22.5° from the best, well inside its hill
 
 
 def with_own_values(model: Model, names: Sequence[str], parts_of: Callable[[Model], np.ndarray]) -> Model:

@@ -145,6 +145,8 @@ class EventTimes:
             extremes: Where they are in each section, `extremes` of the changes under a circuit close by, whose
                 derivatives do not see the positions move; None: looked for.
         """
+        if circuit.light_spread:
+            raise InputError("light_spread: of pooled recordings only; pixels with addresses have light of their own")
         vector = np.empty(self.layout.size)
         where = [True] * len(self.evaluators) if extremes is None else extremes
         clocks = self.clocks or (None,) * len(self.recordings)

@@ -5,6 +5,9 @@ and a background b per polarity give
 
     λ_on = N (ẏ⁺/C_on) / (1 + ρ |ẏ|/C) + b_on        λ_off likewise with ẏ⁻
 
+Where the pixels' light differs (`light_spread`), λ is the mean over pixels of radiance L e^{σ ξ}, ξ standard normal, by
+Gauss–Hermite quadrature.
+
 Counts in bins are Poisson about ∫ λ dt.  Within a bin ∫ẏ⁺ is the rise of the output between the bin's edges.
 
 C/N alone is visible without dead time: N is a gauge, `pooled.pixels`, fixed unless told.  Real pools are more
@@ -37,6 +40,7 @@ from pixelid.stimuli.stimulus import Stimulus
 
 BIN_S = 50e-6  # a fraction of the fastest edges' width, 0.2 ms
 MOST_BINS = 2_000_000  # a few hundred MB with their derivatives
+LIGHTS = 11  # nodes of the spread of light: counts about a jump of it to 1 % (rms) at σ = 0.3, 3 % at 0.6, 9 % at 1
 LEAST_EVENTS = 100  # fewer tell a rate to no better than 10 %
 
 
@@ -135,8 +139,8 @@ class PooledRate:
             ]
         return tuple(parameters)
 
-    def output(self, i: int, circuit: Circuit, values: Mapping[str, float]) -> np.ndarray:
-        """(n+1,) amplifier output at the bin edges of recording i."""
+    def output(self, i: int, circuit: Circuit, values: Mapping[str, float], brighter: float = 1.0) -> np.ndarray:
+        """(n+1,) amplifier output at the bin edges of recording i, of pixels whose light is so many times as bright."""
         recording, counts = self.recordings[i], self.counts[i]
         circuit = circuit.in_recording(recording.name)
         stimulus = recording.stimulus
@@ -144,6 +148,8 @@ class PooledRate:
         if stimulus.unit == "shape":
             light = values["stimulus.offset"] + values["stimulus.gain"] * stimulus.radiance
             stimulus = Stimulus(stimulus.t, light, "relative", stimulus.interpolation)
+        if brighter != 1.0:
+            stimulus = replace(stimulus, radiance=brighter * stimulus.radiance)
         until = counts.edges[-1] + 0.1
         shown = stimulus.t <= until
         if not shown.all():
@@ -169,21 +175,25 @@ class PooledRate:
         """(bins,) expected counts, per recording ON then OFF."""
         parts = []
         for i in range(len(self.recordings)):
-            change = np.diff(self.output(i, circuit, values)) + circuit.on_threshold * self._leaked(i, circuit)
-            rise, fall = np.maximum(change, 0.0), np.maximum(-change, 0.0)
-            on, off = rise / circuit.on_threshold, fall / circuit.off_threshold
-            thinning = values["pooled.pixels"] / (1.0 + circuit.refractory * (on + off) / self._width)
-            parts.append(on * thinning + values["pooled.background_on_hz"] * self._width)
-            parts.append(off * thinning + values["pooled.background_off_hz"] * self._width)
+            on_off = np.zeros((2, len(self.counts[i].on)))
+            for brighter, share in lights_of(circuit):
+                leak = circuit.on_threshold * self._leaked(i, circuit, brighter)
+                change = np.diff(self.output(i, circuit, values, brighter)) + leak
+                rise, fall = np.maximum(change, 0.0), np.maximum(-change, 0.0)
+                on, off = rise / circuit.on_threshold, fall / circuit.off_threshold
+                thinning = values["pooled.pixels"] / (1.0 + circuit.refractory * (on + off) / self._width)
+                on_off += share * thinning * np.stack([on, off])
+            parts.append(on_off[0] + values["pooled.background_on_hz"] * self._width)
+            parts.append(on_off[1] + values["pooled.background_off_hz"] * self._width)
         return np.concatenate(parts)
 
-    def _leaked(self, i: int, circuit: Circuit) -> np.ndarray | float:
-        """What leaks in each bin of recording i, in ON thresholds."""
+    def _leaked(self, i: int, circuit: Circuit, brighter: float) -> np.ndarray | float:
+        """What leaks in each bin of recording i, in ON thresholds, of pixels whose light is so many times as bright."""
         if not leaks(circuit):
             return 0.0
         stimulus, edges = self.recordings[i].stimulus, self.counts[i].edges
         assert isinstance(stimulus, Stimulus)
-        light = np.interp(0.5 * (edges[1:] + edges[:-1]), stimulus.t, stimulus.radiance)
+        light = brighter * np.interp(0.5 * (edges[1:] + edges[:-1]), stimulus.t, stimulus.radiance)
         return leaked(circuit, self._width, self._width * light)
 
     def log_likelihood(self, expected: np.ndarray) -> float:
@@ -211,6 +221,15 @@ class PooledRate:
         mean = np.bincount(group, expected)
         keep = mean > 1.0
         return float(((observed - mean)[keep] ** 2 / mean[keep]).mean())
+
+
+def lights_of(circuit: Circuit) -> list[tuple[float, float]]:
+    """(factor of the light, share of the pixels) of the nodes that stand for pooled pixels."""
+    if circuit.light_spread == 0:
+        return [(1.0, 1.0)]
+    nodes, weights = np.polynomial.hermite_e.hermegauss(LIGHTS)
+    factors = np.exp(circuit.light_spread * nodes)
+    return list(zip(factors.tolist(), (weights / weights.sum()).tolist(), strict=True))
 
 
 def delay_name(recordings: Sequence[Recording], i: int) -> str:

@@ -25,6 +25,7 @@ from pixelid.simulate.hot_pixels import HotPixels
 from pixelid.simulate.laws import Rules, rules_of
 from pixelid.simulate.ordering import Ordering
 from pixelid.simulate.readout import Readout
+from pixelid.simulate.spread import spread_light
 from pixelid.simulate.tiles import Tiles
 from pixelid.stages.circuit import Circuit
 from pixelid.stages.modulation import OF_LIGHT
@@ -110,6 +111,8 @@ def _chunks(
 ) -> Iterator[tuple[float, Events]]:
     """(time up to which all is done, sorted events) after each block of work."""
     circuit = model.circuit() if isinstance(model, Model) else model
+    if circuit.light_spread > 0:
+        stimulus = spread_light(stimulus, circuit.light_spread, (width or 1, height or 1), seed)
     if isinstance(stimulus, PixelLights) and circuit.shot_density > 0:
         stimulus = stimulus.as_video()
     if not isinstance(stimulus, Stimulus | PixelLights):

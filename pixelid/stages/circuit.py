@@ -21,6 +21,7 @@ class Circuit:
     photoreceptor: str = "second_order"
     linearisation: str = "midpoint"
     # photocurrent
+    light_spread: float = 0.0  # of pooled pixels' light, standard deviation of its logarithm
     dark: float = 0.0  # added to the radiance
     flicker_modulation: float = 0.0
     flicker_hz: float = 100.0

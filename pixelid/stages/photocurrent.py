@@ -57,6 +57,18 @@ class MainsFlicker(Effect):
         )
 
 
+class LightSpread(Effect):
+    name = "light_spread"
+    stage = "photocurrent"
+    sentence = "The pixels of a pool have different light: most of a spot's are in its halo."
+    equation = "L_i = L e^{σ ξ_i}, ξ_i standard normal, one for each pixel"
+    source = "docs/model.md: a log-normal spread of the light over the pixels that are pooled"
+    parameters = (Parameter("light_spread.sigma", 0.5, "1", 1e-3, 3.0, "log"),)
+
+    def apply(self, circuit: Circuit, values: Mapping[str, float]) -> Circuit:
+        return circuit.with_(light_spread=values["light_spread.sigma"])
+
+
 class LinearLog(Effect):
     name = "linear_log"
     stage = "photocurrent"
@@ -84,4 +96,4 @@ def logarithm(circuit: Circuit, radiance):
     return np.where(np.real(radiance) < np.real(circuit.knee), line, logs)
 
 
-EFFECTS = (DarkCurrent(), ShotNoise(), MainsFlicker(), LinearLog())
+EFFECTS = (DarkCurrent(), LightSpread(), ShotNoise(), MainsFlicker(), LinearLog())

@@ -16,10 +16,24 @@ from pixelid.stimuli.resample import resampled
 from pixelid.stimuli.shapes import chirp, steps
 
 SHIPPED = ("dvs128", "dvs128_low_light", "photoreceptor", "ideal")
-ADDED = ("", "bandwidth_floor", "polarity_memory", "linear_log", "lost_events")
-NOT_TRIED = {"shot_noise", "hot_pixels", "readout_latency", "timestamp_quantisation"}
-FAST = [("dvs128", "", ""), ("dvs128_low_light", "bandwidth_floor", ""), ("ideal", "", "leak")]
-PLANTED = ("", "leak", "polarity_memory", "bandwidth_floor", "second_order_photoreceptor", "linear_log", "lost_events")
+ADDED = (
+    "",
+    "bandwidth_floor",
+    "polarity_memory",
+    "linear_log",
+    "lost_events",
+    "dead_time_without_reset",
+    "mains_flicker",
+)
+NOT_TRIED = {"light_spread", "shot_noise", "hot_pixels", "readout_latency", "timestamp_quantisation"}
+FAST = [
+    ("dvs128", "", ""), ("dvs128_low_light", "bandwidth_floor", ""), ("ideal", "", "leak"),
+    ("ideal", "dead_time_without_reset", ""),
+]  # fmt: skip
+PLANTED = (
+    "", "leak", "polarity_memory", "bandwidth_floor", "second_order_photoreceptor", "linear_log", "lost_events",
+    "dead_time_without_reset",
+)  # fmt: skip
 
 
 def base_model(name, added=""):

@@ -23,8 +23,9 @@ MAINS_HZ = (100.0, 120.0)
 LINEAR_SLOPES = (1.0, math.log(20.0))
 SILENCE, DEAD_TIME = "dead_time_without_reset", "refractory_s"
 PHASES = (0.0, 0.5 * math.pi, math.pi, 1.5 * math.pi)
-# What no density of single events knows: read off the timestamps (`readout.py`), off the pixels, or not at all.
-NOT_IN_DENSITY = {"shot_noise", "hot_pixels", "readout_latency", "timestamp_quantisation"}
+# What no density of single events knows: of pooled counts, read off the timestamps (`readout.py`), off the pixels, or
+# not at all.
+NOT_IN_DENSITY = {"light_spread", "shot_noise", "hot_pixels", "readout_latency", "timestamp_quantisation"}
 # effects that weaken as their first parameter grows
 INVERSE = {"second_order_photoreceptor", "source_follower_pole", "extra_pole", "slew_limit", "differencing_pole"}
 SLEWS_THROUGH = ("source_follower_pole", "differencing_pole")  # what the likelihood of slew_limit needs
