@@ -9,8 +9,9 @@ from collections.abc import Mapping, Sequence
 
 from pixelid.fit.measured_light import as_light_tells
 from pixelid.gap.detect.diagnostics import diagnose
-from pixelid.gap.detect.pixels import fit_base
+from pixelid.gap.detect.pixels import fit_base, fit_base_roughly
 from pixelid.gap.fold import Step, fold
+from pixelid.gap.imputation.impute import is_coarse_tick
 from pixelid.gap.mended_clocks import with_mended_clocks
 from pixelid.gap.options import Context
 from pixelid.gap.phases import Phase
@@ -23,6 +24,7 @@ from pixelid.gap.steps.explain_by_shot_noise import try_before_second_effect, tr
 from pixelid.gap.steps.name_effect import name_effect
 from pixelid.gap.steps.undo_readout import undo_readout
 from pixelid.gap.steps.withdraw import withdraw
+from pixelid.inspection.timestamps import find_timestamp_signatures
 from pixelid.likelihood.light_between_samples import with_told
 from pixelid.model.model import Model
 from pixelid.recordings.own_light import with_pixel_lights
@@ -43,11 +45,15 @@ def begin(recordings: Sequence[Recording], model: Model, context: Context) -> St
     model = as_light_tells(model, recordings)
     recordings = with_mended_clocks(recordings, model, options.seed)
     timely = tuple(r.within_stimulus() for r in recordings)
-    evidence, base = fit_base(timely, split, model, criteria, options.seed, context.cache, context.work)
+    signatures = tuple(find_timestamp_signatures(recordings))
+    if any(is_coarse_tick(s) and s.effect not in options.leave_out for s in signatures):
+        evidence, base = fit_base_roughly(timely, split, model, options.seed, context.cache)
+    else:
+        evidence, base = fit_base(timely, split, model, criteria, options.seed, context.cache, context.work)
     allowed = criteria.max_unexplained_fraction
     first = diagnose(evidence.training, base, criteria, options.seed, background_fraction=allowed)
     hypothesis = Hypothesis(timely, evidence, base, first, evidence.nominal)
-    return State(Phase.UNDO_READOUT, tuple(recordings), model, split, base, first, hypothesis)
+    return State(Phase.UNDO_READOUT, tuple(recordings), model, split, base, first, hypothesis, signatures)
 
 
 def name_next(state: State, context: Context) -> State:

@@ -146,6 +146,11 @@ class State:
         return self.imputation is not None and bool(self.imputation.windows)
 
     @property
+    def on_paths(self) -> bool:
+        """Whether whole paths of event times have been drawn, and the model fitted to the stamps behind them."""
+        return self.imputation is not None and self.imputation.by_paths
+
+    @property
     def grown_model(self) -> Model:
         """The base with everything found."""
         model = self.hypothesis.model

@@ -40,6 +40,7 @@ class PixelCandidates:
         restart: The model at its shipped values, to screen from as well; None where the fitted ones are to be trusted.
         cache: Fits already made.
         work: Who fits.
+        delay_found: Whether a free delay of the stamps is near where it belongs, so that it can be held at first.
     """
 
     evidence: PixelEvidence
@@ -48,10 +49,11 @@ class PixelCandidates:
     restart: Model | None
     cache: FitCache | None
     work: Work = field(default_factory=Work)
+    delay_found: bool = False
 
     def screen(self, effects: Sequence[str], report: Report) -> list[tuple[Maximum, float] | None]:
         """For each effect (it fitted to a few pixels, nats gained there), from the best of the strengths tried."""
-        screen = _Screen(self.evidence.screening, self.base_screened, self.restart)
+        screen = _Screen(self.evidence.screening, self.base_screened, self.restart, self.delay_found)
         return map_fits(self.work, screen, effects, self.cache, report)
 
     def fit(self, starts: Sequence[tuple[str, Maximum]], report: Report) -> list[Maximum]:
@@ -89,12 +91,13 @@ class _Screen:
     Attributes:
         pool: These pixels.
         base: The model under test there.
-        restart: As of `PixelCandidates`.
+        restart, delay_found: As of `PixelCandidates`.
     """
 
     pool: EventTimes
     base: Maximum
     restart: Model | None
+    delay_found: bool
 
     def __call__(self, effect: str, cache: FitCache | None) -> tuple[Maximum, float] | None:
         """(the effect fitted, nats gained); None where no strength of it can be evaluated."""
@@ -119,13 +122,13 @@ class _Screen:
         Far from the optimum a delay runs to its bound in the place of what is missing, and holds the fit there.
         """
         pool = self.pool
-        end = maximise(pool, start, tolerance=0.3, max_steps=steps, cache=cache)
         if DELAY not in start.free:
-            return end
+            return maximise(pool, start, tolerance=0.3, max_steps=steps, cache=cache)
+        end = None if self.delay_found else maximise(pool, start, tolerance=0.3, max_steps=steps, cache=cache)
         held = maximise(pool, start.fix({DELAY: None}), tolerance=0.3, max_steps=steps, cache=cache).model
         freed = replace(held, parameters={**held.parameters, DELAY: start.parameter(DELAY)})
         again = maximise(pool, freed, tolerance=0.3, max_steps=steps, cache=cache)
-        return again if again.value > end.value else end
+        return again if end is None or again.value > end.value else end
 
     def _in_each(self, effect: str, shared: float, cache: FitCache | None) -> Maximum | None:
         """The effect with what starts anew free in each recording; None where that is not surely worth it.
@@ -143,7 +146,12 @@ class _Screen:
 
 
 def candidates_of(
-    evidence: PixelEvidence, model: Model, restart: Model | None, cache: FitCache | None, work: Work
+    evidence: PixelEvidence,
+    model: Model,
+    restart: Model | None,
+    cache: FitCache | None,
+    work: Work,
+    delay_found: bool = False,
 ) -> PixelCandidates:
     """Evidence for candidates beside a model, from its fitted values.
 
@@ -153,7 +161,8 @@ def candidates_of(
         restart: The model at shipped values, where what is missing may have led the fitted ones astray.
         cache: Fits already made.
         work: Who fits.
+        delay_found: Whether a free delay of the stamps is near where it belongs.
     """
     screened = maximise(evidence.screening, model, tolerance=0.1, max_steps=25, cache=cache)
     base = maximise(evidence.fitting, model, tolerance=0.05, max_steps=25, cache=cache)
-    return PixelCandidates(evidence, screened, base, restart, cache, work)
+    return PixelCandidates(evidence, screened, base, restart, cache, work, delay_found)

@@ -103,6 +103,15 @@ def fit_base(
     return best[0], _search_elsewhere(*best, criteria, seed, cache, work or Work())
 
 
+def fit_base_roughly(
+    recordings: Sequence[Recording], split: Split, model: Model, seed: int, cache: FitCache | None = None
+) -> tuple[PixelEvidence, Maximum]:
+    """As `fit_base`, of a few pixels only: where the times are about to be drawn anew, the fit to them is to be made
+    again."""
+    evidence = gather_evidence(recordings, split, model, BETWEEN_SAMPLES[0], seed)
+    return evidence, _screened(evidence.screening, evidence.nominal, model, cache)
+
+
 def _screened(screening: EventTimes, nominal: Model, shipped: Model, cache: FitCache | None) -> Maximum:
     """The base fitted to a few pixels, from its feasible start and from others where that start is likely to mislead.
 

@@ -115,8 +115,7 @@ def impute(
     times = tuple(guess_edges(fine, windows, early=signature.effect == QUEUE))
     priors = _filter_priors(model)
     whole = Imputation(signature.effect, stimuli, fine, windows, times, random, priors).only(kept)
-    coarse = signature.effect == TICK and signature.value >= COARSE_TICK_S
-    if coarse and followable(fine, model):
+    if is_coarse_tick(signature) and followable(fine, model):
         whole, model = follow(replace(whole, by_paths=True), model, options.seed, report)
         return whole
     brief = reach[kept] <= SHORT_SERVICE_TIMES * unit
@@ -125,6 +124,11 @@ def impute(
     whole, model = impute_again(whole, model, ROUNDS[2], report=report, cache=cache)
     kept = _unexplained_share(whole.likelihood, model) <= options.criteria.max_unexplained_share_of_recording
     return whole.only(kept) if kept.any() else whole  # events unexplained everywhere: the model is wrong, not the times
+
+
+def is_coarse_tick(signature: TimestampSignature) -> bool:
+    """Whether a signature is a tick behind which times are drawn as paths."""
+    return signature.effect == TICK and signature.value >= COARSE_TICK_S
 
 
 def impute_behind_jitter(

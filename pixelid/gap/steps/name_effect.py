@@ -56,13 +56,14 @@ def name_effect(state: State, context: Context) -> State:
 def _attribute(state: State, evidence: PixelEvidence, context: Context) -> Attribution[Maximum]:
     options, hypothesis = context.options, state.hypothesis
     astray = hypothesis.seen.background_fraction > options.criteria.max_unexplained_fraction
-    restart = hypothesis.start if astray or not hypothesis.fit.converged else None
+    elsewhere = (astray or not hypothesis.fit.converged) and not state.on_paths  # paths lie near the model they are of
+    restart = hypothesis.start if elsewhere else None
     model = hypothesis.fit.model
     skip = {*options.leave_out, *([JITTER] if _hides_jitter(state) else [])}
     share = 0.1 + 0.6 * state.turn / MAX_ROUNDS
+    candidates = candidates_of(evidence, model, restart, context.cache, context.work, state.on_paths)
     return attribute(
-        candidates_of(evidence, model, restart, context.cache, context.work),
-        [e for e in missing(model) if e not in skip], options,
+        candidates, [e for e in missing(model) if e not in skip], options,
         lambda what: context.report(f"round {state.turn + 1}: {what}", share),
     )  # fmt: skip
 

@@ -11,7 +11,6 @@ from pixelid.gap.phases import Phase
 from pixelid.gap.rounds import signature_entry
 from pixelid.gap.state import Hypothesis, State
 from pixelid.inspection.hot_pixels import find_hot_pixels_in_silence
-from pixelid.inspection.timestamps import find_timestamp_signatures
 from pixelid.recordings.selection import only
 
 
@@ -20,8 +19,7 @@ def undo_readout(state: State, context: Context) -> State:
     options, report, cache = context.options, context.report, context.cache
     report("timestamps", 0.06)
     recordings, split, model = state.hypothesis.recordings, state.split, state.model
-    signatures = tuple(find_timestamp_signatures(state.recordings))
-    undone = tuple(f for f in signatures if f.effect not in options.leave_out)
+    undone = tuple(f for f in state.signatures if f.effect not in options.leave_out)
     rounds, lost, imputation, hot = state.rounds, state.lost, None, None
     if "hot_pixels" not in options.leave_out and not model.has("hot_pixels"):
         hot = find_hot_pixels_in_silence(recordings)
@@ -38,7 +36,7 @@ def undo_readout(state: State, context: Context) -> State:
         model = model.with_effect(signature.effect, {signature.parameter: signature.value})
         model = model.fix({signature.parameter: None})
     state = state.then(
-        Phase.NAME, signatures=signatures, undone=undone, hot=hot, split=split, rounds=rounds, imputation=imputation,
+        Phase.NAME, undone=undone, hot=hot, split=split, rounds=rounds, imputation=imputation,
         lost=lost, model=model,
     )  # fmt: skip
     if not undone and hot is None:
