@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from pixelid.fit.coordinates import Coordinates
+from pixelid.gap.imputation.blurred import follow, likeliest_spread
+from pixelid.gap.imputation.imputed import JITTER, Imputation
 from pixelid.gap.imputation.marginal import _Linear, _selected_inverse, _times, _trace, _variances, marginal_step
 from pixelid.gap.imputation.paths import draw_paths
 from pixelid.gap.imputation.windows import jitter_windows, with_times
@@ -107,3 +109,32 @@ def test_steps_lead_to_the_model_behind_blurred_stamps(blurred):
     for name in ("alpha", "refractory_s", "on_threshold", "off_threshold"):
         assert abs(np.log(model.values[name] / truth.values[name])) < 4 * sure[name] + 0.02, name
     assert (step.missing_sd <= step.sd + 1e-12).all()
+
+
+def imputation(recordings, sigma_s):
+    windows = tuple(jitter_windows(r, sigma_s) for r in recordings)
+    times = tuple(r.events.t.astype(float) for r in recordings)
+    random = np.random.default_rng(0).bit_generator.state
+    stimuli = tuple(r.stimulus for r in recordings)
+    return Imputation(JITTER, stimuli, tuple(recordings), windows, times, random, {}, by_paths=True)
+
+
+def test_the_spread_follows_displacements_and_goes_farther_the_less_they_tell(blurred):
+    _, sd, recordings = blurred
+    at = imputation(recordings, sd)
+    rng = np.random.default_rng(0)
+    moved = replace(at, times=tuple(w.centre + 1.1e9 * sd * rng.normal(size=len(w.lo)) for w in at.windows))
+    n = sum(len(w.lo) for w in at.windows)
+    off = np.concatenate([w.centre - t for w, t in zip(moved.windows, moved.times, strict=True)])
+    rms = 1e-9 * np.sqrt(np.mean(off**2))
+    assert likeliest_spread(moved, sd, 0.1 / np.sqrt(n)) == pytest.approx(rms)
+    assert likeliest_spread(moved, sd, 1.0 / np.sqrt(n)) == pytest.approx(sd * (rms / sd) ** 2)  # half is missing
+
+
+@pytest.mark.slow
+def test_following_the_stamps_finds_the_jitter_and_says_how_well(blurred):
+    _, sd, recordings = blurred
+    followed, _ = follow(imputation(recordings, 0.6 * sd), MODEL, 0, lambda what: None)
+    assert abs(np.log(followed.sigma_s / sd)) < 4 * followed.error
+    assert followed.error < 0.1
+    assert abs(np.log(followed.sigma_s / sd)) < 0.1

@@ -12,7 +12,7 @@ import numpy as np
 
 from pixelid.fit.coordinates import Coordinates
 from pixelid.gap.imputation.imputed import JITTER, Imputation, draw_again
-from pixelid.gap.imputation.marginal import MarginalStep, marginal_step
+from pixelid.gap.imputation.marginal import MAX_LOG_MOVE, MarginalStep, marginal_step
 from pixelid.model.model import Model
 
 FEW_EVENTS = 5_000  # filters to a percent or a few, in half a second a draw
@@ -20,6 +20,7 @@ MOST_ROUNDS, LEAST_ROUNDS = 24, 4  # of draws and steps with few pixels
 ROUNDS_AGAIN = 10  # at most, after the model has gained an effect
 SETTLED_SD = 2.0  # a step is small by, in standard errors of each coordinate: draws alone move it by one
 ROUNDS_WITH_ALL = 2  # averaged
+MAX_LENGTHENING = 5.0  # of a step of EM: four fifths of the information missing
 
 Report = Callable[[str], None]
 
@@ -34,9 +35,9 @@ def follow_again(whole: Imputation, model: Model, report: Report) -> tuple[Imput
     return _follow(whole, model, ROUNDS_AGAIN, 0, report)
 
 
-def draw_once_more(whole: Imputation, model: Model) -> tuple[Imputation, Model]:
-    """Other times from the same model, and the model a step on."""
-    return _step(whole, whole.with_filter_priors(model))[:2]
+def draw_once_more(whole: Imputation, model: Model) -> Imputation:
+    """Other times from the same model: paths owe nothing to the draw before."""
+    return draw_again(whole, model, estimate=False)
 
 
 def _follow(whole: Imputation, model: Model, rounds: int, seed: int, report: Report) -> tuple[Imputation, Model]:
@@ -53,15 +54,34 @@ def _follow(whole: Imputation, model: Model, rounds: int, seed: int, report: Rep
             break
     if whole.effect == JITTER:
         whole = whole.with_spread(part.sigma_s)
-    ends = []
+    ends, logs = [], []
     for _ in range(ROUNDS_WITH_ALL):
         report("true times")
+        drawn_with = whole.windows
         whole, model, step = _step(whole, model)
+        if whole.effect == JITTER:
+            other = likeliest_spread(whole, 1e-9 * drawn_with[0].sd, step.sigma_error)
+            logs.append(np.log([step.sigma_s, other]))
+            whole = whole.with_spread(float(np.exp(logs[-1].mean())))
         ends.append(step)
     model = Coordinates.of(model).model_at(np.mean([end.x for end in ends], axis=0))
-    if whole.effect == JITTER:
-        whole = whole.with_spread(float(np.mean([end.sigma_s for end in ends])))
+    if logs:  # one is to first order, the other hangs on how well draws mix: what they differ by is uncertain
+        by_step, by_draw = np.mean(logs, axis=0)
+        error = float(np.hypot(whole.error, 0.5 * (by_draw - by_step)))
+        whole = replace(whole.with_spread(float(np.exp(0.5 * (by_step + by_draw)))), error=error)
     return whole, model
+
+
+def likeliest_spread(drawn: Imputation, sigma_s: float, error: float) -> float:
+    """The jitter's standard deviation, from how far stamps are off times drawn with `sigma_s`, s.
+
+    A step of EM, lengthened by what is missing of the information: n stamps known with their times would tell it to
+    1/√(2n), and they tell it to `error`.  Where it rests, nothing is to first order only.
+    """
+    off = np.concatenate([w.centre - t for w, t in zip(drawn.windows, drawn.times, strict=True)])
+    growth = 0.5 * np.log(np.mean((1e-9 * off / sigma_s) ** 2))
+    lengthened = float(np.clip(2.0 * len(off) * error**2, 1.0, MAX_LENGTHENING))
+    return sigma_s * float(np.exp(np.clip(lengthened * growth, -MAX_LOG_MOVE, MAX_LOG_MOVE)))
 
 
 def _step(imputation: Imputation, model: Model) -> tuple[Imputation, Model, MarginalStep]:

@@ -50,8 +50,8 @@ def at_imputed_times(
     for turn in range(DRAWS_JUDGED):
         if turn and imputation.by_paths:
             if judged[-1].seen.p >= context.options.alpha_each:
-                break  # whole paths owe nothing to the draw before: the next one can only show less
-            imputation, model = draw_once_more(imputation, model)
+                break  # another draw can only show less
+            imputation = draw_once_more(imputation, model)
         elif turn:
             imputation, model = impute_again(imputation, model, ROUNDS_BETWEEN, cache=context.cache)
         judged.append(_at_these(imputation, model, setting, scatter, context))
