@@ -158,6 +158,8 @@ def _entry(line: bytes) -> tuple[str, dict] | None:
     """(key, entry) of a line; None for a damaged one."""
     try:
         parts = json.loads(line.decode())
+        if not isinstance(parts["key"], str) or not isinstance(parts["entry"], str):  # two numbers add up as well
+            return None
         if parts["checksum"] != _checksum(parts["key"], parts["entry"]):
             return None
         return parts["key"], json.loads(parts["entry"])

@@ -67,7 +67,13 @@ def test_a_line_cut_off_at_the_end_is_dropped(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "damage", [b"\xff\x00garbage", b'{"key": "a"}', b'{"key": "a", "checksum": "0", "entry": "{}"}']
+    "damage",
+    [
+        b"\xff\x00garbage",
+        b'{"key": "a"}',
+        b'{"key": "a", "checksum": "0", "entry": "{}"}',
+        b'{"key": 1, "checksum": "0", "entry": 2.5}',
+    ],
 )
 def test_a_damaged_file_is_set_aside_and_its_sound_lines_kept(tmp_path, damage):
     path = tmp_path / "fits"
