@@ -98,6 +98,19 @@ def grown(fired):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def fire(pixel, place, time, polarity, comparators, drawn, laws, fired, count):
+    """An event at `time` [s]: fresh thresholds, and a dead time that `events_in_step` ends.  Returns (fired, count)."""
+    refractory, _, _, _, noise, key, history, _, _, _ = laws
+    if count == len(fired[0]):
+        fired = grown(fired)
+    fired[0][count], fired[1][count], fired[2][count] = time, pixel, polarity
+    comparators[LAST, place], comparators[RELEASE, place] = time, time + refractory
+    comparators[LEVEL, place], comparators[DECAY, place] = np.nan, 0.0
+    draw_thresholds(pixel, place, comparators, drawn, key, noise, history[polarity])
+    return fired, count + 1
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def events_in_step(pixel, place, t0, t1, step, chain, comparators, drawn, laws, fired, count, scratch):
     """Carry one pixel through the step t0 … t1, with its release, crossings and resets in the order they happen.
 

@@ -19,7 +19,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from pixelid.dynamics import equations, kernels, vectorised
+from pixelid.dynamics import blocks, equations, kernels
 from pixelid.dynamics.equations import PRESENT_BELOW
 
 _responses = njit(equations.responses, inline="always", error_model="numpy")
@@ -83,7 +83,7 @@ def modes(state, u0, r, a, b2, chain):
     ty = b2 / a
     ts = ty + 1.0 / w1
     td = ts + 1.0 / wd
-    apart = not vectorised.near_coincidence(a, b2, w1, wd, kernels.gap(w1, wd))
+    apart = not blocks.near_coincidence(a, b2, w1, wd, kernels.gap(w1, wd))
     plain = not smooth and not coincide and w2 > PRESENT_BELOW and wh == 0.0 and b2 < PRESENT_BELOW
     plain = plain and wd < PRESENT_BELOW and apart and abs(r * td) < kernels.STEEP
     delays, pq = (ty, ts, td), _responses(a, b2, w1, wd)

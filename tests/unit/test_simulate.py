@@ -144,6 +144,44 @@ def test_brute_force_finds_the_same_events(changes, interpolation):
     np.testing.assert_allclose(events.t * 1e-9, times, rtol=0, atol=2e-8)
 
 
+@pytest.mark.parametrize(
+    "changes", [{}, {"refractory": 0.0}, {"beta": 300.0, "gamma": 0.5}, {"refractory": 3e-4, "on_threshold": 0.05}]
+)
+def test_brute_force_finds_the_same_events_of_a_video(changes):
+    circuit, rng = PLAIN.with_(**changes), np.random.default_rng(6)
+    t = np.cumsum(np.concatenate([[0.0], rng.uniform(2e-4, 4e-3, 12)]))
+    log_light = np.log([[5.0, 60.0, 3000.0]]) + rng.normal(0.0, 0.35, (len(t), 1, 3))
+    events = simulate(circuit, Stimulus.from_arrays(t, np.exp(log_light)), synchronous=True).events
+    for pixel in range(3):
+        times, signs = brute_force(circuit, t, np.exp(log_light[:, 0, pixel]), t[-1])
+        own = events.x == pixel
+        np.testing.assert_array_equal(2.0 * events.p[own] - 1, signs)
+        np.testing.assert_allclose(events.t[own] * 1e-9, times, rtol=0, atol=2e-8)
+    assert len(events) > 20
+
+
+@pytest.mark.parametrize(
+    ("level", "dt", "changes"),
+    [
+        (100.0, 1e-4, {}),
+        (5.0, 1e-3, {"noise": 0.2, "refractory": 5e-4}),
+        (2000.0, 1e-3, {"refractory": 0.0}),
+        (300.0, 3e-4, {"refractory": 2e-5, "on_threshold": 0.05, "off_threshold": 0.03}),
+        (50.0, 1e-2, {"beta": 300.0, "gamma": 0.5}),
+    ],
+)
+def test_pixels_searched_together_fire_as_those_searched_one_by_one(level, dt, changes):
+    circuit = PLAIN.with_(**{"noise": 0.04, "mismatch": 0.03, **changes})
+    video = shapes.grating(width=40, height=30, level=level, modulation=0.9, duration_s=40 * dt, dt=dt)
+    together = simulate(circuit, video).events
+    alone = simulate(circuit.with_(threshold_drift=1e-300), video).events  # any drift is searched for one by one
+    assert len(together) == len(alone) > 1000
+    np.testing.assert_allclose(np.sort(together.t), np.sort(alone.t), atol=1)
+    orders = [np.lexsort((e.t, e.x, e.y)) for e in (together, alone)]
+    for name in "xyp":
+        np.testing.assert_array_equal(getattr(together, name)[orders[0]], getattr(alone, name)[orders[1]])
+
+
 def test_hump_inside_a_single_step_is_found():
     """The photoreceptor rings over after a jump: the threshold lies between the final value and the peak."""
     circuit = PLAIN.with_(beta=100.0, gamma=0.1, off_threshold=5.0)
