@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from oracles.changes import plain_changes
 
-from pixelid.likelihood.changes import ChangeEvaluator
+from pixelid.likelihood.changes import ChangeEvaluator, located
 from pixelid.likelihood.sections import sections_of
 from pixelid.model.shipped import find_model
 from pixelid.simulate import simulate
@@ -110,3 +110,24 @@ def test_extremes_are_returned_and_taken_where_they_are():
     assert evaluator.fill(circuit, extremes, *again) is extremes
     for first, second in zip(rows, again, strict=True):
         np.testing.assert_array_equal(first, second)
+
+
+@pytest.mark.parametrize("kind", ["even", "random", "decades", "jumps"])
+def test_samples_are_located_wherever_the_search_begins(kind):
+    rng = np.random.default_rng(9)
+    steps = {
+        "even": lambda n: np.full(n, 1e-3),
+        "random": rng.standard_exponential,
+        "decades": lambda n: 10.0 ** rng.uniform(-9, 0, n),
+        "jumps": lambda n: rng.integers(0, 2, n) / 7.0,
+    }[kind]
+    lights = [np.cumsum(steps(n)) for n in (1, 40, 300)]
+    t, first = np.concatenate(lights), np.cumsum([0, 1, 40, 300])
+    light_of = rng.integers(0, 3, 2000).astype(np.int32)
+    times = np.array([rng.choice(lights[k]) + rng.choice([0.0, 0.3]) * rng.standard_normal() for k in light_of])
+    expected = [
+        first[k] + max(np.searchsorted(lights[k], time, side="right") - 1, 0)
+        for k, time in zip(light_of, times, strict=True)
+    ]
+    for near in (rng.integers(0, len(t), 2000), np.zeros(2000, np.int64), np.array(expected)):
+        np.testing.assert_array_equal(located(t, times, near, first, light_of), expected)
