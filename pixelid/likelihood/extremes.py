@@ -223,6 +223,7 @@ def _locate(sign, low, high, release, level, offset, near_up, near_down, at, t, 
     at release, or stays under what could reach a threshold (near_up, near_down).
     """
     at[:] = -1
+    near_up, near_down = max(near_up, 0.0), max(near_down, 0.0)  # nothing else counts, however low thresholds may be
     for i in _candidates(sign, low, high, level, offset, near_up, near_down, output):
         left = abs(offset[i])
         peak, where = _highest(sign[i], low[i], high[i], output)

@@ -15,6 +15,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
+
+from pixelid.dynamics.blocks import REORDERED
+from pixelid.dynamics.vector_math import vlog
 
 
 @dataclass(frozen=True)
@@ -36,23 +40,57 @@ def population(estimate: np.ndarray, sd: np.ndarray) -> Population:
         return Population(float(x[0]), 0.0, 1)
     from scipy.optimize import minimize_scalar
 
+    centre = float(x.mean())
+    away = x - centre  # of the size of the spread: what is squared below loses no digits
+
     def negative(log_spread: float) -> float:
-        total = np.exp(2.0 * log_spread) + v
-        precision = (1.0 / total).sum()
-        mean = (x / total).sum() / precision
-        return 0.5 * float(np.log(total).sum() + ((x - mean) ** 2 / total).sum() + np.log(precision))
+        return float(_negatives(away, v, np.array([log_spread]))[0])
 
     scale = max(float(np.std(x)), 1e-6)
     low, high = np.log(1e-4 * scale), np.log(10.0 * scale)
     grid = np.linspace(low, high, 60)
-    values = [negative(g) for g in grid]
-    k = int(np.argmin(values))
+    k = int(np.argmin(_negatives(away, v, grid)))
     optimum = minimize_scalar(
         negative, bounds=(grid[max(k - 1, 0)], grid[min(k + 1, 59)]), method="bounded", options={"xatol": 1e-6}
     )
     spread = 0.0 if k == 0 else float(np.exp(optimum.x))
     total = spread**2 + v
     return Population(float((x / total).sum() / (1.0 / total).sum()), spread, len(x))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _negatives(x, v, log_spreads):
+    """Minus the restricted marginal log-likelihood (up to a constant) at each of some log spreads.
+
+    x: (n,) estimates less a centre near their mean;  v: (n,) variances of their errors.  With w = 1/(τ² + v),
+
+        ½ [Σ log(τ² + v) + Σ w x² − (Σ w x)²/Σ w + log Σ w]
+    """
+    values, logs = np.empty(len(log_spreads)), np.empty(len(x))
+    for k in range(len(log_spreads)):
+        spread = np.exp(2.0 * log_spreads[k])
+        _logs(v, spread, logs)
+        w0, w1, w2 = _moments(x, v, spread)
+        values[k] = 0.5 * (logs.sum() + w2 - w1 * w1 / w0 + np.log(w0))
+    return values
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+def _logs(v, spread, out):
+    for i in range(len(out)):
+        out[i] = vlog(spread + v[i])
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=REORDERED)
+def _moments(x, v, spread):
+    """(Σ w, Σ w x, Σ w x²)."""
+    w0, w1, w2 = 0.0, 0.0, 0.0
+    for i in range(len(x)):
+        weight = 1.0 / (spread + v[i])
+        w0 += weight
+        w1 += weight * x[i]
+        w2 += weight * x[i] * x[i]
+    return w0, w1, w2
 
 
 def shrink(estimate: np.ndarray, sd: np.ndarray, of: Population) -> tuple[np.ndarray, np.ndarray]:

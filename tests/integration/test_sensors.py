@@ -78,6 +78,24 @@ def test_maps_come_back(serial, tmp_path):
         SensorFit.load(tmp_path / "out")
 
 
+def test_population_maximises_the_marginal_likelihood():
+    rng = np.random.default_rng(8)
+    sd = rng.uniform(0.02, 0.2, 300)
+    estimate = 8.0 + 0.1 * rng.standard_normal(300) + sd * rng.standard_normal(300)
+
+    def negative(spread):
+        total = spread**2 + sd**2
+        mean = (estimate / total).sum() / (1.0 / total).sum()
+        return 0.5 * (np.log(total).sum() + ((estimate - mean) ** 2 / total).sum() + np.log((1.0 / total).sum()))
+
+    found = population(estimate, sd)
+    around = found.spread * np.exp([-1e-3, 0.0, 1e-3])
+    low, here, high = map(negative, around)
+    assert here < min(low, high)
+    assert found.spread == pytest.approx(0.1, rel=0.3)
+    assert found.mean == pytest.approx(8.0, abs=0.03)
+
+
 def test_known_maps_are_recovered_and_shrinkage_lowers_their_error(sensor, serial):
     for name, truth in sensor[1].items():
         m, log = serial.maps[name], np.log(truth)
