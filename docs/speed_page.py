@@ -28,7 +28,7 @@ def page(content: Mapping[str, Any], table: Table) -> str:
         f"{machine['processor']}, {machine['cores']} cores; {named}. One core copies "
         f"{machine['copy_bytes_per_s'] / 1e9:.1f} GB/s (read and written together), makes "
         f"{machine['flops_per_s'] / 1e9:.1f} Gflop/s of multiply-adds and "
-        f"{machine['exponentials_per_s'] / 1e6:.0f} million scalar exponentials/s.\n",
+        f"{machine['exponentials_per_s'] / 1e6:.0f} million exponentials of vectors/s.\n",
         (f"Targets missed: {'; '.join(missed)}." if missed else "All targets are met.") + "\n",
     ]
     for section, title in TITLES.items():

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from numba import njit
 
-from paths.counting import EXPONENTIALS, step_flops
+from paths.counting import step_flops
 from paths.memory import measured_apart
 from paths.sizes import Sizes
 from paths.timing import Counts, Other, Target, Task, compared, interleaved, row
@@ -50,8 +50,10 @@ def video(shape: tuple[int, int, int]) -> Stimulus:
 
 
 def counts() -> Counts:
-    """Two new logs per step and pixel beside the step's; the six states are read and written, frames read."""
-    return Counts(bytes=8.0 * (4 + 4) + 8, flops=step_flops(), exponentials=EXPONENTIALS + 2)
+    """Per step and pixel √ of the mean light and exp of the photoreceptor's decay, one new log, √ in the bound on the
+    slope (the other exponentials are those of the step's length, shared by all); four states are read and written,
+    frames read."""
+    return Counts(bytes=8.0 * (4 + 4) + 8, flops=step_flops(), exponentials=4)
 
 
 def beside(sizes: Sizes, name: str) -> dict:
