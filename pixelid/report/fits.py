@@ -77,7 +77,7 @@ def prepare_compare(result: Result, folder: Path) -> dict[str, Any]:
     return {
         "models": [
             [name, m["status"].replace("_", " "), str(m["free_parameters"]), f"{m['held_out_log_likelihood']:.1f}",
-             f"{number(m['behind_best_nats'])} ± {number(m['behind_best_se'], 2)}", f"{m['bic']:.1f}"]
+             f"{number(m['behind_best_nats'])} ± {number(m['behind_best_se'], 2)}", number(m["bic"], 7)]
             for name, m in sorted(result["models"].items(), key=lambda item: -item[1]["behind_best_nats"])
         ]
     }  # fmt: skip

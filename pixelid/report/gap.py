@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -83,13 +84,18 @@ def _tried(result: Result) -> list[list[str]]:
         best_first = {**fitted, **dict(sorted(looked.items(), key=lambda item: -item[1]))}
         for name in best_first:
             c = fitted.get(name, {})
-            said = "named" if name == entry["named"] else "fitted" if c else "not fitted"
+            said = "named" if name == entry["named"] else "fitted" if c else "not\u00a0fitted"
             rows.append(
                 [str(entry["round"]), name, _what_it_does(name), number(looked.get(name), 3),
                  number(c.get("gain_nats"), 3), number(c.get("heldout_gain_nats"), 3),
                  chance(c["p_value"]) if c else "–", said]
             )  # fmt: skip
     return rows
+
+
+def _departure(row: Result) -> float:
+    """How far a count is from what the base model expects, in units of chance."""
+    return abs(row["measured"] - row["base"]) / math.sqrt(max(row["base"], 1.0))
 
 
 def prepare(result: Result, folder: Path) -> dict[str, Any]:
@@ -118,11 +124,14 @@ def prepare(result: Result, folder: Path) -> dict[str, Any]:
             f"{v['most_alike']} ({v['cosines'][v['most_alike']]:.2f})" if v["most_alike"] else "–",
             number(v["told_apart_nats"], 3),
         ]
-        for name, v in details.get("confusion", {}).items()
+        for name, v in sorted(details.get("confusion", {}).items(), key=lambda item: shows.get(item[0]) or 0.0)
     ]
     grown = bool(result["effects"] or result.get("described"))
     columns = ("measured", "base", "grown") if grown else ("measured", "base")
-    jumps = [[row["where"], *(number(row[key], 4) for key in columns)] for row in details.get("after_jumps", ())]
+    jumps = [
+        [row["where"], *(number(row[key], 6) for key in columns)]
+        for row in sorted(details.get("after_jumps", ()), key=_departure, reverse=True)
+    ]
     described = [
         [
             words_of_entry(e),
