@@ -22,6 +22,9 @@ import torch.nn.functional as F
 
 from pixelid.nerf.intervals import Chains
 
+# Thresholds: changes of less are none.  Two looks past everything differ by rounding alone, whose sign is no direction.
+STILL = 0.02
+
 
 class Weights(NamedTuple):
     """λ of the terms."""
@@ -98,8 +101,8 @@ def terms(
 
 def quiet_change(light: torch.Tensor, on_threshold: torch.Tensor, off_threshold: torch.Tensor) -> torch.Tensor:
     """Mean ℓ_quiet of log radiance (n, 2) at pairs of times in which nothing fired (see `quiet`)."""
-    mean = (0.5 * (on_threshold + off_threshold)).detach()
-    return (light[:, 1] - light[:, 0]).abs().mean() / mean
+    moved = (light[:, 1] - light[:, 0]) / (0.5 * (on_threshold + off_threshold)).detach()
+    return F.smooth_l1_loss(moved, torch.zeros_like(moved), beta=STILL)
 
 
 def _huber(x: torch.Tensor) -> torch.Tensor:

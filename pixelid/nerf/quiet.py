@@ -6,7 +6,7 @@ long as a turn of the camera is asked for as rarely as one of a millisecond.  So
 over all pixels and all of the recording, both within one interval without events.  Between them the light has moved by
 less than the two thresholds together; as ℓ_tv does, the loss takes it for as little as the scene allows,
 
-    ℓ_quiet = |u(t₂) − u(t₁)|/C̄,     u = ln L.
+    ℓ_quiet = |u(t₂) − u(t₁)|/C̄,     u = ln L, rounded off near zero.
 
 It is the light that is compared, not the response: within an interval that long the pixel has caught up, but for its
 lag before the next event, which is left out.

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from pixelid.nerf.dataset import read_dataset
-from pixelid.nerf.losses import quiet_change
+from pixelid.nerf.losses import STILL, quiet_change
 from pixelid.nerf.pixel import Bandwidth
 from pixelid.nerf.predict import draw_quiet
 from pixelid.nerf.problem import problem_of
@@ -65,8 +65,12 @@ def test_pairs_are_even_over_quiet_time_and_end_before_the_lag():
 
 
 def test_the_loss_is_the_mean_change_in_thresholds():
+    """Less half of `STILL`, below which changes count by their squares."""
+    on, off = torch.tensor(0.3), torch.tensor(0.1)
     light = torch.tensor([[0.0, 0.3], [1.0, 0.5]], dtype=torch.float64)
-    assert float(quiet_change(light, torch.tensor(0.3), torch.tensor(0.1))) == pytest.approx(2.0)
+    assert float(quiet_change(light, on, off)) == pytest.approx(2.0 - 0.5 * STILL)
+    still = torch.tensor([[0.0, 0.1 * STILL * 0.2]], dtype=torch.float64)
+    assert float(quiet_change(still, on, off)) == pytest.approx(0.5 * 0.1**2 * STILL)
 
 
 def test_where_nothing_fires_haze_is_cleared(tmp_path):
