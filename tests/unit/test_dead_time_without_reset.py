@@ -9,6 +9,7 @@ from oracles import silent_events
 
 from pixelid.fit.coordinates import Coordinates
 from pixelid.fit.event_times import EventTimesObjective
+from pixelid.fit.fit import fit
 from pixelid.gap.detect.residuals import residuals
 from pixelid.likelihood.density import NUMBERS
 from pixelid.likelihood.event_times import EventTimes
@@ -158,3 +159,19 @@ def test_residuals_of_a_true_model_are_standard_normal():
         assert len(e) > 500
         assert abs(e.mean()) < 4.0 / np.sqrt(len(e)) + 0.03
         assert e.std() == pytest.approx(1.0, abs=4.0 / np.sqrt(2 * len(e)) + 0.03)
+
+
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow), pytest.param(2, marks=pytest.mark.slow)])
+def test_the_silence_and_the_circuit_come_back(seed):
+    """Simulated events, whose simulator is held to the oracle above, from a start five times off."""
+    lights = sine(0.4, contrast=1.5), sine(0.4, level=40.0, contrast=0.8, hz=11.0)
+    made = [simulate(SILENT, light, width=3, height=3, seed=10 * seed + i, sensor_seed=seed) for i, light in
+            enumerate(lights)]  # fmt: skip
+    end = fit(made, SILENT.set({"dead_time_without_reset.s": 4e-4}), starts=0, seed=seed)
+    assert end.status == "converged"
+    silence = end.estimates["dead_time_without_reset.s"]
+    assert silence.value == pytest.approx(SILENT_S, rel=1e-3)
+    assert abs(silence.value - SILENT_S) < 4.0 * (silence.std or 0.0)
+    for name in ("alpha", "on_threshold", "off_threshold"):
+        estimate = end.estimates[name]
+        assert abs(estimate.value - SILENT.values[name]) < 4.0 * (estimate.std or 0.0), name

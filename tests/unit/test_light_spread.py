@@ -62,6 +62,7 @@ def test_expected_counts_are_the_mean_over_pixels(sigma, error):
     assert np.abs(found - counts(1.0, 0.0)).max() > 0.1 * mean.max()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 1])
 def test_the_spread_comes_back_from_light_multiplied_by_hand(seed):
     sigma = 0.6
