@@ -79,6 +79,15 @@ def test_a_table_without_latencies_is_predicted(folder):
     assert row["predicted"] > DELAY_S
 
 
+def test_one_model_speaks_for_two_units(tmp_path):
+    table = tmp_path / "units.csv"
+    lines = ["camera,lens,polarity,irradiance_W_m2,bias_config", "A,lens1,1,0.02,0", "B,lens1,1,0.02,0"]
+    table.write_text("\n".join(lines) + "\n")
+    assert run("latency", table, "--model", "imx636", "--predict", "--out", tmp_path / "out") == 0
+    first, second = result(tmp_path / "out")["rows"]
+    assert first["predicted"] == second["predicted"] > 0
+
+
 def test_the_model_opens_everywhere_and_keeps_its_settings(folder):
     model = find_model(folder / "fit")
     assert model.radiance_unit == "W/m2"

@@ -49,7 +49,7 @@ def fitted_result(fit: LatencyFit) -> dict[str, Any]:
     return {
         "status": status,
         "advice": advice,
-        **_common(fit.table, fit.cameras),
+        **_common(fit.table, _used(fit.table, fit.cameras)),
         "parameters": parameters,
         "unidentified": unidentified,
         "relative_scatter": {one.name: one.regression.scale for one in fit.fits},
@@ -63,7 +63,7 @@ def fitted_result(fit: LatencyFit) -> dict[str, Any]:
 def predicted_result(table: LatencyTable, cameras: Sequence[Camera], *inputs: Path) -> dict[str, Any]:
     """The content of latency.json without fitting; status says whether the model describes what was measured."""
     used = _used(table, cameras)
-    common = _common(table, tuple(used.values()))
+    common = _common(table, used)
     spread = [e["median"]["rms_without_spoiled"] for e in common["errors"].values() if "median" in e]
     wrong = [value for value in spread if value is not None and value > MAX_SCATTER]
     several = len(used) > 1
@@ -153,8 +153,7 @@ def _interval(entry: Mapping[str, Any]) -> str:
     return f"{entry['value']:.4g} ({low:.4g} to {high:.4g})"
 
 
-def _common(table: LatencyTable, cameras: Sequence[Camera]) -> dict[str, Any]:
-    used = _used(table, cameras)
+def _common(table: LatencyTable, used: Mapping[str, Camera]) -> dict[str, Any]:
     rows = _rows(table, used)
     lights = {name: np.unique(table.irradiance[table.camera == name]) for name in dict.fromkeys(table.camera.tolist())}
     found = [entry | {"camera": name} for name, light in lights.items() for entry in limits(used[name], light)]
