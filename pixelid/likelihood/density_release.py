@@ -25,7 +25,7 @@ from numba import njit
 
 from pixelid.likelihood.layout import EventRows, Layout
 
-SHARE = 1e-3  # of the silence; does not matter from 2e-4 to 5e-3: tests/unit/test_dead_time_without_reset.py
+SHARE = 1e-3  # of the silence: how far off an optimiser may begin, and 60 events still tell the silence to 1e-4 of itself
 WINDOW = 5.0  # standard deviations: 6e-7 are beyond
 NONE = np.empty(0, np.int64)
 
