@@ -25,7 +25,7 @@ from numba import njit
 
 from pixelid.likelihood.layout import EventRows, Layout
 
-SHARE = 1e-3  # of the silence: how far off an optimiser may begin, and 60 events still tell the silence to 1e-4 of itself
+SHARE = 1e-3  # of the silence: 60 events tell it to 1e-4 of itself all the same, and optimisers have something to climb
 WINDOW = 5.0  # standard deviations: 6e-7 are beyond
 NONE = np.empty(0, np.int64)
 
