@@ -133,7 +133,7 @@ def search(
     bench = _Bench(make, coarse, bandwidth, steps, unit, device, report)
     problem = make(calibration, bandwidth.moving)
     state = train(problem, bench.recipe, start(problem, bench.recipe, bandwidth, device), until=warm, report=report)
-    here = told = _Place(settled(calibration, state.pixel, problem), (), state)
+    here = told = _Place(with_trained_values(calibration, state.pixel, problem), (), state)
     kept: list[Trial] = []
     rounds: list[tuple[Trial, ...]] = []
     while len(rounds) < MOST_ROUNDS and names and not here.state.diverged:
@@ -212,7 +212,7 @@ class _Bench:
         """The same, trained on for some steps, in a copy; the pixel is what training has moved it to."""
         problem, state = self._moved(here)
         state = train(problem, self.recipe, state, until=state.iteration + steps, report=self.report)
-        return replace(here, calibration=settled(here.calibration, state.pixel, problem), state=state)
+        return replace(here, calibration=with_trained_values(here.calibration, state.pixel, problem), state=state)
 
     def rows(self, here: _Place) -> Rows:
         """What is left unexplained of held-out events."""
@@ -278,7 +278,7 @@ def suggestions(problem: Problem, state: State) -> dict[str, float]:
     return found
 
 
-def settled(calibration: Calibration, pixel: Pixel, problem: Problem) -> Calibration:
+def with_trained_values(calibration: Calibration, pixel: Pixel, problem: Problem) -> Calibration:
     """The calibration with what training has moved in place of what it began with.
 
     problem: that it was trained in

@@ -75,7 +75,7 @@ def take(w, local, which, count, q):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def settle(q, count, t0, tau, w1, wd):
+def release(q, count, t0, tau, w1, wd):
     """The pixels whose dead time ends in the step: fill LEVEL and DECAY at its end, PLAIN where no event can follow.
 
     w1, wd: cutoffs in rad/s of follower and amplifier
@@ -83,7 +83,7 @@ def settle(q, count, t0, tau, w1, wd):
     n = -(-count // LANES) * LANES
     _releases(q, n, t0, tau)
     blocks.states_after(q, n, w1, wd)
-    _settled(q, n, tau, w1 if w1 < PRESENT_BELOW else 0.0, wd)
+    _bound_until_end(q, n, tau, w1 if w1 < PRESENT_BELOW else 0.0, wd)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
@@ -93,7 +93,7 @@ def _releases(q, n, t0, tau):
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
-def _settled(q, n, tau, w1, wd):
+def _bound_until_end(q, n, tau, w1, wd):
     for i in range(n):
         x, r = q[i + TAU * BLOCK], q[i + R * BLOCK]
         y, s, d = q[i + Y1 * BLOCK], q[i + S1 * BLOCK], q[i + D1 * BLOCK]

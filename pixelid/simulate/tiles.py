@@ -140,19 +140,19 @@ def _searched_together(dynamics, laws):
 @njit(cache=True, nogil=True, error_model="numpy")
 def _divide(which, possible, local, t1, ending):
     """Put those of which[:possible] whose dead time ends until t1 into `ending`, keep the others; how many of each."""
-    settling, kept = 0, 0
+    releasing, kept = 0, 0
     for j in range(possible):
         i = which[j]
         ends = local[RELEASE, i] <= t1
-        which[kept], ending[settling] = i, i
-        kept, settling = kept + (0 if ends else 1), settling + (1 if ends else 0)
-    return settling, kept
+        which[kept], ending[releasing] = i, i
+        kept, releasing = kept + (0 if ends else 1), releasing + (1 if ends else 0)
+    return releasing, kept
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _settled(q, ending, settling, local, which, possible):
-    """Take over what `many.settle` found; the others are added to which[:possible], whose number is returned."""
-    for j in range(settling):
+def _take_over(q, ending, releasing, local, which, possible):
+    """Take over what `many.release` found; the others are added to which[:possible], whose number is returned."""
+    for j in range(releasing):
         i = ending[j]
         if q[j + many.PLAIN * BLOCK] > 0.0:
             local[LEVEL, i], local[DECAY, i] = q[j + many.LEVEL * BLOCK], q[j + many.DECAY * BLOCK]
@@ -272,9 +272,9 @@ def _tile(
             for i in range(live):
                 which[possible] = i
                 possible += 1 if w[i + FLAG * BLOCK] > 0.0 else 0
-            settling = 0
+            releasing = 0
             if together and not any_delicate:
-                settling, possible = _divide(which, possible, local, t1, ending)
+                releasing, possible = _divide(which, possible, local, t1, ending)
                 many.take(w, local, which, possible, q)
                 many.search(q, possible, tau, chain[0], wd)
                 rest = 0
@@ -292,10 +292,10 @@ def _tile(
             for j in range(possible):
                 old_level[j], old_decay[j] = local[LEVEL, which[j]], local[DECAY, which[j]]
             rows.scale(local[DECAY], kd, local[DECAY])
-            if settling > 0:
-                many.take(w, local, ending, settling, q)
-                many.settle(q, settling, t0, tau, chain[0], wd)
-                possible = _settled(q, ending, settling, local, which, possible)
+            if releasing > 0:
+                many.take(w, local, ending, releasing, q)
+                many.release(q, releasing, t0, tau, chain[0], wd)
+                possible = _take_over(q, ending, releasing, local, which, possible)
             if parasitic > 0.0:
                 for i in range(live):
                     light_rate = np.log(l1[i] / l0[i]) / tau
