@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from pixelid.gap.imputation.lattice import BLOCK, Light, Thresholds, _scan, draw_path
+from pixelid.gap.imputation.chances import BLOCK, Light, Thresholds, add_chances
+from pixelid.gap.imputation.lattice import draw_path
 from pixelid.gap.imputation.paths import draw_paths, followable
 from pixelid.gap.imputation.windows import jitter_windows, tick_windows
 from pixelid.model.shipped import find_model
@@ -50,7 +51,7 @@ def test_chances_of_cells_are_those_of_the_running_extreme(sign, memory):
     at = AT._replace(on=AT.on - memory, off=AT.off + memory, memory_on=memory, memory_off=memory)  # as AT after an ON
     when = 3.01e-4
     cells = np.zeros(len(u)), np.zeros(len(u))
-    _scan(light(u), at, when, 1.0, 0, 1, len(u) - 1, *cells, 1.0)
+    add_chances(light(u), at, when, 1.0, 0, 1, len(u) - 1, *cells, 1.0)
     mine = cells[0] if sign > 0 else cells[1]
     np.testing.assert_allclose(mine, crossing(u, when, sign), atol=2e-5)
     assert 0.05 < mine.sum() < 0.99
@@ -60,8 +61,8 @@ def test_wide_cells_have_the_chances_of_the_narrow_ones_in_them():
     t = STEP_S * np.arange(2000)
     u, when, nothing = 150.0 * t, 2e-4, np.empty(0)
     fine, coarse = np.zeros(2000), np.zeros(500)
-    _scan(light(u), AT, when, -1.0, 3, 1, 1999, fine, nothing, 1.0)
-    _scan(light(u), AT, when, -1.0, 3, 4, 1999, coarse, nothing, 1.0)
+    add_chances(light(u), AT, when, -1.0, 3, 1, 1999, fine, nothing, 1.0)
+    add_chances(light(u), AT, when, -1.0, 3, 4, 1999, coarse, nothing, 1.0)
     sums = [fine[max(4 * k - 3, 0) : 4 * k + 1].sum() for k in range(500)]
     np.testing.assert_allclose(coarse[: len(sums)], sums, atol=1e-5)
 

@@ -13,7 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from pixelid.dynamics.equations import PRESENT_BELOW
-from pixelid.gap.imputation.lattice import BLOCK, Light, Thresholds, draw_path
+from pixelid.gap.imputation.chances import BLOCK, Light, Thresholds
+from pixelid.gap.imputation.lattice import draw_path
 from pixelid.gap.imputation.windows import Windows, with_times
 from pixelid.likelihood.changes import light_until, located
 from pixelid.likelihood.density import BACKGROUND_HZ
