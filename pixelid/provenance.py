@@ -1,16 +1,40 @@
-"""What a result was made of: versions, and hashes of its inputs.  Versions are looked up without importing anything."""
+"""What a result was made of: versions, hashes of its inputs, the command.  Versions are looked up without importing."""
 
 from __future__ import annotations
 
 import hashlib
 import platform
-from collections.abc import Iterable
+import shlex
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
 from importlib import metadata
 from pathlib import Path
 
 from pixelid import __version__
 
 PACKAGES = ("numpy", "scipy", "numba", "casadi", "torch", "torchdiffeq", "emcee", "arviz-stats", "h5py", "faery")
+
+COMMAND_FILE = "command.txt"  # in the folder of a result that a command made
+_running: ContextVar[str] = ContextVar("command", default="")
+
+
+@contextmanager
+def running(words: Sequence[str]) -> Iterator[None]:
+    """While this command line runs, results can say what makes them again (`command`).
+
+    Of absolute paths only the last name is kept: pages are handed on, and folders of one's own are nobody's business.
+    """
+    token = _running.set(shlex.join(["pixelid", *(Path(w).name if w.startswith("/") else w for w in words)]))
+    try:
+        yield
+    finally:
+        _running.reset(token)
+
+
+def command() -> str:
+    """The command line that runs, as a shell takes it; empty in a Python session."""
+    return _running.get()
 
 
 def versions() -> dict[str, str]:

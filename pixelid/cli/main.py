@@ -11,6 +11,7 @@ import click
 from pixelid.cli.terminal import complain, use_utf8, warnings_as_lines
 from pixelid.errors import PixelidError, did_you_mean
 from pixelid.interruption import INTERRUPTED, SENTENCE, end_on_interrupt
+from pixelid.provenance import running
 
 # Recordings already share out the cores; BLAS threads for ten by ten matrices spin on them.  Before NumPy is imported.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -77,7 +78,7 @@ def main(argv: list[str] | None = None) -> int:
     """
     use_utf8()
     try:
-        with warnings_as_lines():
+        with warnings_as_lines(), running(sys.argv[1:] if argv is None else argv):
             code = cli.main(args=argv, prog_name="pixelid", standalone_mode=False)
         return code if isinstance(code, int) else 0
     except PixelidError as error:

@@ -24,6 +24,6 @@ def command(folder: Path, seed: int, quiet: bool) -> None:
     from pixelid.cli.terminal import say
     from pixelid.report.html import write_report
 
-    path = write_report(folder)
+    path = write_report(folder, command="")
     if not quiet:
         say(str(path))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from pixelid.report.format import interval, number, seconds
+from pixelid.report.format import interval, number, seconds, sentence
 from pixelid.report.page import Number, Result, Summary, command_line
 
 
@@ -69,7 +69,7 @@ def summarise_design(result: Result, folder: Path) -> Summary:
         "design",
         f"Record next: {best['name']}",
         result["status"],
-        " ".join(x for x in (result["why"], result.get("advice", "")) if x),
+        " ".join(sentence(x) for x in (result["why"], result.get("advice", "")) if x),
         (
             Number("stimulus", best["kind"]),
             Number("light", seconds(best["duration_s"])),
@@ -92,7 +92,7 @@ def _summarise_biases(result: Result, folder: Path) -> Summary:
         "design",
         f"Set {result['bias'] or 'the bias'} to {best['bias_mv']:.0f} mV",
         result["status"],
-        " ".join(x for x in (result["why"], result.get("advice", "")) if x),
+        " ".join(sentence(x) for x in (result["why"], result.get("advice", "")) if x),
         (
             Number("recommended", f"{best['bias_mv']:.0f}", "mV"),
             Number("fitted settings", f"{low:g} to {high:g}", "mV"),

@@ -11,13 +11,14 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
+from pixelid import provenance
 from pixelid.documents import interpreting, read_json
 from pixelid.errors import InputError, printable
 from pixelid.figures.style import without_control_characters
 from pixelid.figures.words import in_words
 from pixelid.outputs import whole_file
 from pixelid.report import format as formats
-from pixelid.report.page import Page
+from pixelid.report.page import Page, recorded_command
 from pixelid.report.pages import PAGES
 from pixelid.report.pictures import Picture, read_picture
 from pixelid.results import check_parameters
@@ -27,11 +28,13 @@ CAPTIONS = Path(__file__).parent / "captions.toml"
 LINKED = (".json", ".toml", ".nc", ".npz", ".csv", ".h5")
 
 
-def write_report(folder: Path) -> Path:
-    """Write report.html of a result folder from its JSON and figures.
+def write_report(folder: Path, command: str | None = None) -> Path:
+    """Write report.html of a result folder from its JSON and figures, and the command that made it.
 
     Args:
         folder: of any result: fit, gap, lowlight, design, rates, flicker, reconstruct, inspect, compare, sensor.
+        command: the command line that made the result, kept beside it; by default the one that runs, if one does.
+            Empty: what is kept already stays.
 
     Returns:
         The path of the page.
@@ -49,6 +52,10 @@ def write_report(folder: Path) -> Path:
     result = read_json(folder / page.file)
     if page.file in ("fit.json", "rates.json", "latency.json"):
         check_parameters(result, folder / page.file)
+    command = provenance.command() if command is None else command
+    if command and not (folder / provenance.COMMAND_FILE).is_symlink():
+        with whole_file(folder / provenance.COMMAND_FILE, overwrite=True) as path:
+            path.write_text(command + "\n", encoding="utf-8")
     text = render(page, result, folder)
     with whole_file(folder / "report.html", overwrite=True) as path:
         path.write_text(text, encoding="utf-8")
@@ -99,6 +106,7 @@ def _rendered(page: Page, result: dict[str, Any], folder: Path) -> str:
         "has": lambda name: name in pictures,
         "has_figures": bool(pictures),
         "result": result,
+        "recorded": bool(recorded_command(folder)),
         "summary": page.summarise(result, folder),
         "files": sorted(printable(path.name) for path in folder.iterdir() if path.suffix in LINKED and path.is_file()),
         "others": (),

@@ -8,7 +8,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from pixelid.errors import printable
+from pixelid.provenance import COMMAND_FILE
+
 Result = dict[str, Any]
+MOST_COMMAND = 10_000  # bytes shown of a command
 
 TONES = {
     "converged": "good", "named": "good", "none": "good",
@@ -88,10 +92,19 @@ class Page:
     prepare: Callable[[Result, Path], dict[str, Any]] = lambda result, folder: {}
 
 
+def recorded_command(folder: Path) -> str:
+    """The command line kept in a result's folder; empty where there is none."""
+    file = folder / COMMAND_FILE
+    if not file.is_file() or file.is_symlink():
+        return ""
+    with file.open("rb") as stream:
+        return printable(stream.read(MOST_COMMAND).decode("utf-8", errors="replace")).strip()
+
+
 def command_line(name: str, result: Result, *words: str, out: Path, inputs: bool = True, seed: bool = True) -> str:
-    """The command as the result records it, else put together from what it does record."""
-    if result.get("command"):
-        return str(result["command"])
+    """The command as it was given, where one made the result; else put together from what the result records."""
+    if recorded := recorded_command(out):
+        return recorded
     files = [f for f in result.get("inputs_sha256", {}) if not f.endswith((".toml", "fit.json"))] if inputs else []
     parts = ["pixelid", name, *files, *words, *(["--seed", str(result["seed"])] if seed and "seed" in result else [])]
     name = out.resolve().name

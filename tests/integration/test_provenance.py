@@ -5,6 +5,7 @@ import subprocess
 import sys
 
 from pixelid import __version__
+from pixelid.cli.main import main
 from pixelid.provenance import input_hashes, provenance, versions
 
 
@@ -33,3 +34,18 @@ def test_two_inputs_of_one_name_are_both_kept(tmp_path):
 def test_looking_up_versions_imports_none_of_them():
     code = "import sys, pixelid.provenance as p; p.versions(); print(set(sys.modules) & {'numpy', 'torch'})"
     assert subprocess.check_output([sys.executable, "-c", code], text=True).strip() == "set()"
+
+
+def test_a_result_keeps_the_command_that_made_it(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert main(["design", "dvs128", "--draws", "1", "--pixels", "1", "--out", "next one", "--quiet"]) == 0
+    words = "pixelid design dvs128 --draws 1 --pixels 1 --out 'next one' --quiet"
+    assert (tmp_path / "next one" / "command.txt").read_text().strip() == words
+    page = (tmp_path / "next one" / "report.html").read_text()
+    assert "--draws 1 --pixels 1" in page
+    assert "does not record" not in page
+    assert main(["report", "next one", "--quiet"]) == 0  # a page made again keeps it
+    assert (tmp_path / "next one" / "command.txt").read_text().strip() == words
+    (tmp_path / "next one" / "command.txt").unlink()
+    assert main(["report", "next one", "--quiet"]) == 0
+    assert "does not record" in (tmp_path / "next one" / "report.html").read_text()

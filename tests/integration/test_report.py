@@ -81,7 +81,7 @@ def test_a_page_is_whole_and_loads_nothing(inspected):
     assert page.count("<dt>") == 5
     assert "prefers-color-scheme: dark" in page
     assert 'href="inspect.json"' in page
-    assert "pixelid inspect r.h5 --out out<" in page
+    assert "pixelid inspect r.h5 --out out --quiet<" in page
     ids = re.findall(r'\bid="([^"]+)"', page)
     assert len(ids) == len(set(ids))
 
