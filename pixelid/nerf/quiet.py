@@ -23,6 +23,7 @@ from scipy.ndimage import median_filter
 
 LONG = 8.0  # of the shortest quiet interval: the image then moves by four pixels; what is shorter, chains see enough of
 FIRING = 4  # events of the median neighbour: a working pixel would be silent beside it one time in fifty
+EVENTS_AT_ONCE = 4_000_000  # of which intervals are made at a time: bounds memory, changes nothing
 LAGS = 2.0  # time constants of the slowest pole before an event, in which the light may have moved already
 
 
@@ -69,21 +70,30 @@ def quiet_intervals(t, pixel, width: int, height: int, *, least: float, dead: fl
     asked[np.asarray(left_out, np.int64)] = False
     order = np.argsort(pixel, kind="stable")
     first = np.concatenate([[0], np.cumsum(counts)])
-    begins, ends = np.empty(len(t) + pixels), np.empty(len(t) + pixels)
-    of = np.repeat(np.arange(pixels, dtype=np.int32), counts + 1)
-    # interval j of a pixel is before its event j; the last one is behind all of them
-    at = np.arange(len(of)) - of
-    last = np.zeros(len(of), bool)
-    last[first[1:] + np.arange(pixels)] = True
-    ends[~last] = t[order]
-    ends[last] = t[-1]
-    earlier = np.roll(last, 1)
-    earlier[0] = True
-    begins[earlier] = t[0]
-    begins[~earlier] = t[order[at[~earlier] - 1]] + dead
-    kept = asked[of] & (ends - begins > max(least, 0.0))
-    begins, ends, of = begins[kept], ends[kept], of[kept]
+    parts, low = [], 0
+    while low < pixels:
+        high = max(int(np.searchsorted(first, first[low] + EVENTS_AT_ONCE, side="right")) - 1, low + 1)
+        times = t[order[first[low] : first[high]]]
+        begins, ends, of = _between(times, counts[low:high], float(t[0]), float(t[-1]), dead)
+        kept = asked[low:high][of] & (ends - begins > max(least, 0.0))
+        parts.append((begins[kept], ends[kept], of[kept] + np.int32(low)))
+        low = high
+    begins, ends, of = (np.concatenate(column) for column in zip(*parts, strict=True))
     return Quiet(begins, ends, of, np.cumsum(ends - begins))
+
+
+def _between(times, counts, start: float, stop: float, dead: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(begins, ends, pixel) of what lies before, between and behind events; those of a pixel follow each other.
+
+    times: (N,) s, pixel after pixel;  counts: (pixels,) of each, with the sum N
+    """
+    of = np.repeat(np.arange(len(counts), dtype=np.int32), counts + 1)
+    last = np.zeros(len(of), bool)  # interval j of a pixel is before its event j; the last one is behind all of them
+    last[np.cumsum(counts + 1) - 1] = True
+    begins, ends = np.empty(len(of)), np.empty(len(of))
+    ends[~last], ends[last] = times, stop
+    begins[np.roll(~last, 1)], begins[np.roll(last, 1)] = times + dead, start
+    return begins, ends, of
 
 
 def draw_pairs(quiet: Quiet, number: int, lag: float, rng: np.random.Generator) -> Pairs:

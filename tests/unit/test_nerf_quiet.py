@@ -32,7 +32,9 @@ def by_hand(t, pixel, least, dead, left_out):
 
 @pytest.mark.parametrize("left_out", [(), (3, 7)])
 @pytest.mark.parametrize("dead", [0.0, 0.01])
-def test_quiet_intervals_are_those_between_events_and_ends_of_the_recording(left_out, dead):
+@pytest.mark.parametrize("at_once", [1, 7, 10**6])
+def test_quiet_intervals_are_those_between_events_and_ends_of_the_recording(left_out, dead, at_once, monkeypatch):
+    monkeypatch.setattr("pixelid.nerf.quiet.EVENTS_AT_ONCE", at_once)
     rng = np.random.default_rng(0)
     t, pixel = np.sort(rng.uniform(0.2, 1.3, 30)), rng.integers(0, WIDTH * HEIGHT, 30)
     quiet = quiet_intervals(t, pixel, WIDTH, HEIGHT, least=0.05, dead=dead, left_out=left_out)
