@@ -200,7 +200,7 @@ def _strengths(rows: list[dict]) -> dict:
         mine = [r for r in rows if (r["effect"], r["factor"]) == (effect, factor) and r.get("strengths")]
         first = [next(iter(r["strengths"].values())) for r in mine if said(r) == SAID[0]]
         errors = [abs(value / planted - 1.0) for planted, value, _ in first]
-        ranges = [(planted, interval) for planted, _, interval in first if interval is not None]
+        ranges = [(planted, interval) for planted, _, interval in first if interval and None not in interval]
         if first:
             strengths[effect][f"{factor:g}"] = {
                 "median_error": round(float(np.median(errors)), 4),

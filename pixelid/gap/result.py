@@ -23,6 +23,8 @@ from pixelid.status import Status
 if TYPE_CHECKING:
     from pixelid.inputs import RecordingsLike
 
+Limits = tuple[float | None, float | None] | None  # of 95 %; None for a side that the data leave open
+
 VERDICTS = ("none", "named", "ambiguous", "unknown")
 
 
@@ -42,7 +44,7 @@ class Named:
     runner_up_gain: float | None
     max_cosine: float
     max_cosine_with: str
-    parameters: Mapping[str, tuple[float, tuple[float, float] | None]]
+    parameters: Mapping[str, tuple[float, Limits]]
     where: str
 
     def as_dict(self) -> dict:
@@ -72,7 +74,7 @@ class DescribedEffect:
     effect: str
     equation: str
     words: str
-    parameters: Mapping[str, tuple[float, tuple[float, float] | None]]
+    parameters: Mapping[str, tuple[float, Limits]]
     heldout_gain: float
     closed: float | None
 

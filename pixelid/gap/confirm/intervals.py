@@ -11,16 +11,22 @@ from pixelid.fit.event_times import EventTimesObjective
 from pixelid.fit.maximise import Maximum
 from pixelid.fit.uncertainty.small_sample import intervals
 from pixelid.likelihood.event_times import EventTimes
+from pixelid.parameters.parameter import Parameter
 
 # Variance that unknown times add, over that between refits to successive draws of them.  Draws remember each other, so
 # they vary less than independent ones; that the factor is two is a choice.
 IMPUTATION_VARIANCE_FACTOR = 2.0
+# Curvature along a direction, of the largest there is, that rounding of sums over 1e4 to 1e6 events leaves of none.
+FLAT = 1e-12
+TAKES_PART = 1e-8  # share of a flat direction, squared: ten thousand standard errors of the others move it by one
 
 
 def interval_95(
     likelihood: EventTimes, end: Maximum, scatter: Mapping[str, float] | None = None
 ) -> dict[str, tuple[float, float]]:
     """name → (low, high) of every free parameter, from the Hessian (information matrix where it is not positive).
+
+    A parameter that the data do not tell has the whole range between its bounds.
 
     scatter: standard deviation of coordinates between draws of times behind a readout
     """
@@ -32,12 +38,34 @@ def interval_95(
             raise np.linalg.LinAlgError
         np.linalg.cholesky(curvature)
     except np.linalg.LinAlgError:
-        covariance = np.linalg.pinv(end.information)
+        covariance = _inverse_or_open(end.information)
     sd = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     drawn = np.array([(scatter or {}).get(name, 0.0) for name in end.coordinates.names])
     sd = np.sqrt(sd**2 + IMPUTATION_VARIANCE_FACTOR * drawn**2)
     lower, upper = intervals(end.coordinates.names, end.x, sd, likelihood.pixels)
     return {name: _in_units(end.coordinates, i, lower[i], upper[i]) for i, name in enumerate(end.coordinates.names)}
+
+
+def open_sides(limits: tuple[float, float] | None, parameter: Parameter) -> tuple[float | None, float | None] | None:
+    """The interval with None for a side that ends where the parameter's range does: no data end it there."""
+    if limits is None:
+        return None
+    low, high = limits
+    return (None if low <= parameter.lower else low, None if high >= parameter.upper else high)
+
+
+def _inverse_or_open(information: np.ndarray) -> np.ndarray:
+    """The inverse (d, d) of an information matrix, with infinite variance of what takes part in a flat direction."""
+    scale = np.sqrt(np.maximum(np.diag(information), 0.0))
+    unseen = scale == 0.0
+    scale[unseen] = 1.0
+    curvature, directions = np.linalg.eigh(information / np.outer(scale, scale))
+    flat = curvature <= FLAT * max(float(curvature[-1]), 0.0)
+    kept = directions[:, ~flat]
+    covariance = (kept / curvature[~flat]) @ kept.T / np.outer(scale, scale)
+    takes_part = unseen | ((directions[:, flat] ** 2).sum(axis=1) > TAKES_PART)
+    covariance[takes_part, takes_part] = np.inf
+    return covariance
 
 
 def _in_units(coordinates: Coordinates, i: int, low: float, high: float) -> tuple[float, float]:

@@ -13,6 +13,7 @@ from pixelid.gap.attribute.candidates import missing
 from pixelid.gap.attribute.directions import Direction, Space, confusion, direction, residual_space, similarities
 from pixelid.gap.attribute.flexible import Flexible
 from pixelid.gap.confirm.free_run import FreeRun, closes_nothing, leaves_much
+from pixelid.gap.confirm.intervals import open_sides
 from pixelid.gap.detect.maps import Cell
 from pixelid.gap.detect.pixels import relative_noise
 from pixelid.gap.detect.words import where
@@ -94,6 +95,7 @@ def _of_step(step: NamedStep, at: Space, state: State, intervals: dict[str, tupl
     alike = similarities(at, name, missing(fitted)) if fitted.has(name) else {}
     nearest = max(alike, key=lambda k: alike[k], default="")
     effect, model = stages.effect(name), hypothesis.model
+    ranges = {**model.parameters, **model.nuisances}
     values = {p.name: model.values[p.name] for p in effect.parameters}
     own = {key: p.value for key, p in model.nuisances.items() if key.split("[", 1)[0] in effect.starts_anew}
     if own:
@@ -106,7 +108,7 @@ def _of_step(step: NamedStep, at: Space, state: State, intervals: dict[str, tupl
         runner_up_gain=second.heldout_gain if second else None,
         max_cosine=alike.get(nearest, 0.0),
         max_cosine_with=nearest,
-        parameters={key: (value, intervals.get(key)) for key, value in values.items()},
+        parameters={key: (value, open_sides(intervals.get(key), ranges[key])) for key, value in values.items()},
         where=step.where,
     )
 
