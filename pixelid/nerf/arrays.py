@@ -11,6 +11,9 @@ from pixelid.arrays import load_arrays
 from pixelid.errors import InputError, shown
 
 
+MOST_OFF = 1e-2  # of a unit quaternion's norm and of R Rᵀ from 1: files hold four digits or more
+
+
 def read_arrays(file: Path, keys: Iterable[str]) -> dict[str, np.ndarray]:
     """The arrays of an npz file under these keys.  Raises InputError for a missing or damaged file and missing keys."""
     if not file.is_file():
@@ -44,10 +47,63 @@ def scalar(file: Path, arrays: dict, key: str, *, above=None, least=None, finite
     return value
 
 
+def unit_quaternions(file: Path, key: str, values: np.ndarray) -> np.ndarray:
+    """(n, 4) unit quaternions x, y, z, w of orientations (n, 4) or (n, 3, 3).
+
+    Raises:
+        InputError: they are neither; quaternions whose norm is not 1, matrices that are no rotations (reflections too).
+    """
+    if values.ndim not in (2, 3) or values.shape[1:] not in ((4,), (3, 3)):
+        raise InputError(f"{file}: {key}: expected (n, 4) or (n, 3, 3), found {values.shape}")
+    values = finite(file, key, values)
+    if values.ndim == 3:
+        with np.errstate(all="ignore"):  # what overflows is no rotation
+            wrong = ~rotations(values)
+        if wrong.any():
+            raise InputError(f"{file}: {key}: expected rotation matrices, row {int(np.argmax(wrong))} is none")
+        from scipy.spatial.transform import Rotation
+
+        return Rotation.from_matrix(values).as_quat()
+    with np.errstate(all="ignore"):
+        norm = np.linalg.norm(values, axis=1, keepdims=True)
+    if not (np.abs(norm - 1) <= MOST_OFF).all():
+        found = f"norms {norm.min():.3g} … {norm.max():.3g}"
+        raise InputError(f"{file}: {key}: expected unit quaternions, found {found}")
+    return values / norm
+
+
+def rotations(matrices: np.ndarray) -> np.ndarray:
+    """(…,) whether matrices (…, 3, 3) are rotations: orthonormal to `MOST_OFF`, and right-handed."""
+    off = np.abs(matrices @ np.swapaxes(matrices, -1, -2) - np.eye(3)).max(axis=(-1, -2))
+    return (off <= MOST_OFF) & (np.linalg.det(matrices) > 0)
+
+
+def intrinsics_of(file: Path, values: object) -> np.ndarray:
+    """(3, 3) intrinsics of a pinhole: positive focal lengths, last row 0 0 1.
+
+    Raises:
+        InputError: anything else.
+    """
+    try:
+        matrix = np.asarray(values)
+        matrix = matrix.astype(np.float64) if matrix.dtype.kind in "fiu" else np.empty(0)
+    except (TypeError, ValueError):  # rows of different lengths
+        matrix = np.empty(0)
+    right = matrix.shape == (3, 3) and np.isfinite(matrix).all() and (np.abs(matrix) < 1e9).all()
+    if not right or not (matrix[0, 0] > 0 and matrix[1, 1] > 0 and np.abs(matrix[2] - (0, 0, 1)).max() < 1e-6):
+        raise InputError(
+            f"{file}: intrinsics: expected a 3 × 3 matrix fx s cx, 0 fy cy, 0 0 1 of pixels with fx, fy > 0, found "
+            f"{shown(matrix.tolist() if matrix.size else values, 120)}"
+        )
+    if matrix[0, 0] * matrix[1, 1] - matrix[0, 1] * matrix[1, 0] < 1e-12:
+        raise InputError(f"{file}: intrinsics: expected an invertible matrix, found {shown(matrix.tolist(), 120)}")
+    return matrix
+
+
 def finite(file: Path, key: str, values: np.ndarray) -> np.ndarray:
-    """`values` as float64.  Raises InputError when they are no numbers or not all finite."""
-    if values.dtype.kind not in "fiu":
-        raise InputError(f"{file}: {key}: expected numbers, found {values.dtype}")
+    """`values` as float64.  Raises InputError when they are no numbers, not an array of any, or not all finite."""
+    if values.dtype.kind not in "fiu" or values.ndim == 0:
+        raise InputError(f"{file}: {key}: expected numbers, found {values.dtype} of shape {values.shape}")
     values = values.astype(np.float64)
     if not np.isfinite(values).all():
         row = int(np.argmin(np.isfinite(values.reshape(len(values), -1)).all(axis=1)))

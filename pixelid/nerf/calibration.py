@@ -18,12 +18,13 @@ from pathlib import Path
 import numpy as np
 
 from pixelid.documents import read_json
-from pixelid.errors import InputError
+from pixelid.errors import InputError, shown
 from pixelid.model.model import Model
 from pixelid.model.shipped import find_model
-from pixelid.nerf.arrays import has_none, read_arrays, scalar
+from pixelid.nerf.arrays import finite, has_none, intrinsics_of, read_arrays, scalar
 from pixelid.nerf.camera import DISTORTIONS, Camera
 from pixelid.parameters.invariants import Physical
+from pixelid.recordings.events import MOST_PIXELS, MOST_SIDE
 from pixelid.stages.circuit import Circuit
 
 FILE = "camera_calibration.npz"
@@ -84,11 +85,11 @@ def read_calibration(path: Path) -> Calibration:
     camera = _camera(file, arrays)
     bayer = str(arrays["bayer_pattern"])
     if bayer and (len(bayer) != 4 or set(bayer) != set(COLOURS)):
-        raise InputError(f"{file}: bayer_pattern: expected '' or four letters of {COLOURS}, found {bayer!r}")
+        raise InputError(f"{file}: bayer_pattern: expected '' or four letters of {COLOURS}, found {shown(bayer)}")
     if not known:
         return Calibration(camera, bayer, _comparator(file, arrays), np.zeros(3 if bayer else 1), 0.0, False)
     circuit, q_in = _circuit(file, arrays)
-    dark = np.atleast_1d(np.asarray(arrays["black_level"], dtype=np.float64)).ravel()
+    dark = finite(file, "black_level", np.atleast_1d(arrays["black_level"])).ravel()
     if len(dark) not in (1, 3) or not (np.isfinite(dark) & (dark >= 0)).all():
         raise InputError(f"{file}: black_level: expected one or three numbers ≥ 0, found {dark}")
     dark = np.resize(dark if bayer else dark.mean(), 3 if bayer else 1)
@@ -96,18 +97,19 @@ def read_calibration(path: Path) -> Calibration:
 
 
 def _camera(file: Path, arrays: dict[str, np.ndarray]) -> Camera:
-    intrinsics = np.asarray(arrays["intrinsics"], dtype=np.float64)
-    if intrinsics.shape != (3, 3) or not np.isfinite(intrinsics).all() or abs(np.linalg.det(intrinsics)) < 1e-12:
-        raise InputError(
-            f"{file}: intrinsics: expected a finite invertible 3 × 3 matrix, found shape {intrinsics.shape}"
-        )
-    distortion = np.atleast_1d(np.asarray(arrays["distortion_params"], dtype=np.float64)).ravel()
+    intrinsics = intrinsics_of(file, arrays["intrinsics"])
+    distortion = finite(file, "distortion_params", np.atleast_1d(arrays["distortion_params"])).ravel()
     model = str(arrays["distortion_model"])
     if len(distortion) not in (0, 4, 5) or not np.isfinite(distortion).all():
         raise InputError(f"{file}: distortion_params: expected 0, 4 or 5 finite numbers, found {distortion}")
     if np.any(distortion != 0) and (model not in DISTORTIONS or (model == "equidistant" and len(distortion) != 4)):
-        raise InputError(f"{file}: distortion_model: expected one of {', '.join(DISTORTIONS)}, found {model!r}")
-    height, width = (scalar(file, arrays, name, above=0) for name in ("img_height", "img_width"))
+        raise InputError(f"{file}: distortion_model: expected one of {', '.join(DISTORTIONS)}, found {shown(model)}")
+    height, width = (scalar(file, arrays, name, least=1) for name in ("img_height", "img_width"))
+    if max(height, width) > MOST_SIDE or height * width > MOST_PIXELS or height % 1 or width % 1:
+        raise InputError(
+            f"{file}: img_width, img_height: expected whole numbers of at most {MOST_SIDE}, together {MOST_PIXELS} "
+            f"pixels, found {width:g} × {height:g}"
+        )
     return Camera(intrinsics, round(width), round(height), distortion, model)
 
 

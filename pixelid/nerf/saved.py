@@ -12,6 +12,7 @@ import torch
 
 from pixelid.arrays import load_arrays
 from pixelid.documents import interpreting
+from pixelid.errors import shown
 from pixelid.nerf.field import Field
 from pixelid.nerf.harmonics import HIGHEST_DEGREE, number_of
 from pixelid.results import Result, Table, check_kinds, number, read_result, required
@@ -176,6 +177,7 @@ def read_field(folder: Path) -> Field:
         if grid.shape[:3] != (n, n, n) or channels != arrays["background"].size:
             raise ValueError(f"grid {tuple(grid.shape)} of {arrays['background'].size} colours")
         coefficients = torch.from_numpy(arrays["coefficients"].astype(np.float32)) if "coefficients" in arrays else None
+        _check_scene(arrays)
         scene = Field(arrays["low"], arrays["high"], n, channels, arrays["background"])
         scene.grid = torch.nn.Parameter(grid)
         if coefficients is not None:
@@ -184,6 +186,18 @@ def read_field(folder: Path) -> Field:
                 raise ValueError(f"coefficients {tuple(coefficients.shape)} of a grid {tuple(grid.shape)}")
             scene.coefficients = torch.nn.Parameter(coefficients, requires_grad=degree > 0)
         return scene
+
+
+def _check_scene(arrays: Mapping[str, np.ndarray]) -> None:
+    """Raise ValueError for numbers of which no scene can be: a box without inside, radiance that is not positive."""
+    for name in ("grid", "coefficients", "low", "high", "background"):
+        if name in arrays and (arrays[name].dtype.kind not in "fiu" or not np.isfinite(arrays[name]).all()):
+            raise ValueError(f"{name}: expected finite numbers")
+    low, high, background = arrays["low"], arrays["high"], arrays["background"]
+    if low.shape != (3,) or high.shape != (3,) or not (low < high).all():
+        raise ValueError(f"low, high: expected corners of a box, found {shown(low.tolist())}, {shown(high.tolist())}")
+    if arrays["grid"].shape[0] < 2 or background.size not in (1, 3) or not (background > 0).all():
+        raise ValueError(f"background: expected one or three positive numbers, found {shown(background.tolist())}")
 
 
 def _digits(value: float | None, places: int) -> str:

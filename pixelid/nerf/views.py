@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 
 from pixelid.documents import interpreting, read_json
-from pixelid.errors import InputError
-from pixelid.nerf.arrays import read_arrays
+from pixelid.errors import InputError, shown
+from pixelid.nerf.arrays import intrinsics_of, read_arrays, rotations, scalar
 from pixelid.nerf.camera import Camera
 from pixelid.recordings.pictures import read_picture
 
@@ -106,11 +106,8 @@ def _log_eps(file: Path) -> float:
     arrays = read_arrays(file, ("interm_color_space", "log_eps"))
     space = str(arrays["interm_color_space"])
     if space not in ("display", "linear"):
-        raise InputError(f"{file}: interm_color_space: expected 'display' or 'linear', found {space!r}")
-    value = np.asarray(arrays["log_eps"], dtype=np.float64)
-    if value.size != 1 or not np.isfinite(value).all() or value.ravel()[0] < 0:
-        raise InputError(f"{file}: log_eps: expected one number ≥ 0, found {value}")
-    return float(value.ravel()[0])
+        raise InputError(f"{file}: interm_color_space: expected 'display' or 'linear', found {shown(space)}")
+    return scalar(file, arrays, "log_eps", least=0)
 
 
 def _stage(file: Path, channels: int, log_eps: float) -> Views:
@@ -156,7 +153,9 @@ def pose_of_frame(file: Path, k: int, frame) -> np.ndarray:
         pose = np.empty(0)
     if pose.shape not in ((4, 4), (3, 4)) or not np.isfinite(pose).all():
         raise InputError(f"{file}: frames[{k}].transform_matrix: expected a finite 4 × 4 matrix")
-    if np.abs(pose[:3, :3] @ pose[:3, :3].T - np.eye(3)).max() > 1e-2:
+    with np.errstate(all="ignore"):  # what overflows is no rotation
+        rotates = bool(rotations(pose[:3, :3]))
+    if not rotates:
         raise InputError(f"{file}: frames[{k}].transform_matrix: expected a rotation in its first three columns")
     return pose[:3]
 
@@ -190,7 +189,7 @@ def _radiance(file: Path, image: np.ndarray, document: dict, log_eps: float, cha
     if quantised:
         bits = document.get("bit_depth", 8 * image.dtype.itemsize)
         if not isinstance(bits, int) or not 1 <= bits <= 16:
-            raise InputError(f"{file}: bit_depth: expected 1..16, found {bits!r}")
+            raise InputError(f"{file}: bit_depth: expected 1..16, found {shown(bits)}")
         levels = _levels(document, image.dtype)
     elif not np.isfinite(image).all() or image.min() < 0:
         raise InputError(f"{file}: file_path: a picture holds negative or non-finite values")
@@ -228,13 +227,11 @@ def camera_of_document(file: Path, document: dict, width: int, height: int) -> C
     if "camera_angle_x" in document:
         angle = document["camera_angle_x"]
         if not isinstance(angle, (int, float)) or not 0 < angle < np.pi:
-            raise InputError(f"{file}: camera_angle_x: expected an angle between 0 and π, found {angle!r}")
+            raise InputError(f"{file}: camera_angle_x: expected an angle between 0 and π, found {shown(angle)}")
         f = width / 2 / np.tan(angle / 2)
         intrinsics = np.array([[f, 0, width / 2 - 0.5], [0, f, height / 2 - 0.5], [0, 0, 1]])
     elif "intrinsics" in document:
-        intrinsics = np.array(document["intrinsics"], dtype=np.float64)
-        if intrinsics.shape != (3, 3) or not np.isfinite(intrinsics).all():
-            raise InputError(f"{file}: intrinsics: expected a finite 3 × 3 matrix")
+        intrinsics = intrinsics_of(file, document["intrinsics"])
     else:
         raise InputError(f"{file}: camera_angle_x: missing, and no intrinsics either")
     return Camera(intrinsics, width, height, np.empty(0))

@@ -16,13 +16,14 @@ DSEC (Gehrig et al., RA-L 2021): t in µs from the scalar `t_offset`, 640 × 480
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from pixelid.errors import InputError
+from pixelid.errors import InputError, shown
 from pixelid.recordings.columns import (
     PART_EVENTS,
     RepeatCounter,
@@ -32,7 +33,7 @@ from pixelid.recordings.columns import (
     validated,
 )
 from pixelid.recordings.events import Events
-from pixelid.recordings.metadata import FORMAT, VERSION
+from pixelid.recordings.metadata import FORMAT, MOST_SIZE, MOST_TICK_NS, VERSION, whole, yes_or_no
 from pixelid.recordings.recording import Recording
 from pixelid.recordings.triggers import Triggers
 from pixelid.stimuli.pixel_lights import Light, light_from_arrays
@@ -127,7 +128,7 @@ def _opened(file, path: Path) -> tuple[Recording, Iterator[tuple], dict, int | N
         size = (640, 480) if lengths[0] and _like_dsec(file, size, width - 1, height - 1) else (width, height)
     columns = (tuple(c[k : k + PART_EVENTS] for c in sets) for k in range(0, lengths[0], PART_EVENTS))
     head = _own_recording(file, path, attributes, pooled, Events.empty(size[0] or 1, size[1] or 1, tick_ns))
-    declared = int(group.attrs.get("duplicates", 0)) if own and not pooled else None
+    declared = _declared_duplicates(group, where) if own and not pooled else None
     return head, columns, {"unit": unit, "tick_ns": tick_ns, "where": where, "offset": offset}, declared
 
 
@@ -174,10 +175,13 @@ def _attributes(file, path: Path) -> tuple[dict, bool, bool]:
     attributes = {name: _attribute(value) for name, value in file.attrs.items()}
     own = attributes.get("format") == FORMAT
     if not own and "format" in attributes:
-        raise InputError(f"{path}: format: expected {FORMAT!r}, found {attributes['format']!r}")
+        raise InputError(f"{path}: format: expected {FORMAT!r}, found {shown(attributes['format'])}")
     if own and attributes.get("version") != VERSION:
-        raise InputError(f"{path}: version: expected {VERSION}, found {attributes.get('version')!r}")
-    return attributes, own, bool(attributes.get("pooled", False))
+        raise InputError(f"{path}: version: expected {VERSION}, found {shown(attributes.get('version'))}")
+    for name in ("condition", "sensor") if own else ():
+        if not isinstance(attributes.get(name, ""), str | int | float):
+            raise InputError(f"{path}: {name}: expected text, found {shown(attributes[name])}")
+    return attributes, own, yes_or_no(attributes.get("pooled", False), f"{path}: pooled")
 
 
 def _read(file, path: Path) -> Recording:
@@ -186,7 +190,7 @@ def _read(file, path: Path) -> Recording:
         return _read_prophesee(file, path, attributes)
     events = _read_events(file, path, own)
     if own and not pooled:
-        _refuse_undeclared_duplicates(events, int(file["events"].attrs.get("duplicates", 0)), path)
+        _refuse_undeclared_duplicates(events, _declared_duplicates(file["events"], f"{path}: events"), path)
     recording = _own_recording(file, path, attributes, pooled, events)
     return replace(recording, exposures=_read_events(file, path, own, "exposures") if "exposures" in file else None)
 
@@ -205,7 +209,15 @@ def _own_recording(file, path: Path, attributes: dict, pooled: bool, events: Eve
     )
 
 
+def _declared_duplicates(group, where: str) -> int:
+    """How many events repeat an earlier one, as the file says."""
+    value = group.attrs.get("duplicates", 0)
+    return 0 if np.size(value) == 1 and value == 0 else whole(value, f"{where}: attribute duplicates", 1 << 62)
+
+
 def _read_triggers(group, where: str) -> Triggers:
+    if not hasattr(group, "keys"):
+        raise InputError(f"{where}: expected a group with t, rising, channel, found something else")
     t, rising, channel = (_column(group, name, where) for name in ("t", "rising", "channel"))
     return Triggers.from_columns(t, rising, channel, where=where)
 
@@ -223,8 +235,8 @@ def _read_prophesee(file, path: Path, attributes: dict) -> Recording:
 
 def _stated_size(attributes: dict) -> tuple[int | None, int | None]:
     """Width and height in Prophesee's attribute `geometry`."""
-    width, _, height = str(attributes.get("geometry", "")).lower().partition("x")
-    return int(width) if width.isdigit() else None, int(height) if height.isdigit() else None
+    stated = re.fullmatch(r"(\d{1,9})x(\d{1,9})", str(attributes.get("geometry", "")).lower(), re.ASCII)
+    return (None, None) if stated is None else (int(stated[1]), int(stated[2]))
 
 
 def _prophesee_recording(file, path: Path, attributes: dict, events: Events) -> Recording:
@@ -261,7 +273,10 @@ def _record_set(file, group: str, path: Path, fields: tuple[str, ...] = ("t", "x
             "install Prophesee's plugin, or convert the file to RAW with the maker's tools"
         ) from None
     if not set(fields) <= set(records.dtype.names or ()):
-        raise InputError(f"{where}: expected records of {', '.join(fields)}, found {records.dtype}")
+        raise InputError(f"{where}: expected records of {', '.join(fields)}, found {shown(str(records.dtype))}")
+    if records.ndim != 1 or any(records.dtype[name].kind not in "iub" for name in fields):
+        found = f"{shown(str(records.dtype), 200)} of shape {records.shape}"
+        raise InputError(f"{where}: expected one column of records of integers, found {found}")
     return records
 
 
@@ -275,9 +290,19 @@ def _time_unit(group, file, where: str, own: bool) -> tuple[str, int, int]:
     """Unit and tick [ns] of the times, and what is added to them."""
     unit = _attribute(group["t"].attrs.get("unit", "us"))
     if unit not in ("ns", "us"):
-        raise InputError(f"{where}/t: expected unit 'ns' or 'us', found {unit!r}")
-    offset = int(file["t_offset"][()]) if "t_offset" in file and not own else 0
-    return unit, int(group.attrs.get("tick_ns", 1 if unit == "ns" else 1000)), offset
+        raise InputError(f"{where}/t: expected unit 'ns' or 'us', found {shown(unit)}")
+    tick = group.attrs.get("tick_ns", 1 if unit == "ns" else 1000)
+    return str(unit), whole(tick, f"{where}: attribute tick_ns", MOST_TICK_NS), 0 if own else _time_offset(file, where)
+
+
+def _time_offset(file, where: str) -> int:
+    """DSEC's scalar `t_offset`."""
+    if "t_offset" not in file:
+        return 0
+    value = np.asarray(file["t_offset"][()] if hasattr(file["t_offset"], "shape") else None)
+    if value.size != 1 or value.dtype.kind not in "iu":
+        raise InputError(f"{where}: t_offset: expected one whole number, found {shown(value.tolist())}")
+    return int(value.item())
 
 
 def _like_dsec(file, stated: tuple[int | None, int | None], last_x: int, last_y: int) -> bool:
@@ -316,10 +341,7 @@ def _size(group, file, name: str, where: str, required: bool) -> int | None:
         if required:
             raise InputError(f"{where}: attribute {name} is missing; expected the sensor's {name} in pixels")
         return None
-    value = np.asarray(value)
-    if value.size != 1 or value.dtype.kind not in "iuf" or value.item() != int(value.item()) or value.item() < 1:
-        raise InputError(f"{where}: attribute {name}: expected a positive integer, found {value.tolist()!r}")
-    return int(value.item())
+    return whole(value, f"{where}: attribute {name}", MOST_SIZE)
 
 
 def _refuse_undeclared_duplicates(events: Events, declared: int, path: Path) -> None:
@@ -334,22 +356,32 @@ def _refuse_undeclared_duplicates(events: Events, declared: int, path: Path) -> 
 
 def _read_stimulus(file, path: Path) -> Light:
     group, where = file["stimulus"], f"{path}: stimulus"
+    if not hasattr(group, "keys"):
+        raise InputError(f"{where}: expected a group with t and radiance, found something else")
     for name in ("t", "radiance"):
         if name not in group:
             raise InputError(f"{where}/{name}: missing; expected t and radiance, found {', '.join(group) or 'nothing'}")
     unit = _attribute(group.attrs.get("unit", "relative"))
     interpolation = _attribute(group.attrs.get("interpolation", "linear"))
-    columns = {name: group[name][:] for name in ("t", "radiance", "first", "of_pixel") if name in group}
-    return light_from_arrays(columns, unit, interpolation, where)
+    columns = {name: group[name] for name in ("t", "radiance", "first", "of_pixel") if name in group}
+    for name, column in columns.items():
+        if not getattr(column, "shape", None) or column.dtype.kind not in "iuf":
+            raise InputError(f"{where}/{name}: expected an array of numbers, found {shown(column)}")
+    return light_from_arrays({name: column[:] for name, column in columns.items()}, unit, interpolation, where)
 
 
 def _attribute(value):
     """An HDF5 attribute as plain Python; JSON objects and lists are decoded."""
     if isinstance(value, bytes):
         value = value.decode("utf-8", "replace")
-    if isinstance(value, str) and value[:1] in "{[":
+    if isinstance(value, str) and value[:1] in ("{", "["):
         try:
             return json.loads(value)
-        except json.JSONDecodeError:
+        except (ValueError, RecursionError):
             return value
-    return value.item() if isinstance(value, np.generic) else value
+    if isinstance(value, np.ndarray):
+        return [_attribute(entry) for entry in value.ravel().tolist()]
+    value = value.item() if isinstance(value, np.generic) else value
+    return (
+        value if isinstance(value, str | int | float | list) else shown(value)
+    )  # complex numbers, references, nothing

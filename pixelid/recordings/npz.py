@@ -49,7 +49,7 @@ def _read(archive, path: Path) -> Recording:
     meta, unit, tick_ns = _described(archive, t.dtype, path)
     if t.dtype.kind == "f":
         t = seconds_to_ns(t, where)
-    stated = [meta.get(name, _scalar(archive, name)) for name in ("width", "height")]
+    stated = [meta.get(name, _scalar(archive, name, where)) for name in ("width", "height")]
     if x.dtype.kind in "iu" and y.dtype.kind in "iu":
         stated = list(sensor_size(x, y, *stated))
     width, height = (1 if size is None else size for size in stated)
@@ -76,7 +76,7 @@ def stream(path: Path) -> tuple[Recording, Iterator[Recording]] | None:
                     return None
                 kinds = [_member_dtype(packed, member, where) for member in members]
             meta, unit, tick_ns = _described(archive, kinds[0], path)
-            stated = [meta.get(name, _scalar(archive, name)) for name in ("width", "height")]
+            stated = [meta.get(name, _scalar(archive, name, where)) for name in ("width", "height")]
             light = _stimulus_arrays(archive)
         if None in stated:
             stated = [1, 1]
@@ -168,8 +168,8 @@ def _column(archive, letter: str, where: str) -> np.ndarray:
     raise InputError(f"{where}/{letter}: missing; expected arrays t, x, y, p, found {', '.join(archive.files)}")
 
 
-def _scalar(archive, name: str) -> int | None:
-    return int(archive[name]) if name in archive and archive[name].size == 1 else None
+def _scalar(archive, name: str, where: str) -> int | None:
+    return metadata.whole(archive[name], f"{where}: {name}", metadata.MOST_SIZE) if name in archive else None
 
 
 def write(

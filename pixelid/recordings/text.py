@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pixelid.errors import InputError
+from pixelid.errors import InputError, first_line, shown
 from pixelid.recordings import metadata
 from pixelid.recordings.columns import sensor_size, to_nanoseconds, validated
 from pixelid.recordings.events import Events
@@ -65,7 +65,7 @@ def _opened(path: Path):
         raise InputError(f"{path}: expected text, found binary data") from error
     seconds = first is not None and any(c in first.replace(",", " ").split()[order[0]] for c in ".eE")
     unit = "ns" if seconds else meta.get("unit", "us")
-    tick_ns = int(meta.get("tick_ns", 1 if unit == "ns" else 1000))
+    tick_ns = meta.get("tick_ns", 1 if unit == "ns" else 1000)
 
     def blocks() -> Iterator[tuple]:
         try:
@@ -87,13 +87,25 @@ def _header(file, path: Path):
         if line.startswith("# {"):
             meta = metadata.from_json(line[2:], f"{path}: header")
         elif line.startswith("# stimulus {"):
-            told = json.loads(line[len("# stimulus ") :])
-            stimulus = {"t": np.array(told["t"]), "radiance": np.array(told["radiance"], dtype=told["dtype"])}
+            stimulus = _light(line[len("# stimulus ") :], f"{path}: stimulus")
         elif line and not line.startswith("#"):
             if not line[0].isalpha():
                 return meta, stimulus, order, line
             order = _order(line, path)
     return meta, stimulus, order, None
+
+
+def _light(text: str, where: str) -> dict[str, np.ndarray]:
+    """The arrays of the stimulus from its line of JSON."""
+    try:
+        told = json.loads(text)
+        t, radiance, kind = np.array(told["t"], np.float64), told["radiance"], told["dtype"]
+        if kind not in ("float32", "float64"):
+            raise ValueError(f"dtype {shown(kind, 20)}")
+        return {"t": t, "radiance": np.array(radiance, dtype=kind)}
+    except (ValueError, TypeError, KeyError, RecursionError) as error:
+        found = f"no {shown(error.args[0])}" if isinstance(error, KeyError) else first_line(error)
+        raise InputError(f"{where}: expected t, radiance and dtype as JSON, found {found}") from error
 
 
 def _order(line: str, path: Path) -> list[int]:

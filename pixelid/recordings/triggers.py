@@ -7,9 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pixelid.errors import InputError
+from pixelid.errors import InputError, shown
 
 COLUMNS = ("t", "rising", "channel")
+INT64_MAX = (1 << 63) - 1
 
 
 @dataclass(frozen=True)
@@ -33,14 +34,26 @@ class Triggers:
         """Validated trigger edges from array-likes, sorted by time.
 
         Raises:
-            InputError: naming `where`, for unequal lengths and times that are no integers.
+            InputError: naming `where`, for unequal lengths, times and channels that are no integers or do not fit, and
+                edges that are neither true nor false.
         """
         t, rising, channel = np.asarray(t), np.asarray(rising), np.asarray(channel)
-        if not len(t) == len(rising) == len(channel):
-            found = f"{len(t)}, {len(rising)}, {len(channel)}"
+        if not t.size == rising.size == channel.size:
+            found = f"{t.size}, {rising.size}, {channel.size}"
             raise InputError(f"{where}: t, rising and channel must have one length, found {found}")
-        if t.dtype.kind not in "iu":
-            raise InputError(f"{where}/t: expected integers, found {t.dtype}")
+        for name, column, kinds, least, most in (
+            ("t", t, "iu", -INT64_MAX, INT64_MAX),
+            ("channel", channel, "iub", 0, 255),
+            ("rising", rising, "iubf", 0, 1),
+        ):
+            if column.ndim != 1 or column.dtype.kind not in kinds:
+                found = f"{column.dtype} of shape {column.shape}"
+                raise InputError(f"{where}/{name}: expected one column of integers, found {found}")
+            if len(column) and not (least <= column.min() and column.max() <= most):
+                outside = column.min() if not least <= column.min() else column.max()
+                raise InputError(
+                    f"{where}/{name}: expected numbers from {least} to {most}, found {shown(outside.item())}"
+                )
         order = np.argsort(t, kind="stable")
         return Triggers(
             t[order].astype(np.int64, copy=False), rising[order].astype(bool), channel[order].astype(np.uint8)

@@ -220,6 +220,8 @@ class PixelLights:
     ) -> PixelLights:
         """Validated groups from `arrays`.  Raises InputError as `of_groups` and `Stimulus.from_arrays`."""
         t, radiance, first = np.asarray(t), np.asarray(radiance), np.asarray(first)
+        if t.ndim != 1 or radiance.ndim != 1:
+            raise InputError(f"{where}: expected t and radiance of one axis, found shapes {t.shape}, {radiance.shape}")
         ends = first.dtype.kind in "iu" and first.ndim == 1 and len(first) >= 2 and first[0] == 0
         if not ends or first[-1] != len(t) or (np.diff(first.astype(np.int64)) < 2).any() or len(t) != len(radiance):
             raise InputError(f"{where}/first: expected where the samples of each light begin, 0..{len(t)}")

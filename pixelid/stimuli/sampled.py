@@ -173,7 +173,7 @@ def _array(path: Path, unit: str | None) -> Stimulus:
 def _stimulus(t: np.ndarray, radiance: np.ndarray, unit: str, path: Path, between: str = "linear") -> Stimulus:
     """A stimulus, where a trace that reaches zero or below says what may be done about it."""
     radiance = np.asarray(radiance)
-    if unit != "shape" and radiance.dtype.kind in "fiu" and radiance.size and np.nanmin(radiance) <= 0:
+    if unit != "shape" and radiance.dtype.kind in "fiu" and np.isfinite(radiance).any() and np.nanmin(radiance) <= 0:
         raise InputError(
             f"{path}/radiance: must be positive, found {np.nanmin(radiance):g}; take the detector's offset off, "
             "or say unit shape for a trace known up to offset and gain"

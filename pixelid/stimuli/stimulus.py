@@ -8,7 +8,7 @@ from zlib import crc32
 
 import numpy as np
 
-from pixelid.errors import InputError
+from pixelid.errors import InputError, shown
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Float64
@@ -91,17 +91,19 @@ class Stimulus:
         Raises InputError naming `where` for too few samples, times that do not increase, shapes that do
         not match, NaN or infinite values, radiance ≤ 0 (< 0 for "shape"), and unknown unit or interpolation.
         """
-        t = np.asarray(t, dtype=np.float64)
-        radiance = np.asarray(radiance)
+        t, radiance = np.asarray(t), np.asarray(radiance)
+        if t.dtype.kind not in "fiu":
+            raise InputError(f"{where}/t: expected numbers, found {t.dtype}")
+        t = t.astype(np.float64, copy=False)
         if radiance.dtype.kind not in "fiu":
             raise InputError(f"{where}/radiance: expected numbers, found {radiance.dtype}")
         if radiance.dtype not in (np.float32, np.float64):
             radiance = radiance.astype(np.float64)
         if unit not in UNITS:
-            raise InputError(f"{where}: unit must be one of {', '.join(UNITS)}, found {unit!r}")
+            raise InputError(f"{where}: unit must be one of {', '.join(UNITS)}, found {shown(unit)}")
         if interpolation not in INTERPOLATIONS:
             raise InputError(
-                f"{where}: interpolation must be one of {', '.join(INTERPOLATIONS)}, found {interpolation!r}"
+                f"{where}: interpolation must be one of {', '.join(INTERPOLATIONS)}, found {shown(interpolation)}"
             )
         if t.ndim != 1 or len(t) < 2:
             raise InputError(f"{where}/t: expected at least two samples, found shape {t.shape}")

@@ -25,6 +25,7 @@ from pixelid.nerf.published.source import (
     Source,
     camera_of,
     found,
+    nanoseconds,
     poses_of,
     read_table,
     wanted,
@@ -62,7 +63,7 @@ def read(path: Path, camera: str = "") -> Source:
     cameras = _yaml(chain)
     name = camera or _sensor(cameras, chain)
     table = read_table(truth, 8)
-    t = np.rint(table[:, 0] * 1e9).astype(np.int64)
+    t = nanoseconds(truth, table[:, 0], 1e9)
     pictures = _pictures(events.parent, cameras, name, chain)
     return Source(
         "eds", _camera(cameras, name, chain), poses_of(truth, t, table[:, 1:4], table[:, 4:8]), events_of(events),
@@ -135,13 +136,15 @@ def _pictures(folder: Path, cameras: Mapping[str, Any], sensor: str, chain: Path
         rows = [line.split() for line in read_text(listed, "CSV").splitlines() if line.strip()[:1] not in ("", "#")]
         try:
             files = [folder / "images" / row[4] for row in rows]
-            t = np.array([round(float(row[1]) * 1e9) for row in rows], dtype=np.int64)
+            t = nanoseconds(listed, np.array([float(row[1]) for row in rows]), 1e9)
             exposure = np.array([float(row[2]) * 10 ** (float(row[3]) / 20) for row in rows])
-        except (ValueError, IndexError):
+            if not (np.isfinite(exposure) & (exposure > 0)).all():
+                raise ValueError
+        except (ValueError, IndexError, OverflowError):
             raise InputError(f"{listed}: expected lines of number, s, exposure in ms, gain in dB, name") from None
     else:
         assert stamps is not None
-        t = np.rint(read_table(stamps, 1)[:, -1] * 1e3).astype(np.int64)
+        t = nanoseconds(stamps, read_table(stamps, 1)[:, -1], 1e3)
     if len(t) != len(files):
         raise InputError(f"{stamps}: expected a time for each of {len(files)} pictures, found {len(t)}")
 

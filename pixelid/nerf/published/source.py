@@ -17,7 +17,10 @@ from scipy.spatial.transform import Rotation
 
 from pixelid.documents import read_text
 from pixelid.errors import InputError
+from pixelid.nerf.arrays import MOST_OFF, intrinsics_of
 from pixelid.nerf.camera import DISTORTIONS, Camera
+from pixelid.nerf.dataset import MOST_AWAY, MOST_NS
+from pixelid.recordings.events import MOST_PIXELS, MOST_SIDE
 
 
 class Block(NamedTuple):
@@ -95,8 +98,11 @@ def poses_of(file: Path, t: np.ndarray, position: np.ndarray, orientation: np.nd
         raise InputError(f"{file}: expected at least two poses, found {len(t)}")
     if not (np.isfinite(position).all() and np.isfinite(orientation).all()):
         raise InputError(f"{file}: a pose is NaN or infinite")
+    if np.abs(position).max() > MOST_AWAY:
+        away = f"{np.abs(position).max():.3g}"
+        raise InputError(f"{file}: expected poses at most {MOST_AWAY:g} from the origin, found one at {away}")
     norm = np.linalg.norm(orientation, axis=1, keepdims=True)
-    if np.abs(norm - 1).max() > 1e-2:
+    if not (np.abs(norm - 1) <= MOST_OFF).all():
         raise InputError(f"{file}: expected unit quaternions, found norms {norm.min():.3g} … {norm.max():.3g}")
     return Poses(t, position, orientation / norm)
 
@@ -132,6 +138,12 @@ def camera_of(file: Path, focal, centre, size, distortion, model: str) -> Camera
         raise InputError(f"{file}: intrinsics, resolution, distortion_coeffs: expected numbers") from None
     if len(numbers) != 6 or not np.isfinite(numbers).all() or not (numbers[[0, 1, 4, 5]] > 0).all():
         raise InputError(f"{file}: intrinsics, resolution: expected fx, fy, cx, cy and width, height")
+    width, height = numbers[4:]
+    if min(width, height) < 1 or max(width, height) > MOST_SIDE or width * height > MOST_PIXELS:
+        raise InputError(
+            f"{file}: resolution: expected sides of 1 to {MOST_SIDE}, together {MOST_PIXELS} pixels, found "
+            f"{width:g} × {height:g}"
+        )
     while len(distortion) and distortion[-1] == 0 and len(distortion) > 4:
         distortion = distortion[:-1]
     allowed = {"plumb_bob": (4, 5), "equidistant": (4,)}
@@ -142,8 +154,22 @@ def camera_of(file: Path, focal, centre, size, distortion, model: str) -> Camera
             raise InputError(f"{file}: {model}: expected {allowed[model][0]} coefficients, found {len(distortion)}")
     else:
         distortion, model = np.empty(0), "plumb_bob"
-    intrinsics = np.array([[numbers[0], 0, numbers[2]], [0, numbers[1], numbers[3]], [0, 0, 1]])
-    return Camera(intrinsics, round(numbers[4]), round(numbers[5]), distortion, model)
+    intrinsics = intrinsics_of(file, [[numbers[0], 0, numbers[2]], [0, numbers[1], numbers[3]], [0, 0, 1]])
+    return Camera(intrinsics, round(width), round(height), distortion, model)
+
+
+def nanoseconds(file: Path, times: np.ndarray, each: float) -> np.ndarray:
+    """(K,) int64 ns of times (K,) that count `each` nanoseconds.
+
+    Raises:
+        InputError: one is NaN, infinite, or does not fit.
+    """
+    whole = np.rint(times * each)
+    wrong = ~(np.abs(whole) <= MOST_NS)
+    if wrong.any():
+        k = int(np.argmax(wrong))
+        raise InputError(f"{file}: time {k + 1}: expected one that fits 64 bits in nanoseconds, found {times[k]:g}")
+    return whole.astype(np.int64)
 
 
 def read_table(file: Path, columns: int) -> np.ndarray:

@@ -26,6 +26,7 @@ from pixelid.nerf.published.source import (
     camera_of,
     found,
     matrices,
+    nanoseconds,
     poses_of,
     read_table,
     wanted,
@@ -69,7 +70,7 @@ def read(path: Path, camera: str = "left") -> Source:
     from_sensor = np.linalg.inv(_transform(_content(marker).get("T_imu_marker"), marker, "T_imu_marker"))
     in_imu = _of_camera(content, sensor, cameras)
     table = read_table(mocap, 8)
-    t = np.rint(table[:, 0] * 1e3).astype(np.int64)
+    t = nanoseconds(mocap, table[:, 0], 1e3)
     markers = poses_of(mocap, t, table[:, 1:4], table[:, 4:8])
     world = matrices(markers.position, markers.orientation) @ from_sensor @ in_imu
     poses = poses_of(mocap, markers.t, world[:, :3, 3], Rotation.from_matrix(world[:, :3, :3]).as_quat())
@@ -135,7 +136,7 @@ def _pictures(path: Path, side: str, camera: Camera, pose: np.ndarray) -> Pictur
     files = sorted(stamps.parent.glob("*.jpg")) or sorted(stamps.parent.glob("*.png"))
     if not files:
         files = [file for ending in ("jpg", "png") for file in sorted(path.glob(f"**/images_{side}/*.{ending}"))]
-    t = np.rint(read_table(stamps, 1)[:, -1] * 1e3).astype(np.int64)
+    t = nanoseconds(stamps, read_table(stamps, 1)[:, -1], 1e3)
     if len(files) != len(t):
         raise InputError(f"{stamps}: expected a time for each of {len(files)} pictures, found {len(t)}")
     exposures = stamps.with_name(f"image_exposures_{side}.txt")

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from pixelid.documents import read_json
 from pixelid.errors import InputError
-from pixelid.nerf.arrays import finite, read_arrays
+from pixelid.nerf.arrays import finite, read_arrays, unit_quaternions
 from pixelid.nerf.camera import Camera, pinhole
 from pixelid.nerf.dataset import POSES
 from pixelid.nerf.scenes import looking_at_centre, on_sphere
@@ -104,13 +104,12 @@ def way_of_file(path: Path, size: tuple[int, int] | None, fov: float = FIELD_OF_
         raise InputError(f"{path}: no such file; expected transforms_*.json, a dataset folder, or {POSES}")
     if path.suffix == ".npz":
         arrays = read_arrays(path, ("T_wc_position", "T_wc_orientation"))
-        position, turned = (finite(path, key, arrays[key]) for key in ("T_wc_position", "T_wc_orientation"))
-        if position.ndim != 2 or position.shape[1] != 3 or turned.shape not in (
-            (len(position), 4), (len(position), 3, 3)
-        ):  # fmt: skip
+        position = finite(path, "T_wc_position", arrays["T_wc_position"])
+        turned = unit_quaternions(path, "T_wc_orientation", arrays["T_wc_orientation"])
+        if position.shape != (len(turned), 3) or not len(turned):
             raise InputError(f"{path}: T_wc_position, T_wc_orientation: expected (n, 3) and (n, 4)")
         some = np.unique(np.linspace(0, len(position) - 1, min(len(position), most)).round().astype(int))
-        rotation = turned[some] if turned.ndim == 3 else Rotation.from_quat(turned[some]).as_matrix()
+        rotation = Rotation.from_quat(turned[some]).as_matrix()
         names = tuple(f"pose_{k:05d}" for k in some)
         return Way(position[some], rotation, pinhole(*(size or (400, 400)), fov), names)
     document = read_json(path)
