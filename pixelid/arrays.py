@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 import zipfile
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -47,6 +48,14 @@ def load_arrays(path: str | Path) -> dict[str, np.ndarray]:
     if wrong is not None:  # a member that is no .npy comes as bytes
         raise InputError(f"{path}: {shown(wrong)}: expected an array, found other bytes")
     return arrays
+
+
+def save_arrays(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
+    """Write a compressed .npz; unlike those of `np.savez_compressed`, names may be any text ("file" too)."""
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, array in arrays.items():
+            with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
+                np.lib.format.write_array(member, np.asanyarray(array), allow_pickle=False)
 
 
 def _refuse_large(size: int, path: Path) -> None:

@@ -7,6 +7,7 @@ run continues where it stopped.  Dask gives the tasks of a worker that dies to a
 from __future__ import annotations
 
 import asyncio
+import hashlib
 import logging
 import os
 import time
@@ -28,6 +29,7 @@ Result = Mapping[str, np.ndarray]
 Item = TypeVar("Item")
 Made = TypeVar("Made")
 MARK = "of"  # the array of a kept result that says what it belongs to
+CHECKSUM = "checksum"  # the one that says whether the others are as they were
 
 # Dask has its workers hand every freed 64 KiB back to the system; fits allocate and free arrays of megabytes thousands
 # of times, and getting the pages back took as long as the fits themselves.
@@ -142,8 +144,7 @@ def run_tasks(
         results[i] = result
         if keep is not None:
             with whole_file(keep / f"{i}.npz", overwrite=True) as path:
-                columns = {name: np.asarray(column) for name, column in result.items()}
-                np.savez(path, allow_pickle=False, **{MARK: np.array(f"{identity} {i}")}, **columns)
+                np.savez(path, allow_pickle=False, **_sealed(result, f"{identity} {i}"))
         if progress is not None:
             progress(len(results) / count)
 
@@ -159,6 +160,20 @@ def run_tasks(
     return [results[i] for i in range(count)]
 
 
+def _sealed(result: Mapping[str, Any], mark: str) -> dict[str, Any]:
+    """The columns of a result with whose it is, and a checksum of them all."""
+    columns = {name: np.asarray(column) for name, column in result.items()}
+    return {**columns, MARK: np.array(mark), CHECKSUM: np.array(_checksum(columns))}
+
+
+def _checksum(columns: Mapping[str, np.ndarray]) -> str:
+    hashed = hashlib.blake2b(digest_size=8)
+    for name in sorted(columns):
+        hashed.update(repr((name, columns[name].dtype.str, columns[name].shape)).encode())
+        hashed.update(np.ascontiguousarray(columns[name]).tobytes())
+    return hashed.hexdigest()
+
+
 def _kept(path: Path, mark: str) -> Result | None:
     """The result that an earlier run kept, if it is whole and belongs to this one."""
     if not os.path.lexists(path):
@@ -168,8 +183,12 @@ def _kept(path: Path, mark: str) -> Result | None:
     except InputError:
         set_aside(path, "is damaged", "damaged")
         return None
-    if str(arrays.pop(MARK, None)) != mark:
+    whose, checksum = str(arrays.pop(MARK, None)), str(arrays.pop(CHECKSUM, None))
+    if whose != mark:
         set_aside(path, "belongs to another run", "other")
+        return None
+    if checksum != _checksum(arrays):
+        set_aside(path, "is damaged", "damaged")
         return None
     return arrays
 

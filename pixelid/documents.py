@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import errno
 import json
+import math
 import os
 import re
 import stat
@@ -56,7 +57,7 @@ def read_json(path: str | Path) -> dict[str, Any]:
         InputError: it is missing, too large, not JSON, or no object.
     """
     try:
-        content = json.loads(read_text(path, "JSON"), parse_constant=_refuse_constant)
+        content = json.loads(read_text(path, "JSON"), parse_constant=_refuse_constant, parse_float=_finite)
         _check(content)
     except (ValueError, RecursionError) as error:
         raise InputError(f"{path}: not valid JSON: {first_line(error)}") from None
@@ -171,6 +172,13 @@ def _cleaned(value: Any) -> Any:
     if isinstance(value, dict):
         return {key: _cleaned(inner) for key, inner in value.items()}
     return [_cleaned(inner) for inner in value] if isinstance(value, list) else value
+
+
+def _finite(digits: str) -> float:
+    value = float(digits)
+    if not math.isfinite(value):  # 1e999
+        raise ValueError("a number does not fit 64 bits")
+    return value
 
 
 def _refuse_constant(name: str) -> None:

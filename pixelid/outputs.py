@@ -14,6 +14,7 @@ import itertools
 import json
 import math
 import os
+import re
 import shutil
 import socket
 import sys
@@ -34,6 +35,7 @@ RESULT_FILES = (
     "reconstruction.json", "conform.json", "render.json", "dataset.json",
 )  # fmt: skip
 _AT_FDCWD, _RENAME_EXCHANGE = -100, 2  # linux/fcntl.h, linux/fs.h
+MOST_CHARACTERS = 60  # of a file's name made from a label: of four bytes each, with an ending, they are less than 255
 OLD = ".old"  # added to the name of a result that is being replaced where the system cannot swap two folders
 _open: dict[Path, Path] = {}  # this process's temporary folders → what they are for
 
@@ -218,6 +220,16 @@ def whole_folder(
             else:
                 os.rename(target, temporary)
             raise
+
+
+def file_name(label: str) -> str:
+    """A label as the name of one file or folder: nothing in it leads elsewhere, and the disk takes its length.
+
+    >>> file_name("../../home/a b"), file_name("..")
+    ('_.._home_a b', 'unnamed')
+    """
+    safe = re.sub(r'[\\/:*?"<>|\x00-\x1f]', "_", label).lstrip(". ")
+    return safe[:MOST_CHARACTERS].rstrip(". ") or "unnamed"
 
 
 def set_aside(path: Path, why: str, suffix: str) -> Path:

@@ -277,6 +277,8 @@ def check_parameters(content: Mapping[str, Any], path: str | Path) -> None:
         numbers = cast(list[Any], ends) if isinstance(ends, list) else []
         if ends is not None and not (len(numbers) == 2 and all(map(_number_or_none, numbers))):
             raise InputError(f"{where}.interval_95: expected two numbers, found {shown(entry.get('interval_95'))}")
+        if None not in numbers and numbers and numbers[0] > numbers[1]:
+            raise InputError(f"{where}.interval_95: expected the lower limit first, found {shown(numbers)}")
         for key in ("value", "std"):
             if not _number_or_none(entry.get(key)):
                 raise InputError(f"{where}.{key}: expected a number, found {shown(entry[key])}")

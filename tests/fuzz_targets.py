@@ -266,7 +266,7 @@ def _kept(folder: Path) -> Iterator[Target]:
     """What runs keep to be continued: damaged files are set aside, and computed again."""
     import torch
 
-    from pixelid.cluster import MARK, _kept
+    from pixelid.cluster import _kept, _sealed
     from pixelid.fit.cache import FitCache, _line
     from pixelid.nerf import checkpoint
     from pixelid.sample.ensembles import Ensembles
@@ -293,7 +293,7 @@ def _kept(folder: Path) -> Iterator[Target]:
     first.save()
     content = (folder / "chain.npz").read_bytes()
     yield Target("kept chain", ".npz", (content,), lambda path: again(path, chain))
-    np.savez(folder / "0.npz", **{MARK: np.array("a 0")}, pixel=np.arange(9), on=np.ones(9))  # type: ignore[arg-type]
+    np.savez(folder / "0.npz", **_sealed({"pixel": np.arange(9), "on": np.ones(9)}, "a 0"))  # type: ignore[arg-type]
     content = (folder / "0.npz").read_bytes()
     yield Target("kept tile", ".npz", (content,), lambda path: again(path, lambda p: _kept(p, "a 0")))
     lines = [_line(f"k{k}", {"value": k, "x": [0.1, None]}) for k in range(3)]

@@ -20,6 +20,8 @@ def bar(quiet: bool, compiles: bool = False) -> Iterator[Callable[[str, float], 
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
+    from pixelid.errors import printable  # names of recordings come from whoever made the files
+
     # names of recordings and parameters hold brackets, which are no markup
     columns = (
         TextColumn("{task.description:>20}", markup=False), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn()
@@ -28,7 +30,7 @@ def bar(quiet: bool, compiles: bool = False) -> Iterator[Callable[[str, float], 
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
         task = progress.add_task("starting", total=1.0)
         with _compilation_announced(console) if compiles else nullcontext():
-            yield lambda what, fraction: progress.update(task, description=what, completed=fraction)
+            yield lambda what, fraction: progress.update(task, description=printable(what), completed=fraction)
 
 
 def _compilation_announced(console):

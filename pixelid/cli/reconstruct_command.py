@@ -105,6 +105,10 @@ def command(
         if folder is not None and not folder.is_dir() and not (folder is fit and folder.is_file()):
             found = "a file" if folder.exists() else "nothing of that name"
             raise InputError(f"{folder}: expected the folder of {what}, found {found}")
+    if checkpoint is not None and checkpoint.exists() and checkpoint.suffix != ".pt":
+        for folder, _ in given:  # a checkpoint that is none would be set aside, and the input with it
+            if folder is not None and folder.resolve() in (checkpoint.resolve(), *checkpoint.resolve().parents):
+                raise InputError(f"{checkpoint}: --checkpoint is a file of the input {folder}; choose another name")
     refuse_existing(out, overwrite)
     from pixelid.nerf import parallel
     from pixelid.nerf.checkpoint import search_file

@@ -13,7 +13,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from pixelid.arrays import load_arrays
+from pixelid.arrays import load_arrays, save_arrays
 from pixelid.documents import interpreting
 from pixelid.errors import InputError
 from pixelid.fit import FitResult, fit
@@ -22,6 +22,7 @@ from pixelid.fit.fit import check_event_times
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.model.files import save_model
 from pixelid.model.model import Model
+from pixelid.outputs import file_name
 from pixelid.recordings.own_light import with_fine_light
 from pixelid.recordings.recording import Recording
 from pixelid.results import Result, Table, check_kinds, read_result, required
@@ -93,10 +94,11 @@ class Comparison(Result):
     def write_companions(self, folder: Path) -> None:
         """Write the fitted models as NAME.toml, each fit into fits/NAME, and held_out.npz: (pixels,) of each model."""
         for name, contender in self.contenders.items():
-            save_model(contender.result.model, folder / f"{name}.toml")
-            (folder / "fits" / name).mkdir(parents=True, exist_ok=True)
-            contender.result.write(folder / "fits" / name)
-        np.savez(folder / "held_out.npz", allow_pickle=False, **{n: c.held_out for n, c in self.contenders.items()})
+            place = folder / "fits" / file_name(name)
+            save_model(contender.result.model, folder / f"{file_name(name)}.toml")
+            place.mkdir(parents=True, exist_ok=True)
+            contender.result.write(place)
+        save_arrays(folder / "held_out.npz", {name: c.held_out for name, c in self.contenders.items()})
 
     @classmethod
     def load(cls, folder: str | Path) -> Comparison:
@@ -118,7 +120,9 @@ class Comparison(Result):
         with interpreting(folder / cls.FILE, "a comparison"):
             models, best, sentence = required(content, folder, cls.FILE, "models", "best", "sentence")
             contenders = {
-                name: Contender(FitResult.load(folder / "fits" / name), row["bic"], held_out[name], row["loo"])
+                name: Contender(
+                    FitResult.load(folder / "fits" / file_name(name)), row["bic"], held_out[name], row["loo"]
+                )
                 for name, row in models.items()
             }
             if best not in contenders:
@@ -187,7 +191,7 @@ def compare(
         InputError: fewer than two models, two of one name, one without threshold noise, and fewer pixels than folds.
     """
     names = [model.name for model in models]
-    if len(models) < 2 or len(set(names)) < len(names):
+    if len(models) < 2 or len({file_name(name).casefold() for name in names}) < len(names):
         raise InputError(f"compare: expected two or more models of different names, found {', '.join(names) or 'none'}")
     for model in models:
         check_event_times(model)

@@ -13,6 +13,7 @@ from pixelid.model.model import Model
 from pixelid.results import check_parameters
 
 Z95 = 1.959963984540054
+MOST_VARIANCE = 1e100  # larger ones overflow when they are factored
 WIDEST = 1.0  # standard deviation, in fitting coordinates, beyond which an open direction is not followed
 
 
@@ -46,9 +47,15 @@ def _check_covariance(listed: object, path: Path) -> None:
         raise InputError(f"{path}: covariance.names: expected the names of parameters, found {shown(names)}")
     matrix = listed.get("matrix")
     n = len(names)
-    rows = matrix if isinstance(matrix, list) and len(matrix) == n else [None]
+    rows: list[Any] = matrix if isinstance(matrix, list) and len(matrix) == n else [None]
     if not all(isinstance(row, list) and len(row) == n and all(map(_number_or_open, row)) for row in rows):
         raise InputError(f"{path}: covariance.matrix: expected {n} rows of as many numbers, found {shown(matrix)}")
+    largest = max((abs(value) for row in rows for value in row if value is not None), default=0.0)
+    if largest > MOST_VARIANCE or len(set(names)) < n:
+        raise InputError(
+            f"{path}: covariance: expected each name once and numbers of at most {MOST_VARIANCE:g}, found "
+            f"{shown(names)} and {largest:g}"
+        )
 
 
 def uncertainty(fit: dict, model: Model) -> tuple[list[str], np.ndarray]:
@@ -67,8 +74,8 @@ def uncertainty(fit: dict, model: Model) -> tuple[list[str], np.ndarray]:
         if name in model.parameters and entry.get("interval_95") and not entry.get("fixed"):
             parameter = model.parameters[name]
             low, high = entry["interval_95"]  # None where a side is open: to the bound
-            low = parameter.to_coordinate(parameter.lower if low is None else low)
-            high = parameter.to_coordinate(parameter.upper if high is None else high)
+            low = parameter.to_coordinate(parameter.lower if low is None else parameter.within(low))
+            high = parameter.to_coordinate(parameter.upper if high is None else parameter.within(high))
             names.append(name)
             variances.append(((high - low) / (2 * Z95)) ** 2)
     return names, np.diag(variances)

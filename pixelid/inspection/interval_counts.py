@@ -14,11 +14,13 @@ from pathlib import Path
 
 import numpy as np
 
+from pixelid.arrays import load_arrays
 from pixelid.errors import InputError
 from pixelid.recordings.events import Events
 
 EDGES_HZ = np.outer(10.0 ** np.arange(-3, 5), np.arange(1, 10)).ravel()
 EDGES_S = 1.0 / EDGES_HZ[::-1]  # of intervals, rising
+MOST_INTERVALS = 1 << 40  # of a pixel: a month of events at the fastest bin
 NAME = re.compile(r"(?P<polarity>pos|neg)_(?P<light>[0-9.]+)(?P<kilo>k?)lux$")
 
 
@@ -38,20 +40,18 @@ def read_interval_counts(path: Path) -> IntervalCounts:
     if match is None:
         raise InputError(f"{path}: expected a name ending in pos_ or neg_ and the light, as pos_161lux.npy")
     try:
-        raw = np.load(path, allow_pickle=False)
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file") from None
-    except (OSError, ValueError, EOFError):
-        raise InputError(f"{path}: not a readable .npy array") from None
-    if not isinstance(raw, np.ndarray) or raw.ndim < 2 or raw.shape[-1] != len(EDGES_HZ):
+        lux = float(match["light"]) * (1000.0 if match["kilo"] else 1.0)
+    except ValueError:
+        raise InputError(f"{path}: expected a number before lux in its name, found {match['light']!r}") from None
+    raw = load_arrays(path).get("", np.empty(0))
+    if raw.ndim < 2 or raw.shape[-1] != len(EDGES_HZ) or not raw.size:
         raise InputError(f"{path}: expected an array of shape (…, {len(EDGES_HZ)}), found {np.shape(raw)}")
-    if raw.dtype.kind not in "iuf" or not np.isfinite(raw).all():
-        raise InputError(f"{path}: expected finite counts")
-    below = raw.reshape(-1, len(EDGES_HZ))[:, :-1]
+    if raw.dtype.kind not in "iuf" or not np.isfinite(raw).all() or raw.max() > MOST_INTERVALS:
+        raise InputError(f"{path}: expected counts of at most {MOST_INTERVALS}, found {raw.dtype}, NaN or larger ones")
+    below = raw.reshape(-1, len(EDGES_HZ))[:, :-1].astype(np.float64)  # whole numbers up to 2^53; unsigned ones wrap
     counts = np.diff(below, axis=1, prepend=0)
     if (counts < 0).any() or (raw[..., -1] != 0).any() or (counts != np.rint(counts)).any():
         raise InputError(f"{path}: expected whole numbers that rise along the last axis, its last entry 0")
-    lux = float(match["light"]) * (1000.0 if match["kilo"] else 1.0)
     return IntervalCounts(path.stem, {"pos": "ON", "neg": "OFF"}[match["polarity"]], lux, counts[:, ::-1].astype(int))
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from functools import partial
 from typing import Any
 
+from pixelid.errors import printable
 from pixelid.figures.words import seconds
 from pixelid.inspection.health import Health
 
@@ -18,7 +19,7 @@ def health_table(health: Health):
     from rich import box
     from rich.table import Table
 
-    table = Table(title=health.name, box=box.SIMPLE, show_header=False, title_justify="left")
+    table = Table(title=printable(health.name), box=box.SIMPLE, show_header=False, title_justify="left")
     table.add_column(style="bold", no_wrap=True)
     table.add_column(overflow="fold")
     for name, text in rows_of_result(health.to_dict()):

@@ -10,7 +10,6 @@ import numpy as np
 from pixelid.arrays import load_arrays
 from pixelid.errors import InputError, shown
 
-
 MOST_OFF = 1e-2  # of a unit quaternion's norm and of R Rᵀ from 1: files hold four digits or more
 
 

@@ -11,8 +11,11 @@ from typing import Any
 import numpy as np
 import torch
 
+from pixelid.documents import read_text
+from pixelid.errors import InputError
 from pixelid.nerf import parallel
 from pixelid.nerf.calibration import Calibration
+from pixelid.nerf.field import Field, blocks
 from pixelid.nerf.pixel import Bandwidth
 from pixelid.nerf.recipe import Recipe
 from pixelid.nerf.state import Problem, State, optimiser_of, start
@@ -77,6 +80,7 @@ def _refuse(path: Path, why: str, suffix: str) -> None:
 def _restored(document: dict, problem: Problem, recipe: Recipe, bandwidth: Bandwidth, device: str) -> State:
     """The state that `save` put down."""
     state = start(problem, recipe, bandwidth, device)
+    _check_grid(document, state.field)
     state.field.grid = torch.nn.Parameter(document["grid"])
     state.field.coefficients = torch.nn.Parameter(
         document["coefficients"], requires_grad=state.field.coefficients.requires_grad
@@ -93,6 +97,17 @@ def _restored(document: dict, problem: Problem, recipe: Recipe, bandwidth: Bandw
     state.optimiser.load_state_dict(document["optimiser"])
     state.iteration, state.rays, state.history = document["iteration"], document["rays"], document["history"]
     return state
+
+
+def _check_grid(document: dict, field: Field) -> None:
+    """Raise ValueError for a grid of a checkpoint, perhaps refined since `field` began, whose arrays do not agree."""
+    grid, coefficients = document["grid"], document["coefficients"]
+    n = grid.shape[0]
+    whole = grid.shape == (n, n, n, field.grid.shape[-1]) and n >= field.vertices
+    if not whole or coefficients.shape != (n, n, n, *field.coefficients.shape[3:]):
+        raise ValueError(f"grid {tuple(grid.shape)}, coefficients {tuple(coefficients.shape)}")
+    if document["occupied"].shape != blocks(n) or not (grid.isfinite().all() and coefficients.isfinite().all()):
+        raise ValueError("occupied, or numbers that are not finite")
 
 
 def search_file(checkpoint: Path) -> Path:
@@ -120,12 +135,12 @@ def load_search(path: Path, told: Calibration, mark: str) -> tuple[Calibration, 
     if not path.exists():
         return None
     try:
-        document = json.loads(path.read_text())
+        document = json.loads(read_text(path, "JSON"))
         if document["mark"] == mark:
             numbers = {name: float(value) for name, value in document["circuit"].items()}
             found = replace(told, circuit=told.circuit.with_(**numbers))
             return found, tuple(document["trained"]), dict(document["gap"])
-    except (ValueError, KeyError, TypeError, AttributeError, OSError):
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError, InputError):
         _refuse(path, "is no outcome of a search for effects, or damaged", "damaged")
         return None
     _refuse(path, "is of a run with other data, options or seed", "other")

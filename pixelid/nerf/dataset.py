@@ -94,7 +94,7 @@ def _whole_ns(file: Path, key: str, values: np.ndarray) -> np.ndarray:
         raise InputError(f"{file}: {key}: expected one column of numbers, found {values.dtype} of shape {values.shape}")
     if values.dtype.kind == "f":
         values = np.rint(finite(file, key, values))
-    if len(values) and not (-MOST_NS <= values.min() and values.max() <= MOST_NS):
+    if len(values) and not (values.min() >= -MOST_NS and values.max() <= MOST_NS):
         found = f"{values.min():.4g} … {values.max():.4g}"
         raise InputError(f"{file}: {key}: expected nanoseconds that fit 64 bits, found {found}")
     return values.astype(np.int64, copy=False)

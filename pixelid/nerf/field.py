@@ -45,7 +45,7 @@ class Field(torch.nn.Module):
         self.coefficients = torch.nn.Parameter(coefficients, requires_grad=degree > 0)
         log_background = torch.log(torch.as_tensor(np.atleast_1d(background), dtype=torch.float32))
         self.log_background = torch.nn.Parameter(log_background, requires_grad=free_background)
-        self.occupied = np.ones(_blocks(vertices), np.uint8)
+        self.occupied = np.ones(blocks(vertices), np.uint8)
 
     @property
     def vertices(self) -> int:
@@ -70,7 +70,7 @@ class Field(torch.nn.Module):
         """(radiance, opacity), (n,) each."""
         return render(self.grid, torch.exp(self.log_background), rays, self.box(), engine, self.coefficients)
 
-    def look_for_empty_blocks(self) -> float:
+    def look_for_emptyblocks(self) -> float:
         """Renew which blocks are visited; the share of them."""
         floor = math.log(-math.log1p(-EMPTY) / self.step)
         values = self.grid.detach().cpu().numpy()
@@ -84,7 +84,7 @@ class Field(torch.nn.Module):
             per_vertex, trained = self.coefficients.shape[3:], self.coefficients.requires_grad
             fine = _finer(self.coefficients.flatten(3), vertices).reshape(*(vertices,) * 3, *per_vertex)
             self.coefficients = torch.nn.Parameter(fine, requires_grad=trained)
-        self.occupied = np.ones(_blocks(vertices), np.uint8)
+        self.occupied = np.ones(blocks(vertices), np.uint8)
 
 
 def _finer(values: torch.Tensor, vertices: int) -> torch.Tensor:
@@ -95,6 +95,6 @@ def _finer(values: torch.Tensor, vertices: int) -> torch.Tensor:
     return fine[0].permute(1, 2, 3, 0).contiguous()
 
 
-def _blocks(vertices: int) -> tuple[int, int, int]:
+def blocks(vertices: int) -> tuple[int, int, int]:
     number = -(-(vertices - 1) // render_kernels.BLOCK)
     return number, number, number

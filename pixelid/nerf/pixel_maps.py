@@ -86,7 +86,7 @@ def maps_of_sensor(folder: Path, circuit: Circuit, camera: Camera) -> PixelMaps:
             log, error = of_map.log.ravel(), of_map.sd.ravel()
             told = np.isfinite(log) & np.isfinite(error)
             mean[told, k], sd[told, k] = log[told] - np.log(nominal[k]), error[told]
-        elif name in COLUMNS:
+        elif name in COLUMNS and name in fitted.model.values:
             factor = np.exp(of_map.log - np.log(fitted.model.values[name]))
             whole = np.repeat(np.repeat(factor, fitted.block, axis=0), fitted.block, axis=1)[: shape[0], : shape[1]]
             bandwidth[:, COLUMNS[name]] = np.where(np.isfinite(whole), whole, 1.0).ravel()

@@ -8,6 +8,7 @@ Transparent parts show white.
 
 from __future__ import annotations
 
+import glob
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -165,7 +166,7 @@ def picture_of(file: Path, name: str) -> Path:
     exact = file.parent / name
     if exact.is_file():
         return exact
-    matches = sorted(exact.parent.glob(f"{exact.name}.*"))
+    matches = sorted(exact.parent.glob(f"{glob.escape(exact.name)}.*"))
     if not matches:
         raise InputError(f"{exact}: no such picture (file_path of {file.name})")
     return matches[0]

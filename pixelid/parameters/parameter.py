@@ -8,6 +8,8 @@ from typing import overload
 
 from pixelid.errors import InputError
 
+LEAST_SD, MOST_MEAN = 1e-15, 1e9  # of a prior: beyond, its square leaves nothing of the likelihood in double precision
+
 
 @dataclass(frozen=True)
 class Prior:
@@ -19,6 +21,11 @@ class Prior:
     def __post_init__(self) -> None:
         if not (self.sd > 0 and math.isfinite(self.mean)):
             raise InputError(f"prior: expected finite mean and sd > 0, found mean {self.mean}, sd {self.sd}")
+        if self.sd < LEAST_SD or abs(self.mean) > MOST_MEAN:
+            raise InputError(
+                f"prior: expected sd of at least {LEAST_SD:g} (hold what is known better: free = false) and a mean of "
+                f"at most {MOST_MEAN:g}, found mean {self.mean:g}, sd {self.sd:g}"
+            )
 
 
 @dataclass(frozen=True)

@@ -20,6 +20,7 @@ import re
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -361,8 +362,8 @@ def _read_stimulus(file, path: Path) -> Light:
     for name in ("t", "radiance"):
         if name not in group:
             raise InputError(f"{where}/{name}: missing; expected t and radiance, found {', '.join(group) or 'nothing'}")
-    unit = _attribute(group.attrs.get("unit", "relative"))
-    interpolation = _attribute(group.attrs.get("interpolation", "linear"))
+    unit: Any = _attribute(group.attrs.get("unit", "relative"))  # refused with the light where they are no text
+    interpolation: Any = _attribute(group.attrs.get("interpolation", "linear"))
     columns = {name: group[name] for name in ("t", "radiance", "first", "of_pixel") if name in group}
     for name, column in columns.items():
         if not getattr(column, "shape", None) or column.dtype.kind not in "iuf":

@@ -15,6 +15,7 @@ from pixelid.sensors.map import Map
 from pixelid.sensors.shrinkage import Population
 
 ARRAYS = "maps.npz"
+THRESHOLDS = ("on_threshold", "off_threshold")  # of each pixel, whatever shares a bandwidth
 
 
 def write_maps(events: np.ndarray, maps: Mapping[str, Map], folder: Path) -> None:
@@ -31,12 +32,13 @@ def write_maps(events: np.ndarray, maps: Mapping[str, Map], folder: Path) -> Non
         save_figure(draw_map(m), folder / f"{m.name}.svg")
 
 
-def read_maps(entries: Mapping[str, Mapping[str, Any]], folder: Path) -> tuple[np.ndarray, dict[str, Map]]:
+def read_maps(entries: Mapping[str, Mapping[str, Any]], folder: Path, block: int) -> tuple[np.ndarray, dict[str, Map]]:
     """What `write_maps` wrote.
 
     Args:
         entries: the maps of sensor.json by name.
         folder: with maps.npz.
+        block: side of the groups of pixels that share a bandwidth.
 
     Returns:
         Events per pixel (h, w), and the maps by name.
@@ -44,18 +46,28 @@ def read_maps(entries: Mapping[str, Mapping[str, Any]], folder: Path) -> tuple[n
     Raises:
         InputError: no arrays there.
         LookupError: arrays that do not belong to the entries.
+        ValueError: arrays that are no maps.
     """
     arrays = load_arrays(folder / ARRAYS)
+    events = arrays["events"]
+    if events.ndim != 2 or not events.size or events.dtype.kind not in "iu" or (events < 0).any():
+        raise ValueError(f"events: expected counts (height, width), found {events.dtype} of shape {events.shape}")
     maps = {}
     for name, entry in entries.items():
         population = Population(_log(entry["mean"]), _number(entry["relative_spread"]), int(entry["estimates"]))
         low, high = (_log(end) for end in entry["mean_interval_95"])
         least, most = (_number(end) for end in entry["relative_spread_interval_95"])
-        with np.errstate(divide="ignore"):
+        side = 1 if name in THRESHOLDS else block
+        size = (-(-events.shape[0] // side), -(-events.shape[1] // side))
+        for key in (name, f"{name}.sd", f"{name}.raw", f"{name}.raw_sd"):
+            if arrays[key].dtype.kind != "f" or arrays[key].shape != size:
+                found = f"{arrays[key].dtype} of shape {arrays[key].shape}"
+                raise ValueError(f"{key}: expected numbers of shape {size}, found {found}")
+        with np.errstate(divide="ignore", invalid="ignore"):
             raw, value = np.log(arrays[f"{name}.raw"]), np.log(arrays[name])
         raw_sd, sd = arrays[f"{name}.raw_sd"], arrays[f"{name}.sd"]
         maps[name] = Map(name, entry["unit"], raw, raw_sd, value, sd, population, (low, high), (least, most))
-    return arrays["events"], maps
+    return events, maps
 
 
 def _number(value: float | None) -> float:

@@ -16,11 +16,12 @@ import numpy as np
 from pixelid import __version__
 from pixelid.cluster import Where, connected, run_tasks
 from pixelid.documents import interpreting, read_json
-from pixelid.errors import InputError
+from pixelid.errors import InputError, shown
 from pixelid.model.files import load_model, save_model
 from pixelid.model.model import Model
 from pixelid.outputs import plain, set_aside, whole_file, write_json
 from pixelid.provenance import input_hashes, versions
+from pixelid.recordings.events import MOST_SIDE
 from pixelid.recordings.recording import Recording
 from pixelid.results import Result, Table, check_kinds, read_result, required
 from pixelid.sensors.map import Map
@@ -143,7 +144,9 @@ class SensorFit(Result):
             names = ("maps", "tiles", "block", "seconds", "seed", "inputs_sha256")
             entries, *plain_ones = required(content, folder, cls.FILE, *names)
             known = dict(zip(names[1:], plain_ones, strict=True))
-            events, maps = read_maps(entries, folder)
+            if not isinstance(known["block"], int) or not 1 <= known["block"] <= MOST_SIDE:
+                raise ValueError(f"block: expected a positive integer, found {shown(known['block'])}")
+            events, maps = read_maps(entries, folder, known["block"])
             return cls(maps=maps, events=events, model=load_model(folder / "model.toml"), **known)
 
     def as_dict(self) -> dict:

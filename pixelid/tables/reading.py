@@ -11,6 +11,8 @@ import numpy as np
 from pixelid.documents import read_text
 from pixelid.errors import InputError, did_you_mean, printable, shown
 
+DIGITS = 17  # of a double
+
 
 @dataclass(frozen=True)
 class TextTable:
@@ -39,7 +41,8 @@ class TextTable:
 
     def last_digit(self, names: tuple[str, ...]) -> float:
         """The smallest difference that the cells of these columns can write."""
-        return 10.0 ** -max((len(cell.partition(".")[2]) for name in names for cell in self.text(name)), default=0)
+        places = max((len(cell.partition(".")[2]) for name in names for cell in self.text(name)), default=0)
+        return 10.0 ** -min(places, DIGITS)
 
 
 def read_text_table(path: Path, *, first: str, expected: str) -> TextTable:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from pixelid.arrays import save_arrays
 from pixelid.status import Status
 from pixelid.tables.fit import FREEDOM, covariance_at
 from pixelid.tables.latency.fit import CameraFit, LatencyFit
@@ -92,7 +93,7 @@ def sample_fit(fit: LatencyFit, seed: int, folder: Path, steps: int = STEPS) -> 
             },
         }
         arrays[one.name] = chain.astype(np.float32)
-    np.savez_compressed(folder / "posterior.npz", **arrays)
+    save_arrays(folder / "posterior.npz", arrays)
     return {"posterior": said}
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -11,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from pixelid.outputs import file_name
 from pixelid.parameters.parameter import Parameter, Prior
 from pixelid.provenance import provenance
 from pixelid.status import Status
@@ -89,7 +91,7 @@ def save_fit(
 ) -> dict[str, Any]:
     """Write latency.json, the model (one folder per camera where there are several) and figures; returns the JSON."""
     for one in fit.fits:
-        place = folder if len(fit.fits) == 1 else folder / _file_name(one.name)
+        place = folder if len(fit.fits) == 1 else _own_folder(folder, one.name)
         place.mkdir(exist_ok=True)
         camera = described(one, fit.table)
         save_camera(recipe.finished(camera) if recipe else camera, place / "model.toml")
@@ -318,5 +320,7 @@ def _of_camera(name: str, camera: str, several: bool) -> str:
     return f"{base}[{camera}, {rest}" if bracket else f"{base}[{camera}]"
 
 
-def _file_name(camera: str) -> str:
-    return "".join(c if c.isalnum() or c in "-_." else "_" for c in camera) or "camera"
+def _own_folder(folder: Path, camera: str) -> Path:
+    """A folder of the camera's own: labels that differ in characters that file systems do not take get a number."""
+    name = file_name("".join(c if c.isalnum() or c in "-_." else "_" for c in camera))
+    return next(p for k in itertools.count(1) if not (p := folder / (name if k == 1 else f"{name}_{k}")).exists())

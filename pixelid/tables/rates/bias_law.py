@@ -21,13 +21,14 @@ from typing import Any
 import numpy as np
 from scipy.constants import Boltzmann, elementary_charge
 
-from pixelid.errors import InputError
+from pixelid.errors import InputError, shown
 from pixelid.parameters.parameter import Parameter
 from pixelid.tables.fit import OPEN_SD, Z95, TableFit, fit_table
 from pixelid.tables.rates.pixel import CUTOFF, DEAD_STARTS_S, PixelFit, PixelModel
 from pixelid.tables.rates.reading import RateTable
 from pixelid.tables.rates.square_wave import rate
 
+MOST_MV = 10_000.0  # supplies of image sensors are 3.3 V or less
 LEAST_COLUMNS = 3  # two lie on any line
 SLOPE = Parameter("mv_per_efold", 32.0, "mV", 5.0, 500.0, "log")
 TEMPERATURE_K = 300.0  # of the sensor, where nobody says: 15 K more or less change κ by 5 %
@@ -42,8 +43,12 @@ def biases_of(columns: Sequence[str]) -> np.ndarray:
     found = [re.search(r"(\d+(?:\.\d+)?)\s*$", name) for name in columns]
     missing = [name for name, match in zip(columns, found, strict=True) if match is None]
     if missing:
-        raise InputError(f"--bias-law: expected columns named by their bias in mV, as fo1477; found {missing[0]!r}")
+        found_name = shown(missing[0])
+        raise InputError(f"--bias-law: expected columns named by their bias in mV, as fo1477; found {found_name}")
     biases = np.array([float(match.group(1)) for match in found if match])
+    if biases.max() > MOST_MV:
+        largest = shown(columns[int(biases.argmax())])
+        raise InputError(f"--bias-law: expected biases of at most {MOST_MV:g} mV, found {largest}")
     if len(np.unique(biases)) < max(LEAST_COLUMNS, len(biases)):
         raise InputError(f"--bias-law: expected {LEAST_COLUMNS} or more columns of different biases")
     return biases

@@ -47,8 +47,14 @@ class PoolTable:
         shape = (len(self.frequency_hz), len(self.conditions))
         if self.per_cycle.shape != shape or self.spread.shape != shape:
             raise InputError(f"pool: expected {shape} values, found {self.per_cycle.shape} and {self.spread.shape}")
-        if not (self.frequency_hz > 0).all() or not (np.nan_to_num(self.per_cycle) >= 0).all():
-            raise InputError("pool: expected frequencies above 0 and event counts of at least 0")
+        if not ((self.frequency_hz > 0) & np.isfinite(self.frequency_hz)).all():
+            raise InputError("pool: expected frequencies above 0")
+        for name, values in (("event counts", self.per_cycle), ("spreads", self.spread)):
+            if np.isinf(values).any() or (np.nan_to_num(values) < 0).any():
+                found = f"{np.nanmin(values):g} … {np.nanmax(values):g}"
+                raise InputError(f"pool: expected {name} of at least 0, found {found}")
+        if np.isnan(self.per_cycle).all():
+            raise InputError("pool: expected event counts, found none")
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,193 @@
+"""Well-formed files of which one field is hostile, and folders that are not what they should be, in every command.
+
+`tests/structures.py` makes the files, from a good one of each kind; by hand it takes any number of them.
+"""
+
+import os
+import random
+import shutil
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+import mutants
+import structures
+from structures import CASES, Case
+
+SEED, EACH = 20, 2
+PLAIN = [case for case in CASES if not case.heavy and not case.computed]
+FILES = sorted({case.file for case in PLAIN})
+
+
+@pytest.fixture(scope="module")
+def plain(tmp_path_factory):
+    """Good files of every kind that takes no computing."""
+    folder = tmp_path_factory.mktemp("structures") / "here"
+    folder.mkdir()
+    structures.prepare_plain(folder)
+    return folder
+
+
+@pytest.mark.parametrize("file", FILES)
+def test_one_hostile_field(file, plain):
+    chance = random.Random(f"{SEED} {file}")
+    made = mutants.mutants(plain / file)
+    for case in (case for case in PLAIN if case.file == file):
+        for mutant in chance.sample(made, EACH):
+            _, said = structures.answer(plain, case, mutant)
+            assert not said, (mutant[0], case.words, said)
+
+
+@pytest.mark.slow
+def test_many_hostile_fields_in_every_command(tmp_path):
+    """Five of each case, those that compute among them."""
+    structures.import_everything()
+    folder = tmp_path / "here"
+    folder.mkdir()
+    structures.prepare(folder)
+    made = {file: mutants.mutants(folder / file) for file in {case.file for case in CASES}}
+    wrong = []
+    for case, mutant in structures.chosen(CASES, made, 5, 5, random.Random(SEED)):
+        _, said = structures.answer(folder, case, mutant)
+        if said:
+            wrong.append((mutant[0], case.words, said))
+    assert not wrong
+
+
+# what stands in place of a file: name → how it is made
+def _loop(path: Path) -> None:
+    path.symlink_to(path.name)
+
+
+PLACES = {"folder": Path.mkdir, "pipe": os.mkfifo, "loop": _loop, "dangling": lambda path: path.symlink_to("nowhere"),
+          "empty": Path.touch, "nulls": lambda path: path.write_bytes(bytes(100))}  # fmt: skip
+
+
+@pytest.mark.parametrize("place", PLACES)
+@pytest.mark.parametrize("file", FILES)
+def test_something_else_in_place_of_a_file(file, place, plain):
+    aside = plain.parent / "aside"
+    shutil.move(plain / file, aside)
+    try:
+        PLACES[place](plain / file)
+        case = next(case for case in PLAIN if case.file == file)
+        before = structures.fingerprints(plain)
+        outcome = structures.run_here([*case.words.split(), "--quiet"], plain, structures.MOST_CPU_S)
+        said = structures.complaint(case, outcome, before, structures.fingerprints(plain))
+        structures.remove_new(plain, before)
+        assert not said, said
+        assert outcome.code == 2 or case.command == "report" or place in ("loop", "dangling")
+    finally:
+        here = plain / file
+        here.rmdir() if here.is_dir() and not here.is_symlink() else here.unlink()
+        shutil.move(aside, here)
+
+
+def _frames(folder: Path, pictures: dict[str, bytes], stamps: str | None = "0\n0.1\n0.2\n") -> None:
+    folder.mkdir()
+    for name, content in pictures.items():
+        (folder / name).write_bytes(content)
+    if stamps is not None:
+        (folder / "timestamps.txt").write_text(stamps)
+
+
+def _grey(height: int = 4, width: int = 4, channels: int = 1, kind: type = np.uint8) -> bytes:
+    return mutants.png(np.full((height, width, channels), 100, kind))
+
+
+THREE = {f"{k}.png": _grey() for k in range(3)}
+FRAMES = {  # → (how they are made, whether light can be made of them)
+    "good": (lambda f: _frames(f, THREE), True),
+    "1 × 1": (lambda f: _frames(f, dict.fromkeys(THREE, _grey(1, 1))), True),
+    "16 bits": (lambda f: _frames(f, dict.fromkeys(THREE, _grey(kind=np.uint16))), True),
+    "alpha": (lambda f: _frames(f, dict.fromkeys(THREE, _grey(channels=4))), True),
+    "no rows": (lambda f: _frames(f, dict.fromkeys(THREE, _grey(height=0))), False),
+    "one of another size": (lambda f: _frames(f, {**THREE, "2.png": _grey(5, 4)}), False),
+    "one cut off": (lambda f: _frames(f, {**THREE, "2.png": _grey()[:-30]}), False),
+    "no times": (lambda f: _frames(f, THREE, ""), False),
+    "too many times": (lambda f: _frames(f, THREE, "0\n1\n2\n3\n"), False),
+    "times that fall": (lambda f: _frames(f, THREE, "0\n2\n1\n"), False),
+    "times that stand": (lambda f: _frames(f, THREE, "0\n0\n0\n"), False),
+    "a time that is none": (lambda f: _frames(f, THREE, "0\nnan\n2\n"), False),
+    "words for times": (lambda f: _frames(f, THREE, "a\nb\nc\n"), False),
+    "one frame": (lambda f: _frames(f, {"0.png": _grey()}, "0\n"), False),
+    "no timestamps": (lambda f: _frames(f, THREE, None), False),
+    "no pictures": (lambda f: _frames(f, {}), False),
+    "a folder among them": (lambda f: (_frames(f, THREE), (f / "3.png").mkdir()), True),
+    "times in a folder": (lambda f: (_frames(f, THREE, None), (f / "timestamps.txt").mkdir()), False),
+}
+
+
+@pytest.mark.parametrize("frames", FRAMES)
+def test_folders_of_frames(frames, tmp_path):
+    make, good = FRAMES[frames]
+    make(tmp_path / "frames")
+    before = structures.fingerprints(tmp_path)
+    words = "simulate dvs128 --stimulus frames --out out.h5 --quiet"
+    outcome = structures.run_here(words.split(), tmp_path, structures.MOST_CPU_S)
+    said = structures.complaint(Case("", words), outcome, before, structures.fingerprints(tmp_path))
+    assert not said, said
+    assert outcome.code == (0 if good else 2), outcome.said
+
+
+THEMSELVES = {  # file → (its text, a command that reads it)
+    "light.toml": ('[stimulus]\nkind = "file"\npath = "light.toml"\n',
+                   "simulate dvs128 --stimulus light.toml --out o.h5"),
+    "dark.toml": ('[stimulus]\nkind = "file"\npath = ".."\n', "simulate dvs128 --stimulus dark.toml --out o.h5"),
+    "null.toml": ('[stimulus]\nkind = "file"\npath = "a\\u0000b"\n', "simulate dvs128 --stimulus null.toml --out o.h5"),
+    "recipe.toml": ('[fit]\nrecordings = ["recipe.toml"]\nmodel = "recipe.toml"\n', "fit recipe.toml --out o"),
+    "none.toml": ('[fit]\nrecordings = []\nmodel = "dvs128"\n', "fit none.toml --out o"),
+    "pool.toml": ('[rates]\ntable = "pool.toml"\nfrequency_hz = [1.0]\nconditions = ["a"]\narrays = [{ mean = "a", '
+                  'spread = "a" }]\n', "rates pool.toml --out o"),
+    "latency.toml": ('[latency]\ntables = ["latency.toml"]\ncameras = ["a"]\nname = "a"\nsummary = "a"\n',
+                     "latency latency.toml --out o"),
+    "static_noise_pos_1.2.3lux.npy": ("", "inspect static_noise_pos_1.2.3lux.npy"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("file", THEMSELVES)
+def test_files_that_name_themselves_or_nothing(file, tmp_path):
+    text, words = THEMSELVES[file]
+    (tmp_path / file).write_text(text)
+    before = structures.fingerprints(tmp_path)
+    outcome = structures.run_here(words.split(), tmp_path, structures.MOST_CPU_S)
+    said = structures.complaint(Case(file, words), outcome, before, structures.fingerprints(tmp_path))
+    assert not said, said
+    assert outcome.code == 2
+
+
+OUTS = {  # command that reads {file} → the file
+    "inspect {file} --out {out}": "four.h5", "convert {file} {out}": "four.h5",
+    "simulate dvs128 --stimulus {file} --out {out}": "four.h5", "fit {file} --model dvs128 --out {out}": "four.h5",
+    "fit four.h5 --model {file} --out {out}": "dvs128.toml", "fit {file} --out {out}": "recipe.toml",
+    "compare {file} --model dvs128 --model photoreceptor --out {out}": "four.h5",
+    "gap {file} --model dvs128 --out {out}": "four.h5", "conform {file} --model dvs128 --out {out}": "four.h5",
+    "sensor {file} --model dvs128 --out {out}": "four.h5", "flicker {file} --out {out}": "four.h5",
+    "noise {file} --out {out}": "noise.csv", "latency {file} --out {out}": "latency.csv",
+    "rates {file} --out {out}": "rates.csv", "lowlight {file} --out {out}": "dvs128.toml",
+    "lowlight gen31 --latency {file} --out {out}": "latency.csv", "design {file} --out {out}": "dvs128.toml",
+    "design dvs128 --menu {file} --out {out}": "menu.toml", "design dvs128 --recorded {file} --out {out}": "four.h5",
+    "export {file} --to v2e --out {out}": "dvs128.toml", "reconstruct {file} --out {out}": "scene",
+    "reconstruct scene --fit {file} --out {out}": "dvs128.toml", "render {file} --out {out}": "result_reconstruction",
+    "dataset eds {file} {out}": "scene",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("words", OUTS)
+def test_outputs_in_place_of_inputs_and_of_what_is_not_ours(words, plain):
+    """The input itself, what is above it, a folder of somebody else, a file of that name, below a file."""
+    mine = plain / "mine"
+    mine.mkdir(exist_ok=True)
+    (mine / "diary.txt").write_text("dear diary")
+    file = OUTS[words]
+    for out in (file, f"./{file}", str(plain / file), ".", "..", "mine", "four.h5/x", "noise.csv/x.h5", "mine/../mine"):
+        before = structures.fingerprints(plain)
+        told = [*words.format(file=file, out=out).split(), "--overwrite", "--quiet"]
+        outcome = structures.run_here(told, plain, structures.MOST_CPU_S)
+        after = structures.fingerprints(plain)
+        assert outcome.code == 2, (told, outcome.said)
+        assert before == after, told
+        assert not structures.complaint(Case(file, words), outcome, before, after)
