@@ -34,18 +34,8 @@ import pixelid.cli.main
 CPU_S, MOST_CPU_S = 5.0, 20  # of an answer that refuses; before a run is ended that computes
 FEW = replay.FEW
 COMPUTED = ("latency/", "noisefit/", "result_sensor/m", "eds/", "tumvie/")
-HEAVY = (
-    "--align auto",
-    "gap ",
-    "conform ",
-    "compare ",
-    "lowlight ",
-    "fit ",
-    "sensor ",
-    "reconstruct ",
-    "latency latency",
-    "design ",
-)
+HEAVY = ("--align auto", "gap ", "conform ", "compare ", "lowlight ", "fit ", "sensor ", "reconstruct ", "design ",
+         "latency latency", "noise noise.csv --out")  # fmt: skip
 
 
 @dataclass(frozen=True)
