@@ -8,6 +8,7 @@ import random
 import shutil
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -192,3 +193,29 @@ def test_outputs_in_place_of_inputs_and_of_what_is_not_ours(words, plain):
         assert outcome.code == 2, (told, outcome.said)
         assert before == after, told
         assert not structures.complaint(Case(file, words), outcome, before, after)
+
+
+@pytest.mark.parametrize(
+    "name", ["../../outside", "/tmp/outside", "..", ".", "file", "allow_pickle", "a\\b", "é" * 300]
+)
+def test_names_of_models_and_cameras_lead_nowhere(name, tmp_path):
+    """A model's name and a camera's label become names of files; `np.savez` takes some names for its own arguments."""
+    from pixelid.arrays import load_arrays
+    from pixelid.compare.compare import Comparison
+    from pixelid.model.shipped import find_model
+    from pixelid.tables.latency.result import _own_folder
+
+    folder = tmp_path / "result"
+    folder.mkdir()
+    model, written = find_model("ideal"), []
+    contender = SimpleNamespace(held_out=np.zeros(3), result=SimpleNamespace(model=model, write=written.append))
+    Comparison.write_companions(SimpleNamespace(contenders={name: contender}), folder)  # type: ignore[arg-type]
+    assert list(load_arrays(folder / "held_out.npz")) == [name]
+    (toml,) = folder.glob("*.toml")
+    assert [place.parent for place in written] == [folder / "fits"]
+    assert toml.parent == folder
+    assert list(tmp_path.iterdir()) == [folder]
+    first = _own_folder(folder, name)
+    first.mkdir()
+    assert first.resolve().parent == folder
+    assert _own_folder(folder, name) != first
