@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, TypeAlias
 from pixelid.errors import InputError
 
 if TYPE_CHECKING:
+    from pixelid.fit.pixel_levels import PixelLevelsLike
     from pixelid.fit.result import FitResult
     from pixelid.gap.result import GapReport
     from pixelid.inputs import ModelLike, RecordingsLike, StimulusLike
@@ -125,6 +126,7 @@ def fit(
     between: str = "auto",
     engine: str = "casadi",
     form: str = "discrete",
+    pixel_levels: PixelLevelsLike = None,
     seed: int = 0,
     progress: Progress | None = None,
 ) -> FitResult:
@@ -139,6 +141,8 @@ def fit(
         between: how the stimulus runs between its samples: "linear", "smooth", or "auto": as explains the events best.
         engine: "casadi", "torch" or "scipy"; all find the same maximum.
         form: "discrete", linearised once per stimulus step, or "continuous" in time, which takes longer.
+        pixel_levels: "gain", "background" or "both": each pixel sees gain · light + background, both unknown; with the
+            spread over pixels where it is known, {"gain": 0.2, "background": None}.
         seed: of the starts.
         progress: called with what is done and the fraction.
 
@@ -162,7 +166,7 @@ def fit(
     nuisances = {name: value for name, value in held.items() if name not in circuit.parameters}
     return run(
         opened, circuit, gauge=Gauge.parse(gauge) if isinstance(gauge, Mapping) else gauge, fixed=nuisances,
-        starts=starts, between=between, engine=engine, form=form, seed=seed,
+        starts=starts, between=between, engine=engine, form=form, pixel_levels=pixel_levels, seed=seed,
         progress=progress,
     )  # fmt: skip
 

@@ -32,6 +32,7 @@ Example:
               help="What maximises (default: casadi); all find the same optimum.")  # fmt: skip
 @click.option("--form", type=click.Choice(["discrete", "continuous"]),
               help="Linearised once per stimulus step (default), or continuous in time (slower).")  # fmt: skip
+@options.pixel_levels
 @options.crop
 @click.option("--sample", is_flag=True, help="Also draw from the posterior: posterior.nc, corner and trace plots.")
 @click.option("--profile", is_flag=True, help="Also profile every parameter: bounded, one-sided or flat.")
@@ -39,8 +40,8 @@ Example:
 @options.seed()
 @options.quiet
 def command(
-    recordings, model, out, with_, without, fix, gauge, between, engine, form, crop, sample, profile, overwrite, seed,
-    quiet,
+    recordings, model, out, with_, without, fix, gauge, between, engine, form, pixel_levels, crop, sample, profile,
+    overwrite, seed, quiet,
 ):  # fmt: skip
     """Fit a circuit to RECORDINGS (files or folders), or run a RECIPE.toml of fits/.
 
@@ -77,6 +78,8 @@ def command(
             recipe = replace(recipe, engine=engine)
         if form:
             recipe = replace(recipe, form=form)
+        if pixel_levels:
+            recipe = replace(recipe, pixel_levels=pixel_levels)
         with bar(quiet, compiles=True) as report:
             result = recipe.run(out, overwrite, report)
     if not quiet:

@@ -68,6 +68,8 @@ without = click.option("--without", multiple=True, metavar="EFFECT", help="Remov
 fix = click.option("--fix", multiple=True, metavar="NAME=VALUE", help="Hold a parameter at a value.")
 set_value = click.option("--set", "set_", multiple=True, metavar="name=value", help="Set a parameter.")
 gauge = click.option("--gauge", multiple=True, metavar="NAME=VALUE", help='E.g. q_in=0.875 or "A_loop=0.7 A_amp".')
+pixel_levels = click.option("--pixel-levels", metavar="gain|background|both", default="",
+                            help="Levels of every pixel that are not known; of known spread: gain=0.2.")  # fmt: skip
 alpha = click.option("--alpha", type=Number(0.0, 0.5, open_low=True), default=0.01, show_default=True,
                      help="Chance of a false alarm.")  # fmt: skip
 as_json = click.option("--json", "as_json", is_flag=True, help="Print JSON instead of a table.")

@@ -11,6 +11,7 @@ import numpy as np
 from pixelid.figures.style import INK, MUTED, OFF, ON, finish_pair, new_axes, new_pairs, save_figure, styled
 from pixelid.fit.coordinates import Coordinates
 from pixelid.fit.event_times import EventTimesObjective
+from pixelid.fit.pixel_levels import PixelLevels
 from pixelid.fit.pooled_rate import PooledRateObjective
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.likelihood.pooled_rate import PooledRate
@@ -38,16 +39,21 @@ class Fitted(Protocol):
     def seed(self) -> int: ...
     @property
     def details(self) -> Mapping: ...
+    @property
+    def pixel_levels(self) -> PixelLevels | None: ...
 
 
 def write_figures(result: Fitted, recordings: Sequence[Recording], folder: Path) -> list[Path]:
     """Write the figures of a fit as SVG into `folder`; returns their paths."""
     if result.observation == "pooled_rate":
         return [save_figure(draw_edges(result, recordings), folder / "edges.svg")]
-    return [
+    drawn = [
         save_figure(draw_conditions(result, recordings), folder / "conditions.svg"),
         save_figure(draw_residuals(result, recordings), folder / "residuals.svg"),
     ]
+    if result.pixel_levels is not None:
+        drawn.append(save_figure(draw_levels(result), folder / "levels.svg"))
+    return drawn
 
 
 @styled
@@ -69,9 +75,8 @@ def draw_conditions(result: Fitted, recordings: Sequence[Recording], axes: Any =
     rows = -(-len(shown) // columns)
     if axes is None:
         axes = new_pairs(rows, columns, 4.2, 3.4)
-    between = result.details.get("stimulus_between_samples", "linear")
     for axis, left, recording in zip(axes[::2].flat, axes[1::2].flat, shown, strict=False):
-        stimulus = with_fine_light(recording, between).stimulus
+        stimulus = _as_seen(result, [recording])[0].stimulus
         assert stimulus is not None
         edges = np.linspace(stimulus.start_s, stimulus.end_s, BINS + 1)
         events = recording.events
@@ -114,12 +119,50 @@ def draw_conditions(result: Fitted, recordings: Sequence[Recording], axes: Any =
 
 def standardised(result: Fitted, recordings: Sequence[Recording]) -> tuple[EventTimes, np.ndarray, np.ndarray]:
     """(likelihood, residuals, kept): (z − threshold) / σ of every interval, and which are not background events."""
-    between = result.details.get("stimulus_between_samples", "linear")
-    likelihood = EventTimes([with_fine_light(r, between) for r in recordings if r.stimulus])
+    likelihood = EventTimes(_as_seen(result, [r for r in recordings if r.stimulus]))
     objective = EventTimesObjective(likelihood, result.coordinates)
     terms = objective.terms(result.x)
     residual = (terms.z - terms.group_mean[likelihood.group]) / terms.scale
     return likelihood, residual, ~terms.background & ~terms.at_once
+
+
+def _as_seen(result: Fitted, recordings: Sequence[Recording]) -> list[Recording]:
+    """The recordings with the light that the fit read, of pixels with levels of their own as each saw it."""
+    between = result.details.get("stimulus_between_samples", "linear")
+    finer = [with_fine_light(recording, between) for recording in recordings]
+    return finer if result.pixel_levels is None else result.pixel_levels.seen(finer)
+
+
+@styled
+def draw_levels(result: Fitted, axes: Any = None) -> Any:
+    """Gain and background of every pixel with 95 % bars, sorted; lines: the spread over pixels.
+
+    Args:
+        result: a fit with levels.
+        axes: (2,), new ones by default.
+
+    Returns:
+        The axes.
+    """
+    levels = result.pixel_levels
+    assert levels is not None
+    if axes is None:
+        axes = new_axes(1, len(levels.scales), 4.6, 2.8)
+    unit = levels.scales.get("background", {}).get("unit", "")
+    drawn = {
+        "gain": (np.log(levels.gain), levels.ln_gain_sd, "ln gain, about the mean of these pixels"),
+        "background": (levels.background, levels.background_sd, f"background ({unit})"),
+    }
+    for axis, (kind, scale) in zip(np.ravel(axes), levels.scales.items(), strict=True):
+        value, sd, label = drawn[kind]
+        order = np.argsort(value)
+        rank = np.arange(1, len(value) + 1)
+        axis.errorbar(rank, value[order], 1.96 * sd[order], fmt=".", color=INK, linewidth=0.8, markersize=3)
+        for at in (-scale["value"], scale["value"]) if kind == "gain" else (scale["value"],):
+            axis.axhline(at, color=MUTED, linewidth=0.9)
+        axis.set(xlabel="pixel, in order of its value", ylabel=label)
+        axis.xaxis.get_major_locator().set_params(integer=True)
+    return axes
 
 
 @styled

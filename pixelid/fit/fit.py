@@ -14,10 +14,13 @@ from pixelid.fit.engines import FORMS, Engine
 from pixelid.fit.engines import engine as engine_named
 from pixelid.fit.event_times import EventTimesObjective
 from pixelid.fit.judge import open_sides, precision, residual_tests, status_of
+from pixelid.fit.level_scales import fit_levels
+from pixelid.fit.levels_found import pixel_levels as levels_of
 from pixelid.fit.measured_light import NO_PHYSICAL, as_light_tells, held_in_words, line_errors, unresolved
 from pixelid.fit.newton import Optimum
 from pixelid.fit.newton import maximise as newton_steps
 from pixelid.fit.own_values import held_values
+from pixelid.fit.pixel_levels import PixelLevelsLike, Wanted
 from pixelid.fit.pooled import fit_pooled
 from pixelid.fit.refine import BETWEEN, refine
 from pixelid.fit.result import FitResult, Stopwatch, estimates_of
@@ -55,6 +58,7 @@ def fit(
     between: str = "auto",
     engine: str = "casadi",
     form: str = "discrete",
+    pixel_levels: PixelLevelsLike = None,
     seed: int = 0,
     progress: Progress | None = None,
 ) -> FitResult:
@@ -81,6 +85,8 @@ def fit(
             result says so.
         form: "discrete", the photoreceptor linearised once per step of the stimulus, or "continuous", its coefficients
             following the light at every instant: started from the discrete optimum, see docs/fitting.md for the cost.
+        pixel_levels: "gain", "background" or "both" of every pixel are nuisances, and the light is not taken as exact
+            (`fit.pixel_levels`); with scales that are known, "gain=0.2,background=3" or {"gain": 0.2}.
         seed: of the random starts.
         progress: progress(what, fraction) is called as the fit goes on.
 
@@ -107,6 +113,9 @@ def fit(
         raise InputError("some recordings are pooled and some have pixels; fit them separately")
     for recording in recordings:
         recording.check_stimulus_covers_events()
+    wanted = Wanted.of(pixel_levels)
+    if wanted is not None:
+        wanted.check(recordings, model, form)
     recordings = with_told(with_pixel_lights([recording.within_stimulus() for recording in recordings]))
     sampled = any(map(is_measured, recordings))
     held, model = unresolved(model) if sampled else [], as_light_tells(model, recordings)
@@ -120,7 +129,7 @@ def fit(
         dispersion = details["dispersion"]
     else:
         objective, optimum, details, pixels = _fit_event_times(
-            recordings, model, fixed or {}, starts, between, maximiser, form, rng, report
+            recordings, model, fixed or {}, starts, between, maximiser, form, wanted, rng, report
         )
         dispersion = 1.0
     report("standard errors", 0.9)
@@ -140,6 +149,9 @@ def fit(
     else:
         details["curvature"] = "Hessian"
     reading = read_curvature(coordinates, curvature, optimum.on_bound)
+    levels = details.pop("levels", None)
+    if levels is not None:
+        levels = levels_of(levels, reading.covariance, optimum.on_bound, recordings[0].events.width)
     report("testing what the stimuli can tell", 0.95)
     identified, limits = challenged(objective, optimum.x, reading.identified, recordings)
     details["condition_number"] = reading.condition
@@ -182,16 +194,18 @@ def fit(
             *details.pop("caveats", ()),
             *held_in_words(held, recordings),
             *([apart] if apart else []),
+            *(levels.notes if levels is not None else ()),
         ),
         physical=physical,
         physical_why=why,
-        log_likelihood=optimum.local.value - coordinates.log_prior(optimum.x),
+        log_likelihood=details.pop("log_likelihood", optimum.local.value - coordinates.log_prior(optimum.x)),
         events=objective.likelihood.events,
         pixels=pixels,
         recordings=tuple(recording.name for recording in recordings),
         seconds=watch.seconds(),
         seed=seed,
         alignment=clocks_found(recordings, estimates),
+        pixel_levels=levels,
         details=details,
         versions=versions(),
         inputs_sha256=input_hashes(recording.source for recording in recordings),
@@ -206,7 +220,7 @@ def check_event_times(model: Model) -> None:
         )
 
 
-def _fit_event_times(recordings, model, fixed, starts, between, maximiser: Engine, form, rng, report):
+def _fit_event_times(recordings, model, fixed, starts, between, maximiser: Engine, form, wanted, rng, report):
     check_event_times(model)
     pixels = EventTimes(recordings).pixels
     scout = EventTimes(few(recordings, SCOUT_EVENTS, rng))
@@ -244,10 +258,17 @@ def _fit_event_times(recordings, model, fixed, starts, between, maximiser: Engin
         continuous = maximiser.continuous(objective, optimum.x)
         discrete = optimum
         optimum = newton_steps(continuous, discrete.x, tolerance=CONTINUOUS_TOLERANCE, max_steps=20)
+    levels = None
+    if wanted is not None:
+        report("gain and background of pixels", 0.9)
+        kinds = BETWEEN if between == "auto" else (between,)  # without levels events do not tell how light runs
+        levels = fit_levels(recordings, coordinates, optimum.x, wanted, kinds)
+        objective, optimum = levels.objective, levels.optimum
     background = objective.terms(optimum.x).unexplained
     details = {
         "stimulus_between_samples": refined.between,
         **refined.details,
+        **({} if levels is None else levels.details),
         "starts": len(ends),
         "starts_at_this_optimum": agree,
         "steps": optimum.steps,
@@ -259,6 +280,8 @@ def _fit_event_times(recordings, model, fixed, starts, between, maximiser: Engin
     }
     if form == "continuous":
         details["continuous_minus_discrete_nats"] = float(optimum.local.value - discrete.local.value)
+    if levels is not None:
+        details |= {"levels": levels, "log_likelihood": objective.terms(optimum.x).total}
     return objective, optimum, details, pixels
 
 

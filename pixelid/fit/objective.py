@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
+from typing import Any, Self
 
 import numpy as np
 
@@ -23,6 +24,11 @@ class Objective(ABC):
     """A log posterior over the coordinates of a model."""
 
     coordinates: Coordinates
+    likelihood: Any
+
+    def on(self, coordinates: Coordinates) -> Self:
+        """The same log posterior over other coordinates."""
+        return type(self)(self.likelihood, coordinates)  # pyright: ignore[reportCallIssue]
 
     @abstractmethod
     def value(self, x: np.ndarray) -> float:

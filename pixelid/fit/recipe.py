@@ -10,6 +10,7 @@ gauge = ["q_in=0.875"]          statements for physical values
 between = "auto"                "linear", "smooth" or "auto"
 engine = "casadi"               "casadi", "torch" or "scipy"
 form = "discrete"               "discrete" or "continuous"
+pixel_levels = ""               "gain", "background" or "both" of every pixel unknown; "gain=0.2": by that much
 sample, profile = false         also draw from the posterior, also profile every parameter
 roi = [0, 0, 64, 64]            only these columns and rows (as --roi), time = [0.0, 0.5], pixels = 25,
 without_hot_pixels = true       likewise
@@ -26,6 +27,7 @@ from pixelid.documents import read_toml
 from pixelid.errors import InputError, did_you_mean, shown
 from pixelid.fit.engines import ENGINES, FORMS
 from pixelid.fit.fit import fit
+from pixelid.fit.pixel_levels import Wanted
 from pixelid.fit.result import FitResult
 from pixelid.model.model import Model
 from pixelid.model.options import assignment, changed
@@ -48,6 +50,7 @@ _KEYS = {
     "profile",
     "engine",
     "form",
+    "pixel_levels",
     "roi",
     "time",
     "pixels",
@@ -72,6 +75,7 @@ class Recipe:
     engine: str = "casadi"
     form: str = "discrete"
     crop: Crop = field(default_factory=Crop)
+    pixel_levels: str = ""
 
     @staticmethod
     def of(
@@ -105,6 +109,14 @@ class Recipe:
             statements[name.strip()] = value.strip()
         return Gauge.parse(statements) if statements else None
 
+    def prepared_levels(self) -> Wanted | None:
+        """The levels of pixels asked for, or None."""
+        levels = Wanted.of(self.pixel_levels or None, "--pixel-levels")
+        if levels is not None and (self.sample or self.profile):
+            option = "--sample" if self.sample else "--profile"
+            raise InputError(f"{option}: not with --pixel-levels, whose levels would be held at their estimates")
+        return levels
+
     def run(
         self, out: Path, overwrite: bool = False, progress: Callable[[str, float], None] | None = None
     ) -> FitResult:
@@ -113,7 +125,7 @@ class Recipe:
         from pixelid.report.html import write_report
 
         model, _ = self.prepared_model()
-        gauge = self.prepared_gauge()
+        gauge, levels = self.prepared_gauge(), self.prepared_levels()
         recordings = open_recordings(self.recordings, self.crop, self.seed)
         refuse_existing(out, overwrite)
         result = fit(
@@ -124,6 +136,7 @@ class Recipe:
             between=self.between,
             engine=self.engine,
             form=self.form,
+            pixel_levels=levels,
             seed=self.seed,
             progress=progress,
         )
@@ -159,7 +172,7 @@ def read_recipe(path: Path) -> Recipe:
     for key in ("recordings", "model"):
         if key not in document:
             raise InputError(f"{path}: [fit] {key} is missing")
-    for key in ("model", "between"):
+    for key in ("model", "between", "pixel_levels"):
         if not isinstance(document.get(key, ""), str):
             raise InputError(f"{path}: [fit] {key} must be a string, found {shown(document[key])}")
 
@@ -187,6 +200,7 @@ def read_recipe(path: Path) -> Recipe:
         _choice(document, "engine", ENGINES, path),
         _choice(document, "form", FORMS, path),
         _crop(document, path),
+        document.get("pixel_levels", ""),
     )
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from pixelid.documents import interpreting
 from pixelid.errors import InputError
 from pixelid.fit.coordinates import Coordinates
+from pixelid.fit.pixel_levels import PixelLevels
 from pixelid.model.files import load_model, save_model
 from pixelid.model.model import Model
 from pixelid.parameters.invariants import PHYSICAL_UNITS
@@ -58,6 +59,7 @@ class FitResult(Result):
     estimates: every parameter by name;  x, covariance: optimum (d,) and covariance (d, d) in `coordinates`
     unidentified: sentences;  physical: circuit values under the gauge, or None with `physical_why`
     alignment: by recording, what was found of a clock that `convert --align` had estimated (docs/formats.md)
+    pixel_levels: gain and background of every pixel, None where they were not asked for
 
     Example:
         >>> import pixelid as px
@@ -87,6 +89,7 @@ class FitResult(Result):
     seconds: float
     seed: int
     alignment: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    pixel_levels: PixelLevels | None = None
     details: Mapping = field(default_factory=dict)
     versions: Mapping[str, str] = field(default_factory=dict)
     inputs_sha256: Mapping[str, str] = field(default_factory=dict)
@@ -114,6 +117,7 @@ class FitResult(Result):
             "pixels": self.pixels,
             "recordings": list(self.recordings),
             "alignment": {name: dict(clock) for name, clock in self.alignment.items()},
+            **({} if self.pixel_levels is None else {"pixel_levels": self.pixel_levels.as_dict()}),
             "details": dict(self.details),
             "nuisances": {name: as_document(p) for name, p in self.coordinates.nuisances.items()},
             "seconds": self.seconds,
@@ -146,6 +150,13 @@ class FitResult(Result):
             )
             headings = ("circuit", "value", "95 % interval", "unit")
             tables.append(Table("under the gauge", headings, physical, frozenset({"circuit", "unit"})))
+        if self.pixel_levels is not None:
+            spread = tuple(
+                (f"{kind} over pixels", number(scale["value"]), interval(scale["interval_95"]), scale["unit"])
+                for kind, scale in self.pixel_levels.scales.items()
+            )
+            headings = ("scale of", "value", "95 % interval", "unit")
+            tables.append(Table("levels of pixels", headings, spread, frozenset({"scale of", "unit"})))
         return tables
 
     def physical_intervals(self) -> dict[str, tuple[float, float] | None]:
@@ -193,7 +204,9 @@ class FitResult(Result):
             content, Path(folder) / cls.FILE,
             text=("status", "advice", "engine", "observation"), a_list_of_texts=("unidentified", "recordings"),
             a_number=("log_likelihood", "events", "pixels", "seconds", "seed"),
-            a_table=("covariance", "gauge", "alignment", "details", "nuisances", "versions", "inputs_sha256"),
+            a_table=(
+                "covariance", "gauge", "alignment", "pixel_levels", "details", "nuisances", "versions", "inputs_sha256",
+            ),
         )  # fmt: skip
         with interpreting(Path(folder) / cls.FILE, "a fit"):
             for name, words in content["details"].get("precision", {}).items():
@@ -234,6 +247,7 @@ class FitResult(Result):
                 physical_why=content["gauge"]["why_no_physical"],
                 recordings=tuple(content["recordings"]),
                 alignment={name: dict(clock) for name, clock in content.get("alignment", {}).items()},
+                pixel_levels=PixelLevels.from_dict(content["pixel_levels"]) if "pixel_levels" in content else None,
                 versions=content["versions"],
                 inputs_sha256=content["inputs_sha256"],
                 **known,

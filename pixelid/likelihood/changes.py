@@ -13,6 +13,8 @@ same, and counts from the end of that silence on: what it is there has not been 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -47,6 +49,7 @@ from pixelid.stages.circuit import Circuit
 from pixelid.stages.comparator import threshold_shifts
 from pixelid.stages.differencing import leaked, leaks
 from pixelid.stimuli.drive import StackedDrive, stacked_drive
+from pixelid.stimuli.stimulus import Stimulus
 
 PER_EVENT = ("change", "slope", "drift", "drift_slope", "opposite", "opposite_drift", "early")
 PER_PIXEL = ("rise", "rise_drift", "fall", "fall_drift")
@@ -98,6 +101,13 @@ class ChangeEvaluator:
                 (intervals.last_s, section.last_light),
             )
         )
+
+    def with_lights(self, lights: Sequence[Stimulus]) -> ChangeEvaluator:
+        """The same intervals under other lights, sampled at the same times."""
+        other = copy(self)
+        other.section = replace(self.section, lights=tuple(lights))
+        other._trajectories = self._trajectories.under(lights)
+        return other
 
     def trajectory(self, circuit: Circuit, keep: bool = False) -> Trajectory:
         """The trajectories of this section's lights, one after the other; `keep`: see `Trajectories.of`."""

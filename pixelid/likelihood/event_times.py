@@ -21,6 +21,7 @@ from pixelid.likelihood.sections import sections_of
 from pixelid.parallel import map_threads
 from pixelid.recordings.recording import Recording
 from pixelid.stages.circuit import Circuit
+from pixelid.stimuli.stimulus import Stimulus
 
 NUDGE_S = 1e-7  # of the release, to find how a level depends on it: 1e-3 of a dead time, 1e7 times a float's rounding
 MOST_CLOCK_SHARE = 100.0  # a level that falls ten times as fast by its reset as it rises: the light has all but turned
@@ -224,6 +225,12 @@ class EventTimes:
             return self
         other = copy(self)
         other.clocks = clocks
+        return other
+
+    def with_lights(self, lights: Sequence[Sequence[Stimulus]]) -> EventTimes:
+        """The same likelihood under other lights, those of each section, sampled at the same times."""
+        other = copy(self)
+        other.evaluators = tuple(e.with_lights(some) for e, some in zip(self.evaluators, lights, strict=True))
         return other
 
     def with_threshold_factor(self, factor: np.ndarray | None) -> EventTimes:

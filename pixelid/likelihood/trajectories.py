@@ -67,6 +67,10 @@ class Trajectories:
             self._latest = key, made
         return made
 
+    def under(self, lights: Sequence[Stimulus]) -> Trajectories:
+        """Trajectories under other lights, none of them made yet."""
+        return Trajectories(lights, self._end_s, self._remember)
+
     def forget(self) -> None:
         """Drop the remembered trajectory."""
         self._latest = None

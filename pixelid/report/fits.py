@@ -39,7 +39,26 @@ def prepare_fit(result: Result, folder: Path) -> dict[str, Any]:
     return {
         "truth": read_json(truth) if truth.is_file() else None,
         "physical": _physical(result),
+        "levels": _levels(result),
     }
+
+
+def _levels(result: Result) -> dict[str, list[list[str]]] | None:
+    """How far levels of pixels spread, and what they cost the camera's parameters; None where nobody asked."""
+    found = result.get("pixel_levels")
+    if not found:
+        return None
+    words = {"gain": "ln gain (standard deviation)", "background": "background (root mean square)"}
+    scales = []
+    for kind, scale in found["scales"].items():
+        shown = in_its_unit(scale)
+        said = "given" if scale["given"] else shown.interval
+        scales.append([words.get(kind, kind), shown.value, said, shown.unit])
+    camera = [
+        [name, *(number(sd[key], 2) for key in ("sd", "sd_if_levels_known", "growth", "sd_of_these_pixels"))]
+        for name, sd in found["camera"].items()
+    ]
+    return {"scales": scales, "camera": camera}
 
 
 def _physical(result: Result) -> list[list[str]]:

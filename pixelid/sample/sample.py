@@ -44,10 +44,12 @@ def sample(
     It stops when N > 50 τ, the nested R̂ < 1.01 and `wanted` effective samples are there for every parameter, or at
     `max_steps`: then `status` says that it did not converge.
 
-    Raises InputError for fewer than two ensembles.
+    Raises InputError for fewer than two ensembles, and for a fit with levels of pixels.
     """
     if ensembles < 2:
         raise InputError(f"sample: expected at least 2 independent ensembles, found {ensembles}")
+    if result.pixel_levels is not None:
+        raise InputError("sample: not of a fit with pixel_levels, whose levels would be held at their estimates")
     watch = Stopwatch()
     report = progress or (lambda what, fraction: None)
     target = Target(result, recordings)

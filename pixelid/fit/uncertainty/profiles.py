@@ -11,6 +11,7 @@ from typing import TypeAlias
 
 import numpy as np
 
+from pixelid.errors import InputError
 from pixelid.fit.coordinates import Coordinates
 from pixelid.fit.event_times import EventTimesObjective
 from pixelid.fit.newton import maximise
@@ -167,7 +168,7 @@ def at_fixed(objective, x: np.ndarray, i: int, wanted: float | None = None) -> t
     others = np.arange(len(x)) != i
     own = _own_prior(objective.coordinates.parameters[i], float(x[i]))
     end = maximise(
-        type(objective)(objective.likelihood, held), x[others], tolerance=1e-2, max_steps=STEPS_OF_OTHERS,
+        objective.on(held), x[others], tolerance=1e-2, max_steps=STEPS_OF_OTHERS,
         wanted=None if wanted is None else wanted - own,
     )  # fmt: skip
     full = x.copy()
@@ -202,7 +203,12 @@ def objective_of(result: FitResult, recordings: Sequence[Recording]) -> Profiled
 def profiled(
     result: FitResult, recordings: Sequence[Recording], progress: Callable[[str, float], None] | None = None
 ) -> FitResult:
-    """The result with every free parameter profiled: `details["profiles"]`, and identified only where bounded."""
+    """The result with every free parameter profiled: `details["profiles"]`, and identified only where bounded.
+
+    Raises InputError for a fit with levels of pixels.
+    """
+    if result.pixel_levels is not None:
+        raise InputError("profile: not of a fit with pixel_levels, whose levels would be held at their estimates")
     objective = objective_of(result, recordings)
     dispersion = float(result.details.get("dispersion", 1.0))
     profiles = {}
