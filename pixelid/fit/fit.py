@@ -248,27 +248,26 @@ def _fit_event_times(recordings, model, fixed, starts, between, maximiser: Engin
     best = max(ends, key=lambda end: end.local.value)
     agree = sum(end.local.value > best.local.value - 1.0 for end in ends)
     sampled = any(map(is_measured, recordings))  # then only the samples are known
-    refined = refine(
-        recordings, coordinates, best.x, ("linear",) if sampled else BETWEEN if between == "auto" else (between,),
-        maximiser, rng, lambda share: report("refining", 0.5 + 0.4 * share),
-    )  # fmt: skip
-    objective, optimum = refined.objective, refined.optimum
+    kinds = ("linear",) if sampled else BETWEEN if between == "auto" else (between,)
+    levels = None
+    if wanted is None:
+        refined = refine(
+            recordings, coordinates, best.x, kinds, maximiser, rng, lambda share: report("refining", 0.5 + 0.4 * share)
+        )
+        objective, optimum = refined.objective, refined.optimum
+        found = {"stimulus_between_samples": refined.between, **refined.details}
+    else:  # without levels the optimum of all events is far off, and how light runs between its samples is not told
+        report("gain and background of pixels", 0.5)
+        levels = fit_levels(recordings, coordinates, (best.x, coordinates.start), wanted, kinds)
+        objective, optimum, found = levels.objective, levels.optimum, levels.details
     if form == "continuous":
         report("continuous form", 0.9)
         continuous = maximiser.continuous(objective, optimum.x)
         discrete = optimum
         optimum = newton_steps(continuous, discrete.x, tolerance=CONTINUOUS_TOLERANCE, max_steps=20)
-    levels = None
-    if wanted is not None:
-        report("gain and background of pixels", 0.9)
-        kinds = BETWEEN if between == "auto" else (between,)  # without levels events do not tell how light runs
-        levels = fit_levels(recordings, coordinates, optimum.x, wanted, kinds)
-        objective, optimum = levels.objective, levels.optimum
     background = objective.terms(optimum.x).unexplained
     details = {
-        "stimulus_between_samples": refined.between,
-        **refined.details,
-        **({} if levels is None else levels.details),
+        **found,
         "starts": len(ends),
         "starts_at_this_optimum": agree,
         "steps": optimum.steps,

@@ -110,14 +110,15 @@ class Levelled:
 
 
 def fit_levels(
-    recordings: Sequence[Recording], coordinates: Coordinates, x: np.ndarray, wanted: Wanted, between: Sequence[str]
-) -> Levelled:
-    """The camera's parameters, all levels and their scales, from x, the optimum without levels.
+    recordings: Sequence[Recording], coordinates: Coordinates, starts: Sequence[np.ndarray], wanted: Wanted,
+    between: Sequence[str],
+) -> Levelled:  # fmt: skip
+    """The camera's parameters, all levels and their scales.
 
     Args:
         recordings: with pixel addresses and a light each.
         coordinates: of the camera.
-        x: (d,) where to begin.
+        starts: (d,) each, the likeliest of which is begun at: ends of searches without levels, which may be far off.
         wanted: what is asked for.
         between: how light may run between its samples (`refine.BETWEEN`); the likeliest is kept.
 
@@ -127,7 +128,7 @@ def fit_levels(
     ends: dict[str, Levelled] = {}
     for kind in between:
         finer = [with_fine_light(recording, kind) for recording in recordings]
-        ends[kind] = _in_rounds(finer, coordinates, x, wanted, next(iter(ends.values()), None))
+        ends[kind] = _in_rounds(finer, coordinates, starts, wanted, next(iter(ends.values()), None))
     evidence = {kind: end.objective.evidence(end.optimum.x) for kind, end in ends.items()}
     best = max(evidence, key=lambda kind: evidence[kind])
     details = {**ends[best].details, "stimulus_between_samples": best}
@@ -137,8 +138,9 @@ def fit_levels(
 
 
 def _in_rounds(
-    recordings: Sequence[Recording], coordinates: Coordinates, x: np.ndarray, wanted: Wanted, begin: Levelled | None
-) -> Levelled:
+    recordings: Sequence[Recording], coordinates: Coordinates, starts: Sequence[np.ndarray], wanted: Wanted,
+    begin: Levelled | None,
+) -> Levelled:  # fmt: skip
     """As `fit_levels`, under light that is sampled finely; scales and levels begin where `begin` ended."""
     pixels = np.unique(np.concatenate([recording.events.pixel for recording in recordings]))
     own = with_own_lights(recordings, pixels)
@@ -148,6 +150,7 @@ def _in_rounds(
     if begin is None:
         scales = Scales(**{kind: wanted.given.get(kind, START[kind] * unit[kind]) for kind in wanted.kinds})
         objective = LevelledObjective(likelihood, coordinates, scales, tolerance=FAR_TOLERANCE)
+        x = max(starts, key=lambda start: np.nan_to_num(objective.value(start), nan=-np.inf))
         _refuse_untold(objective, x)
         x = maximise(objective, x, tolerance=FAR_NATS, max_steps=FAR_STEPS).x
         objective = LevelledObjective(likelihood, coordinates, scales, objective.best(x).u)
