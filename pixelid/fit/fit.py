@@ -46,6 +46,7 @@ MORE_STARTS, FAR = 6, 1.0  # tried one after the other, factors e^±FAR away, wh
 # Nats: a step of 0.01 standard errors, well below the difference of the two forms; each step integrates anew.
 CONTINUOUS_TOLERANCE = 1e-4
 SCOUT_EVENTS = 6_000  # events the search from afar looks at
+WARM_STEPS = 10  # of such a search before levels of pixels are looked at: orders of magnitude, not an optimum
 
 
 def fit(
@@ -240,11 +241,17 @@ def _fit_event_times(recordings, model, fixed, starts, between, maximiser: Engin
     def feasible_start(point: np.ndarray) -> np.ndarray:
         return Coordinates.of(feasible(coordinates.model_at(point), scout), clocks).start
 
-    search(coordinates.start)
-    for point in random_starts(coordinates.start, starts, rng):
-        search(feasible_start(point))
-    while not max(ends, key=lambda end: end.local.value).converged and len(ends) <= starts + MORE_STARTS:
-        search(feasible_start(random_starts(coordinates.start, 1, rng, FAR)[0]))
+    if wanted is None:
+        search(coordinates.start)
+        for point in random_starts(coordinates.start, starts, rng):
+            search(feasible_start(point))
+        while not max(ends, key=lambda end: end.local.value).converged and len(ends) <= starts + MORE_STARTS:
+            search(feasible_start(random_starts(coordinates.start, 1, rng, FAR)[0]))
+    else:  # searches without levels end far off, if they end: a few steps tell which start is the best
+        for point in (coordinates.start, *map(feasible_start, random_starts(coordinates.start, starts, rng))):
+            ends.append(
+                newton_steps(EventTimesObjective(scout, coordinates), point, tolerance=1.0, max_steps=WARM_STEPS)
+            )
     best = max(ends, key=lambda end: end.local.value)
     agree = sum(end.local.value > best.local.value - 1.0 for end in ends)
     sampled = any(map(is_measured, recordings))  # then only the samples are known

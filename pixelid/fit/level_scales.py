@@ -35,10 +35,11 @@ from pixelid.fit.pixel_levels import (
     half_normal_slope,
     with_own_lights,
 )
-from pixelid.fit.refine import BETWEEN
+from pixelid.fit.refine import BETWEEN, PART_EVENTS
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.recordings.own_light import with_fine_light
 from pixelid.recordings.recording import Recording
+from pixelid.recordings.selection import few
 from pixelid.stimuli.pixel_lights import PixelLights
 
 START = {GAIN: 0.2, BACKGROUND: 0.05}  # of ln gain; of the dimmest light's mean
@@ -48,7 +49,8 @@ LEAST, MOST = 1e-3, 2.0
 # Of ln scale: a tenth of its standard error for 25 pixels.  Of x: squared, in standard errors.
 SETTLED, MOST_ROUNDS = 0.015, 12
 ROUND_NATS = 1e-4  # that a step of the camera's parameters may still promise: 0.014 standard errors
-FAR_NATS, FAR_TOLERANCE, FAR_STEPS = 1.0, 1e-2, 40  # the same, and of the levels, where scales are guesses
+FAR_NATS, FAR_STEPS = 1.0, 40  # the same, and most steps, where scales are guesses
+FAR_LEVELS = {"tolerance": 1e-2, "most_steps": 6}  # levels need not be at their best there: a better θ moves them more
 VOLUME_STEP = 1e-2  # in standard errors of θ, for the slope of ln det
 DROP_NATS = 1.9207  # 95 %
 UNTOLD = 1e-6  # of a level's variance that events take away: they do not depend on it
@@ -142,18 +144,19 @@ def _in_rounds(
     begin: Levelled | None,
 ) -> Levelled:  # fmt: skip
     """As `fit_levels`, under light that is sampled finely; scales and levels begin where `begin` ended."""
-    pixels = np.unique(np.concatenate([recording.events.pixel for recording in recordings]))
-    own = with_own_lights(recordings, pixels)
+    own = with_own_lights(recordings)
     likelihood, (dimmest, brightest) = EventTimes(own), _mean_lights(own)
     unit = {GAIN: 1.0, BACKGROUND: dimmest}
     limits = {GAIN: (LEAST, MOST), BACKGROUND: (LEAST * dimmest, MOST * brightest)}
     if begin is None:
         scales = Scales(**{kind: wanted.given.get(kind, START[kind] * unit[kind]) for kind in wanted.kinds})
-        objective = LevelledObjective(likelihood, coordinates, scales, tolerance=FAR_TOLERANCE)
-        x = max(starts, key=lambda start: np.nan_to_num(objective.value(start), nan=-np.inf))
-        _refuse_untold(objective, x)
-        x = maximise(objective, x, tolerance=FAR_NATS, max_steps=FAR_STEPS).x
-        objective = LevelledObjective(likelihood, coordinates, scales, objective.best(x).u)
+        part = EventTimes(few(own, PART_EVENTS, np.random.default_rng(0)))
+        first = LevelledObjective(part, coordinates, scales, **FAR_LEVELS)
+        x = max(starts, key=lambda start: np.nan_to_num(first.value(start), nan=-np.inf))
+        _refuse_untold(first, x)
+        x = maximise(first, x, tolerance=FAR_NATS, max_steps=FAR_STEPS).x
+        start = first.best(x).u if part.pixels == likelihood.pixels else None
+        objective = LevelledObjective(likelihood, coordinates, scales, start)
     else:
         old, x = begin.objective, begin.optimum.x
         scales = old.scales

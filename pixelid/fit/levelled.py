@@ -65,15 +65,16 @@ class LevelledObjective(EventTimesObjective):
         scales: how far levels spread.
         start: (p, k) levels to begin at; None: 0.
         tilt: by parameter, (slope, coordinate where it was told).
-        tolerance: nats that all levels together may still promise.
+        tolerance, most_steps: nats that all levels together may still promise; steps after which they are left there.
     """
 
     def __init__(
         self, likelihood: EventTimes, coordinates: Coordinates, scales: Scales, start: np.ndarray | None = None,
         tilt: Mapping[str, tuple[float, float]] | None = None, tolerance: float = TOLERANCE,
+        most_steps: int = MOST_STEPS,
     ) -> None:  # fmt: skip
         super().__init__(likelihood, coordinates)
-        self.scales, self.tilt, self.tolerance = scales, dict(tilt or {}), tolerance
+        self.scales, self.tilt, self.tolerance, self.most_steps = scales, dict(tilt or {}), tolerance, most_steps
         self._start = np.zeros((likelihood.pixels, len(scales.kinds))) if start is None else start
         self._of_lights = _pixel_of_lights(likelihood)
         self._found: tuple[bytes, At] | None = None
@@ -96,7 +97,7 @@ class LevelledObjective(EventTimesObjective):
             return self._found[1]
         here = self._around(x, self._guess(x))
         damping, mixed = np.zeros(len(here.u)), False
-        for _ in range(MOST_STEPS):
+        for _ in range(self.most_steps):
             B = here.block + damping[:, None, None] * _diagonals(here.block)
             step = np.linalg.solve(B, here.score[:, :, None])[:, :, 0]
             step /= np.maximum(1.0, np.abs(step).max(axis=1, keepdims=True))

@@ -11,6 +11,7 @@ from pixelid.fit.level_scales import Levelled, Told, told_by_events
 from pixelid.fit.levelled import Joint
 from pixelid.fit.pixel_levels import BACKGROUND, GAIN, PixelLevels, Scales, half_normal, places
 
+UNTOLD = 0.75  # of a level's variance that events leave
 CARRIED = 0.9  # of a standard error, below which knowing the mean gain would make a difference
 NOTHING = np.empty(0)
 
@@ -42,7 +43,7 @@ def pixel_levels(found: Levelled, covariance: np.ndarray, on_bound: np.ndarray, 
     return PixelLevels(
         px, py, levels[GAIN] if GAIN in sd else NOTHING, sd.get(GAIN, NOTHING),
         levels[BACKGROUND] if BACKGROUND in sd else NOTHING, sd.get(BACKGROUND, NOTHING),
-        {kind: _scale(found, kind, told[kind]) for kind in scales.kinds}, camera, notes(scales, camera, len(u)),
+        {kind: _scale(found, kind, told[kind]) for kind in scales.kinds}, camera, notes(scales, camera, variance),
     )  # fmt: skip
 
 
@@ -73,17 +74,28 @@ def _camera(names, covariance, these, known, free) -> dict[str, dict[str, float]
     return out
 
 
-def notes(scales: Scales, camera: Mapping[str, Mapping[str, float]], pixels: int) -> tuple[str, ...]:
-    """What levels that all pixels share cannot be told from."""
-    said = []
+def notes(scales: Scales, camera: Mapping[str, Mapping[str, float]], variance: np.ndarray) -> tuple[str, ...]:
+    """What levels that all pixels share cannot be told from, and which levels single pixels hardly tell.
+
+    Args:
+        scales: of the levels.
+        camera: see `PixelLevels`.
+        variance: (p, k) of the levels, 1 before there are events.
+    """
+    said, pixels = [], len(variance)
     if scales.gain is not None:
-        text = "a gain common to all pixels cannot be told from the radiance's scale: the mean of ln gain is held at 0"
+        text = "a gain common to all pixels is another scale of the radiance: the mean of ln gain is held at 0"
         if carried := [name for name, sd in camera.items() if sd["sd_of_these_pixels"] < CARRIED * sd["sd"]]:
             share = 100.0 * scales.gain / np.sqrt(pixels)
             text += f"; these {pixels} may be {share:.2g} % off it, which the errors of {', '.join(carried)} hold"
         said.append(text)
     if scales.background is not None:
         said.append("a background common to all pixels cannot be told from a dark current: it holds both")
+    for kind, left in zip(scales.kinds, np.median(variance, axis=0), strict=True):
+        if left > UNTOLD:
+            said.append(
+                f"the {kind} of single pixels is hardly told by their events: it is known little better than its spread"
+            )
     return tuple(said)
 
 

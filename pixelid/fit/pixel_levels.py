@@ -19,6 +19,7 @@ from pixelid.errors import InputError, shown
 from pixelid.likelihood.layout import FLAT_BITS
 from pixelid.model.model import Model
 from pixelid.recordings.recording import Recording
+from pixelid.recordings.selection import only
 from pixelid.recordings.sensor_light import is_measured
 from pixelid.stimuli.pixel_lights import UNKNOWN, PixelLights, pixel_lights
 from pixelid.stimuli.stimulus import Stimulus
@@ -181,25 +182,26 @@ class PixelLevels:
         arrays |= {name: arrays[name].astype(np.int64) for name in ("x", "y")}
         if any(a.ndim != 1 or len(a) not in (0, len(arrays["x"])) for a in (arrays["y"], *arrays.values())):
             raise ValueError("pixel_levels.pixels: arrays of different lengths")
-        others = {"scales": document["scales"], "camera": document["camera"], "notes": tuple(document["notes"])}
-        return PixelLevels(**arrays, **others)
+        scales, camera = document["scales"], document["camera"]
+        for scale in scales.values():
+            if not isinstance(scale["value"], float | int) or not isinstance(scale["unit"], str):
+                raise ValueError("pixel_levels.scales: expected a value and its unit")
+            if scale["interval_95"] is not None and len(scale["interval_95"]) != 2:
+                raise ValueError("pixel_levels.scales: expected an interval of two ends")
+        return PixelLevels(**arrays, scales=scales, camera=camera, notes=tuple(map(str, document["notes"])))
 
     def seen(self, recordings: Sequence[Recording]) -> list[Recording]:
         """The recordings with the light that each of these pixels saw; of other pixels nothing is left."""
-        width = recordings[0].events.width
-        flat = self.y * width + self.x
-        gain = self.gain if len(self.gain) else np.ones(len(flat))
-        background = self.background if len(self.background) else np.zeros(len(flat))
+        flat = self.y * recordings[0].events.width + self.x
+        gain = dict(zip(flat, self.gain if len(self.gain) else np.ones(len(flat)), strict=True))
+        background = dict(zip(flat, self.background if len(self.background) else np.zeros(len(flat)), strict=True))
         out = []
-        for recording in with_own_lights(recordings, flat):
+        for recording in with_own_lights(only(recordings, flat)):
             light = recording.stimulus
             assert isinstance(light, PixelLights)
-            order = light.of_pixels(flat)
-            lights = list(light.lights)
-            for k, a, b in zip(order, gain, background, strict=True):
-                lights[k] = seen_by(lights[k], a, b)
-            events = recording.events.select(np.isin(recording.events.pixel, flat))
-            out.append(replace(recording.with_stimulus(light.with_lights(lights)), events=events))
+            pixels = np.unique(recording.events.pixel)
+            lights = [seen_by(light.lights[k], gain[p], background[p]) for k, p in enumerate(pixels)]
+            out.append(recording.with_stimulus(light.with_lights(lights)))
         return out
 
 
@@ -211,11 +213,11 @@ def seen_by(light: Stimulus, gain: float, background: float) -> Stimulus:
     return replace(light, radiance=gain * light.radiance.astype(np.float64) + background)
 
 
-def with_own_lights(recordings: Sequence[Recording], pixels: np.ndarray) -> list[Recording]:
-    """The recordings with a light for each of these pixels (flat indices), shared by none."""
+def with_own_lights(recordings: Sequence[Recording]) -> list[Recording]:
+    """The recordings with a light for each pixel that fires in them, in order of the pixels, shared by none."""
     out = []
     for recording in recordings:
-        light = recording.stimulus
+        light, pixels = recording.stimulus, np.unique(recording.events.pixel)
         assert light is not None
         grouped = pixel_lights(light, pixels)
         if grouped is None:

@@ -19,6 +19,7 @@ from pixelid.fit.pixel_levels import PixelLevels, Scales, Wanted, half_normal, h
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.model.shipped import find_model
 from pixelid.recordings.recording import Recording
+from pixelid.recordings.selection import only
 from pixelid.simulate import simulate
 from pixelid.stimuli.pixel_lights import PixelLights
 from pixelid.stimuli.shapes import grating, sine
@@ -39,7 +40,7 @@ def recording() -> Recording:
 
 @pytest.fixture(scope="module")
 def objective(recording) -> LevelledObjective:
-    likelihood = EventTimes(with_own_lights([recording], np.arange(4)))
+    likelihood = EventTimes(with_own_lights([recording]))
     return LevelledObjective(likelihood, Coordinates.of(MODEL), SCALES)
 
 
@@ -199,8 +200,9 @@ def test_refusals(recording):
 
 
 def test_each_pixel_has_its_own_light(recording):
+    three = only([recording], np.array([0, 2, 3]))[0]
     for light in (recording.stimulus, sine(), PixelLights.of_video(recording.stimulus)):
-        own = with_own_lights([recording.with_stimulus(light)], np.array([0, 2, 3]))[0].stimulus
+        own = with_own_lights([three.with_stimulus(light)])[0].stimulus
         assert len(own.lights) == 3
         np.testing.assert_array_equal(own.of_pixel, [[0, -1], [1, 2]])
     np.testing.assert_array_equal(own.lights[1].radiance, recording.stimulus.radiance[:, 1, 0])
