@@ -15,6 +15,7 @@ from pixelid.fit.engines import engine as engine_named
 from pixelid.fit.event_times import EventTimesObjective
 from pixelid.fit.judge import open_sides, precision, residual_tests, status_of
 from pixelid.fit.level_scales import fit_levels
+from pixelid.fit.levelled import LevelledObjective
 from pixelid.fit.levels_found import pixel_levels as levels_of
 from pixelid.fit.measured_light import NO_PHYSICAL, as_light_tells, held_in_words, line_errors, unresolved
 from pixelid.fit.newton import Optimum
@@ -167,9 +168,14 @@ def fit(
         details["added_by_light_between_samples"] = dict(zip(coordinates.names, added.tolist(), strict=True))
     limits_95 = intervals(coordinates.names, optimum.x, reading.sd, pixels)
     bends = clocks_free or (reading.bends and not sampled and not all(pooled))
-    along = profile_of_ridge(objective, optimum.x, reading) if bends else None
+    # Levels are held along the ridge: fast poles and dead time, which make it, owe next to nothing to them.
+    ridge = objective.held(optimum.x) if isinstance(objective, LevelledObjective) else objective
+    along = profile_of_ridge(ridge, optimum.x, reading) if bends else None
     if along is not None:
-        limits_95 = widened(limits_95, along, objective, optimum.x, reading.covariance)
+        wider = widened(limits_95, along, ridge, optimum.x, reading.covariance)
+        if levels is not None:  # never narrower than with levels free
+            wider = np.minimum(wider[0], limits_95[0]), np.maximum(wider[1], limits_95[1])
+        limits_95 = wider
         details["intervals_follow_profile_of"] = along.name
     estimates, open_ones = open_sides(
         estimates_of(coordinates, optimum.x, reading.sd, identified, limits_95), coordinates.parameters

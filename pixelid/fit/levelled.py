@@ -38,6 +38,7 @@ STEP = 1e-6  # of a level in its standard deviations, for the slope of changes: 
 CURVATURE_STEP = 1e-4  # for the slope of scores, which are exact: as `Objective.difference_steps`
 TOLERANCE = 1e-7  # nats: below what the last steps of θ are judged by
 MOST_STEPS = 40
+ROUGH = 1e-3, 8  # tolerance and most steps over other coordinates, where 1.92 nats are asked about
 
 
 @dataclass(frozen=True)
@@ -82,7 +83,7 @@ class LevelledObjective(EventTimesObjective):
 
     def on(self, coordinates: Coordinates) -> LevelledObjective:
         start = self._start if self._found is None else self._found[1].u
-        return LevelledObjective(self.likelihood, coordinates, self.scales, start, self.tilt)
+        return LevelledObjective(self.likelihood, coordinates, self.scales, start, self.tilt, *ROUGH)
 
     def weighed(self, x: np.ndarray) -> LevelledObjective:
         """The same with timestamp noise counted as at x (`EventTimes.weighed`)."""
