@@ -6,12 +6,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from pixelid.gap.result import Limits
 from pixelid.results import interval, number
 
 PRESENT, ABSENT, NOT_DECIDABLE, NOT_TESTED = VERDICTS = ("present", "absent", "not_decidable", "not_tested")
 STAGES = ("photocurrent", "photoreceptor", "source_follower", "differencing", "comparator", "readout")
 
-Strength = tuple[float, tuple[float, float] | None]
+Strength = tuple[float, Limits]
 
 
 @dataclass(frozen=True)

@@ -70,7 +70,7 @@ class Field(torch.nn.Module):
         """(radiance, opacity), (n,) each."""
         return render(self.grid, torch.exp(self.log_background), rays, self.box(), engine, self.coefficients)
 
-    def look_for_emptyblocks(self) -> float:
+    def look_for_empty_blocks(self) -> float:
         """Renew which blocks are visited; the share of them."""
         floor = math.log(-math.log1p(-EMPTY) / self.step)
         values = self.grid.detach().cpu().numpy()
