@@ -23,7 +23,8 @@ from scipy.special import log_ndtr
 
 from pixelid.errors import InputError
 from pixelid.fit.coordinates import Coordinates
-from pixelid.fit.levelled import Joint, LevelledObjective
+from pixelid.fit.level_covariance import Joint
+from pixelid.fit.levelled import LevelledObjective
 from pixelid.fit.newton import Optimum, maximise
 from pixelid.fit.pixel_levels import (
     BACKGROUND,

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from pixelid.fit.level_covariance import Joint
 from pixelid.fit.level_scales import Levelled, Told, told_by_events
-from pixelid.fit.levelled import Joint
 from pixelid.fit.pixel_levels import BACKGROUND, GAIN, PixelLevels, Scales, half_normal, places
 
 UNTOLD = 0.75  # of a level's variance that events leave

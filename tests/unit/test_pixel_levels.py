@@ -12,8 +12,9 @@ from scipy.stats import halfnorm, norm
 from pixelid.errors import InputError
 from pixelid.fit.coordinates import Coordinates
 from pixelid.fit.event_times import EventTimesObjective
+from pixelid.fit.level_covariance import Joint
 from pixelid.fit.level_scales import Told
-from pixelid.fit.levelled import Joint, LevelledObjective
+from pixelid.fit.levelled import LevelledObjective
 from pixelid.fit.newton import maximise
 from pixelid.fit.pixel_levels import PixelLevels, Scales, Wanted, half_normal, half_normal_slope, with_own_lights
 from pixelid.likelihood.event_times import EventTimes
