@@ -14,7 +14,7 @@ from pixelid.gap.attribute.directions import Direction, Space
 from pixelid.gap.attribute.flexible import Flexible
 from pixelid.gap.confirm.free_run import FreeRun
 from pixelid.gap.options import Options
-from pixelid.gap.result import DescribedEffect, Named
+from pixelid.gap.result import DescribedEffect, Limits, Named
 
 
 @dataclass(frozen=True)
@@ -119,6 +119,20 @@ def _strengths(effect: Named) -> str:
     for name, (value, interval) in effect.parameters.items():
         if "[" in name:  # a recording's own, in the tables
             continue
-        bounds = f", 95 % {interval[0]:.4g}–{interval[1]:.4g}" if interval else ""
-        shown.append(f"{name} = {value:.4g}{bounds}")
+        shown.append(f"{name} = {value:.4g}{_within(interval)}")
     return "; ".join(shown)
+
+
+def _within(limits: Limits) -> str:
+    """The 95 % interval behind a value, in words where a side is open."""
+    match limits:
+        case None:
+            return ""
+        case None, None:
+            return ", which these recordings do not tell"
+        case low, None:
+            return f", 95 % above {low:.4g}"
+        case None, high:
+            return f", 95 % below {high:.4g}"
+        case low, high:
+            return f", 95 % {low:.4g}–{high:.4g}"

@@ -5,6 +5,8 @@ import pytest
 
 from pixelid.fit.maximise import maximise
 from pixelid.gap.confirm.intervals import _inverse_or_open, interval_95, open_sides
+from pixelid.gap.result import Named
+from pixelid.gap.verdict import describe
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.model.shipped import find_model
 from pixelid.simulate import simulate
@@ -42,3 +44,18 @@ def test_what_never_acts_has_its_whole_range():
     assert 0.2 < low < high < 0.3  # four pixels, each with a threshold of its own
     assert open_sides((low, high), model.parameter("on_threshold")) == (low, high)
     assert open_sides(None, model.parameter("on_threshold")) is None
+
+
+def test_a_verdict_says_which_strength_is_not_told():
+    strengths = {
+        "slew_limit.rise_per_s": (3000.0, (2990.0, 3010.0)),
+        "slew_limit.fall_per_s": (2500.0, (None, None)),
+        "leak.rate_hz": (1.0, (None, 2.0)),
+        "lower_cutoff.cutoff_hz": (1.0, (0.5, None)),
+    }
+    named = Named("slew_limit", 1e-9, 50.0, None, None, 0.0, "", strengths, "in steps")
+    sentence = describe("named", [named], [], None, None, "", None, 1e-9)
+    assert "rise_per_s = 3000, 95 % 2990–3010" in sentence
+    assert "fall_per_s = 2500, which these recordings do not tell" in sentence
+    assert "rate_hz = 1, 95 % below 2" in sentence
+    assert "cutoff_hz = 1, 95 % above 0.5" in sentence
