@@ -43,11 +43,13 @@ def read_interval_counts(path: Path) -> IntervalCounts:
         lux = float(match["light"]) * (1000.0 if match["kilo"] else 1.0)
     except ValueError:
         raise InputError(f"{path}: expected a number before lux in its name, found {match['light']!r}") from None
+    if not path.exists():
+        raise InputError(f"{path}: no such file")
     raw = load_arrays(path).get("", np.empty(0))
     if raw.ndim < 2 or raw.shape[-1] != len(EDGES_HZ) or not raw.size:
         raise InputError(f"{path}: expected an array of shape (…, {len(EDGES_HZ)}), found {np.shape(raw)}")
     if raw.dtype.kind not in "iuf" or not np.isfinite(raw).all() or raw.max() > MOST_INTERVALS:
-        raise InputError(f"{path}: expected counts of at most {MOST_INTERVALS}, found {raw.dtype}, NaN or larger ones")
+        raise InputError(f"{path}: expected finite counts of at most {MOST_INTERVALS}, found others ({raw.dtype})")
     below = raw.reshape(-1, len(EDGES_HZ))[:, :-1].astype(np.float64)  # whole numbers up to 2^53; unsigned ones wrap
     counts = np.diff(below, axis=1, prepend=0)
     if (counts < 0).any() or (raw[..., -1] != 0).any() or (counts != np.rint(counts)).any():

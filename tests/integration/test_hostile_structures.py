@@ -123,7 +123,17 @@ FRAMES = {  # → (how they are made, whether light can be made of them)
 }
 
 
+@pytest.fixture(scope="module")
+def compiled(tmp_path_factory):
+    """What videos need is compiled, which takes longer than an answer may."""
+    folder = tmp_path_factory.mktemp("compiled")
+    _frames(folder / "frames", THREE)
+    words = "simulate dvs128 --stimulus frames --out out.h5 --quiet"
+    assert structures.run_here(words.split(), folder, 600.0).code == 0
+
+
 @pytest.mark.parametrize("frames", FRAMES)
+@pytest.mark.usefixtures("compiled")
 def test_folders_of_frames(frames, tmp_path):
     make, good = FRAMES[frames]
     make(tmp_path / "frames")

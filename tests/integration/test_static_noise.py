@@ -148,7 +148,7 @@ def test_files_are_read_as_written(tmp_path):
         ("n_pos_1lux.npy", np.zeros((4, 71)), "shape"),
         ("n_pos_1lux.npy", np.tile(np.arange(72.0)[::-1], (4, 1)), "rise"),
         ("n_pos_1lux.npy", np.full((4, 72), np.nan), "finite"),
-        ("n_pos_1lux.npy", np.array([{"a": 1}]), "readable"),
+        ("n_pos_1lux.npy", np.array([{"a": 1}]), "damaged or different file"),
     ],
 )
 def test_bad_files_are_refused_in_one_line(tmp_path, capsys, name, array, says):
