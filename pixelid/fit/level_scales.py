@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 from scipy.optimize import minimize_scalar, root_scalar
-from scipy.special import log_ndtr
+from scipy.special import log_ndtr, ndtr, ndtri
 
 from pixelid.errors import InputError
 from pixelid.fit.coordinates import Coordinates
@@ -215,8 +215,6 @@ def _rescaled(u: np.ndarray, old: Scales, new: Scales) -> np.ndarray:
 
 
 def _inverse_half_normal(h: np.ndarray) -> np.ndarray:
-    from scipy.special import ndtr, ndtri
-
     return -ndtri(np.clip(2.0 * ndtr(-h), 1e-300, 1.0 - 1e-16))
 
 

@@ -57,13 +57,12 @@ def open_sides(limits: tuple[float, float] | None, parameter: Parameter) -> tupl
 def _inverse_or_open(information: np.ndarray) -> np.ndarray:
     """The inverse (d, d) of an information matrix, with infinite variance of what takes part in a flat direction."""
     scale = np.sqrt(np.maximum(np.diag(information), 0.0))
-    unseen = scale == 0.0
-    scale[unseen] = 1.0
+    scale[scale == 0.0] = 1.0
     curvature, directions = np.linalg.eigh(information / np.outer(scale, scale))
     flat = curvature <= FLAT * max(float(curvature[-1]), 0.0)
     kept = directions[:, ~flat]
     covariance = (kept / curvature[~flat]) @ kept.T / np.outer(scale, scale)
-    takes_part = unseen | ((directions[:, flat] ** 2).sum(axis=1) > TAKES_PART)
+    takes_part = (directions[:, flat] ** 2).sum(axis=1) > TAKES_PART
     covariance[takes_part, takes_part] = np.inf
     return covariance
 
