@@ -140,7 +140,9 @@ def _decode_aedat(path: Path) -> tuple[tuple[int, int], Iterator[Block]]:
                 every = np.concatenate(edges)
                 rising = np.array([AEDAT_EDGES[int(source)] for source in every["source"]])
                 nanoseconds = to_nanoseconds(every["t"], "us", f"{path}: triggers")
-                triggers = Triggers.from_columns(nanoseconds, rising, np.zeros(len(every)), where=f"{path}: triggers")
+                triggers = Triggers.from_columns(
+                    nanoseconds, rising, np.zeros(len(every), np.uint8), where=f"{path}: triggers"
+                )
             yield _columns([packet for packet in map(mine, batch) if packet is not None]), triggers
 
     return size, blocks()

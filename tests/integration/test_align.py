@@ -1,7 +1,9 @@
 """From a camera's file and a light trace, each on its own clock, to a recording that a fit reads."""
 
+import importlib.util
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import h5py
 import numpy as np
@@ -24,6 +26,7 @@ from pixelid.simulate import simulate
 from pixelid.stimuli import shapes
 from pixelid.stimuli.files import load_stimulus
 
+BENCHMARKS = Path(__file__).resolve().parents[2] / "benchmarks"
 OFFSET, PPM = 1.6e9 + 0.123456, 50.0
 
 
@@ -67,6 +70,27 @@ def test_the_light_finds_its_place(session, tmp_path, how):
         assert low <= told["offset_s"] <= high
         assert (told["prior"]["delay_sd_s"] is None) == (how == "auto")
     assert ("prior" in told) == (how != "seconds")
+
+
+def test_trigger_edges_of_an_aedat4_file(session, tmp_path):
+    """Events and edges written by the library faery, as of `benchmarks/round_trip.py`."""
+    spec = importlib.util.spec_from_file_location("round_trip", BENCHMARKS / "round_trip.py")
+    assert spec is not None
+    assert spec.loader is not None
+    script = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(script)
+    folder, recording = session
+    end_s, offset_ns = float(recording.stimulus.t[-1]), int(OFFSET * 1e6) * 1000
+    script.write_camera(tmp_path / "camera.aedat4", recording, [0.0, end_s], offset_ns, PPM)
+    read = open_recording(tmp_path / "camera.aedat4")
+    assert read.triggers is not None
+    assert read.triggers.t.tolist() == [offset_ns, script.clock_ns(np.array([end_s]), offset_ns, PPM)[0]]
+    light, out = str(folder / "light.csv"), tmp_path / "aligned.h5"
+    assert run(["convert", str(tmp_path / "camera.aedat4"), str(out), "--stimulus", light, "--align", "trigger"]) == 0
+    with h5py.File(out) as file:
+        told = json.loads(file.attrs["alignment"])
+    assert told["method"] == "trigger"
+    assert 1e6 * told["clock_rate_error"] == pytest.approx(PPM, abs=15)
 
 
 def fitted_after(folder, how: str, edges: int):
