@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, TypeAlias
 from pixelid.errors import InputError
 
 if TYPE_CHECKING:
-    from pixelid.fit.pixel_levels import PixelLevelsLike
+    from pixelid.fit.levels.pixel_levels import PixelLevelsLike
     from pixelid.fit.result import FitResult
     from pixelid.gap.result import GapReport
     from pixelid.inputs import ModelLike, RecordingsLike, StimulusLike
@@ -227,18 +227,20 @@ def gap(
     seed: int = 0,
     leave_out: Sequence[str] = (),
     recommend: bool = True,
+    pixel_levels: PixelLevelsLike = None,
     resume: str | Path | None = None,
     progress: Progress | None = None,
 ) -> GapReport:
     """Search recordings for effects that a model lacks.
 
     Args:
-        recordings: of one sensor, full-field stimuli.
+        recordings: of one sensor.
         model: the base.
         alpha: chance of naming anything, or of "unknown", when the model is right.
         seed: of the split of pixels, and of simulations.
         leave_out: effects that the library is to lack.
         recommend: also work out what to record next.
+        pixel_levels: as of `fit`; the search takes them as they are told with the base, and again with what it names.
         resume: a file that keeps the fits made so far, for a search that is interrupted and called again.
         progress: called with what is done and the fraction.
 
@@ -258,5 +260,5 @@ def gap(
     file = None if resume is None else Path(resume)
     return run(
         as_recordings(recordings), as_model(model), alpha=alpha, seed=seed, leave_out=leave_out, progress=progress,
-        resume=file, recommend=recommend,
+        resume=file, recommend=recommend, pixel_levels=pixel_levels,
     )  # fmt: skip

@@ -18,7 +18,10 @@ Example:
 
 @click.command("gap", epilog=EXAMPLE)
 @options.search
-def command(recordings, model, out, with_, without, alpha, crop, where, overwrite, seed, quiet):
+@options.pixel_levels
+def command(
+    recordings, model, out, with_, without, alpha, crop, where, overwrite, seed, quiet, pixel_levels,
+):  # fmt: skip
     """Find where a model and RECORDINGS (files or folders) disagree, and which effect is missing.
 
     The verdict is none, named, ambiguous or unknown.  Writes gap.json, model.toml (the grown model), figures and
@@ -41,7 +44,10 @@ def command(recordings, model, out, with_, without, alpha, crop, where, overwrit
 
         kept = out.with_name(f".{out.name}.fits")  # interrupted and called again, the search reads back its fits
         with bar(quiet, compiles=True) as report:
-            result = gap(opened, base, alpha=alpha, seed=seed, progress=report, resume=kept, where=where)
+            result = gap(
+                opened, base, alpha=alpha, seed=seed, pixel_levels=pixel_levels or None, progress=report, resume=kept,
+                where=where,
+            )  # fmt: skip
         with whole_folder(out, overwrite) as folder:
             result.write(folder)
             write_figures(result, opened, folder)

@@ -11,7 +11,8 @@ import numpy as np
 from pixelid.figures.style import INK, MUTED, OFF, ON, finish_pair, new_axes, new_pairs, save_figure, styled
 from pixelid.fit.coordinates import Coordinates
 from pixelid.fit.event_times import EventTimesObjective
-from pixelid.fit.pixel_levels import PixelLevels
+from pixelid.fit.levels.figures import draw_levels
+from pixelid.fit.levels.pixel_levels import PixelLevels
 from pixelid.fit.pooled_rate import PooledRateObjective
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.likelihood.pooled_rate import PooledRate
@@ -52,7 +53,7 @@ def write_figures(result: Fitted, recordings: Sequence[Recording], folder: Path)
         save_figure(draw_residuals(result, recordings), folder / "residuals.svg"),
     ]
     if result.pixel_levels is not None:
-        drawn.append(save_figure(draw_levels(result), folder / "levels.svg"))
+        drawn.append(save_figure(draw_levels(result.pixel_levels), folder / "levels.svg"))
     return drawn
 
 
@@ -131,38 +132,6 @@ def _as_seen(result: Fitted, recordings: Sequence[Recording]) -> list[Recording]
     between = result.details.get("stimulus_between_samples", "linear")
     finer = [with_fine_light(recording, between) for recording in recordings]
     return finer if result.pixel_levels is None else result.pixel_levels.seen(finer)
-
-
-@styled
-def draw_levels(result: Fitted, axes: Any = None) -> Any:
-    """Gain and background of every pixel with 95 % bars, sorted; lines: the spread over pixels.
-
-    Args:
-        result: a fit with levels.
-        axes: (2,), new ones by default.
-
-    Returns:
-        The axes.
-    """
-    levels = result.pixel_levels
-    assert levels is not None
-    if axes is None:
-        axes = new_axes(1, len(levels.scales), 4.6, 2.8)
-    unit = levels.scales.get("background", {}).get("unit", "")
-    drawn = {
-        "gain": (np.log(levels.gain), levels.ln_gain_sd, "ln gain, about the mean of these pixels"),
-        "background": (levels.background, levels.background_sd, f"background ({unit})"),
-    }
-    for axis, (kind, scale) in zip(np.ravel(axes), levels.scales.items(), strict=True):
-        value, sd, label = drawn[kind]
-        order = np.argsort(value)
-        rank = np.arange(1, len(value) + 1)
-        axis.errorbar(rank, value[order], 1.96 * sd[order], fmt=".", color=INK, linewidth=0.8, markersize=3)
-        for at in (-scale["value"], scale["value"]) if kind == "gain" else (scale["value"],):
-            axis.axhline(at, color=MUTED, linewidth=0.9)
-        axis.set(xlabel="pixel, in order of its value", ylabel=label)
-        axis.xaxis.get_major_locator().set_params(integer=True)
-    return axes
 
 
 @styled

@@ -14,14 +14,14 @@ from pixelid.fit.engines import FORMS, Engine
 from pixelid.fit.engines import engine as engine_named
 from pixelid.fit.event_times import EventTimesObjective
 from pixelid.fit.judge import open_sides, precision, residual_tests, status_of
-from pixelid.fit.level_scales import fit_levels
-from pixelid.fit.levelled import LevelledObjective
-from pixelid.fit.levels_found import pixel_levels as levels_of
+from pixelid.fit.levels.found import pixel_levels as levels_of
+from pixelid.fit.levels.objective import LevelledObjective
+from pixelid.fit.levels.pixel_levels import PixelLevelsLike, Wanted
+from pixelid.fit.levels.scales import fit_levels
 from pixelid.fit.measured_light import NO_PHYSICAL, as_light_tells, held_in_words, line_errors, unresolved
 from pixelid.fit.newton import Optimum
 from pixelid.fit.newton import maximise as newton_steps
 from pixelid.fit.own_values import held_values
-from pixelid.fit.pixel_levels import PixelLevelsLike, Wanted
 from pixelid.fit.pooled import fit_pooled
 from pixelid.fit.refine import BETWEEN, refine
 from pixelid.fit.result import FitResult, Stopwatch, estimates_of
@@ -88,7 +88,7 @@ def fit(
         form: "discrete", the photoreceptor linearised once per step of the stimulus, or "continuous", its coefficients
             following the light at every instant: started from the discrete optimum, see docs/fitting.md for the cost.
         pixel_levels: "gain", "background" or "both" of every pixel are nuisances, and the light is not taken as exact
-            (`fit.pixel_levels`); with scales that are known, "gain=0.2,background=3" or {"gain": 0.2}.
+            (`fit.levels.pixel_levels`); with scales that are known, "gain=0.2,background=3" or {"gain": 0.2}.
         seed: of the random starts.
         progress: progress(what, fraction) is called as the fit goes on.
 

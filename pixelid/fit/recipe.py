@@ -27,7 +27,7 @@ from pixelid.documents import read_toml
 from pixelid.errors import InputError, did_you_mean, shown
 from pixelid.fit.engines import ENGINES, FORMS
 from pixelid.fit.fit import fit
-from pixelid.fit.pixel_levels import Wanted
+from pixelid.fit.levels.pixel_levels import Wanted
 from pixelid.fit.result import FitResult
 from pixelid.model.model import Model
 from pixelid.model.options import assignment, changed

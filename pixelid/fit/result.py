@@ -13,7 +13,7 @@ import numpy as np
 from pixelid.documents import interpreting
 from pixelid.errors import InputError
 from pixelid.fit.coordinates import Coordinates
-from pixelid.fit.pixel_levels import PixelLevels
+from pixelid.fit.levels.pixel_levels import PixelLevels
 from pixelid.model.files import load_model, save_model
 from pixelid.model.model import Model
 from pixelid.parameters.invariants import PHYSICAL_UNITS

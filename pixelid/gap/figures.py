@@ -22,6 +22,8 @@ from pixelid.figures.style import (
     save_figure,
     styled,
 )
+from pixelid.fit.levels.figures import draw_levels
+from pixelid.fit.levels.pixel_levels import PixelLevels
 from pixelid.gap.attribute.flexible import Flexible
 from pixelid.gap.confirm.free_run import FreeRun
 from pixelid.model.model import Model
@@ -51,6 +53,8 @@ class Searched(Protocol):
     @property
     def seed(self) -> int: ...
     @property
+    def pixel_levels(self) -> PixelLevels | None: ...
+    @property
     def details(self) -> Mapping: ...
 
 
@@ -66,6 +70,8 @@ def write_figures(report: Searched, recordings: Sequence[Recording], folder: Pat
         drawn["before_after"] = draw_before_after(report, recordings)
     if report.term is not None:
         drawn["unknown"] = draw_unexplained(report)
+    if report.pixel_levels is not None:
+        drawn["levels"] = draw_levels(report.pixel_levels)
     return [save_figure(axes, folder / f"{name}.svg") for name, axes in drawn.items()]
 
 
@@ -151,6 +157,8 @@ def draw_before_after(report: Searched, recordings: Sequence[Recording], axes: A
     assert run is not None
     worst = sorted(run.per_recording, key=lambda n: -run.per_recording[n][0])[:4]
     shown = [r for r in recordings if r.name in worst]
+    if report.pixel_levels is not None:
+        shown = report.pixel_levels.seen(shown)
     if axes is None:
         axes = new_pairs(len(shown), 1, 8.5, 3.4)
     between = report.details["stimulus_between_samples"]

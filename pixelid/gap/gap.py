@@ -8,8 +8,10 @@ from pathlib import Path
 from pixelid.cluster import Where, Work, connected
 from pixelid.errors import InputError
 from pixelid.fit.cache import FitCache
+from pixelid.fit.levels.pixel_levels import PixelLevelsLike, Wanted
 from pixelid.gap.criteria import Criteria
 from pixelid.gap.options import ALPHA, Context, Options, Report
+from pixelid.gap.own_levels import search_with_levels
 from pixelid.gap.pooled_counts.pooled import search_pooled
 from pixelid.gap.result import GapReport
 from pixelid.gap.search import search
@@ -28,6 +30,7 @@ def gap(
     progress: Report | None = None,
     resume: Path | None = None,
     recommend: bool = True,
+    pixel_levels: PixelLevelsLike = None,
     where: Where | None = None,
 ) -> GapReport:
     """Search the recordings for effects that the model lacks.
@@ -43,6 +46,8 @@ def gap(
         resume: A file that keeps the fits made so far: a search interrupted and called again reads them back and comes
             to the same result.  It is removed at the end.
         recommend: Also work out what to record next.
+        pixel_levels: "gain", "background" or "both" of every pixel are not known, as in `fit`; the search takes them as
+            they are told with the base, and again with what it names.
         where: Who fits candidates and simulates: this process, local ones or a cluster.  The result is the same.
 
     Raises:
@@ -59,12 +64,16 @@ def gap(
         ('named', ['leak'])
     """
     check_searchable(recordings, model, alpha)
+    wanted = Wanted.of(pixel_levels)
     options = Options(alpha, seed, tuple(leave_out), criteria or Criteria(), recommend)
     cache = None if resume is None else FitCache(resume)
     pooled = all(r.pooled for r in recordings)
     with connected(where or Where()) as client:
         context = Context(options, cache, progress or (lambda what, fraction: None), Work(client))
-        report = search_pooled(recordings, model, context) if pooled else search(recordings, model, context)
+        if wanted is not None:
+            report = search_with_levels(recordings, model, wanted, seed, lambda seen: search(seen, model, context))
+        else:
+            report = (search_pooled if pooled else search)(recordings, model, context)
     if cache is not None:
         cache.remove()
     return report

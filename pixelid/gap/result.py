@@ -11,6 +11,7 @@ import numpy as np
 
 from pixelid.documents import interpreting
 from pixelid.errors import InputError
+from pixelid.fit.levels.pixel_levels import PixelLevels
 from pixelid.gap.attribute.flexible import Flexible
 from pixelid.gap.confirm.free_run import FreeRun
 from pixelid.model.files import load_model, save_model
@@ -101,6 +102,7 @@ class GapReport(Result):
     base, model: the fitted base model and the grown one;  rounds: what each round saw, as JSON
     described: effects without a name, where the verdict is "unknown"
     free_run: the gap before and after;  term: the flexible alternative, for what no effect explains
+    pixel_levels: gain and background of every pixel, taken as known by the search; None where they were not asked for
     status: a search that ends has a verdict that can be trusted, "unknown" included
 
     Example:
@@ -129,6 +131,7 @@ class GapReport(Result):
     details: Mapping = field(default_factory=dict)
     versions: Mapping[str, str] = field(default_factory=dict)
     inputs_sha256: Mapping[str, str] = field(default_factory=dict)
+    pixel_levels: PixelLevels | None = None
     status: Status = Status.converged
     advice: str = ""
 
@@ -149,6 +152,7 @@ class GapReport(Result):
             "unknown_term": self.term.as_dict(self._sigma) if self.term else None,
             "model": "model.toml",
             "recommended_next": dict(self.recommended_next),
+            **({} if self.pixel_levels is None else {"pixel_levels": self.pixel_levels.as_dict()}),
             "details": dict(self.details),
             "seconds": self.seconds,
             "seed": self.seed,
@@ -204,7 +208,9 @@ class GapReport(Result):
 
     def sentences(self) -> list[str]:
         """The verdict in words, and what to record next."""
-        return [text for text in (self.sentence, str(self.recommended_next.get("why", "")), self.advice) if text]
+        levels = () if self.pixel_levels is None else self.pixel_levels.notes
+        said = (self.sentence, *levels, str(self.recommended_next.get("why", "")), self.advice)
+        return [text for text in said if text]
 
     def write_companions(self, folder: Path) -> None:
         """Write model.toml (the grown model) and base.toml (the fitted base)."""
@@ -240,6 +246,7 @@ class GapReport(Result):
                 base=load_model(base) if base.is_file() else model,
                 model=model,
                 term=_flexible(term, _sigma_of(model)) if term else None,
+                pixel_levels=PixelLevels.from_dict(content["pixel_levels"]) if "pixel_levels" in content else None,
                 status=Status(content.get("status", "converged")),
                 advice=content.get("advice", ""),
                 **known,

@@ -39,11 +39,11 @@ def prepare_fit(result: Result, folder: Path) -> dict[str, Any]:
     return {
         "truth": read_json(truth) if truth.is_file() else None,
         "physical": _physical(result),
-        "levels": _levels(result),
+        "levels": levels_of(result),
     }
 
 
-def _levels(result: Result) -> dict[str, list[list[str]]] | None:
+def levels_of(result: Result) -> dict[str, list[list[str]]] | None:
     """How far levels of pixels spread, and what they cost the camera's parameters; None where nobody asked."""
     found = result.get("pixel_levels")
     if not found:

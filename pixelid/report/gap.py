@@ -8,6 +8,7 @@ from typing import Any
 
 from pixelid.errors import InputError
 from pixelid.model.files import load_model
+from pixelid.report.fits import levels_of
 from pixelid.report.format import chance, interval, number, percent, seconds, value
 from pixelid.report.page import Number, Result, Summary, command_line
 from pixelid.stages import effect
@@ -146,7 +147,7 @@ def prepare(result: Result, folder: Path) -> dict[str, Any]:
         for e in result.get("described", ())
     ]
     return {
-        "described": described,
+        "described": described, "levels": levels_of(result),
         "base": _base_name(folder), "effects": effects, "tried": _tried(result), "names_tried": _names_tried(result),
         "confusion": confusion, "after_jumps": jumps, "grown": grown, "pooled": "after_jumps" in details,
         "named": [(e["name"], _what_it_does(e["name"]), e["where"]) for e in result["effects"]],

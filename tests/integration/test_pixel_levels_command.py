@@ -70,7 +70,7 @@ def test_schema(folder):
     schemas = Path(__file__).resolve().parents[2] / "docs" / "schemas"
     if not schemas.is_dir():
         pytest.skip("needs a checkout")
-    entry = json.loads((schemas / "fit.json").read_text())["properties"]["pixel_levels"]
+    entry = json.loads((schemas / "common.json").read_text())["$defs"]["pixel_levels"]
     jsonschema.Draft202012Validator(entry).validate(
         json.loads((folder / "fit" / "fit.json").read_text())["pixel_levels"]
     )

@@ -12,11 +12,11 @@ from scipy.stats import halfnorm, norm
 from pixelid.errors import InputError
 from pixelid.fit.coordinates import Coordinates
 from pixelid.fit.event_times import EventTimesObjective
-from pixelid.fit.level_covariance import Joint
-from pixelid.fit.level_scales import Told
-from pixelid.fit.levelled import LevelledObjective
+from pixelid.fit.levels.covariance import Joint
+from pixelid.fit.levels.objective import LevelledObjective
+from pixelid.fit.levels.pixel_levels import PixelLevels, Scales, Wanted, half_normal, half_normal_slope, with_own_lights
+from pixelid.fit.levels.scales import Told
 from pixelid.fit.newton import maximise
-from pixelid.fit.pixel_levels import PixelLevels, Scales, Wanted, half_normal, half_normal_slope, with_own_lights
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.model.shipped import find_model
 from pixelid.recordings.recording import Recording

@@ -2,7 +2,7 @@
 
 A pixel sees gain · L(t) + background of the light L that was recorded: vignetting and photodiodes differ, stray light
 and dark current add.  Over the pixels of a camera ln gain is normal about 0, its scale the standard deviation, and
-background half-normal, its scale the root mean square.  How they are found: `levelled.py`, `level_scales.py`.
+background half-normal, its scale the root mean square.  How they are found: `objective.py`, `scales.py`.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ from pixelid.stimuli.stimulus import Stimulus
 
 GAIN, BACKGROUND = "gain", "background"
 KINDS = (GAIN, BACKGROUND)
+DARK = "dark_current.radiance"
 FAR = 6.0  # standard deviations of a level's prior, beyond which none of 10⁸ pixels lies
 FEWEST = 4  # pixels that can tell a scale: its 95 % interval is a factor of 7 wide then
 MOST_SAMPLES = 40_000_000  # of all pixels' lights: 3 GB with their trajectories
@@ -110,6 +111,10 @@ class Wanted:
                 raise InputError(f"{where}: {name}: expected a positive number, its scale, found {shown(value)}")
         return Wanted(tuple(kind for kind in KINDS if kind in names), given)
 
+    def separable(self, model: Model) -> bool:
+        """Whether no free parameter of the model is what levels common to all pixels are."""
+        return BACKGROUND not in self.kinds or DARK not in model.parameters or not model.parameter(DARK).free
+
     def check(self, recordings: Sequence[Recording], model: Model, form: str) -> None:
         """Raise InputError where levels of pixels cannot be told: by these recordings, or beside this model."""
         if any(recording.pooled for recording in recordings):
@@ -123,10 +128,9 @@ class Wanted:
             raise InputError("pixel_levels: expected recordings of one sensor, their light in one unit")
         if form != "discrete":
             raise InputError("pixel_levels: found in the discrete form only")
-        dark = "dark_current.radiance"
-        if BACKGROUND in self.kinds and dark in model.parameters and model.parameter(dark).free:
+        if not self.separable(model):
             raise InputError(
-                f"pixel_levels: a background that all pixels share is a dark current: hold it (--fix {dark}=VALUE) or "
+                f"pixel_levels: a background that all pixels share is a dark current: hold it (--fix {DARK}=VALUE) or "
                 "remove it (--without dark_current)"
             )
         pixels = len(np.unique(np.concatenate([recording.events.pixel for recording in recordings])))

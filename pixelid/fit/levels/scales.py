@@ -1,7 +1,7 @@
 """How far gain and background spread over pixels, told by the pixels themselves, and the fit that this makes.
 
 Empirical Bayes in rounds.  In each the camera's parameters and all levels are brought to their joint optimum for given
-scales (`levelled.py`); then every scale goes to where the levels that the events tell, centre c_i with variance w_i,
+scales (`objective.py`); then every scale goes to where the levels that the events tell, centre c_i with variance w_i,
 are likeliest:
 
     ln gain      Π N(c_i; 0, s² + w_i)
@@ -23,10 +23,9 @@ from scipy.special import log_ndtr, ndtr, ndtri
 
 from pixelid.errors import InputError
 from pixelid.fit.coordinates import Coordinates
-from pixelid.fit.level_covariance import Joint
-from pixelid.fit.levelled import LevelledObjective
-from pixelid.fit.newton import Optimum, maximise
-from pixelid.fit.pixel_levels import (
+from pixelid.fit.levels.covariance import Joint
+from pixelid.fit.levels.objective import LevelledObjective
+from pixelid.fit.levels.pixel_levels import (
     BACKGROUND,
     FAR,
     GAIN,
@@ -36,6 +35,7 @@ from pixelid.fit.pixel_levels import (
     half_normal_slope,
     with_own_lights,
 )
+from pixelid.fit.newton import Optimum, maximise
 from pixelid.fit.refine import BETWEEN, PART_EVENTS
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.recordings.own_light import with_fine_light

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from pixelid.fit.level_covariance import Joint
-from pixelid.fit.level_scales import Levelled, Told, told_by_events
-from pixelid.fit.pixel_levels import BACKGROUND, GAIN, PixelLevels, Scales, half_normal, places
+from pixelid.fit.levels.covariance import Joint
+from pixelid.fit.levels.pixel_levels import BACKGROUND, GAIN, PixelLevels, Scales, half_normal, places
+from pixelid.fit.levels.scales import Levelled, Told, told_by_events
 
 UNTOLD = 0.75  # of a level's variance that events leave
 CARRIED = 0.9  # of a standard error, below which knowing the mean gain would make a difference

@@ -13,7 +13,7 @@ Schur complement
 
 whose negated inverse is the covariance of θ with the levels integrated out (Laplace's approximation).  What is left of
 that, −Σ ½ ln det B_i, moves slowly with θ: its slope is a tilt of the value, told where the search last ended
-(`level_scales.py`).  Without it levels would take up scatter that is noise's and mismatch's, as a mean does in a
+(`scales.py`).  Without it levels would take up scatter that is noise's and mismatch's, as a mean does in a
 variance.
 """
 
@@ -27,8 +27,8 @@ import numpy as np
 
 from pixelid.fit.coordinates import Coordinates
 from pixelid.fit.event_times import EventTimesObjective, along
+from pixelid.fit.levels.pixel_levels import FAR, Scales, seen_by
 from pixelid.fit.objective import Local
-from pixelid.fit.pixel_levels import FAR, Scales, seen_by
 from pixelid.likelihood.density import NUMBERS, Terms
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.likelihood.information import Information, Tangent

@@ -1,0 +1,54 @@
+"""Gain and background of every pixel, told with a model and taken as known by the search that follows.
+
+They are fitted together with the circuit (`fit.levels`), and each pixel's light is replaced by what it saw.  The base
+lacks what the search is for, and levels may stand for a part of it: what is named is therefore looked for again, under
+levels told with it, until the same effects are named.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+from pixelid.fit.fit import fit
+from pixelid.fit.levels.pixel_levels import Wanted
+from pixelid.gap.result import GapReport
+from pixelid.model.model import Model
+from pixelid.recordings.recording import Recording
+
+MOST_SEARCHES = 3
+
+
+def search_with_levels(
+    recordings: Sequence[Recording],
+    model: Model,
+    wanted: Wanted,
+    seed: int,
+    search: Callable[[Sequence[Recording]], GapReport],
+) -> GapReport:
+    """The report of the last search, with the levels that it took as known.
+
+    Args:
+        recordings: of one sensor, with pixel addresses and a full-field light or one of each pixel's own.
+        model: the base.
+        wanted: which levels are not known.
+        seed: of the fits.
+        search: of recordings whose lights are what each pixel saw.
+
+    Raises:
+        InputError: levels that these recordings cannot tell, or not beside this model.
+    """
+    wanted.check(recordings, model, "discrete")
+    report, named = _searched(recordings, model, wanted, seed, search), frozenset[str]()
+    for _ in range(MOST_SEARCHES - 1):
+        found = frozenset(effect.name for effect in report.effects)
+        if not found or found == named or not wanted.separable(report.model):
+            break
+        named, report = found, _searched(recordings, report.model, wanted, seed, search)
+    return report
+
+
+def _searched(recordings, told_with: Model, wanted: Wanted, seed: int, search) -> GapReport:
+    levels = fit(recordings, told_with, starts=0, pixel_levels=wanted, seed=seed).pixel_levels
+    assert levels is not None
+    return replace(search(levels.seen(recordings)), pixel_levels=levels)

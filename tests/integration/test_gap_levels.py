@@ -1,0 +1,105 @@
+"""`pixelid gap --pixel-levels`: pixels that see the light through gains and backgrounds that nobody knows."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pixelid.cli.main import main
+from pixelid.errors import InputError
+from pixelid.fit.levels.pixel_levels import Wanted
+from pixelid.gap.gap import gap
+from pixelid.gap.own_levels import search_with_levels
+from pixelid.gap.result import GapReport
+from pixelid.model.shipped import find_model
+from pixelid.recordings import write_recording
+from pixelid.recordings.recording import Recording
+from pixelid.simulate import simulate
+from pixelid.stimuli.pixel_lights import PixelLights
+from pixelid.stimuli.stimulus import Stimulus
+
+BENCHMARKS = Path(__file__).resolve().parents[2] / "benchmarks"
+SIDE, FRAME_S, SUBFRAMES, SECONDS = 5, 1e-4, 16, 0.5  # finer frames than searches are given, as in `pixel_light.py`
+GAIN_SPREAD = 0.2  # standard deviation of ln gain
+
+
+@pytest.fixture(scope="module")
+def grating():
+    sys.path.insert(0, str(BENCHMARKS))
+    spec = importlib.util.spec_from_file_location("pixel_light", BENCHMARKS / "pixel_light.py")
+    assert spec is not None
+    assert spec.loader is not None
+    script = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(script)
+    sys.path.remove(str(BENCHMARKS))
+    return script.grating
+
+
+def session(grating, truth, seed: int, side: int = SIDE, levels: tuple[float, ...] = (10.0, 300.0)):
+    """(ln gain (side²,), gratings as recorded with the events of pixels that saw them through these gains)."""
+    rng = np.random.default_rng(seed)
+    log_gain, background = GAIN_SPREAD * rng.standard_normal(side**2), 0.1 * levels[0] * rng.random(side**2)
+    t, made = np.arange(round(SUBFRAMES * SECONDS / FRAME_S) + 1) * FRAME_S / SUBFRAMES, []
+    for k, level in enumerate(levels):
+        film = grating(level, side, t).radiance
+        seen = film * np.exp(log_gain).reshape(side, side) + background.reshape(side, side)
+        events = simulate(truth, Stimulus(t, seen), seed=4 * seed + k, sensor_seed=seed).events
+        shown = Stimulus(t[::SUBFRAMES], film[::SUBFRAMES])
+        made.append(Recording(events, shown, condition=f"grating_{level:g}", sensor=f"simulated {seed}"))
+    return log_gain, made
+
+
+def test_each_search_sees_the_light_through_the_levels_told_last(grating):
+    model, seen = find_model("dvs128"), []
+    log_gain, recordings = session(grating, model, 1, side=3, levels=(100.0,))
+    report = gap(recordings, model, recommend=False)
+
+    def search(those):
+        seen.append(those[0].stimulus)
+        return replace(report, effects=())
+
+    found = search_with_levels(recordings, model, Wanted(("gain",), {}), 0, search)
+    assert len(seen) == 1  # nothing named: nothing to tell levels again with
+    assert isinstance(seen[0], PixelLights)
+    assert found.pixel_levels is not None
+    place = 3 * found.pixel_levels.y + found.pixel_levels.x
+    assert np.corrcoef(np.log(found.pixel_levels.gain), log_gain[place])[0, 1] > 0.9
+    shown = recordings[0].stimulus
+    assert isinstance(shown, Stimulus)
+    first = shown.radiance[:, found.pixel_levels.y[0], found.pixel_levels.x[0]]
+    assert np.allclose(seen[0].lights[0].radiance, found.pixel_levels.gain[0] * first)
+
+
+def test_a_background_beside_a_free_dark_current_is_refused(grating):
+    model = find_model("dvs128").with_effect("dark_current", {"radiance": 1.0})
+    with pytest.raises(InputError, match="dark current"):
+        gap(session(grating, find_model("dvs128"), 1, 2, (100.0,))[1], model, pixel_levels="background")
+
+
+@pytest.mark.slow
+def test_gains_are_no_gap_and_a_leak_is_one(grating, tmp_path):
+    model = find_model("dvs128")
+    for name, truth in (("none", model), ("leak", model.with_effect("leak", {"rate_hz": 2.0}))):
+        folder, out = tmp_path / name, tmp_path / f"gap_{name}"
+        folder.mkdir()
+        recordings = session(grating, truth, 1)[1]
+        for recording in recordings:
+            write_recording(recording, folder / f"{recording.condition}.h5")
+        assert (
+            main(["gap", str(folder), "--model", "dvs128", "--out", str(out), "--quiet", "--pixel-levels", "both"]) == 0
+        )
+        content = json.loads((out / "gap.json").read_text())
+        named = [effect["name"] for effect in content["effects"]]
+        assert (content["verdict"], named) == (("none", []) if name == "none" else ("named", ["leak"]))
+        if named:
+            low, high = content["effects"][0]["parameters"]["leak.rate_hz"]["interval_95"]
+            assert low < 2.0 < high
+        assert GapReport.load(out).pixel_levels is not None
+        assert 'id="figure-levels"' in (out / "report.html").read_text()
+    assert gap(session(grating, model, 1)[1], model, recommend=False).verdict == "unknown"  # the light taken as exact
