@@ -21,7 +21,6 @@ from typing import Literal
 import numpy as np
 from numba import njit
 
-from pixelid.dynamics import equations
 from pixelid.dynamics.equations import PRESENT_BELOW
 from pixelid.dynamics.trajectory import Trajectory
 from pixelid.dynamics.vector_math import vexp
@@ -35,6 +34,8 @@ from pixelid.likelihood.extremes import (
     locate_by_sample,
     locate_extremes,
 )
+from pixelid.likelihood.leaked import drifts, light_integrals, light_to
+from pixelid.likelihood.located import located
 from pixelid.likelihood.modulated import (
     Modulated,
     modulated,
@@ -174,7 +175,7 @@ class ChangeEvaluator:
         )  # fmt: skip
         drifted[:], drift_slope[:] = 0.0, 0.0
         if drift is not None:
-            _drifts(
+            drifts(
                 release, time, sample, trajectory.t, drive.log_light, drift.rate, drift.per_light, drift.lights,
                 drift.light, drifted, drift_slope,
             )  # fmt: skip
@@ -255,8 +256,8 @@ class ChangeEvaluator:
         per_light = leaked(circuit, 0.0, 1.0)
         lights, light = np.zeros(len(trajectory.t)), np.zeros(len(release))
         if per_light != 0:
-            _light_integrals(trajectory.t, drive.log_light, lights)
-            _light_until(release, sample, trajectory.t, drive.log_light, lights, light)
+            light_integrals(trajectory.t, drive.log_light, lights)
+            light_to(release, sample, trajectory.t, drive.log_light, lights, light)
         return begun, Drift(leaked(circuit, 1.0, 0.0), per_light, circuit.on_threshold, lights, light)
 
     def _opened(
@@ -277,7 +278,7 @@ class ChangeEvaluator:
             trajectory.dynamics.differencing, change, spare,
         )  # fmt: skip
         if drift is not None:
-            _drifts(
+            drifts(
                 begun.release_s, at_s, sample, trajectory.t, light.log_light, drift.rate, drift.per_light,
                 drift.lights, drift.light, drifted, spare,
             )  # fmt: skip
@@ -332,46 +333,6 @@ def _subtract_threshold_shifts(circuit: Circuit, iv: Sequences, events: np.ndarr
     pixels[2] -= off * growth
 
 
-def located(t: np.ndarray, times: np.ndarray, near: np.ndarray, first: np.ndarray, light_of: np.ndarray) -> np.ndarray:
-    """(k,) indices of the samples t[i] ≤ time < t[i + 1], searched from the samples `near` (k,) on.
-
-    first: (lights + 1,) where the samples of each light begin, and where the last ones end;  light_of: (k,) whose
-    samples to search
-    """
-    sample = np.empty(len(times), np.int64)
-    _locate_all(t, times, near, first, light_of, sample)
-    return sample
-
-
-@njit(cache=True, error_model="numpy")
-def _locate(t, time, near, begin, end):
-    k = near
-    last = end - 1
-    if k > last or k < begin:
-        k = begin
-    if time < t[k] or (k + 16 < last and time > t[k + 16]):
-        k = max(begin + np.searchsorted(t[begin:end], time, side="right") - 1, begin)
-    while k < last and t[k + 1] <= time:
-        k += 1
-    return k
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _locate_all(t, times, near, first, light_of, sample):
-    """Most samples are even, and the guess is right: a branch for each sample passed costs more than all the rest."""
-    for i in range(len(times)):
-        light, time, k = light_of[i], times[i], near[i]
-        begin, end = first[light], first[light + 1]
-        if begin <= k < end - 1:
-            ahead = (time - t[k]) / (t[k + 1] - t[k])
-            if 0.0 <= ahead < end - 1 - k:
-                guess = k + np.int64(ahead)
-                if t[guess] <= time < t[guess + 1]:
-                    sample[i] = guess
-                    continue
-        sample[i] = _locate(t, time, k, begin, end)
-
-
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
 def _changes(release, time, level, offset, output, output_slope, wd, change, slope):
     """Fill change and slope; loops that LLVM vectorises."""
@@ -385,57 +346,6 @@ def _changes(release, time, level, offset, output, output_slope, wd, change, slo
         change[i] = output[i] - level[i] - left[i]
     for i in range(len(change)):
         slope[i] = output_slope[i] + wd * left[i]
-
-
-_light_integral = njit(equations.light_integral, inline="always", error_model="numpy")
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _light_integrals(t, u, lights):
-    """Fill ∫ L dt from the first sample to each, log radiance linear in between."""
-    lights[0] = 0.0
-    for k in range(1, len(t)):
-        tau = t[k] - t[k - 1]
-        lights[k] = lights[k - 1]
-        if tau > 0.0:
-            lights[k] += _light_integral(np.exp(u[k - 1]), (u[k] - u[k - 1]) / tau, tau)
-
-
-@njit(cache=True, error_model="numpy")
-def _ramp(k, t, u):
-    """Slope of log radiance in the step that begins at sample k; past the last sample the light is held."""
-    return (u[k + 1] - u[k]) / (t[k + 1] - t[k]) if k + 1 < len(t) and t[k + 1] > t[k] else 0.0
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _light_until(times, sample, t, u, lights, light):
-    """Fill ∫ L dt from the first sample to `times`."""
-    for i in range(len(times)):
-        k = sample[i]
-        light[i] = lights[k] + _light_integral(np.exp(u[k]), _ramp(k, t, u), times[i] - t[k])
-
-
-def light_until(times: np.ndarray, sample: np.ndarray, t: np.ndarray, u: np.ndarray) -> np.ndarray:
-    """(k,) ∫ L dt from the first sample to `times` (k,), in the steps that begin at `sample` (k,).
-
-    t, u: (samples,) times and log radiance
-    """
-    lights, light = np.zeros(len(t)), np.empty(len(times))
-    _light_integrals(t, u, lights)
-    _light_until(times, sample, t, u, lights, light)
-    return light
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _drifts(release, time, sample, t, u, rate, per_light, lights, light, drift, slope):
-    """Fill what has leaked at `time` since `release`, and its slope, in ON thresholds (per second)."""
-    for i in range(len(time)):
-        drift[i], slope[i] = rate * (time[i] - release[i]), rate
-        if per_light != 0.0:
-            k = sample[i]
-            ramp, since = _ramp(k, t, u), time[i] - t[k]
-            drift[i] += per_light * (lights[k] + _light_integral(np.exp(u[k]), ramp, since) - light[i])
-            slope[i] += per_light * np.exp(u[k] + ramp * since)
 
 
 def _near(circuit: Circuit) -> tuple[float, float]:

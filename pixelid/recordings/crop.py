@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -45,7 +45,7 @@ def crop(
     if pixels is not None:
         keep &= np.isin(events.pixel, _chosen(np.unique(events.pixel[keep]), pixels, seed))
     if len(events) and not keep.any():
-        raise _nothing_left(recording.name, len(events))
+        raise _nothing_left(recording.name, len(events), (events.t[0], events.t[-1]))
     left, light = events.select(keep), _light_until(recording, time_s)
     if roi or pixels:
         light = _restricted(light, left, np.unique(left.pixel))
@@ -98,8 +98,9 @@ def _restricted(light: Light | None, events: Events, pixels: np.ndarray) -> Ligh
     return light if grouped is None else grouped.restricted(pixels)
 
 
-def _nothing_left(name: str, events: int) -> InputError:
-    return InputError(f"{name}: no event is left of {events} (--roi, --time, --pixels)")
+def _nothing_left(name: str, events: int, ends: Sequence[int]) -> InputError:
+    span = f"{ends[0] * 1e-9:.3f} to {ends[-1] * 1e-9:.3f} s on its clock"
+    return InputError(f"{name}: no event is left of {events}, from {span} (--roi, --time, --pixels)")
 
 
 @dataclass(frozen=True)
@@ -152,12 +153,13 @@ class Crop:
         own = light is not None and light.size == (head.events.width, head.events.height)
         chosen: np.ndarray | None = None
         if self.pixels is not None or (self.roi is not None and own):
-            seen, events = np.zeros(size, bool), 0
+            seen, events, ends = np.zeros(size, bool), 0, []
             for part in self._before_end(long.read()):
+                ends = [*ends[:1], *part.events.t[:1], *part.events.t[-1:]]
                 seen[part.events.pixel[_inside(part.events, self.roi, self.time_s, hot)]] = True
                 events += len(part.events)
             if events and not seen.any():
-                raise _nothing_left(long.name, events)
+                raise _nothing_left(long.name, events, ends)
             chosen = seen
             if self.pixels is not None:
                 chosen = np.zeros(size, bool)
@@ -165,15 +167,16 @@ class Crop:
             light = _restricted(light, head.events, np.flatnonzero(chosen))
 
         def cropped() -> Iterator[Recording]:
-            events = left = 0
+            events, left, ends = 0, 0, []
             for part in self._before_end(long.read()):
                 keep = _inside(part.events, self.roi, self.time_s, hot)
                 if chosen is not None:
                     keep &= chosen[part.events.pixel]
                 events, left = events + len(keep), left + int(np.count_nonzero(keep))
+                ends = [*ends[:1], *part.events.t[:1], *part.events.t[-1:]]
                 yield replace(part, events=part.events.select(keep), stimulus=light)
             if events and not left:
-                raise _nothing_left(long.name, events)
+                raise _nothing_left(long.name, events, ends)
 
         return LongRecording(replace(head, stimulus=light), cropped)
 

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from oracles.changes import plain_changes
 
-from pixelid.likelihood.changes import ChangeEvaluator, located
+from pixelid.likelihood.changes import ChangeEvaluator
+from pixelid.likelihood.located import located
 from pixelid.likelihood.sections import sections_of
 from pixelid.model.shipped import find_model
 from pixelid.simulate import simulate

@@ -16,9 +16,10 @@ from pixelid.dynamics.equations import PRESENT_BELOW
 from pixelid.gap.imputation.chances import BLOCK, Light, Thresholds
 from pixelid.gap.imputation.lattice import draw_path
 from pixelid.gap.imputation.windows import Windows, with_times
-from pixelid.likelihood.changes import light_until, located
 from pixelid.likelihood.density import BACKGROUND_HZ
 from pixelid.likelihood.event_times import EventTimes
+from pixelid.likelihood.leaked import light_until
+from pixelid.likelihood.located import located
 from pixelid.likelihood.trajectories import Trajectories
 from pixelid.model.model import Model
 from pixelid.parallel import map_threads
