@@ -105,16 +105,21 @@ def _region(context: click.Context, parameter: click.Parameter, text: str | None
     return x0, y0, x1, y1
 
 
-def _span(context: click.Context, parameter: click.Parameter, text: str | None) -> tuple[float, float] | None:
-    """The two times of --time; either may be left out."""
+def _span(
+    context: click.Context, parameter: click.Parameter, text: str | None
+) -> tuple[tuple[float, float] | None, bool]:
+    """The two times of --time, either of which may be left out, and whether they count from the first event."""
     if text is None:
-        return None
-    parts = text.split(":")
+        return None, False
+    parts = [part.strip() for part in text.split(":")]
+    signs = {part[:1] == "+" for part in parts if part}
     try:
-        begin, end = (float(part) if part.strip() else default for part, default in zip(parts, (0.0, 9e9), strict=True))
+        begin, end = (float(part) if part else default for part, default in zip(parts, (0.0, 9e9), strict=True))
+        if len(signs) > 1:
+            raise ValueError
     except ValueError:
-        raise click.BadParameter(f"expected from:to in seconds, found {text[:60]!r}") from None
-    return begin, end
+        raise click.BadParameter(f"expected from:to or +from:+to in seconds, found {text[:60]!r}") from None
+    return (begin, end), signs == {True}
 
 
 def crop(command: Decorated) -> Decorated:
@@ -124,12 +129,19 @@ def crop(command: Decorated) -> Decorated:
     def gathered(*arguments: Any, roi: Any, time_s: Any, pixels: Any, without_hot_pixels: bool, **others: Any) -> Any:
         from pixelid.recordings.crop import Crop
 
-        return command(*arguments, crop=Crop(roi, time_s, pixels, without_hot_pixels), **others)
+        span, from_first = time_s
+        return command(*arguments, crop=Crop(roi, span, pixels, without_hot_pixels, from_first), **others)
 
     for option in (
         click.option("--without-hot-pixels", is_flag=True, help="Leave out pixels that fire whatever the others do."),
         click.option("--pixels", type=PIXELS, metavar="N", help="Only N pixels, chosen by --seed."),
-        click.option("--time", "time_s", metavar="FROM:TO", callback=_span, help="Only these seconds."),
+        click.option(
+            "--time",
+            "time_s",
+            metavar="FROM:TO",
+            callback=_span,
+            help="Only these seconds; +FROM:+TO: since the first event.",
+        ),
         click.option(
             "--roi", metavar="X0,Y0,X1,Y1", callback=_region, help="Only these columns and rows (X1, Y1 out)."
         ),

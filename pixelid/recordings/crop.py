@@ -11,6 +11,7 @@ from pixelid.errors import InputError
 from pixelid.recordings.events import Events
 from pixelid.recordings.parts import LongRecording
 from pixelid.recordings.recording import Recording
+from pixelid.recordings.triggers import INT64_MAX
 from pixelid.stimuli.pixel_lights import Light, pixel_lights
 
 
@@ -22,6 +23,7 @@ def crop(
     pixels: int | None = None,
     without: np.ndarray | None = None,
     seed: int = 0,
+    from_first: bool = False,
 ) -> Recording:
     """The events inside a region, a span of time, and as many pixels as asked.
 
@@ -32,6 +34,7 @@ def crop(
         pixels: how many of the pixels that have events, chosen at random by `seed`.
         without: flat pixel indices to leave out, hot ones say.
         seed: of the choice of pixels.
+        from_first: count `time_s` from the first event on.
 
     Returns:
         The recording with fewer events, everything else as before; of light of each pixel's own that of the pixels
@@ -41,22 +44,37 @@ def crop(
         InputError: for a region outside the sensor, an empty span, and when no event is left of some.
     """
     events = recording.events
-    keep = _inside(events, roi, time_s, without)
+    span = _nanoseconds(time_s, int(events.t[0]) if from_first and len(events) else 0)
+    keep = _inside(events, roi, span, without)
     if pixels is not None:
         keep &= np.isin(events.pixel, _chosen(np.unique(events.pixel[keep]), pixels, seed))
     if len(events) and not keep.any():
         raise _nothing_left(recording.name, len(events), (events.t[0], events.t[-1]))
-    left, light = events.select(keep), _light_until(recording, time_s)
+    left, light = events.select(keep), _light_until(recording, span)
     if roi or pixels:
         light = _restricted(light, left, np.unique(left.pixel))
     return replace(recording, events=left, stimulus=light)
 
 
-def _inside(events: Events, roi, time_s, without: np.ndarray | None) -> np.ndarray:
-    """(n,) whether an event lies in the region and the span, and not on one of the pixels `without`.
+def _nanoseconds(time_s: tuple[float, float] | None, since_ns: int) -> tuple[int, int] | None:
+    """A span of seconds since `since_ns` on the recording's clock; None: all of it.
 
     Raises:
-        InputError: a region outside the sensor, an empty span.
+        InputError: an empty span, or one beyond 64 bits.
+    """
+    if time_s is None:
+        return None
+    begin, end = time_s
+    if not begin < end or not max(abs(begin), abs(end)) < 9.2e9:  # seconds that fit 64 bits in ns
+        raise InputError(f"--time: expected from:to in seconds with from < to, found {begin:g}:{end:g}")
+    return since_ns + round(begin * 1e9), min(since_ns + round(end * 1e9), INT64_MAX)
+
+
+def _inside(events: Events, roi, span: tuple[int, int] | None, without: np.ndarray | None) -> np.ndarray:
+    """(n,) whether an event lies in the region and the span (ns), and not on one of the pixels `without`.
+
+    Raises:
+        InputError: a region outside the sensor.
     """
     keep = np.ones(len(events), bool)
     if roi is not None:
@@ -67,11 +85,8 @@ def _inside(events: Events, roi, time_s, without: np.ndarray | None) -> np.ndarr
                 f"--roi: expected x0,y0,x1,y1 within the sensor of {size} pixels, found {x0},{y0},{x1},{y1}"
             )
         keep &= (events.x >= x0) & (events.x < x1) & (events.y >= y0) & (events.y < y1)
-    if time_s is not None:
-        begin, end = time_s
-        if not begin < end or not max(abs(begin), abs(end)) < 9.2e9:  # seconds that fit 64 bits in ns
-            raise InputError(f"--time: expected from:to in seconds with from < to, found {begin:g}:{end:g}")
-        keep &= (events.t >= round(begin * 1e9)) & (events.t < round(end * 1e9))
+    if span is not None:
+        keep &= (events.t >= span[0]) & (events.t < span[1])
     if without is not None and len(without):
         keep &= ~np.isin(events.pixel, without)
     return keep
@@ -84,10 +99,10 @@ def _chosen(present: np.ndarray, pixels: int, seed: int) -> np.ndarray:
     return np.random.default_rng(seed).permutation(present)[:pixels]
 
 
-def _light_until(recording: Recording, time_s: tuple[float, float] | None) -> Light | None:
+def _light_until(recording: Recording, span: tuple[int, int] | None) -> Light | None:
     """The light up to the end of the span: what was before the span stays, the pixel remembers it."""
     light = recording.stimulus
-    return light if light is None or time_s is None else light.until(time_s[1])
+    return light if light is None or span is None else light.until(span[1] * 1e-9)
 
 
 def _restricted(light: Light | None, events: Events, pixels: np.ndarray) -> Light | None:
@@ -100,17 +115,24 @@ def _restricted(light: Light | None, events: Events, pixels: np.ndarray) -> Ligh
 
 def _nothing_left(name: str, events: int, ends: Sequence[int]) -> InputError:
     span = f"{ends[0] * 1e-9:.3f} to {ends[-1] * 1e-9:.3f} s on its clock"
-    return InputError(f"{name}: no event is left of {events}, from {span} (--roi, --time, --pixels)")
+    return InputError(
+        f"{name}: no event is left of {events}, from {span} (--roi, --time, --pixels); --time +0:+0.5 counts from the "
+        "first event"
+    )
 
 
 @dataclass(frozen=True)
 class Crop:
-    """A cut that several recordings get, as the options --roi, --time, --pixels and --without-hot-pixels say it."""
+    """A cut that several recordings get, as the options --roi, --time, --pixels and --without-hot-pixels say it.
+
+    from_first: count `time_s` from each recording's first event on
+    """
 
     roi: tuple[int, int, int, int] | None = None
     time_s: tuple[float, float] | None = None
     pixels: int | None = None
     without_hot_pixels: bool = False
+    from_first: bool = False
 
     def applied(self, recording: Recording, seed: int = 0) -> Recording:
         """The part of the recording that is asked for; `seed` chooses the pixels.
@@ -125,7 +147,10 @@ class Crop:
             from pixelid.inspection.hot_pixels import find_hot_pixels
 
             hot = np.array([p.y * recording.events.width + p.x for p in find_hot_pixels(recording.events)], np.int64)
-        return crop(recording, roi=self.roi, time_s=self.time_s, pixels=self.pixels, without=hot, seed=seed)
+        return crop(
+            recording, roi=self.roi, time_s=self.time_s, pixels=self.pixels, without=hot, seed=seed,
+            from_first=self.from_first,
+        )  # fmt: skip
 
     def applied_to_parts(self, long: LongRecording, seed: int = 0) -> LongRecording:
         """The same of a recording that does not lie in memory; pixels are counted in a reading before.
@@ -135,8 +160,11 @@ class Crop:
         """
         if self == Crop():
             return long
-        head = long.head
-        _inside(head.events, self.roi, self.time_s, None)  # refuses what cannot be
+        head, since = long.head, 0
+        if self.from_first:
+            since = next((int(part.events.t[0]) for part in long.read() if len(part.events)), 0)
+        span = _nanoseconds(self.time_s, since)
+        _inside(head.events, self.roi, span, None)  # refuses what cannot be
         size = head.events.width * head.events.height
         hot = np.empty(0, np.int64)
         if self.without_hot_pixels:
@@ -149,14 +177,14 @@ class Crop:
             width, height = head.events.width, head.events.height
             seconds = float(ends[-1] - ends[0]) * 1e-9 if ends else 0.0
             hot = np.array([p.y * width + p.x for p in hot_of_counts(counts.reshape(height, width), seconds)], np.int64)
-        light = _light_until(head, self.time_s)
+        light = _light_until(head, span)
         own = light is not None and light.size == (head.events.width, head.events.height)
         chosen: np.ndarray | None = None
         if self.pixels is not None or (self.roi is not None and own):
             seen, events, ends = np.zeros(size, bool), 0, []
-            for part in self._before_end(long.read()):
+            for part in _before_end(long.read(), span):
                 ends = [*ends[:1], *part.events.t[:1], *part.events.t[-1:]]
-                seen[part.events.pixel[_inside(part.events, self.roi, self.time_s, hot)]] = True
+                seen[part.events.pixel[_inside(part.events, self.roi, span, hot)]] = True
                 events += len(part.events)
             if events and not seen.any():
                 raise _nothing_left(long.name, events, ends)
@@ -168,8 +196,8 @@ class Crop:
 
         def cropped() -> Iterator[Recording]:
             events, left, ends = 0, 0, []
-            for part in self._before_end(long.read()):
-                keep = _inside(part.events, self.roi, self.time_s, hot)
+            for part in _before_end(long.read(), span):
+                keep = _inside(part.events, self.roi, span, hot)
                 if chosen is not None:
                     keep &= chosen[part.events.pixel]
                 events, left = events + len(keep), left + int(np.count_nonzero(keep))
@@ -180,9 +208,10 @@ class Crop:
 
         return LongRecording(replace(head, stimulus=light), cropped)
 
-    def _before_end(self, parts: Iterator[Recording]) -> Iterator[Recording]:
-        """The parts up to the end of the span; those behind are not read."""
-        for part in parts:
-            yield part
-            if self.time_s is not None and len(part.events) and part.events.t[-1] >= round(self.time_s[1] * 1e9):
-                return
+
+def _before_end(parts: Iterator[Recording], span: tuple[int, int] | None) -> Iterator[Recording]:
+    """The parts up to the end of the span (ns); those behind are not read."""
+    for part in parts:
+        yield part
+        if span is not None and len(part.events) and part.events.t[-1] >= span[1]:
+            return

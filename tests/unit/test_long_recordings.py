@@ -167,6 +167,19 @@ def test_crops(crop):
     same(replace(joined(found.head, found.read()), triggers=recording.triggers), crop.applied(recording, 3))
 
 
+def test_time_since_the_first_event():
+    """On a clock that shows 1.6e9 s, where a double holds a quarter of a microsecond."""
+    recording = made()
+    start = int(recording.events.t[0])
+    later = replace(recording, events=replace(recording.events, t=recording.events.t + 1_600_000_000 * 10**9 - start))
+    cut = Crop(time_s=(0.0, 0.05), from_first=True)
+    kept = cut.applied(replace(later, stimulus=None)).events
+    assert len(kept) == np.count_nonzero(recording.events.t < start + 50_000_000)
+    assert kept.t[0] == 1_600_000_000 * 10**9
+    long = long_of(replace(later, stimulus=None))
+    same(joined(long.head, cut.applied_to_parts(long).read()), cut.applied(replace(later, stimulus=None)))
+
+
 def test_nothing_left_and_a_wrong_region_are_refused():
     long = long_of(made())
     with pytest.raises(InputError, match="within the sensor of 12 x 9"):
