@@ -78,7 +78,7 @@ def command(
         if stimulus is not None and not own:
             from pixelid.stimuli.files import load_stimulus
 
-            light = load_stimulus(stimulus)
+            light = load_stimulus(stimulus, (SENSOR, FRAMES))
             if align is None:
                 recording = recording.with_stimulus(light)
                 _refuse_other_clock(recording)

@@ -13,7 +13,7 @@ video or folder of frames beside the description; both with `unit`, and `fps` an
 from __future__ import annotations
 
 import inspect
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -28,10 +28,11 @@ from pixelid.stimuli.stimulus import Stimulus
 _WHOLE = {"width", "height", "seed"}
 
 
-def load_stimulus(spec: str | Path) -> Light:
+def load_stimulus(spec: str | Path, also: Sequence[str] = ()) -> Light:
     """The stimulus of a recording file, a `.toml` description, or a built-in name.
 
-    Raises InputError naming what is wrong, and for unknown names listing the known ones.
+    Raises InputError naming what is wrong, and for unknown names listing the known ones, with what the caller takes
+    `also`.
     """
     text = str(spec)
     if text in SHAPES:
@@ -39,8 +40,9 @@ def load_stimulus(spec: str | Path) -> Light:
     path = Path(text)
     suffix = path.suffix.lower()
     if not path.exists():
-        known = f"a recording, a light trace, a .toml file, or one of {', '.join(SHAPES)}"
-        raise InputError(f"no stimulus {text!r}: expected {known}{did_you_mean(text, SHAPES)}")
+        names = (*SHAPES, *also)
+        known = f"a recording, a light trace, a .toml file, or one of {', '.join(names)}"
+        raise InputError(f"no stimulus {text!r}: expected {known}{did_you_mean(text, names)}")
     if suffix == ".toml":
         return _from_toml(path)
     if not path.is_dir() and not path.is_file():
