@@ -52,6 +52,7 @@ from pixelid.likelihood.density_release import Released, candidates, released
 from pixelid.likelihood.layout import NOTHING, Layout, StackedChanges
 from pixelid.likelihood.losses import BACKGROUND_HZ, MISSED, Losses, losses_of
 from pixelid.stages.circuit import Circuit
+from pixelid.stages.comparator import drifts_to_zero
 
 NUMBERS = (*Numbers._fields, "lost")
 
@@ -87,7 +88,10 @@ class Terms:
 
     @cached_property
     def total(self) -> float:
-        """The log-likelihood."""
+        """The log-likelihood; −∞ where thresholds drift to zero within the recordings, which no circuit's do."""
+        drift = self.numbers.threshold_drift
+        if drift < 0 and drifts_to_zero(drift, float(self.layout.last_time_s.max())):
+            return -np.inf
         return float(self.event.term.sum() + self.group.term.sum() + self.end.sum())
 
     @property

@@ -14,7 +14,7 @@ from pixelid.dynamics.trajectory import Dynamics
 from pixelid.errors import InputError
 from pixelid.simulate import random
 from pixelid.stages.circuit import Circuit
-from pixelid.stages.comparator import threshold_shifts
+from pixelid.stages.comparator import drifts_to_zero, threshold_shifts
 from pixelid.stages.differencing import leaked
 from pixelid.stages.modulation import at_reset, since_event
 
@@ -67,7 +67,7 @@ def rules_of(circuit: Circuit, seed: int, synchronous: bool, t_end: float) -> Ru
     """The rules of a circuit.  Raises InputError for thresholds that are absent or drift to zero before t_end."""
     if not (circuit.on_threshold > 0 and circuit.off_threshold > 0):
         raise InputError("thresholds must be positive")
-    if 1.0 + circuit.threshold_drift * t_end <= 0.01:
+    if drifts_to_zero(circuit.threshold_drift, t_end):
         raise InputError(f"threshold_drift.per_s = {circuit.threshold_drift:g} brings the thresholds to zero")
     slewing = slew.slews(circuit)
     if slewing and not math.isfinite(circuit.follower):

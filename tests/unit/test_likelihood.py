@@ -17,6 +17,7 @@ from pixelid.dynamics.trajectory import integrate
 from pixelid.errors import InputError
 from pixelid.fit.coordinates import Coordinates
 from pixelid.fit.event_times import EventTimesObjective
+from pixelid.fit.maximise import maximise
 from pixelid.likelihood.changes import PER_EVENT, PER_PIXEL, ChangeEvaluator
 from pixelid.likelihood.density import BACKGROUND_HZ, NUMBERS
 from pixelid.likelihood.event_times import EventTimes
@@ -180,6 +181,22 @@ def test_rate_of_the_level_counts_the_drift_of_the_threshold():
     here, difference = level(0.0), (level(1e-4).z - level(-1e-4).z) / 2e-4
     assert np.all(np.abs(here.z * 0.4 / 1.6) > 0.3 * np.abs(difference))  # the drift's part is no trifle
     np.testing.assert_allclose(np.exp(here.log_rate), difference, rtol=1e-4)
+
+
+def test_thresholds_that_drift_to_zero_are_impossible_and_no_fit_ends_there():
+    recording = simulate(MODEL, sine_light(duration=0.5), width=4, height=2, seed=1)
+    end_s = float(EventTimes([recording]).layout.last_time_s.max())
+    model = MODEL.with_effect("threshold_drift", {"per_s": 0.05})
+    likelihood = EventTimes([recording])
+    for left, possible in ((0.009, False), (0.02, True)):
+        circuit = model.set({"threshold_drift.per_s": (left - 1.0) / end_s}).circuit()
+        assert np.isfinite(likelihood.log_likelihood(circuit)) == possible
+    # seen from a model that can hardly explain anything: thresholds many times too high, at any price to be lowered
+    far = model.set({"on_threshold": 2.0, "off_threshold": 2.0, "threshold_drift.per_s": -0.9 / end_s})
+    held = far.fix({name: None for name in far.free if name != "threshold_drift.per_s"})
+    fitted = maximise(likelihood, held, tolerance=0.01, max_steps=60).model
+    assert np.isfinite(likelihood.log_likelihood(fitted.circuit()))
+    simulate(fitted, recording.stimulus)  # which refuses thresholds at zero
 
 
 def test_what_the_end_cuts_off_is_held_against_the_threshold_of_then():

@@ -97,8 +97,12 @@ def impute(
     options: Options,
     report: Report = lambda what: None,
     cache: FitCache | None = None,
+    keep_all: bool = False,
 ) -> Imputation:
-    """The recordings without what a timestamp signature says the readout did to their times."""
+    """The recordings without what a timestamp signature says the readout did to their times.
+
+    keep_all: leave none out, as whose times are lost is known already
+    """
     random = np.random.default_rng(options.seed).bit_generator.state
     stimuli = tuple(r.stimulus for r in recordings)
     if signature.effect == TICK and signature.value < FINEST_TICK_S:
@@ -112,6 +116,7 @@ def impute(
     kept = reach <= options.criteria.max_wait_service_times * unit
     if sum(len(w.hi) for w, stays in zip(windows, kept, strict=True) if stays) < MIN_EVENTS:
         kept = reach <= np.sort(reach)[len(reach) // 2]
+    kept |= keep_all
     times = tuple(guess_edges(fine, windows, early=signature.effect == QUEUE))
     priors = _filter_priors(model)
     whole = Imputation(signature.effect, stimuli, fine, windows, times, random, priors).only(kept)
@@ -123,7 +128,9 @@ def impute(
     whole, model = impute_again(whole, model, ROUNDS[1], exact=False, report=report, cache=cache)
     whole, model = impute_again(whole, model, ROUNDS[2], report=report, cache=cache)
     kept = _unexplained_share(whole.likelihood, model) <= options.criteria.max_unexplained_share_of_recording
-    return whole.only(kept) if kept.any() else whole  # events unexplained everywhere: the model is wrong, not the times
+    return (
+        whole.only(kept) if kept.any() and not keep_all else whole
+    )  # events unexplained everywhere: the model is wrong, not the times
 
 
 def is_coarse_tick(signature: TimestampSignature) -> bool:

@@ -28,7 +28,8 @@ def discount_imputation_noise(state: State, context: Context) -> State:
         return state.then(Phase.WITHDRAW)
     hypothesis, seen = state.hypothesis, state.hypothesis.seen
     seed, pixels = context.options.seed + SEED_OFFSET, state.split.everyone
-    made = simulate_again(state.recordings, hypothesis.model, pixels, hypothesis.evidence.between, seed)
+    looked_at = [r for r in state.recordings if r.name not in state.lost]
+    made = simulate_again(looked_at, hypothesis.model, pixels, hypothesis.evidence.between, seed)
     shown = _imputed_alike(made, state, seen.factors, context).seen.maps
     cells, p = subtract_replicates(seen, [shown.scores])
     told = {"p_of_what_is_left": p, "background_events": shown.background}
@@ -48,7 +49,7 @@ def _imputed_alike(made: Sequence[Recording], state: State, like: Sequence[Facto
 
     for signature in state.undone:
         model = model.without_effect(signature.effect)
-        imputation = impute(recordings, signature, model, options, report, cache)
+        imputation = impute(recordings, signature, model, options, report, cache, keep_all=True)
         recordings = imputation.recordings
         model = model.with_effect(signature.effect, {signature.parameter: signature.value})
         model = model.fix({signature.parameter: None})
