@@ -128,9 +128,9 @@ def impute(
     whole, model = impute_again(whole, model, ROUNDS[1], exact=False, report=report, cache=cache)
     whole, model = impute_again(whole, model, ROUNDS[2], report=report, cache=cache)
     kept = _unexplained_share(whole.likelihood, model) <= options.criteria.max_unexplained_share_of_recording
-    return (
-        whole.only(kept) if kept.any() and not keep_all else whole
-    )  # events unexplained everywhere: the model is wrong, not the times
+    if keep_all or not kept.any():  # events unexplained everywhere: the model is wrong, not the times
+        return whole
+    return whole.only(kept)
 
 
 def is_coarse_tick(signature: TimestampSignature) -> bool:
