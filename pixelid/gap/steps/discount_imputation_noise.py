@@ -5,6 +5,7 @@ Imputed times come near true ones where intervals tell them; where events crowd,
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -28,7 +29,12 @@ def discount_imputation_noise(state: State, context: Context) -> State:
         return state.then(Phase.WITHDRAW)
     hypothesis, seen = state.hypothesis, state.hypothesis.seen
     seed, pixels = context.options.seed + SEED_OFFSET, state.split.everyone
-    looked_at = [r for r in state.recordings if r.name not in state.lost]
+    left_out = Counter(state.lost)  # recordings may share a name
+    looked_at = []
+    for recording in state.recordings:
+        left_out[recording.name] -= 1
+        if left_out[recording.name] < 0:
+            looked_at.append(recording)
     made = simulate_again(looked_at, hypothesis.model, pixels, hypothesis.evidence.between, seed)
     shown = _imputed_alike(made, state, seen.factors, context).seen.maps
     cells, p = subtract_replicates(seen, [shown.scores])
