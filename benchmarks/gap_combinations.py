@@ -160,16 +160,8 @@ def main() -> None:
         temporary.write_text(json.dumps({"summary": summary(rows), "runs": rows}, indent=1, default=float) + "\n")
         temporary.replace(options.out)
         row = next(r for r in rows if r["seed"] == seed)
-        print(
-            seed,
-            row["planted"],
-            "->",
-            row["verdict"],
-            row["named"],
-            outcome(row),
-            f"{row['cpu_seconds']:.0f} s",
-            flush=True,
-        )
+        what = " + ".join(f"{name} x{factor:.2g}" if factor else f"no {name}" for name, factor in row["planted"])
+        print(f"{seed} {what} -> {row['verdict']} {row['named']}, {row['cpu_seconds']:.0f} s", flush=True)
 
 
 if __name__ == "__main__":

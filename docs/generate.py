@@ -199,7 +199,6 @@ PAGES: dict[str, Callable[[], str]] = {
     "lowlight": lowlight,
     "lowlight_latencies": lowlight_latencies,
     "certification": measured.certification,
-    "combinations": measured.combinations,
     "described": measured.described,
     "grammar": grammar,
     "sensitivity": measured.sensitivity,

@@ -83,36 +83,6 @@ def described() -> str:
     )
 
 
-def combinations() -> str:
-    """What `benchmarks/gap_combinations.py` found."""
-    found = of_json("docs/gap_combinations.json")
-    summary, runs = found["summary"], found["runs"]
-    rows = [
-        (name, f"{entry['count']} of {entry['of']}", "–".join(percent(x) for x in entry["interval_95"]))
-        for name, entry in summary.items()
-        if isinstance(entry, dict) and "count" in entry
-    ]
-    each = [
-        (
-            " + ".join(
-                f"`{effect}`" + (f" × {factor:.2g}" if factor else " withheld") for effect, factor in r["planted"]
-            ),
-            r["verdict"] + (": " + ", ".join(f"`{name}`" for name in r["named"]) if r["named"] else ""),
-        )
-        for r in runs
-        if r["verdict"] != "named" or set(r["named"]) != {effect for effect, _ in r["planted"]}
-    ]
-    held, of = summary["intervals_hold"]
-    parts = [
-        f"{len(runs)} sessions, {summary['median_cpu_seconds']:.0f} s of CPU time each in the median.\n",
-        table(("in a session is named", "count", "95 % interval"), rows),
-        f"Of the strengths found, {held} of {of} intervals of nominally 95 % contain the truth.\n",
-    ]
-    if each:
-        parts += ["**The other sessions**\n", table(("planted (of the typical strength)", "verdict"), each)]
-    return "\n".join(parts)
-
-
 def sensitivity() -> str:
     """What `benchmarks/gap_sensitivity.py` found: a row per criterion, halved and doubled."""
     content = of_json("docs/gap_sensitivity.json")
