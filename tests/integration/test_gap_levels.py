@@ -5,23 +5,26 @@ from __future__ import annotations
 import importlib.util
 import json
 import sys
-from dataclasses import replace
+from dataclasses import dataclass
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from pixelid.cli.main import main
 from pixelid.errors import InputError
-from pixelid.fit.levels.pixel_levels import Wanted
+from pixelid.fit.levels.pixel_levels import PixelLevels, Wanted
+from pixelid.gap import own_levels
 from pixelid.gap.gap import gap
-from pixelid.gap.own_levels import search_with_levels
 from pixelid.gap.result import GapReport
+from pixelid.model.model import Model
 from pixelid.model.shipped import find_model
 from pixelid.recordings import write_recording
 from pixelid.recordings.recording import Recording
 from pixelid.simulate import simulate
 from pixelid.stimuli.pixel_lights import PixelLights
+from pixelid.stimuli.shapes import grating as grating_of_pixels
 from pixelid.stimuli.stimulus import Stimulus
 
 BENCHMARKS = Path(__file__).resolve().parents[2] / "benchmarks"
@@ -55,25 +58,49 @@ def session(grating, truth, seed: int, side: int = SIDE, levels: tuple[float, ..
     return log_gain, made
 
 
-def test_each_search_sees_the_light_through_the_levels_told_last(grating):
-    model, seen = find_model("dvs128"), []
-    log_gain, recordings = session(grating, model, 1, side=3, levels=(100.0,))
-    report = gap(recordings, model, recommend=False)
+@dataclass(frozen=True)
+class Said:
+    """What a search says, as far as `search_with_levels` looks at it."""
 
-    def search(those):
-        seen.append(those[0].stimulus)
-        return replace(report, effects=())
+    effects: tuple
+    model: Model
+    pixel_levels: PixelLevels | None = None
 
-    found = search_with_levels(recordings, model, Wanted(("gain",), {}), 0, search)
-    assert len(seen) == 1  # nothing named: nothing to tell levels again with
-    assert isinstance(seen[0], PixelLights)
-    assert found.pixel_levels is not None
-    place = 3 * found.pixel_levels.y + found.pixel_levels.x
-    assert np.corrcoef(np.log(found.pixel_levels.gain), log_gain[place])[0, 1] > 0.9
-    shown = recordings[0].stimulus
-    assert isinstance(shown, Stimulus)
-    first = shown.radiance[:, found.pixel_levels.y[0], found.pixel_levels.x[0]]
-    assert np.allclose(seen[0].lights[0].radiance, found.pixel_levels.gain[0] * first)
+
+@pytest.mark.parametrize(
+    ("named", "searches"),
+    [([[]], 1), ([["leak"], ["leak"]], 2), ([["leak"], []], 2), ([["leak"], ["lower_cutoff"], ["leak"]], 3)],
+)
+def test_levels_are_told_again_with_what_is_named(named, searches, monkeypatch):
+    base, told_with, seen = find_model("dvs128"), [], []
+    film = grating_of_pixels(20.0, 0.6, 25.0, 8.0, width=2, height=2, duration_s=0.1, dt=1e-3)
+    recording = simulate(base, film, seed=1)
+
+    def levels(recordings, model, **words):
+        told_with.append(model)
+        nothing = np.empty(0)
+        gain = np.array([0.5, 1.0, 1.5, 2.0]) * len(told_with)
+        x, y = np.array([0, 1, 0, 1]), np.array([0, 0, 1, 1])
+        return SimpleNamespace(pixel_levels=PixelLevels(x, y, gain, nothing, nothing, nothing, {}, {}))
+
+    def search(recordings):
+        seen.append(recordings[0].stimulus)
+        names = named[len(seen) - 1]
+        model = base
+        for name in names:
+            model = model.with_effect(name)
+        return Said(tuple(SimpleNamespace(name=name) for name in names), model)
+
+    monkeypatch.setattr(own_levels, "fit", levels)
+    wanted = Wanted(("gain",), {})
+    report = own_levels.search_with_levels([recording], base, wanted, 0, search)  # type: ignore[arg-type]
+    assert len(seen) == searches
+    assert [model.effects for model in told_with[1:]] == [base.with_effect(some[0]).effects for some in named[:-1]]
+    assert isinstance(seen[-1], PixelLights)
+    assert report.pixel_levels is not None
+    for k, (x, y) in enumerate(((0, 0), (1, 0), (0, 1), (1, 1))):
+        gain = report.pixel_levels.gain[k]
+        assert np.allclose(seen[-1].lights[k].radiance, gain * film.radiance[:, y, x])
 
 
 def test_a_background_beside_a_free_dark_current_is_refused(grating):
