@@ -12,7 +12,7 @@ import numpy as np
 import torch
 
 from pixelid.documents import read_text
-from pixelid.errors import InputError
+from pixelid.errors import InputError, OutputError
 from pixelid.nerf import parallel
 from pixelid.nerf.calibration import Calibration
 from pixelid.nerf.field import Field, blocks
@@ -31,7 +31,11 @@ def run_identity(problem: Problem, recipe: Recipe, bandwidth: Bandwidth, inputs:
 
 
 def save(path: Path, state: State, mark: str) -> None:
-    """Write a checkpoint, replacing the one before."""
+    """Write a checkpoint, replacing the one before.
+
+    Raises:
+        OutputError: it cannot be written; the one before is still there.
+    """
     document = {
         "format": FORMAT,
         "mark": mark,
@@ -50,7 +54,10 @@ def save(path: Path, state: State, mark: str) -> None:
         "optimiser": state.optimiser.state_dict(),
     }
     with whole_file(Path(path), overwrite=True) as temporary:
-        torch.save(document, temporary)
+        try:
+            torch.save(document, temporary)
+        except RuntimeError as error:  # what a stream of C++ makes of a write that failed
+            raise OutputError(f"{path}: cannot be written ({error})") from error
 
 
 def load(
