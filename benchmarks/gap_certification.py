@@ -184,9 +184,9 @@ def summary(rows: list[dict]) -> dict:
     left_out = [r for r in rows if r["left_out"]]
     return {
         "alpha": ALPHA,
-        "nulls, named": _rate(sum(r["verdict"] == "named" for r in nulls), len(nulls)),
-        "nulls, anything but none": _rate(sum(r["verdict"] != "none" for r in nulls), len(nulls)),
-        "left out, a neighbour named": _rate(sum(r["verdict"] == "named" for r in left_out), len(left_out)),
+        "nulls, named": rate(sum(r["verdict"] == "named" for r in nulls), len(nulls)),
+        "nulls, anything but none": rate(sum(r["verdict"] != "none" for r in nulls), len(nulls)),
+        "left out, a neighbour named": rate(sum(r["verdict"] == "named" for r in left_out), len(left_out)),
         "named_exactly_of_tries": power,
         "strengths_of_right_names": _strengths(rows),
         "confusion": confusion,
@@ -210,7 +210,8 @@ def _strengths(rows: list[dict]) -> dict:
     return strengths
 
 
-def _rate(count: int, of: int) -> dict:
+def rate(count: int, of: int) -> dict:
+    """A share as a count, with its 95 % interval (Clopper–Pearson)."""
     low = float(beta.ppf(0.025, count, of - count + 1)) if count else 0.0
     high = float(beta.ppf(0.975, count + 1, of - count)) if count < of else 1.0
     return {"count": count, "of": of, "interval_95": [low, high]}

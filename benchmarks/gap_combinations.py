@@ -19,8 +19,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from gap_certification import ALPHA, STRENGTHS, WEAKER, WITHHELD, camera
-from scipy.stats import beta
+from gap_certification import ALPHA, STRENGTHS, WEAKER, WITHHELD, camera, rate
 
 from pixelid.gap.gap import gap
 from pixelid.model.model import Model
@@ -126,20 +125,14 @@ def summary(rows: list[dict]) -> dict:
     inside = [low <= true <= high for r in rows for true, _, limits in r["strengths"].values()
               if limits and None not in limits for low, high in [limits]]  # fmt: skip
     return {
-        "all and only those planted": _rate(exact, len(rows)),
-        "an effect that was not planted": _rate(wrong, len(rows)),
+        "all and only those planted": rate(exact, len(rows)),
+        "an effect that was not planted": rate(wrong, len(rows)),
         "by_number_of_effects": {
             str(n): dict(Counter(outcome(r) for r in rows if len(r["planted"]) == n)) for n in (1, 2, 3)
         },
         "intervals_hold": [sum(inside), len(inside)],
         "median_cpu_seconds": float(np.median([r["cpu_seconds"] for r in rows])),
     }
-
-
-def _rate(count: int, of: int) -> dict:
-    low = float(beta.ppf(0.025, count, of - count + 1)) if count else 0.0
-    high = float(beta.ppf(0.975, count + 1, of - count)) if count < of else 1.0
-    return {"count": count, "of": of, "interval_95": [low, high]}
 
 
 def main() -> None:
@@ -154,12 +147,12 @@ def main() -> None:
     for seed in range(FIRST_SEED + options.first, FIRST_SEED + options.first + options.sessions):
         if seed in done or time.monotonic() > until:
             continue
-        rows.append(run(seed))
+        row = run(seed)
+        rows.append(row)
         rows.sort(key=lambda row: row["seed"])
         temporary = options.out.with_suffix(".tmp")
         temporary.write_text(json.dumps({"summary": summary(rows), "runs": rows}, indent=1, default=float) + "\n")
         temporary.replace(options.out)
-        row = next(r for r in rows if r["seed"] == seed)
         what = " + ".join(f"{name} x{factor:.2g}" if factor else f"no {name}" for name, factor in row["planted"])
         print(f"{seed} {what} -> {row['verdict']} {row['named']}, {row['cpu_seconds']:.0f} s", flush=True)
 

@@ -71,7 +71,9 @@ def gap(
     with connected(where or Where()) as client:
         context = Context(options, cache, progress or (lambda what, fraction: None), Work(client))
         if wanted is not None:
-            report = search_with_levels(recordings, model, wanted, seed, lambda seen: search(seen, model, context))
+            report = search_with_levels(
+                recordings, model, wanted, seed, lambda seen: search(seen, model, context), context.report
+            )
         else:
             report = (search_pooled if pooled else search)(recordings, model, context)
     if cache is not None:

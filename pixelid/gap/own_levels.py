@@ -9,14 +9,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import TypeAlias
 
 from pixelid.fit.fit import fit
 from pixelid.fit.levels.pixel_levels import Wanted
+from pixelid.gap.options import Report
 from pixelid.gap.result import GapReport
 from pixelid.model.model import Model
 from pixelid.recordings.recording import Recording
 
 MOST_SEARCHES = 3
+
+Search: TypeAlias = Callable[[Sequence[Recording]], GapReport]
 
 
 def search_with_levels(
@@ -24,7 +28,8 @@ def search_with_levels(
     model: Model,
     wanted: Wanted,
     seed: int,
-    search: Callable[[Sequence[Recording]], GapReport],
+    search: Search,
+    report: Report,
 ) -> GapReport:
     """The report of the last search, with the levels that it took as known.
 
@@ -34,21 +39,26 @@ def search_with_levels(
         wanted: which levels are not known.
         seed: of the fits.
         search: of recordings whose lights are what each pixel saw.
+        report: called with what is being done.
 
     Raises:
         InputError: levels that these recordings cannot tell, or not beside this model.
     """
-    wanted.check(recordings, model, "discrete")
-    report, named = _searched(recordings, model, wanted, seed, search), frozenset[str]()
+    found, named = _searched(recordings, model, wanted, seed, search, report), frozenset[str]()
     for _ in range(MOST_SEARCHES - 1):
-        found = frozenset(effect.name for effect in report.effects)
-        if not found or found == named or not wanted.separable(report.model):
+        before, named = named, frozenset(effect.name for effect in found.effects)
+        if not named or named == before or not wanted.separable(found.model):
             break
-        named, report = found, _searched(recordings, report.model, wanted, seed, search)
-    return report
+        found = _searched(recordings, found.model, wanted, seed, search, report)
+    return found
 
 
-def _searched(recordings, told_with: Model, wanted: Wanted, seed: int, search) -> GapReport:
-    levels = fit(recordings, told_with, starts=0, pixel_levels=wanted, seed=seed).pixel_levels
+def _searched(
+    recordings: Sequence[Recording], told_with: Model, wanted: Wanted, seed: int, search: Search, report: Report
+) -> GapReport:
+    def progress(what: str, fraction: float) -> None:
+        report(f"levels of pixels: {what}", 0.01)
+
+    levels = fit(recordings, told_with, starts=0, pixel_levels=wanted, seed=seed, progress=progress).pixel_levels
     assert levels is not None
     return replace(search(levels.seen(recordings)), pixel_levels=levels)

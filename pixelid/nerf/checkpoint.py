@@ -12,7 +12,7 @@ import numpy as np
 import torch
 
 from pixelid.documents import read_text
-from pixelid.errors import InputError, OutputError
+from pixelid.errors import InputError
 from pixelid.nerf import parallel
 from pixelid.nerf.calibration import Calibration
 from pixelid.nerf.field import Field, blocks
@@ -57,7 +57,7 @@ def save(path: Path, state: State, mark: str) -> None:
         try:
             torch.save(document, temporary)
         except RuntimeError as error:  # what a stream of C++ makes of a write that failed
-            raise OutputError(f"{path}: cannot be written ({error})") from error
+            raise OSError(str(error)) from error
 
 
 def load(

@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pixelid.errors import InputError
+from pixelid.recordings.columns import INT64_MAX
 from pixelid.recordings.events import Events
 from pixelid.recordings.parts import LongRecording
 from pixelid.recordings.recording import Recording
-from pixelid.recordings.triggers import INT64_MAX
 from pixelid.stimuli.pixel_lights import Light, pixel_lights
 
 
@@ -113,6 +113,11 @@ def _restricted(light: Light | None, events: Events, pixels: np.ndarray) -> Ligh
     return light if grouped is None else grouped.restricted(pixels)
 
 
+def _ends(so_far: Sequence[int], events: Events) -> list[int]:
+    """First and last time (ns) of the events so far and of those that follow; empty where there were none."""
+    return [*so_far[:1], *events.t[:1], *events.t[-1:]]
+
+
 def _nothing_left(name: str, events: int, ends: Sequence[int]) -> InputError:
     span = f"{ends[0] * 1e-9:.3f} to {ends[-1] * 1e-9:.3f} s on its clock"
     return InputError(
@@ -173,7 +178,7 @@ class Crop:
             counts, ends = np.zeros(size, np.int64), []
             for part in long.read():
                 counts += np.bincount(part.events.pixel, minlength=size)
-                ends = [*ends[:1], *part.events.t[:1], *part.events.t[-1:]]
+                ends = _ends(ends, part.events)
             width, height = head.events.width, head.events.height
             seconds = float(ends[-1] - ends[0]) * 1e-9 if ends else 0.0
             hot = np.array([p.y * width + p.x for p in hot_of_counts(counts.reshape(height, width), seconds)], np.int64)
@@ -183,7 +188,7 @@ class Crop:
         if self.pixels is not None or (self.roi is not None and own):
             seen, events, ends = np.zeros(size, bool), 0, []
             for part in _before_end(long.read(), span):
-                ends = [*ends[:1], *part.events.t[:1], *part.events.t[-1:]]
+                ends = _ends(ends, part.events)
                 seen[part.events.pixel[_inside(part.events, self.roi, span, hot)]] = True
                 events += len(part.events)
             if events and not seen.any():
@@ -201,7 +206,7 @@ class Crop:
                 if chosen is not None:
                     keep &= chosen[part.events.pixel]
                 events, left = events + len(keep), left + int(np.count_nonzero(keep))
-                ends = [*ends[:1], *part.events.t[:1], *part.events.t[-1:]]
+                ends = _ends(ends, part.events)
                 yield replace(part, events=part.events.select(keep), stimulus=light)
             if events and not left:
                 raise _nothing_left(long.name, events, ends)

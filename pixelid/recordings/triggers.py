@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from pixelid.errors import InputError, shown
+from pixelid.recordings.columns import INT64_MAX
 
 COLUMNS = ("t", "rising", "channel")
-INT64_MAX = (1 << 63) - 1
 
 
 @dataclass(frozen=True)

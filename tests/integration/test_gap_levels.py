@@ -93,7 +93,7 @@ def test_levels_are_told_again_with_what_is_named(named, searches, monkeypatch):
 
     monkeypatch.setattr(own_levels, "fit", levels)
     wanted = Wanted(("gain",), {})
-    report = own_levels.search_with_levels([recording], base, wanted, 0, search)  # type: ignore[arg-type]
+    report = own_levels.search_with_levels([recording], base, wanted, 0, search, print)  # type: ignore[arg-type]
     assert len(seen) == searches
     assert [model.effects for model in told_with[1:]] == [base.with_effect(some[0]).effects for some in named[:-1]]
     assert isinstance(seen[-1], PixelLights)
