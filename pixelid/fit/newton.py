@@ -1,7 +1,8 @@
 """Maximise a log posterior: damped Newton steps on the information matrix, inside bounds.
 
-Levenberg–Marquardt with Nielsen's damping update (Madsen, Nielsen & Tingleff 2004, section 3.2), steps clipped to the
-bounds; coordinates that sit on a bound and are pushed outwards leave the step.
+Levenberg–Marquardt with Nielsen's damping update (Madsen, Nielsen & Tingleff 2004, section 3.2).  Each step is the best
+one of the quadratic model inside the bounds and the longest move of each coordinate: a coordinate that the data do not
+tell goes as far as it may without shortening the moves of the others.
 """
 
 from __future__ import annotations
@@ -63,9 +64,9 @@ def maximise(
         H = here.information[np.ix_(free, free)]
         g = here.gradient[free]
         scale = np.maximum(np.diag(H), 1e-8 * max(np.diag(H).max(), 1e-300))
+        nearest, farthest = np.maximum(lower - x, -longest), np.minimum(upper - x, longest)
         move = np.zeros(len(x))
-        move[free] = np.linalg.solve(H + damping * np.diag(scale), g)
-        move /= max(1.0, np.abs(move / longest).max())
+        move[free] = _best_inside(H + damping * np.diag(scale), g, nearest[free], farthest[free])
         trial = np.clip(x + move, lower, upper)
         move = trial - x
         predicted = here.gradient @ move - 0.5 * move @ here.information @ move
@@ -92,6 +93,25 @@ def maximise(
         if progress:
             progress(steps, here.value)
     return Optimum(x, here, converged, held, steps)
+
+
+def _best_inside(H: np.ndarray, g: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """Where g·m − ½ m·H·m is largest with low ≤ m ≤ high (n,), by an active set (Nocedal & Wright 2006, chapter 16)."""
+    move, inside = np.zeros(len(g)), np.ones(len(g), dtype=bool)
+    for _ in range(3 * len(g)):
+        push = g[inside] - H[np.ix_(inside, ~inside)] @ move[~inside]
+        move[inside] = np.linalg.solve(H[np.ix_(inside, inside)], push)
+        beyond = inside & ((move < low) | (move > high))
+        if beyond.any():
+            move = np.clip(move, low, high)
+            inside &= ~beyond
+            continue
+        slope = g - H @ move
+        back = ~inside & (((move <= low) & (slope > 0)) | ((move >= high) & (slope < 0))) & (low < high)
+        if not back.any():
+            break
+        inside[np.argmax(np.where(back, np.abs(slope), -1.0))] = True
+    return np.clip(move, low, high)
 
 
 def _hopeless(promises: list[float], missing: float, left: int) -> bool:

@@ -4,8 +4,9 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy import optimize
 
-from pixelid.fit.newton import maximise
+from pixelid.fit.newton import _best_inside, maximise
 from pixelid.fit.objective import Local, Objective
 
 
@@ -62,3 +63,40 @@ def test_giving_up_changes_no_decision():
         assert (there >= wanted) == (asked >= wanted)
         reached += there >= wanted
     assert 100 < reached < 190
+
+
+class Flat(Objective):
+    """−(x − 3)²/2 and a second coordinate that hardly counts, pushed to its bound at 0 with next to no curvature."""
+
+    def __init__(self):
+        bounds = np.array([-9.0, 0.0]), np.array([9.0, 9.0])
+        self.coordinates = SimpleNamespace(bounds=lambda: bounds, longest_moves=lambda: np.ones(2))
+
+    def value(self, x):
+        return -0.5 * (x[0] - 3.0) ** 2 + 0.02 * x[1] - 1e-9 * x[1] ** 2
+
+    def local(self, x):
+        return Local(self.value(x), np.array([3.0 - x[0], 0.02 - 2e-9 * x[1]]), np.diag([1.0, 2e-9]))
+
+
+def test_a_coordinate_that_hardly_counts_does_not_hold_back_the_others():
+    end = maximise(Flat(), np.array([0.0, 0.0]), tolerance=0.1, max_steps=12)
+    assert end.converged
+    assert end.x[0] == pytest.approx(3.0, abs=0.5)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_steps_are_the_best_inside_a_box(seed):
+    """Against a general optimiser, on random concave quadratics."""
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(2, 7))
+    root = rng.normal(size=(n, n))
+    H, g = root @ root.T + 0.05 * np.eye(n), rng.normal(size=n) * 3.0
+    low, high = -rng.uniform(0.0, 1.0, n), rng.uniform(0.0, 1.0, n)
+    move = _best_inside(H, g, low, high)
+    told = optimize.minimize(
+        lambda m: 0.5 * m @ H @ m - g @ m, np.zeros(n), jac=lambda m: H @ m - g, bounds=list(zip(low, high, strict=True)),
+        method="L-BFGS-B", options={"ftol": 1e-15, "gtol": 1e-10, "maxiter": 5000},
+    )  # fmt: skip
+    assert ((move >= low) & (move <= high)).all()
+    np.testing.assert_allclose(g @ move - 0.5 * move @ H @ move, -told.fun, rtol=1e-6, atol=1e-9)

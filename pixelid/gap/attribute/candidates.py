@@ -15,8 +15,10 @@ from pixelid.model.model import Model
 
 DECADES = (-2.0, -1.5, -1.0, -0.5, 0.0, 0.5, 1.0, 1.5)  # strengths tried, about the shipped value
 # A slew limit is slow to fit, and its likelihood only falls as it tightens past the best: it is fitted where one of the
-# strengths gains this much by itself, and no tighter one is tried from where it loses that much.
-MIN_SLEW_GAIN_NATS, MAX_SLEW_LOSS_NATS = 0.5, 20.0
+# strengths gains this much by itself, and no tighter one is tried from where it loses that much per event.  A side that
+# nothing slews at has no slope, so a fit leaves it where it is: sides are looked for one by one, from weak to tight.
+MIN_SLEW_GAIN_NATS, MAX_SLEW_LOSS_NATS, SLEW_STEP = 0.5, 0.1, 10.0**-0.125
+SLEW, SLEW_SIDES = "slew_limit", ("slew_limit.rise_per_s", "slew_limit.fall_per_s")
 MAINS_HZ = (100.0, 120.0)
 # Below the knee, of the logarithm's slope at it: without a kink, and as in v2e, on a line through the origin from the
 # logarithm of 20 grey levels.
@@ -76,19 +78,45 @@ def strongest_start(likelihood: EventTimes, model: Model, effect: str, least: fl
 
     None if none can be evaluated, or (slew_limit, slow to fit, harmless when weak) none explains more than `least`.
     """
+    if effect == SLEW:
+        return _strongest_slew_start(likelihood, model, least)
     best, top = None, -np.inf
     for trial in _trials(likelihood, model, effect):
-        try:
-            value = likelihood.log_likelihood(trial.circuit())
-        except (InputError, FloatingPointError):
-            continue
-        if np.isfinite(value) and value > top:
+        value = _value(likelihood, trial)
+        if value > top:
             best, top = trial, value
-        elif effect == "slew_limit" and value < top - MAX_SLEW_LOSS_NATS:
-            break  # the tighter the limit, the worse from here on
-    if effect == "slew_limit" and top <= least + MIN_SLEW_GAIN_NATS:
-        return None
     return best
+
+
+def _strongest_slew_start(likelihood: EventTimes, model: Model, least: float) -> Model | None:
+    """The model with the limits of both sides where they explain the events best, one looked for after the other.
+
+    From limits far off, or those that the model has.  None if nothing explains more than `least`.
+    """
+    shipped = [p.value for p in stages.effect(SLEW).parameters]
+    weakest, strongest = shipped[0] * 10.0 ** DECADES[-1], shipped[0] * 10.0 ** DECADES[0]
+    best = model if model.has(SLEW) else model.with_effect(SLEW, dict.fromkeys(SLEW_SIDES, weakest))
+    top, found = max(_value(likelihood, best), least), False
+    for side in (*SLEW_SIDES, *SLEW_SIDES):  # again, beside what was found of the other
+        limit, peak, others = weakest, -np.inf, best
+        while limit >= strongest:
+            value = _value(likelihood, trial := others.set({side: limit}))
+            peak = max(peak, value)
+            if value < peak - MAX_SLEW_LOSS_NATS * likelihood.events:
+                break  # the tighter the limit, the worse from here on
+            if value > top + MIN_SLEW_GAIN_NATS:
+                best, top, found = trial, value, True
+            limit *= SLEW_STEP
+    return best if found else None
+
+
+def _value(likelihood: EventTimes, model: Model) -> float:
+    """Log-likelihood, −∞ where it cannot be evaluated."""
+    try:
+        value = likelihood.log_likelihood(model.circuit())
+    except (InputError, FloatingPointError):
+        return -np.inf
+    return value if np.isfinite(value) else -np.inf
 
 
 def _trials(likelihood: EventTimes, model: Model, effect: str) -> Iterator[Model]:

@@ -5,7 +5,9 @@ whose windows are short, until thresholds and their noise settle; then those wit
 follow the model so found.  Filters have wide priors near the model's values meanwhile.  A recording whose events mostly
 waited for far longer (a saturated readout) has lost its times and is left out.  Behind a jitter and a coarse tick whole
 paths are drawn, and the model follows the stamps with the times integrated out (`blurred.py`).  A model that gains an
-effect later moves the times behind it: they are drawn again (`impute_again`).
+effect later moves the times behind it: they are drawn again (`impute_again`), behind a queue anew, since times drawn
+from a circuit that lacks what was found keep it (a dead time by the shortest intervals drawn): from recordings in which
+events hardly waited, then the others, as before (`impute_with_effect`).
 """
 
 from __future__ import annotations
@@ -43,7 +45,9 @@ from pixelid.recordings.selection import few
 FINEST_TICK_S = 5e-6  # a finer tick is a width of the event-time density, not a window
 SHORT_SERVICE_TIMES = 20.0  # windows (nine of ten) of the recordings that the first stage begins with
 MIN_EVENTS = 100  # to begin with
+MOSTLY_WAITED, MIN_EVENTS_AT_ONCE = 0.1, 1000  # of events that waited, and of recordings where fewer did, to begin anew
 ROUNDS = (20, 8, 8)  # of draws and refits in each stage, the last with exact draws
+ROUNDS_AT_ONCE = 12  # with recordings where few waited: hardly anything is drawn
 ROUNDS_AGAIN = 24  # with exact draws, after the model has gained an effect
 SETTLING_DRAWS = 60  # without refits, before the second stage
 DRAWS_PER_ROUND = 2
@@ -88,6 +92,35 @@ def impute_again(
     scatter = np.std([end.x for end in ends[rounds // 2 :]], axis=0)
     by_name = dict(zip(ends[-1].coordinates.names, scatter.tolist(), strict=True))
     return replace(imputation, scatter=by_name), model
+
+
+def impute_with_effect(
+    imputation: Imputation,
+    model: Model,
+    seed: int,
+    report: Report = lambda what: None,
+    cache: FitCache | None = None,
+) -> tuple[Imputation, Model]:
+    """Times and model once the model has gained an effect.
+
+    Args:
+        imputation: With the times drawn without it.
+        model: With it.
+        seed: Of first guesses.
+        report: Called with what is being done.
+        cache: Fits already made.
+    """
+    if imputation.effect == QUEUE and imputation.windows:
+        waited = np.array([float(np.mean(w.hi > w.lo)) if len(w.hi) else 0.0 for w in imputation.windows])
+        at_once = waited < MOSTLY_WAITED
+        events = sum(len(w.hi) for w, use in zip(imputation.windows, at_once, strict=True) if use)
+        if events >= MIN_EVENTS_AT_ONCE and not at_once.all():
+            model = imputation.with_filter_priors(model)
+            part, model = impute_again(
+                imputation.only(at_once), model, ROUNDS_AT_ONCE, exact=False, report=report, cache=cache
+            )
+            imputation = _completed(imputation, part, at_once, model, seed)
+    return impute_again(imputation, model, report=report, cache=cache)
 
 
 def impute(
@@ -202,16 +235,21 @@ def _begin(
     if sum(len(r.events) for r in timed) < MIN_EVENTS or not brief.any():
         return whole, model
     part, model = impute_again(whole.only(brief), model, ROUNDS[0], exact=False, report=report, cache=cache)
+    return _completed(whole, part, brief, model, seed), model
+
+
+def _completed(whole: Imputation, part: Imputation, chosen: np.ndarray, model: Model, seed: int) -> Imputation:
+    """The imputation with the times of its part, `chosen` (recordings,) bool, and others that follow the model."""
     times = list(whole.times)
     if whole.effect == QUEUE:
         pixels = np.unique(np.concatenate([r.events.pixel for r in whole.fine]))
         times = guess_by_rank(whole.fine, whole.windows, model, pixels, seed)
-    for i, t in zip(np.flatnonzero(brief), part.times, strict=True):
+    for i, t in zip(np.flatnonzero(chosen), part.times, strict=True):
         times[i] = t
     whole = replace(whole, times=tuple(times), random=part.random)
     for _ in range(SETTLING_DRAWS):
         whole = draw_again(whole, model)
-    return whole, model
+    return whole
 
 
 def _unexplained_share(likelihood: EventTimes, model: Model) -> np.ndarray:

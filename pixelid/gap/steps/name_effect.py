@@ -13,7 +13,7 @@ from pixelid.gap.attribute.significance import leads
 from pixelid.gap.detect.diagnostics import diagnose
 from pixelid.gap.detect.pixels import PixelEvidence, reconsider_stimuli, relative_noise
 from pixelid.gap.detect.words import where
-from pixelid.gap.imputation.impute import FINEST_TICK_S, JITTER, QUEUE, impute_again, impute_behind_jitter
+from pixelid.gap.imputation.impute import FINEST_TICK_S, JITTER, QUEUE, impute_behind_jitter, impute_with_effect
 from pixelid.gap.options import Context
 from pixelid.gap.phases import Phase
 from pixelid.gap.rounds import amended, attribution_entry, withdrawn
@@ -96,7 +96,7 @@ def _grown(state: State, winner: Candidate[Maximum], evidence: PixelEvidence, co
     fit = maximise_with_restarts(evidence.training, model, start, tolerance=0.01, max_steps=40, cache=cache)
     state, fit, start = _pruned(state, winner, evidence, fit, start, context)
     if state.imputation is not None and state.imputed:
-        imputation, model = impute_again(state.imputation, fit.model, cache=cache)
+        imputation, model = impute_with_effect(state.imputation, fit.model, options.seed, cache=cache)
         return _at_imputed_times(replace(state, imputation=imputation), model, start, context)
     weights = hypothesis.fit.model.circuit()
     evidence, fit = reconsider_stimuli(evidence, hypothesis.recordings, state.model, fit, weights, options.seed, cache)

@@ -1,0 +1,65 @@
+"""Where a search begins once something is missing: limits of both sides of a slew, times behind a queue."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pixelid.fit.maximise import maximise
+from pixelid.gap.attribute.candidates import strongest_start
+from pixelid.gap.imputation.impute import impute_with_effect
+from pixelid.gap.imputation.imputed import QUEUE, Imputation
+from pixelid.gap.imputation.windows import guess_edges, queue_windows, with_times
+from pixelid.likelihood.event_times import EventTimes
+from pixelid.model.shipped import find_model
+from pixelid.recordings.own_light import with_fine_light
+from pixelid.simulate import simulate
+from pixelid.stimuli.resample import resampled
+from pixelid.stimuli.shapes import chirp, slow, steps
+
+MODEL = find_model("dvs128")
+
+
+def recorded(model, lights, side):
+    """One camera under each light, given as sampled."""
+    return [
+        replace(simulate(model, resampled(light, "smooth"), width=side, height=side, seed=i, sensor_seed=3), stimulus=light)
+        for i, light in enumerate(lights)
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize(("rise", "fall"), [(400.0, 1500.0), (1500.0, 400.0), (700.0, 700.0)])
+def test_limits_of_both_sides_of_a_slew_are_found_apart(rise, fall):
+    """A limit at which nothing slews has no slope in the likelihood: a fit would leave it where it began."""
+    slewing = MODEL.with_effect("slew_limit", {"rise_per_s": rise, "fall_per_s": fall})
+    lights = [chirp(400.0, stop_hz=400.0), steps(400.0, seed=3)]
+    events = EventTimes([with_fine_light(r, "smooth") for r in recorded(slewing, lights, side=2)])
+    base = maximise(events, MODEL, tolerance=0.1, max_steps=30)
+    starts = [strongest_start(events, origin, "slew_limit", base.value) for origin in (base.model, MODEL)]
+    ends = [maximise(events, start, tolerance=0.1, max_steps=30) for start in starts if start is not None]
+    end = max(ends, key=lambda end: end.value)
+    assert end.values["slew_limit.rise_per_s"] == pytest.approx(rise, rel=0.03)
+    assert end.values["slew_limit.fall_per_s"] == pytest.approx(fall, rel=0.03)
+
+
+def test_no_limit_of_a_slew_is_tried_where_nothing_slews():
+    events = EventTimes([with_fine_light(r, "smooth") for r in recorded(MODEL, [slow(400.0, seed=2)], side=2)])
+    base = maximise(events, MODEL, tolerance=0.1, max_steps=30)
+    assert strongest_start(events, base.model, "slew_limit", base.value) is None
+
+
+def test_times_drawn_without_a_dead_time_do_not_hold_it_back():
+    """The shortest intervals drawn without one would stay, and bound it, if times were only drawn again."""
+    service, dead = 5e-6, MODEL.values["refractory_s"]
+    camera = MODEL.with_effect("readout_latency", {"service_s": service})
+    lights = [chirp(24.0, stop_hz=200.0), steps(24.0, seed=1), chirp(400.0, stop_hz=400.0), steps(400.0, seed=4)]
+    fine = tuple(with_fine_light(r, "smooth") for r in recorded(camera, lights, side=4))
+    windows = tuple(queue_windows(r, service) for r in fine)
+    times = tuple(guess_edges(fine, windows, early=True))
+    state = np.random.default_rng(0).bit_generator.state
+    drawn = Imputation(QUEUE, tuple(r.stimulus for r in fine), fine, windows, times, state, {})
+    lacking = MODEL.without_effect("refractory_period")
+    wrong = maximise(EventTimes(with_times(fine, times)), lacking, tolerance=0.5, max_steps=20)
+    drawn, model = impute_with_effect(drawn, wrong.model.with_effect("refractory_period", {"refractory_s": 0.5 * dead}), seed=0)
+    assert model.values["refractory_s"] == pytest.approx(dead, rel=0.01)
+    assert drawn.likelihood.terms(model.circuit()).unexplained.sum() == 0
