@@ -93,6 +93,7 @@ class State:
         hot: Pixels told by others' silence.
         imputation: Event times behind the readout, where they had to be imputed;  lost: recordings left out of it.
         steps: Effects named by rounds;  turn: rounds so far;  rounds: what the result says of each.
+        jitter_given_up: Whether a jitter has been named once that did not look like one.
         shot_noise, shot_noise_p: Found, and the chance of what it explains.
         shot_noise_tried: Hypotheses beside which it was looked for, and what was found.
         global_p: Of anything being amiss at all.
@@ -113,6 +114,7 @@ class State:
     steps: tuple[NamedStep, ...] = ()
     turn: int = 0
     rounds: Rounds = ()
+    jitter_given_up: bool = False
     shot_noise: ShotNoise | None = None
     shot_noise_p: float = 1.0
     shot_noise_tried: tuple[tuple[Hypothesis, ShotNoise | None], ...] = ()

@@ -22,10 +22,9 @@ MODEL = find_model("dvs128")
 
 def recorded(model, lights, side):
     """One camera under each light, given as sampled."""
-    return [
-        replace(simulate(model, resampled(light, "smooth"), width=side, height=side, seed=i, sensor_seed=3), stimulus=light)
-        for i, light in enumerate(lights)
-    ]  # fmt: skip
+    fine = [resampled(light, "smooth") for light in lights]
+    made = [simulate(model, light, width=side, height=side, seed=i, sensor_seed=3) for i, light in enumerate(fine)]
+    return [replace(recording, stimulus=light) for recording, light in zip(made, lights, strict=True)]
 
 
 @pytest.mark.parametrize(("rise", "fall"), [(400.0, 1500.0), (1500.0, 400.0), (700.0, 700.0)])
@@ -60,6 +59,7 @@ def test_times_drawn_without_a_dead_time_do_not_hold_it_back():
     drawn = Imputation(QUEUE, tuple(r.stimulus for r in fine), fine, windows, times, state, {})
     lacking = MODEL.without_effect("refractory_period")
     wrong = maximise(EventTimes(with_times(fine, times)), lacking, tolerance=0.5, max_steps=20)
-    drawn, model = impute_with_effect(drawn, wrong.model.with_effect("refractory_period", {"refractory_s": 0.5 * dead}), seed=0)
+    grown = wrong.model.with_effect("refractory_period", {"refractory_s": 0.5 * dead})
+    drawn, model = impute_with_effect(drawn, grown, seed=0)
     assert model.values["refractory_s"] == pytest.approx(dead, rel=0.01)
     assert drawn.likelihood.terms(model.circuit()).unexplained.sum() == 0

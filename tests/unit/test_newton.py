@@ -95,8 +95,12 @@ def test_steps_are_the_best_inside_a_box(seed):
     low, high = -rng.uniform(0.0, 1.0, n), rng.uniform(0.0, 1.0, n)
     move = _best_inside(H, g, low, high)
     told = optimize.minimize(
-        lambda m: 0.5 * m @ H @ m - g @ m, np.zeros(n), jac=lambda m: H @ m - g, bounds=list(zip(low, high, strict=True)),
-        method="L-BFGS-B", options={"ftol": 1e-15, "gtol": 1e-10, "maxiter": 5000},
-    )  # fmt: skip
+        lambda m: 0.5 * m @ H @ m - g @ m,
+        np.zeros(n),
+        jac=lambda m: H @ m - g,
+        bounds=list(zip(low, high, strict=True)),
+        method="L-BFGS-B",
+        options={"ftol": 1e-15, "gtol": 1e-10, "maxiter": 5000},
+    )
     assert ((move >= low) & (move <= high)).all()
     np.testing.assert_allclose(g @ move - 0.5 * move @ H @ move, -told.fun, rtol=1e-6, atol=1e-9)

@@ -133,7 +133,7 @@ def attribute(
         p = chance_of_gain(effect, gain, len(effects), own_values(end.model, effect))
         candidates.append(Candidate(effect, end, gain, p, evidence.held_out_gain(end, base)))
     candidates.sort(key=lambda c: -c.gain)
-    winner = next((c for c in candidates[:1] if _may_be_named(c, options)), None)
+    winner = next((c for c in candidates[:1] if may_be_named(c, options)), None)
     runners_up = tuple(c for c in candidates[1:] if winner is not None and _as_good(c, winner, options))
     return Attribution(tuple(candidates), gains, winner, runners_up, skipped)
 
@@ -144,7 +144,8 @@ def _leaders(gains: dict[str, float]) -> list[str]:
     return [e for i, e in enumerate(leaders) if i < 2 or gains[e] > MIN_SHARE_OF_LEADER * gains[leaders[0]]]
 
 
-def _may_be_named(candidate: Candidate, options: Options) -> bool:
+def may_be_named(candidate: Candidate, options: Options) -> bool:
+    """Whether a candidate's gain is significant, holds on the select units, and is not that of a trifle."""
     criteria = options.criteria
     significant = candidate.p < options.alpha_each and leads(candidate.held_out, criteria)
     return significant and not negligible(candidate.effect, candidate.end.model, criteria)

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from pixelid.fit.maximise import Maximum, maximise, maximise_with_restarts
 from pixelid.gap.attribute.alternative import stands
-from pixelid.gap.attribute.attribute import Attribution, Candidate, attribute
+from pixelid.gap.attribute.attribute import Attribution, Candidate, attribute, may_be_named
 from pixelid.gap.attribute.candidates import canonical, holds_together, impossible, missing, remove_effect
 from pixelid.gap.attribute.pixels import candidates_of
 from pixelid.gap.attribute.significance import leads
@@ -21,11 +21,17 @@ from pixelid.gap.state import Hypothesis, NamedStep, State
 from pixelid.gap.steps.impute_hypothesis import Setting, at_imputed_times
 from pixelid.model.model import Model
 
+UNLIKE_JITTER = "what it would take of the times does not look like one"
 MAX_ROUNDS = 4  # a camera that lacks more effects than this lacks a model
 
 
 def name_effect(state: State, context: Context) -> State:
     """One round: the state with one effect more, or as it is where none can be named."""
+    state = _named_one_more(state, context)
+    return state if state.phase is Phase.NAME else _without_unlike_jitter(state, context)
+
+
+def _named_one_more(state: State, context: Context) -> State:
     hypothesis, criteria = state.hypothesis, context.options.criteria
     # one likelihood for the model and all that is tried beside it
     evidence = hypothesis.evidence.weighed(hypothesis.fit.model.circuit())
@@ -45,9 +51,10 @@ def name_effect(state: State, context: Context) -> State:
         return _refused(state, winner, "a flexible alternative explains more, and leaves it little to explain")
     accepted = _accepted(state, winner, attribution, standing.firm)
     if winner.effect == JITTER:
-        grown = _without_jitter(accepted, winner, context)
-        if grown is None:
-            return _refused(state, winner, "what it would take of the times does not look like one")
+        grown = _behind_jitter(accepted, winner, context)
+        if _is_unlike(grown, context) and not state.jitter_given_up:
+            other = _another_first(replace(state, jitter_given_up=True), attribution, context)
+            grown = grown if other is None else other
     else:
         grown = _grown(accepted, winner, evidence, context)
     return grown.then(Phase.NAME if grown.turn < MAX_ROUNDS else Phase.SHOT_NOISE)
@@ -132,16 +139,49 @@ def _following(step: NamedStep, before: Hypothesis) -> NamedStep:
     return NamedStep(step.winner, step.attribution, step.where, step.firm, before)
 
 
-def _without_jitter(state: State, winner: Candidate[Maximum], context: Context) -> State | None:
-    """The state at the times behind a jitter; None where what is imputed does not look like one."""
+def _behind_jitter(state: State, winner: Candidate[Maximum], context: Context) -> State:
+    """The state at the times behind a jitter."""
     hypothesis = state.hypothesis
     imputation, model = impute_behind_jitter(
         hypothesis.recordings, winner.end.model, hypothesis.start, hypothesis.evidence.between, context.options.seed,
         lambda what: context.report(what, 0.5), context.cache,
     )  # fmt: skip
-    if imputation.is_uneven(context.options):
-        return None
     return _at_imputed_times(replace(state, imputation=imputation), model, hypothesis.start, context)
+
+
+def _is_unlike(state: State, context: Context) -> bool:
+    """Whether what has been taken of the times for a jitter does not look like one."""
+    return state.imputation is not None and state.imputation.is_uneven(context.options)
+
+
+def _without_unlike_jitter(state: State, context: Context) -> State:
+    """The state before a jitter that, beside everything named since, does not look like one."""
+    at = next((i for i, step in enumerate(state.steps) if step.effect == JITTER), None)
+    if at is None or not _is_unlike(state, context):
+        return state
+    rounds = state.rounds
+    for step in state.steps[at:]:
+        rounds = withdrawn(rounds, step.effect, UNLIKE_JITTER)
+    before = state.steps[at].before
+    return replace(state, hypothesis=before, imputation=None, steps=state.steps[:at], rounds=rounds)
+
+
+def _another_first(state: State, attribution: Attribution[Maximum], context: Context) -> State | None:
+    """The state with the effect named that explains most but a jitter; None where nothing else does.
+
+    Times drawn from a model that lacks something may hide it, and what it does take the place of a jitter's.
+    """
+    options, hypothesis = context.options, state.hypothesis
+    able = (c for c in attribution.candidates if c.effect != JITTER and may_be_named(c, options))
+    other = next(able, None)
+    if other is None:
+        return None
+    evidence = hypothesis.evidence.weighed(hypothesis.fit.model.circuit())
+    standing = stands(evidence, hypothesis.fit, hypothesis.seen, other, options, context.cache)
+    if standing.hopeless:
+        return None
+    state = replace(state, rounds=amended(state.rounds, -1, refused=f"{JITTER}: {UNLIKE_JITTER}"))
+    return _grown(_accepted(state, other, attribution, standing.firm), other, evidence, context)
 
 
 def _at_imputed_times(state: State, model: Model, start: Model, context: Context) -> State:
