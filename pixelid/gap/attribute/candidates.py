@@ -97,7 +97,9 @@ def _strongest_slew_start(likelihood: EventTimes, model: Model, least: float) ->
     weakest, strongest = shipped[0] * 10.0 ** DECADES[-1], shipped[0] * 10.0 ** DECADES[0]
     best = model if model.has(SLEW) else model.with_effect(SLEW, dict.fromkeys(SLEW_SIDES, weakest))
     top, found = max(_value(likelihood, best), least), False
-    for side in (*SLEW_SIDES, *SLEW_SIDES):  # again, beside what was found of the other
+    for turn, side in enumerate((*SLEW_SIDES, *SLEW_SIDES)):  # again, beside what was found of the other
+        if turn == len(SLEW_SIDES) and not found:
+            return None
         limit, peak, others = weakest, -np.inf, best
         while limit >= strongest:
             value = _value(likelihood, trial := others.set({side: limit}))
