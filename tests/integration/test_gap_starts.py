@@ -63,3 +63,17 @@ def test_times_drawn_without_a_dead_time_do_not_hold_it_back():
     drawn, model = impute_with_effect(drawn, grown, seed=0)
     assert model.values["refractory_s"] == pytest.approx(dead, rel=0.01)
     assert drawn.likelihood.terms(model.circuit()).unexplained.sum() == 0
+
+
+def test_a_knee_between_the_dark_current_and_the_light_is_found():
+    """One below all light does nothing, one far too high does harm: between them lies less than half a decade."""
+    known = MODEL.with_effect("dark_current", {"radiance": 7.0})
+    kneed = known.with_effect("linear_log", {"knee": 11.0})
+    lights = [chirp(3.0, stop_hz=60.0), steps(3.0, seed=3), chirp(24.0, stop_hz=200.0)]
+    events = EventTimes([with_fine_light(r, "smooth") for r in recorded(kneed, lights, side=3)])
+    base = maximise(events, known, tolerance=0.1, max_steps=30)
+    start = strongest_start(events, base.model, "linear_log")
+    assert start is not None
+    end = maximise(events, start, tolerance=0.1, max_steps=30)
+    assert end.value > base.value + 100.0
+    assert end.values["linear_log.knee"] == pytest.approx(11.0, rel=0.03)

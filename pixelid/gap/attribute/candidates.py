@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -19,6 +19,8 @@ DECADES = (-2.0, -1.5, -1.0, -0.5, 0.0, 0.5, 1.0, 1.5)  # strengths tried, about
 # nothing slews at has no slope, so a fit leaves it where it is: sides are looked for one by one, from weak to tight.
 MIN_SLEW_GAIN_NATS, MAX_SLEW_LOSS_NATS, SLEW_STEP = 0.5, 0.1, 10.0**-0.125
 SLEW, SLEW_SIDES = "slew_limit", ("slew_limit.rise_per_s", "slew_limit.fall_per_s")
+KNEE = "linear_log"
+KNEE_DECADES = tuple(d / 8.0 for d in range(-16, 13))  # a knee below all light does nothing, one too high much harm
 MAINS_HZ = (100.0, 120.0)
 # Below the knee, of the logarithm's slope at it: without a kink, and as in v2e, on a line through the origin from the
 # logarithm of 20 grey levels.
@@ -57,7 +59,7 @@ def why_not(model: Model, effect: str) -> str | None:
         return f"a photoreceptor of kind {model.photoreceptor!r} cannot have it"
     if effect == "extra_pole" and not all(model.has(pole) for pole in USUAL_POLES):
         return f"as long as one of {' and '.join(USUAL_POLES)} is missing, one pole more is that"
-    if effect == "slew_limit" and not all(model.has(pole) for pole in SLEWS_THROUGH):
+    if effect == SLEW and not all(model.has(pole) for pole in SLEWS_THROUGH):
         return f"the likelihood knows it with {' and '.join(SLEWS_THROUGH)} only"
     return None
 
@@ -76,7 +78,7 @@ def remove_effect(model: Model, effect: str, base: Model) -> Model:
 def strongest_start(likelihood: EventTimes, model: Model, effect: str, least: float = -np.inf) -> Model | None:
     """The model with the effect, at the strength among those tried that explains the events best.
 
-    None if none can be evaluated, or (slew_limit, slow to fit, harmless when weak) none explains more than `least`.
+    None if none can be evaluated, or (slew_limit, slow to fit) none explains more than `least`.
     """
     if effect == SLEW:
         return _strongest_slew_start(likelihood, model, least)
@@ -128,7 +130,7 @@ def _trials(likelihood: EventTimes, model: Model, effect: str) -> Iterator[Model
     for it, and is tried as shipped as well.
     """
     if effect != SILENCE:
-        yield from variants(model, effect)
+        yield from variants(model, effect, KNEE_DECADES if effect == KNEE else DECADES)
         return
     grown = model.with_effect(effect)
     silence = grown.parameter(f"{SILENCE}.s")
@@ -168,25 +170,27 @@ def start_in_each(likelihood: EventTimes, model: Model, effect: str) -> tuple[Mo
     return grown, likelihood.log_likelihood(grown.circuit())
 
 
-def variants(model: Model, effect: str) -> Iterator[Model]:
-    """The model with the effect at each strength to try, its own parameters free."""
+def variants(model: Model, effect: str, decades: Sequence[float] = DECADES) -> Iterator[Model]:
+    """The model with the effect at each strength to try, its own parameters free.
+
+    decades: from the shipped strength
+    """
     grown = model.with_effect(effect)
     if effect == "second_order_photoreceptor":
         yield from _second_order_variants(model, grown)
         return
     names = [p.name for p in stages.effect(effect).parameters if p.free]
     strength = grown.parameter(names[0])
-    sizes = [10.0**d for d in (reversed(DECADES) if effect == "slew_limit" else DECADES)]  # weak ones first
     signs = (1.0,) if strength.transform == "log" else (1.0, -1.0)
-    for size in sizes:
+    for decade in decades:
         for sign in signs:
-            value = sign * size * strength.value
+            value = sign * 10.0**decade * strength.value
             if not strength.lower < value < strength.upper:
                 continue
             sized = grown.set({strength.name: value})
-            if effect == "slew_limit":
-                sized = sized.set({"slew_limit.fall_per_s": value})
-            if effect == "linear_log":
+            if effect == SLEW:
+                sized = sized.set(dict.fromkeys(SLEW_SIDES, value))
+            if effect == KNEE:
                 yield from (sized.set({"linear_log.slope": slope}) for slope in LINEAR_SLOPES)
                 continue
             if effect != "mains_flicker":
