@@ -92,9 +92,7 @@ def draw(problem: Problem, state: State, from_: Intervals, runs: int, rng: np.ra
     return chains_at(problem, state, from_, rng.integers(0, len(from_.starts), runs), rng)
 
 
-def draw_quiet(
-    problem: Problem, state: State, quiet: Quiet, number: int, rng: np.random.Generator
-) -> Pairs | None:
+def draw_quiet(problem: Problem, state: State, quiet: Quiet, number: int, rng: np.random.Generator) -> Pairs | None:
     """Pairs of times at which nothing fired, None where something always does."""
     if number == 0 or len(quiet.until) == 0:
         return None
