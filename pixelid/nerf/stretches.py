@@ -7,8 +7,8 @@ with less than `shortest` between them are merged into a burst, whose ends lie h
 and after.  Of the quiet interval's own threshold the burst takes what the light moves by in that half at the
 interval's mean slope or at the burst's own, whichever is more: beside a flat surface all of it is crossed at the edge.
 After its last event an edge goes on by less than a threshold; if an event of the other polarity follows, half of one is
-put there and taken from the interval after.  The light's change over a burst is the sum of all that and of what happened
-within dead times, when the pixel did not look.
+put there and taken from the interval after.  The light's change over a burst is the sum of all that and of what
+happened within dead times, when the pixel did not look.
 
 Dead times.  A threshold that took T seconds of looking to reach (less the amplifier's lag after its reset) means a
 slope of 1/T thresholds per second.  Through a dead time goes the steeper of the slopes before and after, if both have

@@ -65,7 +65,9 @@ def test_edges_between_flat_surfaces_keep_their_contrast():
         at = np.interp(spans.end, t, light) - np.interp(spans.begin, t, light)
         left += list((said - at[spans.burst] / 0.25) * np.sign(said))
     assert len(left) >= 40
-    assert abs(np.mean(left)) < 0.25  # thresholds: what each says beyond the truth; −1.6 where time alone shares the quiet
+    assert (
+        abs(np.mean(left)) < 0.25
+    )  # thresholds: what each says beyond the truth; −1.6 where time alone shares the quiet
     assert np.std(left) < 0.5
 
 
