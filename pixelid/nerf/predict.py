@@ -8,7 +8,7 @@ import torch
 from pixelid.nerf.intervals import Chains, Intervals, chains
 from pixelid.nerf.losses import amplifier_drift, changes
 from pixelid.nerf.pixel import Pixel
-from pixelid.nerf.quiet import LAGS, Pairs, Quiet, draw_pairs
+from pixelid.nerf.quiet import LAGS, Pairs, draw_pairs
 from pixelid.nerf.render import Rays
 from pixelid.nerf.scan import respond
 from pixelid.nerf.state import Problem, State
@@ -92,12 +92,12 @@ def draw(problem: Problem, state: State, from_: Intervals, runs: int, rng: np.ra
     return chains_at(problem, state, from_, rng.integers(0, len(from_.starts), runs), rng)
 
 
-def draw_quiet(problem: Problem, state: State, quiet: Quiet, number: int, rng: np.random.Generator) -> Pairs | None:
+def draw_quiet(problem: Problem, state: State, number: int, rng: np.random.Generator) -> Pairs | None:
     """Pairs of times at which nothing fired, None where something always does."""
-    if number == 0 or len(quiet.until) == 0:
+    if number == 0 or len(problem.quiet.until) == 0:
         return None
     lag = LAGS / state.pixel.slowest(_darkest(problem)) if state.pixel.filtering else 0.0
-    return draw_pairs(quiet, number, lag, rng)
+    return draw_pairs(problem.quiet, number, lag, rng)
 
 
 def _darkest(problem: Problem) -> float:

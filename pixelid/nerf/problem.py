@@ -89,22 +89,17 @@ def problem_of(
     training, held = split(every, held_out, np.random.default_rng([seed, 77]))
     if len(training.starts) == 0:
         training, held = every, every.of(np.zeros(len(every.starts), bool))
+    held_pixels = np.unique(held.stretches.pixel[held.starts])
     quiet = quiet_intervals(
         t, y * camera.width + x, camera.width, camera.height, least=LONG * shortest, dead=circuit.refractory,
-        left_out=hot,
+        left_out=np.union1d(hot, held_pixels),
     )  # fmt: skip
-    unseen = np.zeros(camera.width * camera.height, bool)
-    unseen[held.stretches.pixel[held.starts]] = True
-    if len(held.starts):  # and as large a share of the pixels that never fired
-        silent = np.setdiff1d(np.unique(quiet.pixel), y * camera.width + x)
-        unseen[np.random.default_rng([seed, 78]).permutation(silent)[: round(held_out * len(silent))]] = True
-    is_unseen = unseen[quiet.pixel]
     row, column = np.divmod(np.arange(camera.width * camera.height), camera.width)
     return Problem(
         training, held, dataset.trajectory, camera, calibration.channel_of(column, row), calibration.dark,
         calibration.circuit, gauge_of(dataset, background, scale), low, high, maps,
         tilts(cut, circuit, trained), shortest_interval(t, y * camera.width + x),
-        quiet.of(~is_unseen), quiet.of(is_unseen),
+        quiet,
     )  # fmt: skip
 
 

@@ -35,11 +35,6 @@ class Quiet(NamedTuple):
     pixel: np.ndarray
     until: np.ndarray
 
-    def of(self, which: np.ndarray) -> Quiet:
-        """Some of them; which: (n,) bool."""
-        begin, end = self.begin[which], self.end[which]
-        return Quiet(begin, end, self.pixel[which], np.cumsum(end - begin))
-
 
 class Pairs(NamedTuple):
     """t: (n, 2) s, both within one quiet interval;  pixel: (n,)."""

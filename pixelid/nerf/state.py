@@ -35,8 +35,7 @@ class Problem:
     training, held_out: intervals;  camera: of the sensor;  channel: (pixels,);  dark: (C,) added to the field's
     radiance;  circuit: of the pixel;  gauge: what pins the radiance unit;  low, high: the box;  maps: how the pixels
     depart from the circuit, None where they do not;  tilts: of `additions.tilts`, for what is trained;  shortest: s,
-    between two events of one pixel;  quiet, quiet_held_out: where and when nothing fired, of the pixels that training
-    sees and of those that it does not
+    between two events of one pixel;  quiet: where and when nothing fired, of the pixels that training sees
     """
 
     training: Intervals
@@ -53,7 +52,6 @@ class Problem:
     tilts: Mapping[str, Tilt] = dataclasses.field(default_factory=dict)
     shortest: float = 0.0
     quiet: Quiet = NOTHING
-    quiet_held_out: Quiet = NOTHING
 
     def pixels_as_dict(self, pixel: Pixel) -> dict[str, Any]:
         """The entry "pixels" of reconstruction.json: thresholds and bandwidth over the sensor, and who was left out."""
@@ -109,7 +107,7 @@ def start(problem: Problem, recipe: Recipe, bandwidth: Bandwidth, device: str = 
     gauge = problem.gauge
     scene = Field(
         problem.low, problem.high, recipe.vertices_at(0), len(problem.dark), gauge.background,
-        free_background=gauge.free_background, level=gauge.start, degree=recipe.degree,
+        free_background=gauge.free_background, level=float(np.exp(gauge.level.mean())), degree=recipe.degree,
     ).to(device)  # fmt: skip
     pixel = Pixel(problem.circuit, bandwidth, problem.maps).to(device)
     inside = sub_pixel_directions(problem.camera, recipe.supersample)

@@ -4,11 +4,8 @@ A sharp edge crosses many thresholds while the image moves by a fraction of a pi
 falls is beyond a field whose cells are pixels, and losses of single differences are then least when the edge has lost
 its contrast: the many events inside are missed either way, and the one long interval after them by less.  So events
 with less than `shortest` between them are merged into a burst, whose ends lie half of that away in the quiet before
-and after.  Of the quiet interval's own threshold the burst takes what the light moves by in that half at the
-interval's mean slope or at the burst's own, whichever is more: beside a flat surface all of it is crossed at the edge.
-After its last event an edge goes on by less than a threshold; if an event of the other polarity follows, half of one is
-put there and taken from the interval after.  The light's change over a burst is the sum of all that and of what
-happened within dead times, when the pixel did not look.
+and after; the quiet interval's own threshold is shared out in proportion to time.  The light's change over a burst is
+the sum of its thresholds and of what happened within dead times, when the pixel did not look.
 
 Dead times.  A threshold that took T seconds of looking to reach (less the amplifier's lag after its reset) means a
 slope of 1/T thresholds per second.  Through a dead time goes the steeper of the slopes before and after, if both have
@@ -26,7 +23,6 @@ from numba import njit
 
 NOISE = 0.03  # thresholds per event, mismatch and noise together, where no fit says: DVS128 nominal values
 INSIDE = 0.3  # thresholds: of a level interpolated between two events
-BEYOND = 0.5  # thresholds: what an edge goes on by after its last event, 0 to 1 and none likelier
 GUESSED = 0.3  # of what is put into a dead time, as a share of it
 
 
@@ -87,12 +83,6 @@ def _looking(t, i, dead, lag):
 
 
 @njit(cache=True, nogil=True)
-def _moved(t, on, i, dead, lag, away):
-    """Thresholds by which the light moves in `away` s at the slope between events i − 1 and i, if that has a sign."""
-    return away / _looking(t, i, dead, lag) if on[i] == on[i - 1] else 0.0
-
-
-@njit(cache=True, nogil=True)
 def _burst(t, on, size, first, k, j, last, dead, lag, noise):
     """(rise, fall, variance) from just after event k to the end of the dead time of event j.
 
@@ -131,11 +121,7 @@ def _cut(
             while j < last and t[j + 1] - t[j] - dead < shortest:
                 j += 1
             length = t[j + 1] - t[j] - dead if j < last else 0.0  # of the quiet interval after it
-            after, over = 0.0, 0.0  # of its threshold what is the burst's, and how far the burst went beyond its last
-            if j > k and j < last:
-                after, over = away / length, min(_moved(t, on, j, dead, lag, away), BEYOND)
-                if on[j + 1] == on[j]:
-                    after, over = max(after, over), 0.0
+            after = away / length if j > k and j < last else 0.0
             if j > k:
                 if fill:
                     begins[n] = t[k] - (away if before > 0.0 else 0.0)
@@ -149,10 +135,6 @@ def _cut(
                         rise += after * _size(size, j + 1)
                     elif j < last:
                         fall += after * _size(size, j + 1)
-                    if on[j]:
-                        rise += over * _size(size, j)
-                    else:
-                        fall += over * _size(size, j)
                     variance += ((before > 0.0) + (after > 0.0)) * INSIDE**2
                     pixels[n], rises[n], falls[n], variances[n] = pixel[k], rise, fall, variance
                     resets[n], bursts[n] = False, True
@@ -160,9 +142,7 @@ def _cut(
             if j == last:
                 break
             ends_at_burst = j + 1 < last and t[j + 2] - t[j + 1] - dead < shortest
-            k, before = j + 1, 0.0
-            if ends_at_burst:
-                before = min(max(away / length, _moved(t, on, k + 1, dead, lag, away)), 1.0 - after + over)
+            k, before = j + 1, away / length if ends_at_burst else 0.0
             begin = t[j] + dead + (away if after > 0.0 else 0.0)
             end = t[k] - (away if ends_at_burst else 0.0)
             if end > begin:
@@ -171,10 +151,6 @@ def _cut(
                     whole = before == 0.0 and after == 0.0
                     begins[n], ends[n], pixels[n] = begin, end, pixel[k]
                     rises[n], falls[n] = (crossed, 0.0) if on[k] else (0.0, crossed)
-                    if on[j]:
-                        rises[n] -= over * _size(size, j)
-                    else:
-                        falls[n] -= over * _size(size, j)
                     variances[n] = (_size(size, k) * noise) ** 2 + (0.0 if whole else INSIDE**2)
                     resets[n], bursts[n] = whole, False
                 n += 1

@@ -32,7 +32,7 @@ def step(problem: Problem, recipe: Recipe, state: State) -> dict[str, float]:
         group["lr"] = recipe.rate_at(state.iteration) * group["share"]
     rng = np.random.default_rng([recipe.seed, parallel.rank(), state.iteration])  # nothing to carry between steps
     batch = draw(problem, state, problem.training, max(recipe.batch // parallel.world(), 1), rng)
-    pairs = draw_quiet(problem, state, problem.quiet, PAIRS * len(batch.pixel) if recipe.quiet > 0 else 0, rng)
+    pairs = draw_quiet(problem, state, PAIRS * len(batch.pixel) if recipe.quiet > 0 else 0, rng)
     u, in_quiet = light(problem, state, batch, rng, recipe.engine, pairs)
     change, level = response(problem, state, batch, u, recipe.engine)
     thresholds = state.pixel.thresholds_at(batch.pixel)

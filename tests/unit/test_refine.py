@@ -59,8 +59,10 @@ def test_a_part_first_ends_at_the_optimum_of_all(session, monkeypatch):
     assert 0 < from_part.details["smooth_or_linear_events"] <= events / 4
     assert whole.details["smooth_minus_linear_nats"] > from_part.details["smooth_minus_linear_nats"] > 20
     assert from_part.objective.likelihood.events == whole.objective.likelihood.events
-    error = 1.0 / np.sqrt(np.diag(whole.optimum.local.information))
-    np.testing.assert_allclose(from_part.optimum.x / error, whole.optimum.x / error, atol=0.01)
+    error = np.sqrt(np.diag(np.linalg.inv(whole.optimum.local.information)))
+    np.testing.assert_allclose(from_part.optimum.x / error, whole.optimum.x / error, atol=0.01, rtol=0)
+    moved = from_part.optimum.x - whole.optimum.x
+    assert moved @ whole.optimum.local.information @ moved < 1e-3  # twice the nats between them
     assert from_part.optimum.local.value == pytest.approx(whole.optimum.local.value, abs=1e-4)
 
 

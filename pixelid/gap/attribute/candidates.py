@@ -18,7 +18,7 @@ DECADES = (-2.0, -1.5, -1.0, -0.5, 0.0, 0.5, 1.0, 1.5)  # strengths tried, about
 # strengths gains this much by itself, and no tighter one is tried from where it loses that much per event.  A side that
 # nothing slews at has no slope, so a fit leaves it where it is: sides are looked for one by one, from weak to tight.
 MIN_SLEW_GAIN_NATS, MAX_SLEW_LOSS_NATS, SLEW_STEP = 0.5, 0.1, 10.0**-0.125
-SLEW, SLEW_SIDES = "slew_limit", ("slew_limit.rise_per_s", "slew_limit.fall_per_s")
+SLEW, RISE, FALL = "slew_limit", "slew_limit.rise_per_s", "slew_limit.fall_per_s"
 KNEE = "linear_log"
 KNEE_DECADES = tuple(d / 8.0 for d in range(-16, 13))  # a knee below all light does nothing, one too high much harm
 MAINS_HZ = (100.0, 120.0)
@@ -97,10 +97,10 @@ def _strongest_slew_start(likelihood: EventTimes, model: Model, least: float) ->
     """
     shipped = [p.value for p in stages.effect(SLEW).parameters]
     weakest, strongest = shipped[0] * 10.0 ** DECADES[-1], shipped[0] * 10.0 ** DECADES[0]
-    best = model if model.has(SLEW) else model.with_effect(SLEW, dict.fromkeys(SLEW_SIDES, weakest))
+    best = model if model.has(SLEW) else model.with_effect(SLEW, {RISE: weakest, FALL: weakest})
     top, found = max(_value(likelihood, best), least), False
-    for turn, side in enumerate((*SLEW_SIDES, *SLEW_SIDES)):  # again, beside what was found of the other
-        if turn == len(SLEW_SIDES) and not found:
+    for turn, side in enumerate((RISE, FALL, RISE, FALL)):  # again, beside what was found of the other
+        if turn == 2 and not found:
             return None
         limit, peak, others = weakest, -np.inf, best
         while limit >= strongest:
@@ -189,7 +189,7 @@ def variants(model: Model, effect: str, decades: Sequence[float] = DECADES) -> I
                 continue
             sized = grown.set({strength.name: value})
             if effect == SLEW:
-                sized = sized.set(dict.fromkeys(SLEW_SIDES, value))
+                sized = sized.set({RISE: value, FALL: value})
             if effect == KNEE:
                 yield from (sized.set({"linear_log.slope": slope}) for slope in LINEAR_SLOPES)
                 continue
