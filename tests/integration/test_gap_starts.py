@@ -1,4 +1,4 @@
-"""Where a search begins once something is missing: limits of both sides of a slew, times behind a queue."""
+"""Where a search begins once something is missing: limits of a slew, times behind a queue, the knee of a response."""
 
 from dataclasses import replace
 

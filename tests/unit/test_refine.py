@@ -60,9 +60,9 @@ def test_a_part_first_ends_at_the_optimum_of_all(session, monkeypatch):
     assert whole.details["smooth_minus_linear_nats"] > from_part.details["smooth_minus_linear_nats"] > 20
     assert from_part.objective.likelihood.events == whole.objective.likelihood.events
     error = np.sqrt(np.diag(np.linalg.inv(whole.optimum.local.information)))
-    np.testing.assert_allclose(from_part.optimum.x / error, whole.optimum.x / error, atol=0.01, rtol=0)
+    np.testing.assert_allclose(from_part.optimum.x / error, whole.optimum.x / error, atol=0.002, rtol=0)
     moved = from_part.optimum.x - whole.optimum.x
-    assert moved @ whole.optimum.local.information @ moved < 1e-3  # twice the nats between them
+    assert moved @ whole.optimum.local.information @ moved < 1e-5  # each end is within 1e-6 nats of the top: 8e-6
     assert from_part.optimum.local.value == pytest.approx(whole.optimum.local.value, abs=1e-4)
 
 
