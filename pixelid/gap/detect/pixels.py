@@ -112,6 +112,11 @@ def fit_base_roughly(
     return evidence, _screened(evidence.screening, evidence.nominal, model, cache)
 
 
+def is_noisy(model: Model, shipped: Model) -> bool:
+    """Whether the threshold noise of a model, where it is free, is more than pixels of the shipped kind have."""
+    return NOISE in model.free and model.values[NOISE] > MAX_NOISE_FACTOR * shipped.values[NOISE]
+
+
 def _screened(screening: EventTimes, nominal: Model, shipped: Model, cache: FitCache | None) -> Maximum:
     """The base fitted to a few pixels, from its feasible start and from others where that start is likely to mislead.
 
@@ -120,7 +125,7 @@ def _screened(screening: EventTimes, nominal: Model, shipped: Model, cache: FitC
     Where no interval is nearly as short as the shipped dead time, the one that the intervals reach down to is tried.
     """
     starts = [nominal]
-    if NOISE in nominal.free and nominal.values[NOISE] > MAX_NOISE_FACTOR * shipped.values[NOISE]:
+    if is_noisy(nominal, shipped):
         starts.append(nominal.set({NOISE: shipped.values[NOISE]}))
     if DEAD_TIME in nominal.free:
         longest = longest_dead_time(nominal, screening)

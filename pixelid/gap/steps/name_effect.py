@@ -11,7 +11,7 @@ from pixelid.gap.attribute.candidates import canonical, holds_together, impossib
 from pixelid.gap.attribute.pixels import candidates_of
 from pixelid.gap.attribute.significance import leads
 from pixelid.gap.detect.diagnostics import diagnose
-from pixelid.gap.detect.pixels import PixelEvidence, reconsider_stimuli, relative_noise
+from pixelid.gap.detect.pixels import NOISE, PixelEvidence, is_noisy, reconsider_stimuli, relative_noise
 from pixelid.gap.detect.words import where
 from pixelid.gap.imputation.impute import FINEST_TICK_S, JITTER, QUEUE, impute_behind_jitter, impute_with_effect
 from pixelid.gap.options import Context
@@ -62,10 +62,7 @@ def _named_one_more(state: State, context: Context) -> State:
 
 def _attribute(state: State, evidence: PixelEvidence, context: Context) -> Attribution[Maximum]:
     options, hypothesis = context.options, state.hypothesis
-    astray = hypothesis.seen.background_fraction > options.criteria.max_unexplained_fraction
-    elsewhere = (astray or not hypothesis.fit.converged) and not state.on_paths  # paths lie near the model they are of
-    restart = hypothesis.start if elsewhere else None
-    model = hypothesis.fit.model
+    restart, model = _restart(state, context), hypothesis.fit.model
     skip = {*options.leave_out, *([JITTER] if _hides_jitter(state) else [])}
     share = 0.1 + 0.6 * state.turn / MAX_ROUNDS
     candidates = candidates_of(evidence, model, restart, context.cache, context.work, state.on_paths)
@@ -73,6 +70,21 @@ def _attribute(state: State, evidence: PixelEvidence, context: Context) -> Attri
         candidates, [e for e in missing(model) if e not in skip], options,
         lambda what: context.report(f"round {state.turn + 1}: {what}", share),
     )  # fmt: skip
+
+
+def _restart(state: State, context: Context) -> Model | None:
+    """Where effects are tried from as well as from the fitted values; None where those are to be trusted.
+
+    Threshold noise covers for what is missing, and once it is large nothing is surprising enough to find what that was:
+    there the effects are tried from the shipped noise.
+    """
+    hypothesis = state.hypothesis
+    if state.on_paths:
+        return None  # paths lie near the model they are of
+    if is_noisy(hypothesis.fit.model, state.model):
+        return hypothesis.start.set({NOISE: state.model.values[NOISE]})
+    astray = hypothesis.seen.background_fraction > context.options.criteria.max_unexplained_fraction
+    return hypothesis.start if astray or not hypothesis.fit.converged else None
 
 
 def _hides_jitter(state: State) -> bool:
