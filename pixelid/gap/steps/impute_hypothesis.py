@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from pixelid.fit.maximise import maximise_with_restarts
+from pixelid.fit.maximise import maximise, maximise_with_restarts
+from pixelid.gap.attribute.candidates import canonical
 from pixelid.gap.detect.covariates import Factor
 from pixelid.gap.detect.diagnostics import diagnose
 from pixelid.gap.detect.pixels import gather_evidence
@@ -72,6 +73,9 @@ def _at_these(imputation: Imputation, model: Model, setting: Setting, scatter, c
         max_steps=40,
         cache=context.cache,
     )
+    ordered = canonical(fit.model, setting.model)
+    if ordered is not fit.model:
+        fit = maximise(evidence.training, ordered, tolerance=0.01, max_steps=40, cache=context.cache)
     jitter = (imputation.sigma_s, imputation.error) if imputation.effect == JITTER else None
     # events that imputation cannot place stay behind a jitter; behind a queue or a tick they do not count
     allowed = criteria.max_unexplained_fraction_jittered if jitter is not None else None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 from pixelid.fit.maximise import Maximum, maximise, maximise_with_restarts
@@ -9,7 +10,7 @@ from pixelid.gap.attribute.alternative import stands
 from pixelid.gap.attribute.attribute import Attribution, Candidate, attribute, may_be_named
 from pixelid.gap.attribute.candidates import canonical, holds_together, impossible, missing, remove_effect
 from pixelid.gap.attribute.pixels import candidates_of
-from pixelid.gap.attribute.significance import leads
+from pixelid.gap.attribute.significance import leads, negligible
 from pixelid.gap.detect.diagnostics import diagnose
 from pixelid.gap.detect.pixels import NOISE, PixelEvidence, is_noisy, reconsider_stimuli, relative_noise
 from pixelid.gap.detect.words import where
@@ -21,6 +22,7 @@ from pixelid.gap.state import Hypothesis, NamedStep, State
 from pixelid.gap.steps.impute_hypothesis import Setting, at_imputed_times
 from pixelid.model.model import Model
 
+NOTHING_LEFT_FOR_IT = "at times drawn with it in the model nothing is left for it"
 UNLIKE_JITTER = "what it would take of the times does not look like one"
 MAX_ROUNDS = 4  # a camera that lacks more effects than this lacks a model
 
@@ -62,17 +64,17 @@ def _named_one_more(state: State, context: Context) -> State:
 
 def _attribute(state: State, evidence: PixelEvidence, context: Context) -> Attribution[Maximum]:
     options, hypothesis = context.options, state.hypothesis
-    restart, model = _restart(state, context), hypothesis.fit.model
+    model, elsewhere = hypothesis.fit.model, restart(state, context)
     skip = {*options.leave_out, *([JITTER] if _hides_jitter(state) else [])}
     share = 0.1 + 0.6 * state.turn / MAX_ROUNDS
-    candidates = candidates_of(evidence, model, restart, context.cache, context.work, state.on_paths)
+    candidates = candidates_of(evidence, model, elsewhere, context.cache, context.work, state.on_paths)
     return attribute(
         candidates, [e for e in missing(model) if e not in skip], options,
         lambda what: context.report(f"round {state.turn + 1}: {what}", share),
     )  # fmt: skip
 
 
-def _restart(state: State, context: Context) -> Model | None:
+def restart(state: State, context: Context) -> Model | None:
     """Where effects are tried from as well as from the fitted values; None where those are to be trusted.
 
     Threshold noise covers for what is missing, and once it is large nothing is surprising enough to find what that was:
@@ -141,9 +143,14 @@ def _pruned(
         if fit.value - less.value < context.options.criteria.min_lead_nats:
             fit, start = less, remove_effect(start, earlier, state.model)
             rounds = withdrawn(rounds, earlier, f"{winner.effect} explains it")
-            before = steps.pop(k).before
-            steps[k] = _following(steps[k], before)
+            steps = _taken_back(steps, k)
     return replace(state, steps=tuple(steps), rounds=rounds), fit, start
+
+
+def _taken_back(steps: Sequence[NamedStep], k: int) -> list[NamedStep]:
+    """The steps without one, which the next one then follows in the place of."""
+    after = [_following(step, steps[k].before) for step in steps[k + 1 : k + 2]]
+    return [*steps[:k], *after, *steps[k + 2 :]]
 
 
 def _following(step: NamedStep, before: Hypothesis) -> NamedStep:
@@ -200,4 +207,29 @@ def _at_imputed_times(state: State, model: Model, start: Model, context: Context
     assert state.imputation is not None
     setting = Setting(state.split, state.model, start, state.hypothesis.evidence.between)
     imputation, hypothesis = at_imputed_times(state.imputation, model, setting, context)
-    return replace(state, imputation=imputation, hypothesis=hypothesis)
+    return without_negligible(replace(state, imputation=imputation, hypothesis=hypothesis), context)
+
+
+def without_negligible(state: State, context: Context) -> State:
+    """The state without effects that the times drawn anew leave far weaker than they are in any camera.
+
+    They were told by times that had been drawn from a model which lacked something.
+    """
+    for effect in [step.effect for step in state.steps]:
+        hypothesis, criteria = state.hypothesis, context.options.criteria
+        model = hypothesis.fit.model
+        if not (model.has(effect) and negligible(effect, model, criteria)):
+            continue
+        without = remove_effect(model, effect, state.model)
+        if not holds_together(without):
+            continue  # another effect needs this one
+        fit = maximise(hypothesis.evidence.training, without, tolerance=0.01, max_steps=40, cache=context.cache)
+        if hypothesis.fit.value - fit.value >= criteria.min_lead_nats:
+            continue
+        start = remove_effect(hypothesis.start, effect, state.model)
+        at = next(k for k, step in enumerate(state.steps) if step.effect == effect)
+        state = replace(
+            state, hypothesis=replace(hypothesis, fit=fit, start=start), steps=tuple(_taken_back(state.steps, at)),
+            rounds=withdrawn(state.rounds, effect, NOTHING_LEFT_FOR_IT),
+        )  # fmt: skip
+    return state
