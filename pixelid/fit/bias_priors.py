@@ -15,6 +15,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
+
 from pixelid.biases import Implied, Value, currents_of, has_jaer_biases, implied_by
 from pixelid.biases.currents import CHIPS
 from pixelid.biases.implied import Z95
@@ -25,6 +27,8 @@ from pixelid.recordings.recording import Recording
 from pixelid.results import Table, number
 
 OPTION = "--bias-priors"
+LITTLE_ADDED = 0.9  # of a prior's deviation: the events then carry less than a fifth (1 − 0.9²) of the information
+CONTRADICTION = 3.0  # standard deviations: one in 370 of right priors
 
 
 def with_bias_priors(model: Model, recordings: Sequence[Recording]) -> tuple[Model, dict[str, Any]]:
@@ -93,6 +97,30 @@ def independent(values: Mapping[str, Value]) -> dict[str, Prior]:
         )
         for name, value in values.items()
     }
+
+
+def beside_events(told: Mapping[str, Any], names: Sequence[str], x: np.ndarray, sd: np.ndarray) -> list[str]:
+    """Where the events add nearly nothing to a prior of the biases, and where they contradict it, in words.
+
+    Args:
+        told: of `with_bias_priors`.
+        names: (p,) of the fitting coordinates.
+        x, sd: (p,) optimum and standard errors, the priors among what they rest on.
+    """
+    sentences = []
+    for name, prior in told["priors"].items():
+        if name not in names:
+            continue
+        k = list(names).index(name)
+        if sd[k] > LITTLE_ADDED * prior["sd"]:
+            sentences.append(f"{name}: its interval is that of the biases; the events add next to nothing")
+        away = abs(x[k] - prior["mean"]) / prior["sd"]
+        if away > CONTRADICTION:
+            sentences.append(
+                f"{name}: the events have it {away:.1f} standard deviations from what the biases say: perhaps the "
+                "camera did not run with the settings of the header"
+            )
+    return sentences
 
 
 def prior_table(told: Mapping[str, Any]) -> Table:

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from pixelid.errors import InputError
-from pixelid.fit.bias_priors import with_bias_priors
+from pixelid.fit.bias_priors import beside_events, with_bias_priors
 from pixelid.fit.clocks import clocks_found, held_clocks
 from pixelid.fit.coordinates import Coordinates
 from pixelid.fit.engines import FORMS, Engine
@@ -207,6 +207,7 @@ def fit(
             *held_in_words(held, recordings),
             *([apart] if apart else []),
             *(levels.notes if levels is not None else ()),
+            *(beside_events(of_biases, coordinates.names, optimum.x, reading.sd) if of_biases else ()),
         ),
         physical=physical,
         physical_why=why,

@@ -12,7 +12,7 @@ import pytest
 from pixelid.biases import currents_of, has_jaer_biases, implied_by
 from pixelid.biases.currents import master_current_a
 from pixelid.errors import InputError
-from pixelid.fit.bias_priors import independent, with_bias_priors
+from pixelid.fit.bias_priors import beside_events, independent, with_bias_priors
 from pixelid.model.shipped import find_model
 from pixelid.recordings import Events, Recording, open_recording, write_recording
 
@@ -68,9 +68,8 @@ def test_currents_of_a_dvs128_by_hand():
 def test_values_of_a_davis_by_hand():
     told = implied(BOXES)
     assert set(told.values) == {"on_threshold", "refractory_s", "sf_cutoff_hz"}
-    assert told.values["on_threshold"].value == pytest.approx(
-        3.95715 / 14.0, rel=1e-4
-    )  # ln(387500 / 7408) / (0.7 · 20)
+    # ln(387500 / 7408) / (0.7 · 20)
+    assert told.values["on_threshold"].value == pytest.approx(3.95715 / 14.0, rel=1e-4)
     assert told.values["refractory_s"].value == pytest.approx(3.3693e-6, rel=1e-4)  # 20 fF · 0.8 V / 4.7487 nA
     assert told.values["sf_cutoff_hz"].value == pytest.approx(286.3, rel=1e-3)  # 5.898 pA / (2π · 25 mV · 131.167 fF)
     assert told.without == {"off_threshold": "OffBn is set to no current"}
@@ -186,14 +185,27 @@ def test_a_model_takes_priors_of_its_free_parameters():
         with_bias_priors(dvs, [recording(davis({"OnBn": (2, 255), "DiffBn": (3, 39)}))])
 
 
+def test_where_events_and_biases_disagree_or_add_nothing():
+    _, told = with_bias_priors(find_model("dvs128"), [recording(davis(ALL))])
+    mean, sd = (told["priors"]["on_threshold"][key] for key in ("mean", "sd"))
+    names = ("gamma", "on_threshold")
+
+    def said(z: float, share: float) -> list[str]:
+        return beside_events(told, names, np.array([0.0, mean + z * sd]), np.array([1.0, share * sd]))
+
+    assert said(1.0, 0.5) == []
+    assert "the events add next to nothing" in said(0.0, 0.95)[0]
+    assert "3.5 standard deviations from what the biases say" in said(-3.5, 0.1)[0]
+
+
 def test_recordings_of_one_setting_only():
-    same = (
-        recording(davis(ALL)),
-        recording(davis(ALL | {"OnBn": (2, 255)}, AddressedIPotCF__ApsROSFBn__BitValueFine="3")),
-    )
-    with_bias_priors(find_model("dvs128"), same)
+    frames = recording(davis(ALL, AddressedIPotCF__ApsROSFBn__BitValueFine="3"))  # a bias of the frames' readout
+    with_bias_priors(find_model("dvs128"), [recording(davis(ALL)), frames])
     for other, words in (
-        (recording(davis(ALL | {"OnBn": (2, 100)}), name="two"), r"two.*other biases than one.*OnBn: 3\.88e-07 A and"),
+        (
+            recording(davis(ALL | {"OnBn": (2, 100)}), name="two"),
+            r"two.*other biases.*OnBn: 3\.87e-07 A and 1\.52e-07 A",
+        ),
         (recording(davis({**ALL, "OnBn": (2, 255)}), "DAVIS346B", "two"), "DAVIS240C and DAVIS346B"),
         (recording(None, name="two"), "two.*--bias-priors: expected the bias settings of a jAER header"),
         (recording({"bias_diff": 299}, "EVK4", "two"), "found none"),
@@ -204,7 +216,7 @@ def test_recordings_of_one_setting_only():
 
 @pytest.mark.parametrize("ending", ["h5", "npz", "csv"])
 def test_conversion_keeps_what_biases_imply(tmp_path, ending):
-    events = Events.from_columns([1000, 2000], [0, 1], [0, 1], [1, 0], 2, 2, unit="us")
+    events = Events.from_columns([1000, 2000], [0, 1], [0, 1], [1, 0], 2, 2)
     write_recording(replace(recording(davis(ALL)), events=events), tmp_path / f"r.{ending}")
     again = open_recording(tmp_path / f"r.{ending}")
     assert has_jaer_biases(again.sensor, again.attributes["biases"])
