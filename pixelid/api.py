@@ -127,6 +127,7 @@ def fit(
     engine: str = "casadi",
     form: str = "discrete",
     pixel_levels: PixelLevelsLike = None,
+    bias_priors: bool = False,
     seed: int = 0,
     progress: Progress | None = None,
 ) -> FitResult:
@@ -143,6 +144,7 @@ def fit(
         form: "discrete", linearised once per stimulus step, or "continuous" in time, which takes longer.
         pixel_levels: "gain", "background" or "both": each pixel sees gain · light + background, both unknown; with the
             spread over pixels where it is known, {"gain": 0.2, "background": None}.
+        bias_priors: priors of thresholds, dead time and the follower's cutoff from the bias settings of jAER's headers.
         seed: of the starts.
         progress: called with what is done and the fraction.
 
@@ -166,8 +168,8 @@ def fit(
     nuisances = {name: value for name, value in held.items() if name not in circuit.parameters}
     return run(
         opened, circuit, gauge=Gauge.parse(gauge) if isinstance(gauge, Mapping) else gauge, fixed=nuisances,
-        starts=starts, between=between, engine=engine, form=form, pixel_levels=pixel_levels, seed=seed,
-        progress=progress,
+        starts=starts, between=between, engine=engine, form=form, pixel_levels=pixel_levels,
+        bias_priors=bias_priors, seed=seed, progress=progress,
     )  # fmt: skip
 
 

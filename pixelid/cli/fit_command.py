@@ -33,6 +33,8 @@ Example:
 @click.option("--form", type=click.Choice(["discrete", "continuous"]),
               help="Linearised once per stimulus step (default), or continuous in time (slower).")  # fmt: skip
 @options.pixel_levels
+@click.option("--bias-priors", is_flag=True,
+              help="Priors of thresholds, dead time and cutoff from the biases of jAER's header.")  # fmt: skip
 @options.crop
 @click.option("--sample", is_flag=True, help="Also draw from the posterior: posterior.nc, corner and trace plots.")
 @click.option("--profile", is_flag=True, help="Also profile every parameter: bounded, one-sided or flat.")
@@ -40,8 +42,8 @@ Example:
 @options.seed()
 @options.quiet
 def command(
-    recordings, model, out, with_, without, fix, gauge, between, engine, form, pixel_levels, crop, sample, profile,
-    overwrite, seed, quiet,
+    recordings, model, out, with_, without, fix, gauge, between, engine, form, pixel_levels, bias_priors, crop,
+    sample, profile, overwrite, seed, quiet,
 ):  # fmt: skip
     """Fit a circuit to RECORDINGS (files or folders), or run a RECIPE.toml of fits/.
 
@@ -80,6 +82,8 @@ def command(
             recipe = replace(recipe, form=form)
         if pixel_levels:
             recipe = replace(recipe, pixel_levels=pixel_levels)
+        if bias_priors:
+            recipe = replace(recipe, bias_priors=True)
         with bar(quiet, compiles=True) as report:
             result = recipe.run(out, overwrite, report)
     if not quiet:

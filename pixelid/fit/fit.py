@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from pixelid.errors import InputError
+from pixelid.fit.bias_priors import beside_events, with_bias_priors
 from pixelid.fit.clocks import clocks_found, held_clocks
 from pixelid.fit.coordinates import Coordinates
 from pixelid.fit.engines import FORMS, Engine
@@ -61,6 +62,7 @@ def fit(
     engine: str = "casadi",
     form: str = "discrete",
     pixel_levels: PixelLevelsLike = None,
+    bias_priors: bool = False,
     seed: int = 0,
     progress: Progress | None = None,
 ) -> FitResult:
@@ -89,6 +91,8 @@ def fit(
             following the light at every instant: started from the discrete optimum, see docs/fitting.md for the cost.
         pixel_levels: "gain", "background" or "both" of every pixel are nuisances, and the light is not taken as exact
             (`fit.levels.pixel_levels`); with scales that are known, "gain=0.2,background=3" or {"gain": 0.2}.
+        bias_priors: thresholds, dead time and the source follower's cutoff have priors from the bias settings in the
+            recordings' headers (`fit.bias_priors`).
         seed: of the random starts.
         progress: progress(what, fraction) is called as the fit goes on.
 
@@ -123,6 +127,7 @@ def fit(
     held, model = unresolved(model) if sampled else [], as_light_tells(model, recordings)
     if sampled and form != "discrete":
         raise InputError("form: light that the sensor measured itself is followed in the discrete form only")
+    model, of_biases = with_bias_priors(model, recordings) if bias_priors else (model, None)
     rng = np.random.default_rng(seed)
     if all(pooled):
         if form != "discrete":
@@ -202,6 +207,7 @@ def fit(
             *held_in_words(held, recordings),
             *([apart] if apart else []),
             *(levels.notes if levels is not None else ()),
+            *(beside_events(of_biases, coordinates.names, optimum.x, reading.sd) if of_biases else ()),
         ),
         physical=physical,
         physical_why=why,
@@ -213,6 +219,7 @@ def fit(
         seed=seed,
         alignment=clocks_found(recordings, estimates),
         pixel_levels=levels,
+        bias_priors=of_biases,
         details=details,
         versions=versions(),
         inputs_sha256=input_hashes(recording.source for recording in recordings),

@@ -11,6 +11,7 @@ between = "auto"                "linear", "smooth" or "auto"
 engine = "casadi"               "casadi", "torch" or "scipy"
 form = "discrete"               "discrete" or "continuous"
 pixel_levels = ""               "gain", "background" or "both" of every pixel unknown; "gain=0.2": by that much
+bias_priors = false             priors from the bias settings in the recordings' headers
 sample, profile = false         also draw from the posterior, also profile every parameter
 roi = [0, 0, 64, 64]            only these columns and rows (as --roi), time = [0.0, 0.5], pixels = 25,
 without_hot_pixels = true       likewise
@@ -51,6 +52,7 @@ _KEYS = {
     "engine",
     "form",
     "pixel_levels",
+    "bias_priors",
     "roi",
     "time",
     "pixels",
@@ -76,6 +78,7 @@ class Recipe:
     form: str = "discrete"
     crop: Crop = field(default_factory=Crop)
     pixel_levels: str = ""
+    bias_priors: bool = False
 
     @staticmethod
     def of(
@@ -137,6 +140,7 @@ class Recipe:
             engine=self.engine,
             form=self.form,
             pixel_levels=levels,
+            bias_priors=self.bias_priors,
             seed=self.seed,
             progress=progress,
         )
@@ -201,6 +205,7 @@ def read_recipe(path: Path) -> Recipe:
         _choice(document, "form", FORMS, path),
         _crop(document, path),
         document.get("pixel_levels", ""),
+        _yes_or_no(document, "bias_priors", path),
     )
 
 

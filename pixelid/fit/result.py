@@ -12,6 +12,7 @@ import numpy as np
 
 from pixelid.documents import interpreting
 from pixelid.errors import InputError
+from pixelid.fit.bias_priors import prior_sentences, prior_table
 from pixelid.fit.coordinates import Coordinates
 from pixelid.fit.levels.pixel_levels import PixelLevels
 from pixelid.model.files import load_model, save_model
@@ -60,6 +61,7 @@ class FitResult(Result):
     unidentified: sentences;  physical: circuit values under the gauge, or None with `physical_why`
     alignment: by recording, what was found of a clock that `convert --align` had estimated (docs/formats.md)
     pixel_levels: gain and background of every pixel, None where they were not asked for
+    bias_priors: what the recordings' biases imply and which priors the fit took of them, None where not asked for
 
     Example:
         >>> import pixelid as px
@@ -90,6 +92,7 @@ class FitResult(Result):
     seed: int
     alignment: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     pixel_levels: PixelLevels | None = None
+    bias_priors: Mapping[str, Any] | None = None
     details: Mapping = field(default_factory=dict)
     versions: Mapping[str, str] = field(default_factory=dict)
     inputs_sha256: Mapping[str, str] = field(default_factory=dict)
@@ -118,6 +121,7 @@ class FitResult(Result):
             "recordings": list(self.recordings),
             "alignment": {name: dict(clock) for name, clock in self.alignment.items()},
             **({} if self.pixel_levels is None else {"pixel_levels": self.pixel_levels.as_dict()}),
+            **({} if self.bias_priors is None else {"bias_priors": dict(self.bias_priors)}),
             "details": dict(self.details),
             "nuisances": {name: as_document(p) for name, p in self.coordinates.nuisances.items()},
             "seconds": self.seconds,
@@ -157,6 +161,8 @@ class FitResult(Result):
             )
             headings = ("scale of", "value", "95 % interval", "unit")
             tables.append(Table("levels of pixels", headings, spread, frozenset({"scale of", "unit"})))
+        if self.bias_priors is not None:
+            tables.append(prior_table(self.bias_priors))
         return tables
 
     def physical_intervals(self) -> dict[str, tuple[float, float] | None]:
@@ -185,7 +191,8 @@ class FitResult(Result):
 
     def sentences(self) -> list[str]:
         """Advice, and what the data leave open."""
-        return [text for text in (self.advice or self.status.advice, *self.unidentified) if text]
+        biases = [] if self.bias_priors is None else prior_sentences(self.bias_priors)
+        return [text for text in (self.advice or self.status.advice, *self.unidentified, *biases) if text]
 
     def write_companions(self, folder: Path) -> None:
         """Write model.toml, the fitted model."""
@@ -205,7 +212,8 @@ class FitResult(Result):
             text=("status", "advice", "engine", "observation"), a_list_of_texts=("unidentified", "recordings"),
             a_number=("log_likelihood", "events", "pixels", "seconds", "seed"),
             a_table=(
-                "covariance", "gauge", "alignment", "pixel_levels", "details", "nuisances", "versions", "inputs_sha256",
+                "covariance", "gauge", "alignment", "pixel_levels", "bias_priors", "details", "nuisances", "versions",
+                "inputs_sha256",
             ),
         )  # fmt: skip
         with interpreting(Path(folder) / cls.FILE, "a fit"):
@@ -248,10 +256,14 @@ class FitResult(Result):
                 recordings=tuple(content["recordings"]),
                 alignment={name: dict(clock) for name, clock in content.get("alignment", {}).items()},
                 pixel_levels=PixelLevels.from_dict(content["pixel_levels"]) if "pixel_levels" in content else None,
+                bias_priors=content.get("bias_priors"),
                 versions=content["versions"],
                 inputs_sha256=content["inputs_sha256"],
                 **known,
             )
+            if result.bias_priors is not None:
+                result.tables()  # which need every entry
+                result.sentences()
             if result.physical:
                 result.physical_intervals()  # which needs every value to be a number
             return result

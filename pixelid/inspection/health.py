@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 
+from pixelid.biases import currents_of, has_jaer_biases, implied_by
+from pixelid.errors import InputError
 from pixelid.inspection.ceiling import Ceiling, Paces
 from pixelid.inspection.counts import BusiestWindow, Counts, Survey, counts_of
 from pixelid.inspection.dead_time import DeadTime, find_dead_time
@@ -32,6 +34,7 @@ class Health:
     """What the events of a recording show by themselves.
 
     intervals_share: of the intervals within pixels, how many dead time and tick were looked for in; 1 but in long ones
+    biases: what the bias settings of jAER's header imply, as `biases.Implied.as_dict`; None where there are none
     """
 
     name: str
@@ -46,6 +49,7 @@ class Health:
     hot_pixels: list[HotPixel]
     ceiling: Ceiling | None
     intervals_share: float = 1.0
+    biases: dict[str, Any] | None = None
 
     def to_dict(self) -> dict:
         """The stable keys of `inspect --json`."""
@@ -84,6 +88,7 @@ class Health:
             "hot_pixels": [asdict(pixel) for pixel in self.hot_pixels[:HOT_PIXELS_LISTED]],
             "hot_pixel_count": len(self.hot_pixels),
             "ceiling": None if self.ceiling is None else asdict(self.ceiling),
+            **({} if self.biases is None else {"biases": self.biases}),
         }
 
 
@@ -152,8 +157,20 @@ def inspect_closely(recording: Recording | LongRecording, progress: Progress = n
         hot_pixels=[] if pooled else hot_of_counts(survey.image, survey.duration_s),
         ceiling=None if paces is None else paces.ceiling(),
         intervals_share=survey.intervals.share,
+        biases=_implied(head),
     )
     return health, Overview(rates.edges_s, rates.counts[1], rates.counts[0], survey.image, intervals)
+
+
+def _implied(head: Recording) -> dict[str, Any] | None:
+    """What the biases of a recording imply; of damaged ones, why they imply nothing."""
+    settings = head.attributes.get("biases")
+    if not has_jaer_biases(head.sensor, settings):
+        return None
+    try:
+        return implied_by(currents_of(head.sensor, settings)).as_dict()
+    except InputError as error:
+        return {"chip": head.sensor, "currents": {}, "values": {}, "without": {"biases": str(error)}}
 
 
 def _read(recording: Recording | LongRecording) -> Iterable[Events]:

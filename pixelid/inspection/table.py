@@ -54,7 +54,18 @@ def rows_of_result(result: dict[str, Any]) -> list[tuple[str, str]]:
             ("hot pixels", _hot_pixels(result["hot_pixels"], result["hot_pixel_count"])),
             ("readout ceiling", _ceiling(result["ceiling"])),
         ]
+    if "biases" in result:
+        rows.append(("biases imply", _biases(result["biases"])))
     return rows
+
+
+def _biases(biases: dict[str, Any]) -> str:
+    lines = []
+    for name, value in biases["values"].items():
+        low, high = value["interval_95"]
+        unit = {"log radiance": ""}.get(value["unit"], f" {value['unit']}")
+        lines.append(f"{name} {value['value']:.3g}{unit} ({low:.2g} to {high:.2g})")
+    return "\n".join([*lines, *(f"{name}: nothing, {why}" for name, why in biases["without"].items())])
 
 
 def _dead_time(dead: dict[str, Any]) -> str:

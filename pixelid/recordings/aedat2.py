@@ -1,8 +1,9 @@
-"""AEDAT2 of DAVIS sensors: text header, then big-endian pairs of 32-bit address and 32-bit microseconds.
+"""AEDAT2 of jAER's DAVIS and DVS128: text header, then big-endian pairs of 32-bit address and 32-bit microseconds.
 
 Address of a DAVIS (inivation.github.io/inivation-docs, "AEDAT 2.0"): bit 31 set for frame and IMU samples, bits
-22–30 the row, bits 12–21 the column, bit 11 the polarity (1 ON), bit 10 an external input.  The header repeats
-every bias of the chip, kept here in `attributes["biases"]`.
+22–30 the row, bits 12–21 the column, bit 11 the polarity (1 ON), bit 10 an external input.  Of a DVS128 (jAER's
+`DVS128.Extractor`): bit 31 or 15 set for external inputs, bits 8–14 the row, bits 1–7 the column, bit 0 the polarity,
+0 for ON.  The header repeats every bias of the chip, kept here in `attributes["biases"]`.
 """
 
 from __future__ import annotations
@@ -20,13 +21,13 @@ from pixelid.recordings.events import Events
 from pixelid.recordings.parts import joined
 from pixelid.recordings.recording import Recording
 
-SIZES = {"DAVIS240": (240, 180), "DAVIS346": (346, 260)}
+SIZES = {"DAVIS240": (240, 180), "DAVIS346": (346, 260), "DVS128": (128, 128)}
 ENTRY = re.compile(r'<entry key="([^"]+)" value="([^"]*)"')
-BIAS = re.compile("Bias|IPot|ShiftedSource")
+BIAS = re.compile("[Bb]ias|IPot|ShiftedSource")
 
 
 def read(path: Path) -> Recording:
-    """The events of a DAVIS AEDAT2 file; frames and IMU samples are left out.
+    """The events of an AEDAT2 file; frames, IMU samples and external inputs are left out.
 
     Raises InputError for other chips and for a file that ends within an event.
     """
@@ -49,26 +50,46 @@ def stream(path: Path) -> tuple[Recording, Iterator[Recording]]:
     head = Recording(
         Events.empty(*size, tick_ns=1000), sensor=chip, source=path, attributes={"biases": _biases(lines, chip)}
     )
-    events = validated(_columns(path, start), *size, unit="us", tick_ns=1000, where=f"{path}: events")
+    columns = _columns(path, start, dvs128=chip.upper().startswith("DVS128"))
+    events = validated(columns, *size, unit="us", tick_ns=1000, where=f"{path}: events")
     return head, (replace(head, events=some) for some in events)
 
 
-def _columns(path: Path, start: int) -> Iterator[tuple]:
+def _columns(path: Path, start: int, dvs128: bool) -> Iterator[tuple]:
     """Blocks of (t µs, x, y, p), the clock's rollovers undone."""
+    event, of = (_is_dvs128_event, _of_dvs128) if dvs128 else (_is_davis_event, _of_davis)
     last, wraps = None, 0
     with path.open("rb") as file:
         file.seek(start)
         while len(data := file.read(8 * PART_EVENTS)):
             words = np.frombuffer(data, ">u4").reshape(-1, 2)
             address = words[:, 0].astype(np.uint32)
-            keep = (address >> 31 == 0) & (address >> 10 & 1 == 0)
+            keep = event(address)
             address, stamp = address[keep], words[keep, 1].astype(np.int64)
             if not len(stamp):
                 continue
             before = stamp[0] if last is None else last
             turns = wraps + np.cumsum(np.diff(stamp, prepend=before) < -(1 << 31))
             last, wraps = stamp[-1], turns[-1]
-            yield stamp + (turns << 32), address >> 12 & 0x3FF, address >> 22 & 0x1FF, address >> 11 & 1
+            yield (stamp + (turns << 32), *of(address))
+
+
+def _is_davis_event(address: np.ndarray) -> np.ndarray:
+    return (address >> 31 == 0) & (address >> 10 & 1 == 0)
+
+
+def _of_davis(address: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(x, y, p) of addresses."""
+    return address >> 12 & 0x3FF, address >> 22 & 0x1FF, address >> 11 & 1
+
+
+def _is_dvs128_event(address: np.ndarray) -> np.ndarray:
+    return (address >> 31 == 0) & (address >> 15 & 1 == 0)
+
+
+def _of_dvs128(address: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(x, y, p) of addresses."""
+    return address >> 1 & 0x7F, address >> 8 & 0x7F, address & 1 ^ 1
 
 
 def _header(path: Path) -> tuple[list[str], int]:

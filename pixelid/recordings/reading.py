@@ -23,8 +23,8 @@ READABLE = ", ".join(BINARY_SUFFIXES + TEXT_SUFFIXES)
 def open_recording(path: str | Path) -> Recording:
     """The recording in the file `path`, whatever its format.
 
-    Reads pixelid and DSEC HDF5, npz, AEDAT4, AEDAT2 (DAVIS), Prophesee RAW (EVT2, EVT2.1, EVT3) and DAT, ES, and
-    text.  Times become int64 nanoseconds; `events.tick_ns` remembers the unit of the source.
+    Reads pixelid and DSEC HDF5, npz, AEDAT4, AEDAT2 (DAVIS, DVS128), Prophesee RAW (EVT2, EVT2.1, EVT3) and DAT, ES,
+    and text.  Times become int64 nanoseconds; `events.tick_ns` remembers the unit of the source.
 
     Raises InputError (one plain line: file, field, expected, found) for a missing, empty, truncated or unknown
     file, a missing column, unsorted times, pixels outside the sensor, another polarity coding than 1/0, times

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from pixelid.documents import read_json
+from pixelid.fit.bias_priors import prior_table
 from pixelid.parameters.invariants import PHYSICAL_UNITS
 from pixelid.report.format import count, counted, in_its_unit, number, percent, seconds, value
 from pixelid.report.page import Number, Result, Summary, command_line, identified
@@ -40,6 +41,7 @@ def prepare_fit(result: Result, folder: Path) -> dict[str, Any]:
         "truth": read_json(truth) if truth.is_file() else None,
         "physical": _physical(result),
         "levels": levels_of(result),
+        "biases": [list(row) for row in prior_table(result["bias_priors"]).rows] if "bias_priors" in result else None,
     }
 
 

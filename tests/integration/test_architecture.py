@@ -33,7 +33,8 @@ MAY_IMPORT = {
 MAY_IMPORT["inputs"] = BASE | {"model", "recordings", "stimuli"}
 MAY_IMPORT["compilation"] = set()  # everything else is imported when a function is called
 MAY_IMPORT["api"] = MAY_IMPORT["api_analyses"] = BASE  # everything else is imported when a function is called
-MAY_IMPORT["inspection"] = BASE | {"recordings", "stimuli"}
+MAY_IMPORT["biases"] = {"errors"}
+MAY_IMPORT["inspection"] = BASE | {"biases", "recordings", "stimuli"}
 MAY_IMPORT["simulate"] = MAY_IMPORT["likelihood"] = set(MAY_IMPORT) - {"inspection"}
 MAY_IMPORT["fit"] = MAY_IMPORT["sensors"] = MAY_IMPORT["simulate"] | {"simulate", "likelihood"}
 MAY_IMPORT["tables"] = MAY_IMPORT["simulate"] | {"simulate"}  # observation models of tables instead of events

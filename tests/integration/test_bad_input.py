@@ -187,6 +187,7 @@ USAGE = {
         "a background that all pixels share is a dark current",
     ),
     "fit: levels in the continuous form": (FIT + " --pixel-levels gain --form continuous", "the discrete form only"),
+    "fit: priors without biases": (FIT + " --bias-priors", "expected the bias settings of a jAER header"),
     "fit: levels sampled": (FIT + " --pixel-levels gain --sample", "not with --pixel-levels"),
     "fit: no pixels": (FIT + " --pixels 0", "--pixels"),
     "fit: region of words": (FIT + " --roi a,b,c,d", "--roi"),

@@ -1,0 +1,156 @@
+"""Priors of a fit from the bias settings in the recordings' headers (`pixelid.biases`).
+
+Parameters share sources of error: κ and the capacitor ratio are in both thresholds, the master current is in dead time
+and cutoff.  A fit's priors are independent, so each gets a variance that no combination of them undercuts: where k
+parameters share a source with deviations e_i, (Σ e_i x_i)² ≤ k Σ e_i² x_i² (Cauchy & Schwarz), and k e_i² takes the
+place of e_i².  With both thresholds their priors are wider than for either alone by up to √2, and hold nothing that
+the biases say of their ratio.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from pixelid.biases import Implied, Value, currents_of, has_jaer_biases, implied_by
+from pixelid.biases.currents import CHIPS
+from pixelid.biases.implied import Z95
+from pixelid.errors import InputError
+from pixelid.model.model import Model
+from pixelid.parameters.parameter import Prior
+from pixelid.recordings.recording import Recording
+from pixelid.results import Table, number
+
+OPTION = "--bias-priors"
+LITTLE_ADDED = 0.9  # of a prior's deviation: the events then carry less than a fifth (1 − 0.9²) of the information
+CONTRADICTION = 3.0  # standard deviations: one in 370 of right priors
+
+
+def with_bias_priors(model: Model, recordings: Sequence[Recording]) -> tuple[Model, dict[str, Any]]:
+    """The model with priors from the recordings' biases, and what fit.json says of them.
+
+    A prior takes the place of the model's own, and the search starts at its mean.  Parameters that are held, or that
+    the model lacks, get none.
+
+    Raises:
+        InputError: a recording without jAER's biases, recordings of different ones, or biases that say nothing of any
+            free parameter.
+    """
+    implied = biases_of(recordings)
+    unused = dict(implied.without)
+    for name in implied.values:
+        if name not in model.parameters:
+            unused[name] = f"not in model {model.name}"
+        elif not model.parameters[name].free:
+            unused[name] = "it is held"
+    priors = independent({name: value for name, value in implied.values.items() if name not in unused})
+    if not priors:
+        reasons = "; ".join(f"{name}: {why}" for name, why in unused.items())
+        raise InputError(f"{OPTION}: the biases give a prior for no free parameter ({reasons})")
+    parameters = dict(model.parameters)
+    for name, prior in priors.items():
+        start = parameters[name].within(implied.values[name].value)
+        parameters[name] = replace(parameters[name], prior=prior, value=start)
+    told = implied.as_dict() | {"priors": {name: _told(prior) for name, prior in priors.items()}, "unused": unused}
+    return replace(model, parameters=parameters), told
+
+
+def biases_of(recordings: Sequence[Recording]) -> Implied:
+    """What the biases of all recordings imply, which must be the same ones.
+
+    Raises:
+        InputError: as `with_bias_priors`.
+    """
+    first: Implied | None = None
+    for recording in recordings:
+        settings = recording.attributes.get("biases")
+        if not has_jaer_biases(recording.sensor, settings):
+            chips = ", ".join(chip.family for chip in CHIPS)
+            wanted = f"the bias settings of a jAER header (AEDAT2 of {chips})"
+            raise InputError(f"{recording.name}: {OPTION}: expected {wanted}, found none")
+        try:
+            implied = implied_by(currents_of(recording.sensor, settings))
+        except InputError as error:
+            raise InputError(f"{recording.name}: {error}") from None
+        if first is None:
+            first = implied
+        elif first.currents != implied.currents:
+            raise InputError(
+                f"{recording.name}: {OPTION}: other biases than {recordings[0].name} ({_difference(first, implied)}): "
+                "fit recordings of one setting together"
+            )
+    assert first is not None
+    return first
+
+
+def independent(values: Mapping[str, Value]) -> dict[str, Prior]:
+    """Independent priors of ln value that claim no more than the values with their shared errors."""
+    shared = Counter(source for value in values.values() for source in value.errors)
+    return {
+        name: Prior(
+            math.log(value.value), math.sqrt(sum(shared[source] * sd**2 for source, sd in value.errors.items()))
+        )
+        for name, value in values.items()
+    }
+
+
+def beside_events(told: Mapping[str, Any], names: Sequence[str], x: np.ndarray, sd: np.ndarray) -> list[str]:
+    """Where the events add nearly nothing to a prior of the biases, and where they contradict it, in words.
+
+    Args:
+        told: of `with_bias_priors`.
+        names: (p,) of the fitting coordinates.
+        x, sd: (p,) optimum and standard errors, the priors among what they rest on.
+    """
+    sentences = []
+    for name, prior in told["priors"].items():
+        if name not in names:
+            continue
+        k = list(names).index(name)
+        if sd[k] > LITTLE_ADDED * prior["sd"]:
+            sentences.append(f"{name}: its interval is that of the biases; the events add next to nothing")
+        away = abs(x[k] - prior["mean"]) / prior["sd"]
+        if away > CONTRADICTION:
+            sentences.append(
+                f"{name}: the events have it {away:.1f} standard deviations from what the biases say: perhaps the "
+                "camera did not run with the settings of the header"
+            )
+    return sentences
+
+
+def prior_table(told: Mapping[str, Any]) -> Table:
+    """The priors that a fit took from biases."""
+    rows = []
+    for name, prior in told["priors"].items():
+        low, high = prior["interval_95"]
+        value = told["values"][name]
+        rows.append((name, number(value["value"]), f"{number(low)} to {number(high)}", value["unit"], value["formula"]))
+    headings = ("parameter", "value", "95 % interval", "unit", "formula")
+    return Table(f"priors from the biases of the {told['chip']}", headings, tuple(rows),
+                 frozenset({"parameter", "unit", "formula"}))  # fmt: skip
+
+
+def prior_sentences(told: Mapping[str, Any]) -> list[str]:
+    """What got no prior, and why."""
+    return [f"{name}: no prior from the biases: {why}" for name, why in told["unused"].items()]
+
+
+def _told(prior: Prior) -> dict[str, Any]:
+    ends = [math.exp(prior.mean + side * Z95 * prior.sd) for side in (-1.0, 1.0)]
+    return {"mean": prior.mean, "sd": prior.sd, "interval_95": ends}
+
+
+def _difference(one: Implied, other: Implied) -> str:
+    """The first bias that differs, in words."""
+    if one.currents.chip != other.currents.chip:
+        return f"{one.currents.chip} and {other.currents.chip}"
+    mine, theirs = one.currents.roles, other.currents.roles
+    role = next(role for role in {**mine, **theirs} if mine.get(role) != theirs.get(role))
+    settings = [roles[role].as_dict() if role in roles else None for roles in (mine, theirs)]
+    words = ["not stated" if s is None else f"{s['ampere']:.3g} A" for s in settings]
+    return f"{one.currents.of.settings[role]}: {words[0]} and {words[1]}"
