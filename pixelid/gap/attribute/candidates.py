@@ -18,6 +18,7 @@ DECADES = (-2.0, -1.5, -1.0, -0.5, 0.0, 0.5, 1.0, 1.5)  # strengths tried, about
 # strengths gains this much by itself, and no tighter one is tried from where it loses that much per event.  A side that
 # nothing slews at has no slope, so a fit leaves it where it is: sides are looked for one by one, from weak to tight.
 MIN_SLEW_GAIN_NATS, MAX_SLEW_LOSS_NATS, SLEW_STEP = 0.5, 0.1, 10.0**-0.125
+UNFELT_NATS = 1e-3  # what a limit changes that nothing reaches, beside rounding of the likelihood
 SLEW, RISE, FALL = "slew_limit", "slew_limit.rise_per_s", "slew_limit.fall_per_s"
 KNEE = "linear_log"
 KNEE_DECADES = tuple(d / 8.0 for d in range(-16, 13))  # a knee below all light does nothing, one too high much harm
@@ -102,16 +103,29 @@ def _strongest_slew_start(likelihood: EventTimes, model: Model, least: float) ->
     for turn, side in enumerate((RISE, FALL, RISE, FALL)):  # again, beside what was found of the other
         if turn == 2 and not found:
             return None
-        limit, peak, others = weakest, -np.inf, best
-        while limit >= strongest:
+        peak, others = -np.inf, best
+        limits = [weakest * SLEW_STEP**k for k in range(1 + round(math.log(strongest / weakest) / math.log(SLEW_STEP)))]
+        for limit in limits[_last_unfelt(likelihood, others, side, limits) :]:
             value = _value(likelihood, trial := others.set({side: limit}))
             peak = max(peak, value)
             if value < peak - MAX_SLEW_LOSS_NATS * likelihood.events:
                 break  # the tighter the limit, the worse from here on
             if value > top + MIN_SLEW_GAIN_NATS:
                 best, top, found = trial, value, True
-            limit *= SLEW_STEP
     return best if found else None
+
+
+def _last_unfelt(likelihood: EventTimes, model: Model, side: str, limits: Sequence[float]) -> int:
+    """Index of the last of falling limits of a side at which nothing slews, by halving: tighter ones all act."""
+    free = _value(likelihood, model.set({side: limits[0]}))
+    unfelt, felt = 0, len(limits)
+    while felt - unfelt > 1:
+        middle = (unfelt + felt) // 2
+        if abs(_value(likelihood, model.set({side: limits[middle]})) - free) < UNFELT_NATS:
+            unfelt = middle
+        else:
+            felt = middle
+    return unfelt
 
 
 def _value(likelihood: EventTimes, model: Model) -> float:
