@@ -27,7 +27,7 @@ def test_the_command_finds_a_leak_and_trains_with_it(leaking, tmp_path, capsys):
     out, words = tmp_path / "out", ["reconstruct", str(leaking), "--iterations", "90", "--batch", "96"]
     assert main([*words, "--out", str(out), "--gap"]) in (0, 1)
     result = json.loads((out / "reconstruction.json").read_text())
-    first = result["gap"]["effects"][0]
+    (first,) = result["gap"]["effects"]
     assert first["name"] == "leak"
     assert first["p_value"] < 1e-3
     assert result["gap"]["heldout_gain"] > 0.1
