@@ -28,7 +28,7 @@ SCALES = ("auto", "level", "free")
 UNIFORM = 0.03  # standard deviation of ln L along the borders, below which they show a background
 BORDER = 0.5  # share of border pixels that must agree
 # ln L by which a scene begins apart from its background at least: haze of its colour would be invisible, and no event
-# could tell where it thickens.  A table before white, begun at half the background: 18.8
+# could tell where it thickens.  A table before white, begun at half the background: 18.6
 # instead of 15.2 dB after 300 steps.
 APART = math.log(2.0)
 UNKNOWN = 1.0  # radiance behind a scene of which there are no views, to begin with: their unit's white
