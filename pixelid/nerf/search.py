@@ -48,6 +48,9 @@ SCREENED = 512  # chains that suggest strengths
 # A dead time cannot be longer than any interval, and one that matters is hardly shorter; so close to it that what went
 # on meanwhile can still be told from the time that was left to look.
 WITHIN = 0.8
+# Candidates that explain nearly as much as the best, as a share of that, settle side by side before one is kept: while
+# the scene holds half of a leak, a parasitic photocurrent explains as much.
+RIVALS = 0.1
 TIE = 0.01  # of the loss: of candidates that explain as much, the first in the list is taken
 
 Make = Callable[[Calibration, tuple[str, ...]], Problem]
@@ -146,12 +149,9 @@ def search(
             here = plain
             break
         most = max(trials[k].gain.share for k in named)
-        best = next(k for k in named if trials[k].gain.share > most - TIE)
-        here = places[best]
-        for turn in range(MOST_SETTLING):
-            before, here = here, bench.grown(here)
-            if turn + 1 >= SETTLING and _moved_by(before, here) < SETTLED:
-                break
+        rivals = [k for k in named if trials[k].gain.share > min((1.0 - RIVALS) * most, most - TIE)]
+        which, here = bench.settled([places[k] for k in rivals])
+        best = rivals[which]
         kept.append(trials[best])
         names = tuple(name for k, name in enumerate(names) if k != best)
     if not kept:
@@ -209,6 +209,20 @@ class _Bench:
     def grown(self, here: _Place) -> _Place:
         """Scene and pixel after as many steps as a trial takes, from strengths that the residuals suggest."""
         return self.go_on(_renewed(here, *self._suggested(here)), self.steps)
+
+    def settled(self, rivals: list[_Place]) -> tuple[int, _Place]:
+        """(which of some places explains most, where it is) when strengths have come to rest, all trained as long."""
+        for turn in range(MOST_SETTLING):
+            before, rivals = rivals, [self.grown(place) for place in rivals]
+            moved = max(_moved_by(*pair) for pair in zip(before, rivals, strict=True))
+            if turn + 1 >= SETTLING and moved < SETTLED:
+                break
+        if len(rivals) == 1:
+            return 0, rivals[0]
+        first = self.rows(rivals[0])
+        shares = [0.0, *(compare(first, self.rows(place)).share for place in rivals[1:])]
+        which = next(k for k, share in enumerate(shares) if share > max(shares) - TIE)
+        return which, rivals[which]
 
     def _suggested(self, here: _Place) -> tuple[Suggested, Problem]:
         every = self.make(here.calibration, (*self._using(here.trained).moving, *ADDITIONS))
