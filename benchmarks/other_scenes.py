@@ -1,4 +1,5 @@
-"""Scenes of another make than `pixelid.nerf.scenes`: thin legs, flat surfaces of one colour, shadows, white behind.
+"""Scenes of another make than `pixelid.nerf.scenes`: thin legs, flat surfaces of one colour, shadows, things
+that hang in the air, before white, grey and dark.
 
 Solids are met analytically, lit by a sky and one lamp that casts shadows (Lambert), with Phong's highlight.  Nothing is
 shared with the scenes that weights were chosen on, the camera and the simulated pixel aside.
@@ -44,6 +45,20 @@ YARD = [
     solid(ELLIPSOID, (-0.3, 0.6, -0.38), (0.2, 0.2, 0.2), albedo=0.03),
 ]
 
+RODS = [solid(BOX, (x, y, z), half, angle, albedo)
+        for x, y, z, half, angle, albedo in (
+            (0.0, 0.0, 0.75, (0.9, 0.04, 0.04), 0.4, 0.15), (0.75, 0.32, 0.35, (0.035, 0.035, 0.4), 0.0, 0.15),
+            (-0.72, -0.3, 0.45, (0.035, 0.035, 0.3), 0.0, 0.9),
+            (-0.2, 0.5, -0.1, (0.6, 0.035, 0.035), -0.9, 0.6))]  # fmt: skip
+MOBILE = [
+    *RODS,
+    solid(ELLIPSOID, (0.75, 0.32, -0.2), (0.22, 0.22, 0.22), albedo=0.08),
+    solid(BOX, (-0.72, -0.3, 0.0), (0.2, 0.04, 0.2), 1.1, 0.9),
+    solid(ELLIPSOID, (0.0, -0.2, -0.55), (0.45, 0.45, 0.12), albedo=0.25),
+    solid(CYLINDER, (0.1, -0.55, 0.15), (0.16, 0.16, 0.2), 0.0, 0.7, 0.05, CHECKER, 11.0),
+    solid(ELLIPSOID, (-0.35, 0.65, -0.35), (0.15, 0.15, 0.25), albedo=0.75, shine=0.5),
+]
+
 
 @dataclass(frozen=True)
 class Solids:
@@ -61,7 +76,11 @@ class Solids:
         return out.reshape(len(position), camera.height, camera.width)
 
 
-SCENES = {"table": Solids(np.array(TABLE), 1.0), "yard": Solids(np.array(YARD), 0.25)}
+SCENES = {
+    "table": Solids(np.array(TABLE), 1.0),
+    "yard": Solids(np.array(YARD), 0.25),
+    "mobile": Solids(np.array(MOBILE), 0.5),
+}
 
 
 @njit
@@ -112,7 +131,7 @@ def _cylinder(half, o, d):
 @njit
 def _nearest(rows, o, d):
     """(row, distance, unit normal) of what a ray meets first; row −1 for nothing."""
-    which, nearest, facing = -1, 1e30, np.zeros(3)
+    which, nearest, facing = -1, 1e30, d
     for i in range(len(rows)):
         row = rows[i]
         x, y, z = row[1] - o[0], row[2] - o[1], row[3] - o[2]
@@ -157,9 +176,14 @@ def _radiance(rows, towards, background, o, d):
 
 @njit(nogil=True)
 def _film(origins, rotations, inside, each, rows, towards, background, out):
+    d = np.empty(3)
     for k in range(len(origins)):
+        turn = rotations[k]
         for i in range(out.shape[1]):
             total = 0.0
             for j in range(each):
-                total += _radiance(rows, towards, background, origins[k], rotations[k] @ inside[i * each + j])
+                x, y, z = inside[i * each + j]
+                for m in range(3):
+                    d[m] = turn[m, 0] * x + turn[m, 1] * y + turn[m, 2] * z
+                total += _radiance(rows, towards, background, origins[k], d)
             out[k, i] = total / each

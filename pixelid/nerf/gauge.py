@@ -11,6 +11,7 @@ that is free drifts: a brighter scene is a faster pixel, so that a blurred scene
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,6 +27,10 @@ PARALLEL = 1e-4
 SCALES = ("auto", "level", "free")
 UNIFORM = 0.03  # standard deviation of ln L along the borders, below which they show a background
 BORDER = 0.5  # share of border pixels that must agree
+# ln L by which a scene begins apart from its background at least: haze of its colour would be invisible, and no event
+# could tell where it thickens.  A table before white, begun at half the background: 18.6
+# instead of 15.2 dB after 300 steps.
+APART = math.log(2.0)
 UNKNOWN = 1.0  # radiance behind a scene of which there are no views, to begin with: their unit's white
 
 
@@ -43,6 +48,14 @@ class Gauge:
     def free_background(self) -> bool:
         """Whether the background is trained."""
         return self.kind != "background"
+
+    @property
+    def start(self) -> float:
+        """The radiance that a scene begins with: its mean level, `APART` from the background where that is held."""
+        level, behind = float(self.level.mean()), float(np.log(self.background).mean())
+        if self.free_background or abs(level - behind) >= APART:
+            return math.exp(level)
+        return math.exp(behind + APART if level > behind else behind - APART)
 
 
 def gauge_of(dataset: Dataset, background: float | None = None, scale: str = "auto") -> Gauge:

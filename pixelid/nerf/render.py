@@ -57,14 +57,17 @@ class _Compiled(torch.autograd.Function):
         values, directional, behind = grid.detach().numpy(), coefficients.detach().numpy(), background.detach().numpy()
         radiance, opacity = np.empty(len(rays.origins), np.float32), np.empty(len(rays.origins), np.float32)
 
+        filled = np.empty([n - 1 for n in values.shape[:3]], np.uint8)
+        kernels.filled_cells(values, box.step, box.occupied, filled)
+
         def part(some: slice) -> tuple[np.ndarray, ...]:
             number = some.stop - some.start
             first = np.empty(number + 1 if keep else 0, np.int64)
             room = KEPT_PER_RAY * number if keep else 0
             samples, depths, colours = (np.empty(room, kind) for kind in (np.int32, np.float32, np.float32))
             kept = kernels.forward(
-                *(column[some] for column in rays), values, directional, box.occupied, box.low, box.high, box.step,
-                behind, radiance[some], opacity[some], first, samples, depths, colours,
+                *(column[some] for column in rays), values, directional, box.occupied, filled, box.low, box.high,
+                box.step, behind, radiance[some], opacity[some], first, samples, depths, colours,
             )  # fmt: skip
             return first, *kept
 

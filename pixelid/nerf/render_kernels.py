@@ -101,14 +101,15 @@ def _per_cell(q, step):
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "afn", "reassoc"})
 def forward(
-    origins, directions, channels, offsets, grid, coefficients, occupied, low, high, step, background, radiance,
+    origins, directions, channels, offsets, grid, coefficients, occupied, filled, low, high, step, background, radiance,
     opacity, first, samples, depths, colours,
 ):  # fmt: skip
     """Fill radiance (n,) and opacity (n,) of rays; (samples, depths, colours), where rays met something.
 
     origins, directions: (n, 3) float32;  channels: (n,) colour of each ray;  offsets: (n,) of the first sample in
     steps;  grid: (nx, ny, nz, 1 + C) float32;  coefficients: (nx, ny, nz, C, K) float32 of the harmonics, K may be 0;
-    occupied: (bx, by, bz) uint8 per block;  low, high: (3,) the box;  background: (C,) radiance behind it
+    occupied: (bx, by, bz) uint8 per block;  filled: (nx − 1, ny − 1, nz − 1) uint8 per cell, of `filled_cells`;
+    low, high: (3,) the box;  background: (C,) radiance behind it
     first: (n + 1,) where the samples of each ray begin, or (0,) when nobody asks for them;  samples, depths, colours:
     room for number of the step (int32), optical depth and radiance of samples that are not clear; larger arrays are
     returned where it does not suffice
@@ -130,7 +131,7 @@ def forward(
             px, py, pz = (o[0] - low[0]) * sx, (o[1] - low[1]) * sy, (o[2] - low[2]) * sz
             T, L, kept = _march(
                 px, py, pz, d[0] * sx, d[1] * sy, d[2] * sz, near + offsets[i] * step, far, step, c, basis, grid,
-                coefficients, occupied, floor, keeping, samples, depths, colours, kept,
+                coefficients, occupied, filled, floor, keeping, samples, depths, colours, kept,
             )  # fmt: skip
         radiance[i] = L + T * background[c]
         opacity[i] = 1.0 - T
@@ -141,8 +142,8 @@ def forward(
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "afn", "reassoc"})
 def _march(
-    px, py, pz, qx, qy, qz, start, far, step, c, basis, grid, coefficients, occupied, floor, keeping, samples, depths,
-    colours, kept,
+    px, py, pz, qx, qy, qz, start, far, step, c, basis, grid, coefficients, occupied, filled, floor, keeping, samples,
+    depths, colours, kept,
 ):  # fmt: skip
     """(transmittance, radiance, kept) at the end of one ray."""
     nx, ny, nz, depth = grid.shape
@@ -156,7 +157,7 @@ def _march(
     while t < far:
         x, y, z = px + t * qx, py + t * qy, pz + t * qz
         ix, iy, iz = min(max(int(x), 0), nx - 2), min(max(int(y), 0), ny - 2), min(max(int(z), 0), nz - 2)
-        if occupied[ix // BLOCK, iy // BLOCK, iz // BLOCK]:
+        if filled[ix, iy, iz]:
             fx, fy, fz = np.float32(x - ix), np.float32(y - iy), np.float32(z - iz)
             at, shares = ix * stride_x + iy * stride_y + iz * stride_z, _shares(fx, fy, fz)
             density = _interpolated(flat, at, stride_x, stride_y, stride_z, shares)
@@ -175,6 +176,8 @@ def _march(
                 T = T_next
                 if T < OPAQUE:
                     break
+            k += 1
+        elif occupied[ix // BLOCK, iy // BLOCK, iz // BLOCK]:
             k += 1
         else:
             k += _steps_in_block(x, y, z, ix, iy, iz, rate_x, rate_y, rate_z)
@@ -254,6 +257,27 @@ def backward(
                     by_directions[i, j] += t * slope + turning[j]
             T = T_next
         by_background[c] += g * T
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def filled_cells(grid, step, occupied, filled):
+    """Mark cells (nx − 1, ny − 1, nz − 1) of occupied blocks in which a sample may be other than clear.
+
+    No trilinear value is above that of all corners, so nothing that a march would meet is left out.
+    """
+    floor = np.float32(math.log(CLEAR / step))
+    nx, ny, nz = filled.shape
+    for i in range(nx):
+        for j in range(ny):
+            for k in range(nz):
+                filled[i, j, k] = 0
+                if occupied[i // BLOCK, j // BLOCK, k // BLOCK]:
+                    most = max(grid[i, j, k, 0], grid[i, j, k + 1, 0], grid[i, j + 1, k, 0], grid[i, j + 1, k + 1, 0])
+                    other = max(
+                        grid[i + 1, j, k, 0], grid[i + 1, j, k + 1, 0], grid[i + 1, j + 1, k, 0],
+                        grid[i + 1, j + 1, k + 1, 0],
+                    )  # fmt: skip
+                    filled[i, j, k] = 1 if max(most, other) > floor else 0
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from scipy.optimize import lsq_linear
 
 from pixelid.nerf.additions import ADDITIONS
 from pixelid.nerf.calibration import Calibration
@@ -39,13 +40,17 @@ HELD_OUT = 0.1  # share of the pixels that judge; the final training holds out l
 SCENE: dict[str, Any] = {"degree": 0, "roughness": 0.0, "quiet": 0.0}
 WARM, TRIAL = 1 / 3, 1 / 12  # shares of the recipe's steps: of the first scene, and of every candidate
 MOST_ROUNDS = 3
-# Times that the strengths of what was kept are renewed before the next round: a scene gives back what it has taken of
-# an effect by and by, and neighbours of the effect would be named for the rest
-SETTLING = 2
+# Times that the strengths of what was kept are renewed before the next round, at least and at most, until none moves by
+# more than a share: a scene gives back what it has taken of an effect by and by, and neighbours of the effect would be
+# named for the rest
+SETTLING, MOST_SETTLING, SETTLED = 2, 6, 0.1
 SCREENED = 512  # chains that suggest strengths
 # A dead time cannot be longer than any interval, and one that matters is hardly shorter; so close to it that what went
 # on meanwhile can still be told from the time that was left to look.
 WITHIN = 0.8
+# Candidates that explain nearly as much as the best, as a share of that, settle side by side before one is kept: while
+# the scene holds half of a leak, a parasitic photocurrent explains as much.
+RIVALS = 0.1
 TIE = 0.01  # of the loss: of candidates that explain as much, the first in the list is taken
 
 Make = Callable[[Calibration, tuple[str, ...]], Problem]
@@ -121,7 +126,7 @@ def search(
     names = _candidates(calibration, bandwidth, mapped)
     warm, steps = (max(round(share * recipe.iterations), 1) for share in (WARM, TRIAL))
     # as if the search kept one effect; it may keep none, or more
-    total, done = float(warm + (2 * len(names) + 6) * steps), 0.0
+    total, done = float(warm + (2 * len(names) + 8) * steps), 0.0
 
     def report(now: State, measured: dict[str, float]) -> None:
         nonlocal done
@@ -144,10 +149,9 @@ def search(
             here = plain
             break
         most = max(trials[k].gain.share for k in named)
-        best = next(k for k in named if trials[k].gain.share > most - TIE)
-        here = places[best]
-        for _ in range(SETTLING):
-            here = bench.grown(here)
+        rivals = [k for k in named if trials[k].gain.share > min((1.0 - RIVALS) * most, most - TIE)]
+        which, here = bench.settled([places[k] for k in rivals])
+        best = rivals[which]
         kept.append(trials[best])
         names = tuple(name for k, name in enumerate(names) if k != best)
     if not kept:
@@ -184,29 +188,45 @@ class _Bench:
     def round(
         self, here: _Place, names: tuple[str, ...]
     ) -> tuple[tuple[Trial, ...], tuple[_Place, ...], _Place]:  # fmt: skip
-        """(trials, where they ended, where the scene without any of them ended)."""
-        every = self.make(here.calibration, (*self._using(here.trained).moving, *ADDITIONS))
-        suggested = suggestions(every, here.state)
-        plain = self.go_on(here, self.steps)
+        """(trials, where they ended, where the scene without any of them ended).
+
+        With and without a candidate, strengths of what was kept before begin anew: else a neighbour of an effect
+        would be named for what the effect itself has not yet got back from the scene.
+        """
+        suggested, every = self._suggested(here)
+        plain = self.go_on(_renewed(here, suggested, every), self.steps)
         reference = self.rows(plain)
         trials, places = [], []
         for name in names:
-            begun = _begun(name, here.calibration, suggested, every)
-            trained = tuple(dict.fromkeys((*here.trained, *_trained_by(name, here.calibration))))
-            there = self.go_on(_Place(begun, trained, here.state), self.steps)
+            begun = _renewed(here, suggested, every, name)
+            there = self.go_on(begun, self.steps)
             gain = compare(reference, self.rows(there))
             values = _values(name, there.calibration, there.state.pixel)
-            trials.append(Trial(EFFECTS.get(name, name), _told(name, begun), values, gain))
+            trials.append(Trial(EFFECTS.get(name, name), _told(name, begun.calibration), values, gain))
             places.append(there)
         return tuple(trials), tuple(places), plain
 
     def grown(self, here: _Place) -> _Place:
         """Scene and pixel after as many steps as a trial takes, from strengths that the residuals suggest."""
+        return self.go_on(_renewed(here, *self._suggested(here)), self.steps)
+
+    def settled(self, rivals: list[_Place]) -> tuple[int, _Place]:
+        """(which of some places explains most, where it is) when strengths have come to rest, all trained as long."""
+        for turn in range(MOST_SETTLING):
+            before, rivals = rivals, [self.grown(place) for place in rivals]
+            moved = max(_moved_by(*pair) for pair in zip(before, rivals, strict=True))
+            if turn + 1 >= SETTLING and moved < SETTLED:
+                break
+        if len(rivals) == 1:
+            return 0, rivals[0]
+        first = self.rows(rivals[0])
+        shares = [0.0, *(compare(first, self.rows(place)).share for place in rivals[1:])]
+        which = next(k for k, share in enumerate(shares) if share > max(shares) - TIE)
+        return which, rivals[which]
+
+    def _suggested(self, here: _Place) -> tuple[Suggested, Problem]:
         every = self.make(here.calibration, (*self._using(here.trained).moving, *ADDITIONS))
-        suggested, calibration = suggestions(every, here.state), here.calibration
-        for name in here.trained:
-            calibration = _begun(name, calibration, suggested, every)
-        return self.go_on(replace(here, calibration=calibration), self.steps)
+        return suggestions(every, here.state), every
 
     def go_on(self, here: _Place, steps: int) -> _Place:
         """The same, trained on for some steps, in a copy; the pixel is what training has moved it to."""
@@ -239,8 +259,32 @@ class _Bench:
         return problem, copy
 
 
-def suggestions(problem: Problem, state: State) -> dict[str, float]:
-    """By how much each of `ADDITIONS` would best move to explain residuals of training chains, the scene held.
+@dataclass(frozen=True)
+class Suggested:
+    """What residuals of training chains say of strengths, the scene held.
+
+    slopes: (rows,) of each of `ADDITIONS`, in standard deviations per unit of its strength, beside a factor of all
+    thresholds;  rest: (rows,) what is left unexplained, in standard deviations
+    """
+
+    slopes: Mapping[str, np.ndarray]
+    rest: np.ndarray
+
+    def of(self, least: Mapping[str, float]) -> dict[str, float]:
+        """By how much strengths would best move together, each by its `least` (negative) or more."""
+        found = dict.fromkeys(least, 0.0)
+        told = [name for name in least if self.slopes[name].any()]
+        if told:
+            size = [float(np.linalg.norm(self.slopes[name])) for name in told]
+            columns = np.column_stack([self.slopes[name] / n for name, n in zip(told, size, strict=True)])
+            low = np.minimum([least[name] * n for name, n in zip(told, size, strict=True)], -1e-12)
+            moved = lsq_linear(columns, self.rest, (low, np.inf)).x
+            found |= {name: float(x / n) for name, x, n in zip(told, moved, size, strict=True)}
+        return found
+
+
+def suggestions(problem: Problem, state: State) -> Suggested:
+    """How `ADDITIONS` would best move to explain residuals of training chains, the scene held.
 
     One step of Gauss and Newton under Huber's weights, beside a factor of all thresholds: the contrast that a scene
     still lacks must not pass for an effect.  The scene has taken a part of every effect upon itself, so the strengths
@@ -265,17 +309,15 @@ def suggestions(problem: Problem, state: State) -> dict[str, float]:
     rest = said - at
     deviation = 0.5 * (on + off) * np.sqrt(1.0 + batch.variance)
     weight = batch.weight / deviation**2 * np.minimum(1.0, deviation / np.maximum(np.abs(rest), 1e-12))
-    found = {}
+    slopes = {}
     for k, name in enumerate(ADDITIONS):
         with torch.no_grad():
             pixel.added[k] = 1.0
             slope = change() - at
             pixel.added[k] = 0.0
         slope = slope - said * (weight * said * slope).sum() / (weight * said**2).sum()
-        curvature = float((weight * slope**2).sum())
-        step = float(pixel.steps[k])
-        found[name] = step * float((weight * slope * rest).sum()) / curvature if curvature > 0 else 0.0
-    return found
+        slopes[name] = (np.sqrt(weight) * slope).ravel() / float(pixel.steps[k])
+    return Suggested(slopes, (np.sqrt(weight) * rest).ravel())
 
 
 def with_trained_values(calibration: Calibration, pixel: Pixel, problem: Problem) -> Calibration:
@@ -312,6 +354,28 @@ def _trained_by(name: str, calibration: Calibration) -> tuple[str, ...]:
     return (name,) if name in ADDITIONS and name != "refractory" else ()
 
 
+def _renewed(here: _Place, suggested: Suggested, problem: Problem, name: str = "") -> _Place:
+    """Where strengths of what was kept begin anew, beside a candidate or alone."""
+    beside = (name,) if name else ()
+    trained = (*here.trained, *(part for one in beside for part in _trained_by(one, here.calibration)))
+    least = {k: ADDITIONS[k].least - getattr(here.calibration.circuit, ADDITIONS[k].field)
+             for k in trained if k in ADDITIONS}  # fmt: skip
+    moved, calibration = suggested.of(least), here.calibration
+    for each in (*here.trained, *beside):
+        calibration = _begun(each, calibration, moved, problem)
+    return _Place(calibration, trained, here.state)
+
+
+def _moved_by(before: _Place, after: _Place) -> float:
+    """The largest relative move of a strength that is trained."""
+    moved = [0.0]
+    for name in after.trained:
+        if name in ADDITIONS:
+            was, now = (getattr(place.calibration.circuit, ADDITIONS[name].field) for place in (before, after))
+            moved.append(abs(now - was) / max(abs(now), 1e-12))
+    return max(moved)
+
+
 def _begun(name: str, calibration: Calibration, suggested: Mapping[str, float], problem: Problem) -> Calibration:
     """The calibration that a candidate begins with."""
     circuit = calibration.circuit
@@ -320,9 +384,10 @@ def _begun(name: str, calibration: Calibration, suggested: Mapping[str, float], 
     if name not in ADDITIONS:
         return calibration
     addition = ADDITIONS[name]
-    value = max(getattr(circuit, addition.field) + suggested[name], addition.least)
     if name == "refractory":
         value = WITHIN * problem.shortest
+    else:
+        value = max(getattr(circuit, addition.field) + suggested[name], addition.least)
     added = value - getattr(circuit, addition.field)
     factor = problem.tilts[name].threshold_factor(added) if name in problem.tilts else 1.0
     on, off = factor * circuit.on_threshold, factor * circuit.off_threshold

@@ -107,7 +107,7 @@ def start(problem: Problem, recipe: Recipe, bandwidth: Bandwidth, device: str = 
     gauge = problem.gauge
     scene = Field(
         problem.low, problem.high, recipe.vertices_at(0), len(problem.dark), gauge.background,
-        free_background=gauge.free_background, level=float(np.exp(gauge.level.mean())), degree=recipe.degree,
+        free_background=gauge.free_background, level=gauge.start, degree=recipe.degree,
     ).to(device)  # fmt: skip
     pixel = Pixel(problem.circuit, bandwidth, problem.maps).to(device)
     inside = sub_pixel_directions(problem.camera, recipe.supersample)

@@ -15,7 +15,7 @@ from pixelid.model.files import save_model
 from pixelid.model.shipped import find_model
 from pixelid.nerf.calibration import CIRCUIT, of_fit, uncertainty_of_fit
 from pixelid.nerf.dataset import read_dataset
-from pixelid.nerf.gauge import gauge_of, scene_box
+from pixelid.nerf.gauge import Gauge, gauge_of, scene_box
 from pixelid.nerf.problem import evaluation_views
 from pixelid.nerf.scenes import BACKGROUND
 from pixelid.nerf.synthetic import SETTINGS, camera_model, make_dataset
@@ -301,3 +301,11 @@ def test_what_a_fit_leaves_uncertain_is_the_prior(tmp_path):
     (tmp_path / "fit.json").write_text("{}")
     with pytest.raises(InputError, match=r"fit\.json: parameters"):
         uncertainty_of_fit(tmp_path)
+
+
+@pytest.mark.parametrize(("level", "expected"), [(1.0, 0.5), (0.9, 0.5), (1.1, 2.0), (0.3, 0.3), (3.0, 3.0)])
+def test_a_scene_begins_apart_from_its_background(level, expected):
+    """Haze of the background's colour would make no event, whatever its density."""
+    gauge = Gauge("background", np.ones(1), np.log([level]), None)
+    assert gauge.start == pytest.approx(expected)
+    assert Gauge("level", np.ones(1), np.log([level]), None).start == pytest.approx(level)

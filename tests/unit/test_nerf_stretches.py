@@ -53,6 +53,25 @@ def test_an_edge_with_dead_times_keeps_its_contrast():
     assert spans.variance[burst] > 0.03**2 * inside.sum()
 
 
+@pytest.mark.parametrize(("dead", "most"), [(0.0, 0.25), (1e-3, 0.3)])
+def test_edges_between_flat_surfaces_keep_their_contrast(dead, most):
+    """Nothing moves until the edge comes: its first threshold is the burst's, and part of one after its last event."""
+    t, rng, left = np.arange(0, 0.2, 1e-5), np.random.default_rng(0), []
+    for height in rng.uniform(2.5, 6.0, 40):
+        light = 0.25 * height * (np.clip((t - 0.05) / 4e-3, 0, 1) - np.clip((t - 0.15) / 4e-3, 0, 1))
+        light += 0.3 * np.clip((0.02 - t) / 0.02, 0, 1)  # an event before both edges
+        when, on = comparator(light, t, 0.25, 0.25, dead)
+        spans = stretches(when, np.zeros(len(when), int), on, dead, 0.0, 4e-3)
+        said = (spans.rise - spans.fall)[spans.burst]
+        at = np.interp(spans.end, t, light) - np.interp(spans.begin, t, light)
+        left += list((said - at[spans.burst] / 0.25) * np.sign(said))
+    assert len(left) >= 40
+    # thresholds: what each says beyond the truth; −1.6 where time alone shares the quiet, and −0.4 beside the dead
+    # time if nothing went on in that of the last event
+    assert abs(np.mean(left)) < most
+    assert np.std(left) < 0.5
+
+
 def test_events_that_stand_alone_are_left_alone():
     t = np.arange(20) * 1e-2
     on = np.arange(20) % 3 > 0
