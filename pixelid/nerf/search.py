@@ -44,6 +44,8 @@ MOST_ROUNDS = 3
 # more than a share: a scene gives back what it has taken of an effect by and by, and neighbours of the effect would be
 # named for the rest
 SETTLING, MOST_SETTLING, SETTLED = 2, 6, 0.1
+# Of these; hints of others go on in one direction, and took a drift of 0.6/s to 0.86: renewed `SETTLING` times only
+RENEWED_UNTIL_AT_REST = ("leak", "parasitic_photocurrent")
 SCREENED = 512  # chains that suggest strengths
 # A dead time cannot be longer than any interval, and one that matters is hardly shorter; so close to it that what went
 # on meanwhile can still be told from the time that was left to look.
@@ -139,7 +141,7 @@ def search(
     problem = make(calibration, bandwidth.moving)
     state = train(problem, bench.recipe, start(problem, bench.recipe, bandwidth, device), until=warm, report=report)
     here = told = _Place(with_trained_values(calibration, state.pixel, problem), (), state)
-    kept: list[Trial] = []
+    kept: list[tuple[str, Trial]] = []
     rounds: list[tuple[Trial, ...]] = []
     while len(rounds) < MOST_ROUNDS and names and not here.state.diverged:
         trials, places, plain = bench.round(here, names)
@@ -152,14 +154,15 @@ def search(
         rivals = [k for k in named if trials[k].gain.share > min((1.0 - RIVALS) * most, most - TIE)]
         which, here = bench.settled([places[k] for k in rivals])
         best = rivals[which]
-        kept.append(trials[best])
+        kept.append((names[best], trials[best]))
         names = tuple(name for k, name in enumerate(names) if k != best)
     if not kept:
         return Found(told.calibration, (), (), tuple(rounds))
     told = bench.go_on(told, here.state.iteration - told.state.iteration)
     before, after = bench.rows(told), bench.rows(here)
+    effects = (replace(trial, values=_values(name, here.calibration, here.state.pixel)) for name, trial in kept)
     return Found(
-        here.calibration, here.trained, tuple(kept), tuple(rounds), compare(before, after),
+        here.calibration, here.trained, tuple(effects), tuple(rounds), compare(before, after),
         (score(told.state), score(here.state)), residual_map(before, after),
     )  # fmt: skip
 
@@ -206,14 +209,14 @@ class _Bench:
             places.append(there)
         return tuple(trials), tuple(places), plain
 
-    def grown(self, here: _Place) -> _Place:
+    def grown(self, here: _Place, at_rest: bool) -> _Place:
         """Scene and pixel after as many steps as a trial takes, from strengths that the residuals suggest."""
-        return self.go_on(_renewed(here, *self._suggested(here)), self.steps)
+        return self.go_on(_renewed(here, *self._suggested(here), at_rest=at_rest), self.steps)
 
     def settled(self, rivals: list[_Place]) -> tuple[int, _Place]:
         """(which of some places explains most, where it is) when strengths have come to rest, all trained as long."""
         for turn in range(MOST_SETTLING):
-            before, rivals = rivals, [self.grown(place) for place in rivals]
+            before, rivals = rivals, [self.grown(place, turn >= SETTLING) for place in rivals]
             moved = max(_moved_by(*pair) for pair in zip(before, rivals, strict=True))
             if turn + 1 >= SETTLING and moved < SETTLED:
                 break
@@ -354,13 +357,16 @@ def _trained_by(name: str, calibration: Calibration) -> tuple[str, ...]:
     return (name,) if name in ADDITIONS and name != "refractory" else ()
 
 
-def _renewed(here: _Place, suggested: Suggested, problem: Problem, name: str = "") -> _Place:
-    """Where strengths of what was kept begin anew, beside a candidate or alone."""
+def _renewed(here: _Place, suggested: Suggested, problem: Problem, name: str = "", at_rest: bool = True) -> _Place:
+    """Where strengths of what was kept begin anew, beside a candidate or alone; once it has settled (`at_rest`) only
+    those of `RENEWED_UNTIL_AT_REST`."""
     beside = (name,) if name else ()
-    trained = (*here.trained, *(part for one in beside for part in _trained_by(one, here.calibration)))
+    new = tuple(part for one in beside for part in _trained_by(one, here.calibration))
+    trained = (*here.trained, *new)
+    kept = (k for k in here.trained if k in RENEWED_UNTIL_AT_REST or not at_rest)
     least = {k: ADDITIONS[k].least - getattr(here.calibration.circuit, ADDITIONS[k].field)
-             for k in trained if k in ADDITIONS}  # fmt: skip
-    moved, calibration = suggested.of(least), here.calibration
+             for k in (*kept, *new) if k in ADDITIONS}  # fmt: skip
+    moved, calibration = {**dict.fromkeys(ADDITIONS, 0.0), **suggested.of(least)}, here.calibration
     for each in (*here.trained, *beside):
         calibration = _begun(each, calibration, moved, problem)
     return _Place(calibration, trained, here.state)

@@ -1,35 +1,186 @@
-"""Strengths that residuals suggest, alone and beside each other."""
+"""What training may add to a pixel, and how two pixels are compared on held-out events."""
 
-import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 
-from pixelid.nerf.search import Suggested
+from pixelid.dynamics.trajectory import Dynamics, integrate
+from pixelid.nerf.additions import ADDITIONS, tilts
+from pixelid.nerf.intervals import CHAIN, chains, intervals
+from pixelid.nerf.losses import amplifier_drift, changes, terms
+from pixelid.nerf.pixel import TRAINABLE, Bandwidth, Pixel
+from pixelid.nerf.residuals import Rows, apart, compare, of_some_pixels, residual_map
+from pixelid.nerf.scan import respond
+from pixelid.stages.circuit import Circuit
+from tests.unit.test_nerf_stretches import QUICK, comparator
 
-
-def suggested(**strengths: float) -> Suggested:
-    """Of rows to which two effects that look much alike, and one of either sign, add as told."""
-    rng = np.random.default_rng(0)
-    common = rng.random(400)
-    slopes = {"leak": common, "parasitic_photocurrent": common * rng.uniform(0.2, 0.6, 400),
-              "threshold_drift": 0.1 * rng.normal(size=400), "polarity_memory": np.zeros(400)}  # fmt: skip
-    return Suggested(slopes, sum(strengths[name] * slopes[name] for name in strengths) + 0.01 * rng.normal(size=400))
-
-
-def test_what_an_effect_lacks_does_not_pass_for_its_neighbour():
-    """A leak told too small suggests a parasitic photocurrent, but none beside the leak itself."""
-    of = suggested(leak=3.0)
-    assert of.of({"parasitic_photocurrent": 0.0})["parasitic_photocurrent"] > 3.0
-    both = of.of({"leak": -1.0, "parasitic_photocurrent": 0.0})
-    assert both["leak"] == pytest.approx(3.0, abs=0.1)
-    assert both["parasitic_photocurrent"] == pytest.approx(0.0, abs=0.1)
+CIRCUIT = Circuit(photoreceptor="unlimited", on_threshold=0.2, off_threshold=0.2, refractory=1e-3)
 
 
-def test_strengths_stay_above_their_least():
-    of = suggested(leak=-3.0, threshold_drift=-20.0)
-    found = of.of({"leak": -1.0, "threshold_drift": -math.inf, "polarity_memory": 0.0})
-    assert found["leak"] == pytest.approx(-1.0)
-    assert found["threshold_drift"] < -10.0
-    assert found["polarity_memory"] == 0.0  # of which no row says anything
-    assert suggested().of({}) == {}
+def some_events(seed: int = 0, count: int = 400):
+    rng = np.random.default_rng(seed)
+    t = np.cumsum(rng.uniform(2e-3, 2e-2, count))
+    return t, rng.integers(0, 3, count), np.zeros(count, int), rng.random(count) < 0.6
+
+
+def cut(circuit: Circuit):
+    """Stretches of some events, bursts among them."""
+    return intervals(
+        *some_events(), 3, dead=circuit.refractory, shortest=0.02, drift=circuit.threshold_drift,
+        memory=circuit.polarity_memory,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(("name", "amount"), [("threshold_drift", 0.7), ("polarity_memory", -0.2)])
+def test_tilts_say_what_a_strength_does_to_every_stretch(name, amount):
+    """Against the events cut anew under that strength, thresholds of the circuit made smaller by the common part."""
+    tilt = tilts(cut, CIRCUIT, [name])[name]
+    nominal, there = (cut(c).stretches for c in (CIRCUIT, CIRCUIT.with_(**{ADDITIONS[name].field: amount})))
+    grown = 1.0 + tilt.common * amount
+    np.testing.assert_allclose(nominal.rise * grown + amount * tilt.rise, there.rise, rtol=1e-5, atol=1e-5)
+    np.testing.assert_allclose(nominal.fall * grown + amount * tilt.fall, there.fall, rtol=1e-5, atol=1e-5)
+    assert tilt.threshold_factor(amount) == pytest.approx(1.0 / grown)
+    assert float((tilt.rise + tilt.fall).sum()) == pytest.approx(0.0, abs=1e-3)  # the mean threshold is held
+    assert tilts(cut, CIRCUIT, ["leak", "refractory"]) == {}
+
+
+def test_a_leak_is_trained_from_nothing():
+    """On the true light, events of a pixel whose amplifier drifts by 12 thresholds per second."""
+    t = np.linspace(0.0, 1.0, 500_001)
+    light = 1 + 0.6 * np.sin(2 * np.pi * 37 * t) + 0.3 * np.sin(2 * np.pi * 90 * t + 1)
+    smooth = integrate(t[::10], light[::10], QUICK).at(t)[:, 2]
+    when, on = comparator(smooth + 12.0 * 0.18 * t, t, 0.18, 0.18, 1e-4)
+    circuit = Circuit(
+        alpha=QUICK.alpha, beta=QUICK.beta, gamma=QUICK.gamma, follower=QUICK.follower, on_threshold=0.18,
+        off_threshold=0.18, refractory=1e-4,
+    )  # fmt: skip
+    pixel = Pixel(circuit, Bandwidth("on", trained=("leak",)))
+    zero = np.zeros(len(when), int)
+    spans = intervals(when, zero, zero, on, 1, dead=circuit.refractory)
+    batch = chains(spans, np.arange(0, len(spans.starts) - 16, 8), 100, 1000.0, np.random.default_rng(0))
+    u = torch.tensor(np.log(np.interp(batch.t, t, light)))
+    optimiser = torch.optim.Adam([pixel.added], lr=0.05)
+    for _ in range(200):
+        level, output = respond(u, pixel.dynamics, batch.t, batch.first)
+        drift = amplifier_drift(u, batch.t, pixel.thresholds[0], pixel.strength("leak"), 0.0)
+        loss = terms(changes(level, output, batch, None, None, drift), level, batch, *pixel.thresholds)["diff"]
+        optimiser.zero_grad()
+        loss.backward()
+        optimiser.step()
+        pixel.keep_within_bounds()
+    assert pixel.values()["leak.rate_hz"] == pytest.approx(12.0, rel=0.05)
+
+
+def test_what_is_added_stays_above_its_bound():
+    pixel = Pixel(CIRCUIT.with_(leak_hz=2.0), Bandwidth("off", trained=("leak", "threshold_drift")))
+    with torch.no_grad():
+        pixel.added.fill_(-100.0)
+    pixel.keep_within_bounds()
+    assert pixel.values()["leak.rate_hz"] == pytest.approx(0.0, abs=1e-12)
+    assert pixel.values()["threshold_drift.per_s"] == pytest.approx(-100.0 * ADDITIONS["threshold_drift"].step)
+    assert "parasitic_photocurrent.rate_hz_per_radiance" not in pixel.values()  # neither there nor trained
+
+
+def test_chains_apart_share_no_stretch_and_leave_none_out():
+    every = cut(CIRCUIT)
+    starts = every.starts[apart(every)]
+    pixel = every.stretches.pixel
+    covered = np.zeros(len(pixel), int)
+    for start in starts:
+        some = np.arange(start, min(start + CHAIN, len(pixel)))
+        covered[some[pixel[some] == pixel[start]]] += 1
+    assert (covered == 1).all()
+
+
+def test_some_pixels_are_whole_and_the_same_however_they_are_cut():
+    t = np.cumsum(np.random.default_rng(4).uniform(2e-4, 2e-3, 9000))
+    x, on = np.random.default_rng(5).integers(0, 30, 9000), np.random.default_rng(6).random(9000) < 0.5
+    chosen = []
+    for dead in (0.0, 1e-3):
+        every = intervals(t, x, np.zeros(9000, int), on, 30, dead=dead, shortest=0.005)
+        starts = apart(every)
+        pixel = every.stretches.pixel[every.starts[starts]]
+        some = of_some_pixels(every, starts, 60)
+        assert 60 <= len(some) < 60 + np.bincount(pixel).max()
+        for one in np.unique(pixel[some]):
+            assert set(np.flatnonzero(pixel == one)) <= set(some.tolist())
+        chosen.append(set(pixel[some].tolist()))
+    assert len(chosen[0] & chosen[1]) >= min(map(len, chosen)) - 1
+
+
+def rows(rest: np.ndarray, end: np.ndarray, burst: np.ndarray | None = None, begin: np.ndarray | None = None) -> Rows:
+    n = len(rest)
+    burst = np.zeros(n, bool) if burst is None else burst
+    pixel = np.arange(n) // 20
+    return Rows(
+        pixel, end - 1.0 if begin is None else begin, end, rest, np.zeros(n), np.arange(n) % 2 == 0, burst,
+        np.ones(n), 0.2,
+    )  # fmt: skip
+
+
+def test_a_pixel_that_explains_more_gains_and_one_that_does_not_gains_nothing():
+    rng = np.random.default_rng(1)
+    end, noise = np.arange(1000.0), rng.normal(0, 0.3, 1000)
+    before = rows(noise + 0.3 * np.where(rng.random(1000) < 0.5, 1, -1), end)
+    better = compare(before, rows(noise, end))
+    assert better.share > 0.3
+    assert better.p_value < 1e-6
+    assert better.rows == 1000
+    p_values = [compare(*(rows(rng.normal(0, 0.3, 1000), end) for _ in range(2))).p_value for _ in range(400)]
+    assert np.mean(np.array(p_values) < 0.05) == pytest.approx(0.05, abs=0.04)
+
+
+def test_rows_of_other_cuts_are_compared_where_they_end_alike():
+    end = np.arange(1000.0)
+    burst = end % 5 == 0
+    before = rows(np.full(1000, 0.5), end, burst)
+    other = rows(np.full(1000, 0.1), np.where(end % 7 == 0, end + 0.25, end), burst, begin=end - 0.5)
+    assert compare(before, other).rows == int((~burst & (end % 7 != 0)).sum())
+    nothing = compare(before, replace(other, end=other.end + 0.1))
+    assert (nothing.share, nothing.p_value, nothing.rows) == (0.0, 1.0, 0)
+
+
+def test_sums_between_rows_count_what_single_rows_hide():
+    """Contrast lost in bursts: the quiet rows are explained as well, and what lies between them is not."""
+    end = np.arange(1000.0)
+    burst = end % 5 == 0
+    rest = np.where(burst, 0.0, 0.2)
+    lost = np.where(burst, np.where(end % 10 == 0, 3.0, -3.0), 0.2)
+    begin = end - 0.5
+    begin[0] += 0.1  # so that they count as cut differently
+    assert compare(rows(rest, end, burst), rows(lost, end, burst, begin=begin)).share < -0.1
+
+
+def test_a_residual_map_shows_what_depends_on_the_interval():
+    end = np.cumsum(np.random.default_rng(2).uniform(0.01, 1.0, 2000))
+    begin = np.concatenate([[0.0], end[:-1]])
+    length = end - begin
+    on = np.arange(2000) % 2 == 0
+    before = rows(np.where(on, 1.0, -1.0) * (0.5 - length), end, begin=begin)
+    found = residual_map(before, rows(np.zeros(2000), end, begin=begin))["interval_s"]
+    for polarity in ("on", "off"):
+        assert found[f"{polarity}_before"][0] > 0.3
+        assert found[f"{polarity}_before"][-1] < -0.3
+        assert found[f"{polarity}_after"] == pytest.approx([0.0] * 8)
+
+
+def test_the_filter_can_be_trained_alone():
+    dynamics = Dynamics(*Pixel(Circuit(
+        alpha=QUICK.alpha, beta=QUICK.beta, gamma=QUICK.gamma, follower=QUICK.follower, on_threshold=0.2,
+        off_threshold=0.2,
+    ), Bandwidth("on", trained=("alpha",))).dynamics.tolist())  # fmt: skip
+    assert dynamics.alpha == pytest.approx(QUICK.alpha)
+    pixel = Pixel(CIRCUIT.with_(photoreceptor="second_order", alpha=1e6, beta=1e3, gamma=1.0, follower=1e4),
+                  Bandwidth("on", trained=("alpha",)))  # fmt: skip
+    with torch.no_grad():
+        pixel.factors.fill_(np.log(2.0))
+    assert pixel.values()["alpha"] == pytest.approx(2e6)
+    assert pixel.values()["follower"] == pytest.approx(1e4)
+
+
+def test_the_command_offers_what_can_be_trained():
+    from pixelid.cli import reconstruct_command
+
+    assert reconstruct_command.TRAINABLE == TRAINABLE
