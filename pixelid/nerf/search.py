@@ -16,17 +16,16 @@ from typing import Any
 
 import numpy as np
 import torch
-from scipy.optimize import lsq_linear
 
 from pixelid.nerf.additions import ADDITIONS
 from pixelid.nerf.calibration import Calibration
 from pixelid.nerf.limits import ALPHA, LEAST_SHARE
 from pixelid.nerf.pixel import FILTER, Bandwidth, Pixel, filter_parameters
 from pixelid.nerf.pixel_maps import MISMATCH
-from pixelid.nerf.predict import draw, predict
 from pixelid.nerf.recipe import Recipe
 from pixelid.nerf.residuals import Gain, Rows, compare, residual_map, rows_of
 from pixelid.nerf.state import Problem, State, start
+from pixelid.nerf.suggestions import Suggested, suggestions
 from pixelid.nerf.train import train
 
 EFFECTS = {"refractory": "refractory_period"}  # where the library has another name than training
@@ -46,7 +45,6 @@ MOST_ROUNDS = 3
 SETTLING, MOST_SETTLING, SETTLED = 2, 6, 0.1
 # Of these; hints of others go on in one direction, and took a drift of 0.6/s to 0.86: renewed `SETTLING` times only
 RENEWED_UNTIL_AT_REST = ("leak", "parasitic_photocurrent")
-SCREENED = 512  # chains that suggest strengths
 # A dead time cannot be longer than any interval, and one that matters is hardly shorter; so close to it that what went
 # on meanwhile can still be told from the time that was left to look.
 WITHIN = 0.8
@@ -262,67 +260,6 @@ class _Bench:
         return problem, copy
 
 
-@dataclass(frozen=True)
-class Suggested:
-    """What residuals of training chains say of strengths, the scene held.
-
-    slopes: (rows,) of each of `ADDITIONS`, in standard deviations per unit of its strength, beside a factor of all
-    thresholds;  rest: (rows,) what is left unexplained, in standard deviations
-    """
-
-    slopes: Mapping[str, np.ndarray]
-    rest: np.ndarray
-
-    def of(self, least: Mapping[str, float]) -> dict[str, float]:
-        """By how much strengths would best move together, each by its `least` (negative) or more."""
-        found = dict.fromkeys(least, 0.0)
-        told = [name for name in least if self.slopes[name].any()]
-        if told:
-            size = [float(np.linalg.norm(self.slopes[name])) for name in told]
-            columns = np.column_stack([self.slopes[name] / n for name, n in zip(told, size, strict=True)])
-            low = np.minimum([least[name] * n for name, n in zip(told, size, strict=True)], -1e-12)
-            moved = lsq_linear(columns, self.rest, (low, np.inf)).x
-            found |= {name: float(x / n) for name, x, n in zip(told, moved, size, strict=True)}
-        return found
-
-
-def suggestions(problem: Problem, state: State) -> Suggested:
-    """How `ADDITIONS` would best move to explain residuals of training chains, the scene held.
-
-    One step of Gauss and Newton under Huber's weights, beside a factor of all thresholds: the contrast that a scene
-    still lacks must not pass for an effect.  The scene has taken a part of every effect upon itself, so the strengths
-    are too small.
-
-    problem: with the tilts of all, under what the state's pixel has been trained to
-    """
-    bandwidth = replace(state.pixel.bandwidth, trained=tuple(ADDITIONS))
-    pixel = Pixel(problem.circuit, bandwidth, state.pixel.maps).to(state.pixel.nominal.device)
-    with torch.no_grad():
-        pixel.departures.copy_(state.pixel.departures)
-    probe = replace(state, pixel=pixel)
-    batch = draw(problem, probe, problem.training, SCREENED, np.random.default_rng(7))
-
-    def change() -> np.ndarray:
-        with torch.no_grad():
-            return predict(problem, probe, batch, np.random.default_rng(8))[0].cpu().numpy()
-
-    on, off = (float(x) for x in pixel.thresholds)
-    at = change()
-    said = batch.rise * on - batch.fall * off
-    rest = said - at
-    deviation = 0.5 * (on + off) * np.sqrt(1.0 + batch.variance)
-    weight = batch.weight / deviation**2 * np.minimum(1.0, deviation / np.maximum(np.abs(rest), 1e-12))
-    slopes = {}
-    for k, name in enumerate(ADDITIONS):
-        with torch.no_grad():
-            pixel.added[k] = 1.0
-            slope = change() - at
-            pixel.added[k] = 0.0
-        slope = slope - said * (weight * said * slope).sum() / (weight * said**2).sum()
-        slopes[name] = (np.sqrt(weight) * slope).ravel() / float(pixel.steps[k])
-    return Suggested(slopes, (np.sqrt(weight) * rest).ravel())
-
-
 def with_trained_values(calibration: Calibration, pixel: Pixel, problem: Problem) -> Calibration:
     """The calibration with what training has moved in place of what it began with.
 
@@ -360,16 +297,14 @@ def _trained_by(name: str, calibration: Calibration) -> tuple[str, ...]:
 def _renewed(here: _Place, suggested: Suggested, problem: Problem, name: str = "", at_rest: bool = True) -> _Place:
     """Where strengths of what was kept begin anew, beside a candidate or alone; once it has settled (`at_rest`) only
     those of `RENEWED_UNTIL_AT_REST`."""
-    beside = (name,) if name else ()
-    new = tuple(part for one in beside for part in _trained_by(one, here.calibration))
-    trained = (*here.trained, *new)
+    new = _trained_by(name, here.calibration)
     kept = (k for k in here.trained if k in RENEWED_UNTIL_AT_REST or not at_rest)
     least = {k: ADDITIONS[k].least - getattr(here.calibration.circuit, ADDITIONS[k].field)
              for k in (*kept, *new) if k in ADDITIONS}  # fmt: skip
-    moved, calibration = {**dict.fromkeys(ADDITIONS, 0.0), **suggested.of(least)}, here.calibration
-    for each in (*here.trained, *beside):
-        calibration = _begun(each, calibration, moved, problem)
-    return _Place(calibration, trained, here.state)
+    moved, calibration = suggested.of(least), here.calibration
+    for each in (*here.trained, name):
+        calibration = _begun(each, calibration, moved.get(each, 0.0), problem)
+    return _Place(calibration, (*here.trained, *new), here.state)
 
 
 def _moved_by(before: _Place, after: _Place) -> float:
@@ -382,8 +317,8 @@ def _moved_by(before: _Place, after: _Place) -> float:
     return max(moved)
 
 
-def _begun(name: str, calibration: Calibration, suggested: Mapping[str, float], problem: Problem) -> Calibration:
-    """The calibration that a candidate begins with."""
+def _begun(name: str, calibration: Calibration, moved: float, problem: Problem) -> Calibration:
+    """The calibration that a candidate begins with; moved: what is suggested to add to its strength."""
     circuit = calibration.circuit
     if name == MISMATCHED:
         return replace(calibration, circuit=circuit.with_(mismatch=MISMATCH))
@@ -393,7 +328,7 @@ def _begun(name: str, calibration: Calibration, suggested: Mapping[str, float], 
     if name == "refractory":
         value = WITHIN * problem.shortest
     else:
-        value = max(getattr(circuit, addition.field) + suggested[name], addition.least)
+        value = max(getattr(circuit, addition.field) + moved, addition.least)
     added = value - getattr(circuit, addition.field)
     factor = problem.tilts[name].threshold_factor(added) if name in problem.tilts else 1.0
     on, off = factor * circuit.on_threshold, factor * circuit.off_threshold

@@ -228,13 +228,17 @@ def test_a_checkpoint_of_another_run_or_a_damaged_one_is_set_aside(made, tmp_pat
 
 
 def test_tensors_train_as_the_compiled_engine_does(made):
-    """The plain torch path, which CUDA runs, follows the compiled one."""
+    """The plain torch path, which CUDA runs, follows the compiled one.
+
+    The seed chooses a batch without a level that stays where it is within rounding: there ℓ_tv has a kink, and Adam
+    takes a whole step by a sign that rounding decides (seed 0: −4e-8 by one engine, 5e-9 by the other).
+    """
     problem = problem_of(read_dataset(made))
     states = []
     for engine in ("compiled", "tensors"):
-        recipe = replace(SMALL, iterations=4, engine=engine)
+        recipe = replace(SMALL, iterations=4, engine=engine, seed=3)
         states.append(train(problem, recipe, start(problem, recipe, Bandwidth("on", 10))))
-    torch.testing.assert_close(states[0].field.grid, states[1].field.grid, rtol=5e-2, atol=5e-2)
+    torch.testing.assert_close(states[0].field.grid, states[1].field.grid, rtol=1e-2, atol=1e-2)
 
 
 def test_the_level_gauge_pulls_the_views_to_their_brightness(made):

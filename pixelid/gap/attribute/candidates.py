@@ -17,7 +17,7 @@ DECADES = (-2.0, -1.5, -1.0, -0.5, 0.0, 0.5, 1.0, 1.5)  # strengths tried, about
 # A slew limit is slow to fit, and its likelihood only falls as it tightens past the best: it is fitted where one of the
 # strengths gains this much by itself, and no tighter one is tried from where it loses that much per event.  A side that
 # nothing slews at has no slope, so a fit leaves it where it is: sides are looked for one by one, from weak to tight.
-MIN_SLEW_GAIN_NATS, MAX_SLEW_LOSS_NATS, SLEW_STEP = 0.5, 0.1, 10.0**-0.125
+MIN_SLEW_GAIN_NATS, MAX_SLEW_LOSS_NATS, SLEW_STEP = 0.5, 0.1, 0.125
 UNFELT_NATS = 1e-3  # what a limit changes that nothing reaches, beside rounding of the likelihood
 SLEW, RISE, FALL = "slew_limit", "slew_limit.rise_per_s", "slew_limit.fall_per_s"
 KNEE = "linear_log"
@@ -96,15 +96,14 @@ def _strongest_slew_start(likelihood: EventTimes, model: Model, least: float) ->
 
     From limits far off, or those that the model has.  None if nothing explains more than `least`.
     """
-    shipped = [p.value for p in stages.effect(SLEW).parameters]
-    weakest, strongest = shipped[0] * 10.0 ** DECADES[-1], shipped[0] * 10.0 ** DECADES[0]
-    best = model if model.has(SLEW) else model.with_effect(SLEW, {RISE: weakest, FALL: weakest})
+    shipped = stages.effect(SLEW).parameters[0].value
+    limits = (shipped * 10.0 ** np.arange(DECADES[-1], DECADES[0] - 1e-9, -SLEW_STEP)).tolist()  # from weak to tight
+    best = model if model.has(SLEW) else model.with_effect(SLEW, {RISE: limits[0], FALL: limits[0]})
     top, found = max(_value(likelihood, best), least), False
     for turn, side in enumerate((RISE, FALL, RISE, FALL)):  # again, beside what was found of the other
         if turn == 2 and not found:
             return None
         peak, others = -np.inf, best
-        limits = [weakest * SLEW_STEP**k for k in range(1 + round(math.log(strongest / weakest) / math.log(SLEW_STEP)))]
         for limit in limits[_last_unfelt(likelihood, others, side, limits) :]:
             value = _value(likelihood, trial := others.set({side: limit}))
             peak = max(peak, value)
