@@ -14,10 +14,11 @@ import torch
 from paths.hash_grid import Hash
 from paths.sizes import Sizes
 from paths.timing import Counts, Other, Task, compared
+from pixelid.nerf.bricks import Bricks
 from pixelid.nerf.camera import pinhole
+from pixelid.nerf.field import blocks
 from pixelid.nerf.recipe import Recipe
 from pixelid.nerf.render import Box, Rays, render
-from pixelid.nerf.render_kernels import BLOCK
 from pixelid.nerf.scenes import spiral
 
 HALF = 1.44  # of the box
@@ -43,8 +44,8 @@ def problem(side: int, rays: int):
     torch.manual_seed(0)
     vertices = Recipe().for_sensor(side).vertices[-1]
     high = np.full(3, HALF)
-    blocks = -(-(vertices - 1) // BLOCK)
-    box = Box(-high, high, 2 * HALF / (vertices - 1), np.ones((blocks, blocks, blocks), np.uint8))
+    bricks = Bricks.every(vertices)
+    box = Box(-high, high, 2 * HALF / (vertices - 1), np.ones(blocks(vertices), np.uint8), bricks)
     rng = np.random.default_rng(0)
     inside = pinhole(side, side, FIELD_OF_VIEW).all_directions()[rng.integers(0, side * side, rays)]
     origins, directions = spiral(1.0, 1.0).rays(rng.random(rays), inside)
@@ -52,7 +53,7 @@ def problem(side: int, rays: int):
     ends = np.stack([(-high - origins) / directions, (high - origins) / directions])
     near, far = np.maximum(ends.min(0).max(1), 0), ends.max(0).min(1)
     samples = int((np.maximum(far - near, 0) / box.step).sum())
-    grid = (0.3 * torch.randn(vertices, vertices, vertices, 2) - 1.5).requires_grad_()
+    grid = (0.3 * torch.randn(bricks.rows, 2) - 1.5).requires_grad_()
     return grid, torch.tensor([0.4]), some, box, samples
 
 
@@ -74,7 +75,7 @@ def measured(side: int, sizes: Sizes) -> dict:
         lambda: run("compiled"),
         Other("torch operations", f"torch {torch.__version__}", lambda: run("tensors")),
         sizes.runs,
-        size=f"{sizes.rays} rays, {len(grid)}³ vertices, {samples} samples",
+        size=f"{sizes.rays} rays, {box.bricks.vertices}³ vertices, {samples} samples",
         item="ray",
         items=sizes.rays,
         counts=counts,

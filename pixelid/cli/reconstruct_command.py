@@ -55,7 +55,7 @@ class StepsOrAuto(click.IntRange):
               help="Look in the events for effects that the pixel lacks, and train with those found.")  # fmt: skip
 @click.option("--beside", type=options.PATH, help="Folder of another reconstruction of DATASET, to compare with.")
 @click.option("--cells", type=click.IntRange(8, 512),
-              help="Cells of the field per side; by default one per pixel, 32 to 160.")  # fmt: skip
+              help="Cells of the field per side; by default one per pixel, 32 to 512.")  # fmt: skip
 @click.option("--harmonics", type=click.IntRange(0, 2), default=1, show_default=True,
               help="Degree of the harmonics by which colours depend on the direction; 0: they do not.")  # fmt: skip
 @click.option("--steps", "--iterations", type=StepsOrAuto(), default=1200, show_default=True,

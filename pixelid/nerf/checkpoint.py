@@ -14,6 +14,7 @@ import torch
 from pixelid.documents import read_text
 from pixelid.errors import InputError
 from pixelid.nerf import parallel
+from pixelid.nerf.bricks import Bricks
 from pixelid.nerf.calibration import Calibration
 from pixelid.nerf.field import Field, blocks
 from pixelid.nerf.pixel import Bandwidth
@@ -42,6 +43,8 @@ def save(path: Path, state: State, mark: str) -> None:
         "iteration": state.iteration,
         "rays": state.rays,
         "history": state.history,
+        "vertices": state.field.vertices,
+        "bricks": torch.from_numpy(state.field.bricks.index),
         "grid": state.field.grid.detach().cpu(),
         "coefficients": state.field.coefficients.detach().cpu(),
         "log_background": state.field.log_background.detach().cpu(),
@@ -87,11 +90,7 @@ def _refuse(path: Path, why: str, suffix: str) -> None:
 def _restored(document: dict, problem: Problem, recipe: Recipe, bandwidth: Bandwidth, device: str) -> State:
     """The state that `save` put down."""
     state = start(problem, recipe, bandwidth, device)
-    _check_grid(document, state.field)
-    state.field.grid = torch.nn.Parameter(document["grid"])
-    state.field.coefficients = torch.nn.Parameter(
-        document["coefficients"], requires_grad=state.field.coefficients.requires_grad
-    )
+    state.field.hold(_bricks(document, state.field), document["grid"], document["coefficients"])
     with torch.no_grad():
         state.field.log_background.copy_(document["log_background"])
         state.pixel.factors.copy_(document["factors"])
@@ -106,15 +105,16 @@ def _restored(document: dict, problem: Problem, recipe: Recipe, bandwidth: Bandw
     return state
 
 
-def _check_grid(document: dict, field: Field) -> None:
-    """Raise ValueError for a grid of a checkpoint, perhaps refined since `field` began, whose arrays do not agree."""
-    grid, coefficients = document["grid"], document["coefficients"]
-    n = grid.shape[0]
-    whole = grid.shape == (n, n, n, field.grid.shape[-1]) and n >= field.vertices
-    if not whole or coefficients.shape != (n, n, n, *field.coefficients.shape[3:]):
-        raise ValueError(f"grid {tuple(grid.shape)}, coefficients {tuple(coefficients.shape)}")
-    if document["occupied"].shape != blocks(n) or not (grid.isfinite().all() and coefficients.isfinite().all()):
+def _bricks(document: dict, field: Field) -> Bricks:
+    """Where the rows of a checkpoint are, whose field may be finer than `field`; ValueError for odd arrays."""
+    grid, coefficients, vertices = document["grid"], document["coefficients"], int(document["vertices"])
+    bricks = Bricks.of_index(vertices, document["bricks"].cpu().numpy())
+    shapes = (bricks.rows, *field.grid.shape[1:]), (bricks.rows, *field.coefficients.shape[1:])
+    if vertices < field.vertices or (grid.shape, coefficients.shape) != shapes:
+        raise ValueError(f"{vertices} vertices, grid {tuple(grid.shape)}, coefficients {tuple(coefficients.shape)}")
+    if document["occupied"].shape != blocks(vertices) or not (grid.isfinite().all() and coefficients.isfinite().all()):
         raise ValueError("occupied, or numbers that are not finite")
+    return bricks
 
 
 def search_file(checkpoint: Path) -> Path:

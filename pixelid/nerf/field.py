@@ -1,9 +1,10 @@
-"""The radiance field: log density and log radiance at the vertices of a dense grid, refined as training goes on.
+"""The radiance field: log density and log radiance at the vertices of a box, refined as training goes on.
 
 Log radiance may depend on the direction it is seen from (`harmonics`), which is what highlights ask for.
 
-Chosen by measurement (docs/results/speed.md): on a CPU the compiled march through a dense grid is an order of
-magnitude faster than a hash grid with a small network, and 64 × 64 pixels do not ask for more resolution.
+Chosen by measurement (docs/results/speed.md): on a CPU the compiled march through a grid is an order of magnitude
+faster than a hash grid with a small network, and 64 × 64 pixels do not ask for more resolution.  Vertices lie in bricks
+(`bricks`).  A fine field keeps those about what it shows; they follow it as it grows, and are given up where it clears.
 """
 
 from __future__ import annotations
@@ -12,13 +13,16 @@ import math
 
 import numpy as np
 import torch
-import torch.nn.functional as F
 
 from pixelid.nerf import render_kernels
+from pixelid.nerf.bricks import CLEAR_DENSITY, ROWS, Bricks
 from pixelid.nerf.harmonics import number_of
-from pixelid.nerf.render import Box, Rays, render
+from pixelid.nerf.render import Box, Rays, cells_and_shares, interpolated, render
 
 EMPTY = 0.02  # opacity of one step below which a block is skipped
+WHOLE = 161  # vertices per side up to which no brick is given up: less than 100 MB
+GROWN = 0.01  # opacity of one step that a brick begins with where a scene grows into it: not clear, hardly seen
+AT_ONCE = 1 << 20  # rows that are interpolated at a time: bounds memory, changes nothing
 
 
 class Field(torch.nn.Module):
@@ -28,7 +32,7 @@ class Field(torch.nn.Module):
     unless `free_background`;  level: radiance that the grid starts from;  degree: of the spherical harmonics by which
     log radiance depends on the direction, 0 to 2
 
-    grid: (n, n, n, 1 + C);  coefficients: (n, n, n, C, K) of the harmonics beside the constant
+    bricks: where the rows are;  grid: (rows, 1 + C);  coefficients: (rows, C, K) of the harmonics beside the constant
     """
 
     def __init__(
@@ -36,21 +40,43 @@ class Field(torch.nn.Module):
     ) -> None:
         super().__init__()
         self.low, self.high = np.asarray(low, dtype=np.float64), np.asarray(high, dtype=np.float64)
-        grid = torch.empty(vertices, vertices, vertices, 1 + channels)
+        bricks = Bricks.every(vertices)
+        grid = torch.empty(bricks.rows, 1 + channels)
         side = float((self.high - self.low).max())
-        grid[..., 0] = math.log(0.3 / side)
-        grid[..., 1:] = math.log(level if level is not None else 0.5 * float(np.mean(background)))
-        self.grid = torch.nn.Parameter(grid)
-        coefficients = torch.zeros(vertices, vertices, vertices, channels, number_of(degree))
-        self.coefficients = torch.nn.Parameter(coefficients, requires_grad=degree > 0)
+        grid[:, 0] = math.log(0.3 / side)
+        grid[:, 1:] = math.log(level if level is not None else 0.5 * float(np.mean(background)))
+        self._hold(bricks, grid, torch.zeros(bricks.rows, channels, number_of(degree)), degree > 0)
         log_background = torch.log(torch.as_tensor(np.atleast_1d(background), dtype=torch.float32))
         self.log_background = torch.nn.Parameter(log_background, requires_grad=free_background)
-        self.occupied = np.ones(blocks(vertices), np.uint8)
+
+    def _hold(self, bricks: Bricks, grid: torch.Tensor, coefficients: torch.Tensor, trained: bool) -> None:
+        """Take these rows for its own; every block is visited then."""
+        grid[:ROWS, 0], coefficients[:ROWS] = CLEAR_DENSITY, 0.0
+        self.bricks = bricks
+        self.grid = torch.nn.Parameter(grid)
+        self.coefficients = torch.nn.Parameter(coefficients, requires_grad=trained)
+        self.occupied = np.ones(blocks(bricks.vertices), np.uint8)
+
+    def hold(self, bricks: Bricks, grid: torch.Tensor, coefficients: torch.Tensor | None = None) -> None:
+        """Take other rows for its own, in place; the values are copied, and coefficients zero where none are given."""
+        device, channels = self.grid.device, grid.shape[1] - 1
+        own = torch.zeros(len(grid), channels, 0) if coefficients is None else coefficients.detach().clone()
+        self._hold(bricks, grid.detach().clone().to(device), own.to(device), own.shape[-1] > 0)
+
+    def hold_dense(self, grid: torch.Tensor, coefficients: torch.Tensor | None = None) -> None:
+        """The same from values at all vertices, (n, n, n, 1 + C) and (n, n, n, C, K)."""
+        bricks = Bricks.every(grid.shape[0])
+        self.hold(bricks, bricks.gathered(grid), None if coefficients is None else bricks.gathered(coefficients))
+
+    def dense(self) -> tuple[np.ndarray, np.ndarray]:
+        """(grid (n, n, n, 1 + C), coefficients (n, n, n, C, K)) at all vertices; clear where no brick is."""
+        held = (self.grid.detach().cpu().numpy(), self.coefficients.detach().cpu().numpy())
+        return self.bricks.spread_out(held[0]), self.bricks.spread_out(held[1])
 
     @property
     def vertices(self) -> int:
         """Per side."""
-        return self.grid.shape[0]
+        return self.bricks.vertices
 
     @property
     def step(self) -> float:
@@ -64,35 +90,78 @@ class Field(torch.nn.Module):
 
     def box(self) -> Box:
         """What the renderer needs beside the grid."""
-        return Box(self.low, self.high, self.step, self.occupied)
+        return Box(self.low, self.high, self.step, self.occupied, self.bricks)
 
     def forward(self, rays: Rays, engine: str = "auto") -> tuple[torch.Tensor, torch.Tensor]:
         """(radiance, opacity), (n,) each."""
         return render(self.grid, torch.exp(self.log_background), rays, self.box(), engine, self.coefficients)
 
+    def positions(self) -> np.ndarray:
+        """(rows, 3) where the rows are."""
+        return self.low + self.bricks.vertex_of_rows() * ((self.high - self.low) / (self.vertices - 1))
+
     def look_for_empty_blocks(self) -> float:
         """Renew which blocks are visited; the share of them."""
         floor = math.log(-math.log1p(-EMPTY) / self.step)
         values = self.grid.detach().cpu().numpy()
-        render_kernels.occupancy(values, floor, self.occupied)
+        render_kernels.occupancy(values, self.vertices, self.bricks.index, floor, self.occupied)
         return float(self.occupied.mean())
 
     def refine(self, vertices: int) -> None:
-        """Interpolate to more vertices, in place."""
-        with torch.no_grad():
-            self.grid = torch.nn.Parameter(_finer(self.grid, vertices))
-            per_vertex, trained = self.coefficients.shape[3:], self.coefficients.requires_grad
-            fine = _finer(self.coefficients.flatten(3), vertices).reshape(*(vertices,) * 3, *per_vertex)
-            self.coefficients = torch.nn.Parameter(fine, requires_grad=trained)
-        self.occupied = np.ones(blocks(vertices), np.uint8)
+        """Interpolate to more vertices, in place; beyond `WHOLE` only about what is shown."""
+        bricks = Bricks.every(vertices)
+        if vertices > WHOLE:
+            self.look_for_empty_blocks()
+            ratio, shown = (vertices - 1) / (self.vertices - 1), np.zeros(bricks.index.shape, np.uint8)
+            for corner in np.floor(np.argwhere(self.occupied) * ratio).astype(int):
+                shown[tuple(slice(k, k + math.ceil(ratio)) for k in corner)] = 1
+            bricks = Bricks.where(vertices, bricks.around(shown))
+        grid, coefficients = (self._interpolated(held, bricks) for held in (self.grid, self.coefficients))
+        self._hold(bricks, grid, coefficients, self.coefficients.requires_grad)
 
+    def _interpolated(self, held: torch.Tensor, bricks: Bricks) -> torch.Tensor:
+        """Rows of other bricks, read off its own."""
+        values, vertex = held.detach().flatten(1), bricks.vertex_of_rows()
+        out = values.new_empty((len(vertex), values.shape[1]))
+        for first in range(0, len(vertex), AT_ONCE):
+            point = torch.as_tensor(vertex[first : first + AT_ONCE] / (bricks.vertices - 1)).clamp(max=1.0)
+            at = cells_and_shares(point.to(values.device), self.vertices)
+            out[first : first + AT_ONCE] = interpolated(values, self.bricks, *at)
+        return out.reshape(len(vertex), *held.shape[1:])
 
-def _finer(values: torch.Tensor, vertices: int) -> torch.Tensor:
-    """(nx, ny, nz, features) interpolated to `vertices` per side; there may be no features."""
-    if values.shape[3] == 0:
-        return values.new_zeros((vertices, vertices, vertices, 0))
-    fine = F.interpolate(values.permute(3, 0, 1, 2)[None], size=(vertices,) * 3, mode="trilinear", align_corners=True)
-    return fine[0].permute(1, 2, 3, 0).contiguous()
+    def follow(self) -> np.ndarray | None:
+        """Give up bricks far from what is shown, and add those that it grows into.
+
+        Returns:
+            (rows,) which row each was before, −1 for those that are new;  None when nothing has changed.
+        """
+        if self.vertices <= WHOLE:
+            return None
+        there, was = self.bricks.around(self.occupied), self.bricks.index > 0
+        if (there == was).all():
+            return None
+        bricks, occupied = Bricks.where(self.vertices, there), self.occupied
+        before = self.bricks.index[there].astype(np.int64)
+        source = np.concatenate([np.zeros(1, np.int64), np.where(before > 0, before, -1)])
+        rows = np.where(source[:, None] < 0, -1, source[:, None] * ROWS + np.arange(ROWS)).ravel()
+        kept = torch.as_tensor(np.maximum(rows, 0), device=self.grid.device)
+        new = torch.as_tensor(rows < 0, device=self.grid.device)
+        grid, coefficients = self.grid.detach()[kept], self.coefficients.detach()[kept]
+        grid[new, 0] = math.log(GROWN / self.step)
+        colour = torch.as_tensor(self._colour_beside(there & ~was), dtype=grid.dtype, device=grid.device)
+        grid[new, 1:] = colour.repeat_interleave(ROWS, dim=0)
+        coefficients[new] = 0.0
+        self._hold(bricks, grid, coefficients, self.coefficients.requires_grad)
+        self.occupied = occupied
+        return rows
+
+    def _colour_beside(self, new: np.ndarray) -> np.ndarray:
+        """(k, C) mean log radiance of the bricks that are there beside new ones (b, b, b)."""
+        means = self.grid.detach().cpu().numpy()[:, 1:].reshape(-1, ROWS, self.grid.shape[1] - 1).mean(axis=1)
+        around, at = np.pad(self.bricks.index, 1), np.argwhere(new)
+        beside = np.stack([around[tuple((at + shift).T)] for shift in np.ndindex(3, 3, 3)])  # (27, k)
+        there = (beside > 0)[..., None]
+        return (means[beside] * there).sum(axis=0) / np.maximum(there.sum(axis=0), 1)
 
 
 def blocks(vertices: int) -> tuple[int, int, int]:

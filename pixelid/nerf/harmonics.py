@@ -72,29 +72,29 @@ def _at_corner(flat, i, basis):
 
 
 @njit(inline="always", error_model="numpy")
-def seen(flat, at, X, Y, Z, shares, basis):
+def seen(flat, at, every, first, shares, basis):
     """Σ_k basis_k times the trilinear value of harmonic k.
 
-    at: index of the first at the cell's low corner;  X, Y, Z: strides;  shares: (8,) of the corners, z fastest
+    at: (8,) rows of a cell's corners, z fastest, of `every` numbers each;  first: of them that counts;  shares: (8,)
     """
     return (
-        shares[0] * _at_corner(flat, at, basis)
-        + shares[1] * _at_corner(flat, at + Z, basis)
-        + shares[2] * _at_corner(flat, at + Y, basis)
-        + shares[3] * _at_corner(flat, at + Y + Z, basis)
-        + shares[4] * _at_corner(flat, at + X, basis)
-        + shares[5] * _at_corner(flat, at + X + Z, basis)
-        + shares[6] * _at_corner(flat, at + X + Y, basis)
-        + shares[7] * _at_corner(flat, at + X + Y + Z, basis)
+        shares[0] * _at_corner(flat, at[0] * every + first, basis)
+        + shares[1] * _at_corner(flat, at[1] * every + first, basis)
+        + shares[2] * _at_corner(flat, at[2] * every + first, basis)
+        + shares[3] * _at_corner(flat, at[3] * every + first, basis)
+        + shares[4] * _at_corner(flat, at[4] * every + first, basis)
+        + shares[5] * _at_corner(flat, at[5] * every + first, basis)
+        + shares[6] * _at_corner(flat, at[6] * every + first, basis)
+        + shares[7] * _at_corner(flat, at[7] * every + first, basis)
     )
 
 
 @njit(inline="always", error_model="numpy")
-def spread(flat, at, X, Y, Z, shares, basis, by_value):
+def spread(flat, at, every, first, shares, basis, by_value):
     """The transpose: add a cell's shares of the gradient by `seen`."""
     for corner in range(8):
         w = shares[corner] * by_value
-        i = at + (X if corner & 4 else 0) + (Y if corner & 2 else 0) + (Z if corner & 1 else 0)
+        i = at[corner] * every + first
         if len(basis) == 3:
             flat[i] += w * basis[0]
             flat[i + 1] += w * basis[1]

@@ -12,7 +12,7 @@ from pixelid.nerf.camera import Camera
 from pixelid.nerf.evaluate import render_views
 from pixelid.nerf.field import Field
 from pixelid.nerf.render import Rays
-from pixelid.nerf.smoothness import mean_square, variation
+from pixelid.nerf.smoothness import mean_log_density, mean_square, variation
 from pixelid.nerf.state import HARMONICS_RATE
 from pixelid.nerf.views import LUMA, OPENGL, Views
 
@@ -116,8 +116,9 @@ def fit_field(
         rays = Rays(position[which].astype(np.float32), directions, np.zeros(BATCH, np.int64), offsets)
         predicted, _ = field(rays)
         truth = torch.from_numpy(pixels[which, pixel].astype(np.float32))
-        loss = ((predicted - truth) ** 2).mean() + EMPTINESS * field.grid[..., 0].clamp(min=-6).mean()
-        loss = loss + ROUGHNESS * variation(field.grid) + STIFFNESS * mean_square(field.coefficients)
+        loss = ((predicted - truth) ** 2).mean() + EMPTINESS * mean_log_density(field.grid, field.bricks)
+        loss = loss + ROUGHNESS * variation(field.grid, field.bricks)
+        loss = loss + STIFFNESS * mean_square(field.coefficients, field.bricks)
         optimiser.zero_grad(set_to_none=True)
         loss.backward()
         optimiser.step()

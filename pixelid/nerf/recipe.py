@@ -15,7 +15,8 @@ from pixelid.nerf.losses import Weights
 from pixelid.nerf.poses import Refinement
 from pixelid.nerf.trajectory import BETWEEN_POSES
 
-MOST_CELLS = (32, 160)  # per side
+MOST_CELLS = (32, 512)  # per side, of a sensor that leaves them open
+MOST_AT_ONCE = 160  # cells per side up to which a field is refined by halves, beyond by doubling
 # Of `--steps auto`.  The default recipe (1200 steps of 320 chains) was chosen on scenes of 64 × 64 pixels with some
 # 1e5 changes: the same batch per change and as many looks at each, within what a training may take.
 VISITS = 60
@@ -67,7 +68,8 @@ class Recipe:
 
     def with_cells(self, cells: int) -> Recipe:
         """The recipe that ends with so many cells per side."""
-        return dataclasses.replace(self, vertices=tuple(max(cells * k // 4, 1) + 1 for k in (2, 3, 4)))
+        quarters = (2, 3, 4) if cells <= MOST_AT_ONCE else (1, 2, 4)
+        return dataclasses.replace(self, vertices=tuple(max(cells * k // 4, 1) + 1 for k in quarters))
 
     def for_data(self, changes: int) -> Recipe:
         """The recipe with steps and batch for so many changes of light, where they were left open.

@@ -1,7 +1,7 @@
 """Rendering rays of a voxel field: one function, two engines that agree, both differentiable.
 
 "compiled"   `render_kernels` behind a `torch.autograd.Function`, on CPU threads: the default there
-"tensors"    torch operations (grid_sample), on any device: the default on CUDA
+"tensors"    torch operations, on any device: the default on CUDA
 """
 
 from __future__ import annotations
@@ -12,20 +12,21 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import torch
-import torch.nn.functional as F
 
 from pixelid.nerf import render_kernels as kernels
+from pixelid.nerf.bricks import ROWS, Bricks
 from pixelid.nerf.harmonics import harmonics
 from pixelid.parallel import map_threads, ranges
 
 
 class Box(NamedTuple):
-    """Where a field lives and how it is marched: corners (3,) each, step length, blocks worth visiting (bx, by, bz)."""
+    """Where a field lives and how it is marched: corners (3,) each, step length, blocks worth visiting (b, b, b)."""
 
     low: np.ndarray
     high: np.ndarray
     step: float
     occupied: np.ndarray
+    bricks: Bricks
 
 
 class Rays(NamedTuple):
@@ -57,8 +58,8 @@ class _Compiled(torch.autograd.Function):
         values, directional, behind = grid.detach().numpy(), coefficients.detach().numpy(), background.detach().numpy()
         radiance, opacity = np.empty(len(rays.origins), np.float32), np.empty(len(rays.origins), np.float32)
 
-        filled = np.empty([n - 1 for n in values.shape[:3]], np.uint8)
-        kernels.filled_cells(values, box.step, box.occupied, filled)
+        filled, (vertices, index) = np.empty(len(values), np.uint8), (box.bricks.vertices, box.bricks.index)
+        kernels.filled_cells(values, vertices, index, box.step, box.occupied, filled)
 
         def part(some: slice) -> tuple[np.ndarray, ...]:
             number = some.stop - some.start
@@ -66,8 +67,8 @@ class _Compiled(torch.autograd.Function):
             room = KEPT_PER_RAY * number if keep else 0
             samples, depths, colours = (np.empty(room, kind) for kind in (np.int32, np.float32, np.float32))
             kept = kernels.forward(
-                *(column[some] for column in rays), values, directional, box.occupied, filled, box.low, box.high,
-                box.step, behind, radiance[some], opacity[some], first, samples, depths, colours,
+                *(column[some] for column in rays), values, directional, vertices, index, box.occupied, filled, box.low,
+                box.high, box.step, behind, radiance[some], opacity[some], first, samples, depths, colours,
             )  # fmt: skip
             return first, *kept
 
@@ -95,9 +96,9 @@ class _Compiled(torch.autograd.Function):
         def part(k: int) -> None:
             some = cuts[k]
             kernels.backward(
-                *(column[some] for column in rays), values, directional, box.low, box.high, box.step, behind,
-                ctx.radiance[some], *ctx.kept[k], by_radiance[some], by_grid[k], by_coefficients[k], by_behind[k],
-                by_origins[some], by_directions[some],
+                *(column[some] for column in rays), values, directional, box.bricks.vertices, box.bricks.index, box.low,
+                box.high, box.step, behind, ctx.radiance[some], *ctx.kept[k], by_radiance[some], by_grid[k],
+                by_coefficients[k], by_behind[k], by_origins[some], by_directions[some],
             )  # fmt: skip
 
         map_threads(part, range(len(cuts)), threads=threads())
@@ -129,18 +130,19 @@ def _tensors(grid: torch.Tensor, coefficients: torch.Tensor, background: torch.T
     inside = (t < far[:, None]) & hit[:, None]
     ray, sample = torch.nonzero(inside, as_tuple=True)
     point = (o[ray] + t[ray, sample][:, None] * d[ray] - low) / (high - low)  # 0 … 1 in the box
-    shape = torch.tensor(grid.shape[:3], device=device)
-    block = torch.minimum((point * (shape - 1)).long().clamp(min=0), shape - 2) // kernels.BLOCK
-    occupied = torch.as_tensor(box.occupied, device=device)
-    keep = occupied[block[:, 0], block[:, 1], block[:, 2]] > 0
-    ray, sample, point = ray[keep], sample[keep], point[keep]
-    looked_up = _looked_up(grid, point)
-    shown = looked_up[0] > math.log(kernels.CLEAR / box.step)
-    sigma = torch.exp(looked_up[0].clamp(max=kernels.HIGHEST)) * shown
-    value = looked_up[1:].gather(0, channel[ray][None])[0] if len(looked_up) > 2 else looked_up[1]
+    cell, shares = cells_and_shares(point, box.bricks.vertices)
+    block = cell // kernels.BLOCK
+    there = box.bricks.index[tuple(slice(0, k) for k in box.occupied.shape)] > 0
+    keep = torch.as_tensor(box.occupied * there, device=device)[block[:, 0], block[:, 1], block[:, 2]] > 0
+    ray, sample, cell, shares = ray[keep], sample[keep], cell[keep], shares[:, keep]
+    looked_up = _looked_up(grid, box.bricks, cell, shares)
+    shown = looked_up[:, 0] > math.log(kernels.CLEAR / box.step)
+    sigma = torch.exp(looked_up[:, 0].clamp(max=kernels.HIGHEST)) * shown
+    value = looked_up[:, 1:].gather(1, channel[ray][:, None])[:, 0]
     if coefficients.shape[-1]:
-        directional = _looked_up(coefficients.flatten(3), point).reshape(*coefficients.shape[3:], -1)
-        directional = directional[channel[ray], :, torch.arange(len(ray), device=device)]
+        directional = _looked_up(coefficients.flatten(1), box.bricks, cell, shares)
+        own = torch.arange(len(ray), device=device), channel[ray]
+        directional = directional.reshape(-1, *coefficients.shape[1:])[own]
         value = value + (directional * harmonics(d, coefficients.shape[-1])[ray]).sum(dim=1)
     colour = torch.exp(value.clamp(max=kernels.HIGHEST))
     depth = torch.zeros(inside.shape, device=device).index_put((ray, sample), sigma * box.step)
@@ -156,25 +158,41 @@ def _tensors(grid: torch.Tensor, coefficients: torch.Tensor, background: torch.T
     return radiance + T * background[channel], (1 - T).detach()
 
 
-def _looked_up(values: torch.Tensor, point: torch.Tensor) -> torch.Tensor:
-    """(features, n) trilinear values of (nx, ny, nz, features) at points (n, 3), 0 … 1 in the box."""
-    return F.grid_sample(
-        values.permute(3, 0, 1, 2)[None], (2 * point.flip(1) - 1)[None, :, None, None], align_corners=True
-    )[0, :, :, 0, 0]  # fmt: skip
+def cells_and_shares(point: torch.Tensor, vertices: int) -> tuple[torch.Tensor, torch.Tensor]:
+    """(cell (n, 3), shares (8, n) of its corners, z fastest) of points (n, 3), 0 … 1 in the box."""
+    at = point * (vertices - 1)
+    cell = at.long().clamp(min=0, max=vertices - 2)
+    x, y, z = (at - cell).unbind(dim=1)
+    ends = ((1 - x, x), (1 - y, y), (1 - z, z))
+    return cell, torch.stack([a * b * c for a in ends[0] for b in ends[1] for c in ends[2]])
+
+
+def interpolated(values: torch.Tensor, bricks: Bricks, cell: torch.Tensor, shares: torch.Tensor) -> torch.Tensor:
+    """(n, features) trilinear values of (rows, features) in cells (n, 3), of shares (8, n)."""
+    corner = torch.tensor([[a, b, c] for a in (0, 1) for b in (0, 1) for c in (0, 1)], device=cell.device)
+    total = values.new_zeros((len(cell), values.shape[1]))
+    for k in range(8):
+        total = total + shares[k][:, None].to(values.dtype) * values[bricks.rows_of(cell + corner[k])]
+    return total
+
+
+def _looked_up(values: torch.Tensor, bricks: Bricks, cell: torch.Tensor, shares: torch.Tensor) -> torch.Tensor:
+    """`interpolated`, the rows of no place without gradient."""
+    return interpolated(torch.cat([values[:ROWS].detach(), values[ROWS:]]), bricks, cell, shares)
 
 
 def render(
     grid: torch.Tensor, background: torch.Tensor, rays: Rays, box: Box, engine: str = "auto",
     coefficients: torch.Tensor | None = None,
 ):  # fmt: skip
-    """(radiance (n,), opacity (n,)) of rays through grid (nx, ny, nz, 1 + C) before background (C,).
+    """(radiance (n,), opacity (n,)) of rays through grid (rows of `box.bricks`, 1 + C) before background (C,).
 
-    coefficients: (nx, ny, nz, C, K) of the harmonics by which log radiance depends on the direction.  Radiance is
+    coefficients: (rows, C, K) of the harmonics by which log radiance depends on the direction.  Radiance is
     differentiable in grid, coefficients and background, and in origins and directions that are tensors.  engine:
     "compiled", "tensors" or "auto" (by device).
     """
     if coefficients is None:
-        coefficients = grid.new_zeros((*grid.shape[:3], len(background), 0))
+        coefficients = grid.new_zeros((len(grid), len(background), 0))
     if engine == "tensors" or (engine == "auto" and grid.device.type != "cpu"):
         return _tensors(grid, coefficients, background, rays, box)
     origins, directions = torch.as_tensor(rays.origins), torch.as_tensor(rays.directions)

@@ -1,7 +1,7 @@
 """The volume renderer, compiled: march, interpolate, composite; and its gradient.
 
-A field is a grid of log density and log radiances at the vertices of a box, trilinear in between, exponential after;
-log radiance may also depend on the ray's direction (`harmonics`).
+A field holds log density and log radiances at the vertices of a box (`bricks`), trilinear in between, exponential
+after; log radiance may also depend on the ray's direction (`harmonics`).
 With step h, density σ_i, radiance c_i, transmittance T_i = exp(−h Σ_{j<i} σ_j) and background b,
 
     L = Σ_i (T_i − T_{i+1}) c_i + T_n b
@@ -23,10 +23,11 @@ import numpy as np
 from numba import njit
 
 from pixelid.nerf import harmonics
+from pixelid.nerf.bricks import ROWS, SIDE, corners, row
 
 OPAQUE = 1e-3
 CLEAR = 1e-3  # opacity of a step below which a sample is passed over
-BLOCK = 4  # cells per side of an occupancy block
+BLOCK = SIDE  # cells per side of an occupancy block
 HIGHEST = 12.0  # of log density and log radiance
 FARTHEST = 1e6  # steps from the camera: beyond, single-precision origins miss cells, in the end a march stands still
 
@@ -54,31 +55,32 @@ def _shares(x, y, z):
 
 
 @njit(inline="always", error_model="numpy")
-def _interpolated(flat, at, X, Y, Z, shares):
-    """Trilinear value of one feature; at: its index at the cell's low corner, X, Y, Z: strides."""
+def _interpolated(flat, at, depth, feature, shares):
+    """Trilinear value of one feature; at: (8,) rows of the corners, of `depth` features each."""
     return (
-        shares[0] * flat[at] + shares[1] * flat[at + Z] + shares[2] * flat[at + Y] + shares[3] * flat[at + Y + Z]
-        + shares[4] * flat[at + X] + shares[5] * flat[at + X + Z] + shares[6] * flat[at + X + Y]
-        + shares[7] * flat[at + X + Y + Z]
+        shares[0] * flat[at[0] * depth + feature] + shares[1] * flat[at[1] * depth + feature]
+        + shares[2] * flat[at[2] * depth + feature] + shares[3] * flat[at[3] * depth + feature]
+        + shares[4] * flat[at[4] * depth + feature] + shares[5] * flat[at[5] * depth + feature]
+        + shares[6] * flat[at[6] * depth + feature] + shares[7] * flat[at[7] * depth + feature]
     )  # fmt: skip
 
 
 @njit(inline="always", error_model="numpy")
-def _spread(flat, at, other, X, Y, Z, shares, first, second):
-    """The transpose: add a cell's shares of `first`, and of `second` for the feature `other` places later."""
+def _spread(flat, at, depth, other, shares, first, second):
+    """The transpose: add a cell's shares of `first` to feature 0, and of `second` to another one."""
     for k in range(8):
-        i = at + (X if k & 4 else 0) + (Y if k & 2 else 0) + (Z if k & 1 else 0)
+        i = at[k] * depth
         flat[i] += shares[k] * first
         flat[i + other] += shares[k] * second
 
 
 @njit(inline="always", error_model="numpy")
-def _add_slopes(flat, at, X, Y, Z, x, y, z, by_value, out):
+def _add_slopes(flat, at, depth, feature, x, y, z, by_value, out):
     """Add to out (3,) by_value times the gradient, in cells, of the trilinear value of one feature."""
     one = np.float32(1.0)
     for k in range(8):
         wx, wy, wz = x if k & 4 else one - x, y if k & 2 else one - y, z if k & 1 else one - z
-        value = by_value * flat[at + (X if k & 4 else 0) + (Y if k & 2 else 0) + (Z if k & 1 else 0)]
+        value = by_value * flat[at[k] * depth + feature]
         out[0] += (value if k & 4 else -value) * wy * wz
         out[1] += (value if k & 2 else -value) * wx * wz
         out[2] += (value if k & 1 else -value) * wx * wy
@@ -101,22 +103,21 @@ def _per_cell(q, step):
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "afn", "reassoc"})
 def forward(
-    origins, directions, channels, offsets, grid, coefficients, occupied, filled, low, high, step, background, radiance,
-    opacity, first, samples, depths, colours,
+    origins, directions, channels, offsets, grid, coefficients, vertices, index, occupied, filled, low, high, step,
+    background, radiance, opacity, first, samples, depths, colours,
 ):  # fmt: skip
     """Fill radiance (n,) and opacity (n,) of rays; (samples, depths, colours), where rays met something.
 
     origins, directions: (n, 3) float32;  channels: (n,) colour of each ray;  offsets: (n,) of the first sample in
-    steps;  grid: (nx, ny, nz, 1 + C) float32;  coefficients: (nx, ny, nz, C, K) float32 of the harmonics, K may be 0;
-    occupied: (bx, by, bz) uint8 per block;  filled: (nx − 1, ny − 1, nz − 1) uint8 per cell, of `filled_cells`;
-    low, high: (3,) the box;  background: (C,) radiance behind it
+    steps;  grid: (rows, 1 + C) float32;  coefficients: (rows, C, K) float32 of the harmonics, K may be 0;  vertices:
+    per side;  index: of `Bricks`;  occupied: (b, b, b) uint8 per block;  filled: (rows,) uint8 of `filled_cells`, by
+    the low corner of the cell;  low, high: (3,) the box;  background: (C,) radiance behind it
     first: (n + 1,) where the samples of each ray begin, or (0,) when nobody asks for them;  samples, depths, colours:
     room for number of the step (int32), optical depth and radiance of samples that are not clear; larger arrays are
     returned where it does not suffice
     """
-    nx, ny, nz, _ = grid.shape
-    floor, basis = np.float32(math.log(CLEAR / step)), np.empty(coefficients.shape[4], np.float32)
-    sx, sy, sz = (nx - 1) / (high[0] - low[0]), (ny - 1) / (high[1] - low[1]), (nz - 1) / (high[2] - low[2])
+    floor, basis, cells = np.float32(math.log(CLEAR / step)), np.empty(coefficients.shape[2], np.float32), vertices - 1
+    sx, sy, sz = cells / (high[0] - low[0]), cells / (high[1] - low[1]), cells / (high[2] - low[2])
     kept, keeping = 0, len(first) > 0
     for i in range(len(origins)):
         o, d, c = origins[i], directions[i], channels[i]
@@ -131,7 +132,7 @@ def forward(
             px, py, pz = (o[0] - low[0]) * sx, (o[1] - low[1]) * sy, (o[2] - low[2]) * sz
             T, L, kept = _march(
                 px, py, pz, d[0] * sx, d[1] * sy, d[2] * sz, near + offsets[i] * step, far, step, c, basis, grid,
-                coefficients, occupied, filled, floor, keeping, samples, depths, colours, kept,
+                coefficients, cells, index, occupied, filled, floor, keeping, samples, depths, colours, kept,
             )  # fmt: skip
         radiance[i] = L + T * background[c]
         opacity[i] = 1.0 - T
@@ -142,30 +143,27 @@ def forward(
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "afn", "reassoc"})
 def _march(
-    px, py, pz, qx, qy, qz, start, far, step, c, basis, grid, coefficients, occupied, filled, floor, keeping, samples,
-    depths, colours, kept,
+    px, py, pz, qx, qy, qz, start, far, step, c, basis, grid, coefficients, cells, index, occupied, filled, floor,
+    keeping, samples, depths, colours, kept,
 ):  # fmt: skip
     """(transmittance, radiance, kept) at the end of one ray."""
-    nx, ny, nz, depth = grid.shape
-    stride_z, stride_y, stride_x = depth, nz * depth, ny * nz * depth
+    depth, last = grid.shape[1], cells - 1
     flat, directional = grid.reshape(-1), coefficients.reshape(-1)
-    each, every = coefficients.shape[4], coefficients.shape[3] * coefficients.shape[4]
-    hop_y, hop_x = nz * every, ny * nz * every
+    each, every = coefficients.shape[2], coefficients.shape[1] * coefficients.shape[2]
     rate_x, rate_y, rate_z = _per_cell(qx, step), _per_cell(qy, step), _per_cell(qz, step)
     k, t = 0, start
     T, L = np.float32(1.0), np.float32(0.0)
     while t < far:
         x, y, z = px + t * qx, py + t * qy, pz + t * qz
-        ix, iy, iz = min(max(int(x), 0), nx - 2), min(max(int(y), 0), ny - 2), min(max(int(z), 0), nz - 2)
-        if filled[ix, iy, iz]:
+        ix, iy, iz = min(max(int(x), 0), last), min(max(int(y), 0), last), min(max(int(z), 0), last)
+        if filled[row(index, ix, iy, iz)]:
             fx, fy, fz = np.float32(x - ix), np.float32(y - iy), np.float32(z - iz)
-            at, shares = ix * stride_x + iy * stride_y + iz * stride_z, _shares(fx, fy, fz)
-            density = _interpolated(flat, at, stride_x, stride_y, stride_z, shares)
+            at, shares = corners(index, ix, iy, iz), _shares(fx, fy, fz)
+            density = _interpolated(flat, at, depth, 0, shares)
             if density > floor:
-                value = _interpolated(flat, at + 1 + c, stride_x, stride_y, stride_z, shares)
+                value = _interpolated(flat, at, depth, 1 + c, shares)
                 if each:
-                    vertex = ((ix * ny + iy) * nz + iz) * every + c * each
-                    value += harmonics.seen(directional, vertex, hop_x, hop_y, every, shares, basis)
+                    value += harmonics.seen(directional, at, every, c * each, shares, basis)
                 passed = np.float32(step) * math.exp(min(density, np.float32(HIGHEST)))
                 colour = math.exp(min(value, np.float32(HIGHEST)))
                 if keeping:
@@ -195,7 +193,7 @@ def _longer(column):
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "afn", "reassoc"})
 def backward(
-    origins, directions, channels, offsets, grid, coefficients, low, high, step, background, radiance,
+    origins, directions, channels, offsets, grid, coefficients, vertices, index, low, high, step, background, radiance,
     first, samples, depths, colours, by_radiance, by_grid, by_coefficients, by_background, by_origins, by_directions,
 ):  # fmt: skip
     """Add the gradient of Σ by_radiance · radiance, from the samples that `forward` kept.
@@ -204,14 +202,12 @@ def backward(
     or (0, 3) when nobody asks
     """
     moving, slopes, turning = len(by_origins) > 0, np.empty(3, np.float32), np.empty(3, np.float32)
-    nx, ny, nz, depth = grid.shape
-    stride_z, stride_y, stride_x = depth, nz * depth, ny * nz * depth
+    depth, cells, last = grid.shape[1], vertices - 1, vertices - 2
     flat, most = grid.reshape(-1), np.float32(step) * math.exp(np.float32(HIGHEST - 1e-5))
     brightest = math.exp(np.float32(HIGHEST - 1e-5))
-    each, every = coefficients.shape[4], coefficients.shape[3] * coefficients.shape[4]
-    hop_y, hop_x = nz * every, ny * nz * every
+    each, every = coefficients.shape[2], coefficients.shape[1] * coefficients.shape[2]
     directional, basis = coefficients.reshape(-1), np.empty(each, np.float32)
-    sx, sy, sz = (nx - 1) / (high[0] - low[0]), (ny - 1) / (high[1] - low[1]), (nz - 1) / (high[2] - low[2])
+    sx, sy, sz = cells / (high[0] - low[0]), cells / (high[1] - low[1]), cells / (high[2] - low[2])
     by_flat, by_directional, here = by_grid.reshape(-1), by_coefficients.reshape(-1), np.empty(each, np.float32)
     for i in range(len(origins)):
         g = by_radiance[i]
@@ -227,9 +223,9 @@ def backward(
         for m in range(first[i], first[i + 1]):
             t, passed, colour = start + samples[m] * step, depths[m], colours[m]
             x, y, z = px + t * qx, py + t * qy, pz + t * qz
-            ix, iy, iz = min(max(int(x), 0), nx - 2), min(max(int(y), 0), ny - 2), min(max(int(z), 0), nz - 2)
+            ix, iy, iz = min(max(int(x), 0), last), min(max(int(y), 0), last), min(max(int(z), 0), last)
             fx, fy, fz = np.float32(x - ix), np.float32(y - iy), np.float32(z - iz)
-            at, shares = ix * stride_x + iy * stride_y + iz * stride_z, _shares(fx, fy, fz)
+            at, shares = corners(index, ix, iy, iz), _shares(fx, fy, fz)
             T_next = T * math.exp(-passed)
             by_value = g * (T - T_next) * colour
             left -= (T - T_next) * colour
@@ -238,18 +234,17 @@ def backward(
                 by_density = np.float32(0.0)
             if colour >= brightest:
                 by_value = np.float32(0.0)
-            _spread(by_flat, at, 1 + c, stride_x, stride_y, stride_z, shares, by_density, by_value)
-            vertex = ((ix * ny + iy) * nz + iz) * every + c * each
+            _spread(by_flat, at, depth, 1 + c, shares, by_density, by_value)
             if each:
-                harmonics.spread(by_directional, vertex, hop_x, hop_y, every, shares, basis, by_value)
+                harmonics.spread(by_directional, at, every, c * each, shares, basis, by_value)
             if moving:
                 slopes[:], turning[:] = 0.0, 0.0
-                _add_slopes(flat, at, stride_x, stride_y, stride_z, fx, fy, fz, by_density, slopes)
-                _add_slopes(flat, at + 1 + c, stride_x, stride_y, stride_z, fx, fy, fz, by_value, slopes)
+                _add_slopes(flat, at, depth, 0, fx, fy, fz, by_density, slopes)
+                _add_slopes(flat, at, depth, 1 + c, fx, fy, fz, by_value, slopes)
                 for k in range(each):
                     one = by_value * basis[k]
-                    _add_slopes(directional, vertex + k, hop_x, hop_y, every, fx, fy, fz, one, slopes)
-                    here[k] = by_value * _interpolated(directional, vertex + k, hop_x, hop_y, every, shares)
+                    _add_slopes(directional, at, every, c * each + k, fx, fy, fz, one, slopes)
+                    here[k] = by_value * _interpolated(directional, at, every, c * each + k, shares)
                 harmonics.turned(d, here, turning)
                 for j in range(3):
                     slope = slopes[j] * (sx if j == 0 else (sy if j == 1 else sz))
@@ -257,41 +252,45 @@ def backward(
                     by_directions[i, j] += t * slope + turning[j]
             T = T_next
         by_background[c] += g * T
+    by_grid[:ROWS] = 0.0
+    by_coefficients[:ROWS] = 0.0
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def filled_cells(grid, step, occupied, filled):
-    """Mark cells (nx − 1, ny − 1, nz − 1) of occupied blocks in which a sample may be other than clear.
+def filled_cells(grid, vertices, index, step, occupied, filled):
+    """Mark cells (rows,), by their low corner, of occupied blocks in which a sample may be other than clear.
 
     No trilinear value is above that of all corners, so nothing that a march would meet is left out.
     """
-    floor = np.float32(math.log(CLEAR / step))
-    nx, ny, nz = filled.shape
-    for i in range(nx):
-        for j in range(ny):
-            for k in range(nz):
-                filled[i, j, k] = 0
-                if occupied[i // BLOCK, j // BLOCK, k // BLOCK]:
-                    most = max(grid[i, j, k, 0], grid[i, j, k + 1, 0], grid[i, j + 1, k, 0], grid[i, j + 1, k + 1, 0])
-                    other = max(
-                        grid[i + 1, j, k, 0], grid[i + 1, j, k + 1, 0], grid[i + 1, j + 1, k, 0],
-                        grid[i + 1, j + 1, k + 1, 0],
-                    )  # fmt: skip
-                    filled[i, j, k] = 1 if max(most, other) > floor else 0
+    floor, last = np.float32(math.log(CLEAR / step)), vertices - 1
+    filled[:] = 0
+    for a in range(occupied.shape[0]):
+        for b in range(occupied.shape[1]):
+            for c in range(occupied.shape[2]):
+                if not (occupied[a, b, c] and index[a, b, c]):
+                    continue
+                for i in range(a * BLOCK, min((a + 1) * BLOCK, last)):
+                    for j in range(b * BLOCK, min((b + 1) * BLOCK, last)):
+                        for k in range(c * BLOCK, min((c + 1) * BLOCK, last)):
+                            at = corners(index, i, j, k)
+                            most = max(grid[at[0], 0], grid[at[1], 0], grid[at[2], 0], grid[at[3], 0])
+                            other = max(grid[at[4], 0], grid[at[5], 0], grid[at[6], 0], grid[at[7], 0])
+                            filled[at[0]] = 1 if max(most, other) > floor else 0
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def occupancy(grid, log_floor, occupied):
+def occupancy(grid, vertices, index, log_floor, occupied):
     """Mark the blocks any of whose vertices (shared faces included) has log density above `log_floor`."""
-    nx, ny, nz, _ = grid.shape
-    bx, by, bz = occupied.shape
+    blocks = len(occupied)
     occupied[:] = 0
-    for a in range(bx):
-        for b in range(by):
-            for c in range(bz):
+    for a in range(blocks):
+        for b in range(blocks):
+            for c in range(blocks):
+                if index[a, b, c] == 0:
+                    continue
                 dense = False
-                for i in range(a * BLOCK, min((a + 1) * BLOCK + 1, nx)):
-                    for j in range(b * BLOCK, min((b + 1) * BLOCK + 1, ny)):
-                        for k in range(c * BLOCK, min((c + 1) * BLOCK + 1, nz)):
-                            dense = dense or grid[i, j, k, 0] > log_floor
+                for i in range(a * BLOCK, min((a + 1) * BLOCK + 1, vertices)):
+                    for j in range(b * BLOCK, min((b + 1) * BLOCK + 1, vertices)):
+                        for k in range(c * BLOCK, min((c + 1) * BLOCK + 1, vertices)):
+                            dense = dense or grid[row(index, i, j, k), 0] > log_floor
                 occupied[a, b, c] = 1 if dense else 0

@@ -13,6 +13,7 @@ import torch
 from pixelid.arrays import load_arrays
 from pixelid.documents import interpreting
 from pixelid.errors import shown
+from pixelid.nerf.bricks import Bricks
 from pixelid.nerf.field import Field
 from pixelid.nerf.harmonics import HIGHEST_DEGREE, number_of
 from pixelid.results import Result, Table, check_kinds, number, read_result, required
@@ -155,13 +156,18 @@ def write_field(scene: Field, folder: Path) -> None:
     """Write field.npz into an existing folder.
 
     Its arrays: grid (n, n, n, 1 + C), coefficients (n, n, n, C, K), both in half precision, low, high (3,) and
-    background (C,).
+    background (C,).  Of a field that is not held whole: grid (rows, 1 + C), coefficients (rows, C, K), vertices () and
+    bricks (b, b, b), which say where the rows are (`Bricks`).
     """
-    np.savez_compressed(
-        folder / FIELD, grid=scene.grid.detach().cpu().numpy().astype(np.float16),
-        coefficients=scene.coefficients.detach().cpu().numpy().astype(np.float16), low=scene.low, high=scene.high,
-        background=np.exp(scene.log_background.detach().cpu().numpy()),
-    )  # fmt: skip
+    background = np.exp(scene.log_background.detach().cpu().numpy())
+    arrays: dict[str, Any] = {"low": scene.low, "high": scene.high, "background": background}
+    if scene.bricks.whole:
+        grid, coefficients = scene.dense()
+    else:
+        grid, coefficients = scene.grid.detach().cpu().numpy(), scene.coefficients.detach().cpu().numpy()
+        arrays |= {"vertices": scene.vertices, "bricks": scene.bricks.index}
+    half = {"grid": grid.astype(np.float16), "coefficients": coefficients.astype(np.float16)}
+    np.savez_compressed(folder / FIELD, **arrays, **half)
 
 
 def read_field(folder: Path) -> Field:
@@ -172,25 +178,29 @@ def read_field(folder: Path) -> Field:
     """
     arrays = load_arrays(folder / FIELD)
     with interpreting(folder / FIELD, "a scene"):
-        grid = torch.from_numpy(arrays["grid"].astype(np.float32))
-        n, channels = grid.shape[0], grid.shape[-1] - 1
-        if grid.shape[:3] != (n, n, n) or channels != arrays["background"].size:
-            raise ValueError(f"grid {tuple(grid.shape)} of {arrays['background'].size} colours")
-        coefficients = torch.from_numpy(arrays["coefficients"].astype(np.float32)) if "coefficients" in arrays else None
         _check_scene(arrays)
-        scene = Field(arrays["low"], arrays["high"], n, channels, arrays["background"])
-        scene.grid = torch.nn.Parameter(grid)
-        if coefficients is not None:
-            degree = DEGREES.get(coefficients.shape[-1])
-            if degree is None or coefficients.shape[:-1] != (n, n, n, channels):
-                raise ValueError(f"coefficients {tuple(coefficients.shape)} of a grid {tuple(grid.shape)}")
-            scene.coefficients = torch.nn.Parameter(coefficients, requires_grad=degree > 0)
+        grid = torch.from_numpy(arrays["grid"].astype(np.float32))
+        bricks = Bricks.of_index(int(arrays["vertices"]), arrays["bricks"]) if "bricks" in arrays else None
+        shape = (bricks.rows,) if bricks is not None else (grid.shape[0],) * 3
+        channels = arrays["background"].size
+        if grid.shape != (*shape, 1 + channels):
+            raise ValueError(f"grid {tuple(grid.shape)} of {channels} colours")
+        coefficients = torch.from_numpy(arrays["coefficients"].astype(np.float32)) if "coefficients" in arrays else None
+        if coefficients is not None and (
+            coefficients.shape[:-1] != (*shape, channels) or coefficients.shape[-1] not in DEGREES
+        ):
+            raise ValueError(f"coefficients {tuple(coefficients.shape)} of a grid {tuple(grid.shape)}")
+        scene = Field(arrays["low"], arrays["high"], 2, channels, arrays["background"])
+        if bricks is None:
+            scene.hold_dense(grid, coefficients)
+        else:
+            scene.hold(bricks, grid, coefficients)
         return scene
 
 
 def _check_scene(arrays: Mapping[str, np.ndarray]) -> None:
     """Raise ValueError for numbers of which no scene can be: a box without inside, radiance that is not positive."""
-    for name in ("grid", "coefficients", "low", "high", "background"):
+    for name in ("grid", "coefficients", "low", "high", "background", "vertices", "bricks"):
         if name in arrays and (arrays[name].dtype.kind not in "fiu" or not np.isfinite(arrays[name]).all()):
             raise ValueError(f"{name}: expected finite numbers")
     low, high, background = arrays["low"], arrays["high"], arrays["background"]

@@ -24,7 +24,7 @@ from pixelid.nerf.pixel import FILTER, Bandwidth, Pixel, filter_parameters
 from pixelid.nerf.pixel_maps import MISMATCH
 from pixelid.nerf.recipe import Recipe
 from pixelid.nerf.residuals import Gain, Rows, compare, residual_map, rows_of
-from pixelid.nerf.state import Problem, State, start
+from pixelid.nerf.state import Problem, State, optimiser_of, start
 from pixelid.nerf.suggestions import Suggested, suggestions
 from pixelid.nerf.train import train
 
@@ -249,13 +249,13 @@ class _Bench:
         problem = self.make(here.calibration, using.moving)
         copy = start(problem, self.recipe, using, self.device)
         with torch.no_grad():
-            copy.field.grid.copy_(here.state.field.grid)
-            copy.field.coefficients.copy_(here.state.field.coefficients)
+            copy.field.hold(here.state.field.bricks, here.state.field.grid, here.state.field.coefficients)
             copy.field.log_background.copy_(here.state.field.log_background)
             copy.poses.load_state_dict(here.state.poses.state_dict())
             if copy.pixel.departures.requires_grad and here.state.pixel.departures.requires_grad:
                 copy.pixel.departures.copy_(here.state.pixel.departures)
         copy.field.occupied = here.state.field.occupied.copy()
+        copy.optimiser = optimiser_of(copy.field, copy.pixel, copy.poses, self.recipe)
         copy.iteration, copy.rays = here.state.iteration, here.state.rays
         return problem, copy
 

@@ -115,6 +115,26 @@ def start(problem: Problem, recipe: Recipe, bandwidth: Bandwidth, device: str = 
     return State(scene, pixel, poses, optimiser_of(scene, pixel, poses, recipe), inside, 0)
 
 
+def follow(state: State) -> None:
+    """Let the field's bricks follow the scene; what the optimiser has noted of those that stay stays."""
+    before = state.field.grid, state.field.coefficients
+    source = state.field.follow()
+    if source is None:
+        return
+    kept = torch.as_tensor(np.maximum(source, 0), device=state.field.grid.device)
+    new = torch.as_tensor(source < 0, device=state.field.grid.device)
+    for old, now in zip(before, (state.field.grid, state.field.coefficients), strict=True):
+        for group in state.optimiser.param_groups:
+            group["params"] = [now if p is old else p for p in group["params"]]
+        noted = state.optimiser.state.pop(old, None)
+        if noted is None:
+            continue
+        for name in ("exp_avg", "exp_avg_sq"):
+            noted[name] = noted[name][kept]
+            noted[name][new] = 0.0
+        state.optimiser.state[now] = noted
+
+
 def optimiser_of(scene: Field, pixel: Pixel, poses: Poses, recipe: Recipe) -> torch.optim.Optimizer:
     """Adam over the grid, the background when it is free, and what of the pixel and the poses is trained."""
     groups: list[dict[str, Any]] = [{"params": [scene.grid], "lr": recipe.rate, "share": 1.0}]

@@ -16,9 +16,10 @@ from pixelid.nerf.losses import quiet_change, terms, total, unexplained, varianc
 from pixelid.nerf.predict import EPSILON, draw, draw_quiet, light, predict, response
 from pixelid.nerf.recipe import Recipe
 from pixelid.nerf.render import Rays
-from pixelid.nerf.smoothness import mean_square, variation
-from pixelid.nerf.state import Problem, State, optimiser_of
+from pixelid.nerf.smoothness import mean_log_density, mean_square, variation
+from pixelid.nerf.state import Problem, State, follow, optimiser_of
 
+FOLLOW = 64  # steps after which the bricks of a fine field follow the scene, which grows by one of them in that time
 PAIRS = 3  # of times in which nothing fired, per chain: a twentieth of the rays of a step
 
 
@@ -39,11 +40,11 @@ def step(problem: Problem, recipe: Recipe, state: State) -> dict[str, float]:
     parts = terms(change, level, batch, *thresholds)
     loss = total(parts, recipe.weights)
     if recipe.roughness > 0:
-        loss = loss + recipe.roughness * variation(state.field.grid, recipe.engine)
+        loss = loss + recipe.roughness * variation(state.field.grid, state.field.bricks, recipe.engine)
     if recipe.emptiness > 0:
-        loss = loss + recipe.emptiness * state.field.grid[..., 0].clamp(min=-6).mean()
+        loss = loss + recipe.emptiness * mean_log_density(state.field.grid, state.field.bricks)
     if recipe.stiffness > 0 and state.field.coefficients.requires_grad:
-        loss = loss + recipe.stiffness * mean_square(state.field.coefficients)
+        loss = loss + recipe.stiffness * mean_square(state.field.coefficients, state.field.bricks)
     if pairs is not None:
         loss = loss + recipe.quiet * quiet_change(in_quiet, *state.pixel.thresholds)
     if problem.gauge.kind == "level":
@@ -66,6 +67,8 @@ def step(problem: Problem, recipe: Recipe, state: State) -> dict[str, float]:
     state.rays += len(batch.t) * recipe.supersample**2
     if state.iteration % 16 == 0 and state.iteration >= 64:
         state.field.look_for_empty_blocks()
+        if state.iteration % FOLLOW == 0:
+            follow(state)
     return measured
 
 

@@ -31,7 +31,7 @@ def ball(colours: int) -> Field:
     density = 8.0 * np.tanh((RADIUS - r) * 20) + 2.0
     colour = np.stack([np.log(0.4 + 0.3 * x + 0.05 * c) for c in range(colours)], axis=-1)
     grid = np.concatenate([density[..., None], colour], axis=-1)
-    field.grid = torch.nn.Parameter(torch.from_numpy(grid.astype(np.float32)))
+    field.hold_dense(torch.from_numpy(grid.astype(np.float32)))
     return field
 
 
@@ -165,9 +165,10 @@ def theirs(direction: np.ndarray) -> np.ndarray:
 def test_splats_and_meshes_of_highlights_show_them_where_they_are_seen(tmp_path, degree):
     """Radiance that depends on the direction: evaluated as viewers do, splats have the colours of the field."""
     field, rng = ball(3), np.random.default_rng(degree)
-    coefficients = torch.zeros(*field.grid.shape[:3], 3, (degree + 1) ** 2 - 1)
+    grid, _ = field.dense()
+    coefficients = torch.zeros(*grid.shape[:3], 3, (degree + 1) ** 2 - 1)
     coefficients += torch.as_tensor(rng.normal(0, 0.03, coefficients.shape[3:]), dtype=torch.float32)
-    field.coefficients = torch.nn.Parameter(coefficients)
+    field.hold_dense(torch.from_numpy(grid), coefficients)
     SavedReconstruction(content(True), field).save(tmp_path / "scene")
     read = SavedReconstruction.load(tmp_path / "scene").field
     torch.testing.assert_close(read.coefficients, field.coefficients, rtol=1e-3, atol=1e-6)
@@ -194,7 +195,7 @@ def test_fields_without_harmonics_are_read_and_damaged_ones_refused(folder):
     arrays = dict(np.load(folder / "field.npz"))
     grid = arrays["grid"]
     np.savez(folder / "field.npz", **{name: value for name, value in arrays.items() if name != "coefficients"})
-    assert SavedReconstruction.load(folder).field.coefficients.shape == (*grid.shape[:3], 1, 0)
+    assert SavedReconstruction.load(folder).field.dense()[1].shape == (*grid.shape[:3], 1, 0)
     for shape in ((*grid.shape[:3], 1, 5), (*grid.shape[:3], 2, 3), (3, 3, 3, 1, 3), (3,)):
         np.savez(folder / "field.npz", **arrays | {"coefficients": np.zeros(shape, np.float16)})
         with pytest.raises(InputError, match="coefficients"):
@@ -251,7 +252,7 @@ def test_wrong_usage_is_refused(words, says, folder, tmp_path, capsys):
     (tmp_path / "empty").mkdir()
     nothing = Field(np.full(3, -1.0), np.full(3, 1.0), 9, 1, [0.3])
     with torch.no_grad():
-        nothing.grid[..., 0] = -9.0
+        nothing.grid[:, 0] = -9.0
     SavedReconstruction(content(True), nothing).save(tmp_path / "clear")
     names = {name: str(tmp_path / name) for name in ("none", "empty", "scene", "clear")}
     filled = [word.format(**names) for word in words]

@@ -25,6 +25,7 @@ from pixelid.errors import InputError
 from pixelid.model.files import save_model
 from pixelid.model.shipped import find_model, shipped_models
 from pixelid.nerf import checkpoint
+from pixelid.nerf import field as fields
 from pixelid.nerf.calibration import FILE as CALIBRATION
 from pixelid.nerf.calibration import of_fit
 from pixelid.nerf.dataset import read_dataset
@@ -33,9 +34,9 @@ from pixelid.nerf.poses import Refinement
 from pixelid.nerf.problem import problem_of
 from pixelid.nerf.recipe import Recipe
 from pixelid.nerf.reconstruct import Reconstruction, reconstruct
-from pixelid.nerf.state import start
+from pixelid.nerf.state import State, start
 from pixelid.nerf.synthetic import SETTINGS, make_dataset
-from pixelid.nerf.train import step, train
+from pixelid.nerf.train import held_out_residual, step, train
 from pixelid.sensors import SensorFit
 from pixelid.sensors.map import Map
 from pixelid.sensors.shrinkage import Population
@@ -86,7 +87,7 @@ def test_the_command_writes_its_contract(made, tmp_path, capsys, bandwidth):
     assert saved.as_dict() == result
     assert len(saved.to_dataframe()) == 8
     with np.load(out / "field.npz") as scene:
-        np.testing.assert_array_equal(saved.field.grid.detach().numpy().astype(np.float16), scene["grid"])
+        np.testing.assert_array_equal(saved.field.dense()[0].astype(np.float16), scene["grid"])
     saved.save(out.with_name("copy"))
     assert Reconstruction.load(out.with_name("copy")).summary() == saved.summary()
     assert main([*words, "--overwrite", "--quiet"]) == code
@@ -206,6 +207,29 @@ def test_resuming_continues_with_the_same_numbers(made, tmp_path, mode):
     assert float(whole.poses.moved.detach().abs().max()) > 0
     assert torch.equal(whole.pixel.factors, resumed.pixel.factors)
     assert torch.equal(whole.pixel.added, resumed.pixel.added)
+
+
+def test_a_field_in_bricks_learns_what_a_whole_one_does_and_resumes(made, tmp_path, monkeypatch):
+    """Bricks come and go on the way; a run that is continued across that has the same numbers."""
+    problem, recipe = problem_of(read_dataset(made)), Recipe(iterations=256, batch=32, vertices=(17, 33))
+    bandwidth = Bandwidth("off")
+
+    def until(steps: int) -> State:
+        return train(problem, recipe, start(problem, recipe, bandwidth), until=steps)
+
+    whole = until(256)
+    monkeypatch.setattr(fields, "WHOLE", 17)
+    sparse, half = until(256), until(150)
+    assert 0 < sparse.field.bricks.number < whole.field.bricks.number
+    assert not np.array_equal(sparse.field.bricks.index, half.field.bricks.index)
+    left = [held_out_residual(problem, state) for state in (whole, sparse)]
+    assert left[1] == pytest.approx(left[0], rel=0.05)
+    checkpoint.save(tmp_path / "half.pt", half, "mark")
+    resumed = checkpoint.load(tmp_path / "half.pt", problem, recipe, bandwidth, "mark")
+    assert resumed is not None
+    train(problem, recipe, resumed)
+    assert torch.equal(sparse.field.grid, resumed.field.grid)
+    assert torch.equal(sparse.field.coefficients, resumed.field.coefficients)
 
 
 def test_a_checkpoint_of_another_run_or_a_damaged_one_is_set_aside(made, tmp_path, capsys):

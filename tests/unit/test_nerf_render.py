@@ -6,6 +6,7 @@ import torch
 from scipy.spatial.transform import Rotation, Slerp
 from scipy.special import factorial, lpmv
 
+from pixelid.nerf.bricks import Bricks
 from pixelid.nerf.camera import Camera, pinhole
 from pixelid.nerf.correction import fit_correction
 from pixelid.nerf.field import Field
@@ -16,6 +17,21 @@ from pixelid.nerf.smoothness import mean_square, variation
 from pixelid.nerf.trajectory import Trajectory
 
 LOW, HIGH = np.full(3, -1.0), np.full(3, 1.0)
+
+
+def cube(vertices: int, step: float, occupied=None) -> Box:
+    """A box whose bricks are all there."""
+    bricks = Bricks.every(vertices)
+    blocks = np.ones((-(-(vertices - 1) // 4),) * 3, np.uint8)
+    return Box(LOW, HIGH, step, blocks if occupied is None else occupied, bricks)
+
+
+def rendered(grid, background, rays, box, engine="auto", coefficients=None):
+    """`render` of values (n, n, n, …) at the vertices."""
+    return render(
+        box.bricks.gathered(grid), background, rays, box, engine,
+        None if coefficients is None else box.bricks.gathered(coefficients),
+    )  # fmt: skip
 
 
 def random_rays(n: int, channels: int, seed=0) -> Rays:
@@ -35,8 +51,8 @@ def test_a_uniform_box_absorbs_exponentially(engine):
         np.array([[-3, 0.1, 0.2]], np.float32), np.array([[1, 0, 0]], np.float32), np.zeros(1, int),
         np.full(1, 0.5, np.float32),
     )  # fmt: skip
-    box = Box(LOW, HIGH, 2 / 64, np.ones((4, 4, 4), np.uint8))
-    radiance, opacity = render(grid, torch.tensor([5.0]), rays, box, engine)
+    box = cube(17, 2 / 64)
+    radiance, opacity = rendered(grid, torch.tensor([5.0]), rays, box, engine)
     through = np.exp(-0.7 * 2)
     assert float(radiance) == pytest.approx(2.0 * (1 - through) + 5.0 * through, rel=1e-4)
     assert float(opacity) == pytest.approx(1 - through, rel=1e-4)
@@ -50,8 +66,8 @@ def test_from_too_far_away_there_is_only_the_background(engine, away):
         np.array([[-away, 0.1, 0.2]], np.float32), np.array([[1, 0, 0]], np.float32), np.zeros(1, int),
         np.full(1, 0.5, np.float32),
     )  # fmt: skip
-    box = Box(LOW, HIGH, 2 / 64, np.ones((4, 4, 4), np.uint8))
-    radiance, opacity = render(grid, torch.tensor([5.0]), rays, box, engine)
+    box = cube(17, 2 / 64)
+    radiance, opacity = rendered(grid, torch.tensor([5.0]), rays, box, engine)
     radiance.sum().backward()
     assert (float(radiance.detach()), float(opacity)) == (5.0, 0.0)
     assert grid.grad is not None
@@ -88,8 +104,8 @@ def test_a_uniform_box_shows_another_radiance_from_every_side(engine):
     coefficients[..., 0], coefficients[..., 2] = 0.2, -0.1
     ray = np.array([0.6, 0.0, 0.8])
     rays = Rays(-3 * ray[None].astype(np.float32), ray[None].astype(np.float32), np.zeros(1, int), np.zeros(1, "f4"))
-    box = Box(LOW, HIGH, 0.02, np.ones((2, 2, 2), np.uint8))
-    radiance, opacity = render(grid, torch.tensor([0.53]), rays, box, engine, coefficients)
+    box = cube(9, 0.02)
+    radiance, opacity = rendered(grid, torch.tensor([0.53]), rays, box, engine, coefficients)
     assert float(opacity) > 0.998  # the march ends where nothing more shows
     assert float(radiance) == pytest.approx(0.5 * np.exp(np.sqrt(3) * (0.2 * 0.6 - 0.1 * 0.8)), rel=3e-5)
 
@@ -100,18 +116,18 @@ def test_both_engines_agree_with_their_gradients(channels, degree):
     values = rng.normal(0, 1, (13, 13, 13, 1 + channels)).astype(np.float32)
     directional = 0.3 * rng.normal(0, 1, (13, 13, 13, channels, number_of(degree))).astype(np.float32)
     rays = random_rays(500, channels)
-    box = Box(LOW, HIGH, 0.11, (rng.random((3, 3, 3)) < 0.8).astype(np.uint8))
-    rendered = []
+    box = cube(13, 0.11, (rng.random((3, 3, 3)) < 0.8).astype(np.uint8))
+    found = []
     for engine in ("compiled", "tensors"):
         grid, behind = torch.tensor(values, requires_grad=True), torch.full((channels,), 0.4, requires_grad=True)
         coefficients = torch.tensor(directional, requires_grad=True)
         origins, directions = (torch.tensor(column, requires_grad=True) for column in rays[:2])
         moving = rays._replace(origins=origins, directions=directions)
-        radiance, opacity = render(grid, behind, moving, box, engine, coefficients)
+        radiance, opacity = rendered(grid, behind, moving, box, engine, coefficients)
         (radiance * torch.linspace(-1, 1, len(radiance))).sum().backward()
         slopes = (grid.grad, behind.grad, origins.grad, directions.grad, *([coefficients.grad] if degree else []))
-        rendered.append((radiance.detach(), opacity, *slopes))
-    for compiled, tensors in zip(*rendered, strict=True):
+        found.append((radiance.detach(), opacity, *slopes))
+    for compiled, tensors in zip(*found, strict=True):
         torch.testing.assert_close(compiled, tensors, rtol=1e-3, atol=1e-4)
 
 
@@ -120,10 +136,10 @@ def test_both_engines_agree_in_fog_and_beyond_the_highest_values(step, density, 
     """Hundreds of samples per ray, more than there is room for at first; and values that are cut off have no slope."""
     rng = np.random.default_rng(3)
     values = 0.1 * rng.normal(size=(13, 13, 13, 2)).astype(np.float32) + np.array([density, value], np.float32)
-    rays, box, slopes = random_rays(60, 1), Box(LOW, HIGH, step, np.ones((3, 3, 3), np.uint8)), []
+    rays, box, slopes = random_rays(60, 1), cube(13, step), []
     for engine in ("compiled", "tensors"):
         grid = torch.tensor(values, requires_grad=True)
-        radiance, _ = render(grid, torch.tensor([0.4]), rays, box, engine)
+        radiance, _ = rendered(grid, torch.tensor([0.4]), rays, box, engine)
         (radiance * torch.linspace(-1, 1, len(radiance))).sum().backward()
         slopes.append((radiance.detach(), grid.grad))
     for compiled, tensors in zip(*slopes, strict=True):
@@ -135,12 +151,12 @@ def test_gradients_are_those_of_finite_differences(of):
     rng = np.random.default_rng(1)
     arrays = {"grid": rng.normal(0, 0.5, (9, 9, 9, 2)).astype(np.float32)}
     arrays["coefficients"] = rng.normal(0, 0.2, (9, 9, 9, 1, 8)).astype(np.float32)
-    rays, box = random_rays(200, 1), Box(LOW, HIGH, 0.25, np.ones((2, 2, 2), np.uint8))
+    rays, box = random_rays(200, 1), cube(9, 0.25)
     behind, weight = torch.tensor([0.4]), torch.tensor(rng.normal(size=200))
 
     def value(given):
         both = {name: torch.as_tensor(array) for name, array in (arrays | {of: given}).items()}
-        return (render(both["grid"], behind, rays, box, coefficients=both["coefficients"])[0].double() * weight).sum()
+        return (rendered(both["grid"], behind, rays, box, coefficients=both["coefficients"])[0].double() * weight).sum()
 
     values = arrays[of]
     at = torch.tensor(values, requires_grad=True)
@@ -168,10 +184,10 @@ def test_gradients_of_rays_are_those_of_finite_differences(of):
         rng.uniform(-0.3, 0.3, (40, 3)).astype(np.float32), directions.astype(np.float32), np.zeros(40, int),
         rng.random(40).astype(np.float32),
     )  # fmt: skip
-    box = Box(LOW, HIGH, 0.05, np.ones((2, 2, 2), np.uint8))
+    box = cube(9, 0.05)
 
     def value(given):
-        return render(grid, torch.tensor([1.0]), rays._replace(**{of: given}), box, coefficients=coefficients)[0]
+        return rendered(grid, torch.tensor([1.0]), rays._replace(**{of: given}), box, coefficients=coefficients)[0]
 
     at = torch.tensor(getattr(rays, of), requires_grad=True)
     value(at).sum().backward()
@@ -188,9 +204,10 @@ def test_gradients_of_rays_are_those_of_finite_differences(of):
 
 def test_skipping_empty_blocks_changes_nothing_that_shows():
     field = Field(LOW, HIGH, 17, 1, [0.4])
-    with torch.no_grad():
-        field.grid[..., 0] = -12.0
-        field.grid[5:9, 6:11, 7:12, 0] = 3.0
+    grid = torch.zeros(17, 17, 17, 2)
+    grid[..., 0], grid[..., 1] = -12.0, np.log(0.2)
+    grid[5:9, 6:11, 7:12, 0] = 3.0
+    field.hold_dense(grid)
     rays = random_rays(300, 1)
     before = field(rays)[0]
     assert field.look_for_empty_blocks() < 0.5
@@ -200,13 +217,13 @@ def test_skipping_empty_blocks_changes_nothing_that_shows():
 def test_refining_keeps_the_scene():
     field = Field(LOW, HIGH, 17, 3, [0.4] * 3, degree=1)
     generator = torch.Generator().manual_seed(0)
-    with torch.no_grad():
-        field.grid += 0.5 * torch.randn(field.grid.shape, generator=generator)
-        field.coefficients += 0.5 * torch.randn(field.coefficients.shape, generator=generator)
-    at, directional = field.grid[::2, ::2, ::2].clone(), field.coefficients[::2, ::2, ::2].clone()
+    field.hold_dense(
+        torch.randn(17, 17, 17, 4, generator=generator), torch.randn(17, 17, 17, 3, 3, generator=generator)
+    )
+    before = [values[::2, ::2, ::2] for values in field.dense()]
     field.refine(33)
-    torch.testing.assert_close(field.grid[::4, ::4, ::4], at)
-    torch.testing.assert_close(field.coefficients[::4, ::4, ::4], directional)
+    for values, was in zip(field.dense(), before, strict=True):
+        np.testing.assert_allclose(values[::4, ::4, ::4], was, atol=1e-6)
 
 
 @pytest.mark.parametrize("degrees", [180.0, 8.0, 4.0, 0.1, 0.0])
@@ -283,10 +300,10 @@ def test_both_forms_of_the_total_variation_agree_with_their_gradients(channels):
     rng = np.random.default_rng(0)
     values = rng.normal(size=(7, 7, 7, 1 + channels)).astype(np.float32)
     values[2, 3, :, 1] = 0.5  # neighbours alike: no slope
-    found = []
+    found, bricks = [], Bricks.every(7)
     for engine in ("compiled", "tensors"):
         grid = torch.tensor(values, requires_grad=True)
-        total = variation(grid, engine)
+        total = variation(bricks.gathered(grid), bricks, engine)
         (3.0 * total).backward()
         found.append((total.detach(), grid.grad))
     for compiled, tensors in zip(*found, strict=True):
@@ -296,9 +313,13 @@ def test_both_forms_of_the_total_variation_agree_with_their_gradients(channels):
 
 
 def test_the_mean_square_and_its_gradient():
-    values = torch.randn(5, 4, 3, 2, 3, generator=torch.Generator().manual_seed(0), requires_grad=True)
-    (4.0 * mean_square(values)).backward()
-    assert float(mean_square(values).detach()) == pytest.approx(float(values.detach().square().mean()), rel=1e-6)
-    assert values.grad is not None
-    torch.testing.assert_close(values.grad, 8.0 * values.detach() / values.numel())
-    assert float(mean_square(torch.zeros(3, 0))) == 0.0
+    bricks = Bricks.every(8)
+    values = torch.randn(8, 8, 8, 2, 3, generator=torch.Generator().manual_seed(0), requires_grad=True)
+    rows = bricks.gathered(values).detach()
+    rows[:64] = 0.0
+    rows.requires_grad_()
+    (4.0 * mean_square(rows, bricks)).backward()
+    assert float(mean_square(rows, bricks).detach()) == pytest.approx(float(values.detach().square().mean()), rel=1e-6)
+    assert rows.grad is not None
+    torch.testing.assert_close(rows.grad, 8.0 * rows.detach() / values.numel())
+    assert float(mean_square(torch.zeros(bricks.rows, 1, 0), bricks)) == 0.0

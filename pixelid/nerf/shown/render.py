@@ -101,7 +101,7 @@ def render(
     watch = time.perf_counter()
     if not saved.field.finite:
         raise InputError(f"{path / FIELD}: the field holds numbers that are not finite: the reconstruction diverged")
-    colours = saved.field.grid.shape[-1] - 1
+    colours = saved.field.grid.shape[1] - 1
     dark = np.resize(np.asarray(saved.content["pixel"].get("dark") or 0.0, dtype=float), colours)
     tone, notes = _tone(saved, way, dark)
     if saved.status is not Status.converged:

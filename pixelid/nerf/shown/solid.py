@@ -30,7 +30,7 @@ class Mesh(NamedTuple):
 
 def vertex_values(field: Field) -> tuple[np.ndarray, np.ndarray]:
     """(log density (n, n, n), log radiance (n, n, n, C)) at the vertices of a field."""
-    grid = field.grid.detach().cpu().numpy()
+    grid, _ = field.dense()
     return grid[..., 0], grid[..., 1:]
 
 
@@ -46,12 +46,10 @@ def depth_of(field: Field, views: Views) -> np.ndarray:
     Returns:
         (n, H, W) in the scene's unit.
     """
-    density, _ = vertex_values(field)
-    axes = [np.linspace(a, b, n) for a, b, n in zip(field.low, field.high, density.shape, strict=True)]
+    density, positions = field.grid.detach().cpu().numpy()[:, 0], field.positions()
     out = []
     for k in range(len(views)):
-        offset = [axis - views.position[k, j] for j, axis in enumerate(axes)]
-        squared = offset[0][:, None, None] ** 2 + offset[1][None, :, None] ** 2 + offset[2][None, None, :] ** 2
+        squared = ((positions - views.position[k]) ** 2).sum(axis=1)
         distances = _like(field, np.stack([density, 0.5 * np.log(np.maximum(squared, 1e-12))], axis=-1))
         clear = _like(field, np.stack([density, np.full_like(density, -30.0)], axis=-1))
         one = views.some([k])
@@ -86,7 +84,7 @@ def mesh_of(field: Field) -> Mesh:
     # "ascent": density is high inside, so that normals and the faces' sense point outwards
     vertices, faces, normals, _ = marching_cubes(padded, level, gradient_direction="ascent")
     at = np.clip(vertices - 1, 0, np.array(density.shape) - 1)
-    coefficients = field.coefficients.detach().cpu().numpy()
+    _, coefficients = field.dense()
     head_on = harmonics(torch.from_numpy(-normals), coefficients.shape[-1]).numpy()
     radiance = np.empty((len(at), log_radiance.shape[-1]))
     for c in range(radiance.shape[1]):
@@ -97,8 +95,8 @@ def mesh_of(field: Field) -> Mesh:
 
 
 def _like(field: Field, grid: np.ndarray) -> Field:
-    """A field of one colour with another grid, before a background of 1."""
-    other = Field(field.low, field.high, grid.shape[0], 1, [1.0])
-    other.grid = torch.nn.Parameter(torch.from_numpy(np.ascontiguousarray(grid, np.float32)))
+    """A field of one colour with another grid (rows, 2), before a background of 1."""
+    other = Field(field.low, field.high, 2, 1, [1.0])
+    other.hold(field.bricks, torch.from_numpy(np.ascontiguousarray(grid, np.float32)))
     other.occupied = field.occupied
     return other

@@ -79,7 +79,7 @@ def splats_of(field: Field) -> Splats:
         raise InputError("the scene has no splats: everything in it is clear")
     at = tuple(index.T)
     return Splats(
-        field.low + index * spacing, log_radiance[at], field.coefficients.detach().cpu().numpy()[at],
+        field.low + index * spacing, log_radiance[at], field.dense()[1][at],
         np.minimum(opacity[at], MOST_OPACITY), spacing / math.sqrt(2 * math.pi),
     )  # fmt: skip
 
