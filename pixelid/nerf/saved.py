@@ -166,8 +166,8 @@ def write_field(scene: Field, folder: Path) -> None:
     else:
         grid, coefficients = scene.grid.detach().cpu().numpy(), scene.coefficients.detach().cpu().numpy()
         arrays |= {"vertices": scene.vertices, "bricks": scene.bricks.index}
-    half = {"grid": grid.astype(np.float16), "coefficients": coefficients.astype(np.float16)}
-    np.savez_compressed(folder / FIELD, **arrays, **half)
+    arrays |= {"grid": grid.astype(np.float16), "coefficients": coefficients.astype(np.float16)}
+    np.savez_compressed(folder / FIELD, **arrays)
 
 
 def read_field(folder: Path) -> Field:
