@@ -1,5 +1,7 @@
 """Fields of which only the bricks about what they show are held."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 import torch
@@ -91,9 +93,11 @@ def test_both_engines_agree_with_their_gradients_where_bricks_are_missing():
         grid, coefficients = torch.tensor(values, requires_grad=True), torch.tensor(directional, requires_grad=True)
         radiance, opacity = render(grid, torch.tensor([0.4]), rays(), box, engine, coefficients)
         (radiance * weight).sum().backward()
-        found.append((radiance.detach(), opacity, grid.grad, coefficients.grad))
-        assert not grid.grad[:ROWS].any()
-        assert grid.grad[ROWS:].any()
+        slope = grid.grad
+        assert slope is not None
+        assert not slope[:ROWS].any()
+        assert slope[ROWS:].any()
+        found.append((radiance.detach(), opacity, slope, coefficients.grad))
     for compiled, tensors in zip(*found, strict=True):
         torch.testing.assert_close(compiled, tensors, rtol=1e-3, atol=1e-4)
 
@@ -199,7 +203,7 @@ def test_a_field_in_bricks_is_written_and_read(sparse, tmp_path):
     read = read_field(tmp_path)
     assert np.array_equal(read.bricks.index, sparse.bricks.index)
     np.testing.assert_allclose(read.grid.detach().numpy(), sparse.grid.detach().numpy(), rtol=1e-3, atol=1e-4)
-    arrays = dict(np.load(tmp_path / "field.npz"))
+    arrays: dict[str, Any] = dict(np.load(tmp_path / "field.npz"))
     index = arrays["bricks"]
     for wrong in ({"bricks": index[:-1]}, {"bricks": 2 * index}, {"vertices": 40}, {"grid": arrays["grid"][:-1]}):
         np.savez(tmp_path / "field.npz", **arrays | wrong)
