@@ -206,6 +206,7 @@ def test_a_field_in_bricks_is_written_and_read(sparse, tmp_path):
     arrays: dict[str, Any] = dict(np.load(tmp_path / "field.npz"))
     index = arrays["bricks"]
     for wrong in ({"bricks": index[:-1]}, {"bricks": 2 * index}, {"vertices": 40}, {"grid": arrays["grid"][:-1]}):
-        np.savez(tmp_path / "field.npz", **arrays | wrong)
+        changed: dict[str, Any] = arrays | wrong
+        np.savez(tmp_path / "field.npz", **changed)
         with pytest.raises(InputError):
             read_field(tmp_path)
