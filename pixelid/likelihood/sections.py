@@ -18,7 +18,7 @@ from pixelid.stimuli.pixel_lights import PixelLights, pixel_lights
 from pixelid.stimuli.stimulus import Stimulus
 
 SECTION_SAMPLES = 20_000  # 1 MB of states; does not matter from 5,000 to 100,000: benchmarks/pixel_light.py
-OF_INTERVALS = ("previous_s", "time_s", "sign", "previous_sign", "pixel", "event")
+OF_INTERVALS = ("previous_s", "time_s", "sign", "previous_sign", "pixel", "event", "previous_event")
 OF_LAST = ("last_s", "last_pixel", "last_sign")
 
 

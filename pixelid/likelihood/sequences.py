@@ -15,7 +15,8 @@ class Sequences:
 
     previous_s, time_s: (n,) start (time of the previous event) and end of each interval, seconds
     sign: (n,) +1 ON, −1 OFF of the event that ends it;  previous_sign: of the event that began it
-    pixel: (n,) flat pixel index;  event: (n,) its index in the recording
+    pixel: (n,) flat pixel index
+    event, previous_event: (n,) indices in the recording of the events that end and begin it
     last_s, last_pixel, last_sign: (m,) per pixel with events, where its censored interval begins
     end_s: when the recording ends;  tick_s: width of a timestamp
     """
@@ -26,6 +27,7 @@ class Sequences:
     previous_sign: np.ndarray
     pixel: np.ndarray
     event: np.ndarray
+    previous_event: np.ndarray
     last_s: np.ndarray
     last_pixel: np.ndarray
     last_sign: np.ndarray
@@ -57,6 +59,7 @@ def sequences(recording: Recording) -> Sequences:
         previous_sign=sign[follows - 1],
         pixel=pixel[follows],
         event=order[follows],
+        previous_event=order[follows - 1],
         last_s=time[last],
         last_pixel=pixel[last],
         last_sign=sign[last],

@@ -10,6 +10,7 @@ from pixelid.fit.maximise import maximise
 from pixelid.gap.attribute.attribute import Attribution, Candidate
 from pixelid.gap.attribute.candidates import strongest_start
 from pixelid.gap.criteria import Criteria
+from pixelid.gap.imputation.exact import loses_where_times_are_exact
 from pixelid.gap.imputation.impute import impute_with_effect
 from pixelid.gap.imputation.imputed import QUEUE, Imputation
 from pixelid.gap.imputation.windows import guess_edges, queue_windows, with_times
@@ -17,7 +18,13 @@ from pixelid.gap.options import Context, Options
 from pixelid.gap.rounds import entry
 from pixelid.gap.search import begin
 from pixelid.gap.state import NamedStep
-from pixelid.gap.steps.name_effect import NOTHING_LEFT_FOR_IT, restart, without_negligible
+from pixelid.gap.steps.name_effect import (
+    NOTHING_LEFT_FOR_IT,
+    ONLY_WHERE_DRAWN,
+    restart,
+    without_misplaced,
+    without_negligible,
+)
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.model.shipped import find_model
 from pixelid.recordings.own_light import with_fine_light
@@ -72,6 +79,62 @@ def test_times_drawn_without_a_dead_time_do_not_hold_it_back():
     drawn, model = impute_with_effect(drawn, grown, seed=0)
     assert model.values["refractory_s"] == pytest.approx(dead, rel=0.01)
     assert drawn.likelihood.terms(model.circuit()).unexplained.sum() == 0
+
+
+def queued(recording, service_ns):
+    """A recording behind a server, first come, first served; and the times of its events before that."""
+    t = recording.events.t.astype(float)
+    leaves, free = np.empty_like(t), 0.0
+    for k, arrival in enumerate(t):
+        free = max(arrival, free) + service_ns
+        leaves[k] = free
+    stamped = replace(recording, events=replace(recording.events, t=leaves.astype(np.int64), tick_ns=1))
+    return with_fine_light(stamped, "smooth"), t
+
+
+def behind_a_queue(lost):
+    """(imputation, recordings at its times) of a camera behind a queue, one in a hundred of the drawn times wrong."""
+    camera = MODEL.with_effect("lost_events", {"fraction": lost}) if lost else MODEL
+    lights = [chirp(24.0, stop_hz=200.0), slow(24.0, seed=2), steps(400.0, seed=4)]
+    made = [queued(r, 2e4) for r in recorded(camera, lights, side=4)]
+    fine, times = tuple(r for r, _ in made), [t for _, t in made]
+    windows = tuple(queue_windows(r, 2e-5) for r in fine)
+    rng = np.random.default_rng(0)
+    for t, window in zip(times, windows, strict=True):
+        assert (np.abs(t - window.hi)[window.lo == window.hi] <= 1.0).all()
+        wrong = (window.hi > window.lo) & (rng.random(len(t)) < 0.01)
+        t[wrong] = window.lo[wrong]
+    return Imputation(QUEUE, tuple(r.stimulus for r in fine), fine, windows, tuple(times), {}, {})
+
+
+@pytest.mark.parametrize("lost", [0.0, 0.01, 0.1])
+def test_lost_events_have_to_be_missing_where_times_are_exact_too(lost):
+    """Those of a busy readout lack one in any case, since some of the drawn times are wrong."""
+    drawn = behind_a_queue(lost)
+    without = maximise(drawn.likelihood, MODEL, tolerance=0.1, max_steps=30).model
+    fitted = without.with_effect("lost_events", {"fraction": max(lost, 0.005)})
+    assert loses_where_times_are_exact(drawn, fitted, without, 0.01) == (lost > 0)
+    assert loses_where_times_are_exact(replace(drawn, effect="timestamp_quantisation"), fitted, without, 0.01)
+
+
+@pytest.mark.parametrize("lost", [0.0, 0.05])
+def test_lost_events_that_are_only_misplaced_are_withdrawn_and_not_tried_again(lost):
+    drawn = behind_a_queue(lost)
+    state = begin(list(drawn.recordings), MODEL, CONTEXT)
+    hypothesis = state.hypothesis
+    model = hypothesis.fit.model.with_effect("lost_events", {"fraction": max(lost, 0.005)})
+    fit = maximise(hypothesis.evidence.training, model, tolerance=1.0, max_steps=0)
+    winner = Candidate("lost_events", fit, 600.0, 0.0, hypothesis.fit.x)
+    state = replace(
+        state, hypothesis=replace(hypothesis, fit=fit, start=hypothesis.start.with_effect("lost_events")),
+        steps=(NamedStep(winner, Attribution((), {}, None, (), {}), "", True, hypothesis),), imputation=drawn,
+        rounds=(entry(1, 0.0, named="lost_events"),),
+    )  # fmt: skip
+    left = without_misplaced(state, CONTEXT)
+    assert left.hypothesis.fit.model.has("lost_events") == (lost > 0)
+    assert len(left.steps) == int(lost > 0)
+    assert left.given_up == (frozenset() if lost else {"lost_events"})
+    assert left.rounds[0].get("withdrawn") == (None if lost else ONLY_WHERE_DRAWN)
 
 
 def test_a_knee_between_the_dark_current_and_the_light_is_found():

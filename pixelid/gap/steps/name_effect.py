@@ -14,6 +14,7 @@ from pixelid.gap.attribute.significance import leads, negligible
 from pixelid.gap.detect.diagnostics import diagnose
 from pixelid.gap.detect.pixels import NOISE, PixelEvidence, is_noisy, reconsider_stimuli, relative_noise
 from pixelid.gap.detect.words import where
+from pixelid.gap.imputation.exact import LOST, loses_where_times_are_exact
 from pixelid.gap.imputation.impute import FINEST_TICK_S, JITTER, QUEUE, impute_behind_jitter, impute_with_effect
 from pixelid.gap.options import Context
 from pixelid.gap.phases import Phase
@@ -23,6 +24,7 @@ from pixelid.gap.steps.impute_hypothesis import Setting, at_imputed_times
 from pixelid.model.model import Model
 
 NOTHING_LEFT_FOR_IT = "at times drawn with it in the model nothing is left for it"
+ONLY_WHERE_DRAWN = "nothing is lost where the readout was idle and times are known"
 UNLIKE_JITTER = "what it would take of the times does not look like one"
 MAX_ROUNDS = 4  # a camera that lacks more effects than this lacks a model
 
@@ -51,6 +53,9 @@ def _named_one_more(state: State, context: Context) -> State:
     standing = stands(evidence, hypothesis.fit, hypothesis.seen, winner, context.options, context.cache)
     if standing.hopeless:
         return _refused(state, winner, "a flexible alternative explains more, and leaves it little to explain")
+    if winner.effect == LOST and _is_misplaced(state, winner.end.model, hypothesis.fit.model, context):
+        state = replace(_refused(state, winner, ONLY_WHERE_DRAWN), given_up=state.given_up | {LOST})
+        return state.then(_next(state))
     accepted = _accepted(state, winner, attribution, standing.firm)
     if winner.effect == JITTER:
         grown = _behind_jitter(accepted, winner, context)
@@ -59,13 +64,17 @@ def _named_one_more(state: State, context: Context) -> State:
             grown = grown if other is None else other
     else:
         grown = _grown(accepted, winner, evidence, context)
-    return grown.then(Phase.NAME if grown.turn < MAX_ROUNDS else Phase.SHOT_NOISE)
+    return grown.then(_next(grown))
+
+
+def _next(state: State) -> Phase:
+    return Phase.NAME if state.turn < MAX_ROUNDS else Phase.SHOT_NOISE
 
 
 def _attribute(state: State, evidence: PixelEvidence, context: Context) -> Attribution[Maximum]:
     options, hypothesis = context.options, state.hypothesis
     model, elsewhere = hypothesis.fit.model, restart(state, context)
-    skip = {*options.leave_out, *([JITTER] if _hides_jitter(state) else [])}
+    skip = {*options.leave_out, *state.given_up, *([JITTER] if _hides_jitter(state) else [])}
     share = 0.1 + 0.6 * state.turn / MAX_ROUNDS
     candidates = candidates_of(evidence, model, elsewhere, context.cache, context.work, state.on_paths)
     return attribute(
@@ -207,7 +216,8 @@ def _at_imputed_times(state: State, model: Model, start: Model, context: Context
     assert state.imputation is not None
     setting = Setting(state.split, state.model, start, state.hypothesis.evidence.between)
     imputation, hypothesis = at_imputed_times(state.imputation, model, setting, context)
-    return without_negligible(replace(state, imputation=imputation, hypothesis=hypothesis), context)
+    state = without_negligible(replace(state, imputation=imputation, hypothesis=hypothesis), context)
+    return without_misplaced(state, context)
 
 
 def without_negligible(state: State, context: Context) -> State:
@@ -224,12 +234,38 @@ def without_negligible(state: State, context: Context) -> State:
         if not holds_together(without):
             continue  # another effect needs this one
         fit = maximise(hypothesis.evidence.training, without, tolerance=0.01, max_steps=40, cache=context.cache)
-        if hypothesis.fit.value - fit.value >= criteria.min_lead_nats:
-            continue
-        start = remove_effect(hypothesis.start, effect, state.model)
-        at = next(k for k, step in enumerate(state.steps) if step.effect == effect)
-        state = replace(
-            state, hypothesis=replace(hypothesis, fit=fit, start=start), steps=tuple(_taken_back(state.steps, at)),
-            rounds=withdrawn(state.rounds, effect, NOTHING_LEFT_FOR_IT),
-        )  # fmt: skip
+        if hypothesis.fit.value - fit.value < criteria.min_lead_nats:
+            state = _without(state, effect, fit, NOTHING_LEFT_FOR_IT)
     return state
+
+
+def without_misplaced(state: State, context: Context) -> State:
+    """The state without lost events that are only where times are drawn: these are events drawn into a wrong place."""
+    hypothesis = state.hypothesis
+    model = hypothesis.fit.model
+    if LOST not in [step.effect for step in state.steps] or not model.has(LOST):
+        return state
+    less = remove_effect(model, LOST, state.model)
+    fit = maximise(hypothesis.evidence.training, less, tolerance=0.01, max_steps=40, cache=context.cache)
+    if not _is_misplaced(state, model, fit.model, context):
+        return state
+    return replace(_without(state, LOST, fit, ONLY_WHERE_DRAWN), given_up=state.given_up | {LOST})
+
+
+def _is_misplaced(state: State, fitted: Model, without: Model, context: Context) -> bool:
+    """Whether what a model says is lost is so only where times are drawn."""
+    imputation = state.imputation
+    return imputation is not None and not loses_where_times_are_exact(
+        imputation, fitted, without, context.options.alpha_each
+    )
+
+
+def _without(state: State, effect: str, fit: Maximum, why: str) -> State:
+    """The state with an effect that was named taken out again; fit: without it."""
+    hypothesis = state.hypothesis
+    start = remove_effect(hypothesis.start, effect, state.model)
+    at = next(k for k, step in enumerate(state.steps) if step.effect == effect)
+    return replace(
+        state, hypothesis=replace(hypothesis, fit=fit, start=start), steps=tuple(_taken_back(state.steps, at)),
+        rounds=withdrawn(state.rounds, effect, why),
+    )  # fmt: skip
