@@ -198,7 +198,8 @@ def load_field(folder: str | Path) -> Field:
         folder: that `pixelid reconstruct` or `.save` wrote.
 
     Returns:
-        The field: `field(rays)` gives radiance and opacity, `field.grid` log density and log radiance at the vertices.
+        The field: `field(rays)` gives radiance and opacity, `field.dense()` log density and log radiances at the
+        vertices, and the harmonics.
 
     Raises:
         InputError: no scene there, or a damaged one.

@@ -58,7 +58,7 @@ def begin(recordings: Sequence[Recording], model: Model, context: Context) -> St
 
 def name_next(state: State, context: Context) -> State:
     """One round, before the second of which shot noise has its chance."""
-    if state.turn == 1:
+    if state.turn == 1 and state.steps:
         state = try_before_second_effect(state, context)
     return name_effect(state, context) if state.phase is Phase.NAME else state
 

@@ -10,6 +10,7 @@ Museth, ACM TOG 2013.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import torch
@@ -17,6 +18,7 @@ from numba import njit
 from scipy.ndimage import maximum_filter
 
 SIDE, ROWS = 4, 64  # vertices per side of a brick, and in it
+MOST_VERTICES = 1025  # per side, of fields that are read: four times those that a reconstruction has by itself
 CLEAR_DENSITY = -30.0  # log density where no brick is
 
 
@@ -48,7 +50,7 @@ class Bricks:
             ValueError: it is none of so many vertices, or its bricks are not numbered in their order.
         """
         number = -(-vertices // SIDE)
-        if vertices < 2 or index.shape != (number,) * 3:
+        if not 2 <= vertices <= MOST_VERTICES or index.dtype.kind not in "iu" or index.shape != (number,) * 3:
             raise ValueError(f"bricks {index.shape} of {vertices} vertices")
         bricks = Bricks.where(vertices, index > 0)
         if not np.array_equal(bricks.index, index):
@@ -80,9 +82,40 @@ class Bricks:
         every = (SIDE * self.places()[:, None] + inside).reshape(-1, 3)
         return np.concatenate([np.zeros((ROWS, 3), every.dtype), every])
 
+    @cached_property
+    def _kept(self) -> dict[tuple[str, torch.device], tuple[torch.Tensor, ...]]:
+        """What was brought to a device."""
+        return {}
+
+    def index_on(self, device: torch.device) -> torch.Tensor:
+        """The index on a device, brought there once."""
+        if ("index", device) not in self._kept:
+            self._kept["index", device] = (torch.as_tensor(self.index, device=device),)
+        return self._kept["index", device][0]
+
+    def neighbours_on(self, device: torch.device) -> tuple[torch.Tensor, ...]:
+        """Per axis (2, k), on a device: rows of vertices that are held, and of those next to them along the axis."""
+        if ("neighbours", device) not in self._kept:
+            pairs, vertex = [], torch.as_tensor(self.vertex_of_rows()[ROWS:])
+            row = torch.arange(ROWS, self.rows)
+            inside = (vertex < self.vertices).all(dim=1)
+            for axis in range(3):
+                after = vertex.clone()
+                after[:, axis] += 1
+                both = inside & (after[:, axis] < self.vertices)
+                pair = torch.stack([row[both], self.rows_of(after[both])])
+                pairs.append(pair[:, pair[1] >= ROWS].to(device))
+            self._kept["neighbours", device] = tuple(pairs)
+        return self._kept["neighbours", device]
+
+    def corner_rows(self, cell: torch.Tensor) -> torch.Tensor:
+        """(8, n) rows of the corners of cells (n, 3), z fastest."""
+        corner = torch.tensor([[a, b, c] for a in (0, 1) for b in (0, 1) for c in (0, 1)], device=cell.device)
+        return torch.stack([self.rows_of(cell + shift) for shift in corner])
+
     def rows_of(self, vertex: torch.Tensor) -> torch.Tensor:
         """(…,) row of vertices (…, 3), on their device."""
-        index = torch.as_tensor(self.index, device=vertex.device)
+        index = self.index_on(vertex.device)
         brick, inside = vertex // SIDE, vertex % SIDE
         number = index[brick[..., 0], brick[..., 1], brick[..., 2]].long()
         return ROWS * number + (inside[..., 0] * SIDE + inside[..., 1]) * SIDE + inside[..., 2]
@@ -102,7 +135,7 @@ class Bricks:
         return dense
 
     def around(self, occupied: np.ndarray) -> np.ndarray:
-        """(b, b, b) which bricks have a vertex of an occupied block of cells, or lie beside one that has."""
+        """(b, b, b) which bricks are those of an occupied block of cells, or lie beside one."""
         wide = np.zeros(self.index.shape, np.uint8)
         wide[tuple(slice(0, k) for k in occupied.shape)] = occupied
         return maximum_filter(wide, size=3, mode="constant") > 0

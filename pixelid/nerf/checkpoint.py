@@ -22,7 +22,8 @@ from pixelid.nerf.recipe import Recipe
 from pixelid.nerf.state import Problem, State, optimiser_of, start
 from pixelid.outputs import set_aside, whole_file
 
-FORMAT = "pixelid-reconstruction-checkpoint"
+FORMAT = "pixelid-reconstruction-checkpoint-2"
+OLDER = ("pixelid-reconstruction-checkpoint",)  # before fields lay in bricks
 
 
 def run_identity(problem: Problem, recipe: Recipe, bandwidth: Bandwidth, inputs: dict[str, str]) -> str:
@@ -69,14 +70,14 @@ def load(
     """The state of a checkpoint; None for a damaged file and for one of another run, which are set aside, and said."""
     try:
         document = torch.load(path, map_location=device, weights_only=True)
-        if document["format"] != FORMAT:
-            raise KeyError("format")
-        foreign = document["mark"] != mark
-        state = None if foreign else _restored(document, problem, recipe, bandwidth, device)
+        version, foreign = document["format"], document["mark"] != mark
+        state = None if foreign or version != FORMAT else _restored(document, problem, recipe, bandwidth, device)
     except Exception:  # unpickling fails in many ways, and so does what was pickled otherwise
         _refuse(path, "is no checkpoint of a reconstruction, or damaged", "damaged")
         return None
-    if state is None:
+    if state is None and str(version) in OLDER:
+        _refuse(path, "is of an earlier version of pixelid", "other")
+    elif state is None:
         _refuse(path, "is of a run with other data, options or seed", "other")
     return state
 

@@ -14,6 +14,8 @@ from pixelid.nerf.field import Field
 from pixelid.nerf.render import Rays
 from pixelid.nerf.views import Views
 
+RAYS_AT_ONCE = 1 << 16
+
 
 @dataclass(frozen=True)
 class Scores:
@@ -82,8 +84,18 @@ def render_views(field: Field, views: Views, dark, *, supersample: int = 1, engi
                 half = np.full(len(world), 0.5, np.float32)
                 for c in range(channels):
                     rays = Rays(origins, world, np.full(len(world), c), half)
-                    out[k, :, :, c] += field(rays, engine)[0].cpu().numpy().reshape(camera.height, camera.width)
+                    out[k, :, :, c] += _in_parts(field, rays, engine).reshape(camera.height, camera.width)
     return out / len(inside) + np.asarray(dark)
+
+
+def _in_parts(field: Field, rays: Rays, engine: str) -> np.ndarray:
+    """(n,) radiance of rays, so many at a time that their samples find room on a device."""
+    shown = []
+    for first in range(0, len(rays.origins), RAYS_AT_ONCE):
+        part = slice(first, first + RAYS_AT_ONCE)
+        some = Rays(rays.origins[part], rays.directions[part], rays.channels[part], rays.offsets[part])
+        shown.append(field(some, engine)[0].cpu().numpy())
+    return np.concatenate(shown)
 
 
 def score(predicted: np.ndarray, views: Views, correction: Correction) -> Scores:

@@ -17,10 +17,10 @@ import torch
 from pixelid.nerf import render_kernels
 from pixelid.nerf.bricks import CLEAR_DENSITY, ROWS, Bricks
 from pixelid.nerf.harmonics import number_of
-from pixelid.nerf.render import Box, Rays, cells_and_shares, interpolated, render
+from pixelid.nerf.render import Box, Rays, interpolated, render, rows_and_shares
 
 EMPTY = 0.02  # opacity of one step below which a block is skipped
-WHOLE = 161  # vertices per side up to which no brick is given up: less than 100 MB
+WHOLE = 161  # vertices per side up to which no brick is given up: 90 MB where there is one colour
 GROWN = 0.01  # opacity of one step that a brick begins with where a scene grows into it: not clear, hardly seen
 AT_ONCE = 1 << 20  # rows that are interpolated at a time: bounds memory, changes nothing
 
@@ -50,8 +50,10 @@ class Field(torch.nn.Module):
         self.log_background = torch.nn.Parameter(log_background, requires_grad=free_background)
 
     def _hold(self, bricks: Bricks, grid: torch.Tensor, coefficients: torch.Tensor, trained: bool) -> None:
-        """Take these rows for its own; every block is visited then."""
-        grid[:ROWS, 0], coefficients[:ROWS] = CLEAR_DENSITY, 0.0
+        """Take these rows for its own, of which those of no place and beyond the field are clear; visit every block."""
+        nowhere = torch.as_tensor((bricks.vertex_of_rows() >= bricks.vertices).any(axis=1), device=grid.device)
+        nowhere[:ROWS] = True
+        grid[nowhere, 0], coefficients[nowhere] = CLEAR_DENSITY, 0.0
         self.bricks = bricks
         self.grid = torch.nn.Parameter(grid)
         self.coefficients = torch.nn.Parameter(coefficients, requires_grad=trained)
@@ -108,10 +110,10 @@ class Field(torch.nn.Module):
         return float(self.occupied.mean())
 
     def refine(self, vertices: int) -> None:
-        """Interpolate to more vertices, in place; beyond `WHOLE` only about what is shown."""
+        """Interpolate to more vertices, in place; beyond `WHOLE` only about blocks that were found occupied last."""
+        self.follow()
         bricks = Bricks.every(vertices)
         if vertices > WHOLE:
-            self.look_for_empty_blocks()
             ratio, shown = (vertices - 1) / (self.vertices - 1), np.zeros(bricks.index.shape, np.uint8)
             for corner in np.floor(np.argwhere(self.occupied) * ratio).astype(int):
                 shown[tuple(slice(k, k + math.ceil(ratio)) for k in corner)] = 1
@@ -125,8 +127,7 @@ class Field(torch.nn.Module):
         out = values.new_empty((len(vertex), values.shape[1]))
         for first in range(0, len(vertex), AT_ONCE):
             point = torch.as_tensor(vertex[first : first + AT_ONCE] / (bricks.vertices - 1)).clamp(max=1.0)
-            at = cells_and_shares(point.to(values.device), self.vertices)
-            out[first : first + AT_ONCE] = interpolated(values, self.bricks, *at)
+            out[first : first + AT_ONCE] = interpolated(values, *rows_and_shares(point.to(values.device), self.bricks))
         return out.reshape(len(vertex), *held.shape[1:])
 
     def follow(self) -> np.ndarray | None:

@@ -130,17 +130,17 @@ def _tensors(grid: torch.Tensor, coefficients: torch.Tensor, background: torch.T
     inside = (t < far[:, None]) & hit[:, None]
     ray, sample = torch.nonzero(inside, as_tuple=True)
     point = (o[ray] + t[ray, sample][:, None] * d[ray] - low) / (high - low)  # 0 … 1 in the box
-    cell, shares = cells_and_shares(point, box.bricks.vertices)
-    block = cell // kernels.BLOCK
+    block = cells_at(point, box.bricks.vertices) // kernels.BLOCK
     there = box.bricks.index[tuple(slice(0, k) for k in box.occupied.shape)] > 0
     keep = torch.as_tensor(box.occupied * there, device=device)[block[:, 0], block[:, 1], block[:, 2]] > 0
-    ray, sample, cell, shares = ray[keep], sample[keep], cell[keep], shares[:, keep]
-    looked_up = _looked_up(grid, box.bricks, cell, shares)
+    ray, sample, point = ray[keep], sample[keep], point[keep]
+    rows, shares = rows_and_shares(point, box.bricks)
+    looked_up = interpolated(grid, rows, shares)
     shown = looked_up[:, 0] > math.log(kernels.CLEAR / box.step)
     sigma = torch.exp(looked_up[:, 0].clamp(max=kernels.HIGHEST)) * shown
     value = looked_up[:, 1:].gather(1, channel[ray][:, None])[:, 0]
     if coefficients.shape[-1]:
-        directional = _looked_up(coefficients.flatten(1), box.bricks, cell, shares)
+        directional = interpolated(coefficients.flatten(1), rows, shares)
         own = torch.arange(len(ray), device=device), channel[ray]
         directional = directional.reshape(-1, *coefficients.shape[1:])[own]
         value = value + (directional * harmonics(d, coefficients.shape[-1])[ray]).sum(dim=1)
@@ -158,27 +158,27 @@ def _tensors(grid: torch.Tensor, coefficients: torch.Tensor, background: torch.T
     return radiance + T * background[channel], (1 - T).detach()
 
 
-def cells_and_shares(point: torch.Tensor, vertices: int) -> tuple[torch.Tensor, torch.Tensor]:
-    """(cell (n, 3), shares (8, n) of its corners, z fastest) of points (n, 3), 0 … 1 in the box."""
-    at = point * (vertices - 1)
-    cell = at.long().clamp(min=0, max=vertices - 2)
-    x, y, z = (at - cell).unbind(dim=1)
+def cells_at(point: torch.Tensor, vertices: int) -> torch.Tensor:
+    """(n, 3) cells in which points (n, 3) are, 0 … 1 in the box."""
+    return (point * (vertices - 1)).long().clamp(min=0, max=vertices - 2)
+
+
+def rows_and_shares(point: torch.Tensor, bricks: Bricks) -> tuple[torch.Tensor, torch.Tensor]:
+    """(rows (8, n) of the corners about points (n, 3), their shares (8, n)), z fastest; points 0 … 1 in the box."""
+    cell = cells_at(point, bricks.vertices)
+    x, y, z = (point * (bricks.vertices - 1) - cell).unbind(dim=1)
     ends = ((1 - x, x), (1 - y, y), (1 - z, z))
-    return cell, torch.stack([a * b * c for a in ends[0] for b in ends[1] for c in ends[2]])
+    return bricks.corner_rows(cell), torch.stack([a * b * c for a in ends[0] for b in ends[1] for c in ends[2]])
 
 
-def interpolated(values: torch.Tensor, bricks: Bricks, cell: torch.Tensor, shares: torch.Tensor) -> torch.Tensor:
-    """(n, features) trilinear values of (rows, features) in cells (n, 3), of shares (8, n)."""
-    corner = torch.tensor([[a, b, c] for a in (0, 1) for b in (0, 1) for c in (0, 1)], device=cell.device)
-    total = values.new_zeros((len(cell), values.shape[1]))
-    for k in range(8):
-        total = total + shares[k][:, None].to(values.dtype) * values[bricks.rows_of(cell + corner[k])]
+def interpolated(values: torch.Tensor, rows: torch.Tensor, shares: torch.Tensor) -> torch.Tensor:
+    """(n, features) trilinear values of (rows, features); those of no place have no gradient."""
+    total = values.new_zeros((rows.shape[1], values.shape[1]))
+    for row, share in zip(rows, shares, strict=True):
+        corner = values[row]
+        corner = torch.where((row >= ROWS)[:, None], corner, corner.detach())
+        total = total + share[:, None].to(values.dtype) * corner
     return total
-
-
-def _looked_up(values: torch.Tensor, bricks: Bricks, cell: torch.Tensor, shares: torch.Tensor) -> torch.Tensor:
-    """`interpolated`, the rows of no place without gradient."""
-    return interpolated(torch.cat([values[:ROWS].detach(), values[ROWS:]]), bricks, cell, shares)
 
 
 def render(

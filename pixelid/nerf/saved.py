@@ -180,7 +180,9 @@ def read_field(folder: Path) -> Field:
     with interpreting(folder / FIELD, "a scene"):
         _check_scene(arrays)
         grid = torch.from_numpy(arrays["grid"].astype(np.float32))
-        bricks = Bricks.of_index(int(arrays["vertices"]), arrays["bricks"]) if "bricks" in arrays else None
+        bricks = None
+        if "bricks" in arrays:
+            bricks = Bricks.of_index(arrays["vertices"].astype(int).item(), arrays["bricks"])
         shape = (bricks.rows,) if bricks is not None else (grid.shape[0],) * 3
         channels = arrays["background"].size
         if grid.shape != (*shape, 1 + channels):
@@ -195,6 +197,7 @@ def read_field(folder: Path) -> Field:
             scene.hold_dense(grid, coefficients)
         else:
             scene.hold(bricks, grid, coefficients)
+            scene.look_for_empty_blocks()  # bricks that it has just grown into are not seen while it is trained either
         return scene
 
 

@@ -30,16 +30,9 @@ def variation(grid: torch.Tensor, bricks: Bricks, engine: str = "auto") -> torch
 
 
 def _variation_of_tensors(grid: torch.Tensor, bricks: Bricks) -> torch.Tensor:
-    vertex = torch.as_tensor(bricks.vertex_of_rows()[ROWS:], device=grid.device)
-    here, total = grid[ROWS:, 1:], grid.new_zeros(())
-    inside = (vertex < bricks.vertices).all(dim=1)
-    for axis in range(3):
-        after = vertex.clone()
-        after[:, axis] += 1
-        both = inside & (after[:, axis] < bricks.vertices)
-        at = bricks.rows_of(after[both])
-        held = at >= ROWS
-        total = total + (grid[at[held], 1:] - here[both][held]).abs().sum()
+    colour, total = grid[:, 1:], grid.new_zeros(())
+    for here, after in bricks.neighbours_on(grid.device):
+        total = total + (colour[after] - colour[here]).abs().sum()
     return total * _share(bricks, grid.shape[1])
 
 

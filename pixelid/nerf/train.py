@@ -12,6 +12,7 @@ import numpy as np
 import torch
 
 from pixelid.nerf import parallel
+from pixelid.nerf.field import WHOLE
 from pixelid.nerf.losses import quiet_change, terms, total, unexplained, variance_left
 from pixelid.nerf.predict import EPSILON, draw, draw_quiet, light, predict, response
 from pixelid.nerf.recipe import Recipe
@@ -19,6 +20,7 @@ from pixelid.nerf.render import Rays
 from pixelid.nerf.smoothness import mean_log_density, mean_square, variation
 from pixelid.nerf.state import Problem, State, follow, optimiser_of
 
+FIRST_LOOK = 64  # steps before which clear space cannot be told from a scene that has not grown yet
 FOLLOW = 64  # steps after which the bricks of a fine field follow the scene, which grows by one of them in that time
 PAIRS = 3  # of times in which nothing fired, per chain: a twentieth of the rays of a step
 
@@ -26,7 +28,7 @@ PAIRS = 3  # of times in which nothing fired, per chain: a twentieth of the rays
 def step(problem: Problem, recipe: Recipe, state: State) -> dict[str, float]:
     """One step of training, in place; what it measured.  A loss that is no number changes nothing but `diverged`."""
     wanted = recipe.vertices_at(state.iteration)
-    if wanted != state.field.vertices:
+    if wanted != state.field.vertices and (wanted <= WHOLE or state.iteration >= FIRST_LOOK):
         state.field.refine(wanted)
         state.optimiser = optimiser_of(state.field, state.pixel, state.poses, recipe)
     for group in state.optimiser.param_groups:
@@ -65,7 +67,7 @@ def step(problem: Problem, recipe: Recipe, state: State) -> dict[str, float]:
     state.pixel.keep_within_bounds()
     state.iteration += 1
     state.rays += len(batch.t) * recipe.supersample**2
-    if state.iteration % 16 == 0 and state.iteration >= 64:
+    if state.iteration % 16 == 0 and state.iteration >= FIRST_LOOK:
         state.field.look_for_empty_blocks()
         if state.iteration % FOLLOW == 0:
             follow(state)

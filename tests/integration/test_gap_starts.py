@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from pixelid.fit.maximise import maximise
+from pixelid.gap import search
 from pixelid.gap.attribute.attribute import Attribution, Candidate
 from pixelid.gap.attribute.candidates import strongest_start
 from pixelid.gap.criteria import Criteria
@@ -15,6 +16,7 @@ from pixelid.gap.imputation.impute import impute_with_effect
 from pixelid.gap.imputation.imputed import QUEUE, Imputation
 from pixelid.gap.imputation.windows import guess_edges, queue_windows, with_times
 from pixelid.gap.options import Context, Options
+from pixelid.gap.phases import Phase
 from pixelid.gap.rounds import entry
 from pixelid.gap.search import begin
 from pixelid.gap.state import NamedStep
@@ -104,7 +106,7 @@ def behind_a_queue(lost):
         assert (np.abs(t - window.hi)[window.lo == window.hi] <= 1.0).all()
         wrong = (window.hi > window.lo) & (rng.random(len(t)) < 0.01)
         t[wrong] = window.lo[wrong]
-    return Imputation(QUEUE, tuple(r.stimulus for r in fine), fine, windows, tuple(times), {}, {})
+    return Imputation(QUEUE, tuple(r.stimulus for r in fine), fine, windows, tuple(times), rng.bit_generator.state, {})
 
 
 @pytest.mark.parametrize("lost", [0.0, 0.01, 0.1])
@@ -135,6 +137,12 @@ def test_lost_events_that_are_only_misplaced_are_withdrawn_and_not_tried_again(l
     assert len(left.steps) == int(lost > 0)
     assert left.given_up == (frozenset() if lost else {"lost_events"})
     assert left.rounds[0].get("withdrawn") == (None if lost else ONLY_WHERE_DRAWN)
+
+
+def test_a_first_effect_that_was_refused_leaves_a_round_to_go_on_with(complete, monkeypatch):
+    monkeypatch.setattr(search, "name_effect", lambda state, context: state)
+    state = replace(complete, phase=Phase.NAME, turn=1, given_up=frozenset({"lost_events"}))
+    assert search.name_next(state, CONTEXT) is state
 
 
 def test_a_knee_between_the_dark_current_and_the_light_is_found():

@@ -232,6 +232,16 @@ def test_a_field_in_bricks_learns_what_a_whole_one_does_and_resumes(made, tmp_pa
     assert torch.equal(sparse.field.coefficients, resumed.field.coefficients)
 
 
+def test_a_short_training_of_a_fine_field_keeps_what_has_not_grown_yet(made):
+    """Nothing of an untrained field is dense; it stays coarse until clear space can be told from that."""
+    problem, recipe = problem_of(read_dataset(made)), Recipe(iterations=30, batch=16).with_cells(200)
+    state = train(problem, recipe, start(problem, recipe, Bandwidth("off")))
+    assert recipe.vertices == (51, 101, 201)
+    assert state.field.vertices == 101
+    assert state.field.bricks.whole
+    assert held_out_residual(problem, state) < 1.0
+
+
 def test_a_checkpoint_of_another_run_or_a_damaged_one_is_set_aside(made, tmp_path, capsys):
     words = ["reconstruct", str(made), "--quiet", "--iterations", "5"]
     kept = ["--checkpoint", str(tmp_path / "state.pt")]

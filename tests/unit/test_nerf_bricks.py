@@ -198,6 +198,29 @@ def test_the_optimiser_follows_with_what_it_has_noted(sparse):
     state.optimiser.step()
 
 
+def test_a_scene_that_has_outgrown_its_bricks_is_refined_with_those_it_grows_into(sparse, monkeypatch):
+    with torch.no_grad():
+        sparse.grid[ROWS:, 0] = 3.0
+    sparse.look_for_empty_blocks()
+    sparse.refine(65)
+    inside = (sparse.bricks.vertex_of_rows() < 65).all(axis=1)
+    inside[:ROWS] = False
+    assert float(sparse.grid.detach()[torch.from_numpy(inside), 0].min()) > -6.0
+
+
+def test_what_a_scene_has_just_grown_into_shows_neither_in_training_nor_once_written(sparse, tmp_path):
+    with torch.no_grad():
+        sparse.grid[ROWS:, 0] = 3.0
+    sparse.look_for_empty_blocks()
+    assert sparse.follow() is not None
+    sparse.look_for_empty_blocks()  # as training does every few steps
+    with torch.no_grad():
+        shown = sparse(rays())[0]
+    write_field(sparse, tmp_path)
+    with torch.no_grad():
+        torch.testing.assert_close(read_field(tmp_path)(rays())[0], shown, rtol=1e-2, atol=1e-3)
+
+
 def test_a_field_in_bricks_is_written_and_read(sparse, tmp_path):
     write_field(sparse, tmp_path)
     read = read_field(tmp_path)
@@ -205,7 +228,15 @@ def test_a_field_in_bricks_is_written_and_read(sparse, tmp_path):
     np.testing.assert_allclose(read.grid.detach().numpy(), sparse.grid.detach().numpy(), rtol=1e-3, atol=1e-4)
     arrays: dict[str, Any] = dict(np.load(tmp_path / "field.npz"))
     index = arrays["bricks"]
-    for wrong in ({"bricks": index[:-1]}, {"bricks": 2 * index}, {"vertices": 40}, {"grid": arrays["grid"][:-1]}):
+    nothing = {"bricks": np.zeros((300, 300, 300), np.uint8), "vertices": 1200, "grid": arrays["grid"][:ROWS]}
+    nothing["coefficients"] = arrays["coefficients"][:ROWS]  # a small file that would spread out to gigabytes
+    for wrong in (
+        {"bricks": index[:-1]},
+        {"bricks": 2 * index},
+        {"vertices": 40},
+        nothing,
+        {"grid": arrays["grid"][:-1]},
+    ):
         changed: dict[str, Any] = arrays | wrong
         np.savez(tmp_path / "field.npz", **changed)
         with pytest.raises(InputError):

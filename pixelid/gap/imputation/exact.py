@@ -1,8 +1,8 @@
-"""What intervals of exactly known times say of lost events, behind a queue.
+"""What intervals of exactly known times say, behind a queue.
 
 While a readout is busy, times are drawn, and an event drawn into the wrong place leaves an interval that nothing
 explains but a lost event.  Events get lost by chance, whatever the readout does: then intervals that begin and end
-while it was idle, whose times are known, lack as large a share.
+while it was idle, whose times are known, lack as large a share.  What they leave unexplained, drawn times do, too.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import numpy as np
 from scipy.stats import poisson
 
 from pixelid.gap.imputation.imputed import QUEUE, Imputation
+from pixelid.likelihood.event_times import EventTimes
 from pixelid.model.model import Model
 
 LOST, FRACTION = "lost_events", "lost_events.fraction"
@@ -33,10 +34,30 @@ def loses_where_times_are_exact(imputation: Imputation, fitted: Model, without: 
     if imputation.effect != QUEUE or not imputation.windows:
         return True
     likelihood = imputation.likelihood
-    exact = np.concatenate([
-        (window.lo == window.hi)[intervals.event] & (window.lo == window.hi)[intervals.previous_event]
-        for window, intervals in zip(imputation.windows, likelihood.intervals, strict=True)
-    ])  # fmt: skip
+    exact = exact_intervals(imputation, likelihood)
     unexplained = float(likelihood.terms(without.circuit()).unexplained[exact].sum())
     expected = MIN_SHARE * fitted.values[FRACTION] * np.count_nonzero(exact)
     return bool(poisson.cdf(unexplained, expected) >= alpha)
+
+
+def exact_intervals(imputation: Imputation, likelihood: EventTimes) -> np.ndarray:
+    """(n,) bool, intervals of the imputation's likelihood whose events did not wait."""
+    return np.concatenate([
+        (window.lo == window.hi)[intervals.event] & (window.lo == window.hi)[intervals.previous_event]
+        for window, intervals in zip(imputation.windows, likelihood.intervals, strict=True)
+    ])  # fmt: skip
+
+
+def keeps_its_times(imputation: Imputation, model: Model, most: float) -> np.ndarray:
+    """(recordings,) bool, whether drawn times leave few events of a recording unexplained.
+
+    Few is `most` of them, beyond what the model leaves unexplained where times are exact: events that it lacks.  An
+    event that it lacks spoils the times drawn on either side of it.
+    """
+    likelihood = imputation.likelihood
+    unexplained, of = likelihood.terms(model.circuit()).unexplained, likelihood.recording_of_event
+    number = np.bincount(of, minlength=len(likelihood.recordings))
+    share = np.bincount(of, unexplained, len(likelihood.recordings)) / np.maximum(number, 1)
+    exact = exact_intervals(imputation, likelihood)
+    lacking = float(unexplained[exact].sum()) / max(np.count_nonzero(exact), 1)
+    return share <= most + 2.0 * lacking

@@ -22,6 +22,7 @@ from pixelid.fit.maximise import Maximum, maximise
 from pixelid.fit.starts import feasible
 from pixelid.gap.detect.pixels import SCREEN_EVENTS
 from pixelid.gap.imputation.blurred import follow, follow_again
+from pixelid.gap.imputation.exact import keeps_its_times
 from pixelid.gap.imputation.imputed import JITTER, QUEUE, SIGMA, TICK, Imputation, draw_again
 from pixelid.gap.imputation.paths import followable
 from pixelid.gap.imputation.windows import (
@@ -44,7 +45,7 @@ from pixelid.recordings.selection import few
 
 FINEST_TICK_S = 5e-6  # a finer tick is a width of the event-time density, not a window
 SHORT_SERVICE_TIMES = 20.0  # windows (nine of ten) of the recordings that the first stage begins with
-MIN_EVENTS = 100  # to begin with
+MIN_EVENTS = 100  # to begin with, and to go on with
 MOSTLY_WAITED, MIN_EVENTS_AT_ONCE = 0.1, 1000  # of events that waited, and of recordings where fewer did, to begin anew
 ROUNDS = (20, 8, 8)  # of draws and refits in each stage, the last with exact draws
 ROUNDS_AT_ONCE = 12  # with recordings where few waited: hardly anything is drawn
@@ -160,8 +161,9 @@ def impute(
     whole, model = _begin(whole, brief, whole.with_filter_priors(model), options.seed, report, cache)
     whole, model = impute_again(whole, model, ROUNDS[1], exact=False, report=report, cache=cache)
     whole, model = impute_again(whole, model, ROUNDS[2], report=report, cache=cache)
-    kept = _unexplained_share(whole.likelihood, model) <= options.criteria.max_unexplained_share_of_recording
-    if keep_all or not kept.any():  # events unexplained everywhere: the model is wrong, not the times
+    kept = keeps_its_times(whole, model, options.criteria.max_unexplained_share_of_recording)
+    events = sum(len(w.hi) for w, stays in zip(whole.windows, kept, strict=True) if stays)
+    if keep_all or events < MIN_EVENTS:  # events unexplained everywhere: the model is wrong, not the times
         return whole
     return whole.only(kept)
 
@@ -250,13 +252,6 @@ def _completed(whole: Imputation, part: Imputation, chosen: np.ndarray, model: M
     for _ in range(SETTLING_DRAWS):
         whole = draw_again(whole, model)
     return whole
-
-
-def _unexplained_share(likelihood: EventTimes, model: Model) -> np.ndarray:
-    """(recordings,) share of the events without a cause."""
-    background = likelihood.terms(model.circuit()).unexplained
-    n = np.bincount(likelihood.recording_of_event, minlength=len(likelihood.recordings))
-    return np.bincount(likelihood.recording_of_event, background, len(likelihood.recordings)) / np.maximum(n, 1)
 
 
 def _filter_priors(model: Model) -> dict[str, Prior]:

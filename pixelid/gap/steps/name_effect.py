@@ -15,7 +15,14 @@ from pixelid.gap.detect.diagnostics import diagnose
 from pixelid.gap.detect.pixels import NOISE, PixelEvidence, is_noisy, reconsider_stimuli, relative_noise
 from pixelid.gap.detect.words import where
 from pixelid.gap.imputation.exact import LOST, loses_where_times_are_exact
-from pixelid.gap.imputation.impute import FINEST_TICK_S, JITTER, QUEUE, impute_behind_jitter, impute_with_effect
+from pixelid.gap.imputation.impute import (
+    FINEST_TICK_S,
+    JITTER,
+    QUEUE,
+    impute_again,
+    impute_behind_jitter,
+    impute_with_effect,
+)
 from pixelid.gap.options import Context
 from pixelid.gap.phases import Phase
 from pixelid.gap.rounds import amended, attribution_entry, withdrawn
@@ -249,7 +256,10 @@ def without_misplaced(state: State, context: Context) -> State:
     fit = maximise(hypothesis.evidence.training, less, tolerance=0.01, max_steps=40, cache=context.cache)
     if not _is_misplaced(state, model, fit.model, context):
         return state
-    return replace(_without(state, LOST, fit, ONLY_WHERE_DRAWN), given_up=state.given_up | {LOST})
+    state = replace(_without(state, LOST, fit, ONLY_WHERE_DRAWN), given_up=state.given_up | {LOST})
+    assert state.imputation is not None
+    imputation, model = impute_again(state.imputation, fit.model, cache=context.cache)
+    return _at_imputed_times(replace(state, imputation=imputation), model, state.hypothesis.start, context)
 
 
 def _is_misplaced(state: State, fitted: Model, without: Model, context: Context) -> bool:

@@ -12,6 +12,7 @@ from pixelid.errors import InputError
 from pixelid.nerf.evaluate import render_views
 from pixelid.nerf.field import Field
 from pixelid.nerf.harmonics import harmonics
+from pixelid.nerf.render import interpolated, rows_and_shares
 from pixelid.nerf.views import Views
 
 SURFACE = 0.5  # opacity of one cell at which a surface is drawn
@@ -30,7 +31,7 @@ class Mesh(NamedTuple):
 
 def vertex_values(field: Field) -> tuple[np.ndarray, np.ndarray]:
     """(log density (n, n, n), log radiance (n, n, n, C)) at the vertices of a field."""
-    grid, _ = field.dense()
+    grid = field.bricks.spread_out(field.grid.detach().cpu().numpy())
     return grid[..., 0], grid[..., 1:]
 
 
@@ -84,13 +85,15 @@ def mesh_of(field: Field) -> Mesh:
     # "ascent": density is high inside, so that normals and the faces' sense point outwards
     vertices, faces, normals, _ = marching_cubes(padded, level, gradient_direction="ascent")
     at = np.clip(vertices - 1, 0, np.array(density.shape) - 1)
-    _, coefficients = field.dense()
+    place = rows_and_shares(torch.from_numpy(at / (np.array(density.shape) - 1)).to(field.grid.device), field.bricks)
+    coefficients = interpolated(field.coefficients.detach().flatten(1), *place).cpu().numpy()
+    coefficients = coefficients.reshape(len(at), *field.coefficients.shape[1:])
     head_on = harmonics(torch.from_numpy(-normals), coefficients.shape[-1]).numpy()
     radiance = np.empty((len(at), log_radiance.shape[-1]))
     for c in range(radiance.shape[1]):
         radiance[:, c] = map_coordinates(log_radiance[..., c], at.T, order=1)
         for k in range(coefficients.shape[-1]):
-            radiance[:, c] += map_coordinates(coefficients[..., c, k], at.T, order=1) * head_on[:, k]
+            radiance[:, c] += coefficients[:, c, k] * head_on[:, k]
     return Mesh(field.low + (vertices - 1) * spacing, normals, np.exp(radiance), faces)
 
 

@@ -77,9 +77,10 @@ def splats_of(field: Field) -> Splats:
     index = np.argwhere((opacity > EMPTY) & ~hidden)
     if len(index) == 0:
         raise InputError("the scene has no splats: everything in it is clear")
-    at = tuple(index.T)
+    at, rows = tuple(index.T), field.bricks.rows_of(torch.from_numpy(index)).to(field.grid.device)
+    coefficients = field.coefficients.detach()[rows]
     return Splats(
-        field.low + index * spacing, log_radiance[at], field.dense()[1][at],
+        field.low + index * spacing, log_radiance[at], coefficients.cpu().numpy(),
         np.minimum(opacity[at], MOST_OPACITY), spacing / math.sqrt(2 * math.pi),
     )  # fmt: skip
 
