@@ -21,7 +21,7 @@ def test_a_write_that_fails_is_said_and_the_old_checkpoint_stays(tmp_path, monke
 
     monkeypatch.setattr(torch, "save", fails)
     state = MagicMock()
-    state.field.occupied = np.zeros(3, bool)
+    state.field.occupied, state.field.bricks.index = np.zeros(3, bool), np.zeros(3, np.int32)
     with pytest.raises(OutputError, match=r"field\.ckpt: cannot be written"):
         checkpoint.save(file, state, "")
     assert file.read_bytes() == b"old"
