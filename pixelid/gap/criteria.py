@@ -53,6 +53,8 @@ class Criteria:
             times.  Chosen on simulated queues.
         max_unexplained_share_of_recording: Of its events at imputed times, beyond which they count as lost.  Chosen on
             simulated queues: a hundred times what a true model leaves at true times.
+        min_lost_share_at_exact_times: Of the fitted fraction of lost events, by which events that did not wait in a
+            queue must be fewer: beside true losses, some of what drawn times leave is misplaced.  A choice.
         max_jitter_divergence_nats: Relative entropy per event between the imputed displacements of a recording's
             polarity and the one normal that a jitter is: 0.1 is a shift by 0.45 or a spread by 1.33.
     Shot noise
@@ -87,6 +89,7 @@ class Criteria:
     min_description_share: float = 1.0
     max_wait_service_times: float = 200.0
     max_unexplained_share_of_recording: float = 0.01
+    min_lost_share_at_exact_times: float = 0.5
     max_jitter_divergence_nats: float = 0.1
     min_shot_noise_gain_nats: float = 20.0
     max_share_left_by_shot_noise: float = 0.3

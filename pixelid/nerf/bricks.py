@@ -3,8 +3,7 @@
 A field of n vertices per side is cut into ⌈n/4⌉³ bricks.  Those that are there lie one behind the other, 64 rows each;
 `index` says where.  The first 64 rows belong to no place: a brick that is missing reads them, clear and without
 gradient, so that the renderer has one way to find a corner.  Memory and the work of a step then grow with the surface
-of what is shown, not with the volume of the box.  Source: bricks of a dense grid as in Chen et al., ACM TOG 2007, and
-Museth, ACM TOG 2013.
+of what is shown, not with the volume of the box.  Source: Museth, ACM TOG 32, 27, 2013 (a tree over such bricks).
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ from numba import njit
 from scipy.ndimage import maximum_filter
 
 SIDE, ROWS = 4, 64  # vertices per side of a brick, and in it
-MOST_VERTICES = 1025  # per side, of fields that are read: four times those that a reconstruction has by itself
+MOST_VERTICES = 1025  # per side, of fields that are read: twice those that a reconstruction has by itself
 CLEAR_DENSITY = -30.0  # log density where no brick is
 
 

@@ -21,7 +21,7 @@ from pixelid.nerf.smoothness import mean_log_density, mean_square, variation
 from pixelid.nerf.state import Problem, State, follow, optimiser_of
 
 FIRST_LOOK = 64  # steps before which clear space cannot be told from a scene that has not grown yet
-FOLLOW = 64  # steps after which the bricks of a fine field follow the scene, which grows by one of them in that time
+FOLLOW = 64  # steps after which the bricks of a fine field follow the scene, by one at a time
 PAIRS = 3  # of times in which nothing fired, per chain: a twentieth of the rays of a step
 
 

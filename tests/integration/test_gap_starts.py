@@ -115,8 +115,9 @@ def test_lost_events_have_to_be_missing_where_times_are_exact_too(lost):
     drawn = behind_a_queue(lost)
     without = maximise(drawn.likelihood, MODEL, tolerance=0.1, max_steps=30).model
     fitted = without.with_effect("lost_events", {"fraction": max(lost, 0.005)})
-    assert loses_where_times_are_exact(drawn, fitted, without, 0.01) == (lost > 0)
-    assert loses_where_times_are_exact(replace(drawn, effect="timestamp_quantisation"), fitted, without, 0.01)
+    assert loses_where_times_are_exact(drawn, fitted, without, CONTEXT.options) == (lost > 0)
+    ticked = replace(drawn, effect="timestamp_quantisation")
+    assert loses_where_times_are_exact(ticked, fitted, without, CONTEXT.options)
 
 
 @pytest.mark.parametrize("lost", [0.0, 0.05])

@@ -9,7 +9,7 @@ from scipy.special import factorial, lpmv
 from pixelid.nerf.bricks import Bricks
 from pixelid.nerf.camera import Camera, pinhole
 from pixelid.nerf.correction import fit_correction
-from pixelid.nerf.field import Field
+from pixelid.nerf.field import Field, blocks
 from pixelid.nerf.harmonics import fill, harmonics, number_of
 from pixelid.nerf.render import Box, Rays, render
 from pixelid.nerf.scenes import procedural, random_views, spiral
@@ -22,8 +22,7 @@ LOW, HIGH = np.full(3, -1.0), np.full(3, 1.0)
 def cube(vertices: int, step: float, occupied=None) -> Box:
     """A box whose bricks are all there."""
     bricks = Bricks.every(vertices)
-    blocks = np.ones((-(-(vertices - 1) // 4),) * 3, np.uint8)
-    return Box(LOW, HIGH, step, blocks if occupied is None else occupied, bricks)
+    return Box(LOW, HIGH, step, np.ones(blocks(vertices), np.uint8) if occupied is None else occupied, bricks)
 
 
 def rendered(grid, background, rays, box, engine="auto", coefficients=None):

@@ -11,22 +11,22 @@ import numpy as np
 from scipy.stats import poisson
 
 from pixelid.gap.imputation.imputed import QUEUE, Imputation
+from pixelid.gap.options import Options
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.model.model import Model
 
 LOST, FRACTION = "lost_events", "lost_events.fraction"
-# Of the fitted fraction: beside true losses, some of what is unexplained among drawn times is misplaced.
-MIN_SHARE = 0.5
+SPOILED = 2.0  # drawn times that an event which the model lacks makes unexplained: on either side of it
 
 
-def loses_where_times_are_exact(imputation: Imputation, fitted: Model, without: Model, alpha: float) -> bool:
+def loses_where_times_are_exact(imputation: Imputation, fitted: Model, without: Model, options: Options) -> bool:
     """Whether intervals of exact times may lack as many events as a fit says; true where times are no queue's.
 
     Args:
         imputation: with the times drawn last.
         fitted: with lost events.
         without: the same without them, fitted.
-        alpha: chance of finding too few of half as many.
+        options: with the share of the fitted fraction that they must lack, and the chance to find too few of so many.
 
     Returns:
         False where they are too few.
@@ -36,8 +36,9 @@ def loses_where_times_are_exact(imputation: Imputation, fitted: Model, without: 
     likelihood = imputation.likelihood
     exact = exact_intervals(imputation, likelihood)
     unexplained = float(likelihood.terms(without.circuit()).unexplained[exact].sum())
-    expected = MIN_SHARE * fitted.values[FRACTION] * np.count_nonzero(exact)
-    return bool(poisson.cdf(unexplained, expected) >= alpha)
+    share = options.criteria.min_lost_share_at_exact_times
+    expected = share * fitted.values[FRACTION] * np.count_nonzero(exact)
+    return bool(poisson.cdf(unexplained, expected) >= options.alpha_each)
 
 
 def exact_intervals(imputation: Imputation, likelihood: EventTimes) -> np.ndarray:
@@ -51,8 +52,7 @@ def exact_intervals(imputation: Imputation, likelihood: EventTimes) -> np.ndarra
 def keeps_its_times(imputation: Imputation, model: Model, most: float) -> np.ndarray:
     """(recordings,) bool, whether drawn times leave few events of a recording unexplained.
 
-    Few is `most` of them, beyond what the model leaves unexplained where times are exact: events that it lacks.  An
-    event that it lacks spoils the times drawn on either side of it.
+    Few is `most` of them, beyond what the model leaves unexplained where times are exact: events that it lacks.
     """
     likelihood = imputation.likelihood
     unexplained, of = likelihood.terms(model.circuit()).unexplained, likelihood.recording_of_event
@@ -60,4 +60,4 @@ def keeps_its_times(imputation: Imputation, model: Model, most: float) -> np.nda
     share = np.bincount(of, unexplained, len(likelihood.recordings)) / np.maximum(number, 1)
     exact = exact_intervals(imputation, likelihood)
     lacking = float(unexplained[exact].sum()) / max(np.count_nonzero(exact), 1)
-    return share <= most + 2.0 * lacking
+    return share <= most + SPOILED * lacking

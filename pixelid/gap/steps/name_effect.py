@@ -265,9 +265,9 @@ def without_misplaced(state: State, context: Context) -> State:
 def _is_misplaced(state: State, fitted: Model, without: Model, context: Context) -> bool:
     """Whether what a model says is lost is so only where times are drawn."""
     imputation = state.imputation
-    return imputation is not None and not loses_where_times_are_exact(
-        imputation, fitted, without, context.options.alpha_each
-    )
+    if imputation is None:
+        return False
+    return not loses_where_times_are_exact(imputation, fitted, without, context.options)
 
 
 def _without(state: State, effect: str, fit: Maximum, why: str) -> State:
