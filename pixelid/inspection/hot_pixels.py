@@ -64,10 +64,39 @@ def find_hot_pixels(events: Events) -> list[HotPixel]:
     return hot_of_counts(counts.reshape(events.height, events.width), events.duration_s)
 
 
-def hot_of_counts(image: np.ndarray, duration_s: float) -> list[HotPixel]:
-    """The same from (height, width) events per pixel in so many seconds."""
-    from scipy.ndimage import median_filter
+def median_around(
+    image: np.ndarray, kept: np.ndarray | None = None, side: int = NEIGHBOURHOOD, centre: bool = True
+) -> np.ndarray:
+    """The median of an image about every pixel.
 
+    Args:
+        image: (height, width).
+        kept: (pixels,) bool, those that have a value; None for all.
+        side: of the square; where pixels are missing, as many that are kept, the nearest.
+        centre: whether the pixel itself counts.
+
+    Returns:
+        (pixels,), 0 for pixels that are not kept.
+    """
+    from scipy.ndimage import median_filter
+    from scipy.spatial import cKDTree
+
+    if kept is None:
+        footprint = np.ones((side, side), bool)
+        footprint[side // 2, side // 2] = centre
+        return median_filter(image, footprint=footprint, mode="mirror").ravel()
+    there = np.flatnonzero(kept)
+    position = np.column_stack(np.divmod(there, image.shape[1]))
+    most = min(side * side, len(there))
+    _, nearest = cKDTree(position).query(position, k=most)
+    nearest = nearest.reshape(len(there), most)  # itself first
+    values, around = image.ravel()[there], np.zeros(image.size)
+    around[there] = np.median(values[nearest if centre or most == 1 else nearest[:, 1:]], axis=1)
+    return around
+
+
+def hot_of_counts(image: np.ndarray, duration_s: float, kept: np.ndarray | None = None) -> list[HotPixel]:
+    """The same from (height, width) events per pixel in so many seconds; kept: (pixels,) bool, None for all."""
     if image.sum() < MIN_EVENTS or duration_s <= 0:
         return []
     width = image.shape[1]
@@ -78,7 +107,8 @@ def hot_of_counts(image: np.ndarray, duration_s: float) -> list[HotPixel]:
     log = np.log(active)
     spread = 1.4826 * float(np.median(np.abs(log - np.median(log))))
     population = max(middle * np.exp(ROBUST_SIGMAS * min(spread, 1.0)), OVER_NEIGHBOURS * middle)
-    around = OVER_NEIGHBOURS * np.maximum(median_filter(image, NEIGHBOURHOOD, mode="mirror"), counts.mean()).ravel()
+    usual = counts.mean() if kept is None else counts[kept].mean()
+    around = OVER_NEIGHBOURS * np.maximum(median_around(image, kept), usual)
     needed = np.maximum(population + 6 * np.sqrt(population), around + 6 * np.sqrt(around))
     hot = np.flatnonzero(counts > np.maximum(needed, MIN_EVENTS))
     hot = hot[np.argsort(-counts[hot], kind="stable")]

@@ -12,7 +12,7 @@ unit is tied to the dataset's by q_in, which both quote (the fit in its gauge).
 from __future__ import annotations
 
 import math
-from dataclasses import astuple, dataclass
+from dataclasses import astuple, dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -34,6 +34,7 @@ CIRCUIT = (
     "input_time_const_eff_it_prod", "miller_time_const_eff_it_prod", "black_level", "amplifier_gain",
     "closed_loop_gain", "output_time_const", "lower_cutoff_freq", "sf_cutoff_freq", "diff_amp_cutoff_freq",
 )  # fmt: skip
+KEPT = "kept_pixels"  # optional: (height, width) bool
 COLOURS = "RGB"
 
 
@@ -44,7 +45,8 @@ class Calibration:
     camera: of the event sensor;  bayer: "" (monochrome) or four letters, the 2 × 2 colours row by row;
     circuit: in the views' radiance unit, `dark` included;  dark: (C,) black level per colour channel;
     q_in: the input time constant × radiance [unit·s], which ties fits of other units to this one;
-    known: whether the file has the circuit (data sets of Robust e-NeRF have thresholds and dead time only)
+    known: whether the file has the circuit (data sets of Robust e-NeRF have thresholds and dead time only);
+    kept: (pixels,) bool, row-major, whose events the data set has, None for all; of the others nothing is known
     """
 
     camera: Camera
@@ -53,6 +55,7 @@ class Calibration:
     dark: np.ndarray
     q_in: float
     known: bool
+    kept: np.ndarray | None = None
 
     @property
     def channels(self) -> int:
@@ -83,17 +86,31 @@ def read_calibration(path: Path) -> Calibration:
     known = not has_none(file, CIRCUIT)
     arrays = read_arrays(file, (*GEOMETRY, *COMPARATOR, *(CIRCUIT if known else ())))
     camera = _camera(file, arrays)
+    kept = _kept_pixels(file, camera)
     bayer = str(arrays["bayer_pattern"])
     if bayer and (len(bayer) != 4 or set(bayer) != set(COLOURS)):
         raise InputError(f"{file}: bayer_pattern: expected '' or four letters of {COLOURS}, found {shown(bayer)}")
     if not known:
-        return Calibration(camera, bayer, _comparator(file, arrays), np.zeros(3 if bayer else 1), 0.0, False)
+        return Calibration(camera, bayer, _comparator(file, arrays), np.zeros(3 if bayer else 1), 0.0, False, kept)
     circuit, q_in = _circuit(file, arrays)
     dark = finite(file, "black_level", np.atleast_1d(arrays["black_level"])).ravel()
     if len(dark) not in (1, 3) or not (np.isfinite(dark) & (dark >= 0)).all():
         raise InputError(f"{file}: black_level: expected one or three numbers ≥ 0, found {dark}")
     dark = np.resize(dark if bayer else dark.mean(), 3 if bayer else 1)
-    return Calibration(camera, bayer, circuit.with_(dark=float(dark.mean())), dark, q_in, True)
+    return Calibration(camera, bayer, circuit.with_(dark=float(dark.mean())), dark, q_in, True, kept)
+
+
+def _kept_pixels(file: Path, camera: Camera) -> np.ndarray | None:
+    """(pixels,) bool of `KEPT`, None where the file has none."""
+    if has_none(file, (KEPT,)):
+        return None
+    kept = read_arrays(file, (KEPT,))[KEPT]
+    if kept.shape != (camera.height, camera.width) or kept.dtype != np.bool_ or not kept.any():
+        raise InputError(
+            f"{file}: {KEPT}: expected ({camera.height}, {camera.width}) booleans, not all false, found {kept.dtype} "
+            f"of shape {kept.shape}"
+        )
+    return kept.ravel()
 
 
 def _camera(file: Path, arrays: dict[str, np.ndarray]) -> Camera:
@@ -170,7 +187,7 @@ def of_fit(calibration: Calibration, folder: Path, scale: float | None = None) -
         dark = np.full(calibration.channels, circuit.dark)
     else:
         dark, circuit = calibration.dark, circuit.with_(dark=float(calibration.dark.mean()))
-    return Calibration(calibration.camera, calibration.bayer, circuit, dark, calibration.q_in, True)
+    return replace(calibration, circuit=circuit, dark=dark, known=True)
 
 
 def uncertainty_of_fit(folder: Path) -> dict[str, float]:

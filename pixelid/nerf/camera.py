@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -23,6 +23,13 @@ class Camera:
     height: int
     distortion: np.ndarray
     model: str = "plumb_bob"
+
+    def resized(self, width: int, height: int) -> Camera:
+        """The same view in another number of pixels."""
+        across, down = width / self.width, height / self.height
+        # pixel centres at whole numbers: a picture begins half a pixel before the first
+        scale = np.array([[across, 0, 0.5 * across - 0.5], [0, down, 0.5 * down - 0.5], [0, 0, 1]])
+        return replace(self, intrinsics=scale @ self.intrinsics, width=width, height=height)
 
     def directions(self, xy) -> np.ndarray:
         """Unit viewing directions (n, 3) in the camera frame (x right, y down, z forward) of positions (n, 2)."""

@@ -61,7 +61,8 @@ class Gauge:
 def gauge_of(dataset: Dataset, background: float | None = None, scale: str = "auto") -> Gauge:
     """The gauge of a dataset.
 
-    background: overrides what its views show;  scale: one of `SCALES`, "auto" for the background where there is one
+    background: overrides what its views show; where another scale is asked for, what training begins with;  scale:
+    one of `SCALES`, "auto" for the background where there is one
 
     Raises:
         InputError: the scale is to come from views, and the dataset has none.
@@ -74,9 +75,9 @@ def gauge_of(dataset: Dataset, background: float | None = None, scale: str = "au
         kind = "background" if background is not None and scale == "auto" else "free"
         shown = np.full(channels, UNKNOWN if background is None else background)
         return Gauge(kind, shown, np.log(shown), None)
-    level = np.log(np.maximum(reference.images, 1e-3)).mean(axis=(0, 1, 2))
+    level = np.log(np.maximum(reference.radiance, 1e-3)).mean(axis=(0, 1, 2))
     if scale != "auto":
-        return Gauge(scale, np.exp(level), level, reference)
+        return Gauge(scale, np.exp(level) if background is None else np.full(channels, background), level, reference)
     if background is not None:
         return Gauge("background", np.full(channels, background), level, reference)
     shown = np.ones(channels) if reference.transparent else _border(reference)  # white, however bright a highlight
@@ -87,7 +88,7 @@ def gauge_of(dataset: Dataset, background: float | None = None, scale: str = "au
 
 def _border(views: Views) -> np.ndarray | None:
     """(C,) the value that most border pixels of the views agree on, or None."""
-    logs = np.log(np.maximum(views.images, 1e-4))
+    logs = np.log(np.maximum(views.radiance, 1e-4))
     edge = np.concatenate(
         [logs[:, 0], logs[:, -1], logs[:, :, 0], logs[:, :, -1]], axis=1
     ).reshape(-1, logs.shape[-1])  # fmt: skip

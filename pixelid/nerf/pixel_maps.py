@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from pixelid.errors import InputError
-from pixelid.inspection.hot_pixels import NEIGHBOURHOOD, hot_of_counts
+from pixelid.inspection.hot_pixels import hot_of_counts, median_around
 from pixelid.nerf.camera import Camera
 from pixelid.stages.circuit import Circuit
 
@@ -97,21 +97,22 @@ def maps_of_sensor(folder: Path, circuit: Circuit, camera: Camera) -> PixelMaps:
     return PixelMaps(mean, sd, None if alike else bandwidth, hot, tuple(unused))
 
 
-def find_hot(x, y, on, camera: Camera, circuit: Circuit, duration_s: float) -> np.ndarray:
+def find_hot(
+    x, y, on, camera: Camera, circuit: Circuit, duration_s: float, kept: np.ndarray | None = None
+) -> np.ndarray:
     """(k,) pixels whose events no light explains: far more of them than around, or ON without OFF.
 
-    x, y, on: (N,) of all events.  Light that goes up comes down, and neighbours see the same: a pixel's ON thresholds
-    less its OFF thresholds are those of the pixels about it, but for mismatch.
+    x, y, on: (N,) of all events;  kept: (pixels,) bool, whose events these are, None for all.  Light that goes up
+    comes down, and neighbours see the same: a pixel's ON thresholds less its OFF thresholds are those of the pixels
+    about it, but for mismatch.
     """
-    from scipy.ndimage import median_filter
-
     pixel, pixels = y * camera.width + x, camera.width * camera.height
     up, down = (np.bincount(pixel[some], minlength=pixels).astype(float) for some in (on, ~on))
     image = (up + down).reshape(camera.height, camera.width)
-    fast = np.array([p.y * camera.width + p.x for p in hot_of_counts(image, duration_s)], np.int64)
+    fast = np.array([p.y * camera.width + p.x for p in hot_of_counts(image, duration_s, kept)], np.int64)
     mean = 0.5 * (circuit.on_threshold + circuit.off_threshold)
     net = (up * circuit.on_threshold - down * circuit.off_threshold) / mean
-    beyond = net - median_filter(net.reshape(image.shape), NEIGHBOURHOOD, mode="mirror").ravel()
+    beyond = net - median_around(net.reshape(image.shape), kept)
     seen = (up + down) > 0
     spread = 1.4826 * float(np.median(np.abs(beyond[seen]))) if seen.any() else 0.0
     allowed = ROBUST_SIGMAS * (max(spread, 1.0) + max(MISMATCH, circuit.mismatch) * np.hypot(up, down))

@@ -69,7 +69,7 @@ def problem_of(
     circuit = calibration.circuit
     maps = maps_of_circuit(circuit, camera.width * camera.height) if maps is None else maps
     t, x, y, on = dataset.t, dataset.x, dataset.y, dataset.on
-    hot = np.union1d(maps.hot, find_hot(x, y, on, camera, circuit, float(t[-1] - t[0])))
+    hot = np.union1d(maps.hot, find_hot(x, y, on, camera, circuit, float(t[-1] - t[0]), calibration.kept))
     if len(hot):
         is_hot = np.zeros(camera.width * camera.height, bool)
         is_hot[hot] = True
@@ -92,7 +92,7 @@ def problem_of(
     held_pixels = np.unique(held.stretches.pixel[held.starts])
     quiet = quiet_intervals(
         t, y * camera.width + x, camera.width, camera.height, least=LONG * shortest, dead=circuit.refractory,
-        left_out=np.union1d(hot, held_pixels),
+        left_out=np.union1d(hot, held_pixels), kept=calibration.kept,
     )  # fmt: skip
     row, column = np.divmod(np.arange(camera.width * camera.height), camera.width)
     return Problem(

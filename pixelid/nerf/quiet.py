@@ -19,7 +19,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.ndimage import median_filter
+
+from pixelid.inspection.hot_pixels import median_around
 
 LONG = 8.0  # of the shortest quiet interval: the image then moves by four pixels; what is shorter, chains see enough of
 FIRING = 4  # events of the median neighbour: a working pixel would be silent beside it one time in fifty
@@ -46,7 +47,9 @@ class Pairs(NamedTuple):
 NOTHING = Quiet(np.zeros(0), np.zeros(0), np.zeros(0, np.int32), np.zeros(0))
 
 
-def quiet_intervals(t, pixel, width: int, height: int, *, least: float, dead: float, left_out) -> Quiet:
+def quiet_intervals(
+    t, pixel, width: int, height: int, *, least: float, dead: float, left_out, kept: np.ndarray | None = None
+) -> Quiet:
     """The quiet intervals of a recording, from its first event to its last.
 
     Args:
@@ -57,16 +60,17 @@ def quiet_intervals(t, pixel, width: int, height: int, *, least: float, dead: fl
         least: s, shorter ones are left out.
         dead: s after an event in which a pixel does not look.
         left_out: (k,) pixels that are no witnesses.
+        kept: (pixels,) bool, whose events the recording has: others are no witnesses either; None for all.
 
     Returns:
         Intervals of at least `least`, by pixel and time.
     """
     pixels = width * height
     counts = np.bincount(pixel, minlength=pixels)
-    around = np.ones((3, 3), bool)
-    around[1, 1] = False
-    beside = median_filter(counts.reshape(height, width), footprint=around, mode="mirror")
-    asked = (counts > 0) | (beside.ravel() < FIRING)
+    beside = median_around(counts.reshape(height, width), kept, side=3, centre=False)
+    asked = (counts > 0) | (beside < FIRING)
+    if kept is not None:
+        asked &= kept
     asked[np.asarray(left_out, np.int64)] = False
     order = np.argsort(pixel, kind="stable")
     first = np.concatenate([[0], np.cumsum(counts)])

@@ -77,7 +77,7 @@ def step(problem: Problem, recipe: Recipe, state: State) -> dict[str, float]:
 def _off_level(
     problem: Problem, state: State, engine: str, rng: np.random.Generator, number: int = 512
 ) -> torch.Tensor:
-    """Squared distance of the mean log light over random rays from that of the reference views.
+    """Squared distance of the mean log light over random rays from that of the reference views, mean over colours.
 
     Dark current is part of the light: below it the events say nothing, and a mean of logs would be full of it.
     """
@@ -91,8 +91,12 @@ def _off_level(
     rays = Rays(views.position[which].astype(np.float32), directions, channel, rng.random(number, dtype=np.float32))
     radiance, _ = state.field(rays, engine)
     floor = np.maximum(problem.dark, EPSILON)[channel]
-    target = torch.as_tensor(np.log(views.images[which, y, x, channel] + floor), device=radiance.device)
-    return (torch.log(radiance.double() + torch.as_tensor(floor, device=radiance.device)) - target).mean() ** 2
+    target = torch.as_tensor(
+        np.log(views.images[which, y, x, channel] / views.exposure[which] + floor), device=radiance.device
+    )
+    off = torch.log(radiance.double() + torch.as_tensor(floor, device=radiance.device)) - target
+    of_colour = (torch.mean(off[torch.as_tensor(channel == c)]) ** 2 for c in np.unique(channel))
+    return torch.stack(list(of_colour)).mean()
 
 
 def held_out_residual(problem: Problem, state: State, runs: int = 512) -> float:

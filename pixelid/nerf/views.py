@@ -50,6 +50,13 @@ class Views:
     def __len__(self) -> int:
         return len(self.images)
 
+    @property
+    def radiance(self) -> np.ndarray:
+        """(n, H, W, C) images at the mean exposure of all stages."""
+        if (self.exposure == 1.0).all():
+            return self.images
+        return self.images / self.exposure.astype(np.float32)[:, None, None, None]
+
     def some(self, which) -> Views:
         """The views of these indices."""
         names = tuple(np.array(self.names, dtype=object)[which])

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 from scipy.spatial.transform import Rotation
 
 from pixelid.cli.main import main
@@ -15,10 +16,15 @@ from pixelid.model.files import save_model
 from pixelid.model.shipped import find_model
 from pixelid.nerf.calibration import CIRCUIT, of_fit, uncertainty_of_fit
 from pixelid.nerf.dataset import read_dataset
+from pixelid.nerf.field import Field
 from pixelid.nerf.gauge import Gauge, gauge_of, scene_box
-from pixelid.nerf.problem import evaluation_views
+from pixelid.nerf.pixel import Bandwidth
+from pixelid.nerf.problem import evaluation_views, problem_of
+from pixelid.nerf.recipe import Recipe
 from pixelid.nerf.scenes import BACKGROUND
+from pixelid.nerf.state import start
 from pixelid.nerf.synthetic import SETTINGS, camera_model, make_dataset
+from pixelid.nerf.train import EPSILON, _off_level
 
 
 @pytest.fixture(scope="module")
@@ -99,6 +105,47 @@ def test_a_highlight_does_not_move_the_white_behind_transparent_views(made):
         for stage, views in data.views.items()
     }
     assert gauge_of(replace(data, views=bright)).background == pytest.approx([1.0])
+
+
+def test_the_unit_of_radiance_does_not_depend_on_how_long_views_were_exposed(made):
+    data = read_dataset(made)
+    longer = {
+        stage: replace(views, images=np.float32(share) * views.images, exposure=np.full(len(views), share))
+        for (stage, views), share in zip(data.views.items(), (0.5, 4.0, 0.25), strict=True)
+    }
+    for scale in ("auto", "level", "free"):
+        told, expected = gauge_of(replace(data, views=longer), scale=scale), gauge_of(data, scale=scale)
+        assert told.kind == expected.kind
+        np.testing.assert_allclose(told.level, expected.level, rtol=1e-6)
+        np.testing.assert_allclose(told.background, expected.background, rtol=1e-5)
+
+
+def test_a_background_that_was_said_is_where_a_trained_one_begins(made):
+    data = read_dataset(made)
+    for scale in ("level", "free"):
+        assert gauge_of(data, 7.0, scale).background == pytest.approx([7.0])
+        assert gauge_of(data, 7.0, scale).kind == scale
+
+
+@pytest.mark.parametrize("colours", [1, 3])
+def test_every_colour_has_its_level(made, colours):
+    """A clear field shows its background: off by a factor per colour, whose product is 1."""
+    data = read_dataset(made)
+    bayer = "" if colours == 1 else "RGGB"
+    views = {
+        stage: replace(each, images=np.full((*each.images.shape[:3], colours), 0.5, np.float32))
+        for stage, each in data.views.items()
+    }
+    calibration = replace(data.calibration, bayer=bayer, dark=np.zeros(colours))
+    problem = problem_of(replace(data, views=views, calibration=calibration), scale="level")
+    state = start(problem, Recipe(vertices=(9,)), Bandwidth("on"))
+    for factors in ([1.0] * colours, [4.0, 1.0, 0.25][:colours]):
+        field = Field(problem.low, problem.high, 9, colours, (0.5 * np.array(factors)).tolist())
+        field.hold_dense(torch.full((9, 9, 9, 1 + colours), -30.0))
+        state.field = field
+        off = float(_off_level(problem, state, "auto", np.random.default_rng(0)).detach())
+        expected = np.log(0.5 * np.array(factors) + EPSILON) - np.log(0.5 + EPSILON)
+        assert off == pytest.approx(np.mean(expected**2), abs=1e-4)
 
 
 @pytest.mark.parametrize(

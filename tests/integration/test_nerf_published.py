@@ -300,6 +300,9 @@ def test_start_end_and_every_choose_whole_pixels_of_a_time(truth, tmp_path):
     np.testing.assert_allclose(data.t, (t[inside & kept] - 5e7) * 1e-9, atol=1e-9)
     seen = len(np.unique(pixel[inside]))
     assert 0.35 < len(np.unique(pixel[inside & kept])) / seen < 0.65
+    told = data.calibration.kept
+    assert told.sum() == SIDE * SIDE // 2
+    assert told[data.y * SIDE + data.x].all()
     content = json.loads((tmp_path / "scene" / "dataset.json").read_text())
     assert content["events"]["kept"] + content["events"]["of_other_pixels"] == inside.sum()
     assert content["views"] == {"val": 1, "test": 1}

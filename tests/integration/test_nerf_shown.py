@@ -15,7 +15,8 @@ from pixelid.nerf.evaluate import render_views
 from pixelid.nerf.field import Field
 from pixelid.nerf.harmonics import harmonics
 from pixelid.nerf.saved import SavedReconstruction
-from pixelid.nerf.shown.ways import around
+from pixelid.nerf.shown.solid import mesh_of
+from pixelid.nerf.shown.ways import around, way_of_file
 from pixelid.nerf.views import Views
 
 RADIUS, CENTRE, CELLS = 0.6, np.array([0.2, -0.1, 0.0]), 32
@@ -101,6 +102,54 @@ def test_frames_are_the_views_that_are_scored(folder, tmp_path):
     check("render", result)
     np.testing.assert_allclose(result["frames"][2]["position"], way.position[2])
     assert (tmp_path / "out" / "report.html").is_file()
+
+
+def test_more_views_than_frames_are_thinned_out_evenly(folder, tmp_path):
+    frames = []
+    for k in range(11):
+        pose = np.eye(4)
+        pose[:3, 3] = k, 0.0, 0.0
+        frames.append({"file_path": f"./test/r_{k}", "transform_matrix": pose.tolist()})
+    (tmp_path / "transforms_test.json").write_text(json.dumps({"camera_angle_x": 0.7, "frames": frames}))
+    words = ["render", str(folder), "--out", str(tmp_path / "out"), "--views", str(tmp_path / "transforms_test.json")]
+    assert main([*words, "--frames", "3", "--size", "6", "5", "--quiet"]) == 0
+    result = json.loads((tmp_path / "out" / "render.json").read_text())
+    assert [frame["position"][0] for frame in result["frames"]] == [0.0, 5.0, 10.0]
+    assert any("8 of 11 poses are left out" in note for note in result["notes"])
+
+
+def test_stated_intrinsics_are_of_the_pictures_whatever_the_size(tmp_path):
+    from imageio.v3 import imwrite
+
+    matrix = [[50.0, 0.0, 31.5], [0.0, 50.0, 23.5], [0.0, 0.0, 1.0]]
+    frame = {"file_path": "./test/r_0", "transform_matrix": np.eye(4).tolist()}
+    file = tmp_path / "transforms_test.json"
+    file.write_text(json.dumps({"intrinsics": matrix, "frames": [frame]}))
+    with pytest.raises(InputError, match="intrinsics"):
+        way_of_file(file, (16, 12))
+    (tmp_path / "test").mkdir()
+    imwrite(tmp_path / "test" / "r_0.png", np.zeros((48, 64, 3), np.uint8))
+    whole, small = way_of_file(file, None).camera, way_of_file(file, (16, 12)).camera
+    assert (whole.width, whole.height, small.width, small.height) == (64, 48, 16, 12)
+    for camera in (whole, small):
+        edge = np.array([[-0.5, -0.5], [camera.width - 0.5, camera.height - 0.5]])  # outer corners of the view
+        np.testing.assert_allclose(camera.directions(edge), whole.directions([[-0.5, -0.5], [63.5, 47.5]]))
+
+
+def test_normals_of_a_box_that_is_no_cube(tmp_path):
+    """A ball in a box twice as high as wide: half as many cells per length there."""
+    low, high, side = np.array([-1.0, -1.0, -2.0]), np.array([1.0, 1.0, 2.0]), 49
+    axes = [np.linspace(a, b, side) for a, b in zip(low, high, strict=True)]
+    x, y, z = np.meshgrid(*axes, indexing="ij")
+    grid = np.empty((side, side, side, 2), np.float32)
+    grid[..., 0] = np.clip(40 * (0.7 - np.sqrt(x**2 + y**2 + z**2)), -8, 8)
+    grid[..., 1] = 0.0
+    field = Field(low, high, side, 1, [1.0])
+    field.hold_dense(torch.from_numpy(grid))
+    mesh = mesh_of(field)
+    outwards = mesh.vertices / np.linalg.norm(mesh.vertices, axis=1, keepdims=True)
+    angle = np.degrees(np.arccos(np.clip((mesh.normals * outwards).sum(axis=1), -1, 1)))
+    assert np.median(angle) < 3
 
 
 def test_an_orbit_looks_at_the_middle_with_depth(folder, tmp_path):

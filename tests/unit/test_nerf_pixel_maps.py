@@ -152,6 +152,24 @@ def test_hot_pixels_are_those_that_no_light_explains():
     assert find_hot(x, y, on, camera, CIRCUIT, 1.0).tolist() == [slow, fast]
 
 
+@pytest.mark.parametrize("every", [2, 4, 8])
+def test_pixels_whose_light_rose_are_not_hot_where_most_pixels_were_not_kept(every):
+    """Two thirds of a sensor brighten by 25 thresholds; one pixel of the rest fires ON alone."""
+    side, rng = 48, np.random.default_rng(every)
+    column = np.arange(side * side) % side
+    bright = column < 32
+    kept = rng.permutation(side * side) < side * side // every
+    down = rng.poisson(10, side * side)
+    up = down + np.where(bright, 25, 0)
+    hot = np.flatnonzero(kept & (column > 40))[3]
+    up[hot] += 60
+    pixel = np.repeat(np.arange(side * side), up + down)
+    on = np.concatenate([np.repeat([True, False], pair) for pair in zip(up, down, strict=True)])
+    pixel, on = pixel[kept[pixel]], on[kept[pixel]]
+    y, x = np.divmod(pixel, side)
+    assert find_hot(x, y, on, pinhole(side, side, 0.7), CIRCUIT, 1.0, kept).tolist() == [hot]
+
+
 def test_drifting_thresholds_and_their_memory_are_those_of_each_event():
     t = np.array([0.0, 1.0, 2.0, 3.0, 4.0, 0.5, 1.5])
     on = np.array([True, True, False, False, True, True, False])

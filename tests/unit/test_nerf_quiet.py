@@ -55,6 +55,24 @@ def test_a_silent_pixel_among_firing_ones_is_no_witness():
     assert {4, 9, 14, 19} <= set(quiet.pixel)
 
 
+@pytest.mark.parametrize("every", [2, 3, 8])
+def test_a_pixel_whose_events_were_not_kept_is_no_witness(every):
+    """All fire, but for a dark corner of the sensor; of what is kept only the corner saw nothing."""
+    width = height = 24
+    rng = np.random.default_rng(every)
+    row, column = np.divmod(np.arange(width * height), width)
+    corner = (row < 12) & (column < 12)
+    kept = rng.permutation(width * height) < width * height // every
+    pixel = rng.choice(np.flatnonzero(~corner), 40_000)
+    pixel = pixel[kept[pixel]]
+    t = np.sort(rng.uniform(0, 1, len(pixel)))
+    quiet = quiet_intervals(t, pixel, width, height, least=0.5, dead=0.0, left_out=(), kept=kept)
+    assert kept[quiet.pixel].all()
+    assert corner[quiet.pixel].all()
+    middle = kept & (row < 6) & (column < 6)
+    assert set(np.flatnonzero(middle)) <= set(quiet.pixel)
+
+
 def test_pairs_are_even_over_quiet_time_and_end_before_the_lag():
     t, pixel = np.array([0.0, 0.3, 1.0]), np.array([0, 1, 0])
     quiet = quiet_intervals(t, pixel, 2, 1, least=0.0, dead=0.0, left_out=())

@@ -106,6 +106,8 @@ def render(
     tone, notes = _tone(saved, way, dark)
     if saved.status is not Status.converged:
         notes.append(f"the reconstruction ended as {saved.status}: {saved.advice or saved.status.advice}")
+    if way.left_out:
+        notes.append(f"{way.left_out} of {len(way) + way.left_out} poses are left out, evenly; --frames takes more")
     files: dict[str, str] = {}
     frames, depths = [], []
     (folder / FRAMES).mkdir()

@@ -84,6 +84,8 @@ def mesh_of(field: Field) -> Mesh:
     padded = np.pad(density, 1, constant_values=min(float(density.min()), level - 1))
     # "ascent": density is high inside, so that normals and the faces' sense point outwards
     vertices, faces, normals, _ = marching_cubes(padded, level, gradient_direction="ascent")
+    normals = normals / spacing  # a gradient per cell
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), np.finfo(np.float32).tiny)
     at = np.clip(vertices - 1, 0, np.array(density.shape) - 1)
     place = rows_and_shares(torch.from_numpy(at / (np.array(density.shape) - 1)).to(field.grid.device), field.bricks)
     coefficients = interpolated(field.coefficients.detach().flatten(1), *place).cpu().numpy()

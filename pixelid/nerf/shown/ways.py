@@ -25,6 +25,7 @@ from pixelid.nerf.views import (
     views_folder,
 )
 
+DEFAULT_SIZE = 400, 400
 FIELD_OF_VIEW = 0.6911  # rad, as of the published synthetic scenes
 ORBIT_ELEVATION, SPIRAL_ELEVATIONS = 0.4, (0.0, 0.9)  # rad; a spiral goes from the one to the other in two turns
 SPIRAL_TURNS = 2.0
@@ -34,13 +35,15 @@ SPIRAL_TURNS = 2.0
 class Way:
     """Cameras one after the other.
 
-    position: (n, 3), rotation: (n, 3, 3) camera to world (x right, y down, z forward);  camera: of them all;  names: n
+    position: (n, 3), rotation: (n, 3, 3) camera to world (x right, y down, z forward);  camera: of them all;  names: n;
+    left_out: how many poses of a file are not among them
     """
 
     position: np.ndarray
     rotation: np.ndarray
     camera: Camera
     names: tuple[str, ...]
+    left_out: int = 0
 
     def __len__(self) -> int:
         return len(self.position)
@@ -88,7 +91,7 @@ def way_of_file(path: Path, size: tuple[int, int] | None, fov: float = FIELD_OF_
 
     Args:
         path: a `transforms_*.json`, a dataset folder (its test views, else val, else train), or a `camera_poses.npz`.
-        size: width and height in pixels; by default those of the first picture, or 400 × 400.
+        size: width and height in pixels, of the whole view; by default those of the first picture, or 400 × 400.
         fov: horizontal field of view [rad] where the file has none.
         most: poses; more are thinned out evenly.
 
@@ -108,20 +111,19 @@ def way_of_file(path: Path, size: tuple[int, int] | None, fov: float = FIELD_OF_
         turned = unit_quaternions(path, "T_wc_orientation", arrays["T_wc_orientation"])
         if position.shape != (len(turned), 3) or not len(turned):
             raise InputError(f"{path}: T_wc_position, T_wc_orientation: expected (n, 3) and (n, 4)")
-        some = np.unique(np.linspace(0, len(position) - 1, min(len(position), most)).round().astype(int))
+        some = _thinned(len(position), most)
         rotation = Rotation.from_quat(turned[some]).as_matrix()
         names = tuple(f"pose_{k:05d}" for k in some)
-        return Way(position[some], rotation, pinhole(*(size or (400, 400)), fov), names)
+        return Way(position[some], rotation, pinhole(*(size or DEFAULT_SIZE), fov), names, len(position) - len(some))
     document = read_json(path)
     frames = document.get("frames")
     if not isinstance(frames, list) or not frames:
         raise InputError(f"{path}: frames: expected a list of at least one view")
-    poses = np.array([pose_of_frame(path, k, frame) for k, frame in enumerate(frames[:most])])
-    names = tuple(f"{k:04d}_{Path(str(frame['file_path'])).name}" for k, frame in enumerate(frames[:most]))
-    shape = size or _shape(path, str(frames[0]["file_path"]))
-    stated = "camera_angle_x" in document or "intrinsics" in document
-    camera = camera_of_document(path, document, *shape) if stated else pinhole(*shape, fov)
-    return Way(poses[:, :3, 3], poses[:, :3, :3] @ OPENGL, camera, names)
+    some = _thinned(len(frames), most)
+    poses = np.array([pose_of_frame(path, k, frames[k]) for k in some])
+    names = tuple(f"{k:04d}_{Path(str(frames[k]['file_path'])).name}" for k in some)
+    camera = _stated_camera(path, document, str(frames[0]["file_path"]), size, fov)
+    return Way(poses[:, :3, 3], poses[:, :3, :3] @ OPENGL, camera, names, len(frames) - len(some))
 
 
 def _inside(folder: Path) -> Path:
@@ -134,12 +136,28 @@ def _inside(folder: Path) -> Path:
     raise InputError(f"{folder}: neither {FOLDER}/ nor {POSES} there; expected a dataset")
 
 
-def _shape(path: Path, name: str) -> tuple[int, int]:
-    """Width and height of a view's picture, or a default where it is not there."""
+def _thinned(number: int, most: int) -> list[int]:
+    """At most so many of `number` indices, evenly."""
+    return np.unique(np.linspace(0, number - 1, min(number, most)).round().astype(int)).tolist()
+
+
+def _stated_camera(path: Path, document: dict, picture: str, size: tuple[int, int] | None, fov: float) -> Camera:
+    """The camera that a document states, in `size` pixels; an ideal one where it states none."""
+    own = _shape(path, picture)
+    if "camera_angle_x" not in document and "intrinsics" in document:  # of pictures of one size
+        if own is None:
+            raise InputError(f"{path}: intrinsics: {picture} is not there, whose size says what they are in units of")
+        return camera_of_document(path, document, *own).resized(*(size or own))
+    shape = size or own or DEFAULT_SIZE
+    return camera_of_document(path, document, *shape) if "camera_angle_x" in document else pinhole(*shape, fov)
+
+
+def _shape(path: Path, name: str) -> tuple[int, int] | None:
+    """Width and height of a view's picture, None where it is not there."""
     try:
         height, width = image_of(picture_of(path, name)).shape[:2]
     except InputError:
-        return 400, 400
+        return None
     return width, height
 
 
