@@ -18,11 +18,11 @@ import numpy as np
 from pixelid.design.bias_fits import BiasFit
 from pixelid.errors import InputError
 from pixelid.status import Status
+from pixelid.tables.latency.settings import BEYOND
 
 POINTS = 201  # settings looked at within the fitted range, and as many beyond either end
 RATE_POINTS = 61  # of them, for events: between them straight in the logarithm
 OPEN = np.log(1e3)  # half of an interval in ln: a factor of a thousand either way predicts nothing
-BEYOND = 0.5  # of the fitted range, beyond either end: an extrapolation further than that is none
 QUANTITIES = {"bandwidth": "Hz", "noise": "events/s", "rate": "events/s"}
 
 

@@ -146,6 +146,23 @@ class TableFit:
         return predicted_rows(self.model, self.predicted, self.residual)
 
 
+def misses(log_ratio: np.ndarray, standardised: np.ndarray) -> str:
+    """How a prediction misses a table, in a few words; "" where it describes it.
+
+    A few rows may be off, whatever the reason: it is judged by the typical row, and by how many are far off both in
+    scales and in size.
+
+    Args:
+        log_ratio: (rows,) ln(predicted / measured).
+        standardised: (rows,) residuals in scales.
+    """
+    size = np.abs(log_ratio)
+    off = float(np.mean((size > MAX_SCATTER) & (np.abs(standardised) > SUSPECT_SCALES))) if len(size) else 0.0
+    if len(size) and not np.median(size) <= MAX_SCATTER:
+        return f"by a factor of {np.exp(np.median(size)):.3g} (typical)"
+    return f"in {off:.0%} of the rows" if off > MOST_SUSPECT else ""
+
+
 def fit_table(
     model: TableModel, start: Sequence[float] | None = None, ties: Sequence[Tie] = (), *, rest: float = REST
 ) -> TableFit:

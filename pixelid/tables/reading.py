@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 from dataclasses import dataclass
+from decimal import Decimal, InvalidOperation
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,9 @@ import numpy as np
 from pixelid.documents import read_text
 from pixelid.errors import InputError, did_you_mean, printable, shown
 
-DIGITS = 17  # of a double
+MOST_PLACES = 17  # behind the point
+ROUNDING = 1e-9  # relative, of two cells that are one number
+FULL_PRECISION = 1e-3  # of the smallest value: digits beyond are of a quotient, not of a measurement
 
 
 @dataclass(frozen=True)
@@ -40,9 +43,28 @@ class TextTable:
         return np.array([_number(self.path, k, cell) for k, cell in enumerate(self.text(name), 1)])
 
     def last_digit(self, names: tuple[str, ...]) -> float:
-        """The smallest difference that the cells of these columns can write."""
-        places = max((len(cell.partition(".")[2]) for name in names for cell in self.text(name)), default=0)
-        return 10.0 ** -min(places, DIGITS)
+        """The smallest difference that the cells of these columns can write.
+
+        Counts over a time are no whole multiples of a last digit.  Where cells hold zeros and the others are written
+        with far more digits than they have, the smallest difference between two of them stands for it.
+        """
+        cells = [cell for name in names for cell in self.text(name) if cell]
+        digit = 10.0 ** min((_exponent(cell) for cell in cells), default=0)
+        values = np.concatenate([self.numbers(name) for name in names]) if names else np.zeros(0)
+        different = np.unique(values[np.isfinite(values)])
+        if len(different) < 2 or different[0] != 0 or digit >= FULL_PRECISION * different[1]:
+            return digit
+        gaps = np.diff(different)
+        return float(gaps[gaps > ROUNDING * different[1:]].min())
+
+
+def _exponent(cell: str) -> int:
+    """Of ten, in the last digit that a cell writes, 0 at most; a double's for one that is no number."""
+    try:
+        exponent = Decimal(cell).as_tuple().exponent
+    except InvalidOperation:
+        return 0
+    return max(min(exponent, 0), -MOST_PLACES) if isinstance(exponent, int) else 0
 
 
 def read_text_table(path: Path, *, first: str, expected: str) -> TextTable:

@@ -15,6 +15,7 @@ from pixelid.tables.latency.camera import load_camera
 from pixelid.tables.latency.fit import fit_latency
 from pixelid.tables.latency.posterior import log_posterior, sample_fit
 from pixelid.tables.latency.reading import read_tables
+from pixelid.tables.latency.settings import bias_of
 from tests.oracles import latency_tables
 from tests.oracles.latency_tables import DELAY_S, SETTINGS, TRUE, write_table
 
@@ -68,6 +69,54 @@ def test_other_irradiances_and_settings_are_predicted(folder, monkeypatch):
     write_table(folder / "other.csv", (0.02, 0.1), edges=3)
     assert run("latency", folder / "other.csv", "--model", folder / "fit", "--predict", "--out", folder / "check") == 0
     assert result(folder / "check")["errors"]["SIM"]["median"]["rms"] < 0.05
+
+
+def test_a_prediction_that_misses_every_row_or_many_is_a_misfit(folder):
+    """Rows that the model disbelieves are marked as spoiled; that they are many is not left out with them."""
+    lines = (folder / "table.csv").read_text().splitlines()
+    at = [lines[0].split(",").index(name) for name in ("min", "median", "max")]
+
+    def slower(factor: float, every: int) -> Path:
+        rows = [line.split(",") for line in lines[1:]]
+        for row in rows[::every]:
+            for k in at:
+                row[k] = str(factor * float(row[k])) if row[k] else ""
+        path = folder / f"slower_{factor}_{every}.csv"
+        path.write_text("\n".join([lines[0], *(",".join(row) for row in rows)]) + "\n")
+        return path
+
+    for factor, every, code in ((3.0, 1, 1), (10.0, 1, 1), (3.0, 3, 1), (3.0, 12, 0)):
+        words = ["latency", slower(factor, every), "--model", folder / "fit", "--predict", "--out", folder / "slower"]
+        assert run(*words, "--overwrite") == code, (factor, every)
+        assert result(folder / "slower")["status"] == ("misfit" if code else "converged")
+
+
+def test_what_a_prediction_rests_on_is_said(folder, capsys):
+    table = folder / "far.csv"
+    head = "camera,lens,polarity,irradiance_W_m2,bias_config\n"
+    table.write_text(head + "SIM,lens,1,0.02,20\n")
+    words = ["latency", table, "--model", folder / "fit", "--predict", "--overwrite", "--out", folder / "far"]
+    assert run(*words) == 2
+    assert "too far" in capsys.readouterr().err
+    beyond = max(bias for name in SETTINGS if (bias := bias_of(name)) is not None) + 0.1
+    table.write_text(head + f"SIM,lens,1,0.02,{beyond}\nSIM,lens,1,1e-9,0\n")
+    run(*words)
+    said = " ".join(result(folder / "far")["unidentified"])
+    assert "extrapolated" in said
+    assert "stands for never" in said
+    table.write_text(head + "OTHER,fisheye,1,0.02,0\n")
+    run(*words)
+    said = " ".join(result(folder / "far")["unidentified"])
+    assert "OTHER: predicted by the model of" in said
+    assert "'fisheye' was not fitted" in said
+
+
+def test_medians_of_zero_are_none(tmp_path, capsys):
+    table = tmp_path / "zero.csv"
+    rows = [f"{k % 2},{0.01 * (1 + k // 2)},0,{100e-6 if k == 0 else 0}" for k in range(8)]
+    table.write_text("\n".join(["polarity,irradiance_W_m2,bias_config,median", *rows]) + "\n")
+    assert run("latency", table, "--out", tmp_path / "out") == 2
+    assert "with a median above 0" in capsys.readouterr().err
 
 
 def test_a_table_without_latencies_is_predicted(folder):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ from pixelid.tables.noise.first_passage import mean_rates
 from pixelid.tables.noise.fit import fit_noise
 from pixelid.tables.noise.model import FA_PER_LUX, NoiseModel, in_unit
 from pixelid.tables.noise.reading import read_noise_tables, reduced_recordings
+from pixelid.tables.noise.result import predicted_result
 
 LIGHTS = (0.3, 1.0, 3.0, 10.0, 30.0, 100.0)
 
@@ -75,6 +77,26 @@ def test_prediction_of_the_truth_is_the_table(tmp_path):
     noise = NoiseModel(read_noise_tables([table]), planted())
     predicted = noise.predict(np.array([p.to_coordinate(p.value) for p in noise.parameters]))
     assert predicted == pytest.approx(noise.table.rate_hz, rel=1e-3, abs=1e-6)
+
+
+def test_one_polarity_far_off_is_a_misfit(tmp_path):
+    noise = NoiseModel(read_noise_tables([write_table(tmp_path / "noise.csv", planted())]), planted())
+    assert predicted_result(noise)["status"] == "converged"
+    off = np.flatnonzero(~noise.table.on)[: len(noise.table.on) // 3]
+    rate = noise.table.rate_hz.copy()
+    rate[off] *= 30.0
+    wrong = predicted_result(NoiseModel(replace(noise.table, rate_hz=rate), planted()))
+    assert wrong["status"] == "misfit"
+    assert "of the rows" in wrong["advice"]
+
+
+def test_a_knee_is_in_the_unit_of_light():
+    model = find_model("dvs128").with_effect("linear_log")
+    one, other = model.values["linear_log.knee"], in_unit(model, "lux").values["linear_log.knee"]
+    dark = model.with_effect("dark_current")
+    assert other / one == pytest.approx(
+        in_unit(dark, "lux").values["dark_current.radiance"] / dark.values["dark_current.radiance"]
+    )
 
 
 def test_many_lights_are_interpolated(tmp_path):
@@ -144,6 +166,11 @@ def test_fit_of_recordings_keeps_the_model_s_effects():
         ("lux,on_hz,off_hz\n0,2,3\n2,3,4\n", "above 0"),
         ("lux,on_hz,off_hz\n1,-2,3\n2,3,4\n", "at least 0"),
         ("lux,on_hz\n1,2\n", "at least two"),
+        ("klux,on_hz\n1,2\n2,3\n", "one column of light"),
+        ("irradiance_uW_cm2,on_hz\n1,2\n2,3\n", "one column of light"),
+        ("irradiance_mW_m2,on_hz\n1,2\n2,3\n", "one column of light"),
+        ("photon_flux,on_hz\n1,2\n2,3\n", "one column of light"),
+        ("lux_sd,lux,on_hz\n1,1,2\n1,2,3\n", "one column of light"),
     ],
 )
 def test_bad_tables(tmp_path, text, said):

@@ -14,7 +14,7 @@ from pixelid.tables.model import Rows
 from pixelid.tables.rates.pixel import fit_pixel
 from pixelid.tables.rates.pool import PoolTable, fit_pool, pool_events
 from pixelid.tables.rates.reading import RateTable, read_table
-from pixelid.tables.rates.square_wave import edge_events, events_per_cycle, exit_rate
+from pixelid.tables.rates.square_wave import edge_events, events_per_cycle, exit_rate, rate
 
 FREQUENCIES = np.array([1, 10, 50, 100, 200, 500, 1000, 2000, 5000, 1e4, 3e4, 1e5])
 
@@ -212,6 +212,7 @@ def test_any_table_model_is_fitted_judged_and_written():
         ("freq_hz,a\n1,2,3\n2,1\n", "cells"),
         ("freq_hz,a\n0,2\n2,1\n", "above 0"),
         ("freq_hz,a\n1,nan\n2,1\n", "finite"),
+        ("freq_khz,a\n1,3\n2,1\n", "in Hz"),
     ],
 )
 def test_bad_tables_are_one_plain_line(tmp_path, capsys, text, expected):
@@ -220,6 +221,35 @@ def test_bad_tables_are_one_plain_line(tmp_path, capsys, text, expected):
     error = capsys.readouterr().err
     assert expected in error
     assert error.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("cells", "digit"),
+    [
+        (["0.5", "0.25"], 0.01),
+        (["7e-05", "3e-05"], 1e-5),
+        (["1e3", "20"], 1.0),
+        (["0.14285714285714285", "0.5714285714285714", "0"], 1 / 7),  # counts in seven seconds
+        (["0.14285714285714285", "0.5714285714285714"], 1e-17),  # without zeros it does not matter
+        (["0.1", "0.4", "0"], 0.1),
+    ],
+)
+def test_the_last_digit_that_a_table_writes(tmp_path, cells, digit):
+    path = tmp_path / "t.csv"
+    path.write_text("\n".join(["freq_hz,a", *(f"{k + 1},{cell}" for k, cell in enumerate(cells))]) + "\n")
+    assert read_table(path).resolution_hz == pytest.approx(digit)
+
+
+@pytest.mark.parametrize("seconds", [10.0, 7.0])
+def test_cells_without_events_fit_whatever_the_time_that_was_counted(tmp_path, seconds):
+    frequency = np.geomspace(1, 1e5, 16)
+    counts = np.random.default_rng(3).poisson(rate(frequency, 10.0, 1 / (2 * np.pi * 300), 1e-5, 0.05) * seconds)
+    assert (counts == 0).any()
+    lines = [f"{a!r},{b!r}" for a, b in zip(frequency.tolist(), (counts / seconds).tolist(), strict=True)]
+    (tmp_path / "t.csv").write_text("\n".join(["freq_hz,a", *lines]) + "\n")
+    fit = fit_pixel(read_table(tmp_path / "t.csv"))
+    assert fit.regression.judge()[0] is not Status.misfit
+    assert fit.regression.as_dict()["cutoff_hz[a]"]["value"] == pytest.approx(300.0, rel=0.1)
 
 
 def test_units_and_empty_cells(tmp_path):

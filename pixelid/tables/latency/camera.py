@@ -24,7 +24,7 @@ from pixelid.model.files import from_document, to_document
 from pixelid.model.model import Model
 from pixelid.stages.circuit import Circuit
 from pixelid.tables.latency.reading import LatencyTable
-from pixelid.tables.latency.settings import between
+from pixelid.tables.latency.settings import BEYOND, between
 from pixelid.tables.latency.spread import Regions, Spread, statistics
 from pixelid.tables.latency.steps import changes, noise_level
 
@@ -90,6 +90,12 @@ class Camera:
             raise InputError(
                 f"camera {self.name} has no setting {setting!r} and its bias is not known; it has "
                 f"{', '.join(known.name for known in self.settings)}. Give bias_on and bias_off as columns"
+            )
+        reach = BEYOND * (max(biases) - min(biases))
+        if len(biases) > 1 and not min(biases) - reach <= bias <= max(biases) + reach:
+            raise InputError(
+                f"setting {setting!r}: camera {self.name} was measured at biases {min(biases):g} … {max(biases):g}; "
+                f"{bias:g} is too far from them to be extrapolated"
             )
         thresholds = {b: known.threshold(on) for b, known in biases.items()}
         delays = {b: known.delay(on) for b, known in biases.items()}

@@ -13,7 +13,7 @@ from pixelid.tables.fit import TableFit, fit_table
 from pixelid.tables.latency.camera import Camera, camera_for
 from pixelid.tables.latency.cells import Cells, gather
 from pixelid.tables.latency.model import FOLLOWER_STARTS_HZ, LatencyModel
-from pixelid.tables.latency.reading import LatencyTable
+from pixelid.tables.latency.reading import LEAST_S, LatencyTable
 from pixelid.tables.profile import follow_profile
 
 LEAST_CELLS = 4  # a threshold, a delay and a bandwidth, and one to spare
@@ -83,9 +83,12 @@ def fit_latency(
 
 def fit_camera(name: str, cells: Cells, *, one_delay: bool = False, start: Camera | None = None) -> CameraFit:
     """Fit the cells of one camera; `one_delay` for comparison, see `LatencyModel`."""
-    measured = int(np.isfinite(cells.table.latency_s["median"]).sum())
+    median = cells.table.latency_s["median"]
+    measured = int((np.isfinite(median) & (median >= LEAST_S)).sum())
     if measured < LEAST_CELLS:
-        raise InputError(f"camera {name}: expected at least {LEAST_CELLS} cells with a median, found {measured}")
+        raise InputError(
+            f"camera {name}: expected at least {LEAST_CELLS} cells with a median above 0, found {measured}"
+        )
     starts = FOLLOWER_STARTS_HZ[: 1 if start is not None else None]
     models = [LatencyModel(name, cells, hz, one_delay, start) for hz in starts]
     fits = [(fit_table(model), model) for model in models]

@@ -14,7 +14,7 @@ from pixelid.parameters.parameter import Parameter, Prior
 from pixelid.tables.latency.camera import DELAY_SIGMA, OFF_FRACTION, UNIT, Camera, Setting, predict
 from pixelid.tables.latency.cells import Cells
 from pixelid.tables.latency.levels import Level, levels_of
-from pixelid.tables.latency.reading import STATISTICS, TIMESTAMP_S
+from pixelid.tables.latency.reading import LEAST_S, STATISTICS, TIMESTAMP_S
 from pixelid.tables.latency.spread import Spread
 from pixelid.tables.model import Rows
 
@@ -102,7 +102,7 @@ class LatencyModel:
         """(cell, statistic) of what was measured."""
         latency = self.cells.table.latency_s
         values = np.stack([latency[name] for name in STATISTICS], axis=1)
-        cell, statistic = np.nonzero(np.isfinite(values) & (values >= TIMESTAMP_S * 0.1))
+        cell, statistic = np.nonzero(np.isfinite(values) & (values >= LEAST_S))
         return cell, statistic
 
     @property

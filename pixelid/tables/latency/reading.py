@@ -25,6 +25,7 @@ from pixelid.tables.reading import TextTable, read_text_table
 STATISTICS = ("median", "min", "max", "stdev", "sd")
 MICROSECOND_S = 1e-6
 TIMESTAMP_S = 1e-6  # event cameras stamp in µs: no latency is known better
+LEAST_S = 0.1 * TIMESTAMP_S  # a latency below is none
 PIXELS = 100.0  # of a region of interest where the table does not say: 10 × 10
 PER_ROW = ("camera", "lens", "setting", "on", "irradiance", "bias", "pixels", "counted")
 EXPECTED = "camera,lens,polarity,irradiance_W_m2,bias_config,median,…"

@@ -16,7 +16,7 @@ from pixelid.outputs import file_name
 from pixelid.parameters.parameter import Parameter, Prior
 from pixelid.provenance import provenance
 from pixelid.status import Status
-from pixelid.tables.fit import MAX_SCATTER, SUSPECT_SCALES
+from pixelid.tables.fit import MAX_SCATTER, SUSPECT_SCALES, misses
 from pixelid.tables.latency.camera import Camera, camera_for, save_camera
 from pixelid.tables.latency.cells import gather
 from pixelid.tables.latency.figures import draw_latency, draw_limits
@@ -25,6 +25,7 @@ from pixelid.tables.latency.limits import limit_sentences, limits
 from pixelid.tables.latency.model import EXTRA_ERROR, NUISANCES, SHARED
 from pixelid.tables.latency.reading import STATISTICS, TIMESTAMP_S, LatencyTable
 from pixelid.tables.latency.recipe import LatencyRecipe
+from pixelid.tables.latency.steps import NEVER_S
 from pixelid.tables.result import open_sentences, write_result
 
 REPEATABLE = 0.02  # regions of one condition agree no better in the public table's clean rows
@@ -67,7 +68,8 @@ def predicted_result(table: LatencyTable, cameras: Sequence[Camera], *inputs: Pa
     used = _used(table, cameras)
     common = _common(table, used)
     spread = [e["median"]["rms_without_spoiled"] for e in common["errors"].values() if "median" in e]
-    wrong = [value for value in spread if value is not None and value > MAX_SCATTER]
+    wrong = [f"by {100 * value:.0f} %" for value in spread if value is not None and value > MAX_SCATTER]
+    wrong += _missed(common["rows"])
     several = len(used) > 1
     parameters = {
         _of_camera(name, camera.name, several): {
@@ -78,12 +80,56 @@ def predicted_result(table: LatencyTable, cameras: Sequence[Camera], *inputs: Pa
     }  # fmt: skip
     return {
         "status": Status.misfit if wrong else Status.converged,
-        "advice": f"the model misses the medians by {100 * max(wrong):.0f} %: fit it to this table" if wrong else "",
+        "advice": f"the model misses the medians {wrong[-1]}: fit it to this table" if wrong else "",
         **common,
         "parameters": parameters,
-        "unidentified": [],
+        "unidentified": _stand_ins(table, cameras, used, common["rows"]),
         **provenance(*table.sources, *inputs),
     }
+
+
+def _missed(rows: Sequence[Mapping[str, Any]]) -> list[str]:
+    """How the medians of cameras are missed, in a few words each; spoiled cells and all."""
+    said = []
+    for camera in dict.fromkeys(row.get("camera", "-") for row in rows):
+        pairs = [
+            (math.log(max(row["predicted"], 1e-12) / row["measured"]), row["standardised"])
+            for row in rows
+            if row.get("camera", "-") == camera and (row["measured"] or 0.0) > 0.0
+        ]
+        if pairs and (how := misses(*np.array(pairs).T)):
+            said.append(how)
+    return said
+
+
+def _stand_ins(
+    table: LatencyTable, cameras: Sequence[Camera], used: Mapping[str, Camera], rows: Sequence[Mapping[str, Any]]
+) -> list[str]:
+    """What a prediction rests on that was not measured, one sentence each."""
+    said = []
+    for label, camera in used.items():
+        here = table.camera == label
+        if camera.name != label != "-":
+            said.append(f"camera {label}: predicted by the model of {camera.name}")
+        known = {lens for each in cameras for lens in each.lens}
+        said += [
+            f"{label}: lens {lens!r} was not fitted: light is taken to be that without its factor"
+            for lens in dict.fromkeys(table.lens[here].tolist())
+            if known and lens not in known and lens != "-"
+        ]
+        for on in (True, False):
+            measured = [bias for each in camera.settings if math.isfinite(bias := each.bias(on))]
+            asked = table.bias[here & (table.on == on)]
+            asked = asked[np.isfinite(asked)]
+            if measured and len(asked) and not (min(measured) <= asked.min() and asked.max() <= max(measured)):
+                said.append(
+                    f"{label}, {'ON' if on else 'OFF'}: settings {min(measured):g} … {max(measured):g} were measured; "
+                    f"those at {asked.min():g} … {asked.max():g} are extrapolated"
+                )
+    silent = sum(row["predicted"] >= NEVER_S for row in rows)
+    if silent:
+        said.append(f"in {silent} rows no pixel is predicted to fire: {NEVER_S:g} s stands for never")
+    return said
 
 
 def save_fit(

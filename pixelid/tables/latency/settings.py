@@ -13,6 +13,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+BEYOND = 0.5  # of the measured range of biases, beyond either end: an extrapolation further than that is none
 _FRACTION = re.compile(r"([0-9]*\.?[0-9]+)(MIN|MAX)", re.IGNORECASE)
 
 

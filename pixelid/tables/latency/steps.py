@@ -11,7 +11,8 @@ from pixelid.dynamics.trajectory import integrate
 from pixelid.stages.circuit import Circuit
 
 # From below a timestamp's µs to beyond any LED's period; 9 % apart, so that linear interpolation errs by 0.1 %
-TIMES_S = np.concatenate([[0.0], np.geomspace(3e-7, 1.0, 180)])
+NEVER_S = 1.0  # stands for a crossing that does not come
+TIMES_S = np.concatenate([[0.0], np.geomspace(3e-7, NEVER_S, 180)])
 
 
 def changes(circuit: Circuit, before: np.ndarray, after: np.ndarray, speed: np.ndarray | None = None) -> np.ndarray:

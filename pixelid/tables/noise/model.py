@@ -150,7 +150,8 @@ def in_unit(model: Model, unit: str) -> Model:
         raise InputError(f"model {model.name}: radiance in {own}, but the table's light is in {unit}")
     factor = FA_PER_UNIT[unit] / FA_PER_UNIT[own]
     power = {"alpha": 1, "gamma": 1, "alpha_over_beta": 1, "shot_noise.density": -1, "dark_current.radiance": -1,
-             "parasitic_photocurrent.rate_hz_per_radiance": 1, "bandwidth_floor.radiance": -1}  # fmt: skip
+             "parasitic_photocurrent.rate_hz_per_radiance": 1, "bandwidth_floor.radiance": -1,
+             "linear_log.knee": -1}  # fmt: skip
     parameters = {}
     for name, p in model.parameters.items():
         if name in power:

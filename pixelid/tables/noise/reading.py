@@ -19,6 +19,7 @@ from pixelid.recordings.recording import Recording
 from pixelid.tables.reading import TextTable, read_text_table
 
 LIGHT = re.compile(r"lux|illuminance|irradiance|radiance|photocurrent|w_?/?m2")
+SCALED = re.compile(r"(^|_)[numkµ](w|lux|lx)(_|/|$)|cm_?2|flux")  # another unit than those that `_unit` knows
 POLARITY = {"ON": re.compile(r"(^|_)(on|pos)(_|$)"), "OFF": re.compile(r"(^|_)(off|neg)(_|$)")}
 RATE = re.compile(r"event|rate|hz|per_s|/s")
 STILL = 1e-3  # relative change of the light of a still scene: 10⁻³ of a threshold of 1 would be 1 % of a rate
@@ -124,6 +125,10 @@ def _light_column(text: TextTable) -> str:
         raise InputError(
             f"{text.path}: expected a column of light (lux, illuminance, irradiance, radiance), "
             f"found {shown(', '.join(text.names), 200)}"
+        )
+    if len(found) > 1 or SCALED.search(found[0].lower()):
+        raise InputError(
+            f"{text.path}: expected one column of light, in lux, W/m2 or fA, found {shown(', '.join(found), 200)}"
         )
     return found[0]
 

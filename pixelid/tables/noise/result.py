@@ -16,7 +16,7 @@ from pixelid.model.files import save_model
 from pixelid.model.model import Model
 from pixelid.provenance import provenance
 from pixelid.status import Status
-from pixelid.tables.fit import MAX_SCATTER
+from pixelid.tables.fit import MAX_SCATTER, misses
 from pixelid.tables.model import predicted_rows
 from pixelid.tables.noise.figures import draw_noise
 from pixelid.tables.noise.fit import NoiseFit
@@ -80,11 +80,12 @@ def predicted_result(noise: NoiseModel) -> dict[str, Any]:
     ratio = np.log(rows.measured + d) - np.log(predicted + d)
     known = (d / math.sqrt(12.0) / (rows.measured + d)) ** 2 + np.asarray(rows.relative_error) ** 2
     scatter = 1.4826 * float(np.median(np.abs(ratio)))
-    off = not scatter < MAX_SCATTER
-    written = predicted_rows(noise, predicted, ratio / np.sqrt(known + REPEATABILITY**2))
+    standardised = ratio / np.sqrt(known + REPEATABILITY**2)
+    how = misses(ratio, standardised) or (f"by {scatter:.0%} (typical)" if not scatter < MAX_SCATTER else "")
+    written = predicted_rows(noise, predicted, standardised)
     return {
-        "status": Status.misfit if off else Status.converged,
-        "advice": f"The model misses the rates by {scatter:.0%} (typical): fit it to this table." if off else "",
+        "status": Status.misfit if how else Status.converged,
+        "advice": f"The model misses the rates {how}: fit it to this table." if how else "",
         "model": noise.circuit.name,
         "observation": "noise_rate",
         "parameters": _fixed(noise.circuit, list(noise.circuit.parameters)) | _floor(noise.floor),

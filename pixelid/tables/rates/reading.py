@@ -5,12 +5,13 @@ CSV: a header `freq_hz,<column>,…`, empty cells where nothing was measured, `#
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from pixelid.errors import InputError
+from pixelid.errors import InputError, shown
 from pixelid.tables.reading import read_text_table
 
 UNITS = {"hz": 1.0, "kev/s": 1e3, "mev/s": 1e6}
@@ -49,6 +50,8 @@ def read_table(path: Path, unit: str = "hz") -> RateTable:
     if unit not in UNITS:
         raise InputError(f"unit: expected one of {', '.join(UNITS)}, found {unit!r}")
     text = read_text_table(path, first="freq", expected="freq_hz,column,…")
+    if re.search(r"[km]hz", text.names[0].lower()):
+        raise InputError(f"{path}: expected frequencies in Hz, found a column {shown(text.names[0])}")
     frequency, names = text.numbers(text.names[0]), text.names[1:]
     rates = np.stack([text.numbers(name) for name in names], axis=1)
     if len(rates) < 2 or not (frequency > 0).all() or (np.nan_to_num(rates) < 0).any():
