@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -101,6 +102,8 @@ class FitCache:
         lines = path.read_bytes().split(b"\n")
         read = [_entry(line) for line in lines if line]
         self._entries = dict(pair for pair in read if pair is not None)
+        if lines[-1] and read[-1] is None:  # cut off: away, so that the next entry does not follow its beginning
+            os.truncate(path, max(sum(len(line) + 1 for line in lines[:-1]) - 1, 0))
         if None in read[:-1]:  # not just cut off at its end
             set_aside(path, "is damaged (its sound lines are kept)", "damaged")
             for key, entry in self._entries.items():

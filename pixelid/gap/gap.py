@@ -17,6 +17,7 @@ from pixelid.gap.result import GapReport
 from pixelid.gap.search import search
 from pixelid.model.model import Model
 from pixelid.recordings.recording import Recording
+from pixelid.recordings.selection import named_apart
 
 
 def gap(
@@ -64,6 +65,7 @@ def gap(
         ('named', ['leak'])
     """
     check_searchable(recordings, model, alpha)
+    recordings = named_apart(recordings)
     wanted = Wanted.of(pixel_levels)
     options = Options(alpha, seed, tuple(leave_out), criteria or Criteria(), recommend)
     cache = None if resume is None else FitCache(resume)

@@ -141,8 +141,8 @@ class State:
     @property
     def new_signatures(self) -> list[TimestampSignature]:
         """Effects told without the likelihood that the base model lacked."""
-        new = [f for f in self.undone if f.effect not in self.base.model.effects]
-        return [*new, self.hot.signature] if self.hot is not None else new
+        told = [*self.undone, self.hot.signature] if self.hot is not None else list(self.undone)
+        return [f for f in told if f.effect not in self.base.model.effects]
 
     @property
     def imputed(self) -> bool:

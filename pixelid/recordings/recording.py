@@ -33,6 +33,7 @@ class Recording:
     triggers: edges on the camera's trigger inputs, where the file holds them
     exposures: an ATIS' exposure measurements as events: begin (p = 0) and end (p = 1) of the time in which a pixel's
         photocurrent moves a fixed charge
+    label: a name of its own, where that of the file or the condition is another recording's, too
     """
 
     events: Events
@@ -44,6 +45,7 @@ class Recording:
     attributes: dict = field(default_factory=dict)
     triggers: Triggers | None = None
     exposures: Events | None = None
+    label: str = ""
 
     def __repr__(self) -> str:
         e, on = self.events, float(self.events.p.mean()) if len(self.events) else None
@@ -75,8 +77,8 @@ class Recording:
 
     @property
     def name(self) -> str:
-        """The file's stem, else the condition."""
-        return self.source.stem if self.source else (self.condition or "recording")
+        """The label, else the file's stem, else the condition."""
+        return self.label or (self.source.stem if self.source else (self.condition or "recording"))
 
     def check_stimulus_covers_events(self) -> None:
         """Raise InputError when an event lies outside the stimulus, in time or place, or there is no stimulus.

@@ -36,6 +36,20 @@ def nearly_square(pixels: int) -> tuple[int, int]:
     return pixels // height, height
 
 
+def named_apart(recordings: Sequence[Recording]) -> list[Recording]:
+    """The recordings with a number behind every name that an earlier one has: names tell them apart in results."""
+    taken: set[str] = set()
+    named = []
+    for r in recordings:
+        name, number = r.name, 1
+        while name in taken:
+            number += 1
+            name = f"{r.name} ({number})"
+        taken.add(name)
+        named.append(r if name == r.name else replace(r, label=name))
+    return named
+
+
 def only(recordings: Sequence[Recording], pixels: np.ndarray) -> list[Recording]:
     """The recordings with the events of these flat pixel indices only."""
     return [replace(r, events=r.events.select(np.isin(r.events.pixel, pixels))) for r in recordings]

@@ -41,6 +41,7 @@ from pixelid.simulate import Twins, simulate
 from pixelid.stimuli.course import course
 from pixelid.stimuli.resample import resampled
 from pixelid.stimuli.shapes import chirp, constant, sine, slow, steps
+from pixelid.stimuli.stimulus import Stimulus
 
 CASES = Path(__file__).resolve().parents[3] / "shared" / "gap_cases"
 MODEL = find_model("dvs128")
@@ -591,6 +592,38 @@ def test_practice_cases(case):
         assert interval[0] - 1e-9 <= strength <= interval[1] + 1e-9
         assert run.closed >= 0.9
         assert run.interval[0] >= 0.75
+
+
+def test_hot_pixels_that_the_base_model_has_are_not_missing():
+    burning = MODEL.with_effect("hot_pixels", {"rate_hz": 60.0, "count": 2})
+    light = {"chirp_24": chirp(24.0, stop_hz=200.0), "steps_400": steps(400.0, seed=3)}
+    recordings = session(burning, side=5, seed=6, lights=light)
+    known = gap(recordings, burning, recommend=False)
+    assert known.verdict == "none"
+    assert known.effects == ()
+    assert known.global_p > 1e-3
+    assert [effect.name for effect in gap(recordings, MODEL, recommend=False).effects] == ["hot_pixels"]
+
+
+def test_recordings_of_one_name_are_told_apart():
+    """Two files of one stem: what was found closes the gap of both."""
+    true = MODEL.with_effect("leak", {"rate_hz": 8.0})
+    light = {"chirp_24": chirp(24.0, stop_hz=200.0), "steps_24": steps(24.0, seed=1)}
+    recordings = [replace(r, condition="recording") for r in session(true, side=4, seed=2, lights=light)]
+    report = gap(recordings, MODEL, recommend=False)
+    assert [effect.name for effect in report.effects] == ["leak"]
+    assert report.free_run.closed > 0.8
+    assert set(report.free_run.per_recording) == {"recording", "recording (2)"}
+
+
+def test_a_session_too_short_for_any_map_says_nothing():
+    t = np.linspace(0, 2, 2001)
+    light = Stimulus(t, 100 * np.exp(0.6 * t + 0.3 * np.sin(2 * np.pi * 3 * t)))
+    recording = simulate(MODEL, light, width=3, height=1, seed=2, sensor_seed=2)
+    assert len(recording.events) < 60
+    report = gap([recording], MODEL, recommend=False)
+    assert report.verdict == "none"
+    assert report.global_p == 1.0
 
 
 def test_hot_pixels_stand_out_where_others_are_silent():

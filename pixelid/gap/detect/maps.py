@@ -109,7 +109,7 @@ def map_residuals(
     scores = np.array([c.score for c in cells])
     order = np.argsort(-np.abs(scores))
     top = float(np.abs(scores).max(initial=0.0))
-    p_normal = float(min(1.0, len(cells) * 2.0 * norm.sf(top)))
+    p_normal = float(min(1.0, max(len(cells), 1) * 2.0 * norm.sf(top)))  # 1 where there is none
     p_pixels = flip_signs(sums, seed)
     return Maps(tuple(cells[i] for i in order), max(p_normal, p_pixels or 0.0), p_normal, p_pixels, int((~kept).sum()))
 

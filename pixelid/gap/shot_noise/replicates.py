@@ -134,7 +134,7 @@ def subtract_replicates(seen: Diagnostics, shown: Sequence[Scores]) -> tuple[tup
     """(the cells by |score| with what replicates show taken out, p of the largest)."""
     cells = sorted(_subtracted(seen.maps.cells, shown), key=lambda c: -abs(c.score))
     top = abs(cells[0].score) if cells else 0.0
-    return tuple(cells), float(min(1.0, len(cells) * 2.0 * norm.sf(top)))
+    return tuple(cells), float(min(1.0, max(len(cells), 1) * 2.0 * norm.sf(top)))
 
 
 def _subtracted(cells: tuple[Cell, ...], scores: Sequence[Scores]) -> list[Cell]:

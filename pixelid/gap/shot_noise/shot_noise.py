@@ -65,6 +65,8 @@ class ShotNoise:
 def looks_like_shot_noise(seen: Diagnostics, criteria: Criteria) -> bool:
     """Whether the maps look like it at first sight: spreads are off more than levels, and deviations reverse."""
     scores = {kind: [c.score for c in seen.maps.cells if c.response == kind] for kind in ("level", "spread", "memory")}
+    if not scores["level"] or not scores["spread"]:
+        return False
     level, spread = (
         float(np.mean(np.clip(scores[kind], -MAX_SCORE_AT_SIGHT, MAX_SCORE_AT_SIGHT) ** 2))
         for kind in ("level", "spread")

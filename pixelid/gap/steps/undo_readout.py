@@ -21,10 +21,10 @@ def undo_readout(state: State, context: Context) -> State:
     recordings, split, model = state.hypothesis.recordings, state.split, state.model
     undone = tuple(f for f in state.signatures if f.effect not in options.leave_out)
     rounds, lost, imputation, hot = state.rounds, state.lost, None, None
-    if "hot_pixels" not in options.leave_out and not model.has("hot_pixels"):
+    if "hot_pixels" not in options.leave_out:  # known or not: the density of event times does not know them
         hot = find_hot_pixels_in_silence(recordings)
     if hot is not None:
-        rounds = (*rounds, signature_entry(hot.signature, False))
+        rounds = (*rounds, signature_entry(hot.signature, model.has("hot_pixels")))
         split = split.without(hot.pixels)
         recordings = tuple(only(recordings, split.everyone))
     for signature in undone:
