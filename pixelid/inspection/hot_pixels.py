@@ -79,7 +79,7 @@ def median_around(
         (pixels,), 0 for pixels that are not kept.
     """
     from scipy.ndimage import median_filter
-    from scipy.spatial import cKDTree
+    from scipy.spatial import KDTree
 
     if kept is None:
         footprint = np.ones((side, side), bool)
@@ -88,7 +88,7 @@ def median_around(
     there = np.flatnonzero(kept)
     position = np.column_stack(np.divmod(there, image.shape[1]))
     most = min(side * side, len(there))
-    _, nearest = cKDTree(position).query(position, k=most)
+    _, nearest = KDTree(position).query(position, k=most)
     nearest = nearest.reshape(len(there), most)  # itself first
     values, around = image.ravel()[there], np.zeros(image.size)
     around[there] = np.median(values[nearest if centre or most == 1 else nearest[:, 1:]], axis=1)

@@ -109,7 +109,8 @@ def convert(
         T_wc_timestamp=window.poses.t - window.begin,
     )  # fmt: skip
     pixel = _pixel(source, thresholds, dead_time)
-    np.savez(folder / layout.FILE, **_geometry(source.camera), **pixel, **({} if kept is None else {layout.KEPT: kept}))
+    which: dict[str, Any] = {} if kept is None else {layout.KEPT: kept}
+    np.savez(folder / layout.FILE, **_geometry(source.camera), **pixel, **which)
     if source.renderer is not None:
         np.savez(folder / RENDERER, **source.renderer)
     progress("views", 0.9)
