@@ -59,7 +59,7 @@ class TextTable:
 
 
 def _exponent(cell: str) -> int:
-    """Of ten, in the last digit that a cell writes, 0 at most; a double's for one that is no number."""
+    """Of ten, in the last digit that a cell writes, 0 at most; 0 for one that is no number."""
     try:
         exponent = Decimal(cell).as_tuple().exponent
     except InvalidOperation:

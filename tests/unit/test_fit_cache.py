@@ -63,7 +63,7 @@ def test_a_line_cut_off_at_the_end_is_dropped(tmp_path):
     assert again.get("a") == {"x": [1.0]}
     assert again.get("b") is None
     again.add("b", {"x": [2.0]})
-    third = FitCache(path)  # SetAside is an error in tests: what was cut off is not in the middle now
+    third = FitCache(path)  # what was cut off is not in the middle now
     assert third.entries == {"a": {"x": [1.0]}, "b": {"x": [2.0]}}
     assert [file.name for file in tmp_path.iterdir()] == ["fits"]
 

@@ -106,12 +106,14 @@ def map_residuals(
     cells += memory[0]
     by_pixel.append(memory[1])
     sums = np.concatenate(by_pixel, axis=1)
-    scores = np.array([c.score for c in cells])
-    order = np.argsort(-np.abs(scores))
-    top = float(np.abs(scores).max(initial=0.0))
-    p_normal = float(min(1.0, max(len(cells), 1) * 2.0 * norm.sf(top)))  # 1 where there is none
-    p_pixels = flip_signs(sums, seed)
-    return Maps(tuple(cells[i] for i in order), max(p_normal, p_pixels or 0.0), p_normal, p_pixels, int((~kept).sum()))
+    cells.sort(key=lambda c: -abs(c.score))
+    p_normal, p_pixels = chance_of_largest(cells), flip_signs(sums, seed)
+    return Maps(tuple(cells), max(p_normal, p_pixels or 0.0), p_normal, p_pixels, int((~kept).sum()))
+
+
+def chance_of_largest(cells: Sequence[Cell]) -> float:
+    """p of the first of cells that are sorted by |score|, after Bonferroni; 1 where there is none."""
+    return float(min(1.0, len(cells) * 2.0 * norm.sf(abs(cells[0].score)))) if cells else 1.0
 
 
 class _Basis:

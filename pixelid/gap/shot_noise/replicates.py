@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import ndtri_exp
-from scipy.stats import norm
 from scipy.stats import t as student
 
 from pixelid.fit.cache import FitCache
@@ -20,7 +19,7 @@ from pixelid.fit.maximise import Maximum, maximise
 from pixelid.gap.criteria import Criteria
 from pixelid.gap.detect.covariates import sort_events
 from pixelid.gap.detect.diagnostics import Diagnostics
-from pixelid.gap.detect.maps import Cell, Scores, map_residuals
+from pixelid.gap.detect.maps import Cell, Scores, chance_of_largest, map_residuals
 from pixelid.gap.detect.pixels import PixelEvidence
 from pixelid.gap.detect.residuals import residuals, tangents
 from pixelid.likelihood.event_times import EventTimes
@@ -133,8 +132,7 @@ def background_by_polarity(likelihood: EventTimes, background: np.ndarray) -> np
 def subtract_replicates(seen: Diagnostics, shown: Sequence[Scores]) -> tuple[tuple[Cell, ...], float]:
     """(the cells by |score| with what replicates show taken out, p of the largest)."""
     cells = sorted(_subtracted(seen.maps.cells, shown), key=lambda c: -abs(c.score))
-    top = abs(cells[0].score) if cells else 0.0
-    return tuple(cells), float(min(1.0, max(len(cells), 1) * 2.0 * norm.sf(top)))
+    return tuple(cells), chance_of_largest(cells)
 
 
 def _subtracted(cells: tuple[Cell, ...], scores: Sequence[Scores]) -> list[Cell]:

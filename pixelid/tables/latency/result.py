@@ -107,11 +107,11 @@ def _stand_ins(
 ) -> list[str]:
     """What a prediction rests on that was not measured, one sentence each."""
     said = []
+    known = {lens for each in cameras for lens in each.lens}
     for label, camera in used.items():
         here = table.camera == label
         if camera.name != label != "-":
             said.append(f"camera {label}: predicted by the model of {camera.name}")
-        known = {lens for each in cameras for lens in each.lens}
         said += [
             f"{label}: lens {lens!r} was not fitted: light is taken to be that without its factor"
             for lens in dict.fromkeys(table.lens[here].tolist())

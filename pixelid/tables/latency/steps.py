@@ -10,8 +10,8 @@ from pixelid.dynamics.of_circuit import dynamics_of
 from pixelid.dynamics.trajectory import integrate
 from pixelid.stages.circuit import Circuit
 
-# From below a timestamp's µs to beyond any LED's period; 9 % apart, so that linear interpolation errs by 0.1 %
-NEVER_S = 1.0  # stands for a crossing that does not come
+NEVER_S = 1.0  # beyond any LED's period: stands for a crossing that does not come
+# From below a timestamp's µs; 9 % apart, so that linear interpolation errs by 0.1 %
 TIMES_S = np.concatenate([[0.0], np.geomspace(3e-7, NEVER_S, 180)])
 
 
