@@ -69,7 +69,7 @@ def draw_conditions(result: Fitted, recordings: Sequence[Recording], axes: Any =
     Returns:
         The axes.
     """
-    from pixelid.simulate import simulate
+    from pixelid.simulate import simulate_row
 
     shown = [r for r in recordings if len(r.events)] or list(recordings)[:1]
     columns = min(3, len(shown))
@@ -84,7 +84,7 @@ def draw_conditions(result: Fitted, recordings: Sequence[Recording], axes: Any =
         active = np.unique(events.pixel)
         pixels = max(len(active), 1)
         light = in_a_row(stimulus, active)
-        copy = simulate(result.model, light, width=pixels, height=1, seed=result.seed).events
+        copy = simulate_row(result.model, light, pixels, seed=result.seed).events
         for polarity, sign, colour in ((1, 1.0, ON), (0, -1.0, OFF)):
             scale = sign / pixels / np.diff(edges)
             measured = np.histogram(events.t[events.p == polarity] * 1e-9, edges)[0]

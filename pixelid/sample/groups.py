@@ -61,7 +61,7 @@ def counts(recordings: Sequence[Recording]) -> dict[str, np.ndarray]:
 
 def predicted(posterior: Posterior, result: FitResult, recordings: Sequence[Recording], draws: int) -> dict:
     """ON and OFF events per recording, (draws, recordings), simulated at posterior draws with as many pixels."""
-    from pixelid.simulate import simulate
+    from pixelid.simulate import simulate_row
 
     between = result.details.get("stimulus_between_samples", "linear")
     shown = []
@@ -74,7 +74,7 @@ def predicted(posterior: Posterior, result: FitResult, recordings: Sequence[Reco
     for k, x in enumerate(posterior.thinned(draws)):
         model = posterior.coordinates.model_at(x)
         copies = [
-            simulate(model, stimulus, width=pixels, height=1, seed=1000 * result.seed + len(shown) * k + i)
+            simulate_row(model, stimulus, pixels, seed=1000 * result.seed + len(shown) * k + i)
             for i, (stimulus, pixels) in enumerate(shown)
         ]
         for name, value in counts(copies).items():

@@ -51,20 +51,20 @@ class Shared:
 class Twins:
     """Pixels that are to be like measured ones.
 
-    on, off: (n,) thresholds, log radiance;  released_s: (n,) when each is released from its first reset; infinite
-    where it has none, so that it starts at random as any pixel does
-    after: (n,) polarity of the event before that release, ±1, or 0 where there was none; None: nowhere any
+    on, off: (n,) thresholds, log radiance;  event_s: (n,) when each fires the event that it starts from, its dead time
+    running from there; infinite where it has none, so that it starts at random as any pixel does
+    after: (n,) polarity of that event, ±1, or 0 where it has none; None: nowhere any
     """
 
     on: np.ndarray
     off: np.ndarray
-    released_s: np.ndarray
+    event_s: np.ndarray
     after: np.ndarray | None = None
 
     def only(self, chosen: np.ndarray) -> Twins:
         """Some of them."""
         after = None if self.after is None else self.after[chosen]
-        return Twins(self.on[chosen], self.off[chosen], self.released_s[chosen], after)
+        return Twins(self.on[chosen], self.off[chosen], self.event_s[chosen], after)
 
 
 class FullField:
@@ -112,29 +112,31 @@ class FullField:
         ):  # fmt: skip
             state[drawn] *= own / state[base]
             state[base] = own
-        waiting = np.isfinite(twins.released_s)
+        waiting = np.isfinite(twins.event_s)
+        dead = np.full(len(waiting), float(self._rules.circuit.refractory))
         if twins.after is not None:
             history = np.array([self._rules.laws.history[0], (0.0, 0.0), self._rules.laws.history[1]])
             shift = history[np.sign(twins.after).astype(int) + 1].T
             if len(self._rules.laws.described):
-                shift = shift + np.where(waiting & (twins.after != 0), self._set_before(twins), 0.0)
+                on, off, longer = np.where(waiting & (twins.after != 0), self._set_before(twins), 0.0)
+                shift, dead = shift + np.array([on, off]), np.maximum(dead + longer, 0.0)
             for drawn, base, moved in zip(
                 (comparator.ON, comparator.OFF), (comparator.BASE_ON, comparator.BASE_OFF), shift, strict=True
             ):
                 state[drawn] = np.maximum(state[drawn] + moved, comparator.LEAST * state[base])
-        state[comparator.LAST, waiting] = twins.released_s[waiting] - self._rules.circuit.refractory
-        state[RELEASE, waiting] = twins.released_s[waiting]
+        state[comparator.LAST, waiting] = twins.event_s[waiting]
+        state[RELEASE, waiting] = (twins.event_s + dead)[waiting]
         state[LEVEL, waiting], state[DECAY, waiting] = np.nan, 0.0
 
     def _set_before(self, twins: Twins) -> np.ndarray:
-        """(2, n) what the event before each twin's release adds to its ON and OFF thresholds."""
+        """(3, n) what each twin's event adds to its ON and OFF thresholds and to its dead time."""
         shared, after = self._shared, np.zeros(len(twins.on)) if twins.after is None else twins.after
-        time = np.clip(twins.released_s - self._rules.circuit.refractory, shared.t[0], shared.t[-1])
+        time = np.clip(twins.event_s, shared.t[0], shared.t[-1])
         k = np.minimum(np.searchsorted(shared.t, time, side="right") - 1, len(shared.t) - 2)
         step = np.maximum(shared.t[k + 1] - shared.t[k], 1e-300)
         slope = np.where(shared.t[k + 1] > shared.t[k], (shared.logs[k + 1] - shared.logs[k]) / step, 0.0)
         light = np.exp(shared.logs[k] + slope * (time - shared.t[k]))
-        return np.array(set_at_reset(self._rules.laws.described, after, time, light, np.abs(slope))[:2])
+        return np.array(set_at_reset(self._rules.laws.described, after, time, light, np.abs(slope)))
 
     def run(self, pool: Executor):
         """(event lists of tiles, time up to which they are complete, whether that is all), some steps at a time."""

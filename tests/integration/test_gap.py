@@ -247,16 +247,23 @@ def test_twins_keep_their_thresholds_and_wait_for_their_release():
     exact = MODEL.without_effect("threshold_mismatch").set({"threshold_sigma": 1e-5})
     twins = Twins(np.array([0.1, 0.4]), np.array([0.1, 0.4]), np.array([0.2, 0.5]))
     events = simulate(exact, resampled(light), width=2, height=1, seed=1, twins=twins).events
-    for pixel, released in enumerate(twins.released_s):
-        assert (events.t[events.pixel == pixel] * 1e-9 > released).all()
+    for pixel, fired in enumerate(twins.event_s):
+        assert (events.t[events.pixel == pixel] * 1e-9 > fired + exact.values["refractory_s"]).all()
     assert np.sum(events.pixel == 0) > 2 * np.sum(events.pixel == 1)
     memory = exact.with_effect("leak", {"rate_hz": 10.0}).with_effect("polarity_memory", {"strength": 0.2})
-    after = replace(twins, on=np.full(3, 0.25), off=np.full(3, 0.25), released_s=np.full(3, 0.1))
+    after = replace(twins, on=np.full(3, 0.25), off=np.full(3, 0.25), event_s=np.full(3, 0.1))
     after = replace(after, after=np.array([1.0, 0.0, -1.0]))
     dark = constant(24.0)
     events = simulate(memory, dark, width=3, height=1, seed=1, twins=after).events
     first = [events.t[events.x == x][0] * 1e-9 for x in range(3)]
-    np.testing.assert_allclose(first, 0.1 + 0.1 * np.array([1.2, 1.0, 0.8]), rtol=1e-3)
+    first_free = 0.1 + exact.values["refractory_s"]
+    np.testing.assert_allclose(first, first_free + 0.1 * np.array([1.2, 1.0, 0.8]), rtol=1e-3)
+    longer = "described.dead_time.previous_polarity.constant"  # after ON 30 ms more, after OFF none
+    dead = exact.with_effect("leak", {"rate_hz": 10.0}).with_effect(longer, {"strength": 0.03})
+    events = simulate(dead, dark, width=3, height=1, seed=1, twins=after).events
+    first = [events.t[events.x == x][0] * 1e-9 for x in range(3)]
+    dead_s = exact.values["refractory_s"] + np.array([0.03, 0.0, -exact.values["refractory_s"]])
+    np.testing.assert_allclose(first, 0.1 + dead_s + 0.1, rtol=1e-3)
     with pytest.raises(InputError, match="twins"):
         simulate(exact, light, width=3, height=1, twins=twins)
 

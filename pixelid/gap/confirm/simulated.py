@@ -19,7 +19,7 @@ from pixelid.model.model import Model
 from pixelid.parallel import map_threads
 from pixelid.recordings.recording import Recording
 from pixelid.recordings.selection import only
-from pixelid.simulate import Twins, simulate
+from pixelid.simulate import Twins, simulate_row
 
 
 def count_twins(
@@ -41,27 +41,27 @@ def count_twins(
     on, off = _thresholds(only(timely, crowd), crowd, model)
     exact = model.without_effect("threshold_mismatch").without_effect("hot_pixels")
     extra_hz = model.circuit().hot_hz if hot is not None else 0.0
-    dead, delay = (float(np.real(number)) for number in (model.circuit().refractory, model.circuit().delay))
+    delay = float(np.real(model.circuit().delay))
     sensors, each = (copies, 1) if queue else (1, copies)  # sensors of twins, twins of each pixel in a sensor
     place = np.searchsorted(crowd, pixels)
     watched = (np.arange(each)[:, None] * len(crowd) + place).ravel()
     hot_twins = watched[np.tile(hot, each)] if hot is not None and extra_hz > 0 else np.empty(0, np.int64)
     runs: list[list[Recording]] = [[] for _ in range(sensors)]
     for i, (recording, own) in enumerate(zip(recordings, mine, strict=True)):
-        released = np.full(len(crowd), np.inf)
+        fired = np.full(len(crowd), np.inf)
         first = np.unique(own.events.pixel, return_index=True)
         after = np.zeros(len(crowd))
         place_of_first = np.searchsorted(crowd, first[0])
-        released[place_of_first] = own.events.t[first[1]] * 1e-9 - delay + dead
+        fired[place_of_first] = own.events.t[first[1]] * 1e-9 - delay
         after[place_of_first] = np.where(own.events.p[first[1]] == 1, 1.0, -1.0)
-        twins = Twins(*(np.tile(one, each) for one in (on, off, released, after)))
+        twins = Twins(*(np.tile(one, each) for one in (on, off, fired, after)))
         assert recording.stimulus is not None
         seen = recording.stimulus, np.tile(crowd, each)
         for k, done in enumerate(runs):
             own_seed = seed + i + 101 * k
             here = exact.in_recording(recording.name)
             light = light_in_a_row(recording, *seen, own_seed)
-            run = simulate(here, light, width=len(twins.on), height=1, seed=own_seed, twins=twins)
+            run = simulate_row(here, light, len(twins.on), seed=own_seed, twins=twins)
             done.append(_with_hot_events(run, hot_twins, extra_hz, own_seed) if len(hot_twins) else run)
     table = np.stack([count_events(done, watched, edges).table for done in runs])
     return table.reshape(copies, len(pixels), -1)
@@ -72,12 +72,13 @@ def _with_hot_events(recording: Recording, pixels: np.ndarray, rate_hz: float, s
     assert recording.stimulus is not None
     rng, events = np.random.default_rng(seed), recording.events
     start, span = recording.stimulus.start_s, recording.stimulus.duration_s
-    x = np.repeat(pixels, rng.poisson(rate_hz * span, len(pixels)))
-    t = np.concatenate([events.t, ((start + span * rng.random(len(x))) * 1e9).astype(np.int64)])
+    place = np.repeat(pixels, rng.poisson(rate_hz * span, len(pixels)))
+    t = np.concatenate([events.t, ((start + span * rng.random(len(place))) * 1e9).astype(np.int64)])
     order = np.argsort(t, kind="stable")
-    x = np.concatenate([events.x, x.astype(np.uint16)])[order]
+    y, x = np.divmod(np.concatenate([events.pixel, place])[order], events.width)
     p = np.concatenate([events.p, np.ones(len(t) - len(events), np.uint8)])[order]
-    return replace(recording, events=replace(events, t=t[order], x=x, y=np.zeros(len(t), np.uint16), p=p))
+    moved = replace(events, t=t[order], x=x.astype(np.uint16), y=y.astype(np.uint16), p=p)
+    return replace(recording, events=moved)
 
 
 def _thresholds(recordings, pixels: np.ndarray, model: Model) -> tuple[np.ndarray, np.ndarray]:
@@ -115,7 +116,7 @@ def count_sensors(
         assert light is not None
         light = light_in_a_row(recordings[i], light, row, own)
         here = model.in_recording(recordings[i].name)
-        return simulate(here, light, width=width, height=1, seed=own, sensor_seed=seed + copy)
+        return simulate_row(here, light, width, seed=own, sensor_seed=seed + copy)
 
     tables = []
     for copy in range(copies):

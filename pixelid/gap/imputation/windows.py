@@ -14,7 +14,7 @@ from scipy.optimize import isotonic_regression
 
 from pixelid.model.model import Model
 from pixelid.recordings.recording import Recording
-from pixelid.simulate import simulate
+from pixelid.simulate import simulate_row
 from pixelid.stimuli.pixel_lights import in_a_row
 
 CROWD_PIXELS = 400  # simulated, behind an expected number of events: it is known to a twentieth of an event
@@ -105,9 +105,7 @@ def guess_by_rank(
         assert recording.stimulus is not None
         copies = max(1, round(CROWD_PIXELS / len(pixels)))
         light = in_a_row(recording.stimulus, np.tile(pixels, copies))
-        crowd = simulate(
-            model.in_recording(recording.name), light, width=copies * len(pixels), height=1, seed=seed + i
-        ).events
+        crowd = simulate_row(model.in_recording(recording.name), light, copies * len(pixels), seed=seed + i).events
         when, number = crowd.t.astype(float), np.arange(len(crowd)) / copies
         begins = window.hi <= window.lo
         head = np.maximum.accumulate(np.where(begins, np.arange(len(begins)), 0))
