@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -63,7 +64,8 @@ def conform(
     with connected(where or Where()) as client:
         context = Context(Options(alpha, seed), cache, report, Work(client))
         if all(r.pooled for r in recordings):
-            found, beside = search_pooled(recordings, model, context), Beside(pixels=False)
+            found = search_pooled(recordings, model, context)
+            beside = Beside(found.model, doubted=found.details["rivals"], pixels=False)
         else:
             found, beside = _searched(recordings, model, context)
     if cache is not None:
@@ -81,11 +83,21 @@ def _searched(recordings: Sequence[Recording], model: Model, context: Context) -
         return confirm(state, context)
 
     found = fold(begin(recordings, model, context), {**STEPS, Phase.CONFIRM: keep_and_confirm}, context)
-    end = ends[0]
+    end = _without_withdrawn(ends[0], found)
     doubted: dict[str, list[str]] = {}
     for step, other in end.doubts:
         doubted.setdefault(step.effect, []).append(other.effect)
-    return found, Beside(intervals_of(end.hypothesis), removals(end, context), doubted, _readout(end))
+    hypothesis = end.hypothesis
+    return found, Beside(
+        hypothesis.model, intervals_of(hypothesis), removals(end, context), doubted, _readout(end)
+    )  # fmt: skip
+
+
+def _without_withdrawn(state: State, found: GapReport) -> State:
+    """The state as it was before the steps that the report has taken back."""
+    if not found.details["withdrawn"] or not state.steps:
+        return state
+    return replace(state, hypothesis=state.steps[0].before, steps=())
 
 
 def _readout(state: State) -> dict[str, str | None]:

@@ -12,6 +12,7 @@ from pixelid.conform.row import ABSENT, NOT_DECIDABLE, NOT_TESTED, PRESENT, STAG
 from pixelid.gap.attribute.candidates import INVERSE, NOT_IN_DENSITY
 from pixelid.gap.criteria import Criteria
 from pixelid.gap.result import GapReport
+from pixelid.model.model import Model
 
 THRESHOLDS = ("on_threshold", "off_threshold")
 
@@ -21,13 +22,15 @@ class Beside:
     """What a table needs of a search that its report does not say.
 
     Attributes:
-        intervals: 95 %, of the free parameters of the final model.
+        model: That the search ended with, before descriptions, fitted.
+        intervals: 95 %, of its free parameters.
         removals: Of effects that came with the base model.
         doubted: Named effect → others that explain as well what it does.
         readout: Effect read off timestamps or single pixels → why it is absent, or None where nothing can tell.
         pixels: Whether events have pixels.
     """
 
+    model: Model
     intervals: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     removals: Mapping[str, Removal] = field(default_factory=dict)
     doubted: Mapping[str, Sequence[str]] = field(default_factory=dict)
@@ -38,7 +41,7 @@ class Beside:
 def rows_of(report: GapReport, beside: Beside, criteria: Criteria) -> tuple[Row, ...]:
     """One line for each effect of the library and for what every pixel has, in the order of the signal path."""
     rows = [_row(name, report, beside, criteria) for name in stages.LIBRARY]
-    rows += [_bandwidth(rows, report, beside), *(_threshold(name, report, beside) for name in THRESHOLDS)]
+    rows += [_bandwidth(rows, beside), *(_threshold(name, beside) for name in THRESHOLDS)]
     return tuple(sorted(rows, key=lambda row: STAGES.index(row.stage)))
 
 
@@ -58,7 +61,10 @@ def _row(effect: str, report: GapReport, beside: Beside, criteria: Criteria) -> 
     if rivals:
         return Row(effect, stage, NOT_DECIDABLE, f"would explain as well what {rivals[0]} does")
     if report.base.has(effect):
-        return _in_base(effect, report, beside, criteria)
+        return _in_base(effect, beside, criteria)
+    if effect in report.details.get("withdrawn", ()):
+        return Row(effect, stage, NOT_DECIDABLE, "named, and taken back: on pixels kept back it closes next to nothing",
+                   {}, *_gains(effect, report))  # fmt: skip
     if report.verdict == "ambiguous" and effect in report.sentence:
         return Row(effect, stage, NOT_DECIDABLE, report.sentence)
     if effect in NOT_IN_DENSITY and beside.pixels:
@@ -66,9 +72,9 @@ def _row(effect: str, report: GapReport, beside: Beside, criteria: Criteria) -> 
     return _lacking(effect, report, beside, criteria)
 
 
-def _in_base(effect: str, report: GapReport, beside: Beside, criteria: Criteria) -> Row:
+def _in_base(effect: str, beside: Beside, criteria: Criteria) -> Row:
     """An effect of the base model: needed, or weaker than it ever is, or open."""
-    own, values = stages.effect(effect), report.model.values
+    own, values = stages.effect(effect), beside.model.values
     strengths = {p.name: (values[p.name], beside.intervals.get(p.name)) for p in own.parameters if p.name in values}
     removal = beside.removals.get(effect)
     said = (removal.p, removal.gain, removal.heldout_gain) if removal else (None, None, None)
@@ -121,19 +127,19 @@ def _lacking(effect: str, report: GapReport, beside: Beside, criteria: Criteria)
     skipped = last.get("skipped", {})
     if effect in skipped:
         return Row(effect, stage, NOT_TESTED, str(skipped[effect]))
-    candidate = next((c for c in last.get("candidates", ()) if c["name"] == effect), None)
-    said = (candidate["p_value"], candidate["gain_nats"], candidate["heldout_gain_nats"]) if candidate else (None,) * 3
-    if (
-        candidate
-        and candidate["p_value"] < report.alpha / 2
-        and candidate["heldout_gain_nats"] > criteria.min_lead_nats
-    ):
+    p, _, held = said = _gains(effect, report)
+    if p is not None and held is not None and p < report.alpha / 2 and held > criteria.min_lead_nats:
         refused = last.get("refused") or "something else explains more"
         return Row(effect, stage, NOT_DECIDABLE, f"it would gain, but was not named: {refused}", {}, *said)
     shows = details.get("shows_at_typical_strength_nats", {}).get(effect)
     if shows is None:
+        if not beside.pixels and not tried:
+            return Row(effect, stage, NOT_TESTED, "looked for only where something significant is left to explain")
         if effect not in last.get("screened_nats", {}):
             return Row(effect, stage, NOT_TESTED, "no strength of it could be tried on these recordings", {}, *said)
+        if not beside.pixels:
+            why = "tried, and gains too little; from what strength on pooled counts would show it is not known"
+            return Row(effect, stage, NOT_DECIDABLE, why, {}, *said)
         return Row(effect, stage, NOT_DECIDABLE, "it moves nothing in these recordings", {}, *said)
     if shows < criteria.min_lead_nats:
         why = f"at its typical strength it would show by {shows:.2g} nats, less than {criteria.min_lead_nats:g}"
@@ -144,6 +150,13 @@ def _lacking(effect: str, report: GapReport, beside: Beside, criteria: Criteria)
     return Row(effect, stage, ABSENT, why, {}, *said, shows_nats=shows, limit=_limit(effect, shows, criteria))
 
 
+def _gains(effect: str, report: GapReport) -> tuple[float | None, float | None, float | None]:
+    """(p, nats on pixels fitted, on pixels that no fit has seen) in the last round that fitted the effect."""
+    rounds = [c for entry in report.rounds for c in entry["candidates"] if c["name"] == effect]
+    last = rounds[-1] if rounds else None
+    return (last["p_value"], last["gain_nats"], last["heldout_gain_nats"]) if last else (None, None, None)
+
+
 def _limit(effect: str, shows: float, criteria: Criteria) -> tuple[str, float]:
     """(parameter, strength that would just show): nats go with the square of the strength."""
     free = next(p for p in stages.effect(effect).parameters if p.free)
@@ -151,21 +164,24 @@ def _limit(effect: str, shows: float, criteria: Criteria) -> tuple[str, float]:
     return free.name, abs(free.value) * (1.0 / factor if effect in INVERSE else factor)
 
 
-def _bandwidth(rows: Sequence[Row], report: GapReport, beside: Beside) -> Row:
+def _bandwidth(rows: Sequence[Row], beside: Beside) -> Row:
     """Whether the photoreceptor has a bandwidth that light sets, of whatever order."""
-    if report.model.photoreceptor == "unlimited":
+    if beside.model.photoreceptor == "unlimited":
         second = next(row for row in rows if row.effect == "second_order_photoreceptor")
         return Row(BANDWIDTH, "photoreceptor", second.verdict, f"the model has none; a second-order one: {second.why}")
-    names = [n for n in ("alpha", "beta", "gamma", "alpha_over_beta") if n in report.model.values]
-    strengths = {n: (report.model.values[n], beside.intervals.get(n)) for n in names}
+    values = beside.model.values
+    names = [n for n in ("alpha", "beta", "gamma", "alpha_over_beta") if n in values]
+    strengths = {n: (values[n], beside.intervals.get(n)) for n in names}
     removal = beside.removals.get(BANDWIDTH)
     if removal is None:
-        return Row(BANDWIDTH, "photoreceptor", NOT_TESTED, "a pixel without it could not be fitted", strengths)
+        why = "a pixel without it could not be fitted" if beside.pixels else "it was not taken out of pooled counts"
+        return Row(BANDWIDTH, "photoreceptor", NOT_TESTED, why, strengths)
     why = "the model fits worse without it" if removal.needed else "the model fits as well without it"
     return Row(BANDWIDTH, "photoreceptor", PRESENT if removal.needed else NOT_DECIDABLE, why, strengths, removal.p,
                removal.gain, removal.heldout_gain)  # fmt: skip
 
 
-def _threshold(name: str, report: GapReport, beside: Beside) -> Row:
-    strength = {name: (report.model.values[name], beside.intervals.get(name))}
-    return Row(name, "comparator", PRESENT, "every event-camera pixel has it; as fitted", strength)
+def _threshold(name: str, beside: Beside) -> Row:
+    strength = {name: (beside.model.values[name], beside.intervals.get(name))}
+    told = "as fitted" if beside.pixels else "pooled counts show only its ratio to the number of pixels"
+    return Row(name, "comparator", PRESENT, f"every event-camera pixel has it; {told}", strength)

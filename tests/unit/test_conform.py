@@ -37,11 +37,11 @@ def candidate(name, gain, held, p) -> dict:
 
 
 def rows(found, **beside):
-    return {row.effect: row for row in rows_of(found, Beside(**beside), Criteria())}
+    return {row.effect: row for row in rows_of(found, Beside(**{"model": found.model, **beside}), Criteria())}
 
 
 def test_every_effect_has_one_row_in_signal_order():
-    found = rows_of(report(), Beside(), Criteria())
+    found = rows_of(report(), Beside(report().model), Criteria())
     effects = [row.effect for row in found]
     assert sorted(effects) == sorted([*stages.LIBRARY, BANDWIDTH, "on_threshold", "off_threshold"])
     places = [STAGES.index(row.stage) for row in found]
@@ -60,6 +60,33 @@ def test_a_named_effect_is_present_with_its_strength_and_evidence():
 def test_effects_that_explain_the_same_are_not_decidable():
     found = rows(report("ambiguous", [LEAK]), doubted={"leak": ["parasitic_photocurrent"]})
     assert found["leak"].verdict == found["parasitic_photocurrent"].verdict == "not_decidable"
+
+
+def test_what_was_taken_back_is_not_decidable_and_numbers_are_of_one_model():
+    rounds = [a_round([candidate("leak", 60.0, 40.0, 1e-9)], named="leak"), a_round([])]
+    fitted = find_model("dvs128").set({"refractory_s": 2e-4})
+    interval = {"refractory_s": (1.9e-4, 2.1e-4)}
+    found = rows(
+        report("unknown", rounds=rounds, details={"withdrawn": ["leak"]}, remainder=True), model=fitted,
+        intervals=interval,
+    )  # fmt: skip
+    assert (found["leak"].verdict, found["leak"].gain_nats) == ("not_decidable", 60.0)
+    assert "taken back" in found["leak"].why
+    assert found["refractory_period"].parameters == {"refractory_s": (2e-4, (1.9e-4, 2.1e-4))}
+
+
+def test_what_pooled_counts_cannot_say():
+    none = rows(report(), pixels=False)
+    assert (none["dark_current"].verdict, none["on_threshold"].verdict) == ("not_tested", "present")
+    assert "significant" in none["dark_current"].why
+    assert "number of pixels" in none["on_threshold"].why
+    tried = rows(report(rounds=[a_round(screened_nats={"dark_current": 0.1})]), pixels=False)["dark_current"]
+    assert tried.verdict == "not_decidable"
+    assert "moves nothing" not in tried.why
+    rivals = {"dark_current": ["linear_log"]}
+    one = Named("dark_current", 1e-9, 40.0, "linear_log", 39.0, 0.3, "linear_log", {}, "dim light")
+    found = rows(report("ambiguous", [one]), pixels=False, doubted=rivals)
+    assert found["dark_current"].verdict == found["linear_log"].verdict == "not_decidable"
 
 
 def test_absence_needs_that_it_would_have_been_seen():
@@ -134,7 +161,7 @@ def test_a_bandwidth_that_the_recordings_need():
 
 def test_a_report_counts_its_rows_and_goes_to_a_folder(tmp_path):
     found = report("named", [LEAK])
-    table = ConformReport(found, rows_of(found, Beside(), Criteria()), "v2e", 2.0)
+    table = ConformReport(found, rows_of(found, Beside(found.model), Criteria()), "v2e", 2.0)
     assert sum(table.counts.values()) == len(table.rows)
     table.save(tmp_path / "out")
     assert {path.name for path in (tmp_path / "out").iterdir()} >= {"conform.json", "gap.json", "model.toml"}

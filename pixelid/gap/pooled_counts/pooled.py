@@ -87,9 +87,15 @@ class PooledState:
     @property
     def doubts(self) -> list[str]:
         """Effects that explain as well as a named one what it does, and are not named themselves."""
+        return [effect for others in self.rivals.values() for effect in others]
+
+    @property
+    def rivals(self) -> dict[str, list[str]]:
+        """By effect named, those that explain as well what it does; none where there are none."""
         named = {step.winner.effect for step in self.steps}
-        runners_up = [other.effect for step in self.steps for other in step.attribution.runners_up]
-        return [effect for effect in runners_up if effect not in named]
+        others = {s.winner.effect: [o.effect for o in s.attribution.runners_up if o.effect not in named]
+                  for s in self.steps}  # fmt: skip
+        return {effect: some for effect, some in others.items() if some}
 
 
 def search_pooled(recordings: Sequence[Recording], model: Model, context: Context) -> GapReport:
@@ -188,6 +194,7 @@ def _details(state: PooledState, withdrawn: Sequence[str], min_events: int) -> d
         "stimulus_between_samples": "as recorded",
         "held_out": True,
         "withdrawn": list(withdrawn),
+        "rivals": state.rivals,
         "remaining_p": state.seen.p,
         "remaining": state.seen.cells[:SHOWN_CELLS],
         "seen_before": state.first.cells[:SHOWN_CELLS],
