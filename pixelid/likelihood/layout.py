@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -122,6 +123,14 @@ class Layout:
     def size(self) -> int:
         """Length of the vector of all changes."""
         return len(EventRows._fields) * self.events + len(EndRows._fields) * self.ends
+
+    @cached_property
+    def turns(self) -> float:
+        """Share of a pixel's neighbouring events that are of opposite polarity; a half where there are none."""
+        order = np.lexsort((self.time_s, self.pixel, self.recording))
+        pixel, recording, sign = self.pixel[order], self.recording[order], self.sign[order]
+        same = (pixel[1:] == pixel[:-1]) & (recording[1:] == recording[:-1])
+        return float((sign[1:] != sign[:-1])[same].mean()) if same.any() else 0.5
 
     def _blocks(self, vector: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(events (7, n), ends (4, m)), views."""
