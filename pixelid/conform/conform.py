@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
+from pixelid import stages
 from pixelid.cluster import Where, Work, connected
 from pixelid.conform.fold import Beside, rows_of
 from pixelid.conform.removals import removals
@@ -22,12 +23,14 @@ from pixelid.gap.pooled_counts.pooled import search_pooled
 from pixelid.gap.result import GapReport
 from pixelid.gap.search import STEPS, begin
 from pixelid.gap.state import State
-from pixelid.gap.steps.confirm import confirm, intervals_of
-from pixelid.inspection.hot_pixels import MIN_PIXELS
+from pixelid.gap.steps.confirm import confirm, without
+from pixelid.gap.steps.numbers import intervals_of
+from pixelid.inspection.hot_pixels import MIN_PIXELS, MIN_SILENT_EVENTS, quiet_seconds
 from pixelid.inspection.tick import MIN_EVENTS
-from pixelid.inspection.timestamps import MIN_ATOM_EVENTS
+from pixelid.inspection.timestamps import MIN_ATOM_EVENTS, TimestampSignature
 from pixelid.model.model import Model
 from pixelid.recordings.recording import Recording
+from pixelid.recordings.selection import named_apart
 
 
 def conform(
@@ -58,6 +61,7 @@ def conform(
         InputError: As `gap`.
     """
     check_searchable(recordings, model, alpha)
+    recordings = named_apart(recordings)
     cache = None if resume is None else FitCache(resume)
     report = progress or (lambda what, fraction: None)
     criteria = Criteria()
@@ -68,10 +72,11 @@ def conform(
             beside = Beside(found.model, doubted=found.details["rivals"], pixels=False)
         else:
             found, beside = _searched(recordings, model, context)
+    sensor = ", ".join(dict.fromkeys(r.sensor for r in recordings if r.sensor))
+    table = ConformReport(found, rows_of(found, beside, criteria), sensor, context.watch.seconds())
     if cache is not None:
         cache.remove()
-    sensor = ", ".join(dict.fromkeys(r.sensor for r in recordings if r.sensor))
-    return ConformReport(found, rows_of(found, beside, criteria), sensor, context.watch.seconds())
+    return table
 
 
 def _searched(recordings: Sequence[Recording], model: Model, context: Context) -> tuple[GapReport, Beside]:
@@ -83,21 +88,14 @@ def _searched(recordings: Sequence[Recording], model: Model, context: Context) -
         return confirm(state, context)
 
     found = fold(begin(recordings, model, context), {**STEPS, Phase.CONFIRM: keep_and_confirm}, context)
-    end = _without_withdrawn(ends[0], found)
+    end = without(found.details["withdrawn"], ends[0])
     doubted: dict[str, list[str]] = {}
     for step, other in end.doubts:
         doubted.setdefault(step.effect, []).append(other.effect)
     hypothesis = end.hypothesis
     return found, Beside(
-        hypothesis.model, intervals_of(hypothesis), removals(end, context), doubted, _readout(end)
+        hypothesis.model, intervals_of(hypothesis), removals(end, context), doubted, _readout(end), _signatures(end)
     )  # fmt: skip
-
-
-def _without_withdrawn(state: State, found: GapReport) -> State:
-    """The state as it was before the steps that the report has taken back."""
-    if not found.details["withdrawn"] or not state.steps:
-        return state
-    return replace(state, hypothesis=state.steps[0].before, steps=())
 
 
 def _readout(state: State) -> dict[str, str | None]:
@@ -105,12 +103,25 @@ def _readout(state: State) -> dict[str, str | None]:
     events = sum(len(r.events) for r in state.recordings)
     unit = max((r.events.tick_ns for r in state.recordings), default=1) * 1e-9
     pixels = len(np.unique(np.concatenate([np.unique(r.events.pixel) for r in state.recordings])))
+    quiet_s = quiet_seconds(state.recordings)
+    shows_hz = 2.0 * MIN_SILENT_EVENTS / max(quiet_s, 1e-300)
+    usual_hz = stages.effect("hot_pixels").parameters[0].value
+    model = state.base.model
+    own_tick = model.values["timestamp_quantisation.tick_s"] if model.has("timestamp_quantisation") else math.inf
     told: dict[str, str | None] = {
         "timestamp_quantisation": f"no grid coarser than the file's unit of {unit:.3g} s, nor one that intervals of "
-        "pixels would show" if events >= MIN_EVENTS else None,
-        "readout_latency": "no shortest wait between pixels" if events >= 5 * MIN_ATOM_EVENTS else None,
-        "hot_pixels": "no pixel fires where the others are silent" if pixels >= MIN_PIXELS else None,
+        "pixels would show" if events >= MIN_EVENTS and own_tick > 1.5 * unit else None,
+        "readout_latency": "no shortest wait between pixels" if events >= 5 * MIN_ATOM_EVENTS and pixels > 1 else None,
+        "hot_pixels": f"no pixel fires while the others are silent, {quiet_s:.3g} s in all, in which one hot at "
+        f"{shows_hz:.3g} Hz or more would show" if pixels >= MIN_PIXELS and shows_hz <= usual_hz else None,
     }  # fmt: skip
     if state.shot_noise_tried:
-        told["shot_noise"] = "simulated replicates with it come no nearer"
+        nowhere = all(noise is None for _, noise in state.shot_noise_tried)
+        told["shot_noise"] = "simulated replicates with it come no nearer" if nowhere else None
     return told
+
+
+def _signatures(state: State) -> dict[str, TimestampSignature]:
+    """By effect, what timestamps and single pixels show."""
+    hot = [] if state.hot is None else [state.hot.signature]
+    return {each.effect: each for each in (*state.undone, *hot)}

@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 from pixelid import stages
+from pixelid.conform.power import nats_needed
 from pixelid.conform.removals import BANDWIDTH, Removal
-from pixelid.conform.row import ABSENT, NOT_DECIDABLE, NOT_TESTED, PRESENT, STAGES, Row
+from pixelid.conform.row import ABSENT, NOT_DECIDABLE, NOT_TESTED, PRESENT, STAGES, Row, Strength
 from pixelid.gap.attribute.candidates import INVERSE, NOT_IN_DENSITY
+from pixelid.gap.confirm.intervals import open_sides
 from pixelid.gap.criteria import Criteria
 from pixelid.gap.result import GapReport
+from pixelid.inspection.timestamps import TimestampSignature
 from pixelid.model.model import Model
 
 THRESHOLDS = ("on_threshold", "off_threshold")
@@ -27,6 +31,7 @@ class Beside:
         removals: Of effects that came with the base model.
         doubted: Named effect → others that explain as well what it does.
         readout: Effect read off timestamps or single pixels → why it is absent, or None where nothing can tell.
+        signatures: Effect that timestamps or single pixels show → how.
         pixels: Whether events have pixels.
     """
 
@@ -35,7 +40,13 @@ class Beside:
     removals: Mapping[str, Removal] = field(default_factory=dict)
     doubted: Mapping[str, Sequence[str]] = field(default_factory=dict)
     readout: Mapping[str, str | None] = field(default_factory=dict)
+    signatures: Mapping[str, TimestampSignature] = field(default_factory=dict)
     pixels: bool = True
+
+    def strength(self, name: str) -> Strength:
+        """(value, 95 % interval) of a parameter; a side that its range ends, and no data, is None."""
+        ranges = {**self.model.parameters, **self.model.nuisances}
+        return self.model.values[name], open_sides(self.intervals.get(name), ranges[name])
 
 
 def rows_of(report: GapReport, beside: Beside, criteria: Criteria) -> tuple[Row, ...]:
@@ -60,11 +71,13 @@ def _row(effect: str, report: GapReport, beside: Beside, criteria: Criteria) -> 
     rivals = [name for name, others in beside.doubted.items() if effect in others]
     if rivals:
         return Row(effect, stage, NOT_DECIDABLE, f"would explain as well what {rivals[0]} does")
+    if report.base.has(effect) and effect in NOT_IN_DENSITY and beside.pixels:
+        return _readout_in_base(effect, beside)
     if report.base.has(effect):
         return _in_base(effect, beside, criteria)
     if effect in report.details.get("withdrawn", ()):
         return Row(effect, stage, NOT_DECIDABLE, "named, and taken back: on pixels kept back it closes next to nothing",
-                   {}, *_gains(effect, report))  # fmt: skip
+                   {}, *_gains(effect, report.rounds))  # fmt: skip
     if report.verdict == "ambiguous" and effect in report.sentence:
         return Row(effect, stage, NOT_DECIDABLE, report.sentence)
     if effect in NOT_IN_DENSITY and beside.pixels:
@@ -75,10 +88,10 @@ def _row(effect: str, report: GapReport, beside: Beside, criteria: Criteria) -> 
 def _in_base(effect: str, beside: Beside, criteria: Criteria) -> Row:
     """An effect of the base model: needed, or weaker than it ever is, or open."""
     own, values = stages.effect(effect), beside.model.values
-    strengths = {p.name: (values[p.name], beside.intervals.get(p.name)) for p in own.parameters if p.name in values}
+    strengths = {p.name: beside.strength(p.name) for p in own.parameters if p.name in values}
     removal = beside.removals.get(effect)
     said = (removal.p, removal.gain, removal.heldout_gain) if removal else (None, None, None)
-    free = next(p for p in own.parameters if p.free)
+    free = next((p for p in own.parameters if p.free), own.parameters[0])
     limits = beside.intervals.get(free.name)
     if removal is not None and removal.needed:
         return Row(effect, own.stage, PRESENT, "the base model has it, and fits worse without it", strengths, *said)
@@ -89,11 +102,22 @@ def _in_base(effect: str, beside: Beside, criteria: Criteria) -> Row:
     if removal is None and weakest > criteria.min_relative_strength:
         return Row(effect, own.stage, PRESENT, "the base model has it; its interval excludes none", strengths)
     if strongest < 1.0:
-        limit = (free.name, limits[0] if effect in INVERSE else limits[1])
+        limit = (free.name, limits[0] if effect in INVERSE else max(abs(limits[0]), abs(limits[1])))
         why = "the base model has it, fits as well without it, and its interval ends below the typical strength"
         return Row(effect, own.stage, ABSENT, why, {}, *said, limit=limit)
-    return Row(effect, own.stage, NOT_DECIDABLE, "the base model has it, fits as well without it, and may be strong",
-               strengths, *said)  # fmt: skip
+    without = "it could not be taken out" if removal is None else "fits as well without it"
+    return Row(effect, own.stage, NOT_DECIDABLE, f"the base model has it, {without}, and it may be strong", strengths,
+               *said)  # fmt: skip
+
+
+def _readout_in_base(effect: str, beside: Beside) -> Row:
+    """An effect of the base model that no density of single events knows."""
+    stage, signature = stages.effect(effect).stage, beside.signatures.get(effect)
+    if signature is not None:
+        strength = {signature.parameter: (signature.value, signature.interval)}
+        return Row(effect, stage, PRESENT, signature.where, strength, signature.p)
+    row = _in_readout(effect, beside)
+    return replace(row, why=f"the base model has it; {row.why}")
 
 
 def _relative(effect: str, limits: tuple[float, float], typical: float) -> tuple[float, float]:
@@ -113,7 +137,9 @@ def _in_readout(effect: str, beside: Beside) -> Row:
         return Row(effect, stage, NOT_TESTED, "looked for only where something significant is left to explain")
     why = beside.readout[effect]
     if why is None:
-        return Row(effect, stage, NOT_DECIDABLE, "too few events or pixels to tell")
+        return Row(
+            effect, stage, NOT_DECIDABLE, "too few events, pixels or quiet seconds, or too coarse a file, to tell"
+        )
     return Row(effect, stage, ABSENT, why)
 
 
@@ -127,7 +153,7 @@ def _lacking(effect: str, report: GapReport, beside: Beside, criteria: Criteria)
     skipped = last.get("skipped", {})
     if effect in skipped:
         return Row(effect, stage, NOT_TESTED, str(skipped[effect]))
-    p, _, held = said = _gains(effect, report)
+    p, _, held = said = _gains(effect, tried[-1:])
     if p is not None and held is not None and p < report.alpha / 2 and held > criteria.min_lead_nats:
         refused = last.get("refused") or "something else explains more"
         return Row(effect, stage, NOT_DECIDABLE, f"it would gain, but was not named: {refused}", {}, *said)
@@ -141,26 +167,29 @@ def _lacking(effect: str, report: GapReport, beside: Beside, criteria: Criteria)
             why = "tried, and gains too little; from what strength on pooled counts would show it is not known"
             return Row(effect, stage, NOT_DECIDABLE, why, {}, *said)
         return Row(effect, stage, NOT_DECIDABLE, "it moves nothing in these recordings", {}, *said)
-    if shows < criteria.min_lead_nats:
-        why = f"at its typical strength it would show by {shows:.2g} nats, less than {criteria.min_lead_nats:g}"
+    split = {**details["pixels"], "apart": details["held_out"]}
+    others = max(len(last.get("screened_nats", {})), len(details["shows_at_typical_strength_nats"]))
+    needed = nats_needed(effect, report.alpha / 2, others, split, criteria)
+    if shows < needed:
+        why = f"at its typical strength it would show by {shows:.2g} nats, less than the {needed:.2g} that a name needs"
         return Row(effect, stage, NOT_DECIDABLE, why, {}, *said, shows_nats=shows)
     why = "it would have been seen, and was not"
     if report.remainder:
         why += "; something else is left unexplained"
-    return Row(effect, stage, ABSENT, why, {}, *said, shows_nats=shows, limit=_limit(effect, shows, criteria))
+    return Row(effect, stage, ABSENT, why, {}, *said, shows_nats=shows, limit=_limit(effect, shows, needed))
 
 
-def _gains(effect: str, report: GapReport) -> tuple[float | None, float | None, float | None]:
-    """(p, nats on pixels fitted, on pixels that no fit has seen) in the last round that fitted the effect."""
-    rounds = [c for entry in report.rounds for c in entry["candidates"] if c["name"] == effect]
-    last = rounds[-1] if rounds else None
+def _gains(effect: str, rounds: Sequence[Mapping[str, Any]]) -> tuple[float | None, float | None, float | None]:
+    """(p, nats on pixels fitted, on pixels that no fit has seen) in the last of the rounds that fitted the effect."""
+    fitted = [c for entry in rounds for c in entry["candidates"] if c["name"] == effect]
+    last = fitted[-1] if fitted else None
     return (last["p_value"], last["gain_nats"], last["heldout_gain_nats"]) if last else (None, None, None)
 
 
-def _limit(effect: str, shows: float, criteria: Criteria) -> tuple[str, float]:
-    """(parameter, strength that would just show): nats go with the square of the strength."""
+def _limit(effect: str, shows: float, needed: float) -> tuple[str, float]:
+    """(parameter, strength that would show enough): nats go with the square of the strength."""
     free = next(p for p in stages.effect(effect).parameters if p.free)
-    factor = math.sqrt(criteria.min_lead_nats / shows)
+    factor = math.sqrt(needed / shows)
     return free.name, abs(free.value) * (1.0 / factor if effect in INVERSE else factor)
 
 
@@ -171,7 +200,7 @@ def _bandwidth(rows: Sequence[Row], beside: Beside) -> Row:
         return Row(BANDWIDTH, "photoreceptor", second.verdict, f"the model has none; a second-order one: {second.why}")
     values = beside.model.values
     names = [n for n in ("alpha", "beta", "gamma", "alpha_over_beta") if n in values]
-    strengths = {n: (values[n], beside.intervals.get(n)) for n in names}
+    strengths = {n: beside.strength(n) for n in names}
     removal = beside.removals.get(BANDWIDTH)
     if removal is None:
         why = "a pixel without it could not be fitted" if beside.pixels else "it was not taken out of pooled counts"
@@ -182,6 +211,6 @@ def _bandwidth(rows: Sequence[Row], beside: Beside) -> Row:
 
 
 def _threshold(name: str, beside: Beside) -> Row:
-    strength = {name: (beside.model.values[name], beside.intervals.get(name))}
+    strength = {name: beside.strength(name)}
     told = "as fitted" if beside.pixels else "pooled counts show only its ratio to the number of pixels"
     return Row(name, "comparator", PRESENT, f"every event-camera pixel has it; {told}", strength)

@@ -160,6 +160,11 @@ def find_hot_pixels_in_silence(recordings: Sequence[Recording]) -> HotInSilence 
     return HotInSilence(pixels[hot], signature)
 
 
+def quiet_seconds(recordings: Sequence[Recording]) -> float:
+    """Seconds of stretches in which at most a fifth of the pixels fire."""
+    return _fired_in_silence(recordings, np.unique(np.concatenate([r.events.pixel for r in recordings])))[2]
+
+
 def _fired_in_silence(recordings: Sequence[Recording], pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
     """(ON events of each pixel in quiet stretches, OFF events, seconds of them)."""
     fired, fired_off, quiet_s = np.zeros(len(pixels)), np.zeros(len(pixels)), 0.0

@@ -80,6 +80,22 @@ class Stimulus:
         last = max(int(np.searchsorted(self.t, end_s)) + 1, 2)
         return replace(self, t=self.t[:last], radiance=self.radiance[:last])
 
+    def cut(self, end_s: float) -> Stimulus:
+        """The light up to `end_s`, with a sample there; all of a light that ends before.
+
+        Between samples radiance is taken as linear (log radiance, which it is in, differs by less than a step of the
+        light), or held with interpolation "previous".
+        """
+        after = int(np.searchsorted(self.t, end_s))
+        if after == len(self.t) or after == 0 or not self.full_field:
+            return self
+        before, value = self.t[after - 1], self.radiance[after - 1]
+        if self.interpolation != "previous":
+            value = value + (self.radiance[after] - value) * (end_s - before) / (self.t[after] - before)
+        return replace(
+            self, t=np.append(self.t[:after], end_s), radiance=np.append(self.radiance[:after], value)
+        )  # fmt: skip
+
     def shifted(self, by_s: float, rate: float = 1.0) -> Stimulus:
         """The same light, its clock slower by `rate` and then later by `by_s`: t becomes rate · t + by_s."""
         return replace(self, t=rate * self.t + by_s)

@@ -31,6 +31,8 @@ from pixelid.gap.options import Context, Options
 from pixelid.gap.phases import Phase
 from pixelid.gap.search import begin
 from pixelid.gap.split import split_pixels
+from pixelid.gap.steps import confirm as confirming
+from pixelid.gap.steps.describe_remainder import Described
 from pixelid.gap.steps.name_effect import name_effect
 from pixelid.inspection.timestamps import find_grid, find_service_time
 from pixelid.likelihood.event_times import EventTimes
@@ -240,6 +242,19 @@ def test_levels_at_events_of_a_slewing_pixel_are_its_thresholds():
     np.testing.assert_allclose(terms.z, 0.25, rtol=2e-4)
     plain = likelihood.terms(exact.set({"threshold_sigma": 0.01}).circuit())
     assert np.abs(plain.z - 0.25).max() > 0.02  # the limit matters here
+
+
+def test_what_was_taken_back_leaves_what_the_base_leaves(monkeypatch):
+    """Sentence, cells and the flexible alternative are the base model's, and the round says that its effect is gone."""
+    monkeypatch.setattr(confirming, "closes_nothing", lambda *_: True)
+    monkeypatch.setattr(confirming, "describe_remainder", lambda *_: Described())
+    lights = {"constant": constant(24.0), "chirp": chirp(24.0, stop_hz=50.0)}
+    report = gap(session(MODEL.with_effect("leak", {"rate_hz": 20.0}), side=2, lights=lights), MODEL, recommend=False)
+    assert (report.verdict, report.effects, report.details["withdrawn"]) == ("unknown", (), ["leak"])
+    assert report.details["remaining"] == report.details["seen_before"]
+    assert report.details["remaining_p"] < 0.005
+    assert report.term is not None
+    assert [one["withdrawn"] for one in report.rounds if one["named"] == "leak"] == [confirming.TAKEN_BACK]
 
 
 def test_twins_keep_their_thresholds_and_wait_for_their_release():

@@ -11,9 +11,11 @@ from pixelid.errors import InputError
 from pixelid.fit.coordinates import Coordinates
 from pixelid.fit.figures import draw_edges
 from pixelid.gap.gap import gap
+from pixelid.gap.pooled_counts.pooled import _describe, _shortened
 from pixelid.likelihood.pooled_rate import PooledRate
 from pixelid.model.shipped import find_model
 from pixelid.recordings import Recording
+from pixelid.recordings.events import Events
 from pixelid.simulate import simulate
 from pixelid.stimuli.stimulus import Stimulus
 
@@ -59,6 +61,51 @@ def test_a_high_pass_is_found_and_closes_most_of_the_gap():
     assert report.free_run is not None
     assert report.free_run.closed is not None
     assert report.free_run.closed > 0.6
+
+
+def test_events_missing_for_an_eighth_of_the_time_are_not_explained():
+    """Of a slice that long only five stretches train: too few, once, for signs of whole stretches to tell anything."""
+    recording = bits(POOL)
+    t = recording.events.t * 1e-9
+    less = replace(recording, events=recording.events.select((t < 0.8) | (t > 1.0)))
+    report = gap([less], MODEL)
+    assert report.verdict == "unknown"
+    assert "part 5 of 8" in report.sentence
+
+
+def test_under_light_without_jumps_counts_are_sorted_by_level_and_slope():
+    t = np.arange(0.0, 1.6, 1e-4)
+    light = Stimulus(t, 120.0 * np.exp(0.7 * np.sin(2 * np.pi * 20.0 * t) + 0.3 * np.sin(2 * np.pi * 31.0 * t)))
+    slow = POOL.with_effect("lower_cutoff", {"cutoff_hz": 15.0})
+    run = simulate(slow, light, width=150, height=1, seed=1)
+    events = replace(run.events, x=np.zeros(len(run.events), np.uint16), width=1)
+    report = gap([Recording(events, light, condition="smooth", pooled=True)], MODEL)
+    assert "lower_cutoff" in [e.name for e in report.effects]
+    assert {row["where"] for row in report.details["after_jumps"]} <= {
+        "ON in smooth, before any jump of the light", "OFF in smooth, before any jump of the light",
+    }  # fmt: skip
+
+
+def test_a_recording_is_cut_where_its_light_is():
+    t = np.arange(0.0, 5.0, 1e-3)
+    light = Stimulus(t, 100.0 + 0.0 * t, "relative", "linear")
+    times = np.arange(0, 5_000_000_000, 1_000_000)
+    zeros = np.zeros(len(times), np.uint16)
+    recording = Recording(Events(times, zeros, zeros, zeros.astype(np.uint8), 1, 1), light, pooled=True)
+    shown = _shortened(recording)
+    assert shown.stimulus.end_s == 3.0
+    assert shown.events.t[-1] == 3_000_000_000
+    sparse = Stimulus(np.array([0.0, 4.0]), np.array([1.0, 5.0]), "relative", "linear")
+    assert _shortened(replace(recording, stimulus=sparse)).stimulus.radiance.tolist() == [1.0, 4.0]
+    held = replace(sparse, interpolation="previous")
+    assert _shortened(replace(recording, stimulus=held)).stimulus.radiance.tolist() == [1.0, 1.0]
+
+
+def test_the_effect_in_doubt_is_the_last_one_named():
+    named = [SimpleNamespace(name="light_spread"), SimpleNamespace(name="extra_pole")]
+    said = _describe("ambiguous", named, ["slew_limit"], None, None, ("", 0.0))
+    assert said.startswith("Found: light_spread. ")
+    assert said.endswith("which: extra_pole, or slew_limit.")
 
 
 def test_an_effect_left_out_is_not_found():

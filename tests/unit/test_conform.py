@@ -2,30 +2,37 @@
 
 from types import MappingProxyType
 
+import numpy as np
 import pytest
 
 from pixelid import stages
 from pixelid.conform.fold import Beside, rows_of
+from pixelid.conform.power import nats_needed
 from pixelid.conform.removals import BANDWIDTH, Removal, without_bandwidth
 from pixelid.conform.result import ConformReport
 from pixelid.conform.row import STAGES
+from pixelid.gap.attribute.significance import chance_of_gain
 from pixelid.gap.criteria import Criteria
 from pixelid.gap.result import GapReport, Named
+from pixelid.inspection.timestamps import TimestampSignature
 from pixelid.model.shipped import find_model
 
 LEAK = Named("leak", 1e-9, 40.0, "parasitic_photocurrent", 20.0, 0.3, "dark_current",
              {"leak.rate_hz": (2.0, (1.9, 2.1))}, "ON events under constant light")  # fmt: skip
 
 
+SPLIT = {"pixels": {"fit": 5, "select": 3, "confirm": 4}, "held_out": True}
+
+
 def report(verdict="none", effects=(), rounds=(), details=None, base="dvs128", **changes) -> GapReport:
-    base = find_model(base)
+    base = find_model(base) if isinstance(base, str) else base
     model = base
     for effect in effects:
         model = model.with_effect(effect.name)
     known = {"sentence": "", "remainder": False, "global_p": 0.5, "alpha": 0.01, "free_run": None, "term": None,
              "recommended_next": {}, "seconds": 1.0, "seed": 0}  # fmt: skip
     return GapReport(verdict=verdict, effects=tuple(effects), rounds=tuple(rounds), base=base, model=model,
-                     details=MappingProxyType(details or {}), **{**known, **changes})  # fmt: skip
+                     details=MappingProxyType({**SPLIT, **(details or {})}), **{**known, **changes})  # fmt: skip
 
 
 def a_round(candidates=(), **told) -> dict:
@@ -89,11 +96,59 @@ def test_what_pooled_counts_cannot_say():
     assert found["dark_current"].verdict == found["linear_log"].verdict == "not_decidable"
 
 
+def needed(effect, tried):
+    return nats_needed(effect, 0.005, tried, {"fit": 5, "select": 3, "apart": True}, Criteria())
+
+
+def test_the_nats_that_a_name_needs_give_it_four_times_in_five():
+    """Gains drawn as the χ² that they are: on pixels that fit beside twenty effects, and on pixels that select."""
+    rng, tried = np.random.default_rng(1), 20
+    nats = needed("threshold_drift", tried)
+    fit = 0.5 * (np.sqrt(2.0 * nats * 5 / 8) + rng.normal(size=100_000)) ** 2
+    root = np.sqrt(2.0 * nats * 3 / 8)
+    select = 0.5 * root**2 + root * rng.normal(size=100_000)
+    significant = np.array([chance_of_gain("threshold_drift", g, tried) for g in fit[:20_000]]) < 0.005
+    assert significant.mean() > 0.79
+    assert (select > root).mean() > 0.79
+    assert min(significant.mean(), (select > root).mean()) < 0.82
+
+
+def test_what_a_named_effect_explained_away_is_judged_by_what_is_left():
+    rounds = [
+        a_round([candidate("mains_flicker", 900.0, 500.0, 0.0)], named="leak"),
+        a_round(screened_nats={"leak": 1.0}),
+    ]
+    details = {"shows_at_typical_strength_nats": {"mains_flicker": 12733.0}}
+    assert rows(report("named", [LEAK], rounds, details))["mains_flicker"].verdict == "absent"
+
+
+def test_effects_of_the_base_that_only_timestamps_show():
+    model = find_model("dvs128").with_effect("timestamp_quantisation").with_effect("hot_pixels")
+    found = report(base=model)
+    seen = TimestampSignature("hot_pixels", "hot_pixels.rate_hz", 50.0, (45.0, 55.0), 0.0, 2.0, 0.1, "one of 16")
+    told = rows(found, signatures={"hot_pixels": seen}, readout={"timestamp_quantisation": "no grid"})
+    assert told["hot_pixels"].verdict == "present"
+    assert told["hot_pixels"].parameters == {"hot_pixels.rate_hz": (50.0, (45.0, 55.0))}
+    assert (told["timestamp_quantisation"].verdict, told["timestamp_quantisation"].parameters) == ("absent", {})
+    assert rows(found)["timestamp_quantisation"].verdict == "not_tested"
+
+
+def test_a_side_that_only_the_range_ends_is_open_and_limits_of_either_sign_are_the_larger():
+    model = find_model("dvs128").with_effect("threshold_drift")
+    low = model.parameters["sf_cutoff_hz"].lower
+    found = rows(
+        report(base=model), intervals={"sf_cutoff_hz": (low, 4e3), "threshold_drift.per_s": (-0.03, 0.004)},
+        removals={name: Removal(0.1, -0.2, 1.0, False) for name in ("source_follower_pole", "threshold_drift")},
+    )  # fmt: skip
+    assert found["source_follower_pole"].parameters["sf_cutoff_hz"][1] == (None, 4e3)
+    assert found["threshold_drift"].limit == ("threshold_drift.per_s", 0.03)
+
+
 def test_absence_needs_that_it_would_have_been_seen():
     details = {"shows_at_typical_strength_nats": {"leak": 500.0, "dark_current": 2.0}}
     found = rows(report(details=details, rounds=[a_round(screened_nats={"leak": 0.1, "lower_cutoff": 0.0})]))
     assert found["leak"].verdict == "absent"
-    assert found["leak"].limit == ("leak.rate_hz", pytest.approx(0.1 * (5.0 / 500.0) ** 0.5))
+    assert found["leak"].limit == ("leak.rate_hz", pytest.approx(0.1 * (needed("leak", 2) / 500.0) ** 0.5))
     assert found["dark_current"].verdict == "not_decidable"
     assert found["lower_cutoff"].verdict == "not_decidable"  # tried, and it moved nothing
     assert found["parasitic_photocurrent"].verdict == "not_tested"
@@ -105,7 +160,7 @@ def test_the_limit_of_a_pole_is_above_its_typical_cutoff():
     assert limit is not None
     name, value = limit
     assert name == "sf_cutoff_hz"
-    assert value == pytest.approx(3122.0 * (500.0 / 5.0) ** 0.5)
+    assert value == pytest.approx(3122.0 * (500.0 / needed("source_follower_pole", 1)) ** 0.5)
 
 
 def test_what_would_gain_and_was_refused_is_not_absent():

@@ -3,15 +3,19 @@
 import json
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from pixelid.fit.maximise import maximise
+from pixelid.gap.describe import describe as describing
 from pixelid.gap.describe.cells import beginnings, covariates
 from pixelid.gap.describe.screen import screened
 from pixelid.gap.gap import gap
+from pixelid.gap.options import Context, Options
 from pixelid.gap.result import GapReport
+from pixelid.gap.state import Hypothesis
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.model.shipped import find_model
 from pixelid.simulate import simulate
@@ -51,6 +55,19 @@ def test_the_score_promises_what_a_fit_of_a_weak_effect_gains(likelihood):
     index = end.coordinates.names.index(f"{CELL}.strength")
     error = np.sqrt(np.linalg.inv(end.information)[index, index])
     assert abs(end.x[index] - 0.02) < 3.0 * error
+
+
+def test_a_description_is_judged_by_the_share_of_unexplained_events_that_its_model_was(likelihood, monkeypatch):
+    """At imputed times some events cannot be explained, whatever describes them."""
+    base = maximise(likelihood, find_model("dvs128"), tolerance=0.1, max_steps=10)
+    asked = []
+    monkeypatch.setattr(describing, "diagnose", lambda *_, background_fraction, **__: asked.append(background_fraction))
+    monkeypatch.setattr(describing, "maximise", lambda *_, **__: base)
+    for allowed in (5e-3, None):
+        seen = SimpleNamespace(allowed=allowed)
+        before = Hypothesis((), SimpleNamespace(training=likelihood), base, seen, base.model)
+        describing._with(before, before.evidence, SimpleNamespace(end=base), Context(Options(), None, print))
+    assert asked == [5e-3, None]
 
 
 def test_a_model_is_not_offered_what_it_has_under_its_own_name(likelihood):

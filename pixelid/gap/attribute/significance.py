@@ -24,6 +24,18 @@ def chance_of_gain(effect: str, gain_nats: float, tried: int, own: int = 0) -> f
     own: values that recordings have each for themselves, in place of shared ones (`own_values`): then the effect was
     tried both ways, and this was the better one
     """
+    share, degrees = _null(effect, tried, own)
+    return min(1.0, share * float(chi2.sf(2.0 * max(gain_nats, 0.0), degrees)))
+
+
+def gain_of_chance(effect: str, chance: float, tried: int) -> float:
+    """Nats whose `chance_of_gain` that is."""
+    share, degrees = _null(effect, tried, 0)
+    return 0.5 * float(chi2.isf(min(chance / share, 1.0), degrees))
+
+
+def _null(effect: str, tried: int, own: int) -> tuple[float, int]:
+    """(share of the χ² times how often it had its chance, its degrees of freedom)."""
     new = stages.effect(effect)
     free = [p for p in new.parameters if p.free]
     degrees = len(free) + (own - len(new.starts_anew) if own else 0)
@@ -33,7 +45,7 @@ def chance_of_gain(effect: str, gain_nats: float, tried: int, own: int = 0) -> f
     if effect == "linear_log":
         share *= len(LINEAR_SLOPES)
     share *= WAYS if own else 1
-    return min(1.0, share * tried * float(chi2.sf(2.0 * max(gain_nats, 0.0), degrees)))
+    return share * tried, degrees
 
 
 def own_values(model: Model, effect: str) -> int:

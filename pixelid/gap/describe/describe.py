@@ -191,6 +191,5 @@ def _with(hypothesis: Hypothesis, evidence: PixelEvidence, accepted: Candidate, 
     """The hypothesis with a description in its model, fitted to the training pixels."""
     options = context.options
     fit = maximise(evidence.training, accepted.end.model, tolerance=0.01, max_steps=40, cache=context.cache)
-    allowed = options.criteria.max_unexplained_fraction
-    seen = diagnose(evidence.training, fit, options.criteria, options.seed, background_fraction=allowed)
+    seen = diagnose(evidence.training, fit, options.criteria, options.seed, background_fraction=hypothesis.seen.allowed)
     return replace(hypothesis, evidence=evidence, fit=fit, seen=seen)

@@ -24,12 +24,14 @@ class Diagnostics:
         factors: Ways to sort the events into cells.
         maps: Where residuals leave zero.
         p: Chance of the whole, maps and background events, under a true model.
+        allowed: Of the events that a true model may leave without a cause; None: they did not count.
     """
 
     residual: Residuals
     factors: tuple[Factor, ...]
     maps: Maps
     p: float
+    allowed: float | None = None
 
     @property
     def background_fraction(self) -> float:
@@ -66,7 +68,8 @@ def diagnose(
         allowed = background_fraction + circuit.lost  # what follows a lost event
         p_background = chance_of_background(maps.background, allowed * likelihood.events)
     significant = p_background < criteria.max_p_unexplained
-    return Diagnostics(here, factors, maps, min(maps.p, p_background) if significant else maps.p)
+    p = min(maps.p, p_background) if significant else maps.p
+    return Diagnostics(here, factors, maps, p, background_fraction)
 
 
 def chance_of_background(events: int, expected: float) -> float:

@@ -35,6 +35,7 @@ from pixelid.gap.pooled_counts.stretches import (
 )
 from pixelid.gap.result import GapReport, Named
 from pixelid.gap.rounds import Rounds, amended, entry
+from pixelid.gap.rounds import withdrawn as taken_back
 from pixelid.gap.verdict import describe, judge
 from pixelid.model.model import Model
 from pixelid.provenance import input_hashes, versions
@@ -153,7 +154,12 @@ def _confirm(state: PooledState, context: Context) -> GapReport:
         run = closed_gap(state.stretches, state.cells[0], state.base, state.fit, criteria, options.seed)
         if closes_nothing(run, remainder, criteria):
             withdrawn = [step.winner.effect for step in state.steps]
-            state = replace(state, steps=(), fit=state.base, seen=state.first)
+            rounds = state.rounds
+            for effect in withdrawn:
+                rounds = taken_back(
+                    rounds, effect, "on the stretches that confirm it closes next to nothing of the gap"
+                )
+            state = replace(state, steps=(), fit=state.base, seen=state.first, rounds=rounds)
             run, remainder = None, True
     errors = _errors(state.stretches, state.fit) if state.steps else {}
     effects = tuple(_named(step, state.fit, errors) for step in state.steps)
@@ -223,14 +229,11 @@ def _shortened(recording: Recording) -> Recording:
         raise InputError(f"{recording.name}: no stimulus; the gap is between a model's events and the measured ones")
     if not isinstance(stimulus, Stimulus) or not stimulus.full_field:
         raise InputError(f"{recording.name}: pooled events need full-field light, found light of each pixel's own")
-    end = stimulus.t[0] + MAX_SECONDS
-    shown = stimulus.t <= end + 0.1
-    if shown.all():
+    shown = stimulus.cut(stimulus.start_s + MAX_SECONDS)
+    if shown is stimulus:
         return recording
-    events = recording.events.select(recording.events.t * 1e-9 <= end)
-    return replace(recording, events=events).with_stimulus(
-        replace(stimulus, t=stimulus.t[shown], radiance=stimulus.radiance[shown])
-    )
+    events = recording.events.select(recording.events.t * 1e-9 <= shown.end_s)
+    return replace(recording, events=events).with_stimulus(shown)
 
 
 def _errors(stretches: Stretches, fit: Fitted) -> dict[str, float]:
@@ -271,8 +274,8 @@ def _describe(
         text += f" {FLUID}"
         listed = "; ".join(e.name for e in effects)
         return (f"Found on the way: {listed}. " if listed else "") + text
-    if said == "ambiguous":
-        return (
-            f"Something is missing, and these recordings cannot say which: {effects[0].name}, or {', '.join(doubts)}."
-        )
+    if said == "ambiguous":  # rounds end with the first doubt: the last one named is in doubt
+        *firm, doubted = (effect.name for effect in effects)
+        found = f"Found: {'; '.join(firm)}. " if firm else ""
+        return f"{found}Something is missing, and these recordings cannot say which: {doubted}, or {', '.join(doubts)}."
     return describe(said, effects, (), None, run, seen.words, None, seen.p)

@@ -29,6 +29,9 @@ ROLES = (25, 15, 20)  # of them: to fit, to select, to confirm
 SINCE_S = (0.0, 1e-4, 2e-4, 3.5e-4, 6e-4, 1e-3, 2e-3, 5e-3, np.inf)  # slices of the time since the light jumped
 MIN_JUMP = 0.05  # change of ln L from one sample to the next that counts as a jump: a quarter of a usual threshold
 TIMES = 8  # slices of a recording
+FINER = 4  # parts of a stretch, of which each is a unit for slices of a recording: these have few stretches each
+LEVELS = 4  # of ln L, as many bins in each
+STILL = 0.02  # of the 95 % quantile of |d ln L/dt|: slopes below count as none
 PRIOR_COUNTS = 10.0  # of a cell's factor, in units of the dispersion: a gamma prior about 1 with a spread of a third
 
 
@@ -60,12 +63,13 @@ class PooledDiagnostics:
 @dataclass(frozen=True)
 class Cells:
     """cell: (bins,) cell of each bin under one way of sorting;  labels: in words;  name: what sorts;
-    places: the same as values, for those who draw."""
+    places: the same as values, for those who draw;  unit: (bins,) exchangeable units, where they are not stretches."""
 
     name: str
     cell: np.ndarray
     labels: tuple[str, ...]
     places: tuple[dict, ...] = ()
+    unit: np.ndarray | None = None
 
 
 @dataclass(frozen=True)
@@ -122,24 +126,29 @@ def cut_into_stretches(whole: PooledRate, dispersion: float, seed: int) -> Stret
 
 
 def sort_bins(stretches: Stretches, base: Fitted) -> list[Cells]:
-    """Bins sorted by the time since the light last jumped, and by the time in the recording."""
+    """Bins sorted by the time since the light last jumped, by its level and slope, and by the time in the recording."""
     whole, known = stretches.whole, base.coordinates.values(base.x)
-    since, since_labels, since_places, time, time_labels = [], [], [], [], []
+    since, since_labels, since_places, time, time_labels, finer = [], [], [], [], [], []
+    light_cell, light_labels = [], []
     for i, (recording, counts) in enumerate(zip(whole.recordings, whole.counts, strict=True)):
         stimulus = recording.stimulus
         assert isinstance(stimulus, Stimulus)
         light = 1.0 + 2.0 * stimulus.radiance if stimulus.unit == "shape" else stimulus.radiance
-        change = np.diff(np.log(np.maximum(light, 1e-300)))
+        logs, delay = np.log(np.maximum(light, 1e-300)), known[delay_name(whole.recordings, i)]
+        change = np.diff(logs)
         jumps = np.flatnonzero(np.abs(change) > MIN_JUMP)
-        at = stimulus.t[jumps + 1] + known[delay_name(whole.recordings, i)]
+        at = stimulus.t[jumps + 1] + delay
         middle = 0.5 * (counts.edges[1:] + counts.edges[:-1])
         last = np.searchsorted(at, middle, side="right") - 1
         up = change[jumps][np.maximum(last, 0)] > 0 if len(jumps) else np.zeros(len(middle), dtype=bool)
-        wait = np.where(last >= 0, middle - at[np.maximum(last, 0)] if len(at) else 0.0, np.inf)
+        wait = middle - at[np.maximum(last, 0)] if len(at) else np.zeros(len(middle))
         slice_ = np.clip(np.searchsorted(SINCE_S, wait, side="right") - 1, 0, len(SINCE_S) - 2)
+        since_cell = np.where(last < 0, 2 * (len(SINCE_S) - 1), np.where(up, len(SINCE_S) - 1, 0) + slice_)
+        of_light, of_light_labels = _by_light(np.interp(middle - delay, stimulus.t, logs))
+        piece = i * STRETCHES * FINER + np.arange(len(middle)) * STRETCHES * FINER // len(middle)
         part = np.minimum(np.arange(len(middle)) * TIMES // len(middle), TIMES - 1)
         for polarity in (1, 0):
-            since.append(len(since_labels) + np.where(up, len(SINCE_S) - 1, 0) + slice_)
+            since.append(len(since_labels) + since_cell)
             for side, (a, b) in itertools.product(("fell", "rose"), itertools.pairwise(SINCE_S)):
                 bounded = np.isfinite(b)
                 span = f"{1e3 * a:.3g}–{1e3 * b:.3g} ms" if bounded else f"more than {1e3 * a:.3g} ms"
@@ -148,12 +157,39 @@ def sort_bins(stretches: Stretches, base: Fitted) -> list[Cells]:
                     {"recording": recording.name, "polarity": POLARITY[polarity], "light": side, "from_s": float(a),
                      "to_s": float(b) if bounded else None}
                 )  # fmt: skip
+            since_labels.append(f"{POLARITY[polarity]} in {recording.name}, before any jump of the light")
+            since_places.append(
+                {
+                    "recording": recording.name,
+                    "polarity": POLARITY[polarity],
+                    "light": "none",
+                    "from_s": 0.0,
+                    "to_s": None,
+                }
+            )
+            light_cell.append(len(light_labels) + of_light)
+            light_labels += [f"{POLARITY[polarity]} in {recording.name}, {label}" for label in of_light_labels]
+            finer.append(piece)
             time.append(len(time_labels) + part)
             time_labels += [f"{POLARITY[polarity]} in {recording.name}, part {k + 1} of {TIMES}" for k in range(TIMES)]
     return [
         Cells("time since the light jumped", np.concatenate(since), tuple(since_labels), tuple(since_places)),
-        Cells("time in the recording", np.concatenate(time), tuple(time_labels)),
+        Cells("level and slope of the light", np.concatenate(light_cell), tuple(light_labels)),
+        Cells("time in the recording", np.concatenate(time), tuple(time_labels), unit=np.concatenate(finer)),
     ]
+
+
+def _by_light(logs: np.ndarray) -> tuple[np.ndarray, list[str]]:
+    """((bins,) cell, labels) of ln L (bins,): its level, and whether it rises, falls or stands still."""
+    level = np.searchsorted(np.unique(np.quantile(logs, np.arange(1, LEVELS) / LEVELS)), logs, side="left")
+    slope = np.gradient(logs) if len(logs) > 1 else np.zeros(len(logs))
+    moving = np.abs(slope) > STILL * np.quantile(np.abs(slope), 0.95)
+    way = np.where(moving, np.where(slope > 0, 1, 2), 0)
+    quarters = ("dimmest", "second", "third", "brightest")
+    labels = [
+        f"{quarter} quarter of the light, {how}" for how in ("steady", "rising", "falling") for quarter in quarters
+    ]
+    return way * LEVELS + level, labels
 
 
 def diagnose_pooled(
@@ -161,16 +197,18 @@ def diagnose_pooled(
 ) -> PooledDiagnostics:
     """What the training stretches leave under a model."""
     train = stretches.role < 2
-    units = np.unique(stretches.stretch[train], return_inverse=True)[1]
     observed, expected = stretches.whole.observed[train], model.expected[train]
-    table, sums = [], []
+    table: list[dict] = []
+    sums: dict[bool, list[np.ndarray]] = {}
     for sorted_by in cells:
+        own = stretches.stretch if sorted_by.unit is None else sorted_by.unit
+        units = np.unique(own[train], return_inverse=True)[1]
         k = len(sorted_by.labels)
         cell = sorted_by.cell[train]
         n, mu = np.bincount(cell, observed, k), np.bincount(cell, expected, k)
         shown = np.flatnonzero(mu > criteria.min_cell_events)
         off = np.bincount(units * k + cell, observed - expected, (units.max() + 1) * k).reshape(-1, k)
-        sums.append(off[:, shown])
+        sums.setdefault(sorted_by.unit is None, []).append(off[:, shown])
         score = (n - mu) / np.sqrt(stretches.dispersion * np.maximum(mu, 1e-300))
         table += [
             {"response": "count", "where": sorted_by.labels[b], "score": float(score[b]), "events": int(n[b]),
@@ -178,12 +216,14 @@ def diagnose_pooled(
             for b in shown
         ]  # fmt: skip
     table.sort(key=lambda c: -abs(c["score"]))
-    p = flip_signs(np.concatenate(sums, axis=1), seed)
     if not table:
         return PooledDiagnostics([], 1.0, "nowhere in particular")
+    chances = [flip_signs(np.concatenate(some, axis=1), seed) for some in sums.values()]
+    told = [p for p in chances if p is not None]
+    p = min(1.0, len(told) * min(told)) if told else 1.0
     top = table[0]
     return PooledDiagnostics(
-        table, p or 1.0, f"{top['where']}: {top['events']} events, the model expects {top['expected']:.0f}"
+        table, p, f"{top['where']}: {top['events']} events, the model expects {top['expected']:.0f}"
     )
 
 

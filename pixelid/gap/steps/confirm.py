@@ -20,8 +20,9 @@ from pixelid.gap.detect.words import where
 from pixelid.gap.options import Context
 from pixelid.gap.recommend import advise
 from pixelid.gap.result import GapReport, Named
+from pixelid.gap.rounds import withdrawn as taken_back
 from pixelid.gap.shot_noise.shares import EFFECT, STRENGTH
-from pixelid.gap.state import NamedStep, State
+from pixelid.gap.state import Hypothesis, NamedStep, State
 from pixelid.gap.steps.describe_remainder import Described, describe_remainder
 from pixelid.gap.steps.numbers import free_run_of, intervals_of
 from pixelid.gap.verdict import Confounder, confounded, judge
@@ -30,6 +31,7 @@ from pixelid.inspection.timestamps import TimestampSignature
 from pixelid.provenance import input_hashes, versions
 
 SHOWN_CELLS = 8  # of the maps, in the result
+TAKEN_BACK = "on the pixels that confirm it closes next to nothing of the gap"
 
 
 @dataclass(frozen=True)
@@ -48,16 +50,19 @@ def confirm(state: State, context: Context) -> GapReport:
     """The report on a search whose rounds are over."""
     options, report, hypothesis = context.options, context.report, state.hypothesis
     remainder = state.remainder(options.alpha_each)
-    term = flexible_alternative(hypothesis.evidence, hypothesis.fit, hypothesis.seen) if remainder else None
     report("what these stimuli can tell", 0.75)
-    at = residual_space(hypothesis.evidence.training, hypothesis.fit)
-    directions = [d for d in (direction(at, name) for name in missing(hypothesis.fit.model)) if d is not None]
+    at, directions = _directions(hypothesis)
     named_any = bool(state.steps or state.new_signatures or state.shot_noise)
     confounder = None if named_any or remainder else confounded(at, directions, options)
     findings = _confirmed(state, at, judge(named_any, bool(state.doubts), remainder, confounder), context)
     if findings.verdict == "unknown":
         described = describe_remainder(state, bool(findings.withdrawn), context)
         findings = replace(findings, run=described.run or findings.run, described=described)
+    if findings.withdrawn:
+        state = without(findings.withdrawn, state)
+        hypothesis, remainder = state.hypothesis, True
+        at, directions = _directions(hypothesis)
+    term = flexible_alternative(hypothesis.evidence, hypothesis.fit, hypothesis.seen) if remainder else None
     report("what to record next", 0.95)
     next_ = advise(state, at, directions, confounder, findings.remainder, options) if options.recommend else {}
     report("done", 1.0)
@@ -77,6 +82,22 @@ def _confirmed(state: State, at: Space, said: str, context: Context) -> _Finding
     if run is not None and state.shot_noise is not None and leaves_much(run, options.criteria):
         return _Findings("unknown", True, effects, run)  # under shot noise maps are compared roughly
     return _Findings(said, remainder, effects, run)
+
+
+def without(effects: Sequence[str], state: State) -> State:
+    """The state as it was before its steps, where the effects that they named have been taken back."""
+    if not effects or not state.steps:
+        return state
+    rounds = state.rounds
+    for step in state.steps:
+        rounds = taken_back(rounds, step.effect, TAKEN_BACK)
+    return replace(state, hypothesis=state.steps[0].before, steps=(), rounds=rounds)
+
+
+def _directions(hypothesis: Hypothesis) -> tuple[Space, list[Direction]]:
+    """(the space of residuals of a hypothesis, in which direction each effect that it lacks would move them)."""
+    at = residual_space(hypothesis.evidence.training, hypothesis.fit)
+    return at, [d for d in (direction(at, name) for name in missing(hypothesis.fit.model)) if d is not None]
 
 
 def _named(at: Space, state: State) -> tuple[Named, ...]:
