@@ -18,7 +18,7 @@ Example:
 @options.out()
 @click.option(
     "--frequency",
-    type=options.Number(0.0, open_low=True),
+    type=options.Number(0.0, 1e5, open_low=True),
     default=120.0,
     show_default=True,
     help="Of the light, within 2 %.",
@@ -57,7 +57,7 @@ def command(recording, out, frequency, groups, model, overwrite, seed, quiet):
             written = save_flicker(fit, folder)
             write_report(folder)
     if not quiet:
-        say(f"{fit.frequency_hz:.4f} ± {fit.frequency_sd:.2g} Hz, {len(fit.groups)} groups, {fit.seconds:.1f} s")
+        say(f"{fit.frequency_hz:.4f} ± {fit.lock.error_hz:.2g} Hz, {len(fit.groups)} groups, {fit.seconds:.1f} s")
         for title in ("identified", "unidentified", "disagreements"):
             say(f"{title}:")
             say_sentences(written[title])

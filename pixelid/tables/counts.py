@@ -83,7 +83,7 @@ def maximise(
                 break
             damping *= 4.0
         else:
-            left = np.abs(gradient[free]) @ np.sqrt(np.diag(np.linalg.pinv(H)))
+            left = np.abs(gradient[free]) @ np.sqrt(np.maximum(np.diag(np.linalg.pinv(H)), 0.0))
             return Maximum(x, value, bool(left < MAX_SLOPE_SIGMAS))
         gain, x, value, damping = new - value, trial, new, max(damping / 5.0, 1e-8)
         if gain < MIN_GAIN_NATS:

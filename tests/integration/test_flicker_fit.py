@@ -6,13 +6,16 @@ import numpy as np
 import pytest
 
 from pixelid.cli.main import main
+from pixelid.errors import InputError
 from pixelid.model.shipped import find_model
 from pixelid.recordings.events import Events
 from pixelid.recordings.recording import Recording
 from pixelid.recordings.writing import write_recording
+from pixelid.tables.flicker import fit_flicker
 from pixelid.tables.flicker.circuit import read_circuit, response
 from pixelid.tables.flicker.noisy import BINS, NAMES, fit_group, rates, shape_at
 from pixelid.tables.flicker.phases import PhaseTable, locked_frequency, phase_table, quiet_windows
+from pixelid.tables.flicker.result import flicker_result
 
 F = 120.0
 TRUTH = np.array([np.log(0.9), np.log(0.8), 0.3, np.log(0.35), np.log(30.0), np.log(0.5), np.log(0.8), 0.6])
@@ -61,9 +64,62 @@ def test_a_phase_table_holds_every_interval_and_every_second(events):
 
 
 def test_the_frequency_is_found(events):
-    frequency, error = locked_frequency(events, 119.0, quiet_windows(events))
-    assert error < 0.05
-    assert frequency == pytest.approx(F, abs=max(4 * error, 0.02))
+    lock = locked_frequency(events, 119.0, quiet_windows(events))
+    assert lock.sure
+    assert lock.error_hz < 0.05
+    assert lock.frequency_hz == pytest.approx(F, abs=max(4 * lock.error_hz, 0.02))
+
+
+@pytest.mark.parametrize(
+    ("f", "seconds", "pixels"), [(120.3, 20.0, 1), (507.3, 20.0, 10), (1010.0, 10.0, 10), (60.02, 300.0, 4)]
+)
+def test_the_frequency_of_long_recordings_and_of_few_pixels_is_found(f, seconds, pixels):
+    """One pixel is no tenth of itself; and the longer a recording, the finer the grid has to be."""
+    for near in (f / 1.015, f / 0.985):
+        lock = locked_frequency(_periodic(f, seconds, pixels), near, [(0.0, seconds)])
+        assert lock.sure
+        assert abs(lock.frequency_hz - f) < 5.0 * lock.error_hz < 0.1 / seconds
+
+
+def test_what_is_not_there_is_not_locked_to():
+    for near in (117.5, 123.5):  # the lamp is 2.4 % away
+        assert not locked_frequency(_periodic(120.3, 5.0, 8), near, [(0.0, 5.0)]).sure
+    sure = []
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        noise = _events(np.sort(rng.random(3000) * 5.0), rng.integers(0, 2, 3000), rng.integers(0, 12, 3000))
+        sure.append(locked_frequency(noise, 120.0, [(0.0, 5.0)]).sure)
+    assert not any(sure)
+
+
+def _periodic(f, seconds, pixels):
+    """ON events early and OFF events late in the period, smeared, half of them missing."""
+    rng, t, p, pixel = np.random.default_rng(1), [], [], []
+    for k in range(pixels):
+        for on, phase in ((1, 0.3), (0, 0.8)):
+            cycles = np.flatnonzero(rng.random(int(f * seconds) - 1) > 0.5)
+            t.append((cycles + phase + 0.1 * rng.normal(size=len(cycles))) / f)
+            p.append(np.full(len(cycles), on)), pixel.append(np.full(len(cycles), k))
+    t, p, pixel = (np.concatenate(each) for each in (t, p, pixel))
+    order = np.argsort(t)
+    return _events(t[order], p[order], pixel[order])
+
+
+def _events(t, p, pixel):
+    t = np.rint(np.maximum(t, 0.0) * 1e9).astype(np.int64)
+    return Events.from_columns(t, pixel, 0 * pixel, p, int(pixel.max()) + 1, 1)
+
+
+def test_no_light_is_not_identified_and_one_wrong_time_is_told():
+    rng = np.random.default_rng(3)
+    t, p, pixel = np.sort(rng.random(6000) * 3.0), rng.integers(0, 2, 6000), rng.integers(0, 12, 6000)
+    found = fit_flicker(Recording(_events(t, p, pixel)), find_model("dvs128"), grid=(1, 1))
+    written = flicker_result(found)
+    assert (written["status"], written["frequency_hz"]["identified"]) == ("not_identified", False)
+    assert not any(value["identified"] for value in written["groups"][0].values() if isinstance(value, dict))
+    t[-1] = 9e8
+    with pytest.raises(InputError, match="one timestamp"):
+        quiet_windows(_events(t, p, pixel))
 
 
 def test_known_amplitude_phase_and_noise_come_back(events):

@@ -16,9 +16,10 @@ from pixelid.status import Status
 from pixelid.tables.fit import OPEN_SD, standard_errors
 from pixelid.tables.flicker.circuit import Reading, read_circuit
 from pixelid.tables.flicker.noisy import AT_BOUND, LOWER, SHAPES, UPPER, GroupFit, fit_group
-from pixelid.tables.flicker.phases import PhaseTable, locked_frequency, phase_table, quiet_windows
+from pixelid.tables.flicker.phases import Lock, PhaseTable, locked_frequency, phase_table, quiet_windows
 
 OPEN_PHASE_CYCLES = 0.05
+HIGHEST_HZ = 1e5  # of a lamp, far above what a pixel follows
 # Pixels within a group differ: 0.9 to 3.8 in a real recording whose phases and amplitudes repeat from group to group
 MAX_DISPERSION = 4.0
 
@@ -42,7 +43,7 @@ class Group:
         return sd
 
     @property
-    def locked(self) -> bool:
+    def known(self) -> bool:
         """Whether amplitude and phase are known well enough to be compared with other groups."""
         return bool(self.sd[0] < OPEN_SD and self.sd[2] < OPEN_PHASE_CYCLES)
 
@@ -51,13 +52,13 @@ class Group:
 class FlickerFit:
     """A finished fit.
 
-    frequency_hz, frequency_sd;  groups: with enough events, by location;  shapes: name → total log-likelihood;
+    lock: onto the light's frequency;  groups: with enough events, by location;  shapes: name → total log-likelihood;
     shape: the best of them;  memory_gain: nats by which a reference that fades beats one that does not;
     free, equal: what the data fix of a circuit, contrasts free or known to be equal
     """
 
-    frequency_hz: float
-    frequency_sd: float
+    lock: Lock
+    near_hz: float
     windows: tuple[tuple[float, float], ...]
     grid: tuple[int, int]
     groups: tuple[Group, ...]
@@ -70,8 +71,21 @@ class FlickerFit:
     seconds: float
     inputs_sha256: dict[str, str]
 
+    @property
+    def frequency_hz(self) -> float:
+        """Of the light."""
+        return self.lock.frequency_hz
+
+    @property
+    def known(self) -> list[Group]:
+        """The groups that can be compared with each other."""
+        return [g for g in self.groups if g.known] if self.lock.sure else []
+
     def judge(self) -> tuple[Status, str]:
         """(status, advice): the worst that is to be said, and what to do about it."""
+        if not self.lock.sure:
+            why = f"No light of a frequency within 2 % of {self.near_hz:g} Hz shows in the events: check --frequency."
+            return Status.not_identified, why
         verdicts = {}
         if not all(g.fit.converged for g in self.groups):
             verdicts[Status.not_converged] = "Some groups did not come to rest: use fewer, larger groups."
@@ -89,7 +103,7 @@ class FlickerFit:
                 f"On a bound: {'; '.join(stuck[:3])}{f'; and {len(stuck) - 3} more groups' if len(stuck) > 3 else ''}. "
                 "These groups show too few events of one polarity: use fewer, larger groups."
             )
-        if not any(g.locked for g in self.groups):
+        if not self.known:
             verdicts[Status.not_identified] = "No group of pixels is locked to the light: check --frequency."
         status = Status.worst(verdicts)
         return status, verdicts.get(status, "")
@@ -116,13 +130,17 @@ def fit_flicker(
     events = recording.events
     if recording.pooled:
         raise InputError(f"{recording.name}: pooled events have no pixels; flicker needs each pixel's last event")
-    if not (near_hz > 0 and grid[0] >= 1 and grid[1] >= 1):
-        raise InputError(f"flicker: expected a frequency above 0 and a grid of at least 1x1, found {near_hz}, {grid}")
+    if not (0 < near_hz <= HIGHEST_HZ and min(grid) >= 1):
+        raise InputError(
+            f"flicker: expected a frequency above 0 and up to {HIGHEST_HZ:g} Hz and a grid of at least 1x1, "
+            f"found {near_hz}, {grid}"
+        )
     if model.photoreceptor != "second_order" or "source_follower_pole" not in model.effects:
         raise InputError(f"model {model.name}: expected a second-order photoreceptor with a source follower")
     windows = quiet_windows(events)
     report("frequency", 0.05)
-    frequency, error = locked_frequency(events, near_hz, windows)
+    lock = locked_frequency(events, near_hz, windows)
+    frequency = lock.frequency_hz
     pixel = np.arange(events.width * events.height)
     column = pixel % events.width * grid[0] // events.width
     row = pixel // events.width * grid[1] // events.height
@@ -152,8 +170,8 @@ def fit_flicker(
     nominal = {**model.values, "diff_cutoff_hz": model.values.get("diff_cutoff_hz", 1e5)}
     level = np.geomspace(10.0, 1000.0, len(groups))
     return FlickerFit(
-        frequency,
-        error,
+        lock,
+        near_hz,
         tuple(windows),
         grid,
         groups,

@@ -15,6 +15,13 @@ from pixelid.recordings.events import Events
 
 BINS = 32
 SLICE_S = 0.1
+LONGEST_S = 1e6  # a week and a half
+WITHIN = 0.02  # of the expected frequency
+MOST_EVENTS = 100_000  # that a frequency is sought with: a second's work
+GRID = 60  # steps of a grid, a third of what a stretch tells apart
+NARROWER = 5.0  # the next grid, for stretches so much longer
+FOLDS = 10
+LOCK_CHANCE = 1e-3  # of a power as large among all frequencies tried, without a light
 
 
 @dataclass(frozen=True)
@@ -28,12 +35,25 @@ class PhaseTable:
     events: int
 
 
+@dataclass(frozen=True)
+class Lock:
+    """The frequency that events lock to best, its standard error, and whether there is a light of that frequency."""
+
+    frequency_hz: float
+    error_hz: float
+    sure: bool
+
+
 def quiet_windows(events: Events, ratio: float = 1.3) -> list[tuple[float, float]]:
     """Windows [s] whose event rate is at most `ratio` times the 20th percentile: no motion, the light alone.
 
-    Raises InputError for recordings shorter than ten slices.
+    Raises InputError for recordings shorter than ten slices, or longer than `LONGEST_S`.
     """
     t = events.t * 1e-9
+    if events.duration_s > LONGEST_S:
+        raise InputError(
+            f"flicker: expected at most {LONGEST_S:g} s of events, found {events.duration_s:g} s; is one timestamp off?"
+        )
     count = int((t[-1] - t[0]) / SLICE_S) if len(t) else 0
     if count < 10:
         raise InputError(f"flicker: expected at least {10 * SLICE_S:g} s of events, found {events.duration_s:g} s")
@@ -44,31 +64,67 @@ def quiet_windows(events: Events, ratio: float = 1.3) -> list[tuple[float, float
     return [(float(edges[k]), float(edges[k + np.argmin(quiet[k:])])) for k in starts]
 
 
-def locked_frequency(events: Events, near_hz: float, windows: list[tuple[float, float]]) -> tuple[float, float]:
-    """(frequency, standard error) within 2 % of near_hz that ON and OFF events lock to best.
+def locked_frequency(events: Events, near_hz: float, windows: list[tuple[float, float]]) -> Lock:
+    """The frequency within 2 % of `near_hz` that ON and OFF events lock to best, and whether they do.
 
-    The error is a jackknife over tenths of the pixels.
+    Powers of short stretches are added first, which a coarse grid resolves; then stretches grow and the grid narrows,
+    until one stretch is the whole.  The error is a jackknife over tenths of the pixels, or of the time where there are
+    fewer than ten pixels.
     """
     t = events.t * 1e-9
     inside = np.zeros(len(t), bool)
     for a, b in windows:
         inside |= (t >= a) & (t < b)
-    t, sign, pixel = t[inside], np.where(events.p[inside] == 1, 1.0, -1.0), events.pixel[inside]
-    centre = t.mean() if len(t) else 0.0
+    inside[inside] = np.arange(inside.sum()) % max(int(inside.sum()) // MOST_EVENTS, 1) == 0
+    if not inside.any():
+        return Lock(near_hz, np.inf, False)
+    t, sign = t[inside], np.where(events.p[inside] == 1, 1.0, -1.0)
+    rank = np.unique(events.pixel[inside], return_inverse=True)[1]
+    clock, span = t - t.mean(), float(np.ptp(t))
+    around, width, within = near_hz, WITHIN * near_hz, True
+    while True:
+        length = min(GRID / (6.0 * width), span) if span > 0 else 1.0
+        stretch = np.minimum(((t - t[0]) / length).astype(np.int64), max(int(span / length) - 1, 0))
+        around, powers, inner = _peak(clock, sign, stretch, around, width)
+        within &= inner
+        if length >= span:
+            break
+        width /= NARROWER
+    folds = rank % FOLDS if rank.max() + 1 >= FOLDS else np.arange(len(t)) * FOLDS // len(t)
+    without = [
+        _peak(clock[folds != k], sign[folds != k], stretch[folds != k], around, width)[0]
+        for k in np.unique(folds)
+        if (folds != k).any()
+    ]
+    n, spread = len(without), np.sum((np.array(without) - np.mean(without)) ** 2) if without else np.inf
+    error = float(np.sqrt((n - 1) / n * spread)) if n > 1 else np.inf
+    tried = max(2.0 * WITHIN * near_hz * span, 1.0)  # frequencies that the span tells apart
+    aside = near_hz * np.concatenate([np.linspace(0.7, 0.93, 101), np.linspace(1.07, 1.3, 101)])
+    noise = float(np.median(_powers(clock, sign, stretch, aside)))  # of its powers, exponentially distributed, half
+    chance = tried * 0.5 ** (powers.max() / max(noise, 1e-300))
+    within &= abs(around - near_hz) <= WITHIN * near_hz
+    return Lock(around, error, bool(within and chance < LOCK_CHANCE))
 
-    def best(keep: np.ndarray, around: float, width: float) -> float:
-        grid = np.linspace(around - width, around + width, 61)
-        clock, weight = t[keep] - centre, sign[keep]
-        power = np.array([abs(np.exp(2j * np.pi * f * clock) @ weight) for f in grid])
-        k = int(np.clip(power.argmax(), 1, len(grid) - 2))
-        a, b, c = power[k - 1 : k + 2]
-        return float(grid[k] + 0.5 * (grid[1] - grid[0]) * (a - c) / min(a - 2 * b + c, -1e-12))
 
-    thin = np.arange(len(t)) % max(len(t) // 10_000, 1) == 0
-    coarse = best(thin, near_hz, 0.02 * near_hz)
-    fine = best(thin, coarse, 0.2)
-    folds = [best(thin & (pixel % 10 != k), fine, 0.2) for k in range(10)]
-    return float(np.mean(folds)), float(np.sqrt(0.9 * np.sum((np.array(folds) - np.mean(folds)) ** 2)))
+def _powers(clock, sign, stretch, frequencies: np.ndarray) -> np.ndarray:
+    """(f,) powers of ON less OFF events at frequencies [Hz], summed over stretches."""
+    powers = np.empty(len(frequencies))
+    for i, f in enumerate(frequencies):
+        wave = sign * np.exp(2j * np.pi * f * clock)
+        powers[i] = np.sum(np.bincount(stretch, wave.real) ** 2 + np.bincount(stretch, wave.imag) ** 2)
+    return powers
+
+
+def _peak(clock, sign, stretch, around: float, width: float) -> tuple[float, np.ndarray, bool]:
+    """(frequency of the largest power on a grid about one, the powers, whether it is inside the grid)."""
+    grid = np.linspace(around - width, around + width, GRID + 1)
+    powers = _powers(clock, sign, stretch, grid)
+    k = int(powers.argmax())
+    if k in (0, GRID):
+        return float(grid[k]), powers, False
+    a, b, c = np.sqrt(powers[k - 1 : k + 2])
+    shift = 0.5 * (a - c) / (a - 2 * b + c) if a - 2 * b + c < 0 else 0.0
+    return float(grid[k] + (grid[1] - grid[0]) * np.clip(shift, -1.0, 1.0)), powers, True
 
 
 def phase_table(

@@ -32,12 +32,12 @@ def flicker_result(fit: FlickerFit) -> dict:
         "status": status,
         "advice": advice,
         "observation": "phase_table",
-        "frequency_hz": {"value": fit.frequency_hz, "std": fit.frequency_sd, "identified": True},
+        "frequency_hz": {"value": fit.frequency_hz, "std": fit.lock.error_hz, "identified": fit.lock.sure},
         "quiet_windows_s": fit.windows,
         "shape": fit.shape,
         "shapes_log_likelihood": fit.shapes,
         "memory_gain_nats": fit.memory_gain,
-        "groups": [_group(g) for g in fit.groups],
+        "groups": [_group(g, fit.lock.sure) for g in fit.groups],
         "groups_left_out": fit.left_out,
         "parameters": {name: {"identified": bool(sd < OPEN_SD), "std_log": sd} for name, sd in fit.free.sd.items()},
         "fixed_directions": fit.free.fixed,
@@ -56,20 +56,22 @@ def flicker_result(fit: FlickerFit) -> dict:
     }
 
 
-def _group(g: Group) -> dict:
+def _group(g: Group, locked: bool) -> dict:
     entry = {"column": g.column, "row": g.row, "pixels": g.table.pixels, "events": g.table.events,
              "dispersion": g.fit.dispersion}  # fmt: skip
     for name, value, sd in zip(NAMES, g.fit.values.values(), g.sd, strict=True):
         entry[name] = {
             "value": value,
             "std": (sd if name in LINEAR else value * sd) if np.isfinite(sd) else None,
-            "identified": bool(sd < (OPEN_PHASE_CYCLES if name == "phase_cycles" else OPEN_SD)),
+            "identified": locked and bool(sd < (OPEN_PHASE_CYCLES if name == "phase_cycles" else OPEN_SD)),
         }
     return entry
 
 
 def identified_sentences(fit: FlickerFit) -> list[str]:
-    known = [g for g in fit.groups if g.locked]
+    known = fit.known
+    if not fit.lock.sure:
+        return ["nothing: no light of the expected frequency shows in the events"]
     if not known:
         return ["the frequency of the light, and nothing of the circuit: no group is locked well enough"]
     a = np.array([g.fit.values["amplitude_over_on_threshold"] for g in known])
@@ -138,7 +140,7 @@ def disagreements(fit: FlickerFit) -> list[str]:
             f"{gain:.0f} nats worse): a lower cutoff near the flicker's frequency, or events that noise "
             "triggers, would do that, and this recording cannot tell which"
         )
-    known = [g for g in fit.groups if g.locked]
+    known = fit.known
     if len(known) > 4:
         lag, a = _lags(known), np.log([g.fit.values["amplitude_over_on_threshold"] for g in known])
         r = float(np.corrcoef(lag, a)[0, 1])
