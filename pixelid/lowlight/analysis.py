@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Sequence
 
@@ -85,9 +86,11 @@ def sentences(content: dict) -> list[str]:
     unit, map_ = content["radiance_unit"], content["regimes"]
     if content["photoreceptor"] == "one_pole":
         return ["The model's photoreceptor is the one-pole approximation itself: there is no error to speak of."]
-    said = [f"One pole is the limit far below {map_['epsilon_one']:.3g} {unit} (ε = αL/β² = 1 there)."]
+    low, high = map_["critical"] or (math.inf, math.inf)
+    said = ["With this dark current no light is dim enough for one pole alone."]
+    if map_["epsilon_one"] is not None and low > 0:
+        said = [f"One pole is the limit far below {map_['epsilon_one']:.3g} {unit} (ε = αL/β² = 1 there)."]
     if map_["critical"]:
-        low, high = map_["critical"]
         said.append(
             f"Between {low:.3g} and {high:.3g} {unit} the two photoreceptor poles are a complex pair (damping down to "
             f"{map_['lowest_damping']:.2g}) and no single pole describes it."

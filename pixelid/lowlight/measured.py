@@ -29,6 +29,7 @@ from pixelid.lowlight.response import LEVEL
 from pixelid.lowlight.stimulus import Steps, Sweep
 from pixelid.recordings.events import Events
 
+SURE_SD = 4.0  # standard deviations of sums of random signs: what follows no light exceeds them once in 1e4
 BOOTSTRAPS = 300
 BINS_PER_DECADE = 8
 SMALLEST_SWING = 3.0  # thresholds; below, counts do not resolve a fall to 71 %
@@ -87,6 +88,8 @@ def _bandwidth(events: Events, changes, pixel, pixels: int, light: Sweep, on: fl
     swings = np.full((pixels, cycles), on + off)  # of both polarities
     np.add.at(swings, (pixel[inside], cycle[inside]), changes[inside])
     gains = 0.5 * swings / light.swing
+    if not _follow(events, cycle, inside, light):
+        return _not("bandwidth_hz", "no events follow the light")
     logs = np.log(light.frequency_hz)
     label = np.floor((logs - logs.min()) * BINS_PER_DECADE / np.log(10)).astype(int)
     _, label = np.unique(label, return_inverse=True)
@@ -99,6 +102,14 @@ def _bandwidth(events: Events, changes, pixel, pixels: int, light: Sweep, on: fl
         return Measured("bandwidth_hz", None, None, value, np.exp(x), y)
     draws = [_falls_through(x, per_pixel[chosen].mean(axis=0)) for chosen in _resampled(pixels)]
     return Measured("bandwidth_hz", value, *_interval(draws, pixels), np.exp(x), y)
+
+
+def _follow(events: Events, cycle: np.ndarray, inside: np.ndarray, light: Sweep) -> bool:
+    """Whether ON less OFF events have a phase in the slowest quarter of the cycles."""
+    slow = inside & np.isin(cycle, np.argsort(light.frequency_hz)[: max(len(light.frequency_hz) // 4, 1)])
+    begin, end = light.edges_s[cycle[slow]], light.edges_s[cycle[slow] + 1]
+    wave = np.exp(2j * np.pi * (events.t[slow] * 1e-9 - begin) / (end - begin))
+    return bool(np.abs(np.where(events.p[slow] == 1, wave, -wave).sum()) > SURE_SD * np.sqrt(slow.sum()))
 
 
 def _falls_through(x: np.ndarray, y: np.ndarray) -> float | str:
@@ -135,12 +146,14 @@ def _step_time(events: Events, changes, pixel, pixels: int, light: Steps, on: fl
         order = np.argsort(since[mine])
         total = np.concatenate([[0.0], np.cumsum(size[mine][order])])
         responses[i] += total[np.searchsorted(since[mine][order], grid, side="right")]
-    if responses[:, -1].sum() <= 0:
+    if size.sum() <= SURE_SD * np.sqrt(np.sum(size**2)):
         return _not("step_time_s", "no events follow the steps")
     y = responses.sum(axis=0) / responses[:, -1].sum()
     if y[np.searchsorted(grid, 0.75 * hold)] < 0.95:
         why = f"the response is still moving when the next step comes, {hold:.3g} s later"
         return Measured("step_time_s", None, None, why, grid, y)
+    if y[np.searchsorted(grid, 0.0)] >= LEVEL:
+        return Measured("step_time_s", None, None, "the response is there before the light: check clocks", grid, y)
     draws: list[float | str] = []
     for picked in _resampled(pixels):
         again = responses[picked].sum(axis=0)

@@ -20,6 +20,7 @@ import numpy as np
 from pixelid.errors import InputError
 from pixelid.stages.circuit import Circuit
 
+LEAST_CORNER = 1e-6  # of the pole in the dark, where its tangent would be negative: it has failed long before
 APPROXIMATIONS = ("one_pole", "at_dark")
 SCOPES = ("photoreceptor", "pixel")
 
@@ -75,7 +76,7 @@ def ratio(circuit: Circuit) -> float:
 
 
 def corner(circuit: Circuit, radiance, approximation: str) -> np.ndarray:
-    """(…) cutoff [rad/s] of an approximation of `APPROXIMATIONS`."""
+    """(…) cutoff [rad/s] of an approximation of `APPROXIMATIONS`; a tangent that falls ends just above zero."""
     radiance = np.asarray(radiance, dtype=float)
     if approximation == "one_pole" or circuit.photoreceptor == "one_pole" or circuit.dark == 0:
         return ratio(circuit) * (radiance + circuit.dark)
@@ -85,4 +86,4 @@ def corner(circuit: Circuit, radiance, approximation: str) -> np.ndarray:
         slope = (circuit.alpha - circuit.gamma * p) / math.sqrt(b * b - 4 * a)
     else:
         slope = 0.5 * math.sqrt(circuit.alpha / circuit.dark)
-    return p + slope * radiance
+    return np.maximum(p + slope * radiance, LEAST_CORNER * p)

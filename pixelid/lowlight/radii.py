@@ -115,7 +115,8 @@ def regimes(circuit: Circuit) -> dict:
     """The map of regimes, in signal radiance (dark current subtracted; None where a border does not exist).
 
     epsilon_one: ε = αE/β² = 1;  gamma_one: γE/β = 1;  critical: the two radiances with (β + γE)² = 4αE, between which
-    the pair is complex (None when γβ ≥ α: it never is);  lowest_damping: smallest ζ, reached at gamma_one.
+    the pair is complex (None when γβ ≥ α: it never is; from 0 on where it is in the dark current alone)
+    lowest_damping: smallest ζ, reached at gamma_one
     """
     if circuit.photoreceptor == "one_pole":
         return {"epsilon_one": None, "gamma_one": None, "critical": None, "lowest_damping": None}
@@ -125,10 +126,15 @@ def regimes(circuit: Circuit) -> dict:
         # γ²E² + (2βγ − 4α)E + β² = 0, the small root without cancellation
         half = 2 * a - b * c
         root = math.sqrt(half * half - (b * c) ** 2)
-        critical = [b * b / (half + root) - circuit.dark, (half + root) / c**2 - circuit.dark]
+        low, high = b * b / (half + root) - circuit.dark, (half + root) / c**2 - circuit.dark
+        critical = [max(low, 0.0), high] if high > 0 else None
     return {
-        "epsilon_one": b * b / a - circuit.dark,
-        "gamma_one": b / c - circuit.dark,
+        "epsilon_one": _border(b * b / a - circuit.dark),
+        "gamma_one": _border(b / c - circuit.dark),
         "critical": critical,
         "lowest_damping": math.sqrt(b * c / a),
     }
+
+
+def _border(radiance: float) -> float | None:
+    return radiance if radiance > 0 else None

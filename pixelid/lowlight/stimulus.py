@@ -50,6 +50,8 @@ def read_stimulus(stimulus: Stimulus) -> Sweep | Steps | str:
     """The sweep or the steps of a full-field stimulus, or why it is neither."""
     t, index = knots(stimulus)
     radiance = stimulus.radiance[index].astype(float)
+    if (radiance <= 0).any():
+        return "the light goes to zero, and changes of its logarithm are what is read"
     u = np.log(radiance)
     if np.ptp(u) < SMALLEST_STEP:
         return "the light hardly changes"

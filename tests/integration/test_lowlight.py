@@ -8,12 +8,16 @@ import pytest
 from pixelid.cli.main import main
 from pixelid.errors import InputError
 from pixelid.lowlight import analyse, curves, poles, radii, response
+from pixelid.lowlight.analysis import sentences
 from pixelid.lowlight.measured import measure
 from pixelid.lowlight.stimulus import Steps, Sweep, read_stimulus
 from pixelid.model.shipped import find_model
 from pixelid.recordings import write_recording
+from pixelid.recordings.events import Events
+from pixelid.recordings.recording import Recording
 from pixelid.simulate import simulate
 from pixelid.stimuli.shapes import chirp, constant, sine, slow, steps
+from pixelid.stimuli.stimulus import Stimulus
 
 MODEL = find_model("dvs128")
 CIRCUIT = MODEL.circuit()
@@ -174,6 +178,47 @@ def test_a_simulated_camera_lies_where_the_model_says_and_silence_is_not_measura
         assert not low < entry["model"]["same_light_one_pole"] < high
     assert measured[2]["value"] is None
     assert "hardly changes" in measured[2]["why"]
+
+
+def _noise(stimulus, seed=0, pixels=48, rate_hz=5.0):
+    """Events that follow no light."""
+    rng = np.random.default_rng(seed)
+    n = rng.poisson(rate_hz * stimulus.duration_s * pixels)
+    t = np.sort(rng.integers(0, int(stimulus.duration_s * 1e9), n))
+    events = Events.from_columns(t, rng.integers(0, pixels, n), np.zeros(n, int), rng.integers(0, 2, n), pixels, 1)
+    return Recording(events, stimulus)
+
+
+@pytest.mark.parametrize(
+    "light",
+    [steps(100.0, hold_s=0.3, duration_s=3.6), chirp(100.0, start_hz=2.0, stop_hz=50.0, duration_s=4.0)],
+    ids=["steps", "chirp"],
+)
+def test_events_that_follow_no_light_are_no_measurement(light):
+    """A step time of minus 50 us once, and the fall of counts per cycle as the bandwidth."""
+    for seed in range(5):
+        entry = analyse(MODEL, [_noise(light, seed)])["measured"][0]
+        assert entry["value"] is None
+        assert "no events follow" in entry["why"]
+
+
+def test_light_that_goes_to_zero_is_not_read():
+    t = np.arange(0.0, 3.0, 0.1)
+    assert "zero" in read_stimulus(Stimulus(t, np.where(np.arange(len(t)) % 2, 0.0, 100.0)))
+
+
+def test_a_dark_current_within_the_complex_range_leaves_no_limit_of_one_pole():
+    plain = radii.regimes(CIRCUIT)
+    low, high = plain["critical"]
+    for dark in (2.0 * low, 0.5 * (plain["epsilon_one"] + high), 2.0 * high):
+        model = MODEL.with_effect("dark_current", {"radiance": dark})
+        content = analyse(model, [])
+        map_ = content["regimes"]
+        assert all(border is None or border > 0 for border in (map_["epsilon_one"], map_["gamma_one"]))
+        assert map_["critical"] == (None if dark > high else pytest.approx([0.0, high - dark]))
+        said = " ".join(sentences({**content, "radiance_unit": "fA"}))
+        assert "-" not in said.replace("one-pole", "").split("ωc")[0]
+        assert "no light is dim enough" in said
 
 
 def test_bands_contain_the_exact_curves():
