@@ -158,11 +158,17 @@ def draw_residuals(result: Fitted, recordings: Sequence[Recording], axes: Any = 
             if chosen.sum() < 2:
                 continue
             low, high = values[chosen].min(), values[chosen].max()
-            bins = np.linspace(low, high + 1e-9, 31) if values is not since else np.geomspace(low, 1.001 * high, 31)
+            if values is since:
+                low = max(low, 1e-9)  # two events of one timestamp
+                bins = np.geomspace(low, 1.001 * max(high, low), 31)
+            else:
+                bins = np.linspace(low, high + 1e-9, 31)
             index = np.digitize(values[chosen], bins) - 1
             count = np.bincount(index, minlength=30)[:30]
             mean = np.bincount(index, residual[chosen], 30)[:30] / np.maximum(count, 1)
             full = count > 3
+            if not full.any():
+                continue
             centre = np.sqrt(bins[1:] * bins[:-1]) if values is since else 0.5 * (bins[1:] + bins[:-1])
             axis.errorbar(
                 centre[full], mean[full], 2 / np.sqrt(count[full]), fmt=".", color=colour, label=name, linewidth=0.8
@@ -170,9 +176,11 @@ def draw_residuals(result: Fitted, recordings: Sequence[Recording], axes: Any = 
         axis.axhline(0.0, color=INK, linewidth=0.5)
         axis.set_xlabel(label)
         axis.set_ylabel("mean residual (standard deviations)")
-    axes.flat[1].set_xscale("log")
+    if axes.flat[1].containers:  # a logarithmic axis needs data
+        axes.flat[1].set_xscale("log")
     axes.flat[2].xaxis.get_major_locator().set_params(integer=True)
-    axes.flat[0].legend()
+    if axes.flat[0].containers:
+        axes.flat[0].legend()
     axis = axes.flat[3]
     grid = np.linspace(-5, 5, 81)
     axis.hist(residual[kept], grid, density=True, color=MUTED, alpha=0.6)

@@ -158,6 +158,19 @@ def test_unknown_settings_cameras_and_units_are_refused(folder, capsys):
     assert run("latency", folder / "table.csv", "--camera", "other", "--out", folder / "no") == 2
 
 
+def test_nothing_is_drawn_where_the_fit_describes_nothing(tmp_path):
+    """The scatter lies outside what the posterior allows, and looking for a start within it never ended."""
+    rng = np.random.default_rng(1)
+    lines = ["camera,lens,polarity,irradiance_W_m2,bias_config,median"]
+    lines += [f"C,l,1,{E},0,{np.exp(rng.uniform(0, 12))}" for E in np.geomspace(0.01, 0.3, 12)]
+    (tmp_path / "table.csv").write_text("\n".join(lines) + "\n")
+    fit = fit_latency(read_tables([tmp_path / "table.csv"]))
+    assert fit.fits[0].regression.scale > 1.0
+    said = sample_fit(fit, 1, tmp_path, steps=12)["posterior"]["C"]
+    assert (said["status"], said["draws"], said["parameters"]) == ("misfit", 0, {})
+    assert not (tmp_path / "posterior.npz").exists()
+
+
 def test_the_posterior_is_that_of_the_fit_and_of_its_seed(tmp_path):
     lines = ["camera,lens,polarity,irradiance_W_m2,bias_config,median"]
     lines += [f"C,l,1,{E},0,{5 / E + 30}" for E in (0.01, 0.03, 0.1, 0.3)]

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from pixelid.cli.main import main
+from pixelid.errors import InputError
 from pixelid.parameters.parameter import Parameter, Prior
 from pixelid.status import Status
 from pixelid.tables.fit import fit_table
@@ -14,6 +15,7 @@ from pixelid.tables.model import Rows
 from pixelid.tables.rates.pixel import fit_pixel
 from pixelid.tables.rates.pool import PoolTable, fit_pool, pool_events
 from pixelid.tables.rates.reading import RateTable, read_table
+from pixelid.tables.rates.result import pool_result
 from pixelid.tables.rates.square_wave import edge_events, events_per_cycle, exit_rate, rate
 
 FREQUENCIES = np.array([1, 10, 50, 100, 200, 500, 1000, 2000, 5000, 1e4, 3e4, 1e5])
@@ -117,6 +119,20 @@ def test_a_pool_of_unlike_pixels_is_told_from_a_pool_of_like_ones():
     assert fit.regression.log_likelihood > alike.regression.log_likelihood + 20
 
 
+def test_a_pool_without_counts_in_a_condition_is_refused_and_zeros_prove_nothing():
+    frequency = np.geomspace(10.0, 1000.0, 6)
+    counts = np.tile(np.array([20.0, 18.0, 15.0, 9.0, 4.0, 1.0])[:, None], (1, 2))
+    nothing = np.column_stack([counts[:, 0], np.full(6, np.nan)])
+    with pytest.raises(InputError, match=r"far.*found none"):
+        PoolTable(frequency, ("near", "far"), nothing, 0.02 * nothing)
+    zeros = np.column_stack([counts[:, 0], np.zeros(6)])
+    fit = fit_pool(PoolTable(frequency, ("near", "far"), zeros, 0.02 * zeros))
+    said = pool_result(fit, fit)
+    assert np.isfinite(said["median_error"])
+    assert "inf" not in said["disagreements"][0]
+    assert "roll-off" not in said["disagreements"][0]  # the same fit twice: nothing is worse
+
+
 def test_real_gen31_table(shared, tmp_path):
     out = tmp_path / "rates"
     source = shared / "recordings" / "rate_vs_frequency_gen31.csv"
@@ -213,6 +229,7 @@ def test_any_table_model_is_fitted_judged_and_written():
         ("freq_hz,a\n0,2\n2,1\n", "above 0"),
         ("freq_hz,a\n1,nan\n2,1\n", "finite"),
         ("freq_khz,a\n1,3\n2,1\n", "in Hz"),
+        ("freq_hz,a,b\n1,3,\n2,1,\n", "only empty cells"),
     ],
 )
 def test_bad_tables_are_one_plain_line(tmp_path, capsys, text, expected):

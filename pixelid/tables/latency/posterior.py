@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 STEPS = 1500
 ENSEMBLES = 2
 TRUST = 0.5  # share of independence proposals
+MOST_SCATTER = 1.0  # relative: a model that misses delays by their size describes none of them
 MOST_SD = 1.0  # of a start along any coordinate: what the table leaves open starts no wider
 
 
@@ -31,7 +32,7 @@ def log_posterior(fit: CameraFit, z: np.ndarray) -> float:
     model = fit.model
     x, scatter = z[:-1], np.exp(z[-1])
     bounds = np.array([p.coordinate_bounds() for p in model.parameters])
-    if (x < bounds[:, 0]).any() or (x > bounds[:, 1]).any() or not 1e-4 < scatter < 1.0:
+    if (x < bounds[:, 0]).any() or (x > bounds[:, 1]).any() or not 1e-4 < scatter < MOST_SCATTER:
         return -np.inf
     rows = model.rows
     d = rows.last_digit
@@ -75,9 +76,16 @@ def sample_camera(fit: CameraFit, seed: int, steps: int = STEPS) -> tuple[np.nda
 
 
 def sample_fit(fit: LatencyFit, seed: int, folder: Path, steps: int = STEPS) -> dict[str, Any]:
-    """Sample every camera; writes posterior.npz, returns {"posterior": camera → intervals and convergence}."""
+    """Sample every camera; writes posterior.npz, returns {"posterior": camera → intervals and convergence}.
+
+    Nothing is drawn for a camera whose delays the fit misses by about their size: its status is `misfit`.
+    """
     said, arrays = {}, {}
     for one in fit.fits:
+        if not np.isfinite(log_posterior(one, np.append(one.regression.x, np.log(one.regression.scale)))):
+            said[one.name] = {"status": Status.misfit, "draws": 0, "effective": 0.0, "largest_r_hat": None,
+                              "parameters": {}}  # fmt: skip
+            continue
         chain, reached = sample_camera(one, seed, steps)
         names = [*(p.name for p in one.model.parameters), "relative_scatter"]
         flat = np.exp(chain.reshape(-1, chain.shape[-1]))
@@ -93,7 +101,8 @@ def sample_fit(fit: LatencyFit, seed: int, folder: Path, steps: int = STEPS) -> 
             },
         }
         arrays[one.name] = chain.astype(np.float32)
-    save_arrays(folder / "posterior.npz", arrays)
+    if arrays:
+        save_arrays(folder / "posterior.npz", arrays)
     return {"posterior": said}
 
 

@@ -144,7 +144,7 @@ def save_fit(
     result = {**fitted_result(fit), **(extra or {})}
     if recipe:
         result |= provenance(*fit.table.sources, recipe.path)
-    unconverged = [name for name, said in result.get("posterior", {}).items() if said["status"] != Status.converged]
+    unconverged = [name for name, said in result.get("posterior", {}).items() if said["status"] == Status.not_converged]
     if unconverged:
         result["status"] = Status.worst([result["status"], Status.not_converged])
         said = f"{', '.join(unconverged)}: the posterior's chains have not converged"

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pixelid.errors import InputError
+from pixelid.errors import InputError, shown
 from pixelid.parameters.parameter import Parameter
 from pixelid.tables.fit import fit_table
 from pixelid.tables.model import Rows
@@ -53,8 +53,9 @@ class PoolTable:
             if np.isinf(values).any() or (np.nan_to_num(values) < 0).any():
                 found = f"{np.nanmin(values):g} … {np.nanmax(values):g}"
                 raise InputError(f"pool: expected {name} of at least 0, found {found}")
-        if np.isnan(self.per_cycle).all():
-            raise InputError("pool: expected event counts, found none")
+        for k, name in enumerate(self.conditions):
+            if np.isnan(self.per_cycle[:, k]).all():
+                raise InputError(f"pool: {shown(name)}: expected event counts, found none")
 
 
 @dataclass(frozen=True)

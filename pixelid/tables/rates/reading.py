@@ -56,5 +56,8 @@ def read_table(path: Path, unit: str = "hz") -> RateTable:
     rates = np.stack([text.numbers(name) for name in names], axis=1)
     if len(rates) < 2 or not (frequency > 0).all() or (np.nan_to_num(rates) < 0).any():
         raise InputError(f"{path}: expected at least two rows, frequencies above 0 and rates of at least 0")
+    for k, name in enumerate(names):
+        if np.isnan(rates[:, k]).all():
+            raise InputError(f"{path}: column {shown(name)}: expected at least one rate, found only empty cells")
     scale = UNITS[unit]
     return RateTable(frequency, names, rates * scale, scale * text.last_digit(names), text.path)

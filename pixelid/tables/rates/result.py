@@ -15,6 +15,8 @@ from pixelid.tables.rates.pixel import PixelFit, fit_pixel
 from pixelid.tables.rates.pool import PoolFit, fit_pool
 from pixelid.tables.result import open_sentences, table_result, write_result
 
+MIN_LEAD_NATS = 5.0  # a likelihood ratio of e⁵ = 150, "very strong" (Kass & Raftery 1995, JASA 90, 773)
+
 
 def pixel_result(fit: PixelFit, by_bias: bool = False) -> dict:
     """The content of rates.json for one pixel's table; by_bias: with the law of its cutoffs over biases."""
@@ -86,32 +88,44 @@ def _pixel_sentences(fit: PixelFit, together: TableFit, cells: list[dict]) -> li
     return sentences
 
 
+def _median_error(fit: PoolFit) -> float:
+    """Median |ln(measured / predicted)| of events per cycle, with the resolution that the fit adds to both."""
+    digit, measured = fit.model.rows.last_digit, fit.table.per_cycle[fit.row, fit.column]
+    return float(np.median(np.abs(np.log((measured + digit) / (fit.regression.predicted + digit)))))
+
+
 def pool_result(fit: PoolFit, alike: PoolFit) -> dict:
     """The content of rates.json for a pool table; `alike`: the same with identical pixels."""
     r, table = fit.regression, fit.table
     ratio = np.full(table.per_cycle.shape, np.nan)
     ratio[fit.row, fit.column] = table.per_cycle[fit.row, fit.column] / r.predicted
+    with np.errstate(divide="ignore"):  # cells without events
+        away = np.abs(np.log(ratio))
+        middle = np.abs(np.log([np.nanmedian(row) if np.isfinite(row).any() else 1.0 for row in ratio]))
     worst = [
         f"{table.frequency_hz[i]:g} Hz: events per cycle are {np.nanmedian(ratio[i]):.2f} times the fit (median over "
         f"conditions; {np.nanmin(ratio[i]):.2f} to {np.nanmax(ratio[i]):.2f})"
         for i in range(len(ratio))
-        if abs(np.log(np.nanmedian(ratio[i]))) > 0.1 or np.nanmax(np.abs(np.log(ratio[i]))) > 0.5
+        if middle[i] > 0.1 or np.nan_to_num(away[i], posinf=np.inf).max() > 0.5
     ]
-    error, error_alike = (float(np.median(np.abs(np.log(f.table.per_cycle[f.row, f.column] / f.regression.predicted))))
-                          for f in (fit, alike))  # fmt: skip
+    error, error_alike = _median_error(fit), _median_error(alike)
+    nats_worse = r.log_likelihood - alike.regression.log_likelihood
+    worse = (
+        f"pixels that are all alike miss the table by {100 * error_alike:.0f} % (median), pixels whose bandwidths are "
+        f"spread as a power law by {100 * error:.0f} %"
+    )
+    if nats_worse > MIN_LEAD_NATS and error < error_alike:
+        worse += ": the fall with frequency is the image shrinking, not one pixel's roll-off"
     return {
         **_head(r, "pool", table.frequency_hz),
         "median_error": error,
         "identical_pixels": {
             "median_error": error_alike,
-            "nats_worse": r.log_likelihood - alike.regression.log_likelihood,
+            "nats_worse": nats_worse,
             "cutoff_exponent": "infinite",
         },
         "disagreements": [
-            f"pixels that are all alike miss the table by {100 * error_alike:.0f} % (median), pixels whose "
-            f"bandwidths are "
-            f"spread as a power law by {100 * error:.0f} %: the fall with frequency is the image shrinking, not one "
-            "pixel's roll-off",
+            worse,
             *worst,
         ],
         "ratio": ratio,
