@@ -22,8 +22,8 @@ Example:
 @click.argument("model")
 @click.option("--to", required=True, type=click.Choice(TARGETS), help="The simulator.")
 @options.out("The file to write; a name that ends in .json gives JSON for any simulator.")
-@click.option("--white", type=options.Number(0.0, open_low=True), default=255.0, show_default=True,
-              help="Radiance of a white pixel, in the model's unit: 255 grey levels, or intensity 1.")  # fmt: skip
+@click.option("--white", type=options.Number(0.0, open_low=True), default=None,
+              help="Radiance of a white pixel, 255 grey levels, in the model's unit.  [default: 255]")  # fmt: skip
 @click.option("--level", type=options.Number(0.0, open_low=True), default=None,
               help="Radiance at which one number stands for what depends on light.  [default: white]")  # fmt: skip
 @options.with_effect
@@ -43,7 +43,7 @@ def command(model, to, out, white, level, with_, without, set_, overwrite, seed,
 
     from pixelid.cli.terminal import say, say_sentences
     from pixelid.export.export import export, write
-    from pixelid.export.light import Light
+    from pixelid.export.light import GREY_LEVELS, IRRADIANCE, Light
     from pixelid.fit.draws import read_fit
     from pixelid.model.options import changed
     from pixelid.model.shipped import find_model, model_files
@@ -52,8 +52,12 @@ def command(model, to, out, white, level, with_, without, set_, overwrite, seed,
 
     with claimed(out, overwrite, [model]):
         circuit_model, remarks = changed(find_model(model), with_, without, set_)
-        light = Light(white, white if level is None else level, circuit_model.radiance_unit)
+        unit = circuit_model.radiance_unit
+        light = Light(white or GREY_LEVELS, level or white or GREY_LEVELS, unit)
         result = export(circuit_model, to, light)
+        if white is None and unit in IRRADIANCE:
+            assumed = f"light: {GREY_LEVELS:g} {unit} stands for white, 255 grey levels, since --white does not say"
+            result = replace(result, lost=(*result.lost, assumed))
         fitted = read_fit(Path(model))
         if fitted is not None:
             open_ = [f"not identified by the fit: {sentence}" for sentence in fitted.get("unidentified", ())]

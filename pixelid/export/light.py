@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pixelid.errors import InputError
 
 GREY_LEVELS = 255.0  # of a white pixel
+IRRADIANCE = ("W/m2", "lux")  # units in which 255 of them is hardly what white means
 
 
 @dataclass(frozen=True)

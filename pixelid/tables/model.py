@@ -17,13 +17,13 @@ class Rows:
 
     Attributes:
         measured: (rows,) positive quantity (events/s, s, …); 0 where less than the last digit was seen.
-        last_digit: the smallest difference that the table can write, in the same unit.
+        last_digit: (rows,) or scalar, the smallest difference that the table can write, in the same unit.
         relative_error: (rows,) or scalar, relative errors that the table itself states.
         columns: what identifies a row (frequency, setting, illuminance, …): name → (rows,) values.
     """
 
     measured: np.ndarray
-    last_digit: float
+    last_digit: np.ndarray | float
     relative_error: np.ndarray | float = 0.0
     columns: Mapping[str, Sequence[Any]] = field(default_factory=dict)
 

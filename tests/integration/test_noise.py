@@ -140,6 +140,19 @@ def test_recordings_are_counted_per_pixel():
     assert table.unit == "fA"
 
 
+def test_every_recording_has_a_resolution_of_its_own(tmp_path):
+    """That of the longest was once everybody's, and single events of a short one weighed as if well known."""
+    table = reduced_recordings([still(10.0, 3.0, 2.0, duration=20.0), still(40.0, 1.0, 0.5, duration=2.0)])
+    one_event = table.rate_hz[table.light == 40.0] / np.array(table.columns["events"])[table.light == 40.0]
+    np.testing.assert_allclose(table.last_digit[table.light == 40.0], 0.5 * one_event)
+    assert table.last_digit[-1] == pytest.approx(10.0 * table.last_digit[0], rel=0.05)
+    for name, rates in (("fine", ("1.25", "3.75")), ("coarse", ("1", "4"))):
+        rows = [f"{lux},{rate},{rate}" for lux, rate in zip((1, 2), rates, strict=True)]
+        (tmp_path / f"{name}.csv").write_text("\n".join(["lux,ON_events_per_s_per_px,OFF_events_per_s_per_px", *rows]))
+    both = read_noise_tables([tmp_path / "fine.csv", tmp_path / "coarse.csv"])
+    np.testing.assert_allclose(both.last_digit, [0.01] * 4 + [1.0] * 4)
+
+
 @pytest.mark.slow
 def test_fit_of_recordings_keeps_the_model_s_effects():
     model = find_model("dvs128").without_effect("threshold_noise").without_effect("threshold_mismatch")

@@ -234,3 +234,11 @@ def test_shot_noise_through_two_poles_is_named_as_lost():
     exported = export(model, "v2e", Light())
     assert exported.parameters["shot_noise_rate_hz"] == 0
     assert any("at least three poles" in sentence for sentence in exported.lost)
+
+
+def test_a_white_of_255_watts_is_told(tmp_path):
+    """In units of irradiance the grey level of a white pixel is no level of light that anybody meant."""
+    for model, words, told in (("imx636", [], 1), ("imx636", ["--white", "0.5"], 0), ("dvs128", [], 0)):
+        out = tmp_path / "voltmeter.json"
+        assert main(["export", model, "--to", "dvs-voltmeter", *words, "--out", str(out), "--overwrite", "--quiet"]) == 0
+        assert out.read_text().count("since --white does not say") == told

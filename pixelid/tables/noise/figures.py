@@ -28,7 +28,7 @@ def draw_noise(model: NoiseModel, rows: Sequence[dict[str, Any]], axes: Any = No
                 continue
             label = name if group == 0 else None
             marker = "os^D"[group % 4]
-            least = np.maximum(measured[here], table.last_digit)
+            least = np.maximum(measured[here], table.last_digit[here])
             top.loglog(table.light[here], least, marker, color=colour, ms=4, label=label)
             top.loglog(table.light[here], predicted[here], color=colour)
             shown = here[measured[here] > 0]

@@ -153,7 +153,7 @@ def started(noise: NoiseModel, report: Callable[[str, float], None]) -> NoiseMod
     if not chosen.any():
         return noise
     part = NoiseTable(table.light[chosen], table.on[chosen], table.rate_hz[chosen], table.relative_error[chosen],
-                      table.last_digit, np.zeros(int(chosen.sum()), int), {}, table.unit)  # fmt: skip
+                      table.last_digit[chosen], np.zeros(int(chosen.sum()), int), {}, table.unit)  # fmt: skip
     target = np.log(part.rate_hz)
     known_light = table.unit == "fA" or bool(table.pixels)
     best, change = math.inf, {}

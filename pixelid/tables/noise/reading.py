@@ -37,7 +37,7 @@ class NoiseTable:
         on: (rows,) whether the row counts ON events.
         rate_hz: (rows,) events per pixel and second.
         relative_error: (rows,) what is known of the rate's own error.
-        last_digit: the smallest rate that the table can write, events/s.
+        last_digit: (rows,) the smallest rate that the row's table can write, or its recording see, events/s.
         group: (rows,) number of the file, or 0 for all recordings.
         columns: what identifies a row in the result.
         unit: of `light`.
@@ -49,7 +49,7 @@ class NoiseTable:
     on: np.ndarray
     rate_hz: np.ndarray
     relative_error: np.ndarray
-    last_digit: float
+    last_digit: np.ndarray
     group: np.ndarray
     columns: dict[str, list[Any]] = field(default_factory=dict)
     unit: str = "lux"
@@ -73,13 +73,12 @@ def read_noise_tables(paths: Sequence[Path]) -> NoiseTable:
 def joined(parts: Sequence[NoiseTable]) -> NoiseTable:
     """The rows of several tables as one."""
     names = list(dict.fromkeys(name for part in parts for name in part.columns))
-    light, on, rate, error = (
-        np.concatenate([getattr(part, name) for part in parts]) for name in ("light", "on", "rate_hz", "relative_error")
+    light, on, rate, error, digit, group = (
+        np.concatenate([getattr(part, name) for part in parts])
+        for name in ("light", "on", "rate_hz", "relative_error", "last_digit", "group")
     )
     return NoiseTable(
-        light, on, rate, error,
-        min(part.last_digit for part in parts),
-        np.concatenate([part.group for part in parts]),
+        light, on, rate, error, digit, group,
         {n: [v for part in parts for v in part.columns.get(n, [None] * len(part.light))] for n in names},
         parts[0].unit,
         min(part.pixels for part in parts),
@@ -102,11 +101,12 @@ def _read(path: Path, group: int) -> NoiseTable:
         rates = text.numbers(name)
         if (np.nan_to_num(rates) < 0).any():
             raise InputError(f"{path}: {name}: expected rates of at least 0")
-        rows["digit"].append(text.last_digit((name,)))
+        digit = text.last_digit((name,))
         for k in np.flatnonzero(np.isfinite(rates)):
             rows["light"].append(light[k])
             rows["on"].append(polarity == "ON")
             rows["rate"].append(rates[k])
+            rows["digit"].append(digit)
             columns["file"].append(path.name)
             columns[light_name].append(float(light[k]))
             columns["polarity"].append(polarity)
@@ -114,8 +114,8 @@ def _read(path: Path, group: int) -> NoiseTable:
         raise InputError(f"{path}: expected at least two measured rates, found {len(rows['rate'])}")
     count = len(rows["rate"])
     return NoiseTable(
-        np.array(rows["light"]), np.array(rows["on"]), np.array(rows["rate"]), np.zeros(count), min(rows["digit"]),
-        np.full(count, group), columns, _unit(light_name), 0, (path,),
+        np.array(rows["light"]), np.array(rows["on"]), np.array(rows["rate"]), np.zeros(count),
+        np.array(rows["digit"], float), np.full(count, group), columns, _unit(light_name), 0, (path,),
     )  # fmt: skip
 
 
@@ -189,7 +189,7 @@ def reduced_recordings(recordings: Sequence[Recording]) -> NoiseTable:
     light, on, rate, error, digit = (np.array(c) for c in zip(*rows, strict=True))
     # less than one event is what a recording cannot see; half of it, so that single events keep their weight
     return NoiseTable(
-        light, on.astype(bool), rate, error, 0.5 * float(digit.min()), np.zeros(len(rows), int), columns,
+        light, on.astype(bool), rate, error, 0.5 * digit, np.zeros(len(rows), int), columns,
         (recordings[0].stimulus.unit if recordings[0].stimulus else "radiance"), pixels,
         tuple(r.source for r in recordings if r.source is not None),
     )  # fmt: skip
