@@ -165,6 +165,18 @@ def _symbol(quantity: str, covariate: str) -> str:
     }[covariate]
 
 
+def power_of_radiance(name: str) -> int:
+    """With which power of the unit of radiance the parameter of a described effect goes; 0 for others.
+
+    >>> power_of_radiance("described.threshold.radiance.step.edge"), power_of_radiance("alpha")
+    (1, 0)
+    """
+    parts = name.split(".")
+    if parts[0] != PREFIX.rstrip(".") or "radiance" not in parts:
+        return 0
+    return {"scale": 1, "edge": 1, "reference": 1, "strength": -1 if "linear" in parts else 0}.get(parts[-1], 0)
+
+
 @cache
 def described(name: str) -> Described:
     """The effect of a name that begins with `PREFIX`.  Raises InputError listing what the grammar has."""

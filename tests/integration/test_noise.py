@@ -99,6 +99,17 @@ def test_a_knee_is_in_the_unit_of_light():
     )
 
 
+def test_described_effects_are_in_the_unit_of_light():
+    leak, edge = "described.leak.radiance.linear", "described.threshold.radiance.step"
+    model = (
+        find_model("dvs128").with_effect(leak, {"strength": 0.02}).with_effect(edge, {"edge": 300.0, "strength": 0.1})
+    )
+    seen = in_unit(model, "lux").values
+    assert seen[f"{leak}.strength"] == pytest.approx(0.02 * FA_PER_LUX)
+    assert seen[f"{edge}.edge"] == pytest.approx(300.0 / FA_PER_LUX)
+    assert seen[f"{edge}.strength"] == 0.1
+
+
 def test_many_lights_are_interpolated(tmp_path):
     lights = np.geomspace(0.5, 50.0, 40).round(4)
     noise = NoiseModel(read_noise_tables([write_table(tmp_path / "noise.csv", planted(), lights)]), planted())

@@ -240,5 +240,5 @@ def test_a_white_of_255_watts_is_told(tmp_path):
     """In units of irradiance the grey level of a white pixel is no level of light that anybody meant."""
     for model, words, told in (("imx636", [], 1), ("imx636", ["--white", "0.5"], 0), ("dvs128", [], 0)):
         out = tmp_path / "voltmeter.json"
-        assert main(["export", model, "--to", "dvs-voltmeter", *words, "--out", str(out), "--overwrite", "--quiet"]) == 0
+        assert main(["export", model, "--to", "dvs-voltmeter", *words, "--out", str(out), "--overwrite"]) == 0
         assert out.read_text().count("since --white does not say") == told

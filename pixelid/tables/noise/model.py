@@ -14,6 +14,7 @@ from pixelid.model.model import Model
 from pixelid.parallel import map_threads
 from pixelid.parameters.gauge import Gauge
 from pixelid.parameters.parameter import Parameter, Prior
+from pixelid.stages.described import power_of_radiance
 from pixelid.tables.model import Rows
 from pixelid.tables.noise.first_passage import mean_rates
 from pixelid.tables.noise.reading import NoiseTable
@@ -154,8 +155,8 @@ def in_unit(model: Model, unit: str) -> Model:
              "linear_log.knee": -1}  # fmt: skip
     parameters = {}
     for name, p in model.parameters.items():
-        if name in power:
-            f = factor ** power[name]
+        if grows := power.get(name, -power_of_radiance(name)):
+            f = factor**grows
             p = replace(p, value=p.value * f, lower=min(p.lower, p.lower * f), upper=max(p.upper, p.upper * f))
         parameters[name] = replace(p, unit=p.unit.replace(own, unit))
     return replace(model, parameters=parameters, radiance_unit=unit, physical=None, physical_source="", gauge=Gauge())
