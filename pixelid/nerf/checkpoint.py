@@ -43,6 +43,7 @@ def save(path: Path, state: State, mark: str) -> None:
         "mark": mark,
         "iteration": state.iteration,
         "rays": state.rays,
+        "seconds": state.seconds,
         "history": state.history,
         "vertices": state.field.vertices,
         "bricks": torch.from_numpy(state.field.bricks.index),
@@ -103,6 +104,7 @@ def _restored(document: dict, problem: Problem, recipe: Recipe, bandwidth: Bandw
     state.optimiser = optimiser_of(state.field, state.pixel, state.poses, recipe)
     state.optimiser.load_state_dict(document["optimiser"])
     state.iteration, state.rays, state.history = document["iteration"], document["rays"], document["history"]
+    state.seconds = float(document.get("seconds", 0.0))
     return state
 
 

@@ -256,12 +256,13 @@ def reconstruct(
     if resume is not None and Path(resume).exists():
         state = checkpoint.load(Path(resume), problem, recipe, bandwidth, mark, device)
     state = start(problem, recipe, bandwidth, device) if state is None else state
-    before, spent = state.rays, time.perf_counter()
-    saved = spent
+    earlier, begun = state.seconds, time.perf_counter()
+    saved = begun
 
     def report(now: State, measured: dict[str, float]) -> None:
         nonlocal saved
-        rate = (now.rays - before) / max(time.perf_counter() - spent, 1e-9)
+        now.seconds = earlier + time.perf_counter() - begun
+        rate = now.rays / max(now.seconds, 1e-9)
         if now.iteration % max(recipe.iterations // LOOKS, 1) == 0:
             psnr = _running(now, problem, validation)
             entry = {"iteration": now.iteration, **measured, "rays_per_second": rate, "running_psnr": psnr}
@@ -276,7 +277,8 @@ def reconstruct(
             saved = time.perf_counter()
 
     train(problem, recipe, state, report=report)
-    rate = (state.rays - before) * parallel.world() / max(time.perf_counter() - spent, 1e-9)
+    state.seconds = earlier + time.perf_counter() - begun
+    rate = state.rays * parallel.world() / max(state.seconds, 1e-9)
     finite = state.finite
     if resume is not None and parallel.rank() == 0 and finite:
         checkpoint.save(Path(resume), state, mark)
@@ -286,8 +288,8 @@ def reconstruct(
     held_out = held_out_residual(problem, state) if finite else float("nan")
     status, advice = _verdict(held_out, scores, state.iteration)
     return Reconstruction(
-        status, advice, bandwidth, state, problem, recipe, scores, test, held_out, time.perf_counter() - watch, rate,
-        device, seed, inputs, ignored, published, found, other,
+        status, advice, bandwidth, state, problem, recipe, scores, test, held_out,
+        earlier + time.perf_counter() - watch, rate, device, seed, inputs, ignored, published, found, other,
     )  # fmt: skip
 
 

@@ -70,7 +70,8 @@ class State:
     """Everything that a step reads and changes.
 
     inside: (pixels · rays, 3) directions in the camera frame, a pixel's together;  diverged: whether a loss was NaN or
-    infinite; the state is then that before the step, and no further step is made
+    infinite; the state is then that before the step, and no further step is made;  seconds: of training, with what was
+    before an interruption
     """
 
     field: Field
@@ -80,6 +81,7 @@ class State:
     inside: np.ndarray
     iteration: int
     rays: int = 0
+    seconds: float = 0.0
     history: list[dict[str, float]] = dataclasses.field(default_factory=list)
     diverged: bool = False
 

@@ -347,6 +347,13 @@ def test_blosc_is_read_where_its_filter_is_installed(truth, tmp_path):
     same_events(read_dataset(tmp_path / "out"), truth, tick_ns=1000)
 
 
+def test_a_single_picture_is_refused(truth, tmp_path, capsys):
+    folder = write_tumvie(tmp_path / "raw", truth, chunks=(512,))
+    assert main(["dataset", "tumvie", str(folder), str(tmp_path / "out"), "--quiet", "--views", "1"]) == 2
+    assert "--views 1" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
 def test_without_views_there_is_a_scene_and_no_score(truth, tmp_path, capsys):
     bag = write_bag(tmp_path / "esim.bag", truth, images=False)
     (tmp_path / "in").mkdir()

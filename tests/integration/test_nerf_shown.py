@@ -16,6 +16,7 @@ from pixelid.nerf.field import Field
 from pixelid.nerf.harmonics import harmonics
 from pixelid.nerf.saved import SavedReconstruction
 from pixelid.nerf.shown.solid import mesh_of
+from pixelid.nerf.shown.splats import splats_of
 from pixelid.nerf.shown.ways import around, way_of_file
 from pixelid.nerf.views import Views
 
@@ -150,6 +151,35 @@ def test_normals_of_a_box_that_is_no_cube(tmp_path):
     outwards = mesh.vertices / np.linalg.norm(mesh.vertices, axis=1, keepdims=True)
     angle = np.degrees(np.arccos(np.clip((mesh.normals * outwards).sum(axis=1), -1, 1)))
     assert np.median(angle) < 3
+
+
+def test_splats_of_a_box_that_is_no_cube_are_as_opaque_as_the_cells():
+    """A haze in a box twice as high as wide: layers along the three axes, what they let through averaged."""
+    low, high, side, sigma = np.array([-1.0, -1.0, -2.0]), np.array([1.0, 1.0, 2.0]), 17, 0.5
+    field = Field(low, high, side, 1, [1.0])
+    grid = np.zeros((side, side, side, 2), np.float32)
+    grid[..., 0] = np.log(sigma)
+    field.hold_dense(torch.from_numpy(grid))
+    splats = splats_of(field)
+    covered = 2 * np.pi * splats.opacity.mean()  # of a layer across an axis, times the deviations along it
+    along = []
+    for axis in range(3):
+        across = np.delete(splats.deviation, axis)
+        spacing = (high - low) / (side - 1)
+        share = covered * np.prod(across) / np.prod(np.delete(spacing, axis))
+        along.append(-np.log1p(-share) / spacing[axis])  # optical depth per length
+    assert np.exp(np.mean(np.log(along))) == pytest.approx(sigma, rel=0.02)
+
+
+def test_what_is_brighter_than_white_is_told(tmp_path):
+    bright = ball(1)
+    with torch.no_grad():
+        bright.grid[:, 1:] += 2.0
+    SavedReconstruction(content(True), bright).save(tmp_path / "scene")
+    words = ["render", str(tmp_path / "scene"), "--out", str(tmp_path / "out"), "--frames", "1", "--size", "24", "24"]
+    assert main([*words, "--quiet"]) == 0
+    notes = json.loads((tmp_path / "out" / "render.json").read_text())["notes"]
+    assert any("brighter than white" in note for note in notes)
 
 
 def test_an_orbit_looks_at_the_middle_with_depth(folder, tmp_path):
@@ -290,6 +320,8 @@ def test_a_scene_without_views_is_shown_by_its_own_brightness(tmp_path, capsys):
         (["{scene}", "--views", "{none}"], "no such file"),
         (["{scene}", "--views", "{empty}"], "neither views/ nor camera_poses.npz"),
         (["{scene}", "--views", "{empty}", "--path", "orbit"], "--path orbit"),
+        (["{scene}", "--views", "{empty}", "--distance", "3"], "--distance"),
+        (["{scene}", "--views", "{empty}", "--up", "0", "1", "0"], "--up"),
         (["{scene}", "--path", "zigzag"], "zigzag"),
         (["{scene}", "--up", "0", "0", "0"], "--up"),
         (["{scene}", "--frames", "0"], "--frames"),

@@ -29,11 +29,16 @@ def write_pictures(folder: Path, pictures: Pictures, window: Window, most: int) 
 
     Returns:
         Stage → how many; nothing where fewer than two pictures fall into the time kept.
+
+    Raises:
+        InputError: for a single picture: one corrects, another is scored.
     """
+    if most < 2:
+        raise InputError(f"--views {most}: expected 0, or 2 at least: some correct, the others are scored")
     inside = np.flatnonzero((pictures.t >= window.begin) & (pictures.t <= window.end))
     if len(inside) < 2:
         return {}
-    chosen = inside[np.unique(np.linspace(0, len(inside) - 1, min(max(most, 2), len(inside))).round().astype(int))]
+    chosen = inside[np.unique(np.linspace(0, len(inside) - 1, min(most, len(inside))).round().astype(int))]
     position, rotation = window.trajectory.at((pictures.t[chosen] - window.begin) * 1e-9)
     world = np.tile(np.eye(4), (len(chosen), 1, 1))
     world[:, :3, :3], world[:, :3, 3] = rotation, position

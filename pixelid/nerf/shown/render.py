@@ -25,6 +25,7 @@ from pixelid.status import Status
 
 FRAMES, DEPTH, VIDEO, DEPTH_VIDEO = "frames", "depth", "video.mp4", "depth.mp4"
 MESH, SPLATS = "mesh.ply", "splats.ply"
+MUCH_WHITE = 0.01  # share of the pixels beyond white from which on it is said
 BRIGHTEST = 0.995  # quantile of the first frames that becomes white where no views say what white is
 
 
@@ -109,28 +110,34 @@ def render(
     if way.left_out:
         notes.append(f"{way.left_out} of {len(way) + way.left_out} poses are left out, evenly; --frames takes more")
     files: dict[str, str] = {}
-    frames, depths = [], []
+    frames, depths, white = [], [], 0.0
     (folder / FRAMES).mkdir()
     for k in range(len(way)):
         view = _views(way, k, colours)
-        frame = tone(render_views(saved.field, view, dark, supersample=supersample)[0])
+        image = tone(render_views(saved.field, view, dark, supersample=supersample)[0])
+        frame = _eight_bits(image)
+        white += float(np.mean((image > 1.0).any(axis=-1))) / len(way)
         _save(folder / FRAMES / f"{way.names[k]}.png", frame)
         frames.append(frame)
         if wanted.depth:
             depths.append(depth_of(saved.field, view)[0].astype(np.float32))
         progress("frames", 0.8 * (k + 1) / len(way))
     files[f"{FRAMES}/"] = f"{len(frames)} PNG pictures"
+    if white > MUCH_WHITE:
+        notes.append(f"{white:.1%} of the pixels are brighter than white of the views, and shown as white")
     if depths:
         files |= _write_depths(folder, way, depths)
     if wanted.video:
         files |= _write_videos(folder, frames, depths, wanted.frames_per_second, notes)
     if wanted.mesh:
         mesh = mesh_of(saved.field)
-        ply.write_mesh(folder / MESH, mesh, tone(mesh.radiance[None] + dark)[0])
+        ply.write_mesh(folder / MESH, mesh, _eight_bits(tone(mesh.radiance[None] + dark))[0])
         files[MESH] = f"{len(mesh.faces)} triangles, coloured"
     if wanted.splats:
         splats = splats_of(saved.field)
-        ply.write_splats(folder / SPLATS, splats, splats.colours(lambda radiance: tone(radiance[None] + dark)[0] / 255))
+        ply.write_splats(
+            folder / SPLATS, splats, splats.colours(lambda radiance: _eight_bits(tone(radiance[None] + dark))[0] / 255)
+        )
         files[SPLATS] = f"{len(splats.centre)} Gaussian splats"
     some = np.unique(np.linspace(0, len(frames) - 1, min(5, len(frames))).astype(int))
     content = {
@@ -164,7 +171,7 @@ def _views(way: Way, k: int, colours: int) -> Views:
 def _tone(
     saved: SavedReconstruction, way: Way, dark: np.ndarray
 ) -> tuple[Callable[[np.ndarray], np.ndarray], list[str]]:
-    """Radiance (H, W, C) → 8-bit (H, W, 3), and what has to be said about it.
+    """Radiance (H, W, C) → what a picture shows of it, white at 1, and what has to be said about it.
 
     With test views, their unit: the correction a·L^b − c of the scores, white at 1.  Without, nobody knows the
     exponent: radiance is scaled to the brightest of the first frame and coded by sRGB's 1/2.2.
@@ -172,11 +179,11 @@ def _tone(
     if saved.content["views"]["per_view"] and saved.content["correction"]["a"] is not None:
         a, b, c = (np.atleast_1d(np.asarray(saved.content["correction"][name], float)) for name in "abc")
         correction, one = Correction(a, b, c), np.ones(1)
-        return lambda radiance: _eight_bits(correction(radiance[None], one)[0]), []
+        return lambda radiance: correction(radiance[None], one)[0], []
     first = render_views(saved.field, _views(way, 0, len(dark)), dark)[0]
     white = max(float(np.quantile(first, BRIGHTEST)), 1e-6)
     note = "no views say how bright the scene is: white is the brightest of the first frame, colours are coded by 1/2.2"
-    return lambda radiance: _eight_bits((np.maximum(radiance, 0) / white) ** (1 / 2.2)), [note]
+    return lambda radiance: (np.maximum(radiance, 0) / white) ** (1 / 2.2), [note]
 
 
 def _eight_bits(image: np.ndarray) -> np.ndarray:

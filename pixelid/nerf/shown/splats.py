@@ -1,6 +1,7 @@
 """A field as Gaussian splats, one for each vertex that is neither clear nor hidden inside.
 
-A vertex stands for a cell of side h with opacity a = 1 − exp(−σ h).  A round Gaussian of peak a and standard deviation
+A vertex stands for a cell of side h, in a box that is no cube the geometric mean of its sides, with opacity
+a = 1 − exp(−σ h).  A round Gaussian of peak a and standard deviation
 s covers a · 2π s² of area; a layer of them, one per h², is as opaque as the cell for s = h / √(2π).
 
 Where radiance depends on the direction, so does a splat's colour, by the same harmonics: the colours seen along the
@@ -68,7 +69,8 @@ def splats_of(field: Field) -> Splats:
     """
     density, log_radiance = vertex_values(field)
     spacing = (field.high - field.low) / (np.array(density.shape) - 1)
-    opacity = -np.expm1(-field.step * np.exp(np.minimum(density, 12.0)))
+    side = float(np.prod(spacing) ** (1 / 3))
+    opacity = -np.expm1(-side * np.exp(np.minimum(density, 12.0)))
     opaque = np.pad(opacity > HIDDEN, 1)
     hidden = np.ones(density.shape, bool)
     for axis in range(3):
