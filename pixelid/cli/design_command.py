@@ -58,6 +58,10 @@ def command(context, model, out, criterion, recorded, menu, pixels, draws, sprea
     if biases:
         wanted = {"bandwidth": bandwidth, "noise": noise, "rate": rate}
         wanted = {name: value for name, value in wanted.items() if value is not None}
+        if frequency is not None and rate is None:
+            from pixelid.errors import InputError
+
+            raise InputError("--frequency: is that of the light that --rate counts events of; expected --rate with it")
         return _recommend_setting(model, out, wanted, bias, frequency, overwrite, seed, quiet)
     from pixelid.cli.progress import bar
     from pixelid.cli.terminal import say

@@ -12,13 +12,14 @@ from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
+from scipy.stats import t as student
 
 from pixelid.arrays import load_arrays, save_arrays
 from pixelid.documents import interpreting
 from pixelid.errors import InputError
 from pixelid.fit import FitResult, fit
 from pixelid.fit.event_times import EventTimesObjective
-from pixelid.fit.fit import check_event_times
+from pixelid.fit.fit import as_fitted, check_event_times
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.model.files import save_model
 from pixelid.model.model import Model
@@ -28,7 +29,8 @@ from pixelid.recordings.recording import Recording
 from pixelid.results import Result, Table, check_kinds, read_result, required
 from pixelid.status import Status
 
-DECISIVE_STANDARD_ERRORS = 2.0  # of a paired held-out difference: about 95 % one way or the other
+FEW_PIXELS = 8  # whose scatter is known to a quarter
+DECISIVE = 0.975  # chance below which a paired held-out difference stays, by Student's t over pixels
 
 
 @dataclass(frozen=True)
@@ -196,6 +198,7 @@ def compare(
     for model in models:
         check_event_times(model)
     report = progress or (lambda what, fraction: None)
+    recordings = as_fitted(recordings)
     pixels = np.unique(np.concatenate([r.events.pixel for r in recordings]))
     if len(pixels) < folds or folds < 2:
         raise InputError(f"compare: expected at least 2 folds and as many pixels, found {folds} and {len(pixels)}")
@@ -243,12 +246,14 @@ def _loo(result: FitResult, recordings: Sequence[Recording], seed: int) -> dict[
 
 def _sentence(contenders: Mapping[str, Contender], best: str) -> str:
     gains = {name: contenders[best].held_out - c.held_out for name, c in contenders.items() if name != best}
-    nearest = min(gains, key=lambda name: gains[name].sum())
-    gain, error = float(gains[nearest].sum()), standard_error(gains[nearest])
-    if gain > DECISIVE_STANDARD_ERRORS * error:
-        return (
-            f"the data support {best}: held-out pixels are {gain:.4g} ± {error:.2g} nats likelier than under {nearest}"
-        )
-    simpler = min((best, nearest), key=lambda name: len(contenders[name].result.coordinates))
-    margin = f"{gain:.3g} ± {error:.2g} nats"
-    return f"the data do not decide between {best} and {nearest} ({margin}): take the simpler, {simpler}"
+    pixels = len(contenders[best].held_out)
+    needed = float(student.ppf(DECISIVE, pixels - 1))
+    order = sorted(gains, key=lambda name: float(gains[name].sum()))
+    said = {name: f"{gains[name].sum():.4g} ± {standard_error(gains[name]):.2g} nats" for name in order}
+    open_ = [name for name in order if gains[name].sum() <= needed * standard_error(gains[name])]
+    if not open_:
+        return f"the data support {best}: held-out pixels are {said[order[0]]} likelier than under {order[0]}"
+    simpler = min((best, *open_), key=lambda name: len(contenders[name].result.coordinates))
+    few = "" if pixels >= FEW_PIXELS else f"; {pixels} pixels are few to tell by"
+    others = " and ".join(f"{name} ({said[name]})" for name in open_)
+    return f"the data do not decide between {best} and {others}: take the simplest, {simpler}{few}"

@@ -39,7 +39,7 @@ from pixelid.parameters.gauge import Gauge
 from pixelid.provenance import input_hashes, versions
 from pixelid.recordings.own_light import with_pixel_lights
 from pixelid.recordings.recording import Recording
-from pixelid.recordings.selection import few
+from pixelid.recordings.selection import few, named_apart
 from pixelid.recordings.sensor_light import is_measured, light_caveats
 
 Progress = Callable[[str, float], None]
@@ -122,7 +122,7 @@ def fit(
     wanted = Wanted.of(pixel_levels)
     if wanted is not None:
         wanted.check(recordings, model, form)
-    recordings = with_told(with_pixel_lights([recording.within_stimulus() for recording in recordings]))
+    recordings = as_fitted(recordings)
     sampled = any(map(is_measured, recordings))
     held, model = unresolved(model) if sampled else [], as_light_tells(model, recordings)
     if sampled and form != "discrete":
@@ -224,6 +224,11 @@ def fit(
         versions=versions(),
         inputs_sha256=input_hashes(recording.source for recording in recordings),
     )
+
+
+def as_fitted(recordings: Sequence[Recording]) -> list[Recording]:
+    """The recordings as every likelihood of them takes them: within their light, told apart by their names."""
+    return with_told(with_pixel_lights([recording.within_stimulus() for recording in named_apart(recordings)]))
 
 
 def check_event_times(model: Model) -> None:

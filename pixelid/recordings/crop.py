@@ -47,7 +47,8 @@ def crop(
     span = _nanoseconds(time_s, int(events.t[0]) if from_first and len(events) else 0)
     keep = _inside(events, roi, span, without)
     if pixels is not None:
-        keep &= np.isin(events.pixel, _chosen(np.unique(events.pixel[keep]), pixels, seed))
+        size = events.width * events.height
+        keep &= np.isin(events.pixel, _chosen(np.unique(events.pixel[keep]), pixels, seed, size))
     if len(events) and not keep.any():
         raise _nothing_left(recording.name, len(events), (events.t[0], events.t[-1]))
     left, light = events.select(keep), _light_until(recording, span)
@@ -92,11 +93,15 @@ def _inside(events: Events, roi, span: tuple[int, int] | None, without: np.ndarr
     return keep
 
 
-def _chosen(present: np.ndarray, pixels: int, seed: int) -> np.ndarray:
-    """As many of the pixels that are `present` (sorted) as asked, at random."""
+def _chosen(present: np.ndarray, pixels: int, seed: int, size: int) -> np.ndarray:
+    """As many of the pixels that are `present` as asked, at random: the first in an order of all `size` of the sensor.
+
+    So recordings of one camera keep the same pixels, but for those that some of them lack.
+    """
     if pixels < 1:
         raise InputError(f"--pixels: expected a positive number, found {pixels}")
-    return np.random.default_rng(seed).permutation(present)[:pixels]
+    place = np.random.default_rng(seed).permutation(size)[present]
+    return present[np.argsort(place)[:pixels]]
 
 
 def _light_until(recording: Recording, span: tuple[int, int] | None) -> Light | None:
@@ -138,6 +143,14 @@ class Crop:
     pixels: int | None = None
     without_hot_pixels: bool = False
     from_first: bool = False
+
+    def with_(self, other: Crop) -> Crop:
+        """This cut, with what another says in place of what this one says of the same."""
+        span = (self.time_s, self.from_first) if other.time_s is None else (other.time_s, other.from_first)
+        return Crop(
+            other.roi or self.roi, span[0], other.pixels or self.pixels,
+            self.without_hot_pixels or other.without_hot_pixels, span[1],
+        )  # fmt: skip
 
     def applied(self, recording: Recording, seed: int = 0) -> Recording:
         """The part of the recording that is asked for; `seed` chooses the pixels.
@@ -196,7 +209,7 @@ class Crop:
             chosen = seen
             if self.pixels is not None:
                 chosen = np.zeros(size, bool)
-                chosen[_chosen(np.flatnonzero(seen), self.pixels, seed)] = True
+                chosen[_chosen(np.flatnonzero(seen), self.pixels, seed, size)] = True
             light = _restricted(light, head.events, np.flatnonzero(chosen))
 
         def cropped() -> Iterator[Recording]:

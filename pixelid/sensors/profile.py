@@ -60,9 +60,10 @@ Estimates = Mapping[str, np.ndarray]
 def estimate_tile(plan: Plan, recordings: list[Recording]) -> Estimates:
     """Log estimates and standard errors of one tile.
 
-    pixel: (n,) flat index of pixels with events;  events: (n,);  on, off: (n,) log thresholds, NaN where unseen;
-    on_sd, off_sd: (n,) their standard errors;  block: (m,) flat block index;  bandwidth, bandwidth_sd: (m,) log of
-    the parameter.  A bandwidth at the edge of the scan is NaN: the pixel's events do not hold it.
+    pixel: (n,) flat index of pixels with events;  events: (n,);  unexplained: (n,) of them without a cause in the
+    model;  on, off: (n,) log thresholds, NaN where unseen;  on_sd, off_sd: (n,) their standard errors
+    block: (m,) flat block index;  bandwidth, bandwidth_sd: (m,) log of the parameter.  A bandwidth at the edge of the
+    scan is NaN: the pixel's events do not hold it.
     """
     if sum(len(r.events) for r in recordings) == 0:
         return _nothing()
@@ -74,7 +75,7 @@ def estimate_tile(plan: Plan, recordings: list[Recording]) -> Estimates:
         block_index(likelihood.pixel_keys.astype(np.int64), plan.width, plan.block), return_inverse=True
     )
     grid = np.linspace(-plan.reach, plan.reach, COARSE) if plan.bandwidth else np.zeros(1)
-    value, mean, weight = _scan(plan, likelihood, grid)
+    value, mean, weight, unexplained = _scan(plan, likelihood, grid)
     best, best_sd = _peaks(grid, _sums(value, member, len(block)))
     resolved = np.isfinite(best)
     if resolved.any() and plan.bandwidth:
@@ -82,12 +83,13 @@ def estimate_tile(plan: Plan, recordings: list[Recording]) -> Estimates:
         low, high = (best[resolved] - margin).min(), (best[resolved] + margin).max()
         if high - low < 1.5 * plan.reach or best_sd[resolved].min() < 0.2 * (grid[1] - grid[0]):
             grid = np.linspace(low - 0.01, high + 0.01, POINTS)
-            value, mean, weight = _scan(plan, likelihood, grid)
+            value, mean, weight, unexplained = _scan(plan, likelihood, grid)
             again, again_sd = _peaks(grid, _sums(value, member, len(block)))
             best, best_sd = np.where(resolved, again, np.nan), np.where(resolved, again_sd, np.inf)
     pixel = likelihood.pixel_keys.astype(np.int64)
     at, sd = best[member], best_sd[member]
     known = np.isfinite(at)
+    nearest = np.abs(grid[:, None] - np.where(known, at, 0.0)).argmin(axis=0)
     z, slope, w = _along(grid, mean, weight, np.where(known, at, 0.0))
     variance = 1.0 / np.maximum(w, 1e-300) + (slope * np.where(known, sd, 0.0)[:, None]) ** 2
     seen = (w > 0) & (z > 0)
@@ -97,18 +99,22 @@ def estimate_tile(plan: Plan, recordings: list[Recording]) -> Estimates:
     return {
         "pixel": pixel,
         "events": np.bincount(likelihood.pixel, minlength=len(pixel)),
+        "unexplained": unexplained[nearest, np.arange(len(pixel))],
         "off": log[:, 0], "off_sd": log_sd[:, 0], "on": log[:, 1], "on_sd": log_sd[:, 1],
         "block": block, "bandwidth": centre + best, "bandwidth_sd": best_sd,
     }  # fmt: skip
 
 
-def _scan(plan: Plan, likelihood: EventTimes, grid: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Log-likelihood (points, n), thresholds (points, n, 2) and weights (points, n, 2; OFF first) along the grid."""
+def _scan(
+    plan: Plan, likelihood: EventTimes, grid: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Log-likelihood (points, n), thresholds, weights (points, n, 2; OFF first), events without a cause (points, n)."""
     scanned = [likelihood.terms(_circuit(plan, float(step))) for step in grid]
     return (
         np.array([terms.per_pixel for terms in scanned]),
         np.array([terms.weighted_mean.reshape(-1, 2) for terms in scanned]),
         np.array([terms.weight_sum.reshape(-1, 2) for terms in scanned]),
+        np.array([np.bincount(likelihood.pixel, t.unexplained, len(likelihood.pixel_keys)) for t in scanned]),
     )
 
 
@@ -163,6 +169,6 @@ def _along(grid, mean, weight, at) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 def _nothing() -> Estimates:
     whole, real = np.empty(0, np.int64), np.empty(0)
     return {
-        "pixel": whole, "events": whole, "off": real, "off_sd": real, "on": real, "on_sd": real,
+        "pixel": whole, "events": whole, "unexplained": real, "off": real, "off_sd": real, "on": real, "on_sd": real,
         "block": whole, "bandwidth": real, "bandwidth_sd": real,
     }  # fmt: skip

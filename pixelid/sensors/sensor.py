@@ -30,7 +30,9 @@ from pixelid.sensors.shrinkage import bootstrap, population, shrink
 from pixelid.sensors.tiles import common_size, tiles_of
 from pixelid.status import Status
 
+TILES = 2  # what a finished tile holds: raised when that changes
 CHUNK = 20  # bootstrap replicates per task
+MOST_UNEXPLAINED = 0.01  # of the events: ten times what makes a fit a misfit, since single pixels depart from its model
 NOTE = "problem.json"  # in the folder of finished tiles: what they belong to
 
 
@@ -47,6 +49,7 @@ class SensorFit(Result):
         seconds: that it took.
         seed: of the bootstrap.
         inputs_sha256: hashes of the recordings by name.
+        unexplained: share of the events that no circuit of the scan explains.
 
     Example:
         >>> from pixelid.sensors import SensorFit
@@ -63,23 +66,29 @@ class SensorFit(Result):
     seconds: float
     seed: int
     inputs_sha256: Mapping[str, str]
+    unexplained: float = 0.0
 
     @property
     def empty(self) -> list[str]:
-        """Names of maps that no pixel's events hold."""
-        return [name for name, m in self.maps.items() if not m.population.count]
+        """Names of maps that the events of less than two pixels hold."""
+        return [name for name, m in self.maps.items() if m.population.count < 2]
 
     @property
     def status(self) -> Status:
         """How it ended."""
+        if self.unexplained > MOST_UNEXPLAINED:
+            return Status.misfit
         return Status.not_identified if self.empty else Status.converged
 
     @property
     def advice(self) -> str:
-        """What to do about empty maps."""
+        """What to do about events without a cause, and about empty maps."""
+        if self.unexplained > MOST_UNEXPLAINED:
+            share = f"{100 * self.unexplained:.2g} % of the events have no cause in {self.model.name}"
+            return f"{share}: fit a model to these recordings first, or look for what it lacks with pixelid gap"
         if not self.empty:
             return ""
-        return f"no pixel's events hold {', '.join(self.empty)}: record more, or use larger --block"
+        return f"the events of fewer than two pixels hold {', '.join(self.empty)}: record more, or use larger --block"
 
     @property
     def headline(self) -> str:
@@ -147,7 +156,10 @@ class SensorFit(Result):
             if not isinstance(known["block"], int) or not 1 <= known["block"] <= MOST_SIDE:
                 raise ValueError(f"block: expected a positive integer, found {shown(known['block'])}")
             events, maps = read_maps(entries, folder, known["block"])
-            return cls(maps=maps, events=events, model=load_model(folder / "model.toml"), **known)
+            unexplained = float(content.get("unexplained_fraction", 0.0))
+            return cls(
+                maps=maps, events=events, model=load_model(folder / "model.toml"), unexplained=unexplained, **known
+            )
 
     def as_dict(self) -> dict:
         """The content of sensor.json."""
@@ -162,6 +174,7 @@ class SensorFit(Result):
             "tiles": self.tiles,
             "events": int(self.events.sum()),
             "pixels_with_events": int((self.events > 0).sum()),
+            "unexplained_fraction": self.unexplained,
             "maps": self.records_by_name(),
             "seconds": self.seconds,
             "seed": self.seed,
@@ -207,6 +220,7 @@ def fit_sensor(
     """
     begun = time.perf_counter()
     report = progress or (lambda what, fraction: None)
+    recordings = [r.within_stimulus() for r in recordings]
     width, height = common_size(recordings)
     if block < 1 or tile < 1 or replicates < 0:
         raise InputError(f"expected block ≥ 1, tile ≥ 1, replicates ≥ 0, found {block}, {tile}, {replicates}")
@@ -226,6 +240,7 @@ def fit_sensor(
             progress=lambda done: report("tiles", 0.9 * done),
         )
         events = np.zeros(height * width, np.int64)
+        unexplained = sum(float(part["unexplained"].sum()) for part in parts)
         for part in parts:
             events[part["pixel"]] = part["events"]
         blocks = (-(-height // block), -(-width // block))
@@ -249,6 +264,7 @@ def fit_sensor(
         time.perf_counter() - begun,
         seed,
         input_hashes(r.source for r in recordings),
+        unexplained / max(int(events.sum()), 1),
     )
 
 
@@ -285,6 +301,7 @@ def _claim(keep: Path, recordings: list[Recording], plan: Plan, tile: int) -> st
         "data": digest.hexdigest(),
         "model": {**plan.model.values, "photoreceptor": plan.model.photoreceptor, "effects": plan.model.effects},
         "plan": [plan.bandwidth, plan.block, plan.reach, tile],
+        "tiles": TILES,
     }
     identity = hashlib.sha256(json.dumps(plain(problem), sort_keys=True).encode()).hexdigest()
     note = keep / NOTE

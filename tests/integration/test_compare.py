@@ -1,10 +1,12 @@
 """Model comparison finds the order that made the data."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from pixelid.compare import compare
-from pixelid.compare.compare import Comparison
+from pixelid.compare.compare import Comparison, Contender, _sentence
 from pixelid.errors import InputError
 from pixelid.model.shipped import find_model
 from pixelid.simulate import simulate
@@ -69,3 +71,25 @@ def test_comparisons_that_make_no_sense():
         compare([], [find_model("dvs128")])
     with pytest.raises(InputError, match="threshold_noise"):
         compare([], [find_model("dvs128"), find_model("ideal")])
+
+
+def contender(parameters: int, held_out) -> Contender:
+    return Contender(SimpleNamespace(coordinates=[0] * parameters), 0.0, np.asarray(held_out, float))
+
+
+def test_every_model_that_is_not_surely_worse_is_named():
+    """Not only the one that comes nearest: another may be farther behind and less certain."""
+    rng = np.random.default_rng(0)
+    best = np.full(20, 10.0)
+    near = best - 0.5 - 0.001 * rng.normal(size=20)
+    scattered = best - 0.7 - 3.0 * rng.permutation(np.linspace(-2, 2, 20))
+    said = _sentence({"a": contender(9, best), "b": contender(7, near), "c": contender(5, scattered)}, "a")
+    assert "do not decide between a and c" in said
+    assert said.endswith("take the simplest, c")
+    assert "support a" in _sentence({"a": contender(9, best), "b": contender(7, near)}, "a")
+
+
+def test_two_pixels_decide_little():
+    said = _sentence({"a": contender(9, [1.0, 1.6]), "b": contender(7, [0.0, 0.0])}, "a")
+    assert "do not decide" in said
+    assert "2 pixels are few" in said

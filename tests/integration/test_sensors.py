@@ -6,6 +6,7 @@ import shutil
 import subprocess
 import time
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,10 +16,12 @@ from pixelid import cluster as cluster_module
 from pixelid.cli.main import main
 from pixelid.cluster import LOOPBACK, Where, connected, run_tasks
 from pixelid.errors import InputError, SetAside, UntrustworthyResult
+from pixelid.model.files import save_model
 from pixelid.model.shipped import find_model
 from pixelid.recordings import write_recording
 from pixelid.recordings.events import Events
 from pixelid.recordings.recording import Recording
+from pixelid.recordings.selection import only
 from pixelid.sensors import SensorFit, fit_sensor
 from pixelid.sensors.shrinkage import population, shrink
 from pixelid.simulate import simulate
@@ -329,9 +332,10 @@ def test_damaged_and_foreign_tiles_are_set_aside_and_computed_again(tmp_path, se
     assert (tmp_path / "maps.tiles.other" / "0.npz.damaged").is_file()
 
 
-def test_command_writes_maps(tmp_path, sensor, capsys):
+def test_command_writes_maps(tmp_path, sensor, model, capsys):
     write_recording(sensor[0], tmp_path / "r.h5")
-    arguments = ["sensor", str(tmp_path / "r.h5"), "--model", "dvs128", "--bandwidth", "none", "--bootstrap", "20"]
+    save_model(model, tmp_path / "camera.toml")
+    arguments = ["sensor", str(tmp_path / "r.h5"), "--model", str(tmp_path / "camera.toml"), "--bootstrap", "20"]
     assert main([*arguments, "--out", str(tmp_path / "maps"), "--quiet"]) == 0
     written = json.loads((tmp_path / "maps" / "sensor.json").read_text())
     assert written["maps"]["on_threshold"]["estimates"] > 0.5 * SIDE * SIDE
@@ -355,3 +359,21 @@ def test_bad_input_is_one_plain_line(tmp_path, sensor, capsys):
         error = capsys.readouterr().err
         assert expected in error
         assert error.count("\n") == 1
+
+
+def test_events_that_have_nothing_to_do_with_the_light_are_a_misfit(sensor, model):
+    rng, mixed = np.random.default_rng(1), []
+    for r in [sensor[0]]:
+        t = np.sort(rng.integers(int(r.stimulus.start_s * 1e9), int(r.stimulus.end_s * 1e9), len(r.events)))
+        mixed.append(replace(r, events=replace(r.events, t=t)))
+    found = fit_sensor(mixed, model, replicates=0)
+    assert found.status == "misfit"
+    assert found.as_dict()["unexplained_fraction"] > 0.05
+
+
+def test_one_pixel_is_no_population(sensor, model):
+    some = [sensor[0]]
+    pixel = some[0].events.pixel[0]
+    alone = fit_sensor(only(some, np.array([pixel])), model, replicates=0)
+    assert alone.status == "not_identified"
+    assert set(alone.empty) == set(alone.maps)

@@ -385,3 +385,18 @@ def test_any_bytes_of_evt21_are_answered(tmp_path_factory, data, swapped):
         events = decoded.read(path).events
         assert (np.diff(events.t) >= 0).all()
         assert (events.x < 640).all()
+
+
+def test_recordings_of_one_camera_keep_the_same_pixels():
+    """Chosen among those of each recording, fifty of 400 and of 399 had sixteen in common."""
+    rng, kept = np.random.default_rng(0), []
+    for silent in (None, 7):
+        pixel = np.setdiff1d(np.arange(400), [] if silent is None else [silent])
+        t = np.sort(rng.integers(0, 10**9, len(pixel)))
+        events = Events.from_columns(t, pixel % 20, pixel // 20, pixel % 2, 20, 20)
+        kept.append(set(Crop(pixels=50).applied(Recording(events)).events.pixel.tolist()))
+    assert len(kept[0]) == len(kept[1]) == 50
+    assert len(kept[0] & kept[1]) >= 49
+    assert Crop(pixels=5).with_(Crop(time_s=(0.0, 1.0), from_first=True)) == Crop(
+        None, (0.0, 1.0), 5, False, True
+    )  # fmt: skip
