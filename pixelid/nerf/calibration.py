@@ -190,6 +190,12 @@ def of_fit(calibration: Calibration, folder: Path, scale: float | None = None) -
     return replace(calibration, circuit=circuit, dark=dark, known=True)
 
 
+UNCERTAIN = (
+    ("alpha", "alpha"), ("alpha", "alpha_over_beta"), ("beta", "beta"), ("gamma", "gamma"),
+    ("follower", "sf_cutoff_hz"),
+)  # fmt: skip  # what `Pixel` trains, and the parameter of a fit: of one pole only α/β
+
+
 def uncertainty_of_fit(folder: Path) -> dict[str, float]:
     """Standard deviations of the logs of what `Pixel` may train, from fit.json; empty where there is none.
 
@@ -202,8 +208,9 @@ def uncertainty_of_fit(folder: Path) -> dict[str, float]:
         parameters = read_json(file)["parameters"]
         deviations = {
             ours: 1e-3 if entry.get("fixed") else float(entry["std"]) / float(entry["value"])
-            for ours, theirs in (("alpha", "alpha"), ("beta", "beta"), ("gamma", "gamma"), ("follower", "sf_cutoff_hz"))
-            if (entry := parameters.get(theirs)) and (entry.get("fixed") or entry.get("std"))
+            for ours, theirs in UNCERTAIN
+            if (entry := parameters.get(theirs))
+            and (entry.get("fixed") or (entry.get("std") and entry.get("identified", True)))
         }
     except (ValueError, KeyError, TypeError, AttributeError, ZeroDivisionError):
         raise InputError(f"{file}: parameters: expected value and std of each") from None

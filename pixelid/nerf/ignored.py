@@ -17,6 +17,9 @@ MODELLED = frozenset(
 )  # fmt: skip
 
 
+NO_EFFECTS = ("delay", "of_recordings")  # of the clock of a stimulus, and bookkeeping
+
+
 def ignored_effects(circuit: Circuit) -> tuple[str, ...]:
     """The effects that act in this circuit and that a reconstruction leaves out, in the library's order.
 
@@ -29,7 +32,7 @@ def ignored_effects(circuit: Circuit) -> tuple[str, ...]:
     acting = {
         field.name
         for field in fields(Circuit)
-        if field.name not in MODELLED and getattr(circuit, field.name) != getattr(neutral, field.name)
+        if field.name not in (*MODELLED, *NO_EFFECTS) and getattr(circuit, field.name) != getattr(neutral, field.name)
     }
     names = []
     for effect in LIBRARY.values():

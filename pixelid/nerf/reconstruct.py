@@ -286,7 +286,8 @@ def reconstruct(
     scores = evaluate(state.field, validation, test, problem.dark) if finite else no_scores(test)
     published = evaluate_as_published(state.field, test, problem.dark) if finite and protocol == "paper" else None
     held_out = held_out_residual(problem, state) if finite else float("nan")
-    status, advice = _verdict(held_out, scores, state.iteration)
+    told = np.isfinite(held_out) or not len(problem.held_out.starts)
+    status, advice = _verdict(held_out, scores, state.iteration, finite and bool(told))
     return Reconstruction(
         status, advice, bandwidth, state, problem, recipe, scores, test, held_out,
         earlier + time.perf_counter() - watch, rate, device, seed, inputs, ignored, published, found, other,
@@ -301,8 +302,8 @@ def _running(state: State, problem: Problem, validation: Views) -> float:
     return float(evaluate(state.field, first, second, problem.dark).psnr.mean())
 
 
-def _verdict(held_out: float, scores: Scores, steps: int) -> tuple[Status, str]:
-    if not np.isfinite(scores.psnr).all():
+def _verdict(held_out: float, scores: Scores, steps: int, finite: bool) -> tuple[Status, str]:
+    if not finite or not np.isfinite(scores.psnr).all():
         return Status.diverged, (
             f"loss or field was no number after {steps} steps: lower the learning rate, or check thresholds, dead time "
             "and the radiance unit of the pixel"

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 import torch
 
+from pixelid.errors import InputError
 from pixelid.nerf.additions import ADDITIONS
 from pixelid.nerf.calibration import Calibration
 from pixelid.nerf.limits import ALPHA, LEAST_SHARE
@@ -27,6 +28,7 @@ from pixelid.nerf.residuals import Gain, Rows, compare, residual_map, rows_of
 from pixelid.nerf.state import Problem, State, optimiser_of, start
 from pixelid.nerf.suggestions import Suggested, suggestions
 from pixelid.nerf.train import train
+from pixelid.stages.circuit import Circuit
 
 EFFECTS = {"refractory": "refractory_period"}  # where the library has another name than training
 BANDWIDTH, MISMATCHED = "bandwidth", "threshold_mismatch"
@@ -123,8 +125,11 @@ def search(
     Returns:
         The pixel with what was found.
     """
-    names = _candidates(calibration, bandwidth, mapped)
     warm, steps = (max(round(share * recipe.iterations), 1) for share in (WARM, TRIAL))
+    problem = make(calibration, bandwidth.moving)
+    if not len(problem.held_out.starts):
+        raise InputError("--gap: effects are judged on pixels held out, and only one pixel has events to hold out")
+    names = _candidates(calibration, bandwidth, mapped, problem.shortest)
     # as if the search kept one effect; it may keep none, or more
     total, done = float(warm + (2 * len(names) + 8) * steps), 0.0
 
@@ -136,7 +141,6 @@ def search(
     unit = 0.5 * float(calibration.circuit.on_threshold + calibration.circuit.off_threshold)
     coarse = replace(recipe, vertices=recipe.vertices[:1], **SCENE)
     bench = _Bench(make, coarse, bandwidth, steps, unit, device, report)
-    problem = make(calibration, bandwidth.moving)
     state = train(problem, bench.recipe, start(problem, bench.recipe, bandwidth, device), until=warm, report=report)
     here = told = _Place(with_trained_values(calibration, state.pixel, problem), (), state)
     kept: list[tuple[str, Trial]] = []
@@ -273,13 +277,28 @@ def with_trained_values(calibration: Calibration, pixel: Pixel, problem: Problem
     factor = math.prod(tilt.threshold_factor(added[name]) for name, tilt in problem.tilts.items())
     on, off = (factor * float(x.detach()) for x in pixel.thresholds)
     changed |= {"on_threshold": on, "off_threshold": off}
-    return replace(calibration, circuit=calibration.circuit.with_(**changed))
+    if "alpha" in changed and calibration.circuit.photoreceptor == "one_pole":
+        moved = float(changed.pop("alpha")) / float(pixel.nominal[0])
+        changed["corner"] = calibration.circuit.corner * moved
+    return replace(calibration, circuit=_same_leak(calibration.circuit.with_(**changed), factor))
 
 
-def _candidates(calibration: Calibration, bandwidth: Bandwidth, mapped: bool) -> tuple[str, ...]:
-    """Names of what is tried: `ADDITIONS`, mismatch, and a filter slower or faster than told."""
+def _same_leak(circuit: Circuit, factor: float) -> Circuit:
+    """The circuit, whose ON threshold has grown by a factor, with the leak as it was: its strength is in thresholds."""
+    return circuit.with_(
+        leak_hz=circuit.leak_hz / factor, leak_hz_per_radiance=circuit.leak_hz_per_radiance / factor
+    )  # fmt: skip
+
+
+def _candidates(calibration: Calibration, bandwidth: Bandwidth, mapped: bool, shortest: float) -> tuple[str, ...]:
+    """Names of what is tried: `ADDITIONS`, mismatch, and a filter slower or faster than told.
+
+    A dead time is tried only where the shortest interval leaves room for a longer one than is told.
+    """
     circuit = calibration.circuit
     names = [name for name in SEARCHED if name not in bandwidth.moving]
+    if WITHIN * shortest <= circuit.refractory:
+        names = [name for name in names if name != "refractory"]
     if not mapped and circuit.mismatch < MISMATCH:
         names.append(MISMATCHED)
     if bandwidth.mode == "on" and circuit.photoreceptor == "second_order":
@@ -332,9 +351,8 @@ def _begun(name: str, calibration: Calibration, moved: float, problem: Problem) 
     added = value - getattr(circuit, addition.field)
     factor = problem.tilts[name].threshold_factor(added) if name in problem.tilts else 1.0
     on, off = factor * circuit.on_threshold, factor * circuit.off_threshold
-    return replace(
-        calibration, circuit=circuit.with_(**{addition.field: value, "on_threshold": on, "off_threshold": off})
-    )
+    begun = circuit.with_(**{addition.field: value, "on_threshold": on, "off_threshold": off})
+    return replace(calibration, circuit=_same_leak(begun, factor))
 
 
 def _told(name: str, calibration: Calibration) -> dict[str, float]:

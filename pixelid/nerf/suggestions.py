@@ -61,7 +61,8 @@ def suggestions(problem: Problem, state: State) -> Suggested:
         with torch.no_grad():
             return predict(problem, probe, batch, np.random.default_rng(8))[0].cpu().numpy()
 
-    on, off = (float(x) for x in pixel.thresholds)
+    with torch.no_grad():
+        on, off = (x.cpu().numpy() for x in pixel.thresholds_at(batch.pixel))
     at = change()
     said = batch.rise * on - batch.fall * off
     rest = said - at

@@ -345,6 +345,12 @@ def test_what_a_fit_leaves_uncertain_is_the_prior(tmp_path):
     }
     (tmp_path / "fit.json").write_text(json.dumps({"parameters": entries}))
     assert uncertainty_of_fit(tmp_path) == pytest.approx({"alpha": 0.01, "beta": 1e-3})
+    one_pole = {
+        "alpha_over_beta": {"value": 33.0, "std": 0.33, "fixed": False, "identified": True},
+        "sf_cutoff_hz": {"value": 3000.0, "std": 6000.0, "fixed": False, "identified": False},
+    }
+    (tmp_path / "fit.json").write_text(json.dumps({"parameters": one_pole}))
+    assert uncertainty_of_fit(tmp_path) == pytest.approx({"alpha": 0.01})
     (tmp_path / "fit.json").write_text("{}")
     with pytest.raises(InputError, match=r"fit\.json: parameters"):
         uncertainty_of_fit(tmp_path)

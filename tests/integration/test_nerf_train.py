@@ -490,6 +490,17 @@ def test_numbers_that_run_away_end_as_diverged(made, tmp_path):
     written = json.loads((tmp_path / "reconstruction.json").read_text())
     assert written["status"] == "diverged"
     assert written["views"]["psnr"] is None
+    unseen = reconstruct(replace(data, views={}), calibration=wrong, recipe=replace(SMALL, rate=1e4))
+    assert unseen.status is Status.diverged  # without a view to score there is no score to be no number
+
+
+def test_a_search_needs_pixels_to_hold_out(made):
+    data = read_dataset(made)
+    pixel = data.y * data.calibration.camera.width + data.x
+    mine = pixel == np.bincount(pixel).argmax()
+    one = replace(data, t=data.t[mine], x=data.x[mine], y=data.y[mine], on=data.on[mine])
+    with pytest.raises(InputError, match="held out"):
+        reconstruct(one, recipe=SMALL, gap=True)
 
 
 def test_what_the_pixel_has_and_the_scene_ignores_is_said(made, tmp_path, capsys):

@@ -1,6 +1,7 @@
 """What training may add to a pixel, and how two pixels are compared on held-out events."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,11 +9,14 @@ import torch
 
 from pixelid.dynamics.trajectory import Dynamics, integrate
 from pixelid.nerf.additions import ADDITIONS, tilts
+from pixelid.nerf.calibration import Calibration
+from pixelid.nerf.camera import pinhole
 from pixelid.nerf.intervals import CHAIN, chains, intervals
 from pixelid.nerf.losses import amplifier_drift, changes, terms
 from pixelid.nerf.pixel import TRAINABLE, Bandwidth, Pixel
 from pixelid.nerf.residuals import Rows, apart, compare, of_some_pixels, residual_map
 from pixelid.nerf.scan import respond
+from pixelid.nerf.search import _begun, _candidates, with_trained_values
 from pixelid.stages.circuit import Circuit
 from tests.unit.test_nerf_stretches import QUICK, comparator
 
@@ -184,3 +188,39 @@ def test_the_command_offers_what_can_be_trained():
     from pixelid.cli import reconstruct_command
 
     assert reconstruct_command.TRAINABLE == TRAINABLE
+
+
+def a_calibration(circuit: Circuit) -> Calibration:
+    return Calibration(pinhole(8, 8, 0.7), "", circuit, np.zeros(1), 1.0, True)
+
+
+def test_a_told_leak_stays_what_it_is_where_thresholds_are_told_anew():
+    """It is counted in thresholds, and those change where the tilt of a drift holds their mean."""
+    circuit = replace(CIRCUIT, leak_hz=20.0)
+    tilt = tilts(cut, circuit, ["threshold_drift"])
+    problem = SimpleNamespace(tilts=tilt, shortest=2e-3)
+    begun = _begun("threshold_drift", a_calibration(circuit), 0.5, problem).circuit
+    assert begun.on_threshold != pytest.approx(circuit.on_threshold, rel=0.02)
+    assert begun.leak_hz * begun.on_threshold == pytest.approx(20.0 * circuit.on_threshold)
+    pixel = Pixel(circuit, Bandwidth("off", trained=("threshold_drift",)))
+    with torch.no_grad():
+        pixel.added[list(ADDITIONS).index("threshold_drift")] = 0.5
+    after = with_trained_values(a_calibration(circuit), pixel, problem).circuit
+    assert after.threshold_drift != 0.0
+    assert after.leak_hz * after.on_threshold == pytest.approx(20.0 * circuit.on_threshold)
+
+
+def test_a_trained_corner_of_one_pole_is_kept():
+    circuit = Circuit(photoreceptor="one_pole", corner=30.0, on_threshold=0.2, off_threshold=0.2)
+    pixel = Pixel(circuit, Bandwidth("joint"))
+    with torch.no_grad():
+        pixel.factors[0] = np.log(2.0)
+    after = with_trained_values(a_calibration(circuit), pixel, SimpleNamespace(tilts={})).circuit
+    assert after.corner == pytest.approx(60.0)
+    assert np.isnan(after.alpha)  # of which one pole knows nothing
+
+
+def test_a_dead_time_is_not_tried_below_the_one_that_is_told():
+    calibration = a_calibration(CIRCUIT)
+    assert "refractory" in _candidates(calibration, Bandwidth("off"), False, shortest=2e-3)
+    assert "refractory" not in _candidates(calibration, Bandwidth("off"), False, shortest=1.1e-3)

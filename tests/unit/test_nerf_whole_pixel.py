@@ -101,4 +101,5 @@ def test_every_effect_is_modelled_or_named():
         if name != "second_order_photoreceptor":
             assert ignored_effects(effect.apply(base.circuit(), values)) == expected, name
     assert ignored_effects(Circuit(jitter=1e-5, slew_rise=100.0)) == ("slew_limit", "timestamp_jitter")
+    assert ignored_effects(Circuit(delay=1e-3)) == ()  # of the stimulus's clock
     assert set(Circuit.__dataclass_fields__) >= MODELLED
