@@ -18,6 +18,8 @@ whole       cameras with more than the data sets' pixel (`CAMERAS`): everything 
 field       what the field is asked for, trained on `ideal` events: nothing, small total variation, and colour by
             harmonics of degree 1 and 2
 size        200 × 200 pixels, on and off
+paper       800 × 800 pixels, as the published scenes, one revolution: on and off, with the scores of the reference
+            implementation beside the stricter ones
 memory      the same scene filmed again and again until there are 60 million events: peak memory of a short training
 poses       a camera of changing speed whose poses are 5 ms late, or shaken: as they are, and refined with the scene
 elsewhere   scenes of another make (`other_scenes.py`): on, off, and on with nothing asked of silence
@@ -68,7 +70,7 @@ from pixelid.nerf.views import OPENGL
 
 EXPERIMENTS = (
     "bandwidth", "baselines", "samples", "batch", "grid", "joint", "pixel", "effect", "scale", "whole", "field",
-    "poses", "size", "memory", "elsewhere", "pictures",
+    "poses", "size", "paper", "memory", "elsewhere", "pictures",
 )  # fmt: skip
 KEPT = ("experiment", "setting", "arm", "seed", "iterations")  # what tells runs apart
 SAMPLES = (1, 5, 15, 30, 50)
@@ -98,6 +100,12 @@ ROBUST = ("threshold", "ratio", "refractory")  # trained by Robust e-NeRF with t
 CUTOFFS = (0.0, 0.1, 0.3, 1.0)  # of the filter that makes images, per revolution
 LATE_S, SWING, SHAKEN, SHAKEN_DEG = 5e-3, 0.7, 0.02, 0.5  # of experiment "poses"
 LARGE_BATCH = 512  # chains per step for 200 × 200 pixels
+PUBLISHED_SIDE, PUBLISHED_CELLS, PUBLISHED_BATCH = 800, 400, 1024
+PUBLISHED_FILM = {
+    "revolutions": 1.0,
+    "frames_per_turn": 2400,
+    "supersample": 1,
+}  # light moves 0.7 px from frame to frame
 MANY_EVENTS, FEW_STEPS = 60_000_000, 60  # of experiment "memory"
 SLOW = 0.5  # α and source follower of the camera that differs from nominal
 CHANGED = ("alpha", "sf_cutoff_hz")
@@ -105,12 +113,17 @@ CHANGED = ("alpha", "sf_cutoff_hz")
 
 def dataset(
     work: Path, setting: str, seed: int, label: str = "", model: Model | None = None, side: int = 64,
-    trajectory: Trajectory | None = None, own: Setting | None = None, scene: Renders | None = None,
+    trajectory: Trajectory | None = None, own: Setting | None = None, scene: Renders | None = None, **film,
 ) -> Dataset:  # fmt: skip
-    """A scene's dataset, made when it is not there yet;  own: a setting that is not in `SETTINGS`."""
+    """A scene's dataset, made when it is not there yet.
+
+    own: a setting that is not in `SETTINGS`;  film: how it is filmed, as of `make_dataset`
+    """
     path = work / f"{setting}_{seed}{label}"
     if not path.is_dir():
-        make_dataset(path, own or setting, seed=seed, model=model, side=side, trajectory=trajectory, scene=scene)
+        make_dataset(
+            path, own or setting, seed=seed, model=model, side=side, trajectory=trajectory, scene=scene, **film
+        )  # fmt: skip
     return read_dataset(path)
 
 
@@ -252,6 +265,11 @@ def arms(name: str, work: Path, setting: str, seed: int):
         data = dataset(work, setting, seed, "_200", side=200)
         for mode in ("on", "off"):
             yield mode, data, {"bandwidth": Bandwidth(mode), "recipe": Recipe(batch=LARGE_BATCH)}
+    elif name == "paper":
+        data = dataset(work, setting, seed, "_800", side=PUBLISHED_SIDE, **PUBLISHED_FILM)
+        large = Recipe(batch=PUBLISHED_BATCH).with_cells(PUBLISHED_CELLS)
+        for mode in ("on", "off"):
+            yield mode, data, {"bandwidth": Bandwidth(mode), "recipe": large, "protocol": "paper"}
     elif name == "elsewhere":
         for label, scene in SCENES.items():
             data = dataset(work, setting, seed, f"_{label}", scene=scene)
@@ -291,6 +309,8 @@ def run(name: str, work: Path, setting: str, seed: int, iterations: int | None, 
                 "found": [effect["name"] for effect in result.gap["effects"]] if result.gap else None,
                 "poses": result.state.poses.as_dict(),
             }  # fmt: skip
+            if result.published is not None:
+                row["published_protocol_psnr"] = round(float(result.published.psnr.mean()), 3)
         note(work, row | {"psnr": scores.psnr.mean(), "ssim": scores.ssim.mean()}, began, used)
 
 
@@ -362,7 +382,18 @@ def last_runs(work: Path) -> dict[tuple, dict[int, dict]]:
 
 def save(work: Path, path: Path) -> None:
     """Write the last runs, a line each, without what differs between computers; what was not run again stays."""
-    names = (*KEPT, "psnr", "ssim", "cpu_seconds", "degree", "pixel", "found", "poses", "peak_gib")
+    names = (
+        *KEPT,
+        "psnr",
+        "ssim",
+        "cpu_seconds",
+        "degree",
+        "pixel",
+        "found",
+        "poses",
+        "peak_gib",
+        "published_protocol_psnr",
+    )
     there = json.loads(path.read_text()) if path.is_file() else []
     new = [{name: row.get(name) for name in names} for seeds in last_runs(work).values() for row in seeds.values()]
     runs = {tuple(run[name] for name in KEPT): run for run in (*there, *new)}
