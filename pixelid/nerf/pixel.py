@@ -27,6 +27,7 @@ from pixelid.nerf.pixel_maps import PixelMaps, maps_of_circuit
 from pixelid.stages.circuit import Circuit
 
 FILTER = ("alpha", "beta", "gamma", "follower")
+PHOTORECEPTOR = ("alpha", "beta", "gamma")  # of them, those of a second-order photoreceptor
 FACTORS = (*FILTER, "threshold", "ratio")
 TRAINABLE = ("threshold", "ratio", *ADDITIONS)  # whatever is done of the filter
 PRIOR_SD = 1.5  # of ln(factor), when no fit says better
@@ -196,10 +197,19 @@ class Pixel(torch.nn.Module):
         return min(poles) if poles else (circuit.lower_cutoff or dynamics.differencing)
 
     def values(self) -> dict[str, float]:
-        """The numbers in use, by name; of `ADDITIONS` those that the circuit has or that are trained."""
+        """The numbers in use, by name, of the stages that the circuit has; of `ADDITIONS` those that it has or trains.
+
+        A photoreceptor of one pole has its `corner` [rad/s per radiance] in place of α, β and γ.
+        """
         used = Dynamics(*(float(x) for x in self.dynamics.detach()))
         on, off = (float(x.detach()) for x in self.thresholds)
-        filtered = {name: getattr(used, name) for name in FILTER}
+        second = self.circuit.photoreceptor == "second_order"
+        filtered = {
+            name: getattr(used, name) for name in FILTER
+            if (second or name not in PHOTORECEPTOR) and getattr(used, name) < PRESENT_BELOW
+        }  # fmt: skip
+        if self.circuit.photoreceptor == "one_pole":
+            filtered["corner"] = self.circuit.corner * used.alpha / float(self.nominal[0])
         strengths = {a.parameter: float(self.strength(name).detach()) for name, a in ADDITIONS.items()}
         shown = {a.parameter for name, a in ADDITIONS.items() if name == "refractory" or self.adds_to(name)}
         acting = {name: value for name, value in strengths.items() if value or name in shown}

@@ -18,7 +18,7 @@ from pixelid.nerf.calibration import CIRCUIT, Calibration, of_fit, uncertainty_o
 from pixelid.nerf.dataset import CALIBRATION, Dataset, write_poses
 from pixelid.nerf.evaluate import Scores, evaluate, evaluate_as_published, no_scores, render_views
 from pixelid.nerf.ignored import ignored_effects
-from pixelid.nerf.pixel import Bandwidth
+from pixelid.nerf.pixel import FILTER, Bandwidth
 from pixelid.nerf.pixel_maps import maps_of_sensor
 from pixelid.nerf.problem import HELD_OUT, evaluation_views, problem_of
 from pixelid.nerf.recipe import Recipe
@@ -96,6 +96,7 @@ class Reconstruction(Result):
             "gauge": {"kind": self.problem.gauge.kind, "background": self.problem.gauge.background},
             "box": {"low": self.problem.low, "high": self.problem.high},
             "pixel": {
+                **dict.fromkeys(FILTER),
                 **self.state.pixel.values(),
                 "differencing": self.problem.circuit.differencing,
                 "dark": self.problem.dark,

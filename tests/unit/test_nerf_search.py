@@ -210,6 +210,19 @@ def test_a_told_leak_stays_what_it_is_where_thresholds_are_told_anew():
     assert after.leak_hz * after.on_threshold == pytest.approx(20.0 * circuit.on_threshold)
 
 
+def test_values_are_of_stages_that_are_there():
+    """What a kernel takes for an infinite cutoff is no number to report."""
+    ideal = Pixel(CIRCUIT, Bandwidth("on")).values()
+    assert not {"alpha", "beta", "gamma", "follower"} & set(ideal)
+    one = Pixel(Circuit(photoreceptor="one_pole", corner=30.0, follower=500.0, on_threshold=0.2, off_threshold=0.2),
+                Bandwidth("joint"))  # fmt: skip
+    with torch.no_grad():
+        one.factors[0] = np.log(2.0)
+    told = one.values()
+    assert (told["corner"], told["follower"]) == (pytest.approx(60.0), 500.0)
+    assert "alpha" not in told
+
+
 def test_a_trained_corner_of_one_pole_is_kept():
     circuit = Circuit(photoreceptor="one_pole", corner=30.0, on_threshold=0.2, off_threshold=0.2)
     pixel = Pixel(circuit, Bandwidth("joint"))
