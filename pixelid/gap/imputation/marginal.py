@@ -117,7 +117,8 @@ def marginal_step(
     if MISMATCH in names:
         moved[names.index(MISMATCH)] = _mismatch(terms, step[d:], np.diag(covariance)[d:], x[names.index(MISMATCH)])
     lower, upper = coordinates.bounds()
-    variance, variance_known = np.diag(covariance)[:d].copy(), np.diag(known)[:d].copy()
+    # of a direction that nothing tells, rounding leaves a variance of either sign
+    variance, variance_known = (np.maximum(np.diag(each)[:d], 0.0) for each in (covariance, known))
     if NOISE in names:
         variance[names.index(NOISE)], variance_known[names.index(NOISE)] = noise_error**2, 0.5 / len(left)
     return MarginalStep(
