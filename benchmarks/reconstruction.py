@@ -101,11 +101,7 @@ CUTOFFS = (0.0, 0.1, 0.3, 1.0)  # of the filter that makes images, per revolutio
 LATE_S, SWING, SHAKEN, SHAKEN_DEG = 5e-3, 0.7, 0.02, 0.5  # of experiment "poses"
 LARGE_BATCH = 512  # chains per step for 200 × 200 pixels
 PUBLISHED_SIDE, PUBLISHED_CELLS, PUBLISHED_BATCH = 800, 400, 1024
-PUBLISHED_FILM = {
-    "revolutions": 1.0,
-    "frames_per_turn": 2400,
-    "supersample": 1,
-}  # light moves 0.7 px from frame to frame
+PUBLISHED_FILM = {"revolutions": 1.0, "frames_per_turn": 2400, "supersample": 1}
 MANY_EVENTS, FEW_STEPS = 60_000_000, 60  # of experiment "memory"
 SLOW = 0.5  # α and source follower of the camera that differs from nominal
 CHANGED = ("alpha", "sf_cutoff_hz")
@@ -383,17 +379,9 @@ def last_runs(work: Path) -> dict[tuple, dict[int, dict]]:
 def save(work: Path, path: Path) -> None:
     """Write the last runs, a line each, without what differs between computers; what was not run again stays."""
     names = (
-        *KEPT,
-        "psnr",
-        "ssim",
-        "cpu_seconds",
-        "degree",
-        "pixel",
-        "found",
-        "poses",
-        "peak_gib",
+        *KEPT, "psnr", "ssim", "cpu_seconds", "degree", "pixel", "found", "poses", "peak_gib",
         "published_protocol_psnr",
-    )
+    )  # fmt: skip
     there = json.loads(path.read_text()) if path.is_file() else []
     new = [{name: row.get(name) for name in names} for seeds in last_runs(work).values() for row in seeds.values()]
     runs = {tuple(run[name] for name in KEPT): run for run in (*there, *new)}

@@ -58,10 +58,6 @@ def command(context, model, out, criterion, recorded, menu, pixels, draws, sprea
     if biases:
         wanted = {"bandwidth": bandwidth, "noise": noise, "rate": rate}
         wanted = {name: value for name, value in wanted.items() if value is not None}
-        if frequency is not None and rate is None:
-            from pixelid.errors import InputError
-
-            raise InputError("--frequency: is that of the light that --rate counts events of; expected --rate with it")
         return _recommend_setting(model, out, wanted, bias, frequency, overwrite, seed, quiet)
     from pixelid.cli.progress import bar
     from pixelid.cli.terminal import say
@@ -99,7 +95,7 @@ def _check_options(context: click.Context, biases: bool) -> None:
     from pixelid.errors import InputError
 
     for name in OF_STIMULI if biases else OF_BIASES:
-        if context.get_parameter_source(name) is click.core.ParameterSource.COMMANDLINE:
+        if options.is_given(context, name):
             option = f"--{name.replace('_', '-')}"
             raise InputError(f"{option}: not with --biases" if biases else f"{option}: expected --biases with it")
 
@@ -112,6 +108,8 @@ def _recommend_setting(model, out, wanted, bias, frequency, overwrite, seed, qui
 
     if not wanted:
         raise InputError("--biases: expected one or more of --bandwidth, --noise and --rate with it")
+    if frequency is not None and "rate" not in wanted:
+        raise InputError("--frequency: is that of the light that --rate counts events of; expected --rate with it")
     with claimed(out, overwrite, [model]):
         from pixelid.design.bias_result import bias_report
         from pixelid.design.figures import write_bias_figure

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import click
 
@@ -73,7 +72,12 @@ def command(
         if by_recipe:
             recipe = read_recipe(recordings[0])
             recipe = replace(recipe, sample=recipe.sample or sample, profile=recipe.profile or profile)
-            recipe = replace(recipe, crop=recipe.crop.with_(crop), **_given(between=between, seed=seed))
+            context = click.get_current_context()
+            recipe = replace(
+                recipe, crop=recipe.crop.with_(crop),
+                between=between if options.is_given(context, "between") else recipe.between,
+                seed=seed if options.is_given(context, "seed") else recipe.seed,
+            )  # fmt: skip
             refuse_inputs(out, [*recipe.recordings, recipe.model])
         else:
             recipe = Recipe.of(recordings, model, with_, without, fix, gauge, between, seed, sample, profile)
@@ -91,9 +95,3 @@ def command(
     if not quiet:
         say(*recipe.remarks(), result.summary(), str(out / "report.html"))
     return result.status.exit_code
-
-
-def _given(**values: Any) -> dict[str, Any]:
-    """Those of the options that the command line says, and not their defaults."""
-    source = click.get_current_context().get_parameter_source
-    return {name: value for name, value in values.items() if source(name) is click.core.ParameterSource.COMMANDLINE}

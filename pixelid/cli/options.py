@@ -14,6 +14,11 @@ Decorated = TypeVar("Decorated", bound=Callable[..., Any])
 Decorator = Callable[[Decorated], Decorated]
 
 
+def is_given(context: click.Context, name: str) -> bool:
+    """Whether the command line says an option, so that its value is not the default."""
+    return context.get_parameter_source(name) is click.core.ParameterSource.COMMANDLINE
+
+
 class Number(click.ParamType):
     """A finite number between open or closed limits."""
 

@@ -61,9 +61,8 @@ def command(
         raise InputError(f"{reconstruction}: expected the folder of a reconstruction, found {found}")
     if views is not None and way is not None:
         raise InputError(f"--path {way}: --views says already where from; give one of them")
-    given = click.get_current_context().get_parameter_source
     for name in ("up", "distance"):
-        if views is not None and given(name) is click.core.ParameterSource.COMMANDLINE:
+        if views is not None and options.is_given(click.get_current_context(), name):
             raise InputError(f"--{name}: is for --path; --views says already where from")
     with claimed(out, overwrite, [reconstruction, *([views] if views else [])]):
         from pixelid.nerf.saved import SavedReconstruction
