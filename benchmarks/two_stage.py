@@ -15,10 +15,10 @@ import math
 
 import numpy as np
 
-from pixelid.nerf.dataset import Dataset
+from pixelid.nerf.dataset import Dataset, evaluation_views
 from pixelid.nerf.evaluate import Scores, evaluate
 from pixelid.nerf.posed import fit_field
-from pixelid.nerf.problem import evaluation_views, problem_of
+from pixelid.nerf.problem import problem_of
 
 IMAGES = 256
 SETTLED = 0.125  # share of the recording before the first image

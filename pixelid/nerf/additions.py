@@ -10,10 +10,11 @@ least loss has a small one.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from typing import NamedTuple
 
 import numpy as np
+import torch
 
 from pixelid.nerf.intervals import Intervals
 from pixelid.stages.circuit import Circuit
@@ -45,6 +46,9 @@ ADDITIONS = {
     "threshold_drift": Addition("threshold_drift", "threshold_drift.per_s", 0.3, -math.inf),
     "polarity_memory": Addition("polarity_memory", "polarity_memory.strength", 0.02, -0.9),
 }
+OF_EVENTS = ("threshold_drift", "polarity_memory")  # those that set the threshold of each event
+# Parameters that are counted in ON thresholds per second.
+IN_THRESHOLDS = ("leak.rate_hz", "parasitic_photocurrent.rate_hz_per_radiance")
 
 
 class Tilt(NamedTuple):
@@ -63,7 +67,9 @@ class Tilt(NamedTuple):
         return 1.0 / max(1.0 + self.common * added, 0.1)
 
 
-OF_EVENTS = ("threshold_drift", "polarity_memory")  # those that set the threshold of each event
+def threshold_factor(tilts: Mapping[str, Tilt], added: Callable[[str], torch.Tensor]) -> float:
+    """What thresholds are multiplied by when `added(name)` is added to every strength that tilts them."""
+    return math.prod(tilt.threshold_factor(float(added(name).detach())) for name, tilt in tilts.items())
 
 
 def tilts(cut: Callable[[Circuit], Intervals], circuit: Circuit, names: Iterable[str]) -> dict[str, Tilt]:

@@ -19,7 +19,7 @@ from pixelid.nerf.arrays import finite, read_arrays, unit_quaternions
 from pixelid.nerf.calibration import FILE as CALIBRATION
 from pixelid.nerf.calibration import Calibration, read_calibration
 from pixelid.nerf.trajectory import Trajectory
-from pixelid.nerf.views import RENDERER, Views, read_views
+from pixelid.nerf.views import RENDERER, Views, no_views, read_views
 
 BLOCK = 1 << 22  # events looked at together, where a copy of all would be in the way
 MOST_NS = 1 << 62  # 146 years: sums and differences of times still fit 64 bits
@@ -78,6 +78,28 @@ def read_dataset(path: Path) -> Dataset:
         )
     views = read_views(path, calibration.channels)
     return Dataset(path, (t - zero) * 1e-9, x, y, on, trajectory, calibration, views)
+
+
+def evaluation_views(dataset: Dataset) -> tuple[Views, Views]:
+    """The views that fix the correction and those that are scored, apart from each other.
+
+    Test views are scored and validation views correct them; a missing stage is stood in for by the next, a single one
+    is halved; a dataset without views has none of either.
+
+    Args:
+        dataset: as read.
+
+    Returns:
+        (views that fix the correction, views that are scored).
+    """
+    stages = [dataset.views[stage] for stage in ("test", "val", "train") if stage in dataset.views]
+    if not stages:
+        nothing = no_views(dataset.calibration.camera, dataset.calibration.channels)
+        return nothing, nothing
+    if len(stages) == 1:
+        every = np.arange(len(stages[0]))
+        return (stages[0], stages[0]) if len(every) == 1 else (stages[0].some(every[1::2]), stages[0].some(every[::2]))
+    return stages[1], stages[0]
 
 
 def write_poses(folder: Path, trajectory: Trajectory) -> None:

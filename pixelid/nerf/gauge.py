@@ -5,7 +5,7 @@ that is free drifts: a brighter scene is a faster pixel, so that a blurred scene
 
     "background"   by the radiance behind the scene, where the views show one value along their borders (white behind
                    transparent ones);
-    "level"        otherwise by the mean log radiance over the validation (else training) views: one number per colour;
+    "level"        otherwise by the mean log radiance over the views that correct the scored ones, per colour;
     "free"         by nothing, on request, to see what happens, and for data without views.
 """
 
@@ -18,7 +18,7 @@ import numpy as np
 
 from pixelid.errors import InputError
 from pixelid.nerf.camera import Camera
-from pixelid.nerf.dataset import Dataset
+from pixelid.nerf.dataset import Dataset, evaluation_views
 from pixelid.nerf.trajectory import Trajectory
 from pixelid.nerf.views import FOLDER, Views
 
@@ -68,8 +68,8 @@ def gauge_of(dataset: Dataset, background: float | None = None, scale: str = "au
         InputError: the scale is to come from views, and the dataset has none.
     """
     channels = dataset.calibration.channels
-    reference = next((dataset.views[stage] for stage in ("val", "train", "test") if stage in dataset.views), None)
-    if reference is None:
+    reference, _ = evaluation_views(dataset)
+    if len(reference) == 0:
         if scale == "level":
             raise InputError(f"{dataset.path / FOLDER}: no such folder; --scale level needs views")
         kind = "background" if background is not None and scale == "auto" else "free"

@@ -13,10 +13,12 @@ def launched() -> bool:
     return int(os.environ.get("WORLD_SIZE", "1")) > 1
 
 
-def join() -> None:
-    """Meet the other processes, when there are any: gloo on CPU, NCCL on CUDA."""
+def join(device: str) -> None:
+    """Meet the other processes, when there are any: by gloo on "cpu", by NCCL on "cuda", each on a GPU of its own."""
     if launched() and not torch.distributed.is_initialized():
-        torch.distributed.init_process_group("nccl" if torch.cuda.is_available() else "gloo")
+        if device == "cuda":
+            torch.cuda.set_device(int(os.environ.get("LOCAL_RANK", "0")) % torch.cuda.device_count())
+        torch.distributed.init_process_group("nccl" if device == "cuda" else "gloo")
 
 
 def leave() -> None:

@@ -18,7 +18,6 @@ from pixelid.nerf.pixel_maps import PixelMaps, find_hot, maps_of_circuit
 from pixelid.nerf.quiet import LONG, quiet_intervals
 from pixelid.nerf.state import Problem
 from pixelid.nerf.stretches import NOISE
-from pixelid.nerf.views import Views, no_views
 from pixelid.stages.circuit import Circuit
 
 CLOSE_PIXELS = 0.5  # pixels: about half the width of the field's edges
@@ -109,25 +108,3 @@ def shortest_interval(t: np.ndarray, pixel: np.ndarray) -> float:
     t, pixel = t[order], pixel[order]
     lengths = np.diff(t)[pixel[1:] == pixel[:-1]]
     return float(lengths.min()) if len(lengths) else 0.0
-
-
-def evaluation_views(dataset: Dataset) -> tuple[Views, Views]:
-    """The views that fix the correction and those that are scored, apart from each other.
-
-    Test views are scored and validation views correct them; a missing stage is stood in for by the next, a single one
-    is halved; a dataset without views has none of either.
-
-    Args:
-        dataset: as read.
-
-    Returns:
-        (views that fix the correction, views that are scored).
-    """
-    stages = [dataset.views[stage] for stage in ("test", "val", "train") if stage in dataset.views]
-    if not stages:
-        nothing = no_views(dataset.calibration.camera, dataset.calibration.channels)
-        return nothing, nothing
-    if len(stages) == 1:
-        every = np.arange(len(stages[0]))
-        return (stages[0], stages[0]) if len(every) == 1 else (stages[0].some(every[1::2]), stages[0].some(every[::2]))
-    return stages[1], stages[0]

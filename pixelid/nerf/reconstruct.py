@@ -15,12 +15,12 @@ from pixelid.errors import InputError
 from pixelid.nerf import checkpoint, parallel
 from pixelid.nerf.beside import Beside
 from pixelid.nerf.calibration import CIRCUIT, Calibration, of_fit, uncertainty_of_fit, unexplained_by
-from pixelid.nerf.dataset import CALIBRATION, Dataset, write_poses
+from pixelid.nerf.dataset import CALIBRATION, Dataset, evaluation_views, write_poses
 from pixelid.nerf.evaluate import Scores, evaluate, evaluate_as_published, no_scores, render_views
 from pixelid.nerf.ignored import ignored_effects
 from pixelid.nerf.pixel import FILTER, Bandwidth
 from pixelid.nerf.pixel_maps import maps_of_sensor
-from pixelid.nerf.problem import HELD_OUT, evaluation_views, problem_of
+from pixelid.nerf.problem import HELD_OUT, problem_of
 from pixelid.nerf.recipe import Recipe
 from pixelid.nerf.saved import SavedReconstruction, write_field
 from pixelid.nerf.search import HELD_OUT as SEARCH_HELD_OUT
@@ -97,7 +97,7 @@ class Reconstruction(Result):
             "box": {"low": self.problem.low, "high": self.problem.high},
             "pixel": {
                 **dict.fromkeys(FILTER),
-                **self.state.pixel.values(),
+                **self.problem.values(self.state.pixel),
                 "differencing": self.problem.circuit.differencing,
                 "dark": self.problem.dark,
             },
@@ -234,7 +234,7 @@ def reconstruct(
     inputs = input_hashes(files)
     validation, test = evaluation_views(dataset)
     mark = checkpoint.run_identity(problem, recipe, bandwidth, inputs)
-    parallel.join()
+    parallel.join(device)
     found: Mapping[str, Any] | None = None
     if gap:
         kept = checkpoint.search_file(Path(resume)) if resume is not None else None

@@ -18,7 +18,7 @@ import numpy as np
 import torch
 
 from pixelid.errors import InputError
-from pixelid.nerf.additions import ADDITIONS
+from pixelid.nerf.additions import ADDITIONS, threshold_factor
 from pixelid.nerf.calibration import Calibration
 from pixelid.nerf.limits import ALPHA, LEAST_SHARE
 from pixelid.nerf.pixel import FILTER, Bandwidth, Pixel, filter_parameters
@@ -273,8 +273,7 @@ def with_trained_values(calibration: Calibration, pixel: Pixel, problem: Problem
     numbers: dict[str, float] = dict(zip(FILTER, pixel.dynamics.detach().tolist(), strict=False))
     moving = [name for name, moves in zip(FILTER, pixel.moves.tolist(), strict=False) if moves]
     changed |= {name: float(numbers[name]) for name in moving}
-    added = {name: float(pixel.addition(name).detach()) for name in problem.tilts}
-    factor = math.prod(tilt.threshold_factor(added[name]) for name, tilt in problem.tilts.items())
+    factor = threshold_factor(problem.tilts, pixel.addition)
     on, off = (factor * float(x.detach()) for x in pixel.thresholds)
     changed |= {"on_threshold": on, "off_threshold": off}
     if "alpha" in changed and calibration.circuit.photoreceptor == "one_pole":

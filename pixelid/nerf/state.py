@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -10,7 +11,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from pixelid.nerf.additions import Tilt
+from pixelid.nerf.additions import IN_THRESHOLDS, Tilt, threshold_factor
 from pixelid.nerf.camera import Camera, sub_pixel_directions
 from pixelid.nerf.field import Field
 from pixelid.nerf.gauge import Gauge
@@ -52,6 +53,18 @@ class Problem:
     tilts: Mapping[str, Tilt] = dataclasses.field(default_factory=dict)
     shortest: float = 0.0
     quiet: Quiet = NOTHING
+
+    def values(self, pixel: Pixel) -> dict[str, float]:
+        """The numbers in use (`Pixel.values`), the thresholds those of the typical event and pixel.
+
+        Strengths in thresholds per second (leak, parasitic photocurrent) stay what they are in ln L per second.
+        """
+        values, factor = pixel.values(), threshold_factor(self.tilts, pixel.addition)
+        on, off = (factor * math.exp(log) for log in pixel.expected.mean(dim=0).tolist())
+        for name, by in (("on_threshold", on), ("off_threshold", off), *((name, 1 / on) for name in IN_THRESHOLDS)):
+            if name in values:
+                values[name] *= by
+        return values
 
     def pixels_as_dict(self, pixel: Pixel) -> dict[str, Any]:
         """The entry "pixels" of reconstruction.json: thresholds and bandwidth over the sensor, and who was left out."""

@@ -15,11 +15,11 @@ from pixelid.errors import InputError
 from pixelid.model.files import save_model
 from pixelid.model.shipped import find_model
 from pixelid.nerf.calibration import CIRCUIT, of_fit, uncertainty_of_fit
-from pixelid.nerf.dataset import read_dataset
+from pixelid.nerf.dataset import evaluation_views, read_dataset
 from pixelid.nerf.field import Field
 from pixelid.nerf.gauge import Gauge, gauge_of, scene_box
 from pixelid.nerf.pixel import Bandwidth
-from pixelid.nerf.problem import evaluation_views, problem_of
+from pixelid.nerf.problem import problem_of
 from pixelid.nerf.recipe import Recipe
 from pixelid.nerf.scenes import BACKGROUND
 from pixelid.nerf.state import start
@@ -86,6 +86,21 @@ def test_gauge_box_and_views(made):
     validation, test = evaluation_views(data)
     apart = np.linalg.norm(validation.position[:, None] - test.position[None], axis=2)
     assert apart.min() > 1e-3
+
+
+@pytest.mark.parametrize("stages", [("test",), ("val", "train"), ("test", "val"), ("train",)])
+def test_what_pins_the_radiance_is_never_a_view_that_is_scored(made, stages):
+    data = read_dataset(made)
+    data = replace(data, views={stage: data.views[stage] for stage in stages})
+    gauge, (_, scored) = gauge_of(data, scale="level"), evaluation_views(data)
+    dazzled = replace(scored, images=np.full_like(scored.images, 0.5))
+    left = [stage for stage in stages if data.views[stage] is scored]
+    views = {stage: dazzled if stage in left else data.views[stage] for stage in stages}
+    if not left:  # a single stage, halved: those scored are every other one
+        images = data.views[stages[0]].images.copy()
+        images[::2] = 0.5
+        views = {stages[0]: replace(data.views[stages[0]], images=images)}
+    np.testing.assert_array_equal(gauge_of(replace(data, views=views), scale="level").level, gauge.level)
 
 
 def test_a_camera_that_never_turns_needs_a_box(scene, tmp_path, capsys):

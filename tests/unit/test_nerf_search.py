@@ -14,9 +14,11 @@ from pixelid.nerf.camera import pinhole
 from pixelid.nerf.intervals import CHAIN, chains, intervals
 from pixelid.nerf.losses import amplifier_drift, changes, terms
 from pixelid.nerf.pixel import TRAINABLE, Bandwidth, Pixel
+from pixelid.nerf.pixel_maps import PixelMaps
 from pixelid.nerf.residuals import Rows, apart, compare, of_some_pixels, residual_map
 from pixelid.nerf.scan import respond
 from pixelid.nerf.search import _begun, _candidates, with_trained_values
+from pixelid.nerf.state import Problem
 from pixelid.stages.circuit import Circuit
 from tests.unit.test_nerf_stretches import QUICK, comparator
 
@@ -208,6 +210,22 @@ def test_a_told_leak_stays_what_it_is_where_thresholds_are_told_anew():
     after = with_trained_values(a_calibration(circuit), pixel, problem).circuit
     assert after.threshold_drift != 0.0
     assert after.leak_hz * after.on_threshold == pytest.approx(20.0 * circuit.on_threshold)
+
+
+def test_reported_thresholds_are_those_of_the_typical_event_and_pixel():
+    """A drift that tilts them and a map of single pixels both move their mean; a leak in ln L per second stays."""
+    circuit = replace(CIRCUIT, leak_hz=20.0)
+    tilt = tilts(cut, circuit, ["threshold_drift"])
+    maps = PixelMaps(np.log([[1.5, 0.5], [1.5, 0.5], [1.5, 0.5]]), np.zeros((3, 2)))
+    pixel = Pixel(circuit, Bandwidth("off", trained=("threshold_drift",)), maps)
+    with torch.no_grad():
+        pixel.added[list(ADDITIONS).index("threshold_drift")] = 0.5
+    told = Problem.values(SimpleNamespace(tilts=tilt), pixel)  # type: ignore[arg-type]
+    factor = tilt["threshold_drift"].threshold_factor(float(pixel.addition("threshold_drift")))
+    assert abs(factor - 1.0) > 0.02
+    assert told["on_threshold"] == pytest.approx(0.3 * factor)
+    assert told["off_threshold"] == pytest.approx(0.1 * factor)
+    assert told["leak.rate_hz"] * told["on_threshold"] == pytest.approx(20.0 * 0.2)
 
 
 def test_values_are_of_stages_that_are_there():
