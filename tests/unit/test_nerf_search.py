@@ -221,7 +221,7 @@ def test_reported_thresholds_are_those_of_the_typical_event_and_pixel():
     with torch.no_grad():
         pixel.added[list(ADDITIONS).index("threshold_drift")] = 0.5
     told = Problem.values(SimpleNamespace(tilts=tilt), pixel)  # type: ignore[arg-type]
-    factor = tilt["threshold_drift"].threshold_factor(float(pixel.addition("threshold_drift")))
+    factor = tilt["threshold_drift"].threshold_factor(float(pixel.addition("threshold_drift").detach()))
     assert abs(factor - 1.0) > 0.02
     assert told["on_threshold"] == pytest.approx(0.3 * factor)
     assert told["off_threshold"] == pytest.approx(0.1 * factor)
