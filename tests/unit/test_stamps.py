@@ -45,11 +45,12 @@ def test_the_delay_is_free_within_half_a_tick_of_its_value():
 
 @pytest.mark.slow
 def test_stamps_of_the_end_of_a_tick_are_no_pole():
+    """Of 64 pixels: of 9 the delay is known to 2 µs only, as ten sessions say (23 ± 2 µs), for cutoffs share it."""
     lights = {"chirp": chirp(24.0, stop_hz=200.0), "steps": steps(24.0, seed=1), "slow": slow(60.0, seed=2)}
     base = MODEL.without_effect("source_follower_pole")
     camera, recordings = base.set({"threshold_sigma": 0.02}), []
     for i, (name, light) in enumerate(lights.items()):
-        r = simulate(camera, resampled(light, "smooth"), width=3, height=3, seed=i, sensor_seed=7)
+        r = simulate(camera, resampled(light, "smooth"), width=8, height=8, seed=i, sensor_seed=7)
         t = (np.ceil(r.events.t / (1e9 * TICK_S)) * 1e9 * TICK_S).astype(np.int64)
         events = replace(r.events, t=t, tick_ns=1)
         recordings.append(replace(r, events=events, stimulus=light, condition=name, attributes={}))
