@@ -21,7 +21,7 @@ from pixelid.stages.comparator import threshold_shifts
 from pixelid.stages.modulation import at_reset, since_event
 
 # Circuit numbers that leave the trajectories and changes alone and act in the density only.
-DENSITY_ONLY = (*(name for name in NUMBERS if name != "silent"), "tick")
+DENSITY_ONLY = (*(name for name in NUMBERS if name not in ("silent", "refractory")), "tick")
 # Difference in fitting coordinates.  Of the changes one-sided: they bend by about themselves per unit, so the error is
 # 1e-6 relative, and their own error 1e-14 adds 1e-8.  Of the circuit's numbers central: elementary functions of the
 # coordinates, whose rounding leaves 1e-10.
@@ -131,7 +131,7 @@ class EventTimesObjective(Objective):
         return Tangent(difference, numbers)
 
     def _numbers_along(self, x: np.ndarray, i: int, circuit: Circuit) -> np.ndarray:
-        """(7,) how the circuit's `NUMBERS` move along coordinate i at x."""
+        """(9,) how the circuit's `NUMBERS` move along coordinate i at x."""
         step = STEP * self.coordinates.longest_moves()[i]
         up, down = _moved(x, i, step), _moved(x, i, -step)
         there = self.coordinates.circuit(up)

@@ -26,7 +26,7 @@ from pixelid.fit.own_values import held_values
 from pixelid.fit.pooled import fit_pooled
 from pixelid.fit.refine import BETWEEN, refine
 from pixelid.fit.result import FitResult, Stopwatch, estimates_of
-from pixelid.fit.starts import feasible, random_starts
+from pixelid.fit.starts import feasible, random_starts, without_losses
 from pixelid.fit.uncertainty.challenge import challenged
 from pixelid.fit.uncertainty.curvature import read_curvature
 from pixelid.fit.uncertainty.ridge import profile_of_ridge, widened
@@ -259,7 +259,14 @@ def _fit_event_times(recordings, model, fixed, starts, between, maximiser: Engin
     def feasible_start(point: np.ndarray) -> np.ndarray:
         return Coordinates.of(feasible(coordinates.model_at(point), scout), clocks).start
 
+    whole = without_losses(model)
     if wanted is None:
+        if whole is not None:
+            fewer = Coordinates.of(whole, clocks)
+            first = searcher.maximise(EventTimesObjective(scout, fewer), fewer.start, tolerance=1e-2, max_steps=80)
+            told = dict(zip(fewer.names, first.x.tolist(), strict=True))
+            both = zip(coordinates.names, coordinates.start, strict=True)
+            search(feasible_start(np.array([told.get(name, begun) for name, begun in both])))
         search(coordinates.start)
         for point in random_starts(coordinates.start, starts, rng):
             search(feasible_start(point))

@@ -10,6 +10,7 @@ from pixelid.likelihood.pooled_rate import PooledRate, delay_name
 from pixelid.model.model import Model
 
 SILENCE = "dead_time_without_reset.s"
+LOSSES = "lost_events"
 
 
 def feasible(model: Model, likelihood: EventTimes) -> Model:
@@ -42,6 +43,15 @@ def feasible(model: Model, likelihood: EventTimes) -> Model:
     if "threshold_sigma" in model.free and told.any():
         levels["threshold_sigma"] = float(np.clip(1.48 * np.median(relative), 0.02, 0.5))
     return model.set({name: model.parameter(name).within(levels[name]) for name in levels if name in model.free})
+
+
+def without_losses(model: Model) -> Model | None:
+    """The model without lost events, where their share is free: fitted first, it tells thresholds and filter well.
+
+    From afar every event may have had a lost one before it, whatever the circuit, and the search settles for thresholds
+    that scatter.  None where nothing is lost.
+    """
+    return model.without_effect(LOSSES) if f"{LOSSES}.fraction" in model.free else None
 
 
 def _with_silence(model: Model, likelihood: EventTimes) -> Model:

@@ -50,16 +50,16 @@ from pixelid.likelihood.density_backward import backward
 from pixelid.likelihood.density_forward import EventTerms, GroupTerms, Numbers, forward
 from pixelid.likelihood.density_release import Released, candidates, released
 from pixelid.likelihood.layout import NOTHING, Layout, StackedChanges
-from pixelid.likelihood.losses import BACKGROUND_HZ, MISSED, Losses, losses_of
+from pixelid.likelihood.losses import BACKGROUND_HZ, MISSED, NO_PULL, Losses, losses_of
 from pixelid.stages.circuit import Circuit
 from pixelid.stages.comparator import drifts_to_zero
 
-NUMBERS = (*Numbers._fields, "lost")
+NUMBERS = (*Numbers._fields, "lost", "refractory")  # the last: after events that were lost
 
 
 @dataclass(frozen=True)
 class Gradient:
-    """Derivatives of the log-likelihood: `by_changes`, and (8,) by the circuit's `NUMBERS`."""
+    """Derivatives of the log-likelihood: `by_changes`, and (9,) by the circuit's `NUMBERS`."""
 
     by_changes: StackedChanges
     by_numbers: np.ndarray
@@ -182,11 +182,11 @@ class Terms:
         backward(
             at.sign, at.group, at.time_s, self.clock_share, at.last_pixel, at.last_time_s,
             self.changes.events, self.changes.ends, self.numbers, MISSED + lost, at.light, at.light_reset,
-            at.light_last, self.event, self.group, self.released,
-            by_changes.events, by_changes.ends, by_numbers[:-1],
+            at.light_last, self.event, self.group, self.released, NO_PULL if self.losses is None else self.losses.pull,
+            by_changes.events, by_changes.ends, by_numbers[: len(Numbers._fields)],
         )  # fmt: skip
         if self.losses is not None:
-            by_numbers[-1] = self.losses.slope
+            by_numbers[-2:] = self.losses.slope, self.losses.by_dead_time
         return Gradient(by_changes, by_numbers)
 
 

@@ -27,18 +27,22 @@ NO_ZERO = 1e-300  # below any sum of weights
 @njit(cache=True, nogil=True, error_model="numpy")
 def backward(
     sign, group, time, clock_share, last_pixel, last_time, rows, ends, numbers, missed, light, reset, last, event,
-    at_group, release, by_rows, by_ends, by_number,
+    at_group, release, pull, by_rows, by_ends, by_number,
 ):  # fmt: skip
     """Fill the derivatives of the log-likelihood by the changes, EventRows `by_rows` and EndRows `by_ends`, and by the
-    `numbers` (7,).  `event`, `at_group`: what `forward` filled;  release: events at the end of a silence, `Released`.
+    `numbers` (7,).  `event`, `at_group`: what `forward` filled;  release: events at the end of a silence, `Released`;
+    pull: of events after lost ones, `losses.Pull`.
     """
     on, _, noise, mismatch, drift, jitter, _ = numbers
     C, S, W, own = at_group.centre, at_group.spread, at_group.W, at_group.own
     groups = len(C)
-    by_mean, by_sd = np.zeros(groups), np.zeros(groups)
+    by_mean, by_sd, lossy = np.zeros(groups), np.zeros(groups), len(pull.kept) > 0
+    if lossy:
+        by_mean += pull.by_mean
+        by_sd += pull.by_sd
     by_on, by_drift = _survivals_back(
-        group, time, last_pixel, last_time, rows, ends, numbers, missed, reset, last, event, at_group, by_rows, by_ends,
-        by_mean, by_sd,
+        group, time, last_pixel, last_time, rows, ends, numbers, missed, reset, last, event, at_group, pull.kept,
+        by_rows, by_ends, by_mean, by_sd,
     )  # fmt: skip
 
     by_margin = at_release_back(group, noise, light, release, at_group, by_mean, by_sd)
@@ -82,6 +86,9 @@ def backward(
     # events, under the noise of the population's threshold, from which their own was told
     by_V[:] = 0.0
     _first_events_back(group, noise, event, at_group, by_first_W, by_first_A, by_z, by_rate, by_variance, by_V)
+    if lossy:
+        by_z += pull.by_level
+        by_rate += pull.by_rate
     by_jitter = 0.0
     if jitter > 0.0:
         by_jitter = 2.0 * jitter * _by_clock(clock_share, event.rate, by_variance)
@@ -113,12 +120,12 @@ def _posterior_back(at_group, W, A, g, by_mean, by_variance):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _survivals_back(
-    group, time, last_pixel, last_time, rows, ends, numbers, missed, reset, last, event, at_group, by_rows, by_ends,
-    by_mean, by_sd,
+    group, time, last_pixel, last_time, rows, ends, numbers, missed, reset, last, event, at_group, kept, by_rows,
+    by_ends, by_mean, by_sd,
 ):  # fmt: skip
     """Back through the survivals; returns the parts of the derivatives by (ON threshold, drift).
 
-    reset, last: variances by the light, (n,) and (m,), see `Layout`, or empty
+    reset, last: variances by the light, (n,) and (m,), see `Layout`, or empty;  kept: (n,) `losses.Pull`, or empty
     """
     on, _, noise, _, drift, _, _ = numbers
     mean, sd, reached = at_group.mean, spread_of_draws(at_group, noise), event.reached
@@ -131,6 +138,8 @@ def _survivals_back(
             wide = widened(sd[g], reset, k)
             margin = (mean[g] - reached[k]) / wide
             slope = survival(margin, missed)[1] / wide
+            if len(kept) > 0:
+                slope *= kept[k]
             by_mean[g] += slope
             by_sd[g] -= slope * margin * (sd[g] / wide)
             growth = 1.0 + drift * time[k]

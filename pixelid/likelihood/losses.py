@@ -14,21 +14,41 @@ Up to `MOST_IN_A_ROW` are told apart from background; where j = i the event look
 Whether any was lost is decided by the larger density, as for background events: those are the events that can have had
 a lost one before them, and what else they may be competes with it.  The survivals get f for the chance that a crossing
 is missing; an event after a lost one needs no survival.
-Only f itself is fitted to these events: they say nothing of thresholds or dynamics.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import ndtr
 
-from pixelid.likelihood.layout import Layout
+from pixelid.likelihood.density_release import spread_of_draws
+from pixelid.likelihood.layout import NOTHING, Layout
 
 BACKGROUND_HZ = 1e-3  # of events that no circuit explains, per polarity of a pixel
-MOST_IN_A_ROW = 4  # lost events that are told apart from one background event
+# Lost events that are told apart from one background event: of 0.3 lost, one in 15 000 has more before it.
+MOST_IN_A_ROW = 8
 MISSED = 1e-6  # chance that a crossing has no event, whatever the circuit
+TINY = 1e-300  # below any density
+
+
+class Pull(NamedTuple):
+    """Derivatives of the gains by what `density_forward.forward` filled; empty arrays where no event is lost.
+
+    by_level, by_rate: (n,);  by_mean, by_sd: (g,) by a group's mean threshold and the scatter of those it draws;  kept:
+    (n,) chance that no lost event came before, which is how much an event's survival counts
+    """
+
+    by_level: np.ndarray
+    by_rate: np.ndarray
+    by_mean: np.ndarray
+    by_sd: np.ndarray
+    kept: np.ndarray
+
+
+NO_PULL = Pull(NOTHING, NOTHING, NOTHING, NOTHING, NOTHING)
 
 
 @dataclass(frozen=True)
@@ -38,6 +58,7 @@ class Losses:
     gain: (n,) to the log-likelihood of each event
     after: (n,) chance that an event came after a lost one
     slope, information: first derivative of the log-likelihood by the fraction, and what its second expects
+    by_dead_time: derivative of the gains by the dead time after lost events, 1/s;  pull: by everything else
     """
 
     fraction: float
@@ -45,6 +66,8 @@ class Losses:
     after: np.ndarray
     slope: float
     information: float
+    by_dead_time: float
+    pull: Pull
 
 
 def losses_of(layout: Layout, fraction: float, dead_s: float, numbers, event, background, group, end) -> Losses:
@@ -57,41 +80,82 @@ def losses_of(layout: Layout, fraction: float, dead_s: float, numbers, event, ba
         numbers, event, background, group, end: What `density_forward.forward` took and filled.
     """
     k = np.flatnonzero(background & (event.level != 0.0))  # a level of 0: the circuit cannot have fired
-    own, z, rate = layout.group[k], event.level[k], event.rate[k]
-    spread = (numbers.noise * group.mean) ** 2 + group.variance
-    waited = rate * dead_s
+    own, rate, sd = layout.group[k], event.rate[k], spread_of_draws(group, numbers.noise)
     times = np.arange(1, MOST_IN_A_ROW + 1)
     shares = np.where(times < MOST_IN_A_ROW, 1.0 - fraction, 1.0) * fraction ** (times - 1)
-    thresholds = group.mean[own], group.mean[own ^ 1], spread[own], spread[own ^ 1]
-    many = shares[:, None] * np.array([_after_lost(int(lost), layout.turns, z, waited, *thresholds) for lost in times])
-    opposite = layout.group ^ 1
-    margin = (group.mean[opposite] - event.reached) / np.sqrt(spread[opposite])
-    reached, missed = np.where(event.reached > 0.0, ndtr(-margin), 0.0), MISSED + fraction
-    survival = 1.0 - (1.0 - missed) * reached
+    levels = _Levels(
+        event.level[k], rate * dead_s, group.mean[own], group.mean[own ^ 1], sd[own] ** 2, sd[own ^ 1] ** 2
+    )
+    many, slopes = np.empty((len(times), len(k))), _Levels(*np.zeros((len(_Levels._fields), len(k))))
+    for lost, share in zip(times, shares, strict=True):
+        many[lost - 1] = _after_lost(int(lost), layout.turns, share, levels, slopes)
+    chance, by_missed = _survivals(layout, fraction, event, group, sd)
     mixed = many.sum(axis=0)
-    ratio = fraction * rate * mixed / (BACKGROUND_HZ * survival[k])
+    ratio = fraction * rate * mixed / (BACKGROUND_HZ * chance[k])
     gain = np.where(background, 0.0, np.log1p(-fraction))
     after = np.zeros(layout.events)
     gain[k], after[k] = np.log1p(ratio), ratio / (1.0 + ratio)
     usual = float((~background).sum())
-    unfinished = np.exp(end)
-    of_times = many / np.maximum(mixed, 1e-300) * after[k]
+    unfinished, missed = np.exp(end), MISSED + fraction
+    of_times = many / np.maximum(mixed, TINY) * after[k]
     lost, ended = float((times[:, None] * of_times).sum()), usual + float(of_times[:-1].sum())
-    slope = lost / fraction - ended / (1.0 - fraction) + float(((1.0 - after) * reached / survival).sum())
+    slope = lost / fraction - ended / (1.0 - fraction) + float(((1.0 - after) * by_missed / chance).sum())
     slope += float(((1.0 - unfinished) / ((1.0 - missed) * unfinished)).sum())
-    return Losses(fraction, gain, after, slope, lost / fraction**2 + ended / (1.0 - fraction) ** 2)
+
+    by = _Levels(*(after[k] / np.maximum(mixed, TINY) * slope_of_one for slope_of_one in slopes))
+    by_level, by_rate = np.zeros((2, layout.events))
+    by_level[k], by_rate[k] = by.level, after[k] / rate + by.waited * dead_s
+
+    def by_group(of_own: np.ndarray, of_other: np.ndarray) -> np.ndarray:
+        return np.bincount(own, of_own, layout.groups) + np.bincount(own ^ 1, of_other, layout.groups)
+
+    by_sd = 2.0 * sd * by_group(by.spread, by.other_spread)
+    pull = Pull(by_level, by_rate, by_group(by.mean, by.other_mean), by_sd, 1.0 - after)
+    information = lost / fraction**2 + ended / (1.0 - fraction) ** 2
+    return Losses(fraction, gain, after, slope, information, float(by.waited @ rate), pull)
 
 
-def _after_lost(lost: int, turns: float, z, waited, mean, other_mean, spread, other_spread) -> np.ndarray:
-    """(k,) density of the levels z of events that this many lost ones came before."""
-    total = np.zeros_like(z)
+def _survivals(layout: Layout, fraction: float, event, group, sd) -> tuple[np.ndarray, np.ndarray]:
+    """(n,) chance that the other polarity's threshold was not reached, or its event is missing, and its derivative by
+    the share of missing ones."""
+    other = layout.group ^ 1
+    wide = sd[other] if len(layout.light_reset) == 0 else np.sqrt(sd[other] ** 2 + layout.light_reset)
+    reached = np.where(event.reached > 0.0, ndtr((event.reached - group.mean[other]) / wide), 0.0)
+    return 1.0 - (1.0 - MISSED - fraction) * reached, reached
+
+
+class _Levels(NamedTuple):
+    """(k,) levels of events, what light adds in a dead time, and mean and variance of both polarities' thresholds; or
+    derivatives by them.
+    """
+
+    level: np.ndarray
+    waited: np.ndarray
+    mean: np.ndarray
+    other_mean: np.ndarray
+    spread: np.ndarray
+    other_spread: np.ndarray
+
+
+def _after_lost(lost: int, turns: float, share: float, at: _Levels, slopes: _Levels) -> np.ndarray:
+    """(k,) `share` of the density of levels of events that this many lost ones came before; adds its derivatives."""
+    total = np.zeros_like(at.level)
     for alike, chance in enumerate(_alike(lost, turns)):
         others = lost - alike
         if alike == others:
             continue  # their thresholds cancel: such an event looks like any other
-        away = z - (alike + 1) * mean + others * other_mean - lost * waited
-        variance = (alike + 1) * spread + others * other_spread + (lost * waited) ** 2  # the rate was another one then
-        total += chance * _normal(away, variance)
+        away = at.level - (alike + 1) * at.mean + others * at.other_mean - lost * at.waited
+        more = (lost * at.waited) ** 2  # the rate was another one then
+        variance = (alike + 1) * at.spread + others * at.other_spread + more
+        density = share * chance * np.exp(-0.5 * away**2 / variance) / np.sqrt(2.0 * np.pi * variance)
+        total += density
+        by_away, by_variance = -away / variance * density, 0.5 * (away**2 / variance - 1.0) / variance * density
+        slopes.level[:] += by_away
+        slopes.mean[:] -= (alike + 1) * by_away
+        slopes.other_mean[:] += others * by_away
+        slopes.waited[:] += -lost * by_away + 2.0 * lost**2 * at.waited * by_variance
+        slopes.spread[:] += (alike + 1) * by_variance
+        slopes.other_spread[:] += others * by_variance
     return total
 
 
@@ -106,7 +170,3 @@ def _alike(lost: int, turns: float) -> np.ndarray:
         same, other = (1.0 - turns) * now + turns * against, turns * now + (1.0 - turns) * against
         now, against = np.append(0.0, same[:-1]), other
     return now + against
-
-
-def _normal(away: np.ndarray, variance: np.ndarray) -> np.ndarray:
-    return np.exp(-0.5 * away**2 / variance) / np.sqrt(2.0 * np.pi * variance)
