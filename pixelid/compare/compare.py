@@ -18,13 +18,11 @@ from pixelid.arrays import load_arrays, save_arrays
 from pixelid.documents import interpreting
 from pixelid.errors import InputError
 from pixelid.fit import FitResult, fit
-from pixelid.fit.event_times import EventTimesObjective
-from pixelid.fit.fit import as_fitted, check_event_times
-from pixelid.likelihood.event_times import EventTimes
+from pixelid.fit.data import as_fitted, event_times_of
+from pixelid.fit.fit import check_event_times
 from pixelid.model.files import save_model
 from pixelid.model.model import Model
 from pixelid.outputs import file_name
-from pixelid.recordings.own_light import with_fine_light
 from pixelid.recordings.recording import Recording
 from pixelid.results import Result, Table, check_kinds, read_result, required
 from pixelid.status import Status
@@ -213,8 +211,7 @@ def compare(
             report(f"holding out pixels of {model.name}", (i + (fold + 1) / (folds + 1)) / len(models))
             seen, unseen = pixels[part != fold], pixels[part == fold]
             trained = fit(_only(recordings, seen), result.model, starts=0, between=kind, seed=seed)
-            finer = [with_fine_light(r, kind) for r in _only(recordings, unseen) if r.stimulus]
-            held_out.append(EventTimesObjective(EventTimes(finer), trained.coordinates).terms(trained.x).per_pixel)
+            held_out.append(event_times_of(trained, _only(recordings, unseen)).terms(trained.x).per_pixel)
         bic = len(result.coordinates) * np.log(result.events) - 2.0 * result.log_likelihood
         loo = _loo(result, recordings, seed) if posteriors else None
         contenders[model.name] = Contender(result, float(bic), np.concatenate(held_out), loo)

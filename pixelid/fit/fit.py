@@ -11,6 +11,7 @@ from pixelid.errors import InputError
 from pixelid.fit.bias_priors import beside_events, with_bias_priors
 from pixelid.fit.clocks import clocks_found, held_clocks
 from pixelid.fit.coordinates import Coordinates
+from pixelid.fit.data import as_fitted
 from pixelid.fit.engines import FORMS, Engine
 from pixelid.fit.engines import engine as engine_named
 from pixelid.fit.event_times import EventTimesObjective
@@ -33,13 +34,11 @@ from pixelid.fit.uncertainty.ridge import profile_of_ridge, widened
 from pixelid.fit.uncertainty.small_sample import intervals
 from pixelid.likelihood.clocks import unseparated
 from pixelid.likelihood.event_times import EventTimes
-from pixelid.likelihood.light_between_samples import with_told
 from pixelid.model.model import Model
 from pixelid.parameters.gauge import Gauge
 from pixelid.provenance import input_hashes, versions
-from pixelid.recordings.own_light import with_pixel_lights
 from pixelid.recordings.recording import Recording
-from pixelid.recordings.selection import few, named_apart
+from pixelid.recordings.selection import few
 from pixelid.recordings.sensor_light import is_measured, light_caveats
 
 Progress = Callable[[str, float], None]
@@ -224,11 +223,6 @@ def fit(
         versions=versions(),
         inputs_sha256=input_hashes(recording.source for recording in recordings),
     )
-
-
-def as_fitted(recordings: Sequence[Recording]) -> list[Recording]:
-    """The recordings as every likelihood of them takes them: within their light, told apart by their names."""
-    return with_told(with_pixel_lights([recording.within_stimulus() for recording in named_apart(recordings)]))
 
 
 def check_event_times(model: Model) -> None:

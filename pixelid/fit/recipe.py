@@ -37,6 +37,7 @@ from pixelid.outputs import refuse_existing, whole_folder
 from pixelid.parameters.gauge import Gauge
 from pixelid.recordings import open_recordings
 from pixelid.recordings.crop import Crop
+from pixelid.recordings.selection import named_apart
 
 _KEYS = {
     "recordings",
@@ -129,7 +130,7 @@ class Recipe:
 
         model, _ = self.prepared_model()
         gauge, levels = self.prepared_gauge(), self.prepared_levels()
-        recordings = open_recordings(self.recordings, self.crop, self.seed)
+        recordings = named_apart(open_recordings(self.recordings, self.crop, self.seed))
         refuse_existing(out, overwrite)
         result = fit(
             recordings,

@@ -214,7 +214,8 @@ class EventTimes:
         later = circuit.with_(refractory=circuit.refractory + NUDGE_S)
         here = self.terms(circuit)
         there = self.terms(later, self.changes(later, here.changes.extremes))
-        moved = np.where(here.background | there.background, 0.0, there.z - here.z) / NUDGE_S
+        told = (here.z != 0.0) & (there.z != 0.0)  # a level of 0: the circuit cannot have fired
+        moved = np.where(told, there.z - here.z, 0.0) / NUDGE_S
         other = copy(self)
         other.clock_share = read_only(1.0 + np.minimum((moved / here.event.rate) ** 2, MOST_CLOCK_SHARE - 1.0))
         return other

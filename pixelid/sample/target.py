@@ -6,12 +6,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from pixelid.fit.data import event_times_of
 from pixelid.fit.event_times import EventTimesObjective
 from pixelid.fit.pooled_rate import PooledRateObjective
 from pixelid.fit.result import FitResult
-from pixelid.likelihood.event_times import EventTimes
 from pixelid.likelihood.pooled_rate import PooledRate
-from pixelid.recordings.own_light import with_fine_light
 from pixelid.recordings.recording import Recording
 
 MOST_UNITS = 512  # pixels whose log-likelihoods are kept apart; more share units
@@ -39,9 +38,7 @@ class Target:
             self._pooled = PooledRateObjective(self._counts, self.coordinates)
             self.units = 0
         else:
-            between = result.details.get("stimulus_between_samples", "linear")
-            finer = [with_fine_light(r, between) for r in recordings if r.stimulus is not None]
-            self._density = EventTimesObjective(EventTimes(finer), self.coordinates)
+            self._density = event_times_of(result, recordings)
             self.units = min(self._density.likelihood.pixels, MOST_UNITS)
         self.evaluations = 0
 

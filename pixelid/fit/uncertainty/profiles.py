@@ -13,14 +13,13 @@ import numpy as np
 
 from pixelid.errors import InputError
 from pixelid.fit.coordinates import Coordinates
+from pixelid.fit.data import event_times_of
 from pixelid.fit.event_times import EventTimesObjective
 from pixelid.fit.newton import maximise
 from pixelid.fit.pooled_rate import PooledRateObjective
 from pixelid.fit.result import FitResult
-from pixelid.likelihood.event_times import EventTimes
 from pixelid.likelihood.pooled_rate import PooledRate
 from pixelid.parameters.parameter import Parameter
-from pixelid.recordings.own_light import with_fine_light
 from pixelid.recordings.recording import Recording
 
 DROP_NATS = 1.9207  # nats
@@ -195,9 +194,7 @@ def objective_of(result: FitResult, recordings: Sequence[Recording]) -> Profiled
     """The objective whose optimum a result is."""
     if result.observation == "pooled_rate":
         return PooledRateObjective(PooledRate(recordings), result.coordinates)
-    between = result.details.get("stimulus_between_samples", "linear")
-    finer = [with_fine_light(r, between) for r in recordings if r.stimulus is not None]
-    return EventTimesObjective(EventTimes(finer), result.coordinates)
+    return event_times_of(result, recordings)
 
 
 def profiled(

@@ -1,0 +1,40 @@
+"""Recordings as every likelihood takes them, and a fit's own likelihood, made of them again."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from pixelid.fit.event_times import EventTimesObjective
+from pixelid.fit.result import FitResult
+from pixelid.likelihood.event_times import EventTimes
+from pixelid.likelihood.light_between_samples import with_told
+from pixelid.recordings.own_light import with_fine_light, with_pixel_lights
+from pixelid.recordings.recording import Recording
+from pixelid.recordings.selection import named_apart
+
+
+def as_fitted(recordings: Sequence[Recording]) -> list[Recording]:
+    """The recordings as every likelihood of them takes them: within their light, told apart by their names."""
+    return with_told(with_pixel_lights([recording.within_stimulus() for recording in named_apart(recordings)]))
+
+
+def event_times_of(result: FitResult, recordings: Sequence[Recording]) -> EventTimesObjective:
+    """The objective whose optimum a fit to event times is, of these recordings or of other pixels of them.
+
+    Recordings are within their light and told apart as the fit took them, the light between samples runs as it found,
+    and where stamps jitter, their noise counts at the reset as well, as at its optimum.
+
+    Args:
+        result: of `fit`, without levels of pixels.
+        recordings: that it was made of.
+
+    Raises:
+        InputError: a recording whose light ends before its events.
+    """
+    between = result.details.get("stimulus_between_samples", "linear")
+    fine = [with_fine_light(r, between) for r in as_fitted(recordings) if r.stimulus is not None]
+    objective = EventTimesObjective(EventTimes(fine), result.coordinates)
+    if "timestamp_jitter" not in result.coordinates.model.effects:
+        return objective
+    weighed = objective.at(result.x).weighed(result.coordinates.circuit(result.x))
+    return EventTimesObjective(weighed, result.coordinates)
