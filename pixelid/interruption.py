@@ -1,4 +1,4 @@
-"""Ctrl-C ends a run, also where a compiled library keeps it to itself."""
+"""Ctrl-C, and SIGTERM of batch systems, end a run, also where a compiled library keeps them to itself."""
 
 from __future__ import annotations
 
@@ -10,9 +10,17 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-INTERRUPTED = 130  # exit code: 128 + SIGINT, as shells have it
+INTERRUPTED, TERMINATED = 130, 143  # exit codes: 128 + SIGINT or SIGTERM, as shells have it
 SENTENCE = "pixelid: interrupted; nothing was left half written"
 GRACE_S = 1.2  # between Ctrl-C and the end: less than the two seconds after which people press it again
+
+
+_told: list[int] = []  # signals other than SIGINT that were taken for it
+
+
+def exit_code() -> int:
+    """Of a run that was ended by a signal."""
+    return TERMINATED if signal.SIGTERM in _told else INTERRUPTED
 
 
 @contextmanager
@@ -46,7 +54,7 @@ def interrupt_kept() -> Iterator[None]:
 
 
 def end_on_interrupt(clean: Callable[[], None], grace_s: float = GRACE_S) -> None:
-    """From now on Ctrl-C ends this process with exit code 130, at once or `grace_s` later.
+    """From now on Ctrl-C ends this process with exit code 130, and SIGTERM with 143, at once or `grace_s` later.
 
     Python raises KeyboardInterrupt between two of its own instructions: not inside compiled code, and not for good
     where that swallows it.  A thread waits for the signal, gives the run time to end by itself, and ends it then.
@@ -61,12 +69,18 @@ def end_on_interrupt(clean: Callable[[], None], grace_s: float = GRACE_S) -> Non
     os.set_blocking(told, False)
     signal.set_wakeup_fd(told, warn_on_full_buffer=False)
 
+    def terminate(number: int, frame: object) -> None:
+        _told.append(number)
+        signal.raise_signal(signal.SIGINT)
+
     def watch() -> None:
-        while signal.SIGINT not in os.read(heard, 1):
+        while (number := os.read(heard, 1)[0]) not in (signal.SIGINT, signal.SIGTERM):
             pass
         time.sleep(grace_s)
         clean()
         os.write(2, SENTENCE.encode() + b"\n")
-        os._exit(INTERRUPTED)
+        os._exit(TERMINATED if number == signal.SIGTERM else INTERRUPTED)
+
+    signal.signal(signal.SIGTERM, terminate)
 
     threading.Thread(target=watch, name="pixelid-interrupt", daemon=True).start()

@@ -10,7 +10,9 @@ import click
 from pixelid.cli import options
 
 if TYPE_CHECKING:
+    from pixelid.recordings.alignment import Alignment
     from pixelid.recordings.crop import Crop
+    from pixelid.stimuli.pixel_lights import Light
 
 SENSOR, FRAMES = "sensor", "frames"  # of --stimulus: the light as the sensor itself measured it
 EXAMPLE = """
@@ -30,7 +32,8 @@ Example:
                    "or sensor: the exposure measurements of an ATIS; frames[:DARK]: a DAVIS' frames, DARK the grey "
                    "level of no light.")  # fmt: skip
 @click.option("--align", metavar="HOW",
-              help="The light's time zero on the camera's clock: trigger, first-event, auto, or seconds.")  # fmt: skip
+              help="The light's time zero on the camera's clock: trigger or trigger:INPUT, first-event, auto, "
+                   "or seconds.")  # fmt: skip
 @options.crop
 @click.option("--overwrite", is_flag=True, help="Replace the file OUT.")
 @options.seed("Of the pixels chosen by --pixels.")
@@ -59,8 +62,10 @@ def command(
     with claimed(target, overwrite, [source, *([stimulus] if stimulus and not own else [])]):
         from pixelid.cli.progress import bar
         from pixelid.recordings import write_recording
+        from pixelid.recordings.crop import Crop
         from pixelid.recordings.parts import LongRecording, Totals
         from pixelid.recordings.reading import check_readable, open_cropped, open_recording
+        from pixelid.stimuli.files import load_stimulus
 
         check_readable([source])
 
@@ -73,25 +78,30 @@ def command(
             from pixelid.recordings.frames import with_frames
 
             recording = crop.applied(with_frames(open_recording(source), dark), seed)
+        elif stimulus is not None and align is None:  # light ends where the cut does
+            recording = open_cropped(source, Crop()).with_stimulus(load_stimulus(stimulus, (SENSOR, FRAMES)))
+            if isinstance(recording, LongRecording):
+                recording = crop.applied_to_parts(recording, seed)
+            else:
+                recording = crop.applied(recording, seed)
+            _refuse_other_clock(recording)
         else:
             recording = open_cropped(source, crop, seed)
-        if stimulus is not None and not own:
-            from pixelid.stimuli.files import load_stimulus
-
+        if stimulus is not None and not own and align is not None:
             light = load_stimulus(stimulus, (SENSOR, FRAMES))
-            if align is None:
-                recording = recording.with_stimulus(light)
-                _refuse_other_clock(recording)
-            elif isinstance(recording, LongRecording):
+            if isinstance(recording, LongRecording):
                 from pixelid.recordings.alignment import aligned_parts, find_alignment, sample_to_align
 
                 alignment = find_alignment(sample_to_align(recording, seed), light, align)
+                light = _until(light, alignment, crop, source)
                 recording, said = aligned_parts(recording, light, alignment), f"; {alignment.sentence()}"
             else:
                 from pixelid.recordings.alignment import aligned, find_alignment
 
                 alignment = find_alignment(recording, light, align)
+                light = _until(light, alignment, crop, source)
                 recording, said = aligned(recording, light, alignment), f"; {alignment.sentence()}"
+        if stimulus is not None and not own:
             recording.check_stimulus_covers_events()
         totals = Totals()
         with bar(quiet) as report:
@@ -121,6 +131,22 @@ def _own_light(stimulus: str | None) -> tuple[str, float]:
     if not 0.0 <= level < 65535.0:
         raise InputError(f"--stimulus frames:DARK: expected a grey level of no light, found {dark!r}")
     return FRAMES, level
+
+
+def _until(light: Light, alignment: Alignment, crop: Crop, source: Path) -> Light:
+    """The light up to the end of the cut, which is on the camera's clock: after it, pixels are unseen, not silent."""
+    if crop.time_s is None:
+        return light
+    end_s = crop.time_s[1]
+    if crop.from_first:
+        from pixelid.recordings.crop import Crop
+        from pixelid.recordings.parts import LongRecording
+        from pixelid.recordings.reading import open_cropped
+
+        whole = open_cropped(source, Crop())
+        parts = whole.read() if isinstance(whole, LongRecording) else [whole]
+        end_s += next((int(part.events.t[0]) for part in parts if len(part.events)), 0) * 1e-9
+    return light.until((end_s - alignment.offset_s) / (1.0 + alignment.rate_error))
 
 
 def _refuse_other_clock(recording) -> None:

@@ -10,7 +10,7 @@ import click
 
 from pixelid.cli.terminal import complain, use_utf8, warnings_as_lines
 from pixelid.errors import PixelidError, did_you_mean
-from pixelid.interruption import INTERRUPTED, SENTENCE, end_on_interrupt
+from pixelid.interruption import SENTENCE, end_on_interrupt, exit_code
 from pixelid.provenance import running
 
 # Recordings already share out the cores; BLAS threads for ten by ten matrices spin on them.  Before NumPy is imported.
@@ -120,7 +120,7 @@ def main(argv: list[str] | None = None) -> int:
 
 def _interrupted() -> int:
     print(SENTENCE, file=sys.stderr)
-    return INTERRUPTED
+    return exit_code()
 
 
 def run() -> None:

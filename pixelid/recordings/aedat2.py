@@ -24,6 +24,8 @@ from pixelid.recordings.recording import Recording
 SIZES = {"DAVIS240": (240, 180), "DAVIS346": (346, 260), "DVS128": (128, 128)}
 ENTRY = re.compile(r'<entry key="([^"]+)" value="([^"]*)"')
 BIAS = re.compile("[Bb]ias|IPot|ShiftedSource")
+TEXT = re.compile(rb"#[\t\x20-\x7e\xa0-\xff]*\r?\n")
+END_OF_HEADER, LONGEST_LINE = "#End Of ASCII Header", 1 << 20
 
 
 def read(path: Path) -> Recording:
@@ -96,11 +98,11 @@ def _header(path: Path) -> tuple[list[str], int]:
     """The header's lines, and the byte at which the events begin."""
     lines, start = [], 0
     with path.open("rb") as file:
-        for line in file:
-            if not line.startswith(b"#"):
-                break
+        while TEXT.fullmatch(line := file.readline(LONGEST_LINE)):  # an event's address may begin with a # too
             lines.append(line.decode("latin1").rstrip())
             start += len(line)
+            if lines[-1].startswith(END_OF_HEADER):
+                break
     return lines, start
 
 

@@ -31,7 +31,7 @@ def find_alignment(recording: Recording, light: Light, how: str) -> Alignment:
 
     Args:
         recording: events, and triggers for "trigger": the first rising edge is the light's first sample; where more
-            follow, a second edge at the light's last sample gives the clocks' rate.
+            follow, a second edge at the light's last sample gives the clocks' rate; "trigger:N" of input N.
         light: full-field or of each pixel's own.
         how: "trigger", "first-event" (the first event is the light's first change), "auto", or seconds.
 
@@ -47,6 +47,7 @@ def find_alignment(recording: Recording, light: Light, how: str) -> Alignment:
 
 
 def _found(recording: Recording, light: Light, how: str) -> Alignment:
+    how, _, channel = how.partition(":") if how.startswith("trigger:") else (how, "", "")
     if how not in METHODS:
         try:
             seconds = float(how)
@@ -60,7 +61,7 @@ def _found(recording: Recording, light: Light, how: str) -> Alignment:
     if how == "trigger":
         if recording.triggers is None or not len(recording.triggers):
             raise InputError(f"{recording.name}: --align trigger: the file holds no trigger edges")
-        return _from_triggers(recording.triggers.edges_s(), light, recording.events.tick_ns)
+        return _from_triggers(_edges_s(recording, recording.triggers, channel), light, recording.events.tick_ns)
     if len(recording.events) == 0:
         raise InputError(f"{recording.name}: --align {how}: the file holds no events")
     if how == "first-event":
@@ -166,15 +167,30 @@ def _moved(events, zero_ns: int, last_ns: int):
     return replace(kept, t=kept.t - zero_ns)
 
 
-def _from_triggers(edges: np.ndarray, light: Light, tick_ns: int) -> Alignment:
-    """First edge at the light's first sample; an edge within RATE_BOUND of its last gives the rate.
+def _edges_s(recording: Recording, triggers: Triggers, channel: str) -> np.ndarray:
+    """Seconds of the edges at one input: the one asked for ("" where there is only one)."""
+    inputs = sorted({*triggers.channel.tolist()})
+    wanted = [number for number in inputs if channel in ("", str(number))]
+    if len(wanted) != 1:
+        found = ", ".join(map(str, inputs))
+        asked = f"expected one of them, found {channel!r}" if channel else f"say which, --align trigger:{inputs[0]}"
+        raise InputError(f"{recording.name}: --align trigger: edges at the inputs {found}; {asked}")
+    return triggers.edges_s(wanted[0])
 
-    An edge is known to its stamp: uniform over a tick.  Without a second one the rate is as uncertain as clocks are.
+
+def _from_triggers(edges: np.ndarray, light: Light, tick_ns: int) -> Alignment:
+    """First edge at the light's first sample; the one edge within RATE_BOUND of its last gives the rate.
+
+    An edge is known to its stamp: uniform over a tick.  Without a second one, and where several may be it, the rate is
+    as uncertain as clocks are.
     """
     duration, begin = light.duration_s, light.start_s
     stamp = max(EDGE_S, tick_ns * 1e-9) / np.sqrt(12.0)
-    last = float(edges[np.argmin(np.abs(edges - edges[0] - duration))])
-    if abs(last - edges[0] - duration) <= RATE_BOUND * duration:
+    near = edges[np.abs(edges - edges[0] - duration) <= RATE_BOUND * duration]
+    if len(near) > 1 and isinstance(light, Stimulus) and len(edges) == len(light.t):  # an edge per sample
+        near = near[near == edges[-1]]
+    if len(near) == 1:  # of several nobody knows which
+        last = float(near[0])
         rate = (last - float(edges[0])) / duration - 1.0
         rate_sd = np.sqrt(2.0) * stamp / duration
         prior = ClockPrior(begin + 0.5 * duration, duration, stamp / np.sqrt(2.0), rate, rate_sd)

@@ -1,4 +1,4 @@
-"""Camera makers' files (AEDAT4, Prophesee RAW and DAT, ES), decoded by the library faery."""
+"""Camera makers' files: AEDAT4 and ES by the library faery, Prophesee's by `evt`, `evt21` and `dat`."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import TypeAlias, TypeVar
 import numpy as np
 
 from pixelid.errors import InputError
-from pixelid.recordings import evt21
+from pixelid.recordings import dat, evt, evt21
 from pixelid.recordings.columns import PART_EVENTS, to_nanoseconds, validated
 from pixelid.recordings.events import Events
 from pixelid.recordings.parts import joined
@@ -48,9 +48,11 @@ def stream(path: Path) -> tuple[Recording, Iterator[Recording]]:
     kind = TYPES.get(path.suffix.lower()) or ("aedat" if "source" in header else "evt")
     if kind == "evt":
         size = _size(header)
-        blocks = decode_evt(path, size, header, path)
+        blocks = decode_evt(path, header, path)
     elif kind == "aedat":
         size, blocks = _decode_aedat(path)
+    elif kind == "dat" and header.get("Version") == "2":
+        size, blocks = _size(header), ((columns, None) for columns in dat.decode(path, _header_bytes(path)))
     else:
         size, blocks = _decode_others(path, kind, header)
     sensor = header.get("plugin_name", "") or header.get("source", "")
@@ -79,14 +81,12 @@ def evt_recording(blocks: Iterator[Block], size: tuple[int, int], path: Path, **
     return head, parts()
 
 
-def decode_evt(path: Path, size: tuple[int, int], header: dict[str, str], named: Path) -> Iterator[Block]:
+def decode_evt(path: Path, header: dict[str, str], named: Path) -> Iterator[Block]:
     """Blocks of a Prophesee RAW file; errors name the file `named`.
 
     Raises:
         InputError: when the file cannot be decoded.
     """
-    from faery.extension import evt
-
     stated = header.get("format", "").partition(";")[0].upper()
     version = VERSIONS.get(header.get("evt", "")) or FORMATS.get(stated)
     if version == "evt2.1":
@@ -94,14 +94,10 @@ def decode_evt(path: Path, size: tuple[int, int], header: dict[str, str], named:
         yield from evt21.decode(path, _header_bytes(path), said.group(1) == "legacy" if said else None)
         return
 
-    def packets() -> Iterator[dict]:
-        with evt.Decoder(path, size, version) as decoder:
-            yield from decoder
-
-    where = f"{named}: triggers"
-    for batch in _batches(_decoded(packets, named), lambda packet: packet.get("events")):
-        edges = _triggers([packet.get("triggers") for packet in batch], "source", "rising", where)
-        yield _columns([packet.get("events") for packet in batch]), edges
+    if version is None:
+        found = header.get("evt") or stated or "none"
+        raise InputError(f"{named}: expected EVT 2.0, 2.1 or 3.0 in the header, found {found[:40]}")
+    yield from evt.decode(path, _header_bytes(path), int(version[3]), named)
 
 
 def _decode_aedat(path: Path) -> tuple[tuple[int, int], Iterator[Block]]:
@@ -199,14 +195,6 @@ def _columns(parts: list) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarra
         return np.empty(0, np.int64), np.empty(0, np.uint16), np.empty(0, np.uint16), np.empty(0, np.uint8)
     t, x, y, p = (np.concatenate([part[name] for part in parts]) for name in ("t", "x", "y", "on"))
     return t, x, y, p.astype(np.uint8)
-
-
-def _triggers(parts: list, channel: str, rising: str, where: str) -> Triggers | None:
-    parts = [part for part in parts if part is not None and len(part)]
-    if not parts:
-        return None
-    every = np.concatenate(parts)
-    return Triggers.from_columns(to_nanoseconds(every["t"], "us", where), every[rising], every[channel], where=where)
 
 
 def _bias_file(path: Path) -> dict[str, int | str]:

@@ -13,10 +13,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pixelid.errors import InputError
+from pixelid.errors import InputError, shown
 from pixelid.recordings import metadata
 from pixelid.recordings.columns import PART_EVENTS, sensor_size, to_nanoseconds, validated
-from pixelid.recordings.events import Events
+from pixelid.recordings.events import NS_PER_UNIT, Events
 from pixelid.recordings.parts import LongRecording
 from pixelid.recordings.recording import Recording
 
@@ -33,7 +33,7 @@ NAMES = {
 def read(path: Path) -> Recording:
     """The recording in a .npz file.
 
-    Integer times are microseconds unless an array `unit` says otherwise, floating times are seconds.
+    Integer times are microseconds and floating times are seconds, unless an array `unit` says otherwise.
     Columns may also be the fields of one structured array.  Raises InputError where they cannot be found.
     """
     try:
@@ -48,7 +48,7 @@ def _read(archive, path: Path) -> Recording:
     t, x, y, p = (_column(archive, letter, where) for letter in "txyp")
     meta, unit, tick_ns = _described(archive, t.dtype, path)
     if t.dtype.kind == "f":
-        t = seconds_to_ns(t, where)
+        t, unit = floats_to_ns(t, unit, where), "ns"
     stated = [meta.get(name, _scalar(archive, name, where)) for name in ("width", "height")]
     if x.dtype.kind in "iu" and y.dtype.kind in "iu":
         stated = list(sensor_size(x, y, *stated))
@@ -84,18 +84,18 @@ def stream(path: Path) -> tuple[Recording, Iterator[Recording]] | None:
                 stated = [max(a, b) for a, b in zip(stated, sensor_size(x, y, None, None), strict=True)]
     except damaged as error:
         raise InputError(f"{path}: expected a .npz archive, found a damaged or different file ({error})") from error
-    seconds = kinds[0].kind == "f"
+    floating = kinds[0].kind == "f"
 
     def columns() -> Iterator[tuple]:
         try:
             for t, *others in _blocks(path, members, where):
-                yield seconds_to_ns(t, where) if seconds else t, *others
+                yield floats_to_ns(t, unit, where) if floating else t, *others
         except damaged as error:
             raise InputError(f"{path}: expected a .npz archive, found a damaged file ({error})") from error
 
     size = (int(stated[0] or 1), int(stated[1] or 1))
     head = metadata.assemble(meta, Events.empty(*size, tick_ns), light, path, str(path))
-    events = validated(columns(), *size, unit=unit, tick_ns=tick_ns, where=where)
+    events = validated(columns(), *size, unit="ns" if floating else unit, tick_ns=tick_ns, where=where)
     return head, (replace(head, events=some) for some in events)
 
 
@@ -134,23 +134,26 @@ def _blocks(path: Path, members: list[str], where: str) -> Iterator[list[np.ndar
 def _described(archive, kind: np.dtype, path: Path) -> tuple[dict, str, int]:
     """Metadata, unit and tick [ns] of times of a kind of number."""
     meta = metadata.from_json(str(archive["metadata"]), f"{path}: metadata") if "metadata" in archive else {}
-    if kind.kind == "f":
-        return meta, "ns", 1
-    unit = meta.get("unit") or (str(archive["unit"]) if "unit" in archive else "us")
-    return meta, unit, meta.get("tick_ns", 1 if unit == "ns" else 1000)
+    floating = kind.kind == "f"
+    unit = meta.get("unit") or (str(archive["unit"]) if "unit" in archive else "s" if floating else "us")
+    if unit not in NS_PER_UNIT:
+        raise InputError(f"{path}: unit: expected {' or '.join(NS_PER_UNIT)}, found {shown(unit, 20)}")
+    return meta, unit, meta.get("tick_ns", 1 if floating else NS_PER_UNIT[unit])
 
 
 def _stimulus_arrays(archive) -> dict[str, np.ndarray] | None:
     return {name[len(PREFIX) :]: archive[name] for name in archive.files if name.startswith(PREFIX)} or None
 
 
-def seconds_to_ns(t: np.ndarray, where: str) -> np.ndarray:
-    """(n,) int64 nanoseconds from (n,) floating seconds; raises InputError for NaN and times beyond 64 bits."""
+def floats_to_ns(t: np.ndarray, unit: str, where: str) -> np.ndarray:
+    """(n,) int64 nanoseconds from (n,) floating times; raises InputError for NaN and times beyond 64 bits."""
     if not np.isfinite(t).all():
         raise InputError(f"{where}/t: expected finite times, event {int(np.argmin(np.isfinite(t)))} has none")
-    if len(t) and np.abs(t).max() >= 9.2e9:
-        raise InputError(f"{where}/t: expected times that fit 64 bits in nanoseconds, found {np.abs(t).max():g} s")
-    return np.rint(t.astype(np.float64) * 1e9).astype(np.int64)
+    nanoseconds = t.astype(np.float64) * NS_PER_UNIT[unit]
+    if len(t) and np.abs(nanoseconds).max() >= 9.2e18:
+        found = f"{np.abs(t).max():g} {unit}"
+        raise InputError(f"{where}/t: expected times that fit 64 bits in nanoseconds, found {found}")
+    return np.rint(nanoseconds).astype(np.int64)
 
 
 def _column(archive, letter: str, where: str) -> np.ndarray:

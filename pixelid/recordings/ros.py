@@ -3,7 +3,7 @@
 Two families of messages hold events:
 
 - `dvs_msgs/EventArray` (also `prophesee_event_msgs`): one record per event with a time stamp of its own;
-- `event_camera_msgs/EventPacket`: the camera's own bytes.  Encoding "evt3" is Prophesee's format, decoded by faery;
+- `event_camera_msgs/EventPacket`: the camera's own bytes.  Encoding "evt3" is Prophesee's format (`evt`);
   "libcaer" is iniVation's, eight bytes per event: address word (bit 0 valid, bit 1 polarity, bits 2–16 row, bits 17–31
   column) and 31 bits of microseconds, which roll over after 36 minutes.
 
@@ -155,7 +155,7 @@ def _read_packets(path: Path, raw: Iterator[bytes], cdr: bool) -> Recording:
             with copy.open("wb") as file:
                 file.write(f"% evt 3.0\n% geometry {size[0]}x{size[1]}\n% end\n".encode())
                 file.writelines(payloads)
-            recording = joined(*evt_recording(decode_evt(copy, size, {"evt": "3.0"}, path), size, path))
+            recording = joined(*evt_recording(decode_evt(copy, {"evt": "3.0"}, path), size, path))
         return replace(recording, sensor=f"{encoding} camera")
     if encoding != "libcaer":
         raise InputError(f"{path}: encoding: expected evt3 or libcaer, found {encoding or 'no message'!r}")

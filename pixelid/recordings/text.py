@@ -19,12 +19,13 @@ from pixelid.errors import InputError, first_line, shown
 from pixelid.recordings import metadata
 from pixelid.recordings.columns import sensor_size, to_nanoseconds, validated
 from pixelid.recordings.events import Events
-from pixelid.recordings.npz import NAMES, seconds_to_ns
+from pixelid.recordings.npz import NAMES, floats_to_ns
 from pixelid.recordings.parts import LongRecording, cut
 from pixelid.recordings.recording import Recording
 from pixelid.stimuli.pixel_lights import PixelLights
 
 LINES_AT_ONCE = 1 << 19
+LINES_SEEN = 1 << 12  # that say whether times are whole microseconds or seconds
 
 
 def read(path: Path) -> Recording:
@@ -61,9 +62,9 @@ def _opened(path: Path):
     try:
         with path.open(encoding="utf-8-sig") as file:
             meta, stimulus, order, first = _header(file, path)
+            seconds = first is not None and _has_point([first, *islice(file, LINES_SEEN - 1)], order, path)
     except UnicodeDecodeError as error:
         raise InputError(f"{path}: expected text, found binary data") from error
-    seconds = first is not None and any(c in first.replace(",", " ").split()[order[0]] for c in ".eE")
     unit = "ns" if seconds else meta.get("unit", "us")
     tick_ns = meta.get("tick_ns", 1 if unit == "ns" else 1000)
 
@@ -93,6 +94,18 @@ def _header(file, path: Path):
                 return meta, stimulus, order, line
             order = _order(line, path)
     return meta, stimulus, order, None
+
+
+def _has_point(lines: list[str], order: list[int], path: Path) -> bool:
+    """Whether any time in some lines has a decimal point or an exponent."""
+    rows = (line.replace(",", " ").split() for line in lines if line.strip() and not line.lstrip().startswith("#"))
+    for k, cells in enumerate(rows):
+        if len(cells) <= max(order):
+            found = f"{len(cells)} in event {k}"
+            raise InputError(f"{path}: expected {max(order) + 1} numbers a line at least, found {found}")
+        if any(c in cells[order[0]] for c in ".eE"):
+            return True
+    return False
 
 
 def _light(text: str, where: str) -> dict[str, np.ndarray]:
@@ -131,7 +144,7 @@ def _blocks(file, first: str, order: list[int], seconds: bool, where: str):
         except (ValueError, OverflowError) as error:
             reason = str(error).splitlines()[0]
             raise InputError(f"{where}: expected lines of t x y p after event {done}, found: {reason}") from error
-        t = seconds_to_ns(block["t"], where) if seconds else block["t"]
+        t = floats_to_ns(block["t"], "s", where) if seconds else block["t"]
         yield t, block["x"].copy(), block["y"].copy(), block["p"].copy()
         done, lines = done + len(block), []
 

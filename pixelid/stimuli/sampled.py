@@ -36,8 +36,21 @@ LIGHT_WORDS = (
     "voltage",
     "lux",
 )
+GREEK_MU = "\u03bc"  # which looks like the micro sign
+# Words in the name of a column of times that are no unit.
+BESIDE_TIME = (
+    "time", "t", "stamp", "timestamp", "since", "start", "of", "the", "in", "from", "elapsed", "relative", "rel", "abs",
+    "absolute", "0", "zero", "clock", "axis", "unit", "units", "camera", "sensor", "light", "photodiode", "led",
+    "trigger",
+)  # fmt: skip
+TIME_IN = re.compile(r"\btimes?\W+(?:is |are )?in\W+([^\W\d_]+)", re.I)  # of a comment
 TIME_WORDS = ("t", "time", "timestamp", "seconds")
-SECONDS_PER = {"s": 1.0, "sec": 1.0, "seconds": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9}
+SECONDS_PER = {
+    **dict.fromkeys(("s", "sec", "secs", "second", "seconds"), 1.0), **dict.fromkeys(("min", "minutes"), 60.0),
+    **dict.fromkeys(("ms", "msec", "millisecond", "milliseconds"), 1e-3),
+    **dict.fromkeys(("us", "µs", "usec", "microsecond", "microseconds"), 1e-6),
+    **dict.fromkeys(("ns", "nsec", "nanosecond", "nanoseconds"), 1e-9),
+}  # fmt: skip
 UNIT_WORDS = {
     "relative": "relative", "lux": "lux", "lx": "lux", "fa": "fA", "shape": "shape",
     "w/m2": "W/m2", "w/m²": "W/m2", "w/m^2": "W/m2", "w_m2": "W/m2", "wm2": "W/m2",
@@ -122,9 +135,19 @@ def _table(path: Path, unit: str | None) -> Stimulus:
         columns = np.loadtxt(lines[1:], delimiter=separator, usecols=(time, light), ndmin=2)
     except (ValueError, IndexError) as error:
         raise InputError(f"{path}: expected numbers in every row: {first_line(error)}") from None
-    scale = next((SECONDS_PER[word] for word in _words(names[time])[1:] if word in SECONDS_PER), 1.0)
+    scale = _seconds_per(names[time], comments, path)
     told = _unit_in(names[light]) or _unit_in(" ".join(re.findall(r"unit\s*[:=]\s*(\S+)", comments, re.I)))
     return _stimulus(columns[:, 0] * scale, columns[:, 1], unit or told or "relative", path)
+
+
+def _seconds_per(name: str, comments: str, path: Path) -> float:
+    """Of the unit in the name of the column of times, or in a comment ("time in ms"); seconds where none is said."""
+    words = [*_words(name)[1:], *(word for found in TIME_IN.findall(comments) for word in _words(found))]
+    told = [SECONDS_PER[word] for word in words if word in SECONDS_PER]
+    unknown = [word for word in words if word not in SECONDS_PER and word not in BESIDE_TIME]
+    if not told and unknown:
+        raise InputError(f"{path}: unit of the times: expected s, ms, us, ns or min, found {shown(unknown[0], 30)}")
+    return told[0] if told else 1.0
 
 
 def _names(line: str) -> list[str]:
@@ -140,7 +163,7 @@ def _separator(line: str) -> str | None:
 
 
 def _words(name: str) -> list[str]:
-    return [word for word in re.split(r"[^a-zµ0-9²]+", name) if word]
+    return [word for word in re.split(r"[^a-zµ0-9²]+", name.lower().replace(GREEK_MU, "µ")) if word]
 
 
 def _unit_in(text: str) -> str | None:

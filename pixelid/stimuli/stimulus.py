@@ -76,25 +76,21 @@ class Stimulus:
         return self if self.full_field else replace(self, radiance=self.radiance.mean(axis=(1, 2)))
 
     def until(self, end_s: float) -> Stimulus:
-        """The samples up to the first that is not before `end_s`, two at least."""
-        last = max(int(np.searchsorted(self.t, end_s)) + 1, 2)
-        return replace(self, t=self.t[:last], radiance=self.radiance[:last])
-
-    def cut(self, end_s: float) -> Stimulus:
-        """The light up to `end_s`, with a sample there; all of a light that ends before.
+        """The light up to `end_s`, with a sample there; all of a light that ends before, and two samples at least.
 
         Between samples radiance is taken as linear (log radiance, which it is in, differs by less than a step of the
         light), or held with interpolation "previous".
         """
-        after = int(np.searchsorted(self.t, end_s))
-        if after == len(self.t) or after == 0 or not self.full_field:
+        after = max(int(np.searchsorted(self.t, end_s)), 1)
+        if after == len(self.t):
             return self
-        before, value = self.t[after - 1], self.radiance[after - 1]
+        before = self.t[after - 1]
+        end_s = end_s if end_s > before else float(self.t[after])
+        value = self.radiance[after - 1]
         if self.interpolation != "previous":
             value = value + (self.radiance[after] - value) * (end_s - before) / (self.t[after] - before)
-        return replace(
-            self, t=np.append(self.t[:after], end_s), radiance=np.append(self.radiance[:after], value)
-        )  # fmt: skip
+        t, radiance = np.append(self.t[:after], end_s), np.concatenate([self.radiance[:after], np.asarray([value])])
+        return replace(self, t=t, radiance=radiance.astype(self.radiance.dtype))
 
     def shifted(self, by_s: float, rate: float = 1.0) -> Stimulus:
         """The same light, its clock slower by `rate` and then later by `by_s`: t becomes rate · t + by_s."""

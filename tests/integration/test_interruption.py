@@ -1,4 +1,4 @@
-"""Ctrl-C: exit code 130 within two seconds, whatever the run is busy with, and the old result whole."""
+"""Ctrl-C and SIGTERM: exit code 130 or 143 within two seconds, whatever runs, and the old result whole."""
 
 import os
 import signal
@@ -11,7 +11,7 @@ import click
 import pytest
 
 from pixelid.cli import main as home
-from pixelid.interruption import INTERRUPTED, interrupt_kept
+from pixelid.interruption import INTERRUPTED, TERMINATED, interrupt_kept
 
 BUSY = {
     "in Python": "while True: pass",
@@ -60,20 +60,21 @@ def _heeded():
     signal.signal(signal.SIGINT, before)
 
 
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, INTERRUPTED), (signal.SIGTERM, TERMINATED)])
 @pytest.mark.parametrize("what", BUSY)
-def test_ctrl_c_ends_a_run(what, tmp_path):
+def test_a_signal_ends_a_run(what, number, code, tmp_path):
     run = RUN.replace("{busy}", BUSY[what].strip().replace("\n", "\n            "))
     for attempt in range(3):  # a busy computer may hold one up
         folder = tmp_path / str(attempt)
         (folder / "out").mkdir(parents=True)
         (folder / "out" / "fit.json").write_text("{}")
-        if interrupted(run, folder) < 2.0:
+        if interrupted(run, folder, number, code) < 2.0:
             return
     pytest.fail("none of three runs ended within two seconds")
 
 
-def interrupted(run: str, folder: Path) -> float:
-    """Seconds from Ctrl-C to the end of a run, of which nothing is left but what was there."""
+def interrupted(run: str, folder: Path, number: int, code: int) -> float:
+    """Seconds from a signal to the end of a run, of which nothing is left but what was there."""
     started = subprocess.Popen(
         [sys.executable, "-c", run],
         cwd=folder,
@@ -85,10 +86,10 @@ def interrupted(run: str, folder: Path) -> float:
     assert started.stdout is not None
     assert started.stdout.readline() == "busy\n"
     begun = time.monotonic()
-    started.send_signal(signal.SIGINT)
+    started.send_signal(number)
     _, said = started.communicate(timeout=60)
     took = time.monotonic() - begun
-    assert started.returncode == INTERRUPTED
+    assert started.returncode == code
     assert said.strip() == "pixelid: interrupted; nothing was left half written"
     assert sorted(os.listdir(folder)) in (["out"], [".out.lock", "out"])  # the lock ends with the process that held it
     assert os.listdir(folder / "out") == ["fit.json"]

@@ -229,7 +229,7 @@ def _shortened(recording: Recording) -> Recording:
         raise InputError(f"{recording.name}: no stimulus; the gap is between a model's events and the measured ones")
     if not isinstance(stimulus, Stimulus) or not stimulus.full_field:
         raise InputError(f"{recording.name}: pooled events need full-field light, found light of each pixel's own")
-    shown = stimulus.cut(stimulus.start_s + MAX_SECONDS)
+    shown = stimulus.until(stimulus.start_s + MAX_SECONDS)
     if shown is stimulus:
         return recording
     events = recording.events.select(recording.events.t * 1e-9 <= shown.end_s)

@@ -1,0 +1,45 @@
+"""Prophesee's DAT, version 2: 8 bytes per event, little-endian, after a byte each for the kind of event and its size.
+
+Time [µs], which rolls over after 71 minutes, then from the lowest bit column (14), row (14) and polarity (4)
+(docs.prophesee.ai, "DAT File Format").
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from pixelid.errors import InputError
+from pixelid.recordings.columns import PART_EVENTS
+
+PIXEL_EVENTS = (0x00, 0x0C)  # kinds
+ROLLOVER = 1 << 32
+
+
+def decode(path: Path, start: int) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
+    """Blocks of (t µs, x, y, p), the clock's rollovers undone; a fall that is none stays.
+
+    Args:
+        path: the file.
+        start: byte after the header's lines.
+
+    Raises:
+        InputError: other kinds of events, or a file that ends within one.
+    """
+    with path.open("rb") as file:
+        file.seek(start)
+        kind = file.read(2)
+        if len(kind) < 2 or kind[0] not in PIXEL_EVENTS or kind[1] != 8:
+            raise InputError(f"{path}: expected events of 8 bytes, kind 12, after the header, found {list(kind)}")
+        if left := (path.stat().st_size - start - 2) % 8:
+            raise InputError(f"{path}: expected 8 bytes per event after the header, found {left} left over")
+        last, rollovers = None, 0
+        while len(data := file.read(8 * PART_EVENTS)):
+            words = np.frombuffer(data, "<u4").reshape(-1, 2)
+            stamp, address = words[:, 0].astype(np.int64), words[:, 1]
+            before = stamp[0] if last is None else last
+            turns = rollovers + np.cumsum(np.diff(stamp, prepend=before) < -(ROLLOVER >> 1))
+            last, rollovers = stamp[-1], turns[-1]
+            yield stamp + turns * ROLLOVER, address & 0x3FFF, address >> 14 & 0x3FFF, address >> 28
