@@ -134,12 +134,12 @@ class _Message:
 
 def _read_packets(path: Path, raw: Iterator[bytes], cdr: bool) -> Recording:
     """Events of `EventPacket` messages, whose payloads follow each other as one stream of bytes."""
-    size, encoding, payloads, stamps = (1, 1), "", [], []
+    size, encoding, payloads = (1, 1), "", []
     for data in raw:
         message = _Message(data, cdr, path)
         message.skip_header()
         height, width, _ = message.number(4), message.number(4), message.number(8)
-        stamps.append(message.number(8))
+        message.number(8)  # time_base: the payload says its own times
         here = message.text()
         if message.number(1) != 0:
             raise InputError(f"{path}: is_bigendian: expected little-endian payloads, found big-endian")

@@ -12,6 +12,7 @@ from oracles.cameras import on_its_own_clock
 from test_schemas import check
 
 from pixelid.cli.main import main as run
+from pixelid.errors import InputError
 from pixelid.fit import FitResult, fit
 from pixelid.fit.engines import engine
 from pixelid.fit.uncertainty.profiles import objective_of
@@ -70,6 +71,58 @@ def test_the_light_finds_its_place(session, tmp_path, how):
         assert low <= told["offset_s"] <= high
         assert (told["prior"]["delay_sd_s"] is None) == (how == "auto")
     assert ("prior" in told) == (how != "seconds")
+
+
+def edges_at(camera, seconds, channel=0):
+    """The recording with rising edges at so many seconds of its clock after the light's begin."""
+    t = np.rint((OFFSET + np.asarray(seconds) * (1.0 + 1e-6 * PPM)) * 1e9).astype(np.int64)
+    return replace(camera, triggers=Triggers.from_columns(t, np.ones(len(t)), np.full(len(t), channel), where="edges"))
+
+
+def test_of_many_edges_none_is_taken_for_the_last(session):
+    """An edge each millisecond: the nearest to the light's end is any, and was said to tell the rate to 0.1 ppm."""
+    folder, _ = session
+    camera, light = open_recording(folder / "camera.h5"), load_stimulus(str(folder / "light.csv"))
+    every = find_alignment(edges_at(camera, np.arange(0.0, 1.1 * light.duration_s, 5e-5)), light, "trigger")
+    assert every.rate_error == 0.0
+    assert every.prior is not None
+    assert every.prior.rate_sd > 1e-5
+    per_sample = find_alignment(edges_at(camera, light.t - light.t[0]), light, "trigger")
+    assert 1e6 * per_sample.rate_error == pytest.approx(PPM, abs=15)
+
+
+def test_edges_at_two_inputs_are_told_apart(session):
+    folder, _ = session
+    camera, light = open_recording(folder / "camera.h5"), load_stimulus(str(folder / "light.csv"))
+    here, there = edges_at(camera, [0.0]).triggers, edges_at(camera, [-0.5], channel=6).triggers
+    both = replace(camera, triggers=Triggers.joined([here, there]))
+    with pytest.raises(InputError, match="edges at the inputs 0, 6; say which, --align trigger:0"):
+        find_alignment(both, light, "trigger")
+    alone = find_alignment(replace(camera, triggers=here), light, "trigger")
+    assert find_alignment(both, light, "trigger:0").offset_s == alone.offset_s
+    with pytest.raises(InputError, match="expected one of them, found '3'"):
+        find_alignment(both, light, "trigger:3")
+
+
+@pytest.mark.parametrize("how", [(), ("--align", "trigger")])
+def test_light_ends_where_the_cut_does(session, tmp_path, how):
+    """Beyond it pixels are not silent, nobody looks: 327 nats, and an unknown for a tick."""
+    folder, recording = session
+    source, light = folder / "camera.h5", folder / "light.csv"
+    span = f"{OFFSET + 0.1:.6f}:{OFFSET + 0.31234:.6f}"
+    if not how:
+        source, span = tmp_path / "own.h5", "0.1:0.31234"
+        write_recording(replace(recording, stimulus=None), source)
+        light = tmp_path / "light.csv"
+        rows = "".join(
+            f"{t:.9f},{r:.9g}\n" for t, r in zip(recording.stimulus.t, recording.stimulus.radiance, strict=True)
+        )
+        light.write_text(f"t_s,radiance_lux\n{rows}")
+    words = ["convert", str(source), str(tmp_path / "a.h5"), "--stimulus", str(light), "--time", span, *how]
+    assert run(words) == 0
+    found = open_recording(tmp_path / "a.h5")
+    assert found.events.t[-1] * 1e-9 < 0.31234
+    assert found.stimulus.end_s == pytest.approx(0.31234, abs=3e-5)
 
 
 def test_trigger_edges_of_an_aedat4_file(session, tmp_path):

@@ -18,6 +18,7 @@ from pixelid.recordings import (
     Recording,
     aedat2,
     decoded,
+    evt,
     hdf5,
     metadata,
     npz,
@@ -114,10 +115,12 @@ def test_camera_files_in_parts(tmp_path, monkeypatch, shared):
         path = shared / "recordings" / name
         whole = reader.read(path)
         monkeypatch.setattr(reader, "PART_EVENTS", 10_000)
+        monkeypatch.setattr(evt, "WORDS_AT_ONCE", 10_000)
         head, parts = reader.stream(path)
         parts = list(parts)
         assert len(parts) > 3
         same(joined(head, parts), whole)
+        monkeypatch.undo()
 
 
 def test_errors_count_from_the_first_part(tmp_path, monkeypatch):

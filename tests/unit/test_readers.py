@@ -188,3 +188,48 @@ def test_a_byte_order_mark_is_no_part_of_a_table(tmp_path):
     (tmp_path / "b.txt").write_bytes("\ufeff1 2 3 1\n".encode())
     for name in ("a.csv", "b.txt"):
         equal(open_recording(tmp_path / name).events, [1000], [2], [3], [1])
+
+
+DAVIS = b"#!AER-DAT2.0\r\n# AEChip: eu.seebetter.ini.chips.davis.DAVIS240C\r\n"
+
+
+@pytest.mark.parametrize("end", [b"#End Of ASCII Header\r\n", b""])
+@pytest.mark.parametrize("row", [100, 141])
+def test_events_of_aedat2_that_look_like_a_header(tmp_path, end, row):
+    """The address of an event in rows 140 to 143 of a DAVIS begins with a #; its bytes may hold an end of line."""
+    address = np.full(50, row << 22 | 10 << 12 | 1 << 11)
+    stamps = 2570 + np.arange(50)  # the first ends in two ends of lines
+    data = np.column_stack([address, stamps]).astype(">u4").tobytes()
+    (tmp_path / "a.aedat").write_bytes(DAVIS + end + data)
+    e = open_recording(tmp_path / "a.aedat").events
+    equal(e, stamps * 1000, np.full(50, 10), np.full(50, row), np.ones(50))
+
+
+@pytest.mark.parametrize(
+    ("times", "unit", "tick_ns"),
+    [
+        (np.array([0.0, 1000.0, 2500.0]), "us", 1),
+        (np.array([0, 1000, 2500]), "us", 1000),
+        (np.array([0, 1, 2]), "ms", 1_000_000),
+        (np.array([0, 1000, 2500], np.float32), "us", 1),
+        (np.array([0.0, 1e-3, 2.5e-3]), None, 1),
+    ],
+)
+def test_the_unit_that_an_npz_states_counts(tmp_path, times, unit, tick_ns):
+    x = np.arange(3)
+    stated = {} if unit is None else {"unit": unit}
+    np.savez(tmp_path / "a.npz", t=times, x=x, y=x, p=x % 2, **stated)
+    e = open_recording(tmp_path / "a.npz").events
+    np.testing.assert_array_equal(e.t, [0, 1_000_000, 2_000_000 if unit == "ms" else 2_500_000])
+    assert e.tick_ns == tick_ns
+    np.savez(tmp_path / "b.npz", t=times, x=x, y=x, p=x % 2, unit="fortnight")
+    with pytest.raises(InputError, match="unit: expected ns or us or ms or s, found 'fortnight'"):
+        open_recording(tmp_path / "b.npz")
+
+
+def test_text_in_seconds_may_begin_at_a_whole_one(tmp_path):
+    (tmp_path / "a.csv").write_text("0,0,0,1\n0.25,1,0,1\n1,1,1,0\n")
+    np.testing.assert_array_equal(open_recording(tmp_path / "a.csv").events.t, [0, 250_000_000, 1_000_000_000])
+    (tmp_path / "b.csv").write_text("x,y,p,t\n1,2\n")
+    with pytest.raises(InputError, match="expected 4 numbers a line at least, found 2 in event 0"):
+        open_recording(tmp_path / "b.csv")

@@ -8,6 +8,7 @@ from pixelid.recordings import Recording, write_recording
 from pixelid.recordings.events import Events
 from pixelid.stimuli import shapes
 from pixelid.stimuli.files import load_stimulus, shape
+from pixelid.stimuli.stimulus import Stimulus
 
 
 @pytest.mark.parametrize("name", list(shapes.SHAPES))
@@ -165,3 +166,33 @@ def test_bad_light_is_named(tmp_path, name, content, says):
     (tmp_path / name).write_text(content)
     with pytest.raises(InputError, match=says):
         load_stimulus(tmp_path / name)
+
+
+@pytest.mark.parametrize(
+    ("header", "last_s"),
+    [
+        ("time [\u00b5s],lux", 2e-4), ("time [\u03bcs],lux", 2e-4), ("time_usec,lux", 2e-4), ("time_msec,lux", 0.2),
+        ("time (milliseconds),lux", 0.2), ("# time in ms\nt,lux", 0.2), ("time [min],lux", 12000.0), ("t,lux", 200.0),
+        ("time since start,lux", 200.0),
+    ],
+)  # fmt: skip
+def test_the_unit_of_times_is_read_however_it_is_spelt(tmp_path, header, last_s):
+    """A unit that was not known counted as seconds, and a light that is too long covers all events."""
+    (tmp_path / "a.csv").write_text(f"{header}\n0,1\n100,2\n200,1\n", encoding="utf-8")
+    assert load_stimulus(str(tmp_path / "a.csv")).end_s == pytest.approx(last_s)
+    (tmp_path / "b.csv").write_text("time [foo],lux\n0,1\n100,2\n")
+    with pytest.raises(InputError, match="unit of the times: expected s, ms, us, ns or min, found 'foo'"):
+        load_stimulus(str(tmp_path / "b.csv"))
+
+
+@pytest.mark.parametrize("interpolation", ["linear", "previous"])
+def test_light_until_a_time_ends_there(interpolation):
+    light = Stimulus.from_arrays([0.0, 1.0, 2.0], [1.0, 3.0, 5.0], "lux", interpolation)
+    cut = light.until(1.5)
+    np.testing.assert_allclose(cut.t, [0.0, 1.0, 1.5])
+    np.testing.assert_allclose(cut.radiance, [1.0, 3.0, 4.0 if interpolation == "linear" else 3.0])
+    np.testing.assert_allclose(light.until(1.0).t, [0.0, 1.0])
+    assert light.until(7.0) is light
+    assert len(light.until(-1.0).t) == 2
+    frames = Stimulus.from_arrays([0.0, 1.0], np.stack([np.ones((2, 2)), np.full((2, 2), 3.0)]), "lux", interpolation)
+    assert frames.until(0.5).radiance.shape == (2, 2, 2)
