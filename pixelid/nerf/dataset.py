@@ -84,7 +84,7 @@ def evaluation_views(dataset: Dataset) -> tuple[Views, Views]:
     """The views that fix the correction and those that are scored, apart from each other.
 
     Test views are scored and validation views correct them; a missing stage is stood in for by the next, a single one
-    is halved; a dataset without views has none of either.
+    is halved.  One picture alone is not scored; a dataset without views has none of either.
 
     Args:
         dataset: as read.
@@ -98,7 +98,9 @@ def evaluation_views(dataset: Dataset) -> tuple[Views, Views]:
         return nothing, nothing
     if len(stages) == 1:
         every = np.arange(len(stages[0]))
-        return (stages[0], stages[0]) if len(every) == 1 else (stages[0].some(every[1::2]), stages[0].some(every[::2]))
+        if len(every) == 1:
+            return stages[0], no_views(dataset.calibration.camera, dataset.calibration.channels)
+        return stages[0].some(every[1::2]), stages[0].some(every[::2])
     return stages[1], stages[0]
 
 
@@ -155,6 +157,10 @@ def _pixels(file: Path, position: np.ndarray, calibration: Calibration) -> tuple
     camera = calibration.camera
     if position.dtype.kind == "f":
         position = finite(file, "position", position)
+        if (between := (position != np.rint(position)).any(axis=1)).any():
+            k = int(np.argmax(between))
+            x, y = position[k].tolist()
+            raise InputError(f"{file}: position: expected whole pixels, found ({x:g}, {y:g}) in row {k}")
     x, y = position.T
     outside = (x < 0) | (x >= camera.width) | (y < 0) | (y >= camera.height)
     if outside.any():

@@ -24,6 +24,8 @@ from pixelid.nerf.views import FOLDER, Views
 
 # Optical axes that point this nearly one way have no point in common: mean squared sine of their angles, 0.6° rms.
 PARALLEL = 1e-4
+SEEING = 0.9  # share of the poses that have the middle of the box ahead of them
+CLOSEST = 0.01  # of the way that the camera goes: closer is not ahead
 SCALES = ("auto", "level", "free")
 UNIFORM = 0.03  # standard deviation of ln L along the borders, below which they show a background
 BORDER = 0.5  # share of border pixels that must agree
@@ -100,7 +102,8 @@ def _border(views: Views) -> np.ndarray | None:
 def scene_box(trajectory: Trajectory, half_angle: float) -> tuple[np.ndarray, np.ndarray]:
     """(low, high) of a cube about the point nearest to all optical axes, as large as the views are wide there.
 
-    Raises InputError where the axes are parallel: they say nothing of how far the scene is.
+    Raises InputError where the axes are parallel, and where the camera turns in place or looks outwards: they say
+    nothing of how far the scene is.
     """
     some = np.linspace(trajectory.t[0], trajectory.t[-1], 256)
     position, rotation = trajectory.at(some)
@@ -109,8 +112,10 @@ def scene_box(trajectory: Trajectory, half_angle: float) -> tuple[np.ndarray, np
     if np.linalg.eigvalsh(across.mean(axis=0))[0] < PARALLEL:
         raise InputError("--box: missing; the camera looks one way all the time, which does not say where the scene is")
     centre = np.linalg.solve(across.sum(axis=0), (across @ position[:, :, None]).sum(axis=0)[:, 0])
-    depth = np.median(np.linalg.norm(position - centre, axis=1))
-    half = depth * np.tan(half_angle)
+    ahead = ((centre - position) * axis).sum(axis=1)
+    if (ahead <= CLOSEST * np.ptp(position, axis=0).max()).mean() > 1.0 - SEEING:
+        raise InputError("--box: missing; no point lies ahead of all poses; the camera turns in place, or looks out")
+    half = np.median(np.linalg.norm(position - centre, axis=1)) * np.tan(half_angle)
     return centre - half, centre + half
 
 

@@ -135,7 +135,10 @@ def total(parts: dict[str, torch.Tensor], weights: Weights) -> torch.Tensor:
 
 
 def unexplained(change: np.ndarray, chains: Chains, on_threshold, off_threshold) -> float:
-    """Root mean square of what events say beyond `change`, as a share of what they say (single events: a threshold)."""
+    """Root mean square of what events say beyond `change`, as a share of what they say (single events: a threshold).
+
+    Stretches weigh as in ℓ_diff: one that says hundreds of thresholds, give or take as many, decides nothing.
+    """
     said = chains.rise * on_threshold - chains.fall * off_threshold
-    weight = chains.weight
+    weight = chains.weight / (1.0 + chains.variance)
     return float(np.sqrt(((change - said) ** 2 * weight).sum() / (said**2 * weight).sum()))

@@ -21,6 +21,9 @@ from pixelid.nerf.stretches import NOISE
 from pixelid.stages.circuit import Circuit
 
 CLOSE_PIXELS = 0.5  # pixels: about half the width of the field's edges
+# Share of intervals shorter than the dead time that stamps and noise may make; where more are, the pixel is faster than
+# told, and the dead time is that short.
+TOO_SHORT = 1e-3
 HELD_OUT = 0.03  # share of pixels whose events are kept from training
 
 
@@ -56,6 +59,8 @@ def problem_of(
 
     Raises:
         InputError: no pixel has two events, or the box has no inside.
+
+    A dead time longer than intervals between events is shortened to them.
     """
     calibration = dataset.calibration if calibration is None else calibration
     camera = calibration.camera
@@ -63,8 +68,8 @@ def problem_of(
         low, high = scene_box(dataset.trajectory, camera.half_angle)
     else:
         low, high = np.asarray(box[:3], dtype=float), np.asarray(box[3:], dtype=float)
-        if not (high > low).all():
-            raise InputError(f"--box: expected low corner below high corner, found {list(box)}")
+    if not (high > low).all():
+        raise InputError(f"--box: expected low corner below high corner, found {[*low.tolist(), *high.tolist()]}")
     circuit = calibration.circuit
     maps = maps_of_circuit(circuit, camera.width * camera.height) if maps is None else maps
     t, x, y, on = dataset.t, dataset.x, dataset.y, dataset.on
@@ -74,6 +79,9 @@ def problem_of(
         is_hot[hot] = True
         kept = ~is_hot[y * camera.width + x]
         maps, (t, x, y, on) = replace(maps, hot=hot), (column[kept] for column in (t, x, y, on))
+    lengths = interval_lengths(t, y * camera.width + x)
+    if len(lengths) and (possible := float(np.quantile(lengths, TOO_SHORT))) < circuit.refractory:
+        circuit = circuit.with_(refractory=possible)
     shortest = close * crossing_time(dataset.trajectory, camera, low, high)
 
     def cut(of: Circuit) -> Intervals:
@@ -96,15 +104,13 @@ def problem_of(
     row, column = np.divmod(np.arange(camera.width * camera.height), camera.width)
     return Problem(
         training, held, dataset.trajectory, camera, calibration.channel_of(column, row), calibration.dark,
-        calibration.circuit, gauge_of(dataset, background, scale), low, high, maps,
-        tilts(cut, circuit, trained), shortest_interval(t, y * camera.width + x),
-        quiet,
+        circuit, gauge_of(dataset, background, scale), low, high, maps, tilts(cut, circuit, trained),
+        float(lengths.min()) if len(lengths) else 0.0, quiet,
     )  # fmt: skip
 
 
-def shortest_interval(t: np.ndarray, pixel: np.ndarray) -> float:
-    """Seconds between two events (N,) of one pixel at least; 0 without intervals."""
+def interval_lengths(t: np.ndarray, pixel: np.ndarray) -> np.ndarray:
+    """Seconds between every two events (N,) of one pixel that follow each other."""
     order = np.argsort(pixel, kind="stable")
     t, pixel = t[order], pixel[order]
-    lengths = np.diff(t)[pixel[1:] == pixel[:-1]]
-    return float(lengths.min()) if len(lengths) else 0.0
+    return np.diff(t)[pixel[1:] == pixel[:-1]]

@@ -208,6 +208,8 @@ def reconstruct(
     device = ("cuda" if torch.cuda.is_available() else "cpu") if device == "auto" else device
     if device == "cuda" and not torch.cuda.is_available():
         raise InputError("--device cuda: no CUDA device is available")
+    if radiance_scale is not None and fit is None:
+        raise InputError("--radiance-scale: says how the unit of --fit is that of the views; expected --fit beside it")
     if calibration is None:
         calibration = of_fit(dataset.calibration, fit, radiance_scale) if fit else dataset.calibration
     if bandwidth.mode != "off" and not calibration.known:
@@ -253,6 +255,8 @@ def reconstruct(
         problem = make(calibration, bandwidth.moving)
         mark = checkpoint.run_identity(problem, recipe, bandwidth, inputs)
     ignored = (*ignored_effects(problem.circuit), *(maps.unused if maps else ()), *unexplained_by(fit))
+    if problem.circuit.refractory < calibration.circuit.refractory:
+        ignored += (f"a dead time beyond {problem.circuit.refractory:.3g} s, for intervals between events are shorter",)
     state = None
     if resume is not None and Path(resume).exists():
         state = checkpoint.load(Path(resume), problem, recipe, bandwidth, mark, device)
@@ -263,7 +267,7 @@ def reconstruct(
     def report(now: State, measured: dict[str, float]) -> None:
         nonlocal saved
         now.seconds = earlier + time.perf_counter() - begun
-        rate = now.rays / max(now.seconds, 1e-9)
+        rate = now.rays * parallel.world() / max(now.seconds, 1e-9)
         if now.iteration % max(recipe.iterations // LOOKS, 1) == 0:
             psnr = _running(now, problem, validation)
             entry = {"iteration": now.iteration, **measured, "rays_per_second": rate, "running_psnr": psnr}

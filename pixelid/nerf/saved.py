@@ -142,13 +142,16 @@ class SavedReconstruction(Result):
         content = read_result(folder, cls.FILE)
         check_kinds(
             content, folder / cls.FILE, text=("status", "advice", "bandwidth"), a_list_of_texts=("ignored",),
-            a_table=("views", "pixel"), a_number=("seconds", "held_out_residual"),
+            a_table=("views", "pixel", "correction"), a_number=("seconds", "held_out_residual"),
         )  # fmt: skip
-        needed = ("status", "advice", "views", "held_out_residual", "seconds", "ignored")
+        needed = ("status", "advice", "views", "held_out_residual", "seconds", "ignored", "pixel", "correction")
         required(content, folder, cls.FILE, *needed)
         saved = cls(content, read_field(folder))
         with interpreting(folder / cls.FILE, "a reconstruction"):
             saved.summary()
+            for name in "abc":
+                np.asarray(content["correction"][name] or 0.0, dtype=float)
+            np.asarray(content["pixel"].get("dark") or 0.0, dtype=float)
         return saved
 
 

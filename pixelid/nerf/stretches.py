@@ -34,6 +34,9 @@ from numba import njit
 NOISE = 0.03  # thresholds per event, mismatch and noise together, where no fit says: DVS128 nominal values
 INSIDE = 0.3  # thresholds: of a level interpolated between two events
 BEYOND = 0.5  # of the time to the next event of an edge that had none: when it ended, no time likelier
+# Thresholds that an edge crosses in a dead time at most: a factor of ten in light, at a threshold of a quarter.  An
+# interval about as long as the dead time would tell of hundreds, and be the loudest of a recording.
+MOST_UNSEEN = 10.0
 GUESSED = 0.3  # of what is put into a dead time, as a share of it
 
 
@@ -90,7 +93,7 @@ def _looking(t, i, dead, lag):
     length = max(t[i] - t[i - 1] - dead, 0.0)
     if lag > 0.0:
         length -= lag * (1.0 - np.exp(-length / lag))
-    return max(length, 1e-7)
+    return max(length, dead / MOST_UNSEEN, 1e-7)
 
 
 @njit(cache=True, nogil=True)

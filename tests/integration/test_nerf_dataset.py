@@ -25,6 +25,7 @@ from pixelid.nerf.scenes import BACKGROUND
 from pixelid.nerf.state import start
 from pixelid.nerf.synthetic import SETTINGS, camera_model, make_dataset
 from pixelid.nerf.train import EPSILON, _off_level
+from pixelid.nerf.trajectory import Trajectory
 
 
 @pytest.fixture(scope="module")
@@ -111,6 +112,45 @@ def test_a_camera_that_never_turns_needs_a_box(scene, tmp_path, capsys):
     assert "--box: missing" in capsys.readouterr().err
     main([*words, "--box", "-1.5", "-1.5", "-1.5", "1.5", "1.5", "1.5"])
     assert (tmp_path / "out" / "reconstruction.json").is_file()
+
+
+def turned(directions: np.ndarray) -> np.ndarray:
+    """(n, 4) orientations whose optical axes point along (n, 3)."""
+    return np.array([Rotation.align_vectors(d[None], [[0.0, 0.0, 1.0]])[0].as_quat() for d in directions])
+
+
+@pytest.mark.parametrize("radius", [0.0, 1e-3, 0.5])
+def test_a_camera_that_turns_in_place_or_looks_outwards_needs_a_box(radius):
+    """The point nearest to its axes is the camera itself, or behind it: a division by zero, or a box nobody sees."""
+    angle = np.linspace(0.0, 2 * np.pi, 60)
+    out = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(60)])
+    jitter = np.random.default_rng(0).normal(size=out.shape)
+    position = radius * (out if radius > 0.1 else jitter)
+    with pytest.raises(InputError, match="no point lies ahead of all poses"):
+        scene_box(Trajectory(angle, position, turned(out)), 0.3)
+
+
+def test_one_picture_alone_is_not_scored(made):
+    """It would be corrected on itself."""
+    data = read_dataset(made)
+    data = replace(data, views={"test": data.views["test"].some([0])})
+    reference, scored = evaluation_views(data)
+    assert (len(reference), len(scored)) == (1, 0)
+
+
+def test_a_dead_time_is_not_longer_than_intervals(made):
+    data = read_dataset(made)
+    told = data.calibration.circuit
+    longer = replace(data.calibration, circuit=told.with_(refractory=0.02))
+    assert problem_of(data).circuit.refractory == told.refractory
+    used = problem_of(data, longer).circuit.refractory
+    assert told.refractory < used < 0.02
+
+
+def test_positions_between_pixels_are_refused(scene, capsys):
+    edit(scene / "raw_events.npz", position=lambda p: p + 0.99)
+    assert main(["reconstruct", str(scene), "--out", str(scene / "out"), "--steps", "1", "--quiet"]) == 2
+    assert "position: expected whole pixels, found" in capsys.readouterr().err
 
 
 def test_a_highlight_does_not_move_the_white_behind_transparent_views(made):

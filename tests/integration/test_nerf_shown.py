@@ -1,6 +1,7 @@
 """What a reconstruction shows: a ball whose views, depth, mesh and splats are known."""
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -342,3 +343,13 @@ def test_wrong_usage_is_refused(words, says, folder, tmp_path, capsys):
     assert 1 <= len(printed.splitlines()) <= 2
     assert says in printed
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("key", ["pixel", "correction"])
+def test_a_result_that_lost_a_table_is_refused_in_a_line(key, folder, tmp_path, capsys):
+    copy = shutil.copytree(folder, tmp_path / "copy")
+    content = json.loads((copy / "reconstruction.json").read_text())
+    del content[key]
+    (copy / "reconstruction.json").write_text(json.dumps(content))
+    assert main(["render", str(copy), "--out", str(tmp_path / "out"), "--quiet"]) == 2
+    assert key in capsys.readouterr().err

@@ -136,3 +136,12 @@ def test_thresholds_and_dead_time_are_trained_with_the_rest():
     assert values["off_threshold"] == pytest.approx(0.12, rel=0.02)
     assert values["refractory_s"] == pytest.approx(4e-4, rel=0.1)
     assert values["alpha"] == circuit.alpha  # was not to be trained
+
+
+@pytest.mark.parametrize("gap", [30e-6, 40.56e-6, 41e-6])
+def test_an_interval_as_long_as_the_dead_time_tells_no_hundred_thresholds(gap):
+    """A stated dead time is an estimate; one such interval was the loudest of a recording."""
+    t = np.cumsum([0.1, 200e-6, gap, 200e-6])
+    found = stretches(t, np.zeros(4, int), np.ones(4, bool), 40.56e-6, 0.0, 0.01)
+    assert found.burst.sum() == 1
+    assert 3.0 < found.rise[found.burst][0] < 25.0
