@@ -107,6 +107,10 @@ class TableFit:
             verdicts[Status.misfit] = (
                 f"{np.mean(self.suspect):.0%} of the rows lie far off the fit: the table is not one of this model."
             )
+        elif strange := self._strange_columns():
+            verdicts[Status.misfit] = (
+                f"Most of what is off lies in {', '.join(strange)}: look at them, or leave them out."
+            )
         if bounds := self.at_bound():
             verdicts[Status.at_bound] = f"{', '.join(bounds)}: on a bound; check the unit of the table."
         wanted = [sd for p, sd in zip(self.parameters, self.sd, strict=True) if p.name not in self.model.nuisances]
@@ -114,6 +118,11 @@ class TableFit:
             verdicts[Status.not_identified] = "The table fixes none of the parameters."
         status = Status.worst(verdicts)
         return status, verdicts.get(status, "")
+
+    def _strange_columns(self) -> list[str]:
+        """Columns of a table with several of which too many rows lie far off."""
+        column = np.array(self.model.rows.columns.get("column", []))
+        return [str(name) for name in dict.fromkeys(column) if np.mean(self.suspect[column == name]) > MOST_SUSPECT]
 
     def as_dict(self) -> dict[str, dict[str, Any]]:
         """Entries of the result's JSON, by parameter name."""

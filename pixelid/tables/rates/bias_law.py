@@ -24,7 +24,7 @@ from scipy.constants import Boltzmann, elementary_charge
 from pixelid.errors import InputError, shown
 from pixelid.parameters.parameter import Parameter
 from pixelid.tables.fit import OPEN_SD, Z95, TableFit, fit_table
-from pixelid.tables.rates.pixel import CUTOFF, DEAD_STARTS_S, PixelFit, PixelModel
+from pixelid.tables.rates.pixel import CUTOFF, CUTOFF_STARTS, DEAD_STARTS_S, PixelFit, PixelModel
 from pixelid.tables.rates.reading import RateTable
 from pixelid.tables.rates.square_wave import rate
 
@@ -109,8 +109,9 @@ def fit_law(table: RateTable, bias_mv: np.ndarray, reference_mv: float, shared: 
         shared: which of "swing" and "dead" have one value for all columns; the swing always has.
     """
     models = [
-        BiasLawModel(table, shared, dead, bias_mv=bias_mv, reference_mv=reference_mv, sign=sign)
+        BiasLawModel(table, shared, dead, slower, bias_mv=bias_mv, reference_mv=reference_mv, sign=sign)
         for dead in DEAD_STARTS_S
+        for slower in CUTOFF_STARTS[:2]
         for sign in (-1.0, 1.0)
     ]
     return max((fit_table(model) for model in models), key=lambda fit: fit.log_likelihood)

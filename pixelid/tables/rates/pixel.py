@@ -21,6 +21,8 @@ DEAD = Parameter("dead_time_s", 5e-6, "s", 1e-7, 3e-3, "log")
 NOISE = Parameter("noise_hz", 10.0, "Hz", 1e-2, 1e6, "log")
 KINDS = {"swing": SWING, "cutoff": CUTOFF, "dead": DEAD, "noise": NOISE}
 DEAD_STARTS_S = (1e-6, 1e-5)  # the likelihood has one maximum where dead time shows and one where it does not
+# And one where the roll-off of a slow column passes for outliers, with a cutoff twice too high.
+CUTOFF_STARTS = (1.0, 0.0, 0.3)
 
 
 @dataclass(frozen=True)
@@ -31,11 +33,14 @@ class PixelModel(GridModel):
         table: what was measured.
         shared: which of "swing" and "dead" have one value for all columns.
         dead_s: dead time that the fit begins at.
+        slower: factor of the cutoffs that the fit begins at, where rates fall below half of the shared swing; 0: those
+            where each column's rates fall below half of their own largest.
     """
 
     table: RateTable
     shared: tuple[str, ...] = ("swing",)
     dead_s: float = DEAD_STARTS_S[0]
+    slower: float = 1.0
 
     nuisances: frozenset[str] = frozenset()
     # a dead time or a noise too small to show, a pixel faster than every frequency of the table
@@ -75,8 +80,10 @@ class PixelModel(GridModel):
                     continue
                 value = {"swing": swing, "dead": self.dead_s, "noise": quiet[k], "cutoff": 0.0}[kind]
                 if kind == "cutoff":
-                    above = np.isfinite(per_cycle[:, k]) & (per_cycle[:, k] > 0.5 * swing)
-                    value = float(np.clip(table.frequency_hz[above].max(initial=100.0), 2.0, 1e5))
+                    full = swing if self.slower else float(np.nanmax(per_cycle[:, k]))
+                    above = np.isfinite(per_cycle[:, k]) & (per_cycle[:, k] > 0.5 * full)
+                    highest = table.frequency_hz[above].max(initial=100.0 if self.slower else 0.0)
+                    value = float(np.clip((self.slower or 1.0) * highest, 2.0, 1e5))
                 value = float(np.clip(value, 1.01 * base.lower, 0.99 * base.upper))
                 label = base.name if kind in self.shared else f"{base.name}[{name}]"
                 parameters.append(Parameter(label, value, base.unit, base.lower, base.upper, "log"))
@@ -126,13 +133,13 @@ class PixelFit(GridFit[PixelModel]):
 
 
 def fit_pixel(table: RateTable, shared: tuple[str, ...] = ("swing",)) -> PixelFit:
-    """Fit all columns together, from dead times short and long; the likelier end counts.
+    """Fit all columns together, from dead times short and long and cutoffs of three kinds; the likeliest end counts.
 
     Args:
         table: event rates per frequency and setting.
         shared: which of "swing" and "dead" have one value for all columns.
     """
-    fits = [fit_table(PixelModel(table, shared, dead)) for dead in DEAD_STARTS_S]
+    fits = [fit_table(PixelModel(table, shared, dead, slower)) for dead in DEAD_STARTS_S for slower in CUTOFF_STARTS]
     best = max(fits, key=lambda fit: fit.log_likelihood)
     assert isinstance(best.model, PixelModel)
     return PixelFit(best.model, best)
