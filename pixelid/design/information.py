@@ -23,7 +23,7 @@ from pixelid.likelihood.event_times import EventTimes
 from pixelid.model.model import Model
 from pixelid.recordings.recording import Recording
 from pixelid.simulate import simulate
-from pixelid.stimuli.resample import resampled
+from pixelid.stimuli.resample import with_overshoots
 from pixelid.stimuli.stimulus import Stimulus
 
 PIXELS = 8
@@ -47,7 +47,7 @@ def information(recordings: Sequence[Recording], coordinates: Coordinates, x: np
 
 def _finer(recording: Recording) -> Recording:
     assert recording.stimulus is not None
-    return recording.with_stimulus(resampled(recording.stimulus))
+    return recording.with_stimulus(with_overshoots(recording.stimulus))
 
 
 def few_pixels(recordings: Sequence[Recording], seed: int) -> tuple[list[Recording], float]:

@@ -17,7 +17,7 @@ from pixelid.gap.state import State
 from pixelid.gap.verdict import Confounder
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.model.model import Model
-from pixelid.stimuli.resample import resampled
+from pixelid.stimuli.resample import with_overshoots
 
 
 def advise(
@@ -93,7 +93,7 @@ def _candidate_space(end: Maximum, candidate: Candidate, seed: int) -> Space | N
     recording = simulated(end.model, candidate.stimulus, seed)
     if len(recording.events) < 20:
         return None
-    likelihood = EventTimes([recording.with_stimulus(resampled(candidate.stimulus))])
+    likelihood = EventTimes([recording.with_stimulus(with_overshoots(candidate.stimulus))])
     return residual_space(likelihood, end)
 
 

@@ -10,7 +10,7 @@ from pixelid.errors import InputError
 from pixelid.recordings.recording import Recording
 from pixelid.recordings.sensor_light import is_measured
 from pixelid.stimuli.pixel_lights import PixelLights, pixel_lights
-from pixelid.stimuli.resample import resampled
+from pixelid.stimuli.resample import with_overshoots
 
 
 def with_pixel_lights(recordings: Sequence[Recording]) -> list[Recording]:
@@ -25,7 +25,7 @@ def with_pixel_lights(recordings: Sequence[Recording]) -> list[Recording]:
 
 
 def with_fine_light(recording: Recording, between: str) -> Recording:
-    """The recording as a fit reads it, its light run `between` samples as said (`resampled`).
+    """The recording as a fit reads it, its light run `between` samples as said (`with_overshoots`).
 
     Raises:
         InputError: without a stimulus.
@@ -40,7 +40,7 @@ def with_fine_light(recording: Recording, between: str) -> Recording:
     if isinstance(light, PixelLights):  # of its own pixels only: finer samples of all others would be made for nothing
         pixels = np.unique(grouped.events.pixel)
         light = light.restricted(pixels[pixels < grouped.events.width * grouped.events.height])
-    return recording.with_stimulus(resampled(light, between))
+    return recording.with_stimulus(with_overshoots(light, between))
 
 
 def _grouped(recording: Recording, pixels: np.ndarray) -> Recording:

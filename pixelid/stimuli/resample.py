@@ -20,6 +20,11 @@ from pixelid.stimuli.stimulus import Stimulus
 LARGEST_CHANGE = 0.02  # of log radiance within one step
 LARGEST_BEND = 2e-5  # distance of a step's chord from the spline, log radiance
 MOST_PARTS = 64
+# After a jump of held light, s: photoreceptors ring at some kHz, for some ms; what follows is slow.  On 2 ms steps at 200
+# fA the survivals that samples alone miss are 458 nats; these miss 11, and 240 in a geometric series 13.
+AFTER_JUMPS_S = np.concatenate(
+    [np.geomspace(5e-6, 3e-4, 30), np.arange(3.4e-4, 3e-3, 4e-5), np.geomspace(3.1e-3, 5e-2, 20)]
+)
 
 
 @overload
@@ -70,3 +75,26 @@ def resampled(stimulus: Light, between: str = "linear", largest_change: float = 
     else:
         fine = np.append((1.0 - weight) * u[left] + weight * u[left + 1], u[-1])
     return Stimulus(t, np.exp(fine), stimulus.unit, stimulus.interpolation)
+
+
+def with_overshoots(light: Light, between: str = "linear") -> Light:
+    """Light as a likelihood looks at it: `resampled`, and held light with more samples after each jump.
+
+    A likelihood asks at samples only how far a pixel's output has gone; after a jump it may overshoot and return.
+    """
+    finer = resampled(light, between)
+    if isinstance(finer, PixelLights):
+        return finer.with_lights(map_threads(_sampled_after_jumps, finer.lights))
+    return _sampled_after_jumps(finer)
+
+
+def _sampled_after_jumps(stimulus: Stimulus) -> Stimulus:
+    """Held light with samples of the same radiance `AFTER_JUMPS_S` after each jump, as far as the step lasts."""
+    if stimulus.interpolation != "previous" or stimulus.unit == "shape" or not stimulus.full_field:
+        return stimulus
+    jumps = np.flatnonzero(np.abs(np.diff(np.log(stimulus.radiance.astype(np.float64)))) > LARGEST_CHANGE) + 1
+    ends = np.append(stimulus.t, np.inf)[jumps + 1]
+    added = stimulus.t[jumps, None] + AFTER_JUMPS_S
+    t = np.union1d(stimulus.t, added[(added < ends[:, None]) & (added < stimulus.t[-1])])
+    held = stimulus.radiance[np.searchsorted(stimulus.t, t, side="right") - 1]
+    return Stimulus(t, held, stimulus.unit, stimulus.interpolation)

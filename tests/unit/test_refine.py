@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -18,6 +20,7 @@ from pixelid.recordings import Recording
 from pixelid.recordings.own_light import with_fine_light, with_pixel_lights
 from pixelid.recordings.selection import only
 from pixelid.simulate import simulate
+from pixelid.stimuli.resample import with_overshoots
 from pixelid.stimuli.shapes import chirp, grating, steps
 from pixelid.stimuli.stimulus import Stimulus
 
@@ -113,3 +116,26 @@ def test_finer_samples_are_made_of_the_lights_of_pixels_with_events_only():
     assert len(fine.lights) == 1
     whole = with_fine_light(recordings[0], "smooth").stimulus
     np.testing.assert_array_equal(fine.lights[0].radiance, whole.lights[whole.of_pixel[0, 2]].radiance)
+
+
+def test_held_light_is_looked_at_where_a_pixel_overshoots():
+    """Survivals at the samples alone missed 0.1 % of a log-likelihood, 458 nats here, and biased poles by 4 sd."""
+    model, rng = find_model("dvs128"), np.random.default_rng(0)
+    t = 2e-3 * np.arange(101)
+    light = Stimulus(t, 200.0 * np.exp(rng.normal(0, 0.5, len(t))), "fA", "previous")
+    recording = simulate(model, light, width=12, height=1, seed=1)
+    dense = np.unique(np.concatenate([(t[:-1, None] + 4e-6 * np.arange(500)).ravel(), t]))
+    lights = {
+        "samples": light,
+        "looked at": with_overshoots(light),
+        "dense": replace(light, t=dense, radiance=light.radiance[np.searchsorted(t, dense + 1e-12, side="right") - 1]),
+    }
+    for name in ("looked at", "dense"):
+        again = simulate(model, lights[name], width=12, height=1, seed=1).events
+        np.testing.assert_allclose(again.t, recording.events.t, atol=1000)
+    found = {
+        name: EventTimes([replace(recording, stimulus=one)]).log_likelihood(model.circuit())
+        for name, one in lights.items()
+    }
+    assert found["samples"] - found["dense"] > 10.0
+    assert abs(found["looked at"] - found["dense"]) < 0.05 * (found["samples"] - found["dense"])
