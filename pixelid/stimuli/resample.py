@@ -20,7 +20,7 @@ from pixelid.stimuli.stimulus import Stimulus
 LARGEST_CHANGE = 0.02  # of log radiance within one step
 LARGEST_BEND = 2e-5  # distance of a step's chord from the spline, log radiance
 MOST_PARTS = 64
-# After a jump of held light, s: photoreceptors ring at some kHz, for some ms; what follows is slow.  On 2 ms steps at 200
+# After a jump of held light, s: photoreceptors ring at some kHz, what follows is slow.  On 2 ms steps at 200
 # fA the survivals that samples alone miss are 458 nats; these miss 11, and 240 in a geometric series 13.
 AFTER_JUMPS_S = np.concatenate(
     [np.geomspace(5e-6, 3e-4, 30), np.arange(3.4e-4, 3e-3, 4e-5), np.geomspace(3.1e-3, 5e-2, 20)]
