@@ -109,6 +109,30 @@ def test_where_nothing_was_lost_the_effect_gains_nothing():
     assert few < none
 
 
+def test_a_search_leaves_thresholds_that_scatter_by_half():
+    """An optimum of its own, at which searches of several effects ended, thousands of nats below the other."""
+
+    def with_others(model, knee, cutoff_hz):
+        return model.with_effect("linear_log", {"knee": knee}).with_effect("lower_cutoff", {"cutoff_hz": cutoff_hz})
+
+    other = {"alpha": 54e3, "beta": 1450.0, "sf_cutoff_hz": 3160.0, "on_threshold": 0.175, "off_threshold": 0.207,
+             "threshold_sigma": 0.02, "refractory_s": 2.7e-4}  # fmt: skip
+    camera = with_others(find_model("dvs128").set(other), 42.0, 0.94)
+    rng, made = np.random.default_rng(2), []
+    for i, level in enumerate((3.0, 24.0, 400.0)):
+        light = resampled(steps(level, seed=i), "smooth")
+        r = simulate(camera, light, width=5, height=5, seed=i, sensor_seed=3)
+        kept = rng.random(len(r.events)) > 0.12
+        made.append(replace(r, events=r.events.select(kept), stimulus=light, condition=f"part_{i}", attributes={}))
+    lossy, share = EventTimes(made), {"fraction": 0.1}
+    truth, nominal = (
+        maximise(lossy, start.with_effect("lost_events", share), tolerance=0.1, max_steps=60)
+        for start in (camera, with_others(find_model("dvs128"), 20.0, 0.5))
+    )
+    assert nominal.value == pytest.approx(truth.value, abs=20.0)  # cutoffs have optima of their own
+    assert nominal.values["threshold_sigma"] == pytest.approx(0.02, rel=0.2)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("fraction", [0.1, 0.3])
 def test_a_fit_from_nominal_values_finds_the_camera(fraction):
