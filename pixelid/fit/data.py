@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from pixelid.fit.event_times import EventTimesObjective
 from pixelid.fit.result import FitResult
 from pixelid.likelihood.event_times import EventTimes
@@ -33,8 +35,14 @@ def event_times_of(result: FitResult, recordings: Sequence[Recording]) -> EventT
     """
     between = result.details.get("stimulus_between_samples", "linear")
     fine = [with_fine_light(r, between) for r in as_fitted(recordings) if r.stimulus is not None]
-    objective = EventTimesObjective(EventTimes(fine), result.coordinates)
-    if "timestamp_jitter" not in result.coordinates.model.effects:
+    return stamps_weighed(EventTimesObjective(EventTimes(fine), result.coordinates), result.x)
+
+
+def stamps_weighed(objective: EventTimesObjective, x: np.ndarray) -> EventTimesObjective:
+    """The objective with the noise of stamps counted at the reset as well as at the event, as at x; itself where the
+    stamps are neither jittered nor coarse.
+    """
+    likelihood, coordinates = objective.likelihood, objective.coordinates
+    if "timestamp_jitter" not in coordinates.model.effects and not likelihood.has_coarse_stamps:
         return objective
-    weighed = objective.at(result.x).weighed(result.coordinates.circuit(result.x))
-    return EventTimesObjective(weighed, result.coordinates)
+    return EventTimesObjective(objective.at(x).weighed(coordinates.circuit(x)), coordinates)

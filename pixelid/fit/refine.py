@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pixelid.fit.coordinates import Coordinates
+from pixelid.fit.data import stamps_weighed
 from pixelid.fit.engines import Engine
 from pixelid.fit.event_times import EventTimesObjective
 from pixelid.fit.newton import Optimum
@@ -95,9 +96,7 @@ def _ends(recordings, coordinates: Coordinates, x, kinds, maximiser: Engine, set
     ends: Ends = {}
     for kind in kinds:
         likelihood = EventTimes([with_fine_light(recording, kind) for recording in recordings])
-        if "timestamp_jitter" in coordinates.model.effects:
-            likelihood = EventTimesObjective(likelihood, coordinates).at(x).weighed(coordinates.circuit(x))
-        objective = EventTimesObjective(likelihood, coordinates)
+        objective = stamps_weighed(EventTimesObjective(likelihood, coordinates), x)
         ends[kind] = objective, maximiser.maximise(objective, x, max_steps=60, **settings)
         x = ends[kind][1].x
         done()

@@ -24,7 +24,7 @@ from pixelid.gap.steps.explain_by_shot_noise import try_before_second_effect, tr
 from pixelid.gap.steps.name_effect import name_effect
 from pixelid.gap.steps.undo_readout import undo_readout
 from pixelid.gap.steps.withdraw import withdraw
-from pixelid.inspection.timestamps import find_timestamp_signatures
+from pixelid.inspection.timestamps import find_timestamp_signatures, with_coarse_units_as_grids
 from pixelid.likelihood.light_between_samples import with_told
 from pixelid.model.model import Model
 from pixelid.recordings.own_light import with_pixel_lights
@@ -41,7 +41,7 @@ def begin(recordings: Sequence[Recording], model: Model, context: Context) -> St
     options, criteria = context.options, context.options.criteria
     split = split_pixels(recordings, options.seed)
     context.report("base model", 0.02)
-    recordings = with_told(with_pixel_lights(recordings))
+    recordings = with_coarse_units_as_grids(with_told(with_pixel_lights(recordings)))
     model = as_light_tells(model, recordings)
     recordings = with_mended_clocks(recordings, model, options.seed)
     timely = tuple(r.within_stimulus() for r in recordings)

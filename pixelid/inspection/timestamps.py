@@ -13,12 +13,13 @@ of a float, is a fact about the file and explains nothing.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from pixelid.inspection.intervals import pixel_intervals
 from pixelid.inspection.tick import MIN_EVENTS, common_divisor, find_tick
+from pixelid.recordings.events import COARSE_UNIT_SHARE, SHORT, Events
 from pixelid.recordings.recording import Recording
 
 MIN_ATOM_EVENTS = 20
@@ -26,7 +27,7 @@ MAX_ATOM_CHANCE = 1e-12  # of an atom by accident; a recording offers some 1e6 p
 MIN_GRID_UNITS = 1.5  # a grid is coarser than the file's own unit
 # Of the shortest intervals of a pixel (their 1 % quantile).  Thresholds scatter by 2 % and more of an interval; a tick
 # of a thousandth adds (1e-3/√12)² to that variance, 2e-4 of it: nobody could tell.
-MIN_TICK_SHARE, SHORT = 1e-3, 0.01
+MIN_TICK_SHARE = 1e-3
 
 
 @dataclass(frozen=True)
@@ -58,6 +59,23 @@ def find_timestamp_signatures(recordings: Sequence[Recording]) -> list[Timestamp
     # a busy server stamps its pixels a whole number of service times apart: then only a common divisor is a grid
     signatures = [queue, find_grid(recordings, scans=queue is None)]
     return [signature for signature in signatures if signature is not None]
+
+
+def with_coarse_units_as_grids(recordings: Sequence[Recording]) -> list[Recording]:
+    """The recordings, whose stated unit is a nanosecond where the one they state is as coarse as pixels are fast.
+
+    A fine unit is a fact about the file, and its rounding a small noise of the stamps.  One of `COARSE_UNIT_SHARE` of
+    the shortest intervals or more is a grid like any other: what is between its lines has to be found.
+    """
+    return [
+        replace(r, events=replace(r.events, tick_ns=1)) if _is_coarse(r.events) else r for r in recordings
+    ]  # fmt: skip
+
+
+def _is_coarse(events: Events) -> bool:
+    intervals = pixel_intervals(events) if events.tick_ns > 1 else np.empty(0)
+    apart = intervals[intervals > 0]
+    return len(apart) > 0 and events.tick_ns >= COARSE_UNIT_SHARE * float(np.quantile(apart, SHORT))
 
 
 def find_service_time(recordings: Sequence[Recording]) -> TimestampSignature | None:

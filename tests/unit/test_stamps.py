@@ -57,3 +57,21 @@ def test_stamps_of_the_end_of_a_tick_are_no_pole():
     report = gap(recordings, base, recommend=False)
     assert (report.verdict, [e.name for e in report.effects]) == ("named", ["timestamp_quantisation"])
     assert report.model.values["delay_s"] == pytest.approx(0.5 * TICK_S, rel=0.1)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("stated", [1, 100_000])
+@pytest.mark.parametrize(("strength", "known"), [(0.12, True), (0.0, True), (0.0, False)])
+def test_a_tick_is_one_whoever_says_so(stated, strength, known):
+    """Of 0.1 ms.  Stated by the file it was taken for a jitter, and where thresholds remember, the true model was told
+    to lose events: times were drawn with the OFF threshold moved the wrong way."""
+    base = MODEL.set({"threshold_sigma": 0.02, "refractory_s": 1.8e-4})
+    base = base.with_effect("polarity_memory", {"strength": strength}) if strength else base
+    camera, recordings = base.with_effect("timestamp_quantisation", {"tick_s": 1e-4}), []
+    for i, light in enumerate((chirp(400.0, stop_hz=400.0), steps(24.0, seed=1))):
+        r = simulate(camera, resampled(light, "smooth"), width=4, height=4, seed=i, sensor_seed=7)
+        events = replace(r.events, tick_ns=stated)
+        recordings.append(replace(r, events=events, stimulus=light, condition=f"part_{i}", attributes={}))
+    report = gap(recordings, camera if known else base, recommend=False)
+    assert [e.name for e in report.effects] == ([] if known else ["timestamp_quantisation"])
+    assert report.verdict == ("none" if known else "named")

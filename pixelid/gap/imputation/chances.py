@@ -43,8 +43,8 @@ class Light(NamedTuple):
 
 
 class Thresholds(NamedTuple):
-    """Of one pixel: mean and standard deviation of ON and OFF, and what an ON event before adds to them (an OFF event
-    takes it)."""
+    """Of one pixel: mean and standard deviation of ON and OFF, and what an ON event before adds to them, of either sign
+    (`comparator.threshold_shifts`); an OFF event takes it."""
 
     on: float
     off: float
@@ -95,7 +95,7 @@ def add_chances(light, at, when, before, first, stride, last, on_cells, off_cell
     Cells are `stride` wide and end at cells first, first + stride … of the light, up to `last`.  Empty: not wanted.
     """
     k, level, offset, drift = _release(light, when + light.dead)
-    on, off = at.on + before * at.memory_on, at.off - before * at.memory_off
+    on, off = at.on + before * at.memory_on, at.off + before * at.memory_off
     near_on, near_off = on - MARGIN * at.sd_on, off - MARGIN * at.sd_off
     if light.growth != 0.0:
         near_on, near_off = 0.0, 0.0
