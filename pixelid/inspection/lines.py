@@ -24,6 +24,9 @@ MIN_CYCLES = 6
 MIN_EVENTS = 200
 FALSE_ALARM = 1e-3
 REFINE_BINS = 1 << 19
+SECOND_BINS = round(1.0 / BIN_S)
+PARTS, FULL = 20, 18  # a second is full where 18 of its 20 parts have events
+MOST_EMPTY, LEAST_FULL = 0.1, 3  # share of seconds without an event, above which there are gaps; full ones between them
 
 
 @dataclass(frozen=True)
@@ -54,67 +57,100 @@ def find_lines(events: Events, tick_s: float | None = None) -> list[Line]:
 
 
 class Spectra:
-    """Spectra of the ON events, the OFF events and both, in a reading part by part that knows how long it will be."""
+    """Spectra of the ON events, the OFF events and both, in a reading part by part that knows how long it will be.
+
+    Segments as long as memory allows resolve best.  In a recording with gaps their taper lies on nothing, and a line is
+    as broad as the stretches are short: there seconds that are full of events count, and nothing else.
+    """
 
     def __init__(self, events: int, first_ns: int, last_ns: int) -> None:
-        self._first, duration = first_ns, float(last_ns - first_ns) * 1e-9
-        bins = int(duration / BIN_S) if events >= MIN_EVENTS else 0
-        self._segments = max(-(-bins // MAX_BINS), 1)
-        self._length = bins // self._segments
-        if self._length < MIN_BINS:
-            self._length = 0
-            return
-        self._bins = bins
-        self._taper = np.hanning(self._length).astype(np.float32)
-        self._current = 0  # segment that is being counted
-        self._counts = [np.zeros(self._length, np.float32) for _ in range(2)]  # ON, OFF
-        self._power = [np.zeros(self._length // 2 + 1) for _ in range(3)]  # ON, OFF, both
-        self._totals = [0, 0]
-        # of a short recording a line's frequency is refined on the counts themselves
-        self._keeps_counts = self._segments == 1 and bins <= REFINE_BINS
+        self._first = first_ns
+        bins = int(float(last_ns - first_ns) * 1e-9 / BIN_S) if events >= MIN_EVENTS else 0
+        long = bins // max(-(-bins // MAX_BINS), 1)
+        self._long = _Segments(bins, long) if long >= MIN_BINS else None
+        self._seconds = _Segments(bins, SECOND_BINS, only_full=True) if bins >= 2 * SECOND_BINS else None
 
     def add(self, events: Events) -> None:
         """Take in events that follow those taken in before."""
-        if not self._length or not len(events):
+        if self._long is None or not len(events):
             return
-        index = (events.t - self._first) // round(BIN_S * 1e9)
-        begin = 0
-        while begin < len(index):
-            segment = int(index[begin]) // self._length
-            if segment >= self._segments:  # the rest of a division, and what lies behind the last whole bin
-                rest = events.p[begin:][index[begin:] < self._bins]
-                on = int(np.count_nonzero(rest))
-                self._totals = [self._totals[0] + on, self._totals[1] + len(rest) - on]
-                return
-            self._advance(segment)
-            end = int(np.searchsorted(index, (segment + 1) * self._length))
-            inside, on = index[begin:end] - segment * self._length, events.p[begin:end] == 1
-            low = int(inside[0])
-            for k, chosen in enumerate((on, ~on)):
-                counts = np.bincount(inside[chosen] - low)
-                self._counts[k][low : low + len(counts)] += counts
-                self._totals[k] += int(np.count_nonzero(chosen))
-            begin = end
-
-    def _advance(self, segment: int) -> None:
-        """Finish the segments before `segment`."""
-        if segment > self._current:
-            self._transform()
-            for counts in self._counts:
-                counts[:] = 0
-            self._current = segment
-
-    def _transform(self) -> None:
-        on, off = self._counts
-        for power, part in zip(self._power, (on, off, on + off), strict=True):
-            if part.any():
-                power += np.abs(np.fft.rfft((part - part.mean()) * self._taper)) ** 2
+        index, on = (events.t - self._first) // round(BIN_S * 1e9), events.p == 1
+        for segments in (self._long, self._seconds):
+            if segments is not None:
+                segments.add(index, on)
 
     def lines(self, tick_s: float | None) -> list[Line]:
         """The lines, strongest first; none above half the frequency of the tick."""
-        if not self._length:
+        if self._long is None:
             return []
-        self._transform()
+        if self._seconds is not None and self._seconds.lie_between_gaps():
+            return self._seconds.lines(tick_s)
+        return self._long.lines(tick_s)
+
+
+class _Segments:
+    """Consecutive segments of `length` bins, and the mean of their tapered spectra; of those full of events only, where
+    asked for."""
+
+    def __init__(self, bins: int, length: int, only_full: bool = False) -> None:
+        self._length, self._whole, self._only_full = length, bins // length, only_full
+        self._taper = np.hanning(length).astype(np.float32)
+        self._current, self._finished = 0, False  # segment that is being counted
+        self._counts = [np.zeros(length, np.float32) for _ in range(2)]  # ON, OFF
+        self._power = [np.zeros(length // 2 + 1) for _ in range(3)]  # ON, OFF, both
+        self._totals = [0, 0]
+        self._used, self._empty = 0, 0  # segments
+        # of a short recording a line's frequency is refined on the counts themselves
+        self._keeps_counts = self._whole == 1 and bins <= REFINE_BINS
+
+    def add(self, index: np.ndarray, on: np.ndarray) -> None:
+        """Take in events by their bins (n,), and which of them are ON."""
+        begin = 0
+        while begin < len(index):
+            segment = int(index[begin]) // self._length
+            if segment >= self._whole:  # the rest of a division, and what lies behind the last whole bin
+                return
+            while self._current < segment:
+                self._next()
+            end = int(np.searchsorted(index, (segment + 1) * self._length))
+            inside, these = index[begin:end] - segment * self._length, on[begin:end]
+            low = int(inside[0])
+            for counts, chosen in zip(self._counts, (these, ~these), strict=True):
+                found = np.bincount(inside[chosen] - low)
+                counts[low : low + len(found)] += found
+            begin = end
+
+    def _next(self) -> None:
+        """Take the segment that was counted into the spectra, and begin another."""
+        on, off = self._counts
+        both = on + off
+        full = np.count_nonzero([part.any() for part in np.array_split(both, PARTS)]) >= FULL
+        self._empty += not both.any()
+        if full or not self._only_full:
+            for power, part in zip(self._power, (on, off, both), strict=True):
+                if part.any():
+                    power += np.abs(np.fft.rfft((part - part.mean()) * self._taper)) ** 2
+            self._totals = [total + int(part.sum()) for total, part in zip(self._totals, (on, off), strict=True)]
+            self._used += 1
+        self._current += 1
+        if not self._keeps_counts:
+            on[:] = 0
+            off[:] = 0
+
+    def _finish(self) -> None:
+        while self._current < self._whole:
+            self._next()
+
+    def lie_between_gaps(self) -> bool:
+        """Whether the recording has gaps of whole segments, and some that are full."""
+        self._finish()
+        return self._empty >= MOST_EMPTY * self._whole and self._used >= LEAST_FULL
+
+    def lines(self, tick_s: float | None) -> list[Line]:
+        """The lines, strongest first; none above half the frequency of the tick."""
+        self._finish()
+        if not self._used:
+            return []
         resolution = 1 / (self._length * BIN_S)
         ratio, modulation, series = None, None, []
         on, off = self._counts
@@ -123,9 +159,9 @@ class Spectra:
         ):
             if total < MIN_EVENTS:
                 continue
-            power = power / self._segments
-            relative = 2 * np.sqrt(power) / (max(total / self._bins, 1e-30) * float(self._taper.sum()))
-            r = power / _background(power, self._segments)
+            power = power / self._used
+            relative = 2 * np.sqrt(power) / (max(total / (self._used * self._length), 1e-30) * float(self._taper.sum()))
+            r = power / _background(power, self._used)
             series.append(counts if self._keeps_counts else None)
             if ratio is None or modulation is None:
                 ratio, modulation, best = r, relative, np.zeros(len(r), np.int64)
@@ -136,7 +172,7 @@ class Spectra:
         if ratio is None or modulation is None:
             return []
         last = min(int(MAX_FREQUENCY_HZ / resolution), len(ratio) - 9)
-        p = _p_values(ratio, self._segments, len(series) * max(last, 1))
+        p = _p_values(ratio, self._used, len(series) * max(last, 1))
         lines = []
         for k in range(MIN_CYCLES, last):
             if p[k] > FALSE_ALARM or ratio[k] < ratio[k - 2 : k + 3].max() or not _narrow(ratio, k):
@@ -144,7 +180,7 @@ class Spectra:
             frequency = _refine(series[best[k]], ratio, k, resolution)
             if tick_s and frequency * tick_s > 0.5:
                 continue
-            uncertainty = np.sqrt(1.5) / np.pi * resolution / np.sqrt(ratio[k] * self._segments)
+            uncertainty = np.sqrt(1.5) / np.pi * resolution / np.sqrt(ratio[k] * self._used)
             lines.append(Line(frequency, float(uncertainty), float(modulation[k]), float(ratio[k]), float(p[k])))
         return sorted(map(_sharpen, _group_harmonics(lines, resolution)), key=lambda line: -line.strength)
 

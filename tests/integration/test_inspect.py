@@ -289,3 +289,28 @@ def test_command_refuses_in_one_line(tmp_path, capsys):
     message = capsys.readouterr().err
     assert message.count("\n") == 1
     assert "empty file" in message
+
+
+@pytest.mark.parametrize(
+    "stretches", [((0, 2), (4, 6)), ((0, 2), (22, 24)), ((0, 4), (60, 60.001)), ((0, 10), (70, 80))]
+)
+def test_gaps_hide_no_line(stretches):
+    """One taper over all lay on nothing: half the modulation of a lamp, or none."""
+    rng, t, p = np.random.default_rng(1), [], []
+    for begin, end in stretches:
+        when = np.sort(rng.uniform(begin, end, rng.poisson(2e4 * (end - begin))))
+        on = rng.random(len(when)) < 0.5
+        wave = np.where(on, 1.0, -1.0) * np.sin(2 * np.pi * 100.0 * when)
+        kept = rng.random(len(when)) < (1 + 0.5 * wave) / 1.5
+        t.append(when[kept])
+        p.append(on[kept])
+    times, zero = np.concatenate(t), np.zeros(sum(map(len, t)), np.int64)
+    events = Events.from_columns((times * 1e9).astype(np.int64), zero, zero, np.concatenate(p).astype(int), 1, 1)
+    lines = find_lines(events)
+    assert lines
+    assert lines[0].frequency_hz == pytest.approx(100.0, abs=4 * max(lines[0].uncertainty_hz, 0.01))
+    assert lines[0].modulation == pytest.approx(0.5, abs=0.06)
+    even = np.sort(rng.uniform(*stretches[0], 30_000))
+    still = np.concatenate([even, [stretches[1][0]]])
+    zero = np.zeros(len(still), np.int64)
+    assert find_lines(Events.from_columns((still * 1e9).astype(np.int64), zero, zero, zero, 1, 1)) == []
