@@ -1,4 +1,7 @@
-"""Read a table of a CSV file: a header, one row per line, `#` lines are remarks, empty cells were not measured."""
+"""Read a table of a CSV file: a header, one row per line, `#` lines are remarks, empty cells were not measured.
+
+Cells are apart by commas, or by semicolons or tabs where the header has no comma.
+"""
 
 from __future__ import annotations
 
@@ -42,6 +45,14 @@ class TextTable:
         """(rows,) a column of finite numbers, NaN for empty cells.  Raises InputError naming row and cell."""
         return np.array([_number(self.path, k, cell) for k, cell in enumerate(self.text(name), 1)])
 
+    def check(self, name: str, allowed: np.ndarray, expected: str) -> None:
+        """Raise InputError that names the first row (n,) of a column that is not `allowed`, and what it holds."""
+        if not allowed.all():
+            k = int(np.argmin(allowed))
+            raise InputError(
+                f"{self.path}: {name}: row {k + 1}: expected {expected}, found {shown(self.text(name)[k])}"
+            )
+
     def last_digit(self, names: tuple[str, ...]) -> float:
         """The smallest difference that the cells of these columns can write.
 
@@ -82,11 +93,13 @@ def read_text_table(path: Path, *, first: str, expected: str) -> TextTable:
     text = printable(read_text(path, "CSV"))
     lines = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")]
     try:
-        rows = list(csv.reader(lines))
+        rows = list(csv.reader(lines, delimiter=_delimiter(lines[0]) if lines else ","))
     except csv.Error as error:
         raise InputError(f"{path}: expected a text table, found {error}") from None
     if not rows or len(rows[0]) < 2 or not rows[0][0].strip().lower().startswith(first):
-        raise InputError(f"{path}: expected a header line {expected}")
+        raise InputError(
+            f"{path}: expected a header line {expected}, found {shown(lines[0], 60) if lines else 'nothing'}"
+        )
     for k, row in enumerate(rows[1:], 1):
         if len(row) != len(rows[0]):
             raise InputError(f"{path}: row {k} has {len(row)} cells, expected {len(rows[0])}")
@@ -94,6 +107,10 @@ def read_text_table(path: Path, *, first: str, expected: str) -> TextTable:
     if len(set(names)) < len(names):
         raise InputError(f"{path}: expected columns of different names, found {shown(names, 200)}")
     return TextTable(path, names, tuple(tuple(row) for row in rows[1:]))
+
+
+def _delimiter(header: str) -> str:
+    return next((mark for mark in (",", ";", "\t") if mark in header), ",")
 
 
 def _number(path: Path, row: int, cell: str) -> float:

@@ -311,3 +311,12 @@ def test_units_and_empty_cells(tmp_path):
     assert table.resolution_hz == 1.0
     assert table.rate_hz[0, 0] == 500.0
     assert np.isnan(table.rate_hz[0, 1])
+
+
+@pytest.mark.parametrize("mark", [",", ";", "\t"])
+def test_cells_are_apart_by_what_the_header_has(tmp_path, mark):
+    (tmp_path / "t.csv").write_text(STEEP.replace(",", mark))
+    assert read_table(tmp_path / "t.csv").rate_hz.shape == (12, 4)
+    (tmp_path / "t.csv").write_text(STEEP.replace("2709", "-2709").replace(",", mark))
+    with pytest.raises(InputError, match="fo1300: row 5: expected a rate of at least 0, found '-2709'"):
+        read_table(tmp_path / "t.csv")

@@ -90,8 +90,7 @@ def _read(path: Path, group: int) -> NoiseTable:
     text = read_text_table(path, first="", expected="lux,ON_events_per_s_per_px,OFF_events_per_s_per_px")
     light_name = _light_column(text)
     light = text.numbers(light_name)
-    if not (np.isfinite(light).all() and (light > 0).all()):
-        raise InputError(f"{path}: {light_name}: expected light above 0 in every row")
+    text.check(light_name, light > 0, "light above 0")
     rows: dict[str, list[Any]] = {"light": [], "on": [], "rate": [], "digit": []}
     columns: dict[str, list[Any]] = {"file": [], light_name: [], "polarity": []}
     for polarity in POLARITY:
@@ -99,8 +98,7 @@ def _read(path: Path, group: int) -> NoiseTable:
         if name is None:
             continue
         rates = text.numbers(name)
-        if (np.nan_to_num(rates) < 0).any():
-            raise InputError(f"{path}: {name}: expected rates of at least 0")
+        text.check(name, ~(rates < 0), "a rate of at least 0")
         digit = text.last_digit((name,))
         for k in np.flatnonzero(np.isfinite(rates)):
             rows["light"].append(light[k])

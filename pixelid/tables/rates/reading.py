@@ -54,8 +54,11 @@ def read_table(path: Path, unit: str = "hz") -> RateTable:
         raise InputError(f"{path}: expected frequencies in Hz, found a column {shown(text.names[0])}")
     frequency, names = text.numbers(text.names[0]), text.names[1:]
     rates = np.stack([text.numbers(name) for name in names], axis=1)
-    if len(rates) < 2 or not (frequency > 0).all() or (np.nan_to_num(rates) < 0).any():
-        raise InputError(f"{path}: expected at least two rows, frequencies above 0 and rates of at least 0")
+    text.check(text.names[0], frequency > 0, "a frequency above 0")
+    for name, column in zip(names, rates.T, strict=True):
+        text.check(name, ~(column < 0), "a rate of at least 0")
+    if len(rates) < 2:
+        raise InputError(f"{path}: expected at least two rows, found {len(rates)}")
     for k, name in enumerate(names):
         if np.isnan(rates[:, k]).all():
             raise InputError(f"{path}: column {shown(name)}: expected at least one rate, found only empty cells")
