@@ -106,6 +106,8 @@ def main(argv: list[str] | None = None) -> int:
             if not isinstance(error.__cause__, EOFError):
                 return _interrupted()
             error = error.__cause__
+        if _by_interrupt(error):
+            return _interrupted()
         if os.environ.get("PIXELID_DEBUG") == "1":
             import traceback
 
@@ -116,6 +118,15 @@ def main(argv: list[str] | None = None) -> int:
             "PIXELID_DEBUG=1 shows where"
         )
         return 1
+
+
+def _by_interrupt(error: BaseException | None) -> bool:
+    """Whether an interrupt is behind an error, as compiled code makes a SystemError of it."""
+    seen: list[BaseException] = []
+    while error is not None and error not in seen:
+        seen.append(error)
+        error = error.__cause__ or error.__context__
+    return any(isinstance(one, KeyboardInterrupt) for one in seen)
 
 
 def _interrupted() -> int:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from pixelid.fit.coordinates import Coordinates
 from pixelid.fit.event_times import EventTimesObjective
 from pixelid.fit.result import FitResult
 from pixelid.likelihood.event_times import EventTimes
@@ -38,11 +39,16 @@ def event_times_of(result: FitResult, recordings: Sequence[Recording]) -> EventT
     return stamps_weighed(EventTimesObjective(EventTimes(fine), result.coordinates), result.x)
 
 
+def weighs_stamps(likelihood: EventTimes, coordinates: Coordinates) -> bool:
+    """Whether the noise of stamps counts at the reset as well: where they are jittered or coarse."""
+    return "timestamp_jitter" in coordinates.model.effects or likelihood.has_coarse_stamps
+
+
 def stamps_weighed(objective: EventTimesObjective, x: np.ndarray) -> EventTimesObjective:
     """The objective with the noise of stamps counted at the reset as well as at the event, as at x; itself where the
     stamps are neither jittered nor coarse.
     """
     likelihood, coordinates = objective.likelihood, objective.coordinates
-    if "timestamp_jitter" not in coordinates.model.effects and not likelihood.has_coarse_stamps:
+    if not weighs_stamps(likelihood, coordinates):
         return objective
     return EventTimesObjective(objective.at(x).weighed(coordinates.circuit(x)), coordinates)

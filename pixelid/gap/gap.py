@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
+
+import numpy as np
 
 from pixelid.cluster import Where, Work, connected
 from pixelid.errors import InputError
@@ -15,9 +18,11 @@ from pixelid.gap.own_levels import search_with_levels
 from pixelid.gap.pooled_counts.pooled import search_pooled
 from pixelid.gap.result import GapReport
 from pixelid.gap.search import search
+from pixelid.gap.split import MIN_PIXELS
 from pixelid.model.model import Model
 from pixelid.recordings.recording import Recording
 from pixelid.recordings.selection import named_apart
+from pixelid.status import Status
 
 
 def gap(
@@ -80,7 +85,26 @@ def gap(
             report = (search_pooled if pooled else search)(recordings, model, context)
     if cache is not None:
         cache.remove()
-    return report
+    return report if pooled else _with_doubts(report, recordings)
+
+
+def _with_doubts(report: GapReport, recordings: Sequence[Recording]) -> GapReport:
+    """The report, which says where there was too little to judge by."""
+    events, pixels = sum(len(r.events) for r in recordings), set[int]()
+    for r in recordings:
+        pixels.update(np.unique(r.events.pixel).tolist())
+    said = [report.advice] if report.advice else []
+    if len(pixels) < MIN_PIXELS:
+        said.append(f"{len(pixels)} pixels are fewer than {MIN_PIXELS}: none was set aside to judge by.")
+    status = report.status
+    if report.verdict == "none" and events < LEAST_EVENTS:
+        said.append(f"{events} events could not have shown an effect: record more of them.")
+        status = Status.worst([status, Status.not_identified])
+    return replace(report, status=status, advice=" ".join(said))
+
+
+# An effect is named for some 20 nats, and of what one typically does an event tells half a nat.
+LEAST_EVENTS = 40
 
 
 def check_searchable(recordings: Sequence[Recording], model: Model, alpha: float) -> None:

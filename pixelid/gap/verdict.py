@@ -16,6 +16,8 @@ from pixelid.gap.confirm.free_run import FreeRun
 from pixelid.gap.options import Options
 from pixelid.gap.result import DescribedEffect, Limits, Named
 
+TELLING_NATS = 3.0  # a likelihood ratio of 20; less is no finding
+
 
 @dataclass(frozen=True)
 class Confounder:
@@ -106,8 +108,7 @@ def describe(
                 f"({100 * run.interval[0]:.0f}–{100 * run.interval[1]:.0f} %)"
             )
         text += f" Described: {'; '.join(one.words for one in described)}{closed}."
-    elif term is not None:
-        gain = float(term.held_out.sum())
+    elif term is not None and (gain := float(term.held_out.sum())) > TELLING_NATS:
         text += f" Thresholds that depend on {term.factor} gain {gain:.3g} nats on pixels not used to find them."
     if effects:
         text = f"Found on the way: {listed}. " + text

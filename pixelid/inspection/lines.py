@@ -95,7 +95,7 @@ class _Segments:
     def __init__(self, bins: int, length: int, only_full: bool = False) -> None:
         self._length, self._whole, self._only_full = length, bins // length, only_full
         self._taper = np.hanning(length).astype(np.float32)
-        self._current, self._finished = 0, False  # segment that is being counted
+        self._current = 0  # segment that is being counted
         self._counts = [np.zeros(length, np.float32) for _ in range(2)]  # ON, OFF
         self._power = [np.zeros(length // 2 + 1) for _ in range(3)]  # ON, OFF, both
         self._totals = [0, 0]
@@ -110,8 +110,7 @@ class _Segments:
             segment = int(index[begin]) // self._length
             if segment >= self._whole:  # the rest of a division, and what lies behind the last whole bin
                 return
-            while self._current < segment:
-                self._next()
+            self._advance(segment)
             end = int(np.searchsorted(index, (segment + 1) * self._length))
             inside, these = index[begin:end] - segment * self._length, on[begin:end]
             low = int(inside[0])
@@ -137,18 +136,23 @@ class _Segments:
             on[:] = 0
             off[:] = 0
 
-    def _finish(self) -> None:
-        while self._current < self._whole:
+    def _advance(self, segment: int) -> None:
+        """Take in what was counted, where that was before `segment`; those between hold nothing."""
+        if segment > self._current:
             self._next()
+            nothing = segment - self._current
+            self._empty += nothing
+            self._used += 0 if self._only_full else nothing
+            self._current = segment
 
     def lie_between_gaps(self) -> bool:
         """Whether the recording has gaps of whole segments, and some that are full."""
-        self._finish()
+        self._advance(self._whole)
         return self._empty >= MOST_EMPTY * self._whole and self._used >= LEAST_FULL
 
     def lines(self, tick_s: float | None) -> list[Line]:
         """The lines, strongest first; none above half the frequency of the tick."""
-        self._finish()
+        self._advance(self._whole)
         if not self._used:
             return []
         resolution = 1 / (self._length * BIN_S)

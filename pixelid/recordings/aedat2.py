@@ -24,7 +24,7 @@ from pixelid.recordings.recording import Recording
 SIZES = {"DAVIS240": (240, 180), "DAVIS346": (346, 260), "DVS128": (128, 128)}
 ENTRY = re.compile(r'<entry key="([^"]+)" value="([^"]*)"')
 BIAS = re.compile("[Bb]ias|IPot|ShiftedSource")
-TEXT = re.compile(rb"#[\t\x20-\x7e\xa0-\xff]*\r?\n")
+TEXT = re.compile(rb"#[\t\x20-\x7e\x80-\xff]*\r?\n")  # in any coding of letters; numbers hold zeros
 END_OF_HEADER, LONGEST_LINE = "#End Of ASCII Header", 1 << 20
 
 

@@ -61,7 +61,9 @@ def _found(recording: Recording, light: Light, how: str) -> Alignment:
     if how == "trigger":
         if recording.triggers is None or not len(recording.triggers):
             raise InputError(f"{recording.name}: --align trigger: the file holds no trigger edges")
-        return _from_triggers(_edges_s(recording, recording.triggers, channel), light, recording.events.tick_ns)
+        edges = _edges_s(recording, recording.triggers, channel)
+        note = "" if recording.triggers.rises_at(edges[0]) else "no edge rises; falling ones are taken"
+        return replace(_from_triggers(edges, light, recording.events.tick_ns), note=note)
     if len(recording.events) == 0:
         raise InputError(f"{recording.name}: --align {how}: the file holds no events")
     if how == "first-event":

@@ -109,6 +109,7 @@ class Alignment:
     prior: of the clock without the events, at a moment of the light's clock; None: offset and rate count as exact
     start_s, start_half_s: the light's first sample on the camera's clock, and half its 95 % interval: far from the time
         zero of a trace that began long before, the rate's uncertainty has not added up
+    note: what has to be said beside it
     """
 
     offset_s: float
@@ -119,6 +120,7 @@ class Alignment:
     prior: ClockPrior | None = None
     start_s: float | None = None
     start_half_s: float | None = None
+    note: str = ""
 
     def as_dict(self) -> dict:
         """What the recording's attribute `alignment` says."""
@@ -139,7 +141,7 @@ class Alignment:
         if self.rate_interval_95 is not None:
             half = 0.5e6 * (self.rate_interval_95[1] - self.rate_interval_95[0])
             text += f", clocks differ by {_digits(1e6 * self.rate_error, half)} ± {_digits(half)} ppm"
-        return text
+        return f"{text} ({self.note})" if self.note else text
 
 
 def _digits(value: float, error: float | None = None) -> str:

@@ -65,6 +65,10 @@ class Triggers:
         rising = mine & self.rising
         return self.t[rising if rising.any() else mine] * 1e-9
 
+    def rises_at(self, seconds: float) -> bool:
+        """Whether one of `edges_s` rises."""
+        return bool(self.rising[self.t * 1e-9 == seconds].any())
+
     def shifted(self, by_ns: int) -> Triggers:
         """The same edges, later by `by_ns`."""
         return Triggers(self.t + by_ns, self.rising, self.channel)

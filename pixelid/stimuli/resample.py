@@ -27,6 +27,9 @@ AFTER_JUMPS_S = np.concatenate(
 )
 
 
+MOST_ADDED = 2_000_000  # samples: 200 MB of states and outputs
+
+
 @overload
 def resampled(stimulus: Stimulus, between: str = ..., largest_change: float = ...) -> Stimulus: ...
 @overload
@@ -83,18 +86,33 @@ def with_overshoots(light: Light, between: str = "linear") -> Light:
     A likelihood asks at samples only how far a pixel's output has gone; after a jump it may overshoot and return.
     """
     finer = resampled(light, between)
+    lights = finer.lights if isinstance(finer, PixelLights) else (finer,)
+    after = _after_jumps(sum(len(_jumps(one)) for one in lights))
     if isinstance(finer, PixelLights):
-        return finer.with_lights(map_threads(_sampled_after_jumps, finer.lights))
-    return _sampled_after_jumps(finer)
+        return finer.with_lights(map_threads(lambda one: _sampled_after_jumps(one, after), finer.lights))
+    return _sampled_after_jumps(finer, after)
 
 
-def _sampled_after_jumps(stimulus: Stimulus) -> Stimulus:
-    """Held light with samples of the same radiance `AFTER_JUMPS_S` after each jump, as far as the step lasts."""
+def _after_jumps(jumps: int) -> np.ndarray:
+    """s after each of so many jumps: fewer where all would be more than `MOST_ADDED`, as of a video's pixels."""
+    each = MOST_ADDED // max(jumps, 1)
+    return AFTER_JUMPS_S if each >= len(AFTER_JUMPS_S) else np.geomspace(5e-6, 5e-2, each) if each > 1 else np.empty(0)
+
+
+def _jumps(stimulus: Stimulus) -> np.ndarray:
+    """(k,) samples at which held light jumps."""
     if stimulus.interpolation != "previous" or stimulus.unit == "shape" or not stimulus.full_field:
+        return np.empty(0, np.int64)
+    return np.flatnonzero(np.abs(np.diff(np.log(stimulus.radiance.astype(np.float64)))) > LARGEST_CHANGE) + 1
+
+
+def _sampled_after_jumps(stimulus: Stimulus, after: np.ndarray) -> Stimulus:
+    """Held light with samples of the same radiance `after` (m,) s each jump, as far as the step lasts."""
+    jumps = _jumps(stimulus)
+    if not len(jumps) or not len(after):
         return stimulus
-    jumps = np.flatnonzero(np.abs(np.diff(np.log(stimulus.radiance.astype(np.float64)))) > LARGEST_CHANGE) + 1
     ends = np.append(stimulus.t, np.inf)[jumps + 1]
-    added = stimulus.t[jumps, None] + AFTER_JUMPS_S
+    added = stimulus.t[jumps, None] + after
     t = np.union1d(stimulus.t, added[(added < ends[:, None]) & (added < stimulus.t[-1])])
     held = stimulus.radiance[np.searchsorted(stimulus.t, t, side="right") - 1]
     return Stimulus(t, held, stimulus.unit, stimulus.interpolation)

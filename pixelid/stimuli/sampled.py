@@ -43,7 +43,7 @@ BESIDE_TIME = (
     "absolute", "0", "zero", "clock", "axis", "unit", "units", "camera", "sensor", "light", "photodiode", "led",
     "trigger",
 )  # fmt: skip
-TIME_IN = re.compile(r"\btimes?\W+(?:is |are )?in\W+([^\W\d_]+)", re.I)  # of a comment
+TIME_IN = re.compile(r"(?:^|[#;,.:])\s*times?\W+(?:is |are )?in\W+([^\W\d_]+)", re.I)  # of a comment
 TIME_WORDS = ("t", "time", "timestamp", "seconds")
 SECONDS_PER = {
     **dict.fromkeys(("s", "sec", "secs", "second", "seconds"), 1.0), **dict.fromkeys(("min", "minutes"), 60.0),
@@ -142,9 +142,10 @@ def _table(path: Path, unit: str | None) -> Stimulus:
 
 def _seconds_per(name: str, comments: str, path: Path) -> float:
     """Of the unit in the name of the column of times, or in a comment ("time in ms"); seconds where none is said."""
-    words = [*_words(name)[1:], *(word for found in TIME_IN.findall(comments) for word in _words(found))]
-    told = [SECONDS_PER[word] for word in words if word in SECONDS_PER]
-    unknown = [word for word in words if word not in SECONDS_PER and word not in BESIDE_TIME]
+    words = _words(name)
+    said = [word for found in TIME_IN.findall(comments) for word in _words(found)]
+    told = [SECONDS_PER[word] for word in (*words[1:], *words[:1], *said) if word in SECONDS_PER]
+    unknown = [word for word in words[1:] if word not in SECONDS_PER and word not in BESIDE_TIME]
     if not told and unknown:
         raise InputError(f"{path}: unit of the times: expected s, ms, us, ns or min, found {shown(unknown[0], 30)}")
     return told[0] if told else 1.0

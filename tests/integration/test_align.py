@@ -91,6 +91,15 @@ def test_of_many_edges_none_is_taken_for_the_last(session):
     assert 1e6 * per_sample.rate_error == pytest.approx(PPM, abs=15)
 
 
+def test_falling_edges_are_said(session):
+    folder, _ = session
+    camera, light = open_recording(folder / "camera.h5"), load_stimulus(str(folder / "light.csv"))
+    rising = edges_at(camera, [0.0])
+    falling = replace(rising, triggers=replace(rising.triggers, rising=np.zeros(1, bool)))
+    assert "no edge rises; falling ones are taken" in find_alignment(falling, light, "trigger").sentence()
+    assert "falling" not in find_alignment(rising, light, "trigger").sentence()
+
+
 def test_edges_at_two_inputs_are_told_apart(session):
     folder, _ = session
     camera, light = open_recording(folder / "camera.h5"), load_stimulus(str(folder / "light.csv"))

@@ -13,6 +13,7 @@ from pixelid.cli.main import main
 from pixelid.cluster import Where, Work
 from pixelid.design.menu import candidate
 from pixelid.errors import InputError
+from pixelid.fit import fit
 from pixelid.fit.coordinates import Coordinates
 from pixelid.fit.maximise import maximise, maximise_with_restarts
 from pixelid.gap.attribute.candidates import canonical, missing
@@ -661,3 +662,27 @@ def test_hot_pixels_stand_out_where_others_are_silent():
     sensitive = MODEL.with_effect("threshold_mismatch").set({"threshold_mismatch.sigma": 0.25})
     assert find_hot_pixels_in_silence(session(sensitive, side=4, seed=6)) is None
     assert find_hot_pixels_in_silence(session(MODEL.with_effect("leak", {"rate_hz": 2.0}), side=4, seed=6)) is None
+
+
+def tiny(pixels, events):
+    """A recording of so few events, under steps."""
+    r = simulate(MODEL, resampled(steps(24.0, seed=1), "smooth"), width=pixels, height=1, seed=0)
+    keep = np.arange(len(r.events)) < events
+    return replace(r, events=r.events.select(keep), stimulus=steps(24.0, seed=1), attributes={})
+
+
+@pytest.mark.parametrize(("pixels", "events"), [(1, 3), (1, 12), (2, 4), (3, 30)])
+def test_next_to_nothing_is_no_verdict(pixels, events):
+    """One pixel ended in a segmentation fault, three events in "the model explains these recordings"."""
+    report = gap([tiny(pixels, events)], MODEL, recommend=False)
+    if report.verdict == "none":
+        assert report.status == "not_identified"
+        assert "events could not have shown an effect" in report.advice
+    assert "none was set aside to judge by" in report.advice
+
+
+@pytest.mark.parametrize("events", [3, 5])
+def test_few_events_are_fitted_by_every_engine(events):
+    """Of no sample between events CasADi made a row where a column was meant."""
+    for engine in ("casadi", "scipy"):
+        assert fit([tiny(2, events)], MODEL, engine=engine, starts=0).status != "converged"

@@ -2,6 +2,7 @@
 
 import json
 import os
+import time
 from pathlib import Path
 
 import numpy as np
@@ -314,3 +315,12 @@ def test_gaps_hide_no_line(stretches):
     still = np.concatenate([even, [stretches[1][0]]])
     zero = np.zeros(len(still), np.int64)
     assert find_lines(Events.from_columns((still * 1e9).astype(np.int64), zero, zero, zero, 1, 1)) == []
+
+
+def test_a_stamp_from_long_ago_costs_nothing():
+    """Every second since was walked through, one by one."""
+    rng = np.random.default_rng(0)
+    t = np.concatenate([[0], 1_700_000_000_000_000_000 + np.sort(rng.integers(0, 2_000_000_000, 5000))])
+    zero, begun = np.zeros(len(t), np.int64), time.process_time()
+    assert find_lines(Events.from_columns(t, zero, zero, zero, 1, 1)) == []
+    assert time.process_time() - begun < 60.0

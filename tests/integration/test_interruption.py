@@ -153,3 +153,14 @@ def test_ipopt_does_not_keep_an_interrupt_to_itself():
     with pytest.raises(KeyboardInterrupt):
         casadi_engine._solve(objective, x, Local(-16.0, -32.0 * np.ones(1), 48.0 * np.eye(1)), False, 1e-6, 50)
     assert objective.calls < 20
+
+
+def test_what_compiled_code_makes_of_an_interrupt_is_one(monkeypatch):
+    def swallowed(**settings):
+        try:
+            raise KeyboardInterrupt
+        except KeyboardInterrupt as error:
+            raise SystemError("returned a result with an exception set") from error
+
+    monkeypatch.setattr(home.cli, "main", swallowed)
+    assert home.main([]) == INTERRUPTED

@@ -193,7 +193,7 @@ def test_a_byte_order_mark_is_no_part_of_a_table(tmp_path):
 DAVIS = b"#!AER-DAT2.0\r\n# AEChip: eu.seebetter.ini.chips.davis.DAVIS240C\r\n"
 
 
-@pytest.mark.parametrize("end", [b"#End Of ASCII Header\r\n", b""])
+@pytest.mark.parametrize("end", [b"#End Of ASCII Header\r\n", "# by Jürgen Öztürk – 事件\r\n".encode(), b""])
 @pytest.mark.parametrize("row", [100, 141])
 def test_events_of_aedat2_that_look_like_a_header(tmp_path, end, row):
     """The address of an event in rows 140 to 143 of a DAVIS begins with a #; its bytes may hold an end of line."""

@@ -20,6 +20,8 @@ from pixelid.recordings import Recording
 from pixelid.recordings.own_light import with_fine_light, with_pixel_lights
 from pixelid.recordings.selection import only
 from pixelid.simulate import simulate
+from pixelid.stimuli import resample
+from pixelid.stimuli.pixel_lights import pixel_lights
 from pixelid.stimuli.resample import with_overshoots
 from pixelid.stimuli.shapes import chirp, grating, steps
 from pixelid.stimuli.stimulus import Stimulus
@@ -139,3 +141,17 @@ def test_held_light_is_looked_at_where_a_pixel_overshoots():
     }
     assert found["samples"] - found["dense"] > 10.0
     assert abs(found["looked at"] - found["dense"]) < 0.05 * (found["samples"] - found["dense"])
+
+
+def test_samples_after_jumps_have_a_budget(monkeypatch):
+    """Of a video's pixels each jumps with every frame: a hundred times its samples would be gigabytes."""
+    t = 0.025 * np.arange(41)
+    radiance = 100.0 * np.exp(np.random.default_rng(0).normal(0, 0.5, (len(t), 2, 2)))
+    video = Stimulus(t, radiance, "fA", "previous")
+    pixels = pixel_lights(video, np.arange(4))
+    assert pixels is not None
+    monkeypatch.setattr(resample, "MOST_ADDED", 20 * 4 * 40)
+    looked_at = with_overshoots(pixels)
+    assert all(41 < len(one.t) <= 41 + 20 * 40 for one in looked_at.lights)
+    monkeypatch.setattr(resample, "MOST_ADDED", 100)
+    assert [len(one.t) for one in with_overshoots(pixels).lights] == [41] * 4

@@ -174,6 +174,8 @@ def test_bad_light_is_named(tmp_path, name, content, says):
         ("time [\u00b5s],lux", 2e-4), ("time [\u03bcs],lux", 2e-4), ("time_usec,lux", 2e-4), ("time_msec,lux", 0.2),
         ("time (milliseconds),lux", 0.2), ("# time in ms\nt,lux", 0.2), ("time [min],lux", 12000.0), ("t,lux", 200.0),
         ("time since start,lux", 200.0),
+        ("# exposure time in ms: 3\nt,lux", 200.0), ("# integration time is in ms\nseconds,lux", 200.0),
+        ("# rise time in air\nt,lux", 200.0), ("# lamp 3; time in ms\nt,lux", 0.2),
     ],
 )  # fmt: skip
 def test_the_unit_of_times_is_read_however_it_is_spelt(tmp_path, header, last_s):

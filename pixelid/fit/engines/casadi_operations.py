@@ -27,7 +27,7 @@ class CasadiOperations:
 
     @staticmethod
     def take(x, index):
-        return x[np.asarray(index).tolist()]
+        return x[np.asarray(index).tolist()] if len(index) else ca.DM(0, 1)
 
     @staticmethod
     def join(parts):

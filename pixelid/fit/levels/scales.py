@@ -23,6 +23,7 @@ from scipy.special import log_ndtr, ndtr, ndtri
 
 from pixelid.errors import InputError
 from pixelid.fit.coordinates import Coordinates
+from pixelid.fit.data import weighs_stamps
 from pixelid.fit.levels.covariance import Joint
 from pixelid.fit.levels.objective import LevelledObjective
 from pixelid.fit.levels.pixel_levels import (
@@ -163,7 +164,7 @@ def _in_rounds(
         scales = old.scales
         objective = LevelledObjective(likelihood, coordinates, scales, old.best(x).u, old.tilt)
     for rounds in range(1, MOST_ROUNDS + 1):
-        if rounds <= 2 and "timestamp_jitter" in coordinates.model.effects:
+        if rounds <= 2 and weighs_stamps(likelihood, coordinates):
             objective = objective.weighed(x)
         optimum = maximise(objective, x, tolerance=ROUND_NATS, max_steps=60)
         went, x = optimum.x - x, optimum.x

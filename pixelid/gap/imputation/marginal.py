@@ -99,6 +99,8 @@ def marginal_step(
     d, groups = len(x), likelihood.layout.groups
     far = np.abs(linear.y) > FARTHEST_SD * np.sqrt(linear.covariance(sigma_s)[0])
     linear = linear.only(~far)
+    if len(linear.y) < 2:  # nothing that a step could be taken by
+        return MarginalStep(x, sigma_s, np.zeros(d), 0.0, np.zeros(d))
     thresholds = np.zeros((len(linear.y), groups))
     thresholds[np.arange(len(linear.y)), linear.group] = -1.0
     full = np.concatenate([linear.J, thresholds], axis=1)

@@ -36,7 +36,7 @@ from pixelid.gap.pooled_counts.stretches import (
 from pixelid.gap.result import GapReport, Named
 from pixelid.gap.rounds import Rounds, amended, entry
 from pixelid.gap.rounds import withdrawn as taken_back
-from pixelid.gap.verdict import describe, judge
+from pixelid.gap.verdict import TELLING_NATS, describe, judge
 from pixelid.model.model import Model
 from pixelid.provenance import input_hashes, versions
 from pixelid.recordings.recording import Recording
@@ -269,7 +269,7 @@ def _describe(
 ) -> str:
     if said == "unknown":
         text = f"Something is missing that no effect of the library explains: {seen.words}."
-        if term[0]:
+        if term[0] and term[1] > TELLING_NATS:
             text += f" Rates that depend on {term[0]} gain {term[1]:.3g} nats on stretches not used to find them."
         text += f" {FLUID}"
         listed = "; ".join(e.name for e in effects)
