@@ -13,7 +13,7 @@ from pixelid.cli.main import main
 from pixelid.cluster import Where, Work
 from pixelid.design.menu import candidate
 from pixelid.errors import InputError
-from pixelid.fit import fit
+from pixelid.fit import fit as fitted
 from pixelid.fit.coordinates import Coordinates
 from pixelid.fit.maximise import maximise, maximise_with_restarts
 from pixelid.gap.attribute.candidates import canonical, missing
@@ -685,4 +685,4 @@ def test_next_to_nothing_is_no_verdict(pixels, events):
 def test_few_events_are_fitted_by_every_engine(events):
     """Of no sample between events CasADi made a row where a column was meant."""
     for engine in ("casadi", "scipy"):
-        assert fit([tiny(2, events)], MODEL, engine=engine, starts=0).status != "converged"
+        assert fitted([tiny(2, events)], MODEL, engine=engine, starts=0).status != "converged"
