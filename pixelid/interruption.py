@@ -15,6 +15,7 @@ SENTENCE = "pixelid: interrupted; nothing was left half written"
 GRACE_S = 1.2  # between Ctrl-C and the end: less than the two seconds after which people press it again
 
 
+ending = threading.Event()  # set by a run that is about to say by itself that it was interrupted
 _told: list[int] = []  # signals other than SIGINT that were taken for it
 
 
@@ -78,7 +79,8 @@ def end_on_interrupt(clean: Callable[[], None], grace_s: float = GRACE_S) -> Non
             pass
         time.sleep(grace_s)
         clean()
-        os.write(2, SENTENCE.encode() + b"\n")
+        if not ending.is_set():
+            os.write(2, SENTENCE.encode() + b"\n")
         os._exit(TERMINATED if number == signal.SIGTERM else INTERRUPTED)
 
     signal.signal(signal.SIGTERM, terminate)
