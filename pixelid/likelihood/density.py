@@ -50,7 +50,7 @@ from pixelid.likelihood.density_backward import backward
 from pixelid.likelihood.density_forward import EventTerms, GroupTerms, Numbers, forward
 from pixelid.likelihood.density_release import Released, candidates, released
 from pixelid.likelihood.layout import NOTHING, Layout, StackedChanges
-from pixelid.likelihood.losses import BACKGROUND_HZ, MISSED, NO_PULL, Losses, losses_of
+from pixelid.likelihood.losses import BACKGROUND_HZ, NO_PULL, Losses, losses_of, missed_of
 from pixelid.stages.circuit import Circuit
 from pixelid.stages.comparator import drifts_to_zero
 
@@ -181,7 +181,7 @@ class Terms:
         lost = 0.0 if self.losses is None else self.losses.fraction
         backward(
             at.sign, at.group, at.time_s, self.clock_share, at.last_pixel, at.last_time_s,
-            self.changes.events, self.changes.ends, self.numbers, MISSED + lost, at.light, at.light_reset,
+            self.changes.events, self.changes.ends, self.numbers, missed_of(lost), at.light, at.light_reset,
             at.light_last, self.event, self.group, self.released, NO_PULL if self.losses is None else self.losses.pull,
             by_changes.events, by_changes.ends, by_numbers[: len(Numbers._fields)],
         )  # fmt: skip
@@ -208,7 +208,7 @@ def density(layout: Layout, circuit: Circuit, changes: StackedChanges, clock_sha
     which = candidates(layout, changes.events, numbers)
     forward(
         layout.sign, layout.group, layout.time_s, layout.tick_s, clock_share, layout.last_pixel, layout.last_time_s,
-        changes.events, changes.ends, numbers, BACKGROUND_HZ, MISSED + lost,
+        changes.events, changes.ends, numbers, BACKGROUND_HZ, missed_of(lost),
         (layout.light, layout.light_reset, layout.light_last), released(which, layout, changes.events, numbers),
         event, np.empty(n, np.bool_), background, group, end,
     )  # fmt: skip

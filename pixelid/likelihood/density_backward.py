@@ -137,7 +137,7 @@ def _survivals_back(
             g = group[k] ^ 1
             wide = widened(sd[g], reset, k)
             margin = (mean[g] - reached[k]) / wide
-            slope = survival(margin, missed)[1] / wide
+            slope = survival(margin, missed[0])[1] / wide
             if len(kept) > 0:
                 slope *= kept[k]
             by_mean[g] += slope
@@ -158,7 +158,7 @@ def _survivals_back(
             level = (extreme[i] + on * leaked[i]) / growth
             wide = widened(sd[g], last, i)
             margin = (mean[g] - level) / wide
-            slope = survival(margin, missed)[1] / wide
+            slope = survival(margin, missed[1])[1] / wide
             by_mean[g] += slope
             by_sd[g] -= slope * margin * (sd[g] / wide)
             by_extreme[i] = -slope / growth

@@ -242,7 +242,7 @@ def _survivals(
     for k in range(len(group)):
         if reached[k] > 0.0:
             other = group[k] ^ 1
-            event.term[k] += survival((mean[other] - reached[k]) / widened(sd[other], reset, k), missed)[0]
+            event.term[k] += survival((mean[other] - reached[k]) / widened(sd[other], reset, k), missed[0])[0]
     for i in range(len(last_pixel)):
         growth = 1.0 + drift * last_time[i]
         g = 2 * last_pixel[i]
@@ -250,5 +250,5 @@ def _survivals(
             (ends.rise[i] + on * ends.rise_drift[i]) / growth,
             (ends.fall[i] + on * ends.fall_drift[i]) / growth,
         )
-        end_term[i] = survival((mean[g + 1] - rise) / widened(sd[g + 1], last, i), missed)[0]
-        end_term[i] += survival((mean[g] - fall) / widened(sd[g], last, i), missed)[0]
+        end_term[i] = survival((mean[g + 1] - rise) / widened(sd[g + 1], last, i), missed[1])[0]
+        end_term[i] += survival((mean[g] - fall) / widened(sd[g], last, i), missed[1])[0]

@@ -5,15 +5,16 @@ is the usual one.  Else k were, with probability (1 − f) f^k: j of the polarit
 the other, p'.  Their thresholds, and what the light did in the dead times after them, add to the level z, which has the
 density
 
-    r · N(z; (j + 1) C_p − i C_p' + k r T, (j + 1) s² + i s'² + (k r T)²)
+    r · N(z; (j + 1) C_p − i C_p' + (j − i) r T, (j + 1) s² + i s'² + k (r T)²)
 
 with rate r, dead time T (in which the rate may have been another), and s the scatter of a threshold drawn.  How likely
 each j is follows from how often neighbours among the recorded events are of opposite polarity, as in a Markov chain.
-Up to `MOST_IN_A_ROW` are told apart from background; where j = i the event looks like any other.
+Up to `MOST_IN_A_ROW` are told apart from background; where j = i the event looks like any other, except that the other
+polarity's threshold was reached.
 
 Whether any was lost is decided by the larger density, as for background events: those are the events that can have had
-a lost one before them, and what else they may be competes with it.  The survivals get f for the chance that a crossing
-is missing; an event after a lost one needs no survival.
+a lost one before them, and what else they may be competes with it.  So the survival before an event gets f² for the
+chance that a crossing is missing, and that of an unfinished interval f; an event after a lost one needs none.
 """
 
 from __future__ import annotations
@@ -32,6 +33,14 @@ BACKGROUND_HZ = 1e-3  # of events that no circuit explains, per polarity of a pi
 MOST_IN_A_ROW = 8
 MISSED = 1e-6  # chance that a crossing has no event, whatever the circuit
 TINY = 1e-300  # below any density
+
+
+def missed_of(fraction: float) -> tuple[float, float]:
+    """The chance that a crossing is missing before an event at the usual level, and in an unfinished interval.
+
+    One lost event moves the level of the next.  At the usual level two were lost, of either polarity.
+    """
+    return MISSED + fraction**2, MISSED + fraction
 
 
 class Pull(NamedTuple):
@@ -96,7 +105,7 @@ def losses_of(layout: Layout, fraction: float, dead_s: float, numbers, event, ba
     after = np.zeros(layout.events)
     gain[k], after[k] = np.log1p(ratio), ratio / (1.0 + ratio)
     usual = float((~background).sum())
-    unfinished, missed = np.exp(end), MISSED + fraction
+    unfinished, missed = np.exp(end), missed_of(fraction)[1]
     of_times = many / np.maximum(mixed, TINY) * after[k]
     lost, ended = float((times[:, None] * of_times).sum()), usual + float(of_times[:-1].sum())
     slope = lost / fraction - ended / (1.0 - fraction) + float(((1.0 - after) * by_missed / chance).sum())
@@ -121,7 +130,7 @@ def _survivals(layout: Layout, fraction: float, event, group, sd) -> tuple[np.nd
     other = layout.group ^ 1
     wide = sd[other] if len(layout.light_reset) == 0 else np.sqrt(sd[other] ** 2 + layout.light_reset)
     reached = np.where(event.reached > 0.0, ndtr((event.reached - group.mean[other]) / wide), 0.0)
-    return 1.0 - (1.0 - MISSED - fraction) * reached, reached
+    return 1.0 - (1.0 - missed_of(fraction)[0]) * reached, 2.0 * fraction * reached
 
 
 class _Levels(NamedTuple):
@@ -141,11 +150,10 @@ def _after_lost(lost: int, turns: float, share: float, at: _Levels, slopes: _Lev
     """(k,) `share` of the density of levels of events that this many lost ones came before; adds its derivatives."""
     total = np.zeros_like(at.level)
     for alike, chance in enumerate(_alike(lost, turns)):
-        others = lost - alike
-        if alike == others:
-            continue  # their thresholds cancel: such an event looks like any other
-        away = at.level - (alike + 1) * at.mean + others * at.other_mean - lost * at.waited
-        more = (lost * at.waited) ** 2  # the rate was another one then
+        others = lost - alike  # as many of either: the level is the usual one, but the other threshold was reached
+        onwards = alike - others  # light goes on in the dead time after an event as it had come to it
+        away = at.level - (alike + 1) * at.mean + others * at.other_mean - onwards * at.waited
+        more = lost * at.waited**2  # the rate was another one then
         variance = (alike + 1) * at.spread + others * at.other_spread + more
         density = share * chance * np.exp(-0.5 * away**2 / variance) / np.sqrt(2.0 * np.pi * variance)
         total += density
@@ -153,7 +161,7 @@ def _after_lost(lost: int, turns: float, share: float, at: _Levels, slopes: _Lev
         slopes.level[:] += by_away
         slopes.mean[:] -= (alike + 1) * by_away
         slopes.other_mean[:] += others * by_away
-        slopes.waited[:] += -lost * by_away + 2.0 * lost**2 * at.waited * by_variance
+        slopes.waited[:] += -onwards * by_away + 2.0 * lost * at.waited * by_variance
         slopes.spread[:] += (alike + 1) * by_variance
         slopes.other_spread[:] += others * by_variance
     return total

@@ -11,7 +11,7 @@ from types import SimpleNamespace
 import numpy as np
 from scipy.special import log_ndtr as real_log_ndtr
 
-from pixelid.likelihood.density import BACKGROUND_HZ, MISSED
+from pixelid.likelihood.losses import BACKGROUND_HZ, MISSED
 
 
 def terms(likelihood, circuit, vector: np.ndarray) -> SimpleNamespace:

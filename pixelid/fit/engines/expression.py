@@ -19,7 +19,7 @@ from pixelid.dynamics.of_circuit import dynamics_of
 from pixelid.dynamics.trajectory import Dynamics
 from pixelid.fit.engines.frozen import Frozen, FrozenRecording
 from pixelid.likelihood.clocks import Clock
-from pixelid.likelihood.density import BACKGROUND_HZ, MISSED
+from pixelid.likelihood.losses import BACKGROUND_HZ, MISSED
 
 
 class Operations(Protocol):

@@ -28,6 +28,7 @@ from pixelid.fit.coordinates import Coordinates
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.likelihood.extremes import Extremes
 from pixelid.likelihood.layout import NOTHING, StackedChanges
+from pixelid.likelihood.losses import missed_of
 from pixelid.stages.circuit import Circuit
 
 DRAWS = 0  # seed of what is drawn for events at the end of a silence: the same whenever asked
@@ -76,7 +77,8 @@ def residuals(likelihood: EventTimes, circuit: Circuit, changes: StackedChanges 
     other_margin = (terms.group_mean[other] - terms.reached) / spread[other]
     other_survives = log_ndtr(other_margin)
     if circuit.lost > 0.0:
-        other_survives = np.logaddexp(np.log(circuit.lost), np.log1p(-circuit.lost) + other_survives)
+        missed = missed_of(circuit.lost)[0]
+        other_survives = np.logaddexp(np.log(missed), np.log1p(-missed) + other_survives)
     log_survival = log_ndtr(margin) + np.where(terms.reached > 0, other_survives, 0.0)
     if len(terms.at_release):
         chance = np.exp(log_ndtr((terms.z - terms.group_mean[group]) / spread[group]))
