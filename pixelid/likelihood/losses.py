@@ -5,7 +5,7 @@ is the usual one.  Else k were, with probability (1 − f) f^k: j of the polarit
 the other, p'.  Their thresholds, and what the light did in the dead times after them, add to the level z, which has the
 density
 
-    r · N(z; (j + 1) C_p − i C_p' + (j − i) r T, (j + 1) s² + i s'² + k (r T)²)
+    r · N(z; (j + 1) C_p − i C_p' + (j − i) r T, (j + 1) s² + i s'² + (k r T)²)
 
 with rate r, dead time T (in which the rate may have been another), and s the scatter of a threshold drawn.  How likely
 each j is follows from how often neighbours among the recorded events are of opposite polarity, as in a Markov chain.
@@ -153,7 +153,7 @@ def _after_lost(lost: int, turns: float, share: float, at: _Levels, slopes: _Lev
         others = lost - alike  # as many of either: the level is the usual one, but the other threshold was reached
         onwards = alike - others  # light goes on in the dead time after an event as it had come to it
         away = at.level - (alike + 1) * at.mean + others * at.other_mean - onwards * at.waited
-        more = lost * at.waited**2  # the rate was another one then
+        more = (lost * at.waited) ** 2  # the rate was another one then
         variance = (alike + 1) * at.spread + others * at.other_spread + more
         density = share * chance * np.exp(-0.5 * away**2 / variance) / np.sqrt(2.0 * np.pi * variance)
         total += density
@@ -161,7 +161,7 @@ def _after_lost(lost: int, turns: float, share: float, at: _Levels, slopes: _Lev
         slopes.level[:] += by_away
         slopes.mean[:] -= (alike + 1) * by_away
         slopes.other_mean[:] += others * by_away
-        slopes.waited[:] += -onwards * by_away + 2.0 * lost * at.waited * by_variance
+        slopes.waited[:] += -onwards * by_away + 2.0 * lost**2 * at.waited * by_variance
         slopes.spread[:] += (alike + 1) * by_variance
         slopes.other_spread[:] += others * by_variance
     return total
