@@ -90,6 +90,11 @@ def read_text(path: str | Path, kind: str) -> str:
         raise InputError(f"{path}: expected UTF-8 text, found other bytes at byte {error.start}") from None
 
 
+def separator_of(header: str) -> str | None:
+    """What the cells of a table's header are apart by: commas, else semicolons, else tabs; None where there is none."""
+    return next((mark for mark in (",", ";", "\t") if mark in header), None)
+
+
 def refuse_hollow(path: Path) -> None:
     """Refuse a large file of which next to nothing was ever written: reading its zeros takes as long as reading data.
 

@@ -14,14 +14,13 @@ INTERRUPTED, TERMINATED = 130, 143  # exit codes: 128 + SIGINT or SIGTERM, as sh
 SENTENCE = "pixelid: interrupted; nothing was left half written"
 GRACE_S = 1.2  # between Ctrl-C and the end: less than the two seconds after which people press it again
 
-
 ending = threading.Event()  # set by a run that is about to say by itself that it was interrupted
-_told: list[int] = []  # signals other than SIGINT that were taken for it
+terminated = threading.Event()  # set where SIGTERM was taken for an interrupt
 
 
 def exit_code() -> int:
     """Of a run that was ended by a signal."""
-    return TERMINATED if signal.SIGTERM in _told else INTERRUPTED
+    return TERMINATED if terminated.is_set() else INTERRUPTED
 
 
 @contextmanager
@@ -71,7 +70,7 @@ def end_on_interrupt(clean: Callable[[], None], grace_s: float = GRACE_S) -> Non
     signal.set_wakeup_fd(told, warn_on_full_buffer=False)
 
     def terminate(number: int, frame: object) -> None:
-        _told.append(number)
+        terminated.set()
         signal.raise_signal(signal.SIGINT)
 
     def watch() -> None:

@@ -90,12 +90,11 @@ def gap(
 
 def _with_doubts(report: GapReport, recordings: Sequence[Recording]) -> GapReport:
     """The report, which says where there was too little to judge by."""
-    events, pixels = sum(len(r.events) for r in recordings), set[int]()
-    for r in recordings:
-        pixels.update(np.unique(r.events.pixel).tolist())
+    pixel = np.concatenate([r.events.pixel for r in recordings])
+    events, pixels = len(pixel), len(np.unique(pixel))
     said = [report.advice] if report.advice else []
-    if len(pixels) < MIN_PIXELS:
-        said.append(f"{len(pixels)} pixels are fewer than {MIN_PIXELS}: none was set aside to judge by.")
+    if pixels < MIN_PIXELS:
+        said.append(f"{pixels} pixels are fewer than {MIN_PIXELS}: none was set aside to judge by.")
     status = report.status
     if report.verdict == "none" and events < LEAST_EVENTS:
         said.append(f"{events} events could not have shown an effect: record more of them.")
@@ -103,7 +102,8 @@ def _with_doubts(report: GapReport, recordings: Sequence[Recording]) -> GapRepor
     return replace(report, status=status, advice=" ".join(said))
 
 
-# An effect is named for some 20 nats, and of what one typically does an event tells half a nat.
+# An effect is named for some 20 nats; a strong one (12 % lost events, a bent response) was seen to gain 0.13 an event.
+# With less than half a nat from each nothing can be named, and what is not named is not absent.
 LEAST_EVENTS = 40
 
 

@@ -19,7 +19,7 @@ import numpy as np
 
 from pixelid.inspection.intervals import pixel_intervals
 from pixelid.inspection.tick import MIN_EVENTS, common_divisor, find_tick
-from pixelid.recordings.events import COARSE_UNIT_SHARE, SHORT, Events
+from pixelid.recordings.events import COARSE_UNIT_SHARE, SHORT_QUANTILE, Events
 from pixelid.recordings.recording import Recording
 
 MIN_ATOM_EVENTS = 20
@@ -67,15 +67,13 @@ def with_coarse_units_as_grids(recordings: Sequence[Recording]) -> list[Recordin
     A fine unit is a fact about the file, and its rounding a small noise of the stamps.  One of `COARSE_UNIT_SHARE` of
     the shortest intervals or more is a grid like any other: what is between its lines has to be found.
     """
-    return [
-        replace(r, events=replace(r.events, tick_ns=1)) if _is_coarse(r.events) else r for r in recordings
-    ]  # fmt: skip
+    return [replace(r, events=replace(r.events, tick_ns=1)) if _is_coarse(r.events) else r for r in recordings]
 
 
 def _is_coarse(events: Events) -> bool:
     intervals = pixel_intervals(events) if events.tick_ns > 1 else np.empty(0)
     apart = intervals[intervals > 0]
-    return len(apart) > 0 and events.tick_ns >= COARSE_UNIT_SHARE * float(np.quantile(apart, SHORT))
+    return len(apart) > 0 and events.tick_ns >= COARSE_UNIT_SHARE * float(np.quantile(apart, SHORT_QUANTILE))
 
 
 def find_service_time(recordings: Sequence[Recording]) -> TimestampSignature | None:
@@ -132,7 +130,7 @@ def find_grid(recordings: Sequence[Recording], scans: bool = True) -> TimestampS
             tick, error = seen.scan_s, float(seen.scan_jitter_s or 0.0) / float(np.sqrt(len(largest)))
             of = "the intervals of single pixels"
     apart = intervals[intervals > 0]
-    explains = len(apart) > 0 and tick >= MIN_TICK_SHARE * 1e-9 * float(np.quantile(apart, SHORT))
+    explains = len(apart) > 0 and tick >= MIN_TICK_SHARE * 1e-9 * float(np.quantile(apart, SHORT_QUANTILE))
     if tick < MIN_GRID_UNITS * unit or not explains:
         return None
     gain = float(np.log(tick / unit))

@@ -20,7 +20,7 @@ from pixelid.likelihood.layout import StackedChanges, flat_index, layout_of, rea
 from pixelid.likelihood.light_between_samples import unknown_light
 from pixelid.likelihood.sections import sections_of
 from pixelid.parallel import map_threads
-from pixelid.recordings.events import COARSE_UNIT_SHARE, SHORT
+from pixelid.recordings.events import COARSE_UNIT_SHARE, SHORT_QUANTILE
 from pixelid.recordings.recording import Recording
 from pixelid.stages.circuit import Circuit
 from pixelid.stimuli.stimulus import Stimulus
@@ -123,7 +123,7 @@ class EventTimes:
     def has_coarse_stamps(self) -> bool:
         """Whether stamps are as wide as `COARSE_UNIT_SHARE` of the shortest intervals: their rounding shows."""
         widest = float(self.layout.tick_s.max(initial=0.0))
-        return widest > 0.0 and widest >= COARSE_UNIT_SHARE * self.shortest_intervals_s(SHORT)
+        return widest > 0.0 and widest >= COARSE_UNIT_SHARE * self.shortest_intervals_s(SHORT_QUANTILE)
 
     def shortest_intervals_s(self, quantile: float) -> float:
         """A low quantile of the times between two events of a pixel: dead time can hardly be longer."""

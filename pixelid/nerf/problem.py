@@ -42,6 +42,8 @@ def problem_of(
 ) -> Problem:
     """The problem of a dataset under its own calibration or another one (a fit's).
 
+    A dead time longer than intervals between events is shortened to them.
+
     Args:
         dataset: as read.
         calibration: of the camera and its pixel; the dataset's own by default.
@@ -59,8 +61,6 @@ def problem_of(
 
     Raises:
         InputError: no pixel has two events, or the box has no inside.
-
-    A dead time longer than intervals between events is shortened to them.
     """
     calibration = dataset.calibration if calibration is None else calibration
     camera = calibration.camera

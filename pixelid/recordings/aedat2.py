@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from pixelid.errors import InputError, shown
-from pixelid.recordings.columns import PART_EVENTS, validated
+from pixelid.recordings.columns import PART_EVENTS, Rollovers, validated
 from pixelid.recordings.events import Events
 from pixelid.recordings.parts import joined
 from pixelid.recordings.recording import Recording
@@ -60,20 +60,14 @@ def stream(path: Path) -> tuple[Recording, Iterator[Recording]]:
 def _columns(path: Path, start: int, dvs128: bool) -> Iterator[tuple]:
     """Blocks of (t µs, x, y, p), the clock's rollovers undone."""
     event, of = (_is_dvs128_event, _of_dvs128) if dvs128 else (_is_davis_event, _of_davis)
-    last, wraps = None, 0
+    clock = Rollovers(1 << 32)
     with path.open("rb") as file:
         file.seek(start)
         while len(data := file.read(8 * PART_EVENTS)):
             words = np.frombuffer(data, ">u4").reshape(-1, 2)
             address = words[:, 0].astype(np.uint32)
             keep = event(address)
-            address, stamp = address[keep], words[keep, 1].astype(np.int64)
-            if not len(stamp):
-                continue
-            before = stamp[0] if last is None else last
-            turns = wraps + np.cumsum(np.diff(stamp, prepend=before) < -(1 << 31))
-            last, wraps = stamp[-1], turns[-1]
-            yield (stamp + (turns << 32), *of(address))
+            yield (clock.undone(words[keep, 1]), *of(address[keep]))
 
 
 def _is_davis_event(address: np.ndarray) -> np.ndarray:

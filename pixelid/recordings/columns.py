@@ -82,6 +82,26 @@ class RepeatCounter:
         return again
 
 
+class Rollovers:
+    """Undoes the rollovers of a clock whose stamps come block by block.
+
+    A fall by more than half of `span` is one; any smaller fall stays, for `validated` to refuse.
+    """
+
+    def __init__(self, span: int) -> None:
+        self._span, self._last, self._turns = span, None, 0
+
+    def undone(self, stamps: np.ndarray) -> np.ndarray:
+        """(n,) stamps (n,) of the next block, as if the clock had counted on."""
+        stamps = stamps.astype(np.int64)
+        if not len(stamps):
+            return stamps
+        before = stamps[0] if self._last is None else self._last
+        turns = self._turns + np.cumsum(np.diff(stamps, prepend=before) < -(self._span // 2))
+        self._last, self._turns = stamps[-1], turns[-1]
+        return stamps + turns * self._span
+
+
 def validated(
     columns: Iterable[tuple], width: int, height: int, *, unit: str, tick_ns: int, where: str, offset: int = 0
 ) -> Iterator[Events]:

@@ -12,10 +12,9 @@ from pathlib import Path
 import numpy as np
 
 from pixelid.errors import InputError
-from pixelid.recordings.columns import PART_EVENTS
+from pixelid.recordings.columns import PART_EVENTS, Rollovers
 
 PIXEL_EVENTS = (0x00, 0x0C)  # kinds
-ROLLOVER = 1 << 32
 
 
 def decode(path: Path, start: int) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
@@ -35,11 +34,8 @@ def decode(path: Path, start: int) -> Iterator[tuple[np.ndarray, np.ndarray, np.
             raise InputError(f"{path}: expected events of 8 bytes, kind 12, after the header, found {list(kind)}")
         if left := (path.stat().st_size - start - 2) % 8:
             raise InputError(f"{path}: expected 8 bytes per event after the header, found {left} left over")
-        last, rollovers = None, 0
+        clock = Rollovers(1 << 32)
         while len(data := file.read(8 * PART_EVENTS)):
             words = np.frombuffer(data, "<u4").reshape(-1, 2)
-            stamp, address = words[:, 0].astype(np.int64), words[:, 1]
-            before = stamp[0] if last is None else last
-            turns = rollovers + np.cumsum(np.diff(stamp, prepend=before) < -(ROLLOVER >> 1))
-            last, rollovers = stamp[-1], turns[-1]
-            yield stamp + turns * ROLLOVER, address & 0x3FFF, address >> 14 & 0x3FFF, address >> 28
+            address = words[:, 1]
+            yield clock.undone(words[:, 0]), address & 0x3FFF, address >> 14 & 0x3FFF, address >> 28

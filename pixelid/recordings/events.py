@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 # A unit of time is coarse from this share of a pixel's shortest intervals (their 1 % quantile) on.  Thresholds scatter
 # by 2 % and more of an interval; rounding at both ends of it adds (0.02/√12)² twice, a sixth of that variance.
-COARSE_UNIT_SHARE, SHORT = 0.02, 0.01
+COARSE_UNIT_SHARE, SHORT_QUANTILE = 0.02, 0.01
 NS_PER_UNIT = {"ns": 1, "us": 1_000, "ms": 1_000_000, "s": 1_000_000_000}
 MOST_SIDE = 1 << 16  # addresses have 16 bits
 MOST_PIXELS = 1 << 24  # ten times the largest sensors; one number per pixel takes 128 MiB

@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from pixelid.errors import InputError
+from pixelid.recordings.columns import Rollovers
 from pixelid.recordings.triggers import Triggers
 
 WORDS_AT_ONCE = 1 << 17  # up to 32 events each
@@ -36,7 +37,7 @@ def decode(path: Path, start: int, swapped: bool | None = None) -> Iterator[tupl
     length = path.stat().st_size - start
     if length % 8:
         raise InputError(f"{path}: expected words of 8 bytes after the header, found {length % 8} bytes left over")
-    high, known, seen = -1, 0, 0
+    high, known, seen, clock = -1, 0, 0, Rollovers(1 << (TIME_BITS - 6))
     with path.open("rb") as file:
         file.seek(start)
         while len(data := file.read(8 * WORDS_AT_ONCE)):
@@ -50,7 +51,7 @@ def decode(path: Path, start: int, swapped: bool | None = None) -> Iterator[tupl
             known += int(np.isin(kind, (OFF, ON, TIME_HIGH, TRIGGER)).sum())
             highs = np.where(kind == TIME_HIGH, (words >> np.uint64(32)).astype(np.int64) & 0xFFFFFFF, -1)
             stamps = np.flatnonzero(highs >= 0)
-            unrolled = _unrolled(highs[stamps], high)
+            unrolled = clock.undone(highs[stamps])
             place = np.searchsorted(stamps, np.arange(len(words)), side="right")
             base = np.concatenate([[high], unrolled])[place]
             high = int(unrolled[-1]) if len(unrolled) else high
@@ -70,14 +71,6 @@ def _swapped(words: np.ndarray) -> np.ndarray:
 def _times(words: np.ndarray) -> int:
     """How many words say a time and nothing else: read the wrong way round they look like events."""
     return int(np.count_nonzero((words >> np.uint64(60) == TIME_HIGH) & (words & np.uint64(0xFFFFFFFF) == 0)))
-
-
-def _unrolled(highs: np.ndarray, before: int) -> np.ndarray:
-    """High parts of the time with the clock's rollovers undone; `before` is the last one, or -1."""
-    bits = TIME_BITS - 6
-    previous = np.concatenate([[before & ((1 << bits) - 1) if before >= 0 else highs[:1].sum()], highs[:-1]])
-    rollovers = np.cumsum(highs - previous < -(1 << (bits - 1)))
-    return highs + ((max(before, 0) >> bits) + rollovers << bits)
 
 
 def _events(words: np.ndarray, t: np.ndarray, chosen: np.ndarray) -> tuple:

@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pixelid.errors import InputError
-from pixelid.recordings.columns import sensor_size, to_nanoseconds
+from pixelid.recordings.columns import Rollovers, sensor_size, to_nanoseconds
 from pixelid.recordings.decoded import decode_evt, evt_recording
 from pixelid.recordings.events import Events
 from pixelid.recordings.parts import joined
@@ -170,9 +170,7 @@ def _libcaer(payload: bytes, where: str) -> tuple[np.ndarray, np.ndarray, np.nda
         raise InputError(f"{where}: expected 8 bytes per libcaer event, found {len(payload) % LIBCAER.itemsize} over")
     words = np.frombuffer(payload, LIBCAER)
     words = words[words["address"] & 1 == 1]
-    address, t = words["address"], words["t"].astype(np.int64)
-    rollovers = np.cumsum(np.diff(t, prepend=t[:1]) < -(ROLLOVER_US >> 1))
-    t = t + rollovers * ROLLOVER_US
+    address, t = words["address"], Rollovers(ROLLOVER_US).undone(words["t"])
     return t - t[:1].sum(), address >> 17, address >> 2 & 0x7FFF, address >> 1 & 1
 
 

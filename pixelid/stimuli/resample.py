@@ -27,7 +27,7 @@ AFTER_JUMPS_S = np.concatenate(
 )
 
 
-MOST_ADDED = 2_000_000  # samples: 200 MB of states and outputs
+MOST_ADDED = 2_000_000  # samples, of some hundred bytes each in a likelihood
 
 
 @overload

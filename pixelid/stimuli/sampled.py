@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from pixelid.arrays import load_arrays
-from pixelid.documents import refuse_hollow
+from pixelid.documents import refuse_hollow, separator_of
 from pixelid.errors import InputError, first_line, shown
 from pixelid.stimuli.stimulus import UNITS, Stimulus
 
@@ -124,7 +124,7 @@ def _table(path: Path, unit: str | None) -> Stimulus:
     if len(lines) < 3:
         raise InputError(f"{path}: expected a header t,radiance and at least two rows, found {len(lines)} lines")
     names = _names(lines[0])
-    separator = _separator(lines[0])
+    separator = separator_of(lines[0])
     time = next((k for k, name in enumerate(names) if _words(name)[:1] and _words(name)[0] in TIME_WORDS), None)
     light = next((k for k, name in enumerate(names) if k != time and any(w in LIGHT_WORDS for w in _words(name))), None)
     if time is None or light is None:
@@ -153,14 +153,10 @@ def _seconds_per(name: str, comments: str, path: Path) -> float:
 
 def _names(line: str) -> list[str]:
     try:
-        row = next(csv.reader([line.strip()], delimiter=_separator(line) or " ", skipinitialspace=True), [])
+        row = next(csv.reader([line.strip()], delimiter=separator_of(line) or " ", skipinitialspace=True), [])
     except csv.Error:  # a cell of more than 128 KiB
         return []
     return [name.strip().lower() for name in row]
-
-
-def _separator(line: str) -> str | None:
-    return next((mark for mark in (",", ";", "\t") if mark in line), None)
 
 
 def _words(name: str) -> list[str]:

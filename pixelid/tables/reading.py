@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pixelid.documents import read_text
+from pixelid.documents import read_text, separator_of
 from pixelid.errors import InputError, did_you_mean, printable, shown
 
 MOST_PLACES = 17  # behind the point
@@ -93,7 +93,7 @@ def read_text_table(path: Path, *, first: str, expected: str) -> TextTable:
     text = printable(read_text(path, "CSV"))
     lines = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")]
     try:
-        rows = list(csv.reader(lines, delimiter=_delimiter(lines[0]) if lines else ","))
+        rows = list(csv.reader(lines, delimiter=(separator_of(lines[0]) if lines else None) or ","))
     except csv.Error as error:
         raise InputError(f"{path}: expected a text table, found {error}") from None
     if not rows or len(rows[0]) < 2 or not rows[0][0].strip().lower().startswith(first):
@@ -107,10 +107,6 @@ def read_text_table(path: Path, *, first: str, expected: str) -> TextTable:
     if len(set(names)) < len(names):
         raise InputError(f"{path}: expected columns of different names, found {shown(names, 200)}")
     return TextTable(path, names, tuple(tuple(row) for row in rows[1:]))
-
-
-def _delimiter(header: str) -> str:
-    return next((mark for mark in (",", ";", "\t") if mark in header), ",")
 
 
 def _number(path: Path, row: int, cell: str) -> float:
