@@ -27,7 +27,7 @@ from pixelid.fit.own_values import held_values
 from pixelid.fit.pooled import fit_pooled
 from pixelid.fit.refine import BETWEEN, refine
 from pixelid.fit.result import FitResult, Stopwatch, estimates_of
-from pixelid.fit.starts import feasible, random_starts, without_losses
+from pixelid.fit.starts import feasible, narrower, random_starts
 from pixelid.fit.uncertainty.challenge import challenged
 from pixelid.fit.uncertainty.curvature import read_curvature
 from pixelid.fit.uncertainty.ridge import profile_of_ridge, widened
@@ -247,20 +247,18 @@ def _fit_event_times(recordings, model, fixed, starts, between, maximiser: Engin
     ends: list[Optimum] = []
 
     def search(begun: np.ndarray) -> None:
-        ends.append(searcher.maximise(EventTimesObjective(scout, coordinates), begun, tolerance=1e-2, max_steps=80))
+        objective = EventTimesObjective(scout, coordinates)
+        ends.append(searcher.maximise(objective, begun, tolerance=1e-2, max_steps=80))
+        closer = narrower(coordinates.model_at(ends[-1].x), scout)
+        if closer is not None:
+            begun = Coordinates.of(closer, clocks).start
+            ends.append(searcher.maximise(objective, begun, tolerance=1e-2, max_steps=80))
         report("searching", 0.05 + 0.45 * len(ends) / (len(ends) + starts + 1))
 
     def feasible_start(point: np.ndarray) -> np.ndarray:
         return Coordinates.of(feasible(coordinates.model_at(point), scout), clocks).start
 
-    whole = without_losses(model)
     if wanted is None:
-        if whole is not None:
-            fewer = Coordinates.of(whole, clocks)
-            first = searcher.maximise(EventTimesObjective(scout, fewer), fewer.start, tolerance=1e-2, max_steps=80)
-            told = dict(zip(fewer.names, first.x.tolist(), strict=True))
-            both = zip(coordinates.names, coordinates.start, strict=True)
-            search(feasible_start(np.array([told.get(name, begun) for name, begun in both])))
         search(coordinates.start)
         for point in random_starts(coordinates.start, starts, rng):
             search(feasible_start(point))

@@ -16,15 +16,13 @@ from pixelid.fit import newton
 from pixelid.fit.cache import FitCache
 from pixelid.fit.coordinates import Coordinates
 from pixelid.fit.event_times import EventTimesObjective
-from pixelid.fit.starts import feasible
+from pixelid.fit.starts import narrower
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.model.model import Model
 
 # From nominal (natural logarithm), beyond which a cutoff is put back and fitted again.  Cameras of one kind differ by
 # less; a fit that is restarted needlessly only costs time, as the better of the two is kept.
 RUNAWAY_LOG_FACTOR = math.log(5.0)
-LOST, SCATTER, THRESHOLDS = "lost_events.fraction", "threshold_sigma", ("on_threshold", "off_threshold")
-WIDER = 2.0  # times what most levels say; at the true optimum 1, at the other 5 or more
 
 
 @dataclass(frozen=True)
@@ -108,27 +106,12 @@ def maximise_with_restarts(
     return again if again.value > end.value else end
 
 
-def _narrower(model: Model, likelihood: EventTimes) -> Model | None:
-    """Where lost events leave the thresholds scattered far more than most levels say: started by those anew.
-
-    Any two events may have had a lost one between them if thresholds scatter by half: an optimum of its own, which the
-    search does not leave, tens of thousands of nats below the other.
-    """
-    if LOST not in model.free or SCATTER not in model.free:
-        return None
-    said = feasible(model, likelihood).values
-    if model.values[SCATTER] < WIDER * said[SCATTER]:
-        return None
-    return model.set({name: said[name] for name in (*THRESHOLDS, SCATTER) if name in model.free})
-
-
 def _fit(likelihood: EventTimes, coordinates: Coordinates, tolerance: float, max_steps: int) -> dict:
     objective = EventTimesObjective(likelihood, coordinates)
     end = newton.maximise(objective, coordinates.start, tolerance=tolerance, max_steps=max_steps)
-    narrower = _narrower(coordinates.model_at(end.x), likelihood)
-    if narrower is not None:
-        start = Coordinates.of(narrower).start
-        again = newton.maximise(objective, start, tolerance=tolerance, max_steps=max_steps)
+    closer = narrower(coordinates.model_at(end.x), likelihood)
+    if closer is not None:
+        again = newton.maximise(objective, Coordinates.of(closer).start, tolerance=tolerance, max_steps=max_steps)
         end = again if again.local.value > end.local.value else end
     terms = objective.terms(end.x)
     return {

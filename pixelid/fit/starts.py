@@ -10,7 +10,8 @@ from pixelid.likelihood.pooled_rate import PooledRate, delay_name
 from pixelid.model.model import Model
 
 SILENCE = "dead_time_without_reset.s"
-LOSSES = "lost_events"
+LOST, SCATTER, THRESHOLDS = "lost_events.fraction", "threshold_sigma", ("on_threshold", "off_threshold")
+WIDER = 2.0  # times what most levels say; at the true optimum 1, at the other 5 or more
 
 
 def feasible(model: Model, likelihood: EventTimes) -> Model:
@@ -45,13 +46,18 @@ def feasible(model: Model, likelihood: EventTimes) -> Model:
     return model.set({name: model.parameter(name).within(levels[name]) for name in levels if name in model.free})
 
 
-def without_losses(model: Model) -> Model | None:
-    """The model without lost events, where their share is free: fitted first, it tells thresholds and filter well.
+def narrower(model: Model, likelihood: EventTimes) -> Model | None:
+    """Where lost events leave the thresholds scattered far more than most levels say: started by those anew.
 
-    From afar every event may have had a lost one before it, whatever the circuit, and the search settles for thresholds
-    that scatter.  None where nothing is lost.
+    Any two events may have had a lost one between them if thresholds scatter by half: an optimum of its own, which the
+    search does not leave, tens of thousands of nats below the other.
     """
-    return model.without_effect(LOSSES) if f"{LOSSES}.fraction" in model.free else None
+    if LOST not in model.free or SCATTER not in model.free:
+        return None
+    said = feasible(model, likelihood).values
+    if model.values[SCATTER] < WIDER * said[SCATTER]:
+        return None
+    return model.set({name: said[name] for name in (*THRESHOLDS, SCATTER) if name in model.free})
 
 
 def _with_silence(model: Model, likelihood: EventTimes) -> Model:
