@@ -33,6 +33,7 @@ AT_BOUND = 1e-3  # of a log coordinate
 # that is wrong by 10³ scatters by 42 % and 116 %
 MAX_SCATTER = 0.2
 MAX_EM_STEPS = 80
+LEAST_SPARE = 0.05  # of a row: what one says of scatter that only its own parameters follow is nothing
 REST = 1e-4  # nats
 
 
@@ -217,7 +218,8 @@ def fit_table(
         )
         x = optimum.x
         r = residuals(x)
-        sigma = _maximise_scatter(r, known, sigma) * np.sqrt(len(r) / max(len(r) - _determined(optimum.jac, len(r)), 1))
+        spare = np.maximum(1.0 - _leverages(optimum.jac, len(r)), LEAST_SPARE)
+        sigma = _maximise_scatter(r / np.sqrt(spare), known, sigma)
         value = _log_likelihood(r, np.sqrt(sigma**2 + known)) - 0.5 * float((prior_residuals(x) ** 2).sum())
         if abs(value - last) < rest:
             converged = True
@@ -323,10 +325,13 @@ def standard_errors(information: np.ndarray) -> np.ndarray:
     return np.where(blind | (size <= 1e-12), np.inf, np.sqrt(variance) / np.maximum(size, 1e-300))
 
 
-def _determined(weighted: np.ndarray, rows: int) -> float:
-    """How many parameters the rows determine, and not the priors behind them: the trace of the hat matrix."""
-    of_rows = weighted[:rows].T @ weighted[:rows]
-    return float(np.trace(np.linalg.pinv(weighted.T @ weighted) @ of_rows))
+def _leverages(weighted: np.ndarray, rows: int) -> np.ndarray:
+    """(rows,) how much of each row's prediction is the row itself: the diagonal of the hat matrix.
+
+    weighted: (rows and priors, parameters) derivatives over errors
+    """
+    of_rows = weighted[:rows]
+    return np.einsum("rn,nm,rm->r", of_rows, np.linalg.pinv(weighted.T @ weighted), of_rows)
 
 
 def _maximise_scatter(r: np.ndarray, known: np.ndarray, sigma: float) -> float:

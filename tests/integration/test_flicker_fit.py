@@ -64,7 +64,7 @@ def test_a_phase_table_holds_every_interval_and_every_second(events):
 
 
 def test_the_frequency_is_found(events):
-    lock = locked_frequency(events, 119.0, quiet_windows(events))
+    lock = locked_frequency(events, 119.0, quiet_windows(events, 119.0))
     assert lock.sure
     assert lock.error_hz < 0.05
     assert lock.frequency_hz == pytest.approx(F, abs=max(4 * lock.error_hz, 0.02))
@@ -119,7 +119,7 @@ def test_no_light_is_not_identified_and_one_wrong_time_is_told():
     assert not any(value["identified"] for value in written["groups"][0].values() if isinstance(value, dict))
     t[-1] = 9e8
     with pytest.raises(InputError, match="one timestamp"):
-        quiet_windows(_events(t, p, pixel))
+        quiet_windows(_events(t, p, pixel), F)
 
 
 def test_known_amplitude_phase_and_noise_come_back(events):
@@ -130,6 +130,50 @@ def test_known_amplitude_phase_and_noise_come_back(events):
     assert np.all(np.abs((fit.x - TRUTH) / sd) < 4), dict(zip(NAMES, (fit.x - TRUTH) / sd, strict=True))
     assert fit.dispersion == pytest.approx(1.0, abs=0.2)
     assert fit.log_likelihood > fit_group(table, memory=1.0).log_likelihood + 5
+
+
+def _in_time(amplitude, ratio, noise, nu, frequency, seconds, pixels, seed=0) -> Events:
+    """Events of noisy comparators in small steps of time: no bins of phase, and none of the module's rates."""
+    rng = np.random.default_rng(seed)
+    step = 0.01 / nu
+    reference, found = np.zeros(pixels), []
+    for k in range(int(seconds / step)):
+        level = amplitude * np.sin(2.0 * np.pi * frequency * (k + 0.5) * step)
+        z = level - reference
+        on = 0.3 + nu * np.exp(-0.5 * (np.maximum(1.0 - z, 0.0) / noise) ** 2)
+        off = 0.1 + nu * np.exp(-0.5 * (np.maximum(ratio + z, 0.0) / noise) ** 2)
+        fires = np.flatnonzero(rng.random(pixels) < -np.expm1(-(on + off) * step))
+        up = rng.random(len(fires)) < on[fires] / (on + off)[fires]
+        found += [((k + 0.5) * step, pixel, sign) for pixel, sign in zip(fires, up, strict=True)]
+        reference[fires] = level
+    t, pixel, p = (np.array(column) for column in zip(*found, strict=True))
+    return _events(t, p.astype(int), pixel)
+
+
+def test_a_light_of_several_thresholds_is_not_smeared_by_bins_of_phase():
+    events = _in_time(2.0, 1.2, 0.3, 960.0, F, 2.0, 36)
+    fit = fit_group(phase_table(events, np.ones(events.width * events.height, bool), F, [(0.0, 2.0)]), "sine")
+    error = np.sqrt(np.diag(np.linalg.pinv(fit.information)))
+    wanted = np.log([2.0, 1.2, 0.3, 960.0])
+    assert (np.abs(fit.x[[0, 1, 3, 4]] - wanted) < 3.0 * error[[0, 1, 3, 4]]).all()
+    assert error[0] < 0.02  # 32 bins were off by 5 %
+
+
+@pytest.mark.parametrize("gap", [(0.3, 1.1), (0.2, 0.5)])
+def test_a_gap_is_no_quiet_light(events, gap):
+    kept = events.select((events.t < gap[0] * 1e9) | (events.t > gap[1] * 1e9))
+    windows = quiet_windows(kept, F)
+    inside = np.zeros(len(kept), bool)
+    for a, b in windows:
+        inside |= (kept.t >= a * 1e9) & (kept.t < b * 1e9)
+    assert inside.mean() > 0.7
+    assert all(b <= gap[0] + 0.1 or a >= gap[1] - 0.1 for a, b in windows)
+
+
+def test_slices_hold_periods_of_slow_light(events):
+    slow = Events(events.t * 60, events.x, events.y, events.p, events.width, events.height)  # 2 Hz in 90 s
+    windows = quiet_windows(slow, F / 60.0)
+    assert sum(b - a for a, b in windows) > 0.8 * slow.duration_s
 
 
 def test_the_right_shape_wins():

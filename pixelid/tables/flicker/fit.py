@@ -137,7 +137,7 @@ def fit_flicker(
         )
     if model.photoreceptor != "second_order" or "source_follower_pole" not in model.effects:
         raise InputError(f"model {model.name}: expected a second-order photoreceptor with a source follower")
-    windows = quiet_windows(events)
+    windows = quiet_windows(events, near_hz)
     report("frequency", 0.05)
     lock = locked_frequency(events, near_hz, windows)
     frequency = lock.frequency_hz

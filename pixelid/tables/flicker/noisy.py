@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pixelid.tables.counts import dispersion, information, maximise
-from pixelid.tables.flicker.phases import BINS, PhaseTable
+from pixelid.tables.flicker.phases import BINS, COARSE, PhaseTable, coarse
 
 NAMES = ("amplitude_over_on_threshold", "off_over_on_threshold", "phase_cycles", "noise_over_on_threshold", "rate_hz",
          "background_on_hz", "background_off_hz", "memory")  # fmt: skip
@@ -52,10 +52,10 @@ def shape_at(shape: str, cycles: np.ndarray) -> np.ndarray:
     return g[k] + (x - np.floor(x)) * (g[(k + 1) % _FINE] - g[k])
 
 
-def rates(x: np.ndarray, shape: str) -> np.ndarray:
-    """(2, BINS, BINS) rates of ON and OFF events by (phase of reset, phase now) at coordinates x (logs; cycles)."""
+def rates(x: np.ndarray, shape: str, bins: int = BINS) -> np.ndarray:
+    """(2, bins, bins) rates of ON and OFF events by (phase of reset, phase now) at coordinates x (logs; cycles)."""
     a, ratio, phase, s, nu, b_on, b_off, memory = (*np.exp(x[:2]), x[2], *np.exp(x[3:7]), x[7])
-    g = a * shape_at(shape, (np.arange(BINS) + 0.5) / BINS - phase)
+    g = a * shape_at(shape, (np.arange(bins) + 0.5) / bins - phase)
     z = g[None, :] - memory * g[:, None]
     return np.stack(
         [
@@ -114,7 +114,12 @@ def fit_group(
     def of_shape(x: np.ndarray) -> np.ndarray:
         return rates(x, shape)
 
-    ends = [maximise(np.clip(x, *bounds), of_shape, observed, table.exposure, bounds, 25) for x in starts]
+    def of_coarse(x: np.ndarray) -> np.ndarray:
+        return rates(x, shape, COARSE)
+
+    rough = coarse(table)
+    counts = np.stack([rough.on, rough.off])
+    ends = [maximise(np.clip(x, *bounds), of_coarse, counts, rough.exposure, bounds, 25) for x in starts]
     first = max(ends, key=lambda end: end.log_likelihood)
     best = maximise(first.x, of_shape, observed, table.exposure, bounds, 300)
     mean = of_shape(best.x) * table.exposure

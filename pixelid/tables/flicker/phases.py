@@ -13,8 +13,13 @@ import numpy as np
 from pixelid.errors import InputError
 from pixelid.recordings.events import Events
 
-BINS = 32
+# A light of four thresholds moves by 0.1 of one from bin to bin, less than the noise of a comparator; 32 bins took
+# 5 % off such an amplitude, twelve of its errors
+BINS = 128
+COARSE = 32  # where searches start: a sixteenth of the cost
 SLICE_S = 0.1
+PERIODS = 2.0  # of the light in a slice at least, or its own phases would be taken for motion
+FEW = 10.0  # events of a slice below which an empty one is chance (5e-5), and above which it is a gap
 LONGEST_S = 1e6  # a week and a half
 WITHIN = 0.02  # of the expected frequency
 MOST_EVENTS = 100_000  # that a frequency is sought with: a second's work
@@ -44,22 +49,26 @@ class Lock:
     sure: bool
 
 
-def quiet_windows(events: Events, ratio: float = 1.3) -> list[tuple[float, float]]:
+def quiet_windows(events: Events, near_hz: float, ratio: float = 1.3) -> list[tuple[float, float]]:
     """Windows [s] whose event rate is at most `ratio` times the 20th percentile: no motion, the light alone.
+
+    Slices without an event are gaps of the recording, unless events are so few that there would be such slices anyway.
 
     Raises InputError for recordings shorter than ten slices, or longer than `LONGEST_S`.
     """
+    length = max(SLICE_S, PERIODS / near_hz)
     t = events.t * 1e-9
     if events.duration_s > LONGEST_S:
         raise InputError(
             f"flicker: expected at most {LONGEST_S:g} s of events, found {events.duration_s:g} s; is one timestamp off?"
         )
-    count = int((t[-1] - t[0]) / SLICE_S) if len(t) else 0
+    count = int((t[-1] - t[0]) / length) if len(t) else 0
     if count < 10:
-        raise InputError(f"flicker: expected at least {10 * SLICE_S:g} s of events, found {events.duration_s:g} s")
-    edges = t[0] + SLICE_S * np.arange(count + 1)
+        raise InputError(f"flicker: expected at least {10 * length:g} s of events, found {events.duration_s:g} s")
+    edges = t[0] + length * np.arange(count + 1)
     rate = np.histogram(t, edges)[0]
-    quiet = np.append(rate <= ratio * np.percentile(rate, 20), False)
+    usual = np.percentile(rate[rate > 0], 20)
+    quiet = np.append((rate <= ratio * usual) & ((rate > 0) | (usual < FEW)), False)
     starts = np.flatnonzero(quiet & ~np.append(False, quiet[:-1]))
     return [(float(edges[k]), float(edges[k + np.argmin(quiet[k:])])) for k in starts]
 
@@ -149,16 +158,32 @@ def phase_table(
         ends = following[inside] < end
         a = _bin(begin)
         np.add.at(counts, (next_on[inside][ends].astype(int), a[ends], _bin(until[ends])), 1.0)
-        cycles = np.floor(until - begin)
-        exposure += np.bincount(a, cycles, BINS)[:, None] / BINS
-        rest = until - begin - cycles
-        first = np.floor(begin * BINS)
-        for j in range(BINS + 1):
-            low = np.maximum(begin, (first + j) / BINS)
-            high = np.minimum(begin + rest, (first + j + 1) / BINS)
-            np.add.at(exposure, (a, (a + j) % BINS), np.maximum(high - low, 0.0))
+        exposure += _cycles_before(a, until - np.floor(begin)) - _cycles_before(a, begin - np.floor(begin))
         used += int(ends.sum())
     return PhaseTable(counts[1], counts[0], exposure / frequency_hz, len(np.unique(pixel)), used)
+
+
+def coarse(table: PhaseTable) -> PhaseTable:
+    """The table in `COARSE` bins."""
+    blocks = (COARSE, BINS // COARSE) * 2
+    on, off, exposure = (cells.reshape(blocks).sum((1, 3)) for cells in (table.on, table.off, table.exposure))
+    return PhaseTable(on, off, exposure, table.pixels, table.events)
+
+
+def _cycles_before(row: np.ndarray, end: np.ndarray) -> np.ndarray:
+    """(BINS, BINS) cycles by (row, phase) of intervals that begin at phase 0.
+
+    Args:
+        row: (n,) of each interval.
+        end: (n,) where it ends, in cycles.
+    """
+    whole = np.floor(end * BINS).astype(np.int64)
+    last = whole % BINS
+    ends = np.bincount(row * BINS + last, minlength=BINS**2).reshape(BINS, BINS)
+    part = np.bincount(row * BINS + last, end * BINS - whole, BINS**2).reshape(BINS, BINS)
+    rounds = np.bincount(row, whole // BINS, BINS)[:, None]
+    beyond = ends[:, ::-1].cumsum(1)[:, ::-1] - ends  # intervals whose last bin is a later one
+    return (rounds + beyond + part) / BINS
 
 
 def _bin(cycles: np.ndarray) -> np.ndarray:
