@@ -226,6 +226,21 @@ def read_result(folder: str | Path, file: str) -> dict[str, Any]:
     return read_json(path)
 
 
+def read_unidentified(folder: Path) -> list[str]:
+    """What the fit in a folder, of events or of a table, says that it left open; nothing where there is no fit.
+
+    Raises:
+        InputError: a damaged result.
+    """
+    found = []
+    for file in ("fit.json", "latency.json", "noise.json"):
+        if (folder / file).is_file():
+            content = read_result(folder, file)
+            check_kinds(content, folder / file, a_list_of_texts=("unidentified",))
+            found += content["unidentified"]
+    return found
+
+
 def required(content: Mapping[str, Any], folder: str | Path, file: str, *names: str) -> list[Any]:
     """The values of keys that must be there.
 

@@ -44,11 +44,11 @@ def command(model, to, out, white, level, with_, without, set_, overwrite, seed,
     from pixelid.cli.terminal import say, say_sentences
     from pixelid.export.export import export, write
     from pixelid.export.light import GREY_LEVELS, IRRADIANCE, Light
-    from pixelid.fit.draws import read_fit
     from pixelid.model.options import changed
     from pixelid.model.shipped import find_model, model_files
     from pixelid.outputs import claimed, whole_file
     from pixelid.provenance import provenance
+    from pixelid.results import read_unidentified
 
     with claimed(out, overwrite, [model]):
         circuit_model, remarks = changed(find_model(model), with_, without, set_)
@@ -58,10 +58,8 @@ def command(model, to, out, white, level, with_, without, set_, overwrite, seed,
         if white is None and unit in IRRADIANCE:
             assumed = f"light: {GREY_LEVELS:g} {unit} stands for white, 255 grey levels, since --white does not say"
             result = replace(result, lost=(*result.lost, assumed))
-        fitted = read_fit(Path(model))
-        if fitted is not None:
-            open_ = [f"not identified by the fit: {sentence}" for sentence in fitted.get("unidentified", ())]
-            result = replace(result, lost=(*result.lost, *open_))
+        open_ = [f"not identified by the fit: {sentence}" for sentence in read_unidentified(Path(model))]
+        result = replace(result, lost=(*result.lost, *open_))
         result = replace(result, provenance={"seed": seed, **provenance(*model_files(model))})
         with whole_file(out, overwrite) as path:
             write(result, path, as_json=out.suffix == ".json")

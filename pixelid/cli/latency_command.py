@@ -58,7 +58,7 @@ def command(tables, out, model, predict, camera, sample, overwrite, seed, quiet)
         cameras, files = chosen_cameras(model) if model is not None else ((), ())
         if predict:
             with whole_folder(out, overwrite) as folder:
-                written = save_prediction(table, cameras, folder, *files)
+                written = save_prediction(table, cameras, folder, *files, seed=seed)
                 write_report(folder)
         else:
             with bar(quiet) as report:

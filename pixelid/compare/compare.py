@@ -195,6 +195,8 @@ def compare(
         raise InputError(f"compare: expected two or more models of different names, found {', '.join(names) or 'none'}")
     for model in models:
         check_event_times(model)
+    if pooled := [r.name for r in recordings if r.pooled]:
+        raise InputError(f"compare: expected events of single pixels, to hold some of them out; {pooled[0]} is pooled")
     report = progress or (lambda what, fraction: None)
     recordings = as_fitted(recordings)
     pixels = np.unique(np.concatenate([r.events.pixel for r in recordings]))

@@ -16,7 +16,7 @@ from pixelid.conform.result import ConformReport
 from pixelid.fit.cache import FitCache
 from pixelid.gap.criteria import Criteria
 from pixelid.gap.fold import fold
-from pixelid.gap.gap import check_searchable
+from pixelid.gap.gap import check_searchable, with_doubts
 from pixelid.gap.options import ALPHA, Context, Options, Report
 from pixelid.gap.phases import Phase
 from pixelid.gap.pooled_counts.pooled import search_pooled
@@ -72,6 +72,7 @@ def conform(
             beside = Beside(found.model, doubted=found.details["rivals"], pixels=False)
         else:
             found, beside = _searched(recordings, model, context)
+            found = with_doubts(found, recordings)
     sensor = ", ".join(dict.fromkeys(r.sensor for r in recordings if r.sensor))
     table = ConformReport(found, rows_of(found, beside, criteria), sensor, context.watch.seconds())
     if cache is not None:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from pixelid import stages
 from pixelid.cluster import Where, Work, connected
 from pixelid.errors import InputError
 from pixelid.fit.cache import FitCache
@@ -58,7 +59,7 @@ def gap(
 
     Raises:
         InputError: For recordings without pixels or stimulus, of several sensors, a model that the event-time
-            likelihood cannot use, and a cluster that does not answer.
+            likelihood cannot use, an effect to leave out that there is not, and a cluster that does not answer.
         UntrustworthyResult: The cluster was lost.
 
     Example:
@@ -72,7 +73,10 @@ def gap(
     check_searchable(recordings, model, alpha)
     recordings = named_apart(recordings)
     wanted = Wanted.of(pixel_levels)
-    options = Options(alpha, seed, tuple(leave_out), criteria or Criteria(), recommend)
+    lacking = (leave_out,) if isinstance(leave_out, str) else tuple(leave_out)
+    for name in lacking:
+        stages.effect(name)
+    options = Options(alpha, seed, lacking, criteria or Criteria(), recommend)
     cache = None if resume is None else FitCache(resume)
     pooled = all(r.pooled for r in recordings)
     with connected(where or Where()) as client:
@@ -85,10 +89,10 @@ def gap(
             report = (search_pooled if pooled else search)(recordings, model, context)
     if cache is not None:
         cache.remove()
-    return report if pooled else _with_doubts(report, recordings)
+    return report if pooled else with_doubts(report, recordings)
 
 
-def _with_doubts(report: GapReport, recordings: Sequence[Recording]) -> GapReport:
+def with_doubts(report: GapReport, recordings: Sequence[Recording]) -> GapReport:
     """The report, which says where there was too little to judge by."""
     pixel = np.concatenate([r.events.pixel for r in recordings])
     events, pixels = len(pixel), len(np.unique(pixel))

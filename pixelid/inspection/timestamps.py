@@ -17,6 +17,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from pixelid.errors import InputError
 from pixelid.inspection.intervals import pixel_intervals
 from pixelid.inspection.tick import MIN_EVENTS, common_divisor, find_tick
 from pixelid.recordings.events import COARSE_UNIT_SHARE, SHORT_QUANTILE, Events
@@ -66,8 +67,19 @@ def with_coarse_units_as_grids(recordings: Sequence[Recording]) -> list[Recordin
 
     A fine unit is a fact about the file, and its rounding a small noise of the stamps.  One of `COARSE_UNIT_SHARE` of
     the shortest intervals or more is a grid like any other: what is between its lines has to be found.
+
+    Raises:
+        InputError: where one recording counts so coarsely and another does not: a sensor has one grid.
     """
-    return [replace(r, events=replace(r.events, tick_ns=1)) if _is_coarse(r.events) else r for r in recordings]
+    if not any(_is_coarse(r.events) for r in recordings):
+        return list(recordings)
+    coarsest, finest = (most(recordings, key=lambda r: r.events.tick_ns) for most in (max, min))
+    if coarsest.events.tick_ns != finest.events.tick_ns:
+        raise InputError(
+            f"{coarsest.name} counts time in units of {1e-6 * coarsest.events.tick_ns:g} ms, as coarse as its pixels "
+            f"are fast, and {finest.name} in {1e-6 * finest.events.tick_ns:g} ms: search them apart"
+        )
+    return [replace(r, events=replace(r.events, tick_ns=1)) for r in recordings]
 
 
 def _is_coarse(events: Events) -> bool:

@@ -1,5 +1,6 @@
 """Model comparison finds the order that made the data."""
 
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -9,6 +10,8 @@ from pixelid.compare import compare
 from pixelid.compare.compare import Comparison, Contender, _sentence
 from pixelid.errors import InputError
 from pixelid.model.shipped import find_model
+from pixelid.recordings.events import Events
+from pixelid.recordings.recording import Recording
 from pixelid.simulate import simulate
 from pixelid.stimuli.shapes import chirp
 
@@ -71,6 +74,9 @@ def test_comparisons_that_make_no_sense():
         compare([], [find_model("dvs128")])
     with pytest.raises(InputError, match="threshold_noise"):
         compare([], [find_model("dvs128"), find_model("ideal")])
+    pooled = Recording(Events.empty(1, 1), source=Path("diode.h5"), pooled=True)
+    with pytest.raises(InputError, match="diode is pooled"):
+        compare([pooled], [find_model("dvs128"), find_model("photoreceptor")])
 
 
 def contender(parameters: int, held_out) -> Contender:

@@ -195,6 +195,16 @@ def test_fit_of_recordings_keeps_the_model_s_effects():
         ("irradiance_mW_m2,on_hz\n1,2\n2,3\n", "one column of light"),
         ("photon_flux,on_hz\n1,2\n2,3\n", "one column of light"),
         ("lux_sd,lux,on_hz\n1,1,2\n1,2,3\n", "one column of light"),
+        ("irradiance [mW/m²],on_hz\n1,2\n2,3\n", "one column of light"),
+        ("irradiance (µW/cm²),on_hz\n1,2\n2,3\n", "one column of light"),
+        ("photocurrent_pA,on_hz\n1,2\n2,3\n", "one column of light"),
+        ("photocurrent (A),on_hz\n1,2\n2,3\n", "one column of light"),
+        ("illuminance (klx),on_hz\n1,2\n2,3\n", "one column of light"),
+        ("illuminance_fc,on_hz\n1,2\n2,3\n", "one column of light"),
+        ("lux_x1000,on_hz\n1,2\n2,3\n", "one column of light"),
+        ("lux,ON_kev_per_s\n1,2\n2,3\n", "per pixel and second"),
+        ("lux,ON_events_per_min\n1,2\n2,3\n", "per pixel and second"),
+        ("lux,ON events total\n1,2\n2,3\n", "per pixel and second"),
     ],
 )
 def test_bad_tables(tmp_path, text, said):
@@ -202,6 +212,32 @@ def test_bad_tables(tmp_path, text, said):
     path.write_text(text)
     with pytest.raises(InputError, match=said):
         read_noise_tables([path])
+
+
+@pytest.mark.parametrize(
+    ("header", "unit"),
+    [
+        ("irradiance [W/m²],ON rate (Hz),OFF rate (Hz)", "W/m2"),
+        ("Irradiance_W_m2,ON [1/s],OFF [1/s]", "W/m2"),
+        ("lux_at_lens_mount_scale,mean_ON_events_per_s_per_px,mean_OFF_events_per_s_per_px", "lux"),
+        ("illuminance (lx),on-rate,off-rate", "lux"),
+        ("photocurrent [fA],pos/s,neg/s", "fA"),
+        ("scene radiance,on_hz,off_hz", "radiance"),
+    ],
+)
+def test_columns_are_known_by_the_words_of_their_names(tmp_path, header, unit):
+    path = tmp_path / "noise.csv"
+    path.write_text(f"{header}\n1,2,3\n2,3,4\n")
+    table = read_noise_tables([path])
+    assert table.unit == unit
+    assert table.on.tolist() == [True, True, False, False]
+
+
+def test_recordings_of_several_units_of_light_are_refused():
+    lights = [Stimulus.from_arrays([0.0, 1.0], [2.0, 2.0], unit=unit) for unit in ("fA", "lux")]
+    events = Events.from_columns([500_000_000], [0], [0], [1], 2, 2)
+    with pytest.raises(InputError, match="one unit of light, found fA, lux"):
+        reduced_recordings([Recording(events, light) for light in lights])
 
 
 def test_bad_recordings():

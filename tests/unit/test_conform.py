@@ -1,21 +1,30 @@
 """The table's rows, folded from reports made by hand: every verdict from the evidence that it stands for."""
 
+from dataclasses import replace
+from pathlib import Path
 from types import MappingProxyType
 
 import numpy as np
 import pytest
 
 from pixelid import stages
+from pixelid.conform.conform import conform
 from pixelid.conform.fold import Beside, rows_of
 from pixelid.conform.power import nats_needed
 from pixelid.conform.removals import BANDWIDTH, Removal, without_bandwidth
 from pixelid.conform.result import ConformReport
 from pixelid.conform.row import STAGES
+from pixelid.errors import InputError
 from pixelid.gap.attribute.significance import chance_of_gain
 from pixelid.gap.criteria import Criteria
+from pixelid.gap.gap import gap
 from pixelid.gap.result import GapReport, Named
-from pixelid.inspection.timestamps import TimestampSignature
+from pixelid.inspection.timestamps import TimestampSignature, with_coarse_units_as_grids
 from pixelid.model.shipped import find_model
+from pixelid.recordings.recording import Recording
+from pixelid.simulate import simulate
+from pixelid.status import Status
+from pixelid.stimuli.shapes import chirp
 
 LEAK = Named("leak", 1e-9, 40.0, "parasitic_photocurrent", 20.0, 0.3, "dark_current",
              {"leak.rate_hz": (2.0, (1.9, 2.1))}, "ON events under constant light")  # fmt: skip
@@ -45,6 +54,24 @@ def candidate(name, gain, held, p) -> dict:
 
 def rows(found, **beside):
     return {row.effect: row for row in rows_of(found, Beside(**{"model": found.model, **beside}), Criteria())}
+
+
+def test_what_is_too_little_for_the_search_is_too_little_for_the_table():
+    model = find_model("dvs128").without_effect("threshold_mismatch")
+    recording = simulate(model, chirp(24.0, duration_s=0.05, dt=2e-4), width=2, height=1, seed=1)
+    found = conform([recording], model)
+    assert found.status == gap([recording], model, recommend=False).status == Status.not_identified
+    assert "events could not have shown an effect" in found.as_dict()["advice"]
+
+
+def test_one_sensor_counts_in_one_coarse_unit():
+    events = simulate(find_model("dvs128"), chirp(24.0, duration_s=1.0, dt=2e-4), width=4, height=1, seed=1).events
+    fine = Recording(events, source=Path("fine.h5"))
+    coarse = Recording(replace(events, t=events.t // 500_000 * 500_000, tick_ns=500_000), source=Path("coarse.h5"))
+    assert [r.events.tick_ns for r in with_coarse_units_as_grids([coarse, coarse])] == [1, 1]
+    assert [r.events.tick_ns for r in with_coarse_units_as_grids([fine, fine])] == [events.tick_ns] * 2
+    with pytest.raises(InputError, match=r"coarse counts time in units of 0\.5 ms.*fine in"):
+        with_coarse_units_as_grids([fine, coarse])
 
 
 def test_every_effect_has_one_row_in_signal_order():

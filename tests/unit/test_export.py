@@ -15,6 +15,7 @@ from pixelid.export.circuit_values import circuit_values
 from pixelid.export.export import TARGETS, export
 from pixelid.export.light import Light
 from pixelid.export.noise_rates import NoiseRates
+from pixelid.model.files import save_model
 from pixelid.model.shipped import find_model, shipped_models
 from pixelid.nerf.calibration import CIRCUIT, COMPARATOR
 from pixelid.parameters.gauge import Gauge
@@ -44,6 +45,14 @@ def test_v2e_answers_as_late_as_the_trajectory(name, level):
     cutoff = parameters(model, "v2e", Light(level=level))["cutoff_hz"]
     theirs = 1.0 / (2 * math.pi * cutoff * (level + 20.0) / 275.0)  # the corner v2e gives DN = level
     assert theirs == pytest.approx(mean_delay_of_step(model, level), rel=2e-3)
+
+
+@pytest.mark.parametrize("file", ["fit.json", "latency.json", "noise.json"])
+def test_what_a_fit_left_open_is_said(tmp_path, file):
+    save_model(ONE_POLE, tmp_path / "model.toml")
+    (tmp_path / file).write_text(json.dumps({"unidentified": ["beta: anything"], "parameters": {}}))
+    assert main(["export", str(tmp_path), "--to", "v2e", "--out", str(tmp_path / "v2e.txt"), "--quiet"]) == 0
+    assert "not identified by the fit: beta: anything" in (tmp_path / "v2e.txt").read_text()
 
 
 def test_v2e_is_exact_at_every_light_for_its_own_pixel():

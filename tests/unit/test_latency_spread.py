@@ -79,6 +79,25 @@ def test_a_lost_edge_is_seen_in_the_scatter_and_put_right(tmp_path):
     assert cells.spoiled.tolist() == [False, False, True, True, True, True]
 
 
+def test_larger_regions_have_lost_nothing(tmp_path):
+    rows = [f"C,l,0,{light},0,{k},500,1000,1500,30,{100 + 300 * (k % 2)},0" for light in (0.1, 0.2) for k in range(6)]
+    path = tmp_path / "table.csv"
+    path.write_text(HEADER + "\n".join(rows) + "\n")
+    cells = gather(read_tables([path]))
+    assert not cells.spoiled.any()
+    assert not cells.lost.any()
+
+
+def test_a_camera_whose_edges_all_scatter_has_lost_nothing(tmp_path):
+    rows = [f"C,l,0,{light},0,0,{median},{median},{median},{0.4 * median},1,0" for light, median in
+            ((0.1, 1000.0), (0.3, 333.3), (1.0, 100.0))]  # fmt: skip
+    path = tmp_path / "table.csv"
+    path.write_text(HEADER + "\n".join(rows) + "\n")
+    cells = gather(read_tables([path]))
+    np.testing.assert_allclose(1e6 * cells.table.latency_s["median"], [1000.0, 333.3, 100.0])
+    assert not cells.lost.any()
+
+
 @pytest.mark.parametrize(
     ("row", "word"),
     [

@@ -17,6 +17,7 @@ from pixelid.tables.latency.reading import STATISTICS, LatencyTable
 # 60 % in those that lack an edge
 LARGEST_REPEATABLE = 0.2
 MOST_LOST = 0.5  # an edge in two; more is no latency at all
+MOST_SCATTERED = 0.5  # of a camera's rows (22 % in the public table); where more do, that is how its latencies repeat
 STRAGGLER = 5.0  # times the median, of a maximum: mismatch alone reaches 3
 SURPLUS_PIXELS = 1.3  # times those of other regions: pixels of outside it, from the edge that is lost
 LOST_ERROR = 0.05  # of what is put right for a lost edge: f is known from one scattered number
@@ -87,16 +88,27 @@ def lost_edges(table: LatencyTable) -> tuple[np.ndarray, np.ndarray]:
         share = r**2 / (1.0 + r**2)
         scattered = r > LARGEST_REPEATABLE
         straggling = latency["max"] > STRAGGLER * latency["median"]
-    surplus = np.zeros(len(table), bool)
+    surplus, known = np.zeros(len(table), bool), np.isfinite(r)
     for camera in np.unique(table.camera):
-        here = (table.camera == camera) & table.counted
-        if here.any():
-            surplus |= here & (table.pixels > SURPLUS_PIXELS * np.quantile(table.pixels[here], 0.25))
+        here = table.camera == camera
+        counted = here & table.counted
+        if counted.any():
+            many = counted & (table.pixels > SURPLUS_PIXELS * np.quantile(table.pixels[counted], 0.25))
+            # larger regions count more pixels, too: it is the edge that is lost where such rows scatter
+            if _share(scattered, many & known) > 0.5:
+                surplus |= many
+        if _share(scattered, here & known) > MOST_SCATTERED:
+            scattered = scattered & (~here | surplus)
     short = (scattered | surplus) & ~straggling
     usual = share[short & scattered & (share < MOST_LOST)]
     share = np.where(scattered, share, np.median(usual) if len(usual) else 0.0)
     lost = np.where(short & (share < MOST_LOST), share, 0.0)
     return np.nan_to_num(lost), scattered | surplus
+
+
+def _share(flags: np.ndarray, among: np.ndarray) -> float:
+    """Of the rows in question, 0 of none."""
+    return float(np.mean(flags[among])) if among.any() else 0.0
 
 
 def _mask(index: np.ndarray, size: int) -> np.ndarray:

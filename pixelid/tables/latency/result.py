@@ -152,9 +152,11 @@ def save_fit(
     return _write(result, folder)
 
 
-def save_prediction(table: LatencyTable, cameras: Sequence[Camera], folder: Path, *inputs: Path) -> dict[str, Any]:
+def save_prediction(
+    table: LatencyTable, cameras: Sequence[Camera], folder: Path, *inputs: Path, seed: int = 0
+) -> dict[str, Any]:
     """Write latency.json and figures of a prediction; returns the JSON."""
-    return _write(predicted_result(table, cameras, *inputs), folder)
+    return _write({**predicted_result(table, cameras, *inputs), "seed": seed}, folder)
 
 
 def _write(result: dict[str, Any], folder: Path) -> dict[str, Any]:

@@ -18,10 +18,18 @@ from pixelid.errors import InputError, shown
 from pixelid.recordings.recording import Recording
 from pixelid.tables.reading import TextTable, read_text_table
 
-LIGHT = re.compile(r"lux|illuminance|irradiance|radiance|photocurrent|w_?/?m2")
-SCALED = re.compile(r"(^|_)[numkµ](w|lux|lx)(_|/|$)|cm_?2|flux")  # another unit than those that `_unit` knows
-POLARITY = {"ON": re.compile(r"(^|_)(on|pos)(_|$)"), "OFF": re.compile(r"(^|_)(off|neg)(_|$)")}
-RATE = re.compile(r"event|rate|hz|per_s|/s")
+LIGHT = re.compile(r"lux|lx|illuminance|irradiance|radiance|photocurrent|w m2")
+# words of other units than those that `_unit` knows, and than events per second
+SCALED = re.compile(
+    r"\b((p|n|u|m|k|pico|nano|micro|milli|kilo)(w|watts?|lux|lx|a|amps?|amperes?)|[cmu]m2?|fc|foot|(foot)?candles?|cd|nits?"
+    r"|lm|lumens?|flux|log(10)?|ln|db|x?10+|x?1e\d+)\b|\bphotocurrent\b.*\ba\b"
+)
+SCALED_RATE = re.compile(
+    r"\b(k|m|kilo|mega)(ev|eps|hz|events?)\b|\b(ms|us|ns|min|minutes?|h|hours?|counts?|totals?|log(10)?|ln)\b"
+)
+POLARITY = {"ON": re.compile(r"\b(on|pos)\b"), "OFF": re.compile(r"\b(off|neg)\b")}
+RATE = re.compile(r"event|rate|hz|per s|\bs\b")
+_PLAIN = str.maketrans("²µμ⁻·", "2uu  ")
 STILL = 1e-3  # relative change of the light of a still scene: 10⁻³ of a threshold of 1 would be 1 % of a rate
 # Of a recording, left out: where it begins, references are not yet those that the noise leaves (in simulations they
 # are anywhere between the thresholds, and the nearest fire at once)
@@ -118,13 +126,13 @@ def _read(path: Path, group: int) -> NoiseTable:
 
 
 def _light_column(text: TextTable) -> str:
-    found = [name for name in text.names if LIGHT.search(name.lower())]
+    found = [name for name in text.names if LIGHT.search(_words(name))]
     if not found:
         raise InputError(
             f"{text.path}: expected a column of light (lux, illuminance, irradiance, radiance), "
             f"found {shown(', '.join(text.names), 200)}"
         )
-    if len(found) > 1 or SCALED.search(found[0].lower()):
+    if len(found) > 1 or SCALED.search(_words(found[0])):
         raise InputError(
             f"{text.path}: expected one column of light, in lux, W/m2 or fA, found {shown(', '.join(found), 200)}"
         )
@@ -133,8 +141,8 @@ def _light_column(text: TextTable) -> str:
 
 def _rate_column(text: TextTable, polarity: str) -> str | None:
     """The column of one polarity's rates: its name says the polarity, and a rate where several do."""
-    found = [name for name in text.names if POLARITY[polarity].search(name.lower())]
-    rates = [name for name in found if RATE.search(name.lower())]
+    found = [name for name in text.names if POLARITY[polarity].search(_words(name))]
+    rates = [name for name in found if RATE.search(_words(name))]
     if len(rates) > 1 or (not rates and len(found) > 1):
         raise InputError(f"{text.path}: several columns may hold {polarity} rates: {', '.join(rates or found)}")
     if not found and polarity == "ON":
@@ -142,16 +150,24 @@ def _rate_column(text: TextTable, polarity: str) -> str | None:
             f"{text.path}: expected a column of ON events per pixel and second (ON_events_per_s_per_px), "
             f"found {shown(', '.join(text.names), 200)}"
         )
-    return (rates or found or [None])[0]
+    chosen = (rates or found or [None])[0]
+    if chosen is not None and SCALED_RATE.search(_words(chosen)):
+        raise InputError(f"{text.path}: expected {polarity} events per pixel and second, found {shown(chosen)}")
+    return chosen
+
+
+def _words(name: str) -> str:
+    """A column's name as words of small letters and digits: irradiance [mW/m²] → irradiance mw m2."""
+    return " ".join(re.findall(r"[a-z0-9]+", name.lower().translate(_PLAIN)))
 
 
 def _unit(name: str) -> str:
-    low = name.lower()
-    if "lux" in low or "illuminance" in low:
+    words = _words(name)
+    if "lux" in words or "lx" in words or "illuminance" in words:
         return "lux"
-    if "w_m2" in low or "w/m2" in low or "irradiance" in low:
+    if "w m2" in words or "irradiance" in words:
         return "W/m2"
-    return "fA" if "photocurrent" in low or low.endswith("fa") else "radiance"
+    return "fA" if "photocurrent" in words or words.endswith("fa") else "radiance"
 
 
 def reduced_recordings(recordings: Sequence[Recording]) -> NoiseTable:
@@ -165,11 +181,13 @@ def reduced_recordings(recordings: Sequence[Recording]) -> NoiseTable:
         InputError: without light, with light that changes, pooled, or without a single event in any recording.
     """
     rows, columns = [], {"file": [], "radiance": [], "polarity": [], "events": []}
-    pixels = 0
+    sizes, units = [], []
     for recording in recordings:
         radiance, begin, end = _still(recording)
         events = recording.events
         pixels = events.width * events.height
+        sizes.append(pixels)
+        units.append(recording.stimulus.unit if recording.stimulus else "radiance")
         duration = (1.0 - SETTLING) * (end - begin)
         steady = events.t * 1e-9 > end - duration
         for polarity, p in (("ON", 1), ("OFF", 0)):
@@ -184,11 +202,13 @@ def reduced_recordings(recordings: Sequence[Recording]) -> NoiseTable:
             columns["events"].append(total)
     if not any(columns["events"]):
         raise InputError("noise: the recordings hold no events")
+    if len(set(units)) > 1:
+        raise InputError(f"noise: expected recordings of one unit of light, found {', '.join(sorted(set(units)))}")
     light, on, rate, error, digit = (np.array(c) for c in zip(*rows, strict=True))
     # less than one event is what a recording cannot see; half of it, so that single events keep their weight
     return NoiseTable(
         light, on.astype(bool), rate, error, 0.5 * digit, np.zeros(len(rows), int), columns,
-        (recordings[0].stimulus.unit if recordings[0].stimulus else "radiance"), pixels,
+        units[0], min(sizes),
         tuple(r.source for r in recordings if r.source is not None),
     )  # fmt: skip
 
