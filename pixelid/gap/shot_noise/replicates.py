@@ -22,6 +22,7 @@ from pixelid.gap.detect.diagnostics import Diagnostics
 from pixelid.gap.detect.maps import Cell, Scores, chance_of_largest, map_residuals
 from pixelid.gap.detect.pixels import PixelEvidence
 from pixelid.gap.detect.residuals import residuals, tangents
+from pixelid.gap.shot_noise.filter import Division, share_out
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.likelihood.light_drawn import light_in_a_row
 from pixelid.model.model import Model
@@ -62,11 +63,13 @@ class Replicate:
         x: (d,) where.
         scores: Of its maps.
         background: (2,) OFF and ON events without a cause.
+        division: Of its noise, by the filter.
     """
 
     x: np.ndarray
     scores: Scores
     background: np.ndarray
+    division: Division
 
 
 def well_known(fit: Maximum) -> np.ndarray:
@@ -121,7 +124,9 @@ def make_replicate(
     tangent = tangents(likelihood, refit.coordinates, refit.x, here)
     factors = sort_events(likelihood, circuit, here, like=seen.factors)
     maps = map_residuals(likelihood, here, tangent, factors, criteria, seed)
-    return Replicate(refit.x, maps.scores, background_by_polarity(likelihood, here.background))
+    division = share_out(likelihood, circuit, seed)
+    assert division is not None  # as in the measurement, of as many events
+    return Replicate(refit.x, maps.scores, background_by_polarity(likelihood, here.background), division)
 
 
 def background_by_polarity(likelihood: EventTimes, background: np.ndarray) -> np.ndarray:

@@ -2,15 +2,15 @@
 
 To the likelihood, noise before the photoreceptor is threshold noise; what gives it away is where events scatter, that
 an event's deviation reverses the one before, and that pixels fire in constant light.  So the noise that the fit calls
-the thresholds' is shared out: a share of its variance to shot noise, whose density follows from what replicates scatter
-more, the rest to the thresholds.  Replicates at several shares, fitted like the measurement, show how each cell of the
-maps depends on the share; the share whose maps come nearest is taken, and shot noise is named when nothing then tells
-measurement and replicates apart.  How sure the share is, replicates say whose own is left out and then looked for.
+the thresholds' is shared out between them and shot noise (`filter.py`), and put right by replicates that are simulated
+and fitted like the measurement (`shares.py`).  Shot noise is named when nothing then tells measurement and replicates
+apart.
 """
 
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -24,18 +24,23 @@ from pixelid.gap.criteria import Criteria
 from pixelid.gap.detect.diagnostics import Diagnostics
 from pixelid.gap.detect.pixels import PixelEvidence
 from pixelid.gap.options import Options
-from pixelid.gap.shot_noise.replicates import Corrected, Replicate, background_by_polarity, subtract_replicates
-from pixelid.gap.shot_noise.shares import NOISE, Shares, vector
+from pixelid.gap.shot_noise.filter import share_out
+from pixelid.gap.shot_noise.replicates import (
+    Corrected,
+    Replicate,
+    background_by_polarity,
+    make_replicate,
+    subtract_replicates,
+)
+from pixelid.gap.shot_noise.shares import NOISE, Guess, sound, vector
 from pixelid.model.model import Model
 from pixelid.recordings.recording import Recording
 from pixelid.simulate.laws import rules_of
 from pixelid.simulate.light import noise_step
 from pixelid.stimuli.pixel_lights import Light, PixelLights
 
-NEGLIGIBLE_SHARE = 0.02  # as good as no shot noise
-TRIED_SHARES = (0.3, 0.6, 0.8, 0.95)
-REPLICATES = 4  # at the share taken
-MAX_SHARE_MOVE = 0.1  # of the share that these leave from the one that they were made at: else they are made again
+REPLICATES = 4  # at the density taken
+MAX_MOVE = 0.1  # of its logarithm that these leave from the one that they were made at: else they are made again
 MAX_SCORE = 10.0  # standard deviations: cells that differ by more count as this in a distance
 MAX_SCORE_AT_SIGHT = 30.0  # the same where maps are only looked at
 # Of all recordings together.  The shipped pixel needs 1e5 a second in bright light; a bandwidth hundreds of times as
@@ -86,26 +91,33 @@ def find_shot_noise(
     if NOISE not in fit.coordinates.names or not can_be_simulated(evidence.training.recordings, fit.model):
         return None
     criteria = options.criteria
-    shares = Shares(evidence, fit, seen, options, cache).calibrated()
-    if shares is None:
+    found = share_out(evidence.training, fit.model.circuit(), options.seed)
+    if found is None or found.gain < criteria.min_shot_noise_gain_nats:
         return None
-    background = background_by_polarity(evidence.training, seen.residual.background)
-    measured = Replicate(fit.x, seen.maps.scores, background)
-    distances = []
-    for share in (NEGLIGIBLE_SHARE, *TRIED_SHARES):
-        shares = shares.with_replicate(share)
-        distances.append(_distance(measured, shares.made[-1].replicate, criteria))
-    without, nearest = distances[0], min(distances[1:])
+
+    def made(model: Model, turn: int) -> Replicate:
+        return make_replicate(evidence, model, fit, seen, criteria, options.seed + 31 * (turn + 1), cache)
+
+    measured = Replicate(
+        fit.x, seen.maps.scores, background_by_polarity(evidence.training, seen.residual.background), found
+    )
+    without = _distance(measured, made(fit.model, 0), criteria)
+    guess = Guess.first(fit, found)
+    guess = guess.corrected([made(guess.model, 1)])
+    first = made(guess.model, 2)
+    nearest = _distance(measured, first, criteria)
     alike = 0.5 * len(measured.scores)  # between replicates of one model
-    # closer ones are made only where those at round shares come half as near as they must in the end
+    # more are made only where this one comes half as near as they must in the end
     far = nearest - alike > 2.0 * criteria.max_share_left_by_shot_noise * (without - alike)
     if without - nearest < 0.5 * criteria.min_shot_noise_gain_nats or far:
         return None
-    share = shares.nearest(measured)
-    shares = _with_replicates(shares, share)
-    if abs(shares.nearest(measured) - share) > MAX_SHARE_MOVE:
-        shares = _with_replicates(shares, shares.nearest(measured))
-    return _judged(shares, measured, without, criteria)
+    final = [first, *(made(guess.model, turn) for turn in range(3, 2 + REPLICATES))]
+    better = guess.corrected(final)
+    if abs(math.log(better.density / guess.density)) > MAX_MOVE:
+        guess = better
+        final = [made(guess.model, turn) for turn in range(2 + REPLICATES, 2 + 2 * REPLICATES)]
+        better = guess.corrected(final)
+    return _judged(better, final, measured, seen, without, criteria) if sound(final) else None
 
 
 def can_be_simulated(recordings: Sequence[Recording], model: Model) -> bool:
@@ -127,26 +139,18 @@ def _brightest(light: Light) -> float:
     return max(float(one.radiance.max()) for one in lights)
 
 
-def _with_replicates(shares: Shares, share: float) -> Shares:
-    for _ in range(REPLICATES):
-        shares = shares.with_replicate(share)
-    return shares
+def _judged(
+    guess: Guess, final: Sequence[Replicate], measured: Replicate, seen: Diagnostics, without: float, criteria: Criteria
+) -> ShotNoise | None:
+    """Shot noise as guessed; None where it explains too little.
 
-
-def _judged(shares: Shares, measured: Replicate, without: float, criteria: Criteria) -> ShotNoise | None:
-    """Shot noise at the share that comes nearest; None where it explains too little.
-
-    shares: its last replicates are at the share taken;  without: distance of replicates without shot noise
+    final: replicates of it;  without: distance of a replicate without shot noise
     """
-    fit, seen = shares.fit, shares.seen
-    final = [made.replicate for made in shares.made[-REPLICATES:]]
-    share = shares.nearest(measured)
-    model, density = shares.truth(share)
     among = [_distance(one, other, criteria) for one, other in itertools.combinations(final, 2)]
     floor, off = float(np.median(among)), float(np.median([_distance(measured, r, criteria) for r in final]))
     explained = without - floor
     too_little = explained < criteria.min_shot_noise_gain_nats
-    if too_little or off - floor > criteria.max_share_left_by_shot_noise * explained or not shares.sound(REPLICATES):
+    if too_little or off - floor > criteria.max_share_left_by_shot_noise * explained:
         return None
     cells, _ = subtract_replicates(seen, [r.scores for r in final])
     # replicates scatter about each other as the measurement about them, heavy tails of cells and all; and what they
@@ -155,14 +159,15 @@ def _judged(shares: Shares, measured: Replicate, without: float, criteria: Crite
     chance = np.hypot(max(float(np.std(among, ddof=1)), np.sqrt(alike)), criteria.replicate_error_share * explained)
     p = 2.0 * float(norm.sf(max(off - floor, 0.0) / chance))
     usual = np.mean([r.background for r in final], axis=0)
-    error = shares.error(share)
+    error = guess.error(final)
     chance = np.sqrt(criteria.unexplained_overdispersion * (usual + 1.0) * (1.0 + 1.0 / REPLICATES))
-    chance = np.hypot(chance, usual * shares.background_per_density() * error)
+    chance = np.hypot(chance, usual * guess.background_per_density() * error)
     p_background = 2.0 * len(usual) * float(norm.sf(np.abs((measured.background - usual) / chance).max()))
     p = min(p, p_background, 1.0)
     half = max(1.96 * error, MIN_HALF_WIDTH)
     before, after = (0.5 * sum(min(c.score**2, MAX_SCORE**2) for c in some) for some in (seen.maps.cells, cells))
     left = replace(seen, maps=replace(seen.maps, cells=cells, p=p), p=p)
+    model, fit, density = guess.model, guess.fit, guess.density
     corrected = Corrected(model, vector(model, fit) - fit.x, left)
     return ShotNoise(density, (density * np.exp(-half), density * np.exp(half)), corrected, before - after, off - floor)
 

@@ -115,25 +115,35 @@ def noise_process(circuit: Circuit, radiance: float, floor: float = 0.0) -> Nois
     """
     if circuit.lower_cutoff > 0:
         raise InputError("lower_cutoff: noise events of a circuit with a lower cutoff are not computed")
-    dynamics = dynamics_of(circuit)
     light = radiance + circuit.dark
     density = circuit.shot_density / light + floor
     if not (density > 0 and math.isfinite(density)):
         raise InputError(f"noise at radiance {radiance:g}: expected shot_noise.density or a floor above 0")
-    rates = []
+    A, drive, stored = linear_stages(circuit, light)
+    if len(A) < 3:
+        raise InputError(
+            "noise: expected at least three poles (photoreceptor, source follower, amplifier), found "
+            f"{len(A)}: noise through fewer crosses a threshold at no finite rate"
+        )
+    P = 0.5 * density * stationary_covariance(A, drive)
+    return NoiseProcess(A, P, stored, float(circuit.differencing))
+
+
+def linear_stages(circuit: Circuit, light: float) -> tuple[np.ndarray, np.ndarray, int]:
+    """(A (n, n), drive (n,), stored): dx/dt = A x + drive · (ln L − its mean) of the stages, around a constant light.
+
+    The amplifier's output is the last state, and `stored` the one that a reset stores.  A lower cutoff is left out.
+
+    Args:
+        circuit: its stages.
+        light: of the photoreceptor, with dark current.
+    """
+    dynamics, rates = dynamics_of(circuit), []
     if circuit.photoreceptor == "one_pole":
         a, b2 = photoreceptor_rates(dynamics, light)
         rates.append(a / b2)
-    followers = [w for w in (circuit.follower, circuit.extra_pole) if math.isfinite(w)]
-    rates += followers
-    if math.isfinite(circuit.differencing):
-        rates.append(circuit.differencing)
+    rates += [w for w in (circuit.follower, circuit.extra_pole, circuit.differencing) if math.isfinite(w)]
     second_order = circuit.photoreceptor == "second_order"
-    if len(rates) + 2 * second_order < 3:
-        raise InputError(
-            "noise: expected at least three poles (photoreceptor, source follower, amplifier), found "
-            f"{len(rates) + 2 * second_order}: noise through fewer crosses a threshold at no finite rate"
-        )
     n = len(rates) + 2 * second_order
     A, drive = np.zeros((n, n)), np.zeros(n)
     first = 0
@@ -148,14 +158,12 @@ def noise_process(circuit: Circuit, radiance: float, floor: float = 0.0) -> Nois
             A[k, k - 1] = rate
         else:
             drive[0] = rate
-    P = _lyapunov(A, 0.5 * density * np.outer(drive, drive))  # two-sided PSD: half the one-sided
-    last_input = n - 2 if math.isfinite(circuit.differencing) else n - 1
-    return NoiseProcess(A, P, last_input, float(circuit.differencing))
+    return A, drive, n - 2 if n > 1 and math.isfinite(circuit.differencing) else n - 1
 
 
-def _lyapunov(A: np.ndarray, Q: np.ndarray) -> np.ndarray:
-    """P of A P + P Aᵀ = −Q."""
+def stationary_covariance(A: np.ndarray, drive: np.ndarray) -> np.ndarray:
+    """(n, n) P of A P + P Aᵀ = −drive driveᵀ: of the states under white noise of two-sided PSD 1 (one-sided 2)."""
     from scipy.linalg import solve_continuous_lyapunov
 
-    P = solve_continuous_lyapunov(A, -Q)
+    P = solve_continuous_lyapunov(A, -np.outer(drive, drive))
     return 0.5 * (P + P.T)

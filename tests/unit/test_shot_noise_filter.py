@@ -1,0 +1,111 @@
+"""The filter that shares noise out between thresholds and shot noise, against dense Gaussian algebra and simulation."""
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.linalg import expm
+
+from pixelid.fit.maximise import maximise
+from pixelid.gap.shot_noise.filter import _filter, share_out
+from pixelid.likelihood.event_times import EventTimes
+from pixelid.model.shipped import find_model
+from pixelid.recordings.own_light import with_fine_light
+from pixelid.simulate import simulate
+from pixelid.stimuli.shapes import chirp, slow
+from pixelid.tables.noise.process import linear_stages, stationary_covariance
+
+MODEL = find_model("dvs128").without_effect("threshold_mismatch")
+
+
+@pytest.mark.parametrize("name", ["dvs128", "dvs128_low_light", "photoreceptor"])
+def test_stages_are_the_differential_equations_of_the_circuit(name):
+    """The step response of the matrices is that of the equations, written out anew."""
+    circuit = find_model(name).circuit()
+    light = 24.0
+    A, drive, stored = linear_stages(circuit, light)
+    times = np.linspace(1e-4, 5e-3, 7)
+    response = np.array([np.linalg.solve(A, (expm(A * t) - np.eye(len(A))) @ drive) for t in times])
+    a, b = circuit.alpha * light, circuit.beta + circuit.gamma * light
+    poles = [w for w in (circuit.follower, circuit.extra_pole, circuit.differencing) if np.isfinite(w)]
+
+    def rhs(t, s):
+        if circuit.photoreceptor == "second_order":
+            d = [a * (1.0 - s[1]) - b * s[0], s[0]]
+        else:
+            d = [circuit.corner * light * (1.0 - s[0])]
+        for k, w in enumerate(poles, len(d)):
+            d.append(w * (s[k - 1] - s[k]))
+        return d
+
+    exact = solve_ivp(rhs, (0.0, times[-1]), np.zeros(len(A)), t_eval=times, rtol=1e-10, atol=1e-12, method="LSODA").y
+    np.testing.assert_allclose(response[:, -1], exact[-1], rtol=1e-6)
+    np.testing.assert_allclose(response[:, stored], exact[stored], rtol=1e-6)
+
+
+def test_the_filter_is_dense_gaussian_algebra():
+    """Mean and covariance of all levels at once, from the noise's autocovariance, against one event after another."""
+    rng = np.random.default_rng(1)
+    step, n = 2e-5, 12
+    A, drive, stored = linear_stages(MODEL.circuit(), 24.0)
+    P = stationary_covariance(A, drive) * 0.5 / 24.0
+    event = np.cumsum(rng.integers(20, 200, n))
+    reference = np.append(0, event[:-1]) + rng.integers(0, 15, n)
+    sign = rng.choice([-1.0, 1.0], n)
+    variance, ratio = rng.uniform(0.5, 2.0, n) * 1e-3, 2e-4
+    y = 0.05 * rng.standard_normal(n)
+
+    def covariance(i, first, j, second):
+        """Of the component i at one step with j at another."""
+        lag = (second - first) * step
+        return (P @ expm(A * lag).T)[i, j] if lag >= 0 else (expm(A * -lag) @ P)[i, j]
+
+    out, S = len(A) - 1, np.zeros((n, n))
+    for k in range(n):
+        for m in range(n):
+            S[k, m] = sign[k] * sign[m] * ratio * (
+                covariance(out, event[k], out, event[m]) - covariance(out, event[k], stored, reference[m])
+                - covariance(stored, reference[k], out, event[m])
+                + covariance(stored, reference[k], stored, reference[m])
+            )  # fmt: skip
+    S += np.diag(variance)
+    E = expm(A * step)
+    light = np.zeros(event[-1] + 1, np.int16)
+    logs, squares, count = _filter(
+        y, variance, sign, np.ones(n, bool), reference, event, light, E[None], (P - E @ P @ E.T)[None], P[None], stored,
+        ratio,
+    )  # fmt: skip
+    assert count == n
+    assert logs == pytest.approx(np.linalg.slogdet(S)[1], rel=1e-9)
+    assert squares == pytest.approx(y @ np.linalg.solve(S, y), rel=1e-9)
+
+
+@pytest.fixture(scope="module")
+def lights():
+    return [chirp(24.0, stop_hz=200.0), slow(24.0, seed=3)]
+
+
+def divided(truth, lights, seed):
+    recordings = [
+        with_fine_light(simulate(truth, light, width=4, height=2, seed=seed + k, sensor_seed=seed), "linear")
+        for k, light in enumerate(lights)
+    ]
+    likelihood = EventTimes(recordings).weighed(MODEL.circuit())
+    fit = maximise(likelihood, MODEL, tolerance=0.05, max_steps=40)
+    found = share_out(likelihood, fit.model.circuit())
+    assert found is not None
+    return found, fit
+
+
+def test_planted_shot_noise_is_told_from_threshold_noise(lights):
+    truth = MODEL.set({"threshold_sigma": 0.03}).with_effect("shot_noise", {"density": 6e-5})
+    found, fit = divided(truth, lights, 11)
+    assert found.gain > 100.0
+    assert abs(np.log(found.density / 6e-5)) < 4.0 * found.error + 0.05
+    assert fit.values["threshold_sigma"] > 0.05  # all of the noise
+    assert np.sqrt(found.thresholds) * fit.values["threshold_sigma"] == pytest.approx(0.03, rel=0.2)
+
+
+def test_threshold_noise_alone_is_no_shot_noise(lights):
+    found, _ = divided(MODEL.set({"threshold_sigma": 0.06}), lights, 21)
+    assert found.gain < 3.0
+    assert found.thresholds == pytest.approx(1.0, abs=0.1)
