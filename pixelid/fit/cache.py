@@ -181,6 +181,8 @@ def _digest(likelihood: EventTimes) -> bytes:
     hashed.update(np.ascontiguousarray(likelihood.clock_share).tobytes())
     if likelihood.threshold_factor is not None:
         hashed.update(b"factor" + np.ascontiguousarray(likelihood.threshold_factor).tobytes())
+    if likelihood.shift is not None:
+        hashed.update(b"shift" + likelihood.shift.change.tobytes() + likelihood.shift.slope.tobytes())
     return hashed.digest()
 
 

@@ -11,6 +11,7 @@ from pixelid.fit.event_times import EventTimesObjective
 from pixelid.fit.result import FitResult
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.likelihood.light_between_samples import with_told
+from pixelid.likelihood.shot_noise import under_shot_noise
 from pixelid.recordings.own_light import with_fine_light, with_pixel_lights
 from pixelid.recordings.recording import Recording
 from pixelid.recordings.selection import named_apart
@@ -25,7 +26,7 @@ def event_times_of(result: FitResult, recordings: Sequence[Recording]) -> EventT
     """The objective whose optimum a fit to event times is, of these recordings or of other pixels of them.
 
     Recordings are within their light and told apart as the fit took them, the light between samples runs as it found,
-    and where stamps jitter, their noise counts at the reset as well, as at its optimum.
+    and where stamps jitter, their noise counts at the reset as well, as at its optimum; so does shot noise in levels.
 
     Args:
         result: of `fit`, without levels of pixels.
@@ -36,7 +37,11 @@ def event_times_of(result: FitResult, recordings: Sequence[Recording]) -> EventT
     """
     between = result.details.get("stimulus_between_samples", "linear")
     fine = [with_fine_light(r, between) for r in as_fitted(recordings) if r.stimulus is not None]
-    return stamps_weighed(EventTimesObjective(EventTimes(fine), result.coordinates), result.x)
+    objective = stamps_weighed(EventTimesObjective(EventTimes(fine), result.coordinates), result.x)
+    circuit = result.coordinates.circuit(result.x)
+    if circuit.shot_density == 0.0:
+        return objective
+    return EventTimesObjective(under_shot_noise(objective.at(result.x), circuit), result.coordinates)
 
 
 def weighs_stamps(likelihood: EventTimes, coordinates: Coordinates) -> bool:

@@ -27,6 +27,7 @@ from pixelid.fit.own_values import held_values
 from pixelid.fit.pooled import fit_pooled
 from pixelid.fit.refine import BETWEEN, refine
 from pixelid.fit.result import FitResult, Stopwatch, estimates_of
+from pixelid.fit.shot_noise import EFFECT, fit_under_shot_noise, without_density, without_filter
 from pixelid.fit.starts import feasible, narrower, random_starts
 from pixelid.fit.uncertainty.challenge import challenged
 from pixelid.fit.uncertainty.curvature import read_curvature
@@ -135,7 +136,7 @@ def fit(
         dispersion = details["dispersion"]
     else:
         objective, optimum, details, pixels = _fit_event_times(
-            recordings, model, fixed or {}, starts, between, maximiser, form, wanted, rng, report
+            recordings, model, fixed or {}, starts, between, maximiser, form, wanted, rng, seed, report
         )
         dispersion = 1.0
     report("standard errors", 0.9)
@@ -162,7 +163,7 @@ def fit(
     identified, limits = challenged(objective, optimum.x, reading.identified, recordings)
     details["condition_number"] = reading.condition
     details["directions_best_to_least_known"] = list(reading.directions)
-    fitted = coordinates.model_at(optimum.x)
+    fitted = without_filter(coordinates.model_at(optimum.x), model)
     physical, why = (None, NO_PHYSICAL) if sampled else _physical(fitted, gauge is not None)
     if sampled and isinstance(objective, EventTimesObjective):
         added = line_errors(objective, optimum.x)
@@ -233,12 +234,18 @@ def check_event_times(model: Model) -> None:
         )
 
 
-def _fit_event_times(recordings, model, fixed, starts, between, maximiser: Engine, form, wanted, rng, report):
+def _fit_event_times(recordings, model, fixed, starts, between, maximiser: Engine, form, wanted, rng, seed, report):
     check_event_times(model)
     pixels = EventTimes(recordings).pixels
     scout = EventTimes(few(recordings, SCOUT_EVENTS, rng))
     if unseparated(recordings):
         model = model.fix({"delay_s": None})
+    noisy = EFFECT in model.effects
+    if noisy and wanted is not None:
+        raise InputError(f"{EFFECT}: is not told beside levels of pixels; leave one of them out")
+    if noisy and form != "discrete":
+        raise InputError(f"form: {EFFECT} is fitted in the discrete form only")
+    whole, model = model, without_density(model)
     model, rest = held_values(feasible(model, scout), fixed)
     clocks = held_clocks(recordings, rest, model)
     coordinates = Coordinates.of(model, clocks)
@@ -284,6 +291,10 @@ def _fit_event_times(recordings, model, fixed, starts, between, maximiser: Engin
         report("gain and background of pixels", 0.5)
         levels = fit_levels(recordings, coordinates, (best.x, coordinates.start), wanted, kinds)
         objective, optimum, found = levels.objective, levels.optimum, levels.details
+    if noisy:
+        report("shot noise", 0.85)
+        under = fit_under_shot_noise(objective, optimum, whole, clocks, seed)
+        objective, optimum, found = under.objective, under.optimum, {**found, EFFECT: under.details}
     if form == "continuous":
         report("continuous form", 0.9)
         continuous = maximiser.continuous(objective, optimum.x)

@@ -16,7 +16,7 @@ from pixelid.likelihood.changes import ChangeEvaluator
 from pixelid.likelihood.clocks import Clock
 from pixelid.likelihood.density import Terms, density
 from pixelid.likelihood.extremes import Extremes
-from pixelid.likelihood.layout import StackedChanges, flat_index, layout_of, read_only
+from pixelid.likelihood.layout import Layout, Shift, StackedChanges, flat_index, layout_of, read_only
 from pixelid.likelihood.light_between_samples import unknown_light
 from pixelid.likelihood.sections import sections_of
 from pixelid.parallel import map_threads
@@ -44,6 +44,7 @@ class EventTimes:
         layout: Which pixel and recording each of the n intervals belongs to.
         clock_share: (n,) how often timestamp noise counts, 1 until `weighed`.
         threshold_factor: (n,) what each event's threshold is multiplied by beside all that the circuit says, or None.
+        shift: What noise has added to the changes at events, or None.
         clocks: One per recording, None where its times are taken as they are; None: for none of them.
         unknown_light: What is not known of light that sensors measured themselves, None where there is none.
 
@@ -71,6 +72,7 @@ class EventTimes:
             self.layout = self.unknown_light.added(self.layout)
         self.clock_share = read_only(np.ones(self.events))
         self.threshold_factor: np.ndarray | None = None
+        self.shift: Shift | None = None
         self.clocks: tuple[Clock | None, ...] | None = None
         self._large = samples + self.events > LARGE
 
@@ -167,6 +169,8 @@ class EventTimes:
         changes = self.layout.stacked(vector, tuple(located))
         if self.unknown_light is not None:
             self.unknown_light.apply(changes, self.sign)
+        if self.shift is not None:
+            self.shift.apply(changes, self.sign)
         if self.threshold_factor is not None:
             for row in changes.events.of_level:
                 row /= self.threshold_factor
@@ -185,6 +189,8 @@ class EventTimes:
         changes = self.layout.stacked(vector)
         if self.unknown_light is not None:
             self.unknown_light.apply(changes, self.sign, self.layout.recording == recording)
+        if self.shift is not None:
+            self.shift.apply(changes, self.sign, self.layout.recording == recording)
         if self.threshold_factor is not None:
             mine = self.layout.recording == recording
             for row in changes.events.of_level:
@@ -240,6 +246,12 @@ class EventTimes:
         """The same likelihood under other lights, those of each section, sampled at the same times."""
         other = copy(self)
         other.evaluators = tuple(e.with_lights(some) for e, some in zip(self.evaluators, lights, strict=True))
+        return other
+
+    def with_shift(self, shift: Shift, layout: Layout) -> EventTimes:
+        """The same likelihood with what noise has added to changes, and a layout that knows its variances."""
+        other = copy(self)
+        other.shift, other.layout = shift, layout
         return other
 
     def with_threshold_factor(self, factor: np.ndarray | None) -> EventTimes:

@@ -68,6 +68,19 @@ class StackedChanges:
     extremes: tuple[Extremes, ...] = ()
 
 
+@dataclass(frozen=True)
+class Shift:
+    """(n,) each what is added to the changes at events and to their slopes, up for ON and down for OFF events."""
+
+    change: np.ndarray
+    slope: np.ndarray
+
+    def apply(self, changes: StackedChanges, sign: np.ndarray, among: np.ndarray | slice = slice(None)) -> None:
+        """Add it, at the events `among` (n,) only."""
+        changes.events.change[among] += (sign * self.change)[among]
+        changes.events.slope[among] += (sign * self.slope)[among]
+
+
 @dataclass(frozen=True, eq=False)
 class Layout:
     """n intervals with an event at their end, m without, of the same pixels in one or more recordings.

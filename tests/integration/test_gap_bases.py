@@ -5,10 +5,10 @@ from dataclasses import replace
 
 import pytest
 
+from pixelid.fit.again import can_be_simulated
 from pixelid.gap.attribute.candidates import impossible, missing, remove_effect, variants
 from pixelid.gap.gap import gap
 from pixelid.gap.result import VERDICTS
-from pixelid.gap.shot_noise.shot_noise import can_be_simulated
 from pixelid.model.shipped import find_model
 from pixelid.simulate import simulate
 from pixelid.stages import LIBRARY

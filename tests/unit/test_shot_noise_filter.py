@@ -6,8 +6,8 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 from pixelid.fit.maximise import maximise
-from pixelid.gap.shot_noise.filter import _filter, share_out
 from pixelid.likelihood.event_times import EventTimes
+from pixelid.likelihood.shot_noise import _filter, share_out
 from pixelid.model.shipped import find_model
 from pixelid.recordings.own_light import with_fine_light
 from pixelid.simulate import simulate
@@ -70,13 +70,43 @@ def test_the_filter_is_dense_gaussian_algebra():
     S += np.diag(variance)
     E = expm(A * step)
     light = np.zeros(event[-1] + 1, np.int16)
+    still = (E[None], (P - E @ P @ E.T)[None], P[None], A[-1][None])
     logs, squares, count = _filter(
-        y, variance, sign, np.ones(n, bool), reference, event, light, E[None], (P - E @ P @ E.T)[None], P[None], stored,
-        ratio,
-    )  # fmt: skip
+        y, variance, sign, np.ones(n, bool), reference, event, light, *still, stored, ratio, np.empty((n, 5))
+    )
     assert count == n
     assert logs == pytest.approx(np.linalg.slogdet(S)[1], rel=1e-9)
     assert squares == pytest.approx(y @ np.linalg.solve(S, y), rel=1e-9)
+
+
+def test_moments_are_those_of_dense_gaussian_algebra():
+    """Mean and variance of the level by shot noise, and its slope, given the events before."""
+    step, stored = 2e-5, linear_stages(MODEL.circuit(), 24.0)[2]
+    A, drive, _ = linear_stages(MODEL.circuit(), 24.0)
+    P = stationary_covariance(A, drive) * 0.5 / 24.0
+    E, density, variance = expm(A * step), 2e-4, np.array([1e-3, 1.0])
+    event, reference, y = np.array([50, 90]), np.array([0, 55]), np.array([0.03, 0.0])
+    moments = np.empty((2, 5))
+    _filter(
+        y, variance, np.ones(2), np.ones(2, bool), reference, event, np.zeros(91, np.int16), E[None],
+        (P - E @ P @ E.T)[None], P[None], A[-1][None], stored, density, moments,
+    )  # fmt: skip
+    # states at steps 0, 50, 55, 90 together
+    steps = [0, 50, 55, 90]
+    joint = np.block([
+        [density * (P @ expm(A * (b - a) * step).T if b >= a else expm(A * (a - b) * step) @ P) for b in steps]
+        for a in steps
+    ])  # fmt: skip
+    n = len(A)
+    first, second, slope = np.zeros((3, 4 * n))
+    first[n + n - 1], first[stored] = -1.0, 1.0
+    second[3 * n + n - 1], second[2 * n + stored] = -1.0, 1.0
+    slope[3 * n : 4 * n] = A[-1]
+    gain = joint @ first / (first @ joint @ first + variance[0])
+    after = joint - np.outer(gain, first @ joint)
+    expected = [second @ gain * y[0], second @ after @ second, slope @ gain * y[0], slope @ after @ second,
+                slope @ after @ slope]  # fmt: skip
+    np.testing.assert_allclose(moments[1], expected, rtol=1e-8)
 
 
 @pytest.fixture(scope="module")

@@ -14,6 +14,7 @@ import numpy as np
 from scipy.special import ndtri_exp
 from scipy.stats import t as student
 
+from pixelid.fit.again import simulate_again
 from pixelid.fit.cache import FitCache
 from pixelid.fit.maximise import Maximum, maximise
 from pixelid.gap.criteria import Criteria
@@ -22,16 +23,9 @@ from pixelid.gap.detect.diagnostics import Diagnostics
 from pixelid.gap.detect.maps import Cell, Scores, chance_of_largest, map_residuals
 from pixelid.gap.detect.pixels import PixelEvidence
 from pixelid.gap.detect.residuals import residuals, tangents
-from pixelid.gap.shot_noise.filter import Division, share_out
 from pixelid.likelihood.event_times import EventTimes
-from pixelid.likelihood.light_drawn import light_in_a_row
+from pixelid.likelihood.shot_noise import Division, share_out
 from pixelid.model.model import Model
-from pixelid.parallel import map_threads
-from pixelid.recordings.own_light import with_fine_light
-from pixelid.recordings.recording import Recording
-from pixelid.recordings.sensor_light import is_measured
-from pixelid.simulate import simulate
-from pixelid.stimuli.pixel_lights import in_a_row
 
 # Standard error (log units) of a coordinate beyond which it is left where it is (nothing in the events pulls it back),
 # and the farthest that one is shifted: the correction is first order.
@@ -76,28 +70,6 @@ def well_known(fit: Maximum) -> np.ndarray:
     """(d,) which coordinates the events hold."""
     error = np.sqrt(np.maximum(np.diag(np.linalg.pinv(fit.information)), 0.0))
     return (error > 0) & (error < MAX_KNOWN_ERROR)
-
-
-def simulate_again(
-    recordings: Sequence[Recording], truth: Model, pixels: np.ndarray, between: str | None, seed: int
-) -> list[Recording]:
-    """The recordings with the events that a sensor of a row of these pixels, flat indices, would have given.
-
-    between: how their stimuli run between samples; None: as they are
-    """
-
-    def simulated(job: tuple[int, Recording]) -> Recording:
-        i, r = job
-        light = r.stimulus if between is None else with_fine_light(r, between).stimulus
-        assert light is not None
-        seen = light_in_a_row(r, light, pixels, seed + 101 * i)
-        here = truth.in_recording(r.name)
-        run = simulate(here, seen, width=len(pixels), height=1, seed=seed + 101 * i, sensor_seed=seed)
-        as_came = in_a_row(light if r.stimulus is None else r.stimulus, pixels)
-        made = replace(r, events=replace(run.events, tick_ns=r.events.tick_ns), stimulus=as_came)
-        return made.within_stimulus() if is_measured(r) else made  # its delay is free, and carries events past the end
-
-    return map_threads(simulated, enumerate(recordings))
 
 
 def make_replicate(

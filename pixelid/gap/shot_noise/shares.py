@@ -1,8 +1,8 @@
 """The noise of a fit, shared out between thresholds and shot noise, and put right by what simulated replicates show.
 
-What the filter of `filter.py` finds, and where a fit that knows no shot noise ends, are a little off: noisy levels are
-met early.  Replicates made from a guess are off in the same way, so what they are off by is taken from the guess
-(indirect inference: Gouriéroux, Monfort & Renault 1993, J. Appl. Econometrics 8, S85).
+Where a fit that knows no shot noise ends is a little off, and so is what the filter of `likelihood/shot_noise.py` then
+finds.  Replicates made from a guess are off in the same way, so what they are off by is taken from the guess (indirect
+inference: Gouriéroux, Monfort & Renault 1993, J. Appl. Econometrics 8, S85).
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pixelid.fit.maximise import Maximum
-from pixelid.gap.shot_noise.filter import Division
 from pixelid.gap.shot_noise.replicates import MAX_SHIFT, PRIOR_DEGREES, Replicate, well_known
+from pixelid.likelihood.shot_noise import Division
 from pixelid.model.model import Model
 
 EFFECT, STRENGTH, NOISE = "shot_noise", "shot_noise.density", "threshold_sigma"

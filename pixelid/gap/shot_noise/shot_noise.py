@@ -2,9 +2,9 @@
 
 To the likelihood, noise before the photoreceptor is threshold noise; what gives it away is where events scatter, that
 an event's deviation reverses the one before, and that pixels fire in constant light.  So the noise that the fit calls
-the thresholds' is shared out between them and shot noise (`filter.py`), and put right by replicates that are simulated
-and fitted like the measurement (`shares.py`).  Shot noise is named when nothing then tells measurement and replicates
-apart.
+the thresholds' is shared out between them and shot noise (`likelihood/shot_noise.py`), and put right by replicates that
+are simulated and fitted like the measurement (`shares.py`).  Shot noise is named when nothing then tells measurement
+and replicates apart.
 """
 
 from __future__ import annotations
@@ -17,14 +17,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.stats import norm
 
-from pixelid.dynamics.equations import PRESENT_BELOW
+from pixelid.fit.again import can_be_simulated
 from pixelid.fit.cache import FitCache
 from pixelid.fit.maximise import Maximum
 from pixelid.gap.criteria import Criteria
 from pixelid.gap.detect.diagnostics import Diagnostics
 from pixelid.gap.detect.pixels import PixelEvidence
 from pixelid.gap.options import Options
-from pixelid.gap.shot_noise.filter import share_out
 from pixelid.gap.shot_noise.replicates import (
     Corrected,
     Replicate,
@@ -33,19 +32,13 @@ from pixelid.gap.shot_noise.replicates import (
     subtract_replicates,
 )
 from pixelid.gap.shot_noise.shares import NOISE, Guess, sound, vector
+from pixelid.likelihood.shot_noise import share_out
 from pixelid.model.model import Model
-from pixelid.recordings.recording import Recording
-from pixelid.simulate.laws import rules_of
-from pixelid.simulate.light import noise_step
-from pixelid.stimuli.pixel_lights import Light, PixelLights
 
 REPLICATES = 4  # at the density taken
 MAX_MOVE = 0.1  # of its logarithm that these leave from the one that they were made at: else they are made again
 MAX_SCORE = 10.0  # standard deviations: cells that differ by more count as this in a distance
 MAX_SCORE_AT_SIGHT = 30.0  # the same where maps are only looked at
-# Of all recordings together.  The shipped pixel needs 1e5 a second in bright light; a bandwidth hundreds of times as
-# high, which only a fit that ran away has, would take hours, and its noise would look like the thresholds'.
-MOST_STEPS = 5e7
 MIN_HALF_WIDTH = 0.05  # relative, of the interval: replicates are no better than this
 
 
@@ -118,25 +111,6 @@ def find_shot_noise(
         final = [made(guess.model, turn) for turn in range(2 + REPLICATES, 2 + 2 * REPLICATES)]
         better = guess.corrected(final)
     return _judged(better, final, measured, seen, without, criteria) if sound(final) else None
-
-
-def can_be_simulated(recordings: Sequence[Recording], model: Model) -> bool:
-    """Whether the model limits the bandwidth of white noise, and so that its steps are not too many to simulate."""
-    circuit = model.circuit()
-    rules = rules_of(circuit, 0, False, 0.0)
-    if circuit.photoreceptor == "unlimited" and min(rules.chain[0], rules.chain[1], rules.chain[3]) > PRESENT_BELOW:
-        return False
-    steps = 0.0
-    for recording in recordings:
-        light = recording.stimulus
-        assert light is not None
-        steps += light.duration_s / noise_step(rules, _brightest(light) + circuit.dark)
-    return steps < MOST_STEPS
-
-
-def _brightest(light: Light) -> float:
-    lights = light.lights if isinstance(light, PixelLights) else (light,)
-    return max(float(one.radiance.max()) for one in lights)
 
 
 def _judged(

@@ -9,12 +9,13 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 
+from pixelid.fit.again import simulate_again
 from pixelid.gap.detect.covariates import Factor
 from pixelid.gap.imputation.impute import impute, impute_again, impute_behind_jitter
 from pixelid.gap.options import Context
 from pixelid.gap.phases import Phase
 from pixelid.gap.rounds import entry
-from pixelid.gap.shot_noise.replicates import simulate_again, subtract_replicates
+from pixelid.gap.shot_noise.replicates import subtract_replicates
 from pixelid.gap.split import split_pixels
 from pixelid.gap.state import Hypothesis, State
 from pixelid.gap.steps.impute_hypothesis import Setting, at_imputed_times

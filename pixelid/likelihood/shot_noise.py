@@ -16,12 +16,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 
 from pixelid.likelihood.event_times import EventTimes
+from pixelid.likelihood.layout import Shift, read_only
 from pixelid.parallel import map_threads
 from pixelid.recordings.recording import Recording
 from pixelid.stages.circuit import Circuit
@@ -31,7 +33,10 @@ from pixelid.tables.noise.process import linear_stages, stationary_covariance
 STEP = 0.1  # of the time in which the level's noise changes by its own size, in the brightest light
 PER_LOG = 30.0  # lights per e-fold that steps are tabulated for, and most of them
 MOST_LIGHTS = 400
-MOST_STEPS = 1.5e7  # of all pixels that are looked at, one and a half seconds of work a density
+SLOWEST = -6.0  # standard deviations of a slope: beyond, E[w⁺] is rounding
+MOST_MOVED = 0.5  # of a threshold, that noise moves one by
+MARGIN = 1e-3  # of log light, so that a constant one is a range
+MOST_STEPS = 1.5e7  # of all pixels together, one and a half seconds of work a density
 OUTLIER = 5.0  # scales of the fit's residuals: events that something else made
 RATIOS = (1e-6, 1e6)  # of shot noise to threshold noise, variances, between which it is looked for
 TOLERANCE = 0.01  # of its logarithm
@@ -57,14 +62,30 @@ class Division:
     quiet: float
 
 
+class Noise(NamedTuple):
+    """(n,) what shot noise adds to levels at events, the events before given.
+
+    mean, variance: of −s (n(t) − n(r)), what the level must be more to reach its threshold
+    slope, together, slope_variance: mean of the slope s ṅ(t), its covariance with the level's, and its variance
+    """
+
+    mean: np.ndarray
+    variance: np.ndarray
+    slope: np.ndarray
+    together: np.ndarray
+    slope_variance: np.ndarray
+
+
 @dataclass(frozen=True)
 class _Chain:
     """Events of one pixel in one recording, in order: where in `steps` they and their references are.
 
+    rows: (n,) which events of the likelihood they are
     y, variance: (n,) as the fit has them;  sign: (n,);  usable: (n,) whether to learn from them
     reference, event: (n,) number of steps before each;  light: (steps,) index of the tabulated light
     """
 
+    rows: np.ndarray
     y: np.ndarray
     variance: np.ndarray
     sign: np.ndarray
@@ -73,15 +94,25 @@ class _Chain:
     event: np.ndarray
     light: np.ndarray
 
+    def filtered(self, steps: _Steps, density: float) -> tuple[np.ndarray, np.ndarray]:
+        """((3,) Σ ln S, Σ r²/S and count, (n, 5) moments of `Noise`) with shot noise of a density."""
+        moments = np.empty((len(self.y), len(Noise._fields)))
+        sums = _filter(
+            self.y, self.variance, self.sign, self.usable, self.reference, self.event, self.light,
+            steps.propagator, steps.added, steps.stationary, steps.slope, steps.stored, density, moments,
+        )  # fmt: skip
+        return np.array(sums), moments
+
 
 @dataclass(frozen=True)
 class _Steps:
     """Propagators (lights, n, n) over one step and the covariances of unit density that come on top, and stationary;
-    `stored`: the component that a reset stores."""
+    `slope`: (lights, n) what the slope of the level is of the state;  `stored`: the component that a reset stores."""
 
     propagator: np.ndarray
     added: np.ndarray
     stationary: np.ndarray
+    slope: np.ndarray
     stored: int
 
 
@@ -98,14 +129,14 @@ def share_out(likelihood: EventTimes, circuit: Circuit, seed: int = 0) -> Divisi
     """
     from scipy.optimize import minimize_scalar
 
-    chains, steps = _chains(likelihood, circuit, seed)
+    chains, steps = _chains(likelihood, circuit, False, seed)
     if not chains:
         return None
 
     def filtered(log_ratio: float) -> tuple[float, float]:
         """(log-likelihood, factor of all variances that makes it largest)."""
-        sums = np.sum(map_threads(lambda chain: _filter(*_of(chain), *_of(steps), math.exp(log_ratio)), chains), axis=0)
-        logs, squares, count = sums
+        sums = map_threads(lambda chain: chain.filtered(steps, math.exp(log_ratio))[0], chains)
+        logs, squares, count = np.sum(sums, axis=0)
         scale = squares / count
         return -0.5 * (logs + count * (math.log(scale) + 1.0)), scale
 
@@ -127,31 +158,76 @@ def share_out(likelihood: EventTimes, circuit: Circuit, seed: int = 0) -> Divisi
     return Division(scale * math.exp(at), scale, error, top - without, float(dimmest))
 
 
+def noise_of(likelihood: EventTimes, circuit: Circuit) -> Noise:
+    """What a circuit's shot noise adds to the levels of all events, those before given."""
+    moments = np.zeros((likelihood.events, len(Noise._fields)))
+    chains, steps = _chains(likelihood, circuit, True, 0)
+    for chain, (_, some) in zip(
+        chains, map_threads(lambda chain: chain.filtered(steps, circuit.shot_density), chains), strict=True
+    ):
+        moments[chain.rows] = some
+    return Noise(*moments.T)
+
+
+def under_shot_noise(likelihood: EventTimes, circuit: Circuit) -> EventTimes:
+    """The likelihood of events whose levels a circuit's shot noise has moved, to be maximised near that circuit.
+
+    Given the events before, the level at an event is normal about the noiseless one, and it is met the oftener the
+    faster it rises there: the density of an event is that of its level times E[w⁺], w the slope with its noise, given
+    the level (Rice 1944).  With w normal, of mean m and deviation d, E[w⁺] = d (x Φ(x) + φ(x)) with x = m / d, and the
+    level where the event is likeliest lies Cov(w, level) Φ(x) / E[w⁺] further.  Means, variances and slopes are those
+    at the circuit and held: what they owe to it is of second order.
+
+    Args:
+        likelihood: Without shot noise.
+        circuit: With it, close to where the likelihood will be largest.
+    """
+    from scipy.special import ndtr
+
+    noise, terms = noise_of(likelihood, circuit), likelihood.terms(circuit)
+    threshold = terms.group_mean[likelihood.group]
+    total = noise.variance + (circuit.noise * threshold) ** 2
+    missed = terms.z - threshold - noise.mean
+    told = np.abs(missed) < OUTLIER * np.sqrt(total)
+    rate = likelihood.sign * terms.changes.events.slope
+    slope = rate + noise.slope + np.where(told, noise.together / total * missed, 0.0)
+    spread = np.sqrt(np.maximum(noise.slope_variance - noise.together**2 / total, 1e-12))
+    x = np.maximum(slope / spread, SLOWEST)
+    speed = spread * (x * ndtr(x) + np.exp(-0.5 * x * x) / math.sqrt(2.0 * math.pi))
+    further = np.clip(noise.mean + noise.together * ndtr(x) / speed, -MOST_MOVED * threshold, MOST_MOVED * threshold)
+    usual = np.full(likelihood.layout.ends, noise.variance.mean())
+    at = likelihood.layout
+    both = ((at.light, noise.variance), (at.light_reset, noise.variance), (at.light_last, usual))
+    light, reset, last = (read_only(known + added if len(known) else added) for known, added in both)
+    layout = replace(at, light=light, light_reset=reset, light_last=last)
+    return likelihood.with_shift(Shift(read_only(-further), read_only(speed - rate)), layout)
+
+
 def _usual_ratio(chains: list[_Chain], steps: _Steps) -> float:
     """Variance of shot noise of unit density over that of thresholds, about."""
     noise = np.median([steps.stationary[chain.light, -1, -1].mean() for chain in chains])
     return float(noise / np.median(np.concatenate([chain.variance for chain in chains])))
 
 
-def _of(fields) -> tuple:
-    return tuple(vars(fields).values())
-
-
-def _chains(likelihood: EventTimes, circuit: Circuit, seed: int) -> tuple[list[_Chain], _Steps]:
+def _chains(likelihood: EventTimes, circuit: Circuit, every: bool, seed: int) -> tuple[list[_Chain], _Steps]:
     """The chains of events, and the steps between them."""
     terms = likelihood.terms(circuit)
     y = terms.z - terms.group_mean[likelihood.group]
     usable = ~terms.background & (np.abs(y) < OUTLIER * terms.scale)
     seen = lights_of(likelihood.recordings)
     lights = [np.log(np.exp(_range(light)) + circuit.dark) for light in seen]
-    low, high = min(light[0] for light in lights), max(light[1] for light in lights)
+    low, high = min(light[0] for light in lights) - MARGIN, max(light[1] for light in lights) + MARGIN
     grid = np.linspace(low, high, int(np.clip(math.ceil(PER_LOG * (high - low)) + 1, 2, MOST_LIGHTS)))
-    step_s = _step_s(circuit, math.exp(high))
+    duration_s = sum(light.duration_s for light in seen)
+    fine_s = _step_s(circuit, math.exp(high))
+    count = likelihood.pixels if every else int(np.clip(MOST_STEPS * fine_s / duration_s, 1, likelihood.pixels))
+    # coarser ones round the times of events, no more: noise is propagated exactly
+    step_s = max(fine_s, duration_s * count / MOST_STEPS)
     steps = _steps(circuit, np.exp(grid), step_s)
     previous = np.concatenate([interval.previous_s for interval in likelihood.intervals]) - circuit.delay
     time = likelihood.time_s - circuit.delay
     chains = []
-    for pixel, recording in _within(likelihood, step_s, seed):
+    for pixel, recording in _within(likelihood, count, seed):
         source = seen[recording]
         rows = np.flatnonzero((likelihood.pixel == pixel) & (likelihood.recording_of_event == recording))
         if not len(rows):
@@ -165,17 +241,11 @@ def _chains(likelihood: EventTimes, circuit: Circuit, seed: int) -> tuple[list[_
         light = np.clip(np.rint((log_light - low) / (grid[1] - grid[0])), 0, len(grid) - 1).astype(np.int16)
         event = np.clip((time[rows] - start) / step_s, 0, count).astype(np.int64)
         reference = np.clip((previous[rows] + circuit.refractory - start) / step_s, 0, event).astype(np.int64)
-        chains.append(
-            _Chain(
-                y[rows],
-                terms.scale[rows] ** 2,
-                likelihood.sign[rows].astype(float),
-                usable[rows],
-                reference,
-                event,
-                light,
-            )
-        )
+        chain = _Chain(
+            rows, y[rows], terms.scale[rows] ** 2, likelihood.sign[rows].astype(float), usable[rows], reference, event,
+            light,
+        )  # fmt: skip
+        chains.append(chain)
     return [chain for chain in chains if chain.usable.any()], steps
 
 
@@ -184,11 +254,10 @@ def lights_of(recordings: Sequence[Recording]) -> list[Light]:
     return [r.stimulus for r in recordings if r.stimulus is not None]
 
 
-def _within(likelihood: EventTimes, step_s: float, seed: int) -> Iterator[tuple[int, int]]:
-    """(pixel, recording) of as many pixels, drawn at random, as there is time for."""
-    per_pixel = sum(light.duration_s for light in lights_of(likelihood.recordings)) / step_s
+def _within(likelihood: EventTimes, count: int, seed: int) -> Iterator[tuple[int, int]]:
+    """(pixel, recording) of so many pixels, drawn at random."""
     pixels = np.random.default_rng([seed, 19]).permutation(likelihood.pixels)
-    for pixel in np.sort(pixels[: max(int(MOST_STEPS / per_pixel), 1)]):
+    for pixel in np.sort(pixels[:count]):
         for recording in range(len(likelihood.recordings)):
             yield int(pixel), recording
 
@@ -213,7 +282,7 @@ def _steps(circuit: Circuit, lights: np.ndarray, step_s: float) -> _Steps:
     """Of unit density: its one-sided PSD over ln L is 1 / L."""
     from scipy.linalg import expm
 
-    propagators, added, stationary = [], [], []
+    propagators, added, stationary, slope = [], [], [], []
     for light in lights:
         A, drive, stored = linear_stages(circuit, float(light))
         P = stationary_covariance(A, drive) * (0.5 / light)
@@ -221,19 +290,23 @@ def _steps(circuit: Circuit, lights: np.ndarray, step_s: float) -> _Steps:
         propagators.append(E)
         added.append(P - E @ P @ E.T)
         stationary.append(P)
-    return _Steps(np.array(propagators), np.array(added), np.array(stationary), stored)
+        slope.append(A[-1] * (drive[-1] == 0.0))  # of a single pole noise has no slope
+    return _Steps(np.array(propagators), np.array(added), np.array(stationary), np.array(slope), stored)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _filter(y, variance, sign, usable, reference, event, light, propagator, added, stationary, stored, ratio):
-    """(Σ ln S, Σ r²/S, count) of the innovations r of one chain and their variances S, density `ratio`, thresholds 1 ×.
+def _filter(
+    y, variance, sign, usable, reference, event, light, propagator, added, stationary, slope, stored, density,
+    moments,
+):  # fmt: skip
+    """(Σ ln S, Σ r²/S, count) of the innovations r of one chain and their variances S; fills `moments` (n, 5).
 
     The state is that of the stages and, last, the stored reference.
     """
     n = propagator.shape[1]
     x, moved = np.zeros(n + 1), np.zeros(n)
     P, half = np.zeros((n + 1, n + 1)), np.zeros((n, n))
-    P[:n, :n] = stationary[light[0]] * ratio
+    P[:n, :n] = stationary[light[0]] * density
     gain = np.zeros(n + 1)
     logs, squares, count, step = 0.0, 0.0, 0, 0
     for k in range(len(y)):
@@ -260,7 +333,7 @@ def _filter(y, variance, sign, usable, reference, event, light, propagator, adde
                 for i in range(n):
                     P[i, n] = P[n, i] = moved[i]
                     for j in range(n):
-                        total = Q[i, j] * ratio
+                        total = Q[i, j] * density
                         for m in range(n):
                             total += half[i, m] * E[j, m]
                         P[i, j] = total
@@ -270,12 +343,21 @@ def _filter(y, variance, sign, usable, reference, event, light, propagator, adde
                 for j in range(n):
                     P[n, j] = P[j, n] = P[stored, j]
                 P[n, n] = P[stored, stored]
-        if not usable[k]:
-            continue
+        along = slope[light[min(step, len(light) - 1)]]
         for i in range(n + 1):
             gain[i] = -sign[k] * (P[i, n - 1] - P[i, n])
-        S = -sign[k] * (gain[n - 1] - gain[n]) + variance[k]
-        r = y[k] + sign[k] * (x[n - 1] - x[n])
+        mean, own = -sign[k] * (x[n - 1] - x[n]), -sign[k] * (gain[n - 1] - gain[n])
+        drift, together, scatter = 0.0, 0.0, 0.0
+        for i in range(n):
+            drift += sign[k] * along[i] * x[i]
+            together += sign[k] * along[i] * gain[i]
+            for j in range(n):
+                scatter += along[i] * along[j] * P[i, j]
+        moments[k, 0], moments[k, 1] = mean, own
+        moments[k, 2], moments[k, 3], moments[k, 4] = drift, together, scatter
+        if not usable[k]:
+            continue
+        S, r = own + variance[k], y[k] - mean
         logs += math.log(S)
         squares += r * r / S
         count += 1

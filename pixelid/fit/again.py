@@ -1,0 +1,65 @@
+"""Recordings simulated again: the events that a model would have given under the same light."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from pixelid.dynamics.equations import PRESENT_BELOW
+from pixelid.likelihood.light_drawn import light_in_a_row
+from pixelid.model.model import Model
+from pixelid.parallel import map_threads
+from pixelid.recordings.own_light import with_fine_light
+from pixelid.recordings.recording import Recording
+from pixelid.recordings.sensor_light import is_measured
+from pixelid.simulate import simulate
+from pixelid.simulate.laws import rules_of
+from pixelid.simulate.light import noise_step
+from pixelid.stimuli.pixel_lights import Light, PixelLights, in_a_row
+
+# Of all recordings together.  The shipped pixel needs 1e5 a second in bright light; a bandwidth hundreds of times as
+# high, which only a fit that ran away has, would take hours, and its noise would look like the thresholds'.
+MOST_STEPS = 5e7
+
+
+def simulate_again(
+    recordings: Sequence[Recording], truth: Model, pixels: np.ndarray, between: str | None, seed: int
+) -> list[Recording]:
+    """The recordings with the events that a sensor of a row of these pixels, flat indices, would have given.
+
+    between: how their stimuli run between samples; None: as they are
+    """
+
+    def simulated(job: tuple[int, Recording]) -> Recording:
+        i, r = job
+        light = r.stimulus if between is None else with_fine_light(r, between).stimulus
+        assert light is not None
+        seen = light_in_a_row(r, light, pixels, seed + 101 * i)
+        here = truth.in_recording(r.name)
+        run = simulate(here, seen, width=len(pixels), height=1, seed=seed + 101 * i, sensor_seed=seed)
+        as_came = in_a_row(light if r.stimulus is None else r.stimulus, pixels)
+        made = replace(r, events=replace(run.events, tick_ns=r.events.tick_ns), stimulus=as_came)
+        return made.within_stimulus() if is_measured(r) else made  # its delay is free, and carries events past the end
+
+    return map_threads(simulated, enumerate(recordings))
+
+
+def can_be_simulated(recordings: Sequence[Recording], model: Model) -> bool:
+    """Whether the model limits the bandwidth of white noise, and so that its steps are not too many to simulate."""
+    circuit = model.circuit()
+    rules = rules_of(circuit, 0, False, 0.0)
+    if circuit.photoreceptor == "unlimited" and min(rules.chain[0], rules.chain[1], rules.chain[3]) > PRESENT_BELOW:
+        return False
+    steps = 0.0
+    for recording in recordings:
+        light = recording.stimulus
+        assert light is not None
+        steps += light.duration_s / noise_step(rules, _brightest(light) + circuit.dark)
+    return steps < MOST_STEPS
+
+
+def _brightest(light: Light) -> float:
+    lights = light.lights if isinstance(light, PixelLights) else (light,)
+    return max(float(one.radiance.max()) for one in lights)
