@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from pixelid.dynamics.linear import linear_stages
 from pixelid.fit.again import can_be_simulated, simulate_again
 from pixelid.fit.coordinates import Coordinates
 from pixelid.fit.event_times import EventTimesObjective
@@ -26,7 +27,6 @@ from pixelid.likelihood.event_times import EventTimes
 from pixelid.likelihood.shot_noise import share_out, under_shot_noise
 from pixelid.model.model import Model
 from pixelid.parameters.parameter import Parameter, Prior
-from pixelid.tables.noise.process import linear_stages
 
 EFFECT, DENSITY, NOISE = "shot_noise", "shot_noise.density", "threshold_sigma"
 LEAST_GAIN = 3.0  # nats that a density must be worth: one coordinate gains 0.5 by chance, in one of 70 cases as much

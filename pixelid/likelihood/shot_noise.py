@@ -22,13 +22,13 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from pixelid.dynamics.linear import linear_stages, stationary_covariance
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.likelihood.layout import Shift, read_only
 from pixelid.parallel import map_threads
 from pixelid.recordings.recording import Recording
 from pixelid.stages.circuit import Circuit
 from pixelid.stimuli.pixel_lights import Light, PixelLights, log_radiance_at
-from pixelid.tables.noise.process import linear_stages, stationary_covariance
 
 STEP = 0.1  # of the time in which the level's noise changes by its own size, in the brightest light
 PER_LOG = 30.0  # lights per e-fold that steps are tabulated for, and most of them

@@ -58,7 +58,8 @@ class TableFit:
         predicted, residual, weight: (rows,) prediction, residual in scales, and weight 0…1 given to the row.
         log_likelihood: at the maximum;  converged: whether EM came to rest.
         ties: priors beside the parameters' own.
-        wider: (parameters,) further deviation of all together, of `profile.follow_profile`.
+        wider: (m, parameters) further deviations, of all parameters together each: of `profile.follow_profile` and
+            `profile.with_rivals`.
     """
 
     model: TableModel
@@ -289,7 +290,7 @@ def information_at(fit: TableFit) -> np.ndarray:
 def covariance_at(fit: TableFit) -> np.ndarray:
     """(n, n) covariance of a fit's coordinates, in the normal approximation and what a profile added to it."""
     normal = np.linalg.pinv(information_at(fit))
-    return normal if fit.wider is None else normal + np.outer(fit.wider, fit.wider)
+    return normal if fit.wider is None else normal + fit.wider.T @ fit.wider
 
 
 def log_posterior_at(fit: TableFit, x: np.ndarray) -> float:

@@ -8,6 +8,7 @@ distance, with all that goes with it.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -40,8 +41,31 @@ def follow_profile(fit: TableFit, name: str) -> TableFit:
     reach = max(_reach(fit, k, side, sd, along) for side in (-1.0, 1.0)) / Z95
     if reach <= sd:
         return fit
-    wider = along * np.sqrt(reach**2 - sd**2)
-    return replace(fit, wider=wider, sd=np.sqrt(fit.sd**2 + wider**2))
+    return _widened(fit, along * np.sqrt(reach**2 - sd**2))
+
+
+def with_rivals(fit: TableFit, others: Sequence[TableFit]) -> tuple[TableFit, list[TableFit]]:
+    """The fit with errors that reach the other maxima which the rows speak no more against than a 95 % interval allows.
+
+    Args:
+        fit: at the highest.
+        others: at further ones, of the same model.
+
+    Returns:
+        The fit, and those of the others that are as good and elsewhere.
+    """
+    top, rivals = log_posterior_at(fit, fit.x), []
+    for other in others:
+        apart = np.abs(other.x - fit.x) / np.where(np.isfinite(fit.sd), fit.sd, np.inf)
+        if top - log_posterior_at(fit, other.x) < FALL and apart.max() > Z95:
+            fit = _widened(fit, (other.x - fit.x) / Z95)
+            rivals.append(other)
+    return fit, rivals
+
+
+def _widened(fit: TableFit, by: np.ndarray) -> TableFit:
+    rows = by[None] if fit.wider is None else np.vstack([fit.wider, by])
+    return replace(fit, wider=rows, sd=np.sqrt(fit.sd**2 + by**2))
 
 
 def _reach(fit: TableFit, k: int, side: float, sd: float, along: np.ndarray) -> float:

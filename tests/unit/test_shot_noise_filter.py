@@ -5,6 +5,7 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
+from pixelid.dynamics.linear import linear_stages, stationary_covariance
 from pixelid.fit.maximise import maximise
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.likelihood.shot_noise import _filter, share_out
@@ -12,7 +13,6 @@ from pixelid.model.shipped import find_model
 from pixelid.recordings.own_light import with_fine_light
 from pixelid.simulate import simulate
 from pixelid.stimuli.shapes import chirp, slow
-from pixelid.tables.noise.process import linear_stages, stationary_covariance
 
 MODEL = find_model("dvs128").without_effect("threshold_mismatch")
 

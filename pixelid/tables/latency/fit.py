@@ -9,12 +9,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from pixelid.errors import InputError
-from pixelid.tables.fit import TableFit, fit_table
+from pixelid.tables.fit import TableFit, fit_table, log_posterior_at
 from pixelid.tables.latency.camera import Camera, camera_for
 from pixelid.tables.latency.cells import Cells, gather
 from pixelid.tables.latency.model import FOLLOWER_STARTS_HZ, LatencyModel
 from pixelid.tables.latency.reading import LEAST_S, LatencyTable
-from pixelid.tables.profile import follow_profile
+from pixelid.tables.profile import follow_profile, with_rivals
 
 LEAST_CELLS = 4  # a threshold, a delay and a bandwidth, and one to spare
 SWING = "led_off_fraction"  # scales all thresholds of a table: the likelihood is skewed along it
@@ -22,10 +22,11 @@ SWING = "led_off_fraction"  # scales all thresholds of a table: the likelihood i
 
 @dataclass(frozen=True)
 class CameraFit:
-    """One camera's fit: its model and the regression over its cells."""
+    """One camera's fit: its model, the regression over its cells, and others that are as good, with poles exchanged."""
 
     model: LatencyModel
     regression: TableFit
+    rivals: tuple[TableFit, ...] = ()
 
     @property
     def name(self) -> str:
@@ -92,5 +93,21 @@ def fit_camera(name: str, cells: Cells, *, one_delay: bool = False, start: Camer
     starts = FOLLOWER_STARTS_HZ[: 1 if start is not None else None]
     models = [LatencyModel(name, cells, hz, one_delay, start) for hz in starts]
     fits = [(fit_table(model), model) for model in models]
-    best, model = max(fits, key=lambda pair: pair[0].log_likelihood)
-    return CameraFit(model, follow_profile(best, SWING))
+    best, model = max(fits, key=lambda pair: log_posterior_at(pair[0], pair[0].x))
+    ends = [best, *(fit_table(model, start) for start in _exchanged(best))]
+    best = max(ends, key=lambda end: log_posterior_at(end, end.x))
+    widened, rivals = with_rivals(follow_profile(best, SWING), [end for end in ends if end is not best])
+    return CameraFit(model, widened, tuple(rivals))
+
+
+def _exchanged(fit: TableFit) -> list[list[float]]:
+    """Values with the photoreceptor's own pole β and one of the later stages' exchanged.
+
+    In a step response poles commute; only that α L / β follows the light tells which of them is the photoreceptor's.
+    """
+    values = {p.name: float(np.exp(x)) for p, x in zip(fit.parameters, fit.x, strict=True)}
+    starts = []
+    for name in ("sf_cutoff_hz", "diff_cutoff_hz"):
+        other = values | {"beta": 2.0 * np.pi * values[name], name: values["beta"] / (2.0 * np.pi)}
+        starts.append([p.within(other[p.name]) for p in fit.parameters])
+    return starts

@@ -334,6 +334,14 @@ def _delay_sentences(cameras: Sequence[Camera]) -> list[str]:
 
 def _open(one: CameraFit, entries: Mapping[str, Any]) -> list[str]:
     said = open_sentences(entries)
+    for other in one.rivals:
+        poles = ("beta", "sf_cutoff_hz", "diff_cutoff_hz")
+        values = {p.name: float(np.exp(x)) for p, x in zip(other.parameters, other.x, strict=True) if p.name in poles}
+        said.append(
+            "poles can be exchanged: the table is met as well with beta "
+            f"{values['beta']:.3g} 1/s, follower {values['sf_cutoff_hz']:.3g} Hz and amplifier "
+            f"{values['diff_cutoff_hz']:.3g} Hz; intervals reach both"
+        )
     said.append(
         "thresholds are in units of the light's swing: threshold over contrast shows, and led_off_fraction is fixed "
         "only as far as its prior says (a factor e either way)"
