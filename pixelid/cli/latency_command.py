@@ -61,14 +61,16 @@ def command(tables, out, model, predict, camera, sample, overwrite, seed, quiet)
                 written = save_prediction(table, cameras, folder, *files, seed=seed)
                 write_report(folder)
         else:
-            with bar(quiet) as report:
-                fit = fit_latency(table, lambda done: report("cameras", done), cameras)
-            with whole_folder(out, overwrite) as folder:
+            fits = 0.2 if sample else 1.0  # of the time, about
+            with bar(quiet) as report, whole_folder(out, overwrite) as folder:
+                fit = fit_latency(table, lambda done: report("cameras", fits * done), cameras)
                 extra = {"seed": seed}
                 if sample:
                     from pixelid.tables.latency.posterior import sample_fit
 
-                    extra |= sample_fit(fit, seed, folder)
+                    extra |= sample_fit(
+                        fit, seed, folder, progress=lambda done: report("posterior", fits + (1.0 - fits) * done)
+                    )
                 written = save_fit(fit, folder, extra, recipe)
                 write_report(folder)
     if not quiet:

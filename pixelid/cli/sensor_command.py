@@ -20,7 +20,10 @@ Example:
 @options.model(help="The population's values: a fit folder, a model file or a shipped model.")
 @options.out()
 @click.option(
-    "--bandwidth", default="sf_cutoff_hz", show_default=True, help='Parameter to map; "none": thresholds alone.'
+    "--bandwidth",
+    default="sf_cutoff_hz",
+    show_default=True,
+    help='Parameter to map; "none": thresholds alone, as for a model without it.',
 )
 @click.option(
     "--block", type=options.SIDE, default=1, show_default=True, help="Side of pixel groups with one bandwidth."
@@ -34,8 +37,9 @@ Example:
 @options.overwrite
 @options.seed()
 @options.quiet
+@click.pass_context
 def command(
-    recordings, model, out, bandwidth, block, tile, bootstrap, where, crop, overwrite, seed, quiet,
+    context, recordings, model, out, bandwidth, block, tile, bootstrap, where, crop, overwrite, seed, quiet,
 ):  # fmt: skip
     """Map thresholds and a bandwidth over the sensor of RECORDINGS (files or folders, full-field light).
 
@@ -56,6 +60,8 @@ def command(
         from pixelid.recordings.reading import check_readable
 
         circuit = find_model(model)
+        if bandwidth not in circuit.parameters and not options.is_given(context, "bandwidth"):
+            bandwidth = "none"
         check_readable(recordings)  # before anything slow is imported
         opened = open_recordings(recordings, crop, seed)
         from pixelid.report.html import write_report

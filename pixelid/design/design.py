@@ -30,6 +30,9 @@ class Known:
     information: np.ndarray
 
 
+SHOT_NOISE = "shot_noise"
+
+
 def recommend(
     model: Model,
     menu: Sequence[Candidate],
@@ -67,13 +70,15 @@ def recommend(
     afters: list[np.ndarray] = []
     for j, drawn in enumerate(models):
         coordinates = Coordinates.of(drawn)
+        # the information of events by noise is not computed, and their simulation takes steps as short as 1 / β
+        quiet = drawn.without_effect(SHOT_NOISE) if drawn.has(SHOT_NOISE) else drawn
         x = coordinates.start
         prior = _prior(coordinates)
         base = np.zeros_like(prior) if known is None or cut else _of_fit(known, names)
         before = prior + base + (share * information(cut, coordinates, x) if cut else 0.0)
         befores.append(before)
         for i, stimulus in enumerate(menu):
-            recording = simulated(drawn, stimulus.stimulus, seed + j, cut)
+            recording = simulated(quiet, stimulus.stimulus, seed + j, cut)
             together = share * information([*cut, recording], coordinates, x)
             after = prior + base + together
             scores[i, j] = criteria.score(criterion, names, before, after)
@@ -97,7 +102,7 @@ def recommend(
     report("done", 1.0)
     return {
         "status": Status.converged,
-        "advice": _advice(ranking, recordings, known, draws),
+        "advice": _advice(ranking, recordings, known, draws, model),
         "model": model.name,
         "criterion": criterion,
         "per_second": per_second,
@@ -154,8 +159,10 @@ def _widths(coordinates: Coordinates, matrix: np.ndarray) -> dict[str, dict]:
     return expected
 
 
-def _advice(ranking: list[dict], recordings, known, draws) -> str:
+def _advice(ranking: list[dict], recordings, known, draws, model: Model) -> str:
     said = []
+    if model.has(SHOT_NOISE):
+        said.append("shot noise is left out: what it hides, and what its own events would tell, is not counted")
     if ranking[0]["score"] < 0.01:
         said.append("nothing on the menu adds more than 1 %: offer other levels or longer stimuli")
     if recordings and not draws:

@@ -69,6 +69,7 @@ class Ensembles:
         for k in range(count):
             backend = emcee.backends.Backend() if backends is None else backends[k]
             sampler = emcee.EnsembleSampler(walkers, d, target, backend=backend, moves=moves(proposal, trust))
+            sampler.log_prob_fn = target  # pyright: ignore  (emcee's own wrapper prints a traceback for an interrupt)
             if _steps(sampler) == 0:
                 sampler.random_state = np.random.RandomState([seed, k, 20240711]).get_state()
             self.samplers.append(sampler)

@@ -11,6 +11,7 @@ import pytest
 
 from pixelid.cli.main import main
 from pixelid.model.shipped import find_model, shipped_models
+from pixelid.tables.fit import log_posterior_at
 from pixelid.tables.latency.camera import load_camera
 from pixelid.tables.latency.fit import fit_latency
 from pixelid.tables.latency.posterior import log_posterior, sample_fit
@@ -185,6 +186,20 @@ def test_the_posterior_is_that_of_the_fit_and_of_its_seed(tmp_path):
     worse = log_posterior(one, np.append(one.regression.x + 1.0, np.log(0.05)))
     assert np.isfinite(best)
     assert worse < best
+
+
+def test_poles_that_can_be_exchanged_are_not_told_apart(tmp_path):
+    """A photoreceptor's own pole near the follower's: the table is met as well with the two exchanged."""
+    true = {**TRUE, "alpha": 2e5 * 2500.0, "beta": 2500.0, "sf_cutoff_hz": 1500.0, "diff_cutoff_hz": 2e4}
+    table = read_tables([write_table(tmp_path / "table.csv", (0.006, 0.02, 0.05, 0.3), 3, true)])
+    fit = fit_latency(table)
+    entries = fit.fits[0].regression.as_dict()
+    for name in ("beta", "sf_cutoff_hz"):
+        low, high = entries[name]["interval_95"]
+        assert low < true[name] < high
+    exchanged = fit_latency(table, start=fit.cameras)  # from there, the same end
+    best = (log_posterior_at(one.fits[0].regression, one.fits[0].regression.x) for one in (fit, exchanged))
+    assert abs(next(best) - next(best)) < 0.5
 
 
 @pytest.mark.skipif(not NIST.is_file(), reason="needs a checkout")

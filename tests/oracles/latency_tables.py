@@ -38,7 +38,7 @@ def latencies(model: Model, irradiance: float, on: bool, edge: int) -> np.ndarra
     return events.t[mine][first] * 1e-9 - wait + DELAY_S
 
 
-def write_table(path: Path, irradiances=IRRADIANCES, edges: int = 5) -> Path:
+def write_table(path: Path, irradiances=IRRADIANCES, edges: int = 5, true=TRUE) -> Path:
     """A CSV of every setting, edge and irradiance."""
     base = Model("true", "second_order", EFFECTS, expected_parameters("second_order", EFFECTS), radiance_unit="W/m2")
     with path.open("w", newline="") as file:
@@ -47,7 +47,7 @@ def write_table(path: Path, irradiances=IRRADIANCES, edges: int = 5) -> Path:
             ["camera", "lens", "polarity", "irradiance_W_m2", "bias_config", "min", "median", "max", "stdev", "pixels"]
         )
         for name, (on_threshold, off_threshold) in SETTINGS.items():
-            model = base.set({**TRUE, "on_threshold": on_threshold, "off_threshold": off_threshold})
+            model = base.set({**true, "on_threshold": on_threshold, "off_threshold": off_threshold})
             for irradiance in irradiances:
                 for on in (True, False):
                     runs = [1e6 * latencies(model, irradiance, on, edge) for edge in range(edges)]

@@ -6,6 +6,7 @@ proposals (`sample.ensembles.moves`); they are compared by nested R̂ (`sample.c
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -46,8 +47,15 @@ def log_posterior(fit: CameraFit, z: np.ndarray) -> float:
     return float((-np.log(s) - 0.5 * (FREEDOM + 1.0) * np.log1p(r**2 / FREEDOM)).sum() - 0.5 * prior)
 
 
-def sample_camera(fit: CameraFit, seed: int, steps: int = STEPS) -> tuple[np.ndarray, Convergence]:
-    """(chain (ensembles, steps, walkers, d), convergence) after a burn-in of a third; the last coordinate is ln σ."""
+def sample_camera(
+    fit: CameraFit, seed: int, steps: int = STEPS, progress: Callable[[float], None] | None = None
+) -> tuple[np.ndarray, Convergence]:
+    """(chain (ensembles, steps, walkers, d), convergence) after a burn-in of a third; the last coordinate is ln σ.
+
+    Where poles can be exchanged, walkers start at either end.
+
+    progress: called with the fraction done
+    """
     import emcee
 
     from pixelid.sample.convergence import convergence
@@ -56,37 +64,48 @@ def sample_camera(fit: CameraFit, seed: int, steps: int = STEPS) -> tuple[np.nda
     proposal = _gaussian(fit)
     d = len(proposal.centre)
     walkers = 2 * d + 2
+    ends = [proposal.centre, *(np.append(one.x, np.log(one.scale)) for one in fit.rivals)]
     chains = []
+
+    def target(z: np.ndarray) -> float:
+        return log_posterior(fit, z)
+
     for k in range(ENSEMBLES):
         rng = np.random.RandomState([seed, k, 15])
         starts = np.empty((walkers, d))
         for j in range(walkers):
             width = 1.0
             while True:
-                starts[j] = proposal.centre + width * (proposal.draw(1, rng)[0] - proposal.centre)
+                starts[j] = ends[j % len(ends)] + width * (proposal.draw(1, rng)[0] - proposal.centre)
                 if np.isfinite(log_posterior(fit, starts[j])):
                     break
                 width *= 0.7
-        sampler = emcee.EnsembleSampler(walkers, d, lambda z: log_posterior(fit, z), moves=moves(proposal, TRUST))
+        sampler = emcee.EnsembleSampler(walkers, d, target, moves=moves(proposal, TRUST))
+        sampler.log_prob_fn = target  # pyright: ignore  (emcee's own wrapper prints a traceback for an interrupt)
         sampler.random_state = np.random.RandomState([seed, k, 20240711]).get_state()
-        sampler.run_mcmc(starts, steps, skip_initial_state_check=True)
+        for done, _ in enumerate(sampler.sample(starts, iterations=steps, skip_initial_state_check=True), 1):
+            if progress is not None:
+                progress((k + done / steps) / ENSEMBLES)
         chains.append(sampler.get_chain(discard=steps // 3))
     chain = np.stack(chains)
     return chain, convergence(chain)
 
 
-def sample_fit(fit: LatencyFit, seed: int, folder: Path, steps: int = STEPS) -> dict[str, Any]:
+def sample_fit(
+    fit: LatencyFit, seed: int, folder: Path, steps: int = STEPS, progress: Callable[[float], None] | None = None
+) -> dict[str, Any]:
     """Sample every camera; writes posterior.npz, returns {"posterior": camera → intervals and convergence}.
 
     Nothing is drawn for a camera whose delays the fit misses by about their size: its status is `misfit`.
     """
-    said, arrays = {}, {}
-    for one in fit.fits:
+    report = progress or (lambda done: None)
+    said, arrays, count = {}, {}, len(fit.fits)
+    for place, one in enumerate(fit.fits):
         if not np.isfinite(log_posterior(one, np.append(one.regression.x, np.log(one.regression.scale)))):
             said[one.name] = {"status": Status.misfit, "draws": 0, "effective": 0.0, "largest_r_hat": None,
                               "parameters": {}}  # fmt: skip
             continue
-        chain, reached = sample_camera(one, seed, steps)
+        chain, reached = sample_camera(one, seed, steps, lambda done, place=place: report((place + done) / count))
         names = [*(p.name for p in one.model.parameters), "relative_scatter"]
         flat = np.exp(chain.reshape(-1, chain.shape[-1]))
         low, middle, high = np.quantile(flat, [0.025, 0.5, 0.975], axis=0)

@@ -186,6 +186,9 @@ def described(one: CameraFit, table: LatencyTable) -> Camera:
         elif name == "alpha":
             corner, damping = _interval(entries["alpha_over_beta"]), _interval(entries["beta"])
             text = f"{origin}: alpha_over_beta {corner} times beta {damping}"
+            both = ("alpha_over_beta", "beta")
+            if all(np.isfinite(sd[key]) for key in both):
+                prior = Prior(sum(x[key] for key in both), float(np.hypot(*(sd[key] for key in both))))
         elif name == "gamma":
             text = "not seen by latencies: 0.034 α/β, the ratio of the DVS128"
         elif name == "delay_s":
