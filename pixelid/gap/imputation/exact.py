@@ -1,8 +1,9 @@
-"""What intervals of exactly known times say, behind a queue.
+"""What may be lost where times are drawn, and what intervals of exactly known times say, behind a queue.
 
 While a readout is busy, times are drawn, and an event drawn into the wrong place leaves an interval that nothing
 explains but a lost event.  Events get lost by chance, whatever the readout does: then intervals that begin and end
 while it was idle, whose times are known, lack as large a share.  What they leave unexplained, drawn times do, too.
+Behind a jitter or a coarse tick no time is known, and only a share counts that drawing does not leave by itself.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ SPOILED = 2.0  # drawn times that an event which the model lacks makes unexplain
 
 
 def loses_where_times_are_exact(imputation: Imputation, fitted: Model, without: Model, options: Options) -> bool:
-    """Whether intervals of exact times may lack as many events as a fit says; true where times are no queue's.
+    """Whether intervals of exact times may lack as many events as a fit says; of other drawn times, whether it is many.
 
     Args:
         imputation: with the times drawn last.
@@ -31,8 +32,10 @@ def loses_where_times_are_exact(imputation: Imputation, fitted: Model, without: 
     Returns:
         False where they are too few.
     """
-    if imputation.effect != QUEUE or not imputation.windows:
+    if not imputation.windows:
         return True
+    if imputation.effect != QUEUE:
+        return fitted.values[FRACTION] >= options.criteria.min_lost_fraction_at_drawn_times
     likelihood = imputation.likelihood
     exact = exact_intervals(imputation, likelihood)
     unexplained = float(likelihood.terms(without.circuit()).unexplained[exact].sum())

@@ -31,7 +31,7 @@ from pixelid.gap.steps.impute_hypothesis import Setting, at_imputed_times
 from pixelid.model.model import Model
 
 NOTHING_LEFT_FOR_IT = "at times drawn with it in the model nothing is left for it"
-ONLY_WHERE_DRAWN = "nothing is lost where the readout was idle and times are known"
+ONLY_WHERE_DRAWN = "nothing is lost where the readout was idle and times are known, or no more than drawing leaves"
 UNLIKE_JITTER = "what it would take of the times does not look like one"
 MAX_ROUNDS = 4  # a camera that lacks more effects than this lacks a model
 
