@@ -232,12 +232,12 @@ def read_unidentified(folder: Path) -> list[str]:
     Raises:
         InputError: a damaged result.
     """
-    found = []
+    found: list[str] = []
     for file in ("fit.json", "latency.json", "noise.json"):
         if (folder / file).is_file():
             content = read_result(folder, file)
             check_kinds(content, folder / file, a_list_of_texts=("unidentified",))
-            found += content["unidentified"]
+            found += [str(sentence) for sentence in content["unidentified"]]
     return found
 
 
