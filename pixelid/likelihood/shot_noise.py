@@ -52,7 +52,7 @@ class Division:
         thresholds: What is left to the thresholds, of the variance that the fit gives them.
         error: Standard error of ln density, all else known.
         gain: Nats over a fit without shot noise.
-        quiet: Variance of the level by shot noise of unit density, in the dimmest light: per event.
+        quiet: Variance of the level by shot noise of unit density, in the dimmest light.
     """
 
     density: float
@@ -130,6 +130,7 @@ def share_out(likelihood: EventTimes, circuit: Circuit, seed: int = 0) -> Divisi
     from scipy.optimize import minimize_scalar
 
     chains, steps = _chains(likelihood, circuit, False, seed)
+    chains = [chain for chain in chains if chain.usable.any()]
     if not chains:
         return None
 
@@ -227,26 +228,26 @@ def _chains(likelihood: EventTimes, circuit: Circuit, every: bool, seed: int) ->
     previous = np.concatenate([interval.previous_s for interval in likelihood.intervals]) - circuit.delay
     time = likelihood.time_s - circuit.delay
     chains = []
-    for pixel, recording in _within(likelihood, count, seed):
-        source = seen[recording]
-        rows = np.flatnonzero((likelihood.pixel == pixel) & (likelihood.recording_of_event == recording))
-        if not len(rows):
-            continue
-        rows = rows[np.argsort(time[rows])]
-        start = source.start_s
-        count = max(int((min(source.end_s, time[rows[-1]]) - start) / step_s), 1)
-        at = start + step_s * (np.arange(count) + 0.5)
-        flat = np.full(1, likelihood.flat_pixels[pixel])
-        log_light = np.log(np.exp(log_radiance_at(source, np.repeat(flat, count), at)) + circuit.dark)
-        light = np.clip(np.rint((log_light - low) / (grid[1] - grid[0])), 0, len(grid) - 1).astype(np.int16)
-        event = np.clip((time[rows] - start) / step_s, 0, count).astype(np.int64)
+    whole: dict[int, np.ndarray] = {}  # of recordings under full-field light
+    for rows in _within(likelihood, count, seed):
+        pixel, recording = likelihood.pixel[rows[0]], int(likelihood.recording_of_event[rows[0]])
+        source, start = seen[recording], seen[recording].start_s
+        light = whole.get(recording)
+        if light is None:
+            at = start + step_s * (np.arange(max(int(source.duration_s / step_s), 1)) + 0.5)
+            flat = np.full(len(at), likelihood.flat_pixels[pixel])
+            log_light = np.log(np.exp(log_radiance_at(source, flat, at)) + circuit.dark)
+            light = np.clip(np.rint((log_light - low) / (grid[1] - grid[0])), 0, len(grid) - 1).astype(np.int16)
+            if source.full_field:
+                whole[recording] = light
+        event = np.clip((time[rows] - start) / step_s, 0, len(light)).astype(np.int64)
         reference = np.clip((previous[rows] + circuit.refractory - start) / step_s, 0, event).astype(np.int64)
         chain = _Chain(
             rows, y[rows], terms.scale[rows] ** 2, likelihood.sign[rows].astype(float), usable[rows], reference, event,
             light,
         )  # fmt: skip
         chains.append(chain)
-    return [chain for chain in chains if chain.usable.any()], steps
+    return chains, steps
 
 
 def lights_of(recordings: Sequence[Recording]) -> list[Light]:
@@ -254,12 +255,14 @@ def lights_of(recordings: Sequence[Recording]) -> list[Light]:
     return [r.stimulus for r in recordings if r.stimulus is not None]
 
 
-def _within(likelihood: EventTimes, count: int, seed: int) -> Iterator[tuple[int, int]]:
-    """(pixel, recording) of so many pixels, drawn at random."""
-    pixels = np.random.default_rng([seed, 19]).permutation(likelihood.pixels)
-    for pixel in np.sort(pixels[:count]):
-        for recording in range(len(likelihood.recordings)):
-            yield int(pixel), recording
+def _within(likelihood: EventTimes, count: int, seed: int) -> Iterator[np.ndarray]:
+    """Events, in order of time, of each recording of so many pixels, drawn at random."""
+    drawn = np.zeros(likelihood.pixels, bool)
+    drawn[np.random.default_rng([seed, 19]).permutation(likelihood.pixels)[:count]] = True
+    rows = np.flatnonzero(drawn[likelihood.pixel])
+    key = likelihood.pixel[rows] * len(likelihood.recordings) + likelihood.recording_of_event[rows]
+    order = np.lexsort((likelihood.time_s[rows], key))
+    yield from np.split(rows[order], np.flatnonzero(np.diff(key[order])) + 1) if len(rows) else ()
 
 
 def _range(light: Light) -> tuple[float, float]:
