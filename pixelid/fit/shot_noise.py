@@ -31,7 +31,8 @@ from pixelid.parameters.parameter import Parameter, Prior
 EFFECT, DENSITY, NOISE = "shot_noise", "shot_noise.density", "threshold_sigma"
 LEAST_GAIN = 3.0  # nats that a density must be worth: one coordinate gains 0.5 by chance, in one of 70 cases as much
 LEAST_THRESHOLDS = 1e-3  # of the noise variance: no sensor's thresholds are as quiet
-TURNS, AT_REST = 8, 3e-3  # until the density's logarithm moves by less: a third of its error in 1e5 events
+TURNS, AT_REST = 8, 0.3  # until the density's logarithm moves by less of its error
+CORRECTION_ERROR = 0.3  # of what simulated sessions put right: they are of a circuit that is a little off itself
 REPLICATES, MOST_PIXELS = 3, 16  # simulated sessions, and their pixels
 OTHER_PARAMETERS = 1.3  # times the error of a density found with all else known
 OPEN = 10.0  # standard deviation of ln density where the events say nothing of it
@@ -104,16 +105,18 @@ def fit_under_shot_noise(
                 x[places[NOISE]] += 0.5 * math.log(max(found.thresholds, LEAST_THRESHOLDS))
         under, optimum = settled(x, density)
         x = optimum.x
-        if turns > 1 and abs(math.log(density / before)) < AT_REST:
+        if turns > 1 and abs(math.log(density / before)) <= AT_REST * error:
             break
         found = divided(x) if parameter.free else None
     details = {"gain_nats": None if found is None else float(found.gain), "turns": turns}
     if found is not None:
         off, scatter = _off(plain(x), coordinates.model_at(x), density, whole, seed)
         density *= math.exp(-off)
-        error = math.hypot(OTHER_PARAMETERS * error, scatter)
+        error = math.hypot(OTHER_PARAMETERS * error, scatter, CORRECTION_ERROR * off)
         details["put_right_by"] = -off
-        under, optimum = settled(x, density)
+        for _ in range(2):  # so that means and variances are those of where they lead to
+            under, optimum = settled(x, density)
+            x = optimum.x
     return _with_density(under, optimum, model, clocks, density, error, details)
 
 
