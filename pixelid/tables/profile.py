@@ -58,7 +58,10 @@ def with_rivals(fit: TableFit, others: Sequence[TableFit]) -> tuple[TableFit, li
     for other in others:
         apart = np.abs(other.x - fit.x) / np.where(np.isfinite(fit.sd), fit.sd, np.inf)
         if top - log_posterior_at(fit, other.x) < FALL and apart.max() > Z95:
-            fit = _widened(fit, (other.x - fit.x) / Z95)
+            # to the far end of the other's interval, where that is farther than the fit's own
+            reach = np.abs(other.x - fit.x) / Z95 + np.where(np.isfinite(other.sd), other.sd, 0.0)
+            further = np.sqrt(np.maximum(reach**2 - np.where(np.isfinite(fit.sd), fit.sd, np.inf) ** 2, 0.0))
+            fit = _widened(fit, np.sign(other.x - fit.x) * further)
             rivals.append(other)
     return fit, rivals
 

@@ -21,7 +21,7 @@ SPOILED = 2.0  # drawn times that an event which the model lacks makes unexplain
 
 
 def loses_where_times_are_exact(imputation: Imputation, fitted: Model, without: Model, options: Options) -> bool:
-    """Whether intervals of exact times may lack as many events as a fit says; of other drawn times, whether it is many.
+    """Whether intervals of exact times may lack as many events as a fit says; of drawn paths, whether they are many.
 
     Args:
         imputation: with the times drawn last.
@@ -32,9 +32,9 @@ def loses_where_times_are_exact(imputation: Imputation, fitted: Model, without: 
     Returns:
         False where they are too few.
     """
-    if not imputation.windows:
+    if not imputation.windows or not (imputation.by_paths or imputation.effect == QUEUE):
         return True
-    if imputation.effect != QUEUE:
+    if imputation.by_paths:
         return fitted.values[FRACTION] >= options.criteria.min_lost_fraction_at_drawn_times
     likelihood = imputation.likelihood
     exact = exact_intervals(imputation, likelihood)
