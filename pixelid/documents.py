@@ -27,6 +27,7 @@ MOST_PARTS = 64  # of a dotted key
 HOLLOW_BYTES, MOST_RATIO, MOST_EXTENTS = 64 << 20, 1000, 1000  # smaller files are read at once, whatever they hold
 
 # What TOML consists of, as far as nesting matters; every alternative consumes what it has looked at: linear time.
+GREEK_MU = "\u03bc"  # which looks like the micro sign
 _TOKEN = re.compile(
     r'"""(?:[^"\\]|\\(?:.|\Z)|"(?!""))*+(?:"""|\Z|"+)|\'\'\'(?:[^\']|\'(?!\'\'))*+(?:\'\'\'|\Z|\'+)'
     r'|"(?:[^"\\\n]|\\(?:.|\Z))*+"?|\'[^\'\n]*+\'?|#[^\n]*+|[\[{]|[\]}]|\.|[=,\n]|[^"\'#\[\]{}.=,\n]++',
@@ -93,6 +94,11 @@ def read_text(path: str | Path, kind: str) -> str:
 def separator_of(header: str) -> str | None:
     """What the cells of a table's header are apart by: commas, else semicolons, else tabs; None where there is none."""
     return next((mark for mark in (",", ";", "\t") if mark in header), None)
+
+
+def words_of(name: str) -> list[str]:
+    """A column's name as words of small letters and digits: time [µs] → time, µs."""
+    return [word for word in re.split(r"[^a-zµ0-9²]+", name.lower().replace(GREEK_MU, "µ")) if word]
 
 
 def refuse_hollow(path: Path) -> None:

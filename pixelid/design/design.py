@@ -14,6 +14,7 @@ from pixelid.design.menu import Candidate
 from pixelid.design.reasons import why
 from pixelid.errors import InputError
 from pixelid.fit.coordinates import Coordinates
+from pixelid.fit.shot_noise import EFFECT as SHOT_NOISE
 from pixelid.model.model import Model
 from pixelid.recordings.recording import Recording
 from pixelid.status import Status
@@ -28,9 +29,6 @@ class Known:
 
     names: tuple[str, ...]
     information: np.ndarray
-
-
-SHOT_NOISE = "shot_noise"
 
 
 def recommend(

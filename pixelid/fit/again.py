@@ -17,7 +17,7 @@ from pixelid.recordings.sensor_light import is_measured
 from pixelid.simulate import simulate
 from pixelid.simulate.laws import rules_of
 from pixelid.simulate.light import noise_step
-from pixelid.stimuli.pixel_lights import Light, PixelLights, in_a_row
+from pixelid.stimuli.pixel_lights import in_a_row, lights_in
 
 # Of all recordings together.  The shipped pixel needs 1e5 a second in bright light; a bandwidth hundreds of times as
 # high, which only a fit that ran away has, would take hours, and its noise would look like the thresholds'.
@@ -56,10 +56,6 @@ def can_be_simulated(recordings: Sequence[Recording], model: Model) -> bool:
     for recording in recordings:
         light = recording.stimulus
         assert light is not None
-        steps += light.duration_s / noise_step(rules, _brightest(light) + circuit.dark)
+        brightest = max(float(one.radiance.max()) for one in lights_in(light))
+        steps += light.duration_s / noise_step(rules, brightest + circuit.dark)
     return steps < MOST_STEPS
-
-
-def _brightest(light: Light) -> float:
-    lights = light.lights if isinstance(light, PixelLights) else (light,)
-    return max(float(one.radiance.max()) for one in lights)

@@ -24,13 +24,12 @@ from pixelid.fit.event_times import EventTimesObjective
 from pixelid.fit.newton import Optimum
 from pixelid.fit.newton import maximise as newton_steps
 from pixelid.likelihood.event_times import EventTimes
-from pixelid.likelihood.shot_noise import share_out, under_shot_noise
+from pixelid.likelihood.shot_noise import Division, share_out, under_shot_noise
 from pixelid.model.model import Model
 from pixelid.parameters.parameter import Parameter, Prior
 
 EFFECT, DENSITY, NOISE = "shot_noise", "shot_noise.density", "threshold_sigma"
 LEAST_GAIN = 3.0  # nats that a density must be worth: one coordinate gains 0.5 by chance, in one of 70 cases as much
-LEAST_THRESHOLDS = 1e-3  # of the noise variance: no sensor's thresholds are as quiet
 TURNS, AT_REST = 8, 0.3  # until the density's logarithm moves by less of its error
 CORRECTION_ERROR = 0.3  # of what simulated sessions put right: they are of a circuit that is a little off itself
 REPLICATES, MOST_PIXELS = 3, 16  # simulated sessions, and their pixels
@@ -76,15 +75,12 @@ def fit_under_shot_noise(
     places = {name: k for k, name in enumerate(coordinates.names)}
     whole = coordinates.circuit(x).noise  # as all noise is the thresholds'
 
-    def plain(at: np.ndarray) -> EventTimes:
-        return objective.at(at)
-
-    def divided(at: np.ndarray):
-        return share_out(plain(at), coordinates.circuit(at).with_(noise=whole), seed)
+    def divided(at: np.ndarray) -> Division | None:
+        return share_out(objective.at(at), coordinates.circuit(at).with_(noise=whole), seed)
 
     def settled(at: np.ndarray, density: float) -> tuple[EventTimesObjective, Optimum]:
         circuit = coordinates.circuit(at).with_(shot_density=density)
-        noisy = EventTimesObjective(under_shot_noise(plain(at), circuit), coordinates)
+        noisy = EventTimesObjective(under_shot_noise(objective.at(at), circuit), coordinates)
         return noisy, newton_steps(noisy, at, tolerance=1e-3, max_steps=40)
 
     if not len(linear_stages(coordinates.circuit(x), 1.0)[0]):  # noise without a pole has no level
@@ -102,7 +98,7 @@ def fit_under_shot_noise(
             density, error = found.density, found.error
             if NOISE in places and turns == 1:
                 x = x.copy()
-                x[places[NOISE]] += 0.5 * math.log(max(found.thresholds, LEAST_THRESHOLDS))
+                x[places[NOISE]] += found.log_noise
         under, optimum = settled(x, density)
         x = optimum.x
         if turns > 1 and abs(math.log(density / before)) <= AT_REST * error:
@@ -110,7 +106,7 @@ def fit_under_shot_noise(
         found = divided(x) if parameter.free else None
     details = {"gain_nats": None if found is None else float(found.gain), "turns": turns}
     if found is not None:
-        off, scatter = _off(plain(x), coordinates.model_at(x), density, whole, seed)
+        off, scatter = _off(objective.at(x), coordinates.model_at(x), density, whole, seed)
         density *= math.exp(-off)
         error = math.hypot(OTHER_PARAMETERS * error, scatter, CORRECTION_ERROR * off)
         details["put_right_by"] = -off

@@ -106,7 +106,7 @@ def with_doubts(report: GapReport, recordings: Sequence[Recording]) -> GapReport
     return replace(report, status=status, advice=" ".join(said))
 
 
-# An effect is named for some 20 nats; a strong one (12 % lost events, a bent response) was seen to gain 0.13 an event.
+# An effect is named for some 20 nats; a strong one (12 % lost events, a knee) was seen to gain 0.13 an event.
 # With less than half a nat from each nothing can be named, and what is not named is not absent.
 LEAST_EVENTS = 40
 

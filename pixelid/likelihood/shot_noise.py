@@ -9,13 +9,13 @@ with s_k the polarity and r_k stored at the amplifier's input.  Between events t
 follow the light: n has a state x, propagated exactly over steps of constant light, and the stored value is one more
 component.  Of this linear Gaussian system the filter (Kalman 1960, J. Basic Eng. 82, 35) gives mean and variance of
 each y_k, the events before it given, and so the likelihood of a density and a threshold noise.  Events are taken as
-levels at given times: that a noisy level is met early is left out, and put right by simulation (`shares.py`).
+levels at given times: that a noisy level is met early is left out here, and put right by simulation where it is used.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -26,9 +26,8 @@ from pixelid.dynamics.linear import linear_stages, stationary_covariance
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.likelihood.layout import Shift, read_only
 from pixelid.parallel import map_threads
-from pixelid.recordings.recording import Recording
 from pixelid.stages.circuit import Circuit
-from pixelid.stimuli.pixel_lights import Light, PixelLights, log_radiance_at
+from pixelid.stimuli.pixel_lights import Light, lights_in, log_radiance_at
 
 STEP = 0.1  # of the time in which the level's noise changes by its own size, in the brightest light
 PER_LOG = 30.0  # lights per e-fold that steps are tabulated for, and most of them
@@ -41,6 +40,7 @@ OUTLIER = 5.0  # scales of the fit's residuals: events that something else made
 RATIOS = (1e-6, 1e6)  # of shot noise to threshold noise, variances, between which it is looked for
 TOLERANCE = 0.01  # of its logarithm
 WIDTH = 0.1  # of the differences that its error is taken from
+LEAST_THRESHOLDS = 1e-3  # of the fit's noise variance: 3 % of the noise, less than any sensor's thresholds
 
 
 @dataclass(frozen=True)
@@ -60,6 +60,11 @@ class Division:
     error: float
     gain: float
     quiet: float
+
+    @property
+    def log_noise(self) -> float:
+        """What ln of the thresholds' noise changes by; not to nothing."""
+        return 0.5 * math.log(max(self.thresholds, LEAST_THRESHOLDS))
 
 
 class Noise(NamedTuple):
@@ -215,7 +220,7 @@ def _chains(likelihood: EventTimes, circuit: Circuit, every: bool, seed: int) ->
     terms = likelihood.terms(circuit)
     y = terms.z - terms.group_mean[likelihood.group]
     usable = ~terms.background & (np.abs(y) < OUTLIER * terms.scale)
-    seen = lights_of(likelihood.recordings)
+    seen = [r.stimulus for r in likelihood.recordings if r.stimulus is not None]
     lights = [np.log(np.exp(_range(light)) + circuit.dark) for light in seen]
     low, high = min(light[0] for light in lights) - MARGIN, max(light[1] for light in lights) + MARGIN
     grid = np.linspace(low, high, int(np.clip(math.ceil(PER_LOG * (high - low)) + 1, 2, MOST_LIGHTS)))
@@ -250,11 +255,6 @@ def _chains(likelihood: EventTimes, circuit: Circuit, every: bool, seed: int) ->
     return chains, steps
 
 
-def lights_of(recordings: Sequence[Recording]) -> list[Light]:
-    """What each was recorded under."""
-    return [r.stimulus for r in recordings if r.stimulus is not None]
-
-
 def _within(likelihood: EventTimes, count: int, seed: int) -> Iterator[np.ndarray]:
     """Events, in order of time, of each recording of so many pixels, drawn at random."""
     drawn = np.zeros(likelihood.pixels, bool)
@@ -267,11 +267,8 @@ def _within(likelihood: EventTimes, count: int, seed: int) -> Iterator[np.ndarra
 
 def _range(light: Light) -> tuple[float, float]:
     """Of the log radiance."""
-    each = light.lights if isinstance(light, PixelLights) else (light,)
-    return (
-        math.log(min(float(one.radiance.min()) for one in each)),
-        math.log(max(float(one.radiance.max()) for one in each)),
-    )
+    each = [one.radiance for one in lights_in(light)]
+    return math.log(min(float(one.min()) for one in each)), math.log(max(float(one.max()) for one in each))
 
 
 def _step_s(circuit: Circuit, brightest: float) -> float:

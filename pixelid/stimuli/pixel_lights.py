@@ -287,6 +287,11 @@ def pixel_lights(light: Stimulus | PixelLights, pixels: np.ndarray | None = None
     return None if light.full_field else PixelLights.of_video(light, pixels)
 
 
+def lights_in(light: Light) -> tuple[Stimulus, ...]:
+    """The lights of all groups of pixels, or the one that every pixel sees."""
+    return light.lights if isinstance(light, PixelLights) else (light,)
+
+
 def in_a_row(light: Light, pixels: np.ndarray) -> Light:
     """The light of a sensor of one row whose pixels see what `pixels` (n,), flat indices, see; full-field as it is."""
     grouped = pixel_lights(light, pixels)

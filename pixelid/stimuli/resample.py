@@ -14,7 +14,7 @@ import numpy as np
 from pixelid.errors import InputError
 from pixelid.parallel import map_threads
 from pixelid.stimuli.course import course
-from pixelid.stimuli.pixel_lights import Light, PixelLights
+from pixelid.stimuli.pixel_lights import Light, PixelLights, lights_in
 from pixelid.stimuli.stimulus import Stimulus
 
 LARGEST_CHANGE = 0.02  # of log radiance within one step
@@ -86,8 +86,7 @@ def with_overshoots(light: Light, between: str = "linear") -> Light:
     A likelihood asks at samples only how far a pixel's output has gone; after a jump it may overshoot and return.
     """
     finer = resampled(light, between)
-    lights = finer.lights if isinstance(finer, PixelLights) else (finer,)
-    after = _after_jumps(sum(len(_jumps(one)) for one in lights))
+    after = _after_jumps(sum(len(_jumps(one)) for one in lights_in(finer)))
     if isinstance(finer, PixelLights):
         return finer.with_lights(map_threads(lambda one: _sampled_after_jumps(one, after), finer.lights))
     return _sampled_after_jumps(finer, after)

@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from pixelid.arrays import load_arrays
-from pixelid.documents import refuse_hollow, separator_of
+from pixelid.documents import refuse_hollow, separator_of, words_of
 from pixelid.errors import InputError, first_line, shown
 from pixelid.stimuli.stimulus import UNITS, Stimulus
 
@@ -36,7 +36,6 @@ LIGHT_WORDS = (
     "voltage",
     "lux",
 )
-GREEK_MU = "\u03bc"  # which looks like the micro sign
 # Words in the name of a column of times that are no unit.
 BESIDE_TIME = (
     "time", "t", "stamp", "timestamp", "since", "start", "of", "the", "in", "from", "elapsed", "relative", "rel", "abs",
@@ -125,8 +124,10 @@ def _table(path: Path, unit: str | None) -> Stimulus:
         raise InputError(f"{path}: expected a header t,radiance and at least two rows, found {len(lines)} lines")
     names = _names(lines[0])
     separator = separator_of(lines[0])
-    time = next((k for k, name in enumerate(names) if _words(name)[:1] and _words(name)[0] in TIME_WORDS), None)
-    light = next((k for k, name in enumerate(names) if k != time and any(w in LIGHT_WORDS for w in _words(name))), None)
+    time = next((k for k, name in enumerate(names) if words_of(name)[:1] and words_of(name)[0] in TIME_WORDS), None)
+    light = next(
+        (k for k, name in enumerate(names) if k != time and any(w in LIGHT_WORDS for w in words_of(name))), None
+    )
     if time is None or light is None:
         raise InputError(
             f"{path}: expected columns t and radiance in the first line, found {shown(lines[0].strip(), 80)}"
@@ -142,8 +143,8 @@ def _table(path: Path, unit: str | None) -> Stimulus:
 
 def _seconds_per(name: str, comments: str, path: Path) -> float:
     """Of the unit in the name of the column of times, or in a comment ("time in ms"); seconds where none is said."""
-    words = _words(name)
-    said = [word for found in TIME_IN.findall(comments) for word in _words(found)]
+    words = words_of(name)
+    said = [word for found in TIME_IN.findall(comments) for word in words_of(found)]
     told = [SECONDS_PER[word] for word in (*words[1:], *words[:1], *said) if word in SECONDS_PER]
     unknown = [word for word in words[1:] if word not in SECONDS_PER and word not in BESIDE_TIME]
     if not told and unknown:
@@ -157,10 +158,6 @@ def _names(line: str) -> list[str]:
     except csv.Error:  # a cell of more than 128 KiB
         return []
     return [name.strip().lower() for name in row]
-
-
-def _words(name: str) -> list[str]:
-    return [word for word in re.split(r"[^a-zµ0-9²]+", name.lower().replace(GREEK_MU, "µ")) if word]
 
 
 def _unit_in(text: str) -> str | None:

@@ -46,7 +46,7 @@ def test_density_circuit_and_thresholds_come_back(noisy):
     assert result.model.parameters["shot_noise.density"].prior is None
 
 
-def test_noise_that_the_thresholds_do_not_have_is_worth_a_thousand_nats(noisy):
+def test_noise_that_the_thresholds_do_not_have_is_worth_hundreds_of_nats(noisy):
     recordings, result = noisy
     without = fit(recordings, BASE.without_effect("shot_noise"), between="linear", seed=1)
     assert result.log_likelihood > without.log_likelihood + 500.0

@@ -197,9 +197,9 @@ def test_poles_that_can_be_exchanged_are_not_told_apart(tmp_path):
     for name in ("beta", "sf_cutoff_hz"):
         low, high = entries[name]["interval_95"]
         assert low < true[name] < high
-    exchanged = fit_latency(table, start=fit.cameras)  # from there, the same end
-    best = (log_posterior_at(one.fits[0].regression, one.fits[0].regression.x) for one in (fit, exchanged))
-    assert abs(next(best) - next(best)) < 0.5
+    again = fit_latency(table, start=fit.cameras)  # from there, the same end
+    first, second = (log_posterior_at(one.fits[0].regression, one.fits[0].regression.x) for one in (fit, again))
+    assert abs(first - second) < 0.5
 
 
 @pytest.mark.skipif(not NIST.is_file(), reason="needs a checkout")

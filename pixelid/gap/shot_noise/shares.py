@@ -14,14 +14,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pixelid.fit.maximise import Maximum
+from pixelid.fit.shot_noise import DENSITY, EFFECT, NOISE, OTHER_PARAMETERS
 from pixelid.gap.shot_noise.replicates import MAX_SHIFT, PRIOR_DEGREES, Replicate, well_known
-from pixelid.likelihood.shot_noise import Division
+from pixelid.likelihood.shot_noise import LEAST_THRESHOLDS, Division
 from pixelid.model.model import Model
 
-EFFECT, STRENGTH, NOISE = "shot_noise", "shot_noise.density", "threshold_sigma"
-LEAST_THRESHOLDS = 1e-3  # of the fit's noise variance: 3 % of the noise, less than any sensor's thresholds
 MAX_LOG_ERROR = 0.5  # of a replicate's density: one so far from the others' ended at a lesser optimum
-OTHER_PARAMETERS = 1.3  # times the error of a density found with all else known: a fit's other parameters are off too
 
 
 @dataclass(frozen=True)
@@ -44,7 +42,7 @@ class Guess:
     def first(cls, fit: Maximum, found: Division) -> Guess:
         """As the filter has it."""
         x = fit.x.copy()
-        x[_noise_index(fit)] += 0.5 * math.log(max(found.thresholds, LEAST_THRESHOLDS))
+        x[_noise_index(fit)] += found.log_noise
         return cls(fit, found, x, found.density)
 
     @property
@@ -90,7 +88,7 @@ def sound(made: Sequence[Replicate]) -> bool:
 
 def with_shot_noise(model: Model, density: float) -> Model:
     """The model with shot noise of a fixed density."""
-    return model.with_effect(EFFECT, {"density": density}).fix({STRENGTH: None})
+    return model.with_effect(EFFECT, {"density": density}).fix({DENSITY: None})
 
 
 def vector(model: Model, fit: Maximum) -> np.ndarray:

@@ -20,6 +20,7 @@ from scipy.stats import norm
 from pixelid.fit.again import can_be_simulated
 from pixelid.fit.cache import FitCache
 from pixelid.fit.maximise import Maximum
+from pixelid.fit.shot_noise import NOISE
 from pixelid.gap.criteria import Criteria
 from pixelid.gap.detect.diagnostics import Diagnostics
 from pixelid.gap.detect.pixels import PixelEvidence
@@ -31,7 +32,7 @@ from pixelid.gap.shot_noise.replicates import (
     make_replicate,
     subtract_replicates,
 )
-from pixelid.gap.shot_noise.shares import NOISE, Guess, sound, vector
+from pixelid.gap.shot_noise.shares import Guess, sound, vector
 from pixelid.likelihood.shot_noise import share_out
 from pixelid.model.model import Model
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from pixelid import stages
+from pixelid.fit.shot_noise import DENSITY, EFFECT
 from pixelid.gap.attribute.alternative import flexible_alternative
 from pixelid.gap.attribute.candidates import missing
 from pixelid.gap.attribute.directions import Direction, Space, confusion, direction, residual_space, similarities
@@ -21,7 +22,6 @@ from pixelid.gap.options import Context
 from pixelid.gap.recommend import advise
 from pixelid.gap.result import GapReport, Named
 from pixelid.gap.rounds import withdrawn as taken_back
-from pixelid.gap.shot_noise.shares import EFFECT, STRENGTH
 from pixelid.gap.state import Hypothesis, NamedStep, State
 from pixelid.gap.steps.describe_remainder import Described, describe_remainder
 from pixelid.gap.steps.numbers import free_run_of, intervals_of
@@ -149,7 +149,7 @@ def _shot_noise(state: State) -> tuple[Named, ...]:
         return ()
     background, unit = hypothesis.seen.residual.background, relative_noise(hypothesis.fit.model)
     place = where(state.first.maps, hypothesis.evidence.training, background, unit)
-    strength = {STRENGTH: (noise.density, noise.interval)}
+    strength = {DENSITY: (noise.density, noise.interval)}
     return (Named(EFFECT, state.shot_noise_p, noise.gain, None, None, 0.0, "", strength, place),)
 
 

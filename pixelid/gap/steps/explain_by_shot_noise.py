@@ -8,12 +8,12 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from pixelid.fit.maximise import maximise
+from pixelid.fit.shot_noise import EFFECT
 from pixelid.gap.attribute.candidates import remove_effect
 from pixelid.gap.detect.diagnostics import diagnose
 from pixelid.gap.options import Context
 from pixelid.gap.phases import Phase
 from pixelid.gap.rounds import amended, entry, withdrawn
-from pixelid.gap.shot_noise.shares import EFFECT
 from pixelid.gap.shot_noise.shot_noise import ShotNoise, find_shot_noise, looks_like_shot_noise
 from pixelid.gap.state import Hypothesis, State
 

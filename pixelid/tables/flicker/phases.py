@@ -14,7 +14,7 @@ from pixelid.errors import InputError
 from pixelid.recordings.events import Events
 
 # A light of four thresholds moves by 0.1 of one from bin to bin, less than the noise of a comparator; 32 bins took
-# 5 % off such an amplitude, twelve of its errors
+# 5 % off an amplitude of two, seven of its errors
 BINS = 128
 COARSE = 32  # where searches start: a sixteenth of the cost
 SLICE_S = 0.1

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from pixelid.documents import words_of
 from pixelid.errors import InputError, shown
 from pixelid.recordings.recording import Recording
 from pixelid.tables.reading import TextTable, read_text_table
@@ -158,7 +159,7 @@ def _rate_column(text: TextTable, polarity: str) -> str | None:
 
 def _words(name: str) -> str:
     """A column's name as words of small letters and digits: irradiance [mW/m²] → irradiance mw m2."""
-    return " ".join(re.findall(r"[a-z0-9]+", name.lower().translate(_PLAIN)))
+    return " ".join(words_of(name.translate(_PLAIN)))
 
 
 def _unit(name: str) -> str:
