@@ -8,19 +8,21 @@ import numpy as np
 
 from pixelid.dynamics.equations import photoreceptor_rates
 from pixelid.dynamics.of_circuit import dynamics_of
+from pixelid.dynamics.slew import without_slew_limit
 from pixelid.stages.circuit import Circuit
 
 
 def linear_stages(circuit: Circuit, light: float) -> tuple[np.ndarray, np.ndarray, int]:
     """(A (n, n), drive (n,), stored): dx/dt = A x + drive · (ln L − its mean) of the stages, around a constant light.
 
-    The amplifier's output is the last state, and `stored` the one that a reset stores.  A lower cutoff is left out.
+    The amplifier's output is the last state, and `stored` the one that a reset stores.  Left out are a lower cutoff,
+    and a slew limit: noise is slow beside it.
 
     Args:
         circuit: its stages.
         light: of the photoreceptor, with dark current.
     """
-    dynamics, rates = dynamics_of(circuit), []
+    dynamics, rates = dynamics_of(without_slew_limit(circuit)), []
     if circuit.photoreceptor == "one_pole":
         a, b2 = photoreceptor_rates(dynamics, light)
         rates.append(a / b2)

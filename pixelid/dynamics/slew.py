@@ -41,6 +41,11 @@ def slews(circuit: Circuit) -> bool:
     return math.isfinite(circuit.slew_rise) or math.isfinite(circuit.slew_fall)
 
 
+def without_slew_limit(circuit: Circuit) -> Circuit:
+    """The circuit whose follower is as fast as its pole, whatever the step."""
+    return circuit.with_(slew_rise=math.inf, slew_fall=math.inf)
+
+
 def rates_of(circuit: Circuit, dynamics) -> tuple:
     """(w1, w2, wh, wd, rise, fall) of a circuit; dynamics: of it without the limit."""
     return (*tuple(dynamics)[3:7], float(circuit.slew_rise), float(circuit.slew_fall))

@@ -9,7 +9,7 @@ import numpy as np
 from pixelid.design.information import simulated
 from pixelid.design.menu import Candidate, default_menu
 from pixelid.errors import InputError
-from pixelid.fit.maximise import Maximum, maximise
+from pixelid.fit.maximise import maximise
 from pixelid.gap.attribute.candidates import holds_together, remove_effect
 from pixelid.gap.attribute.directions import Direction, Space, direction, residual_space
 from pixelid.gap.options import Options
@@ -51,8 +51,9 @@ def advise(
         if not holds_together(without):
             without = step.before.fit.model
         training = hypothesis.evidence.training
-        lacking = residual_space(training, maximise(training, without, tolerance=0.1, max_steps=5))
-        return recommended(lacking, state.model, winner, runner_up, f"to tell {winner} from {runner_up}", seed)
+        lacking = residual_space(training, maximise(training, without, tolerance=0.1, max_steps=5), state.unknown_s)
+        why = f"to tell {winner} from {runner_up}"
+        return recommended(lacking, state.model, winner, runner_up, why, seed)
     blind = blindest(directions)
     if blind is None:
         return {"why": "nothing: every effect of the library is in the model", "stimulus": None}
@@ -73,7 +74,7 @@ def recommended(at: Space, nominal: Model, effect: str, runner_up: str | None, w
         if candidate.name.startswith("long_"):
             continue
         try:
-            there = _candidate_space(at.fit, candidate, seed)
+            there = _candidate_space(at, candidate, seed)
             gram = None if there is None else _gram(there, effect, runner_up)
         except InputError:
             continue
@@ -89,12 +90,13 @@ def recommended(at: Space, nominal: Model, effect: str, runner_up: str | None, w
     return {"why": why, "stimulus": best[1].as_dict(), "would_show": best[0], "shows_now": now}
 
 
-def _candidate_space(end: Maximum, candidate: Candidate, seed: int) -> Space | None:
-    recording = simulated(end.model, candidate.stimulus, seed)
+def _candidate_space(at: Space, candidate: Candidate, seed: int) -> Space | None:
+    recording = simulated(at.fit.model, candidate.stimulus, seed)
     if len(recording.events) < 20:
         return None
     likelihood = EventTimes([recording.with_stimulus(with_overshoots(candidate.stimulus))])
-    return residual_space(likelihood, end)
+    unknown = [np.full(len(recording.events), at.unknown_s)] if at.blur is not None else None
+    return residual_space(likelihood, at.fit, unknown)
 
 
 def _gram(at: Space, effect: str, runner_up: str | None) -> np.ndarray | None:

@@ -11,7 +11,8 @@ from pixelid.fit.maximise import Maximum
 from pixelid.gap.attribute.attribute import Attribution, Candidate
 from pixelid.gap.detect.diagnostics import Diagnostics
 from pixelid.gap.detect.pixels import PixelEvidence
-from pixelid.gap.imputation.impute import JITTER, SIGMA, Imputation
+from pixelid.gap.imputation.blur import spreads
+from pixelid.gap.imputation.impute import FINEST_TICK_S, JITTER, QUEUE, SIGMA, Imputation
 from pixelid.gap.phases import Phase
 from pixelid.gap.rounds import Rounds
 from pixelid.gap.shot_noise.replicates import Corrected
@@ -148,6 +149,22 @@ class State:
     def imputed(self) -> bool:
         """Whether event times have been imputed."""
         return self.imputation is not None and bool(self.imputation.windows)
+
+    @property
+    def hides_jitter(self) -> bool:
+        """Whether the times at hand cannot show a jitter: what a readout has put on a grid or in a queue does not
+        jitter, and times imputed behind it, or behind a jitter, scatter as they were drawn."""
+        coarse = any(f.effect == QUEUE or f.value >= FINEST_TICK_S for f in self.signatures)
+        return coarse or self.hypothesis.jitter is not None
+
+    @property
+    def unknown_s(self) -> list[np.ndarray] | None:
+        """Per recording (n,) s, by how much the times of the training events are unknown; None where they are known."""
+        if self.imputation is None or not self.imputed:
+            return None
+        if self.imputation.effect == JITTER and self.hypothesis.jitter is None:
+            return None  # taken back
+        return spreads(self.imputation, self.hypothesis.evidence.training)
 
     @property
     def on_paths(self) -> bool:

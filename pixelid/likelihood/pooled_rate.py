@@ -26,7 +26,7 @@ import numpy as np
 from scipy.special import gammaln
 
 from pixelid.dynamics.of_circuit import dynamics_of
-from pixelid.dynamics.slew import slews
+from pixelid.dynamics.slew import slews, without_slew_limit
 from pixelid.dynamics.slewed import slewed
 from pixelid.dynamics.trajectory import integrate
 from pixelid.errors import InputError
@@ -158,7 +158,7 @@ class PooledRate:
             raise InputError("described effects: not in the pooled-rate likelihood")
         wave = drive(stimulus, circuit, until)
         if slews(circuit):
-            linear = circuit.with_(slew_rise=math.inf, slew_fall=math.inf)
+            linear = without_slew_limit(circuit)
             trajectory = slewed(wave.t, wave.radiance, circuit, dynamics_of(linear), log_radiance=wave.log_radiance)
         else:
             trajectory = integrate(

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numpy as np
-
 from pixelid.dynamics import slew
 from pixelid.dynamics.equations import PRESENT_BELOW
 from pixelid.dynamics.of_circuit import dynamics_of
@@ -46,7 +44,7 @@ class Trajectories:
             circuit.knee_slope, *(m for m in circuit.described if m.quantity in OF_LIGHT),
         )  # fmt: skip
         limit = (circuit.slew_rise, circuit.slew_fall)
-        linear = circuit.with_(slew_rise=np.inf, slew_fall=np.inf)
+        linear = slew.without_slew_limit(circuit)
         dynamics = dynamics_of(linear) if slew.slews(circuit) else _apart(dynamics_of(linear))
         key = (dynamics, circuit.linearisation, *limit, *reaching)
         if self._latest is not None and self._latest[0] == key:

@@ -21,6 +21,7 @@ import torch
 
 from pixelid.dynamics.equations import PRESENT_BELOW, photoreceptor_rates
 from pixelid.dynamics.of_circuit import dynamics_of
+from pixelid.dynamics.slew import without_slew_limit
 from pixelid.dynamics.trajectory import Dynamics
 from pixelid.nerf.additions import ADDITIONS
 from pixelid.nerf.pixel_maps import PixelMaps, maps_of_circuit
@@ -86,7 +87,7 @@ class Pixel(torch.nn.Module):
         super().__init__()
         self.circuit, self.bandwidth = circuit, bandwidth
         self.maps = maps_of_circuit(circuit.with_(mismatch=0.0), 1) if maps is None else maps
-        dynamics = dynamics_of(circuit.with_(slew_rise=math.inf, slew_fall=math.inf))
+        dynamics = dynamics_of(without_slew_limit(circuit))
         self.register_buffer("nominal", torch.tensor(dynamics.uniform(), dtype=torch.float64))
         self.register_buffer("expected", torch.tensor(self.maps.threshold))
         self.register_buffer("unknown", torch.tensor(self.maps.threshold_sd))

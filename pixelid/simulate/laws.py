@@ -72,7 +72,7 @@ def rules_of(circuit: Circuit, seed: int, synchronous: bool, t_end: float) -> Ru
     slewing = slew.slews(circuit)
     if slewing and not math.isfinite(circuit.follower):
         raise InputError("slew_limit needs source_follower_pole: without it there is nothing to slew")
-    dynamics = dynamics_of(circuit.with_(slew_rise=math.inf, slew_fall=math.inf)).uniform()
+    dynamics = dynamics_of(slew.without_slew_limit(circuit)).uniform()
     w1, w2, wh, wd = dynamics[3:7]
     unlimited = circuit.photoreceptor == "unlimited" and min(w1, w2, wd) > PRESENT_BELOW
     if circuit.shot_density > 0 and unlimited:

@@ -185,6 +185,8 @@ def test_equal_thresholds_resonate():
 def test_what_cannot_be_followed_is_refused():
     with pytest.raises(InputError, match="lower_cutoff"):
         noise_rates(circuit(lower_cutoff=1.0), 24.0)
+    with pytest.raises(InputError, match="slew_limit"):
+        noise_rates(circuit(slew_rise=3000.0), 24.0)
     with pytest.raises(InputError, match="shot_noise"):
         noise_rates(circuit().with_(shot_density=0.0), 24.0)
     with pytest.raises(InputError, match="three poles"):

@@ -114,13 +114,13 @@ def lights():
     return [chirp(24.0, stop_hz=200.0), slow(24.0, seed=3)]
 
 
-def divided(truth, lights, seed):
+def divided(truth, lights, seed, model=MODEL):
     recordings = [
         with_fine_light(simulate(truth, light, width=4, height=2, seed=seed + k, sensor_seed=seed), "linear")
         for k, light in enumerate(lights)
     ]
-    likelihood = EventTimes(recordings).weighed(MODEL.circuit())
-    fit = maximise(likelihood, MODEL, tolerance=0.05, max_steps=40)
+    likelihood = EventTimes(recordings).weighed(model.circuit())
+    fit = maximise(likelihood, model, tolerance=0.05, max_steps=40)
     found = share_out(likelihood, fit.model.circuit())
     assert found is not None
     return found, fit
@@ -133,6 +133,15 @@ def test_planted_shot_noise_is_told_from_threshold_noise(lights):
     assert abs(np.log(found.density / 6e-5)) < 4.0 * found.error + 0.05
     assert fit.values["threshold_sigma"] > 0.05  # all of the noise
     assert np.sqrt(found.thresholds) * fit.values["threshold_sigma"] == pytest.approx(0.03, rel=0.2)
+
+
+def test_shot_noise_passes_a_slew_limited_follower_as_small_signals_do(lights):
+    limited = MODEL.with_effect("slew_limit", {"rise_per_s": 3000.0, "fall_per_s": 3000.0})
+    truth = limited.set({"threshold_sigma": 0.03}).with_effect("shot_noise", {"density": 6e-5})
+    held = limited.fix(dict.fromkeys(("slew_limit.rise_per_s", "slew_limit.fall_per_s")))
+    found, _ = divided(truth, lights, 11, held)
+    assert found.gain > 100.0
+    assert abs(np.log(found.density / 6e-5)) < 4.0 * found.error + 0.05
 
 
 def test_threshold_noise_alone_is_no_shot_noise(lights):

@@ -10,7 +10,7 @@ free parameters.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -19,6 +19,7 @@ from pixelid.errors import InputError
 from pixelid.fit.maximise import Maximum
 from pixelid.gap.attribute.candidates import INVERSE, variants
 from pixelid.gap.detect.residuals import Residuals, compare, residuals, tangents
+from pixelid.gap.imputation.blur import Blur, blur_by
 from pixelid.gap.imputation.windows import DELAY
 from pixelid.likelihood.density import sum_by
 from pixelid.likelihood.event_times import EventTimes
@@ -50,28 +51,48 @@ class Direction:
 
 @dataclass(frozen=True)
 class Space:
-    """Residuals of a fitted model and the tangents of its free parameters, J (2n, d)."""
+    """Residuals of a fitted model and the tangents of its free parameters, J (2n, d), weighed.
+
+    blur: of the events, where their times are not known;  unknown_s: by how much they are not, in the mean
+    """
 
     likelihood: EventTimes
     fit: Maximum
     here: Residuals
     J: np.ndarray
+    blur: Blur | None = None
+    unknown_s: float = 0.0
+
+    def weighed(self, column: np.ndarray) -> np.ndarray:
+        """A column (2n,) as the stamps show it: as it is, where they are the times."""
+        if self.blur is None:
+            return column
+        n = len(self.here.e)
+        return np.concatenate([self.blur.weigh(column[:n]), column[n:] * self.blur.share])
 
     def demeaned(self, column: np.ndarray) -> np.ndarray:
-        """A column (2n,) whose levels lack their mean per pixel and polarity; 0 for background events."""
+        """A weighed column (2n,) whose levels lack their mean per pixel and polarity; 0 for background events."""
         likelihood, n = self.likelihood, len(self.here.e)
         kept = ~self.here.background
         level, rest = column[:n], column[n:]
+        if self.blur is not None:
+            return np.concatenate([self.blur.without_pixel_means(level), rest])
         size = np.maximum(np.bincount(likelihood.group, kept, 2 * likelihood.pixels), 1.0)
         mean = sum_by(likelihood.group, np.where(kept, level, 0.0), 2 * likelihood.pixels) / size
         return np.concatenate([np.where(kept, level - mean[likelihood.group], 0.0), np.where(kept, rest, 0.0)])
 
 
-def residual_space(likelihood: EventTimes, end: Maximum) -> Space:
-    """The residual space of a fit."""
-    here = residuals(likelihood, end.model.circuit())
+def residual_space(likelihood: EventTimes, end: Maximum, sd_s: Sequence[np.ndarray] | None = None) -> Space:
+    """The residual space of a fit; sd_s: per recording (n,) s, by how much the times of its events are unknown."""
+    circuit = end.model.circuit()
+    here = residuals(likelihood, circuit)
     tangent = tangents(likelihood, end.coordinates, end.x, here)
-    return Space(likelihood, end, here, np.concatenate([tangent.level, np.sqrt(2.0) * tangent.log_scale]))
+    J = np.concatenate([tangent.level, np.sqrt(2.0) * tangent.log_scale])
+    if sd_s is None:
+        return Space(likelihood, end, here, J)
+    unknown = float(np.mean(np.concatenate(sd_s))) if likelihood.events else 0.0
+    at = Space(likelihood, end, here, J, blur_by(likelihood, circuit, sd_s), unknown)
+    return replace(at, J=np.column_stack([at.weighed(column) for column in J.T])) if J.size else at
 
 
 def direction(at: Space, effect: str) -> Direction | None:
@@ -91,6 +112,7 @@ def direction(at: Space, effect: str) -> Direction | None:
     if best is None:
         return None
     _, v, trial = best
+    v = at.weighed(v)
     name = next(p.name for p in stages.effect(effect).parameters if p.free)
     raw = at.demeaned(v)
     J = np.column_stack([at.demeaned(column) for column in at.J.T])

@@ -34,6 +34,7 @@ from pixelid.stages.circuit import Circuit
 DRAWS = 0  # seed of what is drawn for events at the end of a silence: the same whenever asked
 NUDGE_S = 1e-6  # one-sided difference of the time: short beside any filter's time constant, long beside rounding
 STEP = 1e-4  # of a coordinate's longest move, one-sided difference: a relative error about as large
+FAR_SD, SHORTER = 0.1, 0.1  # a level that moves by more in one step is asked with a shorter one
 LARGEST = 40.0  # residual: beyond it Φ is 0 in double precision
 
 
@@ -101,20 +102,33 @@ def expected_log_rate(likelihood: EventTimes, circuit: Circuit, here: Residuals)
 
 
 def tangents(likelihood: EventTimes, coordinates: Coordinates, x: np.ndarray, here: Residuals) -> Tangents:
-    """Derivatives of the residuals by every coordinate at x, by differences; 0 for background events."""
+    """Derivatives of the residuals by every coordinate at x, by differences; 0 for background events.
+
+    A level that moves far is asked again with a shorter step: what then still moves far jumps, and has no derivative.
+    """
     moves = STEP * coordinates.longest_moves()
     by_level, by_scale = np.empty((len(here.e), len(x))), np.empty((len(here.e), len(x)))
     for i, h in enumerate(moves):
-        moved = x.copy()
-        moved[i] += h
-        circuit = coordinates.circuit(moved)
-        there = residuals(likelihood, circuit, likelihood.changes(circuit, here.extremes))
-        level, log_scale = compare(here, there)
+        level, log_scale = _differences(likelihood, coordinates, x, here, i, h)
+        far = ~(np.abs(level) <= FAR_SD)
+        if far.any():
+            shorter = _differences(likelihood, coordinates, x, here, i, SHORTER * h)
+            sound = np.abs(shorter[0]) <= FAR_SD
+            again = [np.where(sound, each, 0.0) / SHORTER for each in shorter]
+            level, log_scale = np.where(far, again[0], level), np.where(far, again[1], log_scale)
         by_level[:, i], by_scale[:, i] = level / h, log_scale / h
-    undefined = (
-        here.background[:, None] | ~np.isfinite(by_level) | ~np.isfinite(by_scale) | (np.abs(by_level) > 0.1 / moves)
-    )
+    undefined = here.background[:, None] | ~np.isfinite(by_level) | ~np.isfinite(by_scale)
     return Tangents(np.where(undefined, 0.0, by_level), np.where(undefined, 0.0, by_scale))
+
+
+def _differences(
+    likelihood: EventTimes, coordinates: Coordinates, x: np.ndarray, here: Residuals, i: int, h: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """What one coordinate's move by h makes of levels and log scales (n,)."""
+    moved = x.copy()
+    moved[i] += h
+    circuit = coordinates.circuit(moved)
+    return compare(here, residuals(likelihood, circuit, likelihood.changes(circuit, here.extremes)))
 
 
 def compare(here: Residuals, there: Residuals) -> tuple[np.ndarray, np.ndarray]:

@@ -24,7 +24,8 @@ from numba import njit
 from scipy.linalg import solveh_banded
 
 from pixelid.fit.coordinates import Coordinates
-from pixelid.likelihood.event_times import NUDGE_S, EventTimes
+from pixelid.gap.imputation.blur import of_intervals, slopes_of
+from pixelid.likelihood.event_times import EventTimes
 from pixelid.model.model import Model
 
 STEP = 1e-4  # of a coordinate's longest move, one-sided difference
@@ -140,10 +141,8 @@ def _linearised(likelihood: EventTimes, stamps: Sequence[np.ndarray], coordinate
     circuit = coordinates.circuit(x)
     here = likelihood.terms(circuit)
     extremes = here.changes.extremes
-    later = circuit.with_(refractory=circuit.refractory + NUDGE_S)
-    there = likelihood.terms(later, likelihood.changes(later, extremes))
-    aside = here.background | there.background
-    g = np.where(aside, 0.0, (there.z - here.z) / NUDGE_S)
+    slopes = slopes_of(likelihood, circuit, here)
+    aside = slopes.aside
     e = here.z - here.group_mean[likelihood.group]
     moves, J = STEP * coordinates.longest_moves(), np.zeros((len(e), len(x)))
     for i, h in enumerate(moves):
@@ -157,27 +156,12 @@ def _linearised(likelihood: EventTimes, stamps: Sequence[np.ndarray], coordinate
         aside = aside | terms.background
         J[:, i] = shift / h
     sound = ~aside & np.isfinite(J).all(axis=1)
-    r, noise = np.exp(here.log_rate), here.scale**2
-    off, off_before = _displacements(likelihood, stamps)
+    r, g, noise, order = slopes.own, slopes.before, here.scale**2, slopes.order
+    late = [stamp - 1e-9 * r.events.t for r, stamp in zip(likelihood.recordings, stamps, strict=True)]
+    off, off_before = of_intervals(likelihood, late)
     y = e + r * off + g * off_before
-    order = np.lexsort((likelihood.time_s, likelihood.pixel, likelihood.recording_of_event))
-    key = likelihood.pixel * len(likelihood.recordings) + likelihood.recording_of_event
-    follows = np.concatenate([[False], np.diff(key[order]) == 0])
-    linear = _Linear(y[order], J[order], r[order], g[order], noise[order], likelihood.group[order], follows)
+    linear = _Linear(y[order], J[order], r[order], g[order], noise[order], likelihood.group[order], slopes.follows)
     return here, linear.only(sound[order])
-
-
-def _displacements(likelihood: EventTimes, stamps: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """(n,), (n,) s by which the stamps of each interval's event, and of the one before it, are late."""
-    own, before = [], []
-    for recording, stamp, intervals in zip(likelihood.recordings, stamps, likelihood.intervals, strict=True):
-        off = stamp - 1e-9 * recording.events.t
-        order = np.lexsort((recording.events.t, recording.events.pixel))
-        place = np.empty(len(order), np.int64)
-        place[order] = np.arange(len(order))
-        own.append(off[intervals.event])
-        before.append(off[order[place[intervals.event] - 1]])
-    return np.concatenate(own), np.concatenate(before)
 
 
 def _priors(coordinates: Coordinates, x: np.ndarray, terms, d: int, groups: int) -> tuple[np.ndarray, np.ndarray]:

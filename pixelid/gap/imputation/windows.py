@@ -43,7 +43,14 @@ class Windows:
     @property
     def spread_s(self) -> float:
         """Standard deviation of the centres about the times, s."""
-        return 1e-9 * self.sd if self.stamp is not None else 1e-9 * float(np.mean(self.hi - self.lo)) / np.sqrt(12.0)
+        return float(np.mean(self.spreads_s))
+
+    @property
+    def spreads_s(self) -> np.ndarray:
+        """(n,) s, of each centre about its time: that of a uniform window, or the jitter's."""
+        if self.stamp is not None:
+            return np.full(len(self.lo), 1e-9 * self.sd)
+        return 1e-9 * (self.hi - self.lo) / np.sqrt(12.0)
 
     def only(self, kept: np.ndarray) -> Windows:
         """Of some events: kept (n,) bool."""

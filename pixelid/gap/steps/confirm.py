@@ -18,11 +18,12 @@ from pixelid.gap.confirm.intervals import open_sides
 from pixelid.gap.detect.maps import Cell
 from pixelid.gap.detect.pixels import relative_noise
 from pixelid.gap.detect.words import where
+from pixelid.gap.imputation.imputed import JITTER
 from pixelid.gap.options import Context
 from pixelid.gap.recommend import advise
 from pixelid.gap.result import GapReport, Named
 from pixelid.gap.rounds import withdrawn as taken_back
-from pixelid.gap.state import Hypothesis, NamedStep, State
+from pixelid.gap.state import NamedStep, State
 from pixelid.gap.steps.describe_remainder import Described, describe_remainder
 from pixelid.gap.steps.numbers import free_run_of, intervals_of
 from pixelid.gap.verdict import Confounder, confounded, judge
@@ -51,7 +52,7 @@ def confirm(state: State, context: Context) -> GapReport:
     options, report, hypothesis = context.options, context.report, state.hypothesis
     remainder = state.remainder(options.alpha_each)
     report("what these stimuli can tell", 0.75)
-    at, directions = _directions(hypothesis)
+    at, directions = _directions(state)
     named_any = bool(state.steps or state.new_signatures or state.shot_noise)
     confounder = None if named_any or remainder else confounded(at, directions, options)
     findings = _confirmed(state, at, judge(named_any, bool(state.doubts), remainder, confounder), context)
@@ -61,7 +62,7 @@ def confirm(state: State, context: Context) -> GapReport:
     if findings.withdrawn:
         state = without(findings.withdrawn, state)
         hypothesis, remainder = state.hypothesis, True
-        at, directions = _directions(hypothesis)
+        at, directions = _directions(state)
     term = flexible_alternative(hypothesis.evidence, hypothesis.fit, hypothesis.seen) if remainder else None
     report("what to record next", 0.95)
     next_ = advise(state, at, directions, confounder, findings.remainder, options) if options.recommend else {}
@@ -94,10 +95,12 @@ def without(effects: Sequence[str], state: State) -> State:
     return replace(state, hypothesis=state.steps[0].before, steps=(), rounds=rounds)
 
 
-def _directions(hypothesis: Hypothesis) -> tuple[Space, list[Direction]]:
-    """(the space of residuals of a hypothesis, in which direction each effect that it lacks would move them)."""
-    at = residual_space(hypothesis.evidence.training, hypothesis.fit)
-    return at, [d for d in (direction(at, name) for name in missing(hypothesis.fit.model)) if d is not None]
+def _directions(state: State) -> tuple[Space, list[Direction]]:
+    """(the space of residuals of the hypothesis, in which direction each effect that it lacks would move them)."""
+    hypothesis = state.hypothesis
+    at = residual_space(hypothesis.evidence.training, hypothesis.fit, state.unknown_s)
+    effects = [e for e in missing(hypothesis.fit.model) if not (e == JITTER and state.hides_jitter)]
+    return at, [d for d in (direction(at, name) for name in effects) if d is not None]
 
 
 def _named(at: Space, state: State) -> tuple[Named, ...]:

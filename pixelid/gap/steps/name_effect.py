@@ -9,16 +9,15 @@ from pixelid.fit.maximise import Maximum, maximise, maximise_with_restarts
 from pixelid.gap.attribute.alternative import stands
 from pixelid.gap.attribute.attribute import Attribution, Candidate, attribute, may_be_named
 from pixelid.gap.attribute.candidates import canonical, holds_together, impossible, missing, remove_effect
+from pixelid.gap.attribute.coarse_jitter import coarse_jitter
 from pixelid.gap.attribute.pixels import candidates_of
 from pixelid.gap.attribute.significance import leads, negligible
 from pixelid.gap.detect.diagnostics import diagnose
-from pixelid.gap.detect.pixels import NOISE, PixelEvidence, is_noisy, reconsider_stimuli, relative_noise
+from pixelid.gap.detect.pixels import DEAD_TIME, NOISE, PixelEvidence, is_noisy, reconsider_stimuli, relative_noise
 from pixelid.gap.detect.words import where
 from pixelid.gap.imputation.exact import LOST, loses_where_times_are_exact
 from pixelid.gap.imputation.impute import (
-    FINEST_TICK_S,
     JITTER,
-    QUEUE,
     impute_again,
     impute_behind_jitter,
     impute_with_effect,
@@ -58,10 +57,11 @@ def _named_one_more(state: State, context: Context) -> State:
         state = replace(state, global_p=min(1.0, 2.0 * min(chances)))
     winner = attribution.winner
     if winner is None:
-        return state
+        return _with_jitter_instead(state, state, attribution, context)
     standing = stands(evidence, hypothesis.fit, hypothesis.seen, winner, context.options, context.cache)
     if standing.hopeless:
-        return _refused(state, winner, "a flexible alternative explains more, and leaves it little to explain")
+        refused = _refused(state, winner, "a flexible alternative explains more, and leaves it little to explain")
+        return _with_jitter_instead(refused, state, attribution, context)
     if winner.effect == LOST and _is_misplaced(state, winner.end.model, hypothesis.fit.model, context):
         state = replace(_refused(state, winner, ONLY_WHERE_DRAWN), given_up=state.given_up | {LOST})
         return state.then(_next(state))
@@ -72,7 +72,7 @@ def _named_one_more(state: State, context: Context) -> State:
             other = _another_first(replace(state, jitter_given_up=True), attribution, context)
             grown = grown if other is None else other
     else:
-        grown = _grown(accepted, winner, evidence, context)
+        grown = _with_jitter_instead(_grown(accepted, winner, evidence, context), state, attribution, context)
     return grown.then(_next(grown))
 
 
@@ -83,7 +83,7 @@ def _next(state: State) -> Phase:
 def _attribute(state: State, evidence: PixelEvidence, context: Context) -> Attribution[Maximum]:
     options, hypothesis = context.options, state.hypothesis
     model, elsewhere = hypothesis.fit.model, restart(state, context)
-    skip = {*options.leave_out, *state.given_up, *([JITTER] if _hides_jitter(state) else [])}
+    skip = {*options.leave_out, *state.given_up, *([JITTER] if state.hides_jitter else [])}
     share = 0.1 + 0.6 * state.turn / MAX_ROUNDS
     candidates = candidates_of(evidence, model, elsewhere, context.cache, context.work, state.on_paths)
     return attribute(
@@ -105,13 +105,6 @@ def restart(state: State, context: Context) -> Model | None:
         return hypothesis.start.set({NOISE: state.model.values[NOISE]})
     astray = hypothesis.seen.background_fraction > context.options.criteria.max_unexplained_fraction
     return hypothesis.start if astray or not hypothesis.fit.converged else None
-
-
-def _hides_jitter(state: State) -> bool:
-    """Whether the times at hand cannot show a jitter: what a readout has put on a grid or in a queue does not jitter,
-    and times imputed behind it, or behind a jitter, scatter as they were drawn."""
-    coarse = any(f.effect == QUEUE or f.value >= FINEST_TICK_S for f in state.signatures)
-    return coarse or state.hypothesis.jitter is not None
 
 
 def _refused(state: State, winner: Candidate[Maximum], why: str) -> State:
@@ -219,6 +212,31 @@ def _another_first(state: State, attribution: Attribution[Maximum], context: Con
         return None
     state = replace(state, rounds=amended(state.rounds, -1, refused=f"{JITTER}: {UNLIKE_JITTER}"))
     return _grown(_accepted(state, other, attribution, standing.firm), other, evidence, context)
+
+
+def _with_jitter_instead(other: State, state: State, attribution: Attribution[Maximum], context: Context) -> State:
+    """The state with a jitter named in place of the `other`, where only a jitter gives most events their cause."""
+    criteria, hypothesis = context.options.criteria, state.hypothesis
+    allowed = criteria.max_unexplained_fraction_jittered
+    astray = other.hypothesis.seen.background_fraction > allowed
+    if not astray or other.jitter_given_up or state.hides_jitter or JITTER in context.options.leave_out:
+        return other
+    context.report("timestamp_jitter", 0.5)
+    tried = len(attribution.screened) + len(attribution.skipped)
+    shipped = {n: state.model.values[n] for n in (NOISE, DEAD_TIME) if n in hypothesis.start.free}
+    start = hypothesis.start.set(shipped)  # made feasible for stamps in the order in which they came
+    jitter = coarse_jitter(hypothesis.evidence, hypothesis.fit, start, tried, context.options.seed)
+    if jitter is None or not may_be_named(jitter, context.options):
+        return other
+    beside = tuple(c for c in attribution.candidates if c.effect != JITTER)
+    attribution = replace(attribution, candidates=(jitter, *beside), winner=jitter, runners_up=())
+    unable = impossible(hypothesis.fit.model)
+    entry = attribution_entry(state.turn - 1, hypothesis.fit, hypothesis.seen, attribution, unable)
+    named = _accepted(replace(state, rounds=(*state.rounds[:-1], entry)), jitter, attribution, True)
+    behind = _behind_jitter(named, jitter, context)
+    if _is_unlike(behind, context) or behind.hypothesis.seen.background_fraction > allowed:
+        return other
+    return behind.then(_next(behind))
 
 
 def _at_imputed_times(state: State, model: Model, start: Model, context: Context) -> State:

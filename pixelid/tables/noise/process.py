@@ -18,6 +18,7 @@ from functools import cached_property
 import numpy as np
 
 from pixelid.dynamics.linear import linear_stages, stationary_covariance
+from pixelid.dynamics.slew import slews
 from pixelid.errors import InputError
 from pixelid.stages.circuit import Circuit
 
@@ -114,6 +115,8 @@ def noise_process(circuit: Circuit, radiance: float, floor: float = 0.0) -> Nois
     """
     if circuit.lower_cutoff > 0:
         raise InputError("lower_cutoff: noise events of a circuit with a lower cutoff are not computed")
+    if slews(circuit):
+        raise InputError("slew_limit: noise events of a slew-limited follower are not computed")
     light = radiance + circuit.dark
     density = circuit.shot_density / light + floor
     if not (density > 0 and math.isfinite(density)):

@@ -1,0 +1,75 @@
+"""A jitter longer than the dead time as a candidate: whole paths of true times judge it (`imputation/paths.py`).
+
+The density of stamps takes them in the order in which they came.  A jitter of dead times turns that order around, and
+what it explains does not show in what the density gains.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from pixelid.fit.maximise import Maximum
+from pixelid.gap.attribute.attribute import Candidate
+from pixelid.gap.attribute.significance import chance_of_gain
+from pixelid.gap.detect.pixels import PixelEvidence
+from pixelid.gap.imputation.impute import FINEST_PATH_S, JITTER, SIGMA
+from pixelid.gap.imputation.paths import draw_paths, followable
+from pixelid.gap.imputation.windows import jitter_windows
+from pixelid.model.model import Model
+from pixelid.recordings.recording import Recording
+from pixelid.recordings.selection import few, only
+
+WIDER = 2.0  # one standard deviation tried to the next, from the finest of a path until stamps are less likely
+EVENTS = 2_000  # of the pixels asked, of either pool: about a second for a standard deviation
+
+
+def coarse_jitter(evidence: PixelEvidence, fit: Maximum, start: Model, tried: int, seed: int) -> Candidate | None:
+    """The jitter under which stamps are likeliest on some fit pixels; None where the finest is, or none can be judged.
+
+    Args:
+        evidence: Of the model under test.
+        fit: That model, fitted to stamps in the order in which they came.
+        start: It as shipped, which times are followed from: in the other, noise covers for the order of the stamps.
+        tried: Number of effects tried.
+        seed: Of pixels and draws.
+    """
+    if not followable(evidence.recordings, fit.model):
+        return None
+    rng = np.random.default_rng(seed)
+    pools = (only(evidence.recordings, pixels) for pixels in (evidence.split.fit, evidence.split.select))
+    fitting, judging = (few(pool, EVENTS, rng) for pool in pools)
+    climb = _climb(fitting, start, seed)
+    sigma = max(climb, key=lambda s: climb[s])
+    if sigma == FINEST_PATH_S:
+        return None
+    without = [_log_likelihoods(fitting, model, FINEST_PATH_S, seed) for model in (fit.model, start)]
+    model = max(zip(without, (fit.model, start), strict=True), key=lambda pair: pair[0].sum())[1]
+    gain = climb[sigma] - max(float(values.sum()) for values in without)
+    held_out = _log_likelihoods(judging, start, sigma, seed) - _log_likelihoods(judging, model, FINEST_PATH_S, seed)
+    end = replace(fit, model=start.with_effect(JITTER, {SIGMA: sigma}))
+    return Candidate(JITTER, end, gain, chance_of_gain(JITTER, gain, tried), held_out)
+
+
+def _climb(recordings: Sequence[Recording], model: Model, seed: int) -> dict[float, float]:
+    """Standard deviation of a jitter, s → log-likelihood of the stamps, up to the first that lowers it."""
+    values = {FINEST_PATH_S: float(_log_likelihoods(recordings, model, FINEST_PATH_S, seed).sum())}
+    longest = max(r.stimulus.end_s - r.stimulus.start_s for r in recordings if r.stimulus is not None)
+    while (last := max(values)) < longest:
+        values[WIDER * last] = float(_log_likelihoods(recordings, model, WIDER * last, seed).sum())
+        if values[WIDER * last] < values[last]:
+            break
+    return values
+
+
+def _log_likelihoods(recordings: Sequence[Recording], model: Model, sigma_s: float, seed: int) -> np.ndarray:
+    """(pixels,) nats of the stamps of each pixel, true times summed over."""
+    values = []
+    for pixel in np.unique(np.concatenate([r.events.pixel for r in recordings])):
+        own = only(recordings, np.array([pixel]))
+        windows = [jitter_windows(r, sigma_s) for r in own]
+        stamps = [1.0 * r.events.t for r in own]
+        values.append(draw_paths(own, windows, stamps, model, np.random.default_rng(seed)).log_likelihood)
+    return np.array(values)
