@@ -56,6 +56,9 @@ def _named_one_more(state: State, context: Context) -> State:
         chances = [seen_first.p, *held, *(f.p for f in state.new_signatures)]
         state = replace(state, global_p=min(1.0, 2.0 * min(chances)))
     winner = attribution.winner
+    if winner is None and state.imputed and [c.effect for c in attribution.candidates[:1]] == [LOST]:
+        # drawing misplaces some events, and what explains these best is no more than that
+        return _without_lost(state)
     if winner is None:
         return _with_jitter_instead(state, state, attribution, context)
     standing = stands(evidence, hypothesis.fit, hypothesis.seen, winner, context.options, context.cache)
@@ -63,10 +66,12 @@ def _named_one_more(state: State, context: Context) -> State:
         refused = _refused(state, winner, "a flexible alternative explains more, and leaves it little to explain")
         return _with_jitter_instead(refused, state, attribution, context)
     if winner.effect == LOST and _is_misplaced(state, winner.end.model, hypothesis.fit.model, context):
-        state = replace(_refused(state, winner, ONLY_WHERE_DRAWN), given_up=state.given_up | {LOST})
-        return state.then(_next(state))
+        return _without_lost(_refused(state, winner, ONLY_WHERE_DRAWN))
     accepted = _accepted(state, winner, attribution, standing.firm)
     if winner.effect == JITTER:
+        coarse = _behind_coarse_jitter(state, attribution, context) if _is_astray(state, context) else None
+        if coarse is not None:
+            return coarse
         grown = _behind_jitter(accepted, winner, context)
         if _is_unlike(grown, context) and not state.jitter_given_up:
             other = _another_first(replace(state, jitter_given_up=True), attribution, context)
@@ -74,6 +79,11 @@ def _named_one_more(state: State, context: Context) -> State:
     else:
         grown = _with_jitter_instead(_grown(accepted, winner, evidence, context), state, attribution, context)
     return grown.then(_next(grown))
+
+
+def _without_lost(state: State) -> State:
+    """The state with lost events tried no more, and the next round."""
+    return replace(state, given_up=state.given_up | {LOST}).then(_next(state))
 
 
 def _next(state: State) -> Phase:
@@ -216,26 +226,36 @@ def _another_first(state: State, attribution: Attribution[Maximum], context: Con
 
 def _with_jitter_instead(other: State, state: State, attribution: Attribution[Maximum], context: Context) -> State:
     """The state with a jitter named in place of the `other`, where only a jitter gives most events their cause."""
-    criteria, hypothesis = context.options.criteria, state.hypothesis
-    allowed = criteria.max_unexplained_fraction_jittered
-    astray = other.hypothesis.seen.background_fraction > allowed
-    if not astray or other.jitter_given_up or state.hides_jitter or JITTER in context.options.leave_out:
+    if not _is_astray(other, context):
         return other
+    return _behind_coarse_jitter(state, attribution, context) or other
+
+
+def _is_astray(state: State, context: Context) -> bool:
+    """Whether more events lack a cause than times drawn behind a jitter may leave."""
+    return state.hypothesis.seen.background_fraction > context.options.criteria.max_unexplained_fraction_jittered
+
+
+def _behind_coarse_jitter(state: State, attribution: Attribution[Maximum], context: Context) -> State | None:
+    """The state at the times behind a jitter of dead times; None where none gives most events their cause."""
+    hypothesis = state.hypothesis
+    if state.jitter_given_up or state.hides_jitter or JITTER in context.options.leave_out:
+        return None
     context.report("timestamp_jitter", 0.5)
     tried = len(attribution.screened) + len(attribution.skipped)
     shipped = {n: state.model.values[n] for n in (NOISE, DEAD_TIME) if n in hypothesis.start.free}
     start = hypothesis.start.set(shipped)  # made feasible for stamps in the order in which they came
     jitter = coarse_jitter(hypothesis.evidence, hypothesis.fit, start, tried, context.options.seed)
     if jitter is None or not may_be_named(jitter, context.options):
-        return other
+        return None
     beside = tuple(c for c in attribution.candidates if c.effect != JITTER)
     attribution = replace(attribution, candidates=(jitter, *beside), winner=jitter, runners_up=())
     unable = impossible(hypothesis.fit.model)
     entry = attribution_entry(state.turn - 1, hypothesis.fit, hypothesis.seen, attribution, unable)
     named = _accepted(replace(state, rounds=(*state.rounds[:-1], entry)), jitter, attribution, True)
     behind = _behind_jitter(named, jitter, context)
-    if _is_unlike(behind, context) or behind.hypothesis.seen.background_fraction > allowed:
-        return other
+    if _is_unlike(behind, context) or _is_astray(behind, context):
+        return None
     return behind.then(_next(behind))
 
 
