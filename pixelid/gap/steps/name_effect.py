@@ -190,7 +190,10 @@ def _behind_jitter(state: State, winner: Candidate[Maximum], context: Context) -
 
 
 def _is_unlike(state: State, context: Context) -> bool:
-    """Whether what has been taken of the times for a jitter does not look like one."""
+    """Whether what has been taken of the times for a jitter does not look like one, or leaves thresholds that scatter
+    more than those of such pixels do: then it is not what was missing."""
+    if state.hypothesis.jitter is not None and is_noisy(state.hypothesis.fit.model, state.model):
+        return True
     return state.imputation is not None and state.imputation.is_uneven(context.options)
 
 
