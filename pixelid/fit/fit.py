@@ -27,7 +27,7 @@ from pixelid.fit.own_values import held_values
 from pixelid.fit.pooled import fit_pooled
 from pixelid.fit.refine import BETWEEN, refine
 from pixelid.fit.result import FitResult, Stopwatch, estimates_of
-from pixelid.fit.shot_noise import EFFECT, fit_under_shot_noise, without_density, without_filter
+from pixelid.fit.shot_noise import EFFECT, fit_under_shot_noise, put_right, without_density, without_filter
 from pixelid.fit.starts import feasible, narrower, random_starts
 from pixelid.fit.uncertainty.challenge import challenged
 from pixelid.fit.uncertainty.curvature import read_curvature
@@ -163,14 +163,16 @@ def fit(
     identified, limits = challenged(objective, optimum.x, reading.identified, recordings)
     details["condition_number"] = reading.condition
     details["directions_best_to_least_known"] = list(reading.directions)
-    fitted = without_filter(coordinates.model_at(optimum.x), model)
+    off, added_sd = details.pop("off", {}), details.pop("added_sd", {})
+    x = put_right(coordinates, optimum.x, off) if off else optimum.x
+    fitted = without_filter(coordinates.model_at(x), model)
     physical, why = (None, NO_PHYSICAL) if sampled else _physical(fitted, gauge is not None)
     if sampled and isinstance(objective, EventTimesObjective):
         added = line_errors(objective, optimum.x)
-        reading = replace(
-            reading, sd=np.hypot(reading.sd, added), covariance=reading.covariance + np.diag(added**2)
-        )  # fmt: skip
+        reading = _wider(reading, added)
         details["added_by_light_between_samples"] = dict(zip(coordinates.names, added.tolist(), strict=True))
+    if added_sd:
+        reading = _wider(reading, np.array([added_sd.get(name, 0.0) for name in coordinates.names]))
     limits_95 = intervals(coordinates.names, optimum.x, reading.sd, pixels)
     bends = clocks_free or (reading.bends and not sampled and not all(pooled))
     # Levels are held along the ridge: fast poles and dead time, which make it, owe next to nothing to them.
@@ -182,8 +184,10 @@ def fit(
             wider = np.minimum(wider[0], limits_95[0]), np.maximum(wider[1], limits_95[1])
         limits_95 = wider
         details["intervals_follow_profile_of"] = along.name
+    if off:
+        limits_95 = put_right(coordinates, limits_95[0], off), put_right(coordinates, limits_95[1], off)
     estimates, open_ones = open_sides(
-        estimates_of(coordinates, optimum.x, reading.sd, identified, limits_95), coordinates.parameters
+        estimates_of(coordinates, x, reading.sd, identified, limits_95), coordinates.parameters
     )
     details["precision"] = {p.name: precision(estimates[p.name], p) for p in coordinates.parameters}
     status, advice = status_of(objective, optimum, estimates, details)
@@ -196,7 +200,7 @@ def fit(
         engine="newton" if all(pooled) else maximiser.name,
         observation="pooled_rate" if all(pooled) else "event_times",
         coordinates=coordinates,
-        x=optimum.x,
+        x=x,
         covariance=reading.covariance,
         estimates=estimates,
         unidentified=(
@@ -224,6 +228,11 @@ def fit(
         versions=versions(),
         inputs_sha256=input_hashes(recording.source for recording in recordings),
     )
+
+
+def _wider(reading, added: np.ndarray):
+    """The reading of a curvature with errors (d,) that it does not know, added to every coordinate's."""
+    return replace(reading, sd=np.hypot(reading.sd, added), covariance=reading.covariance + np.diag(added**2))
 
 
 def check_event_times(model: Model) -> None:
@@ -291,10 +300,14 @@ def _fit_event_times(recordings, model, fixed, starts, between, maximiser: Engin
         report("gain and background of pixels", 0.5)
         levels = fit_levels(recordings, coordinates, (best.x, coordinates.start), wanted, kinds)
         objective, optimum, found = levels.objective, levels.optimum, levels.details
+    expected: dict[str, float] = {}
     if noisy:
         report("shot noise", 0.85)
         under = fit_under_shot_noise(objective, optimum, whole, clocks, seed)
-        objective, optimum, found = under.objective, under.optimum, {**found, EFFECT: under.details}
+        objective, optimum, expected = under.objective, under.optimum, under.expected
+        found = {**found, EFFECT: under.details, "off": under.off, "added_sd": under.added_sd}
+        if under.log_likelihood is not None:
+            found["log_likelihood"] = under.log_likelihood
     if form == "continuous":
         report("continuous form", 0.9)
         continuous = maximiser.continuous(objective, optimum.x)
@@ -308,7 +321,10 @@ def _fit_event_times(recordings, model, fixed, starts, between, maximiser: Engin
         "steps": optimum.steps,
         "background_events": int(background.sum()),
         "background_fraction": float(background.mean()),
-        "residual_tests": [test.as_dict() for test in residual_tests(objective, optimum.x)],
+        "residual_tests": [
+            replace(test, expected=expected.get(test.covariate, 0.0)).as_dict()
+            for test in residual_tests(objective, optimum.x)
+        ],
         "form": form,
         "caveats": light_caveats(recordings),
     }

@@ -40,16 +40,17 @@ class ResidualTest:
     """One test for structure in the residuals.
 
     covariate: against what, in words;  p_value: of no structure;  share: of the residuals' variance that the structure
-    explains
+    explains;  expected: such a share of a true model, where the likelihood is approximate
     """
 
     covariate: str
     p_value: float
     share: float
+    expected: float = 0.0
 
     def as_dict(self) -> dict:
         """The entry in fit.json."""
-        return {"covariate": self.covariate, "p_value": self.p_value, "share": self.share}
+        return {"covariate": self.covariate, "p_value": self.p_value, "share": self.share, "expected": self.expected}
 
 
 def residual_tests(objective: EventTimesObjective, x: np.ndarray) -> list[ResidualTest]:
@@ -105,7 +106,7 @@ def residual_tests(objective: EventTimesObjective, x: np.ndarray) -> list[Residu
 def significant(tests: Sequence[ResidualTest]) -> list[ResidualTest]:
     """The tests that raise an alarm, most significant first."""
     level = FALSE_ALARMS / max(len(tests), 1)
-    alarms = [test for test in tests if test.p_value < level and test.share > SMALLEST_SHARE]
+    alarms = [test for test in tests if test.p_value < level and test.share - test.expected > SMALLEST_SHARE]
     return sorted(alarms, key=lambda test: (test.p_value, -test.share))
 
 

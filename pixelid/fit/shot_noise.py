@@ -1,10 +1,11 @@
 """Shot noise fitted to event times: the circuit under the noise, and the noise beside the circuit, in turns.
 
 Given a density, events have the likelihood of `likelihood.shot_noise.under_shot_noise`, which any search maximises;
-given a circuit, the filter of that module tells the density.  Both together settle within a few turns.  The filter
-takes levels as they are at given times, and finds up to 10 % too much where noise is strong: sessions simulated from
-the fit show by how much, and the density is put right by it (indirect inference: Gouriéroux, Monfort & Renault 1993,
-J. Appl. Econometrics 8, S85).
+given a circuit, the filter of that module tells the density.  Both together settle within a few turns.  Filter and
+likelihood take levels as they are at given times, to first order: where noise is strong the density comes out up to
+10 % too large, the thresholds' noise by a third.  Sessions simulated from the fit show by how much, and all is put
+right by it (indirect inference: Gouriéroux, Monfort & Renault 1993, J. Appl. Econometrics 8, S85).  They also show what
+structure the approximation leaves in the residuals of a true model.
 
 To the rest of a fit, what the filter says of the density is a normal likelihood of its logarithm: it enters as one.
 """
@@ -12,7 +13,8 @@ To the rest of a fit, what the filter says of the density is a normal likelihood
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -21,6 +23,7 @@ from pixelid.dynamics.linear import linear_stages
 from pixelid.fit.again import can_be_simulated, simulate_again
 from pixelid.fit.coordinates import Coordinates
 from pixelid.fit.event_times import EventTimesObjective
+from pixelid.fit.judge import residual_tests
 from pixelid.fit.newton import Optimum
 from pixelid.fit.newton import maximise as newton_steps
 from pixelid.likelihood.event_times import EventTimes
@@ -31,6 +34,8 @@ from pixelid.parameters.parameter import Parameter, Prior
 EFFECT, DENSITY, NOISE = "shot_noise", "shot_noise.density", "threshold_sigma"
 LEAST_GAIN = 3.0  # nats that a density must be worth: one coordinate gains 0.5 by chance, in one of 70 cases as much
 TURNS, AT_REST = 8, 0.3  # until the density's logarithm moves by less of its error
+PRIOR_DEGREES = 4.0  # of freedom that curvature lends to the variance of a few fits
+MAX_SHIFT = 0.3  # of a coordinate that is put right: what scatters by half of it the events do not hold
 CORRECTION_ERROR = 0.3  # of what simulated sessions put right: they are of a circuit that is a little off itself
 REPLICATES, MOST_PIXELS = 3, 16  # simulated sessions, and their pixels
 OTHER_PARAMETERS = 1.3  # times the error of a density found with all else known
@@ -39,11 +44,37 @@ OPEN = 10.0  # standard deviation of ln density where the events say nothing of 
 
 @dataclass(frozen=True)
 class UnderNoise:
-    """A fit under shot noise: its objective and optimum, and what fit.json says of it."""
+    """A fit under shot noise: its objective and optimum, and what fit.json says of it.
+
+    off, added_sd: coordinate → by how much the optimum is off, and what that adds to its error
+    log_likelihood: of where it is put right to, if it is
+    expected: covariate → share of the residuals' variance that simulated sessions show in the same test
+    """
 
     objective: EventTimesObjective
     optimum: Optimum
     details: dict[str, Any]
+    off: dict[str, float] = field(default_factory=dict)
+    added_sd: dict[str, float] = field(default_factory=dict)
+    log_likelihood: float | None = None
+    expected: dict[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class _Simulated:
+    """What sessions simulated from a fit show.
+
+    off: (d,) by how much their fits are off what they were simulated with, in the mean
+    added_sd: (d,) its error, and what their fits scatter by beyond what curvature says
+    log_density, density_error: the mean, and its error, of the density as the filter has it
+    expected: as of `UnderNoise`
+    """
+
+    off: np.ndarray
+    added_sd: np.ndarray
+    log_density: float
+    density_error: float
+    expected: dict[str, float]
 
 
 def without_density(model: Model) -> Model:
@@ -79,8 +110,7 @@ def fit_under_shot_noise(
         return share_out(objective.at(at), coordinates.circuit(at).with_(noise=whole), seed)
 
     def settled(at: np.ndarray, density: float) -> tuple[EventTimesObjective, Optimum]:
-        circuit = coordinates.circuit(at).with_(shot_density=density)
-        noisy = EventTimesObjective(under_shot_noise(objective.at(at), circuit), coordinates)
+        noisy = _under(objective, coordinates, at, density)
         return noisy, newton_steps(noisy, at, tolerance=1e-3, max_steps=40)
 
     if not len(linear_stages(coordinates.circuit(x), 1.0)[0]):  # noise without a pole has no level
@@ -106,32 +136,87 @@ def fit_under_shot_noise(
         found = divided(x) if parameter.free else None
     details = {"gain_nats": None if found is None else float(found.gain), "turns": turns}
     if found is not None:
-        off, scatter = _off(objective.at(x), coordinates.model_at(x), density, whole, seed)
-        density *= math.exp(-off)
-        error = math.hypot(OTHER_PARAMETERS * error, scatter, CORRECTION_ERROR * off)
-        details["put_right_by"] = -off
+        shown = _simulated(objective, x, density, whole, seed)
+        error *= OTHER_PARAMETERS
+        if shown is not None:
+            density *= math.exp(-shown.log_density)
+            error = math.hypot(error, shown.density_error, CORRECTION_ERROR * shown.log_density)
+            details["put_right_by"] = -shown.log_density
         for _ in range(2):  # so that means and variances are those of where they lead to
             under, optimum = settled(x, density)
             x = optimum.x
+        if shown is not None:
+            return _put_right(_with_density(under, optimum, model, clocks, density, error, details), shown, objective)
     return _with_density(under, optimum, model, clocks, density, error, details)
 
 
-def _off(likelihood: EventTimes, model: Model, density: float, whole: float, seed: int) -> tuple[float, float]:
-    """(by how much the filter's ln density is off in sessions simulated with it, its standard error)."""
-    truth = model.set({DENSITY: density})
+def _under(
+    objective: EventTimesObjective, coordinates: Coordinates, x: np.ndarray, density: float
+) -> EventTimesObjective:
+    """The objective under shot noise, whose means and variances are those at x; `objective`: of the events without."""
+    circuit = objective.coordinates.circuit(x).with_(shot_density=density)
+    return EventTimesObjective(under_shot_noise(objective.at(x), circuit), coordinates)
+
+
+def _simulated(
+    objective: EventTimesObjective, x: np.ndarray, density: float, whole: float, seed: int
+) -> _Simulated | None:
+    """What sessions simulated from coordinates x and a density show; None where they cannot be made or told."""
+    likelihood, coordinates = objective.at(x), objective.coordinates
+    truth = coordinates.model_at(x).set({DENSITY: density})
     if not can_be_simulated(likelihood.recordings, truth):
-        return 0.0, 0.0
+        return None
     rng = np.random.default_rng([seed, 23])
     pixels = np.sort(rng.permutation(likelihood.flat_pixels)[:MOST_PIXELS])
-    logs = []
+    clocks = np.array([name in coordinates.nuisances for name in coordinates.names])  # simulated without
+    start = np.where(clocks, coordinates.start, x)
+    logs, ends, shares = [], [], []
     for k in range(REPLICATES):
         made = EventTimes(simulate_again(likelihood.recordings, truth, pixels, None, seed + 31 * (k + 1)))
-        found = share_out(made, truth.circuit().with_(noise=whole), seed)
-        if found is not None:
-            logs.append(math.log(found.density / density))
-    if len(logs) < REPLICATES:
-        return 0.0, 0.0
-    return float(np.mean(logs)), float(np.std(logs, ddof=1) / math.sqrt(len(logs)))
+        own = EventTimesObjective(made, coordinates)
+        found = share_out(own.at(start), truth.circuit().with_(noise=whole), seed)
+        if found is None:
+            return None
+        logs.append(math.log(found.density / density))
+        end = newton_steps(_under(own, coordinates, start, density), start, tolerance=1e-3, max_steps=40)
+        under = _under(own, coordinates, end.x, density)
+        ends.append(newton_steps(under, end.x, tolerance=1e-3, max_steps=40))
+        shares.append({test.covariate: test.share for test in residual_tests(under, ends[-1].x)})
+    off = np.clip(np.array([end.x for end in ends]) - start, -MAX_SHIFT, MAX_SHIFT)
+    told = np.mean([np.diag(np.linalg.pinv(end.local.information)) for end in ends], axis=0)
+    degrees = len(ends) - 1
+    variance = (PRIOR_DEGREES * told + degrees * off.var(axis=0, ddof=1)) / (PRIOR_DEGREES + degrees)
+    known = ~clocks & (variance > 0.0) & (variance < (MAX_SHIFT / 2.0) ** 2)
+    off = np.where(known, off.mean(axis=0), 0.0)
+    added = variance / len(ends) + np.maximum(variance - told, 0.0) + (CORRECTION_ERROR * off) ** 2
+    covariates = set.intersection(*map(set, shares)) if shares else set()
+    expected = {name: _high([each[name] for each in shares]) for name in sorted(covariates)}
+    return _Simulated(
+        off, np.where(known, np.sqrt(np.maximum(added, 0.0)), 0.0), float(np.mean(logs)),
+        float(np.std(logs, ddof=1) / math.sqrt(len(logs))), expected,
+    )  # fmt: skip
+
+
+def _high(values: list[float]) -> float:
+    """What another one like a few values hardly exceeds."""
+    return float(np.mean(values) + 2.0 * np.std(values, ddof=1))
+
+
+def _put_right(fit: UnderNoise, shown: _Simulated, without: EventTimesObjective) -> UnderNoise:
+    """A fit with what its simulated sessions are off by;  without: the objective of the same events, all noise the
+    thresholds'."""
+    coordinates, names = fit.objective.coordinates, without.coordinates.names
+    off = dict(zip(names, shown.off.tolist(), strict=True))
+    added = dict(zip(names, shown.added_sd.tolist(), strict=True))
+    x = put_right(coordinates, fit.optimum.x, off)
+    own = np.array([x[coordinates.names.index(name)] for name in names])
+    there = _under(without, coordinates, own, float(coordinates.circuit(x).shot_density)).terms(x).total
+    return replace(fit, off=off, added_sd=added, log_likelihood=there, expected=shown.expected)
+
+
+def put_right(coordinates: Coordinates, x: np.ndarray, off: Mapping[str, float]) -> np.ndarray:
+    """Coordinates x without what they are off by, within their bounds."""
+    return np.clip(x - np.array([off.get(name, 0.0) for name in coordinates.names]), *coordinates.bounds())
 
 
 def _with_density(
@@ -148,4 +233,4 @@ def _with_density(
     here = dict(zip(objective.coordinates.names, optimum.x, strict=True))
     x = np.array([here.get(name, parameter.to_coordinate(value)) for name in coordinates.names])
     full = EventTimesObjective(objective.likelihood, coordinates)
-    return UnderNoise(full, newton_steps(full, x, tolerance=1e-3, max_steps=20), details)
+    return UnderNoise(full, newton_steps(full, x, tolerance=1e-3, max_steps=80), details)

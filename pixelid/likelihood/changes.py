@@ -131,6 +131,7 @@ class ChangeEvaluator:
         events: np.ndarray,
         pixels: np.ndarray,
         clock: Clock | None = None,
+        unknown: float = 0.0,
     ) -> Extremes:
         """Write the changes under a circuit into rows, in the order of `PER_EVENT` and `PER_PIXEL`.
 
@@ -141,6 +142,7 @@ class ChangeEvaluator:
             events: (7, n) to be filled.
             pixels: (4, m) to be filled.
             clock: Of the recording beside that of its light; None: they are one.
+            unknown: Standard deviation of levels about these changes, by light or noise that is not known.
 
         Returns:
             Where the extremes are.
@@ -197,7 +199,7 @@ class ChangeEvaluator:
                 )
             else:
                 extremes = Extremes(
-                    locate_extremes(trajectory, output, searched, -iv.sign, sample, _near(circuit), drift),
+                    locate_extremes(trajectory, output, searched, -iv.sign, sample, _near(circuit, unknown), drift),
                     locate_extremes(trajectory, output, searched_last, up, final, near, drift_last),
                     locate_extremes(trajectory, output, searched_last, -up, final, near, drift_last),
                 )
@@ -348,10 +350,14 @@ def _changes(release, time, level, offset, output, output_slope, wd, change, slo
         slope[i] = output_slope[i] + wd * left[i]
 
 
-def _near(circuit: Circuit) -> tuple[float, float]:
+def _near(circuit: Circuit, unknown: float) -> tuple[float, float]:
     """Changes (ON, OFF) below which the chance of having reached a threshold is under 1e-15, whatever the pixel."""
     if circuit.threshold_drift != 0 or circuit.described:
         return -np.inf, -np.inf
-    closest = 1.0 - 8.0 * float(np.hypot(circuit.noise, circuit.mismatch))
-    on, off = (min(shifts) for shifts in zip(*(threshold_shifts(circuit, p) for p in (-1.0, 1.0)), strict=True))
-    return closest * circuit.on_threshold + on, closest * circuit.off_threshold + off
+    spread = float(np.hypot(circuit.noise, circuit.mismatch))
+    shifts = zip(*(threshold_shifts(circuit, p) for p in (-1.0, 1.0)), strict=True)
+    on, off = (
+        threshold + min(shift) - 8.0 * float(np.hypot(spread * threshold, unknown))
+        for threshold, shift in zip((circuit.on_threshold, circuit.off_threshold), shifts, strict=True)
+    )
+    return on, off

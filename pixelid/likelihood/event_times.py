@@ -205,9 +205,11 @@ class EventTimes:
     def _filled(self, parts: Sequence[tuple]) -> list[Extremes]:
         """Fill the rows of sections (circuit, evaluator, extremes or True, rows, clock); where their extremes are."""
 
+        unknown = self.layout.unknown
+
         def fill(part) -> Extremes:
             circuit, evaluator, at, rows, clock = part
-            return evaluator.fill(circuit, at, *rows, clock)
+            return evaluator.fill(circuit, at, *rows, clock, unknown)
 
         return list(map_threads(fill, parts, threads=None if self._large else 1))
 

@@ -138,6 +138,11 @@ class Layout:
         return len(EventRows._fields) * self.events + len(EndRows._fields) * self.ends
 
     @cached_property
+    def unknown(self) -> float:
+        """The largest standard deviation of a change by light or noise that is not known."""
+        return float(np.sqrt(max(self.light.max(initial=0.0), self.light_reset.max(initial=0.0))))
+
+    @cached_property
     def turns(self) -> float:
         """Share of a pixel's neighbouring events that are of opposite polarity; a half where there are none."""
         order = np.lexsort((self.time_s, self.pixel, self.recording))
