@@ -11,7 +11,6 @@ from pixelid.fit.event_times import EventTimesObjective
 from pixelid.fit.result import FitResult
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.likelihood.light_between_samples import with_told
-from pixelid.likelihood.shot_noise import under_shot_noise
 from pixelid.recordings.own_light import with_fine_light, with_pixel_lights
 from pixelid.recordings.recording import Recording
 from pixelid.recordings.selection import named_apart
@@ -38,10 +37,11 @@ def event_times_of(result: FitResult, recordings: Sequence[Recording]) -> EventT
     between = result.details.get("stimulus_between_samples", "linear")
     fine = [with_fine_light(r, between) for r in as_fitted(recordings) if r.stimulus is not None]
     objective = stamps_weighed(EventTimesObjective(EventTimes(fine), result.coordinates), result.x)
-    circuit = result.coordinates.circuit(result.x)
-    if circuit.shot_density == 0.0:
+    if objective.circuit(result.x).shot_density == 0.0:
         return objective
-    return EventTimesObjective(under_shot_noise(objective.at(result.x), circuit), result.coordinates)
+    put_right = result.details.get("shot_noise", {}).get("parameters_put_right_by", {})
+    off = {name: -by for name, by in put_right.items()}
+    return EventTimesObjective(objective.likelihood, result.coordinates, off).under_shot_noise(result.x)
 
 
 def weighs_stamps(likelihood: EventTimes, coordinates: Coordinates) -> bool:

@@ -6,7 +6,8 @@ background events, survival) by the backward pass of the density.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from pixelid.likelihood.clocks import Clock, clocks_of
 from pixelid.likelihood.density import NUMBERS, Gradient, Terms
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.likelihood.information import Information, Tangent
+from pixelid.likelihood.shot_noise import under_shot_noise
 from pixelid.stages.circuit import Circuit
 from pixelid.stages.comparator import threshold_shifts
 from pixelid.stages.modulation import at_reset, since_event
@@ -29,19 +31,47 @@ STEP = 1e-6
 
 
 class EventTimesObjective(Objective):
-    """The log posterior of a model under the event-time likelihood."""
+    """The log posterior of a model under the event-time likelihood.
 
-    def __init__(self, likelihood: EventTimes, coordinates: Coordinates) -> None:
+    off: parameter → by how much its coordinate comes out too large where the likelihood is approximate: the likelihood
+        at x is that of x + off, so that its maximum is put right
+    """
+
+    def __init__(
+        self, likelihood: EventTimes, coordinates: Coordinates, off: Mapping[str, float] = MappingProxyType({})
+    ) -> None:
         self.likelihood = likelihood
         self.coordinates = coordinates
+        self.off = off
         self._latest: tuple[bytes, Terms] | None = None
 
     def terms(self, x: np.ndarray) -> Terms:
         """The likelihood's pieces at x; the latest are remembered."""
         key = np.asarray(x, dtype=float).tobytes()
         if self._latest is None or self._latest[0] != key:
-            self._latest = key, self.at(x).terms(self.coordinates.circuit(x))
+            self._latest = key, self.at(x).terms(self.circuit(x))
         return self._latest[1]
+
+    def on(self, coordinates: Coordinates) -> EventTimesObjective:
+        return EventTimesObjective(self.likelihood, coordinates, self.off)
+
+    def circuit(self, x: np.ndarray) -> Circuit:
+        """The circuit that the likelihood at x is of."""
+        if not self.off:
+            return self.coordinates.circuit(x)
+        values = self.coordinates.values(x)
+        for name, off in self.off.items():
+            p = self.coordinates.model.parameters[name]
+            values[name] = p.from_coordinate(p.to_coordinate(values[name]) + off)
+        return self.coordinates.model.circuit(values)
+
+    def under_shot_noise(self, x: np.ndarray, density: float | None = None) -> EventTimesObjective:
+        """The same of events whose levels shot noise has moved, by as much as at x, to be maximised near there.
+
+        density: where it is no parameter
+        """
+        circuit = self.circuit(x) if density is None else self.circuit(x).with_(shot_density=density)
+        return EventTimesObjective(under_shot_noise(self.at(x), circuit), self.coordinates, self.off)
 
     def at(self, x: np.ndarray) -> EventTimes:
         """The likelihood by the recordings' clocks at x."""
@@ -57,7 +87,7 @@ class EventTimesObjective(Objective):
         return self.terms(x).total + self.coordinates.log_prior(x)
 
     def gradient(self, x: np.ndarray) -> np.ndarray:
-        here, circuit = self.terms(x).gradient(), self.coordinates.circuit(x)
+        here, circuit = self.terms(x).gradient(), self.circuit(x)
         slopes = [along(here, self._tangent(x, i, circuit)) for i in range(len(x))]
         return self.coordinates.prior_gradient_and_curvature(x)[0] + slopes
 
@@ -68,10 +98,10 @@ class EventTimesObjective(Objective):
         of all others take their part from them.
         """
         base, steps = self.gradient(x) if here is None else here.gradient, self.difference_steps()
-        circuit, moved = self.coordinates.circuit(x), [_moved(x, i, step) for i, step in enumerate(steps)]
+        circuit, moved = self.circuit(x), [_moved(x, i, step) for i, step in enumerate(steps)]
         sharing = [
             i for i, at in enumerate(moved)
-            if self.clocks(at) == self.clocks(x) and only_density_differs(circuit, self.coordinates.circuit(at))
+            if self.clocks(at) == self.clocks(x) and only_density_differs(circuit, self.circuit(at))
         ]  # fmt: skip
         others = [i for i in range(len(x)) if i not in sharing]
         H = np.empty((len(x), len(x)))
@@ -87,7 +117,7 @@ class EventTimesObjective(Objective):
     ) -> np.ndarray:
         """(k, d) gradients at `moved[i]`, i of `which`, where changes and their tangents are those at x."""
         changes = self.terms(x).changes
-        circuits = {i: self.coordinates.circuit(moved[i]) for i in which}
+        circuits = {i: self.circuit(moved[i]) for i in which}
         there = [self.at(moved[i]).terms(circuits[i], changes).gradient() for i in which]
         rows = np.array([self.coordinates.prior_gradient_and_curvature(moved[i])[0] for i in which])
         for j in range(len(x)):
@@ -97,7 +127,7 @@ class EventTimesObjective(Objective):
         return rows.reshape(len(which), len(x))
 
     def local(self, x: np.ndarray) -> Local:
-        terms, circuit = self.terms(x), self.coordinates.circuit(x)
+        terms, circuit = self.terms(x), self.circuit(x)
         here, information = terms.gradient(), Information(terms, len(x))
         gradient, curvature = self.coordinates.prior_gradient_and_curvature(x)
         gradient = gradient.copy()
@@ -109,11 +139,11 @@ class EventTimesObjective(Objective):
 
     def tangent(self, x: np.ndarray, i: int) -> Tangent:
         """How changes and numbers move along coordinate i at x."""
-        return self._tangent(x, i, self.coordinates.circuit(x))
+        return self._tangent(x, i, self.circuit(x))
 
     def _tangent(self, x: np.ndarray, i: int, circuit: Circuit) -> Tangent:
         up = _moved(x, i, STEP * self.coordinates.longest_moves()[i])
-        there, numbers = self.coordinates.circuit(up), self._numbers_along(x, i, circuit)
+        there, numbers = self.circuit(up), self._numbers_along(x, i, circuit)
         moved = self._moved_recording(x, i, up, circuit, there)
         if moved is None and only_density_differs(circuit, there):
             return Tangent(None, numbers)
@@ -134,10 +164,10 @@ class EventTimesObjective(Objective):
         """(9,) how the circuit's `NUMBERS` move along coordinate i at x."""
         step = STEP * self.coordinates.longest_moves()[i]
         up, down = _moved(x, i, step), _moved(x, i, -step)
-        there = self.coordinates.circuit(up)
+        there = self.circuit(up)
         numbers = np.zeros(len(NUMBERS))
         if any(getattr(there, name) != getattr(circuit, name) for name in NUMBERS):
-            back = self.coordinates.circuit(down)
+            back = self.circuit(down)
             numbers[:] = [getattr(there, name) - getattr(back, name) for name in NUMBERS]
             numbers /= up[i] - down[i]
         return numbers

@@ -27,7 +27,7 @@ from pixelid.fit.own_values import held_values
 from pixelid.fit.pooled import fit_pooled
 from pixelid.fit.refine import BETWEEN, refine
 from pixelid.fit.result import FitResult, Stopwatch, estimates_of
-from pixelid.fit.shot_noise import EFFECT, fit_under_shot_noise, put_right, without_density, without_filter
+from pixelid.fit.shot_noise import EFFECT, fit_under_shot_noise, without_density, without_filter
 from pixelid.fit.starts import feasible, narrower, random_starts
 from pixelid.fit.uncertainty.challenge import challenged
 from pixelid.fit.uncertainty.curvature import read_curvature
@@ -163,14 +163,13 @@ def fit(
     identified, limits = challenged(objective, optimum.x, reading.identified, recordings)
     details["condition_number"] = reading.condition
     details["directions_best_to_least_known"] = list(reading.directions)
-    off, added_sd = details.pop("off", {}), details.pop("added_sd", {})
-    x = put_right(coordinates, optimum.x, off) if off else optimum.x
-    fitted = without_filter(coordinates.model_at(x), model)
+    fitted = without_filter(coordinates.model_at(optimum.x), model)
     physical, why = (None, NO_PHYSICAL) if sampled else _physical(fitted, gauge is not None)
     if sampled and isinstance(objective, EventTimesObjective):
         added = line_errors(objective, optimum.x)
         reading = _wider(reading, added)
         details["added_by_light_between_samples"] = dict(zip(coordinates.names, added.tolist(), strict=True))
+    added_sd = details.pop("added_sd", {})
     if added_sd:
         reading = _wider(reading, np.array([added_sd.get(name, 0.0) for name in coordinates.names]))
     limits_95 = intervals(coordinates.names, optimum.x, reading.sd, pixels)
@@ -184,10 +183,8 @@ def fit(
             wider = np.minimum(wider[0], limits_95[0]), np.maximum(wider[1], limits_95[1])
         limits_95 = wider
         details["intervals_follow_profile_of"] = along.name
-    if off:
-        limits_95 = put_right(coordinates, limits_95[0], off), put_right(coordinates, limits_95[1], off)
     estimates, open_ones = open_sides(
-        estimates_of(coordinates, x, reading.sd, identified, limits_95), coordinates.parameters
+        estimates_of(coordinates, optimum.x, reading.sd, identified, limits_95), coordinates.parameters
     )
     details["precision"] = {p.name: precision(estimates[p.name], p) for p in coordinates.parameters}
     status, advice = status_of(objective, optimum, estimates, details)
@@ -200,7 +197,7 @@ def fit(
         engine="newton" if all(pooled) else maximiser.name,
         observation="pooled_rate" if all(pooled) else "event_times",
         coordinates=coordinates,
-        x=x,
+        x=optimum.x,
         covariance=reading.covariance,
         estimates=estimates,
         unidentified=(
@@ -305,9 +302,7 @@ def _fit_event_times(recordings, model, fixed, starts, between, maximiser: Engin
         report("shot noise", 0.85)
         under = fit_under_shot_noise(objective, optimum, whole, clocks, seed)
         objective, optimum, expected = under.objective, under.optimum, under.expected
-        found = {**found, EFFECT: under.details, "off": under.off, "added_sd": under.added_sd}
-        if under.log_likelihood is not None:
-            found["log_likelihood"] = under.log_likelihood
+        found = {**found, EFFECT: under.details, "added_sd": under.added_sd}
     if form == "continuous":
         report("continuous form", 0.9)
         continuous = maximiser.continuous(objective, optimum.x)

@@ -13,7 +13,6 @@ To the rest of a fit, what the filter says of the density is a normal likelihood
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -27,7 +26,7 @@ from pixelid.fit.judge import residual_tests
 from pixelid.fit.newton import Optimum
 from pixelid.fit.newton import maximise as newton_steps
 from pixelid.likelihood.event_times import EventTimes
-from pixelid.likelihood.shot_noise import Division, share_out, under_shot_noise
+from pixelid.likelihood.shot_noise import Division, share_out
 from pixelid.model.model import Model
 from pixelid.parameters.parameter import Parameter, Prior
 
@@ -46,17 +45,14 @@ OPEN = 10.0  # standard deviation of ln density where the events say nothing of 
 class UnderNoise:
     """A fit under shot noise: its objective and optimum, and what fit.json says of it.
 
-    off, added_sd: coordinate → by how much the optimum is off, and what that adds to its error
-    log_likelihood: of where it is put right to, if it is
+    added_sd: coordinate → what putting it right adds to its error
     expected: covariate → share of the residuals' variance that simulated sessions show in the same test
     """
 
     objective: EventTimesObjective
     optimum: Optimum
     details: dict[str, Any]
-    off: dict[str, float] = field(default_factory=dict)
     added_sd: dict[str, float] = field(default_factory=dict)
-    log_likelihood: float | None = None
     expected: dict[str, float] = field(default_factory=dict)
 
 
@@ -110,7 +106,7 @@ def fit_under_shot_noise(
         return share_out(objective.at(at), coordinates.circuit(at).with_(noise=whole), seed)
 
     def settled(at: np.ndarray, density: float) -> tuple[EventTimesObjective, Optimum]:
-        noisy = _under(objective, coordinates, at, density)
+        noisy = objective.under_shot_noise(at, density)
         return noisy, newton_steps(noisy, at, tolerance=1e-3, max_steps=40)
 
     if not len(linear_stages(coordinates.circuit(x), 1.0)[0]):  # noise without a pole has no level
@@ -146,16 +142,8 @@ def fit_under_shot_noise(
             under, optimum = settled(x, density)
             x = optimum.x
         if shown is not None:
-            return _put_right(_with_density(under, optimum, model, clocks, density, error, details), shown, objective)
+            return _put_right(objective, optimum, shown, model, clocks, density, error, details)
     return _with_density(under, optimum, model, clocks, density, error, details)
-
-
-def _under(
-    objective: EventTimesObjective, coordinates: Coordinates, x: np.ndarray, density: float
-) -> EventTimesObjective:
-    """The objective under shot noise, whose means and variances are those at x; `objective`: of the events without."""
-    circuit = objective.coordinates.circuit(x).with_(shot_density=density)
-    return EventTimesObjective(under_shot_noise(objective.at(x), circuit), coordinates)
 
 
 def _simulated(
@@ -178,8 +166,8 @@ def _simulated(
         if found is None:
             return None
         logs.append(math.log(found.density / density))
-        end = newton_steps(_under(own, coordinates, start, density), start, tolerance=1e-3, max_steps=40)
-        under = _under(own, coordinates, end.x, density)
+        end = newton_steps(own.under_shot_noise(start, density), start, tolerance=1e-3, max_steps=40)
+        under = own.under_shot_noise(end.x, density)
         ends.append(newton_steps(under, end.x, tolerance=1e-3, max_steps=40))
         shares.append({test.covariate: test.share for test in residual_tests(under, ends[-1].x)})
     off = np.clip(np.array([end.x for end in ends]) - start, -MAX_SHIFT, MAX_SHIFT)
@@ -202,21 +190,18 @@ def _high(values: list[float]) -> float:
     return float(np.mean(values) + 2.0 * np.std(values, ddof=1))
 
 
-def _put_right(fit: UnderNoise, shown: _Simulated, without: EventTimesObjective) -> UnderNoise:
-    """A fit with what its simulated sessions are off by;  without: the objective of the same events, all noise the
-    thresholds'."""
-    coordinates, names = fit.objective.coordinates, without.coordinates.names
-    off = dict(zip(names, shown.off.tolist(), strict=True))
+def _put_right(
+    objective: EventTimesObjective, optimum: Optimum, shown: _Simulated, model: Model, clocks, density, error, details
+) -> UnderNoise:
+    """A fit without what its simulated sessions are off by;  objective: of the events, all noise the thresholds'."""
+    names = objective.coordinates.names
+    off = {name: float(by) for name, by in zip(names, shown.off, strict=True) if by != 0.0}
+    x = np.clip(optimum.x - shown.off, *objective.coordinates.bounds())
+    right = EventTimesObjective(objective.likelihood, objective.coordinates, off).under_shot_noise(x, density)
+    details["parameters_put_right_by"] = {name: -by for name, by in off.items()}
+    fit = _with_density(right, replace(optimum, x=x), model, clocks, density, error, details)
     added = dict(zip(names, shown.added_sd.tolist(), strict=True))
-    x = put_right(coordinates, fit.optimum.x, off)
-    own = np.array([x[coordinates.names.index(name)] for name in names])
-    there = _under(without, coordinates, own, float(coordinates.circuit(x).shot_density)).terms(x).total
-    return replace(fit, off=off, added_sd=added, log_likelihood=there, expected=shown.expected)
-
-
-def put_right(coordinates: Coordinates, x: np.ndarray, off: Mapping[str, float]) -> np.ndarray:
-    """Coordinates x without what they are off by, within their bounds."""
-    return np.clip(x - np.array([off.get(name, 0.0) for name in coordinates.names]), *coordinates.bounds())
+    return replace(fit, added_sd=added, expected=shown.expected)
 
 
 def _with_density(
@@ -232,5 +217,5 @@ def _with_density(
     coordinates = Coordinates.of(replace(at, parameters={**at.parameters, DENSITY: known}), clocks)
     here = dict(zip(objective.coordinates.names, optimum.x, strict=True))
     x = np.array([here.get(name, parameter.to_coordinate(value)) for name in coordinates.names])
-    full = EventTimesObjective(objective.likelihood, coordinates)
+    full = objective.on(coordinates)
     return UnderNoise(full, newton_steps(full, x, tolerance=1e-3, max_steps=80), details)

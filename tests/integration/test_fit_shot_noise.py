@@ -42,9 +42,7 @@ def test_density_circuit_and_thresholds_come_back(noisy):
     values = result.model.values
     for name, within in (("alpha", 0.02), ("on_threshold", 0.01), ("off_threshold", 0.01)):
         assert values[name] == pytest.approx(PIXEL.values[name], rel=within)
-    assert values["threshold_sigma"] == pytest.approx(
-        0.03, rel=0.15
-    )  # a fit without shot noise: 0.1
+    assert values["threshold_sigma"] == pytest.approx(0.03, rel=0.15)  # a fit without shot noise: 0.1
     assert result.model.parameters["shot_noise.density"].prior is None
 
 
