@@ -135,14 +135,14 @@ def exits_long_after(nodes, on, off, slopes, stationary, resolvent, drift, exits
             for part in range(PARTS):
                 u = (part + 0.5) / PARTS
                 rate = math.exp((1.0 - u) * math.log(totals[0]) + u * math.log(totals[1]))
-                passed = math.exp(-min(rate * width / drift, 700.0))
-                gone = still * (1.0 - passed)
+                expected = min(rate * width / drift, 700.0)
+                gone = -still * math.expm1(-expected)  # of a rate lost in rounding the time still passes
                 times[k] += gone / rate
                 for i in range(2 * m):
                     share = (1.0 - u) * rates[0, i] / totals[0] + u * rates[1, i] / totals[1]
                     level = nodes[k] - u * step + (on if i < m else -off)
                     _scatter(exits[k], level, i, m, gone * share, first, step, count)
-                still *= passed
+                still *= math.exp(-expected)
             times[k] += still * times[k - 1]
             for q in range(exits.shape[1]):
                 exits[k, q] += still * exits[k - 1, q]

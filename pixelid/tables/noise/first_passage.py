@@ -39,7 +39,7 @@ import numpy as np
 
 from pixelid.stages.circuit import Circuit
 from pixelid.stages.differencing import leaked
-from pixelid.tables.noise.chain import QUIET, chain_of
+from pixelid.tables.noise.chain import QUIET, chain_of, leak_cycle_s
 from pixelid.tables.noise.process import NoiseProcess, noise_process
 from pixelid.tables.noise.quadrature import mismatch_draws
 
@@ -84,7 +84,7 @@ def rates_of(process: NoiseProcess, circuit: Circuit, radiance: float) -> NoiseR
     drift = circuit.on_threshold * float(leaked(circuit, 1.0, radiance + circuit.dark))
     least = min(circuit.on_threshold, circuit.off_threshold) * (1.0 - 2.0 * circuit.noise)
     if least > QUIET * process.sigma:
-        wait = circuit.on_threshold / drift if drift > 0 else math.inf
+        wait = leak_cycle_s(process, circuit, drift) if drift > 0 else math.inf
         return NoiseRates(1.0 / (wait + circuit.refractory), 0.0, wait)
     chain = chain_of(process, circuit, drift)
     share = chain.share

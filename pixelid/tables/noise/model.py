@@ -24,7 +24,10 @@ FLOOR = Parameter("noise_floor.density", 1e-9, "1/Hz", 1e-14, 1e-2, "log")
 # 555 nm.  It only sets the noise density that thresholds are stated for; thresholds go with 1/√ of it.
 FA_PER_LUX = 7.7
 FA_PER_UNIT = {"fA": 1.0, "lux": FA_PER_LUX, "W/m2": 683.0 * FA_PER_LUX}
-MOST_LIGHTS = 16  # computed; between them ln rate is interpolated by cubics in ln light
+# Lights that are computed: all, or, where more, at least so many and so many per decade.  Between them ln rate is a
+# monotone cubic in ln light (Fritsch & Carlson 1980, SIAM J. Numer. Anal. 17, 238), which makes no waves where rates
+# fall off a cliff.
+MOST_LIGHTS, PER_DECADE = 16, 10
 FITTED = ("alpha", "beta", "gamma", "alpha_over_beta", "sf_cutoff_hz", "on_threshold", "off_threshold", "refractory_s",
           "dark_current.radiance", "leak.rate_hz", "parasitic_photocurrent.rate_hz_per_radiance")  # fmt: skip
 # Standard deviations of ln: a sensor of the same kind differs by a factor of 3 from nominal values …
@@ -121,17 +124,19 @@ class NoiseModel:
             scale[self.table.group == group] = values[f"light_scale[{group}]"]
         scaled = self.table.light * scale
         lights = np.unique(scaled)
-        if len(lights) > MOST_LIGHTS:
-            lights = np.geomspace(lights[0], lights[-1], MOST_LIGHTS)
+        enough = max(MOST_LIGHTS, math.ceil(PER_DECADE * math.log10(lights[-1] / lights[0])) + 1)
+        if len(lights) > enough:
+            lights = np.geomspace(lights[0], lights[-1], enough)
         return lights, scaled
 
     def _at_rows(self, lights: np.ndarray, rates: np.ndarray, scaled: np.ndarray) -> np.ndarray:
         column = np.where(self.table.on, 0, 1)
-        if len(lights) < MOST_LIGHTS or np.isin(scaled, lights).all():
+        if np.isin(scaled, lights).all():
             return rates[np.searchsorted(lights, scaled), column]
-        from scipy.interpolate import CubicSpline
+        from scipy.interpolate import PchipInterpolator
 
-        smooth = CubicSpline(np.log(lights), np.log(rates), axis=0)(np.log(scaled))
+        inside = np.clip(np.log(scaled), np.log(lights[0]), np.log(lights[-1]))
+        smooth = PchipInterpolator(np.log(lights), np.log(rates), axis=0)(inside)
         return np.exp(smooth[np.arange(len(scaled)), column])
 
 
