@@ -117,6 +117,15 @@ def test_many_lights_are_interpolated(tmp_path):
     assert predicted == pytest.approx(noise.table.rate_hz, rel=5e-3, abs=1e-6)
 
 
+def test_lights_are_interpolated_over_the_edge_where_noise_ends(tmp_path):
+    """Six decades, in one of which rates fall from tens of events to leak alone."""
+    leaky, lights = planted().with_effect("leak", {"rate_hz": 0.05}), np.geomspace(0.01, 3000.0, 100).round(5)
+    noise = NoiseModel(read_noise_tables([write_table(tmp_path / "noise.csv", leaky, lights)]), leaky)
+    predicted = noise.predict(np.array([p.to_coordinate(p.value) for p in noise.parameters]))
+    seen = noise.table.rate_hz > 1e-3
+    assert predicted[seen] == pytest.approx(noise.table.rate_hz[seen], rel=0.04)
+
+
 def test_photocurrents_become_lux():
     model = in_unit(find_model("dvs128"), "lux")
     one, other = (

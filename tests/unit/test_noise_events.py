@@ -143,11 +143,33 @@ def test_references_move_as_far_up_as_down():
     assert rates.on_hz / rates.off_hz == pytest.approx(3.0 / 2.5, rel=0.03)
 
 
+@pytest.mark.parametrize("thresholds_sd", [9.5, 12.0, 20.0])
+def test_leak_under_noise_is_that_of_brute_simulation_however_far_the_thresholds(thresholds_sd):
+    """Leak brings the reference near, and noise does the rest: events come earlier than by leak alone."""
+    c = thresholds(circuit(refractory=1e-3, leak_hz=1.0), 200.0, thresholds_sd, thresholds_sd)
+    on, off, _ = simulated(c, 200.0, 400, seed=3)
+    rates = noise_rates(c, 200.0)
+    assert rates.on_hz == pytest.approx(on, rel=0.06)  # events are regular: ± 1.5 %
+    assert rates.off_hz == off == 0.0
+    assert rates.on_hz > 1.1
+
+
+def test_rates_by_leak_do_not_jump_where_thresholds_get_out_of_reach():
+    here, there = (
+        noise_rates(thresholds(circuit(refractory=1e-3, leak_hz=0.3), 200.0, far, far), 200.0).on_hz
+        for far in (8.99, 9.01)
+    )
+    assert here == pytest.approx(there, rel=5e-3)
+
+
 def test_leak_alone_is_regular():
+    """With next to no noise; that crosses a level some ms late, where a reference passes it faster than noise does."""
     c = circuit(leak_hz=0.3, refractory=1e-3, on_threshold=2.0, off_threshold=2.0)
-    rates = noise_rates(c, 5000.0)
-    assert rates.on_hz == pytest.approx(1.0 / (1 / 0.3 + 1e-3), rel=1e-9)
-    assert rates.off_hz == 0.0
+    regular = 1.0 / (1 / 0.3 + 1e-3)
+    whole, least = (noise_rates(c.with_(shot_density=DENSITY * by), 5000.0) for by in (1.0, 1e-8))
+    assert whole.on_hz > 1.01 * regular
+    assert least.on_hz == pytest.approx(regular, rel=2e-3)
+    assert least.off_hz == 0.0
     near = thresholds(circuit(leak_hz=0.3, refractory=1e-4), 24.0, 8.0, 8.0)  # noise that only rounds the corner
     assert noise_rates(near, 24.0).on_hz == pytest.approx(0.3, rel=0.02)
 
