@@ -10,6 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from pixelid.cli.main import main
+from pixelid.errors import InputError
 from pixelid.nerf.camera import Camera
 from pixelid.nerf.dataset import read_dataset
 from pixelid.nerf.published.undistort import distorted, pinhole_of, undistorted
@@ -407,6 +408,25 @@ def test_pictures_lose_the_distortion_of_their_lens(model, lens):
     )
 
 
+@pytest.mark.parametrize("row", [1, 3, 4, 8, 9])
+def test_times_out_of_order_are_found_in_every_block_and_between_blocks(row, tmp_path, monkeypatch):
+    from pixelid.nerf.published import hdf5_events
+
+    monkeypatch.setattr(hdf5_events, "BLOCK", 4)
+    t = np.repeat(np.arange(5, dtype=np.uint64), 2) + 10**6  # equal times are in order
+    with h5py.File(tmp_path / "events.h5", "w") as file:
+        file.update({f"events/{name}": np.zeros(10, np.uint16) for name in "xyp"})
+        file["events/t"] = t
+    (looked,) = hdf5_events.event_blocks(tmp_path / "events.h5", 0, -1)
+    assert looked["events"] == [10]
+    t[row] = 7
+    with h5py.File(tmp_path / "events.h5", "r+") as file:
+        del file["events/t"]
+        file["events/t"] = t
+    with pytest.raises(InputError, match=rf"events\.h5: events/t: row {row} is earlier than the one before; sort"):
+        next(hdf5_events.event_blocks(tmp_path / "events.h5", 0, -1))
+
+
 def peak_bytes_of_events(folder: Path, copies: int, truth, monkeypatch) -> int:
     """Most memory that Python holds while so many copies of the events go through, after their first block."""
     import tracemalloc
@@ -505,6 +525,7 @@ WRONG = {
     "fewer x": ("eds", with_column("x", lambda x: x[:-4]), "one length"),
     "outside the sensor": ("eds", with_column("x", lambda x: x + 9), "events/x: expected 0 … 15"),
     "times as numbers with fractions": ("eds", with_column("t", lambda t: t * 1.0), "whole microseconds"),
+    "events out of order": ("eds", with_column("t", lambda t: np.roll(t, 1)), "events/t: row 1 is earlier"),
     "events of another day": ("eds", with_column("t", lambda t: t + 10**11), "--time-offset"),
     "no mocap": ("tumvie", without("mocap_data.txt"), "mocap_data.txt"),
     "no marker": ("tumvie", without("mocap-imu-calibrationA.json"), "mocap-imu-calibration"),

@@ -26,7 +26,8 @@ def events_of(path: Path) -> Callable[[int, int], Iterator[Block]]:
     Times are microseconds, later by `t_offset` where the file has one.
 
     Raises:
-        InputError: columns that are missing or differ in length, or a compression that h5py cannot undo.
+        InputError: columns that are missing or differ in length, events that are not in order of time, or a compression
+            that h5py cannot undo.
     """
     next(arrays_isolated("event_blocks", path, begin=0, end=-1))
 
@@ -39,9 +40,15 @@ def events_of(path: Path) -> Callable[[int, int], Iterator[Block]]:
 
 
 def event_blocks(path: Path, begin: int, end: int) -> Iterator[dict[str, np.ndarray]]:
-    """What the reading process does: first the number of events, then blocks with those between two times [ns]."""
+    """What the reading process does: first the number of events, then blocks with those between two times [ns].
+
+    Where `end` is before `begin`, nothing is asked but whether the file can be read: then the order of its times is
+    looked at, on which finding some of them relies.
+    """
     with interpreting(path, "columns x, y, t, p of numbers"), _columns(path) as (columns, offset):
         t = columns["t"]
+        if end < begin:
+            _refuse_disorder(t, path)
         yield {"events": np.array([len(t)])}
         for column in columns.values():
             column[:1]
@@ -90,6 +97,20 @@ def _checked(file: Any, path: Path) -> tuple[Any, int]:
     if columns["t"].dtype.kind not in "iu":
         raise InputError(f"{path}: events/t: expected whole microseconds, found {columns['t'].dtype}")
     return columns, int(file["t_offset"][()]) if "t_offset" in file else 0
+
+
+def _refuse_disorder(t, path: Path) -> None:
+    """Raise InputError where a time is earlier than the one before."""
+    before = None
+    for k in range(0, len(t), BLOCK):
+        some = t[k : k + BLOCK]
+        backwards = np.concatenate([[before is not None and some[0] < before], some[1:] < some[:-1]])
+        if backwards.any():
+            row = k + int(np.argmax(backwards))
+            raise InputError(
+                f"{path}: events/t: row {row} is earlier than the one before; sort the events by time first"
+            )
+        before = some[-1]
 
 
 def _first_at(t, time: int) -> int:
