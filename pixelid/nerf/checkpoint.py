@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 from collections.abc import Mapping
 from dataclasses import fields, replace
@@ -59,11 +60,10 @@ def save(path: Path, state: State, mark: str) -> None:
         "moved": state.poses.moved.detach().cpu(),
         "optimiser": state.optimiser.state_dict(),
     }
+    packed = io.BytesIO()  # PyTorch's own stream does not say why a write failed
+    torch.save(document, packed)
     with whole_file(Path(path), overwrite=True) as temporary:
-        try:
-            torch.save(document, temporary)
-        except RuntimeError as error:  # what a stream of C++ makes of a write that failed
-            raise OSError(str(error)) from error
+        temporary.write_bytes(packed.getbuffer())
 
 
 def load(
