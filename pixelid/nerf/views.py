@@ -21,6 +21,7 @@ from pixelid.nerf.camera import Camera
 from pixelid.recordings.pictures import read_picture
 
 FOLDER = "views"
+CONVERTED = "dataset.json"  # marks a dataset that `pixelid dataset` has written, with all that belongs to it
 STAGES = ("train", "val", "test")
 RENDERER = "renderer_params.npz"
 LUMA = np.array([0.299, 0.587, 0.114])  # ITU-R BT.601
@@ -67,11 +68,10 @@ class Views:
 
 
 def views_folder(dataset: Path) -> Path | None:
-    """`views/` in the dataset's folder or one level up; None when there is none."""
-    for folder in (Path(dataset) / FOLDER, Path(dataset).resolve().parent / FOLDER):
-        if folder.is_dir():
-            return folder
-    return None
+    """`views/` in the dataset's folder or, as published ones have it, one level up; None when there is none."""
+    own, above = Path(dataset) / FOLDER, Path(dataset).resolve().parent / FOLDER
+    places = (own,) if (Path(dataset) / CONVERTED).is_file() else (own, above)
+    return next((folder for folder in places if folder.is_dir()), None)
 
 
 def no_views(camera: Camera, channels: int) -> Views:

@@ -20,6 +20,7 @@ from pixelid.nerf.field import Field
 from pixelid.nerf.gauge import Gauge, gauge_of, scene_box
 from pixelid.nerf.pixel import Bandwidth
 from pixelid.nerf.problem import problem_of
+from pixelid.nerf.published.convert import Conversion
 from pixelid.nerf.recipe import Recipe
 from pixelid.nerf.scenes import BACKGROUND
 from pixelid.nerf.state import start
@@ -244,6 +245,15 @@ def test_views_one_level_up_and_quantised(scene):
     assert data.views["test"].images[0, 5, 5] == pytest.approx((np.array([200, 100, 50]) + 0.5) / 256)
     assert data.calibration.channel_of(np.array([0, 1, 0, 1]), np.array([0, 0, 1, 1])).tolist() == [0, 1, 1, 2]
     assert gauge_of(data).kind == "background"
+
+
+def test_a_converted_dataset_has_no_views_but_its_own(scene):
+    shutil.move(scene / "views", scene.parent / "views")
+    assert read_dataset(scene).views
+    (scene / Conversion.FILE).write_text("{}")
+    assert not read_dataset(scene).views
+    shutil.copytree(scene.parent / "views", scene / "views")
+    assert read_dataset(scene).views
 
 
 def test_infinite_cutoffs_are_absent_stages(scene):

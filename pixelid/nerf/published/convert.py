@@ -19,7 +19,7 @@ from pixelid.nerf.published.event_file import event_file
 from pixelid.nerf.published.posed_views import copy_views, write_pictures
 from pixelid.nerf.published.source import Block, Source
 from pixelid.nerf.published.window import Window, window_of
-from pixelid.nerf.views import RENDERER
+from pixelid.nerf.views import CONVERTED, RENDERER
 from pixelid.provenance import provenance
 from pixelid.results import Table, WrittenResult
 from pixelid.status import Status
@@ -36,7 +36,7 @@ class Conversion(WrittenResult):
     content: of dataset.json;  counts: (height, width) events of every pixel;  rate: (bins,) events/s over the part kept
     """
 
-    FILE: ClassVar[str] = "dataset.json"
+    FILE: ClassVar[str] = CONVERTED
 
     counts: np.ndarray
     rate: np.ndarray
