@@ -25,6 +25,7 @@ CONVERTED = "dataset.json"  # marks a dataset that `pixelid dataset` has written
 STAGES = ("train", "val", "test")
 RENDERER = "renderer_params.npz"
 LUMA = np.array([0.299, 0.587, 0.114])  # ITU-R BT.601
+OPAQUE = 0.999  # alpha of unquantised pictures through which nothing shows: half floats are that near to 1
 OPENGL = np.diag([1.0, -1.0, -1.0])
 
 
@@ -33,9 +34,9 @@ class Views:
     """Images and where they were taken.
 
     images: (n, H, W, C) float32 radiance;  position: (n, 3), rotation: (n, 3, 3), camera to world;  names: n;
-    exposure: (n,) exposure × gain, relative to the mean over all stages;  transparent: whether white shows through;
-    peak: the largest value an image can have;  span: from the smallest value that a stored picture can say to the
-    largest, the range that the reference implementation scores in
+    exposure: (n,) exposure × gain, relative to the mean over all stages;  transparent: whether white shows through
+    anywhere;  peak: the largest value an image can have;  span: from the smallest value that a stored picture can say
+    to the largest, the range that the reference implementation scores in
     """
 
     images: np.ndarray
@@ -133,11 +134,13 @@ def _views(file: Path, document: dict, channels: int, log_eps: float) -> Views:
     first = image_of(picture_of(file, names[0]))
     height, width = first.shape[0], first.shape[1]
     images = np.empty((len(names), height, width, channels), np.float32)
+    transparent = False
     for k, name in enumerate(names):
         image = image_of(picture_of(file, name))
         if image.shape != first.shape or image.dtype != first.dtype:
             raise InputError(f"{file}: file_path: the pictures differ in size, channels or type")
         images[k] = _radiance(file, image, document, log_eps, channels)
+        transparent |= _shows_through(image, document)
     peak, span = _peak_and_span(images, first.dtype, document)
     exposure = np.array([float(f.get("exposure_time", 1.0)) * float(f.get("gain", 1.0)) for f in frames])
     if not (np.isfinite(exposure) & (exposure > 0)).all():
@@ -146,7 +149,7 @@ def _views(file: Path, document: dict, channels: int, log_eps: float) -> Views:
     short = tuple(Path(name).name for name in names)
     return Views(
         images, poses[:, :3, 3], poses[:, :3, :3] @ OPENGL, camera, short, exposure,
-        first.shape[-1] == 4, peak, span,
+        transparent, peak, span,
     )  # fmt: skip
 
 
@@ -214,6 +217,12 @@ def _radiance(file: Path, image: np.ndarray, document: dict, log_eps: float, cha
     elif values.shape[-1] == 1 and channels == 3:
         values = np.repeat(values, 3, axis=-1)
     return (values + 0.5) / levels if quantised else values + log_eps
+
+
+def _shows_through(image: np.ndarray, document: dict) -> bool:
+    """Whether a stored picture is transparent somewhere: renderers write an alpha channel of opaque pictures, too."""
+    opaque = _levels(document, image.dtype) - 1 if image.dtype.kind == "u" else OPAQUE
+    return image.shape[-1] == 4 and bool((image[..., 3] < opaque).any())
 
 
 def _levels(document: dict, kind: np.dtype) -> float:

@@ -247,6 +247,32 @@ def test_views_one_level_up_and_quantised(scene):
     assert gauge_of(data).kind == "background"
 
 
+@pytest.mark.parametrize(
+    ("ending", "white"), [("png", np.uint8(255)), ("tiff", np.uint16(65535)), ("tiff", np.float32(1.0))]
+)
+def test_an_alpha_channel_of_opaque_views_is_no_background(ending, white, scene):
+    """One transparent pixel of one picture makes a stage transparent."""
+    from skimage.io import imsave
+
+    views = scene / "views"
+    document = json.loads((views / "transforms_test.json").read_text())
+    pictures = np.full((len(document["frames"]), 16, 16, 4), white)
+    pictures[..., :3] = (np.random.default_rng(0).uniform(0.2, 0.4, (16, 16, 3)) * white).astype(pictures.dtype)
+
+    def read():
+        for k, picture in enumerate(pictures):
+            for there in (views / "test").glob(f"r_{k}.*"):
+                there.unlink()
+            imsave(views / "test" / f"r_{k}.{ending}", picture, check_contrast=False)
+        return read_dataset(scene).views["test"]
+
+    opaque = read()
+    assert not opaque.transparent
+    assert gauge_of(replace(read_dataset(scene), views={"test": opaque})).kind == "level"
+    pictures[-1, 3, 4, 3] = white * (254 / 255)
+    assert read().transparent
+
+
 def test_a_converted_dataset_has_no_views_but_its_own(scene):
     shutil.move(scene / "views", scene.parent / "views")
     assert read_dataset(scene).views

@@ -3,6 +3,7 @@
 import json
 import shutil
 from pathlib import Path
+from types import SimpleNamespace
 
 import h5py
 import numpy as np
@@ -13,6 +14,7 @@ from pixelid.cli.main import main
 from pixelid.errors import InputError
 from pixelid.nerf.camera import Camera
 from pixelid.nerf.dataset import read_dataset
+from pixelid.nerf.published import esim
 from pixelid.nerf.published.undistort import distorted, pinhole_of, undistorted
 from pixelid.nerf.scenes import procedural
 from pixelid.nerf.synthetic import SETTINGS, make_dataset
@@ -252,6 +254,18 @@ def test_a_bag_becomes_a_scored_reconstruction(truth, tmp_path, capsys):
     assert (tmp_path / "scene" / "report.html").is_file()
     assert main(["dataset", "esim", str(bag), str(tmp_path / "scene"), "--quiet"]) == 2
     assert main(["dataset", "esim", str(bag), str(tmp_path / "scene"), "--quiet", "--overwrite"]) == 0
+
+
+@pytest.mark.parametrize(
+    ("encoding", "order"), [("rgba8", (0, 1, 2)), ("bgra8", (2, 1, 0)), ("8UC4", (2, 1, 0)), ("bgr8", (2, 1, 0))]
+)
+def test_colours_of_a_bag_come_without_alpha(encoding, order):
+    stored = np.random.default_rng(0).integers(0, 256, (3, 5, 3 if encoding == "bgr8" else 4), np.uint8)
+    rows = np.pad(stored.reshape(3, -1), ((0, 0), (0, 2)))  # bytes that fill up a row
+    message = SimpleNamespace(
+        encoding=encoding, is_bigendian=0, width=5, height=3, step=rows.shape[1], data=rows.ravel()
+    )
+    np.testing.assert_array_equal(esim._image("bag", message), stored[..., list(order)])
 
 
 def test_what_is_written_is_what_the_schema_says(truth, tmp_path):

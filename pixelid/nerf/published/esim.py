@@ -21,11 +21,11 @@ from pixelid.recordings.ros import header_stamp, opened_bag, record_columns, rec
 
 POSE, INFO, IMAGE = "geometry_msgs/msg/PoseStamped", "sensor_msgs/msg/CameraInfo", "sensor_msgs/msg/Image"
 IMAGES = ("image_raw", "image_corrupted")  # sharp, and blurred by the exposure
-# encoding → (type, channels, order of the channels as red, green, blue[, alpha])
+# encoding → (type, channels, which of them are red, green, blue): alpha is no light, and left out
 ENCODINGS = {
     "mono8": (np.uint8, 1, (0,)), "8UC1": (np.uint8, 1, (0,)), "mono16": (np.uint16, 1, (0,)),
     "rgb8": (np.uint8, 3, (0, 1, 2)), "bgr8": (np.uint8, 3, (2, 1, 0)), "8UC3": (np.uint8, 3, (2, 1, 0)),
-    "rgba8": (np.uint8, 4, (0, 1, 2, 3)), "bgra8": (np.uint8, 4, (2, 1, 0, 3)), "8UC4": (np.uint8, 4, (2, 1, 0, 3)),
+    "rgba8": (np.uint8, 4, (0, 1, 2)), "bgra8": (np.uint8, 4, (2, 1, 0)), "8UC4": (np.uint8, 4, (2, 1, 0)),
 }  # fmt: skip
 BLOCK = 1 << 18  # events handed on together
 AFTER_NS = 1_000_000_000  # how much later than asked for a message may be before nothing else is expected
