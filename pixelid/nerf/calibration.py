@@ -22,7 +22,7 @@ from pixelid.errors import InputError, shown
 from pixelid.model.model import Model
 from pixelid.model.shipped import find_model
 from pixelid.nerf.arrays import finite, has_none, intrinsics_of, read_arrays, scalar
-from pixelid.nerf.camera import DISTORTIONS, Camera
+from pixelid.nerf.camera import DISTORTIONS, Camera, refuse_lens_without_inverse
 from pixelid.parameters.invariants import Physical
 from pixelid.recordings.events import MOST_PIXELS, MOST_SIDE
 from pixelid.stages.circuit import Circuit
@@ -127,7 +127,9 @@ def _camera(file: Path, arrays: dict[str, np.ndarray]) -> Camera:
             f"{file}: img_width, img_height: expected whole numbers of at most {MOST_SIDE}, together {MOST_PIXELS} "
             f"pixels, found {width:g} × {height:g}"
         )
-    return Camera(intrinsics, round(width), round(height), distortion, model)
+    camera = Camera(intrinsics, round(width), round(height), distortion, model)
+    refuse_lens_without_inverse(file, "distortion_params", camera)
+    return camera
 
 
 def _circuit(file: Path, arrays: dict[str, np.ndarray]) -> tuple[Circuit, float]:

@@ -139,6 +139,15 @@ def test_one_picture_alone_is_not_scored(made):
     assert (len(reference), len(scored)) == (1, 0)
 
 
+def test_a_lens_that_cannot_be_undone_is_refused(scene, capsys):
+    """Coefficients under which the corners are seen twice."""
+    edit(scene / "camera_calibration.npz", distortion_params=lambda _: np.array([-2.0, 0.0, 0.0, 0.0]))
+    assert main(["reconstruct", str(scene), "--out", str(scene / "out"), "--steps", "1", "--quiet"]) == 2
+    said = capsys.readouterr().err
+    assert "camera_calibration.npz: distortion_params: the lens cannot be undone at pixel (0, 0): its field" in said
+    assert said.count("\n") == 1
+
+
 def test_a_dead_time_is_not_longer_than_intervals(made):
     data = read_dataset(made)
     told = data.calibration.circuit

@@ -15,7 +15,7 @@ from pixelid.errors import InputError
 from pixelid.nerf.camera import Camera
 from pixelid.nerf.dataset import read_dataset
 from pixelid.nerf.published import esim
-from pixelid.nerf.published.undistort import distorted, pinhole_of, undistorted
+from pixelid.nerf.published.undistort import pinhole_of, undistorted
 from pixelid.nerf.scenes import procedural
 from pixelid.nerf.synthetic import SETTINGS, make_dataset
 from pixelid.nerf.trajectory import Trajectory
@@ -408,7 +408,7 @@ def test_pictures_lose_the_distortion_of_their_lens(model, lens):
     K = np.array([[60.0, 0, 39.5], [0, 60, 29.5], [0, 0, 1]])
     camera = Camera(K, 80, 60, np.array(lens), model)
     flat = np.random.default_rng(0).uniform(-0.5, 0.5, (50, 2))
-    xy = distorted(camera, flat) @ K[:2, :2].T + K[:2, 2]
+    xy = camera.distorted(flat) @ K[:2, :2].T + K[:2, 2]
     rays = camera.directions(xy)
     np.testing.assert_allclose(rays[:, :2] / rays[:, 2:], flat, atol=1e-6)
 
@@ -530,6 +530,11 @@ WRONG = {
     "no calibration": ("eds", without("*.yaml"), "camchain*.yaml"),
     "no YAML": ("eds", rewritten("*.yaml", "cam0:", "cam0: ["), "not valid YAML"),
     "unknown lens": ("eds", rewritten("*.yaml", "radtan", "fov"), "fov"),
+    "a lens that turns back": (
+        "eds",
+        rewritten("*.yaml", str(list(LENS)), "[-2.0, 0.0, 0.0, 0.0]"),
+        "cannot be undone",
+    ),
     "no way between cameras": ("eds", rewritten("*.yaml", "T_cn_cnm1", "T_cam_imu"), "T_cn_cnm1"),
     "poses of words": ("eds", rewritten("stamped_groundtruth.txt", "1600000000.1", "x"), "expected lines of numbers"),
     "fewer times": ("eds", rewritten("times.txt", "frame_0000000003.png", ""), "times.txt"),

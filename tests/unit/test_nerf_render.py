@@ -1,13 +1,16 @@
 """Rendering: a slab with a known answer, two engines that agree, gradients, scenes and cameras."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 import torch
 from scipy.spatial.transform import Rotation, Slerp
 from scipy.special import factorial, lpmv
 
+from pixelid.errors import InputError
 from pixelid.nerf.bricks import Bricks
-from pixelid.nerf.camera import Camera, pinhole
+from pixelid.nerf.camera import Camera, pinhole, refuse_lens_without_inverse
 from pixelid.nerf.correction import fit_correction
 from pixelid.nerf.field import Field, blocks
 from pixelid.nerf.harmonics import fill, harmonics, number_of
@@ -263,6 +266,49 @@ def test_lens_distortion_is_undone(model, numbers):
     pixels = np.column_stack([xd, yd, np.ones(50)]) @ ideal.intrinsics.T
     directions = camera.directions(pixels[:, :2])
     np.testing.assert_allclose(directions[:, :2] / directions[:, 2:], np.column_stack([x, y]), atol=1e-8)
+
+
+def with_lens(model: str, numbers, f: float, width: int, height: int) -> Camera:
+    intrinsics = np.array([[f, 0, width / 2 - 0.5], [0, f, height / 2 - 0.5], [0, 0, 1]])
+    return Camera(intrinsics, width, height, np.array(numbers), model)
+
+
+STRONG = {  # lenses in use, and as wide as the model goes
+    "DAVIS346": ("plumb_bob", [-0.48, 0.26, 0.0, 0.0], 225.0, 346, 260),
+    "121 degrees": ("plumb_bob", [-0.35, 0.12, 0.0, 0.0], 200.0, 640, 480),
+    "decentred": ("plumb_bob", [-0.37, 0.12, 3e-3, -2e-3, 1e-3], 200.0, 346, 260),
+    "160 degrees": ("equidistant", [-0.1, 0.03, -0.01, 0.002], 600.0, 1280, 720),
+    "176 degrees": ("equidistant", [0.0, 0.0, 0.0, 1e-9], 260.0, 640, 480),
+}
+
+
+@pytest.mark.parametrize("name", STRONG)
+def test_every_pixel_of_a_strong_lens_is_where_it_is_seen(name):
+    camera = with_lens(*STRONG[name])
+    refuse_lens_without_inverse(Path("here"), "distortion_params", camera)
+    rays = camera.all_directions()
+    assert (rays[:, 2] > 0).all()
+    seen = camera.distorted(rays[:, :2] / rays[:, 2:]) @ camera.intrinsics[:2, :2].T + camera.intrinsics[:2, 2]
+    y, x = np.mgrid[: camera.height, : camera.width]
+    np.testing.assert_allclose(seen, np.column_stack([x.ravel(), y.ravel()]), atol=1e-6)
+    angle = np.arccos(rays[:, 2]).reshape(camera.height, camera.width)
+    middle = angle[camera.height // 2, camera.width // 2 :]
+    assert (np.diff(middle) > 0).all()  # no pixel sees what another one does
+
+
+@pytest.mark.parametrize(
+    "lens",
+    [
+        ("equidistant", [0.01, 0.0, 0.0, 0.0], 200.0, 640, 480),  # 220 degrees
+        ("equidistant", [0.0, 0.0, -0.3, 0.0], 200.0, 640, 480),  # turns back
+        ("plumb_bob", [-0.35, 0.0, 0.0, 0.0], 200.0, 640, 480),  # what Newton finds lies across the middle
+        ("plumb_bob", [1e300, 1e300, 0.0, 0.0], 200.0, 640, 480),
+    ],
+)
+def test_a_lens_that_cannot_be_undone_is_refused(lens):
+    says = r"^here: distortion_params: the lens cannot be undone at pixel \(0, 0\): its field of view there is no plane"
+    with pytest.raises(InputError, match=says):
+        refuse_lens_without_inverse(Path("here"), "distortion_params", with_lens(*lens))
 
 
 def test_scenes_are_deterministic_and_hdr():

@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 from pixelid.documents import read_text
 from pixelid.errors import InputError
 from pixelid.nerf.arrays import MOST_OFF, intrinsics_of
-from pixelid.nerf.camera import DISTORTIONS, Camera
+from pixelid.nerf.camera import DISTORTIONS, Camera, refuse_lens_without_inverse
 from pixelid.nerf.dataset import MOST_AWAY, MOST_NS
 from pixelid.recordings.events import MOST_PIXELS, MOST_SIDE
 
@@ -129,7 +129,7 @@ def camera_of(file: Path, focal, centre, size, distortion, model: str) -> Camera
         The camera.
 
     Raises:
-        InputError: a model that is not known, or numbers that make no camera.
+        InputError: a model that is not known, numbers that make no camera, or a lens that cannot be undone.
     """
     try:
         numbers = np.array([*focal, *centre, *size], dtype=np.float64)
@@ -155,7 +155,9 @@ def camera_of(file: Path, focal, centre, size, distortion, model: str) -> Camera
     else:
         distortion, model = np.empty(0), "plumb_bob"
     intrinsics = intrinsics_of(file, [[numbers[0], 0, numbers[2]], [0, numbers[1], numbers[3]], [0, 0, 1]])
-    return Camera(intrinsics, round(width), round(height), distortion, model)
+    camera = Camera(intrinsics, round(width), round(height), distortion, model)
+    refuse_lens_without_inverse(file, "distortion_coeffs", camera)
+    return camera
 
 
 def nanoseconds(file: Path, times: np.ndarray, each: float) -> np.ndarray:
