@@ -27,7 +27,8 @@ POSITIVE = options.Number(0.0, 1e9, open_low=True)
 @click.option("--every", type=click.IntRange(1, 1 << 24), default=1, show_default=True, metavar="N",
               help="Keep one pixel in N, with all of its events.")  # fmt: skip
 @click.option("--views", type=click.IntRange(0, 1_000_000), default=40, show_default=True, metavar="N",
-              help="At most N pictures as views to compare with; 0: none.")  # fmt: skip
+              help="At most N pictures as views to compare with, but all posed views that come with a sequence; "
+              "0: none.")  # fmt: skip
 @click.option("--camera", default="", metavar="NAME", help="esim: first word of the topics; eds: the sensor's name in "
               "the calibration; tumvie: left or right.")  # fmt: skip
 @click.option(
