@@ -15,6 +15,7 @@ import numpy as np
 
 from pixelid.inspection.timestamps import TimestampSignature
 from pixelid.recordings.events import Events
+from pixelid.recordings.kept import seconds_looked_at
 from pixelid.recordings.recording import Recording
 
 ROBUST_SIGMAS = 6.0
@@ -171,7 +172,8 @@ def _fired_in_silence(recordings: Sequence[Recording], pixels: np.ndarray) -> tu
     for r in recordings:
         if r.stimulus is None:
             continue
-        start, span = r.stimulus.start_s, r.stimulus.duration_s
+        start, end = seconds_looked_at(r)
+        span = max(end - start, 1e-9)
         cell = np.clip(((r.events.t * 1e-9 - start) / span * STRETCHES).astype(np.int64), 0, STRETCHES - 1)
         row = np.searchsorted(pixels, r.events.pixel)
         every = np.bincount(row * STRETCHES + cell, minlength=len(pixels) * STRETCHES).reshape(-1, STRETCHES)

@@ -16,6 +16,7 @@ import numpy as np
 from pixelid.errors import InputError, did_you_mean
 from pixelid.recordings.alignment_from_events import RATE_BOUND, alignment_from_events
 from pixelid.recordings.clocks import CRYSTAL, Alignment, ClockPrior
+from pixelid.recordings.kept import ATTRIBUTE, kept_of
 from pixelid.recordings.parts import WHOLE_EVENTS, LongRecording, joined
 from pixelid.recordings.recording import Recording
 from pixelid.recordings.triggers import Triggers
@@ -154,6 +155,8 @@ def _beside(recording: Recording, light: Light, alignment: Alignment, outside: i
         at_s = offset_s + rate * alignment.prior.at_s
         told["prior"] = replace(alignment.prior, at_s=at_s, span_s=rate * alignment.prior.span_s).as_dict()
     attributes = {**recording.attributes, "alignment": told}
+    if ATTRIBUTE in attributes:
+        attributes[ATTRIBUTE] = kept_of(recording).shifted(zero_ns * 1e-9).as_dict()
     return replace(recording, stimulus=light.shifted(offset_s, rate), attributes=attributes)
 
 

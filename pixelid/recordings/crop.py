@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,6 +10,7 @@ import numpy as np
 from pixelid.errors import InputError
 from pixelid.recordings.columns import INT64_MAX
 from pixelid.recordings.events import Events
+from pixelid.recordings.kept import ATTRIBUTE, Kept, kept_of
 from pixelid.recordings.parts import LongRecording
 from pixelid.recordings.recording import Recording
 from pixelid.stimuli.pixel_lights import Light, pixel_lights
@@ -37,8 +38,8 @@ def crop(
         from_first: count `time_s` from the first event on.
 
     Returns:
-        The recording with fewer events, everything else as before; of light of each pixel's own that of the pixels
-        left, in groups that share one.
+        The recording with fewer events, and with a note of what was kept (`Kept`), everything else as before; of light
+        of each pixel's own that of the pixels left, in groups that share one.
 
     Raises:
         InputError: for a region outside the sensor, an empty span, and when no event is left of some.
@@ -46,15 +47,20 @@ def crop(
     events = recording.events
     span = _nanoseconds(time_s, int(events.t[0]) if from_first and len(events) else 0)
     keep = _inside(events, roi, span, without)
+    kept = _kept(recording, roi, span, without)
     if pixels is not None:
         size = events.width * events.height
-        keep &= np.isin(events.pixel, _chosen(np.unique(events.pixel[keep]), pixels, seed, size))
+        chosen = _chosen(np.unique(events.pixel[keep]), pixels, seed, size)
+        keep &= np.isin(events.pixel, chosen)
+        kept = replace(kept, pixels=len(chosen))
+    elif kept.pixels is not None:
+        kept = replace(kept, pixels=_left([events], roi, without))
     if len(events) and not keep.any():
         raise _nothing_left(recording.name, len(events), (events.t[0], events.t[-1]))
     left, light = events.select(keep), _light_until(recording, span)
     if roi or pixels:
         light = _restricted(light, left, np.unique(left.pixel))
-    return replace(recording, events=left, stimulus=light)
+    return replace(_noted(recording, kept), events=left, stimulus=light)
 
 
 def _nanoseconds(time_s: tuple[float, float] | None, since_ns: int) -> tuple[int, int] | None:
@@ -91,6 +97,37 @@ def _inside(events: Events, roi, span: tuple[int, int] | None, without: np.ndarr
     if without is not None and len(without):
         keep &= ~np.isin(events.pixel, without)
     return keep
+
+
+def _kept(recording: Recording, roi, span: tuple[int, int] | None, without: np.ndarray | None) -> Kept:
+    """What a cut leaves of the region and the time of a recording, which may have been cut before.
+
+    Raises:
+        InputError: nothing of the region or of the time.
+    """
+    before, events = kept_of(recording), recording.events
+    hot = np.empty(0, np.int64) if without is None else np.unique(without)
+    x0, y0, x1, y1 = roi or before.roi
+    x, y = hot % events.width, hot // events.width
+    hot = hot[(x >= x0) & (x < x1) & (y >= y0) & (y < y1)]
+    kept = before.cut(roi, None if span is None else (span[0] * 1e-9, span[1] * 1e-9), len(hot))
+    if not (kept.roi[0] < kept.roi[2] and kept.roi[1] < kept.roi[3]):
+        old = ",".join(map(str, before.roi))
+        raise InputError(f"{recording.name}: --roi: expected part of {old}, which was kept before, found none of it")
+    if kept.time_s is not None and not kept.time_s[0] < kept.time_s[1]:
+        old = "{:g}:{:g}".format(*before.time_s) if before.time_s else ""
+        raise InputError(f"{recording.name}: --time: expected part of {old}, which was kept before, found none of it")
+    return kept
+
+
+def _left(parts: Iterable[Events], roi, without: np.ndarray | None) -> int:
+    """How many pixels of a region have events at any time; of pixels that were chosen, all have."""
+    seen = [np.unique(events.pixel[_inside(events, roi, None, without)]) for events in parts]
+    return len(np.unique(np.concatenate(seen))) if seen else 0
+
+
+def _noted(recording: Recording, kept: Kept) -> Recording:
+    return replace(recording, attributes={**recording.attributes, ATTRIBUTE: kept.as_dict()})
 
 
 def _chosen(present: np.ndarray, pixels: int, seed: int, size: int) -> np.ndarray:
@@ -195,7 +232,7 @@ class Crop:
             width, height = head.events.width, head.events.height
             seconds = float(ends[-1] - ends[0]) * 1e-9 if ends else 0.0
             hot = np.array([p.y * width + p.x for p in hot_of_counts(counts.reshape(height, width), seconds)], np.int64)
-        light = _light_until(head, span)
+        light, kept = _light_until(head, span), _kept(head, self.roi, span, hot)
         own = light is not None and light.size == (head.events.width, head.events.height)
         chosen: np.ndarray | None = None
         if self.pixels is not None or (self.roi is not None and own):
@@ -210,7 +247,11 @@ class Crop:
             if self.pixels is not None:
                 chosen = np.zeros(size, bool)
                 chosen[_chosen(np.flatnonzero(seen), self.pixels, seed, size)] = True
+                kept = replace(kept, pixels=int(chosen.sum()))
             light = _restricted(light, head.events, np.flatnonzero(chosen))
+        if kept.pixels is not None and self.pixels is None:
+            kept = replace(kept, pixels=_left((part.events for part in long.read()), self.roi, hot))
+        head = replace(_noted(head, kept), stimulus=light)
 
         def cropped() -> Iterator[Recording]:
             events, left, ends = 0, 0, []
@@ -220,11 +261,11 @@ class Crop:
                     keep &= chosen[part.events.pixel]
                 events, left = events + len(keep), left + int(np.count_nonzero(keep))
                 ends = _ends(ends, part.events)
-                yield replace(part, events=part.events.select(keep), stimulus=light)
+                yield replace(_noted(part, kept), events=part.events.select(keep), stimulus=light)
             if events and not left:
                 raise _nothing_left(long.name, events, ends)
 
-        return LongRecording(replace(head, stimulus=light), cropped)
+        return LongRecording(head, cropped)
 
 
 def _before_end(parts: Iterator[Recording], span: tuple[int, int] | None) -> Iterator[Recording]:

@@ -12,14 +12,15 @@ from pixelid.inspection import inspect
 from pixelid.inspection.ceiling import find_ceiling
 from pixelid.inspection.counts import count
 from pixelid.inspection.dead_time import find_dead_time
-from pixelid.inspection.hot_pixels import find_hot_pixels
+from pixelid.inspection.hot_pixels import find_hot_pixels, find_hot_pixels_in_silence
 from pixelid.inspection.intervals import pixel_interval_pairs, pixel_intervals
 from pixelid.inspection.lines import _Segments, find_lines
 from pixelid.inspection.tick import find_tick
 from pixelid.model.shipped import find_model
 from pixelid.recordings import Events, Recording, open_recording, write_recording
+from pixelid.recordings.crop import crop
 from pixelid.simulate import simulate
-from pixelid.stimuli.shapes import chirp
+from pixelid.stimuli.shapes import chirp, constant
 
 SHARED = Path(os.environ.get("PIXELID_SHARED", Path(__file__).parents[3] / "shared")) / "recordings"
 WIDTH = 10
@@ -200,6 +201,22 @@ def saturate(events: Events, service_ns: int) -> Events:
     step = np.arange(len(events)) * service_ns
     t = np.maximum.accumulate(events.t - step) + step + service_ns
     return Events(t, events.x, events.y, events.p, events.width, events.height)
+
+
+def test_the_rate_of_hot_pixels_is_of_the_time_that_a_cut_has_kept():
+    rng = np.random.default_rng(4)
+    flash = np.repeat(np.arange(0.1, 50.0, 5.0), 20)
+    own = np.sort(rng.uniform(0.0, 50.0, 200))
+    t = np.concatenate([flash, own])
+    order = np.argsort(t)
+    x = np.concatenate([np.tile(np.arange(20), 10), np.full(200, 3)])[order]
+    events = Events.from_columns((t[order] * 1e9).astype(int), x, 0 * x, 1 + 0 * x, 20, 1)
+    whole = Recording(events, constant(duration_s=50.0))
+    for recording in (whole, crop(whole, time_s=(25.0, 50.0))):
+        found = find_hot_pixels_in_silence([recording])
+        assert found is not None
+        assert found.pixels.tolist() == [3]
+        assert found.signature.value == pytest.approx(4.0, rel=0.25)
 
 
 def test_a_saturated_readout_is_told_from_a_busy_one():

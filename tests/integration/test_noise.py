@@ -12,6 +12,7 @@ from pixelid.cli.main import main
 from pixelid.errors import InputError
 from pixelid.model.files import load_model, save_model
 from pixelid.model.shipped import find_model
+from pixelid.recordings import open_recording, write_recording
 from pixelid.recordings.events import Events
 from pixelid.recordings.recording import Recording
 from pixelid.stimuli.stimulus import Stimulus
@@ -158,6 +159,22 @@ def test_recordings_are_counted_per_pixel():
     assert table.rate_hz[3] == 0.0
     assert table.pixels == 16
     assert table.unit == "fA"
+
+
+@pytest.mark.parametrize("suffix", [".h5", ".npz"])
+def test_of_a_part_of_a_recording_only_the_part_is_counted(tmp_path, suffix):
+    """A quarter of the pixels for half of the time was once taken for all pixels all the time."""
+    whole = still(10.0, 12.0, 8.0)
+    write_recording(whole, tmp_path / "whole.h5")
+    part = tmp_path / f"part{suffix}"
+    assert run("convert", tmp_path / "whole.h5", part, "--roi", "4,0,8,1", "--time", "10:20", "--quiet") == 0
+    table = reduced_recordings([whole, open_recording(part)])
+    assert table.rate_hz == pytest.approx([12.0, 8.0] * 2, rel=0.15)
+    poisson = 1.0 / np.sqrt(table.columns["events"])
+    assert (table.relative_error > 0.99 * poisson).all()
+    assert (table.relative_error < 2.5 * poisson).all()
+    assert table.pixels == 4
+    assert table.columns["events"][2] < 0.2 * table.columns["events"][0]
 
 
 def test_every_recording_has_a_resolution_of_its_own(tmp_path):

@@ -31,6 +31,7 @@ from pixelid.recordings import reading as opening
 from pixelid.recordings.alignment import Alignment, aligned, aligned_parts, sample_to_align
 from pixelid.recordings.columns import RepeatCounter, duplicated
 from pixelid.recordings.crop import Crop
+from pixelid.recordings.kept import kept_of, seconds_looked_at
 from pixelid.recordings.parts import LongRecording, joined
 from pixelid.recordings.triggers import Triggers
 from pixelid.stimuli.stimulus import Stimulus
@@ -170,6 +171,48 @@ def test_crops(crop):
     same(replace(joined(found.head, found.read()), triggers=recording.triggers), crop.applied(recording, 3))
 
 
+def test_what_cuts_of_cuts_have_kept():
+    first = Crop((0, 0, 8, 8), (0.5, 2.0), 20, True).applied(made(), 3)
+    second = Crop((4, 2, 12, 9), (1.0, 3.0), without_hot_pixels=True)
+    once = kept_of(first)
+    assert (once.roi, once.hot_pixels, once.pixels, once.time_s) == ((0, 0, 8, 8), 1, 20, (0.5, 2.0))
+    part = second.applied(first)
+    twice = kept_of(part)
+    x, y = np.unique(first.events.pixel) % WIDTH, np.unique(first.events.pixel) // WIDTH
+    assert twice.count == np.count_nonzero((x >= 4) & (y >= 2))
+    assert (twice.roi, twice.time_s) == ((4, 2, 8, 8), (1.0, 2.0))
+    assert seconds_looked_at(part) == (1.0, 2.0)
+    long = second.applied_to_parts(long_of(first))
+    assert kept_of(long.head) == twice
+    assert kept_of(Crop(without_hot_pixels=True).applied(made())).count == WIDTH * HEIGHT - 1
+    with pytest.raises(InputError, match="--roi: expected part of 0,0,8,8"):
+        Crop((9, 0, 12, 9)).applied(first)
+    with pytest.raises(InputError, match=r"--time: expected part of 0\.5:2"):
+        Crop(time_s=(2.5, 3.0)).applied(first)
+
+
+def test_what_was_kept_moves_with_the_clock():
+    recording = Crop(time_s=(0.5, 2.0)).applied(made())
+    assert recording.stimulus is not None
+    moved = aligned(recording, recording.stimulus, Alignment(0.25, "given"))
+    np.testing.assert_allclose(kept_of(moved).time_s, (0.25, 1.75))
+
+
+@pytest.mark.parametrize(
+    ("told", "says"),
+    [
+        ("all of it", "region"),
+        ({"roi": [0, 0, 12, 9]}, "hot_pixels"),
+        ({"roi": [0, 0, 13, 9], "hot_pixels": 0, "pixels": None, "time_s": None}, "roi: expected a region of 12 x 9"),
+        ({"roi": [0, 0, 2, 2], "hot_pixels": 0, "pixels": 5, "time_s": None}, "pixels: expected"),
+        ({"roi": [0, 0, 2, 2], "hot_pixels": 0, "pixels": None, "time_s": [2, 1]}, "time_s: expected from < to"),
+    ],
+)
+def test_a_damaged_note_of_a_cut_is_refused(told, says):
+    with pytest.raises(InputError, match=f"attribute crop.*{says}"):
+        kept_of(replace(made(), attributes={"crop": told}))
+
+
 def test_time_since_the_first_event():
     """On a clock that shows 1.6e9 s, where a double holds a quarter of a microsecond."""
     recording = made()
@@ -179,8 +222,8 @@ def test_time_since_the_first_event():
     kept = cut.applied(replace(later, stimulus=None)).events
     assert len(kept) == np.count_nonzero(recording.events.t < start + 50_000_000)
     assert kept.t[0] == 1_600_000_000 * 10**9
-    long = long_of(replace(later, stimulus=None))
-    same(joined(long.head, cut.applied_to_parts(long).read()), cut.applied(replace(later, stimulus=None)))
+    long = cut.applied_to_parts(long_of(replace(later, stimulus=None)))
+    same(joined(long.head, long.read()), cut.applied(replace(later, stimulus=None)))
 
 
 def test_nothing_left_and_a_wrong_region_are_refused():

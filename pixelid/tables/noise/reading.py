@@ -16,6 +16,7 @@ import numpy as np
 
 from pixelid.documents import words_of
 from pixelid.errors import InputError, shown
+from pixelid.recordings.kept import kept_of, seconds_looked_at
 from pixelid.recordings.recording import Recording
 from pixelid.tables.reading import TextTable, read_text_table
 
@@ -176,7 +177,7 @@ def reduced_recordings(recordings: Sequence[Recording]) -> NoiseTable:
 
     Counts of a pixel scatter more than Poisson's law (events come in pairs, pixels differ in their thresholds): the
     error of a mean rate is the scatter of the pixels' own counts over the root of their number, and no less than
-    Poisson's.
+    Poisson's.  Of a recording that was cut, the pixels and the seconds are those that were kept.
 
     Raises:
         InputError: without light, with light that changes, pooled, or without a single event in any recording.
@@ -186,15 +187,17 @@ def reduced_recordings(recordings: Sequence[Recording]) -> NoiseTable:
     for recording in recordings:
         radiance, begin, end = _still(recording)
         events = recording.events
-        pixels = events.width * events.height
+        pixels = kept_of(recording).count
+        if pixels < 1:
+            raise InputError(f"{recording.source or recording.name}: attribute crop: expected pixels, found none kept")
         sizes.append(pixels)
         units.append(recording.stimulus.unit if recording.stimulus else "radiance")
         duration = (1.0 - SETTLING) * (end - begin)
         steady = events.t * 1e-9 > end - duration
         for polarity, p in (("ON", 1), ("OFF", 0)):
-            counts = np.bincount(events.pixel[steady & (events.p == p)], minlength=pixels)
+            counts = np.bincount(events.pixel[steady & (events.p == p)]).astype(float)  # 0 in the other pixels
             total = int(counts.sum())
-            scatter = float(counts.var(ddof=1)) * pixels if pixels > 1 else 0.0
+            scatter = (float(counts @ counts) * pixels - total**2) / (pixels - 1) if pixels > 1 else 0.0
             error = np.sqrt(max(scatter, total, 1.0)) / max(total, 1)
             rows.append((radiance, p == 1, total / (pixels * duration), min(error, 1.0), 1.0 / (pixels * duration)))
             columns["file"].append(recording.name)
@@ -230,9 +233,7 @@ def _still(recording: Recording) -> tuple[float, float, float]:
             f"{where}: expected constant light, found {radiance.min():g} to {radiance.max():g}: noise events are "
             "those of a still scene"
         )
-    times = recording.events.t * 1e-9
-    begin = min(recording.stimulus.start_s, float(times.min(initial=np.inf)))
-    end = max(recording.stimulus.end_s, float(times.max(initial=-np.inf)))
+    begin, end = seconds_looked_at(recording)
     if not end > begin:
         raise InputError(f"{where}: expected a recording that lasts, found {end - begin:g} s")
     return mean, begin, end
