@@ -20,7 +20,7 @@ from pixelid.tables.noise.first_passage import mean_rates
 from pixelid.tables.noise.fit import fit_noise
 from pixelid.tables.noise.model import FA_PER_LUX, NoiseModel, in_unit
 from pixelid.tables.noise.reading import read_noise_tables, reduced_recordings
-from pixelid.tables.noise.result import predicted_result
+from pixelid.tables.noise.result import model_scales, predicted_result
 
 LIGHTS = (0.3, 1.0, 3.0, 10.0, 30.0, 100.0)
 
@@ -71,6 +71,36 @@ def test_a_planted_circuit_comes_back_and_predicts_other_lights(tmp_path):
     check = json.loads((tmp_path / "check" / "noise.json").read_text())
     assert check["cells_fitted"] == 0
     assert all(abs(row["measured"] / row["predicted"] - 1) < 0.06 for row in check["rows"])
+
+
+def test_the_scale_of_light_goes_with_the_name_of_a_table(tmp_path):
+    """Both tables were once predicted for the light as they state it, whatever the fit had found."""
+    truth, folder = planted(), tmp_path / "fit"
+    folder.mkdir()
+    save_model(truth, folder / "model.toml")
+    known = write_table(tmp_path / "known.csv", truth)
+    other = write_table(tmp_path / "other.csv", truth, tuple(3.0 * light for light in LIGHTS))
+    lines = [line.split(",", 1) for line in other.read_text().splitlines()[2:]]  # lux stated 3 times too low
+    rows = [f"{float(light) / 3.0:g},{rates}" for light, rates in lines]
+    other.write_text("\n".join([other.read_text().splitlines()[1], *rows]))
+    fitted = {
+        "cells_fitted": 24,
+        "rows": [{"file": name} for name in ("known.csv", "other.csv") for _ in range(12)],
+        "parameters": {"light_scale[1]": {"value": 3.0}},
+    }
+    (folder / "noise.json").write_text(json.dumps(fitted))
+    new = write_table(tmp_path / "new.csv", truth)
+    for k, tables in enumerate(((known, other), (other, known), (other,), (known, other, new))):
+        out = tmp_path / f"check{k}"
+        assert run("noise", *tables, "--model", folder, "--predict", "--out", out, "--quiet") == 0
+        said = json.loads((out / "noise.json").read_text())
+        assert all(abs(row["measured"] / row["predicted"] - 1) < 0.02 for row in said["rows"])
+        assert ["new.csv" in sentence for sentence in said["unidentified"]] == [True] * (new in tables)
+        assert said["parameters"][f"light_scale[{tables.index(other)}]"]["value"] == 3.0
+    fitted["parameters"]["light_scale[1]"]["value"] = -1.0
+    (folder / "noise.json").write_text(json.dumps(fitted))
+    with pytest.raises(InputError, match=r"noise\.json: light_scale\[1\]: expected a number above 0"):
+        model_scales(folder)
 
 
 def test_prediction_of_the_truth_is_the_table(tmp_path):

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from pixelid.documents import read_json
+from pixelid.documents import interpreting, read_json
 from pixelid.errors import InputError
 from pixelid.model.files import save_model
 from pixelid.model.model import Model
@@ -27,6 +28,7 @@ from pixelid.tables.result import table_result, write_result
 NAMED = 0.15  # relative disagreement that is said in words
 MOST_NAMED = 12
 REPEATABILITY = 0.05  # of a rate in a table without errors, against which --predict standardises
+SCALE = "light_scale["  # beginning of the names of scales that a fit of several tables finds
 FOLDED = ("shot_noise.density", "diff_cutoff_hz", "threshold_sigma", "threshold_mismatch.sigma")
 
 
@@ -61,21 +63,28 @@ def fitted_result(fit: NoiseFit) -> dict[str, Any]:
 
 
 def save_prediction(
-    table: NoiseTable, model: Model, floor: float, folder: Path, seed: int, inputs: Sequence[Path] = ()
+    table: NoiseTable,
+    model: Model,
+    floor: float,
+    folder: Path,
+    seed: int,
+    inputs: Sequence[Path] = (),
+    scales: Mapping[str, float] | None = None,
 ) -> dict[str, Any]:
-    """Write noise.json and noise.svg of a model evaluated on a table; returns the JSON."""
+    """Write noise.json and noise.svg of a model evaluated on a table; returns the JSON.  scales: `model_scales`."""
     noise = NoiseModel(table, in_unit(model, table.unit), floor)
-    result = predicted_result(noise)
+    result = predicted_result(noise, scales)
     figures = {"noise": partial(draw_noise, noise, result["rows"])}
     result |= {"seed": seed, **provenance(*table.sources, *inputs)}
     return write_result(result, "noise.json", figures, folder)
 
 
-def predicted_result(noise: NoiseModel) -> dict[str, Any]:
-    """The content of noise.json without fitting."""
+def predicted_result(noise: NoiseModel, scales: Mapping[str, float] | None = None) -> dict[str, Any]:
+    """The content of noise.json without fitting.  scales: of light, by the names of tables that were fitted."""
     table, rows = noise.table, noise.rows
-    at = np.array([p.to_coordinate(p.value) for p in noise.parameters])
-    predicted = noise.predict(at)
+    scale, unknown = _light_scales(table, scales or {})
+    lit = replace(noise, table=replace(table, light=table.light * scale))
+    predicted = lit.predict(np.array([p.to_coordinate(p.value) for p in lit.parameters]))
     d = rows.last_digit
     ratio = np.log(rows.measured + d) - np.log(predicted + d)
     known = (d / math.sqrt(12.0) / (rows.measured + d)) ** 2 + np.asarray(rows.relative_error) ** 2
@@ -88,8 +97,8 @@ def predicted_result(noise: NoiseModel) -> dict[str, Any]:
         "advice": f"The model misses the rates {how}: fit it to this table." if how else "",
         "model": noise.circuit.name,
         "observation": "noise_rate",
-        "parameters": _fixed(noise.circuit, list(noise.circuit.parameters)) | _floor(noise.floor),
-        "unidentified": [],
+        "parameters": _fixed(noise.circuit, list(noise.circuit.parameters)) | _held(noise.floor, scale, table.group),
+        "unidentified": unknown,
         "relative_scatter": scatter,
         "cells_fitted": 0,
         "rows": written,
@@ -140,6 +149,48 @@ def model_floor(spec: str | Path) -> float:
     return float(entry)
 
 
+def model_scales(spec: str | Path) -> dict[str, float]:
+    """Name of a table → scale of its light, as a fit of `pixelid noise` found it; empty for any other model.
+
+    The first table's light is the unit.  Of tables that share a name nobody can tell which is meant: none is known.
+
+    Raises:
+        InputError: a noise.json that is damaged.
+    """
+    path = Path(spec) / "noise.json"
+    if not path.is_file():
+        return {}
+    document = read_json(path)
+    with interpreting(path, "rows and parameters of fitted tables"):
+        if not document["cells_fitted"]:
+            return {}
+        names = list(dict.fromkeys(str(row["file"]) for row in document["rows"]))
+        found = {n: float(v["value"]) for n, v in document["parameters"].items() if n.startswith(SCALE)}
+    for name, value in found.items():
+        if not 0 < value < math.inf:
+            raise InputError(f"{path}: {name}: expected a number above 0, found {value!r}")
+    if len(names) != len(found) + 1:
+        return {}
+    return {file: found.get(f"{SCALE}{k}]", 1.0) for k, file in enumerate(names)}
+
+
+def _light_scales(table: NoiseTable, known: Mapping[str, float]) -> tuple[np.ndarray, list[str]]:
+    """((rows,) factor on the light of each row, a sentence per table of which none is known).
+
+    A single table beside a model that was fitted to none has no light to compare with: nothing is said of it.
+    """
+    scale, unknown = np.ones(len(table.light)), []
+    for group in sorted(set(table.group.tolist())):
+        here = table.group == group
+        name = str(table.columns["file"][int(np.flatnonzero(here)[0])]) if "file" in table.columns else ""
+        scale[here] = known.get(name, 1.0)
+        if not table.pixels and name not in known and (known or group):
+            unknown.append(
+                f"the light of {name}: no fit says how its scale compares with that of the model; it is taken as stated"
+            )
+    return scale, unknown
+
+
 def _fixed(model: Model, names: Sequence[str]) -> dict[str, Any]:
     return {
         n: {
@@ -150,9 +201,14 @@ def _fixed(model: Model, names: Sequence[str]) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _floor(floor: float) -> dict[str, Any]:
-    entry = {"value": floor, "unit": FLOOR.unit, "std": None, "interval_95": None, "identified": False, "fixed": True}
-    return {FLOOR.name: entry} if floor > 0 else {}
+def _held(floor: float, scale: np.ndarray, group: np.ndarray) -> dict[str, Any]:
+    """White noise and scales of light (rows,) that a prediction takes from a fit, where they change anything."""
+    found = {f"{SCALE}{k}]": (float(scale[group == k][0]), "1") for k in sorted(set(group[scale != 1.0].tolist()))}
+    found |= {FLOOR.name: (floor, FLOOR.unit)} if floor > 0 else {}
+    return {
+        name: {"value": value, "unit": unit, "std": None, "interval_95": None, "identified": False, "fixed": True}
+        for name, (value, unit) in found.items()
+    }
 
 
 def _about_unit(unit: str) -> str:
