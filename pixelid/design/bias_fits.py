@@ -20,8 +20,9 @@ from scipy.stats import t as student
 
 from pixelid.documents import interpreting, read_json
 from pixelid.errors import InputError, shown
+from pixelid.status import Status
 from pixelid.tables.fit import Z95
-from pixelid.tables.rates.bias_law import LEAST_COLUMNS
+from pixelid.tables.rates.bias_law import LEAST_COLUMNS, MOST_MV
 from pixelid.tables.rates.square_wave import rate
 
 RESULT = "rates.json"
@@ -63,6 +64,7 @@ class BiasFit:
         swing, dead_s: (ln, standard error) of the light's swing in thresholds and of the dead time; None where open.
         own: column → quantity → (value, low, high), as its own rates say; absent where they leave it open.
         source: the file.
+        status, advice: of the fit.
     """
 
     name: str
@@ -73,6 +75,8 @@ class BiasFit:
     dead_s: tuple[float, float] | None
     own: dict[str, dict[str, tuple[float, float, float]]]
     source: Path
+    status: Status = Status.converged
+    advice: str = ""
 
     @property
     def range_mv(self) -> tuple[float, float]:
@@ -120,6 +124,8 @@ def read_bias_fit(folder: Path, bias: str | None = None) -> BiasFit:
         raise InputError(f"{path}: no law of a bias in it: fit the table again with `pixelid rates --bias-law`")
     with interpreting(path, "a fitted law of a bias"):
         columns = {str(name): float(value) for name, value in law["bias_mv"].items()}
+        if not all(0.0 <= value <= MOST_MV for value in columns.values()):
+            raise InputError(f"{path}: bias_mv: expected biases of 0 to {MOST_MV:g} mV, found others")
         names = {name.rstrip("0123456789. ") for name in columns}
         fitted = names.pop() if len(names) == 1 else ""
         if bias is not None and bias != fitted:
@@ -134,7 +140,7 @@ def read_bias_fit(folder: Path, bias: str | None = None) -> BiasFit:
         together = document["one_dead_time"]["parameters"]
         return BiasFit(
             fitted, columns, _cutoff(law, len(columns)), _noise(columns, own), _log(together["swing_over_threshold"]),
-            _log(together["dead_time_s"]), own, path,
+            _log(together["dead_time_s"]), own, path, Status(document["status"]), str(document["advice"]),
         )  # fmt: skip
 
 

@@ -19,8 +19,9 @@ from pixelid.design.bias_fits import BiasFit
 from pixelid.errors import InputError
 from pixelid.status import Status
 from pixelid.tables.latency.settings import BEYOND
+from pixelid.tables.rates.bias_law import MOST_MV
 
-POINTS = 201  # settings looked at within the fitted range, and as many beyond either end
+POINTS = 201  # settings looked at within the fitted range, and as many beyond either end where biases can be
 RATE_POINTS = 61  # of them, for events: between them straight in the logarithm
 OPEN = np.log(1e3)  # half of an interval in ln: a factor of a thousand either way predicts nothing
 QUANTITIES = {"bandwidth": "Hz", "noise": "events/s", "rate": "events/s"}
@@ -70,10 +71,9 @@ def recommend_setting(
         raise InputError("--rate: events of a light that blinks how fast? expected --frequency or --bandwidth with it")
     low, high = fit.range_mv
     reach = BEYOND * (high - low)
+    lowest, highest = max(low - reach, 0.0), min(high + reach, MOST_MV)
     inside = np.linspace(low, high, POINTS)
-    bias = np.concatenate(
-        [np.linspace(low - reach, low, POINTS)[:-1], inside, np.linspace(high, high + reach, POINTS)[1:]]
-    )
+    bias = np.concatenate([np.linspace(lowest, low, POINTS)[:-1], inside, np.linspace(high, highest, POINTS)[1:]])
     within = (bias >= low) & (bias <= high)
     said = predictions(fit, bias, frequency if "rate" in wanted else None, seed)
     margins = {name: said[name].margin(value, name == "bandwidth") for name, value in wanted.items()}
@@ -109,7 +109,13 @@ def recommend_setting(
         "seconds": time.perf_counter() - began,
     }  # fmt: skip
     sentences = _sentences(content)
-    return content | {"advice": _advice(content, left_open), "why": " ".join(sentences)}
+    own = _advice(content, left_open)
+    advice = f"{fit.source.name}: {fit.advice or fit.status.advice}" if fit.status is not Status.converged else ""
+    return content | {
+        "status": Status.worst((status, fit.status)),
+        "advice": " ".join(filter(None, (advice, own))),
+        "why": " ".join(sentences),
+    }
 
 
 def predictions(fit: BiasFit, bias: np.ndarray, frequency_hz: float | None, seed: int = 0) -> dict[str, Prediction]:

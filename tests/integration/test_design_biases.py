@@ -1,6 +1,7 @@
 """`pixelid design --biases`: planted laws are met as often as said, wishes that nothing meets, refusals."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -8,9 +9,11 @@ import pytest
 
 from pixelid.cli.main import main
 from pixelid.design.bias_fits import BiasFit, line_through, read_bias_fit
+from pixelid.design.bias_result import bias_report
 from pixelid.design.biases import recommend_setting
 from pixelid.errors import InputError
 from pixelid.report.html import write_report
+from pixelid.status import Status
 from pixelid.tables.rates.square_wave import rate
 from tests.integration.test_bias_law import BIASES, CUTOFF_HZ, EFOLD_MV, table
 from tests.integration.test_schemas import check
@@ -117,6 +120,17 @@ def test_a_setting_beyond_the_fitted_ones_is_called_an_extrapolation():
     assert high / low > inner["bandwidth"]["interval_95"][1] / inner["bandwidth"]["interval_95"][0]
 
 
+def test_no_setting_below_zero_is_recommended():
+    """Of settings from 20 to 320 mV, half of their range below is -130 mV."""
+    fit = planted(np.random.default_rng(4))
+    near = {name: bias - 1180.0 for name, bias in fit.column_mv.items()}
+    fit = replace(fit, column_mv=near, cutoff=replace(fit.cutoff, centre=fit.cutoff.centre - 1180.0))
+    found = recommend_setting(fit, {"bandwidth": 100.0 * cutoff_hz(SETTINGS.min())})
+    assert min(found["curve"]["bias_mv"]) == 0.0
+    assert found["recommended"]["bias_mv"] >= 0.0
+    assert max(found["curve"]["bias_mv"]) == pytest.approx(470.0)
+
+
 def test_no_setting_near_is_fast_enough():
     found = recommend_setting(planted(np.random.default_rng(5), 0.0), {"bandwidth": 1e9})
     assert found["status"] == "at_bound"
@@ -192,6 +206,19 @@ def test_bad_input_is_refused(rates, words, says, tmp_path, capsys):
     assert main(["design", *words.format(law=rates).split(), "--out", str(tmp_path / "out")]) == 2
     assert says in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
+
+
+def test_what_is_wrong_with_the_fit_is_wrong_with_the_setting(rates, tmp_path):
+    content = json.loads((rates / "rates.json").read_text())
+    for status, advice in (("misfit", "check the unit of the table"), ("not_converged", "")):
+        (tmp_path / "rates.json").write_text(json.dumps({**content, "status": status, "advice": advice}))
+        found = bias_report(tmp_path, {"bandwidth": 300.0})
+        assert found.status == status
+        assert (advice or Status(status).advice) in found.content["advice"]
+        assert found.content["recommended"]["met"]
+    (tmp_path / "rates.json").write_text(json.dumps({**content, "status": "fine"}))
+    with pytest.raises(InputError, match=r"rates\.json"):
+        read_bias_fit(tmp_path)
 
 
 def test_fits_that_say_nothing_of_a_bias_are_refused(rates, tmp_path):
