@@ -13,7 +13,7 @@ and stay in the fit.  Priors of parameters are Gaussian in their fitting coordin
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -35,6 +35,22 @@ MAX_SCATTER = 0.2
 MAX_EM_STEPS = 80
 LEAST_SPARE = 0.05  # of a row: what one says of scatter that only its own parameters follow is nothing
 REST = 1e-4  # nats
+# By the column that only rows of a kind of table have: what to do where a fit did not come to rest, and whose units to
+# look at where it is far off; then the same of any other table
+UNSETTLED = {
+    "column": "drop columns with few cells",
+    "condition": "drop conditions with few cells",
+    "statistic": "drop settings with few cells",
+    "polarity": "start from a --model nearer to the sensor, or leave out lights with hardly an event",
+    "": "leave out rows that say little",
+}
+UNITS = {
+    "column": "its rates and of its frequencies",
+    "condition": "its events and of its frequencies",
+    "statistic": "its latencies and of its irradiances",
+    "polarity": "its rates and of its light",
+    "": "its values",
+}
 
 
 @dataclass(frozen=True)
@@ -99,11 +115,11 @@ class TableFit:
         """(status, advice): the worst that is to be said, and what to do about it."""
         verdicts = {}
         if not self.converged:
-            verdicts[Status.not_converged] = "The regression did not come to rest: drop columns with few cells."
+            verdicts[Status.not_converged] = f"The regression did not come to rest: {self._of_kind(UNSETTLED)}."
         if not self.scale < MAX_SCATTER:
             verdicts[Status.misfit] = (
-                f"The rows scatter by {100 * self.scale:.0f} % about the best fit: check the unit of the table, of its "
-                "rates and of its frequencies, before anything else."
+                f"The rows scatter by {100 * self.scale:.0f} % about the best fit: check the unit of the table, of "
+                f"{self._of_kind(UNITS)}, before anything else."
             )
         elif np.mean(self.suspect) > MOST_SUSPECT:
             verdicts[Status.misfit] = (
@@ -120,6 +136,10 @@ class TableFit:
             verdicts[Status.not_identified] = "The table fixes none of the parameters."
         status = Status.worst(verdicts)
         return status, verdicts.get(status, "")
+
+    def _of_kind(self, words: Mapping[str, str]) -> str:
+        """Which of the words are for this kind of table."""
+        return words[next((column for column in words if column in self.model.rows.columns), "")]
 
     def _strange_columns(self) -> list[str]:
         """Columns of a table with several of which too many rows lie far off."""

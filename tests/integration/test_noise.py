@@ -16,6 +16,7 @@ from pixelid.recordings import open_recording, write_recording
 from pixelid.recordings.events import Events
 from pixelid.recordings.recording import Recording
 from pixelid.stimuli.stimulus import Stimulus
+from pixelid.tables.fit import fit_at
 from pixelid.tables.noise.first_passage import mean_rates
 from pixelid.tables.noise.fit import fit_noise
 from pixelid.tables.noise.model import FA_PER_LUX, NoiseModel, in_unit
@@ -108,6 +109,20 @@ def test_prediction_of_the_truth_is_the_table(tmp_path):
     noise = NoiseModel(read_noise_tables([table]), planted())
     predicted = noise.predict(np.array([p.to_coordinate(p.value) for p in noise.parameters]))
     assert predicted == pytest.approx(noise.table.rate_hz, rel=1e-3, abs=1e-6)
+
+
+def test_advice_is_for_tables_of_noise(tmp_path):
+    """A table of noise has no columns of few cells to drop, and no frequencies."""
+    noise = NoiseModel(read_noise_tables([write_table(tmp_path / "noise.csv", planted())]), planted())
+    fit = fit_at(noise, np.array([p.to_coordinate(p.value) for p in noise.parameters]), 0.01, converged=False)
+    status, advice = fit.judge()
+    assert status == "not_converged"
+    assert "--model" in advice
+    assert "columns" not in advice
+    status, advice = replace(fit, converged=True, scale=0.5).judge()
+    assert status == "misfit"
+    assert "of its light" in advice
+    assert "frequencies" not in advice
 
 
 def test_one_polarity_far_off_is_a_misfit(tmp_path):

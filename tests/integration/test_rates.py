@@ -248,6 +248,7 @@ def test_any_table_model_is_fitted_judged_and_written():
     entry = fit.as_dict()["slope"]
     assert entry["interval_95"][0] < 2.0 < entry["interval_95"][1]
     assert fit.judge()[0] is Status.converged
+    assert "columns with few" not in replace(fit, converged=False).judge()[1]
     assert set(fit.as_rows()[0]) == {"setting", "measured", "predicted", "standardised"}
     held = fit_table(Line(rows, Prior(np.log(4.0), 1e-3)))
     assert np.exp(held.x[0]) == pytest.approx(4.0, rel=0.02)
