@@ -32,6 +32,7 @@ from pixelid.dynamics.trajectory import integrate
 from pixelid.errors import InputError
 from pixelid.likelihood.clocks import clock_parameters, clocks_of
 from pixelid.parameters.parameter import Parameter
+from pixelid.recordings.kept import kept_of
 from pixelid.recordings.recording import Recording
 from pixelid.stages.circuit import Circuit
 from pixelid.stages.differencing import leaked, leaks
@@ -54,11 +55,12 @@ class Counts:
 
 
 def binned(recording: Recording, bin_s: float, first_s: float) -> Counts:
-    """Counts per bin over the first seconds that both events and stimulus cover."""
+    """Counts per bin over the first seconds that both events and stimulus cover, and that a cut has left."""
     assert recording.stimulus is not None
     t = recording.events.t * 1e-9
-    start, end = recording.stimulus.start_s, recording.stimulus.end_s
-    end = min(end, start + first_s)
+    cut = kept_of(recording).time_s or (-math.inf, math.inf)
+    start = max(recording.stimulus.start_s, cut[0])
+    end = min(recording.stimulus.end_s, cut[1], start + first_s)
     n = max(int((end - start) / bin_s), 1)
     edges = start + bin_s * np.arange(n + 1)
     index = np.floor((t - start) / bin_s).astype(np.int64)

@@ -1,5 +1,6 @@
 """Pooled pixels with different light: their counts against a sum over pixels, recovery, and what refuses it."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -9,9 +10,10 @@ from pixelid.errors import InputError
 from pixelid.fit.fit import fit
 from pixelid.gap.pooled_counts.candidates import effects_to_try
 from pixelid.likelihood.event_times import EventTimes
-from pixelid.likelihood.pooled_rate import PooledRate
+from pixelid.likelihood.pooled_rate import PooledRate, binned
 from pixelid.model.shipped import find_model
 from pixelid.recordings import Recording
+from pixelid.recordings.crop import crop
 from pixelid.simulate import simulate
 from pixelid.stimuli.stimulus import Stimulus
 
@@ -106,3 +108,12 @@ def test_only_the_gap_of_pooled_counts_looks_for_it():
     stretches: Any = SimpleNamespace(whole=PooledRate([recording]))
     assert "light_spread" in effects_to_try(stretches, PLAIN, ())
     assert "light_spread" not in effects_to_try(stretches, PLAIN.with_effect("light_spread"), ())
+
+
+def test_pooled_counts_begin_where_a_cut_does():
+    """The light before a cut stays, the events do not: its bins are no silence."""
+    whole = pool_of([1.0, 1.0], bits(), PLAIN)
+    seen, all_seen = (binned(r, 1e-3, math.inf) for r in (crop(whole, time_s=(0.4, 0.9)), whole))
+    assert seen.edges[[0, -1]] == pytest.approx([0.4, 0.9], abs=1e-3)
+    np.testing.assert_array_equal(seen.on, all_seen.on[400 : 400 + len(seen.on)])
+    assert len(seen.on) >= 499
