@@ -26,8 +26,9 @@ MOST_NESTED = 64  # of what pixelid writes, gap.json is the deepest: 8
 MOST_PARTS = 64  # of a dotted key
 HOLLOW_BYTES, MOST_RATIO, MOST_EXTENTS = 64 << 20, 1000, 1000  # smaller files are read at once, whatever they hold
 
-# What TOML consists of, as far as nesting matters; every alternative consumes what it has looked at: linear time.
 GREEK_MU = "\u03bc"  # which looks like the micro sign
+
+# What TOML consists of, as far as nesting matters; every alternative consumes what it has looked at: linear time.
 _TOKEN = re.compile(
     r'"""(?:[^"\\]|\\(?:.|\Z)|"(?!""))*+(?:"""|\Z|"+)|\'\'\'(?:[^\']|\'(?!\'\'))*+(?:\'\'\'|\Z|\'+)'
     r'|"(?:[^"\\\n]|\\(?:.|\Z))*+"?|\'[^\'\n]*+\'?|#[^\n]*+|[\[{]|[\]}]|\.|[=,\n]|[^"\'#\[\]{}.=,\n]++',

@@ -217,6 +217,11 @@ class EventTimes:
         """The likelihood's pieces under a circuit; `changes` is `changes(circuit)` when it is known already."""
         return density(self.layout, circuit, changes or self.changes(circuit), self.clock_share)
 
+    def released_later(self, circuit: Circuit, here: Terms) -> Terms:
+        """The pieces if every pixel were let go `NUDGE_S` later;  here: `terms(circuit)`."""
+        later = circuit.with_(refractory=circuit.refractory + NUDGE_S)
+        return self.terms(later, self.changes(later, here.changes.extremes))
+
     def log_likelihood(self, circuit: Circuit) -> float:
         """The log-likelihood."""
         return self.terms(circuit).total
@@ -227,9 +232,8 @@ class EventTimes:
         The time of the reset is as uncertain as that of the event.  With g_k the rate at which level k falls as its
         release moves, `clock_share` becomes q_k = 1 + (g_k/r_k)² under this circuit, at most `MOST_CLOCK_SHARE`.
         """
-        later = circuit.with_(refractory=circuit.refractory + NUDGE_S)
         here = self.terms(circuit)
-        there = self.terms(later, self.changes(later, here.changes.extremes))
+        there = self.released_later(circuit, here)
         told = (here.z != 0.0) & (there.z != 0.0)  # a level of 0: the circuit cannot have fired
         moved = np.where(told, there.z - here.z, 0.0) / NUDGE_S
         other = copy(self)

@@ -11,9 +11,8 @@ from pixelid.errors import InputError
 
 DISTORTIONS = ("plumb_bob", "equidistant")
 ITERATIONS = 20  # Newton steps of the inverse; lenses in use converge in fewer than ten
-MOST_OFF_PIXELS = (
-    0.01  # between a pixel and where the lens puts what was found for it: a tenth of a calibration's error
-)
+# Between a pixel and where the lens puts what was found for it: a tenth of a calibration's error
+MOST_OFF_PIXELS = 0.01
 WAY = 64  # steps from the middle to the border in which a lens that turns back is noticed: 1.4° each at most
 
 

@@ -164,7 +164,7 @@ def test_many_lights_are_interpolated(tmp_path):
 
 
 def test_lights_are_interpolated_over_the_edge_where_noise_ends(tmp_path):
-    """Six decades, in one of which rates fall from tens of events to leak alone."""
+    """Five and a half decades, in one of which rates fall from tens of events to leak alone."""
     leaky, lights = planted().with_effect("leak", {"rate_hz": 0.05}), np.geomspace(0.01, 3000.0, 100).round(5)
     noise = NoiseModel(read_noise_tables([write_table(tmp_path / "noise.csv", leaky, lights)]), leaky)
     predicted = noise.predict(np.array([p.to_coordinate(p.value) for p in noise.parameters]))

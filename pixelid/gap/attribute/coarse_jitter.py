@@ -45,10 +45,10 @@ def coarse_jitter(evidence: PixelEvidence, fit: Maximum, start: Model, tried: in
     sigma = max(climb, key=lambda s: climb[s])
     if sigma == FINEST_PATH_S:
         return None
-    without = [_log_likelihoods(fitting, model, FINEST_PATH_S, seed) for model in (fit.model, start)]
-    model = max(zip(without, (fit.model, start), strict=True), key=lambda pair: pair[0].sum())[1]
-    gain = climb[sigma] - max(float(values.sum()) for values in without)
-    held_out = _log_likelihoods(judging, start, sigma, seed) - _log_likelihoods(judging, model, FINEST_PATH_S, seed)
+    fitted = float(_log_likelihoods(fitting, fit.model, FINEST_PATH_S, seed).sum())
+    without = fit.model if fitted >= climb[FINEST_PATH_S] else start
+    gain = climb[sigma] - max(fitted, climb[FINEST_PATH_S])
+    held_out = _log_likelihoods(judging, start, sigma, seed) - _log_likelihoods(judging, without, FINEST_PATH_S, seed)
     end = replace(fit, model=start.with_effect(JITTER, {SIGMA: sigma}))
     return Candidate(JITTER, end, gain, chance_of_gain(JITTER, gain, tried), held_out)
 

@@ -41,8 +41,7 @@ class Slopes:
 
 def slopes_of(likelihood: EventTimes, circuit: Circuit, here) -> Slopes:
     """The slopes under a circuit;  here: `likelihood.terms(circuit)`."""
-    later = circuit.with_(refractory=circuit.refractory + NUDGE_S)
-    there = likelihood.terms(later, likelihood.changes(later, here.changes.extremes))
+    there = likelihood.released_later(circuit, here)
     aside = here.background | there.background
     before = np.where(aside, 0.0, (there.z - here.z) / NUDGE_S)
     order = np.lexsort((likelihood.time_s, likelihood.pixel, likelihood.recording_of_event))

@@ -62,6 +62,47 @@ class Chain:
         return np.linalg.solve(system, right)
 
 
+@dataclass(frozen=True)
+class _Crossings:
+    """What `crossings` wants of a process: slopes, omega, factors (m,), weights (lags,), means (lags, 2, 2) and
+    covariances (lags, 3)."""
+
+    process: NoiseProcess
+    slopes: np.ndarray
+    omega: np.ndarray
+    factors: np.ndarray
+    weights: np.ndarray
+    means: np.ndarray
+    covariances: np.ndarray
+
+    @classmethod
+    def of(cls, p: NoiseProcess) -> _Crossings:
+        """At nodes of slopes and lags."""
+        slopes_unit, omega = rayleigh_nodes(SLOPES)
+        # ∫ n dw = Σ ω (n / (w e^{−w²/2σ²}))|node σ², and n = w f: the slope itself cancels
+        factors = omega * np.exp(0.5 * slopes_unit**2) * p.slope_sigma**2
+        weights = p.lags * math.log(p.lags[1] / p.lags[0])
+        weights[[0, -1]] *= 0.5
+        means = p.seen @ p.propagators @ p.regression
+        covariances = triangle(p.seen_covariance - means @ p.seen_covariance @ np.swapaxes(means, 1, 2))
+        return cls(p, slopes_unit * p.slope_sigma, omega, factors, weights, means, covariances)
+
+    def rates(self, up: np.ndarray, down: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Rice's intensities (k, 2 m) of k pairs of levels, and (k, 2 m, 2 m) their first passages."""
+        from pixelid.tables.noise import crossings
+
+        m = len(self.slopes)
+        stationary, between = np.empty((len(up), 2 * m)), np.empty((len(up), 2 * m, 2 * m))
+        for k, levels in enumerate(np.stack([up, down], axis=1)):
+            rice = self.process.zero_crossings_hz * np.exp(-0.5 * (levels / self.process.sigma) ** 2)
+            stationary[k] = np.outer(rice, self.omega).ravel()
+            crossings.between_crossings(
+                self.means, self.covariances, *levels, self.slopes, self.factors, self.weights, stationary[k],
+                between[k],
+            )  # fmt: skip
+        return stationary, np.linalg.inv(np.eye(2 * m) + between)
+
+
 def leak_cycle_s(process: NoiseProcess, circuit: Circuit, drift: float) -> float:
     """Mean time from the dead time's end to the next ON event by leak, s, where thresholds are far beyond the noise.
 
@@ -70,46 +111,23 @@ def leak_cycle_s(process: NoiseProcess, circuit: Circuit, drift: float) -> float
     """
     from pixelid.tables.noise import crossings
 
-    p = process
-    slopes_unit, omega = rayleigh_nodes(SLOPES)
-    slopes = slopes_unit * p.slope_sigma
-    factors, weights, means, covariances = _lags_of(p, slopes_unit, omega)
+    p, at = process, _Crossings.of(process)
     left = np.arange(-MARGIN, QUIET + 1.0 + SPACING, SPACING) * p.sigma  # to the threshold
     off = -2.0 * left[-1]  # out of reach
-    m, count = len(slopes), len(left)
-    stationary, between = np.empty((count, 2 * m)), np.empty((count, 2 * m, 2 * m))
-    for k, up in enumerate(left):
-        rice = p.zero_crossings_hz * np.exp(-0.5 * (np.array([up, off]) / p.sigma) ** 2)
-        stationary[k] = np.outer(rice, omega).ravel()
-        crossings.between_crossings(means, covariances, up, off, slopes, factors, weights, stationary[k], between[k])
+    stationary, resolvents = at.rates(left, np.full(len(left), off))
+    m, count = len(at.slopes), len(left)
     exits, times = np.empty((count, 2 * count * m)), np.empty(count)
-    resolvents = np.linalg.inv(np.eye(2 * m) + between)
-    crossings.exits_long_after(left, 0.0, -off, slopes, stationary, resolvents, drift, exits, times)
+    crossings.exits_long_after(left, 0.0, -off, at.slopes, stationary, resolvents, drift, exits, times)
     at_event, released = exits[-1].reshape(2, count, m)[0], release(p, circuit.refractory)
-    kept = float((at_event * (released.reference[0] * left[:, None] + released.reference[1] * slopes)).sum())
+    kept = float((at_event * (released.reference[0] * left[:, None] + released.reference[1] * at.slopes)).sum())
     return float(times[-1] + (kept + circuit.on_threshold - left[-1]) / drift)
-
-
-def _lags_of(p: NoiseProcess, slopes_unit: np.ndarray, omega: np.ndarray):
-    """(factors (m,), weights (lags,), means (lags, 2, 2), covariances (lags, 3)) of `crossings.between_crossings`."""
-    # ∫ n dw = Σ ω (n / (w e^{−w²/2σ²}))|node σ², and n = w f: the slope itself cancels
-    factors = omega * np.exp(0.5 * slopes_unit**2) * p.slope_sigma**2
-    lags = p.lags
-    weights = lags * math.log(lags[1] / lags[0])
-    weights[[0, -1]] *= 0.5
-    means = p.seen @ p.propagators @ p.regression
-    covariances = triangle(p.seen_covariance - means @ p.seen_covariance @ np.swapaxes(means, 1, 2))
-    return factors, weights, means, covariances
 
 
 def chain_of(process: NoiseProcess, circuit: Circuit, drift: float) -> Chain:
     """The chain of a circuit's thresholds, threshold noise and dead time; drift: of its references by leak, 1/s."""
     from pixelid.tables.noise import crossings
 
-    p = process
-    slopes_unit, omega = rayleigh_nodes(SLOPES)
-    slopes = slopes_unit * p.slope_sigma
-    factors, weights, means, covariances = _lags_of(p, slopes_unit, omega)
+    p, at = process, _Crossings.of(process)
     released = release(p, circuit.refractory)
     draws, draw_weights = threshold_draws(circuit.noise)
     on, off = circuit.on_threshold * draws[:, 0], circuit.off_threshold * draws[:, 1]
@@ -118,35 +136,25 @@ def chain_of(process: NoiseProcess, circuit: Circuit, drift: float) -> Chain:
     never = (QUIET + 1.0) * p.sigma
     reach = max(on.max() if drift > 0 else min(on.max(), never), min(off.max(), never)) + MARGIN * p.sigma
     nodes = np.linspace(-reach, reach, max(math.ceil(2.0 * reach / (SPACING * p.sigma)) + 1, 8))
-    m, count = len(slopes), len(nodes)
-    shape = (len(draws), count)
-    between = np.empty((*shape, 2 * m, 2 * m))
-    stationary = np.empty((*shape, 2 * m))
+    m, count = len(at.slopes), len(nodes)
+    rates = [at.rates(nodes + on[a], nodes - off[a]) for a in range(len(draws))]
+    stationary, resolvents = (np.stack(each) for each in zip(*rates, strict=True))
     states = 2 * count * m
-    exits, times = np.empty((*shape, states)), np.empty(shape)
-    for a in range(len(draws)):
-        for k, reference in enumerate(nodes):
-            up, down = reference + on[a], reference - off[a]
-            rice = p.zero_crossings_hz * np.exp(-0.5 * (np.array([up, down]) / p.sigma) ** 2)
-            stationary[a, k] = np.outer(rice, omega).ravel()
-            crossings.between_crossings(
-                means, covariances, up, down, slopes, factors, weights, stationary[a, k], between[a, k]
-            )
-    resolvents = np.linalg.inv(np.eye(2 * m) + between)
+    exits, times = np.empty((len(draws), count, states)), np.empty((len(draws), count))
     for a in range(len(draws)):
         crossings.exits_long_after(
-            nodes, on[a], off[a], slopes, stationary[a], resolvents[a], drift, exits[a], times[a]
+            nodes, on[a], off[a], at.slopes, stationary[a], resolvents[a], drift, exits[a], times[a]
         )
     moved, waited = np.zeros((states, states)), np.zeros(states)
     crossings.transitions(
-        nodes, slopes, omega, p.zero_crossings_hz, p.sigma, factors, weights, released.maps, released.spread,
-        released.tails, released.covariances, released.reference, released.sd, offsets, offset_weights, on, off,
-        draw_weights, resolvents, exits, times, moved, waited,
+        nodes, at.slopes, at.omega, p.zero_crossings_hz, p.sigma, at.factors, at.weights, released.maps,
+        released.spread, released.tails, released.covariances, released.reference, released.sd, offsets,
+        offset_weights, on, off, draw_weights, resolvents, exits, times, moved, waited,
     )  # fmt: skip
     return Chain(
-        process=p, slopes=slopes, omega=omega, factors=factors, means=means, covariances=covariances, release=released,
-        offsets=offsets, offset_weights=offset_weights, on=on, off=off, draw_weights=draw_weights, nodes=nodes,
-        stationary=stationary, resolvents=resolvents, drift=drift, moved=moved, waited=waited,
+        process=p, slopes=at.slopes, omega=at.omega, factors=at.factors, means=at.means, covariances=at.covariances,
+        release=released, offsets=offsets, offset_weights=offset_weights, on=on, off=off, draw_weights=draw_weights,
+        nodes=nodes, stationary=stationary, resolvents=resolvents, drift=drift, moved=moved, waited=waited,
     )  # fmt: skip
 
 

@@ -183,7 +183,7 @@ def started(noise: NoiseModel, report: Callable[[str, float], None]) -> list[Noi
                       table.last_digit[chosen], np.zeros(int(chosen.sum()), int), {}, table.unit)  # fmt: skip
     target = np.log(part.rate_hz)
     known_light = table.unit == "fA" or bool(table.pixels)
-    best: dict[tuple[float, float], tuple[float, dict[str, float]]] = {}
+    best: dict[float, tuple[float, dict[str, float]]] = {}  # photocurrent, or where that is known follower → (cost, …)
     grid = [(lit, slow) for lit in ((1.0,) if known_light else LIGHT_STARTS) for slow in FOLLOWER_STARTS]
     for lit, slow in grid:
         for f in THRESHOLD_STARTS * math.sqrt(lit):  # behind a photoreceptor of bandwidth ∝ light σ² ∝ D α
@@ -195,15 +195,12 @@ def started(noise: NoiseModel, report: Callable[[str, float], None]) -> list[Noi
             rates = rates_by_light(trial, np.unique(part.light))
             found = np.log([rates[light][0 if on else 1] for light, on in zip(part.light, part.on, strict=True)])
             cost = float(np.abs(target - found).mean())
-            if (lit, slow) not in best or cost < best[lit, slow][0]:
-                best[lit, slow] = cost, values
+            of = slow if known_light else lit
+            if of not in best or cost < best[of][0]:
+                best[of] = cost, values
     report("fitting", 0.1)
-    chosen_at: list[tuple[float, float]] = []
-    for at in sorted(best, key=lambda at: best[at][0]):
-        # of a photocurrent, or where that is known of a follower, one start
-        if all(at[known_light] != other[known_light] for other in chosen_at):
-            chosen_at.append(at)
-    return [replace(noise, circuit=circuit.set(best[at][1])) for at in chosen_at[:MOST_STARTS]]
+    ranked = sorted(best.values(), key=lambda start: start[0])
+    return [replace(noise, circuit=circuit.set(values)) for _, values in ranked[:MOST_STARTS]]
 
 
 def rates_by_light(noise: NoiseModel, lights: np.ndarray) -> dict[float, tuple[float, float]]:
