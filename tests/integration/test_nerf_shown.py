@@ -295,6 +295,25 @@ def test_a_video_plays_every_frame(folder, tmp_path):
         assert frames[0].width % 2 == frames[0].height % 2 == 0
 
 
+@pytest.mark.parametrize("size", [(3, 401), (1024, 1), (1, 5000), (1, 1), (300, 257)])
+def test_a_video_of_any_shape_shows_all_of_its_frames(size, tmp_path):
+    """A frame of 1024 × 1 pixels enlarged to 256 rows would be wider than the codec goes."""
+    av = pytest.importorskip("av")
+    from pixelid.nerf.shown.video import LARGEST, write_video
+
+    width, height = size
+    ramp = np.add.outer(np.linspace(40, 120, height), np.linspace(0, 80, width))
+    write_video(tmp_path / "video.mp4", [np.repeat(ramp.astype(np.uint8)[..., None], 3, axis=2)] * 2, 30)
+    with av.open(str(tmp_path / "video.mp4")) as container:
+        shown = next(container.decode(video=0)).to_ndarray(format="rgb24").astype(float)
+    factor = min(shown.shape[0] // height, shown.shape[1] // width)
+    assert factor >= 1
+    assert max(shown.shape) <= max(LARGEST, max(size)) + 1
+    enlarged = np.repeat(np.repeat(ramp, factor, axis=0), factor, axis=1)
+    assert [a - b for a, b in zip(shown.shape, enlarged.shape, strict=False)] == [s % 2 for s in enlarged.shape]
+    np.testing.assert_allclose(shown[: enlarged.shape[0], : enlarged.shape[1], 1], enlarged, atol=8)
+
+
 def test_without_av_the_frames_remain(folder, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr("pixelid.nerf.shown.video.can_write", lambda: False)
     words = ["render", str(folder), "--out", str(tmp_path / "out"), "--frames", "2", "--size", "8", "8", "--video"]

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 SMALLEST = 256  # pixels a side, below which frames are shown enlarged by a whole factor
+LARGEST = 4096  # pixels a side that they are not enlarged beyond: the codec ends at four times that, players before
 
 
 def can_write() -> bool:
@@ -28,13 +29,15 @@ def write_video(path: Path, frames: Sequence[np.ndarray], rate: int) -> None:
     """
     import av  # type: ignore[import-not-found]
 
-    factor = max(1, -(-SMALLEST // min(frames[0].shape[:2])))
-    height, width = (2 * (side * factor // 2) for side in frames[0].shape[:2])  # the codec halves the colours' sides
+    sides = frames[0].shape[:2]
+    factor = max(1, min(-(-SMALLEST // min(sides)), LARGEST // max(sides)))
+    odd = [(0, side * factor % 2) for side in sides]  # the codec halves the colours' sides: the last row twice, then
+    height, width = (side * factor + more for side, (_, more) in zip(sides, odd, strict=True))
     with av.open(str(path), "w") as container:
         stream = container.add_stream("libx264", rate=Fraction(rate), options={"crf": "18"})
         stream.width, stream.height, stream.pix_fmt = width, height, "yuv420p"
         for frame in frames:
-            large = np.repeat(np.repeat(frame, factor, axis=0), factor, axis=1)[:height, :width]
+            large = np.pad(np.repeat(np.repeat(frame, factor, axis=0), factor, axis=1), (*odd, (0, 0)), mode="edge")
             for packet in stream.encode(av.VideoFrame.from_ndarray(np.ascontiguousarray(large), format="rgb24")):
                 container.mux(packet)
         for packet in stream.encode():
