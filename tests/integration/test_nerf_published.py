@@ -562,6 +562,22 @@ def test_a_broken_sequence_is_refused(wrong, truth, tmp_path, capsys):
     refused(["dataset", layout, str(folder), str(tmp_path / "out")], says, tmp_path / "out", capsys)
 
 
+def test_events_beside_the_poses_are_told_on_the_clock_of_the_poses(truth, tmp_path, capsys):
+    """--time-offset included: found and expected can be compared."""
+    bag, late = write_bag(tmp_path / "esim.bag", truth), truth["timestamp"][[0, -1]] + EPOCH_NS + 400_000_000
+    words = ["dataset", "esim", str(bag), str(tmp_path / "out"), "--time-offset", "0.4"]
+    refused(words, f"found {late[0]} … {late[1]} ns", tmp_path / "out", capsys)
+
+
+def test_pixels_that_are_kept_and_never_fire_are_told(truth, tmp_path, capsys):
+    pixel = truth["position"][:, 1].astype(int) * SIDE + truth["position"][:, 0]
+    mine = pixel == pixel[0]
+    one = {**truth, **{name: truth[name][mine] for name in ("timestamp", "position", "polarity")}}
+    bag = write_bag(tmp_path / "esim.bag", one)
+    words = ["dataset", "esim", str(bag), str(tmp_path / "out"), "--every", "256"]
+    refused(words, f"--every: none of the {mine.sum()} events is of a pixel that is kept", tmp_path / "out", capsys)
+
+
 def refused(words, says, out: Path, capsys) -> None:
     assert main(words) == 2
     printed = capsys.readouterr().err

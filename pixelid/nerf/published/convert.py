@@ -176,7 +176,9 @@ def _write_events(folder: Path, source: Source, window: Window, kept: np.ndarray
             histogram += np.bincount((t * BINS // (span + 1)), minlength=BINS)
             progress("events", 0.9 * min(max((last - window.begin) / span, 0.0), 1.0))
         if file.events == 0:
-            found = "none" if first is None else f"{first - offset} … {last} ns"
+            if other:
+                raise InputError(f"--every: none of the {other} events is of a pixel that is kept")
+            found = "none" if first is None else f"{first} … {last} ns"
             raise InputError(
                 f"{source.files[0]}: no event while there are poses, {window.begin} … {window.end} ns; found {found} "
                 "(--time-offset moves the events)"
