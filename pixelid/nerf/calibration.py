@@ -12,8 +12,10 @@ unit is tied to the dataset's by q_in, which both quote (the fit in its gauge).
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import astuple, dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -23,6 +25,7 @@ from pixelid.model.model import Model
 from pixelid.model.shipped import find_model
 from pixelid.nerf.arrays import finite, has_none, intrinsics_of, read_arrays, scalar
 from pixelid.nerf.camera import DISTORTIONS, Camera, refuse_lens_without_inverse
+from pixelid.nerf.pixel_maps import THRESHOLDS
 from pixelid.parameters.invariants import Physical
 from pixelid.recordings.events import MOST_PIXELS, MOST_SIDE
 from pixelid.stages.circuit import Circuit
@@ -201,22 +204,39 @@ UNCERTAIN = (
 def uncertainty_of_fit(folder: Path) -> dict[str, float]:
     """Standard deviations of the logs of what `Pixel` may train, from fit.json; empty where there is none.
 
-    What the fit held fixed is known to 0.1 %; what it could not identify is left out.
+    Of the thresholds those of their mean and of their ratio.  What the fit held fixed is known to 0.1 %; what it could
+    not identify is left out.
     """
     file = Path(folder) / "fit.json"
     if not file.is_file():
         return {}
     try:
-        parameters = read_json(file)["parameters"]
-        deviations = {
-            ours: 1e-3 if entry.get("fixed") else float(entry["std"]) / float(entry["value"])
-            for ours, theirs in UNCERTAIN
-            if (entry := parameters.get(theirs))
+        content = read_json(file)
+        known = {
+            name: 1e-3 if entry.get("fixed") else float(entry["std"]) / float(entry["value"])
+            for name, entry in content["parameters"].items()
+            if name in (*THRESHOLDS, *(theirs for _, theirs in UNCERTAIN))
             and (entry.get("fixed") or (entry.get("std") and entry.get("identified", True)))
         }
-    except (ValueError, KeyError, TypeError, AttributeError, ZeroDivisionError):
-        raise InputError(f"{file}: parameters: expected value and std of each") from None
+        deviations = {ours: known[theirs] for ours, theirs in UNCERTAIN if theirs in known}
+        if set(THRESHOLDS) <= known.keys():
+            deviations |= _of_mean_and_ratio(content, *(known[name] for name in THRESHOLDS))
+    except (ValueError, KeyError, IndexError, TypeError, AttributeError, ZeroDivisionError):
+        raise InputError(f"{file}: parameters, covariance: expected value and std of each, and their matrix") from None
     return {name: max(sd, 1e-3) for name, sd in deviations.items()}
+
+
+def _of_mean_and_ratio(content: Mapping[str, Any], on_sd: float, off_sd: float) -> dict[str, float]:
+    """Standard deviations of the logs of the mean threshold and of ON over OFF, from those of the thresholds' logs."""
+    on, off = (float(content["parameters"][name]["value"]) for name in THRESHOLDS)
+    told: Mapping[str, Any] = content.get("covariance") or {"names": ()}
+    both = 0.0  # covariance of the logs
+    if set(THRESHOLDS) <= set(told["names"]):
+        row, column = (list(told["names"]).index(name) for name in THRESHOLDS)
+        both = float(told["matrix"][row][column] or 0.0)
+    matrix, share = np.array([[on_sd**2, both], [both, off_sd**2]]), on / (on + off)
+    ways = {"threshold": np.array([share, 1.0 - share]), "ratio": np.array([1.0, -1.0])}
+    return {name: math.sqrt(max(float(way @ matrix @ way), 0.0)) for name, way in ways.items()}
 
 
 def unexplained_by(folder: Path | None) -> tuple[str, ...]:

@@ -217,8 +217,11 @@ def reconstruct(
             f"{dataset.path / CALIBRATION}: {CIRCUIT[0]}: missing, like all circuit constants; give the pixel by "
             "--fit, or --bandwidth off"
         )
-    if fit and bandwidth.mode == "joint" and bandwidth.prior_sd is None:
-        bandwidth = replace(bandwidth, prior_sd=uncertainty_of_fit(Path(fit)))
+    if (
+        fit and bandwidth.moving and bandwidth.prior_sd is None
+    ):  # of what is asked for: what the gap asks for departs from the fit
+        told = {name: sd for name, sd in uncertainty_of_fit(Path(fit)).items() if name in bandwidth.moving}
+        bandwidth = replace(bandwidth, prior_sd=told or None)
     if recipe.between_poses == "cubic":
         dataset = replace(dataset, trajectory=dataset.trajectory.splined())
     maps = maps_of_sensor(Path(sensor), calibration.circuit, calibration.camera) if sensor else None

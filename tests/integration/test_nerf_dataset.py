@@ -456,6 +456,30 @@ def test_what_a_fit_leaves_uncertain_is_the_prior(tmp_path):
         uncertainty_of_fit(tmp_path)
 
 
+@pytest.mark.parametrize(("correlation", "mean", "ratio"), [(0.0, 0.0283, 0.0566), (0.96, 0.0396, 0.0113)])
+def test_mean_and_ratio_of_the_thresholds_are_as_uncertain_as_the_fit_left_them(correlation, mean, ratio, tmp_path):
+    """Of two thresholds known to 4 %, the ratio is known well where they move together."""
+    entries = {name: {"value": 0.25, "std": 0.01, "fixed": False} for name in ("on_threshold", "off_threshold")}
+    matrix = [[0.04**2, 0.0, correlation * 0.04**2], [0.0, 1.0, 0.0], [correlation * 0.04**2, 0.0, 0.04**2]]
+    covariance = {"names": ["off_threshold", "leak.rate_hz", "on_threshold"], "matrix": matrix}
+    (tmp_path / "fit.json").write_text(json.dumps({"parameters": entries, "covariance": covariance}))
+    assert uncertainty_of_fit(tmp_path) == pytest.approx({"threshold": mean, "ratio": ratio}, rel=2e-3)
+    entries["on_threshold"]["identified"] = False
+    (tmp_path / "fit.json").write_text(json.dumps({"parameters": entries, "covariance": covariance}))
+    assert uncertainty_of_fit(tmp_path) == {}
+
+
+def test_a_threshold_that_a_fit_knows_stays_near_it_while_it_is_trained(made, tmp_path):
+    """A scene that still lacks contrast would have it at a quarter of what it is."""
+    save_model(find_model("dvs128").without_effect("threshold_mismatch"), tmp_path / "model.toml")
+    entries = {name: {"value": 0.25, "std": 0.0005, "fixed": False} for name in ("on_threshold", "off_threshold")}
+    (tmp_path / "fit.json").write_text(json.dumps({"parameters": entries}))
+    words = ["reconstruct", str(made), "--fit", str(tmp_path), "--train", "threshold", "--train", "ratio", "--quiet"]
+    assert main([*words, "--out", str(tmp_path / "out"), "--steps", "100", "--batch", "64", "--cells", "16"]) in (0, 1)
+    pixel = json.loads((tmp_path / "out" / "reconstruction.json").read_text())["pixel"]
+    assert (pixel["on_threshold"], pixel["off_threshold"]) == pytest.approx((0.25, 0.25), rel=0.02)
+
+
 @pytest.mark.parametrize(("level", "expected"), [(1.0, 0.5), (0.9, 0.5), (1.1, 2.0), (0.3, 0.3), (3.0, 3.0)])
 def test_a_scene_begins_apart_from_its_background(level, expected):
     """Haze of the background's colour would make no event, whatever its density."""
