@@ -7,6 +7,7 @@ that has to explain it is blurred and full of grain.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -61,7 +62,8 @@ def maps_of_sensor(folder: Path, circuit: Circuit, camera: Camera) -> PixelMaps:
 
     Returns:
         Thresholds with what the map leaves uncertain; bandwidth relative to the model of the map, since the radiance
-        units may differ; pixels that fired far more than others under the map's light.
+        units may differ; pixels that fired far more than others under the map's light; by name, maps of what the
+        circuit does not have.
 
     Raises:
         InputError: no maps there, or of another sensor size.
@@ -86,7 +88,7 @@ def maps_of_sensor(folder: Path, circuit: Circuit, camera: Camera) -> PixelMaps:
             log, error = of_map.log.ravel(), of_map.sd.ravel()
             told = np.isfinite(log) & np.isfinite(error)
             mean[told, k], sd[told, k] = log[told] - np.log(nominal[k]), error[told]
-        elif name in COLUMNS and name in fitted.model.values:
+        elif name in COLUMNS and name in fitted.model.values and _has(circuit, COLUMNS[name]):
             factor = np.exp(of_map.log - np.log(fitted.model.values[name]))
             whole = np.repeat(np.repeat(factor, fitted.block, axis=0), fitted.block, axis=1)[: shape[0], : shape[1]]
             bandwidth[:, COLUMNS[name]] = np.where(np.isfinite(whole), whole, 1.0).ravel()
@@ -95,6 +97,14 @@ def maps_of_sensor(folder: Path, circuit: Circuit, camera: Camera) -> PixelMaps:
     hot = np.array([p.y * camera.width + p.x for p in hot_of_counts(fitted.events, 1.0)], np.int64)
     alike = (bandwidth == 1.0).all()
     return PixelMaps(mean, sd, None if alike else bandwidth, hot, tuple(unused))
+
+
+def _has(circuit: Circuit, column: int) -> bool:
+    """Whether a number of `Dynamics` is of a stage that the circuit has; of one pole α alone scales its corner."""
+    cutoffs = {3: circuit.follower, 4: circuit.extra_pole, 6: circuit.differencing}
+    if column in cutoffs:
+        return math.isfinite(cutoffs[column])
+    return circuit.photoreceptor == "second_order" or (circuit.photoreceptor == "one_pole" and column == 0)
 
 
 def find_hot(

@@ -73,7 +73,7 @@ class Problem:
         return {
             "threshold_spread": {"on": on, "off": off},
             "thresholds_trained": pixel.departures.requires_grad,
-            "bandwidth_mapped": pixel.maps.bandwidth is not None,
+            "bandwidth_mapped": pixel.maps.bandwidth is not None and pixel.filtering,
             "hot": {"count": len(hot), "xy": [[int(k % self.camera.width), int(k // self.camera.width)] for k in hot]},
         }
 

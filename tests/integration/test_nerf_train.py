@@ -455,7 +455,9 @@ def test_the_maps_of_a_sensor_are_reconstructed_with(made, tmp_path):
     events[4, 9] = 50_000
     SensorFit(maps, events, 1, 1, model, 1.0, 0, {}).save(tmp_path / "maps")
     words = ["reconstruct", str(made), "--out", str(tmp_path / "out"), "--sensor", str(tmp_path / "maps"), "--quiet"]
-    main([*words, "--steps", "3"])
+    main([*words, "--steps", "3", "--bandwidth", "off"])
+    assert not json.loads((tmp_path / "out" / "reconstruction.json").read_text())["pixels"]["bandwidth_mapped"]
+    main([*words, "--steps", "3", "--overwrite"])
     written = json.loads((tmp_path / "out" / "reconstruction.json").read_text())
     assert written["pixels"]["bandwidth_mapped"]
     assert written["pixels"]["hot"] == {"count": 1, "xy": [[9, 4]]}

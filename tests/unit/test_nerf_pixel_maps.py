@@ -112,8 +112,9 @@ def test_maps_of_a_sensor_replace_the_mismatch(tmp_path):
     maps = [of_values("on_threshold", on, 0.02), of_values("off_threshold", off, 0.03),
             of_values("sf_cutoff_hz", follower, 0.05)]  # fmt: skip
     folder = sensor(tmp_path / "maps", maps, events, block=2)
-    found = maps_of_sensor(folder, CIRCUIT, pinhole(6, 4, 0.7))
-    pixel = Pixel(CIRCUIT.with_(photoreceptor="one_pole", corner=100.0, follower=1e4), Bandwidth(), found)
+    circuit = CIRCUIT.with_(photoreceptor="one_pole", corner=100.0, follower=1e4)
+    found = maps_of_sensor(folder, circuit, pinhole(6, 4, 0.7))
+    pixel = Pixel(circuit, Bandwidth(), found)
     shown = [x.detach().numpy().reshape(4, 6) for x in pixel.thresholds_at(np.arange(24))]
     np.testing.assert_allclose(shown, [on, off], rtol=1e-6)
     np.testing.assert_allclose(found.threshold_sd, [[0.02, 0.03]] * 24)
@@ -132,6 +133,24 @@ def test_a_map_without_a_place_is_named(tmp_path):
     assert found.unused == ("map of lower_cutoff.cutoff_hz",)
     assert found.bandwidth is None
     np.testing.assert_array_equal(found.threshold_sd, 0.1)  # no map of thresholds: the circuit's mismatch
+
+
+@pytest.mark.parametrize(
+    ("mapped", "circuit"),
+    [
+        ("sf_cutoff_hz", {}),
+        ("diff_cutoff_hz", {"follower": 1e4}),
+        ("alpha", {"differencing": 1e5}),
+        ("gamma", {"photoreceptor": "one_pole", "corner": 100.0}),
+    ],
+)
+def test_a_map_of_a_stage_that_the_circuit_lacks_is_named(mapped, circuit, tmp_path):
+    """It would move a pole that is nowhere, and be reported as in use."""
+    typical = find_model("dvs128").values[mapped]
+    folder = sensor(tmp_path / "maps", [of_values(mapped, typical * np.array([[1.0, 2.0]]), 0.1)], np.full((1, 2), 50))
+    found = maps_of_sensor(folder, CIRCUIT.with_(**circuit), pinhole(2, 1, 0.7))
+    assert found.unused == (f"map of {mapped}",)
+    assert found.bandwidth is None
 
 
 def test_hot_pixels_are_those_that_no_light_explains():
