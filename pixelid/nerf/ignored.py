@@ -6,6 +6,7 @@ from dataclasses import fields
 
 from pixelid.stages import LIBRARY
 from pixelid.stages.circuit import Circuit
+from pixelid.stages.described import PREFIX
 
 # Fields of a circuit that training reads, or whose pixels it leaves out (hot ones).
 MODELLED = frozenset(
@@ -40,6 +41,9 @@ def ignored_effects(circuit: Circuit) -> tuple[str, ...]:
         if touched:
             names.append(effect.name)
             acting -= touched
+    if "described" in acting:
+        acting -= {"described"}
+        names += [f"{PREFIX}{m.quantity}.{m.covariate}.{m.form}" for m in circuit.described if m.strength != 0.0]
     return (*names, *sorted(acting))
 
 

@@ -101,5 +101,10 @@ def test_every_effect_is_modelled_or_named():
         if name != "second_order_photoreceptor":
             assert ignored_effects(effect.apply(base.circuit(), values)) == expected, name
     assert ignored_effects(Circuit(jitter=1e-5, slew_rise=100.0)) == ("slew_limit", "timestamp_jitter")
+    described = {"threshold.radiance.power": 0.1, "dead_time.none.constant": 0.0, "leak.none.constant": 2.0}
+    written = base
+    for name, strength in described.items():
+        written = written.with_effect(f"described.{name}", {"strength": strength})
+    assert ignored_effects(written.circuit()) == ("described.threshold.radiance.power",)  # a leak is a leak
     assert ignored_effects(Circuit(delay=1e-3)) == ()  # of the stimulus's clock
     assert set(Circuit.__dataclass_fields__) >= MODELLED
