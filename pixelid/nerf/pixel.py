@@ -179,6 +179,11 @@ class Pixel(torch.nn.Module):
             least = [(a.least - getattr(self.circuit, a.field)) for a in ADDITIONS.values()]
             self.added.clamp_(min=torch.tensor(least, dtype=torch.float64, device=self.added.device) / self.steps)
 
+    def thresholds_from_told(self) -> dict[str, float]:
+        """By how many standard deviations trained mean and ratio have left what `Bandwidth.prior_sd` tells of them."""
+        far = dict(zip(FACTORS, (self.moves * self.factors.detach() / self.prior_sd).tolist(), strict=True))
+        return {name: far[name] for name in ("threshold", "ratio") if name in (self.bandwidth.prior_sd or {})}
+
     def penalty(self, left: float = 1.0) -> torch.Tensor:
         """−ln prior of the factors, and of the pixels' thresholds times `left`, the variance that a change leaves."""
         of_factors = ((self.factors / self.prior_sd) ** 2).sum()

@@ -33,6 +33,9 @@ from pixelid.results import Result, Table
 from pixelid.status import Status
 
 LEARNED = 0.9  # share of held-out changes left unexplained, above which the field explains too little
+# Standard deviations of a fit from which on a trained threshold contradicts it: the scene's contrast, which events tell
+# from a threshold hardly, has taken it along
+MOST_FAR = 5.0
 LOOKS = 10  # running PSNR, per run
 SAVE_EVERY, SAVE_AFTER_S = 100, 30.0  # steps between checkpoints; sooner where steps take long
 
@@ -295,7 +298,8 @@ def reconstruct(
     published = evaluate_as_published(state.field, test, problem.dark) if finite and protocol == "paper" else None
     held_out = held_out_residual(problem, state) if finite else float("nan")
     told = np.isfinite(held_out) or not len(problem.held_out.starts)
-    status, advice = _verdict(held_out, scores, state.iteration, finite and bool(told))
+    finite, far = finite and bool(told), state.pixel.thresholds_from_told()
+    status, advice = _verdict(held_out, scores, state.iteration, finite, far)
     return Reconstruction(
         status, advice, bandwidth, state, problem, recipe, scores, test, held_out,
         earlier + time.perf_counter() - watch, rate, device, seed, inputs, ignored, published, found, other,
@@ -310,7 +314,9 @@ def _running(state: State, problem: Problem, validation: Views) -> float:
     return float(evaluate(state.field, first, second, problem.dark).psnr.mean())
 
 
-def _verdict(held_out: float, scores: Scores, steps: int, finite: bool) -> tuple[Status, str]:
+def _verdict(
+    held_out: float, scores: Scores, steps: int, finite: bool, far: Mapping[str, float]
+) -> tuple[Status, str]:  # fmt: skip
     if not finite or not np.isfinite(scores.psnr).all():
         return Status.diverged, (
             f"loss or field was no number after {steps} steps: lower the learning rate, or check thresholds, dead time "
@@ -320,6 +326,13 @@ def _verdict(held_out: float, scores: Scores, steps: int, finite: bool) -> tuple
         return Status.misfit, (
             f"what events of held-out pixels tell is missed by {held_out:.2f} of its size (1 would be no scene): "
             "check poses, polarity, thresholds and --box, or train longer"
+        )
+    gone = {name: z for name, z in far.items() if abs(z) > MOST_FAR}
+    if gone:
+        went = ", ".join(f"{name} {z:+.0f}" for name, z in gone.items())
+        return Status.misfit, (
+            f"trained thresholds contradict the fit: {went} of its standard deviations away, for events hardly tell "
+            "them from the scene's contrast; leave --train threshold and ratio out, or check --fit"
         )
     return Status.converged, ""
 

@@ -29,11 +29,12 @@ from pixelid.nerf import field as fields
 from pixelid.nerf.calibration import FILE as CALIBRATION
 from pixelid.nerf.calibration import of_fit
 from pixelid.nerf.dataset import read_dataset
+from pixelid.nerf.evaluate import no_scores
 from pixelid.nerf.pixel import Bandwidth, limits_bandwidth
 from pixelid.nerf.poses import Refinement
 from pixelid.nerf.problem import problem_of
 from pixelid.nerf.recipe import Recipe
-from pixelid.nerf.reconstruct import Reconstruction, reconstruct
+from pixelid.nerf.reconstruct import Reconstruction, _verdict, reconstruct
 from pixelid.nerf.state import State, start
 from pixelid.nerf.synthetic import SETTINGS, make_dataset
 from pixelid.nerf.train import held_out_residual, step, train
@@ -503,6 +504,20 @@ def test_a_search_needs_pixels_to_hold_out(made):
     one = replace(data, t=data.t[mine], x=data.x[mine], y=data.y[mine], on=data.on[mine])
     with pytest.raises(InputError, match="held out"):
         reconstruct(one, recipe=SMALL, gap=True)
+
+
+def test_a_threshold_that_has_left_its_fit_is_no_result(made):
+    data = read_dataset(made)
+    told = Bandwidth("joint", 10, {"alpha": 0.01, "threshold": 0.04}, ("threshold", "ratio"))
+    state = start(problem_of(data, trained=told.moving), SMALL, told)
+    with torch.no_grad():
+        state.pixel.factors.copy_(torch.tensor([0.2, 0.0, 0.0, 0.0, -0.4, 1.0]))
+    far = state.pixel.thresholds_from_told()
+    assert far == pytest.approx({"threshold": -10.0})  # nothing is told of the ratio
+    status, advice = _verdict(0.4, no_scores(data.views["test"].some([])), 24, True, far)
+    assert status is Status.misfit
+    assert "threshold -10 of its standard deviations" in advice
+    assert _verdict(0.4, no_scores(data.views["test"].some([])), 24, True, {"ratio": 4.0})[0] is Status.converged
 
 
 def test_what_the_pixel_has_and_the_scene_ignores_is_said(made, tmp_path, capsys):
