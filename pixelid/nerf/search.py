@@ -123,7 +123,7 @@ def search(
         progress: called with what is done and the fraction.
 
     Returns:
-        The pixel with what was found.
+        The pixel with what was found; as it was told, where nothing was.
     """
     warm, steps = (max(round(share * recipe.iterations), 1) for share in (WARM, TRIAL))
     problem = make(calibration, bandwidth.moving)
@@ -159,7 +159,7 @@ def search(
         kept.append((names[best], trials[best]))
         names = tuple(name for k, name in enumerate(names) if k != best)
     if not kept:
-        return Found(told.calibration, (), (), tuple(rounds))
+        return Found(calibration, (), (), tuple(rounds))
     told = bench.go_on(told, here.state.iteration - told.state.iteration)
     before, after = bench.rows(told), bench.rows(here)
     effects = (replace(trial, values=_values(name, here.calibration, here.state.pixel)) for name, trial in kept)

@@ -506,6 +506,18 @@ def test_a_search_needs_pixels_to_hold_out(made):
         reconstruct(one, recipe=SMALL, gap=True)
 
 
+def test_a_search_that_names_nothing_leaves_the_pixel_as_told(made):
+    """Its own training is no prior: the scene is that of a run without a search."""
+    data, told = read_dataset(made), Bandwidth("joint", 10, {"alpha": 0.05, "threshold": 0.05}, ("threshold",))
+    searched = reconstruct(data, bandwidth=told, recipe=SMALL, gap=True, device="cpu")
+    assert searched.gap is not None
+    assert searched.gap["effects"] == []
+    plain = reconstruct(data, bandwidth=told, recipe=SMALL, device="cpu")
+    assert searched.problem.circuit == plain.problem.circuit
+    assert torch.equal(searched.state.pixel.factors, plain.state.pixel.factors)
+    assert torch.equal(searched.state.field.grid, plain.state.field.grid)
+
+
 def test_a_threshold_that_has_left_its_fit_is_no_result(made):
     data = read_dataset(made)
     told = Bandwidth("joint", 10, {"alpha": 0.01, "threshold": 0.04}, ("threshold", "ratio"))
