@@ -55,6 +55,8 @@ def refuse_existing(path: Path, overwrite: bool, *, markers: Sequence[str] | Non
     if os.path.lexists(path):
         if not overwrite:
             raise InputError(f"{path}: exists already; choose another --out or pass --overwrite")
+        if path.exists() and not (path.is_file() or path.is_dir()):  # /dev/null, which root could replace
+            raise InputError(f"{path}: expected a file or a folder, found a device or a pipe; choose another --out")
         if path.is_dir() and markers is not None and not _ours(path, markers):
             raise InputError(
                 f"{path}: --overwrite replaces only a result of pixelid (a folder with {markers[0]} or the like), "
@@ -279,7 +281,7 @@ def _beside(path: Path) -> Iterator[Path]:
         names = [Path(str(name)) for name in (error.filename, error.filename2) if name is not None]
         target = path.resolve()
         own = {folder, path, target}
-        if names and not any(name == target.parent or own & {name, *name.parents} for name in names):
+        if folder and names and not any(name == target.parent or own & {name, *name.parents} for name in names):
             raise  # another file: an input
         raise _cannot_write(path, error) from error
     finally:

@@ -3,8 +3,11 @@
 import errno
 import json
 import os
+import re
+import stat
 import subprocess
 import sys
+import tempfile
 
 import numpy as np
 import pytest
@@ -61,6 +64,16 @@ def test_a_file_is_not_replaced_by_a_folder_nor_a_folder_by_a_file(tmp_path):
     with pytest.raises(InputError, match="found a folder"), whole_file(result(tmp_path / "out"), overwrite=True):
         pass
     assert (tmp_path / "file").read_text() == "precious"
+
+
+@pytest.mark.parametrize("replaced", [claimed, whole_file])
+def test_a_pipe_is_not_replaced_by_a_file(replaced, tmp_path):
+    """Nor a device: whoever runs as root and writes to /dev/null would leave the machine without it."""
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    with pytest.raises(InputError, match="found a device or a pipe"), replaced(pipe, overwrite=True):
+        pass
+    assert stat.S_ISFIFO(pipe.stat().st_mode)
 
 
 def test_a_link_keeps_pointing_at_the_folder_that_is_replaced(tmp_path):
@@ -258,6 +271,18 @@ def test_a_read_only_folder_is_one_line(tmp_path):
 
 
 # --- files that nobody should trust -----------------------------------------------------------------------------
+
+
+def test_a_folder_that_takes_no_temporary_is_said_of_the_target(tmp_path, monkeypatch):
+    """As a read-only file system refuses it, where nothing has claimed the folder before: a page written anew."""
+
+    def refused(prefix, suffix, dir):
+        raise OSError(errno.EROFS, os.strerror(errno.EROFS), f"{dir}/{prefix}{suffix}")
+
+    monkeypatch.setattr(tempfile, "mkdtemp", refused)
+    words = f"{tmp_path / 'report.html'}: cannot be written (Read-only file system)"
+    with pytest.raises(OutputError, match=re.escape(words)), whole_file(tmp_path / "report.html"):
+        pass
 
 
 def test_a_marker_that_is_no_json_object_marks_nothing(tmp_path):
