@@ -74,13 +74,18 @@ def charge_per_capacitance() -> float:
 
 
 def _photoreceptor(model: Model, light: Light, values: CircuitValues | None) -> tuple[Entry, ...]:
-    if values is None:
-        return ()
-    p, source = values.physical, f"by {values.chosen_by}"
-    scale = p.radiance_scale
-    return (
+    """Without a bandwidth limit, of capacitances 0 as by default, only what makes the dark current."""
+    dark = model.circuit().dark
+    scale = 1.0 if values is None else values.physical.radiance_scale
+    currents = (
         Entry("I_p_to_intensity_ratio_fa", scale * light.white, "fA", "photocurrent of a white pixel"),
-        Entry("dark_current_fa", scale * model.circuit().dark, "fA", "dark_current.radiance"),
+        Entry("dark_current_fa", scale * dark, "fA", "dark_current.radiance"),
+    )
+    if values is None:
+        return currents if dark > 0 else ()
+    p, source = values.physical, f"by {values.chosen_by}"
+    return (
+        *currents,
         Entry("amplifier_gain", p.A_amp, "", source),
         Entry("back_gate_coeff", p.A_loop / p.A_amp, "", f"A_loop/A_amp, {source}"),
         Entry("thermal_voltage_mv", THERMAL_VOLTAGE_MV, "mV", "room temperature; only its product with C counts"),

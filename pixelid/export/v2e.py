@@ -18,11 +18,13 @@ from pixelid.model.model import Model
 from pixelid.stages.circuit import Circuit
 
 OFFSET = 20.0  # grey levels, added to those that set the corner; also the end of the linear part
+SLOPE = math.log(OFFSET)  # there, of the logarithm's: the line goes through the origin
 FALL = 0.75  # of the shot noise rate, from none to full light: the rate is × (1 − FALL (DN + OFFSET)/275)
 DIM = 1.0  # grey level at which the noise of "the darkest parts" is taken: below it there is no light left
 STEPS = 0.3  # of the corner's time constant: what one frame may be long before v2e warns
 
 CARRIED = {
+    "linear_log": "",
     "bandwidth_floor": "",
     "source_follower_pole": "merged into one pole with the photoreceptor: its part should not change with light.",
     "extra_pole": "merged into one pole with the photoreceptor: its part should not change with light.",
@@ -95,6 +97,12 @@ def _lost(model: Model, light: Light, noise: NoiseRates) -> list[str]:
         carried["refractory_period"] = "the reference is taken at the event, not at the end of the reset."
     if circuit.bandwidth_floor and not math.isclose(floor, OFFSET, rel_tol=1e-3):
         carried["bandwidth_floor"] = f"always {OFFSET:g} grey levels; the model has {floor:.3g}."
+    knee, slope = circuit.knee / light.per_grey, circuit.knee_slope
+    if not (math.isclose(knee, OFFSET, rel_tol=1e-3) and math.isclose(slope, SLOPE, rel_tol=1e-3)):
+        carried["linear_log"] = (
+            f"always below {OFFSET:g} grey levels, by a line of slope {SLOPE:.4g} of the logarithm's; the model has "
+            f"{knee:.3g} and {slope:.4g}."
+        )
     sentences = []
     if lag.total(light.level) > 0:
         cutoff, grey = cutoff_hz(model, light), 0.1 * light.grey
@@ -105,7 +113,8 @@ def _lost(model: Model, light: Light, noise: NoiseRates) -> list[str]:
         )
         if model.photoreceptor == "second_order":
             sentences.append("the photoreceptor's second pole: v2e has one, so that steps neither start flat nor ring.")
-    sentences.append(f"contrast below {OFFSET:g} grey levels: v2e takes light there as linear, not logarithmic.")
+    if not model.has("linear_log"):
+        sentences.append(f"contrast below {OFFSET:g} grey levels: v2e takes light there as linear, not logarithmic.")
     sentences += losses(model, carried)
     if not math.isclose(circuit.on_threshold, circuit.off_threshold) and circuit.mismatch > 0:
         sentences.append("mismatch in proportion to each threshold: v2e has one standard deviation for both.")

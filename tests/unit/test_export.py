@@ -63,6 +63,17 @@ def test_v2e_is_exact_at_every_light_for_its_own_pixel():
         assert 2 * math.pi * cutoff * (level + 20.0) / 275.0 == pytest.approx(slope * (level + 20.0), rel=1e-12)
 
 
+@pytest.mark.parametrize(
+    ("knee", "slope", "told"), [(20.0, math.log(20.0), 0), (20.0, 1.0, 1), (5.0, math.log(20.0), 1)]
+)
+def test_v2e_has_the_linear_part_that_it_makes(knee, slope, told):
+    """Of its own knee and slope nothing is lost; of others, which they are."""
+    model = find_model("ideal").with_effect("linear_log", {"knee": 2.0 * knee, "slope": slope})
+    lost = export(model, "v2e", Light(2.0 * FULL_LIGHT, 2.0 * FULL_LIGHT)).lost
+    assert sum("linear" in sentence for sentence in lost) == told
+    assert sum(f"the model has {knee:g} and {slope:.4g}" in sentence for sentence in lost) == told
+
+
 def test_white_scales_the_light():
     dim = replace(ONE_POLE, parameters={**ONE_POLE.parameters})
     at_fifty = parameters(dim, "v2e", Light(50.0, 50.0))["cutoff_hz"]
@@ -172,6 +183,13 @@ def test_esim_of_one_pole_has_its_corner():
     loop, charge = p["amplifier_gain"] * p["back_gate_coeff"], p["photodiode_cap_ff"] * 1e-3 * p["thermal_voltage_mv"]
     assert p["output_time_const_us"] == p["miller_cap_ff"] == 0
     assert (loop + 1.0) / charge == pytest.approx(ONE_POLE.values["alpha_over_beta"])
+
+
+def test_esim_without_bandwidth_limit_keeps_the_dark_current():
+    """Its black level is dark_current_fa over I_p_to_intensity_ratio_fa, infinite by default."""
+    p = parameters(find_model("ideal").with_effect("dark_current", {"radiance": 8.0}), "esim", Light(2000.0, 2000.0))
+    assert p["dark_current_fa"] / p["I_p_to_intensity_ratio_fa"] == pytest.approx(8.0 / 2000.0)
+    assert not {"amplifier_gain", "photodiode_cap_ff"} & set(p)
 
 
 def test_deblur_e_nerf_calibration_holds_the_keys_and_rates_that_its_readers_want():
