@@ -204,6 +204,13 @@ def test_equal_thresholds_resonate():
     assert rates.on_hz > 2 * apart.on_hz
 
 
+def test_rates_too_small_for_numbers_are_not_negative():
+    """With threshold noise of 23 % only the farthest draw waits, for 10¹¹⁰ s, and rounding takes its sign."""
+    circuit = find_model("gen31").with_effect("shot_noise", {"density": 1e-8}).circuit().with_(mismatch=0.0)
+    for light in (0.00196, 0.011):
+        assert min(mean_rates(circuit, light)) >= 0
+
+
 def test_what_cannot_be_followed_is_refused():
     with pytest.raises(InputError, match="lower_cutoff"):
         noise_rates(circuit(lower_cutoff=1.0), 24.0)

@@ -89,8 +89,10 @@ def rates_of(process: NoiseProcess, circuit: Circuit, radiance: float) -> NoiseR
     chain = chain_of(process, circuit, drift)
     share = chain.share
     wait = float(share @ chain.waited)
+    if wait < 0:  # waits beyond any number's use, of either sign by rounding
+        return NoiseRates(0.0, 0.0, math.inf)
     rate = 1.0 / (wait + circuit.refractory)
-    on = float(share[: len(share) // 2].sum())
+    on = min(max(float(share[: len(share) // 2].sum()), 0.0), 1.0)
     return NoiseRates(rate * on, rate * (1.0 - on), wait)
 
 
