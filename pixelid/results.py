@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, cast
 
-from pixelid.documents import read_json
+from pixelid.documents import read_json, read_toml
 from pixelid.errors import InputError, shown
 from pixelid.outputs import refuse_existing, whole_folder, write_json
 from pixelid.status import Status
@@ -229,16 +229,24 @@ def read_result(folder: str | Path, file: str) -> dict[str, Any]:
 def read_unidentified(folder: Path) -> list[str]:
     """What the fit in a folder, of events or of a table, says that it left open; nothing where there is no fit.
 
+    Of the folder of one camera, what the fit of several beside it says of that camera.
+
     Raises:
         InputError: a damaged result.
     """
-    found: list[str] = []
-    for file in ("fit.json", "latency.json", "noise.json"):
-        if (folder / file).is_file():
-            content = read_result(folder, file)
-            check_kinds(content, folder / file, a_list_of_texts=("unidentified",))
-            found += [str(sentence) for sentence in content["unidentified"]]
-    return found
+    folder = folder.absolute()
+    there = [file for file in ("fit.json", "latency.json", "noise.json") if (folder / file).is_file()]
+    if there or not ((folder / "model.toml").is_file() and (folder.parent / "latency.json").is_file()):
+        return [sentence for file in there for sentence in _left_open(folder, file)]
+    of_latencies = read_toml(folder / "model.toml").get("latency", {})
+    camera = cast("dict[str, Any]", of_latencies).get("camera") if isinstance(of_latencies, dict) else None
+    return [sentence for sentence in _left_open(folder.parent, "latency.json") if sentence.startswith(f"{camera}: ")]
+
+
+def _left_open(folder: Path, file: str) -> list[str]:
+    content = read_result(folder, file)
+    check_kinds(content, folder / file, a_list_of_texts=("unidentified",))
+    return [str(sentence) for sentence in content["unidentified"]]
 
 
 def required(content: Mapping[str, Any], folder: str | Path, file: str, *names: str) -> list[Any]:

@@ -19,6 +19,7 @@ from pixelid.model.files import save_model
 from pixelid.model.shipped import find_model, shipped_models
 from pixelid.nerf.calibration import CIRCUIT, COMPARATOR
 from pixelid.parameters.gauge import Gauge
+from pixelid.tables.latency.camera import Camera, save_camera
 
 ONE_POLE = find_model("dvs128_low_light").without_effect("source_follower_pole").without_effect("differencing_pole")
 FULL_LIGHT = 255.0
@@ -53,6 +54,18 @@ def test_what_a_fit_left_open_is_said(tmp_path, file):
     (tmp_path / file).write_text(json.dumps({"unidentified": ["beta: anything"], "parameters": {}}))
     assert main(["export", str(tmp_path), "--to", "v2e", "--out", str(tmp_path / "v2e.txt"), "--quiet"]) == 0
     assert "not identified by the fit: beta: anything" in (tmp_path / "v2e.txt").read_text()
+
+
+def test_what_a_fit_of_several_cameras_left_open_is_said_of_each(tmp_path):
+    """Each camera has a folder of its own, and latency.json lies beside these."""
+    (tmp_path / "a_b").mkdir()
+    save_camera(Camera("a b", ONE_POLE, ()), tmp_path / "a_b" / "model.toml")
+    left = {"unidentified": ["a b: beta: anything", "c: gamma: anything"], "parameters": {}}
+    (tmp_path / "latency.json").write_text(json.dumps(left))
+    assert main(["export", str(tmp_path / "a_b"), "--to", "v2e", "--out", str(tmp_path / "v2e.txt"), "--quiet"]) == 0
+    said = (tmp_path / "v2e.txt").read_text()
+    assert "not identified by the fit: a b: beta: anything" in said
+    assert "gamma: anything" not in said
 
 
 def test_v2e_is_exact_at_every_light_for_its_own_pixel():
