@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from scipy.stats import t as student
@@ -28,18 +28,19 @@ from pixelid.results import Result, Table, check_kinds, read_result, required
 from pixelid.status import Status
 
 FEW_PIXELS = 8  # whose scatter is known to a quarter
+MOST_K_HAT = 0.7  # Pareto shape from which on importance weights cannot be relied on (`sample.k_hat`)
 DECISIVE = 0.975  # chance below which a paired held-out difference stays, by Student's t over pixels
 
 
 @dataclass(frozen=True)
 class Contender:
     """One model: its fit to everything, bic (smaller is better), held_out (pixels,) log-likelihood, and PSIS-LOO
-    {"elpd", "se", "worst_k_hat"} when posteriors were drawn."""
+    {"elpd", "se", "worst_k_hat", "status" of the posterior} when posteriors were drawn."""
 
     result: FitResult
     bic: float
     held_out: np.ndarray
-    loo: Mapping[str, float] | None = None
+    loo: Mapping[str, Any] | None = None
 
 
 @dataclass(frozen=True, repr=False)
@@ -64,8 +65,9 @@ class Comparison(Result):
 
     @property
     def status(self) -> Status:
-        """The least trustworthy of the fits."""
-        return Status.worst([c.result.status for c in self.contenders.values()])
+        """The least trustworthy of the fits and posteriors."""
+        posteriors = [c.loo["status"] for c in self.contenders.values() if c.loo is not None]
+        return Status.worst([*(c.result.status for c in self.contenders.values()), *posteriors])
 
     @property
     def headline(self) -> str:
@@ -121,7 +123,7 @@ class Comparison(Result):
             models, best, sentence = required(content, folder, cls.FILE, "models", "best", "sentence")
             contenders = {
                 name: Contender(
-                    FitResult.load(folder / "fits" / file_name(name)), row["bic"], held_out[name], row["loo"]
+                    FitResult.load(folder / "fits" / file_name(name)), row["bic"], held_out[name], _read_loo(row["loo"])
                 )
                 for name, row in models.items()
             }
@@ -219,14 +221,14 @@ def compare(
         contenders[model.name] = Contender(result, float(bic), np.concatenate(held_out), loo)
     best = max(contenders, key=lambda name: contenders[name].held_out.sum())
     report("done", 1.0)
-    return Comparison(contenders, best, _sentence(contenders, best))
+    return Comparison(contenders, best, _sentence(contenders, best) + _about_loo(contenders))
 
 
 def _only(recordings: Sequence[Recording], pixels: np.ndarray) -> list[Recording]:
     return [replace(r, events=r.events.select(np.isin(r.events.pixel, pixels))) for r in recordings]
 
 
-def _loo(result: FitResult, recordings: Sequence[Recording], seed: int) -> dict[str, float]:
+def _loo(result: FitResult, recordings: Sequence[Recording], seed: int) -> dict[str, Any]:
     """PSIS-LOO over pixels (Vehtari, Gelman & Gabry 2017, Stat. Comput. 27)."""
     import warnings
 
@@ -235,12 +237,32 @@ def _loo(result: FitResult, recordings: Sequence[Recording], seed: int) -> dict[
     from pixelid.sample import sample
     from pixelid.sample.groups import inference_data
 
-    data = inference_data(sample(result, recordings, seed=seed), result, recordings, predictive_draws=0)
+    posterior = sample(result, recordings, seed=seed)
+    data = inference_data(posterior, result, recordings, predictive_draws=0)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         pointwise = loo(data, var_name="pixel", pointwise=True)
     worst = float(np.max(pointwise.pareto_k))
-    return {"elpd": float(pointwise.elpd), "se": float(pointwise.se), "worst_k_hat": worst}
+    return {
+        "elpd": float(pointwise.elpd), "se": float(pointwise.se), "worst_k_hat": worst, "status": posterior.status
+    }  # fmt: skip
+
+
+def _read_loo(entry: Mapping[str, Any] | None) -> dict[str, Any] | None:
+    """Of compare.json, where earlier versions said nothing of the posterior."""
+    return None if entry is None else {**entry, "status": Status(entry.get("status", Status.converged))}
+
+
+def _about_loo(contenders: Mapping[str, Contender]) -> str:
+    """What PSIS-LOO says of each model, and of which it cannot be relied on; nothing where no posterior was drawn."""
+    known = {name: c.loo for name, c in contenders.items() if c.loo is not None}
+    if not known:
+        return ""
+    said = ", ".join(f"{name} {loo['elpd']:.1f} ± {loo['se']:.2g}" for name, loo in known.items())
+    doubted = [f"{name} (k̂ {loo['worst_k_hat']:.2f})" for name, loo in known.items() if loo["worst_k_hat"] > MOST_K_HAT]
+    doubted += [f"{name} (not converged)" for name, loo in known.items() if loo["status"] != Status.converged]
+    words = f"; not to be relied on for {', '.join(doubted)}: go by the held-out pixels" if doubted else ""
+    return f". PSIS-LOO over pixels, in nats: {said}{words}"
 
 
 def _sentence(contenders: Mapping[str, Contender], best: str) -> str:

@@ -81,7 +81,7 @@ def summarise_compare(result: Result, folder: Path) -> Summary:
     return Summary(
         "compare",
         " or ".join(models) + "?",
-        "converged" if all(m["status"] == "converged" for m in models.values()) else "misfit",
+        result["status"],
         result["sentence"][:1].upper() + result["sentence"][1:] + ".",
         (
             Number("most likely on held-out pixels", result["best"]),

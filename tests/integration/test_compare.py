@@ -7,12 +7,14 @@ import numpy as np
 import pytest
 
 from pixelid.compare import compare
-from pixelid.compare.compare import Comparison, Contender, _sentence
+from pixelid.compare.compare import Comparison, Contender, _about_loo, _sentence
 from pixelid.errors import InputError
 from pixelid.model.shipped import find_model
 from pixelid.recordings.events import Events
 from pixelid.recordings.recording import Recording
+from pixelid.report.fits import summarise_compare
 from pixelid.simulate import simulate
+from pixelid.status import Status
 from pixelid.stimuli.shapes import chirp
 
 
@@ -99,3 +101,26 @@ def test_two_pixels_decide_little():
     said = _sentence({"a": contender(9, [1.0, 1.6]), "b": contender(7, [0.0, 0.0])}, "a")
     assert "do not decide" in said
     assert "2 pixels are few" in said
+
+
+def with_loo(k_hat: float, status: Status) -> Contender:
+    loo = {"elpd": 100.0, "se": 2.0, "worst_k_hat": k_hat, "status": status}
+    return Contender(SimpleNamespace(status=Status.converged), 0.0, np.zeros(2), loo)
+
+
+def test_leave_one_out_is_said_and_what_cannot_be_relied_on_is_named():
+    """Draws for a k̂ that nobody reads: of four pixels it was 0.72 and 0.77, and stood in the JSON alone."""
+    good, bad = with_loo(0.3, Status.converged), with_loo(0.77, Status.converged)
+    late = with_loo(0.3, Status.not_converged)
+    assert _about_loo({"a": contender(1, [0.0, 0.0])}) == ""
+    assert _about_loo({"a": good}) == ". PSIS-LOO over pixels, in nats: a 100.0 ± 2"
+    said = _about_loo({"a": good, "b": bad, "c": late})
+    assert said.endswith("not to be relied on for b (k̂ 0.77), c (not converged): go by the held-out pixels")
+    assert Comparison({"a": good, "b": late}, "a", "").status == Status.not_converged
+
+
+@pytest.mark.parametrize("status", ["at_bound", "converged"])
+def test_the_page_of_a_comparison_has_its_status(status, outcome, tmp_path):
+    said = outcome.as_dict() | {"status": status}
+    said["models"] = {name: row | {"status": status} for name, row in said["models"].items()}
+    assert summarise_compare(said, tmp_path).status == status
