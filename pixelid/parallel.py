@@ -1,18 +1,23 @@
 """Independent work on all cores: the one place where the package starts threads.
 
-Threads suffice because the compiled kernels, NumPy and torch release the interpreter's lock.  Work over several
-machines or processes is Dask's (`cluster.py`) or `torchrun`'s (`nerf/parallel.py`).
+Threads suffice because the compiled kernels, NumPy and torch release the interpreter's lock.  While they work, linear
+algebra uses one thread each: its own would be one per core in each of them, and wait for one another most of the time
+(fits of noise tables took four times as long).  Work over several machines or processes is Dask's (`cluster.py`) or
+`torchrun`'s (`nerf/parallel.py`).
 """
 
 from __future__ import annotations
 
 import os
+import sys
 import threading
 from collections.abc import Callable, Iterable
 from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
 from functools import lru_cache
 from itertools import pairwise
 from typing import TypeVar
+
+from threadpoolctl import ThreadpoolController
 
 from pixelid.errors import InputError
 
@@ -66,16 +71,17 @@ def map_threads(
     count = min(thread_count() if threads is None else threads, len(items))
     if count <= 1 or getattr(_inside, "worker", False):
         return [function(item) for item in items]
-    futures = [_pool(threads or thread_count()).submit(function, item) for item in items]
-    try:
-        wait(futures, return_when=FIRST_EXCEPTION)
-        for future in futures:
-            if future.done() and future.exception() is not None:
-                future.result()
-        return [future.result() for future in futures]
-    finally:
-        for future in futures:
-            future.cancel()
+    with _linear_algebra("scipy.linalg" in sys.modules).limit(limits=1, user_api="blas"):
+        futures = [_pool(threads or thread_count()).submit(function, item) for item in items]
+        try:
+            wait(futures, return_when=FIRST_EXCEPTION)
+            for future in futures:
+                if future.done() and future.exception() is not None:
+                    future.result()
+            return [future.result() for future in futures]
+        finally:
+            for future in futures:
+                future.cancel()
 
 
 def ranges(count: int, parts: int | None = None) -> list[slice]:
@@ -95,6 +101,12 @@ def ranges(count: int, parts: int | None = None) -> list[slice]:
     parts = max(min(thread_count() if parts is None else parts, count), 1)
     edges = [count * i // parts for i in range(parts + 1)]
     return [slice(first, last) for first, last in pairwise(edges) if last > first]
+
+
+@lru_cache(maxsize=2)
+def _linear_algebra(scipy_loaded: bool) -> ThreadpoolController:
+    """The libraries that are loaded: NumPy's, and SciPy's own once it is there."""
+    return ThreadpoolController()
 
 
 @lru_cache(maxsize=2)

@@ -7,7 +7,9 @@ import sys
 import threading
 import time
 
+import numpy as np
 import pytest
+from threadpoolctl import threadpool_info
 
 from pixelid.errors import InputError
 from pixelid.parallel import map_threads, ranges, thread_count
@@ -24,6 +26,18 @@ def test_results_come_in_order_of_the_items():
 def test_items_run_at_the_same_time():
     meeting = threading.Barrier(2, timeout=10)
     assert sorted(map_threads(lambda _: meeting.wait(), range(2), threads=2)) == [0, 1]
+
+
+def test_linear_algebra_uses_one_thread_while_threads_work():
+    """Its own threads beside them waited for one another: fits of noise tables took four times as long."""
+    np.linalg.solve(np.eye(2), np.ones(2))
+
+    def blas_threads():
+        return {each["num_threads"] for each in threadpool_info() if each["user_api"] == "blas"}
+
+    before = blas_threads()
+    assert map_threads(lambda _: blas_threads(), range(2), threads=2) == [{1}, {1}]
+    assert blas_threads() == before
 
 
 def test_nested_use_does_not_deadlock():
