@@ -10,6 +10,8 @@ import numpy as np
 from numba import njit
 from scipy.linalg import expm, solve_continuous_lyapunov
 
+PLACES = 64  # of a crossing within a step that are told apart
+
 
 def stages(a: float, b2: float, follower: float, differencing: float, psd: float) -> tuple[np.ndarray, np.ndarray]:
     """(A, P): dynamics and stationary covariance of slope / √a, photoreceptor, follower, amplifier; psd one-sided."""
@@ -34,24 +36,31 @@ def simulate_noise_events(
     """
     A, P = stages(a, b2, follower, differencing, psd)
     step = np.sqrt(P[3, 3] / (A @ P @ A.T)[3, 3]) / fineness
-    # an event is seen at the end of its step, half a step late: a dead time of m − ½ steps is the wanted one
-    silent = max(1, round(dead_s / step))
-    step = dead_s / (silent - 0.5) if dead_s > step else step
+    if dead_s > 0:
+        step = min(step, dead_s)
+    F, root = _stepped(A, P, step)
+    # from the end of the step in which a threshold is crossed to the end of the dead time, by place of the crossing
+    silent = [_stepped(A, P, max(dead_s - (1.0 - (k + 0.5) / PLACES) * step, 0.0)) for k in range(PLACES)]
+    rng = np.random.default_rng(seed)
+    x = rng.multivariate_normal(np.zeros(4), P)
+    t, p = _run(
+        rng, F, root, np.array([each[0] for each in silent]), np.array([each[1] for each in silent]), step,
+        differencing, on, off, dead_s, leak, threshold_noise, x, duration_s,
+    )  # fmt: skip
+    return t, p, duration_s
+
+
+def _stepped(A, P, step):
+    """Propagator of a step and a root of the covariance of its noise."""
     F = expm(A * step)
     scale = np.sqrt(np.diag(P))
     values, vectors = np.linalg.eigh((P - F @ P @ F.T) / np.outer(scale, scale))
-    root = scale[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
-    rng = np.random.default_rng(seed)
-    x = rng.multivariate_normal(np.zeros(4), P)
-    steps = int(duration_s / step)
-    t, p = _run(rng, F, root, step, differencing, on, off, silent if dead_s > 0 else 0, leak, threshold_noise, x, steps)
-    return t, p, steps * step
+    return F, scale[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
 
 
 @njit(cache=True, fastmath=True)
-def _peak(z0, s0, z1, s1, h):
-    """The extreme of the cubic between two steps at which the slope changes its sign."""
-    f = s0 / (s0 - s1)
+def _cubic(f, z0, s0, z1, s1, h):
+    """The cubic through two steps' values and slopes, at a fraction f of the step."""
     return (
         z0 * (1 + 2 * f) * (1 - f) ** 2
         + h * s0 * f * (1 - f) ** 2
@@ -61,44 +70,66 @@ def _peak(z0, s0, z1, s1, h):
 
 
 @njit(cache=True, fastmath=True)
-def _run(rng, F, root, h, wd, on_mean, off_mean, silent, leak, noise, x, steps):
+def _crossed(level, sign, end, z0, s0, z1, s1, h):
+    """Fraction of the step, before `end`, at which sign · cubic first exceeds sign · level."""
+    low, high = 0.0, end
+    for _ in range(20):
+        middle = 0.5 * (low + high)
+        if sign * _cubic(middle, z0, s0, z1, s1, h) >= sign * level:
+            high = middle
+        else:
+            low = middle
+    return high
+
+
+@njit(cache=True, fastmath=True)
+def _move(rng, F, root, x, y):
+    """x after a step; y is room for it."""
+    g = (rng.standard_normal(), rng.standard_normal(), rng.standard_normal(), rng.standard_normal())
+    for r in range(4):
+        y[r] = 0.0
+        for q in range(4):
+            y[r] += F[r, q] * x[q] + root[r, q] * g[q]
+    x[:] = y
+
+
+@njit(cache=True, fastmath=True)
+def _run(rng, F, root, jumps, jump_roots, h, wd, on_mean, off_mean, dead, leak, noise, x, duration):
     times, polarities, count = np.empty(1024), np.empty(1024, np.int8), 0
     y = np.empty(4)
-    kept, lag, since, waiting = x[2], x[3] - x[2], 0.0, 0
+    kept, lag, since = x[2], x[3] - x[2], 0.0
     on, off = on_mean * (1 + noise * rng.standard_normal()), off_mean * (1 + noise * rng.standard_normal())
-    z0, s0 = 0.0, 0.0
+    z0, s0, now = 0.0, 0.0, 0.0
     fade = np.exp(-wd * h)
-    for i in range(steps):
-        g = (rng.standard_normal(), rng.standard_normal(), rng.standard_normal(), rng.standard_normal())
-        for r in range(4):
-            y[r] = 0.0
-            for q in range(4):
-                y[r] += F[r, q] * x[q] + root[r, q] * g[q]
-        x[:] = y
-        if waiting > 0:
-            waiting -= 1
-            if waiting == 0:
-                kept, lag, since, z0, s0 = x[2], x[3] - x[2], 0.0, 0.0, 0.0
-            continue
+    while now < duration:
+        _move(rng, F, root, x, y)
+        now += h
         lag *= fade
         since += h
         z = x[3] - kept - lag + leak * since
         s = wd * (x[2] - x[3] + lag) + leak
-        top, bottom = max(z0, z), min(z0, z)
-        if s0 > 0.0 > s:
-            top = max(top, _peak(z0, s0, z, s, h))
-        elif s0 < 0.0 < s:
-            bottom = min(bottom, _peak(z0, s0, z, s, h))
-        z0, s0 = z, s
-        if top >= on or bottom <= -off:
+        end, extreme = 1.0, z
+        if s0 * s < 0.0:
+            end = s0 / (s0 - s)
+            extreme = _cubic(end, z0, s0, z, s, h)
+        up = max(z, extreme) >= on
+        if up or min(z, extreme) <= -off:
             if count == len(times):
                 more, other = np.empty(2 * count), np.empty(2 * count, np.int8)
                 more[:count], other[:count] = times, polarities
                 times, polarities = more, other
-            times[count], polarities[count] = (i + 1) * h, 1 if top >= on else 0
+            level, sign = (on, 1.0) if up else (-off, -1.0)
+            if sign * extreme < sign * level:
+                end = 1.0
+            at = _crossed(level, sign, end, z0, s0, z, s, h)
+            times[count], polarities[count] = now - (1.0 - at) * h, 1 if up else 0
             count += 1
             on, off = on_mean * (1 + noise * rng.standard_normal()), off_mean * (1 + noise * rng.standard_normal())
-            waiting = silent
-            if silent == 0:
-                kept, lag, since, z0, s0 = x[2], x[3] - x[2], 0.0, 0.0, 0.0
+            if dead > 0.0:
+                place = min(int(at * len(jumps)), len(jumps) - 1)
+                _move(rng, jumps[place], jump_roots[place], x, y)
+                now = times[count - 1] + dead
+            kept, lag, since, z0, s0 = x[2], x[3] - x[2], 0.0, 0.0, leak
+        else:
+            z0, s0 = z, s
     return times[:count], polarities[:count]

@@ -31,18 +31,27 @@ def circuit(radiance, on, off, **changes):
 
 
 @pytest.mark.parametrize(
-    ("radiance", "on", "off", "dead_s", "events"),
+    ("radiance", "on", "off", "dead_s", "noise", "events"),
     [
-        (0.3, 4.0, 4.2, 1e-3, 1500),  # 2e-3 Hz
-        (1.0, 3.6, 3.4, 1e-3, 6000),
-        (24.0, 3.6, 4.0, 1e-3, 6000),
-        (24.0, 3.0, 3.4, 3e-2, 25000),
-        (200.0, 2.6, 2.6, 1e-4, 25000),
-        (2000.0, 2.2, 2.6, 3e-4, 25000),  # 300 Hz
+        (0.3, 4.0, 4.2, 1e-3, 0.0, 1500),  # 2e-3 Hz
+        (1.0, 3.6, 3.4, 1e-3, 0.0, 6000),
+        (24.0, 3.6, 4.0, 1e-3, 0.0, 6000),
+        (24.0, 3.0, 3.4, 3e-2, 0.0, 25000),
+        (200.0, 2.6, 2.6, 1e-4, 0.0, 25000),
+        (2000.0, 2.2, 2.6, 3e-4, 0.0, 25000),  # 300 Hz
+        # alike, so that ON and OFF events undo each other, and the rate has a maximum
+        (24.0, 3.0, 3.0, 1e-4, 0.0, 100_000),
+        (24.0, 3.0, 3.0, 1e-3, 0.0, 100_000),
+        (500.0, 3.0, 3.0, 1e-4, 0.0, 100_000),
+        (500.0, 3.2, 3.5, 1e-4, 0.0, 100_000),
+        (1.0, 3.0, 3.0, 1e-4, 0.0, 60_000),
+        (1.0, 3.0, 3.0, 1e-4, 0.04, 60_000),
+        (24.0, 3.0, 3.0, 1e-4, 0.04, 60_000),
+        (500.0, 4.0, 4.0, 1e-4, 0.04, 60_000),
     ],
 )
-def test_rates_within_two_per_cent_of_brute_simulation(radiance, on, off, dead_s, events):
-    c = circuit(radiance, on, off, refractory=dead_s)
+def test_rates_within_two_per_cent_of_brute_simulation(radiance, on, off, dead_s, noise, events):
+    c = circuit(radiance, on, off, refractory=dead_s).with_(noise=noise)
     noise_rates(c, radiance)
     begun = time.perf_counter()
     rates = noise_rates(c, radiance)
@@ -50,14 +59,16 @@ def test_rates_within_two_per_cent_of_brute_simulation(radiance, on, off, dead_s
     begun = time.perf_counter()
     t, p, duration = simulate_noise_events(
         c.alpha * radiance, c.beta + c.gamma * radiance, c.follower, c.differencing, DENSITY / radiance,
-        c.on_threshold, c.off_threshold, dead_s=dead_s, duration_s=events / (rates.on_hz + rates.off_hz), seed=11,
+        c.on_threshold, c.off_threshold, dead_s=dead_s, duration_s=events / (rates.on_hz + rates.off_hz),
+        threshold_noise=noise, seed=11,
     )  # fmt: skip
     slow = time.perf_counter() - begun
     blocks = np.histogram(t, 50, (0.0, duration))[0]
     error = blocks.std(ddof=1) / math.sqrt(50) / blocks.mean()
     seen = len(p) / duration
-    print(f"{radiance:g} fA: {rates.on_hz + rates.off_hz:.4g} Hz, ratio {(rates.on_hz + rates.off_hz) / seen:.4f} ± "
-          f"{error:.4f}, {slow / fast:.0f} times faster than {events} simulated events")  # fmt: skip
+    ratio = (rates.on_hz + rates.off_hz) / seen
+    print(f"{radiance:g} fA, {on}, {off}, {dead_s:g} s, {noise}: {ratio * seen:.4g} Hz, "
+          f"ratio {ratio:.4f} ± {error:.4f}, {slow / fast:.0f} times faster than {events} events")  # fmt: skip
     assert rates.on_hz + rates.off_hz == pytest.approx(seen, rel=0.02 + 3.0 * error)
 
 

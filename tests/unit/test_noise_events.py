@@ -80,6 +80,15 @@ def test_rates_are_those_of_brute_simulation(radiance, on, off, dead_s, leak_hz)
     assert rates.off_hz == pytest.approx(seen_off, rel=0.02 + 3.5 * error)
 
 
+def test_rates_where_on_and_off_events_undo_each_other():
+    """Equal thresholds and a short dead time: a crossing depends on what the stages remember of the one before."""
+    c = thresholds(circuit(refractory=1e-4), 500.0, 3.0, 3.0)
+    seen_on, seen_off, error = simulated(c, 500.0, 100_000)
+    rates = noise_rates(c, 500.0)
+    assert rates.on_hz == pytest.approx(rates.off_hz, rel=1e-6)
+    assert rates.on_hz + rates.off_hz == pytest.approx(seen_on + seen_off, rel=0.01 + 3.0 * error)
+
+
 @pytest.mark.parametrize("leak_hz", [0.0, 3.0])
 def test_intervals_are_those_of_brute_simulation(leak_hz):
     """Shares of ON–ON, ON–OFF, … intervals within edges over four decades."""

@@ -9,27 +9,29 @@ from functools import cached_property
 import numpy as np
 
 from pixelid.stages.circuit import Circuit
+from pixelid.tables.noise.hidden import Hidden
 from pixelid.tables.noise.process import NoiseProcess
-from pixelid.tables.noise.quadrature import offset_nodes, rayleigh_nodes, threshold_draws
+from pixelid.tables.noise.quadrature import WHOLE, Resolution, offset_nodes, rayleigh_nodes, threshold_draws
 
-SLOPES = 3  # 6 change rates by less than 0.2 %
-SPACING = 0.2  # of references, in standard deviations of the output; 0.1 changes rates by 2 % at equal thresholds
+ALIKE = 0.1  # standard deviations of the output between thresholds that need `Resolution.fine`
 MARGIN = 2.0  # standard deviations of references beyond the larger threshold
 QUIET = 9.0  # a threshold of so many standard deviations is crossed at e⁻⁴⁰ of the bandwidth: never
 
 
 @dataclass(frozen=True)
 class Chain:
-    """A circuit's noise events as a chain over (polarity, level of the output, slope).
+    """A circuit's noise events as a chain over (polarity, level of the output, slope, moment of the hidden states).
 
     Attributes:
         process: the noise;  drift: of the reference by leak, log radiance per second.
         slopes, omega, factors: (m,) nodes of slopes, their weights, and what turns densities into intensities.
-        means, covariances: of output and slope a lag after a crossing, see `crossings.between_crossings`.
+        means, covariances, hidden: of output, slope and hidden states a lag after a crossing, see
+            `crossings.between_crossings`.
         release: the same after a reset;  offsets, offset_weights: nodes of the stored reference.
         on, off, draw_weights: (draws,) thresholds as they are drawn.
         nodes: (k,) references, and levels of the states.
-        stationary, resolvents: (draws, k, 2 m) Rice's intensities and (draws, k, 2 m, 2 m) their first passages.
+        stationary, resolvents: (draws, k, 2 m s) Rice's intensities, by slope and moment of the hidden states, and
+            (draws, k, 2 m s, 2 m s) their first passages.
         moved: (states, states) shares;  waited: (states,) mean s from release to the next event.
     """
 
@@ -39,6 +41,7 @@ class Chain:
     factors: np.ndarray
     means: np.ndarray
     covariances: np.ndarray
+    hidden: Hidden
     release: Release
     offsets: np.ndarray
     offset_weights: np.ndarray
@@ -56,16 +59,17 @@ class Chain:
     def share(self) -> np.ndarray:
         """(states,) the law of states at events that the chain leaves unchanged."""
         system = self.moved.T - np.eye(len(self.moved))
-        system[-1] = 1.0
+        system[0] = 0.0
+        system[0, :: self.hidden.moments] = 1.0
         right = np.zeros(len(self.moved))
-        right[-1] = 1.0
+        right[0] = 1.0
         return np.linalg.solve(system, right)
 
 
 @dataclass(frozen=True)
 class _Crossings:
-    """What `crossings` wants of a process: slopes, omega, factors (m,), weights (lags,), means (lags, 2, 2) and
-    covariances (lags, 3)."""
+    """What `crossings` wants of a process: slopes, omega, factors (m,), weights (lags,), means (lags, 2, 2),
+    covariances (lags, 3) and hidden states."""
 
     process: NoiseProcess
     slopes: np.ndarray
@@ -74,36 +78,42 @@ class _Crossings:
     weights: np.ndarray
     means: np.ndarray
     covariances: np.ndarray
+    hidden: Hidden
 
     @classmethod
-    def of(cls, p: NoiseProcess) -> _Crossings:
+    def of(cls, p: NoiseProcess, resolution: Resolution) -> _Crossings:
         """At nodes of slopes and lags."""
-        slopes_unit, omega = rayleigh_nodes(SLOPES)
+        slopes_unit, omega = rayleigh_nodes(resolution.slopes)
         # ∫ n dw = Σ ω (n / (w e^{−w²/2σ²}))|node σ², and n = w f: the slope itself cancels
         factors = omega * np.exp(0.5 * slopes_unit**2) * p.slope_sigma**2
         weights = p.lags * math.log(p.lags[1] / p.lags[0])
         weights[[0, -1]] *= 0.5
         means = p.seen @ p.propagators @ p.regression
-        covariances = triangle(p.seen_covariance - means @ p.seen_covariance @ np.swapaxes(means, 1, 2))
-        return cls(p, slopes_unit * p.slope_sigma, omega, factors, weights, means, covariances)
+        moved = p.propagators @ p.regression
+        ended = p.P - moved @ p.seen_covariance @ np.swapaxes(moved, 1, 2)
+        loading, reading = p.hidden(resolution.least_hidden)
+        hidden = Hidden.of(p, reading, moved, np.zeros(moved.shape[:2]), p.propagators @ loading, ended)
+        covariances = triangle(p.seen @ ended @ p.seen.T)
+        return cls(p, slopes_unit * p.slope_sigma, omega, factors, weights, means, covariances, hidden)
 
     def rates(self, up: np.ndarray, down: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Rice's intensities (k, 2 m) of k pairs of levels, and (k, 2 m, 2 m) their first passages."""
+        """Rice's intensities (k, 2 m s) of k pairs of levels, and (k, 2 m s, 2 m s) their first passages."""
         from pixelid.tables.noise import crossings
 
-        m = len(self.slopes)
-        stationary, between = np.empty((len(up), 2 * m)), np.empty((len(up), 2 * m, 2 * m))
+        moments = self.hidden.moments
+        size = 2 * len(self.slopes) * moments
+        stationary, between = np.zeros((len(up), size)), np.empty((len(up), size, size))
         for k, levels in enumerate(np.stack([up, down], axis=1)):
             rice = self.process.zero_crossings_hz * np.exp(-0.5 * (levels / self.process.sigma) ** 2)
-            stationary[k] = np.outer(rice, self.omega).ravel()
+            stationary[k, ::moments] = np.outer(rice, self.omega).ravel()
             crossings.between_crossings(
-                self.means, self.covariances, *levels, self.slopes, self.factors, self.weights, stationary[k],
-                between[k],
+                self.means, self.covariances, self.hidden.arrays, *levels, self.slopes, self.factors, self.weights,
+                stationary[k], between[k],
             )  # fmt: skip
-        return stationary, np.linalg.inv(np.eye(2 * m) + between)
+        return stationary, np.linalg.inv(np.eye(size) + between)
 
 
-def leak_cycle_s(process: NoiseProcess, circuit: Circuit, drift: float) -> float:
+def leak_cycle_s(process: NoiseProcess, circuit: Circuit, drift: float, resolution: Resolution) -> float:
     """Mean time from the dead time's end to the next ON event by leak, s, where thresholds are far beyond the noise.
 
     The reference falls by itself until some standard deviations are left to the threshold, and noise does the rest:
@@ -111,56 +121,71 @@ def leak_cycle_s(process: NoiseProcess, circuit: Circuit, drift: float) -> float
     """
     from pixelid.tables.noise import crossings
 
-    p, at = process, _Crossings.of(process)
-    left = np.arange(-MARGIN, QUIET + 1.0 + SPACING, SPACING) * p.sigma  # to the threshold
+    p, at = process, _Crossings.of(process, resolution)
+    left = np.arange(-MARGIN, QUIET + 1.0 + resolution.spacing, resolution.spacing) * p.sigma  # to the threshold
     off = -2.0 * left[-1]  # out of reach
     stationary, resolvents = at.rates(left, np.full(len(left), off))
-    m, count = len(at.slopes), len(left)
-    exits, times = np.empty((count, 2 * count * m)), np.empty(count)
-    crossings.exits_long_after(left, 0.0, -off, at.slopes, stationary, resolvents, drift, exits, times)
-    at_event, released = exits[-1].reshape(2, count, m)[0], release(p, circuit.refractory)
+    count, moments = len(left), at.hidden.moments
+    exits, times = np.empty((count, count * stationary.shape[1])), np.empty(count)
+    crossings.exits_long_after(left, 0.0, -off, moments, stationary, resolvents, drift, exits, times)
+    at_event = exits[-1].reshape(2, count, len(at.slopes), moments)[0, :, :, 0]
+    released = release(p, circuit.refractory, resolution)
     kept = float((at_event * (released.reference[0] * left[:, None] + released.reference[1] * at.slopes)).sum())
     return float(times[-1] + (kept + circuit.on_threshold - left[-1]) / drift)
 
 
-def chain_of(process: NoiseProcess, circuit: Circuit, drift: float) -> Chain:
+def chain_of(process: NoiseProcess, circuit: Circuit, drift: float, resolution: Resolution = WHOLE) -> Chain:
     """The chain of a circuit's thresholds, threshold noise and dead time; drift: of its references by leak, 1/s."""
     from pixelid.tables.noise import crossings
 
-    p, at = process, _Crossings.of(process)
-    released = release(p, circuit.refractory)
+    p, at = process, _Crossings.of(process, resolution)
+    released = release(p, circuit.refractory, resolution)
     draws, draw_weights = threshold_draws(circuit.noise)
     on, off = circuit.on_threshold * draws[:, 0], circuit.off_threshold * draws[:, 1]
     offsets, offset_weights = offset_nodes(released.sd / p.sigma)
     # an OFF threshold that is never reached needs no references; an ON threshold may be reached by leak alone
     never = (QUIET + 1.0) * p.sigma
     reach = max(on.max() if drift > 0 else min(on.max(), never), min(off.max(), never)) + MARGIN * p.sigma
-    nodes = np.linspace(-reach, reach, max(math.ceil(2.0 * reach / (SPACING * p.sigma)) + 1, 8))
-    m, count = len(at.slopes), len(nodes)
+    spacing = _spacing(circuit, released, p, resolution)
+    nodes = np.linspace(-reach, reach, max(math.ceil(2.0 * reach / (spacing * p.sigma)) + 1, 8))
+    count, moments = len(nodes), at.hidden.moments
     rates = [at.rates(nodes + on[a], nodes - off[a]) for a in range(len(draws))]
     stationary, resolvents = (np.stack(each) for each in zip(*rates, strict=True))
-    states = 2 * count * m
+    states = count * stationary.shape[2]
     exits, times = np.empty((len(draws), count, states)), np.empty((len(draws), count))
     for a in range(len(draws)):
         crossings.exits_long_after(
-            nodes, on[a], off[a], at.slopes, stationary[a], resolvents[a], drift, exits[a], times[a]
+            nodes, on[a], off[a], moments, stationary[a], resolvents[a], drift, exits[a], times[a]
         )
-    moved, waited = np.zeros((states, states)), np.zeros(states)
+    moved, late = np.zeros((states, states)), np.zeros((states, len(draws), count))
     crossings.transitions(
         nodes, at.slopes, at.omega, p.zero_crossings_hz, p.sigma, at.factors, at.weights, released.maps,
-        released.spread, released.tails, released.covariances, released.reference, released.sd, offsets,
-        offset_weights, on, off, draw_weights, resolvents, exits, times, moved, waited,
+        released.spread, released.tails, released.covariances, released.hidden.arrays, released.start_spread,
+        released.reference, released.sd, offsets, offset_weights, on, off, draw_weights, resolvents, moved, late,
     )  # fmt: skip
+    late = late.reshape(states, -1)
+    moved += late @ exits.reshape(-1, states)
+    waited = late @ times.ravel()
     return Chain(
         process=p, slopes=at.slopes, omega=at.omega, factors=at.factors, means=at.means, covariances=at.covariances,
-        release=released, offsets=offsets, offset_weights=offset_weights, on=on, off=off, draw_weights=draw_weights,
+        hidden=at.hidden, release=released, offsets=offsets, offset_weights=offset_weights, on=on, off=off,
+        draw_weights=draw_weights,
         nodes=nodes, stationary=stationary, resolvents=resolvents, drift=drift, moved=moved, waited=waited,
     )  # fmt: skip
 
 
+def _spacing(circuit: Circuit, released: Release, p: NoiseProcess, resolution: Resolution) -> float:
+    """Of references, in standard deviations of the output."""
+    noise = circuit.noise * math.hypot(circuit.on_threshold, circuit.off_threshold)
+    step = math.hypot(noise, math.sqrt(2.0) * math.hypot(released.sd, released.reference[1] * p.slope_sigma))
+    alike = abs(circuit.on_threshold - circuit.off_threshold) < ALIKE * p.sigma
+    return resolution.fine if alike and step < resolution.spacing * p.sigma else resolution.spacing
+
+
 @dataclass(frozen=True)
 class Release:
-    """Output and slope after a reset: linear in output and slope at the event, in the reference, and noise."""
+    """Output, slope and hidden states after a reset: linear in output and slope at the event, in the reference, and
+    noise."""
 
     maps: np.ndarray
     spread: np.ndarray
@@ -168,9 +193,11 @@ class Release:
     covariances: np.ndarray
     reference: np.ndarray
     sd: float
+    hidden: Hidden
+    start_spread: np.ndarray
 
 
-def release(p: NoiseProcess, dead_s: float) -> Release:
+def release(p: NoiseProcess, dead_s: float, resolution: Resolution) -> Release:
     """What is known a dead time after an event, and then at each lag.
 
     The amplifier restarts from the stored reference, so its output is the never-reset one less what that had lagged
@@ -186,15 +213,24 @@ def release(p: NoiseProcess, dead_s: float) -> Release:
     sd = math.sqrt(variance) if variance > 1e-12 * p.P[p.input, p.input] else 0.0
     gain = V[:, p.input] / sd if sd > 0 else np.zeros(n)
     V = V - np.outer(gain, gain)
-    seen = p.seen @ p.propagators
+    restart = np.eye(n)
+    restart[-1] = stored
+    seen, moved = p.seen @ p.propagators, p.propagators @ restart
     tails = np.zeros((len(p.lags), 2))
     if math.isfinite(p.differencing):
         fade = np.exp(-p.differencing * p.lags)
         tails = np.stack([fade, -p.differencing * fade], axis=1)
         seen = seen - tails[:, :, None] * p.seen[0]
-    free = p.seen_covariance - p.seen @ p.propagators @ p.P @ np.swapaxes(p.propagators, 1, 2) @ p.seen.T
-    covariances = triangle(seen @ V @ np.swapaxes(seen, 1, 2) + free)
-    return Release(seen @ mean, np.ascontiguousarray(seen @ gain), tails, covariances, mean[p.input], sd)
+    ended = moved @ V @ np.swapaxes(moved, 1, 2) + p.P - p.propagators @ p.P @ np.swapaxes(p.propagators, 1, 2)
+    loading, reading = p.hidden(resolution.least_hidden)
+    hidden_start = p.propagator(dead_s) @ loading
+    start_spread = hidden_start[p.input] / sd if sd > 0 else np.zeros(hidden_start.shape[1])
+    carried = moved @ (hidden_start - np.outer(gain, start_spread))
+    hidden = Hidden.of(p, reading, moved @ mean, moved @ gain, carried, ended)
+    return Release(
+        seen @ mean, np.ascontiguousarray(seen @ gain), tails, triangle(p.seen @ ended @ p.seen.T), mean[p.input], sd,
+        hidden, start_spread,
+    )  # fmt: skip
 
 
 def triangle(matrices: np.ndarray) -> np.ndarray:

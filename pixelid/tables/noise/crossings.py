@@ -7,6 +7,9 @@ import math
 import numpy as np
 from numba import njit
 
+from pixelid.tables.noise.hidden import LOST
+
+FARTHEST = 100.0  # squared standard deviations from a mean: e⁻⁵⁰ of a density is nothing beside rates of e⁻⁴⁰
 PARTS = 8  # of a grid step that a leaking reference passes; the hazard is log-linear between them
 
 
@@ -14,70 +17,110 @@ PARTS = 8  # of a grid step that a leaking reference passes; the hazard is log-l
 def _density(d0, d1, v00, v01, v11):
     """Density of output and slope at d0, d1 from their mean; 0 where the covariance is lost in rounding."""
     det = v00 * v11 - v01 * v01
-    if not det > 1e-13 * v00 * v11:
+    if not det > LOST * v00 * v11:
         return 0.0
     q = (v11 * d0 * d0 - 2.0 * v01 * d0 * d1 + v00 * d1 * d1) / det
-    return math.exp(-0.5 * q) / (2.0 * math.pi * math.sqrt(det)) if q < 600.0 else 0.0
+    return math.exp(-0.5 * q) / (2.0 * math.pi * math.sqrt(det)) if q < FARTHEST else 0.0
+
+
+@njit(forceinline=True, error_model="numpy")
+def _end_mean(hidden, t, z, w, offset, into):
+    """Mean of the hidden states at the end: see `hidden.Hidden`."""
+    end_mean, end_spread = hidden[3], hidden[4]
+    for e in range(len(into)):
+        into[e] = end_mean[t, e, 0] * z + end_mean[t, e, 1] * w + end_spread[t, e] * offset
+
+
+@njit(forceinline=True, error_model="numpy")
+def _add(into, first, f, d0, d1, hidden, t, before, after):
+    """Add the intensity f of a crossing, and its moments, to into[:, first:]: rows of the start, columns of the end.
+
+    d0, d1: output and slope from their mean;  before, after: (n,) means of the hidden states that know neither.
+    """
+    start_gain, end_gain, cross = hidden[0], hidden[1], hidden[2]
+    n = len(before)
+    for b in range(n + 1):
+        start = before[b - 1] + start_gain[t, b - 1, 0] * d0 + start_gain[t, b - 1, 1] * d1 if b else 1.0
+        into[b, first] += f * start
+        for e in range(n):
+            end = after[e] + end_gain[t, e, 0] * d0 + end_gain[t, e, 1] * d1
+            into[b, first + 1 + e] += f * (start * end + (cross[t, e, b - 1] if b else 0.0))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def between_crossings(means, covariances, on, off, slopes, factors, weights, stationary, found):
-    """found (2 m, 2 m): ∫ (intensity of crossing i with slope j, a lag after crossing i' with slope j') − stationary.
+def between_crossings(means, covariances, hidden, on, off, slopes, factors, weights, stationary, found):
+    """found (2 m s, 2 m s): ∫ (intensity of crossings of one level and slope, a lag after another) − stationary.
 
+    Per slope there are s moments: 1 and the mean of each hidden state.
     means: (lags, 2, 2) of output and slope, per output and slope at lag 0;  covariances: (lags, 3) (00, 01, 11);
-    on, off: the two levels;  slopes: (m,) of nodes;  factors: (m,) what turns a density at a node into an intensity;
-    weights: (lags,) of the integral;  stationary: (2 m,).
+    hidden: arrays of `hidden.Hidden`;  on, off: the two levels;  slopes: (m,) of nodes;  factors: (m,) what turns a
+    density at a node into an intensity;  weights: (lags,) of the integral;  stationary: (2 m s,).
     """
-    m = len(slopes)
+    m, n = len(slopes), hidden[0].shape[1]
+    s = n + 1
     levels = (on, off)
     signs = (1.0, -1.0)
     total = weights.sum()
+    before, after = np.zeros(n), np.empty(n)
     for i0 in range(2):
         for j0 in range(m):
-            row = i0 * m + j0
-            for i in range(2 * m):
-                found[row, i] = -total * stationary[i]
+            row = (i0 * m + j0) * s
+            into = found[row : row + s]
+            into[:] = 0.0
+            for i in range(2 * m * s):
+                into[0, i] = -total * stationary[i]
             z, w = levels[i0], signs[i0] * slopes[j0]
             for t in range(len(weights)):
                 mz = means[t, 0, 0] * z + means[t, 0, 1] * w
                 mw = means[t, 1, 0] * z + means[t, 1, 1] * w
                 v00, v01, v11 = covariances[t, 0], covariances[t, 1], covariances[t, 2]
+                _end_mean(hidden, t, z, w, 0.0, after)
                 for i in range(2):
                     d0 = levels[i] - mz
-                    if d0 * d0 > 1200.0 * v00:
+                    if d0 * d0 > FARTHEST * v00:
                         continue
                     for j in range(m):
-                        f = _density(d0, signs[i] * slopes[j] - mw, v00, v01, v11)
-                        found[row, i * m + j] += weights[t] * factors[j] * f
+                        d1 = signs[i] * slopes[j] - mw
+                        f = weights[t] * factors[j] * _density(d0, d1, v00, v01, v11)
+                        if f > 0.0:
+                            _add(into, (i * m + j) * s, f, d0, d1, hidden, t, before, after)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def after_reset(
-    maps, spread, tails, covariances, z, w, offset, kept, on, off, slopes, factors, weights, stationary, found
+    maps, spread, tails, covariances, hidden, start_spread, z, w, offset, kept, on, off, slopes, factors, weights,
+    stationary, found,
 ):  # fmt: skip
-    """found (2 m,): ∫ (intensity of crossing i with slope j, a lag after the reset) − stationary.
+    """found (s, 2 m s): ∫ (intensity of crossing i with slope j, a lag after the reset) − stationary.
 
     The event was at output z with slope w; the reference that was then stored lies `offset` standard deviations from
     its mean.  maps: (lags, 2, 2) per z and w;  spread: (lags, 2) per offset;  tails: (lags, 2) per `kept`, the
-    reference;  others as `between_crossings`.
+    reference;  start_spread: (n,) mean of the hidden states at the event per offset;  others as `between_crossings`.
     """
-    m = len(slopes)
+    m, n = len(slopes), hidden[0].shape[1]
+    s = n + 1
     levels = (on, off)
     signs = (1.0, -1.0)
     total = weights.sum()
-    for i in range(2 * m):
-        found[i] = -total * stationary[i]
+    before, after = start_spread * offset, np.empty(n)
+    for i in range(2 * m * s):
+        found[0, i] = -total * stationary[i]
+        for b in range(n):
+            found[1 + b, i] = found[0, i] * before[b]
     for t in range(len(weights)):
         v00, v01, v11 = covariances[t, 0], covariances[t, 1], covariances[t, 2]
         mz = maps[t, 0, 0] * z + maps[t, 0, 1] * w + spread[t, 0] * offset + tails[t, 0] * kept
         mw = maps[t, 1, 0] * z + maps[t, 1, 1] * w + spread[t, 1] * offset + tails[t, 1] * kept
+        _end_mean(hidden, t, z, w, offset, after)
         for i in range(2):
             d0 = levels[i] - mz
-            if d0 * d0 > 1200.0 * v00:
+            if d0 * d0 > FARTHEST * v00:
                 continue
             for j in range(m):
-                f = _density(d0, signs[i] * slopes[j] - mw, v00, v01, v11)
-                found[i * m + j] += weights[t] * factors[j] * f
+                d1 = signs[i] * slopes[j] - mw
+                f = weights[t] * factors[j] * _density(d0, d1, v00, v01, v11)
+                if f > 0.0:
+                    _add(found, (i * m + j) * s, f, d0, d1, hidden, t, before, after)
 
 
 @njit(forceinline=True, error_model="numpy")
@@ -98,35 +141,40 @@ def _lagrange(p):
 
 
 @njit(forceinline=True, error_model="numpy")
-def _scatter(into, level, pick, m, share, first, step, count):
-    """Add `share` of exits (pick: index of polarity and slope) at a level to the states around it."""
+def _scatter(into, level, pick, each, share, first, step, count):
+    """Add `share` of exits at a level to the states around it.
+
+    pick: index of polarity, slope and moment, of which `each` are of one polarity.
+    """
     k, p = _place(level, first, step, count)
     weights = _lagrange(p)
-    i, j = pick // m, pick % m
+    i, j = pick // each, pick % each
     for q in range(4):
-        into[(i * count + k + q) * m + j] += share * weights[q]
+        into[(i * count + k + q) * each + j] += share * weights[q]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def exits_long_after(nodes, on, off, slopes, stationary, resolvent, drift, exits, times):
+def exits_long_after(nodes, on, off, moments, stationary, resolvent, drift, exits, times):
     """Where a pixel exits that has forgotten its last event but its reference, which falls at the rate `drift`.
 
-    nodes: (k,) references;  on, off: thresholds;  stationary: (k, 2 m);  resolvent: (k, 2 m, 2 m).
+    nodes: (k,) references;  on, off: thresholds;  moments: s, the first of which is the share itself;
+    stationary: (k, 2 m s);  resolvent: (k, 2 m s, 2 m s).
     exits: (k, states) filled with shares of the exit states;  times: (k,) with mean times.
     """
-    count, m = len(nodes), len(slopes)
+    count, each = len(nodes), stationary.shape[1] // 2
     first, step = nodes[0], nodes[1] - nodes[0]
-    rates = np.zeros((2, 2 * m))  # at this reference, and at the one below
+    rates = np.zeros((2, 2 * each))  # at this reference, and at the one below
     totals = np.zeros(2)
     for k in range(count):
         totals[1] = totals[0]
         totals[0] = 1e-300
-        for i in range(2 * m):
+        for i in range(2 * each):
             rates[1, i] = rates[0, i]
             rates[0, i] = 0.0
-            for q in range(2 * m):
+            for q in range(0, 2 * each, moments):
                 rates[0, i] += stationary[k, q] * resolvent[k, q, i]
-            totals[0] += rates[0, i]
+            if i % moments == 0:
+                totals[0] += rates[0, i]
         for q in range(exits.shape[1]):
             exits[k, q] = 0.0
         still, times[k] = 1.0, 0.0
@@ -138,43 +186,45 @@ def exits_long_after(nodes, on, off, slopes, stationary, resolvent, drift, exits
                 expected = min(rate * width / drift, 700.0)
                 gone = -still * math.expm1(-expected)  # of a rate lost in rounding the time still passes
                 times[k] += gone / rate
-                for i in range(2 * m):
+                for i in range(2 * each):
                     share = (1.0 - u) * rates[0, i] / totals[0] + u * rates[1, i] / totals[1]
-                    level = nodes[k] - u * step + (on if i < m else -off)
-                    _scatter(exits[k], level, i, m, gone * share, first, step, count)
+                    level = nodes[k] - u * step + (on if i < each else -off)
+                    _scatter(exits[k], level, i, each, gone * share, first, step, count)
                 still *= math.exp(-expected)
             times[k] += still * times[k - 1]
             for q in range(exits.shape[1]):
                 exits[k, q] += still * exits[k - 1, q]
         else:
             times[k] = 1.0 / totals[0]
-            for i in range(2 * m):
-                level = nodes[k] + (on if i < m else -off)
-                _scatter(exits[k], level, i, m, rates[0, i] / totals[0], first, step, count)
+            for i in range(2 * each):
+                level = nodes[k] + (on if i < each else -off)
+                _scatter(exits[k], level, i, each, rates[0, i] / totals[0], first, step, count)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def transitions(
-    nodes, slopes, omega, stationary_hz, sigma, factors, weights, maps, spread, tails, covariances, reference,
-    reference_sd, offsets, offset_weights, on, off, draw_weights, resolvents, exits, times, moved, waited,
+    nodes, slopes, omega, stationary_hz, sigma, factors, weights, maps, spread, tails, covariances, hidden,
+    start_spread, reference, reference_sd, offsets, offset_weights, on, off, draw_weights, resolvents, moved, late,
 ):  # fmt: skip
-    """The Markov chain of events: moved (states, states) shares, waited (states,) mean time from release to event.
+    """The Markov chain of events: moved (states, states) and late (states, draws, k), shares that soon reach the next
+    event, and that first forget all but the reference.
 
-    A state is (polarity, level of the output, slope) at an event.  reference: (2,) mean of the stored reference per
-    output and slope, reference_sd: its standard deviation;  offsets: nodes of the reference;  on, off, draw_weights:
-    (draws,) pairs of thresholds as they are drawn;  resolvents: (draws, k, 2 m, 2 m).
+    A state is (polarity, level of the output, slope, moment of the hidden states) at an event.  reference: (2,) mean of
+    the stored reference per output and slope, reference_sd: its standard deviation;  offsets: nodes of the reference;
+    on, off, draw_weights: (draws,) pairs of thresholds as they are drawn;  resolvents: (draws, k, 2 m s, 2 m s);
+    others as `after_reset`.
     """
-    count, m = len(nodes), len(slopes)
+    count, m, s = len(nodes), len(slopes), len(start_spread) + 1
+    each = m * s
     first, step = nodes[0], nodes[1] - nodes[0]
-    expected = np.empty(2 * m)
-    stationary = np.empty(2 * m)
-    quick = np.empty(2 * m)
+    expected = np.empty((s, 2 * each))
+    stationary = np.zeros(2 * each)
+    quick = np.empty(2 * each)
     for i0 in range(2):
         for k0 in range(count):
             for j0 in range(m):
-                row = (i0 * count + k0) * m + j0
+                row = ((i0 * count + k0) * m + j0) * s
                 z, w = nodes[k0], slopes[j0] if i0 == 0 else -slopes[j0]
-                into = moved[row]
                 for g in range(len(offsets)):
                     kept = reference[0] * z + reference[1] * w + reference_sd * offsets[g]
                     kept = min(max(kept, nodes[0]), nodes[count - 1])
@@ -184,25 +234,24 @@ def transitions(
                         share = offset_weights[g] * draw_weights[a]
                         up, down = kept + on[a], kept - off[a]
                         for j in range(m):
-                            stationary[j] = stationary_hz * math.exp(-0.5 * (up / sigma) ** 2) * omega[j]
-                            stationary[m + j] = stationary_hz * math.exp(-0.5 * (down / sigma) ** 2) * omega[j]
+                            stationary[j * s] = stationary_hz * math.exp(-0.5 * (up / sigma) ** 2) * omega[j]
+                            stationary[each + j * s] = stationary_hz * math.exp(-0.5 * (down / sigma) ** 2) * omega[j]
                         after_reset(
-                            maps, spread, tails, covariances, z, w, offsets[g], kept, up, down, slopes, factors,
-                            weights, stationary, expected,
+                            maps, spread, tails, covariances, hidden, start_spread, z, w, offsets[g], kept, up, down,
+                            slopes, factors, weights, stationary, expected,
                         )  # fmt: skip
-                        sum_quick = 0.0
-                        for i in range(2 * m):
-                            quick[i] = 0.0
+                        for b in range(s):
+                            quick[:] = 0.0
                             for n in range(4):
-                                for q in range(2 * m):
-                                    quick[i] += line[n] * expected[q] * resolvents[a, k + n, q, i]
-                            sum_quick += quick[i]
-                        left = 1.0 - sum_quick
-                        for i in range(2 * m):
-                            level = up if i < m else down
-                            _scatter(into, level, i, m, share * quick[i], first, step, count)
-                        for n in range(4):
-                            part = share * left * line[n]
-                            waited[row] += part * times[a, k + n]
-                            for q in range(len(into)):
-                                into[q] += part * exits[a, k + n, q]
+                                for q in range(2 * each):
+                                    part = line[n] * expected[b, q]
+                                    for i in range(2 * each):
+                                        quick[i] += part * resolvents[a, k + n, q, i]
+                            left = start_spread[b - 1] * offsets[g] if b else 1.0
+                            for i in range(2 * each):
+                                if i % s == 0:
+                                    left -= quick[i]
+                                level = up if i < each else down
+                                _scatter(moved[row + b], level, i, each, share * quick[i], first, step, count)
+                            for n in range(4):
+                                late[row + b, a, k + n] += share * left * line[n]

@@ -8,8 +8,9 @@ q_i(t, w) that of first passages.  Every crossing is a first passage, or comes a
 
 with K the intensity of crossings a lag after a crossing (Siegert 1951 and Durbin 1985 state this for Markov processes,
 where it is exact).  n and K are Gaussian densities in closed form.  z alone is not Markov: the state at a crossing is
-z, its slope, and further states, which are taken as they are at any crossing of that level with that slope.  That is
-the one approximation; against simulation it costs below 1 % (`docs/methods/noise.md`).
+z, its slope, and hidden states.  At any crossing they are normal; at a first passage, or soon after an event, they are
+not, and their law is carried as the first terms of its Hermite series, density and mean (`hidden.Hidden`): every
+quantity above has one component per term.  That is the one approximation (`docs/methods/noise.md`).
 
 **Rates need no time grid.**  With n → n_s and K → n_s (Rice) at long times, integration over all times gives
 
@@ -18,8 +19,9 @@ the one approximation; against simulation it costs below 1 % (`docs/methods/nois
 for the shares Q of exits and the mean time T: one small linear system per reference.  Slopes are Gauss nodes of
 the Rayleigh weight w e^{−w²/2}.
 
-**Events.**  At an event the state is (polarity, level of z, slope).  During the dead time it evolves freely, then the
-reference is the follower's noisy output, and the next event is drawn: a Markov chain, whose stationary law gives rates.
+**Events.**  At an event the state is (polarity, level of z, slope, term of the hidden states).  During the dead time it
+evolves freely, then the reference is the follower's noisy output, and the next event is drawn: a Markov chain, whose
+stationary law gives rates.
 Levels are nodes of a uniform grid; what falls between is shared by four-point interpolation, which keeps cubic
 functions exact.  Threshold noise is an average over draws of both thresholds (`threshold_draws`).
 
@@ -41,7 +43,7 @@ from pixelid.stages.circuit import Circuit
 from pixelid.stages.differencing import leaked
 from pixelid.tables.noise.chain import QUIET, chain_of, leak_cycle_s
 from pixelid.tables.noise.process import NoiseProcess, noise_process
-from pixelid.tables.noise.quadrature import mismatch_draws
+from pixelid.tables.noise.quadrature import WHOLE, Resolution, mismatch_draws
 
 
 @dataclass(frozen=True)
@@ -79,24 +81,26 @@ def noise_rates(circuit: Circuit, radiance: float, floor: float = 0.0) -> NoiseR
     return rates_of(noise_process(circuit, radiance, floor), circuit, radiance)
 
 
-def rates_of(process: NoiseProcess, circuit: Circuit, radiance: float) -> NoiseRates:
+def rates_of(process: NoiseProcess, circuit: Circuit, radiance: float, resolution: Resolution = WHOLE) -> NoiseRates:
     """The same of a process that is already there; only thresholds, dead time and leak are read of the circuit."""
     drift = circuit.on_threshold * float(leaked(circuit, 1.0, radiance + circuit.dark))
     least = min(circuit.on_threshold, circuit.off_threshold) * (1.0 - 2.0 * circuit.noise)
     if least > QUIET * process.sigma:
-        wait = leak_cycle_s(process, circuit, drift) if drift > 0 else math.inf
+        wait = leak_cycle_s(process, circuit, drift, resolution) if drift > 0 else math.inf
         return NoiseRates(1.0 / (wait + circuit.refractory), 0.0, wait)
-    chain = chain_of(process, circuit, drift)
+    chain = chain_of(process, circuit, drift, resolution)
     share = chain.share
     wait = float(share @ chain.waited)
     if wait < 0:  # waits beyond any number's use, of either sign by rounding
         return NoiseRates(0.0, 0.0, math.inf)
     rate = 1.0 / (wait + circuit.refractory)
-    on = min(max(float(share[: len(share) // 2].sum()), 0.0), 1.0)
+    on = min(max(float(share[: len(share) // 2 : chain.hidden.moments].sum()), 0.0), 1.0)
     return NoiseRates(rate * on, rate * (1.0 - on), wait)
 
 
-def mean_rates(circuit: Circuit, radiance: float, floor: float = 0.0) -> tuple[float, float]:
+def mean_rates(
+    circuit: Circuit, radiance: float, floor: float = 0.0, resolution: Resolution = WHOLE
+) -> tuple[float, float]:
     """(ON, OFF) noise events per pixel and second, averaged over pixels whose thresholds differ by the mismatch.
 
     Rates of pixels differ by e^{± b² σ}, b the threshold in standard deviations of the noise: the average is far above
@@ -112,6 +116,6 @@ def mean_rates(circuit: Circuit, radiance: float, floor: float = 0.0) -> tuple[f
             leak_hz=circuit.leak_hz / on,  # the leak is one for all pixels, in mean thresholds
             leak_hz_per_radiance=circuit.leak_hz_per_radiance / on,
         )
-        rates = rates_of(process, pixel, radiance)
+        rates = rates_of(process, pixel, radiance, resolution)
         total += weight * np.array([rates.on_hz, rates.off_hz])
     return float(total[0]), float(total[1])

@@ -20,6 +20,7 @@ from pixelid.parameters.parameter import Parameter
 from pixelid.tables.fit import FREEDOM, MAX_SCATTER, TableFit, fit_at, fit_table
 from pixelid.tables.model import Rows
 from pixelid.tables.noise.model import FLOOR, NoiseModel, in_unit
+from pixelid.tables.noise.quadrature import ROUGH, WHOLE, Resolution
 from pixelid.tables.noise.reading import NoiseTable
 
 STEP = 0.02  # of a coordinate, for central differences
@@ -192,7 +193,7 @@ def started(noise: NoiseModel, report: Callable[[str, float], None]) -> list[Noi
             scaled = {n: (p, p.value * factors[n]) for n, p in plain.parameters.items() if n in factors}
             values = {n: p.within(v) for n, (p, v) in scaled.items()}
             trial = NoiseModel(part, plain.set(values), noise.floor)
-            rates = rates_by_light(trial, np.unique(part.light))
+            rates = rates_by_light(trial, np.unique(part.light), ROUGH)
             found = np.log([rates[light][0 if on else 1] for light, on in zip(part.light, part.on, strict=True)])
             cost = float(np.abs(target - found).mean())
             of = slow if known_light else lit
@@ -203,17 +204,19 @@ def started(noise: NoiseModel, report: Callable[[str, float], None]) -> list[Noi
     return [replace(noise, circuit=circuit.set(values)) for _, values in ranked[:MOST_STARTS]]
 
 
-def rates_by_light(noise: NoiseModel, lights: np.ndarray) -> dict[float, tuple[float, float]]:
+def rates_by_light(
+    noise: NoiseModel, lights: np.ndarray, resolution: Resolution = WHOLE
+) -> dict[float, tuple[float, float]]:
     """Rates at each light, at the model's own values."""
     from pixelid.parallel import map_threads
 
-    found = map_threads(lambda light: noise.rates({}, float(light)), lights)
+    found = map_threads(lambda light: noise.rates({}, float(light), resolution), lights)
     return dict(zip(lights.tolist(), found, strict=True))
 
 
 def _linearise(noise: NoiseModel, x: np.ndarray, level: np.ndarray) -> Linearised:
     points = [x + side * STEP * unit for unit in np.eye(len(x)) for side in (1.0, -1.0)]
-    logs = np.log(noise.predict_many(points))
+    logs = np.log(noise.predict_many(points, ROUGH))
     slopes = ((logs[0::2] - logs[1::2]) / (2.0 * STEP)).T
     return Linearised(noise.rows, noise.parameters, noise.nuisances, noise.neutral_bounds, x, level, slopes)
 

@@ -61,33 +61,41 @@ def intervals_of(chain: Chain, dead_s: float) -> NoiseIntervals:
     c, r = chain, chain.release
     lags = c.process.lags[: np.searchsorted(c.process.lags, c.process.lags[-1] * FORGOTTEN / LAST_LAG) + 1]
     known = len(lags)
-    draws, count, m = len(c.draw_weights), len(c.nodes), len(c.slopes)
-    crossed, begun = np.zeros((2, draws, count, len(lags), 2 * m)), np.zeros((2, draws, count))
+    draws, count, size = c.stationary.shape
+    moments = c.hidden.moments
+    crossed, begun = np.zeros((2, draws, count, len(lags), size)), np.zeros((2, draws, count))
     passages.crossings_after_events(
-        c.share, c.nodes, c.slopes, c.factors, r.maps[:known], r.spread, r.tails, r.covariances, r.reference, r.sd,
-        c.offsets, c.offset_weights, c.on, c.off, c.draw_weights, crossed, begun,
+        c.share, c.nodes, c.slopes, c.factors, r.maps[:known], r.spread, r.tails, r.covariances,
+        r.hidden.arrays, r.start_spread, r.reference, r.sd, c.offsets, c.offset_weights, c.on, c.off, c.draw_weights,
+        crossed, begun,
     )  # fmt: skip
-    rates = np.einsum("akq,akqi->aki", c.stationary, c.resolvents).reshape(draws, count, 2, m).sum(-1)
+    rates = _by_polarity(np.einsum("akq,akqi->aki", c.stationary, c.resolvents), moments)
     rates = np.maximum(rates, 1e-300)
     late = np.geomspace(lags[-1], max(LONGEST * float(c.share @ c.waited), 2.0 * lags[-1]), LATE + 1)
     passed = np.zeros((2, 2, len(lags) + LATE))
-    between = np.empty((len(lags), 2 * m, 2 * m))
+    between = np.empty((len(lags), size, size))
     for a in range(draws):
         for k, reference in enumerate(c.nodes):
             source = np.ascontiguousarray(crossed[:, a, k])
             if np.abs(begun[:, a, k]).max() < 1e-9:
                 continue
             passages.crossings_between(
-                c.means[:known], c.covariances, reference + c.on[a], reference - c.off[a], c.slopes, c.factors, between
-            )
-            quick = np.zeros((2, len(lags), 2 * m))
+                c.means[:known], c.covariances, c.hidden.arrays, reference + c.on[a], reference - c.off[a], c.slopes,
+                c.factors, between,
+            )  # fmt: skip
+            quick = np.zeros((2, len(lags), size))
             passages.first_passages(lags, source, between, quick)
-            quick = quick.reshape(2, len(lags), 2, m).sum(-1)
+            quick = _by_polarity(quick, moments)
             passed[:, :, : len(lags)] += quick.swapaxes(1, 2)
             left = begun[:, a, k] - quick[:, -1].sum(-1)
             gone = _waiting(c.nodes, rates[a], k, c.drift, late)
             passed[:, :, len(lags) :] += quick[:, -1, :, None] + left[:, None, None] * gone[None, :, 1:]
     return NoiseIntervals(np.append(lags, late[1:]), np.maximum.accumulate(passed, axis=2), dead_s)
+
+
+def _by_polarity(exits: np.ndarray, moments: int) -> np.ndarray:
+    """(…, 2) shares of ON and OFF exits, of (…, 2 m s) by slope and moment of the hidden states."""
+    return exits.reshape(*exits.shape[:-1], 2, -1, moments)[..., 0].sum(-1)
 
 
 def _waiting(nodes: np.ndarray, rates: np.ndarray, k: int, drift: float, time: np.ndarray) -> np.ndarray:

@@ -17,6 +17,7 @@ from pixelid.parameters.parameter import Parameter, Prior
 from pixelid.stages.described import power_of_radiance
 from pixelid.tables.model import Rows
 from pixelid.tables.noise.first_passage import mean_rates
+from pixelid.tables.noise.quadrature import WHOLE, Resolution
 from pixelid.tables.noise.reading import NoiseTable
 
 FLOOR = Parameter("noise_floor.density", 1e-9, "1/Hz", 1e-14, 1e-2, "log")
@@ -100,21 +101,21 @@ class NoiseModel:
         """(rows,) events per pixel and second."""
         return self.predict_many([x])[0]
 
-    def predict_many(self, points: Sequence[np.ndarray]) -> list[np.ndarray]:
+    def predict_many(self, points: Sequence[np.ndarray], resolution: Resolution = WHOLE) -> list[np.ndarray]:
         """The same at several coordinates, on all cores."""
         values = [
             {p.name: p.from_coordinate(float(v)) for p, v in zip(self.parameters, x, strict=True)} for x in points
         ]
         asked = [self._lights(v) for v in values]
         jobs = [(v, light) for v, (lights, _) in zip(values, asked, strict=True) for light in lights]
-        rates = iter(map_threads(lambda job: self.rates(*job), jobs))
+        rates = iter(map_threads(lambda job: self.rates(*job, resolution), jobs))
         return [self._at_rows(lights, np.array([next(rates) for _ in lights]), scaled) for lights, scaled in asked]
 
-    def rates(self, values: Mapping[str, float], light: float) -> tuple[float, float]:
+    def rates(self, values: Mapping[str, float], light: float, resolution: Resolution = WHOLE) -> tuple[float, float]:
         """(ON, OFF) events per pixel and second under one light."""
         floor = values.get(FLOOR.name, self.floor)
         own = {name: value for name, value in values.items() if name in self.circuit.parameters}
-        on, off = mean_rates(self.circuit.circuit(own), light, floor)
+        on, off = mean_rates(self.circuit.circuit(own), light, floor, resolution)
         return max(on, LEAST_HZ), max(off, LEAST_HZ)
 
     def _lights(self, values: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:

@@ -7,26 +7,28 @@ import math
 import numpy as np
 from numba import njit
 
-from pixelid.tables.noise.crossings import _density, _lagrange, _place
+from pixelid.tables.noise.crossings import FARTHEST, _add, _density, _end_mean, _lagrange, _place
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def crossings_after_events(
-    share, nodes, slopes, factors, maps, spread, tails, covariances, reference, reference_sd, offsets, offset_weights,
-    on, off, draw_weights, crossed, begun,
+    share, nodes, slopes, factors, maps, spread, tails, covariances, hidden, start_spread, reference, reference_sd,
+    offsets, offset_weights, on, off, draw_weights, crossed, begun,
 ):  # fmt: skip
-    """crossed (2, draws, k, lags, 2 m): intensities after an ON or OFF event, by reference;  begun (2, draws, k): mass.
+    """crossed (2, draws, k, lags, 2 m s): intensities after an ON or OFF event, by reference;  begun: their mass.
 
     share: (states,) of the events;  others as `crossings.transitions`.
     """
-    count, m = len(nodes), len(slopes)
+    count, m, h = len(nodes), len(slopes), len(start_spread)
+    s = h + 1
     first, step = nodes[0], nodes[1] - nodes[0]
     signs = (1.0, -1.0)
+    after, found = np.empty(h), np.empty((s, s))
     for i0 in range(2):
         for k0 in range(count):
             for j0 in range(m):
-                mass = share[(i0 * count + k0) * m + j0]
-                if abs(mass) < 1e-9:
+                row = ((i0 * count + k0) * m + j0) * s
+                if abs(share[row]) < 1e-9:
                     continue
                 z, w = nodes[k0], signs[i0] * slopes[j0]
                 for g in range(len(offsets)):
@@ -34,31 +36,47 @@ def crossings_after_events(
                     kept = min(max(kept, nodes[0]), nodes[count - 1])
                     k, p = _place(kept, first, step, count)
                     line = _lagrange(p)
+                    before = start_spread * offsets[g]
+                    mass = share[row]
+                    for b in range(h):
+                        mass += share[row + 1 + b] * before[b]
                     for a in range(len(draw_weights)):
-                        weight = mass * offset_weights[g] * draw_weights[a]
+                        weight = offset_weights[g] * draw_weights[a]
                         for n in range(4):
-                            begun[i0, a, k + n] += weight * line[n]
+                            begun[i0, a, k + n] += weight * mass * line[n]
                         levels = (kept + on[a], kept - off[a])
                         for t in range(len(maps)):
                             v00, v01, v11 = covariances[t, 0], covariances[t, 1], covariances[t, 2]
                             mz = maps[t, 0, 0] * z + maps[t, 0, 1] * w + spread[t, 0] * offsets[g] + tails[t, 0] * kept
                             mw = maps[t, 1, 0] * z + maps[t, 1, 1] * w + spread[t, 1] * offsets[g] + tails[t, 1] * kept
+                            _end_mean(hidden, t, z, w, offsets[g], after)
                             for i in range(2):
                                 d0 = levels[i] - mz
-                                if d0 * d0 > 1200.0 * v00:
+                                if d0 * d0 > FARTHEST * v00:
                                     continue
                                 for j in range(m):
-                                    f = weight * factors[j] * _density(d0, signs[i] * slopes[j] - mw, v00, v01, v11)
-                                    for n in range(4):
-                                        crossed[i0, a, k + n, t, i * m + j] += line[n] * f
+                                    d1 = signs[i] * slopes[j] - mw
+                                    f = weight * factors[j] * _density(d0, d1, v00, v01, v11)
+                                    if f == 0.0:
+                                        continue
+                                    found[:] = 0.0
+                                    _add(found, 0, f, d0, d1, hidden, t, before, after)
+                                    for e in range(s):
+                                        part = 0.0
+                                        for b in range(s):
+                                            part += share[row + b] * found[b, e]
+                                        for n in range(4):
+                                            crossed[i0, a, k + n, t, (i * m + j) * s + e] += line[n] * part
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def crossings_between(means, covariances, on, off, slopes, factors, found):
-    """found (lags, 2 m, 2 m): intensities a lag after a crossing, see `crossings.between_crossings`."""
-    m = len(slopes)
+def crossings_between(means, covariances, hidden, on, off, slopes, factors, found):
+    """found (lags, 2 m s, 2 m s): intensities a lag after a crossing, see `crossings.between_crossings`."""
+    m, n = len(slopes), hidden[0].shape[1]
+    s = n + 1
     levels = (on, off)
     signs = (1.0, -1.0)
+    before, after = np.zeros(n), np.empty(n)
     for t in range(len(means)):
         v00, v01, v11 = covariances[t, 0], covariances[t, 1], covariances[t, 2]
         for i0 in range(2):
@@ -66,18 +84,23 @@ def crossings_between(means, covariances, on, off, slopes, factors, found):
                 z, w = levels[i0], signs[i0] * slopes[j0]
                 mz = means[t, 0, 0] * z + means[t, 0, 1] * w
                 mw = means[t, 1, 0] * z + means[t, 1, 1] * w
+                row = (i0 * m + j0) * s
+                into = found[t, row : row + s]
+                into[:] = 0.0
+                _end_mean(hidden, t, z, w, 0.0, after)
                 for i in range(2):
                     for j in range(m):
-                        f = _density(levels[i] - mz, signs[i] * slopes[j] - mw, v00, v01, v11)
-                        found[t, i0 * m + j0, i * m + j] = factors[j] * f
+                        d0, d1 = levels[i] - mz, signs[i] * slopes[j] - mw
+                        f = factors[j] * _density(d0, d1, v00, v01, v11)
+                        _add(into, (i * m + j) * s, f, d0, d1, hidden, t, before, after)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def first_passages(lags, crossed, between, passed):
-    """passed (sources, lags, 2 m): first passages until each lag.
+    """passed (sources, lags, 2 m s): first passages until each lag.
 
-    crossed: (sources, lags, 2 m) intensities;  between: (lags, 2 m, 2 m).  Both are summed over ln t first: then the
-    renewal equation N = Q + ∫ dQ I has no singular term, and Q is explicit but for the cell in progress.
+    crossed: (sources, lags, 2 m s) intensities;  between: (lags, 2 m s, 2 m s).  Both are summed over ln t first: then
+    the renewal equation N = Q + ∫ dQ I has no singular term, and Q is explicit but for the cell in progress.
     """
     count, size = len(lags), between.shape[1]
     ratio = math.log(lags[1] / lags[0])

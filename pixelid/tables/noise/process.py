@@ -75,6 +75,23 @@ class NoiseProcess:
         """(n, 2) mean of the states given output and slope."""
         return self.P @ self.seen.T / np.diag(self.seen_covariance)
 
+    def hidden(self, least: float) -> tuple[np.ndarray, np.ndarray]:
+        """Hidden states, what output and slope do not tell: independent, of unit variance at any crossing.
+
+        (n, hidden) what the states deviate by from `regression` per hidden state, and (hidden, n) rows that give them.
+
+        Args:
+            least: share of the greatest variance (of states in their standard deviations) from which on one counts.
+        """
+        scale = np.sqrt(np.diag(self.P))
+        left = self.P - self.regression @ self.seen_covariance @ self.regression.T
+        values, vectors = np.linalg.eigh(left / np.outer(scale, scale))
+        kept = values > least * values[-1]
+        kept[:2] = False  # output and slope take two directions
+        sd, vectors = np.sqrt(values[kept]), vectors[:, kept]
+        reading = (vectors / scale[:, None] / sd).T @ (np.eye(len(self.A)) - self.regression @ self.seen)
+        return scale[:, None] * vectors * sd, reading
+
     @cached_property
     def lags(self) -> np.ndarray:
         """(lags,) s, spaced evenly in ln, from far below the time of a slope to far above the slowest time constant."""

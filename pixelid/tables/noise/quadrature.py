@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -11,6 +12,31 @@ GRID = 0.3  # of the stored reference, in standard deviations of the output: eâ
 # Relative spread of thresholds: rates go as e^{bÂ² x} with a change x, and at b = 4 and x = 5 % three nodes err by 2 %
 NARROW = 0.05
 WIDENED = 0.02  # threshold noise above which the maximum at equal thresholds is as wide as a mismatch of 2 to 5 %
+
+
+@dataclass(frozen=True)
+class Resolution:
+    """How finely noise events are computed.
+
+    Attributes:
+        slopes: nodes.
+        spacing: of references, in standard deviations of the output.
+        fine: the same where both thresholds are alike, so that ON and OFF events undo each other, and a pair of them
+            moves the reference by less than `spacing`.
+        least_hidden: share of the greatest variance of a hidden state from which on it is followed.
+    """
+
+    slopes: int
+    spacing: float
+    fine: float
+    least_hidden: float
+
+
+# Finer references change rates by 0.8 % at most (by 3 % where thresholds are alike), further slopes and hidden states
+# by 0.5 %
+WHOLE = Resolution(slopes=4, spacing=0.2, fine=0.1, least_hidden=1e-3)
+# For derivatives of ln rate and for where a search begins: five times faster, rates within 3 % (90 % of 72 cases)
+ROUGH = Resolution(slopes=3, spacing=0.3, fine=0.15, least_hidden=math.inf)
 
 
 def offset_nodes(relative_sd: float) -> tuple[np.ndarray, np.ndarray]:
