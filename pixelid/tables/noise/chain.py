@@ -147,7 +147,9 @@ def chain_of(process: NoiseProcess, circuit: Circuit, drift: float, resolution: 
     never = (QUIET + 1.0) * p.sigma
     reach = max(on.max() if drift > 0 else min(on.max(), never), min(off.max(), never)) + MARGIN * p.sigma
     spacing = _spacing(circuit, released, p, resolution)
-    nodes = np.linspace(-reach, reach, max(math.ceil(2.0 * reach / (spacing * p.sigma)) + 1, 8))
+    # at whole multiples of the spacing, so that what interpolation errs by is smooth in all parameters
+    half = max(math.ceil(reach / (spacing * p.sigma)), 4)
+    nodes = spacing * p.sigma * np.arange(-half, half + 1)
     count, moments = len(nodes), at.hidden.moments
     rates = [at.rates(nodes + on[a], nodes - off[a]) for a in range(len(draws))]
     stationary, resolvents = (np.stack(each) for each in zip(*rates, strict=True))

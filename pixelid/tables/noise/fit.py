@@ -19,24 +19,29 @@ from pixelid.model.model import Model
 from pixelid.parameters.parameter import Parameter
 from pixelid.tables.fit import FREEDOM, MAX_SCATTER, TableFit, fit_at, fit_table
 from pixelid.tables.model import Rows
-from pixelid.tables.noise.model import FLOOR, NoiseModel, in_unit
+from pixelid.tables.noise.model import FITTED, FLOOR, NoiseModel, in_unit
 from pixelid.tables.noise.quadrature import ROUGH, WHOLE, Resolution
 from pixelid.tables.noise.reading import NoiseTable
 
 STEP = 0.02  # of a coordinate, for central differences
 TRUST = 0.7  # of a coordinate per round: a factor of 2
 LEAST_TRUST = 0.02  # where the rates are not linear even so near, the search has failed
-FREE_TRUST = 0.2  # a step that short promises little wherever it begins: rest is judged by longer ones
 ROUNDS = 20
-REST = 0.02  # nats that a step promises, below which a fit has come to rest: 0.2 standard errors
+# nats that a step of `TRUST` promises, below which a fit has come to rest: 0.45 standard errors.  Valleys that rates
+# hardly fix are curved, and steps in them gain a few hundredths for long.
+REST = 0.1
 LEAST_GAINED, GOOD = 0.1, 0.7  # of what a step promised: taken from, and longer steps tried from
 # Where a fit looks first: factors on both thresholds (over the noise), on the light's photocurrent and the follower's
 # cutoff; the latter two where the light's unit leaves the photocurrent open
 THRESHOLD_STARTS = np.geomspace(0.35, 1.6, 8)
 LIGHT_STARTS = np.geomspace(0.03, 300.0, 9)
 FOLLOWER_STARTS = (0.1, 0.4, 1.0)
-MOST_STARTS = 3  # that a search begins from, one after the other, until one describes the table
-DESCRIBED = 0.2  # scatter of rows about a fit at rest that looks no farther: public curves scatter by up to 15 %
+# … and then on the dead time, which models of other sensors may have wrong by far
+DEAD_STARTS = (1.0, 3.0, 10.0, 30.0)
+# Between ln of the thresholds: a search that begins at equal ones, where rates may have a narrow maximum, stays there
+NEAR_STARTS = (0.8, 0.9, 1.0, 1.1)  # factors on thresholds beside those
+LEAST_RATIO, MOST_RATIO = 0.03, 0.1
+MOST_STARTS = 3  # that searches begin from
 DARK_LUX = 0.05  # typical of published sensors; a start, with a wide prior
 LEAK_HZ = 0.01  # the same: leak events of sensors are reported from 0.001 to 0.3 Hz
 
@@ -96,14 +101,14 @@ def fit_noise(table: NoiseTable, model: Model, progress: Callable[[str, float], 
     """
     begun = time.perf_counter()
     report = progress or (lambda what, fraction: None)
-    ends: list[_End] = []
-    for k, noise in enumerate(started(starting_model(table, model), report)):
-        ends.append(_settled(noise, lambda share, k=k: report("fitting", 0.1 + 0.9 * (k + share) / MOST_STARTS)))
-        if ends[-1].converged and ends[-1].scale < DESCRIBED:
-            break
-    end = min(ends, key=lambda end: (not end.scale < MAX_SCATTER, end.misfit))
+    ends = [
+        _settled(noise, ROUGH, lambda share, k=k: report("fitting", 0.1 + 0.6 * (k + share) / MOST_STARTS))
+        for k, noise in enumerate(started(starting_model(table, model), report))
+    ]
+    best = min(ends, key=lambda end: (not end.scale < MAX_SCATTER, end.misfit))
+    end = _settled(best.model, WHOLE, lambda share: report("fitting", 0.7 + 0.3 * share), best)
     noise = end.model
-    final = fit_at(_linearise(noise, end.x, end.level), end.x, end.scale, end.converged)
+    final = fit_at(end.line or _linearise(noise, end.x, end.level, WHOLE), end.x, end.scale, end.line is not None)
     # pixels are a sample: their mean threshold is off the sensor's by the mismatch over the root of their number
     spread = noise.circuit.values.get("threshold_mismatch.sigma", 0.0) / math.sqrt(max(table.pixels, 1))
     names = [p.name for p in noise.parameters]
@@ -114,43 +119,63 @@ def fit_noise(table: NoiseTable, model: Model, progress: Callable[[str, float], 
 
 @dataclass(frozen=True)
 class _End:
-    """Where a search came to rest, or gave up: coordinates, ln rates there, scatter, and minus log posterior."""
+    """Where a search came to rest, or gave up: coordinates, ln rates there, the linearisation that called it rest,
+    scatter, and minus log posterior."""
 
     model: NoiseModel
     x: np.ndarray
     level: np.ndarray
+    line: Linearised | None
     scale: float
     misfit: float
-    converged: bool
 
 
-def _settled(noise: NoiseModel, report: Callable[[float], None]) -> _End:
-    """The end of one search, from the model's values."""
+def _settled(
+    noise: NoiseModel, resolution: Resolution, report: Callable[[float], None], begun: _End | None = None
+) -> _End:
+    """The end of one search, from the model's values or another's end, by slopes of a resolution.
+
+    `ROUGH` slopes lead near an optimum.  Along directions that the rates hardly fix they are not good enough for the
+    rest of the way, and to tell rest, where a table scatters by 1 %.
+    """
     limits = np.array([p.coordinate_bounds() for p in noise.parameters])
-    x = np.array([p.to_coordinate(p.value) for p in noise.parameters])
-    level = np.log(noise.predict(x))
-    trust, converged, scale = TRUST, False, MAX_SCATTER
+    x = begun.x if begun else np.array([p.to_coordinate(p.value) for p in noise.parameters])
+    level = begun.level if begun else np.log(noise.predict(x))
+    scale = begun.scale if begun else MAX_SCATTER
+    trust, at_rest = TRUST, None
     for round_ in range(ROUNDS):
         report(round_ / ROUNDS)
-        line = _linearise(noise, x, level)
+        line = _linearise(noise, x, level, resolution)
+        fit, here, promised, s = _promise(line, noise, limits, TRUST)
+        if promised < REST:
+            scale, at_rest = fit.scale, line
+            break
         while True:
-            fit = fit_table(_within(line, limits, trust), np.exp(x).tolist())
-            s = np.sqrt(fit.scale**2 + _known(noise))
-            here = _misfit(noise, level, x, s)
-            promised = here - _misfit(noise, np.log(line.predict(fit.x)), fit.x, s)
+            if trust < TRUST:
+                fit, here, promised, s = _promise(line, noise, limits, trust)
             trial = np.log(noise.predict(fit.x))
             gained = here - _misfit(noise, trial, fit.x, s)
-            if promised < REST or gained > LEAST_GAINED * promised or trust < LEAST_TRUST:
+            if gained > LEAST_GAINED * promised or trust < LEAST_TRUST:
                 break
             trust *= 0.5
         if gained > 0.0:
             x, level, scale = fit.x, trial, fit.scale
-        if trust < LEAST_TRUST or (promised < REST and trust >= FREE_TRUST):
-            converged = promised < REST and trust >= FREE_TRUST
+        if trust < LEAST_TRUST:
             break
-        trust = min(2.0 * trust, TRUST) if promised < REST or gained > GOOD * promised else trust
+        trust = min(2.0 * trust, TRUST) if gained > GOOD * promised else trust
     s = np.sqrt(scale**2 + _known(noise))
-    return _End(noise, x, level, scale, _misfit(noise, level, x, s) + float(np.log(s).sum()), converged)
+    misfit = _misfit(noise, level, x, s) + float(np.log(s).sum())
+    return _End(noise, x, level, at_rest, scale, misfit)
+
+
+def _promise(
+    line: Linearised, noise: NoiseModel, limits: np.ndarray, trust: float
+) -> tuple[TableFit, float, float, np.ndarray]:
+    """The linear table's optimum within a trusted step, minus log posterior here, what it promises, and the scales."""
+    fit = fit_table(_within(line, limits, trust), np.exp(line.x0).tolist())
+    s = np.sqrt(fit.scale**2 + _known(noise))
+    here = _misfit(noise, line.level, line.x0, s)
+    return fit, here, here - _misfit(noise, np.log(line.predict(fit.x)), fit.x, s), s
 
 
 def starting_model(table: NoiseTable, model: Model) -> NoiseModel:
@@ -182,26 +207,46 @@ def started(noise: NoiseModel, report: Callable[[str, float], None]) -> list[Noi
         return [noise]
     part = NoiseTable(table.light[chosen], table.on[chosen], table.rate_hz[chosen], table.relative_error[chosen],
                       table.last_digit[chosen], np.zeros(int(chosen.sum()), int), {}, table.unit)  # fmt: skip
-    target = np.log(part.rate_hz)
     known_light = table.unit == "fA" or bool(table.pixels)
-    best: dict[float, tuple[float, dict[str, float]]] = {}  # photocurrent, or where that is known follower → (cost, …)
+    lean = 0.5 * _threshold_ratio(part)
+
+    def tried(start: Model, factors: dict[str, float]) -> tuple[float, Model]:
+        """How far ln rates are off on average where parameters are so many times a start's, and the model there."""
+        scaled = {n: (p, p.value * factors[n]) for n, p in start.parameters.items() if n in factors}
+        trial = start.set({n: p.within(v) for n, (p, v) in scaled.items()})
+        rates = rates_by_light(NoiseModel(part, trial, noise.floor), np.unique(part.light), ROUGH)
+        found = np.log([rates[light][0 if on else 1] for light, on in zip(part.light, part.on, strict=True)])
+        return float(np.abs(np.log(part.rate_hz) - found).mean()), trial
+
+    best: dict[float, tuple[float, Model]] = {}  # photocurrent, or where that is known follower → (cost, model)
     grid = [(lit, slow) for lit in ((1.0,) if known_light else LIGHT_STARTS) for slow in FOLLOWER_STARTS]
     for lit, slow in grid:
         for f in THRESHOLD_STARTS * math.sqrt(lit):  # behind a photoreceptor of bandwidth ∝ light σ² ∝ D α
-            factors = {"on_threshold": f, "off_threshold": f, "alpha": lit, "gamma": lit, "alpha_over_beta": lit,
-                       "sf_cutoff_hz": slow}  # fmt: skip
-            scaled = {n: (p, p.value * factors[n]) for n, p in plain.parameters.items() if n in factors}
-            values = {n: p.within(v) for n, (p, v) in scaled.items()}
-            trial = NoiseModel(part, plain.set(values), noise.floor)
-            rates = rates_by_light(trial, np.unique(part.light), ROUGH)
-            found = np.log([rates[light][0 if on else 1] for light, on in zip(part.light, part.on, strict=True)])
-            cost = float(np.abs(target - found).mean())
+            factors = {"on_threshold": f * math.exp(lean), "off_threshold": f * math.exp(-lean), "alpha": lit,
+                       "gamma": lit, "alpha_over_beta": lit, "sf_cutoff_hz": slow}  # fmt: skip
+            one = tried(plain, factors)
             of = slow if known_light else lit
-            if of not in best or cost < best[of][0]:
-                best[of] = cost, values
+            best[of] = min(best.get(of, one), one, key=lambda start: start[0])
+    report("fitting", 0.05)
+    ranked = sorted(best.values(), key=lambda start: start[0])[:MOST_STARTS]
+    if not table.pixels and "refractory_s" in plain.parameters:
+        ranked = [
+            min((tried(start, {"refractory_s": dead, "on_threshold": f, "off_threshold": f})
+                 for dead in DEAD_STARTS for f in NEAR_STARTS), key=lambda one: one[0])
+            for _, start in ranked
+        ]  # fmt: skip
+        ranked.sort(key=lambda start: start[0])
     report("fitting", 0.1)
-    ranked = sorted(best.values(), key=lambda start: start[0])
-    return [replace(noise, circuit=circuit.set(values)) for _, values in ranked[:MOST_STARTS]]
+    own = [n for n in plain.parameters if n in FITTED]
+    return [replace(noise, circuit=circuit.set({n: start.values[n] for n in own})) for _, start in ranked]
+
+
+def _threshold_ratio(table: NoiseTable) -> float:
+    """ln of ON over OFF threshold where a search begins: behind a short dead time N_on C_on = N_off C_off."""
+    lights = sorted(set(table.light[table.on].tolist()) & set(table.light[~table.on].tolist()))
+    rates = [[table.rate_hz[(table.light == x) & (table.on == on)].mean() for on in (True, False)] for x in lights]
+    ratio = float(np.median([math.log(off / on) for on, off in rates])) if rates else 0.0
+    return math.copysign(min(max(abs(ratio), LEAST_RATIO), MOST_RATIO), ratio)
 
 
 def rates_by_light(
@@ -214,9 +259,9 @@ def rates_by_light(
     return dict(zip(lights.tolist(), found, strict=True))
 
 
-def _linearise(noise: NoiseModel, x: np.ndarray, level: np.ndarray) -> Linearised:
+def _linearise(noise: NoiseModel, x: np.ndarray, level: np.ndarray, resolution: Resolution) -> Linearised:
     points = [x + side * STEP * unit for unit in np.eye(len(x)) for side in (1.0, -1.0)]
-    logs = np.log(noise.predict_many(points, ROUGH))
+    logs = np.log(noise.predict_many(points, resolution))
     slopes = ((logs[0::2] - logs[1::2]) / (2.0 * STEP)).T
     return Linearised(noise.rows, noise.parameters, noise.nuisances, noise.neutral_bounds, x, level, slopes)
 
