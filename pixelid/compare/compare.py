@@ -70,6 +70,19 @@ class Comparison(Result):
         return Status.worst([*(c.result.status for c in self.contenders.values()), *posteriors])
 
     @property
+    def advice(self) -> str:
+        """Which fits cannot be trusted and why, in words, and whether the choice of the best rests on any of them."""
+        troubled = {name: c.result for name, c in self.contenders.items() if c.result.status != Status.converged}
+        said = [f"{name}, {fit.status}: {fit.advice or fit.status.advice}" for name, fit in troubled.items()]
+        if troubled and not {self.best, *_undecided(self.contenders, self.best)} & troubled.keys():
+            only = "clear losers are" if len(troubled) > 1 else "a clear loser is"
+            said.append(f"Only {only} not to be trusted ({', '.join(troubled)}): the others ended well.")
+        late = [name for name, c in self.contenders.items() if c.loo and c.loo["status"] != Status.converged]
+        if late:
+            said.append(f"{', '.join(late)}, posterior: {Status.not_converged.advice}")
+        return " ".join(text if text.endswith(".") else f"{text}." for text in said)
+
+    @property
     def headline(self) -> str:
         """The best, and how the fits ended."""
         return f"comparison of {len(self.contenders)} models: {self.best} predicts best; {self.status}"
@@ -91,7 +104,7 @@ class Comparison(Result):
 
     def sentences(self) -> list[str]:
         """What to conclude."""
-        return [self.sentence, self.status.advice]
+        return [self.sentence, self.advice]
 
     def write_companions(self, folder: Path) -> None:
         """Write the fitted models as NAME.toml, each fit into fits/NAME, and held_out.npz: (pixels,) of each model."""
@@ -150,7 +163,7 @@ class Comparison(Result):
         first = best.result
         return {
             "status": self.status,
-            "advice": self.status.advice,
+            "advice": self.advice,
             "best": self.best,
             "sentence": self.sentence,
             "models": table,
@@ -265,15 +278,22 @@ def _about_loo(contenders: Mapping[str, Contender]) -> str:
     return f". PSIS-LOO over pixels, in nats: {said}{words}"
 
 
+def _undecided(contenders: Mapping[str, Contender], best: str) -> list[str]:
+    """Models that held-out pixels do not tell from the best, nearest first; the others have clearly lost."""
+    gains = {name: contenders[best].held_out - c.held_out for name, c in contenders.items() if name != best}
+    needed = float(student.ppf(DECISIVE, len(contenders[best].held_out) - 1))
+    order = sorted(gains, key=lambda name: float(gains[name].sum()))
+    return [name for name in order if gains[name].sum() <= needed * standard_error(gains[name])]
+
+
 def _sentence(contenders: Mapping[str, Contender], best: str) -> str:
     gains = {name: contenders[best].held_out - c.held_out for name, c in contenders.items() if name != best}
     pixels = len(contenders[best].held_out)
-    needed = float(student.ppf(DECISIVE, pixels - 1))
-    order = sorted(gains, key=lambda name: float(gains[name].sum()))
-    said = {name: f"{gains[name].sum():.4g} ± {standard_error(gains[name]):.2g} nats" for name in order}
-    open_ = [name for name in order if gains[name].sum() <= needed * standard_error(gains[name])]
+    said = {name: f"{gain.sum():.4g} ± {standard_error(gain):.2g} nats" for name, gain in gains.items()}
+    open_ = _undecided(contenders, best)
     if not open_:
-        return f"the data support {best}: held-out pixels are {said[order[0]]} likelier than under {order[0]}"
+        nearest = min(gains, key=lambda name: float(gains[name].sum()))
+        return f"the data support {best}: held-out pixels are {said[nearest]} likelier than under {nearest}"
     simpler = min((best, *open_), key=lambda name: len(contenders[name].result.coordinates))
     few = "" if pixels >= FEW_PIXELS else f"; {pixels} pixels are few to tell by"
     others = " and ".join(f"{name} ({said[name]})" for name in open_)

@@ -119,6 +119,28 @@ def test_leave_one_out_is_said_and_what_cannot_be_relied_on_is_named():
     assert Comparison({"a": good, "b": late}, "a", "").status == Status.not_converged
 
 
+def ended(status: Status, held_out, advice="") -> Contender:
+    return Contender(SimpleNamespace(status=status, advice=advice), 0.0, np.asarray(held_out, float))
+
+
+def test_advice_names_the_model_that_is_not_to_be_trusted():
+    """One of two misfitted, and both were under "The model does not describe the data"."""
+    rng = np.random.default_rng(0)
+    best = ended(Status.converged, np.full(20, 10.0))
+    loser = ended(Status.misfit, 5.0 + 0.1 * rng.normal(size=20), "the scatter of ON events is not what the model says")
+    near = ended(Status.misfit, 10.0 + rng.normal(size=20) - 0.1)
+    said = Comparison({"a": best, "b": loser}, "a", "").advice
+    assert said.startswith("b, misfit: the scatter of ON events is not what the model says. Only a clear loser is not")
+    for others in ({"b": near}, {"b": loser, "c": near}):
+        outcome = Comparison({"a": best, **others}, "a", "")
+        assert outcome.status == Status.misfit
+        assert f"{[*others][-1]}, misfit: The model does not describe the data" in outcome.advice
+        assert "loser" not in outcome.advice
+    assert "loser" not in Comparison({"a": best, "b": ended(Status.misfit, np.full(20, 20.0))}, "b", "").advice
+    assert Comparison({"a": best}, "a", "").advice == ""
+    assert Comparison({"a": with_loo(0.3, Status.not_converged)}, "a", "").advice.startswith("a, posterior: The search")
+
+
 @pytest.mark.parametrize("status", ["at_bound", "converged"])
 def test_the_page_of_a_comparison_has_its_status(status, outcome, tmp_path):
     said = outcome.as_dict() | {"status": status}
