@@ -17,6 +17,7 @@ from pixelid.gap.criteria import Criteria
 from pixelid.gap.result import GapReport
 from pixelid.inspection.timestamps import TimestampSignature
 from pixelid.model.model import Model
+from pixelid.parameters.parameter import precision_in_words
 
 THRESHOLDS = ("on_threshold", "off_threshold")
 
@@ -211,6 +212,18 @@ def _bandwidth(rows: Sequence[Row], beside: Beside) -> Row:
 
 
 def _threshold(name: str, beside: Beside) -> Row:
-    strength = {name: beside.strength(name)}
-    told = "as fitted" if beside.pixels else "pooled counts show only its ratio to the number of pixels"
-    return Row(name, "comparator", PRESENT, f"every event-camera pixel has it; {told}", strength)
+    """A threshold as fitted, or what kept it from being: every pixel has one, but no event may have told it."""
+    strength = beside.strength(name)
+    limits = strength[1]
+    has_it = "every event-camera pixel has it"
+    if not beside.pixels:
+        why = f"{has_it}; pooled counts show only its ratio to the number of pixels"
+        return Row(name, "comparator", PRESENT, why, {name: strength})
+    if limits is None:
+        return Row(name, "comparator", NOT_TESTED, f"{has_it}; held at the model's value, not fitted", {name: strength})
+    known = precision_in_words(limits, beside.model.parameters[name])
+    if None in limits:
+        shown = {} if known == "open" else {name: strength}
+        why = f"{has_it}; the recordings leave it {known}" if known == "open" else f"{has_it}; {known} of it is told"
+        return Row(name, "comparator", NOT_DECIDABLE, why, shown)
+    return Row(name, "comparator", PRESENT, f"{has_it}; as fitted", {name: strength})

@@ -160,6 +160,26 @@ def test_effects_of_the_base_that_only_timestamps_show():
     assert rows(found)["timestamp_quantisation"].verdict == "not_tested"
 
 
+def test_a_threshold_that_no_event_tells_is_not_decidable():
+    """Of recordings without an OFF event, off_threshold was "present, as fitted", of whatever value it began at."""
+    off, noise = (find_model("dvs128").parameters[name] for name in ("off_threshold", "threshold_sigma"))
+    verdicts = {
+        (off.lower, off.upper): ("not_decidable", "open"),
+        (0.2, off.upper): ("not_decidable", "only a lower limit"),
+        (0.24, 0.26): ("present", "as fitted"),
+    }
+    for interval, (verdict, said) in verdicts.items():
+        row = rows(report(), intervals={"off_threshold": interval})["off_threshold"]
+        assert row.verdict == verdict
+        assert said in row.why
+        assert bool(row.parameters) is (said != "open")
+    held = rows(report())["off_threshold"]
+    assert held.verdict == "not_tested"
+    assert rows(report(), pixels=False)["off_threshold"].verdict == "present"
+    open_ = rows(report(), intervals={noise.name: (noise.lower, noise.upper)})["threshold_noise"]
+    assert open_.verdict == "not_decidable"
+
+
 def test_a_side_that_only_the_range_ends_is_open_and_limits_of_either_sign_are_the_larger():
     model = find_model("dvs128").with_effect("threshold_drift")
     low = model.parameters["sf_cutoff_hz"].lower
