@@ -29,6 +29,11 @@ class Status(StrEnum):
         return _ADVICE[self]
 
     @property
+    def at_rest(self) -> bool:
+        """Whether the search came to a maximum; only there do curvatures say what the data identify."""
+        return self not in (Status.not_converged, Status.interrupted, Status.diverged)
+
+    @property
     def exit_code(self) -> int:
         """What the command line returns: 0 for `converged`, 1 for all others."""
         return 0 if self is Status.converged else 1
@@ -43,6 +48,8 @@ class Status(StrEnum):
         return max(statuses, key=_SERIOUSNESS.index, default=cls.converged)
 
 
+# Among what a result leaves open, where its search is not at rest.
+STOPPED = "every parameter: the search stopped before its maximum; values and intervals are of where it stopped"
 _ADVICE = {
     Status.converged: "",
     Status.misfit: "The model does not describe the data: look at the residuals, then search for what it lacks with "

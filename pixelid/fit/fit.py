@@ -15,7 +15,7 @@ from pixelid.fit.data import as_fitted
 from pixelid.fit.engines import FORMS, Engine
 from pixelid.fit.engines import engine as engine_named
 from pixelid.fit.event_times import EventTimesObjective
-from pixelid.fit.judge import open_sides, precision, residual_tests, status_of
+from pixelid.fit.judge import at_rest_only, open_sides, precision, residual_tests, status_of
 from pixelid.fit.levels.found import pixel_levels as levels_of
 from pixelid.fit.levels.objective import LevelledObjective
 from pixelid.fit.levels.pixel_levels import PixelLevelsLike, Wanted
@@ -186,8 +186,9 @@ def fit(
     estimates, open_ones = open_sides(
         estimates_of(coordinates, optimum.x, reading.sd, identified, limits_95), coordinates.parameters
     )
-    details["precision"] = {p.name: precision(estimates[p.name], p) for p in coordinates.parameters}
     status, advice = status_of(objective, optimum, estimates, details)
+    estimates, stopped = at_rest_only(estimates, status)
+    details["precision"] = {p.name: precision(estimates[p.name], p, status) for p in coordinates.parameters}
     apart = unseparated(recordings)
     report("done", 1.0)
     return FitResult(
@@ -201,6 +202,7 @@ def fit(
         covariance=reading.covariance,
         estimates=estimates,
         unidentified=(
+            *stopped,
             *open_ones,
             *reading.sentences,
             *limits,

@@ -14,7 +14,7 @@ from pixelid.fit.objective import Objective
 from pixelid.fit.result import Estimate
 from pixelid.fit.uncertainty.profiles import DROP_NATS, at_fixed
 from pixelid.parameters.parameter import Parameter, precision_in_words
-from pixelid.status import Status
+from pixelid.status import STOPPED, Status
 
 # Events that fit the model not at all.  Under a true model they are one in 10⁵ (`likelihood/event_times.py`), so one
 # in 10³ is an effect; below 5 a single accident could decide.
@@ -234,8 +234,17 @@ def open_sides(
     return changed, sentences
 
 
-def precision(estimate: Estimate, parameter: Parameter) -> str:
+def at_rest_only(estimates: Mapping[str, Estimate], status: Status) -> tuple[dict[str, Estimate], list[str]]:
+    """Estimates of which nothing is identified where the search did not come to rest, and a sentence that says so."""
+    if status.at_rest:
+        return dict(estimates), []
+    return {name: e if e.fixed else replace(e, identified=False) for name, e in estimates.items()}, [STOPPED]
+
+
+def precision(estimate: Estimate, parameter: Parameter, status: Status = Status.converged) -> str:
     """How well a value is known, in words: "known within 3 %", "known to a factor of 3", "only a lower limit"."""
     if estimate.fixed:
         return "fixed"
+    if not status.at_rest:
+        return "open: the search stopped before its maximum"
     return precision_in_words(estimate.interval_95 or (None, None), parameter)

@@ -147,10 +147,10 @@ class TableFit:
         return [str(name) for name in dict.fromkeys(column) if np.mean(self.suspect[column == name]) > MOST_SUSPECT]
 
     def as_dict(self) -> dict[str, dict[str, Any]]:
-        """Entries of the result's JSON, by parameter name."""
+        """Entries of the result's JSON, by parameter name; none is identified where the regression did not rest."""
         entries = {}
         for p, x, sd, limit in zip(self.parameters, self.x, self.sd, self.limit, strict=True):
-            known = bool(np.isfinite(sd) and sd < OPEN_SD)
+            known = bool(self.converged and np.isfinite(sd) and sd < OPEN_SD)
             low, high = p.lower, p.upper
             if np.isfinite(sd):
                 low, high = np.exp(x - Z95 * sd), np.exp(min(x + Z95 * sd, 300.0))

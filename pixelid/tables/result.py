@@ -8,6 +8,7 @@ from typing import Any
 
 from pixelid.figures.style import save_figure
 from pixelid.outputs import write_json
+from pixelid.status import STOPPED
 from pixelid.tables.fit import TableFit
 
 
@@ -27,7 +28,7 @@ def table_result(fit: TableFit, name: str, observation: str) -> dict[str, Any]:
         "model": name,
         "observation": observation,
         "parameters": parameters,
-        "unidentified": open_sentences(parameters),
+        "unidentified": open_sentences(parameters, at_rest=fit.converged),
         "relative_scatter": fit.scale,
         "log_likelihood": fit.log_likelihood,
         "cells_fitted": len(fit.residual),
@@ -35,8 +36,10 @@ def table_result(fit: TableFit, name: str, observation: str) -> dict[str, Any]:
     }
 
 
-def open_sentences(parameters: Mapping[str, dict[str, Any]]) -> list[str]:
-    """One sentence per parameter that the table leaves open."""
+def open_sentences(parameters: Mapping[str, dict[str, Any]], *, at_rest: bool = True) -> list[str]:
+    """One sentence per parameter that the table leaves open; one of all where the regression did not come to rest."""
+    if not at_rest:
+        return [STOPPED]
     return [
         f"{name}: the table leaves it between {v['interval_95'][0]:.3g} and {v['interval_95'][1]:.3g} {v['unit']}"
         for name, v in parameters.items()

@@ -15,6 +15,7 @@ from pixelid.model.shipped import find_model
 from pixelid.recordings import open_recording, write_recording
 from pixelid.recordings.events import Events
 from pixelid.recordings.recording import Recording
+from pixelid.status import STOPPED
 from pixelid.stimuli.stimulus import Stimulus
 from pixelid.tables.fit import fit_at
 from pixelid.tables.noise.first_passage import mean_rates
@@ -22,6 +23,7 @@ from pixelid.tables.noise.fit import fit_noise
 from pixelid.tables.noise.model import FA_PER_LUX, NoiseModel, in_unit
 from pixelid.tables.noise.reading import read_noise_tables, reduced_recordings
 from pixelid.tables.noise.result import model_scales, predicted_result
+from pixelid.tables.result import table_result
 
 LIGHTS = (0.3, 1.0, 3.0, 10.0, 30.0, 100.0)
 
@@ -117,6 +119,9 @@ def test_advice_is_for_tables_of_noise(tmp_path):
     fit = fit_at(noise, np.array([p.to_coordinate(p.value) for p in noise.parameters]), 0.01, converged=False)
     status, advice = fit.judge()
     assert status == "not_converged"
+    assert not any(entry["identified"] for entry in fit.as_dict().values())
+    assert table_result(fit, "", "")["unidentified"] == [STOPPED]
+    assert any(entry["identified"] for entry in replace(fit, converged=True).as_dict().values())
     assert "--model" in advice
     assert "columns" not in advice
     status, advice = replace(fit, converged=True, scale=0.5).judge()

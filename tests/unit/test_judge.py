@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from pixelid.fit.judge import ResidualTest, has_arrived, open_sides, precision, significant, status_of
+from pixelid.fit.judge import ResidualTest, at_rest_only, has_arrived, open_sides, precision, significant, status_of
 from pixelid.fit.newton import Optimum
 from pixelid.fit.objective import Local, Objective
 from pixelid.fit.result import Estimate
@@ -63,6 +65,18 @@ def test_statuses():
     assert word is Status.misfit
     assert "the level" in advice
     assert "gap" in advice
+
+
+def test_nothing_is_identified_before_the_maximum():
+    """Curvature where a search stopped is not that of a maximum; all of it was called identified."""
+    before = {"gamma": estimate(), "held": replace(estimate(), name="held", fixed=True)}
+    for status in Status:
+        after, said = at_rest_only(before, status)
+        at_rest = status not in ("not_converged", "interrupted", "diverged")
+        assert after["gamma"].identified is at_rest
+        assert after["held"].identified
+        assert bool(said) is not at_rest
+        assert precision(before["gamma"], GAMMA, status).startswith("open") is not at_rest
 
 
 def test_a_plateau_counts_as_arrived():

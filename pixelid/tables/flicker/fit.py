@@ -45,7 +45,7 @@ class Group:
     @property
     def known(self) -> bool:
         """Whether amplitude and phase are known well enough to be compared with other groups."""
-        return bool(self.sd[0] < OPEN_SD and self.sd[2] < OPEN_PHASE_CYCLES)
+        return bool(self.fit.converged and self.sd[0] < OPEN_SD and self.sd[2] < OPEN_PHASE_CYCLES)
 
 
 @dataclass(frozen=True)

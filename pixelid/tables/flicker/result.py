@@ -63,7 +63,9 @@ def _group(g: Group, locked: bool) -> dict:
         entry[name] = {
             "value": value,
             "std": (sd if name in LINEAR else value * sd) if np.isfinite(sd) else None,
-            "identified": locked and bool(sd < (OPEN_PHASE_CYCLES if name == "phase_cycles" else OPEN_SD)),
+            "identified": locked
+            and g.fit.converged
+            and bool(sd < (OPEN_PHASE_CYCLES if name == "phase_cycles" else OPEN_SD)),
         }
     return entry
 

@@ -47,7 +47,7 @@ def fitted_result(fit: LatencyFit) -> dict[str, Any]:
     unidentified = []
     for one in fit.fits:
         entries = one.regression.as_dict()
-        parameters |= {_of_camera(name, one.name, several): entry for name, entry in entries.items()}
+        parameters |= {of_camera(name, one.name, several): entry for name, entry in entries.items()}
         unidentified += [f"{one.name}: {sentence}" for sentence in _open(one, entries)]
     return {
         "status": status,
@@ -72,7 +72,7 @@ def predicted_result(table: LatencyTable, cameras: Sequence[Camera], *inputs: Pa
     wrong += _missed(common["rows"])
     several = len(used) > 1
     parameters = {
-        _of_camera(name, camera.name, several): {
+        of_camera(name, camera.name, several): {
             "value": value, "unit": unit, "std": None, "interval_95": None, "identified": True, "fixed": True
         }
         for camera in {id(camera): camera for camera in used.values()}.values()
@@ -187,7 +187,7 @@ def described(one: CameraFit, table: LatencyTable) -> Camera:
             corner, damping = _interval(entries["alpha_over_beta"]), _interval(entries["beta"])
             text = f"{origin}: alpha_over_beta {corner} times beta {damping}"
             both = ("alpha_over_beta", "beta")
-            if all(np.isfinite(sd[key]) for key in both):
+            if one.regression.converged and all(np.isfinite(sd[key]) for key in both):
                 prior = Prior(sum(x[key] for key in both), float(np.hypot(*(sd[key] for key in both))))
         elif name == "gamma":
             text = "not seen by latencies: 0.034 α/β, the ratio of the DVS128"
@@ -336,7 +336,7 @@ def _delay_sentences(cameras: Sequence[Camera]) -> list[str]:
 
 
 def _open(one: CameraFit, entries: Mapping[str, Any]) -> list[str]:
-    said = open_sentences(entries)
+    said = open_sentences(entries, at_rest=one.regression.converged)
     for other in one.rivals:
         poles = ("beta", "sf_cutoff_hz", "diff_cutoff_hz")
         values = {p.name: float(np.exp(x)) for p, x in zip(other.parameters, other.x, strict=True) if p.name in poles}
@@ -371,7 +371,7 @@ def _values(camera: Camera) -> list[tuple[str, float, str]]:
     return found
 
 
-def _of_camera(name: str, camera: str, several: bool) -> str:
+def of_camera(name: str, camera: str, several: bool) -> str:
     """Parameter names of several cameras in one file: alpha[CAM1], on_threshold[CAM1, 0.25MAX]."""
     if not several:
         return name

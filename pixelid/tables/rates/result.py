@@ -55,7 +55,7 @@ def _head(r: TableFit, model: str, frequency_hz: np.ndarray) -> dict:
         name: words if result["parameters"][name]["identified"] or not words.startswith("known") else f"open: {words}"
         for name, words in r.precision().items()
     }
-    return result | {"precision": precision, "unidentified": open_sentences(result["parameters"])}
+    return result | {"precision": precision, "unidentified": open_sentences(result["parameters"], at_rest=r.converged)}
 
 
 def _pixel_sentences(fit: PixelFit, together: TableFit, cells: list[dict]) -> list[str]:
