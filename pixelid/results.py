@@ -226,6 +226,24 @@ def read_result(folder: str | Path, file: str) -> dict[str, Any]:
     return read_json(path)
 
 
+def latency_fit_of(folder: Path) -> tuple[Path, str | None] | None:
+    """Where latency.json of a fitted model's folder lies, and which of its cameras the model is; None without one.
+
+    The folder itself for a fit of one camera, which needs no name; for one camera's folder of several, that above.
+
+    Raises:
+        InputError: a damaged model file.
+    """
+    folder = folder.absolute()
+    if (folder / "latency.json").is_file():
+        return folder, None
+    if not ((folder / "model.toml").is_file() and (folder.parent / "latency.json").is_file()):
+        return None
+    of_latencies = read_toml(folder / "model.toml").get("latency", {})
+    camera = cast("dict[str, Any]", of_latencies).get("camera") if isinstance(of_latencies, dict) else None
+    return None if camera is None else (folder.parent, str(camera))
+
+
 def read_unidentified(folder: Path) -> list[str]:
     """What the fit in a folder, of events or of a table, says that it left open; nothing where there is no fit.
 
@@ -234,13 +252,12 @@ def read_unidentified(folder: Path) -> list[str]:
     Raises:
         InputError: a damaged result.
     """
-    folder = folder.absolute()
     there = [file for file in ("fit.json", "latency.json", "noise.json") if (folder / file).is_file()]
-    if there or not ((folder / "model.toml").is_file() and (folder.parent / "latency.json").is_file()):
+    of_latencies = None if there else latency_fit_of(folder)
+    if of_latencies is None:
         return [sentence for file in there for sentence in _left_open(folder, file)]
-    of_latencies = read_toml(folder / "model.toml").get("latency", {})
-    camera = cast("dict[str, Any]", of_latencies).get("camera") if isinstance(of_latencies, dict) else None
-    return [sentence for sentence in _left_open(folder.parent, "latency.json") if sentence.startswith(f"{camera}: ")]
+    above, camera = of_latencies
+    return [sentence for sentence in _left_open(above, "latency.json") if sentence.startswith(f"{camera}: ")]
 
 
 def _left_open(folder: Path, file: str) -> list[str]:

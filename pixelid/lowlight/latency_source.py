@@ -23,6 +23,7 @@ from pixelid.tables.latency.choosing import chosen_cameras, chosen_rows
 from pixelid.tables.latency.model import GAMMA_OVER_CORNER
 from pixelid.tables.latency.reading import LatencyTable, read_tables
 from pixelid.tables.latency.recipe import read_latency_recipe
+from pixelid.tables.latency.result import of_camera
 
 RESULT = "latency.json"
 _ADDED = ("measured", "predicted", "standardised", "statistics", "lost_edges", "spoiled")  # to the table's columns
@@ -81,8 +82,12 @@ def camera_of(spec: Path) -> Camera:
     return first
 
 
-def latency_draws(folder: Path, model: Model, count: int, rng: np.random.Generator) -> list[Model]:
-    """Circuits as uncertain as `pixelid latency` left that of a folder; none where it holds no fit of one camera.
+def latency_draws(
+    folder: Path, model: Model, count: int, rng: np.random.Generator, camera: str | None = None
+) -> list[Model]:
+    """Circuits as uncertain as `pixelid latency` left that of a folder, or one camera's of several in it.
+
+    None where it holds no fit of that camera, or of several and no word of which.
 
     From posterior.npz where the fit was sampled; else from the intervals of latency.json, as if they were independent.
 
@@ -96,17 +101,19 @@ def latency_draws(folder: Path, model: Model, count: int, rng: np.random.Generat
     names = ("alpha_over_beta", "beta", "sf_cutoff_hz", "diff_cutoff_hz", "dark_current.radiance")
     with interpreting(path, "a latency fit"):
         entries = document["parameters"]
-        if any(entries.get(name, {}).get("interval_95") is None for name in names):
+        own = {name: entries.get(of_camera(name, camera or "", camera is not None), {}) for name in names}
+        if any(entry.get("interval_95") is None for entry in own.values()):
             return []  # several cameras, or a prediction
         sampled = document.get("posterior", {})
-        if (folder / "posterior.npz").is_file() and len(sampled) == 1:
-            (camera, said), chains = *sampled.items(), load_arrays(folder / "posterior.npz")
-            order = list(said["parameters"])
+        if camera is None and len(sampled) == 1:
+            camera = str(next(iter(sampled)))
+        if camera is not None and (folder / "posterior.npz").is_file() and camera in sampled:
+            chains, order = load_arrays(folder / "posterior.npz"), list(sampled[camera]["parameters"])
             chain = np.asarray(chains[camera], dtype=float).reshape(-1, len(order))
             chosen = np.exp(chain[rng.integers(len(chain), size=count)])
             values = {name: chosen[:, order.index(name)] for name in names}
         else:
-            values = {name: _drawn(entries[name], count, rng) for name in names}
+            values = {name: _drawn(own[name], count, rng) for name in names}
     values["alpha"] = values["alpha_over_beta"] * values["beta"]
     values["gamma"] = GAMMA_OVER_CORNER * values.pop("alpha_over_beta")
     kept = {name: value for name, value in values.items() if name in model.parameters}

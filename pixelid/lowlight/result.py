@@ -24,7 +24,7 @@ from pixelid.model.files import load_model, save_model
 from pixelid.model.model import Model
 from pixelid.provenance import provenance
 from pixelid.recordings.recording import Recording
-from pixelid.results import ContentResult, Table, read_result, required
+from pixelid.results import ContentResult, Table, latency_fit_of, read_result, required
 from pixelid.status import Status
 
 BAND_DRAWS = 60  # models behind the bands of a fit: their 95 % limits to about a tenth of their width
@@ -143,10 +143,10 @@ def lowlight_report(
     draws: list[Model] = []
     if fitted is not None:
         draws = drawn(model, *uncertainty(fitted, model), BAND_DRAWS, np.random.default_rng(seed))
-    finished = sources[0] if sources and (sources[0] / "latency.json").is_file() else None
+    finished = latency_fit_of(sources[0]) if sources else None
     if finished is not None and not draws:
-        draws = latency_draws(finished, model, BAND_DRAWS, np.random.default_rng(seed))
-    tables = list(latency) or ([finished] if finished is not None and draws else [])
+        draws = latency_draws(finished[0], model, BAND_DRAWS, np.random.default_rng(seed), finished[1])
+    tables = list(latency) or ([finished[0]] if finished is not None and draws else [])
     if camera is not None and not tables:
         raise InputError("--camera: which of the cameras of --latency; expected that option with it")
     content = analyse(model, recordings, draws=draws, seed=seed, progress=progress)

@@ -36,6 +36,11 @@ def find_model(spec: str | Path) -> Model:
     known = shipped_models()
     if str(spec) in known:
         return load_model(known[str(spec)])
+    if path.is_dir() and (inside := sorted(path.glob("*/model.toml"))):
+        raise InputError(
+            f"{path}: no model.toml in it, but one in each of its folders: expected one of these, "
+            f"{', '.join(str(file.parent) for file in inside)}"
+        )
     raise InputError(
         f"no model {str(spec)!r}: expected a .toml file, a fit folder, or one of {', '.join(known)}"
         f"{did_you_mean(spec, known)}"

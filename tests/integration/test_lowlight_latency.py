@@ -1,16 +1,19 @@
 """`pixelid lowlight` with tables of latencies: poles of independently solved pixels, a broken law, bad input."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from pixelid.cli.main import main
+from pixelid.lowlight import latencies
 from pixelid.lowlight.latency_source import read_source
 from pixelid.model.shipped import find_model
-from pixelid.tables.latency.camera import Camera, save_camera
+from pixelid.tables.latency.camera import Camera, load_camera, save_camera
 from pixelid.tables.latency.reading import read_tables
+from pixelid.tables.latency.result import of_camera
 from tests.oracles.latency_steps import Pixel, as_camera, write_table
 
 FITS = Path(__file__).resolve().parents[2] / "fits"
@@ -52,6 +55,39 @@ def test_a_fits_own_folder_brings_its_table_and_its_uncertainty(folder):
         assert one["model"]["interval_95"][0] < one["model"]["pole_rad_s"] < one["model"]["interval_95"][1]
     assert (folder / "out" / "latency_poles.svg").is_file()
     assert "from its latencies" in (folder / "out" / "report.html").read_text()
+
+
+def test_one_cameras_folder_brings_the_table_and_uncertainty_of_the_fit_of_several(
+    folder, tmp_path, capsys, monkeypatch
+):
+    """Each camera has a folder of its own, and latency.json lies beside these; they went without either."""
+    said = json.loads((folder / "fit" / "latency.json").read_text())
+    values, rows = said["parameters"], said["rows"]
+    said["cameras"] = ["SIM", "other"]
+    said["parameters"] = {
+        of_camera(name, each, True): entry for each in said["cameras"] for name, entry in values.items()
+    }
+    said["rows"] = [{**row, "camera": each} for each in said["cameras"] for row in rows]
+    (tmp_path / "latency.json").write_text(json.dumps(said))
+    for each in said["cameras"]:
+        (tmp_path / each).mkdir()
+        save_camera(replace(load_camera(folder / "fit" / "model.toml"), name=each), tmp_path / each / "model.toml")
+    asked = []
+
+    def analysis(source, camera, drawn, seed):
+        asked.append((source, camera, [model.values for model in drawn]))
+        return latency_of(folder / "out")
+
+    monkeypatch.setattr(latencies, "latency_analysis", analysis)
+    for place in (tmp_path / "SIM", folder / "fit"):
+        assert run("lowlight", place, "--out", tmp_path / "out", "--overwrite") in (0, 1)
+    (several, camera, drawn), (alone, _, as_drawn) = asked
+    assert (several.name, camera.name, several.files[0].parent) == ("SIM", "SIM", tmp_path)
+    assert several.table.irradiance.tolist() == alone.table.irradiance.tolist()
+    assert drawn == as_drawn
+    assert len(drawn) > 1
+    assert run("lowlight", tmp_path, "--out", tmp_path / "all") == 2
+    assert str(tmp_path / "SIM") in capsys.readouterr().err
 
 
 def test_half_of_a_latency_is_the_floor_where_it_is_twice_that_of_boundless_light(folder):

@@ -68,6 +68,16 @@ def test_what_a_fit_of_several_cameras_left_open_is_said_of_each(tmp_path):
     assert "gamma: anything" not in said
 
 
+def test_of_a_folder_of_several_cameras_the_folders_are_named(tmp_path, capsys):
+    for each in ("CAM1", "CAM3"):
+        (tmp_path / each).mkdir()
+        save_camera(Camera(each, ONE_POLE, ()), tmp_path / each / "model.toml")
+    assert main(["export", str(tmp_path), "--to", "v2e", "--out", str(tmp_path / "v2e.txt"), "--quiet"]) == 2
+    said = capsys.readouterr().err
+    assert str(tmp_path / "CAM1") in said
+    assert str(tmp_path / "CAM3") in said
+
+
 def test_v2e_is_exact_at_every_light_for_its_own_pixel():
     model = ONE_POLE.with_effect("bandwidth_floor", {"radiance": 20.0})
     cutoff = parameters(model, "v2e")["cutoff_hz"]
