@@ -130,6 +130,15 @@ def test_advice_is_for_tables_of_noise(tmp_path):
     assert "frequencies" not in advice
 
 
+def test_a_table_without_events_is_refused(tmp_path, capsys):
+    """A fit searched for minutes for what no row could tell."""
+    table = tmp_path / "silent.csv"
+    table.write_text("lux,ON_events_per_s_per_px,OFF_events_per_s_per_px\n1,0,0\n10,0,0\n")
+    assert run("noise", table, "--out", tmp_path / "out") == 2
+    assert "silent.csv: expected a rate above 0" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
 def test_one_polarity_far_off_is_a_misfit(tmp_path):
     noise = NoiseModel(read_noise_tables([write_table(tmp_path / "noise.csv", planted())]), planted())
     assert predicted_result(noise)["status"] == "converged"

@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from pixelid.errors import InputError
 from pixelid.model.model import Model
 from pixelid.parameters.parameter import Parameter
 from pixelid.tables.fit import FREEDOM, MAX_SCATTER, TableFit, fit_at, fit_table
@@ -98,7 +99,13 @@ def fit_noise(table: NoiseTable, model: Model, progress: Callable[[str, float], 
         model: start, priors, and what is not fitted; the density of its shot noise is held (thresholds and the root of
             the density go together in noise).
         progress: called with what is done and the fraction done.
+
+    Raises:
+        InputError: without a single rate above 0.
     """
+    if not (table.rate_hz > 0).any():
+        where = ", ".join(map(str, table.sources)) or "noise"
+        raise InputError(f"{where}: expected a rate above 0 in some row, found none: without events nothing is fitted")
     begun = time.perf_counter()
     report = progress or (lambda what, fraction: None)
     ends = [
