@@ -303,7 +303,7 @@ def run(name: str, work: Path, setting: str, seed: int, iterations: int | None, 
                 "iterations": result.state.iteration, "degree": chosen.degree, "held_out": round(result.held_out, 4),
                 "rays_per_second": round(result.rays_per_second), "pixel": result.state.pixel.values(),
                 "found": [effect["name"] for effect in result.gap["effects"]] if result.gap else None,
-                "poses": result.state.poses.as_dict(),
+                "poses": result.state.poses.as_dict(result.problem.time_resolution_s),
             }  # fmt: skip
             if result.published is not None:
                 row["published_protocol_psnr"] = round(float(result.published.psnr.mean()), 3)

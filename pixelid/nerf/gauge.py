@@ -27,6 +27,7 @@ PARALLEL = 1e-4
 SEEING = 0.9  # share of the poses that have the middle of the box ahead of them
 CLOSEST = 0.01  # of the way that the camera goes: closer is not ahead
 SCALES = ("auto", "level", "free")
+CLOSE_PIXELS = 0.5  # pixels: about half the width of the field's edges, and what a scene resolves
 UNIFORM = 0.03  # standard deviation of ln L along the borders, below which they show a background
 BORDER = 0.5  # share of border pixels that must agree
 # ln L by which a scene begins apart from its background at least: haze of its colour would be invisible, and no event
@@ -125,17 +126,52 @@ def crossing_time(trajectory: Trajectory, camera: Camera, low, high, number: int
     A pixel over the root mean square speed of points spread over the ball inside the box and over the trajectory.
     low, high: (3,)
     """
+    t, points = _seen_points(trajectory, low, high, number)
+    step = 1e-5 * (trajectory.t[-1] - trajectory.t[0])
+    (before, _), (after, ahead) = (_image(trajectory, camera, time, points) for time in (t, t + step))
+    moved = np.linalg.norm(after - before, axis=1)[ahead]
+    speed = np.sqrt((moved**2).mean()) / step if len(moved) else 0.0
+    return float(1.0 / speed) if speed > 0 else 0.0
+
+
+def time_resolution(trajectory: Trajectory, camera: Camera, low, high, number: int = 2000) -> float:
+    """Seconds that an offset between the clocks of poses and events must have to show; inf where none does.
+
+    A pose that is late is to first order a pose that is moved, and what moves cameras at time t is a field of
+    velocities v(t) + ω(t) × x in the axes of the world.  Where that is the same at all times, the scene may as well
+    stand elsewhere: cameras and scene moved, turned and scaled together make the same events.  So an offset shows by
+    the image's speed beyond the best v + ω × x + σ x (least squares, over points and times as in `crossing_time`), once
+    that has moved the image by `CLOSE_PIXELS`, which is what a scene resolves.
+
+    low, high: (3,)
+    """
+    t, points = _seen_points(trajectory, low, high, number)
+    share, size = 1e-7, float((high - low).max())
+    later = t + share * (trajectory.t[-1] - trajectory.t[0])
+    arms = (points - 0.5 * (low + high)) / size
+    turns = [np.cross(axis, arms) for axis in np.eye(3)]
+    moved = [points + share * size * way for way in (*np.eye(3), *turns, arms)]
+    at, ahead = _image(trajectory, camera, t, points)
+    seen = [_image(trajectory, camera, later, points), *(_image(trajectory, camera, t, there) for there in moved)]
+    ahead = np.all([ahead, *(before for _, before in seen)], axis=0)
+    along, *ways = ((place - at)[ahead].ravel() / share for place, _ in seen)  # over the flight, over the box
+    columns = np.column_stack(ways)
+    beyond = float(np.linalg.norm(along - columns @ np.linalg.lstsq(columns, along, rcond=None)[0]))
+    flight_s = float(trajectory.t[-1] - trajectory.t[0])
+    return CLOSE_PIXELS * flight_s * math.sqrt(ahead.sum()) / beyond if beyond > 0 else math.inf
+
+
+def _seen_points(trajectory: Trajectory, low, high, number: int) -> tuple[np.ndarray, np.ndarray]:
+    """(times (n,), points (n, 3)) spread over the trajectory and over the ball inside the box."""
     rng = np.random.default_rng(0)
     t = rng.uniform(trajectory.t[0], trajectory.t[-1], number)
     ball = rng.normal(size=(number, 3))
     ball *= (rng.random(number) ** (1 / 3) / np.linalg.norm(ball, axis=1))[:, None]
-    points = 0.5 * (low + high) + 0.5 * ball * (high - low)
-    step = 1e-5 * (trajectory.t[-1] - trajectory.t[0])
-    seen = []
-    for time in (t, t + step):
-        position, rotation = trajectory.at(time)
-        inside = np.einsum("nij,ni->nj", rotation, points - position)
-        seen.append(inside[:, :2] / np.maximum(inside[:, 2:], 1e-9))
-    moved = np.linalg.norm(seen[1] - seen[0], axis=1)[inside[:, 2] > 0] * camera.intrinsics[0, 0]
-    speed = np.sqrt((moved**2).mean()) / step if len(moved) else 0.0
-    return float(1.0 / speed) if speed > 0 else 0.0
+    return t, 0.5 * (low + high) + 0.5 * ball * (high - low)
+
+
+def _image(trajectory: Trajectory, camera: Camera, times, points) -> tuple[np.ndarray, np.ndarray]:
+    """(places (n, 2) in pixels of points (n, 3) at times (n,), which of them are ahead of the camera)."""
+    position, rotation = trajectory.at(times)
+    inside = np.einsum("nij,ni->nj", rotation, points - position)
+    return inside[:, :2] / np.maximum(inside[:, 2:], 1e-9) * camera.intrinsics[0, 0], inside[:, 2] > 0

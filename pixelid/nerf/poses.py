@@ -127,14 +127,18 @@ class Poses(torch.nn.Module):
         turned = Rotation.from_rotvec(correction[:, 3:]) * Rotation.from_matrix(rotation)
         return replace(self.trajectory, position=position + correction[:, :3], orientation=turned.as_quat())
 
-    def as_dict(self) -> dict[str, float] | None:
-        """The entry "poses" of reconstruction.json; None where nothing is trained."""
+    def as_dict(self, time_resolution_s: float) -> dict[str, float | None] | None:
+        """The entry "poses" of reconstruction.json; None where nothing is trained.
+
+        time_resolution_s: of `gauge.time_resolution`
+        """
         if not self.trained:
             return None
         with torch.no_grad():
             rms = self._corrections(self.trajectory.t).square().mean(dim=0)
         return {
             "time_offset_s": self.time_offset_s,
+            "time_resolution_s": time_resolution_s if math.isfinite(time_resolution_s) else None,
             "position_rms": math.sqrt(float(rms[:3].sum())),
             "rotation_rms_deg": math.degrees(math.sqrt(float(rms[3:].sum()))),
         }

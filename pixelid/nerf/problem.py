@@ -12,7 +12,7 @@ from pixelid.errors import InputError
 from pixelid.nerf.additions import tilts
 from pixelid.nerf.calibration import Calibration
 from pixelid.nerf.dataset import Dataset
-from pixelid.nerf.gauge import crossing_time, gauge_of, scene_box
+from pixelid.nerf.gauge import CLOSE_PIXELS, crossing_time, gauge_of, scene_box
 from pixelid.nerf.intervals import Intervals, intervals, split
 from pixelid.nerf.pixel_maps import PixelMaps, find_hot, maps_of_circuit
 from pixelid.nerf.quiet import LONG, quiet_intervals
@@ -20,7 +20,6 @@ from pixelid.nerf.state import Problem
 from pixelid.nerf.stretches import NOISE
 from pixelid.stages.circuit import Circuit
 
-CLOSE_PIXELS = 0.5  # pixels: about half the width of the field's edges
 # Share of intervals shorter than the dead time that stamps and noise may make; where more are, the pixel is faster than
 # told, and the dead time is that short.
 TOO_SHORT = 1e-3

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar
@@ -80,6 +80,7 @@ class Reconstruction(Result):
             "advice": self.advice,
             "bandwidth": self.bandwidth.mode,
             "ignored": list(self.ignored),
+            "unidentified": _left_open(self.problem, self.state),
             "gap": self.gap,
             "beside": None if self.beside is None else self.beside.as_dict(),
             "views": self.scores.as_dict(self.truth),
@@ -105,7 +106,7 @@ class Reconstruction(Result):
                 "dark": self.problem.dark,
             },
             "pixels": self.problem.pixels_as_dict(self.state.pixel),
-            "poses": self.state.poses.as_dict(),
+            "poses": self.state.poses.as_dict(self.problem.time_resolution_s),
             "history": self.state.history,
             "seed": self.seed,
             "versions": versions(),
@@ -299,7 +300,7 @@ def reconstruct(
     held_out = held_out_residual(problem, state) if finite else float("nan")
     told = np.isfinite(held_out) or not len(problem.held_out.starts)
     finite, far = finite and bool(told), state.pixel.thresholds_from_told()
-    status, advice = _verdict(held_out, scores, state.iteration, finite, far)
+    status, advice = _verdict(held_out, scores, state.iteration, finite, far, _left_open(problem, state))
     return Reconstruction(
         status, advice, bandwidth, state, problem, recipe, scores, test, held_out,
         earlier + time.perf_counter() - watch, rate, device, seed, inputs, ignored, published, found, other,
@@ -315,7 +316,8 @@ def _running(state: State, problem: Problem, validation: Views) -> float:
 
 
 def _verdict(
-    held_out: float, scores: Scores, steps: int, finite: bool, far: Mapping[str, float]
+    held_out: float, scores: Scores, steps: int, finite: bool, far: Mapping[str, float],
+    unidentified: Sequence[str] = (),
 ) -> tuple[Status, str]:  # fmt: skip
     if not finite or not np.isfinite(scores.psnr).all():
         return Status.diverged, (
@@ -334,7 +336,24 @@ def _verdict(
             f"trained thresholds contradict the fit: {went} of its standard deviations away, for events hardly tell "
             "them from the scene's contrast; leave --train threshold and ratio out, or check --fit"
         )
+    if unidentified:
+        return Status.not_identified, (
+            "the poses are right only up to that offset: leave --refine-time out, or record with a camera whose speed "
+            "changes"
+        )
     return Status.converged, ""
+
+
+def _left_open(problem: Problem, state: State) -> list[str]:
+    """What was trained and the events do not tell, in words: an offset between clocks that hides in the scene."""
+    told_s, shows_s = state.poses.refinement.time_sd, problem.time_resolution_s
+    if not state.poses.offset.requires_grad or shows_s < told_s:
+        return []
+    least = f"less than {1e3 * shows_s:.3g} ms" if np.isfinite(shows_s) else "any"
+    return [
+        f"offset between the clocks of poses and events: the camera moves so evenly that {least} passes for a motion "
+        f"of the scene, and it is known to {1e3 * told_s:.3g} ms without events"
+    ]
 
 
 def rendered(reconstruction: Reconstruction) -> np.ndarray:

@@ -88,10 +88,12 @@ class SavedReconstruction(Result):
         ]
 
     def sentences(self) -> list[str]:
-        """Advice, what was found in the events, and what the pixel has but the reconstruction does not model."""
+        """Advice, what was found in the events or left open by them, and what the pixel has and is not modelled."""
         ignored = self.content["ignored"]
         said = f"not modelled: {', '.join(ignored)}" if ignored else ""
-        return [text for text in (self.advice or self.status.advice, self._found, self._moved, said) if text]
+        open_ = [f"not identified: {text}" for text in self.content.get("unidentified", ())]
+        texts = (self.advice or self.status.advice, self._found, self._moved, *open_, said)
+        return [text for text in texts if text]
 
     @property
     def _moved(self) -> str:
@@ -141,8 +143,9 @@ class SavedReconstruction(Result):
         folder = Path(folder)
         content = read_result(folder, cls.FILE)
         check_kinds(
-            content, folder / cls.FILE, text=("status", "advice", "bandwidth"), a_list_of_texts=("ignored",),
-            a_table=("views", "pixel", "correction"), a_number=("seconds", "held_out_residual"),
+            content, folder / cls.FILE, text=("status", "advice", "bandwidth"),
+            a_list_of_texts=("ignored", "unidentified"), a_table=("views", "pixel", "correction"),
+            a_number=("seconds", "held_out_residual"),
         )  # fmt: skip
         needed = ("status", "advice", "views", "held_out_residual", "seconds", "ignored", "pixel", "correction")
         required(content, folder, cls.FILE, *needed)

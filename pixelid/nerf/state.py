@@ -14,7 +14,7 @@ import torch
 from pixelid.nerf.additions import IN_THRESHOLDS, Tilt, threshold_factor
 from pixelid.nerf.camera import Camera, sub_pixel_directions
 from pixelid.nerf.field import Field
-from pixelid.nerf.gauge import Gauge
+from pixelid.nerf.gauge import Gauge, time_resolution
 from pixelid.nerf.intervals import Intervals
 from pixelid.nerf.pixel import Bandwidth, Pixel
 from pixelid.nerf.pixel_maps import PixelMaps
@@ -65,6 +65,11 @@ class Problem:
             if name in values:
                 values[name] *= by
         return values
+
+    @property
+    def time_resolution_s(self) -> float:
+        """What an offset between the clocks of poses and events must have to show (`gauge.time_resolution`)."""
+        return time_resolution(self.trajectory, self.camera, self.low, self.high)
 
     def pixels_as_dict(self, pixel: Pixel) -> dict[str, Any]:
         """The entry "pixels" of reconstruction.json: thresholds and bandwidth over the sensor, and who was left out."""

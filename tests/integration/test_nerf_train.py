@@ -34,7 +34,7 @@ from pixelid.nerf.pixel import Bandwidth, limits_bandwidth
 from pixelid.nerf.poses import Refinement
 from pixelid.nerf.problem import problem_of
 from pixelid.nerf.recipe import Recipe
-from pixelid.nerf.reconstruct import Reconstruction, _verdict, reconstruct
+from pixelid.nerf.reconstruct import Reconstruction, _left_open, _verdict, reconstruct
 from pixelid.nerf.state import State, start
 from pixelid.nerf.synthetic import SETTINGS, make_dataset
 from pixelid.nerf.train import held_out_residual, step, train
@@ -117,12 +117,28 @@ def test_the_command_refines_poses_on_request(made, tmp_path, capsys):
     result = json.loads((out / "reconstruction.json").read_text())
     check("reconstruction", result)
     assert result["poses"]["time_offset_s"] != 0.0
+    assert result["poses"]["time_resolution_s"] > 0.01  # an even flight
+    assert "offset between the clocks" in result["unidentified"][0]
     assert 0.0 < result["poses"]["position_rms"] < 0.1
     with np.load(out / "camera_poses.npz") as file, np.load(made / "camera_poses.npz") as before:
         np.testing.assert_array_equal(file["T_wc_timestamp"], before["T_wc_timestamp"])
         away = np.linalg.norm(file["T_wc_position"] - before["T_wc_position"], axis=1)
     assert 0.0 < away.max() < 1.0
     assert main([*words[:-2], "--iterations", "2", "--refine-time", "-1", "--overwrite"]) == 2
+
+
+def test_an_offset_that_hides_in_a_motion_of_the_scene_is_not_called_found(made):
+    data = read_dataset(made)
+    uneven = np.linspace(0.0, 1.0, len(data.trajectory.t))
+    uneven = uneven + 0.7 * np.sin(10 * np.pi * uneven) / (10 * np.pi)
+    for flight, sd, status in (
+        (data.trajectory, 0.01, Status.not_identified), (data.trajectory, 0.0, Status.converged),
+        (replace(data.trajectory, t=data.trajectory.t[-1] * uneven), 0.02, Status.converged),
+    ):  # fmt: skip
+        problem = problem_of(replace(data, trajectory=flight))
+        state = start(problem, replace(SMALL, refinement=Refinement(sd)), Bandwidth("off"))
+        views = no_scores(data.views["test"].some([]))
+        assert _verdict(0.4, views, 24, True, {}, _left_open(problem, state))[0] is status
 
 
 def test_another_reconstruction_beside(made, tmp_path, capsys):

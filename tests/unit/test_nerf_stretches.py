@@ -1,6 +1,7 @@
 """Bursts of events as one change of the light, dead times included; the comparator trained with the scene."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,7 +9,7 @@ import torch
 
 from pixelid.dynamics.trajectory import Dynamics, integrate
 from pixelid.model.shipped import find_model
-from pixelid.nerf.gauge import crossing_time
+from pixelid.nerf.gauge import CLOSE_PIXELS, crossing_time, time_resolution
 from pixelid.nerf.intervals import chains, intervals
 from pixelid.nerf.losses import changes, terms
 from pixelid.nerf.pixel import Bandwidth, Pixel
@@ -106,6 +107,28 @@ def test_crossing_time_is_that_of_the_image():
     crossed_s = crossing_time(spiral(0.5, 1.0), camera, -box, box)
     assert 2e-3 < crossed_s < 1e-2
     assert crossing_time(spiral(0.25, 1.0), camera, -box, box) == pytest.approx(crossed_s / 2, rel=1e-6)
+
+
+def test_an_offset_between_clocks_shows_by_what_no_motion_of_the_scene_does():
+    """At an even speed a circle, a line and an approach hide it; at an uneven one its variation shows."""
+    camera, box = pinhole(64, 64, FIELD_OF_VIEW), np.full(3, 1.4)
+    circle = spiral(0.5, 1.0, 0.4, 0.4)
+    shown = crossing_time(circle, camera, -box, box), time_resolution(circle, camera, -box, box)
+    assert shown[1] > 100 * CLOSE_PIXELS * shown[0]
+    share = np.linspace(0.0, 1.0, len(circle.t))
+    one_way = np.tile(circle.orientation[:1], (len(share), 1))
+    towards = -circle.position[0] / np.linalg.norm(circle.position[0])
+    line = circle.position[0] + np.outer(share - 0.5, np.cross(towards, [0.0, 0.0, 1.0]))
+    approach = np.outer(np.exp(-0.3 * share), circle.position[0])  # a scene that grows about the origin
+    for position in (line, approach):
+        straight = replace(circle, position=position, orientation=one_way)
+        shown = crossing_time(straight, camera, -box, box), time_resolution(straight, camera, -box, box)
+        assert shown[1] > 100 * CLOSE_PIXELS * shown[0]
+    uneven = replace(circle, t=0.5 * (share + 0.7 * np.sin(10 * np.pi * share) / (10 * np.pi)))
+    shown = crossing_time(uneven, camera, -box, box), time_resolution(uneven, camera, -box, box)
+    slowness = 1 + 0.7 * np.cos(10 * np.pi * np.linspace(0, 1, 10_001))  # dt over the way; times are drawn evenly
+    mean, square = 1 / slowness.mean(), np.mean(1 / slowness) / slowness.mean()
+    assert shown[1] == pytest.approx(CLOSE_PIXELS * shown[0] / np.sqrt(1 - mean**2 / square), rel=0.05)
 
 
 def test_thresholds_and_dead_time_are_trained_with_the_rest():
