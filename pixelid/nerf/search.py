@@ -10,7 +10,7 @@ kept, if chance would not do as well, and the search goes on beside it.  Views a
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -18,7 +18,7 @@ import numpy as np
 import torch
 
 from pixelid.errors import InputError
-from pixelid.nerf.additions import ADDITIONS, threshold_factor
+from pixelid.nerf.additions import ADDITIONS, OF_EVENTS, threshold_factor
 from pixelid.nerf.calibration import Calibration
 from pixelid.nerf.limits import ALPHA, LEAST_SHARE
 from pixelid.nerf.pixel import FILTER, Bandwidth, Pixel, filter_parameters
@@ -123,7 +123,7 @@ def search(
         progress: called with what is done and the fraction.
 
     Returns:
-        The pixel with what was found; as it was told, where nothing was.
+        The pixel with what was found, and all else as it was told.
     """
     warm, steps = (max(round(share * recipe.iterations), 1) for share in (WARM, TRIAL))
     problem = make(calibration, bandwidth.moving)
@@ -162,9 +162,10 @@ def search(
         return Found(calibration, (), (), tuple(rounds))
     told = bench.go_on(told, here.state.iteration - told.state.iteration)
     before, after = bench.rows(told), bench.rows(here)
-    effects = (replace(trial, values=_values(name, here.calibration, here.state.pixel)) for name, trial in kept)
+    named = _with_named(calibration, here.calibration, [name for name, _ in kept], make(calibration, tuple(ADDITIONS)))
+    effects = (replace(trial, values=_values(name, named, here.state.pixel)) for name, trial in kept)
     return Found(
-        here.calibration, here.trained, tuple(effects), tuple(rounds), compare(before, after),
+        named, here.trained, tuple(effects), tuple(rounds), compare(before, after),
         (score(told.state), score(here.state)), residual_map(before, after),
     )  # fmt: skip
 
@@ -280,6 +281,26 @@ def with_trained_values(calibration: Calibration, pixel: Pixel, problem: Problem
         moved = float(changed.pop("alpha")) / float(pixel.nominal[0])
         changed["corner"] = calibration.circuit.corner * moved
     return replace(calibration, circuit=_same_leak(calibration.circuit.with_(**changed), factor))
+
+
+def _with_named(told: Calibration, found: Calibration, names: Sequence[str], problem: Problem) -> Calibration:
+    """The pixel as told, with what was named as found.
+
+    What else the search has trained (`--bandwidth joint`, `--train`) stays as told: its priors lie there, and the
+    training that follows counts the events anew.  A leak stays in thresholds per second, which events show.
+
+    problem: under the pixel as told, with the tilts of all
+    """
+    named = told
+    for name in sorted(names, key=lambda name: name not in OF_EVENTS):  # these move thresholds, hence leaks
+        if name == BANDWIDTH:
+            moved = {part: getattr(found.circuit, part) for part in _trained_by(name, told)}
+            named = replace(named, circuit=named.circuit.with_(**moved))
+            continue
+        field = ADDITIONS[name].field if name in ADDITIONS else ""
+        moved = getattr(found.circuit, field) - getattr(named.circuit, field) if field else 0.0
+        named = _begun(name, named, moved, problem)
+    return named
 
 
 def _same_leak(circuit: Circuit, factor: float) -> Circuit:

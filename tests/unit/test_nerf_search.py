@@ -17,7 +17,7 @@ from pixelid.nerf.pixel import TRAINABLE, Bandwidth, Pixel
 from pixelid.nerf.pixel_maps import PixelMaps
 from pixelid.nerf.residuals import Rows, apart, compare, of_some_pixels, residual_map
 from pixelid.nerf.scan import respond
-from pixelid.nerf.search import _begun, _candidates, with_trained_values
+from pixelid.nerf.search import _begun, _candidates, _with_named, with_trained_values
 from pixelid.nerf.state import Problem
 from pixelid.stages.circuit import Circuit
 from tests.unit.test_nerf_stretches import QUICK, comparator
@@ -210,6 +210,21 @@ def test_a_told_leak_stays_what_it_is_where_thresholds_are_told_anew():
     after = with_trained_values(a_calibration(circuit), pixel, problem).circuit
     assert after.threshold_drift != 0.0
     assert after.leak_hz * after.on_threshold == pytest.approx(20.0 * circuit.on_threshold)
+
+
+def test_only_what_was_named_is_handed_on():
+    """Filter and thresholds that the search has trained stay as told; a leak is that in thresholds per second."""
+    told = replace(CIRCUIT, photoreceptor="second_order", alpha=1e6, beta=1e3, gamma=1.0, follower=1e4)
+    found = replace(told, alpha=3e6, follower=2e4, on_threshold=0.1, off_threshold=0.05, leak_hz=40.0, refractory=2e-3)
+    problem = SimpleNamespace(tilts=tilts(cut, told, ["threshold_drift"]), shortest=2.5e-3)
+    circuits = [a_calibration(circuit) for circuit in (told, found)]
+    assert _with_named(*circuits, ["leak"], problem).circuit == replace(told, leak_hz=40.0)
+    both = _with_named(*circuits, ["refractory", "bandwidth"], problem).circuit
+    assert both == replace(told, refractory=pytest.approx(2e-3), alpha=3e6, follower=2e4)
+    drifting = a_calibration(replace(found, threshold_drift=0.5))
+    named = _with_named(circuits[0], drifting, ["leak", "threshold_drift"], problem).circuit
+    on = 0.2 * problem.tilts["threshold_drift"].threshold_factor(0.5)
+    assert named == replace(told, threshold_drift=0.5, on_threshold=on, off_threshold=on, leak_hz=40.0)
 
 
 def test_reported_thresholds_are_those_of_the_typical_event_and_pixel():
