@@ -324,6 +324,11 @@ def _verdict(
             f"loss or field was no number after {steps} steps: lower the learning rate, or check thresholds, dead time "
             "and the radiance unit of the pixel"
         )
+    if not np.isfinite(held_out):
+        return Status.not_identified, (
+            "nothing was judged: only one pixel has two events, and the scene was trained on them; take a recording in "
+            "which more pixels fire"
+        )
     if held_out > LEARNED:
         return Status.misfit, (
             f"what events of held-out pixels tell is missed by {held_out:.2f} of its size (1 would be no scene): "

@@ -513,13 +513,16 @@ def test_numbers_that_run_away_end_as_diverged(made, tmp_path):
     assert unseen.status is Status.diverged  # without a view to score there is no score to be no number
 
 
-def test_a_search_needs_pixels_to_hold_out(made):
+def test_a_pixel_alone_judges_nothing(made):
     data = read_dataset(made)
     pixel = data.y * data.calibration.camera.width + data.x
     mine = pixel == np.bincount(pixel).argmax()
     one = replace(data, t=data.t[mine], x=data.x[mine], y=data.y[mine], on=data.on[mine])
     with pytest.raises(InputError, match="held out"):
         reconstruct(one, recipe=SMALL, gap=True)
+    alone = reconstruct(one, recipe=replace(SMALL, iterations=2))
+    assert alone.status is Status.not_identified
+    assert "nothing was judged" in alone.advice
 
 
 def test_a_search_that_names_nothing_leaves_the_pixel_as_told(made):
