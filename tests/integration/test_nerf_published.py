@@ -543,6 +543,11 @@ WRONG = {
     "no polarity": ("eds", with_column("p", lambda p: None), "events/p: missing"),
     "fewer x": ("eds", with_column("x", lambda x: x[:-4]), "one length"),
     "outside the sensor": ("eds", with_column("x", lambda x: x + 9), "events/x: expected 0 … 15"),
+    "left of the sensor": (
+        "eds",
+        with_column("x", lambda x: x.astype(int) - 99),
+        "0 … 15 as the calibration says, found -",
+    ),
     "times as numbers with fractions": ("eds", with_column("t", lambda t: t * 1.0), "whole microseconds"),
     "events out of order": ("eds", with_column("t", lambda t: np.roll(t, 1)), "events/t: row 1 is earlier"),
     "events of another day": ("eds", with_column("t", lambda t: t + 10**11), "--time-offset"),

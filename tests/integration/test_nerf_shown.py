@@ -349,7 +349,11 @@ def test_a_scene_without_views_is_shown_by_its_own_brightness(tmp_path, capsys):
         (["{clear}", "--splats", "--frames", "1", "--size", "4", "4"], "no splats"),
     ],
 )
-def test_wrong_usage_is_refused(words, says, folder, tmp_path, capsys):
+def test_wrong_usage_is_refused_before_frames_are_rendered(words, says, folder, tmp_path, capsys, monkeypatch):
+    def refuse(*arguments, **options):
+        raise AssertionError("a frame was rendered")
+
+    monkeypatch.setattr("pixelid.nerf.shown.render.render_views", refuse)
     (tmp_path / "empty").mkdir()
     nothing = Field(np.full(3, -1.0), np.full(3, 1.0), 9, 1, [0.3])
     with torch.no_grad():

@@ -192,10 +192,10 @@ def _check(block: Block, width: int, height: int, file: Path) -> None:
     for name, values, most in (("x", block.x, width), ("y", block.y, height)):
         if values.dtype.kind not in "iu":
             raise InputError(f"{file}: events/{name}: expected whole numbers, found {values.dtype}")
-        if len(values) and (int(values.max()) >= most or int(values.min()) < 0):
-            raise InputError(
-                f"{file}: events/{name}: expected 0 … {most - 1} as the calibration says, found {values.max()}"
-            )
+        least, greatest = (int(values.min()), int(values.max())) if len(values) else (0, 0)
+        if least < 0 or greatest >= most:
+            found = least if least < 0 else greatest
+            raise InputError(f"{file}: events/{name}: expected 0 … {most - 1} as the calibration says, found {found}")
 
 
 def _geometry(camera: Camera) -> dict[str, Any]:

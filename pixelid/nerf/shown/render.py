@@ -109,6 +109,8 @@ def render(
         notes.append(f"the reconstruction ended as {saved.status}: {saved.advice or saved.status.advice}")
     if way.left_out:
         notes.append(f"{way.left_out} of {len(way) + way.left_out} poses are left out, evenly; --frames takes more")
+    mesh = mesh_of(saved.field) if wanted.mesh else None  # before the frames: scenes without are refused at once
+    splats = splats_of(saved.field) if wanted.splats else None
     files: dict[str, str] = {}
     frames, depths, white = [], [], 0.0
     (folder / FRAMES).mkdir()
@@ -129,12 +131,10 @@ def render(
         files |= _write_depths(folder, way, depths)
     if wanted.video:
         files |= _write_videos(folder, frames, depths, wanted.frames_per_second, notes)
-    if wanted.mesh:
-        mesh = mesh_of(saved.field)
+    if mesh is not None:
         ply.write_mesh(folder / MESH, mesh, _eight_bits(tone(mesh.radiance[None] + dark))[0])
         files[MESH] = f"{len(mesh.faces)} triangles, coloured"
-    if wanted.splats:
-        splats = splats_of(saved.field)
+    if splats is not None:
         ply.write_splats(
             folder / SPLATS, splats, splats.colours(lambda radiance: _eight_bits(tone(radiance[None] + dark))[0] / 255)
         )
