@@ -8,6 +8,10 @@
     ℓ_tv     = |ys(b) − ys(a)|/C̄ over a random part (a, b), bursts left out   the same
     ℓ_chain  = Huber of the running sum of rest_k along a chain minus its mean, over √(1 + Σ v/6)
 
+C̄ grows with what training makes of all thresholds: light and thresholds that are larger together make the same events,
+and no term may gain by smaller ones.  What single pixels' thresholds depart by is held in it, for a larger one would
+lessen its pixel's losses.
+
 Single differences barely feel an error that is spread over many events; the centred running sum does.  ℓ_tv is about
 the light alone: what leaks is no change of it.
 """
@@ -77,15 +81,17 @@ def amplifier_drift(
 
 
 def terms(
-    change: torch.Tensor, level: torch.Tensor, chains: Chains, on_threshold: torch.Tensor, off_threshold: torch.Tensor
-) -> dict[str, torch.Tensor]:
-    """The means of ℓ_diff, ℓ_tv and ℓ_chain over the batch; thresholds: one or (runs, 1)."""
+    change: torch.Tensor, level: torch.Tensor, chains: Chains, on_threshold: torch.Tensor, off_threshold: torch.Tensor,
+    growth: torch.Tensor | float = 1.0,
+) -> dict[str, torch.Tensor]:  # fmt: skip
+    """The means of ℓ_diff, ℓ_tv and ℓ_chain over the batch; thresholds: one or (runs, 1);  growth: `Pixel.growth`."""
     device = level.device
     weight, rise, fall, variance, burst = (
         torch.as_tensor(a, device=device)
         for a in (chains.weight, chains.rise, chains.fall, chains.variance, chains.burst)
     )
-    mean = (0.5 * (on_threshold + off_threshold)).detach()  # or a larger threshold would lessen every loss
+    mean = 0.5 * (on_threshold + off_threshold)
+    mean = mean.detach() * growth / torch.as_tensor(growth).detach()
     rest = (change - rise * on_threshold + fall * off_threshold) / mean
     number = weight.sum().clamp(min=1.0)
     diff = (_huber(rest / torch.sqrt(1.0 + variance)) * weight).sum() / number
@@ -101,7 +107,7 @@ def terms(
 
 def quiet_change(light: torch.Tensor, on_threshold: torch.Tensor, off_threshold: torch.Tensor) -> torch.Tensor:
     """Mean ℓ_quiet of log radiance (n, 2) at pairs of times in which nothing fired (see `quiet`)."""
-    moved = (light[:, 1] - light[:, 0]) / (0.5 * (on_threshold + off_threshold)).detach()
+    moved = (light[:, 1] - light[:, 0]) / (0.5 * (on_threshold + off_threshold))
     return F.smooth_l1_loss(moved, torch.zeros_like(moved), beta=STILL)
 
 

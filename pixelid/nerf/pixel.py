@@ -141,6 +141,15 @@ class Pixel(torch.nn.Module):
         mean, ratio = 0.5 * (on + off) * self._scale[4], on / off * self._scale[5]
         return 2 * mean * ratio / (1 + ratio), 2 * mean / (1 + ratio)
 
+    def trains(self, name: str) -> bool:
+        """Whether one of `FACTORS` is trained."""
+        return bool(self.moves[FACTORS.index(name)])
+
+    @property
+    def growth(self) -> torch.Tensor:
+        """By how much the mean threshold has been trained to be larger than told."""
+        return self._scale[4]
+
     def thresholds_at(self, pixels: np.ndarray) -> tuple[torch.Tensor, torch.Tensor]:
         """(ON, OFF), (n, 1) each, of pixels (n,)."""
         which = torch.as_tensor(pixels if len(self.expected) > 1 else np.zeros_like(pixels), device=self.nominal.device)

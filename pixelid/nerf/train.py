@@ -39,14 +39,15 @@ def step(problem: Problem, recipe: Recipe, state: State) -> dict[str, float]:
     u, in_quiet = light(problem, state, batch, rng, recipe.engine, pairs)
     change, level = response(problem, state, batch, u, recipe.engine)
     thresholds = state.pixel.thresholds_at(batch.pixel)
-    parts = terms(change, level, batch, *thresholds)
+    growth = state.pixel.growth
+    parts = terms(change, level, batch, *thresholds, growth)
     loss = total(parts, recipe.weights)
     if recipe.roughness > 0:
-        loss = loss + recipe.roughness * variation(state.field.grid, state.field.bricks, recipe.engine)
+        loss = loss + recipe.roughness * variation(state.field.grid, state.field.bricks, recipe.engine) / growth
     if recipe.emptiness > 0:
         loss = loss + recipe.emptiness * mean_log_density(state.field.grid, state.field.bricks)
     if recipe.stiffness > 0 and state.field.coefficients.requires_grad:
-        loss = loss + recipe.stiffness * mean_square(state.field.coefficients, state.field.bricks)
+        loss = loss + recipe.stiffness * mean_square(state.field.coefficients, state.field.bricks) / growth**2
     if pairs is not None:
         loss = loss + recipe.quiet * quiet_change(in_quiet, *state.pixel.thresholds)
     if problem.gauge.kind == "level":

@@ -100,8 +100,10 @@ def test_the_command_writes_its_contract(made, tmp_path, capsys, bandwidth):
 @pytest.mark.parametrize("bandwidth", ["on", "off", "joint"])
 def test_the_command_trains_the_comparator_on_request(made, tmp_path, bandwidth):
     words = ["reconstruct", str(made), "--out", str(tmp_path / "out"), "--iterations", "20", "--quiet"]
-    main([*words, "--bandwidth", bandwidth, "--train", "threshold", "--train", "refractory"])
-    pixel = json.loads((tmp_path / "out" / "reconstruction.json").read_text())["pixel"]
+    assert main([*words, "--bandwidth", bandwidth, "--train", "threshold", "--train", "refractory"]) == 1
+    result = json.loads((tmp_path / "out" / "reconstruction.json").read_text())
+    assert "mean threshold" in result["unidentified"][0]  # no fit tells it
+    pixel = result["pixel"]
     assert pixel["on_threshold"] != 0.25
     assert pixel["on_threshold"] == pytest.approx(pixel["off_threshold"])  # the ratio was not asked for
     assert pixel["refractory_s"] > 0

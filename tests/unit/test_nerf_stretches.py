@@ -11,7 +11,7 @@ from pixelid.dynamics.trajectory import Dynamics, integrate
 from pixelid.model.shipped import find_model
 from pixelid.nerf.gauge import CLOSE_PIXELS, crossing_time, time_resolution
 from pixelid.nerf.intervals import chains, intervals
-from pixelid.nerf.losses import changes, terms
+from pixelid.nerf.losses import changes, quiet_change, terms
 from pixelid.nerf.pixel import Bandwidth, Pixel
 from pixelid.nerf.scan import respond
 from pixelid.nerf.scenes import spiral
@@ -129,6 +129,22 @@ def test_an_offset_between_clocks_shows_by_what_no_motion_of_the_scene_does():
     slowness = 1 + 0.7 * np.cos(10 * np.pi * np.linspace(0, 1, 10_001))  # dt over the way; times are drawn evenly
     mean, square = 1 / slowness.mean(), np.mean(1 / slowness) / slowness.mean()
     assert shown[1] == pytest.approx(CLOSE_PIXELS * shown[0] / np.sqrt(1 - mean**2 / square), rel=0.05)
+
+
+def test_light_and_thresholds_that_grow_together_change_no_loss():
+    """They make the same events: a loss that fell with them would take every trained threshold along."""
+    rng = np.random.default_rng(0)
+    t, zero, on = np.cumsum(rng.uniform(1e-3, 1e-2, 400)), np.zeros(400, int), rng.random(400) < 0.5
+    spans = intervals(t, zero, zero, on, 1, dead=1e-4)
+    batch = chains(spans, np.arange(0, len(spans.starts) - 16, 8), 1, 1000.0, rng)
+    circuit = find_model("dvs128").circuit().with_(on_threshold=0.3, off_threshold=0.2)
+    pixel = Pixel(circuit, Bandwidth("off", trained=("threshold",)))
+    level = pixel.growth * torch.tensor(rng.normal(0, 0.3, len(batch.t)))
+    parts = terms(changes(level, level, batch, None), level, batch, *pixel.thresholds, pixel.growth)
+    parts["quiet"] = quiet_change(level[:200].reshape(100, 2), *pixel.thresholds)
+    for name, value in parts.items():
+        (slope,) = torch.autograd.grad(value, pixel.factors, retain_graph=True)
+        assert abs(float(slope[4])) < 1e-6 * float(value.detach()), name
 
 
 def test_thresholds_and_dead_time_are_trained_with_the_rest():
