@@ -74,7 +74,7 @@ def test_nothing_trained_nothing_changed():
     times, inside = some_rays()
     poses = Poses(TRAJECTORY, Refinement())
     assert not poses.trained
-    assert poses.as_dict() is None
+    assert poses.as_dict(1.0) is None
     for ours, plain in zip(poses.rays(times, inside), TRAJECTORY.rays(times, inside), strict=True):
         np.testing.assert_array_equal(ours, plain)
 
