@@ -87,7 +87,7 @@ def latency_draws(
 ) -> list[Model]:
     """Circuits as uncertain as `pixelid latency` left that of a folder, or one camera's of several in it.
 
-    None where it holds no fit of that camera, or of several and no word of which.
+    Empty where it holds no fit of that camera, or of several and no word of which.
 
     From posterior.npz where the fit was sampled; else from the intervals of latency.json, as if they were independent.
 

@@ -221,9 +221,8 @@ def reconstruct(
             f"{dataset.path / CALIBRATION}: {CIRCUIT[0]}: missing, like all circuit constants; give the pixel by "
             "--fit, or --bandwidth off"
         )
-    if (
-        fit and bandwidth.moving and bandwidth.prior_sd is None
-    ):  # of what is asked for: what the gap asks for departs from the fit
+    # of what is asked for: what the gap asks for departs from the fit
+    if fit and bandwidth.moving and bandwidth.prior_sd is None:
         told = {name: sd for name, sd in uncertainty_of_fit(Path(fit)).items() if name in bandwidth.moving}
         bandwidth = replace(bandwidth, prior_sd=told or None)
     if recipe.between_poses == "cubic":

@@ -6,6 +6,7 @@ import dataclasses
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -66,7 +67,7 @@ class Problem:
                 values[name] *= by
         return values
 
-    @property
+    @cached_property
     def time_resolution_s(self) -> float:
         """What an offset between the clocks of poses and events must have to show (`gauge.time_resolution`)."""
         return time_resolution(self.trajectory, self.camera, self.low, self.high)

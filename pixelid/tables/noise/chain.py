@@ -23,11 +23,8 @@ class Chain:
     """A circuit's noise events as a chain over (polarity, level of the output, slope, moment of the hidden states).
 
     Attributes:
-        process: the noise;  drift: of the reference by leak, log radiance per second.
-        slopes, omega, factors: (m,) nodes of slopes, their weights, and what turns densities into intensities.
-        means, covariances, hidden: of output, slope and hidden states a lag after a crossing, see
-            `crossings.between_crossings`.
-        release: the same after a reset;  offsets, offset_weights: nodes of the stored reference.
+        at: of its process;  drift: of the reference by leak, log radiance per second.
+        release: what is known after a reset;  offsets, offset_weights: nodes of the stored reference.
         on, off, draw_weights: (draws,) thresholds as they are drawn.
         nodes: (k,) references, and levels of the states.
         stationary, resolvents: (draws, k, 2 m s) Rice's intensities, by slope and moment of the hidden states, and
@@ -35,13 +32,7 @@ class Chain:
         moved: (states, states) shares;  waited: (states,) mean s from release to the next event.
     """
 
-    process: NoiseProcess
-    slopes: np.ndarray
-    omega: np.ndarray
-    factors: np.ndarray
-    means: np.ndarray
-    covariances: np.ndarray
-    hidden: Hidden
+    at: Crossings
     release: Release
     offsets: np.ndarray
     offset_weights: np.ndarray
@@ -60,16 +51,23 @@ class Chain:
         """(states,) the law of states at events that the chain leaves unchanged."""
         system = self.moved.T - np.eye(len(self.moved))
         system[0] = 0.0
-        system[0, :: self.hidden.moments] = 1.0
+        system[0, :: self.at.hidden.moments] = 1.0
         right = np.zeros(len(self.moved))
         right[0] = 1.0
         return np.linalg.solve(system, right)
 
 
 @dataclass(frozen=True)
-class _Crossings:
-    """What `crossings` wants of a process: slopes, omega, factors (m,), weights (lags,), means (lags, 2, 2),
-    covariances (lags, 3) and hidden states."""
+class Crossings:
+    """What `crossings` wants of a process.
+
+    Attributes:
+        process: the noise.
+        slopes, omega, factors: (m,) nodes of slopes, their weights, and what turns densities into intensities.
+        weights: (lags,) of integrals.
+        means, covariances, hidden: of output, slope and hidden states a lag after a crossing, see
+            `crossings.between_crossings`.
+    """
 
     process: NoiseProcess
     slopes: np.ndarray
@@ -81,20 +79,19 @@ class _Crossings:
     hidden: Hidden
 
     @classmethod
-    def of(cls, p: NoiseProcess, resolution: Resolution) -> _Crossings:
+    def of(cls, p: NoiseProcess, resolution: Resolution) -> Crossings:
         """At nodes of slopes and lags."""
         slopes_unit, omega = rayleigh_nodes(resolution.slopes)
         # ∫ n dw = Σ ω (n / (w e^{−w²/2σ²}))|node σ², and n = w f: the slope itself cancels
         factors = omega * np.exp(0.5 * slopes_unit**2) * p.slope_sigma**2
         weights = p.lags * math.log(p.lags[1] / p.lags[0])
         weights[[0, -1]] *= 0.5
-        means = p.seen @ p.propagators @ p.regression
         moved = p.propagators @ p.regression
         ended = p.P - moved @ p.seen_covariance @ np.swapaxes(moved, 1, 2)
         loading, reading = p.hidden(resolution.least_hidden)
         hidden = Hidden.of(p, reading, moved, np.zeros(moved.shape[:2]), p.propagators @ loading, ended)
         covariances = triangle(p.seen @ ended @ p.seen.T)
-        return cls(p, slopes_unit * p.slope_sigma, omega, factors, weights, means, covariances, hidden)
+        return cls(p, slopes_unit * p.slope_sigma, omega, factors, weights, p.seen @ moved, covariances, hidden)
 
     def rates(self, up: np.ndarray, down: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Rice's intensities (k, 2 m s) of k pairs of levels, and (k, 2 m s, 2 m s) their first passages."""
@@ -121,7 +118,7 @@ def leak_cycle_s(process: NoiseProcess, circuit: Circuit, drift: float, resoluti
     """
     from pixelid.tables.noise import crossings
 
-    p, at = process, _Crossings.of(process, resolution)
+    p, at = process, Crossings.of(process, resolution)
     left = np.arange(-MARGIN, QUIET + 1.0 + resolution.spacing, resolution.spacing) * p.sigma  # to the threshold
     off = -2.0 * left[-1]  # out of reach
     stationary, resolvents = at.rates(left, np.full(len(left), off))
@@ -138,7 +135,7 @@ def chain_of(process: NoiseProcess, circuit: Circuit, drift: float, resolution: 
     """The chain of a circuit's thresholds, threshold noise and dead time; drift: of its references by leak, 1/s."""
     from pixelid.tables.noise import crossings
 
-    p, at = process, _Crossings.of(process, resolution)
+    p, at = process, Crossings.of(process, resolution)
     released = release(p, circuit.refractory, resolution)
     draws, draw_weights = threshold_draws(circuit.noise)
     on, off = circuit.on_threshold * draws[:, 0], circuit.off_threshold * draws[:, 1]
@@ -169,10 +166,9 @@ def chain_of(process: NoiseProcess, circuit: Circuit, drift: float, resolution: 
     moved += late @ exits.reshape(-1, states)
     waited = late @ times.ravel()
     return Chain(
-        process=p, slopes=at.slopes, omega=at.omega, factors=at.factors, means=at.means, covariances=at.covariances,
-        hidden=at.hidden, release=released, offsets=offsets, offset_weights=offset_weights, on=on, off=off,
-        draw_weights=draw_weights,
-        nodes=nodes, stationary=stationary, resolvents=resolvents, drift=drift, moved=moved, waited=waited,
+        at=at, release=released, offsets=offsets, offset_weights=offset_weights, on=on, off=off,
+        draw_weights=draw_weights, nodes=nodes, stationary=stationary, resolvents=resolvents, drift=drift, moved=moved,
+        waited=waited,
     )  # fmt: skip
 
 
@@ -206,7 +202,8 @@ def release(p: NoiseProcess, dead_s: float, resolution: Resolution) -> Release:
     behind at release, fading at its own cutoff.
     """
     n = len(p.A)
-    mean = p.propagator(dead_s) @ p.regression
+    silent = p.propagator(dead_s)
+    mean = silent @ p.regression
     V = p.P - mean @ p.seen_covariance @ mean.T
     stored = np.zeros(n)
     stored[p.input] = 1.0
@@ -225,7 +222,7 @@ def release(p: NoiseProcess, dead_s: float, resolution: Resolution) -> Release:
         seen = seen - tails[:, :, None] * p.seen[0]
     ended = moved @ V @ np.swapaxes(moved, 1, 2) + p.P - p.propagators @ p.P @ np.swapaxes(p.propagators, 1, 2)
     loading, reading = p.hidden(resolution.least_hidden)
-    hidden_start = p.propagator(dead_s) @ loading
+    hidden_start = silent @ loading
     start_spread = hidden_start[p.input] / sd if sd > 0 else np.zeros(hidden_start.shape[1])
     carried = moved @ (hidden_start - np.outer(gain, start_spread))
     hidden = Hidden.of(p, reading, moved @ mean, moved @ gain, carried, ended)

@@ -47,6 +47,34 @@ def _add(into, first, f, d0, d1, hidden, t, before, after):
             into[b, first + 1 + e] += f * (start * end + (cross[t, e, b - 1] if b else 0.0))
 
 
+@njit(forceinline=True, error_model="numpy")
+def _crossed(into, weight, mz, mw, covariances, hidden, t, before, after, levels, slopes, factors):
+    """Add to into (s, 2 m s) weight times the intensities of crossings at lag t, by level, slope and moment.
+
+    mz, mw: means of output and slope there;  others as `_add` and `between_crossings`.
+    """
+    m, s = len(slopes), len(before) + 1
+    v00, v01, v11 = covariances[t, 0], covariances[t, 1], covariances[t, 2]
+    for i in range(2):
+        d0 = levels[i] - mz
+        if d0 * d0 > FARTHEST * v00:
+            continue
+        for j in range(m):
+            d1 = (slopes[j] if i == 0 else -slopes[j]) - mw
+            f = weight * factors[j] * _density(d0, d1, v00, v01, v11)
+            if f > 0.0:
+                _add(into, (i * m + j) * s, f, d0, d1, hidden, t, before, after)
+
+
+@njit(forceinline=True, error_model="numpy")
+def _mean_after_reset(maps, spread, tails, t, z, w, offset, kept):
+    """(output, slope) a lag after a reset: see `after_reset`."""
+    return (
+        maps[t, 0, 0] * z + maps[t, 0, 1] * w + spread[t, 0] * offset + tails[t, 0] * kept,
+        maps[t, 1, 0] * z + maps[t, 1, 1] * w + spread[t, 1] * offset + tails[t, 1] * kept,
+    )
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
 def between_crossings(means, covariances, hidden, on, off, slopes, factors, weights, stationary, found):
     """found (2 m s, 2 m s): ∫ (intensity of crossings of one level and slope, a lag after another) − stationary.
@@ -73,17 +101,8 @@ def between_crossings(means, covariances, hidden, on, off, slopes, factors, weig
             for t in range(len(weights)):
                 mz = means[t, 0, 0] * z + means[t, 0, 1] * w
                 mw = means[t, 1, 0] * z + means[t, 1, 1] * w
-                v00, v01, v11 = covariances[t, 0], covariances[t, 1], covariances[t, 2]
                 _end_mean(hidden, t, z, w, 0.0, after)
-                for i in range(2):
-                    d0 = levels[i] - mz
-                    if d0 * d0 > FARTHEST * v00:
-                        continue
-                    for j in range(m):
-                        d1 = signs[i] * slopes[j] - mw
-                        f = weights[t] * factors[j] * _density(d0, d1, v00, v01, v11)
-                        if f > 0.0:
-                            _add(into, (i * m + j) * s, f, d0, d1, hidden, t, before, after)
+                _crossed(into, weights[t], mz, mw, covariances, hidden, t, before, after, levels, slopes, factors)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -97,30 +116,17 @@ def after_reset(
     its mean.  maps: (lags, 2, 2) per z and w;  spread: (lags, 2) per offset;  tails: (lags, 2) per `kept`, the
     reference;  start_spread: (n,) mean of the hidden states at the event per offset;  others as `between_crossings`.
     """
-    m, n = len(slopes), hidden[0].shape[1]
-    s = n + 1
     levels = (on, off)
-    signs = (1.0, -1.0)
     total = weights.sum()
-    before, after = start_spread * offset, np.empty(n)
-    for i in range(2 * m * s):
+    before, after = start_spread * offset, np.empty(len(start_spread))
+    for i in range(len(stationary)):
         found[0, i] = -total * stationary[i]
-        for b in range(n):
+        for b in range(len(before)):
             found[1 + b, i] = found[0, i] * before[b]
     for t in range(len(weights)):
-        v00, v01, v11 = covariances[t, 0], covariances[t, 1], covariances[t, 2]
-        mz = maps[t, 0, 0] * z + maps[t, 0, 1] * w + spread[t, 0] * offset + tails[t, 0] * kept
-        mw = maps[t, 1, 0] * z + maps[t, 1, 1] * w + spread[t, 1] * offset + tails[t, 1] * kept
+        mz, mw = _mean_after_reset(maps, spread, tails, t, z, w, offset, kept)
         _end_mean(hidden, t, z, w, offset, after)
-        for i in range(2):
-            d0 = levels[i] - mz
-            if d0 * d0 > FARTHEST * v00:
-                continue
-            for j in range(m):
-                d1 = signs[i] * slopes[j] - mw
-                f = weights[t] * factors[j] * _density(d0, d1, v00, v01, v11)
-                if f > 0.0:
-                    _add(found, (i * m + j) * s, f, d0, d1, hidden, t, before, after)
+        _crossed(found, weights[t], mz, mw, covariances, hidden, t, before, after, levels, slopes, factors)
 
 
 @njit(forceinline=True, error_model="numpy")

@@ -21,9 +21,9 @@ the Rayleigh weight w e^{−w²/2}.
 
 **Events.**  At an event the state is (polarity, level of z, slope, term of the hidden states).  During the dead time it
 evolves freely, then the reference is the follower's noisy output, and the next event is drawn: a Markov chain, whose
-stationary law gives rates.
-Levels are nodes of a uniform grid; what falls between is shared by four-point interpolation, which keeps cubic
-functions exact.  Threshold noise is an average over draws of both thresholds (`threshold_draws`).
+stationary law gives rates.  Levels are nodes of a uniform grid; what falls between is shared by four-point
+interpolation, which keeps cubic functions exact.  Threshold noise is an average over draws of both thresholds
+(`threshold_draws`).
 
 **Leak** moves the reference slowly against the noise: the pixel forgets its last event but the reference, which then
 falls at the leak's rate through references of known exit rate (`crossings.exits_long_after`).
@@ -94,7 +94,7 @@ def rates_of(process: NoiseProcess, circuit: Circuit, radiance: float, resolutio
     if wait < 0:  # waits beyond any number's use, of either sign by rounding
         return NoiseRates(0.0, 0.0, math.inf)
     rate = 1.0 / (wait + circuit.refractory)
-    on = min(max(float(share[: len(share) // 2 : chain.hidden.moments].sum()), 0.0), 1.0)
+    on = min(max(float(share[: len(share) // 2 : chain.at.hidden.moments].sum()), 0.0), 1.0)
     return NoiseRates(rate * on, rate * (1.0 - on), wait)
 
 

@@ -39,8 +39,8 @@ LIGHT_STARTS = np.geomspace(0.03, 300.0, 9)
 FOLLOWER_STARTS = (0.1, 0.4, 1.0)
 # … and then on the dead time, which models of other sensors may have wrong by far
 DEAD_STARTS = (1.0, 3.0, 10.0, 30.0)
-# Between ln of the thresholds: a search that begins at equal ones, where rates may have a narrow maximum, stays there
 NEAR_STARTS = (0.8, 0.9, 1.0, 1.1)  # factors on thresholds beside those
+# Between ln of the thresholds: a search that begins at equal ones, where rates may have a narrow maximum, stays there
 LEAST_RATIO, MOST_RATIO = 0.03, 0.1
 MOST_STARTS = 3  # that searches begin from
 DARK_LUX = 0.05  # typical of published sensors; a start, with a wide prior
@@ -146,7 +146,7 @@ def _settled(
     rest of the way, and to tell rest, where a table scatters by 1 %.
     """
     limits = np.array([p.coordinate_bounds() for p in noise.parameters])
-    x = begun.x if begun else np.array([p.to_coordinate(p.value) for p in noise.parameters])
+    x = begun.x if begun else _start(noise)
     level = begun.level if begun else np.log(noise.predict(x))
     scale = begun.scale if begun else MAX_SCATTER
     trust, at_rest = TRUST, None
@@ -173,6 +173,11 @@ def _settled(
     s = np.sqrt(scale**2 + _known(noise))
     misfit = _misfit(noise, level, x, s) + float(np.log(s).sum())
     return _End(noise, x, level, at_rest, scale, misfit)
+
+
+def _start(noise: NoiseModel) -> np.ndarray:
+    """(parameters,) coordinates of the model's values."""
+    return np.array([p.to_coordinate(p.value) for p in noise.parameters])
 
 
 def _promise(
@@ -221,9 +226,9 @@ def started(noise: NoiseModel, report: Callable[[str, float], None]) -> list[Noi
         """How far ln rates are off on average where parameters are so many times a start's, and the model there."""
         scaled = {n: (p, p.value * factors[n]) for n, p in start.parameters.items() if n in factors}
         trial = start.set({n: p.within(v) for n, (p, v) in scaled.items()})
-        rates = rates_by_light(NoiseModel(part, trial, noise.floor), np.unique(part.light), ROUGH)
-        found = np.log([rates[light][0 if on else 1] for light, on in zip(part.light, part.on, strict=True)])
-        return float(np.abs(np.log(part.rate_hz) - found).mean()), trial
+        at = NoiseModel(part, trial, noise.floor)
+        (rates,) = at.predict_many([_start(at)], ROUGH)
+        return float(np.abs(np.log(part.rate_hz) - np.log(rates)).mean()), trial
 
     best: dict[float, tuple[float, Model]] = {}  # photocurrent, or where that is known follower → (cost, model)
     grid = [(lit, slow) for lit in ((1.0,) if known_light else LIGHT_STARTS) for slow in FOLLOWER_STARTS]
@@ -254,16 +259,6 @@ def _threshold_ratio(table: NoiseTable) -> float:
     rates = [[table.rate_hz[(table.light == x) & (table.on == on)].mean() for on in (True, False)] for x in lights]
     ratio = float(np.median([math.log(off / on) for on, off in rates])) if rates else 0.0
     return math.copysign(min(max(abs(ratio), LEAST_RATIO), MOST_RATIO), ratio)
-
-
-def rates_by_light(
-    noise: NoiseModel, lights: np.ndarray, resolution: Resolution = WHOLE
-) -> dict[float, tuple[float, float]]:
-    """Rates at each light, at the model's own values."""
-    from pixelid.parallel import map_threads
-
-    found = map_threads(lambda light: noise.rates({}, float(light), resolution), lights)
-    return dict(zip(lights.tolist(), found, strict=True))
 
 
 def _linearise(noise: NoiseModel, x: np.ndarray, level: np.ndarray, resolution: Resolution) -> Linearised:

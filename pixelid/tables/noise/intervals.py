@@ -58,18 +58,18 @@ def intervals_of(chain: Chain, dead_s: float) -> NoiseIntervals:
     """The same of a chain that is already there."""
     from pixelid.tables.noise import passages
 
-    c, r = chain, chain.release
-    lags = c.process.lags[: np.searchsorted(c.process.lags, c.process.lags[-1] * FORGOTTEN / LAST_LAG) + 1]
-    known = len(lags)
+    c, at, r = chain, chain.at, chain.release
+    lags = at.process.lags
+    known = int(np.searchsorted(lags, lags[-1] * FORGOTTEN / LAST_LAG)) + 1
+    lags = lags[:known]
     draws, count, size = c.stationary.shape
-    moments = c.hidden.moments
     crossed, begun = np.zeros((2, draws, count, len(lags), size)), np.zeros((2, draws, count))
     passages.crossings_after_events(
-        c.share, c.nodes, c.slopes, c.factors, r.maps[:known], r.spread, r.tails, r.covariances,
+        c.share, c.nodes, at.slopes, at.factors, r.maps[:known], r.spread, r.tails, r.covariances,
         r.hidden.arrays, r.start_spread, r.reference, r.sd, c.offsets, c.offset_weights, c.on, c.off, c.draw_weights,
         crossed, begun,
     )  # fmt: skip
-    rates = _by_polarity(np.einsum("akq,akqi->aki", c.stationary, c.resolvents), moments)
+    rates = _by_polarity(np.einsum("akq,akqi->aki", c.stationary, c.resolvents), at.hidden.moments)
     rates = np.maximum(rates, 1e-300)
     late = np.geomspace(lags[-1], max(LONGEST * float(c.share @ c.waited), 2.0 * lags[-1]), LATE + 1)
     passed = np.zeros((2, 2, len(lags) + LATE))
@@ -80,12 +80,12 @@ def intervals_of(chain: Chain, dead_s: float) -> NoiseIntervals:
             if np.abs(begun[:, a, k]).max() < 1e-9:
                 continue
             passages.crossings_between(
-                c.means[:known], c.covariances, c.hidden.arrays, reference + c.on[a], reference - c.off[a], c.slopes,
-                c.factors, between,
+                at.means[:known], at.covariances, at.hidden.arrays, reference + c.on[a], reference - c.off[a],
+                at.slopes, at.factors, between,
             )  # fmt: skip
             quick = np.zeros((2, len(lags), size))
             passages.first_passages(lags, source, between, quick)
-            quick = _by_polarity(quick, moments)
+            quick = _by_polarity(quick, at.hidden.moments)
             passed[:, :, : len(lags)] += quick.swapaxes(1, 2)
             left = begun[:, a, k] - quick[:, -1].sum(-1)
             gone = _waiting(c.nodes, rates[a], k, c.drift, late)

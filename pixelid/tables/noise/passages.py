@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numba import njit
 
-from pixelid.tables.noise.crossings import FARTHEST, _add, _density, _end_mean, _lagrange, _place
+from pixelid.tables.noise.crossings import _crossed, _end_mean, _lagrange, _mean_after_reset, _place
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -23,7 +23,7 @@ def crossings_after_events(
     s = h + 1
     first, step = nodes[0], nodes[1] - nodes[0]
     signs = (1.0, -1.0)
-    after, found = np.empty(h), np.empty((s, s))
+    after, found = np.empty(h), np.empty((s, 2 * m * s))
     for i0 in range(2):
         for k0 in range(count):
             for j0 in range(m):
@@ -46,27 +46,18 @@ def crossings_after_events(
                             begun[i0, a, k + n] += weight * mass * line[n]
                         levels = (kept + on[a], kept - off[a])
                         for t in range(len(maps)):
-                            v00, v01, v11 = covariances[t, 0], covariances[t, 1], covariances[t, 2]
-                            mz = maps[t, 0, 0] * z + maps[t, 0, 1] * w + spread[t, 0] * offsets[g] + tails[t, 0] * kept
-                            mw = maps[t, 1, 0] * z + maps[t, 1, 1] * w + spread[t, 1] * offsets[g] + tails[t, 1] * kept
+                            mz, mw = _mean_after_reset(maps, spread, tails, t, z, w, offsets[g], kept)
                             _end_mean(hidden, t, z, w, offsets[g], after)
-                            for i in range(2):
-                                d0 = levels[i] - mz
-                                if d0 * d0 > FARTHEST * v00:
-                                    continue
-                                for j in range(m):
-                                    d1 = signs[i] * slopes[j] - mw
-                                    f = weight * factors[j] * _density(d0, d1, v00, v01, v11)
-                                    if f == 0.0:
-                                        continue
-                                    found[:] = 0.0
-                                    _add(found, 0, f, d0, d1, hidden, t, before, after)
-                                    for e in range(s):
-                                        part = 0.0
-                                        for b in range(s):
-                                            part += share[row + b] * found[b, e]
-                                        for n in range(4):
-                                            crossed[i0, a, k + n, t, (i * m + j) * s + e] += line[n] * part
+                            found[:] = 0.0
+                            _crossed(
+                                found, weight, mz, mw, covariances, hidden, t, before, after, levels, slopes, factors
+                            )
+                            for i in range(2 * m * s):
+                                part = 0.0
+                                for b in range(s):
+                                    part += share[row + b] * found[b, i]
+                                for n in range(4):
+                                    crossed[i0, a, k + n, t, i] += line[n] * part
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -78,7 +69,6 @@ def crossings_between(means, covariances, hidden, on, off, slopes, factors, foun
     signs = (1.0, -1.0)
     before, after = np.zeros(n), np.empty(n)
     for t in range(len(means)):
-        v00, v01, v11 = covariances[t, 0], covariances[t, 1], covariances[t, 2]
         for i0 in range(2):
             for j0 in range(m):
                 z, w = levels[i0], signs[i0] * slopes[j0]
@@ -88,11 +78,7 @@ def crossings_between(means, covariances, hidden, on, off, slopes, factors, foun
                 into = found[t, row : row + s]
                 into[:] = 0.0
                 _end_mean(hidden, t, z, w, 0.0, after)
-                for i in range(2):
-                    for j in range(m):
-                        d0, d1 = levels[i] - mz, signs[i] * slopes[j] - mw
-                        f = factors[j] * _density(d0, d1, v00, v01, v11)
-                        _add(into, (i * m + j) * s, f, d0, d1, hidden, t, before, after)
+                _crossed(into, 1.0, mz, mw, covariances, hidden, t, before, after, levels, slopes, factors)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
