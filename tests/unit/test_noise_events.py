@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from pixelid.model.shipped import find_model
 from pixelid.tables.noise.first_passage import mean_rates, noise_rates, rates_of
 from pixelid.tables.noise.intervals import noise_intervals
 from pixelid.tables.noise.process import noise_process
-from pixelid.tables.noise.quadrature import rayleigh_nodes
+from pixelid.tables.noise.quadrature import ROUGH, WHOLE, hermite, rayleigh_nodes
 from tests.oracles.noise_events import simulate_noise_events, stages
 
 DENSITY = 3.2e-4  # fA/Hz: 2q
@@ -196,6 +197,21 @@ def test_mismatch_raises_the_mean_rate(dead_s, noise, within):
             pixel = c.with_(on_threshold=c.on_threshold * a, off_threshold=c.off_threshold * b)
             mean += wa * wb * rates_of(process, pixel, 24.0).on_hz
     assert mean_rates(c, 24.0)[0] == pytest.approx(mean, rel=within)
+
+
+@pytest.mark.parametrize(("mismatch", "apart"), [(0.03, 1.0), (0.06, 0.99)])
+def test_mean_rates_have_no_waves_where_few_pixels_have_equal_thresholds(mismatch, apart):
+    """That maximum is narrower than the 3.4 % that nodes of the difference were once apart: rates 25 % too low."""
+    c = thresholds(circuit(refractory=1e-4), 50.0, 4.2 * apart, 4.2).with_(mismatch=mismatch, noise=0.04)
+    process, resolution = noise_process(c, 50.0), replace(ROUGH, pixels=WHOLE.pixels)
+    across, mean = np.linspace(-3.5, 3.5, 57), 0.0
+    across_weights = np.exp(-0.5 * across**2) / np.exp(-0.5 * across**2).sum()
+    for s, along_weight in zip(*hermite(5), strict=True):
+        for d, weight in zip(across, across_weights, strict=True):
+            on, off = (1.0 + mismatch * (s + sign * d) / math.sqrt(2.0) for sign in (1, -1))
+            pixel = c.with_(on_threshold=c.on_threshold * on, off_threshold=c.off_threshold * off)
+            mean += along_weight * weight * rates_of(process, pixel, 50.0, resolution).on_hz
+    assert mean_rates(c, 50.0, resolution=resolution)[0] == pytest.approx(mean, rel=0.015)
 
 
 def test_equal_thresholds_resonate():

@@ -13,7 +13,9 @@ from pixelid.tables.noise.hidden import Hidden
 from pixelid.tables.noise.process import NoiseProcess
 from pixelid.tables.noise.quadrature import WHOLE, Resolution, offset_nodes, rayleigh_nodes, threshold_draws
 
-ALIKE = 0.1  # standard deviations of the output between thresholds that need `Resolution.fine`
+# Standard deviations of the output: `Resolution.fine` for thresholds that differ by less, `spacing` for those that
+# differ by twice as much
+ALIKE = 0.1
 MARGIN = 2.0  # standard deviations of references beyond the larger threshold
 QUIET = 9.0  # a threshold of so many standard deviations is crossed at e⁻⁴⁰ of the bandwidth: never
 
@@ -176,8 +178,15 @@ def _spacing(circuit: Circuit, released: Release, p: NoiseProcess, resolution: R
     """Of references, in standard deviations of the output."""
     noise = circuit.noise * math.hypot(circuit.on_threshold, circuit.off_threshold)
     step = math.hypot(noise, math.sqrt(2.0) * math.hypot(released.sd, released.reference[1] * p.slope_sigma))
-    alike = abs(circuit.on_threshold - circuit.off_threshold) < ALIKE * p.sigma
-    return resolution.fine if alike and step < resolution.spacing * p.sigma else resolution.spacing
+    apart = abs(circuit.on_threshold - circuit.off_threshold)
+    fine = _below(apart, ALIKE * p.sigma) * _below(step, 0.5 * resolution.spacing * p.sigma)
+    return resolution.spacing + fine * (resolution.fine - resolution.spacing)
+
+
+def _below(x: float, limit: float) -> float:
+    """1 up to a limit, 0 beyond twice that, smooth in between: what is computed must not jump."""
+    share = min(max(2.0 - x / limit, 0.0), 1.0)
+    return share * share * (3.0 - 2.0 * share)
 
 
 @dataclass(frozen=True)

@@ -107,7 +107,9 @@ def mean_rates(
     the rate of the average pixel.  Arguments and errors as `noise_rates`.
     """
     process = noise_process(circuit, radiance, floor)
-    factors, weights = mismatch_draws(circuit.mismatch, circuit.noise)
+    factors, weights = mismatch_draws(
+        circuit.on_threshold, circuit.off_threshold, circuit.mismatch, process.sigma, resolution.pixels
+    )
     total = np.zeros(2)
     for (on, off), weight in zip(factors, weights, strict=True):
         pixel = circuit.with_(

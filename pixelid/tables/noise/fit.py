@@ -1,9 +1,14 @@
 """Fit noise rates: the shared regression of tables on ever new linearisations of ln rate.
 
-A prediction costs tens of milliseconds per light, and ln rate is nearly linear in the fit's logarithmic coordinates.
-So each round differentiates once, lets `fit_table` find the optimum of the linearised table within `TRUST`, and looks
-whether the table itself is then better described, as the linear one promised; if not, the step is halved.  What is
-reported is the best place visited, with errors of its own linearisation.
+A prediction costs tens of milliseconds per light (a second where pixels differ), and ln rate is nearly linear in the
+fit's logarithmic coordinates.  So slopes are differences once, `fit_table` finds the optimum of the linear table within
+`TRUST`, and the table itself says whether it is then better described, as the linear one promised.  Slopes follow each
+step by the secant (Broyden 1965, Math. Comp. 19, 577); where they promise too much they are differences again, and
+where those do the step is halved.  Rest is told by differences.  What is reported is the best place visited, with
+errors of its own linearisation.
+
+Searches look first at pixels that do not differ and thresholds that do not vary, a hundred times faster; then at what
+the model has of both.  Priors lie around the model's values, wherever a search begins.
 """
 
 from __future__ import annotations
@@ -27,11 +32,13 @@ from pixelid.tables.noise.reading import NoiseTable
 STEP = 0.02  # of a coordinate, for central differences
 TRUST = 0.7  # of a coordinate per round: a factor of 2
 LEAST_TRUST = 0.02  # where the rates are not linear even so near, the search has failed
-ROUNDS = 20
+STEPS = 60
 # nats that a step of `TRUST` promises, below which a fit has come to rest: 0.45 standard errors.  Valleys that rates
 # hardly fix are curved, and steps in them gain a few hundredths for long.
 REST = 0.1
 LEAST_GAINED, GOOD = 0.1, 0.7  # of what a step promised: taken from, and longer steps tried from
+# Scatter of a table up to which slopes must be of `WHOLE`: those of `ROUGH` err by less than other tables scatter
+FINE_SCATTER = 0.03
 # Where a fit looks first: factors on both thresholds (over the noise), on the light's photocurrent and the follower's
 # cutoff; the latter two where the light's unit leaves the photocurrent open
 THRESHOLD_STARTS = np.geomspace(0.35, 1.6, 8)
@@ -90,6 +97,12 @@ class Linearised:
         """Every row depends on every parameter."""
         return [np.full(len(self.level), k) for k in range(len(self.x0))]
 
+    def moved(self, x: np.ndarray, level: np.ndarray) -> Linearised:
+        """The same around x, where ln rates are `level`; the least change of slopes that explains the step there."""
+        step = x - self.x0
+        slopes = self.slopes + np.outer(level - self.level - self.slopes @ step, step) / (step @ step)
+        return replace(self, x0=x, level=level, slopes=slopes)
+
 
 def fit_noise(table: NoiseTable, model: Model, progress: Callable[[str, float], None] | None = None) -> NoiseFit:
     """Fit noise rates of a table or of recordings.
@@ -108,14 +121,17 @@ def fit_noise(table: NoiseTable, model: Model, progress: Callable[[str, float], 
         raise InputError(f"{where}: expected a rate above 0 in some row, found none: without events nothing is fitted")
     begun = time.perf_counter()
     report = progress or (lambda what, fraction: None)
-    ends = [
-        _settled(noise, ROUGH, lambda share, k=k: report("fitting", 0.1 + 0.6 * (k + share) / MOST_STARTS))
-        for k, noise in enumerate(started(starting_model(table, model), report))
-    ]
-    best = min(ends, key=lambda end: (not end.scale < MAX_SCATTER, end.misfit))
-    end = _settled(best.model, WHOLE, lambda share: report("fitting", 0.7 + 0.3 * share), best)
-    noise = end.model
-    final = fit_at(end.line or _linearise(noise, end.x, end.level, WHOLE), end.x, end.scale, end.line is not None)
+    starts = started(starting_model(table, model), report)
+
+    def settled(
+        noise: NoiseModel, resolution: Resolution, done: float, share: float, begun: _End | None = None
+    ) -> _End:
+        return _settled(noise, resolution, lambda part: report("fitting", done + share * part), begun)
+
+    ends = [(settled(start.plain, ROUGH, 0.1 + 0.1 * k, 0.1), start) for k, start in enumerate(starts)]
+    best, noise = min(ends, key=lambda pair: (not pair[0].scale < MAX_SCATTER, pair[0].misfit))
+    end = settled(noise, WHOLE, 0.7, 0.3, settled(noise, ROUGH, 0.4, 0.3, best))
+    final = fit_at(end.line, end.x, end.scale, end.at_rest)
     # pixels are a sample: their mean threshold is off the sensor's by the mismatch over the root of their number
     spread = noise.circuit.values.get("threshold_mismatch.sigma", 0.0) / math.sqrt(max(table.pixels, 1))
     names = [p.name for p in noise.parameters]
@@ -126,13 +142,12 @@ def fit_noise(table: NoiseTable, model: Model, progress: Callable[[str, float], 
 
 @dataclass(frozen=True)
 class _End:
-    """Where a search came to rest, or gave up: coordinates, ln rates there, the linearisation that called it rest,
-    scatter, and minus log posterior."""
+    """Where a search came to rest, or gave up: coordinates, the linear table there, scatter, and minus log
+    posterior."""
 
-    model: NoiseModel
     x: np.ndarray
-    level: np.ndarray
-    line: Linearised | None
+    line: Linearised
+    at_rest: bool
     scale: float
     misfit: float
 
@@ -140,39 +155,49 @@ class _End:
 def _settled(
     noise: NoiseModel, resolution: Resolution, report: Callable[[float], None], begun: _End | None = None
 ) -> _End:
-    """The end of one search, from the model's values or another's end, by slopes of a resolution.
+    """The end of one search by rates of a resolution, from the model's values or another's end.
 
-    `ROUGH` slopes lead near an optimum.  Along directions that the rates hardly fix they are not good enough for the
-    rest of the way, and to tell rest, where a table scatters by 1 %.
+    `ROUGH` ones lead near an optimum.  Along directions that the rates hardly fix their slopes are not good enough for
+    the rest of the way, and to tell rest, where a table scatters by 1 %.
     """
     limits = np.array([p.coordinate_bounds() for p in noise.parameters])
+    slopes = resolution if begun and begun.scale < FINE_SCATTER else ROUGH
     x = begun.x if begun else _start(noise)
-    level = begun.level if begun else np.log(noise.predict(x))
+    level = _level(noise, x, resolution)
     scale = begun.scale if begun else MAX_SCATTER
-    trust, at_rest = TRUST, None
-    for round_ in range(ROUNDS):
-        report(round_ / ROUNDS)
-        line = _linearise(noise, x, level, resolution)
+    trust, line, exact, at_rest = TRUST, None, None, False
+    for step in range(STEPS):
+        report(step / STEPS)
+        line = line or (exact := _linearise(noise, x, level, slopes))
         fit, here, promised, s = _promise(line, noise, limits, TRUST)
         if promised < REST:
-            scale, at_rest = fit.scale, line
-            break
-        while True:
-            if trust < TRUST:
-                fit, here, promised, s = _promise(line, noise, limits, trust)
-            trial = np.log(noise.predict(fit.x))
-            gained = here - _misfit(noise, trial, fit.x, s)
-            if gained > LEAST_GAINED * promised or trust < LEAST_TRUST:
+            if line is exact:
+                scale, at_rest = fit.scale, True
                 break
-            trust *= 0.5
-        if gained > 0.0:
+            line = None
+            continue
+        if trust < TRUST:
+            fit, here, promised, s = _promise(line, noise, limits, trust)
+        trial = _level(noise, fit.x, resolution)
+        gained = here - _misfit(noise, trial, fit.x, s)
+        if gained > LEAST_GAINED * promised:
+            line = line.moved(fit.x, trial)
             x, level, scale = fit.x, trial, fit.scale
-        if trust < LEAST_TRUST:
+            trust = min(2.0 * trust, TRUST) if gained > GOOD * promised else trust
+        elif line is not exact:
+            line = None
+        elif trust > LEAST_TRUST:
+            trust *= 0.5
+        else:
             break
-        trust = min(2.0 * trust, TRUST) if gained > GOOD * promised else trust
     s = np.sqrt(scale**2 + _known(noise))
     misfit = _misfit(noise, level, x, s) + float(np.log(s).sum())
-    return _End(noise, x, level, at_rest, scale, misfit)
+    return _End(x, line or _linearise(noise, x, level, slopes), at_rest, scale, misfit)
+
+
+def _level(noise: NoiseModel, x: np.ndarray, resolution: Resolution) -> np.ndarray:
+    """(rows,) ln rates."""
+    return np.log(noise.predict_many([x], resolution)[0])
 
 
 def _start(noise: NoiseModel) -> np.ndarray:
@@ -210,8 +235,7 @@ def started(noise: NoiseModel, report: Callable[[str, float], None]) -> list[Noi
 
     Grid points are judged without mismatch and threshold noise, on five lights: they need be right to a factor of 2.
     """
-    table, circuit = noise.table, noise.circuit
-    plain = circuit.without_effect("threshold_mismatch").without_effect("threshold_noise")
+    table, plain = noise.table, noise.plain.circuit
     lights = np.unique(table.light)
     few = lights[np.unique(np.linspace(0, len(lights) - 1, 5).round().astype(int))]
     chosen = np.isin(table.light, few) & (table.rate_hz > table.last_digit)
@@ -250,7 +274,7 @@ def started(noise: NoiseModel, report: Callable[[str, float], None]) -> list[Noi
         ranked.sort(key=lambda start: start[0])
     report("fitting", 0.1)
     own = [n for n in plain.parameters if n in FITTED]
-    return [replace(noise, circuit=circuit.set({n: start.values[n] for n in own})) for _, start in ranked]
+    return [replace(noise, start={n: start.values[n] for n in own}) for _, start in ranked]
 
 
 def _threshold_ratio(table: NoiseTable) -> float:
@@ -262,9 +286,16 @@ def _threshold_ratio(table: NoiseTable) -> float:
 
 
 def _linearise(noise: NoiseModel, x: np.ndarray, level: np.ndarray, resolution: Resolution) -> Linearised:
-    points = [x + side * STEP * unit for unit in np.eye(len(x)) for side in (1.0, -1.0)]
-    logs = np.log(noise.predict_many(points, resolution))
-    slopes = ((logs[0::2] - logs[1::2]) / (2.0 * STEP)).T
+    """The table at x by differences.
+
+    How pixels differ changes slopes along thresholds by tenths; those along all else are of equal pixels.
+    """
+    slopes = np.empty((len(level), len(x)))
+    thresholds = np.array([p.name.endswith("_threshold") for p in noise.parameters])
+    for model, some in ((noise, thresholds), (noise.of_equal_pixels, ~thresholds)):
+        points = [x + side * STEP * unit for unit in np.eye(len(x))[some] for side in (1.0, -1.0)]
+        logs = np.log(model.predict_many(points, resolution))
+        slopes[:, some] = ((logs[0::2] - logs[1::2]) / (2.0 * STEP)).T
     return Linearised(noise.rows, noise.parameters, noise.nuisances, noise.neutral_bounds, x, level, slopes)
 
 

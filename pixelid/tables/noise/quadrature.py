@@ -11,7 +11,10 @@ import numpy as np
 GRID = 0.3  # of the stored reference, in standard deviations of the output: e⁻⁸ at thresholds of 4
 # Relative spread of thresholds: rates go as e^{b² x} with a change x, and at b = 4 and x = 5 % three nodes err by 2 %
 NARROW = 0.05
-WIDENED = 0.02  # threshold noise above which the maximum at equal thresholds is as wide as a mismatch of 2 to 5 %
+# Of pixels whose thresholds differ: nodes of the difference lie `RIDGE` apart (standard deviations of the output) where
+# both are alike, then farther by `GROWTH` of the difference, up to `APART` standard deviations of it, out to `REACH`:
+# half of all that changes mean rates by 1 % at most
+RIDGE, GROWTH, APART, REACH = 0.08, 0.7, 1.0, 3.0
 
 
 @dataclass(frozen=True)
@@ -22,21 +25,23 @@ class Resolution:
         slopes: nodes.
         spacing: of references, in standard deviations of the output.
         fine: the same where both thresholds are alike, so that ON and OFF events undo each other, and a pair of them
-            moves the reference by less than `spacing`.
+            hardly moves the reference.
         least_hidden: share of the greatest variance of a hidden state from which on it is followed.
+        pixels: how far apart thresholds of pixels are taken that differ, in what `mismatch_draws` takes.
     """
 
     slopes: int
     spacing: float
     fine: float
     least_hidden: float
+    pixels: float
 
 
 # Finer references change rates by 0.8 % at most (by 3 % where thresholds are alike), further slopes and hidden states
 # by 0.5 %
-WHOLE = Resolution(slopes=4, spacing=0.2, fine=0.1, least_hidden=1e-3)
+WHOLE = Resolution(slopes=4, spacing=0.2, fine=0.1, least_hidden=1e-3, pixels=1.0)
 # For derivatives of ln rate and for where a search begins: five times faster, rates within 3 % (90 % of 72 cases)
-ROUGH = Resolution(slopes=3, spacing=0.3, fine=0.15, least_hidden=math.inf)
+ROUGH = Resolution(slopes=3, spacing=0.3, fine=0.15, least_hidden=math.inf, pixels=1.5)
 
 
 def offset_nodes(relative_sd: float) -> tuple[np.ndarray, np.ndarray]:
@@ -71,23 +76,34 @@ def threshold_draws(relative_sd: float) -> tuple[np.ndarray, np.ndarray]:
     return 1.0 + min(relative_sd, 0.4) * points, weights
 
 
-def mismatch_draws(relative_sd: float, threshold_noise: float) -> tuple[np.ndarray, np.ndarray]:
-    """The same for pixels that differ, whose rates are averaged.
+def mismatch_draws(
+    on: float, off: float, relative_sd: float, sigma: float, coarser: float = 1.0
+) -> tuple[np.ndarray, np.ndarray]:
+    """The same for pixels that differ, whose rates are averaged; on, off: mean thresholds, sigma: of the output.
 
-    Without threshold noise and with a short dead time, rates have a narrow maximum at equal thresholds: a pixel whose
-    ON and OFF events undo each other exactly goes on for long.  So the difference of the thresholds needs a fine grid
-    unless noise widens the maximum.
+    With a short dead time rates have a narrow maximum at equal thresholds: a pixel whose ON and OFF events undo each
+    other goes on for long.  Threshold noise of 4 % at thresholds of 4 leaves it 0.12 wide.  So nodes of the difference
+    are dense around 0, wherever the mean difference lies, and the average has no waves as that moves.
     """
     if relative_sd <= 0:
         return threshold_draws(0.0)
-    spacing = 0.8 if threshold_noise >= WIDENED else 0.4
-    count = round(4.8 / spacing)
-    across = spacing * (np.arange(count) - 0.5 * (count - 1))
-    weights = np.exp(-0.5 * across**2)
-    along = np.repeat([-1.0, 1.0], len(across))
-    across, weights = np.tile(across, 2), np.tile(weights / (2.0 * weights.sum()), 2)
-    points = np.stack([along + across, along - across], axis=1) / math.sqrt(2.0)
-    return 1.0 + min(relative_sd, 0.4) * points, weights
+    sd = min(relative_sd, 0.3) / math.sqrt(2.0)
+    spread = sd * (on + off)
+    growth, apart, least = GROWTH * coarser, APART * coarser * spread, RIDGE * sigma / GROWTH
+    factors, weights = [], []
+    for along in (-1.0, 1.0):
+        middle, far = (on - off) * (1.0 + sd * along), REACH * spread
+        limit = math.asinh((abs(middle) + far) / least)
+        differences = least * np.sinh(np.linspace(-limit, limit, 2001))
+        place = differences / apart + np.arcsinh(differences / least) / growth
+        first, last = np.interp([middle - far, middle + far], differences, place)
+        nodes = np.interp(np.arange(math.ceil(first), math.floor(last) + 1), place, differences)
+        across = (nodes - middle) / spread
+        per_node = 1.0 / (1.0 / apart + 1.0 / (growth * np.hypot(nodes, least)))
+        weight = per_node * np.exp(-0.5 * across**2)
+        weights.append(0.5 * weight / weight.sum())
+        factors.append(1.0 + sd * np.stack([along + across, along - across], axis=1))
+    return np.concatenate(factors), np.concatenate(weights)
 
 
 @lru_cache
