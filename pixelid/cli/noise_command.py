@@ -47,7 +47,7 @@ def command(sources, out, model, predict, overwrite, seed, quiet):
         from pixelid.report.html import write_report
         from pixelid.tables.noise.fit import fit_noise
         from pixelid.tables.noise.reading import read_noise_tables, reduced_recordings
-        from pixelid.tables.noise.result import model_floor, model_scales, save_fit, save_prediction
+        from pixelid.tables.noise.result import model_beside, model_scales, save_fit, save_prediction
 
         tables = [source for source in sources if source.suffix.lower() == ".csv"]
         if tables and len(tables) < len(sources):
@@ -57,8 +57,8 @@ def command(sources, out, model, predict, overwrite, seed, quiet):
         if predict:
             inputs = [path for path in model_files(model) if path.is_file()]
             with whole_folder(out, overwrite) as folder:
-                floor, scales = model_floor(model), model_scales(model)
-                written = save_prediction(table, circuit, floor, folder, seed, inputs, scales)
+                beside, scales = model_beside(model), model_scales(model)
+                written = save_prediction(table, circuit, beside, folder, seed, inputs, scales)
                 write_report(folder)
         else:
             with bar(quiet) as report:

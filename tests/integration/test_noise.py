@@ -22,7 +22,7 @@ from pixelid.tables.noise.first_passage import mean_rates
 from pixelid.tables.noise.fit import fit_noise, started
 from pixelid.tables.noise.model import FA_PER_LUX, NoiseModel, in_unit
 from pixelid.tables.noise.reading import read_noise_tables, reduced_recordings
-from pixelid.tables.noise.result import model_scales, predicted_result
+from pixelid.tables.noise.result import model_beside, model_scales, predicted_result
 from pixelid.tables.result import table_result
 
 LIGHTS = (0.3, 1.0, 3.0, 10.0, 30.0, 100.0)
@@ -192,6 +192,19 @@ def test_a_search_begins_near_the_dead_time_and_beside_equal_thresholds(tmp_path
     assert values["off_threshold"] == pytest.approx(0.18, rel=0.3)
     # priors went with the starts once: a follower begun at a tenth of its cutoff was held there, five errors off
     assert all([p.prior for p in start.parameters] == [p.prior for p in noise.parameters] for start in starts)
+
+
+def test_off_events_that_no_light_changes_are_in_predictions(tmp_path):
+    """Hot pixels in a sensor's mean, or a leak towards OFF: where noise has ended, OFF rates stay."""
+    circuit, folder = planted(), tmp_path / "fit"
+    folder.mkdir()
+    save_model(circuit, folder / "model.toml")
+    (folder / "noise.json").write_text(json.dumps({"parameters": {"off_background.rate_hz": {"value": 0.14}}}))
+    table = read_noise_tables([write_table(tmp_path / "noise.csv", circuit, lights=(3.0, 300.0))])
+    plain, more = (NoiseModel(table, circuit, beside) for beside in ({}, model_beside(folder)))
+    x = np.array([p.to_coordinate(p.value) for p in plain.parameters])
+    added = more.predict(x) - plain.predict(x)
+    assert added == pytest.approx(np.where(table.on, 0.0, 0.14), abs=1e-9)
 
 
 def test_lights_are_interpolated_over_the_edge_where_noise_ends(tmp_path):

@@ -25,7 +25,7 @@ from pixelid.model.model import Model
 from pixelid.parameters.parameter import Parameter
 from pixelid.tables.fit import FREEDOM, MAX_SCATTER, TableFit, fit_at, fit_table
 from pixelid.tables.model import Rows
-from pixelid.tables.noise.model import FITTED, FLOOR, NoiseModel, in_unit
+from pixelid.tables.noise.model import BESIDE, FITTED, FLOOR, OFF_BACKGROUND, NoiseModel, in_unit
 from pixelid.tables.noise.quadrature import ROUGH, WHOLE, Resolution
 from pixelid.tables.noise.reading import NoiseTable
 
@@ -71,10 +71,10 @@ class NoiseFit:
         return self.model.circuit.set({n: own[n].within(v) for n, v in values.items()})
 
     @property
-    def floor(self) -> float:
-        """Fitted white noise whatever the light, 1/Hz."""
+    def beside(self) -> dict[str, float]:
+        """Fitted values of `BESIDE`."""
         x = {p.name: math.exp(v) for p, v in zip(self.regression.parameters, self.regression.x, strict=True)}
-        return x.get(FLOOR.name, self.model.floor)
+        return dict(self.model.beside) | {name: value for name, value in x.items() if name in BESIDE}
 
 
 @dataclass(frozen=True)
@@ -226,7 +226,8 @@ def starting_model(table: NoiseTable, model: Model) -> NoiseModel:
         dark = DARK_LUX if table.unit == "lux" else 0.05 * float(np.exp(np.mean(np.log(table.light))))
         circuit = circuit.with_effect("dark_current", {"radiance": max(dark, 2e-6)})
     density = circuit.values["shot_noise.density"]
-    return NoiseModel(table, circuit, 0.1 * density / float(table.light.max()), fit_floor=True)
+    floor = 0.1 * density / float(table.light.max())
+    return NoiseModel(table, circuit, {FLOOR.name: floor, OFF_BACKGROUND.name: LEAK_HZ}, fit_beside=True)
 
 
 def started(noise: NoiseModel, report: Callable[[str, float], None]) -> list[NoiseModel]:
@@ -250,7 +251,7 @@ def started(noise: NoiseModel, report: Callable[[str, float], None]) -> list[Noi
         """How far ln rates are off on average where parameters are so many times a start's, and the model there."""
         scaled = {n: (p, p.value * factors[n]) for n, p in start.parameters.items() if n in factors}
         trial = start.set({n: p.within(v) for n, (p, v) in scaled.items()})
-        at = NoiseModel(part, trial, noise.floor)
+        at = NoiseModel(part, trial, noise.beside)
         (rates,) = at.predict_many([_start(at)], ROUGH)
         return float(np.abs(np.log(part.rate_hz) - np.log(rates)).mean()), trial
 

@@ -20,7 +20,10 @@ from pixelid.tables.noise.first_passage import mean_rates
 from pixelid.tables.noise.quadrature import WHOLE, Resolution
 from pixelid.tables.noise.reading import NoiseTable
 
-FLOOR = Parameter("noise_floor.density", 1e-9, "1/Hz", 1e-14, 1e-2, "log")
+FLOOR = Parameter("noise_floor.density", 1e-9, "1/Hz", 1e-14, 1e-2, "log")  # white noise whatever the light
+# OFF events whatever the light: of hot pixels, or of a leak towards OFF.  ON events have the circuit's leak.
+OFF_BACKGROUND = Parameter("off_background.rate_hz", 1e-2, "Hz", 1e-9, 1e3, "log")
+BESIDE = {p.name: p for p in (FLOOR, OFF_BACKGROUND)}  # what a table of a sensor's means has beside a circuit
 # Photocurrent per light of a pixel of 4.9 µm with 50 % of its area and photons: 0.22 A/W · 24 µm² / (683 lm/W) at
 # 555 nm.  It only sets the noise density that thresholds are stated for; thresholds go with 1/√ of it.
 FA_PER_LUX = 7.7
@@ -47,20 +50,21 @@ class NoiseModel:
     Attributes:
         table: what was measured.
         circuit: the model in the table's unit of light: priors lie around its values, and what is not fitted stays.
-        floor: one-sided PSD of white noise whatever the light, 1/Hz; fitted where `fit_floor`.
-        fit_floor: see there.
+        beside: values of `BESIDE`, 0 where there is none; fitted where `fit_beside`.
+        fit_beside: see there.
         start: where a search begins, by name; the circuit's values where there is none.
     """
 
     table: NoiseTable
     circuit: Model
-    floor: float = 0.0
-    fit_floor: bool = False
+    beside: Mapping[str, float] = field(default_factory=dict)
+    fit_beside: bool = False
     start: Mapping[str, float] = field(default_factory=dict)
 
     # an effect that is too weak to show
     neutral_bounds: tuple[tuple[str, str], ...] = (
-        ("noise_floor", "lower"), ("dark_current", "lower"), ("leak", "lower"), ("parasitic", "lower")
+        ("noise_floor", "lower"), ("off_background", "lower"), ("dark_current", "lower"), ("leak", "lower"),
+        ("parasitic", "lower"),
     )  # fmt: skip
 
     @property
@@ -80,8 +84,9 @@ class NoiseModel:
             wide = name in WIDE and (self.circuit.radiance_unit != "fA" or "." in name)
             prior = Prior(math.log(_inside(p, p.value)), WIDE_SD if wide else PRIOR_SD)
             found.append(replace(p, value=_inside(p, self.start.get(name, p.value)), prior=prior))
-        if self.fit_floor:
-            found.append(replace(FLOOR, value=self.floor, prior=Prior(math.log(self.floor), WIDE_SD)))
+        for p in BESIDE.values() if self.fit_beside else ():
+            value = self.beside[p.name]
+            found.append(replace(p, value=value, prior=Prior(math.log(value), WIDE_SD)))
         for group in self._scaled:
             found.append(Parameter(f"light_scale[{group}]", 1.0, "1", 1e-2, 1e2, "log", prior=Prior(0.0, PRIOR_SD)))
         return tuple(found)
@@ -126,10 +131,10 @@ class NoiseModel:
 
     def rates(self, values: Mapping[str, float], light: float, resolution: Resolution = WHOLE) -> tuple[float, float]:
         """(ON, OFF) events per pixel and second under one light."""
-        floor = values.get(FLOOR.name, self.floor)
+        floor, background = (values.get(name, self.beside.get(name, 0.0)) for name in BESIDE)
         own = {name: value for name, value in values.items() if name in self.circuit.parameters}
         on, off = mean_rates(self.circuit.circuit(own), light, floor, resolution)
-        return max(on, LEAST_HZ), max(off, LEAST_HZ)
+        return max(on, LEAST_HZ), max(off + background, LEAST_HZ)
 
     def _lights(self, values: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
         """(lights to compute, (rows,) light of each row after its table's scale)."""

@@ -21,7 +21,7 @@ from pixelid.tables.fit import MAX_SCATTER, misses
 from pixelid.tables.model import predicted_rows
 from pixelid.tables.noise.figures import draw_noise
 from pixelid.tables.noise.fit import NoiseFit
-from pixelid.tables.noise.model import FA_PER_UNIT, FLOOR, NoiseModel, in_unit
+from pixelid.tables.noise.model import BESIDE, FA_PER_UNIT, NoiseModel, in_unit
 from pixelid.tables.noise.reading import NoiseTable
 from pixelid.tables.result import table_result, write_result
 
@@ -35,7 +35,7 @@ FOLDED = ("shot_noise.density", "diff_cutoff_hz", "threshold_sigma", "threshold_
 def save_fit(fit: NoiseFit, folder: Path, seed: int) -> dict[str, Any]:
     """Write noise.json, noise.svg and model.toml into an existing folder; returns the JSON."""
     save_model(fit.circuit, folder / "model.toml")
-    drawn = NoiseModel(fit.model.table, fit.circuit, fit.floor)
+    drawn = NoiseModel(fit.model.table, fit.circuit, fit.beside)
     result = fitted_result(fit)
     rows = result["rows"]
     return write_result(result | {"seed": seed}, "noise.json", {"noise": partial(draw_noise, drawn, rows)}, folder)
@@ -65,14 +65,14 @@ def fitted_result(fit: NoiseFit) -> dict[str, Any]:
 def save_prediction(
     table: NoiseTable,
     model: Model,
-    floor: float,
+    beside: Mapping[str, float],
     folder: Path,
     seed: int,
     inputs: Sequence[Path] = (),
     scales: Mapping[str, float] | None = None,
 ) -> dict[str, Any]:
     """Write noise.json and noise.svg of a model evaluated on a table; returns the JSON.  scales: `model_scales`."""
-    noise = NoiseModel(table, in_unit(model, table.unit), floor)
+    noise = NoiseModel(table, in_unit(model, table.unit), beside)
     result = predicted_result(noise, scales)
     figures = {"noise": partial(draw_noise, noise, result["rows"])}
     result |= {"seed": seed, **provenance(*table.sources, *inputs)}
@@ -97,7 +97,7 @@ def predicted_result(noise: NoiseModel, scales: Mapping[str, float] | None = Non
         "advice": f"The model misses the rates {how}: fit it to this table." if how else "",
         "model": noise.circuit.name,
         "observation": "noise_rate",
-        "parameters": _fixed(noise.circuit, list(noise.circuit.parameters)) | _held(noise.floor, scale, table.group),
+        "parameters": _fixed(noise.circuit, list(noise.circuit.parameters)) | _held(noise.beside, scale, table.group),
         "unidentified": unknown,
         "relative_scatter": scatter,
         "cells_fitted": 0,
@@ -134,19 +134,22 @@ def disagreements(table: NoiseTable, rows: Sequence[dict[str, Any]]) -> list[str
     return sentences
 
 
-def model_floor(spec: str | Path) -> float:
-    """The white noise that a folder of `pixelid noise` found beside its model; 0 for any other model.
+def model_beside(spec: str | Path) -> dict[str, float]:
+    """What a folder of `pixelid noise` found beside its model, by names of `BESIDE`; empty for any other model.
 
     Raises:
         InputError: a noise.json that is damaged.
     """
     path = Path(spec) / "noise.json"
     if not path.is_file():
-        return 0.0
-    entry = read_json(path).get("parameters", {}).get(FLOOR.name, {}).get("value", 0.0)
-    if not isinstance(entry, int | float) or not 0 <= entry < math.inf:
-        raise InputError(f"{path}: {FLOOR.name}: expected a number of at least 0, found {entry!r}")
-    return float(entry)
+        return {}
+    parameters, found = read_json(path).get("parameters", {}), {}
+    for name in BESIDE:
+        value = parameters.get(name, {}).get("value", 0.0)
+        if not isinstance(value, int | float) or not 0 <= value < math.inf:
+            raise InputError(f"{path}: {name}: expected a number of at least 0, found {value!r}")
+        found[name] = float(value)
+    return found
 
 
 def model_scales(spec: str | Path) -> dict[str, float]:
@@ -201,10 +204,10 @@ def _fixed(model: Model, names: Sequence[str]) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _held(floor: float, scale: np.ndarray, group: np.ndarray) -> dict[str, Any]:
-    """White noise and scales of light (rows,) that a prediction takes from a fit, where they change anything."""
+def _held(beside: Mapping[str, float], scale: np.ndarray, group: np.ndarray) -> dict[str, Any]:
+    """Values of `BESIDE` and scales of light (rows,) that a prediction takes from a fit, where they change anything."""
     found = {f"{SCALE}{k}]": (float(scale[group == k][0]), "1") for k in sorted(set(group[scale != 1.0].tolist()))}
-    found |= {FLOOR.name: (floor, FLOOR.unit)} if floor > 0 else {}
+    found |= {name: (value, BESIDE[name].unit) for name, value in beside.items() if value > 0}
     return {
         name: {"value": value, "unit": unit, "std": None, "interval_95": None, "identified": False, "fixed": True}
         for name, (value, unit) in found.items()
