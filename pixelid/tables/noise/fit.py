@@ -289,13 +289,15 @@ def _threshold_ratio(table: NoiseTable) -> float:
 def _linearise(noise: NoiseModel, x: np.ndarray, level: np.ndarray, resolution: Resolution) -> Linearised:
     """The table at x by differences.
 
-    How pixels differ changes slopes along thresholds by tenths; those along all else are of equal pixels.
+    How pixels differ changes slopes along thresholds by tenths, for which `ROUGH` will do; those along all else are of
+    equal pixels.
     """
+    equal = noise.of_equal_pixels
     slopes = np.empty((len(level), len(x)))
     thresholds = np.array([p.name.endswith("_threshold") for p in noise.parameters])
-    for model, some in ((noise, thresholds), (noise.of_equal_pixels, ~thresholds)):
+    for model, some in ((noise, thresholds), (equal, ~thresholds)):
         points = [x + side * STEP * unit for unit in np.eye(len(x))[some] for side in (1.0, -1.0)]
-        logs = np.log(model.predict_many(points, resolution))
+        logs = np.log(model.predict_many(points, resolution if model.circuit == equal.circuit else ROUGH))
         slopes[:, some] = ((logs[0::2] - logs[1::2]) / (2.0 * STEP)).T
     return Linearised(noise.rows, noise.parameters, noise.nuisances, noise.neutral_bounds, x, level, slopes)
 
