@@ -29,7 +29,7 @@ LIGHTS = (0.3, 1.0, 3.0, 10.0, 30.0, 100.0)
 
 
 def planted(**values):
-    """A circuit without mismatch (twelve times faster), in lux."""
+    """A circuit without mismatch (some twenty times faster), in lux."""
     model = find_model("dvs128").without_effect("threshold_mismatch")
     model = model.with_effect("shot_noise", {"density": 3.2e-4})
     return in_unit(model, "lux").set({"on_threshold": 0.17, "off_threshold": 0.19, **values})

@@ -7,8 +7,8 @@ step by the secant (Broyden 1965, Math. Comp. 19, 577); where they promise too m
 where those do the step is halved.  Rest is told by differences.  What is reported is the best place visited, with
 errors of its own linearisation.
 
-Searches look first at pixels that do not differ and thresholds that do not vary, a hundred times faster; then at what
-the model has of both.  Priors lie around the model's values, wherever a search begins.
+Searches look first at pixels that do not differ and thresholds that do not vary, which is far faster; then at what the
+model has of both.  Priors lie around the model's values, wherever a search begins.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from pixelid.tables.noise.reading import NoiseTable
 STEP = 0.02  # of a coordinate, for central differences
 TRUST = 0.7  # of a coordinate per round: a factor of 2
 LEAST_TRUST = 0.02  # where the rates are not linear even so near, the search has failed
-STEPS = 60
+STEPS = 60  # tried, taken or not
 # nats that a step of `TRUST` promises, below which a fit has come to rest: 0.45 standard errors.  Valleys that rates
 # hardly fix are curved, and steps in them gain a few hundredths for long.
 REST = 0.1
@@ -123,14 +123,13 @@ def fit_noise(table: NoiseTable, model: Model, progress: Callable[[str, float], 
     report = progress or (lambda what, fraction: None)
     starts = started(starting_model(table, model), report)
 
-    def settled(
-        noise: NoiseModel, resolution: Resolution, done: float, share: float, begun: _End | None = None
-    ) -> _End:
-        return _settled(noise, resolution, lambda part: report("fitting", done + share * part), begun)
+    def after(done: float, share: float) -> Callable[[float], None]:
+        return lambda part: report("fitting", done + share * part)
 
-    ends = [(settled(start.plain, ROUGH, 0.1 + 0.1 * k, 0.1), start) for k, start in enumerate(starts)]
+    ends = [(_settled(start.plain, ROUGH, after(0.1 + 0.1 * k, 0.1)), start) for k, start in enumerate(starts)]
     best, noise = min(ends, key=lambda pair: (not pair[0].scale < MAX_SCATTER, pair[0].misfit))
-    end = settled(noise, WHOLE, 0.7, 0.3, settled(noise, ROUGH, 0.4, 0.3, best))
+    near = _settled(noise, ROUGH, after(0.4, 0.3), best)
+    end = _settled(noise, WHOLE, after(0.7, 0.3), near)
     final = fit_at(end.line, end.x, end.scale, end.at_rest)
     # pixels are a sample: their mean threshold is off the sensor's by the mismatch over the root of their number
     spread = noise.circuit.values.get("threshold_mismatch.sigma", 0.0) / math.sqrt(max(table.pixels, 1))
@@ -155,7 +154,7 @@ class _End:
 def _settled(
     noise: NoiseModel, resolution: Resolution, report: Callable[[float], None], begun: _End | None = None
 ) -> _End:
-    """The end of one search by rates of a resolution, from the model's values or another's end.
+    """The end of one search by rates of a resolution, from where the model has it begin or from another's end.
 
     `ROUGH` ones lead near an optimum.  Along directions that the rates hardly fix their slopes are not good enough for
     the rest of the way, and to tell rest, where a table scatters by 1 %.
@@ -201,7 +200,7 @@ def _level(noise: NoiseModel, x: np.ndarray, resolution: Resolution) -> np.ndarr
 
 
 def _start(noise: NoiseModel) -> np.ndarray:
-    """(parameters,) coordinates of the model's values."""
+    """(parameters,) coordinates where a search begins."""
     return np.array([p.to_coordinate(p.value) for p in noise.parameters])
 
 

@@ -13,7 +13,7 @@ GRID = 0.3  # of the stored reference, in standard deviations of the output: e‚Å
 NARROW = 0.05
 # Of pixels whose thresholds differ: nodes of the difference lie `RIDGE` apart (standard deviations of the output) where
 # both are alike, then farther by `GROWTH` of the difference, up to `APART` standard deviations of it, out to `REACH`:
-# half of all that changes mean rates by 1 % at most
+# half of all that changes mean rates by 1.2 % at most, 0.4 % where thresholds are nearly alike (24 cases)
 RIDGE, GROWTH, APART, REACH = 0.08, 0.7, 1.0, 3.0
 
 
@@ -40,7 +40,8 @@ class Resolution:
 # Finer references change rates by 0.8 % at most (by 3 % where thresholds are alike), further slopes and hidden states
 # by 0.5 %
 WHOLE = Resolution(slopes=4, spacing=0.2, fine=0.1, least_hidden=1e-3, pixels=1.0)
-# For derivatives of ln rate and for where a search begins: five times faster, rates within 3 % (90 % of 72 cases)
+# For derivatives of ln rate and for where a search begins: five times faster, a pixel's rates within 3 % (90 % of 72
+# cases), means of pixels that differ within 4 % where their thresholds are nearly alike
 ROUGH = Resolution(slopes=3, spacing=0.3, fine=0.15, least_hidden=math.inf, pixels=1.5)
 
 
@@ -82,12 +83,13 @@ def mismatch_draws(
     """The same for pixels that differ, whose rates are averaged; on, off: mean thresholds, sigma: of the output.
 
     With a short dead time rates have a narrow maximum at equal thresholds: a pixel whose ON and OFF events undo each
-    other goes on for long.  Threshold noise of 4 % at thresholds of 4 leaves it 0.12 wide.  So nodes of the difference
-    are dense around 0, wherever the mean difference lies, and the average has no waves as that moves.
+    other goes on for long.  Threshold noise of 4 % at thresholds of 4 leaves it some tenth of a standard deviation
+    wide.  So nodes of the difference are dense around 0, wherever the mean difference lies, and the average has no
+    waves as that moves.
     """
     if relative_sd <= 0:
         return threshold_draws(0.0)
-    sd = min(relative_sd, 0.3) / math.sqrt(2.0)
+    sd = min(relative_sd, 0.3) / math.sqrt(2.0)  # out to `REACH` no threshold is negative
     spread = sd * (on + off)
     growth, apart, least = GROWTH * coarser, APART * coarser * spread, RIDGE * sigma / GROWTH
     factors, weights = [], []
