@@ -95,22 +95,22 @@ class Bricks:
     def neighbours_on(self, device: torch.device) -> tuple[torch.Tensor, ...]:
         """Per axis (2, k), on a device: rows of vertices that are held, and of those next to them along the axis."""
         if ("neighbours", device) not in self._kept:
-            pairs, vertex = [], torch.as_tensor(self.vertex_of_rows()[ROWS:])
-            row = torch.arange(ROWS, self.rows)
+            pairs, vertex = [], torch.as_tensor(self.vertex_of_rows()[ROWS:], device=device)
+            row = torch.arange(ROWS, self.rows, device=device)
             inside = (vertex < self.vertices).all(dim=1)
             for axis in range(3):
                 after = vertex.clone()
                 after[:, axis] += 1
                 both = inside & (after[:, axis] < self.vertices)
                 pair = torch.stack([row[both], self.rows_of(after[both])])
-                pairs.append(pair[:, pair[1] >= ROWS].to(device))
+                pairs.append(pair[:, pair[1] >= ROWS])
             self._kept["neighbours", device] = tuple(pairs)
         return self._kept["neighbours", device]
 
     def corner_rows(self, cell: torch.Tensor) -> torch.Tensor:
         """(8, n) rows of the corners of cells (n, 3), z fastest."""
         corner = torch.tensor([[a, b, c] for a in (0, 1) for b in (0, 1) for c in (0, 1)], device=cell.device)
-        return torch.stack([self.rows_of(cell + shift) for shift in corner])
+        return self.rows_of(cell + corner[:, None])
 
     def rows_of(self, vertex: torch.Tensor) -> torch.Tensor:
         """(…,) row of vertices (…, 3), on their device."""

@@ -17,6 +17,7 @@ import numpy as np
 import torch
 from scipy.spatial.transform import Rotation
 
+from pixelid.nerf.render import threads
 from pixelid.nerf.trajectory import Trajectory
 
 KNOTS = 32
@@ -82,10 +83,12 @@ class Poses(torch.nn.Module):
         Arrays where nothing is trained, else tensors.
         """
         if not self.trained:
-            return self.trajectory.rays(times, inside)
+            return self.trajectory.rays(times, inside, threads())
         there = times + self.time_offset_s
         device = self.offset.device
-        rays = [torch.as_tensor(column, device=device).double() for column in self.trajectory.rays(there, inside)]
+        rays = [
+            torch.as_tensor(column, device=device).double() for column in self.trajectory.rays(there, inside, threads())
+        ]
         if self.offset.requires_grad:
             later = self.refinement.time_sd * (self.offset - self.offset.detach())
             rays = [column + later * rate for column, rate in zip(rays, self._rates(there, inside), strict=True)]
@@ -98,7 +101,7 @@ class Poses(torch.nn.Module):
     def _rates(self, times: np.ndarray, inside: np.ndarray) -> list[torch.Tensor]:
         """Derivatives of origins and directions by time, (n, 3) each, over a quarter of the spacing of the poses."""
         step = 0.25 * float(np.median(np.diff(self.trajectory.t)))
-        before, after = (self.trajectory.rays(times + shift, inside) for shift in (-step, step))
+        before, after = (self.trajectory.rays(times + shift, inside, threads()) for shift in (-step, step))
         return [
             torch.as_tensor((b.astype(np.float64) - a) / (2 * step), device=self.offset.device)
             for a, b in zip(before, after, strict=True)

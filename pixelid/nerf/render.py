@@ -46,6 +46,7 @@ def threads() -> int:
     return max(1, min(torch.get_num_threads(), os.cpu_count() or 1))
 
 
+SAMPLES_AT_ONCE = 1 << 24  # of which occupied ones are looked for at a time: bounds memory, changes nothing
 KEPT_PER_RAY = 24  # room for samples to begin with, by some fields more and by most less than what is met
 
 
@@ -115,47 +116,60 @@ def _total(parts: list[np.ndarray]) -> torch.Tensor:
 
 
 def _tensors(grid: torch.Tensor, coefficients: torch.Tensor, background: torch.Tensor, rays: Rays, box: Box):
-    """The same sum with all samples at once; occupancy decides which samples are looked up."""
+    """The same sum over all samples at once, of which only those in occupied blocks are looked up."""
     device = grid.device
     o, d, offset = (torch.as_tensor(a, device=device) for a in (rays.origins, rays.directions, rays.offsets))
     channel = torch.as_tensor(rays.channels, device=device)
     low, high = (torch.as_tensor(a, dtype=torch.float32, device=device) for a in (box.low, box.high))
-    safe = torch.where(d.abs() < 1e-9, torch.full_like(d, 1e-9), d)
-    a, b = (low - o) / safe, (high - o) / safe
-    near = torch.minimum(a, b).amax(dim=1).clamp(min=0.0).detach()  # samples stay at their distances
-    far = torch.maximum(a, b).amin(dim=1)
-    hit = (near < far) & (far < kernels.FARTHEST * box.step)
-    most = max(int(torch.ceil(((far - near) * hit).nan_to_num().max() / box.step).item()), 1) + 1
-    t = near[:, None] + (offset[:, None] + torch.arange(most, device=device)) * box.step
-    inside = (t < far[:, None]) & hit[:, None]
-    ray, sample = torch.nonzero(inside, as_tuple=True)
-    point = (o[ray] + t[ray, sample][:, None] * d[ray] - low) / (high - low)  # 0 … 1 in the box
-    block = cells_at(point, box.bricks.vertices) // kernels.BLOCK
-    there = box.bricks.index[tuple(slice(0, k) for k in box.occupied.shape)] > 0
-    keep = torch.as_tensor(box.occupied * there, device=device)[block[:, 0], block[:, 1], block[:, 2]] > 0
-    ray, sample, point = ray[keep], sample[keep], point[keep]
+    ray, t = _samples(o.detach(), d.detach(), offset, low, high, box)
+    point = (o[ray] + t[:, None] * d[ray] - low) / (high - low)  # 0 … 1 in the box
     rows, shares = rows_and_shares(point, box.bricks)
     looked_up = interpolated(grid, rows, shares)
     shown = looked_up[:, 0] > math.log(kernels.CLEAR / box.step)
-    sigma = torch.exp(looked_up[:, 0].clamp(max=kernels.HIGHEST)) * shown
+    depth = box.step * torch.exp(looked_up[:, 0].clamp(max=kernels.HIGHEST)) * shown
     value = looked_up[:, 1:].gather(1, channel[ray][:, None])[:, 0]
     if coefficients.shape[-1]:
         directional = interpolated(coefficients.flatten(1), rows, shares)
-        own = torch.arange(len(ray), device=device), channel[ray]
-        directional = directional.reshape(-1, *coefficients.shape[1:])[own]
-        value = value + (directional * harmonics(d, coefficients.shape[-1])[ray]).sum(dim=1)
+        own = channel[ray][:, None, None].expand(-1, 1, coefficients.shape[-1])
+        directional = directional.reshape(-1, *coefficients.shape[1:]).gather(1, own)[:, 0]
+        value = value + (directional * harmonics(d, coefficients.shape[-1]).index_select(0, ray)).sum(dim=1)
     colour = torch.exp(value.clamp(max=kernels.HIGHEST))
-    depth = torch.zeros(inside.shape, device=device).index_put((ray, sample), sigma * box.step)
-    after = torch.exp(-depth.cumsum(dim=1))
-    before = torch.cat([torch.ones_like(after[:, :1]), after[:, :-1]], dim=1)
-    seen = (before >= kernels.OPAQUE).float()
-    weight = (before - after) * seen
-    radiance = torch.zeros(len(o), device=device).index_add(0, ray, weight[ray, sample] * colour)
-    # transmittance where the march stopped: the last sample that was still visited
-    last = (seen.cumsum(dim=1) - 1).clamp(min=0).argmax(dim=1)
-    T = after.gather(1, last[:, None])[:, 0]
-    T = torch.where(hit, T, torch.ones_like(T))
+    after = depth.double().cumsum(dim=0)  # of all rays, one behind the other
+    number = torch.bincount(ray, minlength=len(o))
+    begin = torch.cat([after.new_zeros(1), after])[number.cumsum(dim=0) - number].index_select(0, ray)
+    before = torch.exp(begin + depth - after)
+    seen = (before >= kernels.OPAQUE).detach()
+    weight = (before - torch.exp(begin - after)) * seen
+    nothing = torch.zeros(len(o), device=device)
+    radiance = nothing.index_add(0, ray, weight.float() * colour)
+    T = torch.exp(-nothing.index_add(0, ray, depth * seen))  # where the march stopped
     return radiance + T * background[channel], (1 - T).detach()
+
+
+def _samples(o, d, offset, low, high, box: Box) -> tuple[torch.Tensor, torch.Tensor]:
+    """(ray, distance) of the samples that lie in occupied blocks, ray by ray and outwards.
+
+    Samples stay at their distances, whatever moves the rays.
+    """
+    x, y, z = box.occupied.shape
+    occupied = (torch.as_tensor(box.occupied, device=o.device) > 0) & (box.bricks.index_on(o.device)[:x, :y, :z] > 0)
+    safe = torch.where(d.abs() < 1e-9, torch.full_like(d, 1e-9), d)
+    a, b = (low - o) / safe, (high - o) / safe
+    near = torch.minimum(a, b).amax(dim=1).clamp(min=0.0)
+    far = torch.maximum(a, b).amin(dim=1)
+    hit = (near < far) & (far < kernels.FARTHEST * box.step)
+    most = max(int(torch.ceil(((far - near) * hit).nan_to_num().max() / box.step).item()), 1) + 1
+    steps = torch.arange(most, device=o.device)
+    found = []
+    for some in torch.arange(len(o), device=o.device).split(max(SAMPLES_AT_ONCE // most, 1)):
+        t = near[some, None] + (offset[some, None] + steps) * box.step
+        ray, sample = torch.nonzero((t < far[some, None]) & hit[some, None], as_tuple=True)
+        ray, t = some[ray], t[ray, sample]
+        block = cells_at((o[ray] + t[:, None] * d[ray] - low) / (high - low), box.bricks.vertices) // kernels.BLOCK
+        keep = occupied[block[:, 0], block[:, 1], block[:, 2]]
+        found.append((ray[keep], t[keep]))
+    ray, t = (torch.cat(column) for column in zip(*found, strict=True))
+    return ray, t
 
 
 def cells_at(point: torch.Tensor, vertices: int) -> torch.Tensor:
@@ -173,12 +187,10 @@ def rows_and_shares(point: torch.Tensor, bricks: Bricks) -> tuple[torch.Tensor, 
 
 def interpolated(values: torch.Tensor, rows: torch.Tensor, shares: torch.Tensor) -> torch.Tensor:
     """(n, features) trilinear values of (rows, features); those of no place have no gradient."""
-    total = values.new_zeros((rows.shape[1], values.shape[1]))
-    for row, share in zip(rows, shares, strict=True):
-        corner = values[row]
-        corner = torch.where((row >= ROWS)[:, None], corner, corner.detach())
-        total = total + share[:, None].to(values.dtype) * corner
-    return total
+    held = torch.cat([values[:ROWS].detach(), values[ROWS:]]) if values.requires_grad else values
+    # `index_select`: what CUDA adds up for its gradient needs no sorting
+    corners = held.index_select(0, rows.flatten()).reshape(*rows.shape, values.shape[1])
+    return (shares.to(values.dtype)[..., None] * corners).sum(dim=0)
 
 
 def render(

@@ -32,7 +32,7 @@ def variation(grid: torch.Tensor, bricks: Bricks, engine: str = "auto") -> torch
 def _variation_of_tensors(grid: torch.Tensor, bricks: Bricks) -> torch.Tensor:
     colour, total = grid[:, 1:], grid.new_zeros(())
     for here, after in bricks.neighbours_on(grid.device):
-        total = total + (colour[after] - colour[here]).abs().sum()
+        total = total + (colour.index_select(0, after) - colour.index_select(0, here)).abs().sum()
     return total * _share(bricks, grid.shape[1])
 
 

@@ -12,6 +12,8 @@ from numba import njit
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation, RotationSpline
 
+from pixelid.parallel import map_threads, ranges
+
 FINER = 16  # poses per pose of a splined trajectory: a straight line between them leaves 1/256 of what it left before
 BETWEEN_POSES = ("linear", "cubic")
 
@@ -54,19 +56,17 @@ class Trajectory:
         _poses(times, self.t, self.position, self.orientation, position, rotation)
         return position, rotation
 
-    def rays(self, times, directions, threads_slice=slice(None)) -> tuple[np.ndarray, np.ndarray]:
+    def rays(self, times, directions, threads: int = 1) -> tuple[np.ndarray, np.ndarray]:
         """World origins and unit directions (n, 3) float32 of camera-frame unit directions (n, 3) at times (n,) s."""
-        times = np.ascontiguousarray(times, dtype=np.float64)[threads_slice]
+        times, directions = np.ascontiguousarray(times, dtype=np.float64), np.ascontiguousarray(directions)
         origins, out = np.empty((len(times), 3), np.float32), np.empty((len(times), 3), np.float32)
-        _rays(
-            times,
-            np.ascontiguousarray(directions)[threads_slice],
-            self.t,
-            self.position,
-            self.orientation,
-            origins,
-            out,
-        )
+
+        def part(some: slice) -> None:
+            _rays(
+                times[some], directions[some], self.t, self.position, self.orientation, origins[some], out[some]
+            )  # fmt: skip
+
+        map_threads(part, ranges(len(times), threads), threads=threads)
         return origins, out
 
 

@@ -52,7 +52,7 @@ def test_a_leak_is_not_taken_for_a_photocurrent(leaking, tmp_path):
 
 def test_a_search_that_was_finished_is_not_repeated(leaking, tmp_path, capsys, monkeypatch):
     """The second run finds the outcome of the first beside its checkpoint; one of other options is set aside."""
-    words = ["reconstruct", str(leaking), "--iterations", "24", "--batch", "16", "--gap", "--quiet"]
+    words = ["reconstruct", str(leaking), "--iterations", "24", "--batch", "16", "--gap", "--quiet", "--device", "cpu"]
     kept = ["--checkpoint", str(tmp_path / "state.pt")]
     main([*words, *kept, "--out", str(tmp_path / "one")])
     file = checkpoint.search_file(tmp_path / "state.pt")

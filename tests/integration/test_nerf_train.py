@@ -30,6 +30,7 @@ from pixelid.nerf.calibration import FILE as CALIBRATION
 from pixelid.nerf.calibration import of_fit
 from pixelid.nerf.dataset import read_dataset
 from pixelid.nerf.evaluate import no_scores
+from pixelid.nerf.losses import Weights
 from pixelid.nerf.pixel import Bandwidth, limits_bandwidth
 from pixelid.nerf.poses import Refinement
 from pixelid.nerf.problem import problem_of
@@ -66,6 +67,7 @@ def made_bright(tmp_path_factory) -> Path:
 def test_the_command_writes_its_contract(made, tmp_path, capsys, bandwidth):
     out = tmp_path / "out"
     words = ["reconstruct", str(made), "--out", str(out), "--bandwidth", bandwidth, "--iterations", "30", "--seed", "4"]
+    words += ["--device", "cpu"]  # where a seed fixes every digit
     code = main(words)
     assert code in (0, 1)
     result = json.loads((out / "reconstruction.json").read_text())
@@ -76,7 +78,7 @@ def test_the_command_writes_its_contract(made, tmp_path, capsys, bandwidth):
     assert result["views"]["psnr"] == pytest.approx(np.mean([view["psnr"] for view in result["views"]["per_view"]]))
     assert set(result["correction"]) == {"a", "b", "c"}
     assert result["iterations"] == 30
-    assert result["device"] in ("cpu", "cuda")
+    assert result["device"] == "cpu"
     assert result["rays_per_second"] > 0
     assert result["seed"] == 4
     assert {"raw_events.npz", "camera_poses.npz", "camera_calibration.npz"} <= set(result["inputs_sha256"])
@@ -281,18 +283,19 @@ def test_a_checkpoint_of_another_run_or_a_damaged_one_is_set_aside(made, tmp_pat
     assert views[0] == views[1] == views[2]
 
 
-def test_tensors_train_as_the_compiled_engine_does(made):
-    """The plain torch path, which CUDA runs, follows the compiled one.
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_tensors_train_as_the_compiled_engine_does(made, seed):
+    """The torch path, which CUDA runs, follows the compiled one through all losses that are smooth.
 
-    The seed chooses a batch without a level that stays where it is within rounding: there ℓ_tv has a kink, and Adam
-    takes a whole step by a sign that rounding decides (seed 0: −4e-8 by one engine, 5e-9 by the other).
+    Absolute changes are not: where a level stays where it is within rounding, rounding decides their sign, and Adam
+    takes a whole step by it.  `variation` is compared by itself.
     """
     problem = problem_of(read_dataset(made))
     states = []
     for engine in ("compiled", "tensors"):
-        recipe = replace(SMALL, iterations=4, engine=engine, seed=3)
+        recipe = replace(SMALL, iterations=4, engine=engine, seed=seed, weights=Weights(tv=0.0), roughness=0.0, quiet=0)
         states.append(train(problem, recipe, start(problem, recipe, Bandwidth("on", 10))))
-    torch.testing.assert_close(states[0].field.grid, states[1].field.grid, rtol=1e-2, atol=1e-2)
+    torch.testing.assert_close(states[0].field.grid, states[1].field.grid, rtol=1e-3, atol=1e-3)
 
 
 def test_the_level_gauge_pulls_the_views_to_their_brightness(made):
