@@ -75,7 +75,7 @@ class TableFit:
         log_likelihood: at the maximum;  converged: whether EM came to rest.
         ties: priors beside the parameters' own.
         wider: (m, parameters) further deviations, of all parameters together each: of `profile.follow_profile` and
-            `profile.with_rivals`.
+            `profile.with_rivals`, or a step that a search could not win.
     """
 
     model: TableModel

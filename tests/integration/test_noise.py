@@ -18,8 +18,9 @@ from pixelid.recordings.recording import Recording
 from pixelid.status import STOPPED
 from pixelid.stimuli.stimulus import Stimulus
 from pixelid.tables.fit import fit_at
+from pixelid.tables.noise import fit as search
 from pixelid.tables.noise.first_passage import mean_rates
-from pixelid.tables.noise.fit import fit_noise, started
+from pixelid.tables.noise.fit import Linearised, fit_noise, started
 from pixelid.tables.noise.model import FA_PER_LUX, NoiseModel, in_unit
 from pixelid.tables.noise.reading import read_noise_tables, reduced_recordings
 from pixelid.tables.noise.result import model_beside, model_scales, predicted_result
@@ -194,6 +195,26 @@ def test_a_search_begins_near_the_dead_time_and_beside_equal_thresholds(tmp_path
     assert all([p.prior for p in start.parameters] == [p.prior for p in noise.parameters] for start in starts)
 
 
+@pytest.mark.parametrize(("off", "rests"), [(0.02, True), (0.06, False)])
+def test_a_small_step_that_none_of_any_length_wins_counts_as_an_error(tmp_path, monkeypatch, off, rests):
+    """Rates that stay where they are, whatever the step: as where their own errors undo what slopes promise."""
+    scatter = 0.05 * np.random.default_rng(2).standard_normal(2 * len(LIGHTS))
+    noise = NoiseModel(read_noise_tables([write_table(tmp_path / "noise.csv", planted())]), planted())
+    slopes = np.zeros((2 * len(LIGHTS), len(noise.parameters)))
+    slopes[:, [p.name for p in noise.parameters].index("on_threshold")] = 1.0
+    level = np.log(noise.table.rate_hz) + scatter - scatter.mean() - off
+    monkeypatch.setattr(search, "_level", lambda *_: level)
+    monkeypatch.setattr(
+        search, "_linearise", lambda noise, x, *_: Linearised(
+            noise.rows, noise.parameters, noise.nuisances, noise.neutral_bounds, x, level, slopes
+        ),
+    )  # fmt: skip
+    end = search._settled(noise, lambda done: None)
+    assert end.at_rest is rests
+    assert (end.x == search._start(noise)).all()
+    assert end.left @ slopes[0] == pytest.approx(off if rests else 0.0, rel=0.2)
+
+
 def test_off_events_that_no_light_changes_are_in_predictions(tmp_path):
     """Hot pixels in a sensor's mean, or a leak towards OFF: where noise has ended, OFF rates stay."""
     circuit, folder = planted(), tmp_path / "fit"
@@ -288,9 +309,9 @@ def test_fit_of_recordings_keeps_the_model_s_effects():
     recordings = [
         still(light, *mean_rates(truth.circuit(), light), duration=60.0, seed=k) for k, light in enumerate(lights)
     ]
-    fit = fit_noise(reduced_recordings(recordings), model)
-    values = {p.name: x for p, x in zip(fit.regression.parameters, fit.regression.x, strict=True)}
-    sd = dict(zip(values, fit.regression.sd, strict=True))
+    found = fit_noise(reduced_recordings(recordings), model)
+    values = {p.name: x for p, x in zip(found.regression.parameters, found.regression.x, strict=True)}
+    sd = dict(zip(values, found.regression.sd, strict=True))
     for name in ("on_threshold", "off_threshold"):
         assert abs(values[name] - np.log(truth.values[name])) < 4 * sd[name] + 0.01
     assert "leak.rate_hz" not in values

@@ -7,8 +7,10 @@ step by the secant (Broyden 1965, Math. Comp. 19, 577); where they promise too m
 where those do the step is halved.  Rest is told by differences.  What is reported is the best place visited, with
 errors of its own linearisation.
 
-Searches look first at pixels that do not differ and thresholds that do not vary, which is far faster; then at what the
-model has of both.  Priors lie around the model's values, wherever a search begins.
+Three searches by `ROUGH` rates of pixels that do not differ come near; the best goes on with what the model has of
+mismatch.  `WHOLE` rates, ten times dearer, are taken where that came to rest: what they differ by is added to the rough
+ones, and the search goes on until it stays where it is (Alexandrov & Lewis 2001, Optim. Eng. 2, 413).  Priors lie
+around the model's values, wherever a search begins.
 """
 
 from __future__ import annotations
@@ -36,6 +38,11 @@ STEPS = 60  # tried, taken or not
 # nats that a step of `TRUST` promises, below which a fit has come to rest: 0.45 standard errors.  Valleys that rates
 # hardly fix are curved, and steps in them gain a few hundredths for long.
 REST = 0.1
+NEAR = 1.0  # the same for searches that others go on from
+# Rates err by a per cent or two, in 26 rows that scatter by 7 % up to a nat: so much may be promised by a step of which
+# none of any length wins its share.  Up to that it counts as an error of what is fitted.
+LOST = 1.0
+ROUNDS = 6  # of whole rates: each comes some ten times nearer than the last
 LEAST_GAINED, GOOD = 0.1, 0.7  # of what a step promised: taken from, and longer steps tried from
 # Scatter of a table up to which slopes must be of `WHOLE`: those of `ROUGH` err by less than other tables scatter
 FINE_SCATTER = 0.03
@@ -126,58 +133,75 @@ def fit_noise(table: NoiseTable, model: Model, progress: Callable[[str, float], 
     def after(done: float, share: float) -> Callable[[float], None]:
         return lambda part: report("fitting", done + share * part)
 
-    ends = [(_settled(start.plain, ROUGH, after(0.1 + 0.1 * k, 0.1)), start) for k, start in enumerate(starts)]
+    ends = [
+        (_settled(start.of_equal_pixels, after(0.1 + 0.1 * k, 0.1), rest=NEAR), start) for k, start in enumerate(starts)
+    ]
     best, noise = min(ends, key=lambda pair: (not pair[0].scale < MAX_SCATTER, pair[0].misfit))
-    near = _settled(noise, ROUGH, after(0.4, 0.3), best)
-    end = _settled(noise, WHOLE, after(0.7, 0.3), near)
+    end = _settled(noise, after(0.4, 0.2), best, rest=NEAR)
+    for k in range(ROUNDS):
+        shift = _level(noise, end.x, WHOLE) - _level(noise, end.x, ROUGH)
+        before, end = end, _settled(noise, after(0.6 + 0.4 * k / ROUNDS, 0.4 / ROUNDS), end, shift)
+        if np.array_equal(end.x, before.x):
+            break
+    else:
+        end = replace(end, at_rest=False)
     final = fit_at(end.line, end.x, end.scale, end.at_rest)
     # pixels are a sample: their mean threshold is off the sensor's by the mismatch over the root of their number
     spread = noise.circuit.values.get("threshold_mismatch.sigma", 0.0) / math.sqrt(max(table.pixels, 1))
     names = [p.name for p in noise.parameters]
     own = np.array([spread if table.pixels and name.endswith("_threshold") else 0.0 for name in names])
-    regression = replace(final, model=noise, sd=np.hypot(final.sd, own))
+    sd = np.sqrt(final.sd**2 + own**2 + end.left**2)
+    regression = replace(final, model=noise, sd=sd, wider=end.left[None])
     return NoiseFit(regression, noise, time.perf_counter() - begun)
 
 
 @dataclass(frozen=True)
 class _End:
     """Where a search came to rest, or gave up: coordinates, the linear table there, scatter, and minus log
-    posterior."""
+    posterior;  of: whose slopes these are, None where they are of secants;  left: a step promised and not won."""
 
+    of: tuple[Model, Resolution] | None
     x: np.ndarray
     line: Linearised
     at_rest: bool
     scale: float
     misfit: float
+    left: np.ndarray
 
 
 def _settled(
-    noise: NoiseModel, resolution: Resolution, report: Callable[[float], None], begun: _End | None = None
-) -> _End:
-    """The end of one search by rates of a resolution, from where the model has it begin or from another's end.
+    noise: NoiseModel, report: Callable[[float], None], begun: _End | None = None, shift: np.ndarray | float = 0.0,
+    *, rest: float = REST,
+) -> _End:  # fmt: skip
+    """The end of one search by rough rates times e^`shift`, from where the model has it begin or from another's end.
 
-    `ROUGH` ones lead near an optimum.  Along directions that the rates hardly fix their slopes are not good enough for
-    the rest of the way, and to tell rest, where a table scatters by 1 %.
+    Slopes of `ROUGH` rates lead near an optimum.  Along directions that the rates hardly fix they are not good enough
+    for the rest of the way, and to tell rest, where a table scatters by 1 %.
+
+    rest: nats that a step of `TRUST` promises at its end, at most; `NEAR` ones by whatever slopes
     """
     limits = np.array([p.coordinate_bounds() for p in noise.parameters])
-    slopes = resolution if begun and begun.scale < FINE_SCATTER else ROUGH
+    slopes = WHOLE if begun and begun.scale < FINE_SCATTER else ROUGH
     x = begun.x if begun else _start(noise)
-    level = _level(noise, x, resolution)
+    level = _level(noise, x, ROUGH) + shift
     scale = begun.scale if begun else MAX_SCATTER
-    trust, line, exact, at_rest = TRUST, None, None, False
+    line = replace(begun.line, level=level) if begun else None
+    exact = line if begun and begun.of == (noise.circuit, slopes) else None
+    trust, at_rest, left = TRUST, False, np.zeros(len(x))
     for step in range(STEPS):
         report(step / STEPS)
         line = line or (exact := _linearise(noise, x, level, slopes))
         fit, here, promised, s = _promise(line, noise, limits, TRUST)
-        if promised < REST:
-            if line is exact:
+        if promised < rest:
+            if line is exact or rest == NEAR:
                 scale, at_rest = fit.scale, True
                 break
             line = None
             continue
+        whole, most = fit, promised
         if trust < TRUST:
             fit, here, promised, s = _promise(line, noise, limits, trust)
-        trial = _level(noise, fit.x, resolution)
+        trial = _level(noise, fit.x, ROUGH) + shift
         gained = here - _misfit(noise, trial, fit.x, s)
         if gained > LEAST_GAINED * promised:
             line = line.moved(fit.x, trial)
@@ -188,10 +212,13 @@ def _settled(
         elif trust > LEAST_TRUST:
             trust *= 0.5
         else:
+            if most < LOST:
+                scale, at_rest, left = whole.scale, True, whole.x - x
             break
     s = np.sqrt(scale**2 + _known(noise))
     misfit = _misfit(noise, level, x, s) + float(np.log(s).sum())
-    return _End(x, line or _linearise(noise, x, level, slopes), at_rest, scale, misfit)
+    line = line or (exact := _linearise(noise, x, level, slopes))
+    return _End((noise.circuit, slopes) if line is exact else None, x, line, at_rest, scale, misfit, left)
 
 
 def _level(noise: NoiseModel, x: np.ndarray, resolution: Resolution) -> np.ndarray:
