@@ -20,6 +20,7 @@ field       what the field is asked for, trained on `ideal` events: nothing, sma
 size        200 × 200 pixels, on and off
 paper       800 × 800 pixels, as the published scenes, one revolution: on and off, with the scores of the reference
             implementation beside the stricter ones
+once        64 × 64 pixels, filmed once around as those are
 memory      the same scene filmed again and again until there are 60 million events: peak memory of a short training
 poses       a camera of changing speed whose poses are 5 ms late, or shaken: as they are, and refined with the scene
 elsewhere   scenes of another make (`other_scenes.py`): on, off, and on with nothing asked of silence
@@ -70,7 +71,7 @@ from pixelid.nerf.views import OPENGL
 
 EXPERIMENTS = (
     "bandwidth", "baselines", "samples", "batch", "grid", "joint", "pixel", "effect", "scale", "whole", "field",
-    "poses", "size", "paper", "memory", "elsewhere", "pictures",
+    "poses", "size", "paper", "once", "memory", "elsewhere", "pictures",
 )  # fmt: skip
 KEPT = ("experiment", "setting", "arm", "seed", "iterations")  # what tells runs apart
 SAMPLES = (1, 5, 15, 30, 50)
@@ -266,6 +267,10 @@ def arms(name: str, work: Path, setting: str, seed: int):
         large = Recipe(batch=PUBLISHED_BATCH).with_cells(PUBLISHED_CELLS)
         for mode in ("on", "off"):
             yield mode, data, {"bandwidth": Bandwidth(mode), "recipe": large, "protocol": "paper"}
+    elif name == "once":
+        data = dataset(work, setting, seed, "_once", **PUBLISHED_FILM)
+        for mode in ("on", "off"):
+            yield mode, data, {"bandwidth": Bandwidth(mode), "protocol": "paper"}
     elif name == "elsewhere":
         for label, scene in SCENES.items():
             data = dataset(work, setting, seed, f"_{label}", scene=scene)
