@@ -17,12 +17,11 @@ import torch
 from pixelid.nerf import render_kernels
 from pixelid.nerf.bricks import CLEAR_DENSITY, ROWS, Bricks
 from pixelid.nerf.harmonics import number_of
-from pixelid.nerf.render import Box, Rays, interpolated, render, rows_and_shares
+from pixelid.nerf.render import Box, Rays, read_off, render
 
 EMPTY = 0.02  # opacity of one step below which a block is skipped
 WHOLE = 161  # vertices per side up to which no brick is given up: 90 MB where there is one colour
 GROWN = 0.01  # opacity of one step that a brick begins with where a scene grows into it: not clear, hardly seen
-AT_ONCE = 1 << 20  # rows that are interpolated at a time: bounds memory, changes nothing
 
 
 class Field(torch.nn.Module):
@@ -123,12 +122,8 @@ class Field(torch.nn.Module):
 
     def _interpolated(self, held: torch.Tensor, bricks: Bricks) -> torch.Tensor:
         """Rows of other bricks, read off its own."""
-        values, vertex = held.detach().flatten(1), bricks.vertex_of_rows()
-        out = values.new_empty((len(vertex), values.shape[1]))
-        for first in range(0, len(vertex), AT_ONCE):
-            point = torch.as_tensor(vertex[first : first + AT_ONCE] / (bricks.vertices - 1)).clamp(max=1.0)
-            out[first : first + AT_ONCE] = interpolated(values, *rows_and_shares(point.to(values.device), self.bricks))
-        return out.reshape(len(vertex), *held.shape[1:])
+        points = np.minimum(bricks.vertex_of_rows() / (bricks.vertices - 1), 1.0)
+        return read_off(held.flatten(1), points, self.bricks).reshape(len(points), *held.shape[1:])
 
     def follow(self) -> np.ndarray | None:
         """Give up bricks far from what is shown, and add those that it grows into.

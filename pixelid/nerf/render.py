@@ -46,6 +46,7 @@ def threads() -> int:
     return max(1, min(torch.get_num_threads(), os.cpu_count() or 1))
 
 
+POINTS_AT_ONCE = 1 << 17  # that a field is read off at: bounds memory, changes no more than rounding
 SAMPLES_AT_ONCE = 1 << 24  # of which occupied ones are looked for at a time: bounds memory, changes nothing
 KEPT_PER_RAY = 24  # room for samples to begin with, by some fields more and by most less than what is met
 
@@ -191,6 +192,16 @@ def interpolated(values: torch.Tensor, rows: torch.Tensor, shares: torch.Tensor)
     # `index_select`: what CUDA adds up for its gradient needs no sorting
     corners = held.index_select(0, rows.flatten()).reshape(*rows.shape, values.shape[1])
     return (shares.to(values.dtype)[..., None] * corners).sum(dim=0)
+
+
+def read_off(values: torch.Tensor, points: np.ndarray, bricks: Bricks) -> torch.Tensor:
+    """(n, features) trilinear values, without gradient, of (rows, features) at points (n, 3), 0 … 1 in the box."""
+    values, out = values.detach(), values.new_empty((len(points), values.shape[1]))
+    for first in range(0, len(points), POINTS_AT_ONCE):
+        some = slice(first, first + POINTS_AT_ONCE)
+        point = torch.as_tensor(points[some], device=values.device)
+        out[some] = interpolated(values, *rows_and_shares(point, bricks))
+    return out
 
 
 def render(

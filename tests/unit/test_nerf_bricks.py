@@ -5,9 +5,12 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from torch.utils._python_dispatch import TorchDispatchMode
+from torch.utils._pytree import tree_leaves
 
 from pixelid.errors import InputError
 from pixelid.nerf import field as fields
+from pixelid.nerf import render as renderer
 from pixelid.nerf.bricks import CLEAR_DENSITY, ROWS, Bricks
 from pixelid.nerf.camera import pinhole
 from pixelid.nerf.field import Field
@@ -141,6 +144,28 @@ def test_a_fine_field_is_refined_where_something_shows(monkeypatch):
     with torch.no_grad():
         shown, expected = sparse(rays())[0], whole(rays())[0]
     assert float((shown - expected).abs().max()) < 0.01
+
+
+def test_refinement_holds_a_part_of_the_rows_corners_at_a_time(monkeypatch):
+    """No tensor on the way is much larger than what comes out, and parts of any length give the same."""
+
+    class Largest(TorchDispatchMode):
+        size = 0
+
+        def __torch_dispatch__(self, func, types, args=(), kwargs=None):
+            out = func(*args, **(kwargs or {}))
+            self.size = max([self.size, *(t.nbytes for t in tree_leaves(out) if isinstance(t, torch.Tensor))])
+            return out
+
+    field = ball(41)
+    with Largest() as largest:
+        field.refine(81)
+    out = max(field.grid.nbytes, field.coefficients.nbytes)
+    assert out <= largest.size < 6 * out
+    other = ball(41)
+    monkeypatch.setattr(renderer, "POINTS_AT_ONCE", 9999)
+    other.refine(81)
+    torch.testing.assert_close(other.grid, field.grid, rtol=1e-5, atol=1e-5)
 
 
 def test_bricks_follow_a_scene_that_grows_and_shrinks(sparse):

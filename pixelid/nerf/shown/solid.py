@@ -12,7 +12,7 @@ from pixelid.errors import InputError
 from pixelid.nerf.evaluate import render_views
 from pixelid.nerf.field import Field
 from pixelid.nerf.harmonics import harmonics
-from pixelid.nerf.render import interpolated, rows_and_shares
+from pixelid.nerf.render import read_off
 from pixelid.nerf.views import Views
 
 SURFACE = 0.5  # opacity of one cell at which a surface is drawn
@@ -87,8 +87,8 @@ def mesh_of(field: Field) -> Mesh:
     normals = normals / spacing  # a gradient per cell
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), np.finfo(np.float32).tiny)
     at = np.clip(vertices - 1, 0, np.array(density.shape) - 1)
-    place = rows_and_shares(torch.from_numpy(at / (np.array(density.shape) - 1)).to(field.grid.device), field.bricks)
-    coefficients = interpolated(field.coefficients.detach().flatten(1), *place).cpu().numpy()
+    points = at / (np.array(density.shape) - 1)
+    coefficients = read_off(field.coefficients.flatten(1), points, field.bricks).cpu().numpy()
     coefficients = coefficients.reshape(len(at), *field.coefficients.shape[1:])
     head_on = harmonics(torch.from_numpy(-normals), coefficients.shape[-1]).numpy()
     radiance = np.empty((len(at), log_radiance.shape[-1]))
