@@ -147,6 +147,22 @@ def test_both_engines_agree(dynamics, apart):
         torch.testing.assert_close(compiled, tensors, rtol=1e-7, atol=1e-8)
 
 
+@pytest.mark.parametrize("extra", [{}, {"extra_pole": 1000.0}, {"extra_pole": 1000.0, "lower_cutoff": 3.0}])
+def test_both_engines_agree_where_cutoffs_coincide(extra):
+    t, u, first = runs()
+    passes = []
+    for engine in ("compiled", "tensors"):
+        x, numbers = torch.tensor(u, requires_grad=True), tensor(COMPLEX_AND_COINCIDENT._replace(**extra))
+        level, output = respond(x, numbers.requires_grad_(), t, first, engine=engine)
+        (level.sum() + (output**2).sum()).backward()
+        assert x.grad is not None
+        assert numbers.grad is not None
+        slopes = (numbers.grad * numbers.detach())[[0, 1, 2, 3, 6]]
+        passes.append((level.detach(), output.detach(), x.grad, slopes))
+    for compiled, tensors in zip(*passes, strict=True):
+        torch.testing.assert_close(compiled, tensors, rtol=1e-3, atol=1e-3)
+
+
 def test_changes_reset_at_the_end_of_the_dead_time():
     """Events of an ideal comparator on the exact trajectory: every change is ± the threshold."""
     fine = np.linspace(0.0, 0.4, 80001)
