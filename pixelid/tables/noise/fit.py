@@ -134,10 +134,10 @@ def fit_noise(table: NoiseTable, model: Model, progress: Callable[[str, float], 
         return lambda part: report("fitting", done + share * part)
 
     ends = [
-        (_settled(start.of_equal_pixels, after(0.1 + 0.1 * k, 0.1), rest=NEAR), start) for k, start in enumerate(starts)
+        (_settled(start.of_equal_pixels, after(0.1 + 0.1 * k, 0.1), near=True), start) for k, start in enumerate(starts)
     ]
     best, noise = min(ends, key=lambda pair: (not pair[0].scale < MAX_SCATTER, pair[0].misfit))
-    end = _settled(noise, after(0.4, 0.2), best, rest=NEAR)
+    end = _settled(noise, after(0.4, 0.2), best, near=True)
     for k in range(ROUNDS):
         shift = _level(noise, end.x, WHOLE) - _level(noise, end.x, ROUGH)
         before, end = end, _settled(noise, after(0.6 + 0.4 * k / ROUNDS, 0.4 / ROUNDS), end, shift)
@@ -171,14 +171,14 @@ class _End:
 
 def _settled(
     noise: NoiseModel, report: Callable[[float], None], begun: _End | None = None, shift: np.ndarray | float = 0.0,
-    *, rest: float = REST,
+    *, near: bool = False,
 ) -> _End:  # fmt: skip
     """The end of one search by rough rates times e^`shift`, from where the model has it begin or from another's end.
 
     Slopes of `ROUGH` rates lead near an optimum.  Along directions that the rates hardly fix they are not good enough
     for the rest of the way, and to tell rest, where a table scatters by 1 %.
 
-    rest: nats that a step of `TRUST` promises at its end, at most; `NEAR` ones by whatever slopes
+    near: end where slopes, of differences or not, promise no more than `NEAR`, for other searches to go on from
     """
     limits = np.array([p.coordinate_bounds() for p in noise.parameters])
     slopes = WHOLE if begun and begun.scale < FINE_SCATTER else ROUGH
@@ -192,8 +192,8 @@ def _settled(
         report(step / STEPS)
         line = line or (exact := _linearise(noise, x, level, slopes))
         fit, here, promised, s = _promise(line, noise, limits, TRUST)
-        if promised < rest:
-            if line is exact or rest == NEAR:
+        if promised < (NEAR if near else REST):
+            if near or line is exact:
                 scale, at_rest = fit.scale, True
                 break
             line = None
