@@ -33,7 +33,7 @@ from pixelid.tables.noise.reading import NoiseTable
 
 STEP = 0.02  # of a coordinate, for central differences
 TRUST = 0.7  # of a coordinate per round: a factor of 2
-LEAST_TRUST = 0.02  # where the rates are not linear even so near, the search has failed
+LEAST_TRUST = 0.02  # where not even steps of this length win their share, a search ends
 STEPS = 60  # tried, taken or not
 # nats that a step of `TRUST` promises, below which a fit has come to rest: 0.45 standard errors.  Valleys that rates
 # hardly fix are curved, and steps in them gain a few hundredths for long.
@@ -42,7 +42,7 @@ NEAR = 1.0  # the same for searches that others go on from
 # Rates err by a per cent or two, in 26 rows that scatter by 7 % up to a nat: so much may be promised by a step of which
 # none of any length wins its share.  Up to that it counts as an error of what is fitted.
 LOST = 1.0
-ROUNDS = 6  # of whole rates: each comes some ten times nearer than the last
+ROUNDS = 6  # of whole rates: where the last still moves, the search is not at rest
 LEAST_GAINED, GOOD = 0.1, 0.7  # of what a step promised: taken from, and longer steps tried from
 # Scatter of a table up to which slopes must be of `WHOLE`: those of `ROUGH` err by less than other tables scatter
 FINE_SCATTER = 0.03
