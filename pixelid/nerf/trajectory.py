@@ -67,8 +67,8 @@ class Trajectory:
                 times[some], directions[some], self.t, self.position, self.orientation, origins[some], out[some]
             )  # fmt: skip
 
-        some = threads if len(times) >= WORTH_THREADS else 1
-        map_threads(part, ranges(len(times), some), threads=some)
+        number = threads if len(times) >= WORTH_THREADS else 1
+        map_threads(part, ranges(len(times), number), threads=number)
         return origins, out
 
 

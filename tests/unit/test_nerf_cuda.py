@@ -13,7 +13,6 @@ from pixelid.nerf import checkpoint
 from pixelid.nerf import field as fields
 from pixelid.nerf.dataset import read_dataset
 from pixelid.nerf.evaluate import render_views
-from pixelid.nerf.harmonics import number_of
 from pixelid.nerf.losses import Weights
 from pixelid.nerf.pixel import Bandwidth
 from pixelid.nerf.poses import Refinement
@@ -28,7 +27,7 @@ from pixelid.nerf.synthetic import make_dataset
 from pixelid.nerf.train import train
 from tests.unit.test_nerf_bricks import ball
 from tests.unit.test_nerf_pixel import FLOOR, FULL, HARD, runs, tensor
-from tests.unit.test_nerf_render import cube, random_rays, rendered
+from tests.unit.test_nerf_render import shown_with_gradients
 from tests.unit.test_nerf_whole_pixel import ABSENT
 
 pytestmark = pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device")
@@ -46,22 +45,7 @@ def made(tmp_path_factory):
 
 @pytest.mark.parametrize(("channels", "degree"), [(1, 0), (3, 2)])
 def test_a_field_looks_the_same_with_the_same_gradients(channels, degree):
-    rng = np.random.default_rng(0)
-    values = rng.normal(0, 1, (13, 13, 13, 1 + channels)).astype(np.float32)
-    directional = 0.3 * rng.normal(0, 1, (13, 13, 13, channels, number_of(degree))).astype(np.float32)
-    rays = random_rays(500, channels)
-    box = cube(13, 0.11, (rng.random((3, 3, 3)) < 0.8).astype(np.uint8))
-    found = []
-    for device in DEVICES:
-        grid, behind, coefficients, origins, directions = (
-            torch.tensor(array, device=device, requires_grad=True)
-            for array in (values, np.full(channels, 0.4, np.float32), directional, *rays[:2])
-        )
-        moving = rays._replace(origins=origins, directions=directions)
-        radiance, opacity = rendered(grid, behind, moving, box, coefficients=coefficients)
-        (radiance * torch.linspace(-1, 1, len(radiance), device=device)).sum().backward()
-        slopes = (grid.grad, behind.grad, origins.grad, directions.grad, *([coefficients.grad] if degree else []))
-        found.append([array.cpu() for array in (radiance.detach(), opacity, *slopes) if array is not None])
+    found = [shown_with_gradients(channels, degree, device=device) for device in DEVICES]
     for there, here in zip(*found, strict=True):
         torch.testing.assert_close(here, there, rtol=1e-3, atol=1e-4)
 
