@@ -299,7 +299,13 @@ def without_misplaced(state: State, context: Context) -> State:
     fit = maximise(hypothesis.evidence.training, less, tolerance=0.01, max_steps=40, cache=context.cache)
     if not _is_misplaced(state, model, fit.model, context):
         return state
-    state = replace(_without(state, LOST, fit, ONLY_WHERE_DRAWN), given_up=state.given_up | {LOST})
+    state = replace(state, given_up=state.given_up | {LOST})
+    return without_drawn_anew(state, LOST, fit, ONLY_WHERE_DRAWN, context)
+
+
+def without_drawn_anew(state: State, effect: str, fit: Maximum, why: str, context: Context) -> State:
+    """The state with an effect that was named taken out again, at times drawn without it; fit: without it."""
+    state = _without(state, effect, fit, why)
     assert state.imputation is not None
     imputation, model = impute_again(state.imputation, fit.model, cache=context.cache)
     return _at_imputed_times(replace(state, imputation=imputation), model, state.hypothesis.start, context)
