@@ -106,18 +106,50 @@ def mean_rates(
     Rates of pixels differ by e^{± b² σ}, b the threshold in standard deviations of the noise: the average is far above
     the rate of the average pixel.  Arguments and errors as `noise_rates`.
     """
+    on, off = _of_pixels(circuit, radiance, floor, resolution)[1].sum(0)
+    return float(on), float(off)
+
+
+def typical_thresholds(
+    circuit: Circuit, radiance: float, floor: float = 0.0, resolution: Resolution = WHOLE
+) -> np.ndarray:
+    """(2, 2) factors on the ON and OFF threshold (columns) of the pixel that the average ON and OFF event (rows) is of.
+
+    Thresholds of b standard deviations of the noise, which differ by a share m, are lower there by a share of b² m².
+    ln mean rate changes with a parameter as the mean of ln rates weighted by pixels' rates does: as that pixel's,
+    but for m².  Arguments and errors as `noise_rates`.
+    """
+    factors, rates = _of_pixels(circuit, radiance, floor, resolution)
+    total = rates.sum(0)[:, None]
+    return np.where(total > 0, rates.T @ factors / np.where(total > 0, total, 1.0), 1.0)
+
+
+def typical_rates(
+    circuit: Circuit, radiance: float, thresholds: np.ndarray, floor: float = 0.0, resolution: Resolution = WHOLE
+) -> tuple[float, float]:
+    """(ON, OFF) noise events per second, each of a pixel of its own: thresholds as of `typical_thresholds`."""
+    process = noise_process(circuit, radiance, floor)
+    of_on, of_off = (rates_of(process, _pixel(circuit, *f), radiance, resolution) for f in thresholds)
+    return of_on.on_hz, of_off.off_hz
+
+
+def _of_pixels(
+    circuit: Circuit, radiance: float, floor: float, resolution: Resolution
+) -> tuple[np.ndarray, np.ndarray]:
+    """(pixels, 2) factors on their thresholds, and their ON and OFF rates times the pixels' weights."""
     process = noise_process(circuit, radiance, floor)
     factors, weights = mismatch_draws(
         circuit.on_threshold, circuit.off_threshold, circuit.mismatch, process.sigma, resolution.pixels
     )
-    total = np.zeros(2)
-    for (on, off), weight in zip(factors, weights, strict=True):
-        pixel = circuit.with_(
-            on_threshold=circuit.on_threshold * on,
-            off_threshold=circuit.off_threshold * off,
-            leak_hz=circuit.leak_hz / on,  # the leak is one for all pixels, in mean thresholds
-            leak_hz_per_radiance=circuit.leak_hz_per_radiance / on,
-        )
-        rates = rates_of(process, pixel, radiance, resolution)
-        total += weight * np.array([rates.on_hz, rates.off_hz])
-    return float(total[0]), float(total[1])
+    rates = [rates_of(process, _pixel(circuit, *f), radiance, resolution) for f in factors]
+    return factors, weights[:, None] * np.array([[r.on_hz, r.off_hz] for r in rates])
+
+
+def _pixel(circuit: Circuit, on: float, off: float) -> Circuit:
+    """A pixel whose thresholds are so many times the mean ones; the leak, in mean thresholds, is one for all pixels."""
+    return circuit.with_(
+        on_threshold=circuit.on_threshold * on,
+        off_threshold=circuit.off_threshold * off,
+        leak_hz=circuit.leak_hz / on,
+        leak_hz_per_radiance=circuit.leak_hz_per_radiance / on,
+    )

@@ -315,15 +315,18 @@ def _threshold_ratio(table: NoiseTable) -> float:
 def _linearise(noise: NoiseModel, x: np.ndarray, level: np.ndarray, resolution: Resolution) -> Linearised:
     """The table at x by differences.
 
-    How pixels differ changes slopes along thresholds by tenths, for which `ROUGH` will do; those along all else are of
-    equal pixels.
+    Slopes are of typical pixels: of equal ones they would be some per cent too steep, not by the same share for all
+    parameters, and would promise gains along valleys in which they cancel.  Those along thresholds that are nearly
+    alike change by tenths with how pixels differ, for which `ROUGH` will do.
     """
-    equal = noise.of_equal_pixels
+    typical = noise.of_typical_pixels(x)
     slopes = np.empty((len(level), len(x)))
-    thresholds = np.array([p.name.endswith("_threshold") for p in noise.parameters])
-    for model, some in ((noise, thresholds), (equal, ~thresholds)):
+    thresholds = np.array([p.name.endswith("_threshold") for p in noise.parameters]) & noise.nearly_alike(x)
+    for model, some in ((noise, thresholds), (typical, ~thresholds)):
+        if not some.any():
+            continue
         points = [x + side * STEP * unit for unit in np.eye(len(x))[some] for side in (1.0, -1.0)]
-        logs = np.log(model.predict_many(points, resolution if model.circuit == equal.circuit else ROUGH))
+        logs = np.log(model.predict_many(points, resolution if model is typical else ROUGH))
         slopes[:, some] = ((logs[0::2] - logs[1::2]) / (2.0 * STEP)).T
     return Linearised(noise.rows, noise.parameters, noise.nuisances, noise.neutral_bounds, x, level, slopes)
 

@@ -14,10 +14,11 @@ from pixelid.model.model import Model
 from pixelid.parallel import map_threads
 from pixelid.parameters.gauge import Gauge
 from pixelid.parameters.parameter import Parameter, Prior
+from pixelid.stages.circuit import Circuit
 from pixelid.stages.described import power_of_radiance
 from pixelid.tables.model import Rows
-from pixelid.tables.noise.first_passage import mean_rates
-from pixelid.tables.noise.quadrature import WHOLE, Resolution
+from pixelid.tables.noise.first_passage import mean_rates, typical_rates, typical_thresholds
+from pixelid.tables.noise.quadrature import ROUGH, WHOLE, Resolution
 from pixelid.tables.noise.reading import NoiseTable
 
 FLOOR = Parameter("noise_floor.density", 1e-9, "1/Hz", 1e-14, 1e-2, "log")  # white noise whatever the light
@@ -40,6 +41,9 @@ PRIOR_SD = 1.0
 WIDE_SD = 2.0
 WIDE = ("alpha", "gamma", "alpha_over_beta", "dark_current.radiance", "leak.rate_hz",
         "parasitic_photocurrent.rate_hz_per_radiance")  # fmt: skip
+# ln of ON over OFF threshold beyond which no pixel is near the maximum of equal ones: its width, some tenths of a
+# standard deviation of noise at thresholds of four of these, and so many standard deviations of mismatch
+LEAST_APART, MANY_SD = 0.1, 3.0
 LEAST_HZ = 1e-12  # of a predicted rate: its logarithm must exist
 
 
@@ -53,6 +57,7 @@ class NoiseModel:
         beside: values of `BESIDE`, 0 where there is none; fitted where `fit_beside`.
         fit_beside: see there.
         start: where a search begins, by name; the circuit's values where there is none.
+        typical: pixels that stand for all: ascending (n,) lights, and (n, 2, 2) their `typical_thresholds`.
     """
 
     table: NoiseTable
@@ -60,6 +65,7 @@ class NoiseModel:
     beside: Mapping[str, float] = field(default_factory=dict)
     fit_beside: bool = False
     start: Mapping[str, float] = field(default_factory=dict)
+    typical: tuple[np.ndarray, np.ndarray] | None = None
 
     # an effect that is too weak to show
     neutral_bounds: tuple[tuple[str, str], ...] = (
@@ -102,6 +108,26 @@ class NoiseModel:
         equal = self.of_equal_pixels
         return replace(equal, circuit=equal.circuit.without_effect("threshold_noise"))
 
+    def of_typical_pixels(self, x: np.ndarray) -> NoiseModel:
+        """The same, ten times faster, with pixels that differ replaced by those typical at coordinates x.
+
+        Their ln rates differ from those of all by what hardly changes with the coordinates, thresholds that are nearly
+        alike excepted (`quadrature.mismatch_draws`).
+        """
+        if not self.circuit.has("threshold_mismatch"):
+            return self
+        values = self._values(x)
+        lights, _ = self._lights(values)
+        circuit, floor = self._circuit(values), values.get(FLOOR.name, self.beside.get(FLOOR.name, 0.0))
+        thresholds = map_threads(lambda light: typical_thresholds(circuit, light, floor, ROUGH), lights)
+        return replace(self, typical=(lights, np.array(thresholds)))
+
+    def nearly_alike(self, x: np.ndarray) -> bool:
+        """Whether at coordinates x some pixels' thresholds are alike, where rates may have a narrow maximum."""
+        values = self._circuit(self._values(x))
+        apart = abs(math.log(values.on_threshold / values.off_threshold))
+        return apart < LEAST_APART + MANY_SD * math.sqrt(2.0) * values.mismatch
+
     @property
     def nuisances(self) -> frozenset[str]:
         """How the light of a second table compares with that of the first."""
@@ -121,9 +147,7 @@ class NoiseModel:
 
     def predict_many(self, points: Sequence[np.ndarray], resolution: Resolution = WHOLE) -> list[np.ndarray]:
         """The same at several coordinates, on all cores."""
-        values = [
-            {p.name: p.from_coordinate(float(v)) for p, v in zip(self.parameters, x, strict=True)} for x in points
-        ]
+        values = [self._values(x) for x in points]
         asked = [self._lights(v) for v in values]
         jobs = [(v, light) for v, (lights, _) in zip(values, asked, strict=True) for light in lights]
         rates = iter(map_threads(lambda job: self.rates(*job, resolution), jobs))
@@ -132,9 +156,21 @@ class NoiseModel:
     def rates(self, values: Mapping[str, float], light: float, resolution: Resolution = WHOLE) -> tuple[float, float]:
         """(ON, OFF) events per pixel and second under one light."""
         floor, background = (values.get(name, self.beside.get(name, 0.0)) for name in BESIDE)
-        own = {name: value for name, value in values.items() if name in self.circuit.parameters}
-        on, off = mean_rates(self.circuit.circuit(own), light, floor, resolution)
+        circuit = self._circuit(values)
+        if self.typical is None:
+            on, off = mean_rates(circuit, light, floor, resolution)
+        else:
+            lights, thresholds = self.typical
+            flat = thresholds.reshape(len(lights), 4).T
+            own = np.array([np.interp(math.log(light), np.log(lights), factor) for factor in flat]).reshape(2, 2)
+            on, off = typical_rates(circuit, light, own, floor, resolution)
         return max(on, LEAST_HZ), max(off + background, LEAST_HZ)
+
+    def _values(self, x: np.ndarray) -> dict[str, float]:
+        return {p.name: p.from_coordinate(float(v)) for p, v in zip(self.parameters, x, strict=True)}
+
+    def _circuit(self, values: Mapping[str, float]) -> Circuit:
+        return self.circuit.circuit({name: v for name, v in values.items() if name in self.circuit.parameters})
 
     def _lights(self, values: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
         """(lights to compute, (rows,) light of each row after its table's scale)."""
