@@ -38,22 +38,3 @@ def widths_rows(found: dict) -> list[list[str]]:
             ]
         )
     return rows
-
-
-def design_tables(found: dict):
-    """The rich tables: ranking, and expected intervals."""
-    from rich.table import Table
-
-    tables = []
-    ranking = Table(title=f"{found['model']}: next experiment by {found['criterion']}")
-    widths = Table(title=f"expected intervals with {found['recommended']['name']}, {found['pixels']} pixels")
-    for table, headings, rows in (
-        (ranking, RANKING_HEADINGS, ranking_rows(found)),
-        (widths, WIDTHS_HEADINGS, widths_rows(found)),
-    ):
-        for k, heading in enumerate(headings):
-            table.add_column(heading, no_wrap=k == 0)
-        for row in rows:
-            table.add_row(*row)
-        tables.append(table)
-    return tables

@@ -97,25 +97,3 @@ def _limits(interval: Sequence[float | None] | None) -> str:
 RADII_HEADINGS = ("approx.", "quantity", "1 %", "10 %", "50 %", "under", "over")
 LATENCY_HEADINGS = ("light", "lens", "lit [W/m²]", "after [W/m²]", "measured", "95 %", "model", "95 % ", "one law")
 MEASURED_HEADINGS = ("recording", "radiance", "quantity", "measured", "95 %", "model", "one pole", "small signal")
-
-
-def lowlight_tables(content: dict):
-    """The rich tables: radii in `radiance_unit`, and what was measured beside the model."""
-    title = f"{content['model']}: radiance [{content['radiance_unit']}] from which approximations err by 1, 10, 50 %"
-    tables = [_table(title, RADII_HEADINGS, radii_rows(content), len(RADII_HEADINGS))]
-    if content["measured"]:
-        title = "measured, and the model under the same light"
-        tables.append(_table(title, MEASURED_HEADINGS, measured_rows(content), 1))
-    return tables
-
-
-def _table(title: str, headings: Sequence[str], rows: list[list[str]], whole: int):
-    """A rich table whose first `whole` columns are never broken."""
-    from rich.table import Table
-
-    table = Table(title=title)
-    for k, heading in enumerate(headings):
-        table.add_column(heading, no_wrap=k < whole)
-    for row in rows:
-        table.add_row(*row)
-    return table

@@ -16,13 +16,8 @@ from pixelid.nerf.state import Problem, State
 EPSILON = 1e-3  # least radiance, dark current included, in the unit of the views (the paper's)
 
 
-def sample_rays(problem: Problem, state: State, batch: Chains, rng: np.random.Generator) -> Rays:
-    """The rays of all samples of a batch, a sample's together; all of a chain start at one offset."""
-    return _rays_at(problem, state, *_samples(batch, rng))
-
-
 def _samples(batch: Chains, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(times, pixels, offsets of the rays), (n,) each, of the samples of a batch."""
+    """(times, pixels, offsets of the rays), (n,) each, of the samples of a batch; a chain's rays have one offset."""
     length = np.diff(batch.first)
     offsets = np.repeat(rng.random(len(length), dtype=np.float32), length)
     return batch.t, np.repeat(batch.pixel, length), offsets

@@ -32,11 +32,6 @@ from pixelid.recordings.recording import Recording
 if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader
 
-HEADER = "std_msgs/Header header\n"
-PACKET = f"{HEADER}uint32 height\nuint32 width\nuint64 seq\nuint64 time_base\nstring encoding\nbool is_bigendian\n"
-PACKET += "uint8[] events\n"
-EVENT = "uint16 x\nuint16 y\n{time} ts\nbool polarity\n"
-ARRAY = HEADER + "uint32 height\nuint32 width\n{package}/Event[] events\n"
 RECORDS = ("dvs_msgs", "prophesee_event_msgs")
 PACKETS = "event_camera_msgs/msg/EventPacket"
 ROS1_RECORD = np.dtype([("x", "<u2"), ("y", "<u2"), ("s", "<u4"), ("ns", "<u4"), ("p", "u1")])

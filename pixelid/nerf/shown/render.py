@@ -29,9 +29,6 @@ MUCH_WHITE = 0.01  # share of the pixels beyond white from which on it is said
 BRIGHTEST = 0.995  # quantile of the first frames that becomes white where no views say what white is
 
 
-Tone = Callable[[np.ndarray], np.ndarray]
-
-
 @dataclass(frozen=True)
 class Wanted:
     """What is made beside the frames."""
