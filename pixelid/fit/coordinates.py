@@ -90,11 +90,7 @@ class Coordinates:
 
     def log_prior(self, x: np.ndarray) -> float:
         """Log prior density, up to a constant."""
-        return sum(
-            -0.5 * ((c - p.prior.mean) / p.prior.sd) ** 2
-            for p, c in zip(self.parameters, x, strict=True)
-            if p.prior is not None
-        )
+        return sum(p.prior.log_density(c) for p, c in zip(self.parameters, x, strict=True) if p.prior is not None)
 
     def prior_gradient_and_curvature(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """First derivative and negated second derivative of the log prior, per coordinate."""

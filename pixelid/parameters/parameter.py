@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import overload
+from typing import Any, overload
 
 from pixelid.errors import InputError
 
@@ -26,6 +26,10 @@ class Prior:
                 f"prior: expected sd of at least {LEAST_SD:g} (hold what is known better: free = false) and a mean of "
                 f"at most {MOST_MEAN:g}, found mean {self.mean:g}, sd {self.sd:g}"
             )
+
+    def log_density(self, coordinate: Any) -> Any:
+        """ln of the density at a fitting coordinate, up to a constant: of a number, a symbol or a tensor."""
+        return -0.5 * ((coordinate - self.mean) / self.sd) ** 2
 
 
 @dataclass(frozen=True)

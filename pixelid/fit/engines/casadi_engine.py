@@ -51,7 +51,7 @@ def symbolic(objective: EventTimesObjective, x: np.ndarray) -> tuple[ca.MX, ca.M
     value = log_likelihood(CasadiOperations(), freeze(objective, x), circuit, clocks)
     for i, p in enumerate(coordinates.parameters):
         if p.prior is not None:
-            value = value - 0.5 * ((at[i] - p.prior.mean) / p.prior.sd) ** 2
+            value = value + p.prior.log_density(at[i])
     return at, value
 
 

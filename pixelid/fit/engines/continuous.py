@@ -107,7 +107,7 @@ def log_posterior(op: Any, objective: EventTimesObjective, frozen: Frozen, x: An
     value = expression.log_likelihood(op, frozen, circuit, clocks, changes_of)
     for i, p in enumerate(coordinates.parameters):
         if p.prior is not None:
-            value = value - 0.5 * ((x[i] - p.prior.mean) / p.prior.sd) ** 2
+            value = value + p.prior.log_density(x[i])
     return value
 
 

@@ -64,7 +64,7 @@ def log_posterior(objective: EventTimesObjective, frozen: Frozen, x: torch.Tenso
     value = log_likelihood(operations, frozen, circuit, clocks)
     for i, p in enumerate(coordinates.parameters):
         if p.prior is not None:
-            value = value - 0.5 * ((x[i] - p.prior.mean) / p.prior.sd) ** 2
+            value = value + p.prior.log_density(x[i])
     return value
 
 

@@ -176,7 +176,7 @@ def at_fixed(objective, x: np.ndarray, i: int, wanted: float | None = None) -> t
 
 
 def _own_prior(parameter: Parameter, c: float) -> float:
-    return 0.0 if parameter.prior is None else -0.5 * ((c - parameter.prior.mean) / parameter.prior.sd) ** 2
+    return 0.0 if parameter.prior is None else parameter.prior.log_density(c)
 
 
 def _holding(coordinates: Coordinates, i: int, c: float) -> Coordinates:

@@ -39,12 +39,8 @@ def log_posterior(fit: CameraFit, z: np.ndarray) -> float:
     d = rows.last_digit
     s = np.sqrt(scatter**2 + (d / np.sqrt(12.0) / (rows.measured + d)) ** 2 + np.asarray(rows.relative_error) ** 2)
     r = (np.log(rows.measured + d) - np.log(model.predict(x) + d)) / s
-    prior = sum(
-        ((value - p.prior.mean) / p.prior.sd) ** 2
-        for p, value in zip(model.parameters, x, strict=True)
-        if p.prior is not None
-    )
-    return float((-np.log(s) - 0.5 * (FREEDOM + 1.0) * np.log1p(r**2 / FREEDOM)).sum() - 0.5 * prior)
+    prior = sum(p.prior.log_density(v) for p, v in zip(model.parameters, x, strict=True) if p.prior is not None)
+    return float((-np.log(s) - 0.5 * (FREEDOM + 1.0) * np.log1p(r**2 / FREEDOM)).sum() + prior)
 
 
 def sample_camera(

@@ -350,5 +350,5 @@ def _misfit(noise: NoiseModel, level: np.ndarray, x: np.ndarray, s: np.ndarray) 
     """Minus log posterior for given scales, without constants."""
     rows = noise.rows
     r = (np.log(rows.measured + rows.last_digit) - np.log(np.exp(level) + rows.last_digit)) / s
-    prior = sum(((v - p.prior.mean) / p.prior.sd) ** 2 for v, p in zip(x, noise.parameters, strict=True) if p.prior)
-    return float(0.5 * (FREEDOM + 1.0) * np.log1p(r**2 / FREEDOM).sum() + 0.5 * prior)
+    prior = sum(p.prior.log_density(v) for v, p in zip(x, noise.parameters, strict=True) if p.prior)
+    return float(0.5 * (FREEDOM + 1.0) * np.log1p(r**2 / FREEDOM).sum() - prior)
