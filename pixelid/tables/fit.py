@@ -286,9 +286,7 @@ def fit_at(
 def _residuals(model: TableModel, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(rows,) ln measured over predicted, and variances that are known."""
     rows = model.rows
-    d = rows.last_digit
-    known = (d / np.sqrt(12.0) / (rows.measured + d)) ** 2 + np.asarray(rows.relative_error) ** 2
-    return np.log(rows.measured + d) - np.log(model.predict(x) + d), np.broadcast_to(known, rows.measured.shape)
+    return rows.log_ratio(model.predict(x)), np.broadcast_to(rows.known_variance, rows.measured.shape)
 
 
 def slopes(model: TableModel, x: np.ndarray) -> np.ndarray:

@@ -27,6 +27,20 @@ class Rows:
     relative_error: np.ndarray | float = 0.0
     columns: Mapping[str, Sequence[Any]] = field(default_factory=dict)
 
+    @property
+    def rounding(self) -> np.ndarray:
+        """(rows,) relative error of rounding to the last digit."""
+        return self.last_digit / np.sqrt(12.0) / (self.measured + self.last_digit)
+
+    @property
+    def known_variance(self) -> np.ndarray:
+        """(rows,) variance of ln measured that the table itself tells: rounding and stated errors."""
+        return self.rounding**2 + np.asarray(self.relative_error) ** 2
+
+    def log_ratio(self, predicted: np.ndarray) -> np.ndarray:
+        """(rows,) ln measured over predicted, finite where less than the last digit was seen."""
+        return np.log(self.measured + self.last_digit) - np.log(predicted + self.last_digit)
+
 
 class TableModel(Protocol):
     """An observation model of a table.  Implementations are frozen dataclasses; `rates/pixel.py` is the pattern.

@@ -36,9 +36,8 @@ def log_posterior(fit: CameraFit, z: np.ndarray) -> float:
     if (x < bounds[:, 0]).any() or (x > bounds[:, 1]).any() or not 1e-4 < scatter < MOST_SCATTER:
         return -np.inf
     rows = model.rows
-    d = rows.last_digit
-    s = np.sqrt(scatter**2 + (d / np.sqrt(12.0) / (rows.measured + d)) ** 2 + np.asarray(rows.relative_error) ** 2)
-    r = (np.log(rows.measured + d) - np.log(model.predict(x) + d)) / s
+    s = np.sqrt(scatter**2 + rows.rounding**2 + np.asarray(rows.relative_error) ** 2)
+    r = rows.log_ratio(model.predict(x)) / s
     prior = sum(p.prior.log_density(v) for p, v in zip(model.parameters, x, strict=True) if p.prior is not None)
     return float((-np.log(s) - 0.5 * (FREEDOM + 1.0) * np.log1p(r**2 / FREEDOM)).sum() + prior)
 

@@ -215,7 +215,7 @@ def _settled(
             if most < LOST:
                 scale, at_rest, left = whole.scale, True, whole.x - x
             break
-    s = np.sqrt(scale**2 + _known(noise))
+    s = np.sqrt(scale**2 + noise.rows.known_variance)
     misfit = _misfit(noise, level, x, s) + float(np.log(s).sum())
     line = line or (exact := _linearise(noise, x, level, slopes))
     return _End((noise.circuit, slopes) if line is exact else None, x, line, at_rest, scale, misfit, left)
@@ -236,7 +236,7 @@ def _promise(
 ) -> tuple[TableFit, float, float, np.ndarray]:
     """The linear table's optimum within a trusted step, minus log posterior here, what it promises, and the scales."""
     fit = fit_table(_within(line, limits, trust), np.exp(line.x0).tolist())
-    s = np.sqrt(fit.scale**2 + _known(noise))
+    s = np.sqrt(fit.scale**2 + noise.rows.known_variance)
     here = _misfit(noise, line.level, line.x0, s)
     return fit, here, here - _misfit(noise, np.log(line.predict(fit.x)), fit.x, s), s
 
@@ -340,15 +340,8 @@ def _within(line: Linearised, limits: np.ndarray, trust: float) -> Linearised:
     return replace(line, parameters=tuple(parameters))
 
 
-def _known(noise: NoiseModel) -> np.ndarray:
-    rows = noise.rows
-    digit = rows.last_digit / math.sqrt(12.0) / (rows.measured + rows.last_digit)
-    return digit**2 + np.asarray(rows.relative_error) ** 2
-
-
 def _misfit(noise: NoiseModel, level: np.ndarray, x: np.ndarray, s: np.ndarray) -> float:
     """Minus log posterior for given scales, without constants."""
-    rows = noise.rows
-    r = (np.log(rows.measured + rows.last_digit) - np.log(np.exp(level) + rows.last_digit)) / s
+    r = noise.rows.log_ratio(np.exp(level)) / s
     prior = sum(p.prior.log_density(v) for v, p in zip(x, noise.parameters, strict=True) if p.prior)
     return float(0.5 * (FREEDOM + 1.0) * np.log1p(r**2 / FREEDOM).sum() - prior)

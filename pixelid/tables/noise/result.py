@@ -85,11 +85,9 @@ def predicted_result(noise: NoiseModel, scales: Mapping[str, float] | None = Non
     scale, unknown = _light_scales(table, scales or {})
     lit = replace(noise, table=replace(table, light=table.light * scale))
     predicted = lit.predict(np.array([p.to_coordinate(p.value) for p in lit.parameters]))
-    d = rows.last_digit
-    ratio = np.log(rows.measured + d) - np.log(predicted + d)
-    known = (d / math.sqrt(12.0) / (rows.measured + d)) ** 2 + np.asarray(rows.relative_error) ** 2
+    ratio = rows.log_ratio(predicted)
     scatter = 1.4826 * float(np.median(np.abs(ratio)))
-    standardised = ratio / np.sqrt(known + REPEATABILITY**2)
+    standardised = ratio / np.sqrt(rows.known_variance + REPEATABILITY**2)
     how = misses(ratio, standardised) or (f"by {scatter:.0%} (typical)" if not scatter < MAX_SCATTER else "")
     written = predicted_rows(noise, predicted, standardised)
     return {
