@@ -13,7 +13,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from pixelid.tables.fit import Z95, TableFit, Tie, covariance_at, fit_table, log_posterior_at
+from pixelid.parameters.parameter import Z95
+from pixelid.tables.fit import TableFit, Tie, covariance_at, fit_table, log_posterior_at
 
 FALL = 0.5 * Z95**2  # nats at the ends of a 95 % interval
 LEAST_SD = 0.01  # the curvature of a skewed likelihood said 3 % where its profile says 8

@@ -19,9 +19,10 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.stats import chi2, t
 
+from pixelid.parameters.parameter import Z95
+
 MISMATCH = "threshold_mismatch.sigma"
 THRESHOLDS = ("on_threshold", "off_threshold")
-Z95 = 1.959963984540054
 LEAST_FREEDOM = 2.0
 
 
