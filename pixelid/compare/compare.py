@@ -7,7 +7,7 @@ whole pixels are held out, and differences between models are paired over pixels
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -24,6 +24,7 @@ from pixelid.model.files import save_model
 from pixelid.model.model import Model
 from pixelid.outputs import file_name
 from pixelid.recordings.recording import Recording
+from pixelid.recordings.selection import only
 from pixelid.results import Result, Table, check_kinds, read_result, required
 from pixelid.status import Status
 
@@ -227,18 +228,14 @@ def compare(
         for fold in range(folds):
             report(f"holding out pixels of {model.name}", (i + (fold + 1) / (folds + 1)) / len(models))
             seen, unseen = pixels[part != fold], pixels[part == fold]
-            trained = fit(_only(recordings, seen), result.model, starts=0, between=kind, seed=seed)
-            held_out.append(event_times_of(trained, _only(recordings, unseen)).terms(trained.x).per_pixel)
+            trained = fit(only(recordings, seen), result.model, starts=0, between=kind, seed=seed)
+            held_out.append(event_times_of(trained, only(recordings, unseen)).terms(trained.x).per_pixel)
         bic = len(result.coordinates) * np.log(result.events) - 2.0 * result.log_likelihood
         loo = _loo(result, recordings, seed) if posteriors else None
         contenders[model.name] = Contender(result, float(bic), np.concatenate(held_out), loo)
     best = max(contenders, key=lambda name: contenders[name].held_out.sum())
     report("done", 1.0)
     return Comparison(contenders, best, _sentence(contenders, best) + _about_loo(contenders))
-
-
-def _only(recordings: Sequence[Recording], pixels: np.ndarray) -> list[Recording]:
-    return [replace(r, events=r.events.select(np.isin(r.events.pixel, pixels))) for r in recordings]
 
 
 def _loo(result: FitResult, recordings: Sequence[Recording], seed: int) -> dict[str, Any]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from pixelid.design import criteria
+from pixelid.fit.uncertainty.curvature import combination
 
 
 def why(names: tuple[str, ...], before: np.ndarray, after: np.ndarray, criterion: str, ranking: list[dict]) -> str:
@@ -18,7 +19,9 @@ def why(names: tuple[str, ...], before: np.ndarray, after: np.ndarray, criterion
     parts = [_shrinks(name, old[names.index(name)], new[names.index(name)]) for name in shown]
     direction, factor = criteria.most_improved(before, after)
     said = [f"It shrinks the standard error of {'; '.join(parts)}."]
-    said.append(f"The direction that gains most is {_combination(names, direction)}: {factor:.3g} times better known.")
+    said.append(
+        f"The direction that gains most is {combination(names, direction, 0.2, 4)}: {factor:.3g} times better known."
+    )
     if len(ranking) > 1:
         best, second = ranking[0], ranking[1]
         said.append(
@@ -36,14 +39,3 @@ def _shrinks(name: str, old: float, new: float) -> str:
 def _percent(sd: float) -> str:
     """A standard error in a log coordinate: '3.1 %', or 'a factor 4.2' when it is large."""
     return f"{100 * sd:.2g} %" if sd < 0.3 else f"a factor {np.exp(min(sd, 50.0)):.2g}"
-
-
-def _combination(names: tuple[str, ...], direction: np.ndarray) -> str:
-    order = np.argsort(-np.abs(direction))
-    lead = direction[order[0]]
-    terms = [
-        f"{names[i]} × k" + (f"^{direction[i] / lead:.2g}" if i != order[0] else "")
-        for i in order
-        if abs(direction[i] / lead) > 0.2
-    ]
-    return " with ".join(terms[:4])

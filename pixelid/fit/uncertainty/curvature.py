@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -77,16 +78,19 @@ def read_curvature(coordinates: Coordinates, curvature: np.ndarray, on_bound: np
     )
 
 
-def combination(names: list[str], vector: np.ndarray) -> str:
-    """An eigenvector in words: "alpha × k with beta × k^0.9"."""
+def combination(names: Sequence[str], vector: np.ndarray, least: float = 0.15, most: int | None = None) -> str:
+    """An eigenvector in words: "alpha × k with beta × k^0.9".
+
+    least: share of the largest component below which others are left out;  most: how many are named
+    """
     order = np.argsort(-np.abs(vector))
     lead = vector[order[0]]
     parts = [
         f"{names[i]} × k" + (f"^{vector[i] / lead:.2g}" if i != order[0] else "")
         for i in order
-        if abs(vector[i] / lead) > 0.15
+        if abs(vector[i] / lead) > least
     ]
-    return " with ".join(parts)
+    return " with ".join(parts[:most])
 
 
 def _in_words(names: list[str], vector: np.ndarray, width: float) -> str:
