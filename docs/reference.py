@@ -9,7 +9,6 @@ import importlib
 import inspect
 import io
 import re
-from collections.abc import Iterator
 
 from docutils.core import publish_doctree
 from sphinx.ext.napoleon import GoogleDocstring
@@ -18,21 +17,6 @@ NAMES = (
     "open", "find_model", "simulate", "fit", "sample", "gap", "lowlight", "design", "reconstruct", "load_field",
     "Model", "Recording", "Stimulus", "Status",
 )  # fmt: skip
-# Where the same things are in a version that does not show them at its top level.
-ELSEWHERE = {
-    "open": "pixelid.recordings.open_recordings",
-    "find_model": "pixelid.model.shipped.find_model",
-    "simulate": "pixelid.simulate.simulate",
-    "fit": "pixelid.fit.fit",
-    "sample": "pixelid.sample.sample",
-    "gap": "pixelid.gap.gap.gap",
-    "lowlight": "pixelid.lowlight.analyse",
-    "design": "pixelid.design.design",
-    "reconstruct": "pixelid.nerf.reconstruct.reconstruct",
-    "Model": "pixelid.model.model.Model",
-    "Recording": "pixelid.recordings.recording.Recording",
-    "Stimulus": "pixelid.stimuli.stimulus.Stimulus",
-}
 RESULTS = (
     "pixelid.results.Result",
     "pixelid.fit.result.FitResult",
@@ -51,26 +35,13 @@ WIDTH = 110
 
 def page() -> str:
     """The reference as Markdown with embedded reStructuredText."""
-    blocks = [_entry(path, thing) for path, thing in [*public(), *_found(RESULTS)]]
+    blocks = [_entry(path, _at(path)) for path in (*(f"pixelid.{name}" for name in NAMES), *RESULTS)]
     return "\n".join(f"```{{eval-rst}}\n{block}\n```\n" for block in blocks)
 
 
-def public() -> Iterator[tuple[str, object]]:
-    """The public names and what they stand for."""
-    package = importlib.import_module("pixelid")
-    if hasattr(package, "find_model"):
-        yield from ((f"pixelid.{name}", getattr(package, name)) for name in NAMES if hasattr(package, name))
-    else:
-        yield from _found(ELSEWHERE.values())
-
-
-def _found(paths) -> Iterator[tuple[str, object]]:
-    for path in paths:
-        module, _, name = path.rpartition(".")
-        try:
-            yield path, getattr(importlib.import_module(module), name)
-        except (ImportError, AttributeError):
-            continue
+def _at(path: str) -> object:
+    module, _, name = path.rpartition(".")
+    return getattr(importlib.import_module(module), name)
 
 
 def _entry(path: str, thing: object) -> str:
