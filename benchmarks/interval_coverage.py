@@ -17,6 +17,7 @@ import json
 import multiprocessing
 import os
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -44,13 +45,13 @@ def hidden_circuit(seed: int) -> Model:
     return model.set({name: model.values[name] * float(np.exp(SPREAD * rng.normal())) for name in model.free})
 
 
-def stimuli(seed: int) -> dict[str, Stimulus]:
+def stimuli(seed: int, levels: Sequence[float] = LEVELS, duration_s: float = 0.3) -> dict[str, Stimulus]:
     """A chirp and random steps at each level."""
     by_name = {}
-    for k, level in enumerate(LEVELS):
+    for k, level in enumerate(levels):
         stop = 40.0 * np.sqrt(level)
-        by_name[f"chirp_{level:g}"] = chirp(level, modulation=0.6, stop_hz=stop, duration_s=0.3, dt=1e-4)
-        by_name[f"steps_{level:g}"] = steps(level, duration_s=0.3, dt=1e-4, seed=seed + k)
+        by_name[f"chirp_{level:g}"] = chirp(level, modulation=0.6, stop_hz=stop, duration_s=duration_s, dt=1e-4)
+        by_name[f"steps_{level:g}"] = steps(level, duration_s=duration_s, dt=1e-4, seed=seed + k)
     return by_name
 
 

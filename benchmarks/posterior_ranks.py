@@ -18,19 +18,17 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from interval_coverage import session
+from interval_coverage import session, stimuli
 
 from pixelid.fit import fit
 from pixelid.model.model import Model
 from pixelid.model.shipped import find_model
 from pixelid.parameters.parameter import Prior
 from pixelid.sample import sample
-from pixelid.stimuli.shapes import chirp, steps
-from pixelid.stimuli.stimulus import Stimulus
 
 SPREAD = 0.2  # standard deviation of the prior on log parameters
 SIDE = 2
-LEVELS = (10.0, 200.0)
+LEVELS, DURATION_S = (10.0, 200.0), 0.12
 DRAWS = 99  # posterior draws a truth is ranked among: ranks 0 … 99
 EFFECTIVE = 500  # samples per parameter before draws are picked
 BINS = 10
@@ -46,23 +44,13 @@ def prior_model() -> Model:
     return replace(model, parameters=parameters)
 
 
-def stimuli(seed: int) -> dict[str, Stimulus]:
-    """A chirp and random steps at each level."""
-    by_name = {}
-    for k, level in enumerate(LEVELS):
-        stop = 40.0 * np.sqrt(level)
-        by_name[f"chirp_{level:g}"] = chirp(level, modulation=0.6, stop_hz=stop, duration_s=0.12, dt=1e-4)
-        by_name[f"steps_{level:g}"] = steps(level, duration_s=0.12, dt=1e-4, seed=seed + k)
-    return by_name
-
-
 def one(seed: int) -> dict:
     """Rank of every free parameter's truth among the posterior's draws, from one session."""
     begun = time.perf_counter()
     model, rng = prior_model(), np.random.default_rng([seed, 11])
     moves = SPREAD * rng.standard_normal(len(model.free))
     truth = model.set({n: model.values[n] * float(np.exp(m)) for n, m in zip(model.free, moves, strict=True)})
-    recordings = session(truth, seed, stimuli(seed), SIDE)
+    recordings = session(truth, seed, stimuli(seed, LEVELS, DURATION_S), SIDE)
     result = fit(recordings, model, starts=0, between="linear", seed=seed)
     posterior = sample(result, recordings, seed=seed, wanted=EFFECTIVE, max_steps=1500)
     draws = posterior.chain.reshape(-1, posterior.chain.shape[-1])

@@ -25,10 +25,10 @@ from pathlib import Path
 
 import numpy as np
 from faery.extension import aedat
+from interval_coverage import hidden_circuit
 
 from pixelid.cli.main import main as pixelid
 from pixelid.model.model import Model
-from pixelid.model.shipped import find_model
 from pixelid.recordings import open_recording
 from pixelid.recordings.recording import Recording
 from pixelid.simulate import simulate
@@ -36,7 +36,6 @@ from pixelid.stimuli.shapes import chirp, steps
 from pixelid.stimuli.stimulus import Stimulus
 
 WAYS = ("auto", "trigger")
-SPREAD = 0.2  # standard deviation of the hidden circuits' log parameters
 SIDE = 3
 DURATION_S, SAMPLE_S = 0.6, 5e-5
 # Random steps: radiance (fA), how long each is held (s).  Bright and fast enough for the poles of a few kHz: under
@@ -46,13 +45,6 @@ PPM = 50.0  # by which the camera's clock is off, either way
 EPOCH_NS = 1_600_000_000 * 10**9
 CUT_NS = 500  # stamps cut to whole microseconds are half of one early, those of triggers as well
 CLOSE_S = 2e-5  # that a delay must be within
-
-
-def hidden_circuit(seed: int) -> Model:
-    """dvs128 with every free parameter moved by a factor e^(SPREAD ξ)."""
-    model = find_model("dvs128")
-    rng = np.random.default_rng([seed, 1])
-    return model.set({name: model.values[name] * float(np.exp(SPREAD * rng.normal())) for name in model.free})
 
 
 def lights(seed: int) -> dict[str, Stimulus]:

@@ -1,14 +1,13 @@
 """From a camera's file and a light trace, each on its own clock, to a recording that a fit reads."""
 
-import importlib.util
 import json
 from dataclasses import replace
-from pathlib import Path
 
 import h5py
 import numpy as np
 import pytest
 from oracles.cameras import on_its_own_clock
+from round_trip import clock_ns, write_camera
 from test_schemas import check
 
 from pixelid.cli.main import main as run
@@ -27,7 +26,6 @@ from pixelid.simulate import simulate
 from pixelid.stimuli import shapes
 from pixelid.stimuli.files import load_stimulus
 
-BENCHMARKS = Path(__file__).resolve().parents[2] / "benchmarks"
 OFFSET, PPM = 1.6e9 + 0.123456, 50.0
 
 
@@ -136,17 +134,12 @@ def test_light_ends_where_the_cut_does(session, tmp_path, how):
 
 def test_trigger_edges_of_an_aedat4_file(session, tmp_path):
     """Events and edges written by the library faery, as of `benchmarks/round_trip.py`."""
-    spec = importlib.util.spec_from_file_location("round_trip", BENCHMARKS / "round_trip.py")
-    assert spec is not None
-    assert spec.loader is not None
-    script = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(script)
     folder, recording = session
     end_s, offset_ns = float(recording.stimulus.t[-1]), int(OFFSET * 1e6) * 1000
-    script.write_camera(tmp_path / "camera.aedat4", recording, [0.0, end_s], offset_ns, PPM)
+    write_camera(tmp_path / "camera.aedat4", recording, [0.0, end_s], offset_ns, PPM)
     read = open_recording(tmp_path / "camera.aedat4")
     assert read.triggers is not None
-    assert read.triggers.t.tolist() == [offset_ns, script.clock_ns(np.array([end_s]), offset_ns, PPM)[0]]
+    assert read.triggers.t.tolist() == [offset_ns, clock_ns(np.array([end_s]), offset_ns, PPM)[0]]
     light, out = str(folder / "light.csv"), tmp_path / "aligned.h5"
     assert run(["convert", str(tmp_path / "camera.aedat4"), str(out), "--stimulus", light, "--align", "trigger"]) == 0
     with h5py.File(out) as file:

@@ -1,13 +1,9 @@
 """Which changes of a criterion turn a decision: against searches with that criterion changed."""
 
-import sys
 from dataclasses import fields
-from pathlib import Path
 
 import numpy as np
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 from decisions import FACTORS, OF_CELLS, Varied, combine, noted_decisions, plain
 from gap_certification import camera, session
 from gap_sensitivity import changed

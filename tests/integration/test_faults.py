@@ -6,14 +6,12 @@ import subprocess
 import sys
 from pathlib import Path
 
+import faults
 import numpy as np
 import pytest
+from processes import Outcome
 
 from pixelid.recordings import Events, Recording, write_recording
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-import faults
-from processes import Outcome
 
 TESTS = str(Path(__file__).resolve().parents[1])
 SCRIPT = str(Path(TESTS) / "faults.py")

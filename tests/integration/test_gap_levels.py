@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
-import sys
 from dataclasses import dataclass
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from pixel_light import grating
 
 from pixelid.cli.main import main
 from pixelid.errors import InputError
@@ -27,24 +25,11 @@ from pixelid.stimuli.pixel_lights import PixelLights
 from pixelid.stimuli.shapes import grating as grating_of_pixels
 from pixelid.stimuli.stimulus import Stimulus
 
-BENCHMARKS = Path(__file__).resolve().parents[2] / "benchmarks"
 SIDE, FRAME_S, SUBFRAMES, SECONDS = 5, 1e-4, 16, 0.5  # finer frames than searches are given, as in `pixel_light.py`
 GAIN_SPREAD = 0.2  # standard deviation of ln gain
 
 
-@pytest.fixture(scope="module")
-def grating():
-    sys.path.insert(0, str(BENCHMARKS))
-    spec = importlib.util.spec_from_file_location("pixel_light", BENCHMARKS / "pixel_light.py")
-    assert spec is not None
-    assert spec.loader is not None
-    script = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(script)
-    sys.path.remove(str(BENCHMARKS))
-    return script.grating
-
-
-def session(grating, truth, seed: int, side: int = SIDE, levels: tuple[float, ...] = (10.0, 300.0)):
+def session(truth, seed: int, side: int = SIDE, levels: tuple[float, ...] = (10.0, 300.0)):
     """(ln gain (side²,), gratings as recorded with the events of pixels that saw them through these gains)."""
     rng = np.random.default_rng(seed)
     log_gain, background = GAIN_SPREAD * rng.standard_normal(side**2), 0.1 * levels[0] * rng.random(side**2)
@@ -103,19 +88,19 @@ def test_levels_are_told_again_with_what_is_named(named, searches, monkeypatch):
         assert np.allclose(seen[-1].lights[k].radiance, gain * film.radiance[:, y, x])
 
 
-def test_a_background_beside_a_free_dark_current_is_refused(grating):
+def test_a_background_beside_a_free_dark_current_is_refused():
     model = find_model("dvs128").with_effect("dark_current", {"radiance": 1.0})
     with pytest.raises(InputError, match="dark current"):
-        gap(session(grating, find_model("dvs128"), 1, 2, (100.0,))[1], model, pixel_levels="background")
+        gap(session(find_model("dvs128"), 1, 2, (100.0,))[1], model, pixel_levels="background")
 
 
 @pytest.mark.slow
-def test_gains_are_no_gap_and_a_leak_is_one(grating, tmp_path):
+def test_gains_are_no_gap_and_a_leak_is_one(tmp_path):
     model = find_model("dvs128")
     for name, truth in (("none", model), ("leak", model.with_effect("leak", {"rate_hz": 2.0}))):
         folder, out = tmp_path / name, tmp_path / f"gap_{name}"
         folder.mkdir()
-        recordings = session(grating, truth, 1)[1]
+        recordings = session(truth, 1)[1]
         for recording in recordings:
             write_recording(recording, folder / f"{recording.condition}.h5")
         assert (
@@ -129,4 +114,4 @@ def test_gains_are_no_gap_and_a_leak_is_one(grating, tmp_path):
             assert low < 2.0 < high
         assert GapReport.load(out).pixel_levels is not None
         assert 'id="figure-levels"' in (out / "report.html").read_text()
-    assert gap(session(grating, model, 1)[1], model, recommend=False).verdict == "unknown"  # the light taken as exact
+    assert gap(session(model, 1)[1], model, recommend=False).verdict == "unknown"  # the light taken as exact

@@ -6,6 +6,7 @@ import shutil
 import sys
 from pathlib import Path
 
+import fuzz
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -14,9 +15,6 @@ from pixelid.arrays import load_arrays
 from pixelid.cli.main import main
 from pixelid.documents import MOST_BYTES, read_json, read_toml
 from pixelid.errors import InputError
-
-sys.path.insert(0, str(Path(__file__).parents[1]))
-import fuzz
 
 SHARED = Path(os.environ.get("PIXELID_SHARED", Path(__file__).parents[3] / "shared")) / "bad_files"
 READERS = {

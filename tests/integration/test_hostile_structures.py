@@ -6,15 +6,12 @@
 import os
 import random
 import shutil
-import sys
 from pathlib import Path
 from types import SimpleNamespace
 
+import mutants
 import numpy as np
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parents[1]))
-import mutants
 import structures
 from structures import CASES, Case
 

@@ -5,10 +5,10 @@ The commands get good inputs beside the hostile value, so that what passes the c
 
 import shutil
 import signal
-import sys
 from pathlib import Path
 
 import click
+import fuzz_targets
 import h5py
 import numpy as np
 import pytest
@@ -18,9 +18,6 @@ from pixelid.cli.main import COMMANDS, LazyGroup, cli, main
 from pixelid.errors import printable
 from pixelid.recordings import Events, Recording, write_recording
 from pixelid.stimuli.stimulus import Stimulus
-
-sys.path.insert(0, str(Path(__file__).parents[1]))
-import fuzz_targets
 
 DATA = Path(__file__).parents[1] / "data"
 MOST_S = 20.0  # CPU time of an answer; imports and compilation are in it

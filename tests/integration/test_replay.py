@@ -2,13 +2,10 @@
 
 import os
 import random
-import sys
 from pathlib import Path
 
-import pytest
-
-sys.path.insert(0, str(Path(__file__).parents[1]))
 import fuzz
+import pytest
 import replay
 from processes import Outcome
 

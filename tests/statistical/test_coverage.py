@@ -1,20 +1,12 @@
 """Coverage of 95 % intervals on a few simulated sessions; `benchmarks/interval_coverage.py` does hundreds."""
 
-import importlib.util
-from pathlib import Path
-
 import pytest
-
-SCRIPT = Path(__file__).resolve().parents[2] / "benchmarks" / "interval_coverage.py"
+from interval_coverage import one, summary
 
 
 @pytest.mark.slow
 def test_intervals_hold_the_truth():
-    spec = importlib.util.spec_from_file_location("interval_coverage", SCRIPT)
-    script = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(script)
-    sessions = [script.one(seed) for seed in range(1000, 1012)]
-    table = script.summary(sessions)
+    table = summary([one(seed) for seed in range(1000, 1012)])
     assert sum(row["sessions"] for row in table.values()) > 100
     held = sum(row["covered"] for row in table.values()) / sum(row["sessions"] for row in table.values())
     assert held > 0.87

@@ -3,12 +3,10 @@
 The test applies them to the light before it simulates, and gives the fit the light without them, every sixteenth frame.
 """
 
-import importlib.util
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
+from interval_coverage import hidden_circuit
+from pixel_light import grating
 
 from pixelid.fit import fit
 from pixelid.model.shipped import find_model
@@ -16,35 +14,21 @@ from pixelid.recordings.recording import Recording
 from pixelid.simulate import simulate
 from pixelid.stimuli.stimulus import Stimulus
 
-BENCHMARKS = Path(__file__).resolve().parents[2] / "benchmarks"
 SIDE, LEVELS, FRAME_S, SECONDS = 5, (10.0, 300.0), 1e-4, 0.5
 SUBFRAMES = 16  # the simulator linearises once per frame of a video: gains are known to 1e-3, as in `pixel_light.py`
 GAIN_SPREAD, MOST_BACKGROUND = 0.2, 0.1  # standard deviation of ln gain; of the dim recording's level
 SEEDS = range(1, 6)
 
 
-@pytest.fixture(scope="module")
-def scripts():
-    sys.path.insert(0, str(BENCHMARKS))
-    modules = []
-    for name in ("interval_coverage", "pixel_light"):
-        spec = importlib.util.spec_from_file_location(name, BENCHMARKS / f"{name}.py")
-        modules.append(importlib.util.module_from_spec(spec))
-        spec.loader.exec_module(modules[-1])
-    sys.path.remove(str(BENCHMARKS))
-    return modules
-
-
-def session(scripts, seed: int):
+def session(seed: int):
     """(truth, ln gain (25,), background (25,), recordings) of 25 pixels under gratings at two levels."""
-    circuits, films = scripts
-    rng, truth = np.random.default_rng(seed), circuits.hidden_circuit(seed)
+    rng, truth = np.random.default_rng(seed), hidden_circuit(seed)
     t = np.arange(round(SUBFRAMES * SECONDS / FRAME_S) + 1) * FRAME_S / SUBFRAMES
     log_gain = GAIN_SPREAD * rng.standard_normal(SIDE**2)
     background = LEVELS[0] * MOST_BACKGROUND * rng.random(SIDE**2)
     recordings = []
     for k, level in enumerate(LEVELS):
-        light = films.grating(level, SIDE, t)
+        light = grating(level, SIDE, t)
         seen = light.radiance * np.exp(log_gain).reshape(SIDE, SIDE) + background.reshape(SIDE, SIDE)
         made = simulate(truth, Stimulus(t, seen), seed=4 * seed + k, sensor_seed=seed)
         shown = Stimulus(t[::SUBFRAMES], light.radiance[::SUBFRAMES])
@@ -64,8 +48,8 @@ def covered(truth, result) -> dict[str, bool]:
 
 
 @pytest.mark.slow
-def test_without_levels_parameters_are_wrong(scripts):
-    truth, _, _, recordings = session(scripts, SEEDS[0])
+def test_without_levels_parameters_are_wrong():
+    truth, _, _, recordings = session(SEEDS[0])
     result = fit(recordings, find_model("dvs128"), starts=0)
     held = covered(truth, result)
     assert not held["alpha"]
@@ -75,10 +59,10 @@ def test_without_levels_parameters_are_wrong(scripts):
 
 
 @pytest.mark.slow
-def test_levels_and_parameters_are_within_their_errors(scripts):
+def test_levels_and_parameters_are_within_their_errors():
     held, gains, backgrounds, scales = [], [], [], []
     for seed in SEEDS:
-        truth, log_gain, background, recordings = session(scripts, seed)
+        truth, log_gain, background, recordings = session(seed)
         result = fit(recordings, find_model("dvs128"), starts=0, pixel_levels="both")
         assert result.status == "converged"
         held += covered(truth, result).values()

@@ -1,25 +1,13 @@
 """Known answers under light that differs from pixel to pixel, simulated at finer frames than the fit is given."""
 
-import importlib.util
-from pathlib import Path
-
 import pytest
-
-SCRIPT = Path(__file__).resolve().parents[2] / "benchmarks" / "pixel_light.py"
-
-
-@pytest.fixture(scope="module")
-def script():
-    spec = importlib.util.spec_from_file_location("pixel_light", SCRIPT)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+from pixel_light import coverage, verdict
 
 
 @pytest.mark.slow
-def test_intervals_hold_the_truth(script):
+def test_intervals_hold_the_truth():
     """As full-field intervals do: tests/statistical/test_coverage.py."""
-    table = script.coverage(12, 5, None, first=1000)["parameters"]
+    table = coverage(12, 5, None, first=1000)["parameters"]
     assert sum(row["sessions"] for row in table.values()) > 80
     held = sum(row["covered"] for row in table.values()) / sum(row["sessions"] for row in table.values())
     assert held > 0.87
@@ -28,6 +16,6 @@ def test_intervals_hold_the_truth(script):
 
 
 @pytest.mark.slow
-def test_the_gap_search_names_a_leak_and_nothing_else(script):
-    assert script.verdict(1, 5, 0.0) == ("none", [])
-    assert script.verdict(1, 5, 2.0) == ("named", ["leak"])
+def test_the_gap_search_names_a_leak_and_nothing_else():
+    assert verdict(1, 5, 0.0) == ("none", [])
+    assert verdict(1, 5, 2.0) == ("named", ["leak"])

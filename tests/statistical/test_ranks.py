@@ -1,26 +1,16 @@
 """Simulation-based calibration on a few sessions; `benchmarks/posterior_ranks.py` does hundreds."""
 
-import importlib.util
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
+from posterior_ranks import DRAWS, one, summary
 from scipy.stats import kstest
-
-BENCHMARKS = Path(__file__).resolve().parents[2] / "benchmarks"
 
 
 @pytest.mark.slow
-def test_the_truth_ranks_anywhere_among_posterior_draws(monkeypatch):
-    monkeypatch.syspath_prepend(str(BENCHMARKS))
-    spec = importlib.util.spec_from_file_location("posterior_ranks", BENCHMARKS / "posterior_ranks.py")
-    script = importlib.util.module_from_spec(spec)
-    monkeypatch.setitem(sys.modules, "posterior_ranks", script)
-    spec.loader.exec_module(script)
-    sessions = [script.one(seed) for seed in range(5000, 5010)]
+def test_the_truth_ranks_anywhere_among_posterior_draws():
+    sessions = [one(seed) for seed in range(5000, 5010)]
     assert all(s["posterior"] == "converged" for s in sessions)
-    ranks = np.array([list(s["ranks"].values()) for s in sessions]) / script.DRAWS
+    ranks = np.array([list(s["ranks"].values()) for s in sessions]) / DRAWS
     assert ranks.shape == (10, 10)
     for column in ranks.T:
         assert kstest(column, "uniform").pvalue > 1e-3
@@ -29,11 +19,7 @@ def test_the_truth_ranks_anywhere_among_posterior_draws(monkeypatch):
     assert abs(ranks.mean() - 0.5) < 0.1
 
 
-def test_the_summary_tells_uniform_ranks_from_others(monkeypatch):
-    monkeypatch.syspath_prepend(str(BENCHMARKS))
-    spec = importlib.util.spec_from_file_location("posterior_ranks", BENCHMARKS / "posterior_ranks.py")
-    script = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(script)
+def test_the_summary_tells_uniform_ranks_from_others():
     rng = np.random.default_rng(0)
     good = rng.integers(0, 100, (200, 3))
     narrow = np.where(good % 5 == 0, 0, good)  # one in five below every draw
@@ -41,5 +27,5 @@ def test_the_summary_tells_uniform_ranks_from_others(monkeypatch):
     def sessions(ranks):
         return [{"ranks": dict(zip("abc", row, strict=True)), "posterior": "converged"} for row in ranks.tolist()]
 
-    assert script.summary(sessions(good))["smallest_p_holm"] > 0.05
-    assert script.summary(sessions(narrow))["smallest_p_holm"] < 1e-6
+    assert summary(sessions(good))["smallest_p_holm"] > 0.05
+    assert summary(sessions(narrow))["smallest_p_holm"] < 1e-6

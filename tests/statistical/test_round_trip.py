@@ -1,12 +1,9 @@
 """From a camera's file and a light trace to a fit: a few sessions of `benchmarks/round_trip.py`, which does thirty."""
 
-import importlib.util
-from pathlib import Path
-
 import pytest
+from round_trip import run
 from scipy.stats import binom
 
-SCRIPT = Path(__file__).resolve().parents[2] / "benchmarks" / "round_trip.py"
 SESSIONS = 10
 # Without a trigger these lie along a curved ridge, where the normal approximation is too narrow: docs/limits/fitting.md
 RIDGE = {"diff_cutoff_hz", "refractory_s", "alignment.delay_s"}
@@ -14,10 +11,7 @@ RIDGE = {"diff_cutoff_hz", "refractory_s", "alignment.delay_s"}
 
 @pytest.mark.slow
 def test_intervals_hold_the_truth_and_delays_are_close(tmp_path):
-    spec = importlib.util.spec_from_file_location("round_trip", SCRIPT)
-    script = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(script)
-    table = script.run(SESSIONS, tmp_path / "round_trip.json", first=1000)
+    table = run(SESSIONS, tmp_path / "round_trip.json", first=1000)
     for way, part in table.items():
         assert part["sessions"] == SESSIONS, way
         for name, row in part["parameters"].items():

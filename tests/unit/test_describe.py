@@ -1,8 +1,6 @@
 """Descriptions of what no effect explains: scores, candidates, and a search that ends in one."""
 
 import json
-import sys
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -82,7 +80,6 @@ def test_a_model_is_not_offered_what_it_has_under_its_own_name(likelihood):
 
 @pytest.mark.slow
 def test_an_effect_left_out_of_the_library_is_described(tmp_path):
-    sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))
     from gap_certification import camera, planted, session
 
     model, base = planted("polarity_memory", 2.0, camera(6870))  # strong enough to show in counts
