@@ -391,8 +391,12 @@ def png_mutants(path: Path) -> Iterator[Mutant]:
 def png(picture: np.ndarray) -> bytes:
     """A picture (height, width, channels) of 8 or 16 bits as PNG, whatever its size."""
     height, width, channels = picture.shape
-    depth = 8 * picture.dtype.itemsize
     data = b"".join(b"\0" + row.tobytes() for row in picture.astype(picture.dtype.newbyteorder(">")))
+    return declared_png(width, height, data, 8 * picture.dtype.itemsize, channels)
+
+
+def declared_png(width: int, height: int, data: bytes, depth: int = 8, channels: int = 1) -> bytes:
+    """A PNG that declares a size, bits and channels, whatever its data are (each row behind a filter byte)."""
     header = struct.pack(">IIBBBBB", width, height, depth, {1: 0, 2: 4, 3: 2, 4: 6}[channels], 0, 0, 0)
 
     def chunk(kind: bytes, content: bytes) -> bytes:

@@ -3,7 +3,6 @@
 import json
 import os
 import struct
-import zlib
 from pathlib import Path
 
 import h5py
@@ -11,6 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from mutants import declared_png
 
 from pixelid.arrays import load_arrays
 from pixelid.errors import InputError
@@ -199,25 +199,15 @@ def test_what_is_no_regular_file(tmp_path):
             load_stimulus(path)
 
 
-def png(width: int, height: int, data: bytes) -> bytes:
-    """A grey picture that declares a size, whatever its data are."""
-
-    def chunk(kind: bytes, content: bytes) -> bytes:
-        return struct.pack(">I", len(content)) + kind + content + struct.pack(">I", zlib.crc32(kind + content))
-
-    header = struct.pack(">IIBBBBB", width, height, 8, 0, 0, 0, 0)
-    return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(data)) + chunk(b"IEND", b"")
-
-
 def test_pictures_that_declare_more_than_they_hold(tmp_path):
-    (tmp_path / "good.png").write_bytes(png(3, 2, b"\0\1\2\3" * 2))
+    (tmp_path / "good.png").write_bytes(declared_png(3, 2, b"\0\1\2\3" * 2))
     np.testing.assert_array_equal(read_picture(tmp_path / "good.png"), [[1, 2, 3]] * 2)
     tiff = b"II*\0\x08\0\0\0\x04\0" + b"".join(
         struct.pack("<HHII", tag, 4, 1, value) for tag, value in ((256, 1 << 31), (257, 1 << 31), (273, 8), (279, 9))
     )
     bombs = {
-        "wide.png": png(1 << 30, 1 << 30, b"\0"), "short.png": png(13_000, 13_000, b"\0" * 100),
-        "bomb.png": png(60_000, 60_000, b"\0" * 10**6), "huge.tif": tiff + bytes(4), "empty.jpg": b"",
+        "wide.png": declared_png(1 << 30, 1 << 30, b"\0"), "short.png": declared_png(13_000, 13_000, b"\0" * 100),
+        "bomb.png": declared_png(60_000, 60_000, b"\0" * 10**6), "huge.tif": tiff + bytes(4), "empty.jpg": b"",
         "text.bmp": b"BM",
         "pickle.npy": b"\x93NUMPY\x01\x00v\x00{'descr': '|O', 'fortran_order': False, 'shape': (9, 9), }",
     }  # fmt: skip
@@ -239,7 +229,7 @@ def test_pictures_that_declare_more_than_they_hold(tmp_path):
 def test_frames_that_do_not_fit_into_memory(tmp_path, monkeypatch):
     (tmp_path / "frames").mkdir()
     for k in range(3):
-        (tmp_path / "frames" / f"{k}.png").write_bytes(png(30, 20, bytes(31 * 20)))
+        (tmp_path / "frames" / f"{k}.png").write_bytes(declared_png(30, 20, bytes(31 * 20)))
     (tmp_path / "frames" / "timestamps.txt").write_text("0\n1\n2\n")
     assert load_stimulus(tmp_path / "frames").radiance.shape == (3, 20, 30)
     monkeypatch.setattr(sampled, "_memory_bytes", lambda: 2 * 2 * 3 * 30 * 20 * 4 - 1)
