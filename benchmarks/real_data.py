@@ -1,4 +1,4 @@
-"""Reproduce the real-data results of docs/real-data.md from a folder of recordings.
+"""Reproduce the real-data results of docs/results/real-data.md from a folder of recordings.
 
     python benchmarks/real_data.py RECORDINGS --out real-data
 

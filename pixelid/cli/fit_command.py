@@ -14,7 +14,7 @@ Example:
     pixelid simulate dvs128 --stimulus chirp --out chirp.h5 --pixels 9
     pixelid simulate dvs128 --stimulus steps --out steps.h5 --pixels 9
     pixelid fit chirp.h5 steps.h5 --model dvs128 --out fit
-    pixelid fit fits/session.toml --out fit
+    pixelid fit session.toml --out fit
 """
 
 
@@ -45,7 +45,7 @@ def command(
     recordings, model, out, with_, without, fix, gauge, between, engine, form, pixel_levels, bias_priors, crop,
     sample, profile, overwrite, seed, quiet,
 ):  # fmt: skip
-    """Fit a circuit to RECORDINGS (files or folders), or run a RECIPE.toml of fits/.
+    """Fit a circuit to RECORDINGS (files or folders), or as a RECIPE.toml says.
 
     Recordings with pixels use the event-time likelihood, pooled ones the pooled-rate likelihood.
     Writes fit.json, model.toml (the fitted model), figures and report.html.

@@ -44,13 +44,25 @@ def recommend(
     seed: int = 0,
     progress: Callable[[str, float], None] | None = None,
 ) -> dict:
-    """The content of design.json but for provenance (docs/design.md).
+    """The content of design.json but for provenance (docs/schemas/design.json).
 
-    The score of a candidate is the mean of `criteria.score` over the model and `draws`, models as uncertain as it is.
-    Before: the information of `recordings`, else `known` (of a fit), else nothing but a wide prior (`PRIOR_SD`).
-    pixels: that would record the stimulus, when there are no recordings to say so.
-    per_second: rank by score per second of light.
-    Raises InputError for an unknown criterion and for models or recordings that the event-time likelihood refuses.
+    The score of a candidate is the mean of `criteria.score` over the model and `draws`.
+
+    Args:
+        model: the circuit.
+        menu: the candidates.
+        criterion: "D", "A" or the name of a parameter (`criteria`).
+        recordings: whose information is there before; without them that of `known`, else nothing but a wide prior
+            (`PRIOR_SD`).
+        known: information of a fit.
+        draws: models as uncertain as the circuit is.
+        pixels: that would record the stimulus, when there are no recordings to say so.
+        per_second: rank by score per second of light.
+        seed: of simulations.
+        progress: called with the candidate that is done and the fraction.
+
+    Raises:
+        InputError: an unknown criterion, an empty menu, models or recordings that the event-time likelihood refuses.
     """
     began = time.perf_counter()
     report = progress or (lambda what, fraction: None)

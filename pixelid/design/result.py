@@ -25,7 +25,7 @@ SPREAD = 0.2  # standard deviation in ln of the values averaged over, where no f
 class DesignReport(ContentResult):
     """A recommended experiment.
 
-    content: of design.json (docs/design.md)
+    content: of design.json (docs/schemas/design.json)
     """
 
     FILE: ClassVar[str] = "design.json"

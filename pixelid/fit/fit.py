@@ -88,7 +88,8 @@ def fit(
             counts, whose likelihood has kinks, are always maximised by the damped Newton steps of `newton.py`, and the
             result says so.
         form: "discrete", the photoreceptor linearised once per step of the stimulus, or "continuous", its coefficients
-            following the light at every instant: started from the discrete optimum, see docs/fitting.md for the cost.
+            following the light at every instant: started from the discrete optimum, see docs/methods/fitting.md for the
+            cost.
         pixel_levels: "gain", "background" or "both" of every pixel are nuisances, and the light is not taken as exact
             (`fit.levels.pixel_levels`); with scales that are known, "gain=0.2,background=3" or {"gain": 0.2}.
         bias_priors: thresholds, dead time and the source follower's cutoff have priors from the bias settings in the

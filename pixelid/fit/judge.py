@@ -24,8 +24,8 @@ LARGEST_BACKGROUND_FRACTION, MIN_BACKGROUND_EVENTS = 1e-3, 5
 LARGEST_DISPERSION = 3.0
 # Residuals against a covariate: events per block, and most blocks.
 BLOCK_EVENTS, MOST_BLOCKS = 50, 40
-# All tests of one fit together raise a false alarm in 0.2 % of true models by the χ² law; see docs/fitting.md for what
-# simulated null fits measured.
+# All tests of one fit together raise a false alarm in 0.2 % of true models by the χ² law; docs/methods/fitting.md has
+# what simulated null fits measured.
 FALSE_ALARMS = 0.002
 # A significant structure also has to matter: at 1 % of the residuals' variance, events are moved by a tenth of their
 # own noise.  Sampled stimuli leave up to 0.1 % (interpolation between samples), which large recordings make

@@ -22,10 +22,17 @@ def analyse(
     seed: int = 0,
     progress: Callable[[str, float], None] | None = None,
 ) -> dict:
-    """The content of lowlight.json but for provenance (docs/lowlight.md).
+    """The content of lowlight.json but for provenance (docs/schemas/lowlight.json).
 
-    draws: models drawn from the uncertainty of a fit, for bands.  Raises InputError for a photoreceptor without
-    bandwidth.
+    Args:
+        model: the circuit.
+        recordings: of chirps or steps, to be put beside it.
+        draws: models drawn from the uncertainty of a fit, for bands.
+        seed: of simulations beside the recordings.
+        progress: called with what is done and the fraction.
+
+    Raises:
+        InputError: a photoreceptor without bandwidth.
     """
     began = time.perf_counter()
     report = progress or (lambda what, fraction: None)

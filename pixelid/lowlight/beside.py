@@ -21,7 +21,7 @@ MOST_PIXELS = 64  # simulated beside a recording
 def compare(
     recordings: Sequence[Recording], model: Model, seed: int, progress: Callable[[float], None] | None = None
 ) -> list[dict]:
-    """One entry of lowlight.json's "measured" per recording; see docs/lowlight.md."""
+    """One entry of lowlight.json's "measured" per recording; see docs/schemas/lowlight.json."""
     entries = []
     for i, recording in enumerate(recordings):
         entries.append(_entry(recording, model, seed))

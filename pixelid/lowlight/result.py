@@ -34,7 +34,7 @@ BAND_DRAWS = 60  # models behind the bands of a fit: their 95 % limits to about 
 class LowlightReport(ContentResult):
     """A finished low-light analysis.
 
-    content: of lowlight.json (docs/lowlight.md);  model: the circuit analysed
+    content: of lowlight.json (docs/schemas/lowlight.json);  model: the circuit analysed
     """
 
     FILE: ClassVar[str] = "lowlight.json"
