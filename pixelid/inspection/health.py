@@ -117,6 +117,10 @@ def inspect(recording: Recording | LongRecording, progress: Progress = no_progre
     recording is read twice, part by part; of its intervals within pixels a random share is looked at
     (`intervals.MOST_INTERVALS`), everything else is exact.  Time O(n log n); memory a small multiple of the
     events, for a long recording of a part of them.
+
+    Args:
+        recording: with or without a stimulus.
+        progress: called with what is done and the fraction.
     """
     return inspect_closely(recording, progress)[0]
 

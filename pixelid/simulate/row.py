@@ -28,7 +28,13 @@ def simulate_row(
     Addresses are 16 bits wide, so a longer row is folded into several, the last one filled up with copies of its last
     pixel whose events are dropped.
 
-    light: full-field, or of a row (1, pixels) as of `in_a_row`;  the rest as of `simulate`
+    Args:
+        model, seed, sensor_seed, twins: as of `simulate`.
+        light: full-field, or of a row (1, pixels) as of `in_a_row`.
+        pixels: how many.
+
+    Raises:
+        InputError: as `simulate`.
     """
     height = -(-pixels // LONGEST_SIDE_PIXELS)
     width = -(-pixels // height)

@@ -48,23 +48,33 @@ def simulate(
     threads: int | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Recording:
-    """The recording of a width × height sensor (a video's own size) whose pixels are all `model`.
+    """The recording of a sensor whose pixels are all `model`.
 
-    seed: of everything that differs from recording to recording;  sensor_seed: of what belongs to the sensor (its
-    pixels' thresholds, its hot pixels), by default `seed`.  Recordings of one camera share the sensor_seed.
-    synchronous: every pixel takes its first reference at the first sample.  Otherwise each starts part of the way to
-    its next event (see `comparator.start`), so that pixels are out of step.
-    as_sampled: the photoreceptor is linearised once per step of the stimulus as it is sampled.  Otherwise
-    steps are split until each changes log radiance by at most 0.02 (`resample.resampled`), as fits read a recording.
-    The frames of a video are always taken as sampled.
-    twins: thresholds and first resets that the pixels take over from measured ones (full-field light, or groups).
-    threads: default one per core; the events do not depend on it.
-    progress: called with the fraction done.
+    Event times are exact to 1 ns for the steps of the stimulus, log radiance being linear in between.
 
-    Events up to the last stimulus sample; readout latency and jitter may carry a few past it.  Event times are exact
-    to 1 ns for these steps (log radiance linear in between).
-    Raises InputError for a stimulus of unit "shape", a sensor size that does not fit the video, a circuit that cannot
-    be simulated (see `laws.rules_of`), and an empty sensor.
+    Args:
+        model: the circuit.
+        stimulus: full-field light, light of groups of pixels, or a video.
+        width: of the sensor; a video's own by default.
+        height: likewise.
+        seed: of everything that differs from recording to recording.
+        sensor_seed: of what belongs to the sensor (its pixels' thresholds, its hot pixels), by default `seed`.
+            Recordings of one camera share it.
+        synchronous: every pixel takes its first reference at the first sample.  Otherwise each starts part of the way
+            to its next event (see `comparator.start`), so that pixels are out of step.
+        as_sampled: the photoreceptor is linearised once per step of the stimulus as it is sampled.  Otherwise steps
+            are split until each changes log radiance by at most 0.02 (`resample.resampled`), as fits read a recording.
+            The frames of a video are always taken as sampled.
+        twins: thresholds and first resets that the pixels take over from measured ones (full-field light, or groups).
+        threads: one per core by default; the events do not depend on it.
+        progress: called with the fraction done.
+
+    Returns:
+        Events up to the last stimulus sample (readout latency and jitter may carry a few past it), with the stimulus.
+
+    Raises:
+        InputError: a stimulus of unit "shape", a sensor size that does not fit the video, an empty sensor, a circuit
+            that cannot be simulated (see `laws.rules_of`).
     """
     sensor_seed = seed if sensor_seed is None else sensor_seed
     seeds = random.both_seeds(seed, sensor_seed)
@@ -98,8 +108,16 @@ def simulate_stream(
 ) -> Iterator[Events]:
     """The same events in consecutive chunks, in order of time; memory does not grow with the stimulus.
 
-    stimulus: a stimulus, or an iterable of frames (t in s, radiance (height, width)), log radiance linear in between.
-    Raises InputError as `simulate`, and for invalid frames when they are reached.
+    Args:
+        stimulus: as of `simulate`, or an iterable of frames (t in s, radiance (height, width)), log radiance linear in
+            between.
+        model, width, height, seed, sensor_seed, synchronous, as_sampled, threads: as of `simulate`.
+
+    Yields:
+        The events of each block of work.
+
+    Raises:
+        InputError: as `simulate`, and for invalid frames when they are reached.
     """
     seeds = random.both_seeds(seed, seed if sensor_seed is None else sensor_seed)
     for _, chunk in _chunks(model, stimulus, width, height, seeds, synchronous, as_sampled, threads):
