@@ -112,7 +112,7 @@ def _decode_aedat(path: Path) -> tuple[tuple[int, int], Iterator[Block]]:
                 if track.data_type in ("events", "triggers"):
                     yield track, packet
 
-    found = _decoded(packets, path)
+    found = checked_packets(packets, path)
     before: list[tuple] = []  # what comes ahead of the first events, which say whose the size is
     for entry in found:
         before.append(entry)
@@ -155,13 +155,13 @@ def _decode_others(path: Path, kind, header: dict[str, str]) -> tuple[tuple[int,
         for packet in decoder:
             yield packet.copy()  # the decoder's own memory is overwritten
 
-    found = _decoded(packets, path)
+    found = checked_packets(packets, path)
     before = list(islice(found, 1))
     blocks = ((_columns(batch), None) for batch in _batches(chain(before, found), lambda packet: packet))
     return sizes[0], blocks
 
 
-def _decoded(packets: Callable[[], Iterator], path: Path) -> Iterator:
+def checked_packets(packets: Callable[[], Iterator], path: Path) -> Iterator:
     """What `packets` yields; whatever the decoder raises becomes an InputError."""
     try:
         yield from packets()

@@ -35,7 +35,7 @@ def read(path: Path) -> Recording:
     """
     from faery.extension import aedat
 
-    from pixelid.recordings.decoded import _decoded
+    from pixelid.recordings.decoded import checked_packets
 
     def packets():
         with aedat.Decoder(path) as decoder:
@@ -44,7 +44,7 @@ def read(path: Path) -> Recording:
                     yield packet
 
     frames: list[tuple[int, int, np.ndarray, str]] = []
-    for frame in _decoded(packets, path):
+    for frame in checked_packets(packets, path):
         begin, end, pixels = int(frame.exposure_start_t), int(frame.exposure_end_t), frame.pixels
         if (
             end <= begin

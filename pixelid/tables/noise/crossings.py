@@ -24,7 +24,7 @@ def _density(d0, d1, v00, v01, v11):
 
 
 @njit(forceinline=True, error_model="numpy")
-def _end_mean(hidden, t, z, w, offset, into):
+def hidden_mean(hidden, t, z, w, offset, into):
     """Mean of the hidden states at the end: see `hidden.Hidden`."""
     end_mean, end_spread = hidden[3], hidden[4]
     for e in range(len(into)):
@@ -48,7 +48,7 @@ def _add(into, first, f, d0, d1, hidden, t, before, after):
 
 
 @njit(forceinline=True, error_model="numpy")
-def _crossed(into, weight, mz, mw, covariances, hidden, t, before, after, levels, slopes, factors):
+def add_crossings(into, weight, mz, mw, covariances, hidden, t, before, after, levels, slopes, factors):
     """Add to into (s, 2 m s) weight times the intensities of crossings at lag t, by level, slope and moment.
 
     mz, mw: means of output and slope there;  others as `_add` and `between_crossings`.
@@ -67,7 +67,7 @@ def _crossed(into, weight, mz, mw, covariances, hidden, t, before, after, levels
 
 
 @njit(forceinline=True, error_model="numpy")
-def _mean_after_reset(maps, spread, tails, t, z, w, offset, kept):
+def mean_after_reset(maps, spread, tails, t, z, w, offset, kept):
     """(output, slope) a lag after a reset: see `after_reset`."""
     return (
         maps[t, 0, 0] * z + maps[t, 0, 1] * w + spread[t, 0] * offset + tails[t, 0] * kept,
@@ -101,8 +101,8 @@ def between_crossings(means, covariances, hidden, on, off, slopes, factors, weig
             for t in range(len(weights)):
                 mz = means[t, 0, 0] * z + means[t, 0, 1] * w
                 mw = means[t, 1, 0] * z + means[t, 1, 1] * w
-                _end_mean(hidden, t, z, w, 0.0, after)
-                _crossed(into, weights[t], mz, mw, covariances, hidden, t, before, after, levels, slopes, factors)
+                hidden_mean(hidden, t, z, w, 0.0, after)
+                add_crossings(into, weights[t], mz, mw, covariances, hidden, t, before, after, levels, slopes, factors)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -124,13 +124,13 @@ def after_reset(
         for b in range(len(before)):
             found[1 + b, i] = found[0, i] * before[b]
     for t in range(len(weights)):
-        mz, mw = _mean_after_reset(maps, spread, tails, t, z, w, offset, kept)
-        _end_mean(hidden, t, z, w, offset, after)
-        _crossed(found, weights[t], mz, mw, covariances, hidden, t, before, after, levels, slopes, factors)
+        mz, mw = mean_after_reset(maps, spread, tails, t, z, w, offset, kept)
+        hidden_mean(hidden, t, z, w, offset, after)
+        add_crossings(found, weights[t], mz, mw, covariances, hidden, t, before, after, levels, slopes, factors)
 
 
 @njit(forceinline=True, error_model="numpy")
-def _place(x, first, step, count):
+def place(x, first, step, count):
     """(index, fraction) of the four-point interpolation at x on a uniform grid; x is held inside."""
     u = min(max((x - first) / step, 0.0), count - 1.0)
     k = min(max(int(u) - 1, 0), count - 4)
@@ -138,7 +138,7 @@ def _place(x, first, step, count):
 
 
 @njit(forceinline=True, error_model="numpy")
-def _lagrange(p):
+def lagrange(p):
     """Four-point interpolation weights at p of nodes 0, 1, 2, 3."""
     return (
         -(p - 1.0) * (p - 2.0) * (p - 3.0) / 6.0, p * (p - 2.0) * (p - 3.0) / 2.0,
@@ -152,8 +152,8 @@ def _scatter(into, level, pick, each, share, first, step, count):
 
     pick: index of polarity, slope and moment, of which `each` are of one polarity.
     """
-    k, p = _place(level, first, step, count)
-    weights = _lagrange(p)
+    k, p = place(level, first, step, count)
+    weights = lagrange(p)
     i, j = pick // each, pick % each
     for q in range(4):
         into[(i * count + k + q) * each + j] += share * weights[q]
@@ -234,8 +234,8 @@ def transitions(
                 for g in range(len(offsets)):
                     kept = reference[0] * z + reference[1] * w + reference_sd * offsets[g]
                     kept = min(max(kept, nodes[0]), nodes[count - 1])
-                    k, p = _place(kept, first, step, count)
-                    line = _lagrange(p)
+                    k, p = place(kept, first, step, count)
+                    line = lagrange(p)
                     for a in range(len(draw_weights)):
                         share = offset_weights[g] * draw_weights[a]
                         up, down = kept + on[a], kept - off[a]

@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numba import njit
 
-from pixelid.tables.noise.crossings import _crossed, _end_mean, _lagrange, _mean_after_reset, _place
+from pixelid.tables.noise.crossings import add_crossings, hidden_mean, lagrange, mean_after_reset, place
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -34,8 +34,8 @@ def crossings_after_events(
                 for g in range(len(offsets)):
                     kept = reference[0] * z + reference[1] * w + reference_sd * offsets[g]
                     kept = min(max(kept, nodes[0]), nodes[count - 1])
-                    k, p = _place(kept, first, step, count)
-                    line = _lagrange(p)
+                    k, p = place(kept, first, step, count)
+                    line = lagrange(p)
                     before = start_spread * offsets[g]
                     mass = share[row]
                     for b in range(h):
@@ -46,10 +46,10 @@ def crossings_after_events(
                             begun[i0, a, k + n] += weight * mass * line[n]
                         levels = (kept + on[a], kept - off[a])
                         for t in range(len(maps)):
-                            mz, mw = _mean_after_reset(maps, spread, tails, t, z, w, offsets[g], kept)
-                            _end_mean(hidden, t, z, w, offsets[g], after)
+                            mz, mw = mean_after_reset(maps, spread, tails, t, z, w, offsets[g], kept)
+                            hidden_mean(hidden, t, z, w, offsets[g], after)
                             found[:] = 0.0
-                            _crossed(
+                            add_crossings(
                                 found, weight, mz, mw, covariances, hidden, t, before, after, levels, slopes, factors
                             )
                             for i in range(2 * m * s):
@@ -77,8 +77,8 @@ def crossings_between(means, covariances, hidden, on, off, slopes, factors, foun
                 row = (i0 * m + j0) * s
                 into = found[t, row : row + s]
                 into[:] = 0.0
-                _end_mean(hidden, t, z, w, 0.0, after)
-                _crossed(into, 1.0, mz, mw, covariances, hidden, t, before, after, levels, slopes, factors)
+                hidden_mean(hidden, t, z, w, 0.0, after)
+                add_crossings(into, 1.0, mz, mw, covariances, hidden, t, before, after, levels, slopes, factors)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
