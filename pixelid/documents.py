@@ -17,7 +17,7 @@ import tomllib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, TypeGuard, cast
 
 from pixelid.errors import InputError, first_line, printable, shown
 
@@ -125,6 +125,11 @@ def refuse_hollow(path: Path) -> None:
             if held * MOST_RATIO >= size:
                 return
     raise InputError(f"{path}: expected data, found a sparse file: {held} bytes on the disk stand for {size}")
+
+
+def is_number(value: object) -> TypeGuard[int | float]:
+    """Whether a document's value is a number: true and false are none, though Python counts with them."""
+    return isinstance(value, int | float) and not isinstance(value, bool)
 
 
 @contextmanager

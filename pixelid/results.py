@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, cast
 
-from pixelid.documents import read_json, read_toml
+from pixelid.documents import is_number, read_json, read_toml
 from pixelid.errors import InputError, shown
 from pixelid.outputs import refuse_existing, whole_folder, write_json
 from pixelid.status import Status
@@ -280,7 +280,7 @@ def required(content: Mapping[str, Any], folder: str | Path, file: str, *names: 
 
 _KINDS: dict[str, Callable[[Any], bool]] = {
     "text": lambda value: isinstance(value, str),
-    "a number": lambda value: _number_or_none(value),
+    "a number": lambda value: number_or_none(value),
     "a list of texts": lambda value: _list_of(value, str),
     "a list of tables": lambda value: _list_of(value, dict),
     "a table": lambda value: isinstance(value, dict),
@@ -315,12 +315,12 @@ def check_parameters(content: Mapping[str, Any], path: str | Path) -> None:
         where = f"{path}: parameters.{shown(name)}"
         ends = entry.get("interval_95")
         numbers = cast(list[Any], ends) if isinstance(ends, list) else []
-        if ends is not None and not (len(numbers) == 2 and all(map(_number_or_none, numbers))):
+        if ends is not None and not (len(numbers) == 2 and all(map(number_or_none, numbers))):
             raise InputError(f"{where}.interval_95: expected two numbers, found {shown(entry.get('interval_95'))}")
         if None not in numbers and numbers and numbers[0] > numbers[1]:
             raise InputError(f"{where}.interval_95: expected the lower limit first, found {shown(numbers)}")
         for key in ("value", "std"):
-            if not _number_or_none(entry.get(key)):
+            if not number_or_none(entry.get(key)):
                 raise InputError(f"{where}.{key}: expected a number, found {shown(entry[key])}")
         if not isinstance(entry.get("unit", ""), str):
             raise InputError(f"{where}.unit: expected text, found {shown(entry['unit'])}")
@@ -333,5 +333,6 @@ def _list_of(value: Any, kind: type) -> bool:
     return isinstance(value, list) and all(isinstance(entry, kind) for entry in cast(list[Any], value))
 
 
-def _number_or_none(value: object) -> bool:
-    return value is None or (isinstance(value, int | float) and not isinstance(value, bool))
+def number_or_none(value: object) -> bool:
+    """Whether a result's value is a number, or null where there is none."""
+    return value is None or is_number(value)

@@ -11,7 +11,7 @@ from pixelid.documents import read_json
 from pixelid.errors import InputError, shown
 from pixelid.model.model import Model
 from pixelid.parameters.parameter import Z95
-from pixelid.results import check_parameters
+from pixelid.results import check_parameters, number_or_none
 
 MOST_VARIANCE = 1e100  # larger ones overflow when they are factored
 WIDEST = 1.0  # standard deviation, in fitting coordinates, beyond which an open direction is not followed
@@ -34,10 +34,6 @@ def read_fit(folder: Path) -> dict[str, Any] | None:
     return document
 
 
-def _number_or_open(value: object) -> bool:
-    return value is None or (isinstance(value, int | float) and not isinstance(value, bool))
-
-
 def _check_covariance(listed: object, path: Path) -> None:
     """Refuse anything but names and a square matrix of as many rows, entries null where unknown."""
     if not listed:
@@ -48,7 +44,7 @@ def _check_covariance(listed: object, path: Path) -> None:
     matrix = listed.get("matrix")
     n = len(names)
     rows: list[Any] = matrix if isinstance(matrix, list) and len(matrix) == n else [None]
-    if not all(isinstance(row, list) and len(row) == n and all(map(_number_or_open, row)) for row in rows):
+    if not all(isinstance(row, list) and len(row) == n and all(map(number_or_none, row)) for row in rows):
         raise InputError(f"{path}: covariance.matrix: expected {n} rows of as many numbers, found {shown(matrix)}")
     largest = max((abs(value) for row in rows for value in row if value is not None), default=0.0)
     if largest > MOST_VARIANCE or len(set(names)) < n:

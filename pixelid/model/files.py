@@ -17,7 +17,7 @@ from pathlib import Path
 
 import tomli_w
 
-from pixelid.documents import read_toml
+from pixelid.documents import is_number, read_toml
 from pixelid.errors import InputError, shown
 from pixelid.model.model import Model, expected_parameters
 from pixelid.parameters.gauge import Gauge
@@ -97,7 +97,7 @@ def _described(entries) -> tuple[list[str], dict]:
 
 
 def _parameter(default: Parameter, entry) -> Parameter:
-    if isinstance(entry, (int, float)) and not isinstance(entry, bool):
+    if is_number(entry):
         return default.at(entry)
     if not isinstance(entry, dict):
         raise InputError(f"[parameters] {default.name}: expected a number or a table, found {shown(entry)}")
@@ -112,7 +112,7 @@ def _parameter(default: Parameter, entry) -> Parameter:
             raise InputError(f"[parameters] {default.name}: prior must be {{ mean = …, sd = … }}") from None
     for key in ("value", "lower", "upper"):
         if key in changes:
-            if not isinstance(changes[key], (int, float)) or isinstance(changes[key], bool):
+            if not is_number(changes[key]):
                 raise InputError(f"[parameters] {default.name}.{key}: expected a number, found {shown(changes[key])}")
             changes[key] = float(changes[key])
     for key in ("unit", "transform", "source"):

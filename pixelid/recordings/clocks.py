@@ -19,6 +19,7 @@ from typing import Any
 
 import numpy as np
 
+from pixelid.documents import is_number
 from pixelid.errors import InputError
 from pixelid.recordings.recording import Recording
 
@@ -94,7 +95,7 @@ def _unknown(recording: Recording) -> ClockPrior:
 
 def _number(table: Mapping[str, Any], name: str, where: str) -> float:
     value = table.get(name)
-    if not isinstance(value, int | float) or isinstance(value, bool) or not np.isfinite(value):
+    if not is_number(value) or not np.isfinite(value):
         raise InputError(f"{where}: {name}: expected a number, found {str(value)[:40]!r}")
     return float(value)
 

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from pixelid.documents import is_number
 from pixelid.errors import InputError, shown
 from pixelid.outputs import plain
 from pixelid.recordings.events import Events
@@ -73,7 +74,7 @@ def from_json(line: str, where: str) -> dict:
 def whole(value: object, where: str, most: int) -> int:
     """A whole number from 1 to `most`, whatever type a file has it in; raises InputError naming `where`."""
     number = value.item() if isinstance(value, np.ndarray | np.generic) and value.size == 1 else value
-    if isinstance(number, int | float) and not isinstance(number, bool) and 1 <= number <= most and number % 1 == 0:
+    if is_number(number) and 1 <= number <= most and number % 1 == 0:
         return int(number)
     limit = f" of at most {most}" if isinstance(number, int | float) and number > most else ""
     raise InputError(f"{where}: expected a positive integer{limit}, found {shown(number)}")

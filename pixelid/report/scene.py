@@ -9,6 +9,7 @@ from typing import Any
 
 from markupsafe import Markup
 
+from pixelid.documents import is_number
 from pixelid.nerf.limits import LEAST_SHARE
 from pixelid.report.format import number, seconds
 from pixelid.report.page import Number, Result, Summary, command_line
@@ -50,7 +51,7 @@ def prepare(result: Result, folder: Path) -> dict[str, Any]:
     def cell(v: Any) -> str:
         if isinstance(v, list):
             return ", ".join(number(x) for x in v)
-        return number(v) if isinstance(v, (int, float)) and not isinstance(v, bool) else str("–" if v is None else v)
+        return number(v) if is_number(v) else str("–" if v is None else v)
 
     def row(name: str, v: dict) -> list[str]:
         return [name, _places(v["psnr"], 2), _places(v["ssim"], 3), number(v["lpips"], 3)]

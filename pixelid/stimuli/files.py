@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pixelid.documents import interpreting, read_toml
+from pixelid.documents import interpreting, is_number, read_toml
 from pixelid.errors import InputError, did_you_mean, shown
 from pixelid.stimuli.pixel_lights import Light
 from pixelid.stimuli.sampled import TABLES, VIDEOS, holds_pictures, is_light_table, read_light
@@ -84,7 +84,7 @@ def shape(kind: str, parameters: Mapping[str, object]) -> Stimulus:
         if name not in known:
             meant = did_you_mean(name, known)
             raise InputError(f"stimulus {kind} has no parameter {shown(name)}; it has {', '.join(known)}{meant}")
-        if isinstance(value, bool) or not isinstance(value, int | float):
+        if not is_number(value):
             raise InputError(f"stimulus {kind}.{name}: expected a number, found {shown(value)}")
         if name in _WHOLE and not (0 <= value < 1 << 63 and value == int(value)):
             raise InputError(f"stimulus {kind}.{name}: expected a whole number, found {shown(value)}")
@@ -100,7 +100,7 @@ def _from_toml(path: Path) -> Stimulus:
         raise InputError(f"{path}: expected a [stimulus] table with a kind, one of {kinds}")
     values = {name: value for name, value in table.items() if name not in ("kind", "start_s")}
     start = table.get("start_s", 0.0)
-    if isinstance(start, bool) or not isinstance(start, int | float) or not abs(start) < 1e9:
+    if not is_number(start) or not abs(start) < 1e9:
         raise InputError(f"{path}: start_s: expected a number, found {shown(start)}")
     try:
         if table["kind"] == "samples":
@@ -126,7 +126,7 @@ def _samples(values: dict) -> Stimulus:
 
 
 def _numbers(values: object) -> bool:
-    return isinstance(values, list) and all(isinstance(v, int | float) and not isinstance(v, bool) for v in values)
+    return isinstance(values, list) and all(map(is_number, values))
 
 
 def _text(values: dict, name: str, default: str) -> str:
@@ -144,7 +144,7 @@ def _file(values: dict, folder: Path) -> Stimulus:
     if not file.exists():
         raise InputError(f"stimulus file.path: {file} does not exist")
     fps = values.get("fps")
-    if fps is not None and (isinstance(fps, bool) or not isinstance(fps, int | float)):
+    if fps is not None and not is_number(fps):
         raise InputError(f"stimulus file.fps: expected a number, found {shown(fps)}")
     unit = _text(values, "unit", "") or None
     return read_light(file, unit=unit, fps=fps, gamma=_text(values, "gamma", "linear"))

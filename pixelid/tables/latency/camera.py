@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 import tomli_w
 
-from pixelid.documents import read_toml
+from pixelid.documents import is_number, read_toml
 from pixelid.errors import InputError, shown
 from pixelid.model.files import from_document, to_document
 from pixelid.model.model import Model
@@ -265,7 +265,7 @@ def _setting(entry: Any, path: Path) -> Setting:
 
 
 def _number(value: Any, path: Path, key: str, *, positive: bool = False) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+    if not is_number(value) or not math.isfinite(value):
         raise InputError(f"{path}: [latency] {key}: expected a number, found {shown(value)}")
     if positive and not value > 0:
         raise InputError(f"{path}: [latency] {key}: expected a number above 0, found {value:g}")

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from pixelid.arrays import load_arrays
-from pixelid.documents import read_toml
+from pixelid.documents import is_number, read_toml
 from pixelid.errors import InputError, shown
 from pixelid.tables.rates.pool import PoolTable
 
@@ -55,7 +55,7 @@ def read_pool_recipe(path: Path, folder: Path | None = None) -> tuple[PoolTable,
 
 
 def _frequencies(listed: object, path: Path) -> np.ndarray:
-    numbers = isinstance(listed, list) and all(isinstance(f, int | float) and not isinstance(f, bool) for f in listed)
+    numbers = isinstance(listed, list) and all(map(is_number, listed))
     if not numbers or not listed:
         raise InputError(f"{path}: [rates] frequency_hz: expected a list of numbers, found {shown(listed)}")
     return np.array(listed, float)
