@@ -20,6 +20,8 @@ from typing import Any, ParamSpec, TypeVar
 
 import numpy as np
 
+from pixelid.figures.words import SUPERSCRIPT
+
 INK, PAPER, MUTED = "#20242b", "#fefefd", "#8b919b"
 ON, OFF = "#d55e00", "#0072b2"
 IMPROVED, UNEXPLAINED = "#009e73", "#b0578d"
@@ -39,7 +41,6 @@ STYLE = {
     "svg.fonttype": "none", "svg.hashsalt": "pixelid", "savefig.dpi": 150.0,
 }  # fmt: skip
 
-_SUPERSCRIPT = str.maketrans("-−0123456789", "⁻⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _CONTROL = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\ufffe\uffff]")
 Arguments = ParamSpec("Arguments")
 Drawn = TypeVar("Drawn")
@@ -74,7 +75,7 @@ def _write_powers_plainly(axes: Any) -> None:
         def __call__(self, x, pos=None):  # pyright: ignore[reportIncompatibleMethodOverride]
             text = re.sub(r"[${}]|\\mathdefault", "", super().__call__(x, pos)).replace(r"\times", " × ")
             mantissa, power, exponent = text.partition("^")
-            return mantissa + exponent.translate(_SUPERSCRIPT) if power else text
+            return mantissa + exponent.translate(SUPERSCRIPT) if power else text
 
     for axis in _figure_of(axes).axes:
         for side in (axis.xaxis, axis.yaxis):

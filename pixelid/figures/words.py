@@ -1,4 +1,4 @@
-"""Names and times as they stand on axes: in words, with units."""
+"""Names, times and exponents as they stand on axes: in words, with units, raised."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ _WORDS = {
     "off_threshold": "OFF threshold", "threshold_sigma": "threshold noise", "refractory_s": "dead time",
     "delay_s": "delay",
 }  # fmt: skip
+SUPERSCRIPT = str.maketrans("-−0123456789", "⁻⁻⁰¹²³⁴⁵⁶⁷⁸⁹")  # of exponents; either minus
 _UNITS = {"log radiance": "log radiance", "1": ""}
 
 

@@ -11,7 +11,6 @@ from typing import Any
 from pixelid.figures import words
 
 SMALLEST_CHANCE = 1e-15  # what arithmetic of doubles can tell from nothing
-_SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _NAMES = ("alpha", "beta", "gamma", "leak")  # of parameters and effects: never capitals
 _POWER = re.compile(r"(?<![\w.])(-?\d+(?:\.\d+)?)e([+-]\d+)\b")
 _THIN = "\N{NARROW NO-BREAK SPACE}"
@@ -35,7 +34,7 @@ def number(value: float | None, digits: int = 4) -> str:
         return _grouped(text if "e" not in text else f"{float(text):.0f}").replace("-", "−")
     mantissa, exponent = f"{value:.{digits - 1}e}".split("e")
     mantissa = mantissa.rstrip("0").rstrip(".") if "." in mantissa else mantissa
-    return f"{mantissa.replace('-', '−')} × 10{str(int(exponent)).translate(_SUPERSCRIPT)}"
+    return f"{mantissa.replace('-', '−')} × 10{str(int(exponent)).translate(words.SUPERSCRIPT)}"
 
 
 def value(estimate: float | None, interval: Sequence[float | None] | None = None) -> str:
