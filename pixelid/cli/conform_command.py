@@ -34,13 +34,13 @@ def command(recordings, model, out, with_, without, alpha, crop, where, overwrit
         from pixelid.recordings import open_recordings
 
         base, remarks = changed(find_model(model), with_, without, ())
-        opened = [crop.applied(recording, seed) for recording in open_recordings(recordings)]
+        opened = open_recordings(recordings, crop, seed)
         from pixelid.conform.conform import conform
         from pixelid.conform.figures import write_figures
         from pixelid.report.html import write_report
 
         kept = out.with_name(f".{out.name}.fits")  # interrupted and called again, the search reads back its fits
-        with bar(quiet) as report:
+        with bar(quiet, compiles=True) as report:
             result = conform(opened, base, alpha=alpha, seed=seed, progress=report, resume=kept, where=where)
         with whole_folder(out, overwrite) as folder:
             result.write(folder)
