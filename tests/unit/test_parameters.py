@@ -1,15 +1,17 @@
 """Parameters: coordinates, bounds, priors, and the invariants of the photoreceptor."""
 
 import math
-from dataclasses import FrozenInstanceError
+from dataclasses import FrozenInstanceError, replace
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.stats import norm
 
 from pixelid import stages
 from pixelid.errors import InputError
+from pixelid.fit.coordinates import Coordinates
 from pixelid.model.shipped import find_model, shipped_models
 from pixelid.parameters.invariants import PHYSICAL_NAMES, Physical, log_jacobian
 from pixelid.parameters.parameter import Parameter, Prior
@@ -73,6 +75,23 @@ def test_nonsense_is_refused_by_name(changes, says):
 def test_an_improper_prior_is_refused(mean, sd):
     with pytest.raises(InputError, match="prior"):
         Prior(mean, sd)
+
+
+def test_a_prior_is_normal_in_the_fitting_coordinate():
+    """Against SciPy's density, and its slope and curvature against differences."""
+    model = find_model("dvs128")
+    alpha = replace(model.parameters["alpha"], prior=Prior(11.0, 0.25))
+    coordinates = Coordinates.of(replace(model, parameters=model.parameters | {"alpha": alpha}))
+    k, x = coordinates.names.index("alpha"), coordinates.start
+    values = [10.2, 11.0, 11.7]
+    points = [np.where(np.arange(len(x)) == k, value, x) for value in values]
+    expected = norm.logpdf(values, 11.0, 0.25) - norm.logpdf(11.0, 11.0, 0.25)
+    np.testing.assert_allclose([coordinates.log_prior(point) for point in points], expected, rtol=1e-12)
+    gradient, curvature = coordinates.prior_gradient_and_curvature(points[0])
+    sides = norm.logpdf([10.2 + 1e-4, 10.2 - 1e-4], 11.0, 0.25)
+    assert gradient[k] == pytest.approx((sides[0] - sides[1]) / 2e-4)
+    assert curvature[k] == pytest.approx(1.0 / 0.25**2)
+    assert not np.delete(gradient, k).any()
 
 
 def test_changes_make_a_new_parameter():

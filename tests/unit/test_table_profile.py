@@ -41,6 +41,15 @@ def table(seed: int, longest: float = 0.4, scatter: float = 0.04) -> Charging:
     return Charging(Rows(measured, 1e-9, columns={"t": t.tolist()}), Prior(np.log(3.0), 1.0))
 
 
+def test_rounding_is_the_error_of_what_a_table_writes():
+    """Of values rounded to hundredths, and one of which nothing is left."""
+    true = np.random.default_rng(0).uniform(2.0, 2.2, 100_000)
+    rows = Rows(np.round(true, 2), 0.01, relative_error=0.03)
+    assert np.std(rows.log_ratio(true)) == pytest.approx(float(rows.rounding.mean()), rel=0.01)
+    np.testing.assert_allclose(rows.known_variance, rows.rounding**2 + 0.03**2)
+    assert Rows(np.zeros(1), 0.01).log_ratio(np.array([0.01])) == pytest.approx(-np.log(2.0))
+
+
 def test_an_error_reaches_as_far_as_the_profile():
     """Against a scan of the profile, every place with a fit of its own by another routine."""
     from scipy.optimize import minimize_scalar
