@@ -24,17 +24,9 @@ from pixelid.nerf.published.convert import Conversion
 from pixelid.nerf.recipe import Recipe
 from pixelid.nerf.scenes import BACKGROUND
 from pixelid.nerf.state import start
-from pixelid.nerf.synthetic import SETTINGS, camera_model, make_dataset
+from pixelid.nerf.synthetic import SETTINGS, camera_model
 from pixelid.nerf.train import EPSILON, _off_level
 from pixelid.nerf.trajectory import Trajectory
-
-
-@pytest.fixture(scope="module")
-def made(tmp_path_factory) -> Path:
-    """A dataset of 16 × 16 pixels."""
-    return make_dataset(
-        tmp_path_factory.mktemp("scene") / "hard", "hard", seed=3, side=16, revolutions=1.0, frames_per_turn=300
-    )
 
 
 @pytest.fixture

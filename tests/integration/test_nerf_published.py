@@ -17,7 +17,7 @@ from pixelid.nerf.dataset import read_dataset
 from pixelid.nerf.published import esim
 from pixelid.nerf.published.undistort import pinhole_of, undistorted
 from pixelid.nerf.scenes import procedural
-from pixelid.nerf.synthetic import SETTINGS, make_dataset
+from pixelid.nerf.synthetic import SETTINGS
 from pixelid.nerf.trajectory import Trajectory
 from pixelid.stages.photoreceptor import NOMINAL
 
@@ -25,14 +25,6 @@ EPOCH_NS = 1_600_000_000_000_000_000
 SIDE, SECONDS = 16, 0.25
 LENS = (-0.1, 0.02, 0.001, -0.002)
 CLOCK = 1e-4  # what the camera moves in the half microsecond to which decimal seconds since 1970 are known
-
-
-@pytest.fixture(scope="module")
-def made(tmp_path_factory) -> Path:
-    """A dataset of 16 × 16 pixels: one turn in a quarter of a second."""
-    return make_dataset(
-        tmp_path_factory.mktemp("scene") / "hard", "hard", seed=3, side=SIDE, revolutions=1.0, frames_per_turn=300
-    )
 
 
 @pytest.fixture(scope="module")

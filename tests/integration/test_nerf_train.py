@@ -48,14 +48,6 @@ SMALL = Recipe(iterations=24, batch=16, vertices=(9, 17))
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory) -> Path:
-    """A dataset of 16 × 16 pixels."""
-    return make_dataset(
-        tmp_path_factory.mktemp("scene") / "hard", "hard", seed=3, side=16, revolutions=1.0, frames_per_turn=300
-    )
-
-
-@pytest.fixture(scope="module")
 def made_bright(tmp_path_factory) -> Path:
     """Another, slow and bright."""
     return make_dataset(

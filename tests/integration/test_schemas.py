@@ -171,11 +171,8 @@ def lamp(folder: Path) -> Path:
     return folder / "lamp.toml"
 
 
-def test_reconstruct(tmp_path):
-    from pixelid.nerf.synthetic import make_dataset
-
-    data = make_dataset(tmp_path / "scene", "hard", seed=3, side=16, revolutions=1.0, frames_per_turn=300)
-    run("reconstruct", data, "--out", tmp_path / "out", "--iterations", 5, "--quiet")
+def test_reconstruct(made, tmp_path):
+    run("reconstruct", made, "--out", tmp_path / "out", "--iterations", 5, "--quiet")
     check("reconstruction", written(tmp_path / "out" / "reconstruction.json"))
 
 
