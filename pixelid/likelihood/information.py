@@ -8,6 +8,7 @@ and the margin of its level above the threshold.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -104,13 +105,16 @@ class Information:
 
     def matrix(self) -> np.ndarray:
         """(d, d)."""
-        events = self.events.reshape(len(self.events), -1)
-        groups = self.groups.reshape(len(self.groups), -1)
-        information = events @ events.T + groups @ groups.T
+        information = _products(self.events) + _products(self.groups)
         if len(self.release.k):
-            released = self.at_release.reshape(len(self.at_release), -1)
-            information += released @ released.T
+            information += _products(self.at_release)
         return information if self.terms.losses is None else information + np.outer(self.lost, self.lost)
+
+
+def _products(residuals: np.ndarray) -> np.ndarray:
+    """(d, d) sums of products of residuals (d, …); d may be 0, where a profile holds the only coordinate."""
+    rows = residuals.reshape(len(residuals), math.prod(residuals.shape[1:]))
+    return rows @ rows.T
 
 
 _NOTHING = (np.empty(0),) * 4

@@ -11,11 +11,12 @@ import pytest
 from pixelid.cli.main import main
 from pixelid.errors import InputError
 from pixelid.fit import fit
+from pixelid.fit.uncertainty.profiles import profiled
 from pixelid.model.shipped import find_model
 from pixelid.parameters.gauge import Gauge
 from pixelid.recordings import Recording, open_recordings, write_recording
 from pixelid.simulate import simulate
-from pixelid.stimuli.shapes import chirp, steps
+from pixelid.stimuli.shapes import chirp, sine, steps
 from pixelid.stimuli.stimulus import Stimulus
 
 DVS128 = find_model("dvs128")
@@ -104,6 +105,14 @@ def test_one_level_gently_modulated_is_reported_as_not_identified():
     result = fit([simulate(model, light, width=2, height=2, seed=2)], model, starts=0, between="linear")
     assert result.unidentified
     assert not all(result.estimates[name].identified for name in ("alpha", "beta", "gamma"))
+
+
+def test_a_single_free_parameter_is_profiled():
+    """Nothing is left free where a profile holds it: the information of no coordinate is a matrix of none."""
+    only = DVS128.fix({name: None for name in DVS128.free if name != "sf_cutoff_hz"})
+    recording = simulate(only, sine(24.0, duration_s=0.3), width=2, height=1)
+    result = fit([recording], only, starts=0)
+    assert set(profiled(result, [recording]).details["profiles"]) == {"sf_cutoff_hz"}
 
 
 def test_gauge_is_checked_before_anything_runs(session):
