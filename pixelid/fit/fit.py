@@ -39,7 +39,7 @@ from pixelid.model.model import Model
 from pixelid.parameters.gauge import Gauge
 from pixelid.provenance import input_hashes, versions
 from pixelid.recordings.recording import Recording
-from pixelid.recordings.selection import few
+from pixelid.recordings.selection import few, unit_of_light
 from pixelid.recordings.sensor_light import is_measured, light_caveats
 
 Progress = Callable[[str, float], None]
@@ -76,7 +76,7 @@ def fit(
 
     Args:
         recordings: one or more, of the same sensor.
-        model: what to fit; its values are the start.
+        model: what to fit; its values are the start, taken as numbers in the unit of the recordings' light.
         gauge: statements that make physical values unique, instead of the model's own; refused when incomplete or
             over-determined.
         fixed: nuisances of the recordings to hold ("stimulus.gain", "pooled.pixels", "alignment.delay_s[NAME]",
@@ -101,7 +101,8 @@ def fit(
         The values with their intervals, and how the fit ended.
 
     Raises:
-        InputError: recordings that cannot be fitted together, an impossible gauge, or a form that the circuit lacks.
+        InputError: recordings that cannot be fitted together (with light in several units, for one), an impossible
+            gauge, or a form that the circuit lacks.
     """
     watch = Stopwatch()
     maximiser = engine_named(engine)
@@ -120,6 +121,7 @@ def fit(
         raise InputError("some recordings are pooled and some have pixels; fit them separately")
     for recording in recordings:
         recording.check_stimulus_covers_events()
+    model = model.with_radiance_in(unit_of_light(recordings))
     wanted = Wanted.of(pixel_levels)
     if wanted is not None:
         wanted.check(recordings, model, form)

@@ -22,7 +22,7 @@ from pixelid.gap.search import search
 from pixelid.gap.split import MIN_PIXELS
 from pixelid.model.model import Model
 from pixelid.recordings.recording import Recording
-from pixelid.recordings.selection import named_apart
+from pixelid.recordings.selection import named_apart, unit_of_light
 from pixelid.status import Status
 
 
@@ -71,7 +71,7 @@ def gap(
         ('named', ['leak'])
     """
     check_searchable(recordings, model, alpha)
-    recordings = named_apart(recordings)
+    recordings, model = named_apart(recordings), model.with_radiance_in(unit_of_light(recordings))
     wanted = Wanted.of(pixel_levels)
     lacking = (leave_out,) if isinstance(leave_out, str) else tuple(leave_out)
     for name in lacking:

@@ -156,6 +156,20 @@ class Model:
                 f"{did_you_mean(name, self.parameters)}"
             ) from None
 
+    def with_radiance_in(self, unit: str | None) -> Model:
+        """The model with the numbers it has, said to be of radiance in `unit` (None: as before); nothing is converted.
+
+        Priors learned in another unit say nothing of numbers in this one: they are left out of what goes with radiance.
+        """
+        old = self.radiance_unit
+        if unit is None or old.replace("²", "2") == unit:
+            return self
+        parameters = {name: replace(p, unit=p.unit.replace(old, "radiance")) for name, p in self.parameters.items()}
+        for name, p in parameters.items():
+            if old not in ("radiance", "relative") and "radiance" in p.unit and p.unit != "log radiance":
+                parameters[name] = replace(p, prior=None)
+        return replace(self, parameters=parameters, radiance_unit=unit)
+
     def with_nuisances(self, values: Mapping[str, Mapping[str, float]]) -> Model:
         """The model with values that recordings have for themselves: parameter → recording → value, free in fits.
 

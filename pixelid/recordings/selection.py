@@ -9,6 +9,7 @@ import numpy as np
 
 from pixelid.errors import InputError
 from pixelid.recordings.recording import Recording
+from pixelid.stimuli.stimulus import WITHOUT_SCALE
 
 LONGEST_SIDE_PIXELS = 65536  # addresses are 16 bits wide
 
@@ -48,6 +49,18 @@ def named_apart(recordings: Sequence[Recording]) -> list[Recording]:
         taken.add(name)
         named.append(r if name == r.name else replace(r, label=name))
     return named
+
+
+def unit_of_light(recordings: Sequence[Recording]) -> str | None:
+    """The unit of the recordings' light; None where it is known up to a factor only, or not at all.
+
+    Raises:
+        InputError: lights in more than one unit, whose radiances no circuit can share.
+    """
+    units = {r.stimulus.unit for r in recordings if r.stimulus is not None} - {*WITHOUT_SCALE}
+    if len(units) > 1:
+        raise InputError(f"expected recordings whose light is in one unit, found {', '.join(sorted(units))}")
+    return next(iter(units), None)
 
 
 def only(recordings: Sequence[Recording], pixels: np.ndarray) -> list[Recording]:

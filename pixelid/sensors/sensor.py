@@ -23,6 +23,7 @@ from pixelid.outputs import plain, set_aside, whole_file, write_json
 from pixelid.provenance import input_hashes, versions
 from pixelid.recordings.events import MOST_SIDE
 from pixelid.recordings.recording import Recording
+from pixelid.recordings.selection import unit_of_light
 from pixelid.results import Result, Table, check_kinds, read_result, required
 from pixelid.sensors.map import Map
 from pixelid.sensors.profile import REACH, Plan, estimate_tile
@@ -220,7 +221,7 @@ def fit_sensor(
     """
     begun = time.perf_counter()
     report = progress or (lambda what, fraction: None)
-    recordings = [r.within_stimulus() for r in recordings]
+    recordings, model = [r.within_stimulus() for r in recordings], model.with_radiance_in(unit_of_light(recordings))
     width, height = common_size(recordings)
     if block < 1 or tile < 1 or replicates < 0:
         raise InputError(f"expected block ≥ 1, tile ≥ 1, replicates ≥ 0, found {block}, {tile}, {replicates}")

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from jaxtyping import Float, Float64
 
 UNITS = ("relative", "lux", "W/m2", "fA", "shape")
+WITHOUT_SCALE = ("relative", "shape")  # units that say nothing of how bright the light was
 INTERPOLATIONS = ("linear", "previous")
 
 

@@ -217,6 +217,22 @@ def test_set_fix_release(dvs128):
         dvs128.set({"on_threshold": -0.1})
 
 
+def test_numbers_in_another_unit_of_light(dvs128):
+    """The numbers stay; what was learned per fA is no prior of a number per lux."""
+    dark = dvs128.with_effect("dark_current").set({"dark_current.radiance": 2.0})
+    told = {name: replace(p, prior=Prior(0.0, 1.0)) for name, p in dark.parameters.items()}
+    model = replace(dark, parameters=told).with_radiance_in("lux")
+    assert model.radiance_unit == "lux"
+    assert model.values == dark.values
+    assert [model.parameter(name).unit for name in ("alpha", "gamma")] == ["1/s²/radiance", "1/s/radiance"]
+    lost = {name for name, p in model.parameters.items() if p.prior is None}
+    assert lost == {"alpha", "gamma", "dark_current.radiance"}
+    assert replace(model, radiance_unit="W/m²").with_radiance_in("W/m2").parameters == model.parameters
+    unsaid = replace(model, radiance_unit="radiance").with_radiance_in("lux")
+    assert unsaid.parameters == model.parameters
+    assert unsaid.radiance_unit == "lux"
+
+
 def test_parameters_and_effects_must_match(dvs128):
     surplus = {**dvs128.parameters, "leak.rate_hz": LIBRARY["leak"].parameters[0]}
     with pytest.raises(InputError, match=r"parameters without their effect: leak\.rate_hz"):
