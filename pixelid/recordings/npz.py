@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import tempfile
 import zipfile
 import zlib
@@ -146,14 +147,19 @@ def _stimulus_arrays(archive) -> dict[str, np.ndarray] | None:
 
 
 def floats_to_ns(t: np.ndarray, unit: str, where: str) -> np.ndarray:
-    """(n,) int64 nanoseconds from (n,) floating times; raises InputError for NaN and times beyond 64 bits."""
+    """(n,) int64 nanoseconds from (n,) floating times, to the last decimal that all of them can carry.
+
+    A double at 1.7e9 s is a multiple of 0.24 µs: what was written in µs would show a clock of that instead.
+    Raises InputError for NaN and times beyond 64 bits.
+    """
     if not np.isfinite(t).all():
         raise InputError(f"{where}/t: expected finite times, event {int(np.argmin(np.isfinite(t)))} has none")
     nanoseconds = t.astype(np.float64) * NS_PER_UNIT[unit]
     if len(t) and np.abs(nanoseconds).max() >= 9.2e18:
         found = f"{np.abs(t).max():g} {unit}"
         raise InputError(f"{where}/t: expected times that fit 64 bits in nanoseconds, found {found}")
-    return np.rint(nanoseconds).astype(np.int64)
+    last = 10 ** math.ceil(math.log10(max(1.0, np.spacing(np.abs(nanoseconds).max(initial=0.0)))))
+    return np.rint(nanoseconds / last).astype(np.int64) * last
 
 
 def _column(archive, letter: str, where: str) -> np.ndarray:

@@ -125,7 +125,10 @@ def _order(line: str, path: Path) -> list[int]:
     names = [name.strip().lower() for name in line.replace(",", " ").split()]
     columns = [next((k for k, name in enumerate(names) if name in NAMES[letter]), None) for letter in "txyp"]
     if any(k is None for k in columns):
-        raise InputError(f"{path}: header: expected columns t, x, y, p, found {', '.join(names)[:80]}")
+        raise InputError(
+            f"{path}: header: expected columns t, x, y, p (t in whole µs, or in s with a point), found "
+            f"{', '.join(names)[:80]}"
+        )
     return [k for k in columns if k is not None]
 
 

@@ -101,6 +101,11 @@ def test_dsec_style_file(tmp_path):
 def test_text_of_seconds_and_named_columns(tmp_path):
     (tmp_path / "events.txt").write_text("0.003811 96 133 0\n0.0038111 96 134 1\n")
     assert open_recording(tmp_path / "events.txt").events.t.tolist() == [3_811_000, 3_811_100]
+    (tmp_path / "epoch.txt").write_text("1700000000.123457 96 133 0\n1700000000.200003 96 134 1\n")
+    written = [1_700_000_000_123_457_000, 1_700_000_000_200_003_000]
+    assert open_recording(tmp_path / "epoch.txt").events.t.tolist() == written
+    np.savez(tmp_path / "epoch.npz", t=1e-9 * np.array(written), x=[96, 96], y=[133, 134], p=[0, 1])
+    assert open_recording(tmp_path / "epoch.npz").events.t.tolist() == written
     (tmp_path / "events.csv").write_text("x,y,polarity,timestamp\n3,4,1,17\n")
     events = open_recording(tmp_path / "events.csv").events
     assert (events.t[0], events.x[0], events.y[0], events.p[0]) == (17_000, 3, 4, 1)
