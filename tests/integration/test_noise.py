@@ -21,7 +21,7 @@ from pixelid.tables.fit import fit_at
 from pixelid.tables.noise import fit as search
 from pixelid.tables.noise.first_passage import mean_rates
 from pixelid.tables.noise.fit import Linearised, fit_noise, started
-from pixelid.tables.noise.model import FA_PER_LUX, NoiseModel, in_unit
+from pixelid.tables.noise.model import FA_PER_LUX, FA_PER_UNIT, NoiseModel, in_unit
 from pixelid.tables.noise.reading import read_noise_tables, reduced_recordings
 from pixelid.tables.noise.result import model_beside, model_scales, predicted_result
 from pixelid.tables.result import table_result
@@ -158,6 +158,16 @@ def test_a_knee_is_in_the_unit_of_light():
     assert other / one == pytest.approx(
         in_unit(dark, "lux").values["dark_current.radiance"] / dark.values["dark_current.radiance"]
     )
+
+
+@pytest.mark.parametrize("name", ["dvs128", "gen31"])
+def test_shot_noise_of_a_circuit_that_has_none_is_that_of_a_photocurrent(name):
+    """The library's density is in fA: taken as one in W/m² it was five thousand times too high under gen31."""
+    model = find_model(name).without_effect("shot_noise")
+    density = {unit: in_unit(model, unit).values["shot_noise.density"] for unit in FA_PER_UNIT}
+    assert density == pytest.approx({unit: 3.2e-4 / fa for unit, fa in FA_PER_UNIT.items()})
+    known = model.with_effect("shot_noise", {"density": 1e-6})
+    assert in_unit(known, model.radiance_unit).values["shot_noise.density"] == 1e-6
 
 
 def test_described_effects_are_in_the_unit_of_light():

@@ -204,12 +204,16 @@ def in_unit(model: Model, unit: str) -> Model:
     """A model with shot noise whose radiance is in the unit of a table.
 
     A radiance in fA becomes one in lux or W/m² at `FA_PER_LUX`: rates per radiance grow, densities shrink by it.
+    The density of a model without shot noise is that of a photocurrent, which the library states in fA.
 
     Raises:
         InputError: no factor is known between the two units.
     """
+    own, bare = model.radiance_unit, not model.has("shot_noise")
     model = model.with_effect("shot_noise")
-    own = model.radiance_unit
+    if bare:
+        density = model.values["shot_noise.density"] / FA_PER_UNIT.get(own, 1.0)
+        model = model.set({"shot_noise.density": density})
     if own == unit or unit in ("relative", "radiance") or own in ("relative", "radiance"):
         return model
     if own not in FA_PER_UNIT or unit not in FA_PER_UNIT:
