@@ -1,13 +1,15 @@
 """Recordings as text: one event per line, `t x y p`, separated by spaces or commas.
 
-Lines that begin with `#` are comments; a line of column names may say another order.  Integer times are
-microseconds, times with a decimal point are seconds (the layout of the Event Camera Dataset's events.txt).
+Lines that begin with `#` are comments; a line of column names may say another order and a unit of the times (`t_us`,
+`timestamp [ns]`).  Otherwise integer times are microseconds, times with a decimal point seconds (the layout of the
+Event Camera Dataset's events.txt), and lines without names may be Metavision's, `x,y,p,t`.
 The project's own files carry a line `# {JSON}` with everything else, and the stimulus in `# stimulus {JSON}`.
 """
 
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import islice
@@ -18,7 +20,7 @@ import numpy as np
 from pixelid.errors import InputError, first_line, shown
 from pixelid.recordings import metadata
 from pixelid.recordings.columns import sensor_size, to_nanoseconds, validated
-from pixelid.recordings.events import Events
+from pixelid.recordings.events import NS_PER_UNIT, Events
 from pixelid.recordings.npz import NAMES, floats_to_ns
 from pixelid.recordings.parts import LongRecording, cut
 from pixelid.recordings.recording import Recording
@@ -26,6 +28,8 @@ from pixelid.stimuli.pixel_lights import PixelLights
 
 LINES_AT_ONCE = 1 << 19
 LINES_SEEN = 1 << 12  # that say whether times are whole microseconds or seconds
+TXYP, METAVISION = [0, 1, 2, 3], [3, 0, 1, 2]  # columns of t, x, y, p
+IN_UNIT = re.compile(r"(\w+?)(?:[\s_]+|\s*[\[(])(ns|[uµ]s|ms|s)[\])]?")  # t_us, timestamp [ns]
 
 
 def read(path: Path) -> Recording:
@@ -61,28 +65,30 @@ def _opened(path: Path):
     """Metadata, arrays of the stimulus or None, blocks of columns, unit and tick [ns] of the times."""
     try:
         with path.open(encoding="utf-8-sig") as file:
-            meta, stimulus, order, first = _header(file, path)
-            seconds = first is not None and _has_point([first, *islice(file, LINES_SEEN - 1)], order, path)
+            meta, stimulus, named, first = _header(file, path)
+            seen = [] if first is None else _rows([first, *islice(file, LINES_SEEN - 1)])
     except UnicodeDecodeError as error:
         raise InputError(f"{path}: expected text, found binary data") from error
-    unit = "ns" if seconds else meta.get("unit", "us")
-    tick_ns = meta.get("tick_ns", 1 if unit == "ns" else 1000)
+    order, told = named or (METAVISION if _is_metavision(seen) else TXYP, None)
+    point = _has_point(seen, order, path)
+    unit = told or ("s" if point else meta.get("unit", "us"))
+    tick_ns = meta.get("tick_ns", 1 if point else NS_PER_UNIT.get(unit, 1000))
 
     def blocks() -> Iterator[tuple]:
         try:
             with path.open(encoding="utf-8-sig") as file:
-                *_, order, first = _header(file, path)
+                *_, first = _header(file, path)
                 if first is not None:
-                    yield from _blocks(file, first, order, seconds, f"{path}: events")
+                    yield from _blocks(file, first, order, unit if point else None, f"{path}: events")
         except UnicodeDecodeError as error:
             raise InputError(f"{path}: expected text, found binary data") from error
 
-    return meta, stimulus, blocks(), unit, tick_ns
+    return meta, stimulus, blocks(), "ns" if point else unit, tick_ns
 
 
 def _header(file, path: Path):
-    """Metadata, arrays of the stimulus or None, column order of t, x, y, p, and the first line of numbers."""
-    meta, stimulus, order = {}, None, [0, 1, 2, 3]
+    """Metadata, arrays of the stimulus or None, what names of columns say or None, and the first line of numbers."""
+    meta, stimulus, named = {}, None, None
     for line in file:
         line = line.strip()
         if line.startswith("# {"):
@@ -91,14 +97,26 @@ def _header(file, path: Path):
             stimulus = _light(line[len("# stimulus ") :], f"{path}: stimulus")
         elif line and not line.startswith("#"):
             if not line[0].isalpha():
-                return meta, stimulus, order, line
-            order = _order(line, path)
-    return meta, stimulus, order, None
+                return meta, stimulus, named, line
+            named = _named(line, path)
+    return meta, stimulus, named, None
 
 
-def _has_point(lines: list[str], order: list[int], path: Path) -> bool:
-    """Whether any time in some lines has a decimal point or an exponent."""
-    rows = (line.replace(",", " ").split() for line in lines if line.strip() and not line.lstrip().startswith("#"))
+def _rows(lines: list[str]) -> list[list[str]]:
+    """The cells of those lines that are no comments."""
+    return [line.replace(",", " ").split() for line in lines if line.strip() and not line.lstrip().startswith("#")]
+
+
+def _is_metavision(rows: list[list[str]]) -> bool:
+    """Whether rows without names are `x y p t`: the last number is no polarity but a time, and the one before it is."""
+    if not all(len(row) == 4 and row[2] in ("0", "1") and row[3].isdecimal() for row in rows):
+        return False
+    t = [int(row[3]) for row in rows]
+    return bool(t) and max(t) > 1 and t == sorted(t)
+
+
+def _has_point(rows: list[list[str]], order: list[int], path: Path) -> bool:
+    """Whether any time in some rows has a decimal point or an exponent."""
     for k, cells in enumerate(rows):
         if len(cells) <= max(order):
             found = f"{len(cells)} in event {k}"
@@ -121,22 +139,27 @@ def _light(text: str, where: str) -> dict[str, np.ndarray]:
         raise InputError(f"{where}: expected t, radiance and dtype as JSON, found {found}") from error
 
 
-def _order(line: str, path: Path) -> list[int]:
-    names = [name.strip().lower() for name in line.replace(",", " ").split()]
-    columns = [next((k for k, name in enumerate(names) if name in NAMES[letter]), None) for letter in "txyp"]
+def _named(line: str, path: Path) -> tuple[list[int], str | None]:
+    """The columns of t, x, y, p by their names, and the unit of the times where that of t says one."""
+    names = [name.strip().lower() for name in (line.split(",") if "," in line else line.split())]
+    parts = [IN_UNIT.fullmatch(name) for name in names]
+    bare = [part[1] if part and part[1] in NAMES["t"] else name for name, part in zip(names, parts, strict=True)]
+    columns = [next((k for k, name in enumerate(bare) if name in NAMES[letter]), None) for letter in "txyp"]
     if any(k is None for k in columns):
         raise InputError(
             f"{path}: header: expected columns t, x, y, p (t in whole µs, or in s with a point), found "
             f"{', '.join(names)[:80]}"
         )
-    return [k for k in columns if k is not None]
+    order = [k for k in columns if k is not None]
+    of_time = parts[order[0]]
+    return order, of_time[2].replace("µ", "u") if of_time and bare[order[0]] != names[order[0]] else None
 
 
-def _blocks(file, first: str, order: list[int], seconds: bool, where: str):
-    """The columns (t int64 [ns when `seconds`], x, y, p) of successive blocks of lines."""
+def _blocks(file, first: str, order: list[int], unit: str | None, where: str):
+    """The columns (t int64 [ns when floats in `unit`], x, y, p) of successive blocks of lines."""
     delimiter = "," if "," in first else None
     lines, done = [first], 0
-    time = np.float64 if seconds else np.int64
+    time = np.int64 if unit is None else np.float64
     kinds = np.dtype([("t", time), ("x", np.int32), ("y", np.int32), ("p", np.int8)])
     while True:
         lines += islice(file, LINES_AT_ONCE - len(lines))
@@ -147,7 +170,7 @@ def _blocks(file, first: str, order: list[int], seconds: bool, where: str):
         except (ValueError, OverflowError) as error:
             reason = str(error).splitlines()[0]
             raise InputError(f"{where}: expected lines of t x y p after event {done}, found: {reason}") from error
-        t = floats_to_ns(block["t"], "s", where) if seconds else block["t"]
+        t = block["t"] if unit is None else floats_to_ns(block["t"], unit, where)
         yield t, block["x"].copy(), block["y"].copy(), block["p"].copy()
         done, lines = done + len(block), []
 

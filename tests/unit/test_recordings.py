@@ -111,6 +111,26 @@ def test_text_of_seconds_and_named_columns(tmp_path):
     assert (events.t[0], events.x[0], events.y[0], events.p[0]) == (17_000, 3, 4, 1)
 
 
+@pytest.mark.parametrize(
+    ("text", "t"),
+    [
+        ("t_us,x,y,p\n5,3,4,1\n17,3,4,0\n", [5_000, 17_000]),
+        ("timestamp [ns],x,y,polarity\n5,3,4,1\n17,3,4,0\n", [5, 17]),
+        ("x y t_ms p\n3 4 5 1\n3 4 17 0\n", [5_000_000, 17_000_000]),
+        ("t (µs),x,y,p\n5.0,3,4,1\n17.5,3,4,0\n", [5_000, 17_500]),
+        ("ts,x,y,p\n5,3,4,1\n17,3,4,0\n", [5_000, 17_000]),
+        ("3,4,1,5\n3,4,0,17\n", [5_000, 17_000]),  # Metavision's, without names
+        ("5,3,4,1\n17,3,4,0\n", [5_000, 17_000]),
+        ("0,3,4,1\n1,3,4,0\n", [0, 1_000]),
+    ],
+)
+def test_text_in_the_orders_and_units_that_programs_write(tmp_path, text, t):
+    (tmp_path / "events.csv").write_text(text)
+    events = open_recording(tmp_path / "events.csv").events
+    assert events.t.tolist() == t
+    assert (events.x.tolist(), events.y.tolist(), events.p.tolist()) == ([3, 3], [4, 4], [1, 0])
+
+
 def test_aedat2_bits_and_biases(tmp_path):
     header = b"#!AER-DAT2.0\n# AEChip: eu.seebetter.ini.chips.davis.DAVIS240C\n"
     header += b'#<entry key="DAVIS240C.Bias.PrBp" value="7"/>\n'
