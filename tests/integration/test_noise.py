@@ -20,7 +20,7 @@ from pixelid.stimuli.stimulus import Stimulus
 from pixelid.tables.fit import fit_at
 from pixelid.tables.noise import fit as search
 from pixelid.tables.noise.first_passage import mean_rates
-from pixelid.tables.noise.fit import Linearised, fit_noise, started
+from pixelid.tables.noise.fit import Linearised, fit_noise, started, starting_model
 from pixelid.tables.noise.model import FA_PER_LUX, FA_PER_UNIT, NoiseModel, in_unit
 from pixelid.tables.noise.reading import read_noise_tables, reduced_recordings
 from pixelid.tables.noise.result import model_beside, model_scales, predicted_result
@@ -48,6 +48,21 @@ def write_table(path, model, lights=LIGHTS, scatter=0.0):
 
 def run(*words):
     return main([str(word) for word in words])
+
+
+def test_searches_begin_behind_off_events_that_come_whatever_the_light(tmp_path):
+    """These would hide that ON events are far more frequent than OFF events of the noise."""
+    truth = planted(on_threshold=0.12, off_threshold=0.27)
+    lines = ["lux,ON_events_per_s_per_px,OFF_events_per_s_per_px"]
+    lights = (0.5, 1.0, 2.0, 5.0, 10.0, 30.0, 100.0, 300.0)
+    rates = [mean_rates(truth.circuit(), light) for light in lights]
+    floor = 0.2 * max(off for _, off in rates)
+    lines += [f"{light},{on:.6f},{off + floor:.6f}" for light, (on, off) in zip(lights, rates, strict=True)]
+    (tmp_path / "noise.csv").write_text("\n".join(lines) + "\n")
+    table = read_noise_tables([tmp_path / "noise.csv"])
+    start = started(starting_model(table, planted()), lambda what, share: None)[0].start
+    assert start["off_background.rate_hz"] == pytest.approx(floor, rel=0.2)
+    assert start["off_threshold"] / start["on_threshold"] == pytest.approx(0.27 / 0.12, rel=0.25)
 
 
 def test_a_planted_circuit_comes_back_and_predicts_other_lights(tmp_path):

@@ -9,12 +9,14 @@ errors of its own linearisation.
 
 Three searches by `ROUGH` rates of pixels that do not differ come near; the best goes on with what the model has of
 mismatch.  `WHOLE` rates, ten times dearer, are taken where that came to rest: what they differ by is added to the rough
-ones, and the search goes on until it stays where it is (Alexandrov & Lewis 2001, Optim. Eng. 2, 413).  Priors lie
-around the model's values, wherever a search begins.
+ones, and the search goes on until it stays where it is (Alexandrov & Lewis 2001, Optim. Eng. 2, 413).  Where no
+pixel's thresholds are alike, rough rates are those of typical pixels, and pixels that differ are in what is added
+only.  Priors lie around the model's values, wherever a search begins.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
 import time
 from collections.abc import Callable, Sequence
@@ -27,7 +29,7 @@ from pixelid.model.model import Model
 from pixelid.parameters.parameter import Parameter
 from pixelid.tables.fit import FREEDOM, MAX_SCATTER, TableFit, fit_at, fit_table
 from pixelid.tables.model import Rows
-from pixelid.tables.noise.model import BESIDE, FITTED, FLOOR, OFF_BACKGROUND, NoiseModel, in_unit
+from pixelid.tables.noise.model import BESIDE, FITTED, FLOOR, LEAST_HZ, OFF_BACKGROUND, NoiseModel, in_unit
 from pixelid.tables.noise.quadrature import ROUGH, WHOLE, Resolution
 from pixelid.tables.noise.reading import NoiseTable
 
@@ -54,8 +56,10 @@ FOLLOWER_STARTS = (0.1, 0.4, 1.0)
 # … and then on the dead time, which models of other sensors may have wrong by far
 DEAD_STARTS = (1.0, 3.0, 10.0, 30.0)
 NEAR_STARTS = (0.8, 0.9, 1.0, 1.1)  # factors on thresholds beside those
-# Between ln of the thresholds: a search that begins at equal ones, where rates may have a narrow maximum, stays there
-LEAST_RATIO, MOST_RATIO = 0.03, 0.1
+# Between ln of the thresholds: a search that begins at equal ones, where rates may have a narrow maximum, stays there.
+# The second, of rates at their maximum, also lets it begin far from that.
+LEAST_RATIO, MOST_RATIO, MOST_RATIO_AT_MAXIMUM = 0.03, 0.1, 1.0
+OF_QUIET = 0.9  # of the fewest OFF events in a table, to begin with whatever the light
 MOST_STARTS = 3  # that searches begin from
 DARK_LUX = 0.05  # typical of published sensors; a start, with a wide prior
 LEAK_HZ = 0.01  # the same: leak events of sensors are reported from 0.001 to 0.3 Hz
@@ -137,10 +141,11 @@ def fit_noise(table: NoiseTable, model: Model, progress: Callable[[str, float], 
         (_settled(start.of_equal_pixels, after(0.1 + 0.1 * k, 0.1), near=True), start) for k, start in enumerate(starts)
     ]
     best, noise = min(ends, key=lambda pair: (not pair[0].scale < MAX_SCATTER, pair[0].misfit))
-    end = _settled(noise, after(0.4, 0.2), best, near=True)
+    end = _settled(noise, after(0.4, 0.2), best, near=True) if noise.nearly_alike(best.x) else best
     for k in range(ROUNDS):
-        shift = _level(noise, end.x, WHOLE) - _level(noise, end.x, ROUGH)
-        before, end = end, _settled(noise, after(0.6 + 0.4 * k / ROUNDS, 0.4 / ROUNDS), end, shift)
+        rough = noise if noise.nearly_alike(end.x) else noise.of_typical_pixels(end.x)
+        shift = _level(noise, end.x, WHOLE) - _level(rough, end.x, ROUGH)
+        before, end = end, _settled(rough, after(0.6 + 0.4 * k / ROUNDS, 0.4 / ROUNDS), end, shift)
         if np.array_equal(end.x, before.x):
             break
     else:
@@ -271,20 +276,25 @@ def started(noise: NoiseModel, report: Callable[[str, float], None]) -> list[Noi
     part = NoiseTable(table.light[chosen], table.on[chosen], table.rate_hz[chosen], table.relative_error[chosen],
                       table.last_digit[chosen], np.zeros(int(chosen.sum()), int), {}, table.unit)  # fmt: skip
     known_light = table.unit == "fA" or bool(table.pixels)
-    lean = 0.5 * _threshold_ratio(part)
+    beside = dict(noise.beside)
+    if noise.fit_beside and (~table.on).any():
+        fewest = OF_QUIET * float(table.rate_hz[~table.on].min())
+        beside[OFF_BACKGROUND.name] = max(fewest, beside[OFF_BACKGROUND.name])
+    leans = {0.5 * _threshold_ratio(part), 0.5 * _threshold_ratio_at_maximum(table)}
 
     def tried(start: Model, factors: dict[str, float]) -> tuple[float, Model]:
         """How far ln rates are off on average where parameters are so many times a start's, and the model there."""
         scaled = {n: (p, p.value * factors[n]) for n, p in start.parameters.items() if n in factors}
         trial = start.set({n: p.within(v) for n, (p, v) in scaled.items()})
-        at = NoiseModel(part, trial, noise.beside)
+        at = NoiseModel(part, trial, beside)
         (rates,) = at.predict_many([_start(at)], ROUGH)
         return float(np.abs(np.log(part.rate_hz) - np.log(rates)).mean()), trial
 
     best: dict[float, tuple[float, Model]] = {}  # photocurrent, or where that is known follower → (cost, model)
     grid = [(lit, slow) for lit in ((1.0,) if known_light else LIGHT_STARTS) for slow in FOLLOWER_STARTS]
     for lit, slow in grid:
-        for f in THRESHOLD_STARTS * math.sqrt(lit):  # behind a photoreceptor of bandwidth ∝ light σ² ∝ D α
+        # behind a photoreceptor of bandwidth ∝ light σ² ∝ D α
+        for f, lean in itertools.product(THRESHOLD_STARTS * math.sqrt(lit), sorted(leans)):
             factors = {"on_threshold": f * math.exp(lean), "off_threshold": f * math.exp(-lean), "alpha": lit,
                        "gamma": lit, "alpha_over_beta": lit, "sf_cutoff_hz": slow}  # fmt: skip
             one = tried(plain, factors)
@@ -301,7 +311,7 @@ def started(noise: NoiseModel, report: Callable[[str, float], None]) -> list[Noi
         ranked.sort(key=lambda start: start[0])
     report("fitting", 0.1)
     own = [n for n in plain.parameters if n in FITTED]
-    return [replace(noise, start={n: start.values[n] for n in own}) for _, start in ranked]
+    return [replace(noise, start={n: start.values[n] for n in own} | beside) for _, start in ranked]
 
 
 def _threshold_ratio(table: NoiseTable) -> float:
@@ -310,6 +320,20 @@ def _threshold_ratio(table: NoiseTable) -> float:
     rates = [[table.rate_hz[(table.light == x) & (table.on == on)].mean() for on in (True, False)] for x in lights]
     ratio = float(np.median([math.log(off / on) for on, off in rates])) if rates else 0.0
     return math.copysign(min(max(abs(ratio), LEAST_RATIO), MOST_RATIO), ratio)
+
+
+def _threshold_ratio_at_maximum(table: NoiseTable) -> float:
+    """The same of the light that makes most events, without those that come whatever the light."""
+    lights = sorted(set(table.light[table.on].tolist()) & set(table.light[~table.on].tolist()))
+    if not lights:
+        return LEAST_RATIO
+    on, off = (
+        np.array([table.rate_hz[(table.light == x) & (table.on == p)].mean() for x in lights]) for p in (True, False)
+    )
+    most = int(np.argmax(on + off))
+    above = [max(float(rates[most] - rates.min()), 1e-3 * float(rates[most]), LEAST_HZ) for rates in (on, off)]
+    ratio = math.log(above[1] / above[0])
+    return math.copysign(min(max(abs(ratio), LEAST_RATIO), MOST_RATIO_AT_MAXIMUM), ratio)
 
 
 def _linearise(noise: NoiseModel, x: np.ndarray, level: np.ndarray, resolution: Resolution) -> Linearised:

@@ -91,8 +91,8 @@ class NoiseModel:
             prior = Prior(math.log(_inside(p, p.value)), WIDE_SD if wide else PRIOR_SD)
             found.append(replace(p, value=_inside(p, self.start.get(name, p.value)), prior=prior))
         for p in BESIDE.values() if self.fit_beside else ():
-            value = self.beside[p.name]
-            found.append(replace(p, value=value, prior=Prior(math.log(value), WIDE_SD)))
+            prior = Prior(math.log(self.beside[p.name]), WIDE_SD)
+            found.append(replace(p, value=self.start.get(p.name, self.beside[p.name]), prior=prior))
         for group in self._scaled:
             found.append(Parameter(f"light_scale[{group}]", 1.0, "1", 1e-2, 1e2, "log", prior=Prior(0.0, PRIOR_SD)))
         return tuple(found)
@@ -109,12 +109,12 @@ class NoiseModel:
         return replace(equal, circuit=equal.circuit.without_effect("threshold_noise"))
 
     def of_typical_pixels(self, x: np.ndarray) -> NoiseModel:
-        """The same, ten times faster, with pixels that differ replaced by those typical at coordinates x.
+        """The same, several times faster, with pixels that differ replaced by those typical at coordinates x.
 
         Their ln rates differ from those of all by what hardly changes with the coordinates, thresholds that are nearly
         alike excepted (`quadrature.mismatch_draws`).
         """
-        if not self.circuit.has("threshold_mismatch"):
+        if self.typical is not None or not self.circuit.has("threshold_mismatch"):
             return self
         values = self._values(x)
         lights, _ = self._lights(values)
