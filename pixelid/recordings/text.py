@@ -142,17 +142,17 @@ def _light(text: str, where: str) -> dict[str, np.ndarray]:
 def _named(line: str, path: Path) -> tuple[list[int], str | None]:
     """The columns of t, x, y, p by their names, and the unit of the times where that of t says one."""
     names = [name.strip().lower() for name in (line.split(",") if "," in line else line.split())]
-    parts = [IN_UNIT.fullmatch(name) for name in names]
-    bare = [part[1] if part and part[1] in NAMES["t"] else name for name, part in zip(names, parts, strict=True)]
-    columns = [next((k for k, name in enumerate(bare) if name in NAMES[letter]), None) for letter in "txyp"]
+    unit = None
+    for k, name in enumerate(names):
+        if (parts := IN_UNIT.fullmatch(name)) and parts[1] in NAMES["t"]:
+            names[k], unit = parts[1], parts[2].replace("µ", "u")
+    columns = [next((k for k, name in enumerate(names) if name in NAMES[letter]), None) for letter in "txyp"]
     if any(k is None for k in columns):
         raise InputError(
             f"{path}: header: expected columns t, x, y, p (t in whole µs, or in s with a point), found "
             f"{', '.join(names)[:80]}"
         )
-    order = [k for k in columns if k is not None]
-    of_time = parts[order[0]]
-    return order, of_time[2].replace("µ", "u") if of_time and bare[order[0]] != names[order[0]] else None
+    return [k for k in columns if k is not None], unit
 
 
 def _blocks(file, first: str, order: list[int], unit: str | None, where: str):

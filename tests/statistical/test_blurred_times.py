@@ -69,20 +69,18 @@ def test_a_leak_behind_blurred_stamps_is_named_as_well(blur):
 
 
 @pytest.mark.slow
-def test_what_stands_in_for_a_jitter_at_first_is_taken_back():
-    """Before the dark current is known a slew limit takes the jitter's place, and times drawn with it would keep it."""
-    darker = CAMERA.with_effect("dark_current", {"radiance": 4.0})
-    verdict, names, values = found(session(darker, 31, jitter_s=1.5 * DEAD_S))
-    assert (verdict, names) == ("named", {"timestamp_jitter", "dark_current"})
-    assert values["timestamp_jitter.sigma_s"] == pytest.approx(1.5 * DEAD_S, rel=0.05)
-    assert values["dark_current.radiance"] == pytest.approx(4.0, rel=0.05)
-
-
-@pytest.mark.slow
-def test_a_light_floor_behind_a_jitter_of_dead_times_is_named_as_well():
-    """Stamps in the wrong order first make the floor too bright; behind the jitter it is right."""
-    floored = CAMERA.with_effect("bandwidth_floor", {"radiance": 20.0})
-    verdict, names, values = found(session(floored, 8, jitter_s=2.0 * DEAD_S))
-    assert (verdict, names) == ("named", {"timestamp_jitter", "bandwidth_floor"})
-    assert values["timestamp_jitter.sigma_s"] == pytest.approx(2.0 * DEAD_S, rel=0.05)
-    assert values["bandwidth_floor.radiance"] == pytest.approx(20.0, rel=0.2)
+@pytest.mark.parametrize(
+    ("effect", "strength", "seed", "dead_times", "within"),
+    [
+        # a slew limit takes the jitter's place before the dark current is known, and times drawn with it would keep it
+        ("dark_current", 4.0, 31, 1.5, 0.05),
+        # stamps in the wrong order first make the floor too bright; behind the jitter it is right
+        ("bandwidth_floor", 20.0, 8, 2.0, 0.2),
+    ],
+)
+def test_light_in_the_pixel_behind_a_jitter_of_dead_times_is_named_as_well(effect, strength, seed, dead_times, within):
+    camera = CAMERA.with_effect(effect, {"radiance": strength})
+    verdict, names, values = found(session(camera, seed, jitter_s=dead_times * DEAD_S))
+    assert (verdict, names) == ("named", {"timestamp_jitter", effect})
+    assert values["timestamp_jitter.sigma_s"] == pytest.approx(dead_times * DEAD_S, rel=0.05)
+    assert values[f"{effect}.radiance"] == pytest.approx(strength, rel=within)

@@ -316,24 +316,30 @@ def started(noise: NoiseModel, report: Callable[[str, float], None]) -> list[Noi
 
 def _threshold_ratio(table: NoiseTable) -> float:
     """ln of ON over OFF threshold where a search begins: behind a short dead time N_on C_on = N_off C_off."""
-    lights = sorted(set(table.light[table.on].tolist()) & set(table.light[~table.on].tolist()))
-    rates = [[table.rate_hz[(table.light == x) & (table.on == on)].mean() for on in (True, False)] for x in lights]
-    ratio = float(np.median([math.log(off / on) for on, off in rates])) if rates else 0.0
-    return math.copysign(min(max(abs(ratio), LEAST_RATIO), MOST_RATIO), ratio)
+    on, off = _paired_rates(table)
+    return _apart(float(np.median(np.log(off / on))) if len(on) else 0.0, MOST_RATIO)
 
 
 def _threshold_ratio_at_maximum(table: NoiseTable) -> float:
     """The same of the light that makes most events, without those that come whatever the light."""
-    lights = sorted(set(table.light[table.on].tolist()) & set(table.light[~table.on].tolist()))
-    if not lights:
-        return LEAST_RATIO
-    on, off = (
-        np.array([table.rate_hz[(table.light == x) & (table.on == p)].mean() for x in lights]) for p in (True, False)
-    )
+    on, off = _paired_rates(table)
+    if not len(on):
+        return _apart(0.0, MOST_RATIO)
     most = int(np.argmax(on + off))
-    above = [max(float(rates[most] - rates.min()), 1e-3 * float(rates[most]), LEAST_HZ) for rates in (on, off)]
-    ratio = math.log(above[1] / above[0])
-    return math.copysign(min(max(abs(ratio), LEAST_RATIO), MOST_RATIO_AT_MAXIMUM), ratio)
+    of_on, of_off = (max(float(r[most] - r.min()), 1e-3 * float(r[most]), LEAST_HZ) for r in (on, off))
+    return _apart(math.log(of_off / of_on), MOST_RATIO_AT_MAXIMUM)
+
+
+def _paired_rates(table: NoiseTable) -> tuple[np.ndarray, np.ndarray]:
+    """(lights,) mean ON and OFF rates at the lights that have both."""
+    lights = sorted(set(table.light[table.on].tolist()) & set(table.light[~table.on].tolist()))
+    on, off = ([table.rate_hz[(table.light == x) & (table.on == p)].mean() for x in lights] for p in (True, False))
+    return np.array(on), np.array(off)
+
+
+def _apart(ratio: float, most: float) -> float:
+    """A ratio of thresholds no nearer to 0 than `LEAST_RATIO`, and no farther than `most`."""
+    return math.copysign(min(max(abs(ratio), LEAST_RATIO), most), ratio)
 
 
 def _linearise(noise: NoiseModel, x: np.ndarray, level: np.ndarray, resolution: Resolution) -> Linearised:
