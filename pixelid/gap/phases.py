@@ -11,6 +11,7 @@ class Phase(Enum):
     UNDO_READOUT = "undo the readout"
     NAME = "name an effect"
     SHOT_NOISE = "look for shot noise"
+    BESIDE_SHOT_NOISE = "look beside shot noise"
     DISCOUNT = "discount imputation noise"
     WITHDRAW = "withdraw"
     CONFIRM = "confirm"

@@ -1,7 +1,7 @@
 """The search as a fold: each step takes the state and gives the next one, until the last gives the report.
 
-undo_readout → name_effect (again and again) → ask_again → try_shot_noise → discount_imputation_noise → withdraw →
-confirm
+undo_readout → name_effect (again and again) → ask_again → try_shot_noise → name_beside_shot_noise (again and again) →
+discount_imputation_noise → withdraw → confirm
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ from pixelid.gap.steps.ask_again import ask_again
 from pixelid.gap.steps.confirm import confirm
 from pixelid.gap.steps.discount_imputation_noise import discount_imputation_noise
 from pixelid.gap.steps.explain_by_shot_noise import try_before_second_effect, try_shot_noise
+from pixelid.gap.steps.name_beside_shot_noise import name_beside_shot_noise
 from pixelid.gap.steps.name_effect import name_effect
 from pixelid.gap.steps.undo_readout import undo_readout
 from pixelid.gap.steps.withdraw import withdraw
@@ -70,6 +71,7 @@ STEPS: Mapping[Phase, Step[State]] = {
     Phase.UNDO_READOUT: undo_readout,
     Phase.NAME: name_next,
     Phase.SHOT_NOISE: try_shot_noise,
+    Phase.BESIDE_SHOT_NOISE: name_beside_shot_noise,
     Phase.DISCOUNT: discount_imputation_noise,
     Phase.WITHDRAW: withdraw,
     Phase.CONFIRM: confirm,

@@ -43,14 +43,14 @@ def try_before_second_effect(state: State, context: Context) -> State:
     if not looks_like_shot_noise(first.seen, context.options.criteria):
         return state
     state = explain_by_shot_noise(state, (Trial(first, 0), Trial(None, 0), Trial(state.hypothesis, 1)), context)
-    return state if state.shot_noise is None else state.then(Phase.DISCOUNT)
+    return state if state.shot_noise is None else state.then(Phase.BESIDE_SHOT_NOISE)
 
 
 def try_shot_noise(state: State, context: Context) -> State:
     """Shot noise tried when nothing else can be named: in place of all that was, and beside it."""
     trials = tuple(Trial(step.before, 0) for step in state.steps[:1])
     trials = (*trials, Trial(state.hypothesis, len(state.steps)))
-    return explain_by_shot_noise(state, trials, context).then(Phase.DISCOUNT)
+    return explain_by_shot_noise(state, trials, context).then(Phase.BESIDE_SHOT_NOISE)
 
 
 def explain_by_shot_noise(state: State, trials: tuple[Trial, ...], context: Context) -> State:

@@ -63,11 +63,11 @@ def _named_one_more(state: State, context: Context) -> State:
         return _with_jitter_instead(state, state, attribution, context)
     standing = stands(evidence, hypothesis.fit, hypothesis.seen, winner, context.options, context.cache)
     if standing.hopeless:
-        refused = _refused(state, winner, "a flexible alternative explains more, and leaves it little to explain")
+        refused = with_refused(state, winner, "a flexible alternative explains more, and leaves it little to explain")
         return _with_jitter_instead(refused, state, attribution, context)
     if winner.effect == LOST and _is_misplaced(state, winner.end.model, hypothesis.fit.model, context):
-        return _without_lost(_refused(state, winner, ONLY_WHERE_DRAWN))
-    accepted = _accepted(state, winner, attribution, standing.firm)
+        return _without_lost(with_refused(state, winner, ONLY_WHERE_DRAWN))
+    accepted = with_accepted(state, winner, attribution, standing.firm)
     if winner.effect == JITTER:
         coarse = _behind_coarse_jitter(state, attribution, context) if _is_astray(state, context) else None
         if coarse is not None:
@@ -77,7 +77,7 @@ def _named_one_more(state: State, context: Context) -> State:
             other = _another_first(replace(state, jitter_given_up=True), attribution, context)
             grown = grown if other is None else other
     else:
-        grown = _with_jitter_instead(_grown(accepted, winner, evidence, context), state, attribution, context)
+        grown = _with_jitter_instead(grown_by(accepted, winner, evidence, context), state, attribution, context)
     return grown.then(_next(grown))
 
 
@@ -117,11 +117,11 @@ def restart(state: State, context: Context) -> Model | None:
     return hypothesis.start if astray or not hypothesis.fit.converged else None
 
 
-def _refused(state: State, winner: Candidate[Maximum], why: str) -> State:
+def with_refused(state: State, winner: Candidate[Maximum], why: str) -> State:
     return replace(state, rounds=amended(state.rounds, -1, refused=f"{winner.effect}: {why}"))
 
 
-def _accepted(state: State, winner: Candidate[Maximum], attribution: Attribution[Maximum], firm: bool) -> State:
+def with_accepted(state: State, winner: Candidate[Maximum], attribution: Attribution[Maximum], firm: bool) -> State:
     """The state with the winner among its steps, the hypothesis as it was."""
     hypothesis = state.hypothesis
     seen, noise = hypothesis.seen, relative_noise(hypothesis.fit.model)
@@ -130,7 +130,7 @@ def _accepted(state: State, winner: Candidate[Maximum], attribution: Attribution
     return replace(state, steps=(*state.steps, step), rounds=amended(state.rounds, -1, named=winner.effect))
 
 
-def _grown(state: State, winner: Candidate[Maximum], evidence: PixelEvidence, context: Context) -> State:
+def grown_by(state: State, winner: Candidate[Maximum], evidence: PixelEvidence, context: Context) -> State:
     """The state with the winner in its model, and without what the winner leaves nothing to explain."""
     hypothesis, cache, options = state.hypothesis, context.cache, context.options
     start = replace(hypothesis.start.with_effect(winner.effect), nuisances=winner.end.model.nuisances)
@@ -224,7 +224,7 @@ def _another_first(state: State, attribution: Attribution[Maximum], context: Con
     if standing.hopeless:
         return None
     state = replace(state, rounds=amended(state.rounds, -1, refused=f"{JITTER}: {UNLIKE_JITTER}"))
-    return _grown(_accepted(state, other, attribution, standing.firm), other, evidence, context)
+    return grown_by(with_accepted(state, other, attribution, standing.firm), other, evidence, context)
 
 
 def _with_jitter_instead(other: State, state: State, attribution: Attribution[Maximum], context: Context) -> State:
@@ -246,8 +246,9 @@ def _behind_coarse_jitter(state: State, attribution: Attribution[Maximum], conte
         return None
     context.report("timestamp_jitter", 0.5)
     tried = len(attribution.screened) + len(attribution.skipped)
-    shipped = {n: state.model.values[n] for n in (NOISE, DEAD_TIME) if n in hypothesis.start.free}
-    start = hypothesis.start.set(shipped)  # made feasible for stamps in the order in which they came
+    # made feasible for stamps in the order in which they came; a dead time named on the way is as it was added
+    shipped = {n: v for n, v in state.model.values.items() if n in (NOISE, DEAD_TIME) and n in hypothesis.start.free}
+    start = hypothesis.start.set(shipped)
     jitter = coarse_jitter(hypothesis.evidence, hypothesis.fit, start, tried, context.options.seed)
     if jitter is None or not may_be_named(jitter, context.options):
         return None
@@ -255,7 +256,7 @@ def _behind_coarse_jitter(state: State, attribution: Attribution[Maximum], conte
     attribution = replace(attribution, candidates=(jitter, *beside), winner=jitter, runners_up=())
     unable = impossible(hypothesis.fit.model)
     entry = attribution_entry(state.turn - 1, hypothesis.fit, hypothesis.seen, attribution, unable)
-    named = _accepted(replace(state, rounds=(*state.rounds[:-1], entry)), jitter, attribution, True)
+    named = with_accepted(replace(state, rounds=(*state.rounds[:-1], entry)), jitter, attribution, True)
     behind = _behind_jitter(named, jitter, context)
     if _is_unlike(behind, context) or _is_astray(behind, context):
         return None

@@ -1,0 +1,88 @@
+"""The step that looks for effects beside shot noise, in the likelihood that knows it.
+
+To the likelihood of the rounds shot noise is threshold noise, under which a pole or a floor goes unseen; and replicates
+of a model that lacks one may look as the measurement does, another pole in its place.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from pixelid.fit.maximise import Maximum
+from pixelid.fit.shot_noise import EFFECT
+from pixelid.gap.attribute.attribute import Attribution, Candidate, attribute, may_be_named
+from pixelid.gap.attribute.candidates import impossible, missing
+from pixelid.gap.attribute.pixels import candidates_of
+from pixelid.gap.attribute.significance import negligible
+from pixelid.gap.imputation.impute import JITTER
+from pixelid.gap.options import Context
+from pixelid.gap.phases import Phase
+from pixelid.gap.rounds import attribution_entry
+from pixelid.gap.shot_noise.beside import chance_of_excess, gains_without, settled_under_noise
+from pixelid.gap.shot_noise.shot_noise import ShotNoise, find_shot_noise
+from pixelid.gap.state import State
+from pixelid.gap.steps.name_effect import MAX_ROUNDS, grown_by, with_accepted, with_refused
+
+NO_EXCESS = "sessions simulated without it gain as much by it"
+NOT_WITH_NOISE = "with it in the model shot noise explains less"
+
+
+def name_beside_shot_noise(state: State, context: Context) -> State:
+    """The state with one effect more beside shot noise, to be asked again; where there is none, the next step's."""
+    noise = state.shot_noise
+    if noise is None or len(state.steps) >= MAX_ROUNDS:
+        return state.then(Phase.DISCOUNT)
+    context.report("beside shot noise", 0.72)
+    hypothesis, options = state.hypothesis, context.options
+    evidence, fit = settled_under_noise(hypothesis.evidence, hypothesis.model, context.cache)
+    skip = {*options.leave_out, *state.given_up, JITTER}
+    effects = [e for e in missing(fit.model) if e not in skip]
+    attribution = attribute(
+        candidates_of(evidence, fit.model, None, context.cache, context.work), effects, options,
+        lambda what: context.report(f"beside shot noise: {what}", 0.72),
+    )  # fmt: skip
+    entry = attribution_entry(len(state.rounds), fit, hypothesis.seen, attribution, impossible(fit.model))
+    state = replace(state, rounds=(*state.rounds, entry))
+    able = [c for c in attribution.candidates if may_be_named(c, options)]
+    winner = _most_in_excess(able, len(effects), state, context)
+    if winner is not None and winner.p < options.alpha_each:
+        more = _with(winner, attribution, noise, state, context)
+        if more is not None:
+            return more.then(Phase.BESIDE_SHOT_NOISE)
+        state = with_refused(state, winner, NOT_WITH_NOISE)
+    elif winner is not None:
+        state = with_refused(state, winner, NO_EXCESS)
+    return state.then(Phase.DISCOUNT)
+
+
+def _most_in_excess(
+    able: Sequence[Candidate[Maximum]], tried: int, state: State, context: Context
+) -> Candidate[Maximum] | None:
+    """The candidate whose gain is least by chance, beside what it gains in sessions without it; p: that chance."""
+    if not able:
+        return None
+    hypothesis = state.hypothesis
+    without = gains_without(hypothesis.evidence, hypothesis.model, able, context.options.seed, context.cache)
+    judged = [replace(c, p=chance_of_excess(c.gain, gains, tried)) for c, gains in zip(able, without, strict=True)]
+    return min(judged, key=lambda c: (c.p, -c.gain))
+
+
+def _with(
+    winner: Candidate[Maximum], attribution: Attribution[Maximum], noise: ShotNoise, state: State, context: Context
+) -> State | None:
+    """The state with an effect named and shot noise found anew beside it; None where that explains less then."""
+    bare = replace(winner, end=replace(winner.end, model=winner.end.model.without_effect(EFFECT)))
+    attribution = replace(attribution, winner=bare, runners_up=())
+    before = replace(state, hypothesis=replace(state.hypothesis, corrected=None))
+    evidence = before.hypothesis.evidence.weighed(before.hypothesis.fit.model.circuit())
+    more = grown_by(with_accepted(before, bare, attribution, True), bare, evidence, context)
+    step = replace(more.steps[-1], before=state.hypothesis)
+    hypothesis = more.hypothesis
+    found = find_shot_noise(hypothesis.evidence, hypothesis.fit, hypothesis.seen, context.options, context.cache)
+    if found is None or negligible(winner.effect, found.corrected.model, context.options.criteria):
+        return None
+    if found.corrected.seen.p < context.options.alpha_each and found.left > noise.left:
+        return None
+    hypothesis = replace(hypothesis, seen=found.corrected.seen, corrected=found.corrected)
+    return replace(more, steps=(*more.steps[:-1], step), hypothesis=hypothesis, shot_noise=found)
