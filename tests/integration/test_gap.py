@@ -31,6 +31,7 @@ from pixelid.gap.imputation.windows import jitter_windows, queue_windows, with_t
 from pixelid.gap.options import Context, Options
 from pixelid.gap.phases import Phase
 from pixelid.gap.search import begin
+from pixelid.gap.shot_noise.beside import chance_of_excess
 from pixelid.gap.split import split_pixels
 from pixelid.gap.steps import confirm as confirming
 from pixelid.gap.steps.describe_remainder import Described
@@ -416,6 +417,27 @@ def test_shot_noise_is_found_by_simulation(density):
     assert interval is not None
     assert interval[0] < density < interval[1]
     assert value == pytest.approx(density, rel=0.15)
+
+
+@pytest.mark.slow
+def test_a_missing_pole_is_named_beside_shot_noise():
+    """Maps of shot noise alone look like the measurement's, the other pole in the place of both."""
+    report = gap(session(MODEL.with_effect("shot_noise"), side=4, seed=2), MODEL.without_effect("source_follower_pole"))
+    assert (report.verdict, {e.name for e in report.effects}) == ("named", {"source_follower_pole", "shot_noise"})
+    _, interval = report.effects[0].parameters["sf_cutoff_hz"]
+    assert interval is not None
+    assert interval[0] < MODEL.values["sf_cutoff_hz"] < interval[1]
+
+
+def test_a_gain_that_sessions_without_the_effect_show_as_well_is_chance():
+    """Roots of twice a gain are normal about a share that comes of an approximation, each session's its own."""
+    rng = np.random.default_rng(0)
+    for usual in (0.0, 5.0, 30.0):
+        of_session = usual * (1.0 + 0.2 * rng.normal(size=(4000, 3)))
+        gains = 0.5 * np.maximum(of_session + rng.normal(size=(4000, 3)), 0.0) ** 2
+        p = np.array([chance_of_excess(one[0], one[1:], 1) for one in gains])
+        assert (p < 0.005).mean() < 0.009
+        assert chance_of_excess(0.5 * (2.5 * usual + 7.0) ** 2, gains[0, 1:], 10) < 0.005
 
 
 def test_a_pole_that_ran_away_comes_back():

@@ -23,6 +23,7 @@ from pixelid.gap.state import NamedStep
 from pixelid.gap.steps.name_effect import (
     NOTHING_LEFT_FOR_IT,
     ONLY_WHERE_DRAWN,
+    _behind_coarse_jitter,
     restart,
     without_misplaced,
     without_negligible,
@@ -205,3 +206,13 @@ def test_an_effect_that_times_drawn_anew_leave_nothing_is_withdrawn(complete, fr
     assert left.hypothesis.fit.model.has("lost_events") == left.hypothesis.start.has("lost_events") == stays
     assert len(left.steps) == int(stays)
     assert left.rounds[0].get("withdrawn") == (None if stays else NOTHING_LEFT_FOR_IT)
+
+
+def test_a_jitter_of_dead_times_is_looked_for_beside_a_dead_time_named_on_the_way():
+    """The base has no dead time whose shipped value the times could be followed from."""
+    lights = [chirp(400.0, stop_hz=400.0), steps(400.0, seed=3)]
+    state = begin(recorded(MODEL, lights, side=3), MODEL.without_effect("refractory_period"), CONTEXT)
+    start = state.hypothesis.start.with_effect("refractory_period")
+    fit = maximise(state.hypothesis.evidence.training, start, tolerance=0.1, max_steps=30)
+    state = replace(state, hypothesis=replace(state.hypothesis, fit=fit, start=start))
+    assert _behind_coarse_jitter(state, Attribution((), {}, None, (), {}), CONTEXT) is None
