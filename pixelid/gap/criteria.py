@@ -64,6 +64,9 @@ class Criteria:
             standard deviations of the distance between replicates of one model (√(n/2) of n = 400 cells: 14 nats).
         max_share_left_by_shot_noise: Of the distance without it that may remain.
         sufficient_p_shot_noise: Of what shot noise alone leaves, from which on nothing beside it is looked for.
+        artefact_error_share: Of the root of what effects gain under shot noise in sessions that lack them, by which
+            another session's differs: what the approximation leaves changes with how well the density is known (5 %)
+            and with what is missing.  Eleven sessions differed by up to 18 %.
         replicate_error_share: Of what shot noise explains by which replicates at the best density are off themselves.
         unexplained_overdispersion: Variance of the number of unexplained events over Poisson's: pixels share
             thresholds, so they come in groups.
@@ -97,6 +100,7 @@ class Criteria:
     min_shot_noise_gain_nats: float = 20.0
     max_share_left_by_shot_noise: float = 0.3
     sufficient_p_shot_noise: float = 0.05
+    artefact_error_share: float = 0.3
     replicate_error_share: float = 0.05
     unexplained_overdispersion: float = 2.0
     min_alternation_score: float = 5.0

@@ -435,9 +435,9 @@ def test_a_gain_that_sessions_without_the_effect_show_as_well_is_chance():
     for usual in (0.0, 5.0, 30.0):
         of_session = usual * (1.0 + 0.2 * rng.normal(size=(4000, 3)))
         gains = 0.5 * np.maximum(of_session + rng.normal(size=(4000, 3)), 0.0) ** 2
-        p = np.array([chance_of_excess(one[0], one[1:], 1) for one in gains])
+        p = np.array([chance_of_excess(one[0], one[1:], 1, Criteria()) for one in gains])
         assert (p < 0.005).mean() < 0.009
-        assert chance_of_excess(0.5 * (2.5 * usual + 7.0) ** 2, gains[0, 1:], 10) < 0.005
+        assert chance_of_excess(0.5 * (2.5 * usual + 7.0) ** 2, gains[0, 1:], 10, Criteria()) < 0.005
 
 
 def test_a_pole_that_ran_away_comes_back():

@@ -17,6 +17,7 @@ from pixelid.fit.again import simulate_again
 from pixelid.fit.cache import FitCache
 from pixelid.fit.maximise import Maximum, maximise
 from pixelid.gap.attribute.attribute import Candidate
+from pixelid.gap.criteria import Criteria
 from pixelid.gap.detect.pixels import PixelEvidence
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.likelihood.shot_noise import under_shot_noise
@@ -26,9 +27,6 @@ from pixelid.stages.circuit import Circuit
 REPLICATES = 2
 SEED_OFFSET = 7001  # of their seeds: none of those of `shot_noise.py` (31 apart)
 MAX_STEPS = 30  # of a fit
-# Of the root of a gain in replicates, by which another session's differs: what an approximation makes of effects that
-# are not there changes with how well the density is known (5 %), and with what the effect that is there does to it
-ARTEFACT_ERROR = 0.3
 
 
 def settled_under_noise(evidence: PixelEvidence, model: Model, cache: FitCache | None) -> tuple[PixelEvidence, Maximum]:
@@ -71,11 +69,11 @@ def _under(events: EventTimes, circuit: Circuit) -> EventTimes:
     return under_shot_noise(events.weighed(circuit), circuit)
 
 
-def chance_of_excess(gain: float, without: np.ndarray, tried: int) -> float:
+def chance_of_excess(gain: float, without: np.ndarray, tried: int, criteria: Criteria) -> float:
     """Chance of a gain where sessions without the effect gain as much as `without`, of `tried` effects.
 
     The root of twice a gain is about normal, of unit variance.
     """
     usual = float(np.mean(np.sqrt(2.0 * without)))
-    error = math.hypot(math.sqrt(1.0 + 1.0 / len(without)), ARTEFACT_ERROR * usual)
+    error = math.hypot(math.sqrt(1.0 + 1.0 / len(without)), criteria.artefact_error_share * usual)
     return min(1.0, tried * float(norm.sf((math.sqrt(2.0 * max(gain, 0.0)) - usual) / error)))

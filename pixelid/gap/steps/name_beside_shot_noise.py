@@ -64,7 +64,10 @@ def _most_in_excess(
         return None
     hypothesis = state.hypothesis
     without = gains_without(hypothesis.evidence, hypothesis.model, able, context.options.seed, context.cache)
-    judged = [replace(c, p=chance_of_excess(c.gain, gains, tried)) for c, gains in zip(able, without, strict=True)]
+    judged = [
+        replace(c, p=chance_of_excess(c.gain, gains, tried, context.options.criteria))
+        for c, gains in zip(able, without, strict=True)
+    ]
     return min(judged, key=lambda c: (c.p, -c.gain))
 
 
