@@ -220,6 +220,15 @@ def test_a_search_begins_near_the_dead_time_and_beside_equal_thresholds(tmp_path
     assert all([p.prior for p in start.parameters] == [p.prior for p in noise.parameters] for start in starts)
 
 
+def test_a_search_that_falls_short_of_another_s_end_is_given_up():
+    """One nat a step for sixty steps comes from 100 to 40, whatever it did first."""
+    visited = [300.0, *(100.0 - k for k in range(1, 12))]
+    assert not search._falls_short(visited, 45.0)
+    assert search._falls_short(visited, 35.0)
+    assert search._falls_short([100.0] * 12, 99.9)
+    assert not search._falls_short([100.0] * 4, 99.9)
+
+
 @pytest.mark.parametrize(("off", "rests"), [(0.02, True), (0.06, False)])
 def test_a_small_step_that_none_of_any_length_wins_counts_as_an_error(tmp_path, monkeypatch, off, rests):
     """Rates that stay where they are, whatever the step: as where their own errors undo what slopes promise."""
