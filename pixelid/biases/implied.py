@@ -32,6 +32,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from pixelid.biases.currents import Current, Currents
+from pixelid.statistics import Z95
 
 KAPPA = 0.7  # of NMOS and PMOS
 RESET_FARAD, RESET_VOLT = 20e-15, 0.8
@@ -40,7 +41,6 @@ SPLITTER_SD, LEAKAGE_A, MASTER_SD = 0.25, 1e-12, 0.2
 KAPPA_SD, GAIN_SD = 0.1, 0.2
 RESET_CAPACITOR_SD, RESET_SWING_SD = 0.4, 0.2
 LOAD_SD, TRANSCONDUCTANCE_SD, TEMPERATURE_SD = 0.2, 0.2, 0.07
-Z95 = 1.96
 LIMITED_BY_FOLLOWER = 0.5  # of the photoreceptor's current: beyond, the follower alone does not make the cutoff
 UNITS = {"on_threshold": "log radiance", "off_threshold": "log radiance", "refractory_s": "s", "sf_cutoff_hz": "Hz"}
 

@@ -20,7 +20,7 @@ from scipy.stats import t as student
 
 from pixelid.documents import interpreting, read_json
 from pixelid.errors import InputError, shown
-from pixelid.parameters.parameter import Z95
+from pixelid.statistics import Z95
 from pixelid.status import Status
 from pixelid.tables.rates.bias_law import LEAST_COLUMNS, MOST_MV
 from pixelid.tables.rates.square_wave import rate

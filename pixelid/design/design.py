@@ -16,8 +16,8 @@ from pixelid.errors import InputError
 from pixelid.fit.coordinates import Coordinates
 from pixelid.fit.shot_noise import EFFECT as SHOT_NOISE
 from pixelid.model.model import Model
-from pixelid.parameters.parameter import Z95
 from pixelid.recordings.recording import Recording
+from pixelid.statistics import Z95
 from pixelid.status import Status
 
 PRIOR_SD = 2.0  # of every coordinate before any data, in `Coordinates.longest_moves`: a factor e^±2, or 2 ms

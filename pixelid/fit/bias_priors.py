@@ -19,12 +19,12 @@ import numpy as np
 
 from pixelid.biases import Implied, Value, currents_of, has_jaer_biases, implied_by
 from pixelid.biases.currents import CHIPS
-from pixelid.biases.implied import Z95
 from pixelid.errors import InputError
 from pixelid.model.model import Model
 from pixelid.parameters.parameter import Prior
 from pixelid.recordings.recording import Recording
 from pixelid.results import Table, number
+from pixelid.statistics import Z95
 
 OPTION = "--bias-priors"
 LITTLE_ADDED = 0.9  # of a prior's deviation: the events then carry less than a fifth (1 − 0.9²) of the information

@@ -10,8 +10,8 @@ import numpy as np
 from pixelid.documents import read_json
 from pixelid.errors import InputError, shown
 from pixelid.model.model import Model
-from pixelid.parameters.parameter import Z95
 from pixelid.results import check_parameters, number_or_none
+from pixelid.statistics import Z95
 
 MOST_VARIANCE = 1e100  # larger ones overflow when they are factored
 WIDEST = 1.0  # standard deviation, in fitting coordinates, beyond which an open direction is not followed

@@ -30,6 +30,7 @@ from pixelid.model.model import Model
 from pixelid.recordings.own_light import with_fine_light
 from pixelid.recordings.recording import Recording
 from pixelid.simulate import simulate
+from pixelid.statistics import Z95
 from pixelid.stimuli.pixel_lights import in_a_row
 
 BINS = 100
@@ -258,7 +259,7 @@ def draw_unexplained(report: Searched, axes: Any = None) -> Any:
     sigma = 100.0 * report.model.values.get("threshold_sigma", 0.02)
     axis = axes if axes is not None else new_axis(7.5, 1.2 + 0.24 * len(order))
     axis.errorbar(
-        sigma * term.shift[order], range(len(order)), xerr=1.96 * sigma * term.se[order], fmt="o", color=UNEXPLAINED
+        sigma * term.shift[order], range(len(order)), xerr=Z95 * sigma * term.se[order], fmt="o", color=UNEXPLAINED
     )
     axis.set_yticks(range(len(order)), [term.labels[i] for i in order])
     axis.axvline(0, color=INK, linewidth=0.6)

@@ -22,6 +22,7 @@ from pixelid.inspection.intervals import pixel_intervals
 from pixelid.inspection.tick import MIN_EVENTS, common_divisor, find_tick
 from pixelid.recordings.events import COARSE_UNIT_SHARE, SHORT_QUANTILE, Events
 from pixelid.recordings.recording import Recording
+from pixelid.statistics import Z95
 
 MIN_ATOM_EVENTS = 20
 MAX_ATOM_CHANCE = 1e-12  # of an atom by accident; a recording offers some 1e6 places where one could be
@@ -117,7 +118,7 @@ def find_service_time(recordings: Sequence[Recording]) -> TimestampSignature | N
     gain = float(np.log(len(atom) / expected) + density * least / len(atom))
     share = len(atom) / sum(len(r.events) for r in recordings)
     return TimestampSignature(
-        "readout_latency", "readout_latency.service_s", value, (value - 1.96 * error, value + 1.96 * error), p, gain,
+        "readout_latency", "readout_latency.service_s", value, (value - Z95 * error, value + Z95 * error), p, gain,
         share,
         f"no two pixels' events are less than {1e6 * value:.4g} µs apart, and {100 * share:.0f} % of all events come "
         "exactly that after the one before",
@@ -147,6 +148,6 @@ def find_grid(recordings: Sequence[Recording], scans: bool = True) -> TimestampS
         return None
     gain = float(np.log(tick / unit))
     return TimestampSignature(
-        "timestamp_quantisation", "timestamp_quantisation.tick_s", tick, (tick - 1.96 * error, tick + 1.96 * error),
+        "timestamp_quantisation", "timestamp_quantisation.tick_s", tick, (tick - Z95 * error, tick + Z95 * error),
         float(np.exp(-min(gain * len(t), 700.0))), gain, 1.0, f"{of} are multiples of {1e6 * tick:.6g} µs",
     )  # fmt: skip

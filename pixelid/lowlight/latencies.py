@@ -13,8 +13,8 @@ from pixelid.lowlight.latency_break import Break, breaks
 from pixelid.lowlight.latency_poles import Poles, measured_poles, threshold_sd
 from pixelid.lowlight.latency_source import LatencySource
 from pixelid.model.model import Model
-from pixelid.parameters.parameter import Z95
 from pixelid.stages.circuit import Circuit
+from pixelid.statistics import Z95
 from pixelid.status import Status
 from pixelid.tables.fit import MOST_SUSPECT, OPEN_SD, SUSPECT_SCALES
 from pixelid.tables.latency.camera import Camera, camera_for

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pixelid.parameters.parameter import Z95
+from pixelid.statistics import Z95
 from pixelid.tables.fit import TableFit, covariance_at
 from pixelid.tables.latency.camera import predict
 from pixelid.tables.latency.model import LatencyModel

@@ -17,7 +17,7 @@ from pixelid.documents import interpreting, read_json
 from pixelid.errors import InputError
 from pixelid.fit.draws import WIDEST
 from pixelid.model.model import Model
-from pixelid.parameters.parameter import Z95
+from pixelid.statistics import Z95
 from pixelid.tables.latency.camera import Camera
 from pixelid.tables.latency.choosing import chosen_cameras, chosen_rows
 from pixelid.tables.latency.model import GAMMA_OVER_CORNER

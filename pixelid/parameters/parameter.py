@@ -8,7 +8,6 @@ from typing import Any, overload
 
 from pixelid.errors import InputError
 
-Z95 = 1.959963984540054  # half of a 95 % interval of a normal coordinate, in standard deviations
 LEAST_SD, MOST_MEAN = 1e-15, 1e9  # of a prior: beyond, its square leaves nothing of the likelihood in double precision
 
 

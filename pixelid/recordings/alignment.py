@@ -20,6 +20,7 @@ from pixelid.recordings.kept import ATTRIBUTE, kept_of
 from pixelid.recordings.parts import WHOLE_EVENTS, LongRecording, joined
 from pixelid.recordings.recording import Recording
 from pixelid.recordings.triggers import Triggers
+from pixelid.statistics import Z95
 from pixelid.stimuli.pixel_lights import Light, pixel_lights
 from pixelid.stimuli.stimulus import Stimulus
 
@@ -203,15 +204,15 @@ def _from_triggers(edges: np.ndarray, light: Light, tick_ns: int) -> Alignment:
         rate, prior = 0.0, ClockPrior(begin, duration, stamp, 0.0, CRYSTAL)
     assert prior.delay_sd_s is not None
     offset = float(edges[0]) - (1.0 + rate) * begin
-    half = 1.96 * float(np.hypot(prior.delay_sd_s, prior.at_s * prior.rate_sd))  # at the light's time zero
+    half = Z95 * float(np.hypot(prior.delay_sd_s, prior.at_s * prior.rate_sd))  # at the light's time zero
     return Alignment(
         offset,
         "trigger",
         (offset - half, offset + half),
         rate,
-        (rate - 1.96 * prior.rate_sd, rate + 1.96 * prior.rate_sd),
+        (rate - Z95 * prior.rate_sd, rate + Z95 * prior.rate_sd),
         prior,
-        start_half_s=1.96 * float(np.hypot(prior.delay_sd_s, (begin - prior.at_s) * prior.rate_sd)),
+        start_half_s=Z95 * float(np.hypot(prior.delay_sd_s, (begin - prior.at_s) * prior.rate_sd)),
     )
 
 

@@ -26,6 +26,7 @@ from scipy.signal import find_peaks
 from pixelid.errors import InputError
 from pixelid.recordings.clocks import CRYSTAL, Alignment, ClockPrior
 from pixelid.recordings.recording import Recording
+from pixelid.statistics import Z95
 from pixelid.stimuli.pixel_lights import Light, pixel_lights
 from pixelid.stimuli.stimulus import Stimulus
 
@@ -129,7 +130,7 @@ def alignment_from_events(recording: Recording, light: Light) -> Alignment:
             )
     if len(changes.time) > len(few.time):
         best = _refined(changes, seen.lights, best.offset, best)
-    half = 1.96 * np.sqrt(np.maximum(np.diag(best.covariance), 0.0))
+    half = Z95 * np.sqrt(np.maximum(np.diag(best.covariance), 0.0))
     at_start = np.array([1.0, light.start_s])
     return Alignment(
         best.offset,
@@ -138,7 +139,7 @@ def alignment_from_events(recording: Recording, light: Light) -> Alignment:
         best.rate,
         (best.rate - float(half[1]), best.rate + float(half[1])),
         ClockPrior(0.5 * (light.start_s + light.end_s), light.duration_s, None, 0.0, CRYSTAL),
-        start_half_s=1.96 * float(np.sqrt(max(at_start @ best.covariance @ at_start, 0.0))),
+        start_half_s=Z95 * float(np.sqrt(max(at_start @ best.covariance @ at_start, 0.0))),
     )
 
 

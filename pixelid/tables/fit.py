@@ -19,7 +19,8 @@ from typing import Any
 
 import numpy as np
 
-from pixelid.parameters.parameter import Z95, Parameter, precision_in_words
+from pixelid.parameters.parameter import Parameter, precision_in_words
+from pixelid.statistics import Z95
 from pixelid.status import Status
 from pixelid.tables.model import TableModel, predicted_rows
 

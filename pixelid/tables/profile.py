@@ -13,7 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from pixelid.parameters.parameter import Z95
+from pixelid.statistics import Z95
 from pixelid.tables.fit import TableFit, Tie, covariance_at, fit_table, log_posterior_at
 
 FALL = 0.5 * Z95**2  # nats at the ends of a 95 % interval

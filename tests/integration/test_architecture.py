@@ -9,7 +9,7 @@ import pytest
 PACKAGE = Path(__file__).resolve().parents[2] / "pixelid"
 BASE = {
     "arrays", "cluster", "documents", "errors", "figures", "interruption", "outputs", "parallel", "provenance",
-    "results", "status",
+    "results", "statistics", "status",
 }  # fmt: skip
 MAY_IMPORT = {
     "errors": set(),
@@ -20,6 +20,7 @@ MAY_IMPORT = {
     "interruption": set(),
     "outputs": {"documents", "errors"},
     "provenance": set(),
+    "statistics": set(),
     "status": set(),
     "results": {"documents", "errors", "outputs", "status"},
     "lazy": set(),
@@ -34,7 +35,7 @@ MAY_IMPORT = {
 MAY_IMPORT["inputs"] = BASE | {"model", "recordings", "stimuli"}
 MAY_IMPORT["compilation"] = set()  # everything else is imported when a function is called
 MAY_IMPORT["api"] = MAY_IMPORT["api_analyses"] = BASE  # everything else is imported when a function is called
-MAY_IMPORT["biases"] = {"errors"}
+MAY_IMPORT["biases"] = {"errors", "statistics"}
 MAY_IMPORT["inspection"] = BASE | {"biases", "recordings", "stimuli"}
 MAY_IMPORT["simulate"] = MAY_IMPORT["likelihood"] = set(MAY_IMPORT) - {"inspection"}
 MAY_IMPORT["fit"] = MAY_IMPORT["sensors"] = MAY_IMPORT["simulate"] | {"simulate", "likelihood"}

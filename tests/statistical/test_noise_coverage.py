@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from pixelid.model.shipped import find_model
-from pixelid.parameters.parameter import Z95
 from pixelid.simulate import simulate
+from pixelid.statistics import Z95
 from pixelid.stimuli.stimulus import Stimulus
 from pixelid.tables.noise.first_passage import mean_rates, noise_rates
 from pixelid.tables.noise.fit import fit_noise

@@ -15,7 +15,8 @@ from pixelid.fit.uncertainty.curvature import Identified, read_curvature
 from pixelid.fit.uncertainty.ridge import profile_of_ridge, widened
 from pixelid.fit.uncertainty.small_sample import intervals
 from pixelid.model.shipped import find_model
-from pixelid.parameters.parameter import Z95, Parameter
+from pixelid.parameters.parameter import Parameter
+from pixelid.statistics import Z95
 
 LAG_SD, DELAY_SD = 0.3, 0.05
 A, B = 0, 1  # places of the coordinates

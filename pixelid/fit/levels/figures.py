@@ -8,6 +8,7 @@ import numpy as np
 
 from pixelid.figures.style import INK, MUTED, new_axes, styled
 from pixelid.fit.levels.pixel_levels import PixelLevels
+from pixelid.statistics import Z95
 
 
 @styled
@@ -32,7 +33,7 @@ def draw_levels(levels: PixelLevels, axes: Any = None) -> Any:
         value, sd, label = drawn[kind]
         order = np.argsort(value)
         rank = np.arange(1, len(value) + 1)
-        axis.errorbar(rank, value[order], 1.96 * sd[order], fmt=".", color=INK, linewidth=0.8, markersize=3)
+        axis.errorbar(rank, value[order], Z95 * sd[order], fmt=".", color=INK, linewidth=0.8, markersize=3)
         for at in (-scale["value"], scale["value"]) if kind == "gain" else (scale["value"],):
             axis.axhline(at, color=MUTED, linewidth=0.9)
         axis.set(xlabel="pixel, in order of its value", ylabel=label)

@@ -9,7 +9,7 @@ import numpy as np
 from pixelid.fit.coordinates import Coordinates
 from pixelid.model.model import Model
 from pixelid.parameters.invariants import INVARIANTS, PHYSICAL_NAMES, Physical
-from pixelid.parameters.parameter import Z95
+from pixelid.statistics import Z95
 
 UNMOVED = 1e-9  # standard error of a logarithm below which the gauge holds a value, up to rounding
 

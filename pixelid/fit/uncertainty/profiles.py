@@ -21,6 +21,7 @@ from pixelid.fit.result import FitResult
 from pixelid.likelihood.pooled_rate import PooledRate
 from pixelid.parameters.parameter import Parameter
 from pixelid.recordings.recording import Recording
+from pixelid.statistics import Z95
 
 DROP_NATS = 1.9207  # nats
 MOST_STEPS = 14  # per side
@@ -102,7 +103,7 @@ def _side(objective, x, i, sign, sd, along, top, dispersion, points) -> tuple[fl
     """
     lower, upper = objective.coordinates.bounds()
     bound = abs((upper if sign > 0 else lower)[i] - x[i])
-    move, near, far = min(1.96 * sd, bound), (0.0, 0.0, x), None
+    move, near, far = min(Z95 * sd, bound), (0.0, 0.0, x), None
     for _ in range(MOST_STEPS):
         if move <= 0:
             return None, near[2]

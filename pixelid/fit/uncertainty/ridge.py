@@ -18,7 +18,7 @@ import numpy as np
 
 from pixelid.fit.uncertainty.curvature import Identified
 from pixelid.fit.uncertainty.profiles import Profile, Profiled, profile
-from pixelid.parameters.parameter import Z95
+from pixelid.statistics import Z95
 
 
 def profile_of_ridge(objective: Profiled, x: np.ndarray, reading: Identified) -> Profile | None:

@@ -19,7 +19,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.stats import chi2, t
 
-from pixelid.parameters.parameter import Z95
+from pixelid.statistics import Z95
 
 MISMATCH = "threshold_mismatch.sigma"
 THRESHOLDS = ("on_threshold", "off_threshold")

@@ -40,6 +40,7 @@ from pixelid.gap.verdict import TELLING_NATS, describe, judge
 from pixelid.model.model import Model
 from pixelid.provenance import input_hashes, versions
 from pixelid.recordings.recording import Recording
+from pixelid.statistics import Z95
 from pixelid.stimuli.stimulus import Stimulus
 
 MAX_SECONDS = 3.0  # of each recording that the search looks at: bins of 50 µs are many
@@ -248,7 +249,7 @@ def _named(step: PooledStep, fit: Fitted, errors: Mapping[str, float]) -> Named:
     for parameter in stages.effect(winner.effect).parameters:
         value, interval = fit.model.values[parameter.name], None
         if parameter.name in errors:
-            x, reach = parameter.to_coordinate(value), 1.96 * errors[parameter.name]
+            x, reach = parameter.to_coordinate(value), Z95 * errors[parameter.name]
             low, high = (float(parameter.from_coordinate(float(np.clip(c, -300, 300)))) for c in (x - reach, x + reach))
             interval = max(low, parameter.lower), min(high, parameter.upper)
         parameters[parameter.name] = value, interval

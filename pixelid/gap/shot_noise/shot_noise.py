@@ -35,6 +35,7 @@ from pixelid.gap.shot_noise.replicates import (
 from pixelid.gap.shot_noise.shares import Guess, sound, vector
 from pixelid.likelihood.shot_noise import share_out
 from pixelid.model.model import Model
+from pixelid.statistics import Z95
 
 REPLICATES = 4  # at the density taken
 MAX_MOVE = 0.1  # of its logarithm that these leave from the one that they were made at: else they are made again
@@ -139,7 +140,7 @@ def _judged(
     chance = np.hypot(chance, usual * guess.background_per_density() * error)
     p_background = 2.0 * len(usual) * float(norm.sf(np.abs((measured.background - usual) / chance).max()))
     p = min(p, p_background, 1.0)
-    half = max(1.96 * error, MIN_HALF_WIDTH)
+    half = max(Z95 * error, MIN_HALF_WIDTH)
     before, after = (0.5 * sum(min(c.score**2, MAX_SCORE**2) for c in some) for some in (seen.maps.cells, cells))
     left = replace(seen, maps=replace(seen.maps, cells=cells, p=p), p=p)
     model, fit, density = guess.model, guess.fit, guess.density

@@ -10,6 +10,7 @@ from pixelid.gap.imputation.impute import SIGMA
 from pixelid.gap.options import Context
 from pixelid.gap.state import Hypothesis, State
 from pixelid.recordings.own_light import with_fine_light
+from pixelid.statistics import Z95
 
 
 def free_run_of(state: State, context: Context) -> FreeRun:
@@ -33,7 +34,7 @@ def intervals_of(hypothesis: Hypothesis) -> dict[str, tuple[float, float]]:
     plain = interval_95(hypothesis.evidence.training, hypothesis.fit, hypothesis.scatter)
     if hypothesis.jitter is not None:
         sigma, error = hypothesis.jitter
-        plain[SIGMA] = (sigma * (1.0 - 1.96 * error), sigma * (1.0 + 1.96 * error))
+        plain[SIGMA] = (sigma * (1.0 - Z95 * error), sigma * (1.0 + Z95 * error))
     if hypothesis.corrected is None:
         return plain
     moved = {}

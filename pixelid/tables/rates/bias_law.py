@@ -22,7 +22,8 @@ import numpy as np
 from scipy.constants import Boltzmann, elementary_charge
 
 from pixelid.errors import InputError, shown
-from pixelid.parameters.parameter import Z95, Parameter
+from pixelid.parameters.parameter import Parameter
+from pixelid.statistics import Z95
 from pixelid.tables.fit import OPEN_SD, TableFit, fit_table
 from pixelid.tables.rates.pixel import CUTOFF, CUTOFF_STARTS, DEAD_STARTS_S, PixelFit, PixelModel
 from pixelid.tables.rates.reading import RateTable
