@@ -12,8 +12,9 @@ from pixelid.fit.event_times import EventTimesObjective
 from pixelid.fit.newton import Optimum
 from pixelid.fit.objective import Objective
 from pixelid.fit.result import Estimate
-from pixelid.fit.uncertainty.profiles import DROP_NATS, at_fixed
+from pixelid.fit.uncertainty.profiles import at_fixed
 from pixelid.parameters.parameter import Parameter, precision_in_words
+from pixelid.statistics import DROP_NATS
 from pixelid.status import STOPPED, Status
 
 # Events that fit the model not at all.  Under a true model they are one in 10⁵ (`likelihood/event_times.py`), so one

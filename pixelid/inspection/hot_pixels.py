@@ -17,6 +17,7 @@ from pixelid.inspection.timestamps import TimestampSignature
 from pixelid.recordings.events import Events
 from pixelid.recordings.kept import seconds_looked_at
 from pixelid.recordings.recording import Recording
+from pixelid.statistics import SD_PER_MEDIAN
 
 ROBUST_SIGMAS = 6.0
 OVER_NEIGHBOURS = 5.0
@@ -106,7 +107,7 @@ def hot_of_counts(image: np.ndarray, duration_s: float, kept: np.ndarray | None 
     active = counts[counts > 0]
     middle = float(np.median(active))
     log = np.log(active)
-    spread = 1.4826 * float(np.median(np.abs(log - np.median(log))))
+    spread = SD_PER_MEDIAN * float(np.median(np.abs(log - np.median(log))))
     population = max(middle * np.exp(ROBUST_SIGMAS * min(spread, 1.0)), OVER_NEIGHBOURS * middle)
     usual = counts.mean() if kept is None else counts[kept].mean()
     around = OVER_NEIGHBOURS * np.maximum(median_around(image, kept), usual)

@@ -17,6 +17,7 @@ from pixelid.errors import InputError
 from pixelid.inspection.hot_pixels import hot_of_counts, median_around
 from pixelid.nerf.camera import Camera
 from pixelid.stages.circuit import Circuit
+from pixelid.statistics import SD_PER_MEDIAN
 
 # Maps that act on a number of `Dynamics`, by its position there.  One pole: α scales its corner (`Dynamics.low_light`).
 COLUMNS = {
@@ -124,6 +125,6 @@ def find_hot(
     net = (up * circuit.on_threshold - down * circuit.off_threshold) / mean
     beyond = net - median_around(net.reshape(image.shape), kept)
     seen = (up + down) > 0
-    spread = 1.4826 * float(np.median(np.abs(beyond[seen]))) if seen.any() else 0.0
+    spread = SD_PER_MEDIAN * float(np.median(np.abs(beyond[seen]))) if seen.any() else 0.0
     allowed = ROBUST_SIGMAS * (max(spread, 1.0) + max(MISMATCH, circuit.mismatch) * np.hypot(up, down))
     return np.union1d(fast, np.flatnonzero(beyond > allowed))

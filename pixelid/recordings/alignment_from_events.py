@@ -26,7 +26,7 @@ from scipy.signal import find_peaks
 from pixelid.errors import InputError
 from pixelid.recordings.clocks import CRYSTAL, Alignment, ClockPrior
 from pixelid.recordings.recording import Recording
-from pixelid.statistics import Z95
+from pixelid.statistics import SD_PER_MEDIAN, Z95
 from pixelid.stimuli.pixel_lights import Light, pixel_lights
 from pixelid.stimuli.stimulus import Stimulus
 
@@ -199,7 +199,7 @@ def _candidates(recording: Recording, light: _Seen) -> list[float]:
         length = max(length, _correlation_length(change))
     lags = np.arange(size)
     lags[lags >= bins] -= size  # negative: the light began before the first event
-    spread = 1.4826 * float(np.median(np.abs(correlation - np.median(correlation)))) + 1e-300
+    spread = SD_PER_MEDIAN * float(np.median(np.abs(correlation - np.median(correlation)))) + 1e-300
     order = np.argsort(lags)
     heights = correlation[order]
     peaks, _ = find_peaks(np.concatenate([[-np.inf], heights, [-np.inf]]))

@@ -42,6 +42,7 @@ from pixelid.likelihood.event_times import EventTimes
 from pixelid.recordings.own_light import with_fine_light
 from pixelid.recordings.recording import Recording
 from pixelid.recordings.selection import few
+from pixelid.statistics import DROP_NATS
 from pixelid.stimuli.pixel_lights import PixelLights
 
 START = {GAIN: 0.2, BACKGROUND: 0.05}  # of ln gain; of the dimmest light's mean
@@ -54,7 +55,6 @@ ROUND_NATS = 1e-4  # that a step of the camera's parameters may still promise: 0
 FAR_NATS, FAR_STEPS = 1.0, 40  # the same, and most steps, where scales are guesses
 FAR_LEVELS = {"tolerance": 1e-2, "most_steps": 6}  # levels need not be at their best there: a better θ moves them more
 VOLUME_STEP = 1e-2  # in standard errors of θ, for the slope of ln det
-DROP_NATS = 1.9207  # 95 %
 UNTOLD = 1e-6  # of a level's variance that events take away: they do not depend on it
 
 

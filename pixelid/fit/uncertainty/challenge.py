@@ -9,9 +9,10 @@ import numpy as np
 from pixelid.fit.event_times import EventTimesObjective
 from pixelid.fit.newton import maximise
 from pixelid.fit.objective import Objective
-from pixelid.fit.uncertainty.profiles import DROP_NATS, at_fixed
+from pixelid.fit.uncertainty.profiles import at_fixed
 from pixelid.fit.uncertainty.stimulus_design import caveats, design_of, exchanged_poles
 from pixelid.recordings.recording import Recording
+from pixelid.statistics import DROP_NATS
 
 DISTANCE = 0.5  # of a log coordinate: a parameter that may move so far is not identified
 KINETIC = ("alpha", "beta", "gamma", "alpha_over_beta", "sf_cutoff_hz", "extra_pole.cutoff_hz", "diff_cutoff_hz")

@@ -21,9 +21,8 @@ from pixelid.fit.result import FitResult
 from pixelid.likelihood.pooled_rate import PooledRate
 from pixelid.parameters.parameter import Parameter
 from pixelid.recordings.recording import Recording
-from pixelid.statistics import Z95
+from pixelid.statistics import DROP_NATS, Z95
 
-DROP_NATS = 1.9207  # nats
 MOST_STEPS = 14  # per side
 NEAR = 1.3  # times the drop: so little beyond it, the limit lies within 2 % of where the root of the drop is linear
 STEPS_OF_OTHERS = 100  # after one has moved: along a ridge a few dozen are needed

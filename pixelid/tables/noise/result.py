@@ -16,6 +16,7 @@ from pixelid.errors import InputError
 from pixelid.model.files import save_model
 from pixelid.model.model import Model
 from pixelid.provenance import provenance
+from pixelid.statistics import SD_PER_MEDIAN
 from pixelid.status import Status
 from pixelid.tables.fit import MAX_SCATTER, misses
 from pixelid.tables.model import predicted_rows
@@ -86,7 +87,7 @@ def predicted_result(noise: NoiseModel, scales: Mapping[str, float] | None = Non
     lit = replace(noise, table=replace(table, light=table.light * scale))
     predicted = lit.predict(np.array([p.to_coordinate(p.value) for p in lit.parameters]))
     ratio = rows.log_ratio(predicted)
-    scatter = 1.4826 * float(np.median(np.abs(ratio)))
+    scatter = SD_PER_MEDIAN * float(np.median(np.abs(ratio)))
     standardised = ratio / np.sqrt(rows.known_variance + REPEATABILITY**2)
     how = misses(ratio, standardised) or (f"by {scatter:.0%} (typical)" if not scatter < MAX_SCATTER else "")
     written = predicted_rows(noise, predicted, standardised)
