@@ -63,12 +63,16 @@ def unit_quaternions(file: Path, key: str, values: np.ndarray) -> np.ndarray:
         from scipy.spatial.transform import Rotation
 
         return Rotation.from_matrix(values).as_quat()
+    return of_unit_length(f"{file}: {key}", values)
+
+
+def of_unit_length(where: str, quaternions: np.ndarray) -> np.ndarray:
+    """(n, 4) quaternions of about unit length, scaled to it.  Raises InputError for others; `where` names them."""
     with np.errstate(all="ignore"):
-        norm = np.linalg.norm(values, axis=1, keepdims=True)
+        norm = np.linalg.norm(quaternions, axis=1, keepdims=True)
     if not (np.abs(norm - 1) <= MOST_OFF).all():
-        found = f"norms {norm.min():.3g} … {norm.max():.3g}"
-        raise InputError(f"{file}: {key}: expected unit quaternions, found {found}")
-    return values / norm
+        raise InputError(f"{where}: expected unit quaternions, found norms {norm.min():.3g} … {norm.max():.3g}")
+    return quaternions / norm
 
 
 def rotations(matrices: np.ndarray) -> np.ndarray:

@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from pixelid.documents import read_text
 from pixelid.errors import InputError
-from pixelid.nerf.arrays import MOST_OFF, intrinsics_of
+from pixelid.nerf.arrays import intrinsics_of, of_unit_length
 from pixelid.nerf.camera import DISTORTIONS, Camera, refuse_lens_without_inverse
 from pixelid.nerf.dataset import MOST_AWAY, MOST_NS
 from pixelid.recordings.events import MOST_PIXELS, MOST_SIDE
@@ -101,10 +101,7 @@ def poses_of(file: Path, t: np.ndarray, position: np.ndarray, orientation: np.nd
     if np.abs(position).max() > MOST_AWAY:
         away = f"{np.abs(position).max():.3g}"
         raise InputError(f"{file}: expected poses at most {MOST_AWAY:g} from the origin, found one at {away}")
-    norm = np.linalg.norm(orientation, axis=1, keepdims=True)
-    if not (np.abs(norm - 1) <= MOST_OFF).all():
-        raise InputError(f"{file}: expected unit quaternions, found norms {norm.min():.3g} … {norm.max():.3g}")
-    return Poses(t, position, orientation / norm)
+    return Poses(t, position, of_unit_length(str(file), orientation))
 
 
 def matrices(position: np.ndarray, orientation: np.ndarray) -> np.ndarray:

@@ -18,6 +18,7 @@ from scipy.spatial.transform import Rotation
 
 from pixelid.documents import read_json
 from pixelid.errors import InputError
+from pixelid.nerf.arrays import MOST_OFF
 from pixelid.nerf.camera import Camera
 from pixelid.nerf.published.hdf5_events import events_of
 from pixelid.nerf.published.source import (
@@ -103,7 +104,7 @@ def _transform(entry: Any, file: Path, key: str) -> np.ndarray:
         numbers = np.array([[float(entry[name]) for name in ("px", "py", "pz", "qx", "qy", "qz", "qw")]])
     except (TypeError, KeyError, ValueError):
         raise InputError(f"{file}: {key}: expected px, py, pz, qx, qy, qz, qw") from None
-    if not np.isfinite(numbers).all() or abs(np.linalg.norm(numbers[0, 3:]) - 1) > 1e-2:
+    if not np.isfinite(numbers).all() or abs(np.linalg.norm(numbers[0, 3:]) - 1) > MOST_OFF:
         raise InputError(f"{file}: {key}: expected finite numbers and a unit quaternion")
     return matrices(numbers[:, :3], numbers[:, 3:])[0]
 
