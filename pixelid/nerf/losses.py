@@ -94,14 +94,14 @@ def terms(
     mean = mean.detach() * growth / torch.as_tensor(growth).detach()
     rest = (change - rise * on_threshold + fall * off_threshold) / mean
     number = weight.sum().clamp(min=1.0)
-    diff = (_huber(rest / torch.sqrt(1.0 + variance)) * weight).sum() / number
+    diff = (huber(rest / torch.sqrt(1.0 + variance)) * weight).sum() / number
     at = level[torch.as_tensor(chains.sub, device=device)]
     quiet = weight * ~burst
     tv = ((at[..., 1] - at[..., 0]).abs() / mean * quiet).sum() / number
     running = torch.cumsum(rest * weight, dim=1)
     centre = (running * weight).sum(dim=1, keepdim=True) / weight.sum(dim=1, keepdim=True).clamp(min=1.0)
     spread = (variance * weight).sum(dim=1, keepdim=True) / 6  # of a centred random walk
-    chain = (_huber((running - centre) / torch.sqrt(1.0 + spread)) * weight).sum() / number
+    chain = (huber((running - centre) / torch.sqrt(1.0 + spread)) * weight).sum() / number
     return {"diff": diff, "tv": tv, "chain": chain}
 
 
@@ -111,7 +111,8 @@ def quiet_change(light: torch.Tensor, on_threshold: torch.Tensor, off_threshold:
     return F.smooth_l1_loss(moved, torch.zeros_like(moved), beta=STILL)
 
 
-def _huber(x: torch.Tensor) -> torch.Tensor:
+def huber(x: torch.Tensor) -> torch.Tensor:
+    """Huber's loss of each: x²/2 below 1, |x| − ½ beyond."""
     return F.huber_loss(x, torch.zeros_like(x), reduction="none")
 
 

@@ -14,7 +14,7 @@ import torch
 from scipy.stats import t as student
 
 from pixelid.nerf.intervals import CHAIN, Intervals
-from pixelid.nerf.losses import Weights
+from pixelid.nerf.losses import Weights, huber
 from pixelid.nerf.predict import chains_at, predict
 from pixelid.nerf.state import Problem, State
 
@@ -167,8 +167,7 @@ def _losses(rows: Rows, which: np.ndarray, variance: np.ndarray) -> np.ndarray:
 
 
 def _huber(size: np.ndarray) -> np.ndarray:
-    size = np.abs(size)
-    return np.where(size < 1, 0.5 * size**2, size - 0.5)
+    return huber(torch.from_numpy(size)).numpy()
 
 
 def _shared(before: Rows, after: Rows) -> tuple[np.ndarray, np.ndarray]:
