@@ -53,15 +53,14 @@ def interrupt_kept() -> Iterator[None]:
         raise KeyboardInterrupt
 
 
-def end_on_interrupt(clean: Callable[[], None], grace_s: float = GRACE_S) -> None:
-    """From now on Ctrl-C ends this process with exit code 130, and SIGTERM with 143, at once or `grace_s` later.
+def end_on_interrupt(clean: Callable[[], None]) -> None:
+    """From now on Ctrl-C ends this process with exit code 130, and SIGTERM with 143, at once or `GRACE_S` later.
 
     Python raises KeyboardInterrupt between two of its own instructions: not inside compiled code, and not for good
     where that swallows it.  A thread waits for the signal, gives the run time to end by itself, and ends it then.
 
     Args:
         clean: called before a forced end; it must not wait for anything.
-        grace_s: seconds that the run has to end by itself.
     """
     if threading.current_thread() is not threading.main_thread() or sys.platform == "win32":
         return  # Windows takes sockets instead of pipes, and ends compiled code by Ctrl-Break
@@ -76,7 +75,7 @@ def end_on_interrupt(clean: Callable[[], None], grace_s: float = GRACE_S) -> Non
     def watch() -> None:
         while (number := os.read(heard, 1)[0]) not in (signal.SIGINT, signal.SIGTERM):
             pass
-        time.sleep(grace_s)
+        time.sleep(GRACE_S)
         clean()
         if not ending.is_set():
             os.write(2, SENTENCE.encode() + b"\n")

@@ -45,7 +45,7 @@ def seconds(time_s: float, digits: int = 3) -> str:
     return f"{time_s * 1e9:.{digits}g} ns"
 
 
-def between(first_s: float, last_s: float, digits: int = 3) -> str:
+def between(first_s: float, last_s: float) -> str:
     """A span of time, both ends in the unit that suits the later one.
 
     >>> between(7.17e-5, 1.57e-4), between(0.0394, 0.06), between(0.0, 1.5)
@@ -54,4 +54,4 @@ def between(first_s: float, last_s: float, digits: int = 3) -> str:
     for scale, unit in ((1.0, "s"), (1e-3, "ms"), (1e-6, "µs"), (1e-9, "ns")):
         if abs(last_s) >= scale or unit == "ns":
             break
-    return f"{first_s / scale:.{digits}g}–{last_s / scale:.{digits}g} {unit}"
+    return f"{first_s / scale:.3g}–{last_s / scale:.3g} {unit}"

@@ -49,8 +49,8 @@ def error_function(circuit: Circuit, approximation: str, name: str, scope: str) 
     return np.vectorize(at, otypes=[float])
 
 
-def crossings(error: Function, low: float, high: float, points: int, levels=LEVELS) -> dict:
-    """Where `error` crosses ± each level between radiances low and high.
+def crossings(error: Function, low: float, high: float, points: int) -> dict:
+    """Where `error` crosses ± each of `LEVELS` between radiances low and high.
 
     Returns {"searched": [low, high], "at_lowest": error, "largest_under", "largest_over": extremes on the grid,
     "levels": {"1%": {"first": radiance or None, "crossings": [{"radiance", "error", "direction"}]}}}; direction, as
@@ -65,7 +65,7 @@ def crossings(error: Function, low: float, high: float, points: int, levels=LEVE
         "largest_over": max(values.max(), 0.0),
         "levels": {},
     }
-    for level in levels:
+    for level in LEVELS:
         here = []
         for signed in (-level, level):
             above = values > signed

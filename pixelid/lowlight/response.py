@@ -62,11 +62,11 @@ def step_response(poles: np.ndarray, t) -> np.ndarray:
     return out if order else np.ones(len(t))
 
 
-def step_time_s(poles: np.ndarray, level: float = LEVEL) -> float:
-    """Seconds until the step response first reaches `level` (0 to 1)."""
+def step_time_s(poles: np.ndarray) -> float:
+    """Seconds until the step response first reaches `LEVEL`."""
 
     def short(time: float) -> float:
-        return float(step_response(poles, [time])[0]) - level
+        return float(step_response(poles, [time])[0]) - LEVEL
 
     part = (float((1.0 / poles).real.sum()) + 1.0 / float(np.abs(poles).min())) / 24
     end = part

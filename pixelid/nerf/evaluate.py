@@ -57,7 +57,7 @@ def _mean(values: np.ndarray) -> float:
     return float(values.mean()) if len(values) else float("nan")
 
 
-def render_views(field: Field, views: Views, dark, *, supersample: int = 1, engine: str = "auto") -> np.ndarray:
+def render_views(field: Field, views: Views, dark, *, supersample: int = 1) -> np.ndarray:
     """Predicted radiance of views.
 
     Args:
@@ -65,7 +65,6 @@ def render_views(field: Field, views: Views, dark, *, supersample: int = 1, engi
         views: where from; their images are not looked at.
         dark: (C,) black level that the field does not hold.
         supersample: rays per pixel and side.
-        engine: of the renderer, "auto", "compiled" or "tensors".
 
     Returns:
         (n, H, W, C) radiance, the black level included.
@@ -84,17 +83,17 @@ def render_views(field: Field, views: Views, dark, *, supersample: int = 1, engi
                 half = np.full(len(world), 0.5, np.float32)
                 for c in range(channels):
                     rays = Rays(origins, world, np.full(len(world), c), half)
-                    out[k, :, :, c] += _in_parts(field, rays, engine).reshape(camera.height, camera.width)
+                    out[k, :, :, c] += _in_parts(field, rays).reshape(camera.height, camera.width)
     return out / len(inside) + np.asarray(dark)
 
 
-def _in_parts(field: Field, rays: Rays, engine: str) -> np.ndarray:
+def _in_parts(field: Field, rays: Rays) -> np.ndarray:
     """(n,) radiance of rays, so many at a time that their samples find room on a device."""
     shown = []
     for first in range(0, len(rays.origins), RAYS_AT_ONCE):
         part = slice(first, first + RAYS_AT_ONCE)
         some = Rays(rays.origins[part], rays.directions[part], rays.channels[part], rays.offsets[part])
-        shown.append(field(some, engine)[0].cpu().numpy())
+        shown.append(field(some)[0].cpu().numpy())
     return np.concatenate(shown)
 
 

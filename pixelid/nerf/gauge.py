@@ -28,6 +28,7 @@ SEEING = 0.9  # share of the poses that have the middle of the box ahead of them
 CLOSEST = 0.01  # of the way that the camera goes: closer is not ahead
 SCALES = ("auto", "level", "free")
 CLOSE_PIXELS = 0.5  # pixels: about half the width of the field's edges, and what a scene resolves
+POINTS = 2000  # over the box and the trajectory, that tell how fast the image moves
 UNIFORM = 0.03  # standard deviation of ln L along the borders, below which they show a background
 BORDER = 0.5  # share of border pixels that must agree
 # ln L by which a scene begins apart from its background at least: haze of its colour would be invisible, and no event
@@ -120,13 +121,13 @@ def scene_box(trajectory: Trajectory, half_angle: float) -> tuple[np.ndarray, np
     return centre - half, centre + half
 
 
-def crossing_time(trajectory: Trajectory, camera: Camera, low, high, number: int = 2000) -> float:
+def crossing_time(trajectory: Trajectory, camera: Camera, low, high) -> float:
     """Seconds in which the image of the box moves by one pixel; 0 for a camera that stands still.
 
     A pixel over the root mean square speed of points spread over the ball inside the box and over the trajectory.
     low, high: (3,)
     """
-    t, points = _seen_points(trajectory, low, high, number)
+    t, points = _seen_points(trajectory, low, high)
     step = 1e-5 * (trajectory.t[-1] - trajectory.t[0])
     (before, _), (after, ahead) = (_image(trajectory, camera, time, points) for time in (t, t + step))
     moved = np.linalg.norm(after - before, axis=1)[ahead]
@@ -134,7 +135,7 @@ def crossing_time(trajectory: Trajectory, camera: Camera, low, high, number: int
     return float(1.0 / speed) if speed > 0 else 0.0
 
 
-def time_resolution(trajectory: Trajectory, camera: Camera, low, high, number: int = 2000) -> float:
+def time_resolution(trajectory: Trajectory, camera: Camera, low, high) -> float:
     """Seconds that an offset between the clocks of poses and events must have to show; inf where none does.
 
     A pose that is late is to first order a pose that is moved, and what moves cameras at time t is a field of
@@ -145,7 +146,7 @@ def time_resolution(trajectory: Trajectory, camera: Camera, low, high, number: i
 
     low, high: (3,)
     """
-    t, points = _seen_points(trajectory, low, high, number)
+    t, points = _seen_points(trajectory, low, high)
     share, size = 1e-7, float((high - low).max())
     later = t + share * (trajectory.t[-1] - trajectory.t[0])
     arms = (points - 0.5 * (low + high)) / size
@@ -161,12 +162,12 @@ def time_resolution(trajectory: Trajectory, camera: Camera, low, high, number: i
     return CLOSE_PIXELS * flight_s * math.sqrt(ahead.sum()) / beyond if beyond > 0 else math.inf
 
 
-def _seen_points(trajectory: Trajectory, low, high, number: int) -> tuple[np.ndarray, np.ndarray]:
+def _seen_points(trajectory: Trajectory, low, high) -> tuple[np.ndarray, np.ndarray]:
     """(times (n,), points (n, 3)) spread over the trajectory and over the ball inside the box."""
     rng = np.random.default_rng(0)
-    t = rng.uniform(trajectory.t[0], trajectory.t[-1], number)
-    ball = rng.normal(size=(number, 3))
-    ball *= (rng.random(number) ** (1 / 3) / np.linalg.norm(ball, axis=1))[:, None]
+    t = rng.uniform(trajectory.t[0], trajectory.t[-1], POINTS)
+    ball = rng.normal(size=(POINTS, 3))
+    ball *= (rng.random(POINTS) ** (1 / 3) / np.linalg.norm(ball, axis=1))[:, None]
     return t, 0.5 * (low + high) + 0.5 * ball * (high - low)
 
 

@@ -21,6 +21,7 @@ BATCH, ITERATIONS = 8192, 2000
 # Chosen on the Lego pictures of NeRF at 100 × 100 pixels, one in ten of them held out (docs/results/reconstruction.md).
 DEGREE, STIFFNESS, ROUGHNESS, EMPTINESS = 1, 1e-2, 5e-4, 1e-4
 DARKEST = 5e-3
+HALF = 1.5  # of the side of the box about the origin
 RATE = 0.1
 
 
@@ -41,18 +42,13 @@ class PosedScene:
         return np.maximum(images, DARKEST)
 
 
-def scene_of_images(
-    images: np.ndarray, poses: np.ndarray, focal: float, *,
-    iterations: int = ITERATIONS, half: float = 1.5, seed: int = 0,
-) -> PosedScene:  # fmt: skip
+def scene_of_images(images: np.ndarray, poses: np.ndarray, focal: float, *, seed: int = 0) -> PosedScene:
     """Fit a grey scene to images, over white where they are transparent.
 
     Args:
         images: (n, H, W, 3 or 4) of 8 bits.
         poses: (n, 4, 4) camera to world, as OpenGL has them.
         focal: length in pixels.
-        iterations: of the fit.
-        half: half the side of the box about the origin.
         seed: of the rays drawn.
 
     Returns:
@@ -67,9 +63,9 @@ def scene_of_images(
     height, width = grey.shape[1:]
     intrinsics = np.array([[focal, 0, width / 2 - 0.5], [0, focal, height / 2 - 0.5], [0, 0, 1]])
     camera = Camera(intrinsics, width, height, np.empty(0))
-    box = np.full(3, -half), np.full(3, half)
+    box = np.full(3, -HALF), np.full(3, HALF)
     position, rotation = poses[:, :3, 3], poses[:, :3, :3] @ OPENGL
-    return PosedScene(fit_field(grey, position, rotation, camera, *box, iterations=iterations, seed=seed), 1.0)
+    return PosedScene(fit_field(grey, position, rotation, camera, *box, seed=seed), 1.0)
 
 
 def grey_over_white(images: np.ndarray) -> np.ndarray:

@@ -76,13 +76,13 @@ def of_some_pixels(of: Intervals, starts: np.ndarray, most: int) -> np.ndarray:
     return np.sort(order[: int(np.flatnonzero(pixel[order] == last)[-1]) + 1])
 
 
-def rows_of(problem: Problem, state: State, of: Intervals, unit: float, most: int = MOST_CHAINS) -> Rows:
-    """The rows of the pixels of `of`, of as many as have some `most` chains, with the same random numbers every time.
+def rows_of(problem: Problem, state: State, of: Intervals, unit: float) -> Rows:
+    """The rows of the pixels of `of`, of as many as have some `MOST_CHAINS`, with the same random numbers every time.
 
     unit: thresholds that rests are counted in, ln L
     """
     starts, parts = apart(of), []
-    starts = starts[of_some_pixels(of, starts, most)] if len(starts) > most else starts
+    starts = starts[of_some_pixels(of, starts, MOST_CHAINS)] if len(starts) > MOST_CHAINS else starts
     for k in range(0, len(starts), BLOCK):
         rng = np.random.default_rng([1, k])
         with torch.no_grad():

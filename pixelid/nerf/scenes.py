@@ -19,6 +19,9 @@ from pixelid.parallel import map_threads, ranges, thread_count
 BACKGROUND = 0.4
 DISTANCE = 4.0  # of the cameras from the centre
 EXTENT = 1.3  # the objects are inside this radius
+OBJECTS = 7
+PER_TURN = 720  # poses of a spiral
+ELEVATIONS = (0.0, 0.9)  # rad, of random views
 
 
 @dataclass(frozen=True)
@@ -52,12 +55,12 @@ class Scene:
         return out.reshape(len(position), camera.height, camera.width)
 
 
-def procedural(seed: int, objects: int = 7) -> Scene:
+def procedural(seed: int) -> Scene:
     """A scene drawn from a seed: a slab to stand on, then spheres and boxes, none inside another."""
     rng = np.random.default_rng(seed)
     items = [_slab(rng)]
     placed: list[tuple[np.ndarray, float]] = []
-    while len(placed) < objects:
+    while len(placed) < OBJECTS:
         size = rng.uniform(0.26, 0.46)
         centre = np.array([*rng.uniform(-0.85, 0.85, 2), rng.uniform(-0.5, 0.65)])
         apart = all(np.linalg.norm(centre - other) > 0.8 * (size + radius) for other, radius in placed)
@@ -106,9 +109,7 @@ def on_sphere(azimuth, elevation, distance: float = DISTANCE) -> np.ndarray:
     )
 
 
-def spiral(
-    duration_s: float, revolutions: float, low: float = -0.1, high: float = 1.0, per_turn: int = 720
-) -> Trajectory:
+def spiral(duration_s: float, revolutions: float, low: float = -0.1, high: float = 1.0) -> Trajectory:
     """A camera that circles the scene at constant speed while its elevation changes.
 
     Args:
@@ -116,21 +117,20 @@ def spiral(
         revolutions: about the scene's axis.
         low: elevation at the beginning, in rad.
         high: elevation at the end, in rad.
-        per_turn: poses per revolution.
 
     Returns:
         The flight.
     """
-    n = round(revolutions * per_turn) + 1
+    n = round(revolutions * PER_TURN) + 1
     share = np.linspace(0.0, 1.0, n)
     position = on_sphere(2 * np.pi * revolutions * share, low + (high - low) * share)
     quaternions = Rotation.from_matrix(looking_at_centre(position)).as_quat()
     return Trajectory(share * duration_s, position, quaternions)
 
 
-def random_views(n: int, seed: int, low: float = 0.0, high: float = 0.9) -> tuple[np.ndarray, np.ndarray]:
+def random_views(n: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
     """Positions (n, 3) and rotations (n, 3, 3) of cameras all around, evenly in azimuth from a random start."""
     rng = np.random.default_rng(seed)
     azimuth = 2 * np.pi * (np.arange(n) + rng.random()) / n
-    position = on_sphere(azimuth, rng.uniform(low, high, n))
+    position = on_sphere(azimuth, rng.uniform(*ELEVATIONS, n))
     return position, looking_at_centre(position)

@@ -29,6 +29,7 @@ from pixelid.simulate import simulate_stream
 from pixelid.stages.photoreceptor import NOMINAL
 
 FIELD_OF_VIEW = 0.6911  # rad, as of the published synthetic scenes
+VIEW_RAYS = 4  # per pixel and side
 SPLITS = (("train", 8, 1), ("val", 8, 2), ("test", 8, 3))
 
 
@@ -135,14 +136,14 @@ def _write_calibration(folder: Path, camera: Camera, model: Model, setting: Sett
     )  # fmt: skip
 
 
-def write_views(folder: Path, scene: Renders, camera: Camera, seed: int, supersample: int = 4) -> None:
+def write_views(folder: Path, scene: Renders, camera: Camera, seed: int) -> None:
     """Write `views/` of a scene: train, val and test, each from its own random places, 32-bit linear TIFF."""
     from skimage.io import imsave
 
     (folder / FOLDER).mkdir()
     for stage, number, offset in SPLITS:
         position, rotation = random_views(number, 7919 * seed + offset)
-        images = scene.render(camera, position, rotation, supersample).astype(np.float32)
+        images = scene.render(camera, position, rotation, VIEW_RAYS).astype(np.float32)
         (folder / FOLDER / stage).mkdir()
         frames = []
         for k, image in enumerate(images):

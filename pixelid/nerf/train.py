@@ -22,6 +22,8 @@ from pixelid.nerf.state import Problem, State, follow, optimiser_of
 
 FIRST_LOOK = 64  # steps before which clear space cannot be told from a scene that has not grown yet
 FOLLOW = 64  # steps after which the bricks of a fine field follow the scene, by one at a time
+LEVEL_RAYS = 512  # of the reference views in a step, whose mean light is compared
+JUDGED = 512  # held-out chains, the same ones every time
 PAIRS = 3  # of times in which nothing fired, per chain: a twentieth of the rays of a step
 
 
@@ -75,21 +77,19 @@ def step(problem: Problem, recipe: Recipe, state: State) -> dict[str, float]:
     return measured
 
 
-def _off_level(
-    problem: Problem, state: State, engine: str, rng: np.random.Generator, number: int = 512
-) -> torch.Tensor:
+def _off_level(problem: Problem, state: State, engine: str, rng: np.random.Generator) -> torch.Tensor:
     """Squared distance of the mean log light over random rays from that of the reference views, mean over colours.
 
     Dark current is part of the light: below it the events say nothing, and a mean of logs would be full of it.
     """
     views = problem.gauge.reference
     assert views is not None  # a gauge of this kind has them
-    which = rng.integers(0, len(views), number)
-    x, y = rng.integers(0, views.camera.width, number), rng.integers(0, views.camera.height, number)
-    channel = rng.integers(0, len(problem.dark), number)
+    which = rng.integers(0, len(views), LEVEL_RAYS)
+    x, y = rng.integers(0, views.camera.width, LEVEL_RAYS), rng.integers(0, views.camera.height, LEVEL_RAYS)
+    channel = rng.integers(0, len(problem.dark), LEVEL_RAYS)
     inside = views.camera.directions(np.column_stack([x, y]))
     directions = np.einsum("nij,nj->ni", views.rotation[which], inside).astype(np.float32)
-    rays = Rays(views.position[which].astype(np.float32), directions, channel, rng.random(number, dtype=np.float32))
+    rays = Rays(views.position[which].astype(np.float32), directions, channel, rng.random(LEVEL_RAYS, dtype=np.float32))
     radiance, _ = state.field(rays, engine)
     floor = np.maximum(problem.dark, EPSILON)[channel]
     target = torch.as_tensor(
@@ -100,13 +100,12 @@ def _off_level(
     return torch.stack(list(of_colour)).mean()
 
 
-def held_out_residual(problem: Problem, state: State, runs: int = 512) -> float:
+def held_out_residual(problem: Problem, state: State) -> float:
     """What is left unexplained of held-out chains (see `unexplained`).
 
     Args:
         problem: whose held-out pixels are asked.
         state: of the training.
-        runs: how many chains, the same ones every time.
 
     Returns:
         Root mean square of what is left, as a share of what the events say; 1 would be no scene.
@@ -115,7 +114,7 @@ def held_out_residual(problem: Problem, state: State, runs: int = 512) -> float:
         return math.nan
     rng = np.random.default_rng(1)
     with torch.no_grad():
-        batch = draw(problem, state, problem.held_out, runs, rng)
+        batch = draw(problem, state, problem.held_out, JUDGED, rng)
         change, _, _ = predict(problem, state, batch, rng)
         thresholds = (x.cpu().numpy() for x in state.pixel.thresholds_at(batch.pixel))
     return unexplained(change.cpu().numpy(), batch, *thresholds)

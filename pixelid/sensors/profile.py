@@ -34,15 +34,13 @@ FINE = 40  # spline points per grid step
 @dataclass(frozen=True)
 class Plan:
     """What to estimate.  model: the population's fit;  bandwidth: the parameter mapped, "" for thresholds alone;
-    block: side of the groups of pixels that share one bandwidth;  width: of the sensor;
-    reach: half width of the scan, log units.
+    block: side of the groups of pixels that share one bandwidth;  width: of the sensor.
     """
 
     model: Model
     bandwidth: str
     block: int
     width: int
-    reach: float = REACH
 
     def check(self) -> None:
         """Raise InputError for a model or a parameter that cannot be mapped."""
@@ -74,14 +72,14 @@ def estimate_tile(plan: Plan, recordings: list[Recording]) -> Estimates:
     block, member = np.unique(
         block_index(likelihood.pixel_keys.astype(np.int64), plan.width, plan.block), return_inverse=True
     )
-    grid = np.linspace(-plan.reach, plan.reach, COARSE) if plan.bandwidth else np.zeros(1)
+    grid = np.linspace(-REACH, REACH, COARSE) if plan.bandwidth else np.zeros(1)
     value, mean, weight, unexplained = _scan(plan, likelihood, grid)
     best, best_sd = _peaks(grid, _sums(value, member, len(block)))
     resolved = np.isfinite(best)
     if resolved.any() and plan.bandwidth:
-        margin = np.minimum(4.0 * best_sd[resolved], 0.25 * plan.reach)
+        margin = np.minimum(4.0 * best_sd[resolved], 0.25 * REACH)
         low, high = (best[resolved] - margin).min(), (best[resolved] + margin).max()
-        if high - low < 1.5 * plan.reach or best_sd[resolved].min() < 0.2 * (grid[1] - grid[0]):
+        if high - low < 1.5 * REACH or best_sd[resolved].min() < 0.2 * (grid[1] - grid[0]):
             grid = np.linspace(low - 0.01, high + 0.01, POINTS)
             value, mean, weight, unexplained = _scan(plan, likelihood, grid)
             again, again_sd = _peaks(grid, _sums(value, member, len(block)))

@@ -192,7 +192,6 @@ def fit_sensor(
     block: int = 1,
     tile: int = 32,
     replicates: int = 200,
-    reach: float = REACH,
     where: Where = Where(),
     keep: Path | None = None,
     seed: int = 0,
@@ -207,7 +206,6 @@ def fit_sensor(
         block: side of the groups of pixels that share a bandwidth.
         tile: side of the units of work.
         replicates: of the bootstrap over pixels.
-        reach: half width of the scan in log bandwidth.
         where: the processes or cluster that work.
         keep: folder where finished tiles stay, so that an interrupted run goes on; it belongs to one set of inputs.
         seed: of the bootstrap.
@@ -226,7 +224,7 @@ def fit_sensor(
     if block < 1 or tile < 1 or replicates < 0:
         raise InputError(f"expected block ≥ 1, tile ≥ 1, replicates ≥ 0, found {block}, {tile}, {replicates}")
     tile = -(-tile // block) * block
-    plan = Plan(model, bandwidth, block, width, reach)
+    plan = Plan(model, bandwidth, block, width)
     plan.check()
     tiles = tiles_of(width, height, tile)
     with connected(where) as client:
@@ -301,7 +299,7 @@ def _claim(keep: Path, recordings: list[Recording], plan: Plan, tile: int) -> st
         "version": __version__,
         "data": digest.hexdigest(),
         "model": {**plan.model.values, "photoreceptor": plan.model.photoreceptor, "effects": plan.model.effects},
-        "plan": [plan.bandwidth, plan.block, plan.reach, tile],
+        "plan": [plan.bandwidth, plan.block, REACH, tile],
         "tiles": TILES,
     }
     identity = hashlib.sha256(json.dumps(plain(problem), sort_keys=True).encode()).hexdigest()

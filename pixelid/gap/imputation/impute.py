@@ -99,7 +99,6 @@ def impute_with_effect(
     imputation: Imputation,
     model: Model,
     seed: int,
-    report: Report = lambda what: None,
     cache: FitCache | None = None,
 ) -> tuple[Imputation, Model]:
     """Times and model once the model has gained an effect.
@@ -108,7 +107,6 @@ def impute_with_effect(
         imputation: With the times drawn without it.
         model: With it.
         seed: Of first guesses.
-        report: Called with what is being done.
         cache: Fits already made.
     """
     if imputation.effect == QUEUE and imputation.windows:
@@ -117,11 +115,9 @@ def impute_with_effect(
         events = sum(len(w.hi) for w, use in zip(imputation.windows, at_once, strict=True) if use)
         if events >= MIN_EVENTS_AT_ONCE and not at_once.all():
             model = imputation.with_filter_priors(model)
-            part, model = impute_again(
-                imputation.only(at_once), model, ROUNDS_AT_ONCE, exact=False, report=report, cache=cache
-            )
+            part, model = impute_again(imputation.only(at_once), model, ROUNDS_AT_ONCE, exact=False, cache=cache)
             imputation = _completed(imputation, part, at_once, model, seed)
-    return impute_again(imputation, model, report=report, cache=cache)
+    return impute_again(imputation, model, cache=cache)
 
 
 def impute(

@@ -22,6 +22,7 @@ OPEN_PHASE_CYCLES = 0.05
 HIGHEST_HZ = 1e5  # of a lamp, far above what a pixel follows
 # Pixels within a group differ: 0.9 to 3.8 in a real recording whose phases and amplitudes repeat from group to group
 MAX_DISPERSION = 4.0
+LEAST_EVENTS = 300  # of a group
 
 
 @dataclass(frozen=True)
@@ -115,13 +116,12 @@ def fit_flicker(
     *,
     near_hz: float = 120.0,
     grid: tuple[int, int] = (8, 6),
-    least_events: int = 300,
     progress: Callable[[str, float], None] | None = None,
 ) -> FlickerFit:
     """Fit light L0 (1 + m sin(2πft + φ)), or another shape, of free frequency, phase and contrast per group of pixels.
 
     model: nominal values at which it is computed what one frequency fixes of a circuit (not what is fitted);
-    near_hz: expected frequency, within 2 %;  grid: groups across and down the sensor;  least_events: of a group.
+    near_hz: expected frequency, within 2 %;  grid: groups across and down the sensor.
 
     Raises InputError for pooled recordings, too short ones, and when no group has enough events.
     """
@@ -148,10 +148,10 @@ def fit_flicker(
     for r in range(grid[1]):
         for c in range(grid[0]):
             table = phase_table(events, (column == c) & (row == r), frequency, windows)
-            if table.events >= least_events:
+            if table.events >= LEAST_EVENTS:
                 tables[c, r] = table
     if not tables:
-        raise InputError(f"{recording.name}: no group of pixels has {least_events} events in quiet light")
+        raise InputError(f"{recording.name}: no group of pixels has {LEAST_EVENTS} events in quiet light")
     totals, fits = {}, {}
     for k, shape in enumerate(SHAPES):
         fits[shape] = {}

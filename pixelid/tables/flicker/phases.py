@@ -18,6 +18,7 @@ from pixelid.recordings.events import Events
 BINS = 128
 COARSE = 32  # where searches start: a sixteenth of the cost
 SLICE_S = 0.1
+QUIET = 1.3  # of the 20th percentile of rates: more is motion
 PERIODS = 2.0  # of the light in a slice at least, or its own phases would be taken for motion
 FEW = 10.0  # events of a slice below which an empty one is chance (5e-5), and above which it is a gap
 LONGEST_S = 1e6  # a week and a half
@@ -49,8 +50,8 @@ class Lock:
     sure: bool
 
 
-def quiet_windows(events: Events, near_hz: float, ratio: float = 1.3) -> list[tuple[float, float]]:
-    """Windows [s] whose event rate is at most `ratio` times the 20th percentile: no motion, the light alone.
+def quiet_windows(events: Events, near_hz: float) -> list[tuple[float, float]]:
+    """Windows [s] whose event rate is at most `QUIET` times the 20th percentile: no motion, the light alone.
 
     Slices without an event are gaps of the recording, unless events are so few that there would be such slices anyway.
 
@@ -68,7 +69,7 @@ def quiet_windows(events: Events, near_hz: float, ratio: float = 1.3) -> list[tu
     edges = t[0] + length * np.arange(count + 1)
     rate = np.histogram(t, edges)[0]
     usual = np.percentile(rate[rate > 0], 20)
-    quiet = np.append((rate <= ratio * usual) & ((rate > 0) | (usual < FEW)), False)
+    quiet = np.append((rate <= QUIET * usual) & ((rate > 0) | (usual < FEW)), False)
     starts = np.flatnonzero(quiet & ~np.append(False, quiet[:-1]))
     return [(float(edges[k]), float(edges[k + np.argmin(quiet[k:])])) for k in starts]
 

@@ -46,10 +46,10 @@ def edge_events(swing, tau_s, dead_s, half_s) -> np.ndarray:
     return tau_s / dead_s * np.log1p(dead_s * first * (1.0 - decay) / (1.0 + dead_s * first * decay))
 
 
-def after_hysteresis(events, loss, rounding: float = ROUNDING) -> np.ndarray:
+def after_hysteresis(events, loss) -> np.ndarray:
     """max(events − loss, 0) with its corner rounded, exactly 0 at 0 events."""
-    rounded = np.logaddexp(0.0, (events - loss) / rounding) - np.logaddexp(0.0, -loss / rounding)
-    return np.maximum(rounding * rounded, 0.0)
+    rounded = np.logaddexp(0.0, (events - loss) / ROUNDING) - np.logaddexp(0.0, -loss / ROUNDING)
+    return np.maximum(ROUNDING * rounded, 0.0)
 
 
 def events_per_cycle(frequency_hz, swing, tau_s, dead_s, noise_hz) -> np.ndarray:
