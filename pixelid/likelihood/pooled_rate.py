@@ -36,6 +36,7 @@ from pixelid.recordings.kept import kept_of
 from pixelid.recordings.recording import Recording
 from pixelid.stages.circuit import Circuit
 from pixelid.stages.differencing import leaked, leaks
+from pixelid.statistics import dispersion
 from pixelid.stimuli.drive import drive
 from pixelid.stimuli.stimulus import Stimulus
 
@@ -217,12 +218,7 @@ class PooledRate:
 
     def dispersion(self, expected: np.ndarray) -> float:
         """Pearson χ² per bin, among bins grouped until each expects at least 5 counts: 1 for Poisson counts."""
-        expected, observed = expected[self.kept], self.observed[self.kept]
-        group = np.floor(np.cumsum(expected) / 5.0).astype(np.int64)
-        observed = np.bincount(group, observed)
-        mean = np.bincount(group, expected)
-        keep = mean > 1.0
-        return float(((observed - mean)[keep] ** 2 / mean[keep]).mean())
+        return dispersion(self.observed[self.kept], expected[self.kept])
 
 
 def lights_of(circuit: Circuit) -> list[tuple[float, float]]:

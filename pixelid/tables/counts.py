@@ -14,7 +14,6 @@ import numpy as np
 STEP = 1e-4  # of a coordinate, for central differences
 MIN_GAIN_NATS = 1e-6
 MAX_SLOPE_SIGMAS = 0.5  # of what is left of the gradient where no step gains any more
-MIN_EXPECTED = 5.0  # events per gathered cell, for Pearson's χ² to be one
 
 Rates = Callable[[np.ndarray], np.ndarray]
 
@@ -89,12 +88,3 @@ def maximise(
         if gain < MIN_GAIN_NATS:
             return Maximum(x, value, True)
     return Maximum(x, value, False)
-
-
-def dispersion(counts: np.ndarray, expected: np.ndarray) -> float:
-    """Pearson χ² per cell; cells are gathered in order until each expects at least 5 events."""
-    n, m = counts.ravel(), expected.ravel()
-    group = np.floor(np.cumsum(m) / MIN_EXPECTED).astype(int)
-    n, m = np.bincount(group, n), np.bincount(group, m)
-    keep = m > 1.0
-    return float(((n - m)[keep] ** 2 / m[keep]).mean())

@@ -17,7 +17,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pixelid.tables.counts import dispersion, information, maximise
+from pixelid.statistics import dispersion
+from pixelid.tables.counts import information, maximise
 from pixelid.tables.flicker.phases import BINS, COARSE, PhaseTable, coarse
 
 NAMES = ("amplitude_over_on_threshold", "off_over_on_threshold", "phase_cycles", "noise_over_on_threshold", "rate_hz",
