@@ -9,7 +9,7 @@ import numpy as np
 
 from pixelid.errors import InputError
 from pixelid.model.model import Model
-from pixelid.parameters.parameter import Parameter
+from pixelid.parameters.parameter import Parameter, log_prior
 
 
 @dataclass(frozen=True)
@@ -90,7 +90,7 @@ class Coordinates:
 
     def log_prior(self, x: np.ndarray) -> float:
         """Log prior density, up to a constant."""
-        return sum(p.prior.log_density(c) for p, c in zip(self.parameters, x, strict=True) if p.prior is not None)
+        return log_prior(self.parameters, x)
 
     def prior_gradient_and_curvature(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """First derivative and negated second derivative of the log prior, per coordinate."""

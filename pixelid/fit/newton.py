@@ -56,7 +56,7 @@ def maximise(
     held = np.zeros(len(x), dtype=bool)
     promises: list[float] = []
     while steps < max_steps:
-        held = ((x <= lower) & (here.gradient < 0)) | ((x >= upper) & (here.gradient > 0))
+        held = held_by_bounds(x, here, lower, upper)
         free = ~held
         if not free.any():
             converged = True
@@ -93,6 +93,11 @@ def maximise(
         if progress:
             progress(steps, here.value)
     return Optimum(x, here, converged, held, steps)
+
+
+def held_by_bounds(x: np.ndarray, local: Local, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
+    """(p,) bool: coordinates on a bound and pushed outwards."""
+    return ((x <= lower) & (local.gradient < 0)) | ((x >= upper) & (local.gradient > 0))
 
 
 def _best_inside(H: np.ndarray, g: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:

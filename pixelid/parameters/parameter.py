@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, overload
 
@@ -101,6 +102,11 @@ class Parameter:
     def freed(self) -> Parameter:
         """The same parameter, to be moved by fits."""
         return replace(self, free=True)
+
+
+def log_prior(parameters: Sequence[Parameter], x: Any) -> Any:
+    """ln of the density of all priors at coordinates (n,), up to a constant."""
+    return sum(p.prior.log_density(c) for p, c in zip(parameters, x, strict=True) if p.prior is not None)
 
 
 def precision_in_words(interval_95: tuple[float | None, float | None], parameter: Parameter) -> str:

@@ -30,6 +30,7 @@ from pixelid.fit.engines.engine import (
     parameter_values,
     scales,
     through_expression,
+    with_priors,
 )
 from pixelid.fit.engines.expression import log_likelihood
 from pixelid.fit.engines.frozen import freeze
@@ -49,10 +50,7 @@ def symbolic(objective: EventTimesObjective, x: np.ndarray) -> tuple[ca.MX, ca.M
     values = parameter_values(coordinates, at, ca.exp)
     circuit, clocks = coordinates.model.circuit(values), clocks_of(objective.likelihood.recordings, values)
     value = log_likelihood(CasadiOperations(), freeze(objective, x), circuit, clocks)
-    for i, p in enumerate(coordinates.parameters):
-        if p.prior is not None:
-            value = value + p.prior.log_density(at[i])
-    return at, value
+    return at, with_priors(value, coordinates, at)
 
 
 class CasadiEngine(Engine):

@@ -26,7 +26,7 @@ from pixelid.dynamics.of_circuit import dynamics_of
 from pixelid.dynamics.trajectory import Dynamics
 from pixelid.errors import InputError
 from pixelid.fit.engines import expression
-from pixelid.fit.engines.engine import parameter_values
+from pixelid.fit.engines.engine import parameter_values, with_priors
 from pixelid.fit.engines.frozen import Frozen, freeze
 from pixelid.fit.event_times import EventTimesObjective
 from pixelid.fit.objective import Local, Objective
@@ -105,10 +105,7 @@ def log_posterior(op: Any, objective: EventTimesObjective, frozen: Frozen, x: An
         return expression.changes(op, recording, circuit, frozen.circuit, midpoint, clock, states_of)
 
     value = expression.log_likelihood(op, frozen, circuit, clocks, changes_of)
-    for i, p in enumerate(coordinates.parameters):
-        if p.prior is not None:
-            value = value + p.prior.log_density(x[i])
-    return value
+    return with_priors(value, coordinates, x)
 
 
 def _states(op, recording, light, dynamics, flow):

@@ -12,7 +12,7 @@ from pixelid.errors import InputError
 from pixelid.fit.coordinates import Coordinates
 from pixelid.fit.engines.frozen import freeze
 from pixelid.fit.event_times import EventTimesObjective
-from pixelid.fit.newton import Optimum
+from pixelid.fit.newton import Optimum, held_by_bounds
 from pixelid.fit.newton import maximise as newton_steps
 from pixelid.fit.objective import Local, Objective
 
@@ -131,9 +131,12 @@ def parameter_values(coordinates: Coordinates, x: Any, exp: Callable) -> dict[st
     return {**coordinates.model.values, **fixed, **free}
 
 
-def held_by_bounds(x: np.ndarray, local: Local, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
-    """(p,) bool: coordinates on a bound and pushed outwards."""
-    return ((x <= lower) & (local.gradient < 0)) | ((x >= upper) & (local.gradient > 0))
+def with_priors(value: Any, coordinates: Coordinates, x: Any) -> Any:
+    """A log-likelihood and the log priors at an engine's vector x, in the engine's numbers."""
+    for i, p in enumerate(coordinates.parameters):
+        if p.prior is not None:
+            value = value + p.prior.log_density(x[i])
+    return value
 
 
 def promised(local: Local, held: np.ndarray) -> float:

@@ -27,6 +27,7 @@ from pixelid.fit.engines.engine import (
     promised,
     scales,
     through_expression,
+    with_priors,
 )
 from pixelid.fit.engines.expression import log_likelihood
 from pixelid.fit.engines.frozen import Frozen, freeze
@@ -62,10 +63,7 @@ def log_posterior(objective: EventTimesObjective, frozen: Frozen, x: torch.Tenso
     circuit, clocks = coordinates.model.circuit(values), clocks_of(objective.likelihood.recordings, values)
     operations: Any = TorchOperations(x.device)
     value = log_likelihood(operations, frozen, circuit, clocks)
-    for i, p in enumerate(coordinates.parameters):
-        if p.prior is not None:
-            value = value + p.prior.log_density(x[i])
-    return value
+    return with_priors(value, coordinates, x)
 
 
 class TorchEngine(Engine):

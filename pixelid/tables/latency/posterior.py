@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pixelid.arrays import save_arrays
+from pixelid.parameters.parameter import log_prior
 from pixelid.status import Status
 from pixelid.tables.fit import FREEDOM, covariance_at
 from pixelid.tables.latency.fit import CameraFit, LatencyFit
@@ -38,7 +39,7 @@ def log_posterior(fit: CameraFit, z: np.ndarray) -> float:
     rows = model.rows
     s = np.sqrt(scatter**2 + rows.rounding**2 + np.asarray(rows.relative_error) ** 2)
     r = rows.log_ratio(model.predict(x)) / s
-    prior = sum(p.prior.log_density(v) for p, v in zip(model.parameters, x, strict=True) if p.prior is not None)
+    prior = log_prior(model.parameters, x)
     return float((-np.log(s) - 0.5 * (FREEDOM + 1.0) * np.log1p(r**2 / FREEDOM)).sum() + prior)
 
 

@@ -26,7 +26,7 @@ import numpy as np
 
 from pixelid.errors import InputError
 from pixelid.model.model import Model
-from pixelid.parameters.parameter import Parameter
+from pixelid.parameters.parameter import Parameter, log_prior
 from pixelid.tables.fit import FREEDOM, MAX_SCATTER, TableFit, fit_at, fit_table
 from pixelid.tables.model import Rows
 from pixelid.tables.noise.model import BESIDE, FITTED, FLOOR, LEAST_HZ, OFF_BACKGROUND, NoiseModel, in_unit
@@ -387,7 +387,7 @@ def _within(line: Linearised, limits: np.ndarray, trust: float) -> Linearised:
 def _misfit(noise: NoiseModel, level: np.ndarray, x: np.ndarray, s: np.ndarray) -> float:
     """Minus log posterior for given scales, without constants."""
     r = noise.rows.log_ratio(np.exp(level)) / s
-    prior = sum(p.prior.log_density(v) for v, p in zip(x, noise.parameters, strict=True) if p.prior)
+    prior = log_prior(noise.parameters, x)
     return float(0.5 * (FREEDOM + 1.0) * np.log1p(r**2 / FREEDOM).sum() - prior)
 
 
