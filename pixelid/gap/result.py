@@ -173,7 +173,7 @@ class GapReport(Result):
         """The effects named, then every effect tried, round by round."""
         rows = tuple(
             (e.name, f"{e.p_value:.2g}", f"{e.heldout_gain:.1f}", e.runner_up or "–", number(e.runner_up_gain),
-             "; ".join(f"{k} {number(v)} ({interval(i)})" for k, (v, i) in e.parameters.items()))
+             _in_words(e.parameters))
             for e in self.effects
         )  # fmt: skip
         headings = ("effect", "adjusted p", "held-out [nats]", "runner-up", "its gain [nats]", "strength (95 %)")
@@ -191,7 +191,7 @@ class GapReport(Result):
     def _descriptions(self) -> Table:
         rows = tuple(
             (e.words, e.equation, f"{e.heldout_gain:.1f}",
-             "; ".join(f"{k} {number(v)} ({interval(i)})" for k, (v, i) in e.parameters.items()))
+             _in_words(e.parameters))
             for e in self.described
         )  # fmt: skip
         headings = ("in words", "equation", "held-out [nats]", "parameters (95 %)")
@@ -282,26 +282,31 @@ def _sigma_of(model: Model) -> float:
     return model.values.get("threshold_sigma", 0.02)
 
 
-def _named(entry: Mapping[str, Any]) -> Named:
-    strengths = {
+def _in_words(parameters: Mapping[str, tuple[float, Limits]]) -> str:
+    return "; ".join(f"{name} {number(value)} ({interval(limits)})" for name, (value, limits) in parameters.items())
+
+
+def _parameters(entry: Mapping[str, Any]) -> Mapping[str, tuple[float, Limits]]:
+    """Those of an entry in gap.json."""
+    return {
         name: (value["value"], tuple(value["interval_95"]) if value["interval_95"] else None)
         for name, value in entry["parameters"].items()
     }
+
+
+def _named(entry: Mapping[str, Any]) -> Named:
     return Named(
         entry["name"], entry["p_value"], entry["heldout_gain_nats"], entry["runner_up"], entry["runner_up_gain_nats"],
-        entry["max_cosine"], entry["max_cosine_with"], strengths, entry["where"],
+        entry["max_cosine"], entry["max_cosine_with"], _parameters(entry), entry["where"],
     )  # fmt: skip
 
 
 def _described(entry: Mapping[str, Any]) -> DescribedEffect:
     own = cell(entry["quantity"], entry["covariate"], entry["form"])
-    values = {
-        name: (value["value"], tuple(value["interval_95"]) if value["interval_95"] else None)
-        for name, value in entry["parameters"].items()
-    }
     return DescribedEffect(
-        own.name, entry["equation"], words_of_entry(entry), values, entry["heldout_gain_nats"], entry["closed_fraction"]
-    )
+        own.name, entry["equation"], words_of_entry(entry), _parameters(entry), entry["heldout_gain_nats"],
+        entry["closed_fraction"],
+    )  # fmt: skip
 
 
 def _free_run(entry: Mapping[str, Any]) -> FreeRun:

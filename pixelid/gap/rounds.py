@@ -22,17 +22,21 @@ def signature_entry(signature: TimestampSignature, known: bool) -> dict:
     return entry(0, signature.p, timestamps=signature.where, named=None if known else signature.effect)
 
 
+def candidate_entries(attribution: Attribution) -> list[dict]:
+    """What the result says of every effect tried in a round."""
+    return [
+        {"name": c.effect, "gain_nats": c.gain, "p_value": c.p, "heldout_gain_nats": c.heldout_gain}
+        for c in attribution.candidates
+    ]
+
+
 def attribution_entry(
     turn: int, fit: Maximum, seen: Diagnostics, attribution: Attribution, impossible: Mapping[str, str]
 ) -> dict:
     """Of effects tried beside a fitted model, and of those impossible there, with reasons."""
-    tried = [
-        {"name": c.effect, "gain_nats": c.gain, "p_value": c.p, "heldout_gain_nats": c.heldout_gain}
-        for c in attribution.candidates
-    ]
     return entry(
         turn + 1, seen.p, background_events=seen.maps.background, model_effects=list(fit.model.effects),
-        screened_nats=attribution.screened, candidates=tried,
+        screened_nats=attribution.screened, candidates=candidate_entries(attribution),
         skipped={**impossible, **attribution.skipped},
     )  # fmt: skip
 

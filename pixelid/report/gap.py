@@ -99,17 +99,22 @@ def _departure(row: Result) -> float:
     return abs(row["measured"] - row["base"]) / math.sqrt(max(row["base"], 1.0))
 
 
+def _strengths(entry: dict[str, Any]) -> str:
+    """The parameters of an effect, with intervals where they are known."""
+    return "; ".join(
+        f"{name} = {value(v['value'], v.get('interval_95'))}"
+        + (f" ({interval(v['interval_95'])})" if v.get("interval_95") else "")
+        for name, v in entry["parameters"].items()
+    )
+
+
 def prepare(result: Result, folder: Path) -> dict[str, Any]:
     """The tables of the page, and which of its figures show counts."""
     details = result.get("details", {})
     effects = [
         [
             e["name"],
-            "; ".join(
-                f"{name} = {value(v['value'], v.get('interval_95'))}"
-                + (f" ({interval(v['interval_95'])})" if v.get("interval_95") else "")
-                for name, v in e["parameters"].items()
-            ),
+            _strengths(e),
             chance(e["p_value"]),
             number(e["heldout_gain_nats"], 3),
             f"{e['runner_up']}, {number(e['runner_up_gain_nats'], 3)}" if e.get("runner_up") else "–",
@@ -137,11 +142,7 @@ def prepare(result: Result, folder: Path) -> dict[str, Any]:
         [
             words_of_entry(e),
             e["equation"],
-            "; ".join(
-                f"{name} = {value(v['value'], v.get('interval_95'))}"
-                + (f" ({interval(v['interval_95'])})" if v.get("interval_95") else "")
-                for name, v in e["parameters"].items()
-            ),
+            _strengths(e),
             number(e["heldout_gain_nats"], 3),
         ]
         for e in result.get("described", ())

@@ -34,7 +34,7 @@ from pixelid.gap.pooled_counts.stretches import (
     sort_bins,
 )
 from pixelid.gap.result import GapReport, Named
-from pixelid.gap.rounds import Rounds, amended, entry
+from pixelid.gap.rounds import Rounds, amended, candidate_entries, entry
 from pixelid.gap.rounds import withdrawn as taken_back
 from pixelid.gap.verdict import TELLING_NATS, describe, judge
 from pixelid.model.model import Model
@@ -213,13 +213,9 @@ def _details(state: PooledState, withdrawn: Sequence[str], min_events: int) -> d
 
 
 def _entry(turn: int, state: PooledState, attribution: Attribution[Fitted]) -> dict:
-    tried = [
-        {"name": c.effect, "gain_nats": c.gain, "p_value": c.p, "heldout_gain_nats": c.heldout_gain}
-        for c in attribution.candidates
-    ]
     return entry(
         turn + 1, state.seen.p, screened_nats=attribution.screened, model_effects=list(state.fit.model.effects),
-        candidates=tried,
+        candidates=candidate_entries(attribution),
     )  # fmt: skip
 
 
