@@ -93,8 +93,12 @@ class Camera:
 
 def pinhole(width: int, height: int, horizontal_fov: float) -> Camera:
     """An ideal camera of a horizontal field of view [rad]; principal point (W/2 − 0.5, H/2 − 0.5)."""
-    f = width / 2 / np.tan(horizontal_fov / 2)
-    intrinsics = np.array([[f, 0, width / 2 - 0.5], [0, f, height / 2 - 0.5], [0, 0, 1]])
+    return pinhole_of_focal(width, height, width / 2 / np.tan(horizontal_fov / 2))
+
+
+def pinhole_of_focal(width: int, height: int, focal: float) -> Camera:
+    """The same of a focal length in pixels."""
+    intrinsics = np.array([[focal, 0, width / 2 - 0.5], [0, focal, height / 2 - 0.5], [0, 0, 1]])
     return Camera(intrinsics, width, height, np.empty(0))
 
 

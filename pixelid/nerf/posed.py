@@ -8,7 +8,7 @@ import numpy as np
 import torch
 
 from pixelid.errors import InputError
-from pixelid.nerf.camera import Camera
+from pixelid.nerf.camera import Camera, pinhole_of_focal
 from pixelid.nerf.evaluate import render_views
 from pixelid.nerf.field import Field
 from pixelid.nerf.render import Rays
@@ -61,8 +61,7 @@ def scene_of_images(images: np.ndarray, poses: np.ndarray, focal: float, *, seed
         raise InputError(f"posed images: expected (n, H, W, 3 or 4) and (n, 4, 4), found {images.shape}, {poses.shape}")
     grey = np.maximum(grey_over_white(images), DARKEST)
     height, width = grey.shape[1:]
-    intrinsics = np.array([[focal, 0, width / 2 - 0.5], [0, focal, height / 2 - 0.5], [0, 0, 1]])
-    camera = Camera(intrinsics, width, height, np.empty(0))
+    camera = pinhole_of_focal(width, height, focal)
     box = np.full(3, -HALF), np.full(3, HALF)
     position, rotation = poses[:, :3, 3], poses[:, :3, :3] @ OPENGL
     return PosedScene(fit_field(grey, position, rotation, camera, *box, seed=seed), 1.0)

@@ -17,7 +17,7 @@ import numpy as np
 from pixelid.documents import interpreting, read_json
 from pixelid.errors import InputError, shown
 from pixelid.nerf.arrays import intrinsics_of, read_arrays, rotations, scalar
-from pixelid.nerf.camera import Camera
+from pixelid.nerf.camera import Camera, pinhole
 from pixelid.recordings.pictures import read_picture
 
 FOLDER = "views"
@@ -126,9 +126,7 @@ def _stage(file: Path, channels: int, log_eps: float) -> Views:
 
 
 def _views(file: Path, document: dict, channels: int, log_eps: float) -> Views:
-    frames = document.get("frames")
-    if not isinstance(frames, list) or not frames:
-        raise InputError(f"{file}: frames: expected a list of at least one view")
+    frames = frames_of(file, document)
     poses = np.array([pose_of_frame(file, k, frame) for k, frame in enumerate(frames)])
     names = [str(frame["file_path"]) for frame in frames]
     first = image_of(picture_of(file, names[0]))
@@ -151,6 +149,14 @@ def _views(file: Path, document: dict, channels: int, log_eps: float) -> Views:
         images, poses[:, :3, 3], poses[:, :3, :3] @ OPENGL, camera, short, exposure,
         transparent, peak, span,
     )  # fmt: skip
+
+
+def frames_of(file: Path, document: dict) -> list:
+    """The views of a `transforms_*.json`, one entry each."""
+    frames = document.get("frames")
+    if not isinstance(frames, list) or not frames:
+        raise InputError(f"{file}: frames: expected a list of at least one view")
+    return frames
 
 
 def pose_of_frame(file: Path, k: int, frame) -> np.ndarray:
@@ -245,10 +251,7 @@ def camera_of_document(file: Path, document: dict, width: int, height: int) -> C
         angle = document["camera_angle_x"]
         if not isinstance(angle, (int, float)) or not 0 < angle < np.pi:
             raise InputError(f"{file}: camera_angle_x: expected an angle between 0 and π, found {shown(angle)}")
-        f = width / 2 / np.tan(angle / 2)
-        intrinsics = np.array([[f, 0, width / 2 - 0.5], [0, f, height / 2 - 0.5], [0, 0, 1]])
-    elif "intrinsics" in document:
-        intrinsics = intrinsics_of(file, document["intrinsics"])
-    else:
-        raise InputError(f"{file}: camera_angle_x: missing, and no intrinsics either")
-    return Camera(intrinsics, width, height, np.empty(0))
+        return pinhole(width, height, angle)
+    if "intrinsics" in document:
+        return Camera(intrinsics_of(file, document["intrinsics"]), width, height, np.empty(0))
+    raise InputError(f"{file}: camera_angle_x: missing, and no intrinsics either")

@@ -19,6 +19,7 @@ from pixelid.nerf.views import (
     OPENGL,
     STAGES,
     camera_of_document,
+    frames_of,
     image_of,
     picture_of,
     pose_of_frame,
@@ -116,9 +117,7 @@ def way_of_file(path: Path, size: tuple[int, int] | None, fov: float = FIELD_OF_
         names = tuple(f"pose_{k:05d}" for k in some)
         return Way(position[some], rotation, pinhole(*(size or DEFAULT_SIZE), fov), names, len(position) - len(some))
     document = read_json(path)
-    frames = document.get("frames")
-    if not isinstance(frames, list) or not frames:
-        raise InputError(f"{path}: frames: expected a list of at least one view")
+    frames = frames_of(path, document)
     some = _thinned(len(frames), most)
     poses = np.array([pose_of_frame(path, k, frames[k]) for k in some])
     names = tuple(f"{k:04d}_{Path(str(frames[k]['file_path'])).name}" for k in some)
