@@ -22,6 +22,7 @@ from pixelid.fit.event_times import EventTimesObjective
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.model.model import Model
 from pixelid.recordings.recording import Recording
+from pixelid.recordings.selection import only
 from pixelid.simulate import simulate
 from pixelid.stimuli.resample import with_overshoots
 from pixelid.stimuli.stimulus import Stimulus
@@ -69,8 +70,7 @@ def few_pixels(recordings: Sequence[Recording], seed: int) -> tuple[list[Recordi
     if len(every) == 0:
         raise InputError("--recorded: the recordings hold no events")
     keep = np.sort(np.random.default_rng(seed).permutation(every)[:PIXELS])
-    cut = [replace(r, events=r.events.select(np.isin(r.events.pixel, keep))) for r in recordings]
-    return cut, len(every) / len(keep)
+    return only(recordings, keep), len(every) / len(keep)
 
 
 def simulated(model: Model, stimulus: Stimulus, seed: int, like: Sequence[Recording] = ()) -> Recording:

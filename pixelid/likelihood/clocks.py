@@ -44,7 +44,11 @@ class Clock:
 
 def names_of(recordings: Sequence[Recording]) -> list[str]:
     """One name per recording, numbered where two share one."""
-    names = [recording.name for recording in recordings]
+    return numbered([recording.name for recording in recordings])
+
+
+def numbered(names: list[str]) -> list[str]:
+    """The names, with their place where two are alike."""
     return [name if names.count(name) == 1 else f"{name} #{i}" for i, name in enumerate(names)]
 
 

@@ -7,6 +7,7 @@ from typing import Protocol
 
 import numpy as np
 
+from pixelid.likelihood.clocks import numbered
 from pixelid.sample.figures import Draws
 from pixelid.status import Status
 
@@ -40,7 +41,7 @@ def sampled_groups(posterior: Sampled, beside: dict | None = None, dims_beside: 
     r = len(posterior.recordings)
     likelihood = {"recording": pieces[..., :r]}
     dims = {"recording": ["recording_name"], "pixel": ["pixel_unit"], **(dims_beside or {})}
-    coords: dict = {"recording_name": _distinct(list(posterior.recordings))}
+    coords: dict = {"recording_name": numbered(list(posterior.recordings))}
     if pieces.shape[-1] > r + 1:
         likelihood["pixel"] = pieces[..., r + 1 :]
         coords["pixel_unit"] = np.arange(pieces.shape[-1] - r - 1)
@@ -56,7 +57,3 @@ def sampled_groups(posterior: Sampled, beside: dict | None = None, dims_beside: 
     model, seed = posterior.coordinates.model.name, int(posterior.details.get("seed", 0))
     attributes = {"status": str(posterior.status), "model": model, "seed": seed}
     return from_dict(groups, coords=coords, dims=dims, attrs={"/": attributes})
-
-
-def _distinct(names: list[str]) -> list[str]:
-    return [name if names.count(name) == 1 else f"{name} #{i}" for i, name in enumerate(names)]

@@ -17,7 +17,7 @@ from pixelid.simulate.laws import Rules
 from pixelid.simulate.relaxing import relaxed
 from pixelid.simulate.step import after_jump, light_integral, modes, slope_bound
 from pixelid.stages.modulation import set_at_reset
-from pixelid.stimuli.drive import Drive, drive, refined
+from pixelid.stimuli.drive import Drive, drive, refined_radiance
 from pixelid.stimuli.stimulus import Stimulus
 
 TILE = 256  # pixels worked on by one thread at a time
@@ -167,9 +167,7 @@ class FullField:
 
 def _refined(light: Drive, longest_step: float) -> Drive:
     """The same light with knots at most `longest_step` apart."""
-    t, left, weight = refined(light.t, longest_step)
-    logs = np.log(light.radiance)
-    radiance = np.exp((1 - weight) * logs[left] + weight * logs[left + 1])
+    t, radiance = refined_radiance(light.t, light.radiance, longest_step)
     return Drive(t, radiance, light.knee, light.knee_slope, light.described)
 
 

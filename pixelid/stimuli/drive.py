@@ -94,6 +94,13 @@ def refined(t: np.ndarray, longest_step: float) -> tuple[np.ndarray, np.ndarray,
     )
 
 
+def refined_radiance(t: np.ndarray, radiance: np.ndarray, longest_step: float) -> tuple[np.ndarray, np.ndarray]:
+    """(t, radiance) at knots refined to steps ≤ longest_step; log radiance is linear in between."""
+    t, left, weight = refined(t, longest_step)
+    logs = np.log(radiance)
+    return t, np.exp((1 - weight) * logs[left] + weight * logs[left + 1])
+
+
 def drive(stimulus: Stimulus, circuit: Circuit, until_s: float | None = None) -> Drive:
     """The effective radiance of a full-field stimulus under a circuit: dark current and flicker included.
 
@@ -105,9 +112,7 @@ def drive(stimulus: Stimulus, circuit: Circuit, until_s: float | None = None) ->
     t, index = knots(stimulus, until_s)
     radiance = stimulus.radiance[index].astype(np.float64)
     if circuit.flicker_modulation != 0:
-        t, left, weight = refined(t, 1.0 / (64 * circuit.flicker_hz.real))
-        logs = np.log(radiance)
-        radiance = np.exp((1 - weight) * logs[left] + weight * logs[left + 1])
+        t, radiance = refined_radiance(t, radiance, 1.0 / (64 * circuit.flicker_hz.real))
         radiance = radiance * (
             1 + circuit.flicker_modulation * np.sin(2 * np.pi * circuit.flicker_hz * t + circuit.flicker_phase)
         )
