@@ -11,7 +11,7 @@ from typing import TypeAlias, TypeVar
 
 import numpy as np
 
-from pixelid.errors import InputError
+from pixelid.errors import InputError, first_line
 from pixelid.recordings import dat, evt, evt21
 from pixelid.recordings.columns import PART_EVENTS, to_nanoseconds, validated
 from pixelid.recordings.events import Events
@@ -168,7 +168,7 @@ def checked_packets(packets: Callable[[], Iterator], path: Path) -> Iterator:
     except InputError:
         raise
     except (Exception, SystemError) as error:
-        reason = str(error).splitlines()[0][:120] if str(error) else type(error).__name__
+        reason = first_line(error)[:120]
         raise InputError(
             f"{path}: cannot be decoded; truncated, or not the format of its extension ({reason})"
         ) from None

@@ -24,7 +24,7 @@ from typing import Any
 
 import numpy as np
 
-from pixelid.errors import InputError, shown
+from pixelid.errors import InputError, first_line, shown
 from pixelid.recordings.columns import (
     PART_EVENTS,
     RepeatCounter,
@@ -56,7 +56,7 @@ def read(path: Path) -> Recording:
             refuse_foreign_storage(file, path)
             return _read(file, path)
     except OSError as error:
-        raise InputError(f"{path}: truncated or damaged HDF5 ({str(error).splitlines()[0][:120]})") from error
+        raise InputError(f"{path}: truncated or damaged HDF5 ({first_line(error)[:120]})") from error
 
 
 def stream(path: Path) -> tuple[Recording, Iterator[Recording]] | None:
@@ -75,7 +75,7 @@ def stream(path: Path) -> tuple[Recording, Iterator[Recording]] | None:
             return None
         head, columns, settings, declared = _opened(file, path)
     except OSError as error:
-        raise InputError(f"{path}: truncated or damaged HDF5 ({str(error).splitlines()[0][:120]})") from error
+        raise InputError(f"{path}: truncated or damaged HDF5 ({first_line(error)[:120]})") from error
 
     def parts() -> Iterator[Recording]:
         repeats, counter = 0, RepeatCounter()
@@ -91,7 +91,7 @@ def stream(path: Path) -> tuple[Recording, Iterator[Recording]] | None:
                 yield replace(head, events=events, triggers=edges)
                 edges = None
         except OSError as error:
-            raise InputError(f"{path}: truncated or damaged HDF5 ({str(error).splitlines()[0][:120]})") from error
+            raise InputError(f"{path}: truncated or damaged HDF5 ({first_line(error)[:120]})") from error
 
     return replace(head, triggers=None), parts()
 

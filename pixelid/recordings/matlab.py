@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pixelid.errors import InputError
+from pixelid.errors import InputError, first_line
 from pixelid.recordings.columns import sensor_size, to_nanoseconds
 from pixelid.recordings.events import Events
 from pixelid.recordings.recording import Recording
@@ -36,7 +36,7 @@ def read(path: Path) -> Recording:
             f"{path}: expected a MATLAB file up to version 7, found version 7.3; save it with -v7"
         ) from None
     except (MatReadError, ValueError, TypeError, KeyError, OSError, EOFError, IndexError, MemoryError) as error:
-        reason = str(error).splitlines()[0][:120] if str(error) else type(error).__name__
+        reason = first_line(error)[:120]
         raise InputError(f"{path}: expected a MATLAB file, found a damaged or different one ({reason})") from None
     tables = {name: value for name, value in content.items() if not name.startswith("__")}
     changes = next((name for name in ("TD", "td", "events") if name in tables), None)

@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pixelid.errors import InputError
+from pixelid.errors import InputError, first_line
 from pixelid.recordings.columns import Rollovers, sensor_size, to_nanoseconds
 from pixelid.recordings.decoded import decode_evt, evt_recording
 from pixelid.recordings.events import Events
@@ -82,7 +82,7 @@ def opened_bag(path: Path) -> Iterator[AnyReader]:
     except InputError:
         raise
     except (AnyReaderError, Ros1Error, Ros2Error, OSError, ValueError, KeyError, IndexError, AssertionError) as error:
-        reason = str(error).splitlines()[0][:120] if str(error) else type(error).__name__
+        reason = first_line(error)[:120]
         raise InputError(f"{path}: expected a ROS bag, found a damaged or different file ({reason})") from None
 
 

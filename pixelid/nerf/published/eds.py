@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from pixelid.documents import read_text
-from pixelid.errors import InputError
+from pixelid.errors import InputError, first_line
 from pixelid.nerf.camera import Camera
 from pixelid.nerf.published.hdf5_events import events_of
 from pixelid.nerf.published.source import (
@@ -87,7 +87,7 @@ def _yaml(file: Path) -> Mapping[str, Any]:
     try:
         document = YAML(typ="safe", pure=True).load(io.StringIO(read_text(file, "CSV")))
     except (YAMLError, ValueError, RecursionError) as error:
-        raise InputError(f"{file}: not valid YAML ({str(error).splitlines()[0][:80]})") from None
+        raise InputError(f"{file}: not valid YAML ({first_line(error)[:80]})") from None
     cameras = {name: entry for name, entry in document.items() if isinstance(entry, dict)} if isinstance(
         document, dict
     ) else {}  # fmt: skip

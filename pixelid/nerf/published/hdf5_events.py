@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from pixelid.documents import interpreting
-from pixelid.errors import InputError
+from pixelid.errors import InputError, first_line
 from pixelid.nerf.published.source import Block
 from pixelid.recordings.hdf5 import refuse_foreign_storage
 from pixelid.recordings.isolated import arrays_isolated
@@ -81,7 +81,7 @@ def _columns(path: Path) -> Iterator[tuple[Any, int]]:
             raise InputError(
                 f"{path}: compressed by a filter that h5py here lacks; pip install hdf5plugin brings the usual ones"
             ) from None
-        raise InputError(f"{path}: truncated or damaged HDF5 ({str(error).splitlines()[0][:120]})") from None
+        raise InputError(f"{path}: truncated or damaged HDF5 ({first_line(error)[:120]})") from None
 
 
 def _checked(file: Any, path: Path) -> tuple[Any, int]:

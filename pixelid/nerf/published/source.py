@@ -16,7 +16,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from pixelid.documents import read_text
-from pixelid.errors import InputError
+from pixelid.errors import InputError, first_line
 from pixelid.nerf.arrays import intrinsics_of, of_unit_length
 from pixelid.nerf.camera import DISTORTIONS, Camera, refuse_lens_without_inverse
 from pixelid.nerf.dataset import MOST_AWAY, MOST_NS
@@ -181,7 +181,7 @@ def read_table(file: Path, columns: int) -> np.ndarray:
     try:
         table = np.loadtxt(io.StringIO(text), dtype=np.float64, comments="#", ndmin=2)
     except ValueError as error:
-        raise InputError(f"{file}: expected lines of numbers ({str(error).splitlines()[0][:100]})") from None
+        raise InputError(f"{file}: expected lines of numbers ({first_line(error)[:100]})") from None
     if table.size and table.shape[1] < columns:
         raise InputError(f"{file}: expected {columns} numbers a line, found {table.shape[1]}")
     return table
