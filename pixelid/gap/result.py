@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
 Limits = tuple[float | None, float | None] | None  # of 95 %; None for a side that the data leave open
 
+SHOWN_CELLS = 8  # of the maps
 VERDICTS = ("none", "named", "ambiguous", "unknown")
 
 

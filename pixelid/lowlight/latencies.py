@@ -13,10 +13,11 @@ from pixelid.lowlight.latency_break import Break, breaks
 from pixelid.lowlight.latency_poles import Poles, measured_poles, threshold_sd
 from pixelid.lowlight.latency_source import LatencySource
 from pixelid.model.model import Model
+from pixelid.parameters.parameter import OPEN_SD
 from pixelid.stages.circuit import Circuit
 from pixelid.statistics import Z95
 from pixelid.status import Status
-from pixelid.tables.fit import MOST_SUSPECT, OPEN_SD, SUSPECT_SCALES
+from pixelid.tables.fit import MOST_SUSPECT, SUSPECT_SCALES
 from pixelid.tables.latency.camera import Camera, camera_for
 from pixelid.tables.latency.cells import gather
 from pixelid.tables.latency.levels import Level

@@ -21,9 +21,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pixelid.lowlight import poles
+from pixelid.parameters.parameter import OPEN_SD
 from pixelid.stages.circuit import Circuit
 from pixelid.statistics import Z95
-from pixelid.tables.fit import OPEN_SD, TableFit, Tie, covariance_at, fit_table
+from pixelid.tables.fit import TableFit, Tie, covariance_at, fit_table
 from pixelid.tables.latency.camera import Camera
 from pixelid.tables.latency.cells import Cells
 from pixelid.tables.latency.fit import CameraFit, fit_camera

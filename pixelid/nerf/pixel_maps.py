@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from pixelid.errors import InputError
-from pixelid.inspection.hot_pixels import hot_of_counts, median_around
+from pixelid.inspection.hot_pixels import ROBUST_SIGMAS, hot_of_counts, median_around
 from pixelid.nerf.camera import Camera
 from pixelid.stages.circuit import Circuit
 from pixelid.statistics import SD_PER_MEDIAN
@@ -28,7 +28,6 @@ THRESHOLDS = ("on_threshold", "off_threshold")
 
 # Hot by ON events that no OFF events answer: 6 robust standard deviations of neighbours' differences, as for rates
 # (`inspection.hot_pixels`), and 6 more of what a 10 % mismatch, twice a usual sensor's, does to a pixel's counts.
-ROBUST_SIGMAS = 6.0
 MISMATCH = 0.1
 
 

@@ -17,6 +17,7 @@ from pixelid.nerf.trajectory import Trajectory
 from pixelid.parallel import map_threads, ranges, thread_count
 
 BACKGROUND = 0.4
+FIELD_OF_VIEW = 0.6911  # rad, as of the published synthetic scenes
 DISTANCE = 4.0  # of the cameras from the centre
 EXTENT = 1.3  # the objects are inside this radius
 OBJECTS = 7

@@ -20,7 +20,7 @@ from pixelid.model.shipped import find_model
 from pixelid.nerf import calibration as layout
 from pixelid.nerf.camera import Camera, pinhole
 from pixelid.nerf.dataset import EVENTS, write_poses
-from pixelid.nerf.scenes import procedural, random_views, spiral
+from pixelid.nerf.scenes import FIELD_OF_VIEW, procedural, random_views, spiral
 from pixelid.nerf.trajectory import Trajectory
 from pixelid.nerf.views import FOLDER, OPENGL, RENDERER
 from pixelid.outputs import whole_folder
@@ -28,7 +28,6 @@ from pixelid.parameters.invariants import Physical
 from pixelid.simulate import simulate_stream
 from pixelid.stages.photoreceptor import NOMINAL
 
-FIELD_OF_VIEW = 0.6911  # rad, as of the published synthetic scenes
 VIEW_RAYS = 4  # per pixel and side
 SPLITS = (("train", 8, 1), ("val", 8, 2), ("test", 8, 3))
 

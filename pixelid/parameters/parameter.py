@@ -9,6 +9,7 @@ from typing import Any, overload
 
 from pixelid.errors import InputError
 
+OPEN_SD = 0.5  # a log coordinate known no better than a factor e^±0.5 (a standard deviation) is not identified
 LEAST_SD, MOST_MEAN = 1e-15, 1e9  # of a prior: beyond, its square leaves nothing of the likelihood in double precision
 
 

@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from pixelid.parameters.parameter import Parameter, precision_in_words
+from pixelid.parameters.parameter import OPEN_SD, Parameter, precision_in_words
 from pixelid.statistics import Z95
 from pixelid.status import Status
 from pixelid.tables.model import TableModel, predicted_rows
@@ -27,7 +27,6 @@ from pixelid.tables.model import TableModel, predicted_rows
 FREEDOM = 4.0  # of Student's t: heavy enough for a slipped decimal point, 83 % efficient for normal errors
 SUSPECT_SCALES = 4.0  # scales; 1.6 % of clean rows of t₄ lie beyond
 MOST_SUSPECT = 0.25  # of a table's rows; more are not outliers
-OPEN_SD = 0.5  # a log coordinate known no better than this is not identified (as in `fit.identifiability`)
 AT_BOUND = 1e-3  # of a log coordinate
 # Rates and latencies repeat within some per cent (3 % and 5 % in the two public tables); the same table read in a unit
 # that is wrong by 10³ scatters by 42 % and 116 %

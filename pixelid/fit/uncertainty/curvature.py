@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from pixelid.parameters.parameter import OPEN_SD
 from pixelid.statistics import Z95
 
 if TYPE_CHECKING:
     from pixelid.fit.coordinates import Coordinates
 
-OPEN_SD = 0.5  # a log coordinate known no better than a factor e^±0.5 (a standard deviation) counts as not identified
 # Lags go as 1/f: in ln f the third derivative of the log posterior is of the size of the second.  The limits of a
 # direction of standard deviation s are then off by a share of about s.
 BENT_SD = 0.1

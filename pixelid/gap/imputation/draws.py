@@ -21,11 +21,10 @@ from scipy.special import ndtr, ndtri
 
 from pixelid.gap.imputation.windows import Windows, in_order, with_times
 from pixelid.likelihood.density import BACKGROUND_HZ
-from pixelid.likelihood.event_times import EventTimes
+from pixelid.likelihood.event_times import NUDGE_S, EventTimes
 from pixelid.model.model import Model
 from pixelid.recordings.recording import Recording
 
-NUDGE_S = 1e-7  # of the release, one-sided difference for its slope
 MAX_SLOPE_HZ = 1e4  # level per second by which a release can matter: steeper is rounding
 MIN_INFORMATION_RATIO = 0.3  # of what intervals say of a time to what its stamp says: enough to judge the stamp by
 

@@ -33,7 +33,7 @@ from pixelid.gap.pooled_counts.stretches import (
     profiles_after_jumps,
     sort_bins,
 )
-from pixelid.gap.result import GapReport, Named
+from pixelid.gap.result import SHOWN_CELLS, GapReport, Named
 from pixelid.gap.rounds import Rounds, amended, candidate_entries, entry
 from pixelid.gap.rounds import withdrawn as taken_back
 from pixelid.gap.verdict import TELLING_NATS, describe, judge
@@ -46,7 +46,6 @@ from pixelid.stimuli.stimulus import Stimulus
 MAX_SECONDS = 3.0  # of each recording that the search looks at: bins of 50 µs are many
 MAX_ROUNDS = 3
 TRAINING = (0, 1)  # roles of stretches: to fit and to select
-SHOWN_CELLS = 8
 FLUID = "Part of it may be the pooled rate itself, a limit of many small thresholds that forgets the last one crossed."
 
 

@@ -21,7 +21,7 @@ from pixelid.gap.detect.words import where
 from pixelid.gap.imputation.imputed import JITTER
 from pixelid.gap.options import Context
 from pixelid.gap.recommend import advise
-from pixelid.gap.result import GapReport, Named
+from pixelid.gap.result import SHOWN_CELLS, GapReport, Named
 from pixelid.gap.rounds import withdrawn as taken_back
 from pixelid.gap.state import NamedStep, State
 from pixelid.gap.steps.describe_remainder import Described, describe_remainder
@@ -31,7 +31,6 @@ from pixelid.gap.verdict import describe as in_a_sentence
 from pixelid.inspection.timestamps import TimestampSignature
 from pixelid.provenance import input_hashes, versions
 
-SHOWN_CELLS = 8  # of the maps, in the result
 TAKEN_BACK = "on the pixels that confirm it closes next to nothing of the gap"
 
 

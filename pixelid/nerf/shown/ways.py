@@ -13,7 +13,7 @@ from pixelid.errors import InputError
 from pixelid.nerf.arrays import finite, read_arrays, unit_quaternions
 from pixelid.nerf.camera import Camera, pinhole
 from pixelid.nerf.dataset import POSES
-from pixelid.nerf.scenes import looking_at_centre, on_sphere
+from pixelid.nerf.scenes import FIELD_OF_VIEW, looking_at_centre, on_sphere
 from pixelid.nerf.views import (
     FOLDER,
     OPENGL,
@@ -27,7 +27,6 @@ from pixelid.nerf.views import (
 )
 
 DEFAULT_SIZE = 400, 400
-FIELD_OF_VIEW = 0.6911  # rad, as of the published synthetic scenes
 ORBIT_ELEVATION, SPIRAL_ELEVATIONS = 0.4, (0.0, 0.9)  # rad; a spiral goes from the one to the other in two turns
 SPIRAL_TURNS = 2.0
 

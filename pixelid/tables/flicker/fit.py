@@ -10,10 +10,11 @@ import numpy as np
 
 from pixelid.errors import InputError
 from pixelid.model.model import Model
+from pixelid.parameters.parameter import OPEN_SD
 from pixelid.provenance import input_hashes
 from pixelid.recordings.recording import Recording
 from pixelid.status import Status
-from pixelid.tables.fit import OPEN_SD, standard_errors
+from pixelid.tables.fit import standard_errors
 from pixelid.tables.flicker.circuit import Reading, read_circuit
 from pixelid.tables.flicker.noisy import AT_BOUND, LOWER, SHAPES, UPPER, GroupFit, fit_group
 from pixelid.tables.flicker.phases import Lock, PhaseTable, locked_frequency, phase_table, quiet_windows

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
+from pixelid.parameters.parameter import OPEN_SD
 from pixelid.provenance import versions
-from pixelid.tables.fit import OPEN_SD
 from pixelid.tables.flicker.circuit import Reading
 from pixelid.tables.flicker.figures import draw_maps, draw_phases
 from pixelid.tables.flicker.fit import OPEN_PHASE_CYCLES, FlickerFit, Group

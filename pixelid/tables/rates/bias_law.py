@@ -22,9 +22,9 @@ import numpy as np
 from scipy.constants import Boltzmann, elementary_charge
 
 from pixelid.errors import InputError, shown
-from pixelid.parameters.parameter import Parameter
+from pixelid.parameters.parameter import OPEN_SD, Parameter
 from pixelid.statistics import Z95
-from pixelid.tables.fit import OPEN_SD, TableFit, fit_table
+from pixelid.tables.fit import TableFit, fit_table
 from pixelid.tables.rates.pixel import CUTOFF, CUTOFF_STARTS, DEAD_STARTS_S, PixelFit, PixelModel
 from pixelid.tables.rates.reading import RateTable
 from pixelid.tables.rates.square_wave import rate
