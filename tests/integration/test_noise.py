@@ -15,15 +15,18 @@ from pixelid.model.shipped import find_model
 from pixelid.recordings import open_recording, write_recording
 from pixelid.recordings.events import Events
 from pixelid.recordings.recording import Recording
+from pixelid.simulate import simulate
 from pixelid.status import STOPPED
+from pixelid.stimuli.shapes import constant
 from pixelid.stimuli.stimulus import Stimulus
 from pixelid.tables.fit import fit_at
 from pixelid.tables.noise import fit as search
 from pixelid.tables.noise.first_passage import mean_rates
 from pixelid.tables.noise.fit import Linearised, fit_noise, started, starting_model
+from pixelid.tables.noise.measured_intervals import EDGES_S, count_intervals
 from pixelid.tables.noise.model import FA_PER_LUX, FA_PER_UNIT, NoiseModel, in_unit
 from pixelid.tables.noise.reading import read_noise_tables, reduced_recordings
-from pixelid.tables.noise.result import model_beside, model_scales, predicted_result
+from pixelid.tables.noise.result import model_beside, model_scales, predicted_result, save_prediction
 from pixelid.tables.result import table_result
 
 LIGHTS = (0.3, 1.0, 3.0, 10.0, 30.0, 100.0)
@@ -401,6 +404,42 @@ def test_columns_are_known_by_the_words_of_their_names(tmp_path, header, unit):
     table = read_noise_tables([path])
     assert table.unit == unit
     assert table.on.tolist() == [True, True, False, False]
+
+
+def still_recording(model, light, duration_s, side):
+    """Constant light, simulated."""
+    return simulate(model, constant(light, duration_s), width=side, height=side, seed=5, sensor_seed=1)
+
+
+def test_intervals_between_noise_events_are_those_of_simulation(tmp_path):
+    """Shares of shorter ones, by the polarities of both events, of pixels whose thresholds differ."""
+    camera = find_model("dvs128").with_effect("shot_noise", {"density": 6e-4})
+    camera = camera.set({"on_threshold": 0.2, "off_threshold": 0.2, "threshold_sigma": 0.02, "refractory_s": 1e-3})
+    table = reduced_recordings([still_recording(camera, 24.0, 2.5, 8)])
+    result = save_prediction(table, camera, {}, tmp_path, 0)
+    (entry,) = result["intervals"]
+    assert entry["count"] > 3000
+    assert entry["distance"] < 0.03
+    for one in entry["shares"].values():
+        assert one["predicted"] == pytest.approx(one["measured"], abs=0.02)
+    assert not [said for said in result["disagreements"] if "intervals" in said]
+    assert (tmp_path / "noise_intervals.svg").is_file()
+    slow = save_prediction(table, camera.set({"refractory_s": 1e-2}), {}, tmp_path, 0)
+    assert slow["intervals"][0]["distance"] > 0.15
+    assert "shorter ones differ by up to" in slow["disagreements"][-1]
+
+
+def test_intervals_are_counted_pixel_by_pixel():
+    time_s, pixel = np.array([0.0, 0.1, 0.3, 0.4, 1.3]), np.array([7, 3, 7, 3, 7])
+    counted = count_intervals("one", 1.0, time_s, pixel, np.array([1, 1, 0, 0, 0]), 2.0)
+    found = counted.counts.sum((0, 3))
+    assert found.tolist() == [[0, 2], [0, 1]]
+    for seconds, count in ((0.3, 2), (1.0, 1)):
+        k = int(np.searchsorted(EDGES_S, seconds, side="right")) - 1
+        assert counted.counts[..., k].sum() == count
+    entry = counted.compared(None)
+    assert entry["median_s"]["predicted"] is None
+    assert entry["shares"]["on_off"]["measured"] == pytest.approx(2 / 3)
 
 
 def test_recordings_of_several_units_of_light_are_refused():

@@ -1,4 +1,4 @@
-"""The figure of noise rates: against light with the circuit's curves, and their ratio."""
+"""The figures of noise: rates against light with the circuit's curves and their ratio, and intervals between events."""
 
 from __future__ import annotations
 
@@ -38,4 +38,23 @@ def draw_noise(model: NoiseModel, rows: Sequence[dict[str, Any]], axes: Any = No
     top.set_ylabel("events per pixel and second")
     top.legend()
     bottom.set(xlabel=f"light ({table.unit})", ylabel="measured / predicted", ylim=(0.0, 2.0))
+    return axes
+
+
+@styled
+def draw_intervals(entries: Sequence[dict[str, Any]], unit: str, axes: Any = None) -> Any:
+    """Histograms of intervals between events, measured and predicted, one light below the other; returns the axes."""
+    predicted = [entry for entry in entries if entry["distance"] is not None]
+    shown = sorted(predicted or entries[:1], key=lambda entry: entry["radiance"])
+    if axes is None:
+        axes = new_axes(len(shown), 1, 7.0, 1.6, sharex=True)[:, 0]
+    for ax, entry in zip(axes, shown, strict=True):
+        histogram = entry["histogram"]
+        if histogram["edges_s"]:
+            ax.stairs(histogram["measured"], histogram["edges_s"], color=MUTED, fill=True, alpha=0.4, label="measured")
+            if histogram["predicted"] is not None:
+                ax.stairs(histogram["predicted"], histogram["edges_s"], color=INK, label="predicted")
+        ax.set(xscale="log", ylabel="share", title=f"{entry['radiance']:.3g} {unit}, {entry['count']} intervals")
+    axes[0].legend()
+    axes[-1].set_xlabel("interval between events of a pixel (s)")
     return axes

@@ -129,7 +129,7 @@ def typical_rates(
 ) -> tuple[float, float]:
     """(ON, OFF) noise events per second, each of a pixel of its own: thresholds as of `typical_thresholds`."""
     process = noise_process(circuit, radiance, floor)
-    of_on, of_off = (rates_of(process, _pixel(circuit, *f), radiance, resolution) for f in thresholds)
+    of_on, of_off = (rates_of(process, pixel_of(circuit, *f), radiance, resolution) for f in thresholds)
     return of_on.on_hz, of_off.off_hz
 
 
@@ -141,11 +141,11 @@ def _of_pixels(
     factors, weights = mismatch_draws(
         circuit.on_threshold, circuit.off_threshold, circuit.mismatch, process.sigma, resolution.pixels
     )
-    rates = [rates_of(process, _pixel(circuit, *f), radiance, resolution) for f in factors]
+    rates = [rates_of(process, pixel_of(circuit, *f), radiance, resolution) for f in factors]
     return factors, weights[:, None] * np.array([[r.on_hz, r.off_hz] for r in rates])
 
 
-def _pixel(circuit: Circuit, on: float, off: float) -> Circuit:
+def pixel_of(circuit: Circuit, on: float, off: float) -> Circuit:
     """A pixel whose thresholds are so many times the mean ones; the leak, in mean thresholds, is one for all pixels."""
     return circuit.with_(
         on_threshold=circuit.on_threshold * on,

@@ -11,10 +11,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pixelid.parallel import map_threads
 from pixelid.stages.circuit import Circuit
 from pixelid.stages.differencing import leaked
-from pixelid.tables.noise.chain import Chain, chain_of
+from pixelid.tables.noise.chain import QUIET, Chain, chain_of
+from pixelid.tables.noise.first_passage import pixel_of
 from pixelid.tables.noise.process import LAST_LAG, noise_process
+from pixelid.tables.noise.quadrature import ROUGH, mismatch_draws
 
 FORGOTTEN = 8.0  # slowest time constants; e⁻⁸ is left of what a pixel knew beside its reference
 LATE = 160  # times at which a waiting pixel is followed, spaced evenly in ln t
@@ -52,6 +55,35 @@ def noise_intervals(circuit: Circuit, radiance: float, floor: float = 0.0) -> No
     process = noise_process(circuit, radiance, floor)
     drift = circuit.on_threshold * float(leaked(circuit, 1.0, radiance + circuit.dark))
     return intervals_of(chain_of(process, circuit, drift), circuit.refractory)
+
+
+def mean_intervals(circuit: Circuit, radiance: float, edges_s: np.ndarray, floor: float = 0.0) -> np.ndarray | None:
+    """(2, 2, n) share of all intervals, of pixels whose thresholds differ by the mismatch, between (n + 1,) edges.
+
+    By the polarities of the events before and after, ON first; None where noise does not reach a pixel's thresholds but
+    a leak does.  Other arguments and errors as `first_passage.noise_rates`.
+    """
+    process = noise_process(circuit, radiance, floor)
+    leaks = float(leaked(circuit, 1.0, radiance + circuit.dark)) > 0.0
+    factors, weights = mismatch_draws(
+        circuit.on_threshold, circuit.off_threshold, circuit.mismatch, process.sigma, ROUGH.pixels
+    )
+
+    def per_second(factor: np.ndarray) -> np.ndarray | None:
+        """(2, 2, edges) intervals of one pixel per second that are shorter."""
+        one = pixel_of(circuit, *factor)
+        if min(one.on_threshold, one.off_threshold) * (1.0 - 2.0 * one.noise) > QUIET * process.sigma:
+            return None if leaks else np.zeros((2, 2, len(edges_s)))
+        drift = one.on_threshold * float(leaked(one, 1.0, radiance + one.dark))
+        chain = chain_of(process, one, drift, ROUGH)
+        shorter = intervals_of(chain, one.refractory).within(np.maximum(edges_s, one.refractory))
+        return shorter / (max(float(chain.share @ chain.waited), 0.0) + one.refractory)
+
+    found = map_threads(per_second, factors)
+    if any(one is None for one in found):
+        return None
+    shares = np.diff(np.einsum("k,kabt->abt", weights, np.array(found)), axis=2)
+    return shares / shares.sum() if shares.sum() > 0 else None
 
 
 def intervals_of(chain: Chain, dead_s: float) -> NoiseIntervals:

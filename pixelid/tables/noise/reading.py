@@ -18,6 +18,7 @@ from pixelid.documents import words_of
 from pixelid.errors import InputError, shown
 from pixelid.recordings.kept import kept_of, seconds_looked_at
 from pixelid.recordings.recording import Recording
+from pixelid.tables.noise.measured_intervals import MeasuredIntervals, count_intervals
 from pixelid.tables.reading import TextTable, read_text_table
 
 LIGHT = re.compile(r"lux|lx|illuminance|irradiance|radiance|photocurrent|w m2")
@@ -53,6 +54,7 @@ class NoiseTable:
         unit: of `light`.
         pixels: that recordings averaged over; 0 for tables.
         sources: the files.
+        intervals: between events, one for each recording; empty for tables.
     """
 
     light: np.ndarray
@@ -65,6 +67,7 @@ class NoiseTable:
     unit: str = "lux"
     pixels: int = 0
     sources: tuple[Path, ...] = ()
+    intervals: tuple[MeasuredIntervals, ...] = ()
 
 
 def read_noise_tables(paths: Sequence[Path]) -> NoiseTable:
@@ -183,7 +186,7 @@ def reduced_recordings(recordings: Sequence[Recording]) -> NoiseTable:
         InputError: without light, with light that changes, pooled, or without a single event in any recording.
     """
     rows, columns = [], {"file": [], "radiance": [], "polarity": [], "events": []}
-    sizes, units = [], []
+    sizes, units, intervals = [], [], []
     for recording in recordings:
         radiance, begin, end = _still(recording)
         events = recording.events
@@ -193,7 +196,11 @@ def reduced_recordings(recordings: Sequence[Recording]) -> NoiseTable:
         sizes.append(pixels)
         units.append(recording.stimulus.unit if recording.stimulus else "radiance")
         duration = (1.0 - SETTLING) * (end - begin)
-        steady = events.t * 1e-9 > end - duration
+        time_s = events.t * 1e-9
+        steady = time_s > end - duration
+        intervals.append(
+            count_intervals(recording.name, radiance, time_s[steady], events.pixel[steady], events.p[steady], duration)
+        )
         for polarity, p in (("ON", 1), ("OFF", 0)):
             counts = np.bincount(events.pixel[steady & (events.p == p)]).astype(float)  # 0 in the other pixels
             total = int(counts.sum())
@@ -213,7 +220,7 @@ def reduced_recordings(recordings: Sequence[Recording]) -> NoiseTable:
     return NoiseTable(
         light, on.astype(bool), rate, error, 0.5 * digit, np.zeros(len(rows), int), columns,
         units[0], min(sizes),
-        tuple(r.source for r in recordings if r.source is not None),
+        tuple(r.source for r in recordings if r.source is not None), tuple(intervals),
     )  # fmt: skip
 
 

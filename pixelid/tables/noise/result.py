@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -20,14 +20,17 @@ from pixelid.statistics import SD_PER_MEDIAN
 from pixelid.status import Status
 from pixelid.tables.fit import MAX_SCATTER, misses
 from pixelid.tables.model import predicted_rows
-from pixelid.tables.noise.figures import draw_noise
+from pixelid.tables.noise.figures import draw_intervals, draw_noise
 from pixelid.tables.noise.fit import NoiseFit
-from pixelid.tables.noise.model import BESIDE, FA_PER_UNIT, NoiseModel, in_unit
+from pixelid.tables.noise.intervals import mean_intervals
+from pixelid.tables.noise.measured_intervals import EDGES_S, intervals_in_words
+from pixelid.tables.noise.model import BESIDE, FA_PER_UNIT, FLOOR, NoiseModel, in_unit
 from pixelid.tables.noise.reading import NoiseTable
 from pixelid.tables.result import table_result, write_result
 
 NAMED = 0.15  # relative disagreement that is said in words
 MOST_NAMED = 12
+INTERVAL_LIGHTS = 6  # spread over those recorded, at which intervals are predicted: some seconds each
 REPEATABILITY = 0.05  # of a rate in a table without errors, against which --predict standardises
 SCALE = "light_scale["  # beginning of the names of scales that a fit of several tables finds
 FOLDED = ("shot_noise.density", "diff_cutoff_hz", "threshold_sigma", "threshold_mismatch.sigma")
@@ -38,8 +41,7 @@ def save_fit(fit: NoiseFit, folder: Path, seed: int) -> dict[str, Any]:
     save_model(fit.circuit, folder / "model.toml")
     drawn = NoiseModel(fit.model.table, fit.circuit, fit.beside)
     result = fitted_result(fit)
-    rows = result["rows"]
-    return write_result(result | {"seed": seed}, "noise.json", {"noise": partial(draw_noise, drawn, rows)}, folder)
+    return write_result(result | {"seed": seed}, "noise.json", _figures(drawn, result), folder)
 
 
 def fitted_result(fit: NoiseFit) -> dict[str, Any]:
@@ -57,7 +59,7 @@ def fitted_result(fit: NoiseFit) -> dict[str, Any]:
     return result | {
         "gauge": {"fixed": {"shot_noise.density": density.value}},
         "radiance_unit": table.unit,
-        "disagreements": disagreements(table, result["rows"]),
+        **_about_rows(NoiseModel(table, circuit, fit.beside), result["rows"]),
         "seconds": fit.seconds,
         **provenance(*table.sources),
     }
@@ -75,9 +77,8 @@ def save_prediction(
     """Write noise.json and noise.svg of a model evaluated on a table; returns the JSON.  scales: `model_scales`."""
     noise = NoiseModel(table, in_unit(model, table.unit), beside)
     result = predicted_result(noise, scales)
-    figures = {"noise": partial(draw_noise, noise, result["rows"])}
     result |= {"seed": seed, **provenance(*table.sources, *inputs)}
-    return write_result(result, "noise.json", figures, folder)
+    return write_result(result, "noise.json", _figures(noise, result), folder)
 
 
 def predicted_result(noise: NoiseModel, scales: Mapping[str, float] | None = None) -> dict[str, Any]:
@@ -102,8 +103,34 @@ def predicted_result(noise: NoiseModel, scales: Mapping[str, float] | None = Non
         "cells_fitted": 0,
         "rows": written,
         "radiance_unit": table.unit,
-        "disagreements": disagreements(table, written),
+        **_about_rows(noise, written),
     }
+
+
+def _about_rows(noise: NoiseModel, rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """Disagreements of rates and, of recordings, intervals between their events beside those predicted."""
+    table, said = noise.table, disagreements(noise.table, rows)
+    if not table.intervals:
+        return {"disagreements": said}
+    circuit, floor = noise.circuit.circuit(), noise.beside.get(FLOOR.name, 0.0)
+    seen = sorted((one.radiance, k) for k, one in enumerate(table.intervals) if one.counts.any())
+    predicted = (
+        {seen[int(k)][1] for k in np.unique(np.linspace(0, len(seen) - 1, INTERVAL_LIGHTS).round())} if seen else {}
+    )
+    entries = [
+        one.compared(mean_intervals(circuit, one.radiance, EDGES_S, floor) if k in predicted else None)
+        for k, one in enumerate(table.intervals)
+    ]
+    words = (intervals_in_words(entry, table.unit, NAMED) for entry in entries)
+    return {"disagreements": [*said, *(one for one in words if one)], "intervals": entries}
+
+
+def _figures(noise: NoiseModel, result: dict[str, Any]) -> dict[str, Callable[[], Any]]:
+    """By name, functions that draw."""
+    figures: dict[str, Callable[[], Any]] = {"noise": partial(draw_noise, noise, result["rows"])}
+    if "intervals" in result:
+        figures["noise_intervals"] = partial(draw_intervals, result["intervals"], noise.table.unit)
+    return figures
 
 
 def disagreements(table: NoiseTable, rows: Sequence[dict[str, Any]]) -> list[str]:
