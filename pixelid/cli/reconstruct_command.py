@@ -6,7 +6,7 @@ import click
 
 from pixelid.cli import options
 
-AUTO = "auto"
+AUTO, PREVIEW = "auto", "preview.png"
 TRAINABLE = (  # `pixel.TRAINABLE`, here without what it takes to import it
     "threshold", "ratio", "refractory", "leak", "parasitic_photocurrent", "threshold_drift", "polarity_memory",
 )  # fmt: skip
@@ -86,15 +86,16 @@ def command(
     """Reconstruct the scene of DATASET, a folder in the published layout of Robust e-NeRF and Deblur e-NeRF.
 
     Writes reconstruction.json, field.npz, figures and report.html.  Exit code 1 when the events were not explained.
-    An interrupted run continues when started again.
+    An interrupted run continues when started again.  OUT.preview.png beside OUT shows the scene as it comes.
     """
+    import shutil
     from contextlib import nullcontext
     from dataclasses import replace
 
     from pixelid.cli.progress import bar
     from pixelid.cli.terminal import say
     from pixelid.errors import InputError
-    from pixelid.outputs import claimed, refuse_existing, whole_folder
+    from pixelid.outputs import claimed, refuse_existing, refuse_inputs, whole_folder
 
     if checkpoint is not None and checkpoint.is_dir():
         raise InputError(f"{checkpoint}: expected a file for the training's state, found a folder")
@@ -110,6 +111,8 @@ def command(
             if folder is not None and folder.resolve() in (checkpoint.resolve(), *checkpoint.resolve().parents):
                 raise InputError(f"{checkpoint}: --checkpoint is a file of the input {folder}; choose another name")
     refuse_existing(out, overwrite)
+    preview = out.with_name(f"{out.name}.preview.png")  # beside the folder until that is there, then in it
+    refuse_inputs(preview, [folder for folder, _ in given if folder is not None])
     from pixelid.nerf import parallel
     from pixelid.nerf.checkpoint import search_file
     from pixelid.nerf.dataset import read_dataset
@@ -139,13 +142,16 @@ def command(
             result = reconstruct(
                 data, fit=fit, sensor=sensor, bandwidth=pixel, recipe=recipe, background=background, scale=scale,
                 box=box or None, radiance_scale=radiance_scale, protocol=protocol, gap=gap, beside=beside,
-                resume=kept, device=device, seed=seed, progress=report,
+                resume=kept, preview=preview, device=device, seed=seed, progress=report,
             )  # fmt: skip
             if first:
                 with whole_folder(out, overwrite) as folder:
                     result.write(folder)
                     write_figures(result, folder)
                     write_report(folder)
+                    if result.state.finite:
+                        shutil.copyfile(preview, folder / PREVIEW)
+                preview.unlink(missing_ok=True)
                 if checkpoint is None:
                     kept.unlink(missing_ok=True)
                     search_file(kept).unlink(missing_ok=True)

@@ -20,6 +20,7 @@ from pixelid.nerf.evaluate import Scores, evaluate, evaluate_as_published, no_sc
 from pixelid.nerf.ignored import ignored_effects
 from pixelid.nerf.pixel import FILTER, Bandwidth
 from pixelid.nerf.pixel_maps import maps_of_sensor
+from pixelid.nerf.preview import write_preview
 from pixelid.nerf.problem import HELD_OUT, problem_of
 from pixelid.nerf.recipe import Recipe
 from pixelid.nerf.saved import SavedReconstruction, write_field
@@ -172,6 +173,7 @@ def reconstruct(
     gap: bool = False,
     beside: Path | None = None,
     resume: Path | None = None,
+    preview: Path | None = None,
     device: str = "auto",
     seed: int = 0,
     progress: Callable[[str, float], None] = lambda what, share: None,
@@ -195,6 +197,7 @@ def reconstruct(
         gap: look in the events for effects that the pixel lacks, and train with those found (`search`).
         beside: folder of another reconstruction of the dataset, shown beside this one.
         resume: a checkpoint, continued when it exists and written as training goes on.
+        preview: a PNG of the scene, replaced as training goes on.
         device: "cpu", "cuda" or "auto".
         seed: of everything random.
         progress: called with what is done and the fraction.
@@ -250,7 +253,7 @@ def reconstruct(
         if outcome is None:
             result = search(
                 calibration, bandwidth, recipe, lambda of, trained: make(of, trained, SEARCH_HELD_OUT),
-                mapped=maps is not None, score=lambda state: _running(state, problem, validation), device=device,
+                mapped=maps is not None, score=lambda state: _psnr(_running(state, problem, validation)), device=device,
                 progress=lambda what, share: progress(what, 0.5 * share),
             )  # fmt: skip
             outcome = result.calibration, result.trained, result.as_dict()
@@ -275,9 +278,11 @@ def reconstruct(
         now.seconds = earlier + time.perf_counter() - begun
         rate = now.rays * parallel.world() / max(now.seconds, 1e-9)
         if now.iteration % max(recipe.iterations // LOOKS, 1) == 0:
-            psnr = _running(now, problem, validation)
-            entry = {"iteration": now.iteration, **measured, "rays_per_second": rate, "running_psnr": psnr}
+            seen = _running(now, problem, validation)
+            entry = {"iteration": now.iteration, **measured, "rays_per_second": rate, "running_psnr": _psnr(seen)}
             now.history.append({name: float(value) for name, value in entry.items()})
+            if preview is not None and parallel.rank() == 0:
+                write_preview(Path(preview), problem, now, seen, validation)
         last = now.history[-1]["running_psnr"] if now.history else float("nan")
         words = f"loss {measured['loss']:.3f}, {rate / 1e3:.0f}k rays/s, {last:.1f} dB"
         done = 0.95 * now.iteration / recipe.iterations
@@ -293,6 +298,8 @@ def reconstruct(
     finite = state.finite
     if resume is not None and parallel.rank() == 0 and finite:
         checkpoint.save(Path(resume), state, mark)
+    if preview is not None and parallel.rank() == 0:
+        write_preview(Path(preview), problem, state, _running(state, problem, validation), validation)
     progress("evaluating", 0.95)
     scores = evaluate(state.field, validation, test, problem.dark) if finite else no_scores(test)
     published = evaluate_as_published(state.field, test, problem.dark) if finite and protocol == "paper" else None
@@ -306,12 +313,17 @@ def reconstruct(
     )  # fmt: skip
 
 
-def _running(state: State, problem: Problem, validation: Views) -> float:
-    """PSNR of one validation view, corrected on another (or on itself when it is alone)."""
+def _running(state: State, problem: Problem, validation: Views) -> Scores | None:
+    """Scores of one validation view, corrected on another (or on itself when it is alone)."""
     if not state.finite or len(validation) == 0:
-        return float("nan")
+        return None
     first, second = validation.some([0]), validation.some([len(validation) - 1])
-    return float(evaluate(state.field, first, second, problem.dark).psnr.mean())
+    return evaluate(state.field, first, second, problem.dark)
+
+
+def _psnr(seen: Scores | None) -> float:
+    """Of a validation view, NaN where there is none."""
+    return float("nan") if seen is None else float(seen.psnr.mean())
 
 
 def _verdict(

@@ -561,3 +561,35 @@ def test_what_the_pixel_has_and_the_scene_ignores_is_said(made, tmp_path, capsys
         "timestamp_jitter",
     ]
     assert "does not model slew_limit, timestamp_jitter" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("views", [True, False])
+def test_a_preview_shows_the_scene_come_and_changes_no_number(made, tmp_path, views):
+    data = read_dataset(made)
+    data = data if views else replace(data, views={})
+    plain = reconstruct(data, recipe=SMALL, device="cpu")
+    seen = []
+
+    def remember(what: str, share: float) -> None:
+        if (tmp_path / "scene.png").is_file():
+            seen.append(imread(tmp_path / "scene.png"))
+
+    watched = reconstruct(data, recipe=SMALL, device="cpu", preview=tmp_path / "scene.png", progress=remember)
+    assert torch.equal(watched.state.field.grid, plain.state.field.grid)
+    np.testing.assert_array_equal(watched.scores.psnr, plain.scores.psnr)
+    last = imread(tmp_path / "scene.png")
+    assert last.shape == (16, 16)
+    assert len({picture.tobytes() for picture in seen}) > 5
+    assert [file.name for file in tmp_path.iterdir()] == ["scene.png"]
+    if views:
+        validation = data.views["val"]
+        truth = validation.images[-1, ..., 0] / validation.peak
+        errors = [np.abs(picture / 255 - truth).mean() for picture in (seen[0], last)]
+        assert errors[1] < errors[0]
+
+
+def test_the_command_keeps_the_last_preview_in_its_folder(made, tmp_path):
+    words = ["reconstruct", str(made), "--out", str(tmp_path / "out"), "--iterations", "4", "--quiet"]
+    assert main(words) in (0, 1)
+    assert imread(tmp_path / "out" / "preview.png").shape == (16, 16)
+    assert [file.name for file in tmp_path.iterdir()] == ["out"]

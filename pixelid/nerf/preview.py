@@ -1,0 +1,57 @@
+"""What a scene looks like while it is trained: one small picture, renewed at every look."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from pixelid.nerf.evaluate import Scores, render_views
+from pixelid.nerf.state import Problem, State
+from pixelid.nerf.views import Views, no_views
+from pixelid.outputs import whole_file
+
+MOST_SIDE = 400  # pixels of a preview's longer side
+# Of a scene without views, which is rendered for the preview alone: a hundred thousand rays over a run, forwards only,
+# of some 1e7 that the default recipe sends.
+UNSEEN_SIDE = 96
+WHITE = 0.995  # quantile of such a picture that becomes white, coded by 1/2.2
+
+
+def write_preview(path: Path, problem: Problem, state: State, scores: Scores | None, validation: Views) -> None:
+    """Replace the preview by what the scene shows now; nothing where it holds other than numbers.
+
+    Args:
+        path: of a PNG.
+        problem: that is trained on.
+        state: of the training, which stays as it is; nothing random is drawn.
+        scores: of a validation view, already rendered; None where there are no views, and the first pose is shown.
+        validation: the views, which say what white is.
+    """
+    if not state.finite:
+        return
+    image = _first_pose(problem, state) if scores is None else scores.images[-1] / validation.peak
+    _save(path, image)
+
+
+def _first_pose(problem: Problem, state: State) -> np.ndarray:
+    """(h, w, C) of the scene as the first pose sees it, white at 1."""
+    camera = problem.camera
+    share = min(UNSEEN_SIDE / max(camera.width, camera.height), 1.0)
+    small = camera.resized(max(round(share * camera.width), 1), max(round(share * camera.height), 1))
+    position, rotation = problem.trajectory.at(problem.trajectory.t[:1])
+    view = replace(no_views(small, len(problem.dark)), position=position, rotation=rotation)
+    view = replace(view, images=np.empty((1, small.height, small.width, len(problem.dark)), np.float32), names=("",))
+    radiance = render_views(state.field, view, problem.dark)[0]
+    return (radiance / max(float(np.quantile(radiance, WHITE)), 1e-6)).clip(min=0.0) ** (1 / 2.2)
+
+
+def _save(path: Path, image: np.ndarray) -> None:
+    """An image (H, W, C), white at 1, as a PNG of at most `MOST_SIDE`, whole or not at all."""
+    from skimage.io import imsave
+
+    every = -(-max(image.shape[:2]) // MOST_SIDE)
+    levels = np.round(255.0 * np.nan_to_num(np.clip(image[::every, ::every], 0.0, 1.0))).astype(np.uint8)
+    with whole_file(path, overwrite=True) as temporary:
+        imsave(temporary, levels if levels.shape[-1] == 3 else levels[..., 0], check_contrast=False)
