@@ -47,7 +47,8 @@ def command(
 ):  # fmt: skip
     """Render the scene of DIR, the folder of a reconstruction.
 
-    Writes frames/ (PNG in the unit of the test views), what the flags ask for, render.json and report.html.
+    Writes frames/ (PNG in the unit of the test views), errors/ where --views has pictures of its poses, what the flags
+    ask for, render.json and report.html.
     """
     import math
 

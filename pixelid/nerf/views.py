@@ -9,6 +9,7 @@ Transparent parts show white.
 from __future__ import annotations
 
 import glob
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -109,6 +110,31 @@ def read_views(dataset: Path, channels: int) -> dict[str, Views]:
     return {stage: replace(views, exposure=views.exposure / usual) for stage, views in stages.items()}
 
 
+def views_of_file(file: Path, which: Sequence[int], channels: int, dataset: Path | None = None) -> Views:
+    """Some views of one `transforms_*.json`, as `read_views` has them.
+
+    Args:
+        file: of the poses.
+        which: of its frames.
+        channels: colours, 1 or 3.
+        dataset: folder that they are of; by default the one that holds the folder of the file.
+
+    Returns:
+        Views in the order of `which`, their exposure relative to the mean over all stages beside the file.
+
+    Raises:
+        InputError: images or poses that are missing or cannot be read.
+    """
+    file = Path(file)
+    document = read_json(file)
+    log_eps = _log_eps((file.resolve().parent.parent if dataset is None else Path(dataset)) / RENDERER)
+    with interpreting(file, "posed views"), np.errstate(all="ignore"):
+        views = _views(file, {**document, "frames": [document["frames"][k] for k in which]}, channels, log_eps)
+        stages = [place for stage in STAGES if (place := file.parent / f"transforms_{stage}.json").is_file()]
+        told = [_exposures(stage, read_json(stage)["frames"]) for stage in (stages or [file])]
+    return replace(views, exposure=views.exposure / float(np.mean(np.concatenate(told))))
+
+
 def _log_eps(file: Path) -> float:
     if not file.is_file():
         return 0.0
@@ -140,9 +166,7 @@ def _views(file: Path, document: dict, channels: int, log_eps: float) -> Views:
         images[k] = _radiance(file, image, document, log_eps, channels)
         transparent |= _shows_through(image, document)
     peak, span = _peak_and_span(images, first.dtype, document)
-    exposure = np.array([float(f.get("exposure_time", 1.0)) * float(f.get("gain", 1.0)) for f in frames])
-    if not (np.isfinite(exposure) & (exposure > 0)).all():
-        raise InputError(f"{file}: exposure_time, gain: expected positive numbers")
+    exposure = _exposures(file, frames)
     camera = camera_of_document(file, document, images.shape[2], images.shape[1])
     short = tuple(Path(name).name for name in names)
     return Views(
@@ -157,6 +181,14 @@ def frames_of(file: Path, document: dict) -> list:
     if not isinstance(frames, list) or not frames:
         raise InputError(f"{file}: frames: expected a list of at least one view")
     return frames
+
+
+def _exposures(file: Path, frames: list) -> np.ndarray:
+    """(n,) exposure × gain of frames."""
+    exposure = np.array([float(f.get("exposure_time", 1.0)) * float(f.get("gain", 1.0)) for f in frames])
+    if not (np.isfinite(exposure) & (exposure > 0)).all():
+        raise InputError(f"{file}: exposure_time, gain: expected positive numbers")
+    return exposure
 
 
 def pose_of_frame(file: Path, k: int, frame) -> np.ndarray:

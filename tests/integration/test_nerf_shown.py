@@ -376,3 +376,53 @@ def test_a_result_that_lost_a_table_is_refused_in_a_line(key, folder, tmp_path, 
     (copy / "reconstruction.json").write_text(json.dumps(content))
     assert main(["render", str(copy), "--out", str(tmp_path / "out"), "--quiet"]) == 2
     assert key in capsys.readouterr().err
+
+
+def pictured(folder: Path, tmp_path: Path, brighter: float = 0.0) -> Path:
+    """A data set of three views of the ball as corrected, of other exposures, and brighter on the right half."""
+    from imageio.v3 import imwrite
+
+    way = around([-1] * 3, [1] * 3, "spiral", 3, (24, 20), fov=0.7)
+    views = Views(
+        np.empty((3, 20, 24, 1)), way.position, way.rotation, way.camera, ("",) * 3, np.ones(3), False, 1.0
+    )  # fmt: skip
+    radiance = render_views(px.load_field(folder), views, np.array([0.05]))[..., 0]
+    exposure, frames = np.array([1.0, 0.8, 1.2]), []
+    (tmp_path / "scene" / "views" / "test").mkdir(parents=True)
+    for k in range(3):
+        pose = np.eye(4)
+        pose[:3, :3], pose[:3, 3] = way.rotation[k] @ np.diag([1.0, -1.0, -1.0]), way.position[k]
+        frame = {"file_path": f"./test/r_{k}", "transform_matrix": pose.tolist(), "exposure_time": 3 * exposure[k]}
+        frames.append(frame)
+        image = exposure[k] * (0.8 * radiance[k] ** 0.9 - 0.01)
+        image[:, 12:] += brighter
+        imwrite(tmp_path / "scene" / "views" / "test" / f"r_{k}.tiff", image.astype(np.float32))
+    file = tmp_path / "scene" / "views" / "transforms_test.json"
+    file.write_text(json.dumps({"camera_angle_x": 0.7, "frames": frames}))
+    return file
+
+
+def test_frames_of_pictured_views_come_with_their_errors(folder, tmp_path):
+    from skimage.io import imread
+
+    file = pictured(folder, tmp_path / "data", brighter=0.06)
+    words = ["render", str(folder), "--views", str(file), "--quiet"]
+    assert main([*words, "--out", str(tmp_path / "out"), "--frames", "2", "--depth"]) == 0
+    result = json.loads((tmp_path / "out" / "render.json").read_text())
+    check("render", result)
+    assert result["errors"]["full_scale"] == pytest.approx(0.3)
+    assert [frame["name"] for frame in result["errors"]["frames"]] == ["0000_r_0", "0002_r_2"]
+    for frame in result["errors"]["frames"]:
+        error = np.load(tmp_path / "out" / "errors" / f"{frame['name']}.npy")
+        assert error.shape == (20, 24, 1)
+        np.testing.assert_allclose(error[:, :12], 0.0, atol=1e-5)
+        np.testing.assert_allclose(error[:, 12:], -0.06, atol=1e-5)
+        assert frame["psnr"] == pytest.approx(-10 * np.log10(0.5 * 0.06**2), abs=1e-2)
+        assert (frame["mean"], frame["mean_absolute"]) == pytest.approx((-0.03, 0.03), abs=1e-5)
+        picture = imread(tmp_path / "out" / "errors" / f"{frame['name']}.png").astype(int)
+        assert picture[:, :12].sum(axis=-1).max() < 10 < picture[:, 12:].sum(axis=-1).min()
+    assert "errors/" in result["files"]
+    assert main([*words, "--out", str(tmp_path / "small"), "--size", "12", "10"]) == 0
+    other = json.loads((tmp_path / "small" / "render.json").read_text())
+    assert other["errors"] is None
+    assert any("no error maps: pictures have 24 × 20 pixels" in note for note in other["notes"])

@@ -1,9 +1,11 @@
-"""Figure of what was rendered: some frames, and their depths below."""
+"""Figure of what was rendered: some frames, their errors and depths below."""
 
 from __future__ import annotations
 
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from pixelid.figures.style import SEQUENTIAL, new_axes, save_figure, styled
 from pixelid.nerf.shown.render import Rendered
@@ -16,19 +18,27 @@ def write_figures(result: Rendered, folder: Path) -> None:
 
 @styled
 def draw_frames(result: Rendered, axes: Any = None) -> Any:
-    """Frames, and depths where there are any; returns the axes (1 or 2, frames)."""
-    rows = 1 if result.depths is None else 2
+    """Frames, errors where there are pictures, and depths where asked for; returns the axes (1 to 3, frames)."""
+    below: list[tuple[Any, dict[str, Any], str]] = []
+    if result.errors is not None:
+        scale = {"cmap": "magma", "vmin": 0, "vmax": result.content["errors"]["full_scale"]}
+        below.append((result.errors, scale, "absolute error (units of the views)"))
+    if result.depths is not None:
+        finite = result.depths[np.isfinite(result.depths)]
+        low, high = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 1.0)
+        scale = {"cmap": f"{SEQUENTIAL}_r", "vmin": low, "vmax": high}
+        below.append((result.depths, scale, "distance (units of the poses)"))
+    rows = 1 + len(below)
     if axes is None:
         axes = new_axes(rows, len(result.shown), 2.0, 2.0)
     axes = axes.reshape(rows, -1)
     for k, image in enumerate(result.shown):
         axes[0, k].imshow(image)
-        if result.depths is not None:
-            shown = axes[1, k].imshow(result.depths[k], cmap=f"{SEQUENTIAL}_r")
     for axis in axes.flat:
         axis.set_xticks([])
         axis.set_yticks([])
         axis.grid(False)
-    if result.depths is not None:
-        axes[0, 0].figure.colorbar(shown, ax=axes[1].tolist(), shrink=0.8, label="distance (units of the poses)")
+    for row, (images, scale, label) in enumerate(below, start=1):
+        shown = [axes[row, k].imshow(image, **scale) for k, image in enumerate(images)]
+        axes[0, 0].figure.colorbar(shown[-1], ax=axes[row].tolist(), shrink=0.8, label=label)
     return axes

@@ -15,6 +15,7 @@ from pixelid.nerf.correction import Correction
 from pixelid.nerf.evaluate import render_views
 from pixelid.nerf.saved import FIELD, SavedReconstruction
 from pixelid.nerf.shown import ply, video
+from pixelid.nerf.shown.errors import error_picture, pictures_of, write_error
 from pixelid.nerf.shown.solid import depth_of, mesh_of
 from pixelid.nerf.shown.splats import splats_of
 from pixelid.nerf.shown.ways import Way
@@ -23,7 +24,7 @@ from pixelid.provenance import provenance
 from pixelid.results import Table, WrittenResult
 from pixelid.status import Status
 
-FRAMES, DEPTH, VIDEO, DEPTH_VIDEO = "frames", "depth", "video.mp4", "depth.mp4"
+FRAMES, DEPTH, ERRORS, VIDEO, DEPTH_VIDEO = "frames", "depth", "errors", "video.mp4", "depth.mp4"
 MESH, SPLATS = "mesh.ply", "splats.ply"
 MUCH_WHITE = 0.01  # share of the pixels beyond white from which on it is said
 BRIGHTEST = 0.995  # quantile of the first frames that becomes white where no views say what white is
@@ -44,13 +45,15 @@ class Wanted:
 class Rendered(WrittenResult):
     """What was rendered.
 
-    content: of render.json;  shown: (k, H, W, 3) 8-bit, a few of the frames;  depths: (k, H, W) their depths, or None
+    content: of render.json;  shown: (k, H, W, 3) 8-bit, a few of the frames;  depths: (k, H, W) their depths, or None;
+    errors: (k, H, W) their mean absolute errors over the colours, or None
     """
 
     FILE: ClassVar[str] = "render.json"
 
     shown: np.ndarray
     depths: np.ndarray | None = None
+    errors: np.ndarray | None = None
 
     @property
     def headline(self) -> str:
@@ -101,7 +104,10 @@ def render(
         raise InputError(f"{path / FIELD}: the field holds numbers that are not finite: the reconstruction diverged")
     colours = saved.field.grid.shape[1] - 1
     dark = np.resize(np.asarray(saved.content["pixel"].get("dark") or 0.0, dtype=float), colours)
-    tone, notes = _tone(saved, way, dark)
+    correction = _correction(saved)
+    tone, notes = _tone(saved, correction, way, dark)
+    pictures, lacking = pictures_of(way, correction, colours)
+    notes += lacking
     if saved.status is not Status.converged:
         notes.append(f"the reconstruction ended as {saved.status}: {saved.advice or saved.status.advice}")
     if way.left_out:
@@ -109,23 +115,32 @@ def render(
     mesh = mesh_of(saved.field) if wanted.mesh else None  # before the frames: scenes without are refused at once
     splats = splats_of(saved.field) if wanted.splats else None
     files: dict[str, str] = {}
-    frames, depths, white = [], [], 0.0
+    frames, depths, errors, white = [], [], [], 0.0
     (folder / FRAMES).mkdir()
+    if pictures is not None:
+        (folder / ERRORS).mkdir()
     for k in range(len(way)):
         view = _views(way, k, colours)
-        image = tone(render_views(saved.field, view, dark, supersample=supersample)[0])
+        radiance = render_views(saved.field, view, dark, supersample=supersample)[0]
+        image = tone(radiance)
         frame = _eight_bits(image)
         white += float(np.mean((image > 1.0).any(axis=-1))) / len(way)
         _save(folder / FRAMES / f"{way.names[k]}.png", frame)
         frames.append(frame)
         if wanted.depth:
             depths.append(depth_of(saved.field, view)[0].astype(np.float32))
+        if pictures is not None:
+            errors.append(pictures.error(radiance, k))
+            write_error(folder / ERRORS, way.names[k], errors[k], error_picture(errors[k], pictures.full_scale))
         progress("frames", 0.8 * (k + 1) / len(way))
     files[f"{FRAMES}/"] = f"{len(frames)} PNG pictures"
     if white > MUCH_WHITE:
         notes.append(f"{white:.1%} of the pixels are brighter than white of the views, and shown as white")
     if depths:
         files |= _write_depths(folder, way, depths)
+    if pictures is not None:
+        scale = f"black for none, brightest from {pictures.full_scale:.3g} of the views' unit on"
+        files[f"{ERRORS}/"] = f"{len(errors)} arrays, frame less picture, and pictures of their size: {scale}"
     if wanted.video:
         files |= _write_videos(folder, frames, depths, wanted.frames_per_second, notes)
     if mesh is not None:
@@ -149,14 +164,16 @@ def render(
         ],
         "files": files,
         "depth_range": [float(np.nanmin(depths)), float(np.nanmax(depths))] if np.isfinite(depths).any() else None,
+        "errors": None if pictures is None else pictures.as_dict(way.names, errors),
         "notes": notes,
         "seconds": time.perf_counter() - watch,
         "seed": seed,
         **provenance(path / FIELD, path / SavedReconstruction.FILE),
     }
     return Rendered(
-        content, np.array([frames[k] for k in some]), np.array([depths[k] for k in some]) if depths else None
-    )
+        content, np.array([frames[k] for k in some]), np.array([depths[k] for k in some]) if depths else None,
+        np.array([np.abs(errors[k]).mean(axis=-1) for k in some]) if errors else None,
+    )  # fmt: skip
 
 
 def _views(way: Way, k: int, colours: int) -> Views:
@@ -165,17 +182,23 @@ def _views(way: Way, k: int, colours: int) -> Views:
     return Views(blank, way.position[k : k + 1], way.rotation[k : k + 1], way.camera, ("",), np.ones(1), False, 1.0)
 
 
+def _correction(saved: SavedReconstruction) -> Correction | None:
+    """Of the scores, None where nothing was scored."""
+    if not saved.content["views"]["per_view"] or saved.content["correction"]["a"] is None:
+        return None
+    return Correction(*(np.atleast_1d(np.asarray(saved.content["correction"][name], float)) for name in "abc"))
+
+
 def _tone(
-    saved: SavedReconstruction, way: Way, dark: np.ndarray
+    saved: SavedReconstruction, correction: Correction | None, way: Way, dark: np.ndarray
 ) -> tuple[Callable[[np.ndarray], np.ndarray], list[str]]:
     """Radiance (H, W, C) → what a picture shows of it, white at 1, and what has to be said about it.
 
     With test views, their unit: the correction a·L^b − c of the scores, white at 1.  Without, nobody knows the
     exponent: radiance is scaled to the brightest of the first frame and coded by sRGB's 1/2.2.
     """
-    if saved.content["views"]["per_view"] and saved.content["correction"]["a"] is not None:
-        a, b, c = (np.atleast_1d(np.asarray(saved.content["correction"][name], float)) for name in "abc")
-        correction, one = Correction(a, b, c), np.ones(1)
+    if correction is not None:
+        one = np.ones(1)
         return lambda radiance: correction(radiance[None], one)[0], []
     first = render_views(saved.field, _views(way, 0, len(dark)), dark)[0]
     white = max(float(np.quantile(first, BRIGHTEST)), 1e-6)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -31,12 +32,20 @@ ORBIT_ELEVATION, SPIRAL_ELEVATIONS = 0.4, (0.0, 0.9)  # rad; a spiral goes from 
 SPIRAL_TURNS = 2.0
 
 
+class Listed(NamedTuple):
+    """Where poses are listed beside their pictures: a `transforms_*.json`, which of its frames, of which data set."""
+
+    file: Path
+    which: list[int]
+    dataset: Path | None
+
+
 @dataclass(frozen=True)
 class Way:
     """Cameras one after the other.
 
     position: (n, 3), rotation: (n, 3, 3) camera to world (x right, y down, z forward);  camera: of them all;  names: n;
-    left_out: how many poses of a file are not among them
+    left_out: how many poses of a file are not among them;  listed: the file that may name their pictures
     """
 
     position: np.ndarray
@@ -44,6 +53,7 @@ class Way:
     camera: Camera
     names: tuple[str, ...]
     left_out: int = 0
+    listed: Listed | None = None
 
     def __len__(self) -> int:
         return len(self.position)
@@ -101,8 +111,8 @@ def way_of_file(path: Path, size: tuple[int, int] | None, fov: float = FIELD_OF_
     Raises:
         InputError: naming what the file lacks.
     """
-    if path.is_dir():
-        path = _inside(path)
+    dataset = path if path.is_dir() else None
+    path = path if dataset is None else _inside(dataset)
     if not path.is_file():
         raise InputError(f"{path}: no such file; expected transforms_*.json, a dataset folder, or {POSES}")
     if path.suffix == ".npz":
@@ -121,7 +131,8 @@ def way_of_file(path: Path, size: tuple[int, int] | None, fov: float = FIELD_OF_
     poses = np.array([pose_of_frame(path, k, frames[k]) for k in some])
     names = tuple(f"{k:04d}_{Path(str(frames[k]['file_path'])).name}" for k in some)
     camera = _stated_camera(path, document, str(frames[0]["file_path"]), size, fov)
-    return Way(poses[:, :3, 3], poses[:, :3, :3] @ OPENGL, camera, names, len(frames) - len(some))
+    listed = Listed(path, some, dataset)
+    return Way(poses[:, :3, 3], poses[:, :3, :3] @ OPENGL, camera, names, len(frames) - len(some), listed)
 
 
 def _inside(folder: Path) -> Path:

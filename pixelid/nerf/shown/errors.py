@@ -1,0 +1,80 @@
+"""Where a scene departs from the pictures of its views: error maps of what is rendered, as the scores count it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pixelid.errors import InputError
+from pixelid.nerf.correction import Correction
+from pixelid.nerf.shown.ways import Way
+from pixelid.nerf.views import Views, views_of_file
+
+FULL_SCALE = 0.3  # of the largest value that a picture can have: the absolute error that is shown brightest
+
+
+@dataclass(frozen=True)
+class Pictures:
+    """The pictures of a way's frames.  truth: one view per frame;  correction: that the scores were made with."""
+
+    truth: Views
+    correction: Correction
+
+    @property
+    def full_scale(self) -> float:
+        """The absolute error that is shown brightest, in the unit of the views."""
+        return FULL_SCALE * self.truth.peak
+
+    def error(self, radiance: np.ndarray, k: int) -> np.ndarray:
+        """(H, W, C) by how much frame k of that radiance is brighter than its picture, both clipped as for scores."""
+        view = self.truth.some([k])
+        seen = np.clip(self.correction(radiance[None], view.exposure), 0.0, view.peak)
+        return (seen - np.clip(view.images, 0.0, view.peak))[0].astype(np.float32)
+
+    def as_dict(self, names: tuple[str, ...], errors: list[np.ndarray]) -> dict[str, Any]:
+        """The entry "errors" of render.json."""
+        psnr = [10 * np.log10(self.truth.peak**2 / max(float((e.astype(float) ** 2).mean()), 1e-12)) for e in errors]
+        return {
+            "full_scale": self.full_scale,
+            "frames": [
+                {"name": name, "psnr": of, "mean": float(e.mean()), "mean_absolute": float(np.abs(e).mean())}
+                for name, of, e in zip(names, psnr, errors, strict=True)
+            ],
+        }
+
+
+def pictures_of(way: Way, correction: Correction | None, colours: int) -> tuple[Pictures | None, list[str]]:
+    """(the pictures of a way's frames, why there are none where the way names some).
+
+    correction: of the scores, None where there are none: then nobody knows what the scene's unit is in the pictures'
+    """
+    if way.listed is None or correction is None:
+        return None, []
+    try:
+        truth = views_of_file(way.listed.file, way.listed.which, colours, way.listed.dataset)
+    except InputError as error:
+        return None, [f"no error maps: {error}"]
+    found, asked = truth.images.shape[2:0:-1], (way.camera.width, way.camera.height)
+    if found != asked:
+        sizes = f"pictures have {found[0]} × {found[1]} pixels, frames {asked[0]} × {asked[1]}"
+        return None, [f"no error maps: {sizes}; leave --size out"]
+    return Pictures(truth, correction), []
+
+
+def error_picture(error: np.ndarray, full_scale: float) -> np.ndarray:
+    """(H, W, 3) 8-bit: the mean absolute error over the colours, black for none, brightest from `full_scale` on."""
+    import matplotlib
+
+    share = np.abs(error).mean(axis=-1) / full_scale
+    return (255 * matplotlib.colormaps["magma"](np.clip(share, 0.0, 1.0))[..., :3]).astype(np.uint8)
+
+
+def write_error(folder: Path, name: str, error: np.ndarray, picture: np.ndarray) -> None:
+    """Write NAME.npy, the signed error (H, W, C), and NAME.png into an existing folder."""
+    from skimage.io import imsave
+
+    np.save(folder / f"{name}.npy", error)
+    imsave(folder / f"{name}.png", picture, check_contrast=False)
