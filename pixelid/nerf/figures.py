@@ -16,7 +16,7 @@ SHOWN = 5
 
 
 def write_figures(result: Reconstruction, folder: Path) -> None:
-    """Write views.svg, the slider's pictures, training.svg and, where effects were found, gap.svg into a folder."""
+    """Write views.svg, the slider's pictures, training.svg and, after a search for effects, gap.svg."""
     if len(result.truth):
         save_figure(draw_views(result), folder / "views.svg")
         write_slider(result.truth, result.scores, result.beside, folder)
@@ -81,14 +81,20 @@ COVARIATES = {
 
 @styled
 def draw_residuals(residuals: Mapping[str, Mapping[str, list]], axes: Any = None) -> Any:
-    """What held-out events say beyond the scene, without and with what was found; returns the axes (2, covariates)."""
+    """What held-out events say beyond the scene, without and, below, with what was found, if anything was.
+
+    Returns the axes (1 or 2, covariates).
+    """
+    found = any(one[f"{p}_before"] != one[f"{p}_after"] for one in residuals.values() for p in ("on", "off"))
+    shown = (("before", "pixel as told"), ("after", "with what was found"))[: 2 if found else 1]
     if axes is None:
-        axes = new_axes(2, len(residuals), 2.8, 2.2)
+        axes = new_axes(len(shown), len(residuals), 2.8, 2.2)
+    axes = axes.reshape(len(shown), -1)
     for column, (name, one) in enumerate(residuals.items()):
         edges = np.array(one["edges"])
         logarithmic = name != "time_s" and edges[0] > 0
         middle = np.sqrt(edges[1:] * edges[:-1]) if logarithmic else 0.5 * (edges[1:] + edges[:-1])
-        for row, when in enumerate(("before", "after")):
+        for row, (when, _) in enumerate(shown):
             axis = axes[row, column]
             for polarity, colour in (("on", ON), ("off", OFF)):
                 values = np.array([np.nan if v is None else v for v in one[f"{polarity}_{when}"]])
@@ -96,11 +102,11 @@ def draw_residuals(residuals: Mapping[str, Mapping[str, list]], axes: Any = None
             axis.axhline(0.0, color=INK, linewidth=0.6)
             if logarithmic:
                 axis.set_xscale("log")
-        axes[1, column].set_xlabel(COVARIATES.get(name, name))
-        low, high = (f(f(axes[row, column].get_ylim()) for row in (0, 1)) for f in (min, max))
-        for row in (0, 1):
-            axes[row, column].set_ylim(low, high)
-    for row, words in enumerate(("pixel as told", "with what was found")):
+        axes[-1, column].set_xlabel(COVARIATES.get(name, name))
+        low, high = (f(f(axis.get_ylim()) for axis in axes[:, column]) for f in (min, max))
+        for axis in axes[:, column]:
+            axis.set_ylim(low, high)
+    for row, (_, words) in enumerate(shown):
         axes[row, 0].set_ylabel(f"{words}:\nmean rest (thresholds)")
     axes[0, 0].legend()
     return axes

@@ -37,7 +37,8 @@ class PixelMaps:
 
     threshold: (pixels, 2) expected ln of a pixel's ON and OFF threshold over the circuit's;  threshold_sd: (pixels, 2)
     its uncertainty, 0 where it is known;  bandwidth: (pixels, 8) factors of the numbers of `Dynamics`, None where all
-    are alike;  hot: (k,) pixels left out;  unused: names of maps that have no place in a reconstruction
+    are alike;  hot: (k,) pixels left out;  unused: names of maps that have no place in a reconstruction;  hot_hz: of
+    their events, beyond those of the pixels about them, mean
     """
 
     threshold: np.ndarray
@@ -45,6 +46,7 @@ class PixelMaps:
     bandwidth: np.ndarray | None = None
     hot: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
     unused: tuple[str, ...] = ()
+    hot_hz: float = 0.0
 
 
 def maps_of_circuit(circuit: Circuit, pixels: int) -> PixelMaps:
@@ -105,6 +107,13 @@ def _has(circuit: Circuit, column: int) -> bool:
     if column in cutoffs:
         return math.isfinite(cutoffs[column])
     return circuit.photoreceptor == "second_order" or (circuit.photoreceptor == "one_pole" and column == 0)
+
+
+def rate_of_hot(hot: np.ndarray, x, y, camera: Camera, duration_s: float, kept: np.ndarray | None = None) -> float:
+    """Events per second of pixels (k,) beyond those of the pixels about them, mean; arguments as of `find_hot`."""
+    counts = np.bincount(y * camera.width + x, minlength=camera.width * camera.height).astype(float)
+    beyond = counts - median_around(counts.reshape(camera.height, camera.width), kept)
+    return float(beyond[hot].mean()) / duration_s if duration_s > 0 else 0.0
 
 
 def find_hot(

@@ -14,7 +14,7 @@ from pixelid.nerf.calibration import Calibration
 from pixelid.nerf.dataset import Dataset
 from pixelid.nerf.gauge import CLOSE_PIXELS, crossing_time, gauge_of, scene_box
 from pixelid.nerf.intervals import Intervals, intervals, split
-from pixelid.nerf.pixel_maps import PixelMaps, find_hot, maps_of_circuit
+from pixelid.nerf.pixel_maps import PixelMaps, find_hot, maps_of_circuit, rate_of_hot
 from pixelid.nerf.quiet import LONG, quiet_intervals
 from pixelid.nerf.state import Problem
 from pixelid.nerf.stretches import NOISE
@@ -72,12 +72,14 @@ def problem_of(
     circuit = calibration.circuit
     maps = maps_of_circuit(circuit, camera.width * camera.height) if maps is None else maps
     t, x, y, on = dataset.t, dataset.x, dataset.y, dataset.on
-    hot = np.union1d(maps.hot, find_hot(x, y, on, camera, circuit, float(t[-1] - t[0]), calibration.kept))
+    duration_s = float(t[-1] - t[0])
+    hot = np.union1d(maps.hot, find_hot(x, y, on, camera, circuit, duration_s, calibration.kept))
     if len(hot):
+        hot_hz = rate_of_hot(hot, x, y, camera, duration_s, calibration.kept)
         is_hot = np.zeros(camera.width * camera.height, bool)
         is_hot[hot] = True
         kept = ~is_hot[y * camera.width + x]
-        maps, (t, x, y, on) = replace(maps, hot=hot), (column[kept] for column in (t, x, y, on))
+        maps, (t, x, y, on) = replace(maps, hot=hot, hot_hz=hot_hz), (column[kept] for column in (t, x, y, on))
     lengths = interval_lengths(t, y * camera.width + x)
     if len(lengths) and (possible := float(np.quantile(lengths, TOO_SHORT))) < circuit.refractory:
         circuit = circuit.with_(refractory=possible)

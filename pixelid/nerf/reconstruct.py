@@ -25,7 +25,7 @@ from pixelid.nerf.problem import HELD_OUT, problem_of
 from pixelid.nerf.recipe import Recipe
 from pixelid.nerf.saved import SavedReconstruction, write_field
 from pixelid.nerf.search import HELD_OUT as SEARCH_HELD_OUT
-from pixelid.nerf.search import search
+from pixelid.nerf.search import hot_pixels, search
 from pixelid.nerf.state import Problem, State, start
 from pixelid.nerf.train import held_out_residual, train
 from pixelid.nerf.views import Views
@@ -262,6 +262,8 @@ def reconstruct(
         calibration, trained, found = outcome
         bandwidth = replace(bandwidth, trained=(*bandwidth.trained, *trained))
         problem = make(calibration, bandwidth.moving)
+        if hot := hot_pixels(problem):
+            found = {**found, "effects": [*found["effects"], hot]}
         mark = checkpoint.run_identity(problem, recipe, bandwidth, inputs)
     ignored = (*ignored_effects(problem.circuit), *(maps.unused if maps else ()), *unexplained_by(fit))
     if problem.circuit.refractory < calibration.circuit.refractory:

@@ -112,12 +112,15 @@ class SavedReconstruction(Result):
         gap = self.content.get("gap")
         if not gap:
             return ""
-        names = [effect["name"] for effect in gap["effects"]]
-        if not names:
-            return "found in the events: no effect that the pixel lacks"
-        return (
-            f"found in the events: {', '.join(names)}, {100 * gap['heldout_gain']:.0f} % of the held-out loss explained"
-        )
+        names = [effect["name"] for effect in gap["effects"] if effect["heldout_gain"] is not None]
+        explained = f"{', '.join(names)}, {100 * gap['heldout_gain']:.0f} % of the held-out loss explained"
+        left_out = [
+            f"{effect['values']['hot_pixels.count']:.0f} hot pixels, left out"
+            for effect in gap["effects"]
+            if effect["name"] == "hot_pixels"
+        ]
+        said = [*([explained] if names else []), *left_out] or ["no effect that the pixel lacks"]
+        return f"found in the events: {'; '.join(said)}"
 
     def as_dict(self) -> dict[str, Any]:
         """The content of reconstruction.json (docs/formats.md)."""

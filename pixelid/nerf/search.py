@@ -159,15 +159,33 @@ def search(
         kept.append((names[best], trials[best]))
         names = tuple(name for k, name in enumerate(names) if k != best)
     if not kept:
-        return Found(calibration, (), (), tuple(rounds))
+        return Found(calibration, (), (), tuple(rounds), residuals=_map(*[bench.rows(here)] * 2))
     told = bench.go_on(told, here.state.iteration - told.state.iteration)
     before, after = bench.rows(told), bench.rows(here)
     named = _with_named(calibration, here.calibration, [name for name, _ in kept], make(calibration, tuple(ADDITIONS)))
     effects = (replace(trial, values=_values(name, named, here.state.pixel)) for name, trial in kept)
     return Found(
         named, here.trained, tuple(effects), tuple(rounds), compare(before, after),
-        (score(told.state), score(here.state)), residual_map(before, after),
+        (score(told.state), score(here.state)), _map(before, after),
     )  # fmt: skip
+
+
+def hot_pixels(problem: Problem) -> dict[str, Any] | None:
+    """An entry of "effects" in "gap" of reconstruction.json: pixels left out that the circuit does not tell of.
+
+    Their events speak for themselves; no scene is trained with them, so nothing is judged on held-out events.
+    """
+    maps = problem.maps
+    if maps is None or len(maps.hot) == 0 or problem.circuit.hot_count > 0:
+        return None
+    values = {"hot_pixels.count": float(len(maps.hot)), "hot_pixels.rate_hz": maps.hot_hz}
+    return {"name": "hot_pixels", "start": {}, "values": values, "heldout_gain": None, "p_value": None, "rows": 0}
+
+
+def _map(before: Rows, after: Rows) -> Mapping[str, Any]:
+    """As `residual_map`; nothing where a scene has diverged."""
+    finite = all(np.isfinite(rows.rest).all() and np.isfinite(rows.radiance).all() for rows in (before, after))
+    return residual_map(before, after) if finite else {}
 
 
 @dataclass(frozen=True)

@@ -79,7 +79,13 @@ def _gap(gap: dict) -> dict[str, Any]:
             values = ", ".join(f"{name} {number(value)}" for name, value in trial["values"].items())
             share = f"{100 * trial['heldout_gain']:.1f} %"
             rows.append([str(k + 1), trial["name"], share, number(trial["p_value"], 2), "yes" if kept else "", values])
-    names = ", ".join(effect["name"] for effect in gap["effects"])
+    names = ", ".join(effect["name"] for effect in gap["effects"] if effect["heldout_gain"] is not None)
+    hot = "".join(
+        f"Left out, for they fire whatever the light does: {number(effect['values']['hot_pixels.count'])} hot pixels, "
+        f"{number(effect['values']['hot_pixels.rate_hz'], 3)} events per second beyond their neighbours."
+        for effect in gap["effects"]
+        if effect["name"] == "hot_pixels"
+    )
     psnr = gap.get("coarse_psnr") or {}
     views = (
         f" A validation view of the coarse scenes has {_places(psnr['after'], 1)} dB instead of "
@@ -91,7 +97,7 @@ def _gap(gap: dict) -> dict[str, Any]:
         f"{names}: of the loss of held-out events under the pixel as told, {100 * gap['heldout_gain']:.0f} % is "
         f"explained with what was found.{views} The final training moves the strengths on."
     )
-    return {"rows": rows, "kept": bool(names), "sentence": sentence, "least": f"{100 * LEAST_SHARE:.0f} %"}
+    return {"rows": rows, "kept": bool(names), "sentence": sentence, "hot": hot, "least": f"{100 * LEAST_SHARE:.0f} %"}
 
 
 def _places(value: float | None, places: int) -> str:

@@ -1,10 +1,13 @@
 """Effects found in the events of a scene: the command, its resumption, and (slow) what it names."""
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
+from test_schemas import check
 
 from pixelid.cli.main import main
 from pixelid.nerf import checkpoint
@@ -71,6 +74,35 @@ def test_a_search_that_was_finished_is_not_repeated(leaking, tmp_path, capsys, m
     main([*words, *kept, "--out", str(tmp_path / "three")])
     assert "no outcome of a search" in capsys.readouterr().err
     assert json.loads((tmp_path / "three" / "reconstruction.json").read_text())["gap"] == one["gap"]
+
+
+def test_a_search_that_names_nothing_shows_what_is_left_and_lists_hot_pixels(made, tmp_path, capsys):
+    data = shutil.copytree(made, tmp_path / "scene")
+    with np.load(data / "raw_events.npz") as file:
+        events = dict(file)
+    t = np.linspace(events["timestamp"][0], events["timestamp"][-1], 2000).astype(np.int64)
+    order = np.argsort(np.concatenate([events["timestamp"], t]), kind="stable")
+    more = {"timestamp": t, "position": np.tile([[5, 9]], (2000, 1)), "polarity": np.ones(2000, bool)}
+    for name, column in more.items():
+        events[name] = np.concatenate([events[name], column.astype(events[name].dtype)])[order]
+    np.savez(data / "raw_events.npz", **events)
+    words = ["reconstruct", str(data), "--iterations", "24", "--batch", "16", "--bandwidth", "off", "--gap"]
+    assert main([*words, "--out", str(tmp_path / "out"), "--device", "cpu"]) in (0, 1)
+    result = json.loads((tmp_path / "out" / "reconstruction.json").read_text())
+    check("reconstruction", result)
+    (hot,) = result["gap"]["effects"]
+    assert hot["name"] == "hot_pixels"
+    seconds = (events["timestamp"][-1] - events["timestamp"][0]) * 1e-9
+    assert hot["values"]["hot_pixels.count"] == 1.0
+    assert hot["values"]["hot_pixels.rate_hz"] == pytest.approx(2000 / seconds, rel=0.2)
+    residuals = result["gap"]["residuals"]
+    assert set(residuals) == {"interval_s", "time_s", "radiance"}
+    assert residuals["time_s"]["on_before"] == residuals["time_s"]["on_after"]
+    assert (tmp_path / "out" / "gap.svg").is_file()
+    assert "1 hot pixels, left out" in capsys.readouterr().out.replace("\n", " ")
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert "None: no candidate explains" in page
+    assert "they fire whatever the light does: 1 hot pixels" in page
 
 
 def looked_for(data: Dataset, steps: int = 300) -> Found:
