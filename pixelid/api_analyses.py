@@ -122,12 +122,17 @@ def reconstruct(
     refine_poses: tuple[float, float] | None = None,
     gap: bool = False,
     beside: str | Path | None = None,
-    iterations: int | None = None,
+    cells: int | None = None,
+    harmonics: int = 1,
+    iterations: int | str | None = None,
+    batch: int | None = None,
     background: float | None = None,
     scale: str = "auto",
     box: tuple[float, ...] | None = None,
     radiance_scale: float | None = None,
+    protocol: str = "strict",
     resume: str | Path | None = None,
+    preview: str | Path | None = None,
     device: str = "auto",
     seed: int = 0,
     progress: Progress | None = None,
@@ -147,12 +152,17 @@ def reconstruct(
         refine_poses: train smooth corrections of the poses, known to so much of the scene's unit and so many degrees.
         gap: look in the events for effects that the pixel lacks, and train with those found.
         beside: folder of another reconstruction of the dataset, shown beside this one.
-        iterations: training steps.
+        cells: of the field per side, 8 to 512; by default one per pixel, 32 to 512.
+        harmonics: degree of the harmonics by which colours depend on the direction, 0 to 2.
+        iterations: training steps, 1200 by default; "auto" for steps and batch by the number of events.
+        batch: chains of events per step; by default 320, or what "auto" chooses.
         background: radiance behind the scene; by default what the views show.
         scale: what pins the radiance unit: "auto", "level" or "free".
         box: corners of the scene, x0 y0 z0 x1 y1 z1; by default a cube where the views look.
         radiance_scale: the fit's radiance units per unit of the views.
+        protocol: of the scores: "strict", or "paper" for those of the reference implementation beside them.
         resume: a checkpoint, continued when it exists and written as training goes on.
+        preview: a PNG of the scene, replaced as training goes on.
         device: "cpu", "cuda" or "auto".
         seed: of everything random.
         progress: called with what is done and the fraction.
@@ -167,8 +177,6 @@ def reconstruct(
         >>> import pixelid as px
         >>> px.reconstruct("scene/", fit="fit/")  # doctest: +SKIP
     """
-    from dataclasses import replace
-
     from pixelid.nerf.dataset import read_dataset
     from pixelid.nerf.pixel import TRAINABLE, Bandwidth
     from pixelid.nerf.poses import Refinement
@@ -179,15 +187,20 @@ def reconstruct(
         raise InputError(f"bandwidth: expected on, off or joint, found {bandwidth!r}")
     if unknown := [name for name in trained if name not in TRAINABLE]:
         raise InputError(f"trained: expected names of {', '.join(TRAINABLE)}, found {unknown[0]!r}")
-    recipe = Recipe(between_poses=between_poses, refinement=Refinement.of(refine_time, refine_poses))
-    recipe = replace(recipe, iterations=iterations) if iterations else recipe
+    if protocol not in ("strict", "paper"):
+        raise InputError(f"protocol: expected strict or paper, found {protocol!r}")
+    recipe = Recipe.asked(
+        steps=iterations, batch=batch, cells=cells, harmonics=harmonics, between_poses=between_poses,
+        refinement=Refinement.of(refine_time, refine_poses),
+    )  # fmt: skip
     return run(
         read_dataset(Path(dataset)), fit=None if fit is None else Path(fit),
         sensor=None if sensor is None else Path(sensor),
         bandwidth=Bandwidth(bandwidth, samples, trained=tuple(trained)), recipe=recipe, gap=gap,
         beside=None if beside is None else Path(beside), background=background, scale=scale, box=box,
-        radiance_scale=radiance_scale, resume=None if resume is None else Path(resume),
-        device=device, seed=seed, progress=progress or (lambda what, share: None),
+        radiance_scale=radiance_scale, protocol=protocol, resume=None if resume is None else Path(resume),
+        preview=None if preview is None else Path(preview), device=device, seed=seed,
+        progress=progress or (lambda what, share: None),
     )  # fmt: skip
 
 

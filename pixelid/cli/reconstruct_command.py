@@ -90,7 +90,6 @@ def command(
     """
     import shutil
     from contextlib import nullcontext
-    from dataclasses import replace
 
     from pixelid.cli.progress import bar
     from pixelid.cli.terminal import say
@@ -131,12 +130,10 @@ def command(
         else nullcontext()
     ):
         data = read_dataset(dataset)
-        recipe = replace(Recipe(), iterations=0, batch=0) if steps == AUTO else replace(Recipe(), iterations=steps)
-        refinement = Refinement.of(refine_time, refine_poses)
-        recipe = replace(
-            recipe, degree=harmonics, batch=batch or recipe.batch, between_poses=between_poses, refinement=refinement
-        )
-        recipe = recipe.with_cells(cells) if cells else recipe
+        recipe = Recipe.asked(
+            steps=steps, batch=batch, cells=cells, harmonics=harmonics, between_poses=between_poses,
+            refinement=Refinement.of(refine_time, refine_poses),
+        )  # fmt: skip
         pixel = Bandwidth(bandwidth, samples, trained=trained)
         with bar(quiet or not first, compiles=True) as report:
             result = reconstruct(

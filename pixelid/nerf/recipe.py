@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from pixelid.errors import InputError
+from pixelid.nerf.harmonics import HIGHEST_DEGREE
 from pixelid.nerf.intervals import CHAIN
 from pixelid.nerf.losses import Weights
 from pixelid.nerf.poses import Refinement
@@ -23,6 +24,8 @@ VISITS = 60
 BATCH_SHARE = 320 / 1e5
 SMALLEST_BATCH, LARGEST_BATCH = 320, 4096
 STEPS = (600, 30_000)
+AUTO = "auto"  # steps by the number of changes
+CELLS, MOST_STEPS, MOST_BATCH = (8, 512), 1_000_000_000, 10_000_000  # what may be asked for
 ELSEWHERE = ("iterations", "seed")  # in reconstruction.json
 
 
@@ -60,6 +63,40 @@ class Recipe:
     def __post_init__(self) -> None:
         if self.between_poses not in BETWEEN_POSES:
             raise InputError(f"between_poses: expected {' or '.join(BETWEEN_POSES)}, found {self.between_poses!r}")
+
+    @classmethod
+    def asked(
+        cls, *, steps: int | str | None = None, batch: int | None = None, cells: int | None = None, harmonics: int = 1,
+        between_poses: str = "linear", refinement: Refinement | None = None,
+    ) -> Recipe:  # fmt: skip
+        """The recipe that a user asks for, the rest as usual.
+
+        Args:
+            steps: of training; `AUTO` for steps, and a batch that is not given, by the data.
+            batch: chains per step.
+            cells: of the field per side; by default one per pixel.
+            harmonics: degree by which colours depend on the direction.
+            between_poses: "linear" or "cubic".
+            refinement: of the poses.
+
+        Raises:
+            InputError: a value that cannot be.
+        """
+        limits = (
+            ("steps", None if steps == AUTO else steps, (1, MOST_STEPS)), ("batch", batch, (1, MOST_BATCH)),
+            ("cells", cells, CELLS), ("harmonics", harmonics, (0, HIGHEST_DEGREE)),
+        )  # fmt: skip
+        for name, value, (least, most) in limits:
+            if value is not None and not (isinstance(value, int) and least <= value <= most):
+                words = f" or {AUTO!r}" if name == "steps" else ""
+                raise InputError(f"{name}: expected a whole number from {least} to {most}{words}, found {value!r}")
+        usual = cls(degree=harmonics, between_poses=between_poses, refinement=refinement or Refinement())
+        if steps == AUTO:
+            usual = dataclasses.replace(usual, iterations=0, batch=0)
+        elif steps is not None:
+            usual = dataclasses.replace(usual, iterations=int(steps))
+        recipe = dataclasses.replace(usual, batch=batch or usual.batch)
+        return recipe if cells is None else recipe.with_cells(cells)
 
     def for_sensor(self, width: int) -> Recipe:
         """The recipe with grid sizes for a sensor `width` pixels wide: about one cell per pixel in the end."""

@@ -11,6 +11,7 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -593,3 +594,29 @@ def test_the_command_keeps_the_last_preview_in_its_folder(made, tmp_path):
     assert main(words) in (0, 1)
     assert imread(tmp_path / "out" / "preview.png").shape == (16, 16)
     assert [file.name for file in tmp_path.iterdir()] == ["out"]
+
+
+def test_the_function_takes_what_the_command_takes(made, tmp_path):
+    out = tmp_path / "out"
+    words = ["reconstruct", str(made), "--out", str(out), "--cells", "12", "--steps", "3", "--batch", "5", "--quiet"]
+    main([*words, "--harmonics", "0", "--protocol", "paper", "--device", "cpu"])
+    asked = px.reconstruct(made, cells=12, iterations=3, batch=5, harmonics=0, protocol="paper", device="cpu")
+    result = json.loads((out / "reconstruction.json").read_text())
+    assert asked.recipe.as_dict() == Reconstruction.load(out).content["recipe"]
+    assert asked.published is not None
+    assert result["published_protocol"]["psnr"] == asked.published.means()["psnr"]
+    assert result["views"]["psnr"] == asked.scores.means()["psnr"]
+    auto = Recipe.asked(steps="auto")
+    assert (auto.iterations, auto.batch) == (0, 0)
+    assert Recipe.asked(steps="auto", batch=7).batch == 7
+    assert Recipe.asked() == Recipe()
+    wrongs: tuple[dict[str, Any], ...] = (
+        {"cells": 7},
+        {"harmonics": 3},
+        {"batch": 0},
+        {"iterations": "many"},
+        {"protocol": "kind"},
+    )
+    for wrong in wrongs:
+        with pytest.raises(InputError, match="expected"):
+            px.reconstruct(made, **wrong)
