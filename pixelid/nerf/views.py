@@ -26,6 +26,10 @@ CONVERTED = "dataset.json"  # marks a dataset that `pixelid dataset` has written
 STAGES = ("train", "val", "test")
 RENDERER = "renderer_params.npz"
 LUMA = np.array([0.299, 0.587, 0.114])  # ITU-R BT.601
+# Unquantised pictures have white at 1, and highlights beyond it, here taken to be up to so many times white.  Where the
+# brightest value is more, pictures are in another unit, and white is what leaves highlights as much.
+HIGHLIGHTS = 4.0
+BRIGHT = 0.999  # quantile of all values above which white never is, however bright single pixels are
 OPAQUE = 0.999  # alpha of unquantised pictures through which nothing shows: half floats are that near to 1
 OPENGL = np.diag([1.0, -1.0, -1.0])
 
@@ -269,11 +273,15 @@ def _levels(document: dict, kind: np.dtype) -> float:
 
 
 def _peak_and_span(images: np.ndarray, kind: np.dtype, document: dict) -> tuple[float, float]:
-    """The largest value that pictures of this kind can have, and how far apart their values can be."""
+    """The largest value that pictures of this kind can have, and how far apart their values can be.
+
+    Unquantised ones can have any; scores are then relative to their white, which moves continuously with what they hold.
+    """
     if kind.kind == "u":
         levels = _levels(document, kind)
         return 1.0, (levels - 1) / levels
-    peak = max(1.0, float(np.quantile(images, 0.999)) if images.max() > 4.0 else 1.0)
+    brightest = float(images.max())
+    peak = max(1.0, min(brightest / HIGHLIGHTS, float(np.quantile(images, BRIGHT)))) if brightest > HIGHLIGHTS else 1.0
     return peak, peak
 
 
