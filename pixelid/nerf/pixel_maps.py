@@ -37,8 +37,8 @@ class PixelMaps:
 
     threshold: (pixels, 2) expected ln of a pixel's ON and OFF threshold over the circuit's;  threshold_sd: (pixels, 2)
     its uncertainty, 0 where it is known;  bandwidth: (pixels, 8) factors of the numbers of `Dynamics`, None where all
-    are alike;  hot: (k,) pixels left out;  unused: names of maps that have no place in a reconstruction;  hot_hz: of
-    their events, beyond those of the pixels about them, mean
+    are alike;  filters: names of the maps in it;  unused: of those that have no place in a reconstruction;  hot: (k,)
+    pixels left out;  hot_hz: mean rate of their events beyond those of the pixels about them
     """
 
     threshold: np.ndarray
@@ -47,6 +47,7 @@ class PixelMaps:
     hot: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
     unused: tuple[str, ...] = ()
     hot_hz: float = 0.0
+    filters: tuple[str, ...] = ()
 
 
 def maps_of_circuit(circuit: Circuit, pixels: int) -> PixelMaps:
@@ -83,7 +84,7 @@ def maps_of_sensor(folder: Path, circuit: Circuit, camera: Camera) -> PixelMaps:
     nominal = circuit.on_threshold, circuit.off_threshold
     known = maps_of_circuit(circuit, camera.width * camera.height)
     mean, sd = known.threshold.copy(), known.threshold_sd.copy()
-    bandwidth, unused = np.ones((len(mean), 8)), []
+    bandwidth, unused, filters = np.ones((len(mean), 8)), [], []
     for name, of_map in fitted.maps.items():
         if name in THRESHOLDS:
             k = THRESHOLDS.index(name)
@@ -94,11 +95,12 @@ def maps_of_sensor(folder: Path, circuit: Circuit, camera: Camera) -> PixelMaps:
             factor = np.exp(of_map.log - np.log(fitted.model.values[name]))
             whole = np.repeat(np.repeat(factor, fitted.block, axis=0), fitted.block, axis=1)[: shape[0], : shape[1]]
             bandwidth[:, COLUMNS[name]] = np.where(np.isfinite(whole), whole, 1.0).ravel()
+            filters.append(f"map of {name}")
         else:
             unused.append(f"map of {name}")
     hot = np.array([p.y * camera.width + p.x for p in hot_of_counts(fitted.events, 1.0)], np.int64)
     alike = (bandwidth == 1.0).all()
-    return PixelMaps(mean, sd, None if alike else bandwidth, hot, tuple(unused))
+    return PixelMaps(mean, sd, None if alike else bandwidth, hot, tuple(unused), filters=tuple(filters))
 
 
 def _has(circuit: Circuit, column: int) -> bool:

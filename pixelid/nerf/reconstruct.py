@@ -272,6 +272,8 @@ def reconstruct(
     if resume is not None and Path(resume).exists():
         state = checkpoint.load(Path(resume), problem, recipe, bandwidth, mark, device)
     state = start(problem, recipe, bandwidth, device) if state is None else state
+    if maps is not None and not state.pixel.filtering:
+        ignored += maps.filters
     earlier, begun = state.seconds, time.perf_counter()
     saved = begun
 

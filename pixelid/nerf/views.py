@@ -275,7 +275,7 @@ def _levels(document: dict, kind: np.dtype) -> float:
 def _peak_and_span(images: np.ndarray, kind: np.dtype, document: dict) -> tuple[float, float]:
     """The largest value that pictures of this kind can have, and how far apart their values can be.
 
-    Unquantised ones can have any; scores are then relative to their white, which moves continuously with what they hold.
+    Unquantised ones can have any; scores are relative to their white, which moves continuously with what they hold.
     """
     if kind.kind == "u":
         levels = _levels(document, kind)

@@ -457,7 +457,7 @@ def test_size_and_length_of_a_training_are_chosen_or_follow_the_data(made, tmp_p
     assert (usual.batch, usual.iterations) == (Recipe().batch, Recipe().iterations)
 
 
-def test_the_maps_of_a_sensor_are_reconstructed_with(made, tmp_path):
+def test_the_maps_of_a_sensor_are_reconstructed_with(made, tmp_path, capsys):
     """The command takes the folder of `pixelid sensor`: thresholds with their uncertainty, bandwidth, a hot pixel."""
     rng = np.random.default_rng(0)
     model, shape = find_model("dvs128"), (16, 16)
@@ -471,9 +471,13 @@ def test_the_maps_of_a_sensor_are_reconstructed_with(made, tmp_path):
     SensorFit(maps, events, 1, 1, model, 1.0, 0, {}).save(tmp_path / "maps")
     words = ["reconstruct", str(made), "--out", str(tmp_path / "out"), "--sensor", str(tmp_path / "maps"), "--quiet"]
     main([*words, "--steps", "3", "--bandwidth", "off"])
-    assert not json.loads((tmp_path / "out" / "reconstruction.json").read_text())["pixels"]["bandwidth_mapped"]
+    written = json.loads((tmp_path / "out" / "reconstruction.json").read_text())
+    assert not written["pixels"]["bandwidth_mapped"]
+    assert written["ignored"] == ["map of sf_cutoff_hz"]
+    assert "map of sf_cutoff_hz" in capsys.readouterr().err
     main([*words, "--steps", "3", "--overwrite"])
     written = json.loads((tmp_path / "out" / "reconstruction.json").read_text())
+    assert written["ignored"] == []
     assert written["pixels"]["bandwidth_mapped"]
     assert written["pixels"]["hot"] == {"count": 1, "xy": [[9, 4]]}
     assert written["pixels"]["threshold_spread"]["on"] == pytest.approx(0.1, rel=0.2)
