@@ -303,20 +303,43 @@ def test_the_level_gauge_pulls_the_views_to_their_brightness(made):
     assert float(state.field.log_background.detach()) != before
 
 
+KEEPING = """
+import os, sys
+import numpy as np
+from pixelid.cli.main import main
+from pixelid.nerf import reconstruct as module
+run = module.reconstruct
+def kept(*arguments, **options):
+    result = run(*arguments, **options)
+    field = result.state.field
+    held = [x.detach().numpy() for x in (field.grid, field.coefficients, field.log_background)]
+    np.savez(f"{sys.argv[1]}/{os.environ['RANK']}.npz", *held, occupied=field.occupied)
+    return result
+module.reconstruct = kept
+sys.exit(main(sys.argv[2:]))
+"""
+
+
 def test_two_processes_share_a_batch(made, tmp_path):
-    """torchrun with gloo: the ranks average their gradients, and the first writes."""
-    out = tmp_path / "out"
+    """torchrun with gloo: the ranks average their gradients, end with one scene, and the first writes."""
+    out, script = tmp_path / "out", tmp_path / "keeping.py"
+    script.write_text(KEEPING)
     environment = {**os.environ, "OMP_NUM_THREADS": "1"}
     done = subprocess.run(
         [
-            sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2", "-m", "pixelid",
-            "reconstruct", str(made), "--out", str(out), "--iterations", "20", "--quiet", "--device", "cpu",
+            sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2", str(script),
+            str(tmp_path), "reconstruct", str(made), "--out", str(out), "--iterations", "20", "--quiet", "--device", "cpu",
         ],
         env=environment, capture_output=True, text=True, timeout=300,
     )  # fmt: skip
     assert (out / "reconstruction.json").is_file(), done.stderr[-2000:]
     result = json.loads((out / "reconstruction.json").read_text())
     assert result["iterations"] == 20
+    with np.load(tmp_path / "0.npz") as first, np.load(tmp_path / "1.npz") as second:
+        assert set(first) == set(second)
+        assert float(np.ptp(first["arr_0"][:, 1])) > 0.1  # it has learnt something
+        for name in first.files:
+            np.testing.assert_array_equal(first[name], second[name])
 
 
 @pytest.mark.slow
