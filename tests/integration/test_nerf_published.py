@@ -425,12 +425,40 @@ def test_times_out_of_order_are_found_in_every_block_and_between_blocks(row, tmp
         file["events/t"] = t
     (looked,) = hdf5_events.event_blocks(tmp_path / "events.h5", 0, -1)
     assert looked["events"] == [10]
+    assert len(list(hdf5_events.event_blocks(tmp_path / "events.h5", 0, 10**12))) == 4
     t[row] = 7
     with h5py.File(tmp_path / "events.h5", "r+") as file:
         del file["events/t"]
         file["events/t"] = t
     with pytest.raises(InputError, match=rf"events\.h5: events/t: row {row} is earlier than the one before; sort"):
-        next(hdf5_events.event_blocks(tmp_path / "events.h5", 0, -1))
+        list(hdf5_events.event_blocks(tmp_path / "events.h5", 0, 10**12))
+
+
+@pytest.mark.parametrize(("row", "stamp", "refused"), [
+    (31, 5, False), (31, 10**6, False), (47, 5, False), (170, 5, False), (190, 10**6, False),
+    (80, 5, True), (80, 10**6, True), (120, 40, True), (120, 10**6, True),
+])  # fmt: skip
+def test_an_event_out_of_order_outside_the_time_asked_for_is_no_matter(row, stamp, refused, tmp_path, monkeypatch):
+    """Rows 60 … 140 of 200 are asked for; wherever bisection looks, it finds them."""
+    from pixelid.nerf.published import hdf5_events
+
+    monkeypatch.setattr(hdf5_events, "BLOCK", 16)
+    monkeypatch.setattr(hdf5_events, "PROBE", 8)
+    t = np.arange(200, dtype=np.uint64) + 1000
+    t[row] = stamp
+    with h5py.File(tmp_path / "events.h5", "w") as file:
+        file.update({f"events/{name}": np.arange(200, dtype=np.uint16) for name in "xyp"})
+        file["events/t"] = t
+    blocks = hdf5_events.event_blocks(tmp_path / "events.h5", 1_060_000, 1_140_000)
+    if refused:
+        with pytest.raises(InputError, match="is earlier than the one before"):
+            list(blocks)
+        return
+    next(blocks)
+    read = list(blocks)
+    x, time = (np.concatenate([block[name] for block in read]) for name in ("x", "t"))
+    assert x[(time >= 1_060_000) & (time <= 1_140_000)].tolist() == list(range(60, 141))
+    assert len(x) < 120
 
 
 def peak_bytes_of_events(folder: Path, copies: int, truth, monkeypatch) -> int:

@@ -328,7 +328,8 @@ def test_two_processes_share_a_batch(made, tmp_path):
     done = subprocess.run(
         [
             sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2", str(script),
-            str(tmp_path), "reconstruct", str(made), "--out", str(out), "--iterations", "20", "--quiet", "--device", "cpu",
+            str(tmp_path), "reconstruct", str(made), "--out", str(out), "--iterations", "20", "--quiet", "--device",
+            "cpu",
         ],
         env=environment, capture_output=True, text=True, timeout=300,
     )  # fmt: skip

@@ -16,6 +16,7 @@ from pixelid.recordings.hdf5 import refuse_foreign_storage
 from pixelid.recordings.isolated import arrays_isolated
 
 BLOCK = 1 << 20  # events read together: 13 MB, and as much again while they are converted
+PROBE = 1024  # events read together to find a time
 NS_PER_US = 1000
 COLUMNS = "xytp"
 
@@ -23,11 +24,12 @@ COLUMNS = "xytp"
 def events_of(path: Path) -> Callable[[int, int], Iterator[Block]]:
     """What reads the events of a file between two times [ns]; the file is looked at once, to see that it can be read.
 
-    Times are microseconds, later by `t_offset` where the file has one.
+    Times are microseconds, later by `t_offset` where the file has one.  Only what lies between the two times is looked
+    at: events out of order before or after are no matter.
 
     Raises:
-        InputError: columns that are missing or differ in length, events that are not in order of time, or a compression
-            that h5py cannot undo.
+        InputError: columns that are missing or differ in length, or a compression that h5py cannot undo; when events
+            are read, such as are not in order of time.
     """
     next(arrays_isolated("event_blocks", path, begin=0, end=-1))
 
@@ -42,23 +44,23 @@ def events_of(path: Path) -> Callable[[int, int], Iterator[Block]]:
 def event_blocks(path: Path, begin: int, end: int) -> Iterator[dict[str, np.ndarray]]:
     """What the reading process does: first the number of events, then blocks with those between two times [ns].
 
-    Where `end` is before `begin`, nothing is asked but whether the file can be read: then the order of its times is
-    looked at, on which finding some of them relies.
+    Where `end` is before `begin`, nothing is asked but whether the file can be read.
     """
     with interpreting(path, "columns x, y, t, p of numbers"), _columns(path) as (columns, offset):
         t = columns["t"]
-        if end < begin:
-            _refuse_disorder(t, path)
         yield {"events": np.array([len(t)])}
         for column in columns.values():
             column[:1]
         first = _first_at(t, begin // NS_PER_US - offset) if begin <= end else len(t)
+        before = np.empty(0, np.int64)
         for k in range(first, len(t), BLOCK):
             some = slice(k, k + BLOCK)
             time = (t[some].astype(np.int64) + offset) * NS_PER_US
-            if time[0] > end:
+            _refuse_disorder(np.append(before, time), begin, end, k - len(before), path)
+            if time.min() > end:  # not `time[0]`: a single late stamp among the events asked for is not their end
                 return
             yield {"t": time, "x": columns["x"][some], "y": columns["y"][some], "on": columns["p"][some] > 0}
+            before = time[-1:]
 
 
 @contextmanager
@@ -99,27 +101,33 @@ def _checked(file: Any, path: Path) -> tuple[Any, int]:
     return columns, int(file["t_offset"][()]) if "t_offset" in file else 0
 
 
-def _refuse_disorder(t, path: Path) -> None:
-    """Raise InputError where a time is earlier than the one before."""
-    before = None
-    for k in range(0, len(t), BLOCK):
-        some = t[k : k + BLOCK]
-        backwards = np.concatenate([[before is not None and some[0] < before], some[1:] < some[:-1]])
-        if backwards.any():
-            row = k + int(np.argmax(backwards))
-            raise InputError(
-                f"{path}: events/t: row {row} is earlier than the one before; sort the events by time first"
-            )
-        before = some[-1]
+def _refuse_disorder(t: np.ndarray, begin: int, end: int, row: int, path: Path) -> None:
+    """Raise InputError where a time is earlier than the one before, and one of them is from `begin` to `end`.
+
+    row: of the first of t (n,)
+    """
+    asked = (t >= begin) & (t <= end)
+    backwards = (t[1:] < t[:-1]) & (asked[1:] | asked[:-1])
+    if backwards.any():
+        raise InputError(
+            f"{path}: events/t: row {row + 1 + int(np.argmax(backwards))} is earlier than the one before; sort the "
+            "events by time first"
+        )
 
 
 def _first_at(t, time: int) -> int:
-    """The index of the first event at or after a time, by bisection: `t` need not fit into memory."""
-    low, high = 0, len(t)
+    """The index of the first event at or after a time, by bisection: `t` need not fit into memory.
+
+    Medians of some events are compared, which single ones out of order elsewhere in the file do not move.
+    """
+    low, high = 0, -(-len(t) // PROBE)
     while low < high:
         middle = (low + high) // 2
-        if int(t[middle]) < time:
+        some = t[middle * PROBE : (middle + 1) * PROBE]
+        if int(np.sort(some)[len(some) // 2]) < time:
             low = middle + 1
         else:
             high = middle
-    return low
+    first = max(low - 1, 0) * PROBE
+    early = t[first : first + 2 * PROBE].astype(np.int64) < time
+    return first + (len(early) if early.all() else int(np.argmin(early)))
