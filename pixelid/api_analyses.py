@@ -129,6 +129,7 @@ def reconstruct(
     background: float | None = None,
     scale: str = "auto",
     box: tuple[float, ...] | None = None,
+    near: float = 0.0,
     radiance_scale: float | None = None,
     protocol: str = "strict",
     resume: str | Path | None = None,
@@ -159,6 +160,7 @@ def reconstruct(
         background: radiance behind the scene; by default what the views show.
         scale: what pins the radiance unit: "auto", "level" or "free".
         box: corners of the scene, x0 y0 z0 x1 y1 z1; by default a cube where the views look.
+        near: distance from the camera before which nothing is, in the unit of the poses.
         radiance_scale: the fit's radiance units per unit of the views.
         protocol: of the scores: "strict", or "paper" for those of the reference implementation beside them.
         resume: a checkpoint, continued when it exists and written as training goes on.
@@ -198,7 +200,7 @@ def reconstruct(
         sensor=None if sensor is None else Path(sensor),
         bandwidth=Bandwidth(bandwidth, samples, trained=tuple(trained)), recipe=recipe, gap=gap,
         beside=None if beside is None else Path(beside), background=background, scale=scale, box=box,
-        radiance_scale=radiance_scale, protocol=protocol, resume=None if resume is None else Path(resume),
+        near=near, radiance_scale=radiance_scale, protocol=protocol, resume=None if resume is None else Path(resume),
         preview=None if preview is None else Path(preview), device=device, seed=seed,
         progress=progress or (lambda what, share: None),
     )  # fmt: skip

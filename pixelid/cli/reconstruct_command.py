@@ -69,6 +69,8 @@ class StepsOrAuto(click.IntRange):
               help="What pins the radiance unit; auto: the views' background, else their level.")  # fmt: skip
 @click.option("--box", nargs=6, type=options.Number(), metavar="X0 Y0 Z0 X1 Y1 Z1",
               help="Corners of the scene; by default a cube where the views look.")  # fmt: skip
+@click.option("--near", type=options.Number(0.0), default=0.0, show_default=True,
+              help="Distance from the camera before which nothing is, in the unit of the poses.")  # fmt: skip
 @click.option("--radiance-scale", type=options.Number(0.0, open_low=True),
               help="The fit's radiance units per unit of the views; by default from q_in.")  # fmt: skip
 @click.option("--protocol", type=click.Choice(["strict", "paper"]), default="strict", show_default=True,
@@ -80,8 +82,8 @@ class StepsOrAuto(click.IntRange):
 @options.quiet
 def command(
     dataset, out, fit, sensor, bandwidth, samples, trained, between_poses, refine_time, refine_poses, gap, beside,
-    cells, harmonics, steps, batch, background, scale, box, radiance_scale, protocol, checkpoint, device, overwrite,
-    seed, quiet,
+    cells, harmonics, steps, batch, background, scale, box, near, radiance_scale, protocol, checkpoint, device,
+    overwrite, seed, quiet,
 ):  # fmt: skip
     """Reconstruct the scene of DATASET, a folder in the published layout of Robust e-NeRF and Deblur e-NeRF.
 
@@ -138,7 +140,7 @@ def command(
         with bar(quiet or not first, compiles=True) as report:
             result = reconstruct(
                 data, fit=fit, sensor=sensor, bandwidth=pixel, recipe=recipe, background=background, scale=scale,
-                box=box or None, radiance_scale=radiance_scale, protocol=protocol, gap=gap, beside=beside,
+                box=box or None, near=near, radiance_scale=radiance_scale, protocol=protocol, gap=gap, beside=beside,
                 resume=kept, preview=preview, device=device, seed=seed, progress=report,
             )  # fmt: skip
             if first:

@@ -30,6 +30,7 @@ OLDER = ("pixelid-reconstruction-checkpoint",)  # before fields lay in bricks
 def run_identity(problem: Problem, recipe: Recipe, bandwidth: Bandwidth, inputs: dict[str, str]) -> str:
     """What must agree between the run that wrote a checkpoint and the one that continues it."""
     pinned = (problem.gauge.kind, problem.gauge.background.tolist(), problem.low.tolist(), problem.high.tolist())
+    pinned = (*pinned, problem.near) if problem.near else pinned  # without: as before there was one
     told = (recipe, bandwidth, problem.circuit, problem.dark.tolist(), pinned, sorted(inputs.items()))
     return repr((*told, parallel.world()))  # each process draws its own share of a batch
 

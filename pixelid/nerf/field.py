@@ -29,16 +29,18 @@ class Field(torch.nn.Module):
 
     low, high: (3,) corners;  vertices: per side;  channels: colours;  background: (C,) radiance behind the box, held
     unless `free_background`;  level: radiance that the grid starts from;  degree: of the spherical harmonics by which
-    log radiance depends on the direction, 0 to 2
+    log radiance depends on the direction, 0 to 2;  near: distance from the camera before which rays meet nothing
 
     bricks: where the rows are;  grid: (rows, 1 + C);  coefficients: (rows, C, K) of the harmonics beside the constant
     """
 
     def __init__(
-        self, low, high, vertices: int, channels: int, background, *, free_background=False, level=None, degree=0
-    ) -> None:
+        self, low, high, vertices: int, channels: int, background, *, free_background=False, level=None, degree=0,
+        near=0.0,
+    ) -> None:  # fmt: skip
         super().__init__()
         self.low, self.high = np.asarray(low, dtype=np.float64), np.asarray(high, dtype=np.float64)
+        self.near = float(near)
         bricks = Bricks.every(vertices)
         grid = torch.empty(bricks.rows, 1 + channels)
         side = float((self.high - self.low).max())
@@ -91,7 +93,7 @@ class Field(torch.nn.Module):
 
     def box(self) -> Box:
         """What the renderer needs beside the grid."""
-        return Box(self.low, self.high, self.step, self.occupied, self.bricks)
+        return Box(self.low, self.high, self.step, self.occupied, self.bricks, self.near)
 
     def forward(self, rays: Rays, engine: str = "auto") -> tuple[torch.Tensor, torch.Tensor]:
         """(radiance, opacity), (n,) each."""

@@ -34,6 +34,7 @@ def problem_of(
     background: float | None = None,
     scale: str = "auto",
     box: Sequence[float] | None = None,
+    near: float = 0.0,
     maps: PixelMaps | None = None,
     held_out: float = HELD_OUT,
     close: float = CLOSE_PIXELS,
@@ -50,6 +51,7 @@ def problem_of(
         background: radiance behind the scene; by default what the views show.
         scale: what pins the radiance unit: "auto", "level" or "free".
         box: corners of the scene, x0 y0 z0 x1 y1 z1; by default a cube where the camera looks.
+        near: distance from the camera before which nothing is.
         maps: how single pixels depart from the circuit; by default unknown to its mismatch.
         held_out: share of the pixels that training does not see.
         close: events are merged while the image moves by less than that, in pixels.
@@ -69,6 +71,8 @@ def problem_of(
         low, high = np.asarray(box[:3], dtype=float), np.asarray(box[3:], dtype=float)
     if not (high > low).all():
         raise InputError(f"--box: expected low corner below high corner, found {[*low.tolist(), *high.tolist()]}")
+    if not (math.isfinite(near) and near >= 0):
+        raise InputError(f"--near: expected a distance of at least 0, found {near}")
     circuit = calibration.circuit
     maps = maps_of_circuit(circuit, camera.width * camera.height) if maps is None else maps
     t, x, y, on = dataset.t, dataset.x, dataset.y, dataset.on
@@ -106,7 +110,7 @@ def problem_of(
     return Problem(
         training, held, dataset.trajectory, camera, calibration.channel_of(column, row), calibration.dark,
         circuit, gauge_of(dataset, background, scale), low, high, maps, tilts(cut, circuit, trained),
-        float(lengths.min()) if len(lengths) else 0.0, quiet,
+        float(lengths.min()) if len(lengths) else 0.0, quiet, near,
     )  # fmt: skip
 
 

@@ -99,7 +99,7 @@ class Reconstruction(Result):
             "recipe": self.recipe.as_dict(),
             "held_out_residual": self.held_out,
             "gauge": {"kind": self.problem.gauge.kind, "background": self.problem.gauge.background},
-            "box": {"low": self.problem.low, "high": self.problem.high},
+            "box": {"low": self.problem.low, "high": self.problem.high, "near": self.problem.near},
             "pixel": {
                 **dict.fromkeys(FILTER),
                 **self.problem.values(self.state.pixel),
@@ -168,6 +168,7 @@ def reconstruct(
     background: float | None = None,
     scale: str = "auto",
     box: tuple[float, ...] | None = None,
+    near: float = 0.0,
     radiance_scale: float | None = None,
     protocol: str = "strict",
     gap: bool = False,
@@ -192,6 +193,7 @@ def reconstruct(
         background: radiance behind the scene; by default what the views show.
         scale: what pins the radiance unit: "auto", "level" or "free" (see `gauge`).
         box: corners of the scene, x0 y0 z0 x1 y1 z1; by default a cube where the camera looks.
+        near: distance from the camera before which nothing is, in the unit of the poses.
         radiance_scale: the fit's radiance units per unit of the views.
         protocol: of the scores: "strict", or "paper" for those of the reference implementation beside them.
         gap: look in the events for effects that the pixel lacks, and train with those found (`search`).
@@ -234,8 +236,8 @@ def reconstruct(
 
     def make(of: Calibration, trained: tuple[str, ...], held_out: float = HELD_OUT) -> Problem:
         return problem_of(
-            dataset, of, trained=trained, background=background, scale=scale, box=box, maps=maps, held_out=held_out,
-            seed=seed,
+            dataset, of, trained=trained, background=background, scale=scale, box=box, near=near, maps=maps,
+            held_out=held_out, seed=seed,
         )  # fmt: skip
 
     problem = make(calibration, bandwidth.moving)

@@ -20,13 +20,15 @@ from pixelid.parallel import map_threads, ranges
 
 
 class Box(NamedTuple):
-    """Where a field lives and how it is marched: corners (3,) each, step length, blocks worth visiting (b, b, b)."""
+    """Where a field lives and how it is marched: corners (3,) each, step length, blocks worth visiting (b, b, b), where
+    the vertices are, and the distance from the camera before which nothing is seen."""
 
     low: np.ndarray
     high: np.ndarray
     step: float
     occupied: np.ndarray
     bricks: Bricks
+    near: float = 0.0
 
 
 class Rays(NamedTuple):
@@ -70,7 +72,7 @@ class _Compiled(torch.autograd.Function):
             samples, depths, colours = (np.empty(room, kind) for kind in (np.int32, np.float32, np.float32))
             kept = kernels.forward(
                 *(column[some] for column in rays), values, directional, vertices, index, box.occupied, filled, box.low,
-                box.high, box.step, behind, radiance[some], opacity[some], first, samples, depths, colours,
+                box.high, box.near, box.step, behind, radiance[some], opacity[some], first, samples, depths, colours,
             )  # fmt: skip
             return first, *kept
 
@@ -99,7 +101,7 @@ class _Compiled(torch.autograd.Function):
             some = cuts[k]
             kernels.backward(
                 *(column[some] for column in rays), values, directional, box.bricks.vertices, box.bricks.index, box.low,
-                box.high, box.step, behind, ctx.radiance[some], *ctx.kept[k], by_radiance[some], by_grid[k],
+                box.high, box.near, box.step, behind, ctx.radiance[some], *ctx.kept[k], by_radiance[some], by_grid[k],
                 by_coefficients[k], by_behind[k], by_origins[some], by_directions[some],
             )  # fmt: skip
 
@@ -156,7 +158,7 @@ def _samples(o, d, offset, low, high, box: Box) -> tuple[torch.Tensor, torch.Ten
     occupied = (torch.as_tensor(box.occupied, device=o.device) > 0) & (box.bricks.index_on(o.device)[:x, :y, :z] > 0)
     safe = torch.where(d.abs() < 1e-9, torch.full_like(d, 1e-9), d)
     a, b = (low - o) / safe, (high - o) / safe
-    near = torch.minimum(a, b).amax(dim=1).clamp(min=0.0)
+    near = torch.minimum(a, b).amax(dim=1).clamp(min=box.near)
     far = torch.maximum(a, b).amin(dim=1)
     hit = (near < far) & (far < kernels.FARTHEST * box.step)
     most = max(int(torch.ceil(((far - near) * hit).nan_to_num().max() / box.step).item()), 1) + 1

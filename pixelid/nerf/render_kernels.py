@@ -33,9 +33,9 @@ FARTHEST = 1e6  # steps from the camera: beyond, single-precision origins miss c
 
 
 @njit(inline="always", error_model="numpy")
-def _span(o, d, low, high):
-    """(near, far) of the box along a ray."""
-    near, far = 0.0, 1e30
+def _span(o, d, low, high, nearest):
+    """(near, far) of the box along a ray, from the distance `nearest` on."""
+    near, far = nearest, 1e30
     for j in range(3):
         direction = d[j]
         if abs(direction) < 1e-9:
@@ -103,15 +103,16 @@ def _per_cell(q, step):
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "afn", "reassoc"})
 def forward(
-    origins, directions, channels, offsets, grid, coefficients, vertices, index, occupied, filled, low, high, step,
-    background, radiance, opacity, first, samples, depths, colours,
+    origins, directions, channels, offsets, grid, coefficients, vertices, index, occupied, filled, low, high, nearest,
+    step, background, radiance, opacity, first, samples, depths, colours,
 ):  # fmt: skip
     """Fill radiance (n,) and opacity (n,) of rays; (samples, depths, colours), where rays met something.
 
     origins, directions: (n, 3) float32;  channels: (n,) colour of each ray;  offsets: (n,) of the first sample in
     steps;  grid: (rows, 1 + C) float32;  coefficients: (rows, C, K) float32 of the harmonics, K may be 0;  vertices:
     per side;  index: of `Bricks`;  occupied: (b, b, b) uint8 per block;  filled: (rows,) uint8 of `filled_cells`, by
-    the low corner of the cell;  low, high: (3,) the box;  background: (C,) radiance behind it
+    the low corner of the cell;  low, high: (3,) the box;  nearest: distance before which nothing is seen;  background:
+    (C,) radiance behind it
     first: (n + 1,) where the samples of each ray begin, or (0,) when nobody asks for them;  samples, depths, colours:
     room for number of the step (int32), optical depth and radiance of samples that are not clear; larger arrays are
     returned where it does not suffice
@@ -122,7 +123,7 @@ def forward(
     for i in range(len(origins)):
         o, d, c = origins[i], directions[i], channels[i]
         harmonics.fill(d, basis)
-        near, far = _span(o, d, low, high)
+        near, far = _span(o, d, low, high, nearest)
         T, L = np.float32(1.0), np.float32(0.0)
         if keeping:
             first[i] = kept
@@ -193,8 +194,9 @@ def _longer(column):
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "afn", "reassoc"})
 def backward(
-    origins, directions, channels, offsets, grid, coefficients, vertices, index, low, high, step, background, radiance,
-    first, samples, depths, colours, by_radiance, by_grid, by_coefficients, by_background, by_origins, by_directions,
+    origins, directions, channels, offsets, grid, coefficients, vertices, index, low, high, nearest, step, background,
+    radiance, first, samples, depths, colours, by_radiance, by_grid, by_coefficients, by_background, by_origins,
+    by_directions,
 ):  # fmt: skip
     """Add the gradient of Σ by_radiance · radiance, from the samples that `forward` kept.
 
@@ -215,7 +217,7 @@ def backward(
             continue
         o, d, c = origins[i], directions[i], channels[i]
         harmonics.fill(d, basis)
-        near, _ = _span(o, d, low, high)
+        near, _ = _span(o, d, low, high, nearest)
         T, left = np.float32(1.0), radiance[i]
         px, py, pz = (o[0] - low[0]) * sx, (o[1] - low[1]) * sy, (o[2] - low[2]) * sz
         qx, qy, qz = d[0] * sx, d[1] * sy, d[2] * sz

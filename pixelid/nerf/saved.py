@@ -165,11 +165,13 @@ def write_field(scene: Field, folder: Path) -> None:
     """Write field.npz into an existing folder.
 
     Its arrays: grid (n, n, n, 1 + C), coefficients (n, n, n, C, K), both in half precision, low, high (3,) and
-    background (C,).  Of a field that is not held whole: grid (rows, 1 + C), coefficients (rows, C, K), vertices () and
-    bricks (b, b, b), which say where the rows are (`Bricks`).
+    background (C,); near (), the distance before which rays meet nothing, where it is not 0.  Of a field that is not
+    held whole: grid (rows, 1 + C), coefficients (rows, C, K), vertices () and bricks (b, b, b), which say where the
+    rows are (`Bricks`).
     """
     background = np.exp(scene.log_background.detach().cpu().numpy())
     arrays: dict[str, Any] = {"low": scene.low, "high": scene.high, "background": background}
+    arrays |= {"near": scene.near} if scene.near else {}
     if scene.bricks.whole:
         grid, coefficients = scene.dense()
     else:
@@ -201,7 +203,8 @@ def read_field(folder: Path) -> Field:
             coefficients.shape[:-1] != (*shape, channels) or coefficients.shape[-1] not in DEGREES
         ):
             raise ValueError(f"coefficients {tuple(coefficients.shape)} of a grid {tuple(grid.shape)}")
-        scene = Field(arrays["low"], arrays["high"], 2, channels, arrays["background"])
+        near = float(arrays["near"].item()) if "near" in arrays else 0.0
+        scene = Field(arrays["low"], arrays["high"], 2, channels, arrays["background"], near=near)
         if bricks is None:
             scene.hold_dense(grid, coefficients)
         else:
@@ -212,9 +215,11 @@ def read_field(folder: Path) -> Field:
 
 def _check_scene(arrays: Mapping[str, np.ndarray]) -> None:
     """Raise ValueError for numbers of which no scene can be: a box without inside, radiance that is not positive."""
-    for name in ("grid", "coefficients", "low", "high", "background", "vertices", "bricks"):
+    for name in ("grid", "coefficients", "low", "high", "background", "vertices", "bricks", "near"):
         if name in arrays and (arrays[name].dtype.kind not in "fiu" or not np.isfinite(arrays[name]).all()):
             raise ValueError(f"{name}: expected finite numbers")
+    if "near" in arrays and not (arrays["near"].size == 1 and arrays["near"] >= 0):
+        raise ValueError(f"near: expected a distance, found {shown(arrays['near'].tolist())}")
     low, high, background = arrays["low"], arrays["high"], arrays["background"]
     if low.shape != (3,) or high.shape != (3,) or not (low < high).all():
         raise ValueError(f"low, high: expected corners of a box, found {shown(low.tolist())}, {shown(high.tolist())}")

@@ -37,7 +37,8 @@ class Problem:
     training, held_out: intervals;  camera: of the sensor;  channel: (pixels,);  dark: (C,) added to the field's
     radiance;  circuit: of the pixel;  gauge: what pins the radiance unit;  low, high: the box;  maps: how the pixels
     depart from the circuit, None where they do not;  tilts: of `additions.tilts`, for what is trained;  shortest: s,
-    between two events of one pixel;  quiet: where and when nothing fired, of the pixels that training sees
+    between two events of one pixel;  quiet: where and when nothing fired, of the pixels that training sees;  near:
+    distance from the camera before which nothing is
     """
 
     training: Intervals
@@ -54,6 +55,7 @@ class Problem:
     tilts: Mapping[str, Tilt] = dataclasses.field(default_factory=dict)
     shortest: float = 0.0
     quiet: Quiet = NOTHING
+    near: float = 0.0
 
     def values(self, pixel: Pixel) -> dict[str, float]:
         """The numbers in use (`Pixel.values`), the thresholds those of the typical event and pixel.
@@ -128,7 +130,7 @@ def start(problem: Problem, recipe: Recipe, bandwidth: Bandwidth, device: str = 
     gauge = problem.gauge
     scene = Field(
         problem.low, problem.high, recipe.vertices_at(0), len(problem.dark), gauge.background,
-        free_background=gauge.free_background, level=gauge.start, degree=recipe.degree,
+        free_background=gauge.free_background, level=gauge.start, degree=recipe.degree, near=problem.near,
     ).to(device)  # fmt: skip
     pixel = Pixel(problem.circuit, bandwidth, problem.maps).to(device)
     inside = sub_pixel_directions(problem.camera, recipe.supersample)

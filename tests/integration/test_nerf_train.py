@@ -648,3 +648,18 @@ def test_the_function_takes_what_the_command_takes(made, tmp_path):
     for wrong in wrongs:
         with pytest.raises(InputError, match="expected"):
             px.reconstruct(made, **wrong)
+
+
+def test_a_near_distance_is_trained_with_stored_and_rendered_with(made, tmp_path):
+    words = ["reconstruct", str(made), "--out", str(tmp_path / "out"), "--iterations", "3", "--quiet", "--near", "3.5"]
+    assert main(words) in (0, 1)
+    result = json.loads((tmp_path / "out" / "reconstruction.json").read_text())
+    check("reconstruction", result)
+    assert result["box"]["near"] == 3.5
+    assert Reconstruction.load(tmp_path / "out").field.near == 3.5
+    plain = px.reconstruct(made, iterations=3, device="cpu")
+    near = px.reconstruct(made, iterations=3, near=3.5, device="cpu")
+    assert not torch.equal(plain.state.field.grid, near.state.field.grid)
+    plain.save(tmp_path / "plain")
+    with np.load(tmp_path / "plain" / "field.npz") as file:
+        assert "near" not in file

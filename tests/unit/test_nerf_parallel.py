@@ -32,12 +32,16 @@ def test_another_number_of_processes_is_another_run(monkeypatch):
     """Each draws its own share of every batch."""
     nothing = np.zeros(3)
     gauge = SimpleNamespace(kind="free", background=nothing)
-    problem = SimpleNamespace(gauge=gauge, low=nothing, high=nothing, circuit=CIRCUIT, dark=nothing)
+    problem = SimpleNamespace(gauge=gauge, low=nothing, high=nothing, circuit=CIRCUIT, dark=nothing, near=0.0)
 
     def mark() -> str:
         return run_identity(problem, Recipe(), Bandwidth(), {})  # type: ignore[arg-type]
 
     alone = mark()
+    assert mark() == alone
+    problem.near = 0.5
+    assert mark() != alone
+    problem.near = 0.0
     assert mark() == alone
     monkeypatch.setenv("WORLD_SIZE", "2")
     assert mark() != alone

@@ -60,6 +60,22 @@ def test_a_uniform_box_absorbs_exponentially(engine):
     assert float(opacity) == pytest.approx(1 - through, rel=1e-4)
 
 
+@pytest.mark.parametrize("engine", ["compiled", "tensors"])
+def test_a_speck_at_the_camera_is_not_seen_before_the_near_distance(engine):
+    """The camera is inside the box, and the eight vertices about it are dense; beyond them all is clear."""
+    grid = torch.full((17, 17, 17, 2), -12.0)
+    grid[8:10, 8:10, 8:10] = torch.tensor([8.0, 1.0])
+    rays = Rays(
+        np.full((1, 3), 0.05, np.float32), np.array([[1, 0, 0]], np.float32), np.zeros(1, int), np.zeros(1, np.float32)
+    )
+    hidden, shown = (
+        rendered(grid, torch.tensor([5.0]), rays, cube(17, 2 / 64)._replace(near=near), engine) for near in (0.0, 0.4)
+    )
+    assert float(hidden[1]) > 0.99
+    assert float(shown[1]) < 1e-3
+    assert float(shown[0]) == pytest.approx(5.0, rel=1e-3)
+
+
 @pytest.mark.parametrize("away", [1e8, 9e18, np.inf])
 @pytest.mark.parametrize("engine", ["compiled", "tensors"])
 def test_from_too_far_away_there_is_only_the_background(engine, away):
@@ -112,13 +128,15 @@ def test_a_uniform_box_shows_another_radiance_from_every_side(engine):
     assert float(radiance) == pytest.approx(0.5 * np.exp(np.sqrt(3) * (0.2 * 0.6 - 0.1 * 0.8)), rel=3e-5)
 
 
-def shown_with_gradients(channels: int, degree: int, engine: str = "auto", device: str = "cpu") -> list[torch.Tensor]:
+def shown_with_gradients(
+    channels: int, degree: int, engine: str = "auto", device: str = "cpu", near: float = 0.0
+) -> list[torch.Tensor]:
     """Radiance and opacity of some rays through a field, and the gradients of a sum over them, on the CPU."""
     rng = np.random.default_rng(0)
     values = rng.normal(0, 1, (13, 13, 13, 1 + channels)).astype(np.float32)
     directional = 0.3 * rng.normal(0, 1, (13, 13, 13, channels, number_of(degree))).astype(np.float32)
     rays = random_rays(500, channels)
-    box = cube(13, 0.11, (rng.random((3, 3, 3)) < 0.8).astype(np.uint8))
+    box = cube(13, 0.11, (rng.random((3, 3, 3)) < 0.8).astype(np.uint8))._replace(near=near)
     arrays = (values, np.full(channels, 0.4, np.float32), directional, *rays[:2])
     moved = [torch.tensor(array, device=device, requires_grad=True) for array in arrays]
     grid, behind, coefficients, origins, directions = moved
@@ -129,9 +147,9 @@ def shown_with_gradients(channels: int, degree: int, engine: str = "auto", devic
     return [array.cpu() for array in (radiance.detach(), opacity, *slopes) if array is not None]
 
 
-@pytest.mark.parametrize(("channels", "degree"), [(1, 0), (3, 0), (1, 1), (3, 2)])
-def test_both_engines_agree_with_their_gradients(channels, degree):
-    found = [shown_with_gradients(channels, degree, engine) for engine in ("compiled", "tensors")]
+@pytest.mark.parametrize(("channels", "degree", "near"), [(1, 0, 0.0), (3, 0, 3.0), (1, 1, 0.0), (3, 2, 3.0)])
+def test_both_engines_agree_with_their_gradients(channels, degree, near):
+    found = [shown_with_gradients(channels, degree, engine, near=near) for engine in ("compiled", "tensors")]
     assert len(found[0]) == (7 if degree else 6)
     for compiled, tensors in zip(*found, strict=True):
         torch.testing.assert_close(compiled, tensors, rtol=1e-3, atol=1e-4)

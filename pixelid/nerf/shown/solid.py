@@ -101,7 +101,7 @@ def mesh_of(field: Field) -> Mesh:
 
 def _like(field: Field, grid: np.ndarray) -> Field:
     """A field of one colour with another grid (rows, 2), before a background of 1."""
-    other = Field(field.low, field.high, 2, 1, [1.0])
+    other = Field(field.low, field.high, 2, 1, [1.0], near=field.near)
     other.hold(field.bricks, torch.from_numpy(np.ascontiguousarray(grid, np.float32)))
     other.occupied = field.occupied
     return other
