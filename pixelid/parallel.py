@@ -15,16 +15,30 @@ from collections.abc import Callable, Iterable
 from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
 from functools import lru_cache
 from itertools import pairwise
+from pathlib import Path
 from typing import TypeVar
 
 from threadpoolctl import ThreadpoolController
 
 from pixelid.errors import InputError
 
+CONTAINER = Path("/sys/fs/cgroup/memory.max")  # Linux: bytes, or "max"
+
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 _inside = threading.local()  # .worker is True in the threads of a pool
+
+
+def memory_bytes() -> int:
+    """Of the computer, or what its container may use; 8 GiB where the system does not say."""
+    if not hasattr(os, "sysconf"):
+        return 8 << 30
+    there = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    try:
+        return min(there, int(CONTAINER.read_text()))
+    except (OSError, ValueError):  # no container, or one without limit
+        return there
 
 
 def thread_count() -> int:

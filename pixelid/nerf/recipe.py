@@ -24,6 +24,10 @@ VISITS = 60
 BATCH_SHARE = 320 / 1e5
 SMALLEST_BATCH, LARGEST_BATCH = 320, 4096
 STEPS = (600, 30_000)
+# Of memory, so that all batches fit: a step takes 2 kB per sample on the CPU, and a chain has 24 samples and 2.4 for
+# each of the past (measured at 1, 30 and 100 of them); three quarters are left to events, field and everybody else.
+BYTES_PER_SAMPLE, SAMPLES_PER_CHAIN, SAMPLES_PER_PAST = 2000, 24.0, 2.4
+MEMORY_SHARE = 0.25
 AUTO = "auto"  # steps by the number of changes
 CELLS, MOST_STEPS, MOST_BATCH = (8, 512), 1_000_000_000, 10_000_000  # what may be asked for
 ELSEWHERE = ("iterations", "seed")  # in reconstruction.json
@@ -108,12 +112,23 @@ class Recipe:
         quarters = (2, 3, 4) if cells <= MOST_AT_ONCE else (1, 2, 4)
         return dataclasses.replace(self, vertices=tuple(max(cells * k // 4, 1) + 1 for k in quarters))
 
-    def for_data(self, changes: int) -> Recipe:
+    def for_data(self, changes: int, samples: int = 1, memory: int | None = None) -> Recipe:
         """The recipe with steps and batch for so many changes of light, where they were left open.
 
-        Batches grow with the data up to `LARGEST_BATCH`; steps are as many as show every change `VISITS` times.
+        Batches grow with the data up to `LARGEST_BATCH`, and to what fits into a share of the memory; steps are as many
+        as show every change `VISITS` times.
+
+        Args:
+            changes: to train on.
+            samples: of the pixel's past.
+            memory: of the computer or the device, bytes; by default any.
+
+        Returns:
+            The recipe.
         """
-        batch = self.batch or int(np.clip(changes * BATCH_SHARE, SMALLEST_BATCH, LARGEST_BATCH))
+        chain = BYTES_PER_SAMPLE * (SAMPLES_PER_CHAIN + SAMPLES_PER_PAST * samples)
+        most = LARGEST_BATCH if memory is None else min(LARGEST_BATCH, max(int(MEMORY_SHARE * memory / chain), 1))
+        batch = self.batch or min(int(np.clip(changes * BATCH_SHARE, SMALLEST_BATCH, LARGEST_BATCH)), most)
         wanted = math.ceil(VISITS * changes / (CHAIN * batch) / 100) * 100
         steps = self.iterations or int(np.clip(wanted, *STEPS))
         return dataclasses.replace(self, batch=batch, iterations=steps)

@@ -29,6 +29,7 @@ from pixelid.nerf.search import hot_pixels, search
 from pixelid.nerf.state import Problem, State, start
 from pixelid.nerf.train import held_out_residual, train
 from pixelid.nerf.views import Views
+from pixelid.parallel import memory_bytes
 from pixelid.provenance import input_hashes, versions
 from pixelid.results import Result, Table
 from pixelid.status import Status
@@ -241,7 +242,9 @@ def reconstruct(
         )  # fmt: skip
 
     problem = make(calibration, bandwidth.moving)
-    recipe = recipe.for_data(len(problem.training.starts))
+    memory = torch.cuda.get_device_properties(0).total_memory if device == "cuda" else memory_bytes()
+    past = bandwidth.samples if bandwidth.mode != "off" else 1
+    recipe = recipe.for_data(len(problem.training.starts), past, memory)
     files = [*dataset.files, *([Path(fit) / "model.toml" if Path(fit).is_dir() else Path(fit)] if fit else [])]
     files += [Path(sensor) / name for name in ("sensor.json", "maps.npz")] if sensor else []
     inputs = input_hashes(files)

@@ -10,7 +10,6 @@ Times count from the clock of whatever measured the light; `pixelid convert --al
 from __future__ import annotations
 
 import csv
-import os
 import re
 from collections.abc import Iterable
 from itertools import islice
@@ -21,6 +20,7 @@ import numpy as np
 from pixelid.arrays import load_arrays
 from pixelid.documents import refuse_hollow, separator_of, words_of
 from pixelid.errors import InputError, first_line, shown
+from pixelid.parallel import memory_bytes
 from pixelid.stimuli.stimulus import UNITS, Stimulus
 
 TABLES, ARRAYS = (".csv", ".txt", ".tsv"), (".npy", ".npz")
@@ -225,13 +225,6 @@ def _video(path: Path, fps: float | None) -> tuple[np.ndarray, np.ndarray]:
     return frames, _regular(len(frames), fps or rate or None, path)
 
 
-def _memory_bytes() -> int:
-    """Of the computer; 8 GiB where the system does not say."""
-    if not hasattr(os, "sysconf"):
-        return 8 << 30
-    return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-
-
 def _stacked(frames: Iterable[np.ndarray], expected: int, path: Path) -> np.ndarray:
     """(n, h, w) of grey frames of one size, as far as they fit into half of the memory.
 
@@ -241,7 +234,7 @@ def _stacked(frames: Iterable[np.ndarray], expected: int, path: Path) -> np.ndar
         path: named in errors.
     """
     found: list[np.ndarray] = []
-    most = _memory_bytes() // 2
+    most = memory_bytes() // 2
     for frame in frames:
         if found and frame.shape != found[0].shape:
             raise InputError(f"{path}: expected pictures of one size, found {found[0].shape} and {frame.shape}")

@@ -477,6 +477,12 @@ def test_size_and_length_of_a_training_are_chosen_or_follow_the_data(made, tmp_p
     few, many = open_recipe.for_data(5_000), open_recipe.for_data(40_000_000)
     assert (few.batch, few.iterations) == (320, 600)
     assert (many.batch, many.iterations) == (4096, 30_000)
+    small = open_recipe.for_data(40_000_000, samples=30, memory=1 << 30)
+    assert 1000 < small.batch < 2000
+    assert small.iterations == 30_000
+    assert open_recipe.for_data(40_000_000, samples=300, memory=1 << 30).batch < small.batch / 5
+    assert replace(open_recipe, batch=4096).for_data(40_000_000, 30, 1 << 30).batch == 4096  # what was asked for
+    assert open_recipe.for_data(40_000_000, 30, 16 << 30) == many
     usual = open_recipe.for_data(100_000)
     assert (usual.batch, usual.iterations) == (Recipe().batch, Recipe().iterations)
 
