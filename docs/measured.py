@@ -232,7 +232,7 @@ def moving_plane() -> str:
 def _whole(arms: dict[tuple, list[dict]]) -> str:
     """Cameras with more than the data sets' pixel: PSNR with everything known, ignored, and found in the events."""
     rows = []
-    for camera, by in _two_words(arms).items():
+    for (setting, camera), by in sorted(_two_words(arms).items(), key=lambda item: item[0][0]):
         psnr = [
             f"{statistics.mean(run['psnr'] for run in by[which]):.2f}" if which in by else ""
             for which in ("known", "ignored", "found")
@@ -241,24 +241,25 @@ def _whole(arms: dict[tuple, list[dict]]) -> str:
         seconds = [
             f"{statistics.mean(r['cpu_seconds'] for r in by[w]):.0f}" if w in by else "" for w in ("known", "found")
         ]
-        rows.append((camera, *psnr, ", ".join(named) or ("none" if "found" in by else ""), *seconds))
-    heads = ("camera", "known [dB]", "ignored [dB]", "found [dB]", "what was found", "CPU s, known", "CPU s, found")
+        rows.append((setting, camera, *psnr, ", ".join(named) or ("none" if "found" in by else ""), *seconds))
+    psnr_heads = ("known [dB]", "ignored [dB]", "found [dB]")
+    heads = ("setting", "camera", *psnr_heads, "what was found", "CPU s, known", "CPU s, found")
     return "## More of the pixel than the data sets say\n\n" + table(heads, rows)
 
 
-def _two_words(arms: dict[tuple, list[dict]]) -> dict[str, dict[str, list[dict]]]:
-    """Runs by what stands before and after the colon of their arm."""
-    by: dict[str, dict[str, list[dict]]] = defaultdict(dict)
-    for (_, arm, *_), runs in arms.items():
+def _two_words(arms: dict[tuple, list[dict]]) -> dict[tuple[str, str], dict[str, list[dict]]]:
+    """Runs by setting and what stands before the colon of their arm, and what stands after it."""
+    by: dict[tuple[str, str], dict[str, list[dict]]] = defaultdict(dict)
+    for (setting, arm, *_), runs in arms.items():
         before, _, after = arm.rpartition(": ")
-        by[before][after] = runs
+        by[setting, before][after] = runs
     return by
 
 
 def _grid(arms: dict[tuple, list[dict]]) -> str:
     """PSNR over speed and illuminance: with the pixel modelled, ignored, and the gain."""
     rows = []
-    for cell, by in _two_words(arms).items():
+    for (_, cell), by in _two_words(arms).items():
         on, off = (statistics.mean(run["psnr"] for run in by[mode]) for mode in ("on", "off"))
         rows.append((*cell.split(", "), f"{on:.2f}", f"{off:.2f}", f"{on - off:+.2f}"))
     heads = ("speed", "photocurrent of white", "on [dB]", "off [dB]", "gain [dB]")

@@ -66,7 +66,8 @@ class Criteria:
         sufficient_p_shot_noise: Of what shot noise alone leaves, from which on nothing beside it is looked for.
         artefact_error_share: Of the root of what effects gain under shot noise in sessions that lack them, by which
             another session's differs: what the approximation leaves changes with how well the density is known (5 %)
-            and with what is missing.  Eleven sessions differed by up to 18 %.
+            and with what is missing.  In ten of eleven sessions gains were up to 23 % above, in one
+            30 to 52 % (three effects; its density was found 10 % too low).
         replicate_error_share: Of what shot noise explains by which replicates at the best density are off themselves.
         unexplained_overdispersion: Variance of the number of unexplained events over Poisson's: pixels share
             thresholds, so they come in groups.

@@ -44,6 +44,8 @@ def test_what_never_acts_has_its_whole_range():
     assert 0.2 < low < high < 0.3  # four pixels, each with a threshold of its own
     assert open_sides((low, high), model.parameter("on_threshold")) == (low, high)
     assert open_sides(None, model.parameter("on_threshold")) is None
+    rounded = (parameter.lower * (1.0 + 1e-15), 1.0)  # a bound, through the logarithm and back
+    assert open_sides(rounded, parameter) == (None, 1.0)
 
 
 def test_a_verdict_says_which_strength_is_not_told():

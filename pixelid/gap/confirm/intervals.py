@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 
 import numpy as np
@@ -18,6 +19,7 @@ from pixelid.parameters.parameter import Parameter
 IMPUTATION_VARIANCE_FACTOR = 2.0
 # Curvature along a direction, of the largest there is, that rounding of sums over 1e4 to 1e6 events leaves of none.
 FLAT = 1e-12
+ROUNDING = 1e-9  # relative, of a bound that has gone through its coordinate and back
 TAKES_PART = 1e-8  # share of a flat direction, squared: ten thousand standard errors of the others move it by one
 
 
@@ -51,7 +53,9 @@ def open_sides(limits: tuple[float, float] | None, parameter: Parameter) -> tupl
     if limits is None:
         return None
     low, high = limits
-    return (None if low <= parameter.lower else low, None if high >= parameter.upper else high)
+    open_below = low <= parameter.lower or math.isclose(low, parameter.lower, rel_tol=ROUNDING)
+    open_above = high >= parameter.upper or math.isclose(high, parameter.upper, rel_tol=ROUNDING)
+    return None if open_below else low, None if open_above else high
 
 
 def _inverse_or_open(information: np.ndarray) -> np.ndarray:
