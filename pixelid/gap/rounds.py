@@ -48,6 +48,6 @@ def amended(rounds: Rounds, index: int, **told) -> Rounds:
 
 
 def withdrawn(rounds: Rounds, effect: str, why: str) -> Rounds:
-    """The rounds with an effect that one of them named taken back."""
-    index = next(i for i, one in enumerate(rounds) if one["named"] == effect)
+    """The rounds with an effect taken back where it was named last: one taken back before may have been named again."""
+    index = max(i for i, one in enumerate(rounds) if one["named"] == effect)
     return amended(rounds, index, withdrawn=why)

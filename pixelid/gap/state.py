@@ -65,6 +65,7 @@ class NamedStep:
         where: What the model was wrong about before, in words.
         firm: Whether it is wanted even when a flexible alternative may take its place.
         before: The hypothesis before it was named.
+        noise_before: Shot noise of that hypothesis, where it was named beside it.
     """
 
     winner: Candidate[Maximum]
@@ -72,6 +73,7 @@ class NamedStep:
     where: str
     firm: bool
     before: Hypothesis
+    noise_before: ShotNoise | None = None
 
     @property
     def effect(self) -> str:

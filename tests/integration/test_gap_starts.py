@@ -19,7 +19,10 @@ from pixelid.gap.options import Context, Options
 from pixelid.gap.phases import Phase
 from pixelid.gap.rounds import entry
 from pixelid.gap.search import begin
+from pixelid.gap.shot_noise.replicates import Corrected
+from pixelid.gap.shot_noise.shot_noise import ShotNoise
 from pixelid.gap.state import NamedStep
+from pixelid.gap.steps import withdraw as withdrawing
 from pixelid.gap.steps.name_effect import (
     NOTHING_LEFT_FOR_IT,
     ONLY_WHERE_DRAWN,
@@ -206,6 +209,25 @@ def test_an_effect_that_times_drawn_anew_leave_nothing_is_withdrawn(complete, fr
     assert left.hypothesis.fit.model.has("lost_events") == left.hypothesis.start.has("lost_events") == stays
     assert len(left.steps) == int(stays)
     assert left.rounds[0].get("withdrawn") == (None if stays else NOTHING_LEFT_FOR_IT)
+
+
+def test_an_effect_taken_back_from_beside_shot_noise_leaves_the_noise_found_before_it(complete, monkeypatch):
+    """And is taken back where it was named last: shot noise had explained it once before."""
+    monkeypatch.setattr(withdrawing, "flexible_alternative", lambda *given: None)
+    hypothesis = complete.hypothesis
+    left = replace(hypothesis, seen=replace(hypothesis.seen, p=0.0))
+    corrected = Corrected(hypothesis.fit.model, np.zeros_like(hypothesis.fit.x), left.seen)
+    before, found = (ShotNoise(density, (0.0, 1.0), corrected, 100.0, 5.0) for density in (1e-4, 3e-4))
+    winner = Candidate("leak", hypothesis.fit, 600.0, 0.0, hypothesis.fit.x)
+    step = NamedStep(winner, Attribution((), {}, None, (), {}), "", False, hypothesis, before)
+    rounds = (entry(1, 0.0, named="leak", withdrawn="shot noise explains it"), entry(2, 0.0, named="leak"))
+    state = replace(complete, hypothesis=left, steps=(step,), rounds=rounds, shot_noise=found)
+    state = withdrawing.withdraw(state, CONTEXT)
+    assert not state.steps
+    assert state.hypothesis is hypothesis
+    assert state.shot_noise is before
+    assert state.rounds[0]["withdrawn"] == "shot noise explains it"
+    assert "withdrawn" in state.rounds[1]
 
 
 def test_a_jitter_of_dead_times_is_looked_for_beside_a_dead_time_named_on_the_way():

@@ -80,7 +80,11 @@ def _with(
     before = replace(state, hypothesis=replace(state.hypothesis, corrected=None))
     evidence = before.hypothesis.evidence.weighed(before.hypothesis.fit.model.circuit())
     more = grown_by(with_accepted(before, bare, attribution, True), bare, evidence, context)
-    step = replace(more.steps[-1], before=state.hypothesis)
+    if not more.steps or more.steps[-1].effect != bare.effect:
+        return None  # times drawn anew with it leave nothing for it
+    step = more.steps[-1]
+    if len(more.steps) > len(state.steps):  # else it took the place of an earlier one, and follows what that did
+        step = replace(step, before=state.hypothesis, noise_before=noise)
     hypothesis = more.hypothesis
     found = find_shot_noise(hypothesis.evidence, hypothesis.fit, hypothesis.seen, context.options, context.cache)
     if found is None or negligible(winner.effect, found.corrected.model, context.options.criteria):

@@ -170,13 +170,9 @@ def _pruned(
 
 def _taken_back(steps: Sequence[NamedStep], k: int) -> list[NamedStep]:
     """The steps without one, which the next one then follows in the place of."""
-    after = [_following(step, steps[k].before) for step in steps[k + 1 : k + 2]]
+    gone = steps[k]
+    after = [replace(one, before=gone.before, noise_before=gone.noise_before) for one in steps[k + 1 : k + 2]]
     return [*steps[:k], *after, *steps[k + 2 :]]
-
-
-def _following(step: NamedStep, before: Hypothesis) -> NamedStep:
-    """The step as if it had followed an earlier hypothesis, the one before the step now withdrawn."""
-    return NamedStep(step.winner, step.attribution, step.where, step.firm, before)
 
 
 def _behind_jitter(state: State, winner: Candidate[Maximum], context: Context) -> State:

@@ -33,4 +33,7 @@ def withdraw(state: State, context: Context) -> State:
     rounds = state.rounds
     for step in state.steps[kept:]:
         rounds = withdrawn(rounds, step.effect, "it may only stand in for what is left")
-    return state.then(Phase.CONFIRM, hypothesis=state.steps[kept].before, steps=state.steps[:kept], rounds=rounds)
+    known = (step.noise_before for step in state.steps[kept:] if step.noise_before is not None)
+    noise = next(known, state.shot_noise)  # as it was found before effects beside it
+    before = state.steps[kept].before
+    return state.then(Phase.CONFIRM, hypothesis=before, steps=state.steps[:kept], rounds=rounds, shot_noise=noise)
