@@ -230,6 +230,7 @@ def test_a_search_that_falls_short_of_another_s_end_is_given_up():
     assert search._falls_short(visited, 35.0)
     assert search._falls_short([100.0] * 12, 99.9)
     assert not search._falls_short([100.0] * 4, 99.9)
+    assert not search._falls_short([90.0] * 8 + [95.0] * 2, 96.0)  # of a scatter found anew: it is there already
 
 
 @pytest.mark.parametrize(("off", "rests"), [(0.02, True), (0.06, False)])
@@ -440,6 +441,10 @@ def test_intervals_are_counted_pixel_by_pixel():
     entry = counted.compared(None)
     assert entry["median_s"]["predicted"] is None
     assert entry["shares"]["on_off"]["measured"] == pytest.approx(2 / 3)
+    first = count_intervals("one", 1.0, time_s[:2], pixel[:2], np.array([1, 1]), 2.0).compared(None)
+    assert (first["count"], first["median_s"]["measured"], first["histogram"]["edges_s"]) == (0, None, [])
+    long = np.where(EDGES_S[1:] > 10.0, 1.0, 0.0) * np.ones((2, 2, 1))  # than the recording
+    assert counted.compared(long)["distance"] is None
 
 
 def test_recordings_of_several_units_of_light_are_refused():

@@ -236,7 +236,7 @@ def _falls_short(visited: Sequence[float], least: float) -> bool:
     """Whether a search that went on to its last step as fast as of late would not come as far as another one has."""
     if len(visited) <= LATELY:
         return False
-    gained = (visited[-1 - LATELY] - visited[-1]) / LATELY
+    gained = max(visited[-1 - LATELY] - visited[-1], 0.0) / LATELY
     return visited[-1] - gained * (STEPS - len(visited) + 1) > least
 
 

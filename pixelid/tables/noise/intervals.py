@@ -76,8 +76,10 @@ def mean_intervals(circuit: Circuit, radiance: float, edges_s: np.ndarray, floor
             return None if leaks else np.zeros((2, 2, len(edges_s)))
         drift = one.on_threshold * float(leaked(one, 1.0, radiance + one.dark))
         chain = chain_of(process, one, drift, ROUGH)
-        shorter = intervals_of(chain, one.refractory).within(np.maximum(edges_s, one.refractory))
-        return shorter / (max(float(chain.share @ chain.waited), 0.0) + one.refractory)
+        wait = float(chain.share @ chain.waited)
+        if wait < 0:  # beyond any number's use (`first_passage.rates_of`)
+            return np.zeros((2, 2, len(edges_s)))
+        return intervals_of(chain, one.refractory).within(np.maximum(edges_s, one.refractory)) / (wait + one.refractory)
 
     found = map_threads(per_second, factors)
     if any(one is None for one in found):

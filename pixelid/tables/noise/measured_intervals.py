@@ -32,8 +32,9 @@ class MeasuredIntervals:
 
     def compared(self, shares: np.ndarray | None) -> dict[str, Any]:
         """What noise.json says of them beside predicted shares (2, 2, bins); None: not predicted."""
-        found = self._shares(self.counts.sum(0))
-        expected = None if shares is None else self._shares(shares * np.clip(1.0 - CENTRES_S / self.seen_s, 0.0, 1.0))
+        found = _shares(self.counts.sum(0))
+        expected = None if shares is None else _shares(shares * np.clip(1.0 - CENTRES_S / self.seen_s, 0.0, 1.0))
+        expected = expected if expected is not None and expected.any() else None  # all too long to be seen
         far, error = (None, None) if expected is None else self._distance(found, expected)
         return {
             "file": self.name,
@@ -51,9 +52,6 @@ class MeasuredIntervals:
             "distance_error": error,
             "histogram": _histogram(found, expected),
         }  # fmt: skip
-
-    def _shares(self, counts: np.ndarray) -> np.ndarray:
-        return counts / max(float(counts.sum()), 1e-300)
 
     def _distance(self, found: np.ndarray, expected: np.ndarray) -> tuple[float, float | None]:
         """Largest difference of the shares of intervals that are shorter (Kolmogorov), of all pairs of polarities, and
@@ -93,6 +91,10 @@ def intervals_in_words(entry: dict[str, Any], unit: str, least: float) -> str:
     )
 
 
+def _shares(counts: np.ndarray) -> np.ndarray:
+    return counts / max(float(counts.sum()), 1e-300)
+
+
 def _histogram(found: np.ndarray, expected: np.ndarray | None) -> dict[str, Any]:
     """Shares of intervals of all polarities in coarser bins, where there are any."""
     coarse = [None if one is None else one.sum((0, 1)).reshape(-1, COARSE).sum(1) for one in (found, expected)]
@@ -105,7 +107,9 @@ def _histogram(found: np.ndarray, expected: np.ndarray | None) -> dict[str, Any]
     return {"edges_s": edges.tolist(), "measured": measured, "predicted": predicted}
 
 
-def _median(shares: np.ndarray) -> float:
-    """Of all polarities, s."""
+def _median(shares: np.ndarray) -> float | None:
+    """Of all polarities, s; None where there is no interval."""
     shorter = np.cumsum(shares.sum((0, 1)))
+    if not shorter[-1] > 0:
+        return None
     return float(np.exp(np.interp(0.5 * shorter[-1], np.append(0.0, shorter), np.log(EDGES_S))))
