@@ -183,9 +183,9 @@ def hot_pixels(problem: Problem) -> dict[str, Any] | None:
 
 
 def _map(before: Rows, after: Rows) -> Mapping[str, Any]:
-    """As `residual_map`; nothing where a scene has diverged."""
-    finite = all(np.isfinite(rows.rest).all() and np.isfinite(rows.radiance).all() for rows in (before, after))
-    return residual_map(before, after) if finite else {}
+    """As `residual_map`; nothing where a scene has diverged, or held-out pixels say nothing."""
+    told = all(len(r.rest) and np.isfinite(r.rest).all() and np.isfinite(r.radiance).all() for r in (before, after))
+    return residual_map(before, after) if told else {}
 
 
 @dataclass(frozen=True)

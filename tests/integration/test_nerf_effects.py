@@ -15,7 +15,8 @@ from pixelid.nerf.dataset import Dataset, read_dataset
 from pixelid.nerf.pixel import Bandwidth
 from pixelid.nerf.problem import problem_of
 from pixelid.nerf.recipe import Recipe
-from pixelid.nerf.search import HELD_OUT, Found, search
+from pixelid.nerf.residuals import Rows
+from pixelid.nerf.search import HELD_OUT, Found, _map, search
 from pixelid.nerf.synthetic import SETTINGS, camera_model, make_dataset
 
 
@@ -103,6 +104,12 @@ def test_a_search_that_names_nothing_shows_what_is_left_and_lists_hot_pixels(mad
     page = (tmp_path / "out" / "report.html").read_text()
     assert "None: no candidate explains" in page
     assert "they fire whatever the light does: 1 hot pixels" in page
+
+
+def test_held_out_pixels_that_say_nothing_show_nothing():
+    none, never = np.zeros(0), np.zeros(0, bool)
+    rows = Rows(none.astype(int), none, none, none, none, never, never, none, 1.0)
+    assert _map(rows, rows) == {}
 
 
 def looked_for(data: Dataset, steps: int = 300) -> Found:
