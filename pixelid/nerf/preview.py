@@ -7,16 +7,24 @@ from pathlib import Path
 
 import numpy as np
 
+from pixelid.errors import InputError
 from pixelid.nerf.evaluate import Scores, render_views
 from pixelid.nerf.state import Problem, State
 from pixelid.nerf.views import Views, no_views
-from pixelid.outputs import whole_file
+from pixelid.outputs import refuse_existing, whole_file
 
 MOST_SIDE = 400  # pixels of a preview's longer side
 # Of a scene without views, which is rendered for the preview alone: a hundred thousand rays over a run, forwards only,
 # of some 1e7 that the default recipe sends.
 UNSEEN_SIDE = 96
 WHITE = 0.995  # quantile of such a picture that becomes white, coded by 1/2.2
+
+
+def refuse_preview(path: Path) -> None:
+    """Raise InputError, before any training, where no preview can be written."""
+    if path.suffix.lower() != ".png" or path.is_dir():
+        raise InputError(f"{path}: expected the name of a PNG for the preview")
+    refuse_existing(path, overwrite=True)
 
 
 def write_preview(path: Path, problem: Problem, state: State, scores: Scores | None, validation: Views) -> None:
@@ -41,8 +49,8 @@ def _first_pose(problem: Problem, state: State) -> np.ndarray:
     share = min(UNSEEN_SIDE / max(camera.width, camera.height), 1.0)
     small = camera.resized(max(round(share * camera.width), 1), max(round(share * camera.height), 1))
     position, rotation = problem.trajectory.at(problem.trajectory.t[:1])
-    view = replace(no_views(small, len(problem.dark)), position=position, rotation=rotation)
-    view = replace(view, images=np.empty((1, small.height, small.width, len(problem.dark)), np.float32), names=("",))
+    blank = np.empty((1, small.height, small.width, len(problem.dark)), np.float32)
+    view = replace(no_views(small, len(problem.dark)), images=blank, position=position, rotation=rotation, names=("",))
     radiance = render_views(state.field, view, problem.dark)[0]
     return (radiance / max(float(np.quantile(radiance, WHITE)), 1e-6)).clip(min=0.0) ** (1 / 2.2)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from dataclasses import dataclass
+from numbers import Integral
 from typing import Any
 
 import numpy as np
@@ -87,20 +88,22 @@ class Recipe:
             InputError: a value that cannot be.
         """
         limits = (
-            ("steps", None if steps == AUTO else steps, (1, MOST_STEPS)), ("batch", batch, (1, MOST_BATCH)),
+            ("iterations", None if steps == AUTO else steps, (1, MOST_STEPS)), ("batch", batch, (1, MOST_BATCH)),
             ("cells", cells, CELLS), ("harmonics", harmonics, (0, HIGHEST_DEGREE)),
         )  # fmt: skip
         for name, value, (least, most) in limits:
-            if value is not None and not (isinstance(value, int) and least <= value <= most):
-                words = f" or {AUTO!r}" if name == "steps" else ""
+            if value is not None and (
+                isinstance(value, str) or not isinstance(value, Integral) or not least <= value <= most
+            ):
+                words = f" or {AUTO!r}" if name == "iterations" else ""
                 raise InputError(f"{name}: expected a whole number from {least} to {most}{words}, found {value!r}")
-        usual = cls(degree=harmonics, between_poses=between_poses, refinement=refinement or Refinement())
+        usual = cls(degree=int(harmonics), between_poses=between_poses, refinement=refinement or Refinement())
         if steps == AUTO:
             usual = dataclasses.replace(usual, iterations=0, batch=0)
         elif steps is not None:
             usual = dataclasses.replace(usual, iterations=int(steps))
-        recipe = dataclasses.replace(usual, batch=batch or usual.batch)
-        return recipe if cells is None else recipe.with_cells(cells)
+        recipe = dataclasses.replace(usual, batch=int(batch or usual.batch))
+        return recipe if cells is None else recipe.with_cells(int(cells))
 
     def for_sensor(self, width: int) -> Recipe:
         """The recipe with grid sizes for a sensor `width` pixels wide: about one cell per pixel in the end."""

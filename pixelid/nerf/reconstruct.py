@@ -20,7 +20,7 @@ from pixelid.nerf.evaluate import Scores, evaluate, evaluate_as_published, no_sc
 from pixelid.nerf.ignored import ignored_effects
 from pixelid.nerf.pixel import FILTER, Bandwidth
 from pixelid.nerf.pixel_maps import maps_of_sensor
-from pixelid.nerf.preview import write_preview
+from pixelid.nerf.preview import refuse_preview, write_preview
 from pixelid.nerf.problem import HELD_OUT, problem_of
 from pixelid.nerf.recipe import Recipe
 from pixelid.nerf.saved import SavedReconstruction, write_field
@@ -212,6 +212,8 @@ def reconstruct(
         InputError: input that cannot be used.
     """
     watch = time.perf_counter()
+    if preview is not None:
+        refuse_preview(Path(preview))
     other = None if beside is None else Beside.read(beside, dataset.files)
     bandwidth = Bandwidth() if bandwidth is None else bandwidth
     recipe = replace(Recipe() if recipe is None else recipe, seed=seed).for_sensor(dataset.calibration.camera.width)

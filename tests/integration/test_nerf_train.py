@@ -630,6 +630,16 @@ def test_the_command_keeps_the_last_preview_in_its_folder(made, tmp_path):
     assert [file.name for file in tmp_path.iterdir()] == ["out"]
 
 
+@pytest.mark.parametrize("file", ["scene", "scene.jpg", "nowhere/scene.png"])
+def test_a_preview_that_cannot_be_written_is_refused_before_training(made, tmp_path, file):
+    begun: list[str] = []
+    with pytest.raises(InputError, match="scene"):
+        px.reconstruct(
+            made, iterations=3, preview=tmp_path / file, device="cpu", progress=lambda what, share: begun.append(what)
+        )
+    assert not begun
+
+
 def test_the_function_takes_what_the_command_takes(made, tmp_path):
     out = tmp_path / "out"
     words = ["reconstruct", str(made), "--out", str(out), "--cells", "12", "--steps", "3", "--batch", "5", "--quiet"]
@@ -644,6 +654,10 @@ def test_the_function_takes_what_the_command_takes(made, tmp_path):
     assert (auto.iterations, auto.batch) == (0, 0)
     assert Recipe.asked(steps="auto", batch=7).batch == 7
     assert Recipe.asked() == Recipe()
+    counted: dict[str, Any] = {name: np.int64(9) for name in ("steps", "batch", "cells")}
+    assert repr(Recipe.asked(**counted)) == repr(Recipe.asked(steps=9, batch=9, cells=9))
+    with pytest.raises(InputError, match="iterations: expected"):
+        px.reconstruct(made, iterations=0)
     wrongs: tuple[dict[str, Any], ...] = (
         {"cells": 7},
         {"harmonics": 3},
