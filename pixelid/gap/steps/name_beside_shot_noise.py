@@ -29,9 +29,12 @@ NOT_WITH_NOISE = "with it in the model shot noise explains less"
 
 
 def name_beside_shot_noise(state: State, context: Context) -> State:
-    """The state with one effect more beside shot noise, to be asked again; where there is none, the next step's."""
+    """The state with one effect more beside shot noise, to be asked again; where there is none, the next step's.
+
+    Not at imputed times: what drawing them leaves, sessions simulated without a readout do not show.
+    """
     noise = state.shot_noise
-    if noise is None or len(state.steps) >= MAX_ROUNDS:
+    if noise is None or state.imputed or len(state.steps) >= MAX_ROUNDS:
         return state.then(Phase.DISCOUNT)
     context.report("beside shot noise", 0.72)
     hypothesis, options = state.hypothesis, context.options

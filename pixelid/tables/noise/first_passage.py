@@ -83,9 +83,8 @@ def noise_rates(circuit: Circuit, radiance: float, floor: float = 0.0) -> NoiseR
 
 def rates_of(process: NoiseProcess, circuit: Circuit, radiance: float, resolution: Resolution = WHOLE) -> NoiseRates:
     """The same of a process that is already there; only thresholds, dead time and leak are read of the circuit."""
-    drift = circuit.on_threshold * float(leaked(circuit, 1.0, radiance + circuit.dark))
-    least = min(circuit.on_threshold, circuit.off_threshold) * (1.0 - 2.0 * circuit.noise)
-    if least > QUIET * process.sigma:
+    drift = leak_drift(circuit, radiance)
+    if is_quiet(process, circuit):
         wait = leak_cycle_s(process, circuit, drift, resolution) if drift > 0 else math.inf
         return NoiseRates(1.0 / (wait + circuit.refractory), 0.0, wait)
     chain = chain_of(process, circuit, drift, resolution)
@@ -96,6 +95,17 @@ def rates_of(process: NoiseProcess, circuit: Circuit, radiance: float, resolutio
     rate = 1.0 / (wait + circuit.refractory)
     on = min(max(float(share[: len(share) // 2 : chain.at.hidden.moments].sum()), 0.0), 1.0)
     return NoiseRates(rate * on, rate * (1.0 - on), wait)
+
+
+def is_quiet(process: NoiseProcess, circuit: Circuit) -> bool:
+    """Whether noise does not reach the thresholds."""
+    least = min(circuit.on_threshold, circuit.off_threshold) * (1.0 - 2.0 * circuit.noise)
+    return least > QUIET * process.sigma
+
+
+def leak_drift(circuit: Circuit, radiance: float) -> float:
+    """By how much a leak moves the reference in a second, log units."""
+    return circuit.on_threshold * float(leaked(circuit, 1.0, radiance + circuit.dark))
 
 
 def mean_rates(

@@ -13,9 +13,8 @@ import numpy as np
 
 from pixelid.parallel import map_threads
 from pixelid.stages.circuit import Circuit
-from pixelid.stages.differencing import leaked
-from pixelid.tables.noise.chain import QUIET, Chain, chain_of
-from pixelid.tables.noise.first_passage import pixel_of
+from pixelid.tables.noise.chain import Chain, chain_of
+from pixelid.tables.noise.first_passage import is_quiet, leak_drift, pixel_of
 from pixelid.tables.noise.process import LAST_LAG, noise_process
 from pixelid.tables.noise.quadrature import ROUGH, mismatch_draws
 
@@ -53,8 +52,7 @@ def noise_intervals(circuit: Circuit, radiance: float, floor: float = 0.0) -> No
     Arguments and errors as `first_passage.noise_rates`; the noise must reach the thresholds.
     """
     process = noise_process(circuit, radiance, floor)
-    drift = circuit.on_threshold * float(leaked(circuit, 1.0, radiance + circuit.dark))
-    return intervals_of(chain_of(process, circuit, drift), circuit.refractory)
+    return intervals_of(chain_of(process, circuit, leak_drift(circuit, radiance)), circuit.refractory)
 
 
 def mean_intervals(circuit: Circuit, radiance: float, edges_s: np.ndarray, floor: float = 0.0) -> np.ndarray | None:
@@ -64,7 +62,7 @@ def mean_intervals(circuit: Circuit, radiance: float, edges_s: np.ndarray, floor
     a leak does.  Other arguments and errors as `first_passage.noise_rates`.
     """
     process = noise_process(circuit, radiance, floor)
-    leaks = float(leaked(circuit, 1.0, radiance + circuit.dark)) > 0.0
+    leaks = leak_drift(circuit, radiance) > 0.0
     factors, weights = mismatch_draws(
         circuit.on_threshold, circuit.off_threshold, circuit.mismatch, process.sigma, ROUGH.pixels
     )
@@ -72,10 +70,9 @@ def mean_intervals(circuit: Circuit, radiance: float, edges_s: np.ndarray, floor
     def per_second(factor: np.ndarray) -> np.ndarray | None:
         """(2, 2, edges) intervals of one pixel per second that are shorter."""
         one = pixel_of(circuit, *factor)
-        if min(one.on_threshold, one.off_threshold) * (1.0 - 2.0 * one.noise) > QUIET * process.sigma:
+        if is_quiet(process, one):
             return None if leaks else np.zeros((2, 2, len(edges_s)))
-        drift = one.on_threshold * float(leaked(one, 1.0, radiance + one.dark))
-        chain = chain_of(process, one, drift, ROUGH)
+        chain = chain_of(process, one, leak_drift(one, radiance), ROUGH)
         wait = float(chain.share @ chain.waited)
         if wait < 0:  # beyond any number's use (`first_passage.rates_of`)
             return np.zeros((2, 2, len(edges_s)))

@@ -55,14 +55,15 @@ class MeasuredIntervals:
 
     def _distance(self, found: np.ndarray, expected: np.ndarray) -> tuple[float, float | None]:
         """Largest difference of the shares of intervals that are shorter (Kolmogorov), of all pairs of polarities, and
-        its standard error from how groups of pixels differ; None where a group has no interval."""
+        its standard error from how groups of pixels differ; None where only one has intervals."""
         off = np.abs(np.cumsum(found - expected, axis=2))
         place = np.unravel_index(int(np.argmax(off)), off.shape)
         own = self.counts.sum((1, 2, 3))
-        if not own.all():
+        groups = self.counts[own > 0]
+        if len(groups) < 2:
             return float(off[place]), None
-        shorter = np.cumsum(self.counts, axis=3)[(slice(None), *place)] / own
-        return float(off[place]), float(shorter.std(ddof=1) / np.sqrt(GROUPS))
+        shorter = np.cumsum(groups, axis=3)[(slice(None), *place)] / own[own > 0]
+        return float(off[place]), float(shorter.std(ddof=1) / np.sqrt(len(groups)))
 
 
 def count_intervals(

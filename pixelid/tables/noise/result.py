@@ -24,7 +24,7 @@ from pixelid.tables.noise.figures import draw_intervals, draw_noise
 from pixelid.tables.noise.fit import NoiseFit
 from pixelid.tables.noise.intervals import mean_intervals
 from pixelid.tables.noise.measured_intervals import EDGES_S, intervals_in_words
-from pixelid.tables.noise.model import BESIDE, FA_PER_UNIT, FLOOR, NoiseModel, in_unit
+from pixelid.tables.noise.model import BESIDE, FA_PER_UNIT, FLOOR, OFF_BACKGROUND, NoiseModel, in_unit
 from pixelid.tables.noise.reading import NoiseTable
 from pixelid.tables.result import table_result, write_result
 
@@ -113,12 +113,13 @@ def _about_rows(noise: NoiseModel, rows: Sequence[dict[str, Any]]) -> dict[str, 
     if not table.intervals:
         return {"disagreements": said}
     circuit, floor = noise.circuit.circuit(), noise.beside.get(FLOOR.name, 0.0)
+    own = not noise.beside.get(OFF_BACKGROUND.name, 0.0)  # events whatever the light are not the circuit's
     seen = sorted((one.radiance, k) for k, one in enumerate(table.intervals) if one.counts.any())
     predicted = (
         {seen[int(k)][1] for k in np.unique(np.linspace(0, len(seen) - 1, INTERVAL_LIGHTS).round())} if seen else {}
     )
     entries = [
-        one.compared(mean_intervals(circuit, one.radiance, EDGES_S, floor) if k in predicted else None)
+        one.compared(mean_intervals(circuit, one.radiance, EDGES_S, floor) if own and k in predicted else None)
         for k, one in enumerate(table.intervals)
     ]
     words = (intervals_in_words(entry, table.unit, NAMED) for entry in entries)
