@@ -10,6 +10,7 @@ from pixelid.fit.maximise import maximise
 from pixelid.gap import search
 from pixelid.gap.attribute.attribute import Attribution, Candidate
 from pixelid.gap.attribute.candidates import strongest_start
+from pixelid.gap.attribute.pixels import strongest_fit
 from pixelid.gap.criteria import Criteria
 from pixelid.gap.imputation.exact import loses_where_times_are_exact
 from pixelid.gap.imputation.impute import impute_with_effect
@@ -56,9 +57,13 @@ def test_limits_of_both_sides_of_a_slew_are_found_apart(rise, fall):
     lights = [chirp(400.0, stop_hz=400.0), steps(400.0, seed=3)]
     events = EventTimes([with_fine_light(r, "smooth") for r in recorded(slewing, lights, side=2)])
     base = maximise(events, MODEL, tolerance=0.1, max_steps=30)
-    starts = [strongest_start(events, origin, "slew_limit", base.value) for origin in (base.model, MODEL)]
-    ends = [maximise(events, start, tolerance=0.1, max_steps=30) for start in starts if start is not None]
-    end = max(ends, key=lambda end: end.value)
+    ends = [
+        strongest_fit(
+            events, origin, "slew_limit", base.value, lambda start: maximise(events, start, tolerance=0.1, max_steps=30)
+        )
+        for origin in (base.model, MODEL)
+    ]
+    end = max((end for end in ends if end is not None), key=lambda end: end.value)
     assert end.values["slew_limit.rise_per_s"] == pytest.approx(rise, rel=0.03)
     assert end.values["slew_limit.fall_per_s"] == pytest.approx(fall, rel=0.03)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -11,7 +11,7 @@ from pixelid.cluster import Work
 from pixelid.fit.cache import FitCache, map_fits
 from pixelid.fit.maximise import Maximum, maximise
 from pixelid.gap.attribute.attribute import MIN_SCREENED_NATS, Report
-from pixelid.gap.attribute.candidates import remove_effect, start_in_each, strongest_start
+from pixelid.gap.attribute.candidates import SLEW, remove_effect, start_in_each, strongest_start
 from pixelid.gap.attribute.significance import chance_of_gain, own_values
 from pixelid.gap.detect.pixels import PixelEvidence, per_pixel
 from pixelid.gap.imputation.windows import DELAY
@@ -104,11 +104,10 @@ class _Screen:
         best: Maximum | None = None
         steps = SCREEN_STEPS_TRADING if effect in TRADING_PLACES else SCREEN_STEPS
         for origin in (self.base.model, self.restart):
-            start = None if origin is None else strongest_start(self.pool, origin, effect, self.base.value)
-            if start is None:
+            if origin is None:
                 continue
-            end = self._screened(start, steps, cache)
-            if best is None or end.value > best.value:
+            end = strongest_fit(self.pool, origin, effect, self.base.value, lambda s: self._screened(s, steps, cache))
+            if end is not None and (best is None or end.value > best.value):
                 best = end
         if best is None:
             return None
@@ -143,6 +142,25 @@ class _Screen:
         of_own = chance_of_gain(effect, end.value - self.base.value, 1, own_values(end.model, effect))
         of_shared = chance_of_gain(effect, shared - self.base.value, 1)
         return end if of_own < min(WORTH_P, of_shared) else None
+
+
+def strongest_fit(
+    pool: EventTimes, origin: Model, effect: str, least: float, fit: Callable[[Model], Maximum]
+) -> Maximum | None:
+    """An effect fitted from its `strongest_start` beside a model; None where there is none.
+
+    A limit of a slew at which nothing slews has no slope, so that a fit leaves it there: it is looked for again where
+    the fit has led the other parameters.
+    """
+    start = strongest_start(pool, origin, effect, least)
+    if start is None:
+        return None
+    end = fit(start)
+    if effect != SLEW or end.value < least + MIN_SCREENED_NATS:
+        return end
+    start = strongest_start(pool, end.model, effect, end.value)
+    again = None if start is None else fit(start)
+    return end if again is None or again.value <= end.value else again
 
 
 def candidates_of(
