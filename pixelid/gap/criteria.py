@@ -63,11 +63,11 @@ class Criteria:
         min_shot_noise_gain_nats: By which simulated replicates with it must come nearer than those without: 1.4
             standard deviations of the distance between replicates of one model (√(n/2) of n = 400 cells: 14 nats).
         max_share_left_by_shot_noise: Of the distance without it that may remain.
-        sufficient_p_shot_noise: Of what shot noise alone leaves, from which on nothing beside it is looked for.
+        sufficient_p_shot_noise: Of what it alone leaves, from which on it takes the place of all that was named before.
         artefact_error_share: Of the root of what effects gain under shot noise in sessions that lack them, by which
             another session's differs: what the approximation leaves changes with how well the density is known (5 %)
-            and with what is missing.  In ten of eleven sessions gains were up to 23 % above, in one
-            30 to 52 % (three effects; its density was found 10 % too low).
+            and with what is missing.  Roots of gains above 20 nats were up to 23 % larger in ten of eleven sessions,
+            30 to 52 % in one, its density found 10 % too low.
         replicate_error_share: Of what shot noise explains by which replicates at the best density are off themselves.
         unexplained_overdispersion: Variance of the number of unexplained events over Poisson's: pixels share
             thresholds, so they come in groups.

@@ -52,6 +52,11 @@ class Scores:
         }
 
 
+def psnr_of(squared_error: np.ndarray, span: float) -> np.ndarray:
+    """dB of mean squared errors, for pictures whose values can be `span` apart; 120 dB and more for what is equal."""
+    return 10 * np.log10(span**2 / np.maximum(squared_error, 1e-12))
+
+
 def _mean(values: np.ndarray) -> float:
     """NaN of nothing."""
     return float(values.mean()) if len(values) else float("nan")
@@ -102,7 +107,7 @@ def score(predicted: np.ndarray, views: Views, correction: Correction) -> Scores
     images = np.clip(correction(predicted, views.exposure), 0.0, views.peak)
     truth = np.clip(views.images, 0.0, views.peak)
     error = ((images - truth) ** 2).mean(axis=(1, 2, 3))
-    psnr = 10 * np.log10(views.peak**2 / np.maximum(error, 1e-12))
+    psnr = psnr_of(error, views.peak)
     return Scores(
         psnr, ssim(images, truth, views.peak), lpips(images / views.peak, truth / views.peak), images, correction
     )
@@ -141,7 +146,7 @@ def evaluate_as_published(field: Field, test: Views, dark) -> Scores:
     correction = fit_shared_correction(predicted, test.images, test.exposure)
     images = correction(predicted, test.exposure)
     error = ((images - test.images) ** 2).mean(axis=(1, 2, 3))
-    psnr = 10 * np.log10(test.span**2 / np.maximum(error, 1e-12))
+    psnr = psnr_of(error, test.span)
     similar = ssim(images, test.images, test.peak)
     return Scores(psnr, similar, lpips(images / test.peak, test.images / test.peak), images, correction)
 

@@ -16,7 +16,6 @@ from pixelid.gap.criteria import Criteria
 from pixelid.gap.detect.diagnostics import chance_of_background
 from pixelid.gap.split import Split
 from pixelid.likelihood.event_times import EventTimes
-from pixelid.likelihood.shot_noise import under_shot_noise
 from pixelid.model.model import Model
 from pixelid.recordings.own_light import with_fine_light
 from pixelid.recordings.recording import Recording
@@ -58,13 +57,10 @@ class PixelEvidence:
 
         Models are compared under one and the same likelihood: weigh before fitting the first of them.
         """
-        return self._each(lambda pool: pool.weighed(circuit))
+        return self.each(lambda pool: pool.weighed(circuit))
 
-    def under_shot_noise(self, circuit: Circuit) -> PixelEvidence:
-        """The same of events whose levels the circuit's shot noise has moved, to be used near that circuit."""
-        return self._each(lambda pool: under_shot_noise(pool.weighed(circuit), circuit))
-
-    def _each(self, seen: Callable[[EventTimes], EventTimes]) -> PixelEvidence:
+    def each(self, seen: Callable[[EventTimes], EventTimes]) -> PixelEvidence:
+        """The same with every pool's likelihood as another sees its events."""
         return replace(
             self, screening=seen(self.screening), fitting=seen(self.fitting), judging=seen(self.judging),
             training=seen(self.training),

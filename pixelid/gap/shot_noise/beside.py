@@ -32,7 +32,7 @@ MAX_STEPS = 30  # of a fit
 def settled_under_noise(evidence: PixelEvidence, model: Model, cache: FitCache | None) -> tuple[PixelEvidence, Maximum]:
     """(the evidence under a model's shot noise, the model fitted there);  its density is held."""
     circuit, fit = _settled(evidence.training, model, cache)
-    return evidence.under_shot_noise(circuit), fit
+    return evidence.each(lambda pool: _under(pool, circuit)), fit
 
 
 def gains_without(

@@ -10,6 +10,7 @@ import numpy as np
 
 from pixelid.errors import InputError
 from pixelid.nerf.correction import Correction
+from pixelid.nerf.evaluate import psnr_of
 from pixelid.nerf.shown.ways import Way
 from pixelid.nerf.views import Views, views_of_file
 
@@ -36,7 +37,7 @@ class Pictures:
 
     def as_dict(self, names: tuple[str, ...], errors: list[np.ndarray]) -> dict[str, Any]:
         """The entry "errors" of render.json."""
-        psnr = [10 * np.log10(self.truth.peak**2 / max(float((e.astype(float) ** 2).mean()), 1e-12)) for e in errors]
+        psnr = psnr_of(np.array([(e.astype(float) ** 2).mean() for e in errors]), self.truth.peak).tolist()
         return {
             "full_scale": self.full_scale,
             "frames": [

@@ -88,6 +88,11 @@ class NoiseFit:
         x = {p.name: math.exp(v) for p, v in zip(self.regression.parameters, self.regression.x, strict=True)}
         return dict(self.model.beside) | {name: value for name, value in x.items() if name in BESIDE}
 
+    @property
+    def fitted(self) -> NoiseModel:
+        """The observation model at the fitted values."""
+        return NoiseModel(self.model.table, self.circuit, self.beside)
+
 
 @dataclass(frozen=True)
 class Linearised:

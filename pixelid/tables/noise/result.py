@@ -39,9 +39,8 @@ FOLDED = ("shot_noise.density", "diff_cutoff_hz", "threshold_sigma", "threshold_
 def save_fit(fit: NoiseFit, folder: Path, seed: int) -> dict[str, Any]:
     """Write noise.json, noise.svg and model.toml into an existing folder; returns the JSON."""
     save_model(fit.circuit, folder / "model.toml")
-    drawn = NoiseModel(fit.model.table, fit.circuit, fit.beside)
     result = fitted_result(fit)
-    return write_result(result | {"seed": seed}, "noise.json", _figures(drawn, result), folder)
+    return write_result(result | {"seed": seed}, "noise.json", _figures(fit.fitted, result), folder)
 
 
 def fitted_result(fit: NoiseFit) -> dict[str, Any]:
@@ -59,7 +58,7 @@ def fitted_result(fit: NoiseFit) -> dict[str, Any]:
     return result | {
         "gauge": {"fixed": {"shot_noise.density": density.value}},
         "radiance_unit": table.unit,
-        **_about_rows(NoiseModel(table, circuit, fit.beside), result["rows"]),
+        **_about_rows(fit.fitted, result["rows"]),
         "seconds": fit.seconds,
         **provenance(*table.sources),
     }
@@ -115,11 +114,10 @@ def _about_rows(noise: NoiseModel, rows: Sequence[dict[str, Any]]) -> dict[str, 
     circuit, floor = noise.circuit.circuit(), noise.beside.get(FLOOR.name, 0.0)
     own = not noise.beside.get(OFF_BACKGROUND.name, 0.0)  # events whatever the light are not the circuit's
     seen = sorted((one.radiance, k) for k, one in enumerate(table.intervals) if one.counts.any())
-    predicted = (
-        {seen[int(k)][1] for k in np.unique(np.linspace(0, len(seen) - 1, INTERVAL_LIGHTS).round())} if seen else {}
-    )
+    spread = np.linspace(0, len(seen) - 1, INTERVAL_LIGHTS).round().astype(int) if seen and own else []
+    predicted = {seen[k][1] for k in spread}
     entries = [
-        one.compared(mean_intervals(circuit, one.radiance, EDGES_S, floor) if own and k in predicted else None)
+        one.compared(mean_intervals(circuit, one.radiance, EDGES_S, floor) if k in predicted else None)
         for k, one in enumerate(table.intervals)
     ]
     words = (intervals_in_words(entry, table.unit, NAMED) for entry in entries)
