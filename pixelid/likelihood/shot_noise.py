@@ -35,6 +35,7 @@ MOST_LIGHTS = 400
 SLOWEST = -6.0  # standard deviations of a slope: beyond, E[w⁺] is rounding
 MOST_MOVED = 0.5  # of a threshold, that noise moves one by
 MARGIN = 1e-3  # of log light, so that a constant one is a range
+BLOCKS = 12  # of 1, 2, 4, … steps of one light that are taken at once
 MOST_STEPS = 1.5e7  # of all pixels together, one and a half seconds of work a density
 OUTLIER = 5.0  # scales of the fit's residuals: events that something else made
 RATIOS = (1e-6, 1e6)  # of shot noise to threshold noise, variances, between which it is looked for
@@ -87,7 +88,8 @@ class _Chain:
 
     rows: (n,) which events of the likelihood they are
     y, variance: (n,) as the fit has them;  sign: (n,);  usable: (n,) whether to learn from them
-    reference, event: (n,) number of steps before each;  light: (steps,) index of the tabulated light
+    reference, event: (n,) number of steps before each
+    light, until: (runs,) index of the tabulated light, and the step up to which it lasts
     """
 
     rows: np.ndarray
@@ -98,21 +100,28 @@ class _Chain:
     reference: np.ndarray
     event: np.ndarray
     light: np.ndarray
+    until: np.ndarray
+
+    @property
+    def steps_of_light(self) -> np.ndarray:
+        """(runs,) how many steps each light lasts."""
+        return np.diff(self.until, prepend=0)
 
     def filtered(self, steps: _Steps, density: float) -> tuple[np.ndarray, np.ndarray]:
         """((3,) Σ ln S, Σ r²/S and count, (n, 5) moments of `Noise`) with shot noise of a density."""
         moments = np.empty((len(self.y), len(Noise._fields)))
         sums = _filter(
             self.y, self.variance, self.sign, self.usable, self.reference, self.event, self.light,
-            steps.propagator, steps.added, steps.stationary, steps.slope, steps.stored, density, moments,
+            self.until, steps.propagator, steps.added, steps.stationary, steps.slope, steps.stored, density, moments,
         )  # fmt: skip
         return np.array(sums), moments
 
 
 @dataclass(frozen=True)
 class _Steps:
-    """Propagators (lights, n, n) over one step and the covariances of unit density that come on top, and stationary;
-    `slope`: (lights, n) what the slope of the level is of the state;  `stored`: the component that a reset stores."""
+    """Propagators (blocks, lights, n, n) over 1, 2, 4, … steps and the covariances of unit density that come on top;
+    those that are stationary (lights, n, n);  `slope`: (lights, n) what the slope of the level is of the state;
+    `stored`: the component that a reset stores."""
 
     propagator: np.ndarray
     added: np.ndarray
@@ -211,7 +220,9 @@ def under_shot_noise(likelihood: EventTimes, circuit: Circuit) -> EventTimes:
 
 def _usual_ratio(chains: list[_Chain], steps: _Steps) -> float:
     """Variance of shot noise of unit density over that of thresholds, about."""
-    noise = np.median([steps.stationary[chain.light, -1, -1].mean() for chain in chains])
+    noise = np.median([
+        np.average(steps.stationary[chain.light, -1, -1], weights=chain.steps_of_light) for chain in chains
+    ])  # fmt: skip
     return float(noise / np.median(np.concatenate([chain.variance for chain in chains])))
 
 
@@ -233,26 +244,33 @@ def _chains(likelihood: EventTimes, circuit: Circuit, every: bool, seed: int) ->
     previous = np.concatenate([interval.previous_s for interval in likelihood.intervals]) - circuit.delay
     time = likelihood.time_s - circuit.delay
     chains = []
-    whole: dict[int, np.ndarray] = {}  # of recordings under full-field light
+    whole: dict[int, tuple[np.ndarray, np.ndarray]] = {}  # of recordings under full-field light
     for rows in _within(likelihood, count, seed):
         pixel, recording = likelihood.pixel[rows[0]], int(likelihood.recording_of_event[rows[0]])
         source, start = seen[recording], seen[recording].start_s
-        light = whole.get(recording)
-        if light is None:
+        runs = whole.get(recording)
+        if runs is None:
             at = start + step_s * (np.arange(max(int(source.duration_s / step_s), 1)) + 0.5)
             flat = np.full(len(at), likelihood.flat_pixels[pixel])
             log_light = np.log(np.exp(log_radiance_at(source, flat, at)) + circuit.dark)
             light = np.clip(np.rint((log_light - low) / (grid[1] - grid[0])), 0, len(grid) - 1).astype(np.int16)
+            runs = _runs(light)
             if source.full_field:
-                whole[recording] = light
-        event = np.clip((time[rows] - start) / step_s, 0, len(light)).astype(np.int64)
+                whole[recording] = runs
+        event = np.clip((time[rows] - start) / step_s, 0, runs[1][-1]).astype(np.int64)
         reference = np.clip((previous[rows] + circuit.refractory - start) / step_s, 0, event).astype(np.int64)
         chain = _Chain(
             rows, y[rows], terms.scale[rows] ** 2, likelihood.sign[rows].astype(float), usable[rows], reference, event,
-            light,
+            *runs,
         )  # fmt: skip
         chains.append(chain)
     return chains, steps
+
+
+def _runs(light: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """((runs,) lights, (runs,) the steps up to which they last) of the light in each step."""
+    last = np.append(np.flatnonzero(np.diff(light)), len(light) - 1)
+    return light[last], last + 1
 
 
 def _within(likelihood: EventTimes, count: int, seed: int) -> Iterator[np.ndarray]:
@@ -291,29 +309,43 @@ def _steps(circuit: Circuit, lights: np.ndarray, step_s: float) -> _Steps:
         added.append(P - E @ P @ E.T)
         stationary.append(P)
         slope.append(A[-1] * (drive[-1] == 0.0))  # of a single pole noise has no slope
-    return _Steps(np.array(propagators), np.array(added), np.array(stationary), np.array(slope), stored)
+    blocks = _doubled(np.array(propagators), np.array(added))
+    return _Steps(*blocks, np.array(stationary), np.array(slope), stored)
+
+
+def _doubled(propagator: np.ndarray, added: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(BLOCKS, lights, n, n) each, over 1, 2, 4, … steps, of those (lights, n, n) over one."""
+    propagators, sums = [propagator], [added]
+    for _ in range(BLOCKS - 1):
+        E, Q = propagators[-1], sums[-1]
+        propagators.append(E @ E)
+        sums.append(E @ Q @ E.transpose(0, 2, 1) + Q)
+    return np.array(propagators), np.array(sums)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _filter(
-    y, variance, sign, usable, reference, event, light, propagator, added, stationary, slope, stored, density,
+    y, variance, sign, usable, reference, event, light, lasts, propagator, added, stationary, slope, stored, density,
     moments,
 ):  # fmt: skip
     """(Σ ln S, Σ r²/S, count) of the innovations r of one chain and their variances S; fills `moments` (n, 5).
 
     The state is that of the stages and, last, the stored reference.
     """
-    n = propagator.shape[1]
+    blocks, n = propagator.shape[0], propagator.shape[2]
     x, moved = np.zeros(n + 1), np.zeros(n)
     P, half = np.zeros((n + 1, n + 1)), np.zeros((n, n))
     P[:n, :n] = stationary[light[0]] * density
     gain = np.zeros(n + 1)
-    logs, squares, count, step = 0.0, 0.0, 0, 0
+    logs, squares, count, step, run = 0.0, 0.0, 0, 0, 0
     for k in range(len(y)):
         for stop in range(2):
             until = reference[k] if stop == 0 else event[k]
             while step < until:
-                E, Q = propagator[light[step]], added[light[step]]
+                block = blocks - 1
+                while step + (1 << block) > min(until, lasts[run]):
+                    block -= 1
+                E, Q = propagator[block, light[run]], added[block, light[run]]
                 for i in range(n):
                     total = 0.0
                     for j in range(n):
@@ -337,13 +369,15 @@ def _filter(
                         for m in range(n):
                             total += half[i, m] * E[j, m]
                         P[i, j] = total
-                step += 1
+                step += 1 << block
+                while lasts[run] <= step and run < len(light) - 1:
+                    run += 1
             if stop == 0:
                 x[n] = x[stored]
                 for j in range(n):
                     P[n, j] = P[j, n] = P[stored, j]
                 P[n, n] = P[stored, stored]
-        along = slope[light[min(step, len(light) - 1)]]
+        along = slope[light[run]]
         for i in range(n + 1):
             gain[i] = -sign[k] * (P[i, n - 1] - P[i, n])
         mean, own = -sign[k] * (x[n - 1] - x[n]), -sign[k] * (gain[n - 1] - gain[n])

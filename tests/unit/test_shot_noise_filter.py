@@ -8,7 +8,7 @@ from scipy.linalg import expm
 from pixelid.dynamics.linear import linear_stages, stationary_covariance
 from pixelid.fit.maximise import maximise
 from pixelid.likelihood.event_times import EventTimes
-from pixelid.likelihood.shot_noise import _filter, share_out
+from pixelid.likelihood.shot_noise import _doubled, _filter, share_out
 from pixelid.model.shipped import find_model
 from pixelid.recordings.own_light import with_fine_light
 from pixelid.simulate import simulate
@@ -69,10 +69,10 @@ def test_the_filter_is_dense_gaussian_algebra():
             )  # fmt: skip
     S += np.diag(variance)
     E = expm(A * step)
-    light = np.zeros(event[-1] + 1, np.int16)
-    still = (E[None], (P - E @ P @ E.T)[None], P[None], A[-1][None])
+    light = (np.zeros(2, np.int16), np.array([event[5] + 7, event[-1] + 1]))  # the same one twice
+    still = (*_doubled(E[None], (P - E @ P @ E.T)[None]), P[None], A[-1][None])
     logs, squares, count = _filter(
-        y, variance, sign, np.ones(n, bool), reference, event, light, *still, stored, ratio, np.empty((n, 5))
+        y, variance, sign, np.ones(n, bool), reference, event, *light, *still, stored, ratio, np.empty((n, 5))
     )
     assert count == n
     assert logs == pytest.approx(np.linalg.slogdet(S)[1], rel=1e-9)
@@ -88,8 +88,8 @@ def test_moments_are_those_of_dense_gaussian_algebra():
     event, reference, y = np.array([50, 90]), np.array([0, 55]), np.array([0.03, 0.0])
     moments = np.empty((2, 5))
     _filter(
-        y, variance, np.ones(2), np.ones(2, bool), reference, event, np.zeros(91, np.int16), E[None],
-        (P - E @ P @ E.T)[None], P[None], A[-1][None], stored, density, moments,
+        y, variance, np.ones(2), np.ones(2, bool), reference, event, np.zeros(1, np.int16), np.array([91]),
+        *_doubled(E[None], (P - E @ P @ E.T)[None]), P[None], A[-1][None], stored, density, moments,
     )  # fmt: skip
     # states at steps 0, 50, 55, 90 together
     steps = [0, 50, 55, 90]
@@ -107,6 +107,37 @@ def test_moments_are_those_of_dense_gaussian_algebra():
     expected = [second @ gain * y[0], second @ after @ second, slope @ gain * y[0], slope @ after @ second,
                 slope @ after @ slope]  # fmt: skip
     np.testing.assert_allclose(moments[1], expected, rtol=1e-8)
+
+
+def test_light_that_changes_is_followed_from_step_to_step():
+    """Against the joint covariance of the states of all steps, made one step after another."""
+    step, per_step, stored = 1e-4, np.repeat([0, 1, 0], [9, 14, 17]), linear_stages(MODEL.circuit(), 24.0)[2]
+    parts = [(linear_stages(MODEL.circuit(), light)[:2], light) for light in (24.0, 3.0)]
+    P = np.array([stationary_covariance(*stages) * 0.5 / light for stages, light in parts])
+    E = np.array([expm(stages[0] * step) for stages, _ in parts])
+    Q = P - E @ P @ E.transpose(0, 2, 1)
+    density, n, m = 2e-4, E.shape[1], len(per_step) + 1
+    joint = np.zeros((m * n, m * n))
+    joint[:n, :n] = P[0] * density
+    for k, light in enumerate(per_step):  # the row of one more state
+        here, new, before = slice(k * n, (k + 1) * n), slice((k + 1) * n, (k + 2) * n), slice(0, (k + 1) * n)
+        joint[new, before] = E[light] @ joint[here, before]
+        joint[before, new] = joint[new, before].T
+        joint[new, new] = E[light] @ joint[here, here] @ E[light].T + Q[light] * density
+    event, reference, sign = np.array([7, 21, 26, 40]), np.array([0, 8, 22, 26]), np.array([1.0, 1.0, -1.0, 1.0])
+    rows = np.zeros((4, m * n))
+    for k in range(4):
+        rows[k, event[k] * n + n - 1] -= sign[k]
+        rows[k, reference[k] * n + stored] += sign[k]
+    variance, y = np.full(4, 1e-3), np.array([0.03, -0.02, 0.01, 0.04])
+    S = rows @ joint @ rows.T + np.diag(variance)
+    slope = np.zeros((2, n))
+    logs, squares, _ = _filter(
+        y, variance, sign, np.ones(4, bool), reference, event, np.array([0, 1, 0], np.int16), np.array([9, 23, 40]),
+        *_doubled(E, Q), P, slope, stored, density, np.empty((4, 5)),
+    )  # fmt: skip
+    assert logs == pytest.approx(np.linalg.slogdet(S)[1], rel=1e-9)
+    assert squares == pytest.approx(y @ np.linalg.solve(S, y), rel=1e-9)
 
 
 @pytest.fixture(scope="module")
