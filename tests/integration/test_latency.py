@@ -202,6 +202,7 @@ def test_poles_that_can_be_exchanged_are_not_told_apart(tmp_path):
     assert abs(first - second) < 0.5
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not NIST.is_file(), reason="needs a checkout")
 def test_public_table_of_a_gen31(tmp_path):
     assert run("latency", NIST, "--camera", "CAM3", "--out", tmp_path / "out") in (0, 1)
@@ -209,6 +210,11 @@ def test_public_table_of_a_gen31(tmp_path):
     on = [row for row in found["rows"] if row["polarity"] == 1]
     logs = [np.log(row["predicted"] / row["measured"]) for row in on]
     assert np.sqrt(np.mean(np.square(logs))) < 0.03
+    assert_limited_like_a_gen31(found)
+
+
+def assert_limited_like_a_gen31(found: dict) -> None:
+    """By the photoreceptor in the dimmest light, by a later stage in the brightest."""
     last = max((e for e in found["limits"] if e["edge"] == "on"), key=lambda e: e["irradiance_W_m2"])
     first = min((e for e in found["limits"] if e["edge"] == "on"), key=lambda e: e["irradiance_W_m2"])
     assert first["stage"] == "photoreceptor"
@@ -237,6 +243,8 @@ def test_a_shipped_sensor_is_what_its_recipe_gives(name, cameras, least, tmp_pat
     errors = result(tmp_path / "out")["errors"]
     assert sorted(errors) == cameras
     assert all(errors[camera]["median"]["rms_without_spoiled"] < least for camera in cameras)
+    if name == "gen31":
+        assert_limited_like_a_gen31(result(tmp_path / "out"))
 
 
 @pytest.mark.parametrize(

@@ -12,15 +12,17 @@ numbers, as fits need them (a fixed grid, whose nodes drop out one by one, made 
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from scipy.special import ndtr
 
 from pixelid.tables.latency.steps import TIMES_S
 
 NODES, OUTERMOST = 21, 3.8  # of z; ±3.8 σ holds the extremes of 1000 pixels
-HALVINGS = 20
+NEAR, CLOSE, MOST_ROUNDS = 1.2, 1e-12, 60  # of the brackets of a median, a ratio and relative
 LEAST = 1e-9  # share of pixels; with fewer that fire, none does
 DELAYS = np.linspace(-2.8, 2.8, 7)
 _OF_DELAYS = np.exp(-0.5 * DELAYS**2)
@@ -66,9 +68,7 @@ def statistics(changes: np.ndarray, regions: Regions, spread: Spread) -> dict[st
     highest = (changes[regions.step, -1] - C) / s
     z, mass = _levels(highest)
     level = C[:, None] + s[:, None] * z
-    crossing = np.empty_like(level)
-    for k, step in enumerate(regions.step):
-        crossing[k] = np.interp(level[k], changes[step], TIMES_S, right=np.inf)
+    crossing = _crossings(level, changes, regions.step, TIMES_S)
     factor = np.exp(spread.delay * DELAYS)
     delays = regions.delay[:, None] * factor
     t = (crossing[:, :, None] + delays[:, None, :]).reshape(len(C), -1)
@@ -80,15 +80,15 @@ def statistics(changes: np.ndarray, regions: Regions, spread: Spread) -> dict[st
     silent = fired < LEAST
     weight /= np.where(silent, 1.0, fired)[:, None]
     t = np.where(np.isfinite(t), t, 0.0)
-    after = np.cumsum(weight, axis=1)
-    before = after - weight
-    n = regions.pixels[:, None]
+    after, n = np.cumsum(weight, axis=1), regions.pixels[:, None]
+    earliest = -np.diff((1.0 - after).clip(0) ** n, axis=1, prepend=1.0)  # chance that the first of n is there
+    latest = np.diff(after**n, axis=1, prepend=0.0**n)
     mean = (weight * t).sum(axis=1)
     variance = (weight * (t - mean[:, None]) ** 2).sum(axis=1)
     found = {
-        "median": _medians(changes, regions, s, delays, highest),
-        "min": (((1.0 - before).clip(0) ** n - (1.0 - after).clip(0) ** n) * t).sum(axis=1),
-        "max": ((after**n - before.clip(0) ** n) * t).sum(axis=1),
+        "median": _medians(changes, regions.step, TIMES_S, C, s, delays, DELAY_MASS, 0.5 * ndtr(highest)),
+        "min": (earliest * t).sum(axis=1),
+        "max": (latest * t).sum(axis=1),
         "sd": np.sqrt(variance),
         "stdev": np.sqrt(_event_variance(crossing, mass, between_events / s**2) / regions.pixels + spread.edge**2),
     }
@@ -111,30 +111,69 @@ def _event_variance(crossing: np.ndarray, mass: np.ndarray, share: np.ndarray) -
     return share * (weight * (t - mean[:, None]) ** 2).sum(axis=1)
 
 
-def _medians(
-    changes: np.ndarray, regions: Regions, s: np.ndarray, delays: np.ndarray, highest: np.ndarray
-) -> np.ndarray:
-    """(rows,) seconds by which half of the pixels that fire have fired.
+@njit(cache=True, nogil=True, error_model="numpy")
+def _crossings(level, changes, step, times):
+    """(rows, nodes) when the change of each row's step reaches each level; inf: never."""
+    crossing = np.empty_like(level)
+    for row in range(len(level)):
+        change = changes[step[row]]
+        for node in range(level.shape[1]):
+            wanted = level[row, node]
+            k = np.searchsorted(change, wanted, side="right") - 1
+            if wanted > change[-1]:
+                crossing[row, node] = np.inf
+            elif k < 0 or k == len(change) - 1:
+                crossing[row, node] = times[k] if k > 0 else times[0]
+            else:
+                part = (wanted - change[k]) / (change[k + 1] - change[k])
+                crossing[row, node] = times[k] + part * (times[k + 1] - times[k])
+    return crossing
 
-    By time t, Φ((c(t − b) − C)/s) of the pixels of delay b have, c the change: a root, bracketed to 2·10⁻⁵ of itself by
-    halving and then taken from the chord.  delays: (rows, DELAYS) s;  highest: (rows,) that the change reaches, in s
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _fired(t, change, times, threshold, s, delays, mass):
+    """Share of the pixels that have fired by time t: Φ((c(t − b) − C)/s) of those of delay b, c the change."""
+    share = 0.0
+    for j in range(len(delays)):
+        since = min(t - delays[j], times[-1])
+        if since <= 0.0:
+            continue
+        k = min(np.searchsorted(times, since, side="right") - 1, len(times) - 2)
+        come = change[k] + (change[k + 1] - change[k]) * (since - times[k]) / (times[k + 1] - times[k])
+        share += mass[j] * 0.5 * math.erfc((threshold - come) / (s * math.sqrt(2.0)))
+    return share
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _medians(changes, step, times, threshold, s, delays, mass, half):
+    """(rows,) seconds by which `half` (rows,) of the pixels have fired.
+
+    A root, bracketed by halving and then taken by regula falsi, the end that stays counted half (Illinois; Dowell &
+    Jarratt 1971, BIT 11, 168).
     """
-    wanted, last = 0.5 * ndtr(highest), len(TIMES_S) - 2
-    step, threshold = regions.step[:, None], regions.threshold[:, None]
-
-    def missing(t: np.ndarray) -> np.ndarray:
-        since = np.clip(t[:, None] - delays, 0.0, TIMES_S[-1])
-        k = np.clip(np.searchsorted(TIMES_S, since, side="right") - 1, 0, last)
-        before, after = changes[step, k], changes[step, k + 1]
-        come = before + (after - before) * (since - TIMES_S[k]) / (TIMES_S[k + 1] - TIMES_S[k])
-        share = np.where(t[:, None] > delays, ndtr((come - threshold) / s[:, None]), 0.0)
-        return wanted - share @ DELAY_MASS
-
-    low, high = np.full(len(s), TIMES_S[1]), TIMES_S[-1] + delays.max(axis=1)
-    for _ in range(HALVINGS):
-        middle = np.sqrt(low * high)
-        late = missing(middle) < 0
-        low, high = np.where(late, low, middle), np.where(late, middle, high)
-    at_low, at_high = missing(low), missing(high)
-    share = at_low / np.where(at_low > at_high, at_low - at_high, 1.0)
-    return low + np.clip(share, 0.0, 1.0) * (high - low)
+    medians = np.empty(len(threshold))
+    for row in range(len(threshold)):
+        change, own = changes[step[row]], delays[row]
+        low, high = times[1], times[-1] + own.max()
+        missing_low = half[row] - _fired(low, change, times, threshold[row], s[row], own, mass)
+        missing_high = half[row] - _fired(high, change, times, threshold[row], s[row], own, mass)
+        if missing_low <= 0.0 or missing_high >= 0.0:
+            medians[row] = low if missing_low <= 0.0 else high
+            continue
+        last = 0
+        for _ in range(MOST_ROUNDS):
+            falsi = high < NEAR * low
+            t = low + (high - low) * missing_low / (missing_low - missing_high) if falsi else math.sqrt(low * high)
+            missing = half[row] - _fired(t, change, times, threshold[row], s[row], own, mass)
+            if missing > 0.0:
+                low, missing_low = t, missing
+                missing_high *= 0.5 if falsi and last == 1 else 1.0
+                last = 1
+            else:
+                high, missing_high = t, missing
+                missing_low *= 0.5 if falsi and last == -1 else 1.0
+                last = -1
+            if high - low < CLOSE * high or abs(missing) < LEAST * CLOSE:
+                break
+        medians[row] = t
+    return medians

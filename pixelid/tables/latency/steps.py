@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 
 from pixelid.dynamics.of_circuit import dynamics_of
-from pixelid.dynamics.trajectory import integrate
+from pixelid.dynamics.trajectory import Dynamics, integrate
 from pixelid.stages.circuit import Circuit
 
 NEVER_S = 1.0  # beyond any LED's period: stands for a crossing that does not come
@@ -23,18 +24,28 @@ def changes(circuit: Circuit, before: np.ndarray, after: np.ndarray, speed: np.n
         before, after: (steps,) radiance up to and from time 0 on; the circuit has settled at the first.
         speed: (steps,) factor of α (of the corner of one pole) after each step, 1 by default.
     """
-    dynamics = dynamics_of(circuit)
-    t = np.append(0.0, TIMES_S)
+    speeds = np.ones(len(before)) if speed is None else speed
     out = np.empty((len(before), len(TIMES_S)))
-    for k, (low, high) in enumerate(zip(before + circuit.dark, after + circuit.dark, strict=True)):
-        if speed is not None:
-            factor = float(speed[k])
-            dynamics = dynamics_of(replace(circuit, alpha=circuit.alpha * factor, corner=circuit.corner * factor))
-        radiance = np.full(len(t), high)
-        radiance[0] = low
-        output = integrate(t, radiance, dynamics, linearisation=circuit.linearisation).stage("differencing")[1:]
-        out[k] = (output - output[0]) * np.sign(high - low)
-    return np.maximum.accumulate(out, axis=1)
+    of = {factor: dynamics_of(_sped_up(circuit, factor)) for factor in set(speeds.tolist())}
+    for k, factor in enumerate(speeds.tolist()):
+        low, high = float(before[k]) + circuit.dark, float(after[k]) + circuit.dark
+        out[k] = _change(of[factor], circuit.linearisation, low, high)
+    return out
+
+
+def _sped_up(circuit: Circuit, factor: float) -> Circuit:
+    if factor == 1.0:
+        return circuit
+    return replace(circuit, alpha=circuit.alpha * factor, corner=circuit.corner * factor)
+
+
+@lru_cache(maxsize=256)  # most parameters of a table's fit change thresholds, delays or noise, and nothing here
+def _change(dynamics: Dynamics, linearisation: str, low: float, high: float) -> np.ndarray:
+    """(times,) the largest change so far, of one step from a light to another."""
+    radiance = np.full(len(TIMES_S) + 1, high)
+    radiance[0] = low
+    output = integrate(np.append(0.0, TIMES_S), radiance, dynamics, linearisation=linearisation).stage("differencing")
+    return np.maximum.accumulate((output[1:] - output[1]) * np.sign(high - low))
 
 
 def noise_level(circuit: Circuit, radiance: np.ndarray, speed: np.ndarray | float = 1.0) -> np.ndarray:
