@@ -66,10 +66,6 @@ def _climb(recordings: Sequence[Recording], model: Model, seed: int) -> dict[flo
 
 def _log_likelihoods(recordings: Sequence[Recording], model: Model, sigma_s: float, seed: int) -> np.ndarray:
     """(pixels,) nats of the stamps of each pixel, true times summed over."""
-    values = []
-    for pixel in np.unique(np.concatenate([r.events.pixel for r in recordings])):
-        own = only(recordings, np.array([pixel]))
-        windows = [jitter_windows(r, sigma_s) for r in own]
-        stamps = [1.0 * r.events.t for r in own]
-        values.append(draw_paths(own, windows, stamps, model, np.random.default_rng(seed)).log_likelihood)
-    return np.array(values)
+    windows, stamps = [jitter_windows(r, sigma_s) for r in recordings], [1.0 * r.events.t for r in recordings]
+    values = draw_paths(recordings, windows, stamps, model, np.random.default_rng(seed)).log_likelihoods
+    return np.array([values[pixel] for pixel in sorted(values)])

@@ -39,12 +39,13 @@ MOST_CELLS = 2_000_000  # of one recording: 48 MB
 class Paths:
     """Times drawn.
 
-    times: (n,) ns per recording, in the order of its events;  log_likelihood: of the stamps, nats
+    times: (n,) ns per recording, in the order of its events
+    log_likelihoods: flat pixel → nats of its stamps, in all recordings
     stuck: pixels (in one recording each) without a path, which keep the times they had
     """
 
     times: list[np.ndarray]
-    log_likelihood: float
+    log_likelihoods: dict[int, float]
     stuck: int
 
 
@@ -72,13 +73,17 @@ def draw_paths(
     thresholds = _thresholds(recordings, times, circuit)
     seeds = rng.integers(1 << 62, size=len(recordings))
 
-    def drawn(job) -> tuple[np.ndarray, float, int]:
+    def drawn(job) -> tuple[np.ndarray, dict[int, float], int]:
         recording, window, t, own, seed = job
         here = circuit.in_recording(recording.name)
         return _draw(recording, window, t, here, own, np.random.default_rng(seed))
 
     made = map_threads(drawn, list(zip(recordings, windows, times, thresholds, seeds, strict=True)))
-    return Paths([t for t, _, _ in made], sum(value for _, value, _ in made), sum(stuck for _, _, stuck in made))
+    total: dict[int, float] = {}
+    for _, values, _ in made:
+        for pixel, value in values.items():
+            total[pixel] = total.get(pixel, 0.0) + value
+    return Paths([t for t, _, _ in made], total, sum(stuck for _, _, stuck in made))
 
 
 def _thresholds(
@@ -103,35 +108,36 @@ def _thresholds(
 def _draw(
     recording: Recording, window: Windows, t: np.ndarray, circuit: Circuit, thresholds: dict[int, Thresholds],
     rng: np.random.Generator,
-) -> tuple[np.ndarray, float, int]:  # fmt: skip
-    """(times (n,) ns, log-likelihood, pixels stuck) of one recording."""
-    drawn, log_likelihood, stuck = t.copy(), 0.0, 0
+) -> tuple[np.ndarray, dict[int, float], int]:  # fmt: skip
+    """(times (n,) ns, flat pixel → log-likelihood, pixels stuck) of one recording."""
+    values: dict[int, float] = {}
+    drawn, stuck = t.copy(), 0
     if not len(t):
-        return drawn, 0.0, 0
+        return drawn, values, 0
     stamp = window.centre
     sd, reach = 1e-9 * window.sd, REACH * 1e-9 * window.sd
     if window.stamp is None:
         reach = 0.5e-9 * float(np.max(window.hi - window.lo))
     light = light_of(recording, circuit, reach)
+    of_stamp = -float(np.log(sd * np.sqrt(2.0 * np.pi))) if np.isfinite(sd) else 0.0
     order = np.lexsort((t, recording.events.pixel))
     pixel, rising = recording.events.pixel[order], recording.events.p[order] == 1
     for chunk in np.split(np.arange(len(order)), np.flatnonzero(np.diff(pixel)) + 1):
         on, off = order[chunk[rising[chunk]]], order[chunk[~rising[chunk]]]
-        times = np.empty(len(on)), np.empty(len(off))
+        own, times = int(pixel[chunk[0]]), (np.empty(len(on)), np.empty(len(off)))
         uniform = rng.random(2 * len(chunk))
         value = draw_path(
-            light, thresholds[int(pixel[chunk[0]])], 1e-9 * stamp[on], 1e-9 * stamp[off], sd, reach, BACKGROUND_HZ,
+            light, thresholds[own], 1e-9 * stamp[on], 1e-9 * stamp[off], sd, reach, BACKGROUND_HZ,
             uniform, *times,
         )  # fmt: skip
+        values[own] = len(chunk) * of_stamp
         if not np.isfinite(value):
             stuck += 1
             continue
-        log_likelihood += value
+        values[own] += value
         for some, at in zip((on, off), times, strict=True):
             drawn[some] = np.clip(1e9 * at, window.lo[some], window.hi[some])
-    if np.isfinite(sd):
-        log_likelihood -= len(t) * float(np.log(sd * np.sqrt(2.0 * np.pi)))
-    return drawn, log_likelihood, stuck
+    return drawn, values, stuck
 
 
 def light_of(recording: Recording, circuit: Circuit, blur_s: float) -> Light:
