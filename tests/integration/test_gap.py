@@ -520,9 +520,10 @@ def test_an_interrupted_search_goes_on(tmp_path):
 
 
 @pytest.mark.slow
-def test_workers_change_nothing(tmp_path):
+@pytest.mark.parametrize(("effect", "strength"), [("leak", {"rate_hz": 5.0}), ("shot_noise", {"density": 3.2e-4})])
+def test_workers_change_nothing(effect, strength, tmp_path):
     lights = {"slow_24": slow(24.0, seed=2), "steps_24": steps(24.0, seed=1), "constant_24": constant(24.0)}
-    recordings = session(MODEL.with_effect("leak", {"rate_hz": 5.0}), side=3, seed=4, lights=lights)
+    recordings = session(MODEL.with_effect(effect, strength), side=3, seed=4, lights=lights)
     alone = gap(recordings, MODEL, resume=tmp_path / "fits", recommend=False)
     began = []
     shared = gap(
@@ -534,7 +535,7 @@ def test_workers_change_nothing(tmp_path):
     for told in (plain, other):
         del told["seconds"]
     assert plain == other
-    assert plain["effects"]
+    assert [one["name"] for one in plain["effects"]] == [effect]
 
 
 def test_a_round_compares_under_one_likelihood_and_leaves_its_state_as_it_was():

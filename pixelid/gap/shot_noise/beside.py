@@ -9,12 +9,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.stats import norm
 
+from pixelid.cluster import Work
 from pixelid.fit.again import simulate_again
-from pixelid.fit.cache import FitCache
+from pixelid.fit.cache import FitCache, map_fits
 from pixelid.fit.maximise import Maximum, maximise
 from pixelid.gap.attribute.attribute import Candidate
 from pixelid.gap.criteria import Criteria
@@ -36,22 +38,33 @@ def settled_under_noise(evidence: PixelEvidence, model: Model, cache: FitCache |
 
 
 def gains_without(
-    evidence: PixelEvidence, truth: Model, candidates: Sequence[Candidate[Maximum]], seed: int, cache: FitCache | None
-) -> np.ndarray:
+    evidence: PixelEvidence, truth: Model, candidates: Sequence[Candidate[Maximum]], seed: int, cache: FitCache | None,
+    work: Work,
+) -> np.ndarray:  # fmt: skip
     """(candidates, replicates) nats that effects gain in sessions simulated from a model that lacks them.
 
     evidence: without noise;  truth: with it, its density held
     """
-    fitting, gains = evidence.fitting, np.zeros((len(candidates), REPLICATES))
-    for k in range(REPLICATES):
-        own = seed + SEED_OFFSET + 31 * k
-        made = EventTimes(simulate_again(fitting.recordings, truth, fitting.flat_pixels, None, own))
-        circuit, base = _settled(made, truth, cache)
+    gains = _GainsWithout(evidence.fitting, truth, tuple(candidate.end.model for candidate in candidates))
+    seeds = [seed + SEED_OFFSET + 31 * k for k in range(REPLICATES)]
+    return np.array(map_fits(work, gains, seeds, cache)).T
+
+
+@dataclass(frozen=True)
+class _GainsWithout:
+    """Nats that models with an effect gain in one session, simulated under `truth` with a seed."""
+
+    fitting: EventTimes
+    truth: Model
+    models: tuple[Model, ...]
+
+    def __call__(self, seed: int, cache: FitCache | None) -> list[float]:
+        fitting = self.fitting
+        made = EventTimes(simulate_again(fitting.recordings, self.truth, fitting.flat_pixels, None, seed))
+        circuit, base = _settled(made, self.truth, cache)
         pool = _under(made, circuit)
-        for i, candidate in enumerate(candidates):
-            end = maximise(pool, candidate.end.model, tolerance=0.02, max_steps=MAX_STEPS, cache=cache)
-            gains[i, k] = max(end.value - base.value, 0.0)
-    return gains
+        ends = [maximise(pool, m, tolerance=0.02, max_steps=MAX_STEPS, cache=cache) for m in self.models]
+        return [max(end.value - base.value, 0.0) for end in ends]
 
 
 def _settled(events: EventTimes, model: Model, cache: FitCache | None) -> tuple[Circuit, Maximum]:

@@ -17,8 +17,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.stats import norm
 
+from pixelid.cluster import Work
 from pixelid.fit.again import can_be_simulated
-from pixelid.fit.cache import FitCache
+from pixelid.fit.cache import FitCache, map_fits
 from pixelid.fit.maximise import Maximum
 from pixelid.fit.shot_noise import NOISE
 from pixelid.gap.criteria import Criteria
@@ -76,12 +77,21 @@ def looks_like_shot_noise(seen: Diagnostics, criteria: Criteria) -> bool:
 
 
 def find_shot_noise(
-    evidence: PixelEvidence, fit: Maximum, seen: Diagnostics, options: Options, cache: FitCache | None = None
-) -> ShotNoise | None:
+    evidence: PixelEvidence, fit: Maximum, seen: Diagnostics, options: Options, cache: FitCache | None = None,
+    work: Work | None = None,
+) -> ShotNoise | None:  # fmt: skip
     """Shot noise that explains what is left under a fitted model.
 
     None where it cannot be simulated, a replicate's noise cannot be told, or replicates with it come little nearer than
     those without.
+
+    Args:
+        evidence: Of the pixels.
+        fit: Whose noise is shared out.
+        seen: What it leaves.
+        options: Of the search.
+        cache: Fits already made.
+        work: Who simulates and fits the replicates; None: this process.
     """
     if NOISE not in fit.coordinates.names or not can_be_simulated(evidence.training.recordings, fit.model):
         return None
@@ -90,29 +100,48 @@ def find_shot_noise(
     if found is None or found.gain < criteria.min_shot_noise_gain_nats:
         return None
 
-    def made(model: Model, turn: int) -> Replicate:
-        return make_replicate(evidence, model, fit, seen, criteria, options.seed + 31 * (turn + 1), cache)
+    one = _OneReplicate(evidence, fit, seen, criteria, options.seed)
+
+    def made(*jobs: tuple[Model, int]) -> list[Replicate]:
+        return map_fits(work or Work(), one, jobs, cache)
 
     measured = Replicate(
         fit.x, seen.maps.scores, background_by_polarity(evidence.training, seen.residual.background), found
     )
-    without = _distance(measured, made(fit.model, 0), criteria)
     guess = Guess.first(fit, found)
-    guess = guess.corrected([made(guess.model, 1)])
-    first = made(guess.model, 2)
+    bare, guessed = made((fit.model, 0), (guess.model, 1))
+    without = _distance(measured, bare, criteria)
+    guess = guess.corrected([guessed])
+    (first,) = made((guess.model, 2))
     nearest = _distance(measured, first, criteria)
     alike = 0.5 * len(measured.scores)  # between replicates of one model
     # more are made only where this one comes half as near as they must in the end
     far = nearest - alike > 2.0 * criteria.max_share_left_by_shot_noise * (without - alike)
     if without - nearest < 0.5 * criteria.min_shot_noise_gain_nats or far:
         return None
-    final = [first, *(made(guess.model, turn) for turn in range(3, 2 + REPLICATES))]
+    final = [first, *made(*((guess.model, turn) for turn in range(3, 2 + REPLICATES)))]
     better = guess.corrected(final)
     if abs(math.log(better.density / guess.density)) > MAX_MOVE:
         guess = better
-        final = [made(guess.model, turn) for turn in range(2 + REPLICATES, 2 + 2 * REPLICATES)]
+        final = made(*((guess.model, turn) for turn in range(2 + REPLICATES, 2 + 2 * REPLICATES)))
         better = guess.corrected(final)
     return _judged(better, final, measured, seen, without, criteria) if sound(final) else None
+
+
+@dataclass(frozen=True)
+class _OneReplicate:
+    """A session simulated under a (model, turn) and fitted as the measured one was."""
+
+    evidence: PixelEvidence
+    fit: Maximum
+    seen: Diagnostics
+    criteria: Criteria
+    seed: int
+
+    def __call__(self, job: tuple[Model, int], cache: FitCache | None) -> Replicate:
+        model, turn = job
+        seed = self.seed + 31 * (turn + 1)
+        return make_replicate(self.evidence, model, self.fit, self.seen, self.criteria, seed, cache)
 
 
 def _judged(

@@ -98,7 +98,9 @@ def _look_beside(state: State, hypothesis: Hypothesis, context: Context) -> tupl
         noise = known[0]
     else:
         context.report("shot noise", 0.7)
-        noise = find_shot_noise(hypothesis.evidence, hypothesis.fit, hypothesis.seen, context.options, context.cache)
+        noise = find_shot_noise(
+            hypothesis.evidence, hypothesis.fit, hypothesis.seen, context.options, context.cache, context.work
+        )
         state = replace(state, shot_noise_tried=(*state.shot_noise_tried, (hypothesis, noise)))
     if noise is not None:
         left = {"name": EFFECT, "density": noise.density, "p_of_what_is_left": noise.corrected.seen.p}

@@ -66,7 +66,9 @@ def _most_in_excess(
     if not able:
         return None
     hypothesis = state.hypothesis
-    without = gains_without(hypothesis.evidence, hypothesis.model, able, context.options.seed, context.cache)
+    without = gains_without(
+        hypothesis.evidence, hypothesis.model, able, context.options.seed, context.cache, context.work
+    )
     judged = [
         replace(c, p=chance_of_excess(c.gain, gains, tried, context.options.criteria))
         for c, gains in zip(able, without, strict=True)
@@ -89,7 +91,9 @@ def _with(
     if len(more.steps) > len(state.steps):  # else it took the place of an earlier one, and follows what that did
         step = replace(step, before=state.hypothesis, noise_before=noise)
     hypothesis = more.hypothesis
-    found = find_shot_noise(hypothesis.evidence, hypothesis.fit, hypothesis.seen, context.options, context.cache)
+    found = find_shot_noise(
+        hypothesis.evidence, hypothesis.fit, hypothesis.seen, context.options, context.cache, context.work
+    )
     if found is None or negligible(winner.effect, found.corrected.model, context.options.criteria):
         return None
     if found.corrected.seen.p < context.options.alpha_each and found.left > noise.left:
