@@ -130,6 +130,7 @@ def reconstruct(
     scale: str = "auto",
     box: tuple[float, ...] | None = None,
     near: float = 0.0,
+    unbounded: bool = False,
     radiance_scale: float | None = None,
     protocol: str = "strict",
     resume: str | Path | None = None,
@@ -161,6 +162,7 @@ def reconstruct(
         scale: what pins the radiance unit: "auto", "level" or "free".
         box: corners of the scene, x0 y0 z0 x1 y1 z1; by default a cube where the views look.
         near: distance from the camera before which nothing is, in the unit of the poses.
+        unbounded: the scene goes on beyond the box; all of space is part of the field, the coarser the further.
         radiance_scale: the fit's radiance units per unit of the views.
         protocol: of the scores: "strict", or "paper" for those of the reference implementation beside them.
         resume: a checkpoint, continued when it exists and written as training goes on.
@@ -193,7 +195,7 @@ def reconstruct(
         raise InputError(f"protocol: expected strict or paper, found {protocol!r}")
     recipe = Recipe.asked(
         steps=iterations, batch=batch, cells=cells, harmonics=harmonics, between_poses=between_poses,
-        refinement=Refinement.of(refine_time, refine_poses),
+        refinement=Refinement.of(refine_time, refine_poses), unbounded=unbounded,
     )  # fmt: skip
     return run(
         read_dataset(Path(dataset)), fit=None if fit is None else Path(fit),

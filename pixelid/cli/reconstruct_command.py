@@ -71,6 +71,8 @@ class StepsOrAuto(click.IntRange):
               help="Corners of the scene; by default a cube where the views look.")  # fmt: skip
 @click.option("--near", type=options.Number(0.0), default=0.0, show_default=True,
               help="Distance from the camera before which nothing is, in the unit of the poses.")  # fmt: skip
+@click.option("--unbounded", is_flag=True,
+              help="The scene goes on beyond the box: space is held to the horizon, ever coarser.")  # fmt: skip
 @click.option("--radiance-scale", type=options.Number(0.0, open_low=True),
               help="The fit's radiance units per unit of the views; by default from q_in.")  # fmt: skip
 @click.option("--protocol", type=click.Choice(["strict", "paper"]), default="strict", show_default=True,
@@ -82,8 +84,8 @@ class StepsOrAuto(click.IntRange):
 @options.quiet
 def command(
     dataset, out, fit, sensor, bandwidth, samples, trained, between_poses, refine_time, refine_poses, gap, beside,
-    cells, harmonics, steps, batch, background, scale, box, near, radiance_scale, protocol, checkpoint, device,
-    overwrite, seed, quiet,
+    cells, harmonics, steps, batch, background, scale, box, near, unbounded, radiance_scale, protocol, checkpoint,
+    device, overwrite, seed, quiet,
 ):  # fmt: skip
     """Reconstruct the scene of DATASET, a folder in the published layout of Robust e-NeRF and Deblur e-NeRF.
 
@@ -134,7 +136,7 @@ def command(
         data = read_dataset(dataset)
         recipe = Recipe.asked(
             steps=steps, batch=batch, cells=cells, harmonics=harmonics, between_poses=between_poses,
-            refinement=Refinement.of(refine_time, refine_poses),
+            refinement=Refinement.of(refine_time, refine_poses), unbounded=unbounded,
         )  # fmt: skip
         pixel = Bandwidth(bandwidth, samples, trained=trained)
         with bar(quiet or not first, compiles=True) as report:

@@ -14,7 +14,7 @@ import math
 import numpy as np
 import torch
 
-from pixelid.nerf import render_kernels
+from pixelid.nerf import contraction, render_kernels
 from pixelid.nerf.bricks import CLEAR_DENSITY, ROWS, Bricks
 from pixelid.nerf.harmonics import number_of
 from pixelid.nerf.render import Box, Rays, read_off, render
@@ -29,18 +29,19 @@ class Field(torch.nn.Module):
 
     low, high: (3,) corners;  vertices: per side;  channels: colours;  background: (C,) radiance behind the box, held
     unless `free_background`;  level: radiance that the grid starts from;  degree: of the spherical harmonics by which
-    log radiance depends on the direction, 0 to 2;  near: distance from the camera before which rays meet nothing
+    log radiance depends on the direction, 0 to 2;  near: distance from the camera before which rays meet nothing;
+    unbounded: whether the corners are those of the inner box, beyond which space is contracted (`contraction`)
 
     bricks: where the rows are;  grid: (rows, 1 + C);  coefficients: (rows, C, K) of the harmonics beside the constant
     """
 
     def __init__(
         self, low, high, vertices: int, channels: int, background, *, free_background=False, level=None, degree=0,
-        near=0.0,
+        near=0.0, unbounded=False,
     ) -> None:  # fmt: skip
         super().__init__()
         self.low, self.high = np.asarray(low, dtype=np.float64), np.asarray(high, dtype=np.float64)
-        self.near = float(near)
+        self.near, self.unbounded = float(near), bool(unbounded)
         bricks = Bricks.every(vertices)
         grid = torch.empty(bricks.rows, 1 + channels)
         side = float((self.high - self.low).max())
@@ -83,8 +84,13 @@ class Field(torch.nn.Module):
 
     @property
     def step(self) -> float:
-        """Of the march: one cell."""
-        return float((self.high - self.low).max()) / (self.vertices - 1)
+        """Of the march: one cell, of the inner box."""
+        return float(self._spacing.max())
+
+    @property
+    def _spacing(self) -> np.ndarray:
+        """(3,) sides of a cell, of the inner box."""
+        return (contraction.SIDE if self.unbounded else 1.0) * (self.high - self.low) / (self.vertices - 1)
 
     @property
     def finite(self) -> bool:
@@ -93,7 +99,7 @@ class Field(torch.nn.Module):
 
     def box(self) -> Box:
         """What the renderer needs beside the grid."""
-        return Box(self.low, self.high, self.step, self.occupied, self.bricks, self.near)
+        return Box(self.low, self.high, self.step, self.occupied, self.bricks, self.near, self.unbounded)
 
     def forward(self, rays: Rays, engine: str = "auto") -> tuple[torch.Tensor, torch.Tensor]:
         """(radiance, opacity), (n,) each."""
@@ -101,7 +107,26 @@ class Field(torch.nn.Module):
 
     def positions(self) -> np.ndarray:
         """(rows, 3) where the rows are."""
-        return self.low + self.bricks.vertex_of_rows() * ((self.high - self.low) / (self.vertices - 1))
+        return self.places(self.bricks.vertex_of_rows())
+
+    def places(self, vertex: np.ndarray) -> np.ndarray:
+        """(n, 3) where vertices (n, 3) are, whole or not; of an unbounded field the outermost ones in the last cell."""
+        if not self.unbounded:
+            return self.low + vertex * self._spacing
+        p, _ = contraction.expanded(self._contracted(vertex), self.vertices)
+        return self.low + 0.5 * (p + 1.0) * (self.high - self.low)
+
+    def cells(self, vertex: np.ndarray) -> np.ndarray:
+        """(n, 3, 3) change of the place (second index) per cell along each axis (third), at vertices (n, 3)."""
+        if not self.unbounded:
+            return np.broadcast_to(np.diag(self._spacing), (len(vertex), 3, 3))
+        per_cell = 2.0 * contraction.SIDE / (self.vertices - 1)
+        slopes = contraction.expansion(self._contracted(vertex), self.vertices)
+        return 0.5 * (self.high - self.low)[:, None] * slopes * per_cell
+
+    def _contracted(self, vertex: np.ndarray) -> np.ndarray:
+        """(n, 3) places of `contraction` of vertices (n, 3)."""
+        return contraction.SIDE * (2.0 * vertex / (self.vertices - 1) - 1.0)
 
     def look_for_empty_blocks(self) -> float:
         """Renew which blocks are visited; the share of them."""

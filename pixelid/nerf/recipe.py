@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from pixelid.errors import InputError
+from pixelid.nerf.contraction import SIDE
 from pixelid.nerf.harmonics import HIGHEST_DEGREE
 from pixelid.nerf.intervals import CHAIN
 from pixelid.nerf.losses import Weights
@@ -44,7 +45,8 @@ class Recipe:
     the mean log density, which clears what no event asks for;  quiet: λ of changes where nothing fired;  degree: of
     the harmonics by which colour depends on the direction;  stiffness: λ of their mean square;  level: λ of the mean
     log radiance when the gauge needs it;  between_poses: "linear" or "cubic", how the camera went;  refinement: of the
-    poses;  engine: of `render` and `respond`;  supersample: rays per pixel and side
+    poses;  engine: of `render` and `respond`;  supersample: rays per pixel and side;
+    unbounded: whether space beyond the box is part of the field, contracted (`contraction`)
     """
 
     iterations: int = 1200
@@ -63,6 +65,7 @@ class Recipe:
     refinement: Refinement = dataclasses.field(default_factory=Refinement)
     engine: str = "auto"
     supersample: int = 1
+    unbounded: bool = False
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -72,7 +75,7 @@ class Recipe:
     @classmethod
     def asked(
         cls, *, steps: int | str | None = None, batch: int | None = None, cells: int | None = None, harmonics: int = 1,
-        between_poses: str = "linear", refinement: Refinement | None = None,
+        between_poses: str = "linear", refinement: Refinement | None = None, unbounded: bool = False,
     ) -> Recipe:  # fmt: skip
         """The recipe that a user asks for, the rest as usual.
 
@@ -83,6 +86,7 @@ class Recipe:
             harmonics: degree by which colours depend on the direction.
             between_poses: "linear" or "cubic".
             refinement: of the poses.
+            unbounded: whether the scene goes on beyond the box.
 
         Raises:
             InputError: a value that cannot be.
@@ -97,7 +101,8 @@ class Recipe:
             ):
                 words = f" or {AUTO!r}" if name == "iterations" else ""
                 raise InputError(f"{name}: expected a whole number from {least} to {most}{words}, found {value!r}")
-        usual = cls(degree=int(harmonics), between_poses=between_poses, refinement=refinement or Refinement())
+        usual = cls(degree=int(harmonics), between_poses=between_poses, refinement=refinement or Refinement(),
+                    unbounded=unbounded)  # fmt: skip
         if steps == AUTO:
             usual = dataclasses.replace(usual, iterations=0, batch=0)
         elif steps is not None:
@@ -106,8 +111,11 @@ class Recipe:
         return recipe if cells is None else recipe.with_cells(int(cells))
 
     def for_sensor(self, width: int) -> Recipe:
-        """The recipe with grid sizes for a sensor `width` pixels wide: about one cell per pixel in the end."""
-        cells = min(max(width, MOST_CELLS[0]), MOST_CELLS[1])
+        """The recipe with grid sizes for a sensor `width` pixels wide: about one cell per pixel in the end.
+
+        Of an unbounded field the inner box has half the cells of a side.
+        """
+        cells = min(max(width, MOST_CELLS[0]) * (round(SIDE) if self.unbounded else 1), MOST_CELLS[1])
         return self if self.vertices else self.with_cells(cells)
 
     def with_cells(self, cells: int) -> Recipe:
@@ -140,6 +148,11 @@ class Recipe:
         """What reconstruction.json says of it; steps and seed are told elsewhere."""
         content = {name: value for name, value in dataclasses.asdict(self).items() if name not in ELSEWHERE}
         return content | {"vertices": list(self.vertices), "weights": self.weights._asdict()}
+
+    @property
+    def cells(self) -> int:
+        """Per side of the box in the end; of an unbounded field the inner box."""
+        return round((self.vertices[-1] - 1) / (SIDE if self.unbounded else 1.0))
 
     def vertices_at(self, iteration: int) -> int:
         """The grid size in use at a step."""

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import torch
 
+from pixelid.nerf import contraction
 from pixelid.nerf import render_kernels as kernels
 from pixelid.nerf.bricks import ROWS, Bricks
 from pixelid.nerf.harmonics import harmonics
@@ -21,7 +22,8 @@ from pixelid.parallel import map_threads, ranges
 
 class Box(NamedTuple):
     """Where a field lives and how it is marched: corners (3,) each, step length, blocks worth visiting (b, b, b), where
-    the vertices are, and the distance from the camera before which nothing is seen."""
+    the vertices are, the distance from the camera before which nothing is seen, and whether the corners are those of
+    the inner box of an unbounded field (`contraction`)."""
 
     low: np.ndarray
     high: np.ndarray
@@ -29,6 +31,7 @@ class Box(NamedTuple):
     occupied: np.ndarray
     bricks: Bricks
     near: float = 0.0
+    unbounded: bool = False
 
 
 class Rays(NamedTuple):
@@ -72,7 +75,8 @@ class _Compiled(torch.autograd.Function):
             samples, depths, colours = (np.empty(room, kind) for kind in (np.int32, np.float32, np.float32))
             kept = kernels.forward(
                 *(column[some] for column in rays), values, directional, vertices, index, box.occupied, filled, box.low,
-                box.high, box.near, box.step, behind, radiance[some], opacity[some], first, samples, depths, colours,
+                box.high, box.unbounded, box.near, box.step, behind, radiance[some], opacity[some], first, samples,
+                depths, colours,
             )  # fmt: skip
             return first, *kept
 
@@ -101,8 +105,8 @@ class _Compiled(torch.autograd.Function):
             some = cuts[k]
             kernels.backward(
                 *(column[some] for column in rays), values, directional, box.bricks.vertices, box.bricks.index, box.low,
-                box.high, box.near, box.step, behind, ctx.radiance[some], *ctx.kept[k], by_radiance[some], by_grid[k],
-                by_coefficients[k], by_behind[k], by_origins[some], by_directions[some],
+                box.high, box.unbounded, box.near, box.step, behind, ctx.radiance[some], *ctx.kept[k],
+                by_radiance[some], by_grid[k], by_coefficients[k], by_behind[k], by_origins[some], by_directions[some],
             )  # fmt: skip
 
         map_threads(part, range(len(cuts)), threads=threads())
@@ -124,12 +128,14 @@ def _tensors(grid: torch.Tensor, coefficients: torch.Tensor, background: torch.T
     o, d, offset = (torch.as_tensor(a, device=device) for a in (rays.origins, rays.directions, rays.offsets))
     channel = torch.as_tensor(rays.channels, device=device)
     low, high = (torch.as_tensor(a, dtype=torch.float32, device=device) for a in (box.low, box.high))
-    ray, t = _samples(o.detach(), d.detach(), offset, low, high, box)
-    point = (o[ray] + t[:, None] * d[ray] - low) / (high - low)  # 0 … 1 in the box
+    ray, t, stretch = _samples(o.detach(), d.detach(), offset, low, high, box)
+    point, norm = _in_box(o[ray] + t[:, None] * d[ray], low, high, box.unbounded)
     rows, shares = rows_and_shares(point, box.bricks)
     looked_up = interpolated(grid, rows, shares)
     shown = looked_up[:, 0] > math.log(kernels.CLEAR / box.step)
     depth = box.step * torch.exp(looked_up[:, 0].clamp(max=kernels.HIGHEST)) * shown
+    if box.unbounded:
+        depth = depth * stretch / norm**2
     value = looked_up[:, 1:].gather(1, channel[ray][:, None])[:, 0]
     if coefficients.shape[-1]:
         directional = interpolated(coefficients.flatten(1), rows, shares)
@@ -149,8 +155,17 @@ def _tensors(grid: torch.Tensor, coefficients: torch.Tensor, background: torch.T
     return radiance + T * background[channel], (1 - T).detach()
 
 
-def _samples(o, d, offset, low, high, box: Box) -> tuple[torch.Tensor, torch.Tensor]:
-    """(ray, distance) of the samples that lie in occupied blocks, ray by ray and outwards.
+def _in_box(place: torch.Tensor, low, high, unbounded: bool) -> tuple[torch.Tensor, torch.Tensor]:
+    """(0 … 1 in the box or the grid (n, 3), n of `contraction` (n,)) of places in the world."""
+    point = (place - low) / (high - low)
+    if not unbounded:
+        return point, torch.ones_like(point[:, 0])
+    c, norm = contraction.contracted(2.0 * point - 1.0)
+    return 0.5 + c / (2.0 * contraction.SIDE), norm
+
+
+def _samples(o, d, offset, low, high, box: Box) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """(ray, distance, growth of the step) of the samples that lie in occupied blocks, ray by ray and outwards.
 
     Samples stay at their distances, whatever moves the rays.
     """
@@ -161,6 +176,10 @@ def _samples(o, d, offset, low, high, box: Box) -> tuple[torch.Tensor, torch.Ten
     near = torch.minimum(a, b).amax(dim=1).clamp(min=box.near)
     far = torch.maximum(a, b).amin(dim=1)
     hit = (near < far) & (far < kernels.FARTHEST * box.step)
+    entry, length, wide, reach = near, near, near, near
+    if box.unbounded:
+        near, far, entry, length, wide, reach = contraction.ways(o, d, low, high, near, far, box.near, box.step)
+        hit = entry < kernels.FARTHEST * box.step
     most = max(int(torch.ceil(((far - near) * hit).nan_to_num().max() / box.step).item()), 1) + 1
     steps = torch.arange(most, device=o.device)
     found = []
@@ -168,11 +187,15 @@ def _samples(o, d, offset, low, high, box: Box) -> tuple[torch.Tensor, torch.Ten
         t = near[some, None] + (offset[some, None] + steps) * box.step
         ray, sample = torch.nonzero((t < far[some, None]) & hit[some, None], as_tuple=True)
         ray, t = some[ray], t[ray, sample]
-        block = cells_at((o[ray] + t[:, None] * d[ray] - low) / (high - low), box.bricks.vertices) // kernels.BLOCK
+        stretch = torch.ones_like(t)
+        if box.unbounded:
+            t, stretch = contraction.distances(t, entry[ray], length[ray], wide[ray], reach[ray])
+        point, _ = _in_box(o[ray] + t[:, None] * d[ray], low, high, box.unbounded)
+        block = cells_at(point, box.bricks.vertices) // kernels.BLOCK
         keep = occupied[block[:, 0], block[:, 1], block[:, 2]]
-        found.append((ray[keep], t[keep]))
-    ray, t = (torch.cat(column) for column in zip(*found, strict=True))
-    return ray, t
+        found.append((ray[keep], t[keep], stretch[keep]))
+    ray, t, stretch = (torch.cat(column) for column in zip(*found, strict=True))
+    return ray, t, stretch
 
 
 def cells_at(point: torch.Tensor, vertices: int) -> torch.Tensor:

@@ -11,6 +11,9 @@ so a walk along the samples with L known gives all gradients.  Blocks that are e
 samples passed over; a ray ends where T falls below `OPAQUE`.  For the gradient a ray keeps which samples were neither,
 with their h σ and c: 12 bytes each, some twenty per ray.  Source: Max, IEEE TVCG 1995 (compositing).
 
+An unbounded field (`contraction`) is marched by steps that grow outside the inner box, h dt/dτ, and is less dense there
+by n²: of what the grid holds as g, h e^g (dt/dτ)/n² is in the place of h σ.
+
 A sample at o + t d moves with origin and direction as o does and as t times d; that t itself moves with the face of
 the box where the march begins is left out, since the offset of the first sample is random.
 """
@@ -22,7 +25,7 @@ import math
 import numpy as np
 from numba import njit
 
-from pixelid.nerf import harmonics
+from pixelid.nerf import contraction, harmonics
 from pixelid.nerf.bricks import ROWS, SIDE, corners, row
 
 OPAQUE = 1e-3
@@ -103,16 +106,16 @@ def _per_cell(q, step):
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "afn", "reassoc"})
 def forward(
-    origins, directions, channels, offsets, grid, coefficients, vertices, index, occupied, filled, low, high, nearest,
-    step, background, radiance, opacity, first, samples, depths, colours,
+    origins, directions, channels, offsets, grid, coefficients, vertices, index, occupied, filled, low, high, unbounded,
+    nearest, step, background, radiance, opacity, first, samples, depths, colours,
 ):  # fmt: skip
     """Fill radiance (n,) and opacity (n,) of rays; (samples, depths, colours), where rays met something.
 
     origins, directions: (n, 3) float32;  channels: (n,) colour of each ray;  offsets: (n,) of the first sample in
     steps;  grid: (rows, 1 + C) float32;  coefficients: (rows, C, K) float32 of the harmonics, K may be 0;  vertices:
     per side;  index: of `Bricks`;  occupied: (b, b, b) uint8 per block;  filled: (rows,) uint8 of `filled_cells`, by
-    the low corner of the cell;  low, high: (3,) the box;  nearest: distance before which nothing is seen;  background:
-    (C,) radiance behind it
+    the low corner of the cell;  low, high: (3,) the box, the inner one where the field is unbounded;  nearest: distance
+    before which nothing is seen;  background: (C,) radiance behind it
     first: (n + 1,) where the samples of each ray begin, or (0,) when nobody asks for them;  samples, depths, colours:
     room for number of the step (int32), optical depth and radiance of samples that are not clear; larger arrays are
     returned where it does not suffice
@@ -127,7 +130,16 @@ def forward(
         T, L = np.float32(1.0), np.float32(0.0)
         if keeping:
             first[i] = kept
-        if near < far < FARTHEST * step:
+        if unbounded:
+            begin, until, entry, length, wide, reach = contraction.way(o, d, low, high, near, far, nearest, step)
+            if entry < FARTHEST * step:
+                while keeping and kept + (until - begin) / step + 2 > len(samples):
+                    samples, depths, colours = _longer(samples), _longer(depths), _longer(colours)
+                T, L, kept = _march_outwards(
+                    o, d, low, high, begin + offsets[i] * step, until, entry, length, wide, reach, step, c, basis,
+                    grid, coefficients, cells, index, occupied, filled, floor, keeping, samples, depths, colours, kept,
+                )  # fmt: skip
+        elif near < far < FARTHEST * step:
             while keeping and kept + (far - near) / step + 2 > len(samples):
                 samples, depths, colours = _longer(samples), _longer(depths), _longer(colours)
             px, py, pz = (o[0] - low[0]) * sx, (o[1] - low[1]) * sy, (o[2] - low[2]) * sz
@@ -140,6 +152,22 @@ def forward(
     if keeping:
         first[len(origins)] = kept
     return samples, depths, colours
+
+
+@njit(inline="always", error_model="numpy")
+def _met(flat, directional, index, x, y, z, ix, iy, iz, depth, every, each, c, basis, step, floor):
+    """(h e^g, radiance) at (x, y, z) in cell (ix, iy, iz); zeros where it is clear."""
+    fx, fy, fz = np.float32(x - ix), np.float32(y - iy), np.float32(z - iz)
+    at, shares = corners(index, ix, iy, iz), _shares(fx, fy, fz)
+    density = _interpolated(flat, at, depth, 0, shares)
+    passed, colour = np.float32(0.0), np.float32(0.0)
+    if density > floor:
+        value = _interpolated(flat, at, depth, 1 + c, shares)
+        if each:
+            value += harmonics.seen(directional, at, every, c * each, shares, basis)
+        passed = np.float32(step) * math.exp(min(density, np.float32(HIGHEST)))
+        colour = math.exp(min(value, np.float32(HIGHEST)))
+    return passed, colour
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "afn", "reassoc"})
@@ -158,15 +186,10 @@ def _march(
         x, y, z = px + t * qx, py + t * qy, pz + t * qz
         ix, iy, iz = min(max(int(x), 0), last), min(max(int(y), 0), last), min(max(int(z), 0), last)
         if filled[row(index, ix, iy, iz)]:
-            fx, fy, fz = np.float32(x - ix), np.float32(y - iy), np.float32(z - iz)
-            at, shares = corners(index, ix, iy, iz), _shares(fx, fy, fz)
-            density = _interpolated(flat, at, depth, 0, shares)
-            if density > floor:
-                value = _interpolated(flat, at, depth, 1 + c, shares)
-                if each:
-                    value += harmonics.seen(directional, at, every, c * each, shares, basis)
-                passed = np.float32(step) * math.exp(min(density, np.float32(HIGHEST)))
-                colour = math.exp(min(value, np.float32(HIGHEST)))
+            passed, colour = _met(
+                flat, directional, index, x, y, z, ix, iy, iz, depth, every, each, c, basis, step, floor
+            )  # fmt: skip
+            if passed > np.float32(0.0):
                 if keeping:
                     samples[kept], depths[kept], colours[kept] = k, passed, colour
                     kept += 1
@@ -185,6 +208,64 @@ def _march(
 
 
 @njit(inline="always", error_model="numpy")
+def _inner(o, d, low, high):
+    """(origin, direction) along each axis, in half sides of the inner box, from its middle."""
+    a, b, c = 0.5 * (high[0] - low[0]), 0.5 * (high[1] - low[1]), 0.5 * (high[2] - low[2])
+    x, y, z = (o[0] - low[0]) / a - 1.0, (o[1] - low[1]) / b - 1.0, (o[2] - low[2]) / c - 1.0
+    return (x, d[0] / a), (y, d[1] / b), (z, d[2] / c)
+
+
+@njit(inline="always", error_model="numpy")
+def _in_grid(p, shrunk, scale):
+    """Cells from the low end of the grid of a coordinate of `_inner`; scale: cells per half side."""
+    return (p * shrunk + contraction.SIDE) * scale
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "afn", "reassoc"})
+def _march_outwards(
+    o, d, low, high, start, until, entry, length, wide, reach, step, c, basis, grid, coefficients, cells, index,
+    occupied, filled, floor, keeping, samples, depths, colours, kept,
+):  # fmt: skip
+    """The same through an unbounded field; blocks are left in one stride within the inner box only."""
+    depth, last = grid.shape[1], cells - 1
+    flat, directional = grid.reshape(-1), coefficients.reshape(-1)
+    each, every = coefficients.shape[2], coefficients.shape[1] * coefficients.shape[2]
+    (px, qx), (py, qy), (pz, qz) = _inner(o, d, low, high)
+    scale = cells / (2.0 * contraction.SIDE)
+    rate_x, rate_y, rate_z = _per_cell(qx * scale, step), _per_cell(qy * scale, step), _per_cell(qz * scale, step)
+    k, tau = 0, start
+    T, L = np.float32(1.0), np.float32(0.0)
+    while tau < until:
+        t, stretch = contraction.distance(tau, entry, length, wide, reach)
+        x, y, z = px + t * qx, py + t * qy, pz + t * qz
+        shrunk, norm = contraction.shrink(x, y, z)
+        x, y, z = _in_grid(x, shrunk, scale), _in_grid(y, shrunk, scale), _in_grid(z, shrunk, scale)
+        ix, iy, iz = min(max(int(x), 0), last), min(max(int(y), 0), last), min(max(int(z), 0), last)
+        if filled[row(index, ix, iy, iz)]:
+            passed, colour = _met(
+                flat, directional, index, x, y, z, ix, iy, iz, depth, every, each, c, basis, step, floor
+            )  # fmt: skip
+            if passed > 0.0:
+                passed = np.float32(passed * stretch / (norm * norm))
+                if keeping:
+                    samples[kept], depths[kept], colours[kept] = k, passed, colour
+                    kept += 1
+                T_next = T * math.exp(-passed)
+                L += (T - T_next) * colour
+                T = T_next
+                if T < OPAQUE:
+                    break
+            k += 1
+        elif occupied[ix // BLOCK, iy // BLOCK, iz // BLOCK] or not 0.0 <= tau < length:
+            k += 1
+        else:
+            left = int((length - tau) / step) + 1
+            k += min(_steps_in_block(x, y, z, ix, iy, iz, rate_x, rate_y, rate_z), left)
+        tau = start + k * step
+    return T, L, kept
+
+
+@njit(inline="always", error_model="numpy")
 def _longer(column):
     """The same numbers (n,), with room for as many again."""
     longer = np.empty(2 * len(column) + 1024, column.dtype)
@@ -194,9 +275,9 @@ def _longer(column):
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "afn", "reassoc"})
 def backward(
-    origins, directions, channels, offsets, grid, coefficients, vertices, index, low, high, nearest, step, background,
-    radiance, first, samples, depths, colours, by_radiance, by_grid, by_coefficients, by_background, by_origins,
-    by_directions,
+    origins, directions, channels, offsets, grid, coefficients, vertices, index, low, high, unbounded, nearest, step,
+    background, radiance, first, samples, depths, colours, by_radiance, by_grid, by_coefficients, by_background,
+    by_origins, by_directions,
 ):  # fmt: skip
     """Add the gradient of Σ by_radiance · radiance, from the samples that `forward` kept.
 
@@ -210,6 +291,9 @@ def backward(
     each, every = coefficients.shape[2], coefficients.shape[1] * coefficients.shape[2]
     directional, basis = coefficients.reshape(-1), np.empty(each, np.float32)
     sx, sy, sz = cells / (high[0] - low[0]), cells / (high[1] - low[1]), cells / (high[2] - low[2])
+    scale = cells / (2.0 * contraction.SIDE)
+    if unbounded:  # per half side of the inner box
+        sx, sy, sz = 2.0 / (high[0] - low[0]), 2.0 / (high[1] - low[1]), 2.0 / (high[2] - low[2])
     by_flat, by_directional, here = by_grid.reshape(-1), by_coefficients.reshape(-1), np.empty(each, np.float32)
     for i in range(len(origins)):
         g = by_radiance[i]
@@ -217,14 +301,26 @@ def backward(
             continue
         o, d, c = origins[i], directions[i], channels[i]
         harmonics.fill(d, basis)
-        near, _ = _span(o, d, low, high, nearest)
+        near, far = _span(o, d, low, high, nearest)
         T, left = np.float32(1.0), radiance[i]
         px, py, pz = (o[0] - low[0]) * sx, (o[1] - low[1]) * sy, (o[2] - low[2]) * sz
         qx, qy, qz = d[0] * sx, d[1] * sy, d[2] * sz
-        start = near + offsets[i] * step
+        start, entry, length, wide, reach = near, near, 0.0, 1.0, 1.0
+        if unbounded:
+            start, _, entry, length, wide, reach = contraction.way(o, d, low, high, near, far, nearest, step)
+            (px, qx), (py, qy), (pz, qz) = _inner(o, d, low, high)
+        start += offsets[i] * step
         for m in range(first[i], first[i + 1]):
             t, passed, colour = start + samples[m] * step, depths[m], colours[m]
-            x, y, z = px + t * qx, py + t * qy, pz + t * qz
+            thinned, ux, uy, uz = 1.0, 0.0, 0.0, 0.0
+            if unbounded:
+                t, stretch = contraction.distance(t, entry, length, wide, reach)
+                ux, uy, uz = px + t * qx, py + t * qy, pz + t * qz
+                shrunk, norm = contraction.shrink(ux, uy, uz)
+                x, y, z = _in_grid(ux, shrunk, scale), _in_grid(uy, shrunk, scale), _in_grid(uz, shrunk, scale)
+                thinned = stretch / (norm * norm)
+            else:
+                x, y, z = px + t * qx, py + t * qy, pz + t * qz
             ix, iy, iz = min(max(int(x), 0), last), min(max(int(y), 0), last), min(max(int(z), 0), last)
             fx, fy, fz = np.float32(x - ix), np.float32(y - iy), np.float32(z - iz)
             at, shares = corners(index, ix, iy, iz), _shares(fx, fy, fz)
@@ -232,7 +328,8 @@ def backward(
             by_value = g * (T - T_next) * colour
             left -= (T - T_next) * colour
             by_density = g * (T_next * colour - left) * passed
-            if passed >= most:
+            by_log_norm = -2.0 * by_density
+            if passed >= most * thinned:
                 by_density = np.float32(0.0)
             if colour >= brightest:
                 by_value = np.float32(0.0)
@@ -248,6 +345,9 @@ def backward(
                     _add_slopes(directional, at, every, c * each + k, fx, fy, fz, one, slopes)
                     here[k] = by_value * _interpolated(directional, at, every, c * each + k, shares)
                 harmonics.turned(d, here, turning)
+                if unbounded:  # per half side of the inner box
+                    slopes *= np.float32(scale)
+                    contraction.pull_back(ux, uy, uz, slopes, by_log_norm)
                 for j in range(3):
                     slope = slopes[j] * (sx if j == 0 else (sy if j == 1 else sz))
                     by_origins[i, j] += slope

@@ -165,13 +165,15 @@ def write_field(scene: Field, folder: Path) -> None:
     """Write field.npz into an existing folder.
 
     Its arrays: grid (n, n, n, 1 + C), coefficients (n, n, n, C, K), both in half precision, low, high (3,) and
-    background (C,); near (), the distance before which rays meet nothing, where it is not 0.  Of a field that is not
+    background (C,); near (), the distance before which rays meet nothing, where it is not 0; unbounded (), 1 where low
+    and high are the corners of the inner box, beyond which space is contracted (`contraction`).  Of a field that is not
     held whole: grid (rows, 1 + C), coefficients (rows, C, K), vertices () and bricks (b, b, b), which say where the
     rows are (`Bricks`).
     """
     background = np.exp(scene.log_background.detach().cpu().numpy())
     arrays: dict[str, Any] = {"low": scene.low, "high": scene.high, "background": background}
     arrays |= {"near": scene.near} if scene.near else {}
+    arrays |= {"unbounded": 1} if scene.unbounded else {}
     if scene.bricks.whole:
         grid, coefficients = scene.dense()
     else:
@@ -204,7 +206,10 @@ def read_field(folder: Path) -> Field:
         ):
             raise ValueError(f"coefficients {tuple(coefficients.shape)} of a grid {tuple(grid.shape)}")
         near = float(arrays["near"].item()) if "near" in arrays else 0.0
-        scene = Field(arrays["low"], arrays["high"], 2, channels, arrays["background"], near=near)
+        unbounded = "unbounded" in arrays and bool(arrays["unbounded"].item())
+        scene = Field(
+            arrays["low"], arrays["high"], 2, channels, arrays["background"], near=near, unbounded=unbounded
+        )  # fmt: skip
         if bricks is None:
             scene.hold_dense(grid, coefficients)
         else:
@@ -215,11 +220,13 @@ def read_field(folder: Path) -> Field:
 
 def _check_scene(arrays: Mapping[str, np.ndarray]) -> None:
     """Raise ValueError for numbers of which no scene can be: a box without inside, radiance that is not positive."""
-    for name in ("grid", "coefficients", "low", "high", "background", "vertices", "bricks", "near"):
+    for name in ("grid", "coefficients", "low", "high", "background", "vertices", "bricks", "near", "unbounded"):
         if name in arrays and (arrays[name].dtype.kind not in "fiu" or not np.isfinite(arrays[name]).all()):
             raise ValueError(f"{name}: expected finite numbers")
     if "near" in arrays and not (arrays["near"].size == 1 and arrays["near"] >= 0):
         raise ValueError(f"near: expected a distance, found {shown(arrays['near'].tolist())}")
+    if "unbounded" in arrays and not (arrays["unbounded"].size == 1 and arrays["unbounded"] in (0, 1)):
+        raise ValueError(f"unbounded: expected 0 or 1, found {shown(arrays['unbounded'].tolist())}")
     low, high, background = arrays["low"], arrays["high"], arrays["background"]
     if low.shape != (3,) or high.shape != (3,) or not (low < high).all():
         raise ValueError(f"low, high: expected corners of a box, found {shown(low.tolist())}, {shown(high.tolist())}")

@@ -131,6 +131,7 @@ def start(problem: Problem, recipe: Recipe, bandwidth: Bandwidth, device: str = 
     scene = Field(
         problem.low, problem.high, recipe.vertices_at(0), len(problem.dark), gauge.background,
         free_background=gauge.free_background, level=gauge.start, degree=recipe.degree, near=problem.near,
+        unbounded=recipe.unbounded,
     ).to(device)  # fmt: skip
     pixel = Pixel(problem.circuit, bandwidth, problem.maps).to(device)
     inside = sub_pixel_directions(problem.camera, recipe.supersample)

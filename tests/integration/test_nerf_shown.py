@@ -165,7 +165,7 @@ def test_splats_of_a_box_that_is_no_cube_are_as_opaque_as_the_cells():
     covered = 2 * np.pi * splats.opacity.mean()  # of a layer across an axis, times the deviations along it
     along = []
     for axis in range(3):
-        across = np.delete(splats.deviation, axis)
+        across = np.delete(splats.deviation[0], axis)
         spacing = (high - low) / (side - 1)
         share = covered * np.prod(across) / np.prod(np.delete(spacing, axis))
         along.append(-np.log1p(-share) / spacing[axis])  # optical depth per length

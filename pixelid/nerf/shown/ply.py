@@ -42,7 +42,7 @@ def write_splats(path: Path, splats: Splats, colours: np.ndarray) -> None:
         rows[name] = splats.centre[:, k]
     for c in range(3):
         rows[f"f_dc_{c}"] = (colours[:, c, 0] - 0.5) / BAND_0
-        rows[f"scale_{c}"] = np.log(splats.deviation[c])
+        rows[f"scale_{c}"] = np.log(splats.deviation[:, c])
         for k in range(number):
             rows[f"f_rest_{c * THREE_DEGREES + k}"] = SIGNS[k] * colours[:, c, 1 + ORDER[k]] / BAND_0
     rows["opacity"] = np.log(splats.opacity / (1 - splats.opacity))

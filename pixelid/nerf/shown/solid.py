@@ -80,11 +80,11 @@ def mesh_of(field: Field) -> Mesh:
     level = math.log(-math.log1p(-SURFACE) / field.step)
     if not density.max() > level:
         raise InputError("the scene has no surface: nothing in it is opaque")
-    spacing = (field.high - field.low) / (np.array(density.shape) - 1)
     padded = np.pad(density, 1, constant_values=min(float(density.min()), level - 1))
     # "ascent": density is high inside, so that normals and the faces' sense point outwards
     vertices, faces, normals, _ = marching_cubes(padded, level, gradient_direction="ascent")
-    normals = normals / spacing  # a gradient per cell
+    # a gradient per cell: of places, by the inverse of what they change by per cell
+    normals = np.linalg.solve(np.swapaxes(field.cells(vertices - 1), 1, 2), normals[..., None])[..., 0]
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), np.finfo(np.float32).tiny)
     at = np.clip(vertices - 1, 0, np.array(density.shape) - 1)
     points = at / (np.array(density.shape) - 1)
@@ -96,12 +96,12 @@ def mesh_of(field: Field) -> Mesh:
         radiance[:, c] = map_coordinates(log_radiance[..., c], at.T, order=1)
         for k in range(coefficients.shape[-1]):
             radiance[:, c] += coefficients[:, c, k] * head_on[:, k]
-    return Mesh(field.low + (vertices - 1) * spacing, normals, np.exp(radiance), faces)
+    return Mesh(field.places(vertices - 1), normals, np.exp(radiance), faces)
 
 
 def _like(field: Field, grid: np.ndarray) -> Field:
     """A field of one colour with another grid (rows, 2), before a background of 1."""
-    other = Field(field.low, field.high, 2, 1, [1.0], near=field.near)
+    other = Field(field.low, field.high, 2, 1, [1.0], near=field.near, unbounded=field.unbounded)
     other.hold(field.bricks, torch.from_numpy(np.ascontiguousarray(grid, np.float32)))
     other.occupied = field.occupied
     return other

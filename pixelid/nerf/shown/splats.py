@@ -1,6 +1,7 @@
 """A field as Gaussian splats, one for each vertex that is neither clear nor hidden inside.
 
-A vertex stands for a cell of side h, in a box that is no cube the geometric mean of its sides, with opacity
+A vertex stands for a cell of side h (along each axis, where space is contracted; its shear is left out), in a box that
+is no cube the geometric mean of its sides, with opacity
 a = 1 − exp(−σ h).  A round Gaussian of peak a and standard deviation
 s covers a · 2π s² of area; a layer of them, one per h², is as opaque as the cell for s = h / √(2π).
 
@@ -30,8 +31,8 @@ NODES = 6, 12  # of the quadrature over the sphere: heights, angles; exact for p
 class Splats(NamedTuple):
     """The splats of a scene.
 
-    centre: (n, 3);  log_radiance: (n, C);  coefficients: (n, C, K) of its harmonics;  opacity: (n,);  deviation: (3,)
-    along the axes, the same for all
+    centre: (n, 3);  log_radiance: (n, C);  coefficients: (n, C, K) of its harmonics;  opacity: (n,);  deviation: (n, 3)
+    along the axes
     """
 
     centre: np.ndarray
@@ -68,8 +69,7 @@ def splats_of(field: Field) -> Splats:
         InputError: the field is clear everywhere.
     """
     density, log_radiance = vertex_values(field)
-    spacing = (field.high - field.low) / (np.array(density.shape) - 1)
-    side = float(np.prod(spacing) ** (1 / 3))
+    side = float(np.prod(np.diagonal(field.cells(np.full((1, 3), 0.5 * (field.vertices - 1)))[0])) ** (1 / 3))
     opacity = -np.expm1(-side * np.exp(np.minimum(density, 12.0)))
     opaque = np.pad(opacity > HIDDEN, 1)
     hidden = np.ones(density.shape, bool)
@@ -81,9 +81,10 @@ def splats_of(field: Field) -> Splats:
         raise InputError("the scene has no splats: everything in it is clear")
     at, rows = tuple(index.T), field.bricks.rows_of(torch.from_numpy(index)).to(field.grid.device)
     coefficients = field.coefficients.detach()[rows]
+    sides = np.diagonal(field.cells(index), axis1=1, axis2=2)
     return Splats(
-        field.low + index * spacing, log_radiance[at], coefficients.cpu().numpy(),
-        np.minimum(opacity[at], MOST_OPACITY), spacing / math.sqrt(2 * math.pi),
+        field.places(index), log_radiance[at], coefficients.cpu().numpy(),
+        np.minimum(opacity[at], MOST_OPACITY), sides / math.sqrt(2 * math.pi),
     )  # fmt: skip
 
 
