@@ -76,6 +76,7 @@ def intervals(
     pixel = np.asarray(y, np.int32) * np.int32(width) + np.asarray(x, np.int32)
     order = np.argsort(pixel, kind="stable")
     pixel, t, on = pixel[order], np.asarray(t)[order], np.asarray(on)[order]
+    shortest = np.asarray(shortest)[order] if np.ndim(shortest) else shortest
     del order  # as large as the times
     size = None
     if drift or memory:

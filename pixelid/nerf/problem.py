@@ -13,6 +13,7 @@ from pixelid.nerf.additions import tilts
 from pixelid.nerf.calibration import Calibration
 from pixelid.nerf.dataset import Dataset
 from pixelid.nerf.gauge import CLOSE_PIXELS, crossing_time, gauge_of, scene_box
+from pixelid.nerf.image_speed import crossing_times
 from pixelid.nerf.intervals import Intervals, intervals, split
 from pixelid.nerf.pixel_maps import PixelMaps, find_hot, maps_of_circuit, rate_of_hot
 from pixelid.nerf.quiet import LONG, quiet_intervals
@@ -23,6 +24,9 @@ from pixelid.stages.circuit import Circuit
 # Share of intervals shorter than the dead time that stamps and noise may make; where more are, the pixel is faster than
 # told, and the dead time is that short.
 TOO_SHORT = 1e-3
+# Times the crossing time of the box's image as a whole: where a camera hardly moves, events come from a pixel that lags
+# or leaks, and each tells its own time.
+MOST_UNEVEN = 10.0
 HELD_OUT = 0.03  # share of pixels whose events are kept from training
 
 
@@ -37,6 +41,7 @@ def problem_of(
     near: float = 0.0,
     maps: PixelMaps | None = None,
     held_out: float = HELD_OUT,
+    cells: int = 0,
     close: float = CLOSE_PIXELS,
     seed: int = 0,
 ) -> Problem:
@@ -54,7 +59,8 @@ def problem_of(
         near: distance from the camera before which nothing is.
         maps: how single pixels depart from the circuit; by default unknown to its mismatch.
         held_out: share of the pixels that training does not see.
-        close: events are merged while the image moves by less than that, in pixels.
+        cells: of the field per side in the end; 0 where they are smaller than pixels.
+        close: events are merged while the image moves by less than that, in pixels or in cells, whichever are larger.
         seed: of the pixels held out.
 
     Returns:
@@ -87,7 +93,12 @@ def problem_of(
     lengths = interval_lengths(t, y * camera.width + x)
     if len(lengths) and (possible := float(np.quantile(lengths, TOO_SHORT))) < circuit.refractory:
         circuit = circuit.with_(refractory=possible)
-    shortest = close * crossing_time(dataset.trajectory, camera, low, high)
+    size = float((high - low).max()) / cells if cells else 0.0
+    crossed_s = crossing_time(dataset.trajectory, camera, low, high)
+    shortest = close * crossing_times(
+        dataset.trajectory, camera, low, high, t, y * camera.width + x, cell=size, within=crossed_s,
+        most=MOST_UNEVEN * crossed_s, near=near,
+    )  # fmt: skip
 
     def cut(of: Circuit) -> Intervals:
         return intervals(
@@ -103,7 +114,7 @@ def problem_of(
         training, held = every, every.of(np.zeros(len(every.starts), bool))
     held_pixels = np.unique(held.stretches.pixel[held.starts])
     quiet = quiet_intervals(
-        t, y * camera.width + x, camera.width, camera.height, least=LONG * shortest, dead=circuit.refractory,
+        t, y * camera.width + x, camera.width, camera.height, least=LONG * close * crossed_s, dead=circuit.refractory,
         left_out=np.union1d(hot, held_pixels), kept=calibration.kept,
     )  # fmt: skip
     row, column = np.divmod(np.arange(camera.width * camera.height), camera.width)

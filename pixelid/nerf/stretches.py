@@ -59,15 +59,16 @@ class Stretches(NamedTuple):
 
 
 def stretches(
-    t, pixel, on, dead: float, lag: float, shortest: float, noise: float = NOISE, size: np.ndarray | None = None
-) -> Stretches:
+    t, pixel, on, dead: float, lag: float, shortest: float | np.ndarray, noise: float = NOISE,
+    size: np.ndarray | None = None,
+) -> Stretches:  # fmt: skip
     """Stretches of events sorted by (pixel, time).
 
     t: (N,) s;  pixel: (N,);  on: (N,) bool;  dead: s;  lag: s, time constant of the amplifier after its reset;
-    shortest: s, intervals shorter than that are merged (0: none);  noise: of a threshold, relative;  size: (N,) of each
-    event's threshold, relative to the nominal one (default 1)
+    shortest: s, intervals shorter than that are merged (0: none), or (N,) of those that end with each event;  noise: of
+    a threshold, relative;  size: (N,) of each event's threshold, relative to the nominal one (default 1)
     """
-    size = np.ones(1) if size is None else size
+    size, shortest = np.ones(1) if size is None else size, np.atleast_1d(shortest)
     columns = t, pixel, on, size, dead, lag, shortest, noise
     n = _cut(*columns, *_columns(0))  # counted first: room for twice the events would take more than they do
     out = _columns(n)
@@ -82,9 +83,9 @@ def _columns(n: int) -> tuple[np.ndarray, ...]:
 
 
 @njit(inline="always")
-def _size(size, i):
-    """Of event i's threshold; one number where all are alike."""
-    return size[i] if len(size) > 1 else size[0]
+def _of(values, i):
+    """The value of event i; one number where all are alike."""
+    return values[i] if len(values) > 1 else values[0]
 
 
 @njit(cache=True, nogil=True)
@@ -121,7 +122,7 @@ def _burst(t, on, size, first, k, j, last, dead, lag, noise):
     """
     rise, fall, variance = 0.0, 0.0, 0.0
     for i in range(k, j + 1):
-        crossed = _size(size, i) if i > k else 0.0
+        crossed = _of(size, i) if i > k else 0.0
         same, slope, unseen = i < last and on[i] == on[i + 1], i > first and on[i - 1] == on[i], 0.0
         if same:
             unseen = dead / _looking(t, i + 1, dead, lag)
@@ -130,14 +131,14 @@ def _burst(t, on, size, first, k, j, last, dead, lag, noise):
         elif slope and same:
             unseen = max(unseen, dead / _looking(t, i, dead, lag))
         if unseen > 0.0:
-            unseen *= _size(size, i + 1 if same else i)
+            unseen *= _of(size, i + 1 if same else i)
             crossed += unseen
             variance += ((GUESSED if same else BEYOND) * unseen) ** 2
         if on[i]:
             rise += crossed
         else:
             fall += crossed
-        variance += (_size(size, i) * noise) ** 2
+        variance += (_of(size, i) * noise) ** 2
     return rise, fall, variance
 
 
@@ -146,17 +147,19 @@ def _cut(
     t, pixel, on, size, dead, lag, shortest, noise, begins, ends, pixels, rises, falls, variances, resets, bursts
 ):  # fmt: skip
     """Fill the columns of `Stretches` (M,), where they are not empty; how many stretches there are."""
-    n, first, away, fill = 0, 0, 0.5 * shortest, len(begins) > 0
+    n, first, fill = 0, 0, len(begins) > 0
     while first < len(t):
         last = first
         while last + 1 < len(t) and pixel[last + 1] == pixel[first]:
             last += 1
-        k, before = first, 0.0  # the burst that begins with event k, and how much of its threshold is the burst's
+        # the burst that begins with event k, how much of its threshold is the burst's, and how long before it begins
+        k, before, earlier = first, 0.0, 0.0
         while True:
             j = k
-            while j < last and t[j + 1] - t[j] - dead < shortest:
+            while j < last and t[j + 1] - t[j] - dead < _of(shortest, j + 1):
                 j += 1
             length = t[j + 1] - t[j] - dead if j < last else 0.0  # of the quiet interval after it
+            away = 0.5 * _of(shortest, j + 1) if j < last else 0.0
             after, over = 0.0, 0.0  # of its threshold what is the burst's, and how far the burst went beyond its last
             if j > k and j < last:
                 after, over = away / length, min(_moved(t, on, j, dead, lag, away), _beyond(t, j, dead, lag)[1])
@@ -164,44 +167,44 @@ def _cut(
                     after, over = max(after, over), 0.0
             if j > k:
                 if fill:
-                    begins[n] = t[k] - (away if before > 0.0 else 0.0)
+                    begins[n] = t[k] - (earlier if before > 0.0 else 0.0)
                     ends[n] = t[j] + dead + away if j < last else t[j]
                     rise, fall, variance = _burst(t, on, size, first, k, j, last, dead, lag, noise)
                     if on[k]:
-                        rise += before * _size(size, k)
+                        rise += before * _of(size, k)
                     else:
-                        fall += before * _size(size, k)
+                        fall += before * _of(size, k)
                     if j < last and on[j + 1]:
-                        rise += after * _size(size, j + 1)
+                        rise += after * _of(size, j + 1)
                     elif j < last:
-                        fall += after * _size(size, j + 1)
+                        fall += after * _of(size, j + 1)
                     if on[j]:
-                        rise += over * _size(size, j)
+                        rise += over * _of(size, j)
                     else:
-                        fall += over * _size(size, j)
+                        fall += over * _of(size, j)
                     variance += ((before > 0.0) + (after > 0.0)) * INSIDE**2
                     pixels[n], rises[n], falls[n], variances[n] = pixel[k], rise, fall, variance
                     resets[n], bursts[n] = False, True
                 n += 1
             if j == last:
                 break
-            ends_at_burst = j + 1 < last and t[j + 2] - t[j + 1] - dead < shortest
-            k, before = j + 1, 0.0
+            ends_at_burst = j + 1 < last and t[j + 2] - t[j + 1] - dead < _of(shortest, j + 2)
+            k, before, earlier = j + 1, 0.0, away
             if ends_at_burst:
                 before = min(max(away / length, _moved(t, on, k + 1, dead, lag, away)), 1.0 - after + over)
             begin = t[j] + dead + (away if after > 0.0 else 0.0)
             end = t[k] - (away if ends_at_burst else 0.0)
             if end > begin:
                 if fill:
-                    crossed = (1.0 - before - after) * _size(size, k)
+                    crossed = (1.0 - before - after) * _of(size, k)
                     whole = before == 0.0 and after == 0.0
                     begins[n], ends[n], pixels[n] = begin, end, pixel[k]
                     rises[n], falls[n] = (crossed, 0.0) if on[k] else (0.0, crossed)
                     if on[j]:
-                        rises[n] -= over * _size(size, j)
+                        rises[n] -= over * _of(size, j)
                     else:
-                        falls[n] -= over * _size(size, j)
-                    variances[n] = (_size(size, k) * noise) ** 2 + (0.0 if whole else INSIDE**2)
+                        falls[n] -= over * _of(size, j)
+                    variances[n] = (_of(size, k) * noise) ** 2 + (0.0 if whole else INSIDE**2)
                     resets[n], bursts[n] = whole, False
                 n += 1
         first = last + 1

@@ -73,7 +73,7 @@ class Trajectory:
 
 
 @njit(inline="always")
-def _place(time, t, k):
+def interval_at(time, t, k):
     """The interval of poses at a time; k: one that may be it, as times of a run follow each other closely."""
     if t[k] <= time < t[k + 1]:
         return k
@@ -81,7 +81,7 @@ def _place(time, t, k):
 
 
 @njit(cache=True, nogil=True)
-def _pose(time, k, t, position, orientation):
+def pose_at(time, k, t, position, orientation):
     """(px, py, pz, qx, qy, qz, qw) at one time, in the interval k of poses."""
     f = min(max((time - t[k]) / (t[k + 1] - t[k]), 0.0), 1.0)
     dot = 0.0
@@ -121,8 +121,8 @@ def rotate(x, y, z, w, a, b, c):
 def _poses(times, t, position, orientation, out_position, out_rotation):
     k = 0
     for i in range(len(times)):
-        k = _place(times[i], t, k)
-        p0, p1, p2, x, y, z, w = _pose(times[i], k, t, position, orientation)
+        k = interval_at(times[i], t, k)
+        p0, p1, p2, x, y, z, w = pose_at(times[i], k, t, position, orientation)
         out_position[i, 0], out_position[i, 1], out_position[i, 2] = p0, p1, p2
         for j in range(3):
             e0, e1, e2 = 1.0 * (j == 0), 1.0 * (j == 1), 1.0 * (j == 2)
@@ -134,8 +134,8 @@ def _poses(times, t, position, orientation, out_position, out_rotation):
 def _rays(times, directions, t, position, orientation, origins, out):
     k = 0
     for i in range(len(times)):
-        k = _place(times[i], t, k)
-        p0, p1, p2, x, y, z, w = _pose(times[i], k, t, position, orientation)
+        k = interval_at(times[i], t, k)
+        p0, p1, p2, x, y, z, w = pose_at(times[i], k, t, position, orientation)
         d0, d1, d2 = rotate(x, y, z, w, directions[i, 0], directions[i, 1], directions[i, 2])
         origins[i, 0], origins[i, 1], origins[i, 2] = p0, p1, p2
         out[i, 0], out[i, 1], out[i, 2] = d0, d1, d2
