@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,12 +11,14 @@ import numpy as np
 from pixelid.figures.style import INK, OFF, ON, new_axes, save_figure, series_colours, styled
 from pixelid.nerf.beside import write_slider
 from pixelid.nerf.reconstruct import Reconstruction
+from pixelid.nerf.residuals import Left
 
 SHOWN = 5
 
 
 def write_figures(result: Reconstruction, folder: Path) -> None:
-    """Write views.svg, the slider's pictures, training.svg and, after a search for effects, gap.svg."""
+    """Write views.svg, the slider's pictures, training.svg and, after a search for effects, gap.svg and what is left
+    in the end: final.svg and pixels.svg."""
     if len(result.truth):
         save_figure(draw_views(result), folder / "views.svg")
         write_slider(result.truth, result.scores, result.beside, folder)
@@ -24,6 +26,10 @@ def write_figures(result: Reconstruction, folder: Path) -> None:
         save_figure(draw_training(result), folder / "training.svg")
     if result.gap and result.gap["residuals"]:
         save_figure(draw_residuals(result.gap["residuals"]), folder / "gap.svg")
+    if result.left:
+        save_figure(draw_residual_pixels(result.left), folder / "pixels.svg")
+        if result.left.maps:
+            save_figure(draw_residuals(result.left.maps, (("final", "trained to the end"),)), folder / "final.svg")
 
 
 @styled
@@ -79,14 +85,20 @@ COVARIATES = {
 }
 
 
+BOTH = (("before", "pixel as told"), ("after", "with what was found"))
+
+
 @styled
-def draw_residuals(residuals: Mapping[str, Mapping[str, list]], axes: Any = None) -> Any:
+def draw_residuals(
+    residuals: Mapping[str, Mapping[str, list]], shown: Sequence[tuple[str, str]] = BOTH, axes: Any = None
+) -> Any:
     """What held-out events say beyond the scene, without and, below, with what was found, if anything was.
 
-    Returns the axes (1 or 2, covariates).
+    shown: names of `residual_map`, and what they are;  returns the axes (rows, covariates).
     """
-    found = any(one[f"{p}_before"] != one[f"{p}_after"] for one in residuals.values() for p in ("on", "off"))
-    shown = (("before", "pixel as told"), ("after", "with what was found"))[: 2 if found else 1]
+    first, last = shown[0][0], shown[-1][0]
+    found = any(one[f"{p}_{first}"] != one[f"{p}_{last}"] for one in residuals.values() for p in ("on", "off"))
+    shown = shown if found else shown[:1]
     if axes is None:
         axes = new_axes(len(shown), len(residuals), 2.8, 2.2)
     axes = axes.reshape(len(shown), -1)
@@ -109,4 +121,25 @@ def draw_residuals(residuals: Mapping[str, Mapping[str, list]], axes: Any = None
     for row, (_, words) in enumerate(shown):
         axes[row, 0].set_ylabel(f"{words}:\nmean rest (thresholds)")
     axes[0, 0].legend()
+    return axes
+
+
+@styled
+def draw_residual_pixels(left: Left, axes: Any = None) -> Any:
+    """What ON and OFF events of each pixel say beyond the scene in the end, and their size; returns the axes (3,)."""
+    if axes is None:
+        axes = new_axes(1, 3, 3.0, 2.6)
+    axes = np.ravel(axes)
+    most = float(np.nanquantile(np.abs(np.stack([left.on, left.off])), 0.99)) if np.isfinite(left.rms).any() else 1.0
+    for axis, values, words in zip(
+        axes, (left.on, left.off, left.rms), ("ON, mean", "OFF, mean", "root mean square"), strict=True
+    ):
+        signed = values is not left.rms
+        spread = {"cmap": "RdBu_r", "vmin": -most, "vmax": most} if signed else {"cmap": "magma", "vmin": 0.0}
+        picture = axis.imshow(values, **spread)
+        axis.set_title(words)
+        axis.set_xticks([])
+        axis.set_yticks([])
+        axis.grid(False)
+        axis.figure.colorbar(picture, ax=axis, shrink=0.8, label="thresholds")
     return axes

@@ -23,6 +23,7 @@ from pixelid.nerf.pixel_maps import maps_of_sensor
 from pixelid.nerf.preview import refuse_preview, write_preview
 from pixelid.nerf.problem import HELD_OUT, problem_of
 from pixelid.nerf.recipe import Recipe
+from pixelid.nerf.residuals import Left, left_by
 from pixelid.nerf.saved import SavedReconstruction, write_field
 from pixelid.nerf.search import HELD_OUT as SEARCH_HELD_OUT
 from pixelid.nerf.search import hot_pixels, search
@@ -38,6 +39,7 @@ LEARNED = 0.9  # share of held-out changes left unexplained, above which the fie
 # Standard deviations of a fit from which on a trained threshold contradicts it: the scene's contrast, which events tell
 # from a threshold hardly, has taken it along
 MOST_FAR = 5.0
+RESIDUALS = "residuals.npz"
 LOOKS = 10  # running PSNR, per run
 SAVE_EVERY, SAVE_AFTER_S = 100, 30.0  # steps between checkpoints; sooner where steps take long
 
@@ -49,7 +51,8 @@ class Reconstruction(Result):
     status: how it ended;  scores: of the test views, NaN when it diverged;  held_out: share of held-out changes left
     unexplained;  truth: the test views;  ignored: what is known of the pixel and the reconstruction does not model;
     published: scores by the reference implementation's protocol, on request;  gap: effects found in the events, on
-    request (`search.Found.as_dict`);  recipe: how it was trained;  beside: another scene of the same data
+    request (`search.Found.as_dict`);  recipe: how it was trained;  beside: another scene of the same data;  left: what
+    events say beyond the scene in the end, where effects were looked for
     """
 
     FILE: ClassVar[str] = "reconstruction.json"
@@ -72,6 +75,7 @@ class Reconstruction(Result):
     published: Scores | None = None
     gap: Mapping[str, Any] | None = None
     beside: Beside | None = None
+    left: Left | None = None
 
     def as_dict(self) -> dict:
         """The content of reconstruction.json (docs/formats.md)."""
@@ -83,7 +87,7 @@ class Reconstruction(Result):
             "bandwidth": self.bandwidth.mode,
             "ignored": list(self.ignored),
             "unidentified": _left_open(self.problem, self.state),
-            "gap": self.gap,
+            "gap": {**self.gap, "final": self.left.as_dict() if self.left else None} if self.gap else None,
             "beside": None if self.beside is None else self.beside.as_dict(),
             "views": self.scores.as_dict(self.truth),
             "correction": {
@@ -137,8 +141,10 @@ class Reconstruction(Result):
         return self._saved.sentences()
 
     def write_companions(self, folder: Path) -> None:
-        """Write field.npz, the scene, and camera_poses.npz where they were refined."""
+        """Write field.npz, the scene, camera_poses.npz where poses were refined, and residuals.npz after `gap`."""
         write_field(self.state.field, folder)
+        if self.left:
+            np.savez_compressed(folder / RESIDUALS, on=self.left.on, off=self.left.off, rms=self.left.rms)
         if self.state.poses.trained:
             write_poses(folder, self.state.poses.refined())
 
@@ -240,7 +246,7 @@ def reconstruct(
     def make(of: Calibration, trained: tuple[str, ...], held_out: float = HELD_OUT) -> Problem:
         return problem_of(
             dataset, of, trained=trained, background=background, scale=scale, box=box, near=near, maps=maps,
-            held_out=held_out, seed=seed,
+            cells=recipe.cells, held_out=held_out, seed=seed,
         )  # fmt: skip
 
     problem = make(calibration, bandwidth.moving)
@@ -317,10 +323,11 @@ def reconstruct(
     held_out = held_out_residual(problem, state) if finite else float("nan")
     told = np.isfinite(held_out) or not len(problem.held_out.starts)
     finite, far = finite and bool(told), state.pixel.thresholds_from_told()
+    left = left_by(problem, state) if finite and found is not None else None
     status, advice = _verdict(held_out, scores, state.iteration, finite, far, _left_open(problem, state))
     return Reconstruction(
         status, advice, bandwidth, state, problem, recipe, scores, test, held_out,
-        earlier + time.perf_counter() - watch, rate, device, seed, inputs, ignored, published, found, other,
+        earlier + time.perf_counter() - watch, rate, device, seed, inputs, ignored, published, found, other, left,
     )  # fmt: skip
 
 

@@ -6,8 +6,9 @@ same rows; pixels of the sensor are the independent units, since a chain's rows 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -44,6 +45,16 @@ class Rows:
     radiance: np.ndarray
     unit: float
 
+    @property
+    def beyond(self) -> np.ndarray:
+        """(n,) by how many thresholds events say more than the scene, of either polarity."""
+        return self.rest * np.where(self.rise, 1.0, -1.0)
+
+    @property
+    def told(self) -> bool:
+        """Whether there are any, and all are numbers."""
+        return bool(len(self.rest) and np.isfinite(self.rest).all() and np.isfinite(self.radiance).all())
+
 
 class Gain(NamedTuple):
     """How much better rows are explained than by another pixel.
@@ -76,13 +87,29 @@ def of_some_pixels(of: Intervals, starts: np.ndarray, most: int) -> np.ndarray:
     return np.sort(order[: int(np.flatnonzero(pixel[order] == last)[-1]) + 1])
 
 
+def of_every_pixel(of: Intervals, starts: np.ndarray, most: int) -> np.ndarray:
+    """Places in `starts` (k,), indices into `of.starts`, drawn as evenly over pixels as makes some `most`."""
+    pixel = of.stretches.pixel[of.starts[starts]]
+    drawn = np.random.default_rng(6).permutation(len(starts))
+    order = drawn[np.argsort(pixel[drawn], kind="stable")]
+    first = np.flatnonzero(np.concatenate([[True], np.diff(pixel[order]) != 0]))
+    place = np.arange(len(order)) - np.repeat(first, np.diff(np.append(first, len(order))))
+    return np.sort(order[place < max(most // len(first), 1)])
+
+
 def rows_of(problem: Problem, state: State, of: Intervals, unit: float) -> Rows:
     """The rows of the pixels of `of`, of as many as have some `MOST_CHAINS`, with the same random numbers every time.
 
     unit: thresholds that rests are counted in, ln L
     """
-    starts, parts = apart(of), []
+    starts = apart(of)
     starts = starts[of_some_pixels(of, starts, MOST_CHAINS)] if len(starts) > MOST_CHAINS else starts
+    return _rows_at(problem, state, of, starts, unit)
+
+
+def _rows_at(problem: Problem, state: State, of: Intervals, starts: np.ndarray, unit: float) -> Rows:
+    """The rows of the chains that begin at `starts`, indices into `of.starts`."""
+    parts = []
     for k in range(0, len(starts), BLOCK):
         rng = np.random.default_rng([1, k])
         with torch.no_grad():
@@ -100,32 +127,86 @@ def rows_of(problem: Problem, state: State, of: Intervals, unit: float) -> Rows:
     return Rows(*(np.concatenate(part) for part in zip(*parts, strict=True)), unit=unit)
 
 
-def residual_map(before: Rows, after: Rows) -> dict[str, dict[str, list]]:
-    """Mean rests over what may move them, in bins of equally many rows.
+def residual_map(**of: Rows) -> dict[str, dict[str, list]]:
+    """Mean rests over what may move them, in bins of equally many rows of the first.
 
     Args:
-        before, after: rows under two pixels.
+        of: rows by the name of what they were left by: `before=…, after=…`.
 
     Returns:
-        Per covariate ("interval_s", "time_s", "radiance"): "edges" of the bins, and per polarity and pixel
+        Per covariate ("interval_s", "time_s", "radiance"): "edges" of the bins, and per polarity and name
         ("on_before", …) by how many thresholds events say more than the scene.
     """
-    found = {}
+    found, first = {}, next(iter(of.values()))
     for name in ("interval_s", "time_s", "radiance"):
-        edges = np.unique(np.quantile(_covariate(before, name), np.linspace(0, 1, BINS + 1)))
+        edges = np.unique(np.quantile(_covariate(first, name), np.linspace(0, 1, BINS + 1)))
         edges = edges if len(edges) > 1 else np.repeat(edges, 2)  # one value everywhere
         columns: dict[str, list] = {"edges": edges.tolist()}
-        for when, rows in (("before", before), ("after", after)):
+        for when, rows in of.items():
             bin_ = np.clip(np.searchsorted(edges, _covariate(rows, name), side="right") - 1, 0, len(edges) - 2)
             for polarity, some in (("on", rows.rise), ("off", ~rows.rise)):
-                some = some & ~rows.burst
-                beyond = rows.rest * np.where(rows.rise, 1.0, -1.0)
+                some, beyond = some & ~rows.burst, rows.beyond
                 number = np.bincount(bin_[some], minlength=len(edges) - 1)
                 total = np.bincount(bin_[some], beyond[some], minlength=len(edges) - 1)
                 means = [float(t / n) if n else None for t, n in zip(total, number, strict=True)]
                 columns[f"{polarity}_{when}"] = means
         found[name] = columns
     return found
+
+
+@dataclass(frozen=True)
+class Left:
+    """What events say beyond a scene that has been trained to its end.
+
+    maps: of `residual_map` under "final", of held-out pixels;  on, off: (height, width) mean over the rows of each
+    pixel, of training ones as well, in thresholds, NaN where a pixel has none;  rms: (height, width) of both
+    """
+
+    maps: Mapping[str, Mapping[str, list]]
+    on: np.ndarray
+    off: np.ndarray
+    rms: np.ndarray
+
+    def as_dict(self) -> dict[str, Any]:
+        """The entry "final" of "gap" in reconstruction.json."""
+        return {
+            "residuals": {name: dict(columns) for name, columns in self.maps.items()},
+            "pixel_spread": {
+                name: float(np.nanstd(values)) if np.isfinite(values).any() else None
+                for name, values in (("on", self.on), ("off", self.off))
+            },
+        }  # fmt: skip
+
+
+def left_by(problem: Problem, state: State) -> Left | None:
+    """The residuals of a trained scene under its trained pixel; None where it has diverged.
+
+    Args:
+        problem: that it was trained on.
+        state: of the training.
+
+    Returns:
+        Maps over covariates, of held-out pixels, and over the sensor, of some `MOST_CHAINS` chains of all pixels.
+    """
+    unit = 0.5 * sum(float(x.detach()) for x in state.pixel.thresholds)
+    of_held_out = rows_of(problem, state, problem.held_out, unit) if len(problem.held_out.starts) else None
+    every = Intervals(problem.training.stretches, np.arange(len(problem.training.stretches.begin), dtype=np.int32))
+    starts = apart(every)
+    rows = _rows_at(problem, state, every, starts[of_every_pixel(every, starts, MOST_CHAINS)], unit)
+    if not rows.told:
+        return None
+    shape = problem.camera.height, problem.camera.width
+    single = ~rows.burst
+    on, off = (_mean(rows.pixel, rows.beyond, single & some, shape) for some in (rows.rise, ~rows.rise))
+    maps = residual_map(final=of_held_out) if of_held_out is not None and of_held_out.told else {}
+    return Left(maps, on, off, np.sqrt(_mean(rows.pixel, rows.rest**2, single, shape)))
+
+
+def _mean(pixel: np.ndarray, values: np.ndarray, some: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+    """(height, width) of values (n,) at pixels (n,), NaN where there are none among `some`."""
+    number = np.bincount(pixel[some], minlength=shape[0] * shape[1])
+    total = np.bincount(pixel[some], values[some], minlength=len(number))
+    return np.where(number > 0, total / np.maximum(number, 1), np.nan).reshape(shape)
 
 
 def _covariate(rows: Rows, name: str) -> np.ndarray:

@@ -32,6 +32,7 @@ from pixelid.stages.circuit import Circuit
 
 EFFECTS = {"refractory": "refractory_period"}  # where the library has another name than training
 BANDWIDTH, MISMATCHED = "bandwidth", "threshold_mismatch"
+BANDWIDTH_FACTORS = ("alpha", "follower")  # of `FILTER`: how fast, not how far from overshooting
 # Polarity memory is not: events of one polarity follow each other within edges, where a coarse scene lacks contrast,
 # and it was named in a camera that has none.
 SEARCHED = ("refractory", "leak", "parasitic_photocurrent", "threshold_drift")
@@ -184,8 +185,7 @@ def hot_pixels(problem: Problem) -> dict[str, Any] | None:
 
 def _map(before: Rows, after: Rows) -> Mapping[str, Any]:
     """As `residual_map`; nothing where a scene has diverged, or held-out pixels say nothing."""
-    told = all(len(r.rest) and np.isfinite(r.rest).all() and np.isfinite(r.radiance).all() for r in (before, after))
-    return residual_map(before, after) if told else {}
+    return residual_map(before=before, after=after) if before.told and after.told else {}
 
 
 @dataclass(frozen=True)
@@ -312,7 +312,7 @@ def _with_named(told: Calibration, found: Calibration, names: Sequence[str], pro
     named = told
     for name in sorted(names, key=lambda name: name not in OF_EVENTS):  # these move thresholds, hence leaks
         if name == BANDWIDTH:
-            moved = {part: getattr(found.circuit, part) for part in _trained_by(name, told)}
+            moved = {part: getattr(found.circuit, part) for part in _cutoffs(told.circuit)}
             named = replace(named, circuit=named.circuit.with_(**moved))
             continue
         field = ADDITIONS[name].field if name in ADDITIONS else ""
@@ -339,7 +339,7 @@ def _candidates(calibration: Calibration, bandwidth: Bandwidth, mapped: bool, sh
         names = [name for name in names if name != "refractory"]
     if not mapped and circuit.mismatch < MISMATCH:
         names.append(MISMATCHED)
-    if bandwidth.mode == "on" and circuit.photoreceptor == "second_order":
+    if bandwidth.mode == "on" and bandwidth.samples > 1 and _trained_by(BANDWIDTH, calibration):
         names.append(BANDWIDTH)
     return tuple(names)
 
@@ -347,8 +347,15 @@ def _candidates(calibration: Calibration, bandwidth: Bandwidth, mapped: bool, sh
 def _trained_by(name: str, calibration: Calibration) -> tuple[str, ...]:
     """What of the pixel a candidate trains; a dead time is held, since training knows it to first order only."""
     if name == BANDWIDTH:
-        return tuple(part for part in ("alpha", "follower") if part in filter_parameters(calibration.circuit))
+        return tuple(part for part in BANDWIDTH_FACTORS if part in filter_parameters(calibration.circuit))
     return (name,) if name in ADDITIONS and name != "refractory" else ()
+
+
+def _cutoffs(circuit: Circuit) -> tuple[str, ...]:
+    """Fields of a circuit that a filter slower or faster than told moves; of one pole α is its corner."""
+    one = circuit.photoreceptor == "one_pole"
+    has = filter_parameters(circuit)
+    return tuple("corner" if one and part == "alpha" else part for part in BANDWIDTH_FACTORS if part in has)
 
 
 def _renewed(here: _Place, suggested: Suggested, problem: Problem, name: str = "", at_rest: bool = True) -> _Place:
@@ -399,7 +406,7 @@ def _told(name: str, calibration: Calibration) -> dict[str, float]:
     if name == MISMATCHED:
         return {"threshold_mismatch.sigma": circuit.mismatch}
     if name == BANDWIDTH:
-        return {"alpha": circuit.alpha, "follower": circuit.follower}
+        return {part: getattr(circuit, part) for part in _cutoffs(circuit)}
     return {ADDITIONS[name].parameter: getattr(circuit, ADDITIONS[name].field)}
 
 

@@ -15,9 +15,9 @@ from pixelid.nerf.intervals import CHAIN, chains, intervals
 from pixelid.nerf.losses import amplifier_drift, changes, terms
 from pixelid.nerf.pixel import TRAINABLE, Bandwidth, Pixel
 from pixelid.nerf.pixel_maps import PixelMaps
-from pixelid.nerf.residuals import Rows, apart, compare, of_some_pixels, residual_map
+from pixelid.nerf.residuals import Rows, apart, compare, of_every_pixel, of_some_pixels, residual_map
 from pixelid.nerf.scan import respond
-from pixelid.nerf.search import _begun, _candidates, _with_named, with_trained_values
+from pixelid.nerf.search import _begun, _candidates, _told, _with_named, with_trained_values
 from pixelid.nerf.state import Problem
 from pixelid.stages.circuit import Circuit
 from tests.unit.test_nerf_stretches import QUICK, comparator
@@ -165,7 +165,7 @@ def test_a_residual_map_shows_what_depends_on_the_interval():
     length = end - begin
     on = np.arange(2000) % 2 == 0
     before = rows(np.where(on, 1.0, -1.0) * (0.5 - length), end, begin=begin)
-    found = residual_map(before, rows(np.zeros(2000), end, begin=begin))["interval_s"]
+    found = residual_map(before=before, after=rows(np.zeros(2000), end, begin=begin))["interval_s"]
     for polarity in ("on", "off"):
         assert found[f"{polarity}_before"][0] > 0.3
         assert found[f"{polarity}_before"][-1] < -0.3
@@ -270,3 +270,42 @@ def test_a_dead_time_is_not_tried_below_the_one_that_is_told():
     calibration = a_calibration(CIRCUIT)
     assert "refractory" in _candidates(calibration, Bandwidth("off"), False, shortest=2e-3)
     assert "refractory" not in _candidates(calibration, Bandwidth("off"), False, shortest=1.1e-3)
+
+
+FILTERS = {
+    "one pole": (replace(CIRCUIT, photoreceptor="one_pole", corner=30.0), {"corner": 30.0}),
+    "follower": (replace(CIRCUIT, follower=500.0), {"follower": 500.0}),
+    "second order": (
+        replace(CIRCUIT, photoreceptor="second_order", alpha=9.0, beta=1.0, gamma=1.0, follower=500.0),
+        {"alpha": 9.0, "follower": 500.0},
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", FILTERS)
+def test_another_bandwidth_is_tried_of_whatever_filters(kind):
+    """And of nothing else: not where the filter is ignored, trained anyway, or absent."""
+    circuit, cutoffs = FILTERS[kind]
+    calibration = a_calibration(circuit)
+    assert "bandwidth" in _candidates(calibration, Bandwidth("on"), False, shortest=0.0)
+    for other in (Bandwidth("off"), Bandwidth("joint"), Bandwidth("on", 1)):
+        assert "bandwidth" not in _candidates(calibration, other, False, shortest=0.0)
+    without = replace(circuit, photoreceptor="unlimited", follower=np.inf)
+    assert "bandwidth" not in _candidates(a_calibration(without), Bandwidth("on"), False, shortest=0.0)
+    assert _told("bandwidth", calibration) == cutoffs
+    found = replace(circuit, **{name: 2.0 * value for name, value in cutoffs.items()}, leak_hz=3.0)
+    problem = SimpleNamespace(tilts={})
+    named = _with_named(calibration, a_calibration(found), ["bandwidth"], problem).circuit
+    assert _told("bandwidth", a_calibration(named)) == {name: 2.0 * value for name, value in cutoffs.items()}
+    assert named.leak_hz == 0.0  # not named, so as told
+
+
+def test_chains_of_every_pixel_are_drawn_evenly():
+    every = cut(CIRCUIT)
+    starts = apart(every)
+    pixel = every.stretches.pixel[every.starts[starts]]
+    some = of_every_pixel(every, starts, 6)
+    assert (np.bincount(pixel[some], minlength=3) == 2).all()
+    assert (np.diff(some) > 0).all()
+    assert len(of_every_pixel(every, starts, 10**6)) == len(starts)
+    assert (np.bincount(pixel[of_every_pixel(every, starts, 1)]) == 1).all()  # each is asked, however few
