@@ -41,12 +41,13 @@ class Recipe:
 
     iterations: steps, 0 for as many as the data ask for;  batch: chains per step (over all processes), 0 likewise;
     vertices: grid sizes, each for an equal share of the steps (empty: `for_sensor` chooses);  rate, last_rate: learning
-    rate, decaying exponentially;  weights: λ;  roughness: λ of the total variation of log radiance;  emptiness: λ of
-    the mean log density, which clears what no event asks for;  quiet: λ of changes where nothing fired;  degree: of
-    the harmonics by which colour depends on the direction;  stiffness: λ of their mean square;  level: λ of the mean
-    log radiance when the gauge needs it;  between_poses: "linear" or "cubic", how the camera went;  refinement: of the
-    poses;  engine: of `render` and `respond`;  supersample: rays per pixel and side;
-    unbounded: whether space beyond the box is part of the field, contracted (`contraction`)
+    rate, decaying exponentially;  weights: λ;  roughness, density_roughness: λ of the total variation of
+    log radiance and of log density;  emptiness: λ of the mean log density, which clears what no event asks for;
+    quiet: λ of changes where nothing fired;  degree: of the harmonics by which colour depends on the direction;
+    stiffness: λ of their mean square;  level: λ of the mean log radiance when the gauge needs it;  between_poses:
+    "linear" or "cubic", how the camera went;  refinement: of the poses;  engine: of `render` and `respond`;
+    supersample: rays per pixel and side;  unbounded: whether space beyond the box is part of the field, contracted
+    (`contraction`)
     """
 
     iterations: int = 1200
@@ -56,6 +57,7 @@ class Recipe:
     last_rate: float = 0.01
     weights: Weights = dataclasses.field(default_factory=Weights)
     roughness: float = 0.05
+    density_roughness: float = 0.0
     emptiness: float = 0.01
     quiet: float = 0.1
     degree: int = 1

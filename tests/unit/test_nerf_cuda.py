@@ -69,7 +69,7 @@ def test_what_holds_a_field_smooth_is_the_same():
     for device in DEVICES:
         field = ball(29).to(device)
         parts = (
-            variation(field.grid, field.bricks), mean_log_density(field.grid, field.bricks),
+            *variation(field.grid, field.bricks), mean_log_density(field.grid, field.bricks),
             mean_square(field.coefficients, field.bricks),
         )  # fmt: skip
         torch.stack(parts).sum().backward()
