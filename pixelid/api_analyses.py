@@ -126,6 +126,7 @@ def reconstruct(
     harmonics: int = 1,
     iterations: int | str | None = None,
     batch: int | None = None,
+    regularisation: str = "usual",
     background: float | None = None,
     scale: str = "auto",
     box: tuple[float, ...] | None = None,
@@ -158,6 +159,7 @@ def reconstruct(
         harmonics: degree of the harmonics by which colours depend on the direction, 0 to 2.
         iterations: training steps, 1200 by default; "auto" for steps and batch by the number of events.
         batch: chains of events per step; by default 320, or what "auto" chooses.
+        regularisation: how smooth the field is held, "usual", or "auto" where held-out events choose a factor.
         background: radiance behind the scene; by default what the views show.
         scale: what pins the radiance unit: "auto", "level" or "free".
         box: corners of the scene, x0 y0 z0 x1 y1 z1; by default a cube where the views look.
@@ -195,7 +197,7 @@ def reconstruct(
         raise InputError(f"protocol: expected strict or paper, found {protocol!r}")
     recipe = Recipe.asked(
         steps=iterations, batch=batch, cells=cells, harmonics=harmonics, between_poses=between_poses,
-        refinement=Refinement.of(refine_time, refine_poses), unbounded=unbounded,
+        refinement=Refinement.of(refine_time, refine_poses), regularisation=regularisation, unbounded=unbounded,
     )  # fmt: skip
     return run(
         read_dataset(Path(dataset)), fit=None if fit is None else Path(fit),

@@ -63,6 +63,8 @@ class StepsOrAuto(click.IntRange):
 @click.option(
     "--batch", type=click.IntRange(1, 10_000_000), help="Chains of events per step; 320, or what --steps auto chooses."
 )
+@click.option("--regularisation", type=click.Choice(["usual", "auto"]), default="usual", show_default=True,
+              help="How smooth the field is held; auto: a third, once or thrice that, by held-out events.")  # fmt: skip
 @click.option("--background", type=options.Number(0.0, open_low=True),
               help="Radiance behind the scene; by default what the views show.")  # fmt: skip
 @click.option("--scale", type=click.Choice(["auto", "level", "free"]), default="auto", show_default=True,
@@ -84,8 +86,8 @@ class StepsOrAuto(click.IntRange):
 @options.quiet
 def command(
     dataset, out, fit, sensor, bandwidth, samples, trained, between_poses, refine_time, refine_poses, gap, beside,
-    cells, harmonics, steps, batch, background, scale, box, near, unbounded, radiance_scale, protocol, checkpoint,
-    device, overwrite, seed, quiet,
+    cells, harmonics, steps, batch, regularisation, background, scale, box, near, unbounded, radiance_scale, protocol,
+    checkpoint, device, overwrite, seed, quiet,
 ):  # fmt: skip
     """Reconstruct the scene of DATASET, a folder in the published layout of Robust e-NeRF and Deblur e-NeRF.
 
@@ -136,7 +138,7 @@ def command(
         data = read_dataset(dataset)
         recipe = Recipe.asked(
             steps=steps, batch=batch, cells=cells, harmonics=harmonics, between_poses=between_poses,
-            refinement=Refinement.of(refine_time, refine_poses), unbounded=unbounded,
+            regularisation=regularisation, refinement=Refinement.of(refine_time, refine_poses), unbounded=unbounded,
         )  # fmt: skip
         pixel = Bandwidth(bandwidth, samples, trained=trained)
         with bar(quiet or not first, compiles=True) as report:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import io
 import json
 from collections.abc import Mapping
@@ -9,7 +10,6 @@ from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import torch
 
 from pixelid.documents import read_text
@@ -20,11 +20,14 @@ from pixelid.nerf.calibration import Calibration
 from pixelid.nerf.field import Field, blocks
 from pixelid.nerf.pixel import Bandwidth
 from pixelid.nerf.recipe import Recipe
-from pixelid.nerf.state import Problem, State, optimiser_of, start
+from pixelid.nerf.regularisation import Regularisation, Trial
+from pixelid.nerf.state import Problem, State, learned, optimiser_of, start, take
+from pixelid.nerf.stopping import Look
 from pixelid.outputs import set_aside, whole_file
 
-FORMAT = "pixelid-reconstruction-checkpoint-2"
-OLDER = ("pixelid-reconstruction-checkpoint",)  # before fields lay in bricks
+FORMAT = "pixelid-reconstruction-checkpoint-3"
+# Before fields lay in bricks, before held-out events chose
+OLDER = ("pixelid-reconstruction-checkpoint", "pixelid-reconstruction-checkpoint-2")
 
 
 def run_identity(problem: Problem, recipe: Recipe, bandwidth: Bandwidth, inputs: dict[str, str]) -> str:
@@ -48,17 +51,16 @@ def save(path: Path, state: State, mark: str) -> None:
         "rays": state.rays,
         "seconds": state.seconds,
         "history": state.history,
-        "vertices": state.field.vertices,
-        "bricks": torch.from_numpy(state.field.bricks.index),
-        "grid": state.field.grid.detach().cpu(),
-        "coefficients": state.field.coefficients.detach().cpu(),
-        "log_background": state.field.log_background.detach().cpu(),
-        "occupied": torch.from_numpy(state.field.occupied),
-        "factors": state.pixel.factors.detach().cpu(),
-        "added": state.pixel.added.detach().cpu(),
-        "departures": state.pixel.departures.detach().cpu(),
-        "offset": state.poses.offset.detach().cpu(),
-        "moved": state.poses.moved.detach().cpu(),
+        **learned(state),
+        "stopping": {
+            "looks": [(look.iteration, torch.from_numpy(look.losses), look.rows) for look in state.stopping.looks],
+            "kept": state.stopping.kept,
+            "scene": state.stopping.scene,
+        },
+        "regularisation": {
+            "factor": state.regularisation.factor,
+            "trials": [dataclasses.asdict(trial) for trial in state.regularisation.trials],
+        },
         "optimiser": state.optimiser.state_dict(),
     }
     packed = io.BytesIO()  # PyTorch's own stream does not say why a write failed
@@ -94,19 +96,18 @@ def _refuse(path: Path, why: str, suffix: str) -> None:
 def _restored(document: dict, problem: Problem, recipe: Recipe, bandwidth: Bandwidth, device: str) -> State:
     """The state that `save` put down."""
     state = start(problem, recipe, bandwidth, device)
-    state.field.hold(_bricks(document, state.field), document["grid"], document["coefficients"])
-    with torch.no_grad():
-        state.field.log_background.copy_(document["log_background"])
-        state.pixel.factors.copy_(document["factors"])
-        state.pixel.added.copy_(document["added"])
-        state.pixel.departures.copy_(document["departures"])
-        state.poses.offset.copy_(document["offset"])
-        state.poses.moved.copy_(document["moved"])
-    state.field.occupied = np.ascontiguousarray(document["occupied"].cpu().numpy())
+    take(state, _bricks(document, state.field), document)
     state.optimiser = optimiser_of(state.field, state.pixel, state.poses, recipe)
     state.optimiser.load_state_dict(document["optimiser"])
     state.iteration, state.rays, state.history = document["iteration"], document["rays"], document["history"]
     state.seconds = float(document.get("seconds", 0.0))
+    said, chosen = document["stopping"], document["regularisation"]
+    looks = [Look(int(at), losses.cpu().numpy(), int(rows)) for at, losses, rows in said["looks"]]
+    if said["scene"]:
+        _bricks(said["scene"], state.field)
+    state.stopping = replace(state.stopping, looks=looks, kept=int(said["kept"]), scene=said["scene"])
+    trials = tuple(Trial(**trial) for trial in chosen["trials"])
+    state.regularisation = Regularisation(float(chosen["factor"]), trials)
     return state
 
 

@@ -16,6 +16,7 @@ from pixelid.nerf.harmonics import HIGHEST_DEGREE
 from pixelid.nerf.intervals import CHAIN
 from pixelid.nerf.losses import Weights
 from pixelid.nerf.poses import Refinement
+from pixelid.nerf.regularisation import CHOICES, USUAL
 from pixelid.nerf.trajectory import BETWEEN_POSES
 
 MOST_CELLS = (32, 512)  # per side, of a sensor that leaves them open
@@ -42,12 +43,12 @@ class Recipe:
     iterations: steps, 0 for as many as the data ask for;  batch: chains per step (over all processes), 0 likewise;
     vertices: grid sizes, each for an equal share of the steps (empty: `for_sensor` chooses);  rate, last_rate: learning
     rate, decaying exponentially;  weights: λ;  roughness, density_roughness: λ of the total variation of
-    log radiance and of log density;  emptiness: λ of the mean log density, which clears what no event asks for;
-    quiet: λ of changes where nothing fired;  degree: of the harmonics by which colour depends on the direction;
-    stiffness: λ of their mean square;  level: λ of the mean log radiance when the gauge needs it;  between_poses:
-    "linear" or "cubic", how the camera went;  refinement: of the poses;  engine: of `render` and `respond`;
-    supersample: rays per pixel and side;  unbounded: whether space beyond the box is part of the field, contracted
-    (`contraction`)
+    log radiance and of log density;  regularisation: "usual", or "auto" where held-out events choose a factor of both;
+    emptiness: λ of the mean log density, which clears what no event asks for;  quiet: λ of changes where nothing fired;
+    degree: of the harmonics by which colour depends on the direction;  stiffness: λ of their mean square;  level: λ of
+    the mean log radiance when the gauge needs it;  between_poses: "linear" or "cubic", how the camera went;
+    refinement: of the poses;  engine: of `render` and `respond`;  supersample: rays per pixel and side;  unbounded:
+    whether space beyond the box is part of the field, contracted (`contraction`)
     """
 
     iterations: int = 1200
@@ -58,6 +59,7 @@ class Recipe:
     weights: Weights = dataclasses.field(default_factory=Weights)
     roughness: float = 0.05
     density_roughness: float = 0.0
+    regularisation: str = USUAL
     emptiness: float = 0.01
     quiet: float = 0.1
     degree: int = 1
@@ -71,13 +73,16 @@ class Recipe:
     seed: int = 0
 
     def __post_init__(self) -> None:
+        if self.regularisation not in CHOICES:
+            raise InputError(f"regularisation: expected {' or '.join(CHOICES)}, found {self.regularisation!r}")
         if self.between_poses not in BETWEEN_POSES:
             raise InputError(f"between_poses: expected {' or '.join(BETWEEN_POSES)}, found {self.between_poses!r}")
 
     @classmethod
     def asked(
         cls, *, steps: int | str | None = None, batch: int | None = None, cells: int | None = None, harmonics: int = 1,
-        between_poses: str = "linear", refinement: Refinement | None = None, unbounded: bool = False,
+        between_poses: str = "linear", refinement: Refinement | None = None, regularisation: str = USUAL,
+        unbounded: bool = False,
     ) -> Recipe:  # fmt: skip
         """The recipe that a user asks for, the rest as usual.
 
@@ -88,6 +93,7 @@ class Recipe:
             harmonics: degree by which colours depend on the direction.
             between_poses: "linear" or "cubic".
             refinement: of the poses.
+            regularisation: "usual", or "auto" where held-out events choose.
             unbounded: whether the scene goes on beyond the box.
 
         Raises:
@@ -103,8 +109,10 @@ class Recipe:
             ):
                 words = f" or {AUTO!r}" if name == "iterations" else ""
                 raise InputError(f"{name}: expected a whole number from {least} to {most}{words}, found {value!r}")
-        usual = cls(degree=int(harmonics), between_poses=between_poses, refinement=refinement or Refinement(),
-                    unbounded=unbounded)  # fmt: skip
+        usual = cls(
+            degree=int(harmonics), between_poses=between_poses, refinement=refinement or Refinement(),
+            regularisation=regularisation, unbounded=unbounded,
+        )  # fmt: skip
         if steps == AUTO:
             usual = dataclasses.replace(usual, iterations=0, batch=0)
         elif steps is not None:
@@ -155,6 +163,12 @@ class Recipe:
     def cells(self) -> int:
         """Per side of the box in the end; of an unbounded field the inner box."""
         return round((self.vertices[-1] - 1) / (SIDE if self.unbounded else 1.0))
+
+    @property
+    def last_stage(self) -> int:
+        """The first step on the finest grid."""
+        stages = max(len(self.vertices), 1)
+        return -(-(stages - 1) * self.iterations // stages)
 
     def vertices_at(self, iteration: int) -> int:
         """The grid size in use at a step."""

@@ -18,6 +18,7 @@ from pixelid.nerf.calibration import CIRCUIT, Calibration, of_fit, uncertainty_o
 from pixelid.nerf.dataset import CALIBRATION, Dataset, evaluation_views, write_poses
 from pixelid.nerf.evaluate import Scores, evaluate, evaluate_as_published, no_scores, render_views
 from pixelid.nerf.ignored import ignored_effects
+from pixelid.nerf.judged import keep_best, train_judged
 from pixelid.nerf.pixel import FILTER, Bandwidth
 from pixelid.nerf.pixel_maps import maps_of_sensor
 from pixelid.nerf.preview import refuse_preview, write_preview
@@ -28,7 +29,7 @@ from pixelid.nerf.saved import SavedReconstruction, write_field
 from pixelid.nerf.search import HELD_OUT as SEARCH_HELD_OUT
 from pixelid.nerf.search import hot_pixels, search
 from pixelid.nerf.state import Problem, State, start
-from pixelid.nerf.train import held_out_residual, train
+from pixelid.nerf.train import held_out_residual
 from pixelid.nerf.views import Views
 from pixelid.parallel import memory_bytes
 from pixelid.provenance import input_hashes, versions
@@ -103,6 +104,8 @@ class Reconstruction(Result):
             "samples": self.bandwidth.samples,
             "recipe": self.recipe.as_dict(),
             "held_out_residual": self.held_out,
+            "stopping": self.state.stopping.as_dict(self.state.iteration),
+            "regularisation": self.state.regularisation.as_dict(),
             "gauge": {"kind": self.problem.gauge.kind, "background": self.problem.gauge.background},
             "box": {"low": self.problem.low, "high": self.problem.high, "near": self.problem.near},
             "pixel": {
@@ -309,12 +312,13 @@ def reconstruct(
             checkpoint.save(Path(resume), now, mark)
             saved = time.perf_counter()
 
-    train(problem, recipe, state, report=report)
+    train_judged(problem, recipe, state, report=report)
     state.seconds = earlier + time.perf_counter() - begun
     rate = state.rays * parallel.world() / max(state.seconds, 1e-9)
     finite = state.finite
     if resume is not None and parallel.rank() == 0 and finite:
         checkpoint.save(Path(resume), state, mark)
+    keep_best(state)
     if preview is not None and parallel.rank() == 0:
         write_preview(Path(preview), problem, state, _running(state, problem, validation), validation)
     progress("evaluating", 0.95)

@@ -8,12 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import torch
-from scipy.stats import t as student
 
+from pixelid.nerf.gain import Gain, paired
 from pixelid.nerf.intervals import CHAIN, Intervals
 from pixelid.nerf.losses import Weights, huber
 from pixelid.nerf.predict import chains_at, predict
@@ -56,18 +56,6 @@ class Rows:
         return bool(len(self.rest) and np.isfinite(self.rest).all() and np.isfinite(self.radiance).all())
 
 
-class Gain(NamedTuple):
-    """How much better rows are explained than by another pixel.
-
-    share: of the other's loss that is gone;  p_value: one-sided, of no gain at all, pixels being the units;  rows:
-    compared
-    """
-
-    share: float
-    p_value: float
-    rows: int
-
-
 def apart(of: Intervals) -> np.ndarray:
     """Indices into `of.starts` at which chains begin that share no stretch and leave none of these pixels out."""
     pixel = of.stretches.pixel
@@ -97,13 +85,13 @@ def of_every_pixel(of: Intervals, starts: np.ndarray, most: int) -> np.ndarray:
     return np.sort(order[place < max(most // len(first), 1)])
 
 
-def rows_of(problem: Problem, state: State, of: Intervals, unit: float) -> Rows:
-    """The rows of the pixels of `of`, of as many as have some `MOST_CHAINS`, with the same random numbers every time.
+def rows_of(problem: Problem, state: State, of: Intervals, unit: float, most: int = MOST_CHAINS) -> Rows:
+    """The rows of the pixels of `of`, of as many as have some `most` chains, with the same random numbers every time.
 
     unit: thresholds that rests are counted in, ln L
     """
     starts = apart(of)
-    starts = starts[of_some_pixels(of, starts, MOST_CHAINS)] if len(starts) > MOST_CHAINS else starts
+    starts = starts[of_some_pixels(of, starts, most)] if len(starts) > most else starts
     return _rows_at(problem, state, of, starts, unit)
 
 
@@ -226,12 +214,13 @@ def compare(before: Rows, after: Rows) -> Gain:
     variance = before.variance[a]
     old, new = _losses(before, a, variance), _losses(after, b, variance)
     _, unit = np.unique(before.pixel[a], return_inverse=True)
-    gains = np.bincount(unit, old - new)
-    spread = float(np.sqrt(((gains - gains.mean()) ** 2).sum()))
-    n = len(gains)
-    score = float(gains.sum()) / spread if spread > 0 else 0.0
-    p_value = float(student.sf(score, n - 1)) if n > 1 else 1.0
-    return Gain(float(gains.sum() / old.sum()) if old.sum() > 0 else 0.0, p_value, len(a))
+    return paired(np.bincount(unit, old), np.bincount(unit, new), len(a))
+
+
+def loss_of_pixels(rows: Rows) -> np.ndarray:
+    """(pixels,) what `compare` counts, of every pixel that has rows."""
+    _, unit = np.unique(rows.pixel, return_inverse=True)
+    return np.bincount(unit, _losses(rows, np.arange(len(rows.rest)), rows.variance))
 
 
 def _losses(rows: Rows, which: np.ndarray, variance: np.ndarray) -> np.ndarray:

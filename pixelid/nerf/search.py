@@ -20,11 +20,12 @@ import torch
 from pixelid.errors import InputError
 from pixelid.nerf.additions import ADDITIONS, OF_EVENTS, threshold_factor
 from pixelid.nerf.calibration import Calibration
+from pixelid.nerf.gain import Gain
 from pixelid.nerf.limits import ALPHA, LEAST_SHARE
 from pixelid.nerf.pixel import FILTER, Bandwidth, Pixel, filter_parameters
 from pixelid.nerf.pixel_maps import MISMATCH
 from pixelid.nerf.recipe import Recipe
-from pixelid.nerf.residuals import Gain, Rows, compare, residual_map, rows_of
+from pixelid.nerf.residuals import Rows, compare, residual_map, rows_of
 from pixelid.nerf.state import Problem, State, optimiser_of, start
 from pixelid.nerf.suggestions import Suggested, suggestions
 from pixelid.nerf.train import train

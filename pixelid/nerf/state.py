@@ -13,6 +13,7 @@ import numpy as np
 import torch
 
 from pixelid.nerf.additions import IN_THRESHOLDS, Tilt, threshold_factor
+from pixelid.nerf.bricks import Bricks
 from pixelid.nerf.camera import Camera, sub_pixel_directions
 from pixelid.nerf.field import Field
 from pixelid.nerf.gauge import Gauge, time_resolution
@@ -22,6 +23,8 @@ from pixelid.nerf.pixel_maps import PixelMaps
 from pixelid.nerf.poses import Poses
 from pixelid.nerf.quiet import NOTHING, Quiet
 from pixelid.nerf.recipe import Recipe
+from pixelid.nerf.regularisation import Regularisation
+from pixelid.nerf.stopping import Stopping, looked_at
 from pixelid.nerf.trajectory import Trajectory
 from pixelid.stages.circuit import Circuit
 
@@ -92,7 +95,8 @@ class State:
 
     inside: (pixels · rays, 3) directions in the camera frame, a pixel's together;  diverged: whether a loss was NaN or
     infinite; the state is then that before the step, and no further step is made;  seconds: of training, with what was
-    before an interruption
+    before an interruption;  stopping,
+    regularisation: what held-out events have said of both
     """
 
     field: Field
@@ -105,6 +109,8 @@ class State:
     seconds: float = 0.0
     history: list[dict[str, float]] = dataclasses.field(default_factory=list)
     diverged: bool = False
+    stopping: Stopping = dataclasses.field(default_factory=Stopping)
+    regularisation: Regularisation = dataclasses.field(default_factory=Regularisation)
 
     @property
     def finite(self) -> bool:
@@ -136,7 +142,36 @@ def start(problem: Problem, recipe: Recipe, bandwidth: Bandwidth, device: str = 
     pixel = Pixel(problem.circuit, bandwidth, problem.maps).to(device)
     inside = sub_pixel_directions(problem.camera, recipe.supersample)
     poses = Poses(problem.trajectory, recipe.refinement).to(device)
-    return State(scene, pixel, poses, optimiser_of(scene, pixel, poses, recipe), inside, 0)
+    stopping = Stopping(looked_at(recipe.last_stage, recipe.iterations) if len(problem.held_out.starts) else ())
+    return State(scene, pixel, poses, optimiser_of(scene, pixel, poses, recipe), inside, 0, stopping=stopping)
+
+
+def learned(state: State) -> dict[str, Any]:
+    """All that training has made of field, pixel and poses, on the CPU; tensors may be the state's own."""
+    scene = state.field
+    return {
+        "vertices": scene.vertices, "bricks": torch.from_numpy(scene.bricks.index),
+        "occupied": torch.from_numpy(scene.occupied), "grid": scene.grid.detach().cpu(),
+        "coefficients": scene.coefficients.detach().cpu(),
+        **{name: values.detach().cpu() for name, values in _beside_rows(state).items()},
+    }  # fmt: skip
+
+
+def take(state: State, bricks: Bricks, values: Mapping[str, Any]) -> None:
+    """Let a state be what `learned` has written down, in place, its optimiser aside; bricks: those of the values."""
+    state.field.hold(bricks, values["grid"], values["coefficients"])
+    with torch.no_grad():
+        for name, own in _beside_rows(state).items():
+            own.copy_(values[name])
+    state.field.occupied = np.array(values["occupied"].cpu().numpy(), order="C")
+
+
+def _beside_rows(state: State) -> dict[str, torch.Tensor]:
+    """What training moves beside the rows of the field."""
+    return {
+        "log_background": state.field.log_background, "factors": state.pixel.factors, "added": state.pixel.added,
+        "departures": state.pixel.departures, "offset": state.poses.offset, "moved": state.poses.moved,
+    }  # fmt: skip
 
 
 def follow(state: State) -> None:

@@ -47,7 +47,8 @@ def step(problem: Problem, recipe: Recipe, state: State) -> dict[str, float]:
     if recipe.roughness > 0 or recipe.density_roughness > 0:
         of_density = recipe.density_roughness > 0
         varies = variation(state.field.grid, state.field.bricks, recipe.engine, density=of_density)
-        loss = loss + recipe.roughness * varies.radiance / growth + recipe.density_roughness * varies.density
+        smooth = recipe.roughness * varies.radiance / growth + recipe.density_roughness * varies.density
+        loss = loss + state.regularisation.factor * smooth
     if recipe.emptiness > 0:
         loss = loss + recipe.emptiness * mean_log_density(state.field.grid, state.field.bricks)
     if recipe.stiffness > 0 and state.field.coefficients.requires_grad:

@@ -1,0 +1,138 @@
+"""Held-out events choose: how smooth a field is held, when training stops, and which of its states is kept."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from test_schemas import check
+
+import pixelid as px
+from pixelid.cli.main import main
+from pixelid.errors import InputError
+from pixelid.nerf import checkpoint
+from pixelid.nerf.dataset import read_dataset
+from pixelid.nerf.judged import keep_best, train_judged
+from pixelid.nerf.pixel import Bandwidth
+from pixelid.nerf.problem import problem_of
+from pixelid.nerf.recipe import Recipe
+from pixelid.nerf.reconstruct import reconstruct
+from pixelid.nerf.regularisation import FACTORS
+from pixelid.nerf.state import State, start
+from pixelid.nerf.stopping import LOOKS
+from pixelid.nerf.train import held_out_residual
+
+RECIPE = Recipe(iterations=96, batch=32, vertices=(9, 17), density_roughness=1e-3)
+
+
+@pytest.fixture(scope="module")
+def problem(made):
+    return problem_of(read_dataset(made), held_out=0.1)
+
+
+def trained(problem, recipe: Recipe, until: int | None = None) -> State:
+    """To the end; with `until`, interrupted after so many steps."""
+    state = start(problem, recipe, Bandwidth("off"))
+
+    def report(now: State, measured: dict[str, float]) -> None:
+        if now.iteration == until:
+            raise InterruptedError
+
+    try:
+        return train_judged(problem, recipe, state, report=report)
+    except InterruptedError:
+        return state
+
+
+@pytest.mark.parametrize("until", [20, 48, 54, 60, 95])
+def test_a_run_that_is_continued_comes_to_the_same_choices(problem, tmp_path, until):
+    """Interrupted before the last stage, at its begin, at a look, between two looks and before the last step."""
+    recipe = replace(RECIPE, regularisation="auto")
+    whole, part = trained(problem, recipe), trained(problem, recipe, until)
+    assert part.iteration == until
+    checkpoint.save(tmp_path / "part.pt", part, "mark")
+    resumed = checkpoint.load(tmp_path / "part.pt", problem, recipe, Bandwidth("off"), "mark")
+    assert resumed is not None
+    train_judged(problem, recipe, resumed)
+    assert torch.equal(whole.field.grid, resumed.field.grid)
+    assert whole.stopping.as_dict(96) == resumed.stopping.as_dict(96)
+    assert whole.regularisation == resumed.regularisation
+    assert [trial.factor for trial in whole.regularisation.trials] == [1.0, *FACTORS]
+    assert len(whole.stopping.looks) == LOOKS
+    checkpoint.save(tmp_path / "whole.pt", whole, "mark")  # finished, and read back: nothing is trained or looked at
+    again = checkpoint.load(tmp_path / "whole.pt", problem, recipe, Bandwidth("off"), "mark")
+    assert again is not None
+    train_judged(problem, recipe, again, report=lambda *_: pytest.fail("a step too many"))
+    for state in (whole, again):
+        keep_best(state)
+    assert torch.equal(whole.field.grid, again.field.grid)
+
+
+def test_looking_changes_no_step(problem):
+    from pixelid.nerf.train import train
+
+    judged = trained(problem, RECIPE)
+    plain = train(problem, RECIPE, start(problem, RECIPE, Bandwidth("off")))
+    assert torch.equal(judged.field.grid, plain.field.grid)
+    assert judged.regularisation.trials == ()
+
+
+def test_the_factor_scales_both_variations(problem):
+    """A step under a factor is the step of a recipe whose weights are as many times larger."""
+    from pixelid.nerf.train import step
+
+    scaled = replace(RECIPE, roughness=3 * RECIPE.roughness, density_roughness=3 * RECIPE.density_roughness)
+    states = [start(problem, recipe, Bandwidth("off")) for recipe in (RECIPE, scaled, RECIPE)]
+    states[0].regularisation = replace(states[0].regularisation, factor=3.0)
+    for _ in range(3):
+        for state, recipe in zip(states, (RECIPE, scaled, RECIPE), strict=True):
+            step(problem, recipe, state)
+    torch.testing.assert_close(states[0].field.grid, states[1].field.grid, rtol=1e-4, atol=1e-4)
+    assert not torch.allclose(states[0].field.grid, states[2].field.grid, rtol=1e-2, atol=1e-2)
+
+
+def test_the_state_before_training_goes_wrong_is_kept(problem):
+    """From step 85 on something scatters the scene."""
+    good: dict = {}
+
+    def scatter(now: State, measured: dict[str, float]) -> None:
+        if now.iteration == 84:
+            good["grid"] = now.field.grid.detach().clone()
+        if now.iteration > 84:
+            now.field.grid.detach()[:, 1] += 3.0 * torch.randn(len(now.field.grid))
+
+    state = train_judged(problem, RECIPE, start(problem, RECIPE, Bandwidth("off")), report=scatter)
+    last = held_out_residual(problem, state)
+    said = state.stopping.as_dict(state.iteration)
+    assert said["kept"] < state.iteration
+    assert "demonstrably worse" in said["reason"]
+    keep_best(state)
+    assert said["kept"] == 84
+    assert torch.equal(state.field.grid, good["grid"])
+    assert held_out_residual(problem, state) < last
+
+
+def test_a_training_that_stands_still_is_stopped(made):
+    """At a learning rate of nothing the looks left can win nothing, and the result says so."""
+    recipe = replace(RECIPE, last_rate=1e-12)
+    result = reconstruct(read_dataset(made), recipe=recipe, bandwidth=Bandwidth("off"))
+    said = result.as_dict()
+    check("reconstruction", json.loads(json.dumps(said, default=lambda x: np.asarray(x).tolist())))
+    assert said["stopping"]["stopped_early"]
+    assert said["iterations"] < recipe.iterations
+    assert said["stopping"]["kept"] == said["iterations"] == said["stopping"]["looks"][-1]["iteration"]
+
+
+def test_the_command_chooses_on_request(made, tmp_path):
+    words = ["reconstruct", str(made), "--iterations", "24", "--quiet", "--bandwidth", "off"]
+    for kind in ("usual", "auto"):
+        assert main([*words, "--out", str(tmp_path / kind), "--regularisation", kind]) in (0, 1)
+        result = json.loads((tmp_path / kind / "reconstruction.json").read_text())
+        check("reconstruction", result)
+        assert result["recipe"]["regularisation"] == kind
+        assert result["stopping"]["looks"][-1]["iteration"] == result["iterations"] <= 24
+        factors = [trial["factor"] for trial in result["regularisation"]["trials"]]
+        assert factors == ([1.0, *FACTORS] if kind == "auto" else [])
+    with pytest.raises(InputError, match="expected usual or auto"):
+        px.reconstruct(made, regularisation="never")
