@@ -8,7 +8,9 @@ kept     The last state that is not demonstrably worse than the best one: the be
          decay of the learning rate has less of the noise of its steps, so that a tie is the later one's.
 stopped  A line through the last `WINDOW` looks or half of all, whichever are more, goes on as far as looks are left, at
          the upper limit of its slope at confidence 1 − `ALPHA` (`gain.most_gained`).  As the learning rate falls looks
-         win less and less, so that is the most they can win.  Below `LEAST_SHARE`, nothing is left to win.
+         win less and less, so that is the most they can win.  Below `LEAST_SHARE`, nothing is left to win.  Looks less
+         than `APART` steps apart tell nothing of that: Adam's second moments remember 100 steps (β₂ = 0.99), and over
+         less than that the loss may rise on its way down.
 """
 
 from __future__ import annotations
@@ -25,6 +27,8 @@ from pixelid.nerf.limits import ALPHA, LEAST_SHARE
 
 LOOKS = 8  # in the last stage
 WINDOW = 5  # looks, at least, over which the loss has to stand still: three are left to tell the scatter of its line
+
+APART = 100 // (WINDOW - 1)  # steps between looks, at least
 
 
 def looked_at(begin: int, end: int) -> tuple[int, ...]:
@@ -79,7 +83,7 @@ class Stopping:
     def to_gain(self) -> float:
         """Upper limit of the share of the held-out loss that the looks which are left can win; infinite so far."""
         window = max(WINDOW, len(self.looks) // 2)
-        if len(self.looks) < window:
+        if len(self.looks) < window or self.steps[1] - self.steps[0] < APART:
             return float("inf")
         losses = np.stack([look.losses for look in self.looks[-window:]])
         return most_gained(losses, len(self.steps) - len(self.looks), ALPHA)

@@ -12,14 +12,14 @@ from pixelid.nerf.stopping import LOOKS, Look, Stopping, looked_at
 PIXELS, ROWS = 120, 3000
 
 
-def watched(course, noise: float, seed: int = 0) -> Stopping:
+def watched(course, noise: float, seed: int = 0, apart: int = 50) -> Stopping:
     """Looks at losses that follow a course, every pixel with its own level and, from look to look, its own noise."""
     rng = np.random.default_rng(seed)
     level = rng.gamma(3.0, size=PIXELS)
-    stopping = Stopping(tuple(range(len(course))))
+    stopping = Stopping(tuple(range(0, apart * len(course), apart)))
     for k, size in enumerate(course):
         losses = level * (size + noise * rng.normal(size=PIXELS))
-        stopping.add(Look(k, losses, ROWS), {"vertices": k})
+        stopping.add(Look(apart * k, losses, ROWS), {"vertices": k})
         if stopping.stopped:
             break
     return stopping
@@ -74,8 +74,8 @@ def test_the_best_state_is_kept_where_training_goes_wrong_after_it():
     stopping = watched(course, 0.02)
     assert stopping.kept in (3, 4)
     assert stopping.scene["vertices"] == stopping.kept
-    said = stopping.as_dict(len(course) - 1)
-    assert said["kept"] == stopping.kept
+    said = stopping.as_dict(50 * len(course))
+    assert said["kept"] == 50 * stopping.kept
     assert "demonstrably worse" in said["reason"]
 
 
@@ -84,11 +84,12 @@ def test_training_stops_where_nothing_is_left_to_win_and_not_on_noise():
     assert still.stopped
     assert len(still.looks) < LOOKS
     assert still.as_dict(99)["stopped_early"]
-    for course, noise in (
-        (np.geomspace(1.0, 0.8, LOOKS), 0.001),  # still falling by three per cent a look
-        (np.full(LOOKS, 0.5), 0.2),  # still, but who knows
+    for course, noise, apart in (
+        (np.geomspace(1.0, 0.8, LOOKS), 0.001, 50),  # still falling by three per cent a look
+        (np.full(LOOKS, 0.5), 0.2, 50),  # still, but who knows
+        (np.full(LOOKS, 0.5), 0.001, 5),  # still, but for as long as steps remember each other
     ):
-        stopping = watched(course, noise)
+        stopping = watched(course, noise, apart=apart)
         assert not stopping.stopped
         assert len(stopping.looks) == LOOKS
     assert Stopping().as_dict(7) == {
