@@ -118,7 +118,8 @@ def _bricks(document: dict, field: Field) -> Bricks:
     shapes = (bricks.rows, *field.grid.shape[1:]), (bricks.rows, *field.coefficients.shape[1:])
     if vertices < field.vertices or (grid.shape, coefficients.shape) != shapes:
         raise ValueError(f"{vertices} vertices, grid {tuple(grid.shape)}, coefficients {tuple(coefficients.shape)}")
-    if document["occupied"].shape != blocks(vertices) or not (grid.isfinite().all() and coefficients.isfinite().all()):
+    shaped = (document["occupied"].shape, document["young"].shape) == (blocks(vertices), bricks.index.shape)
+    if not shaped or not (grid.isfinite().all() and coefficients.isfinite().all()):
         raise ValueError("occupied, or numbers that are not finite")
     return bricks
 

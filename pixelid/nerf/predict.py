@@ -6,7 +6,7 @@ import numpy as np
 import torch
 
 from pixelid.nerf.intervals import Chains, Intervals, chains
-from pixelid.nerf.losses import amplifier_drift, changes
+from pixelid.nerf.losses import Weights, amplifier_drift, changes, terms, total
 from pixelid.nerf.pixel import Pixel
 from pixelid.nerf.quiet import LAGS, Pairs, draw_pairs
 from pixelid.nerf.render import Rays
@@ -70,6 +70,15 @@ def response(problem: Problem, state: State, batch: Chains, u: torch.Tensor, eng
         cutoff = dynamics[..., 6:7] if pixel.has_amplifier_pole else None
     change = changes(level, output, batch, cutoff, later, drift)
     return change - _moved_thresholds(problem, pixel, batch), level
+
+
+def compared(
+    problem: Problem, weights: Weights, state: State, batch: Chains, u: torch.Tensor, engine: str = "auto"
+) -> tuple[torch.Tensor, dict[str, torch.Tensor], torch.Tensor]:  # fmt: skip
+    """(loss of events, its terms, change (runs, CHAIN)) of a batch whose samples have log radiance u (n,)."""
+    change, level = response(problem, state, batch, u, engine)
+    parts = terms(change, level, batch, *state.pixel.thresholds_at(batch.pixel), state.pixel.growth)
+    return total(parts, weights), parts, change
 
 
 def _moved_thresholds(problem: Problem, pixel: Pixel, batch: Chains) -> torch.Tensor:

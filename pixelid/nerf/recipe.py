@@ -47,8 +47,9 @@ class Recipe:
     emptiness: λ of the mean log density, which clears what no event asks for;  quiet: λ of changes where nothing fired;
     degree: of the harmonics by which colour depends on the direction;  stiffness: λ of their mean square;  level: λ of
     the mean log radiance when the gauge needs it;  between_poses: "linear" or "cubic", how the camera went;
-    refinement: of the poses;  engine: of `render` and `respond`;  supersample: rays per pixel and side;  unbounded:
-    whether space beyond the box is part of the field, contracted (`contraction`)
+    refinement: of the poses;  engine: of `render` and `respond`;  supersample: rays per pixel and side; unbounded: whether
+    space beyond the box is part of the field, contracted (`contraction`);  revival: whether bricks that events ask for
+    come back (`revival`)
     """
 
     iterations: int = 1200
@@ -70,6 +71,7 @@ class Recipe:
     engine: str = "auto"
     supersample: int = 1
     unbounded: bool = False
+    revival: bool = False
     seed: int = 0
 
     def __post_init__(self) -> None:

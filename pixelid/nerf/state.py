@@ -151,8 +151,8 @@ def learned(state: State) -> dict[str, Any]:
     scene = state.field
     return {
         "vertices": scene.vertices, "bricks": torch.from_numpy(scene.bricks.index),
-        "occupied": torch.from_numpy(scene.occupied), "grid": scene.grid.detach().cpu(),
-        "coefficients": scene.coefficients.detach().cpu(),
+        "occupied": torch.from_numpy(scene.occupied), "young": torch.from_numpy(scene.young),
+        "grid": scene.grid.detach().cpu(), "coefficients": scene.coefficients.detach().cpu(),
         **{name: values.detach().cpu() for name, values in _beside_rows(state).items()},
     }  # fmt: skip
 
@@ -164,6 +164,7 @@ def take(state: State, bricks: Bricks, values: Mapping[str, Any]) -> None:
         for name, own in _beside_rows(state).items():
             own.copy_(values[name])
     state.field.occupied = np.array(values["occupied"].cpu().numpy(), order="C")
+    state.field.young = np.array(values["young"].cpu().numpy(), order="C")
 
 
 def _beside_rows(state: State) -> dict[str, torch.Tensor]:
@@ -174,10 +175,13 @@ def _beside_rows(state: State) -> dict[str, torch.Tensor]:
     }  # fmt: skip
 
 
-def follow(state: State) -> None:
-    """Let the field's bricks follow the scene; what the optimiser has noted of those that stay stays."""
+def follow(state: State, asked: np.ndarray | None = None, asked_radiance: np.ndarray | None = None) -> None:
+    """Let the field's bricks follow the scene; what the optimiser has noted of those that stay stays.
+
+    asked, asked_radiance: of `Field.follow`
+    """
     before = state.field.grid, state.field.coefficients
-    source = state.field.follow()
+    source = state.field.follow(asked, asked_radiance)
     if source is None:
         return
     kept = torch.as_tensor(np.maximum(source, 0), device=state.field.grid.device)

@@ -13,10 +13,11 @@ import torch
 
 from pixelid.nerf import parallel
 from pixelid.nerf.field import WHOLE
-from pixelid.nerf.losses import quiet_change, terms, total, unexplained, variance_left
-from pixelid.nerf.predict import EPSILON, draw, draw_quiet, light, predict, response
+from pixelid.nerf.losses import quiet_change, unexplained, variance_left
+from pixelid.nerf.predict import EPSILON, compared, draw, draw_quiet, light, predict
 from pixelid.nerf.recipe import Recipe
 from pixelid.nerf.render import Rays
+from pixelid.nerf.revival import asked_for
 from pixelid.nerf.smoothness import mean_log_density, mean_square, variation
 from pixelid.nerf.state import Problem, State, follow, optimiser_of
 
@@ -39,11 +40,8 @@ def step(problem: Problem, recipe: Recipe, state: State) -> dict[str, float]:
     batch = draw(problem, state, problem.training, max(recipe.batch // parallel.world(), 1), rng)
     pairs = draw_quiet(problem, state, PAIRS * len(batch.pixel) if recipe.quiet > 0 else 0, rng)
     u, in_quiet = light(problem, state, batch, rng, recipe.engine, pairs)
-    change, level = response(problem, state, batch, u, recipe.engine)
-    thresholds = state.pixel.thresholds_at(batch.pixel)
+    loss, parts, change = compared(problem, recipe.weights, state, batch, u, recipe.engine)
     growth = state.pixel.growth
-    parts = terms(change, level, batch, *thresholds, growth)
-    loss = total(parts, recipe.weights)
     if recipe.roughness > 0 or recipe.density_roughness > 0:
         of_density = recipe.density_roughness > 0
         varies = variation(state.field.grid, state.field.bricks, recipe.engine, density=of_density)
@@ -58,7 +56,7 @@ def step(problem: Problem, recipe: Recipe, state: State) -> dict[str, float]:
     if problem.gauge.kind == "level":
         loss = loss + recipe.level * _off_level(problem, state, recipe.engine, rng)
     if any(values.requires_grad for values in state.pixel.parameters()):
-        left = variance_left(change, batch, *thresholds)
+        left = variance_left(change, batch, *state.pixel.thresholds_at(batch.pixel))
         loss = loss + state.pixel.penalty(left) / max(len(problem.training.starts), 1)
     if state.poses.trained:
         loss = loss + state.poses.penalty() / max(len(problem.training.starts), 1)
@@ -76,8 +74,16 @@ def step(problem: Problem, recipe: Recipe, state: State) -> dict[str, float]:
     if state.iteration % 16 == 0 and state.iteration >= FIRST_LOOK:
         state.field.look_for_empty_blocks()
         if state.iteration % FOLLOW == 0:
-            follow(state)
+            _follow(problem, recipe, state)
     return measured
+
+
+def _follow(problem: Problem, recipe: Recipe, state: State) -> None:
+    """Let the bricks of a fine field follow the scene and, where the recipe says so, what events ask for."""
+    asked = None
+    if recipe.revival:
+        asked = asked_for(problem, recipe, state, np.random.default_rng([recipe.seed, 79, state.iteration]))
+    follow(state) if asked is None else follow(state, *asked)
 
 
 def _off_level(problem: Problem, state: State, engine: str, rng: np.random.Generator) -> torch.Tensor:
