@@ -2,7 +2,8 @@
 that hang in the air, before white, grey and dark.
 
 Solids are met analytically, lit by a sky and one lamp that casts shadows (Lambert), with Phong's highlight.  Nothing is
-shared with the scenes that weights were chosen on, the camera and the simulated pixel aside.
+shared with the scenes that weights were chosen on, the camera and the simulated pixel aside.  `far_away` puts one of
+those before something far behind it.
 """
 
 from __future__ import annotations
@@ -13,7 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
+from pixelid.nerf import raycast
 from pixelid.nerf.camera import Camera, sub_pixel_directions
+from pixelid.nerf.scenes import EXTENT, Scene, on_sphere, procedural
 
 ELLIPSOID, BOX, CYLINDER = 0.0, 1.0, 2.0
 FLAT, CHECKER, STRIPES = 0.0, 1.0, 2.0
@@ -74,6 +77,25 @@ class Solids:
         inside = sub_pixel_directions(camera, supersample)
         _film(position, rotation, inside, supersample**2, self.rows, np.array(TOWARDS), self.background, out)
         return out.reshape(len(position), camera.height, camera.width)
+
+
+FAR, FAR_BALLS = 20.0, 40  # inner radii to the middle of what is far, and how many there are of it
+
+
+def far_away(seed: int) -> Scene:
+    """The usual scene, and textured balls around it and below, `FAR` times as far away as its objects reach."""
+    near, rng = procedural(seed), np.random.default_rng(seed + 100)
+    rows = np.tile(near.items[1], (FAR_BALLS, 1))
+    azimuth = 6 * np.pi * (np.arange(FAR_BALLS) + rng.random(FAR_BALLS)) / FAR_BALLS
+    rows[:, 0] = raycast.SPHERE
+    rows[:, 1:4] = on_sphere(azimuth, rng.uniform(-1.1, 0.3, FAR_BALLS), FAR * EXTENT)
+    rows[:, 4:7] = FAR * EXTENT * rng.uniform(0.1, 0.2, (FAR_BALLS, 1))
+    rows[:, 8] = 0.03 * np.exp(rng.uniform(0, 1, FAR_BALLS))
+    rows[:, 9] = 0.9 * np.exp(rng.uniform(-1, 0, FAR_BALLS))
+    rows[:, 10] = np.arange(FAR_BALLS) % 3
+    rows[:, 11] = 0.4 * rng.uniform(9, 15, FAR_BALLS) / rows[:, 4]
+    rows[:, 14] = 0.0
+    return Scene(np.vstack([near.items, rows]), near.light)
 
 
 SCENES = {

@@ -24,6 +24,8 @@ once        64 × 64 pixels, filmed once around as those are
 memory      the same scene filmed again and again until there are 60 million events: peak memory of a short training
 poses       a camera of changing speed whose poses are 5 ms late, or shaken: as they are, and refined with the scene
 elsewhere   scenes of another make (`other_scenes.py`): on, off, and on with nothing asked of silence
+unbounded   objects before others 20 times as far away (`other_scenes.far_away`): the usual box, one about all of it,
+            and space contracted outside the usual one
 pictures    no events: a field fitted to the posed pictures of --images, one in ten of them held out
 scale       radiance unit pinned by the background, by the views' mean level, free, and free with the pixel trained
             under the prior of a fit
@@ -46,7 +48,7 @@ from pathlib import Path
 
 import numpy as np
 from many_events import filmed_again
-from other_scenes import SCENES
+from other_scenes import FAR, SCENES, far_away
 from paths.memory import command_apart
 from scipy.spatial.transform import Rotation
 from two_stage import two_stage
@@ -64,14 +66,14 @@ from pixelid.nerf.posed import DEGREE, ITERATIONS, grey_over_white, scene_of_ima
 from pixelid.nerf.poses import Refinement
 from pixelid.nerf.recipe import Recipe
 from pixelid.nerf.reconstruct import reconstruct
-from pixelid.nerf.scenes import spiral
+from pixelid.nerf.scenes import EXTENT, spiral
 from pixelid.nerf.synthetic import SETTINGS, Renders, Setting, camera_model, make_dataset
 from pixelid.nerf.trajectory import Trajectory
 from pixelid.nerf.views import OPENGL
 
 EXPERIMENTS = (
     "bandwidth", "baselines", "samples", "batch", "grid", "joint", "pixel", "effect", "scale", "whole", "field",
-    "poses", "size", "paper", "once", "memory", "elsewhere", "pictures",
+    "poses", "size", "paper", "once", "memory", "elsewhere", "unbounded", "pictures",
 )  # fmt: skip
 KEPT = ("experiment", "setting", "arm", "seed", "iterations")  # what tells runs apart
 SAMPLES = (1, 5, 15, 30, 50)
@@ -277,6 +279,11 @@ def arms(name: str, work: Path, setting: str, seed: int):
             yield f"{label}: on", data, {}
             yield f"{label}: off", data, {"bandwidth": Bandwidth("off")}
             yield f"{label}: on, silence not asked", data, {"recipe": Recipe(quiet=0.0)}
+    elif name == "unbounded":
+        data, side = dataset(work, setting, seed, "_far", scene=far_away(seed)), 1.3 * FAR * EXTENT
+        yield "usual box", data, {}
+        yield "large box", data, {"box": (-side, -side, -side, side, side, side)}
+        yield "unbounded", data, {"recipe": Recipe(unbounded=True)}
     elif name == "scale":
         data = dataset(work, setting, seed)
         sharp = {"alpha": 0.01, "beta": 0.01, "gamma": 0.05, "follower": 0.02}
