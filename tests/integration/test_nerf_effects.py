@@ -10,7 +10,9 @@ import pytest
 from test_schemas import check
 
 from pixelid.cli.main import main
+from pixelid.model.shipped import find_model
 from pixelid.nerf import checkpoint
+from pixelid.nerf.calibration import in_unit
 from pixelid.nerf.dataset import Dataset, read_dataset
 from pixelid.nerf.pixel import Bandwidth
 from pixelid.nerf.problem import problem_of
@@ -37,9 +39,24 @@ def test_the_command_finds_a_leak_and_trains_with_it(leaking, tmp_path, capsys):
     assert result["gap"]["heldout_gain"] > 0.1
     assert set(result["gap"]["residuals"]) == {"interval_s", "time_s", "radiance"}
     assert 25.0 < result["pixel"]["leak.rate_hz"] < 45.0
+    check("reconstruction", result)
+    final = result["gap"]["final"]
+    assert set(final["residuals"]) == {"interval_s", "time_s", "radiance"}
+    # of the scene that was trained three times as long, on fine cells
+    told = np.abs(np.array(result["gap"]["residuals"]["interval_s"]["on_before"], float))
+    left = np.abs(np.array(final["residuals"]["interval_s"]["on_final"], float))
+    assert np.nanmean(left) < np.nanmean(told)
+    with np.load(out / "residuals.npz") as maps:
+        assert maps["on"].shape == maps["off"].shape == maps["rms"].shape == (24, 24)
+        assert np.nanstd(maps["on"]) == pytest.approx(final["pixel_spread"]["on"])
+        assert np.isfinite(maps["rms"]).mean() > 0.5
+    assert (out / "final.svg").is_file()
+    assert (out / "pixels.svg").is_file()
     assert (out / "gap.svg").is_file()
     page = (out / "report.html").read_text()
     assert "Effects found in the events" in page
+    assert "trained to its end" in page
+    assert "What single events of each pixel" in page
     assert "found in the events: leak" in capsys.readouterr().out
     assert not list(tmp_path.glob("*.gap.json")) + list(tmp_path.glob(".*gap.json"))  # nothing is left behind
 
@@ -140,3 +157,17 @@ def test_what_a_camera_has_is_named(tmp_path, effect, strength, least, most):
     assert found.kept[0].name == effect
     assert least < next(iter(found.kept[0].values.values())) < most
     assert {trial.name for trial in found.kept} <= {effect, "threshold_mismatch"}
+
+
+@pytest.mark.slow
+def test_a_cutoff_told_as_twice_what_it_is_is_named(tmp_path):
+    """Of a camera of one pole; the search has come a part of the way back to it."""
+    white = SETTINGS["hard8"].white_fa
+    model = find_model("dvs128_low_light").with_effect("dark_current", {"radiance": SETTINGS["hard8"].dark_fa})
+    model = model.set({"threshold_sigma": 0.02, "threshold_mismatch.sigma": 0.02, "refractory_s": 1e-4})
+    data = read_dataset(make_dataset(tmp_path / "scene", "hard8", side=24, model=model))
+    true = in_unit(model.circuit(), white).with_(dark=data.calibration.circuit.dark, mismatch=0.0)
+    told = replace(data.calibration, circuit=true.with_(corner=2.0 * true.corner))
+    found = looked_for(replace(data, calibration=told))
+    assert [trial.name for trial in found.kept] == ["bandwidth"]
+    assert true.corner < found.calibration.circuit.corner < 1.7 * true.corner

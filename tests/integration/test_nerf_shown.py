@@ -12,11 +12,12 @@ from test_schemas import check
 import pixelid as px
 from pixelid.cli.main import main
 from pixelid.errors import InputError
+from pixelid.nerf.camera import pinhole
 from pixelid.nerf.evaluate import render_views
 from pixelid.nerf.field import Field
 from pixelid.nerf.harmonics import harmonics
 from pixelid.nerf.saved import SavedReconstruction
-from pixelid.nerf.shown.solid import mesh_of
+from pixelid.nerf.shown.solid import depth_of, mesh_of
 from pixelid.nerf.shown.splats import splats_of
 from pixelid.nerf.shown.ways import around, way_of_file
 from pixelid.nerf.views import Views
@@ -170,6 +171,37 @@ def test_splats_of_a_box_that_is_no_cube_are_as_opaque_as_the_cells():
         share = covered * np.prod(across) / np.prod(np.delete(spacing, axis))
         along.append(-np.log1p(-share) / spacing[axis])  # optical depth per length
     assert np.exp(np.mean(np.log(along))) == pytest.approx(sigma, rel=0.02)
+
+
+@pytest.mark.parametrize(("away", "radius", "coarse", "slope"), [(0.0, 0.7, 0.03, 20.0), (6.0, 2.0, 0.5, 2.0)])
+def test_an_unbounded_scene_is_shown_where_it_is(away, radius, coarse, slope):
+    """A ball in the inner box of [−1, 1]³, and one outside: its surface, its splats and its distance."""
+    field = Field(np.full(3, -1.0), np.full(3, 1.0), 97, 1, [0.3], unbounded=True)
+    centre = np.array([away, 0.2, -0.1])
+    inside = radius - np.linalg.norm(field.positions() - centre, axis=1)
+    surface = np.log(np.log(2) / field.step)  # half of the light passes a cell
+    field.grid.data[64:, 0] = torch.as_tensor(surface + np.clip(slope * inside, -8, 8)[64:])
+    field.grid.data[:, 1] = 0.0
+    mesh = mesh_of(field)
+    outwards = mesh.vertices - centre
+    size = np.linalg.norm(outwards, axis=1)
+    assert np.abs(size - radius).max() < coarse
+    turned = ((mesh.normals * outwards).sum(axis=1) / size).clip(-1, 1)
+    assert np.degrees(np.arccos(np.median(turned))) < 15
+    splats = splats_of(field)
+    apart = np.linalg.norm(splats.centre - centre, axis=1)
+    cell = splats.deviation.max(axis=1) * np.sqrt(2 * np.pi)
+    assert (apart < radius + 3.6 / slope + cell).all()  # 2 % of the light where the density is e^−3.6 of the surface's
+    assert (apart < radius).any()
+    assert splats.deviation.shape == splats.centre.shape
+    inner = np.abs(splats.centre).max(axis=1) < 1
+    np.testing.assert_allclose(cell[inner], 4 / 96, rtol=1e-6)
+    assert (cell[~inner] > 4 / 96).all()
+    turn = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])  # looks along x, z up
+    blank = np.empty((1, 9, 9, 1), np.float32)
+    view = Views(blank, np.array([[-3.0, 0.2, -0.1]]), turn[None], pinhole(9, 9, 0.02), ("",), np.ones(1), False, 1.0)
+    distance = depth_of(field, view)[0]
+    assert distance[4, 4] == pytest.approx(3.0 + away - radius, abs=2 * coarse)
 
 
 def test_what_is_brighter_than_white_is_told(tmp_path):

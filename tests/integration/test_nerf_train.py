@@ -683,3 +683,31 @@ def test_a_near_distance_is_trained_with_stored_and_rendered_with(made, tmp_path
     plain.save(tmp_path / "plain")
     with np.load(tmp_path / "plain" / "field.npz") as file:
         assert "near" not in file
+
+
+def test_an_unbounded_scene_is_trained_stored_and_resumed(made, tmp_path):
+    words = ["reconstruct", str(made), "--out", str(tmp_path / "out"), "--iterations", "3", "--quiet", "--unbounded"]
+    assert main([*words, "--device", "cpu"]) in (0, 1)
+    result = json.loads((tmp_path / "out" / "reconstruction.json").read_text())
+    check("reconstruction", result)
+    assert result["recipe"]["unbounded"] is True
+    asked = px.reconstruct(made, iterations=3, unbounded=True, device="cpu")
+    cells = max(read_dataset(made).calibration.camera.width, 32)
+    assert asked.recipe.vertices[-1] == 2 * cells + 1  # the inner box has as many as a bounded one
+    assert asked.recipe.cells == cells == Recipe().for_sensor(cells).cells
+    read = Reconstruction.load(tmp_path / "out").field
+    assert read.unbounded
+    np.testing.assert_allclose(read.dense()[0], asked.state.field.dense()[0], atol=0.01)  # half precision
+    problem, bandwidth = problem_of(read_dataset(made)), Bandwidth("on", 10)
+    recipe = replace(SMALL, unbounded=True, refinement=Refinement(0.01, 0.02, 0.01))
+    whole = train(problem, recipe, start(problem, recipe, bandwidth))
+    half = train(problem, recipe, start(problem, recipe, bandwidth), until=17)
+    checkpoint.save(tmp_path / "half.pt", half, "mark")
+    resumed = checkpoint.load(tmp_path / "half.pt", problem, recipe, bandwidth, "mark")
+    assert resumed is not None
+    assert resumed.field.unbounded
+    train(problem, recipe, resumed)
+    assert torch.equal(whole.field.grid, resumed.field.grid)
+    assert torch.equal(whole.poses.moved, resumed.poses.moved)
+    marks = {checkpoint.run_identity(problem, r, bandwidth, {}) for r in (recipe, replace(recipe, unbounded=False))}
+    assert len(marks) == 2
