@@ -47,9 +47,9 @@ class Recipe:
     emptiness: λ of the mean log density, which clears what no event asks for;  quiet: λ of changes where nothing fired;
     degree: of the harmonics by which colour depends on the direction;  stiffness: λ of their mean square;  level: λ of
     the mean log radiance when the gauge needs it;  between_poses: "linear" or "cubic", how the camera went;
-    refinement: of the poses;  engine: of `render` and `respond`;  supersample: rays per pixel and side; unbounded: whether
-    space beyond the box is part of the field, contracted (`contraction`);  revival: whether bricks that events ask for
-    come back (`revival`)
+    refinement: of the poses;  engine: of `render` and `respond`;  supersample: rays per pixel and side;  unbounded:
+    whether space beyond the box is part of the field, contracted (`contraction`);  revival: whether bricks that
+    events ask for come back (`revival`)
     """
 
     iterations: int = 1200
