@@ -65,13 +65,14 @@ class Chains(NamedTuple):
 
 
 def intervals(
-    t, x, y, on, width: int, *, dead=0.0, lag=0.0, shortest=0.0, noise=NOISE, drift=0.0, memory=0.0
-) -> Intervals:
+    t, x, y, on, width: int, *, dead=0.0, lag=0.0, shortest: float | np.ndarray = 0.0, noise=NOISE, drift=0.0,
+    memory=0.0,
+) -> Intervals:  # fmt: skip
     """Stretches of events (N,) in order of time.
 
-    dead, lag, shortest, noise: see `stretches`;  drift: of the thresholds, relative, per second from t = 0;  memory:
-    by how much, relative, an event of one polarity makes the next threshold of the same polarity larger and of the
-    other smaller
+    dead, lag, shortest, noise: see `stretches`, an array in the order of the events given;  drift: of the thresholds,
+    relative, per second from t = 0;  memory: by how much, relative, an event of one polarity makes the next threshold
+    of the same polarity larger and of the other smaller
     """
     pixel = np.asarray(y, np.int32) * np.int32(width) + np.asarray(x, np.int32)
     order = np.argsort(pixel, kind="stable")

@@ -58,8 +58,8 @@ def ways(origin: np.ndarray, nearest: float = 0.0, step: float = 0.25):
     a, b = (LOW - origin) / d, (HIGH - origin) / d
     near, far = np.maximum(np.minimum(a, b).max(axis=1), nearest), np.maximum(a, b).min(axis=1)
     o = np.broadcast_to(origin, d.shape)
-    columns = (torch.from_numpy(np.array(x)) for x in (o, d, LOW, HIGH, near, far))
-    return d, contraction.ways(*columns, nearest, step), near, far
+    origins, directions, low, high, first, last = (torch.from_numpy(np.array(x)) for x in (o, d, LOW, HIGH, near, far))
+    return d, contraction.ways(origins, directions, low, high, first, last, nearest, step), near, far
 
 
 @pytest.mark.parametrize("origin", [(0.2, -0.3, 0.1), (3.0, 2.0, 1.0), (0.0, 0.0, -20.0)])
