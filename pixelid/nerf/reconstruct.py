@@ -245,11 +245,12 @@ def reconstruct(
     if recipe.between_poses == "cubic":
         dataset = replace(dataset, trajectory=dataset.trajectory.splined())
     maps = maps_of_sensor(Path(sensor), calibration.circuit, calibration.camera) if sensor else None
+    cells = recipe.cells
 
     def make(of: Calibration, trained: tuple[str, ...], held_out: float = HELD_OUT) -> Problem:
         return problem_of(
             dataset, of, trained=trained, background=background, scale=scale, box=box, near=near, maps=maps,
-            cells=recipe.cells, held_out=held_out, seed=seed,
+            cells=cells, held_out=held_out, seed=seed,
         )  # fmt: skip
 
     problem = make(calibration, bandwidth.moving)
