@@ -96,15 +96,15 @@ def _refuse(path: Path, why: str, suffix: str) -> None:
 def _restored(document: dict, problem: Problem, recipe: Recipe, bandwidth: Bandwidth, device: str) -> State:
     """The state that `save` put down."""
     state = start(problem, recipe, bandwidth, device)
+    said, chosen = document["stopping"], document["regularisation"]
+    if said["scene"]:
+        _bricks(said["scene"], state.field)  # it may be from before the field was refined last
     take(state, _bricks(document, state.field), document)
     state.optimiser = optimiser_of(state.field, state.pixel, state.poses, recipe)
     state.optimiser.load_state_dict(document["optimiser"])
     state.iteration, state.rays, state.history = document["iteration"], document["rays"], document["history"]
     state.seconds = float(document.get("seconds", 0.0))
-    said, chosen = document["stopping"], document["regularisation"]
     looks = [Look(int(at), losses.cpu().numpy(), int(rows)) for at, losses, rows in said["looks"]]
-    if said["scene"]:
-        _bricks(said["scene"], state.field)
     state.stopping = replace(state.stopping, looks=looks, kept=int(said["kept"]), scene=said["scene"])
     trials = tuple(Trial(**trial) for trial in chosen["trials"])
     state.regularisation = Regularisation(float(chosen["factor"]), trials)

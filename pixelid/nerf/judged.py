@@ -11,6 +11,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from pixelid.nerf import parallel
 from pixelid.nerf.bricks import Bricks
 from pixelid.nerf.recipe import Recipe
 from pixelid.nerf.regularisation import AHEAD, AUTO, FACTORS, Regularisation, chosen
@@ -64,7 +65,8 @@ def keep_best(state: State) -> None:
 def _look(problem: Problem, state: State) -> Look:
     unit = 0.5 * float(sum(threshold.detach() for threshold in state.pixel.thresholds))
     rows = rows_of(problem, state, problem.held_out, unit, MOST_CHAINS)
-    return Look(state.iteration, loss_of_pixels(rows), len(rows.rest))
+    losses = parallel.agreed(loss_of_pixels(rows))  # on GPUs last digits differ, and with them what is decided
+    return Look(state.iteration, losses, len(rows.rest))
 
 
 def _copied(state: State) -> dict:
@@ -78,12 +80,15 @@ def _to_choose(problem: Problem, recipe: Recipe, state: State) -> bool:
 
 
 def _choose(problem: Problem, recipe: Recipe, state: State) -> Regularisation:
-    """Go ahead from copies of the state, which itself stays where it is."""
+    """Go ahead from copies of the state, which itself stays where it is; one that diverges explains nothing."""
     until = min(state.iteration + max(round(AHEAD * recipe.iterations), 1), recipe.iterations)
-    looks = []
+    looks, losses = [], []
     for factor in (1.0, *FACTORS):
         ahead = copy.deepcopy(state, {id(state.inside): state.inside})
         ahead.regularisation = Regularisation(factor)
-        looks.append(_look(problem, train(problem, recipe, ahead, until=until)))
-    usual, *others = (look.losses if np.isfinite(look.losses).all() else look.losses * np.nan for look in looks)
+        look = _look(problem, train(problem, recipe, ahead, until=until))
+        told = not ahead.diverged and np.isfinite(look.losses).all()
+        looks.append(look)
+        losses.append(look.losses if told else look.losses * np.nan)
+    usual, *others = losses
     return chosen(usual, others, looks[0].rows)

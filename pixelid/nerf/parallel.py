@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable
 
+import numpy as np
 import torch
 
 
@@ -45,6 +46,16 @@ def average(value: float) -> float:
     total = torch.tensor(value, dtype=torch.float64, device=device)
     torch.distributed.all_reduce(total)
     return float(total) / world()
+
+
+def agreed(values: np.ndarray) -> np.ndarray:
+    """What the first process has of numbers that all have, to rounding."""
+    if not (launched() and torch.distributed.is_initialized()):
+        return values
+    device = "cuda" if torch.distributed.get_backend() == "nccl" else "cpu"
+    own = torch.tensor(values, dtype=torch.float64, device=device)
+    torch.distributed.broadcast(own, 0)
+    return own.cpu().numpy()
 
 
 def average_gradients(parameters: Iterable[torch.Tensor]) -> None:

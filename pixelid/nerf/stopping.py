@@ -93,10 +93,15 @@ class Stopping:
         """Whether nothing is left to win, with looks to come."""
         return len(self.looks) < len(self.steps) and self.to_gain() < LEAST_SHARE
 
-    def as_dict(self, iterations: int) -> dict[str, Any]:
-        """The entry "stopping" of reconstruction.json, of a training that ended after so many steps."""
-        if not self.looks:
-            return {"kept": iterations, "stopped_early": False, "reason": "no events were held out", "looks": []}
+    def as_dict(self, iterations: int, *, diverged: bool = False) -> dict[str, Any]:
+        """The entry "stopping" of reconstruction.json, of a training that ended after so many steps.
+
+        diverged: whether the step after them did, and the state before it is what there is
+        """
+        looks = [{"iteration": look.iteration, "loss": look.loss} for look in self.looks]
+        if diverged or not looks:
+            reason = "the step after diverged" if diverged else "no events were held out"
+            return {"kept": iterations, "stopped_early": False, "reason": reason, "looks": looks}
         kept = self.looks[self.kept].iteration
         if self.stopped:
             most = max(self.to_gain(), 0.0)
@@ -105,5 +110,4 @@ class Stopping:
             reason = "all steps were made"
         if kept != self.looks[-1].iteration:
             reason += "; later steps explained held-out events demonstrably worse"
-        looks = [{"iteration": look.iteration, "loss": look.loss} for look in self.looks]
         return {"kept": kept, "stopped_early": self.stopped, "reason": reason, "looks": looks}

@@ -1,6 +1,9 @@
 """Held-out events choose: how smooth a field is held, when training stops, and which of its states is kept."""
 
 import json
+import os
+import subprocess
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -11,7 +14,8 @@ from test_schemas import check
 import pixelid as px
 from pixelid.cli.main import main
 from pixelid.errors import InputError
-from pixelid.nerf import checkpoint
+from pixelid.nerf import checkpoint, field, judged
+from pixelid.nerf import train as training
 from pixelid.nerf.dataset import read_dataset
 from pixelid.nerf.judged import keep_best, train_judged
 from pixelid.nerf.pixel import Bandwidth
@@ -111,6 +115,91 @@ def test_the_state_before_training_goes_wrong_is_kept(problem):
     assert said["kept"] == 84
     assert torch.equal(state.field.grid, good["grid"])
     assert held_out_residual(problem, state) < last
+
+
+def test_a_kept_state_on_a_coarser_grid_is_read_back(problem, tmp_path, monkeypatch):
+    """Fine grids wait until clear space can be told, in short trainings beyond the begin of the last stage."""
+    for module in (field, training):
+        monkeypatch.setattr(module, "WHOLE", 9)
+    recipe, states = replace(RECIPE, iterations=72), []
+
+    def note(now: State, measured: dict[str, float]) -> None:
+        if now.iteration == 66:
+            checkpoint.save(tmp_path / "part.pt", now, "mark")
+            states.append((now.field.vertices, now.stopping.scene["vertices"], now.stopping.kept))
+
+    train_judged(problem, recipe, start(problem, recipe, Bandwidth("off")), report=note)
+    assert states[0][:2] == (17, 9)
+    resumed = checkpoint.load(tmp_path / "part.pt", problem, recipe, Bandwidth("off"), "mark")
+    assert resumed is not None
+    assert (resumed.field.vertices, resumed.stopping.scene["vertices"], resumed.stopping.kept) == states[0]
+
+
+@pytest.mark.parametrize("at", [20, 80])
+def test_a_training_that_diverges_says_so(problem, at):
+    """Before the first look, and after some: nothing of what was kept is brought back, and no step is left to make."""
+
+    def spoil(now: State, measured: dict[str, float]) -> None:
+        if now.iteration == at:
+            now.field.grid.detach()[:, 1] = np.nan
+
+    state = train_judged(problem, RECIPE, start(problem, RECIPE, Bandwidth("off")), report=spoil)
+    assert state.diverged
+    spoiled = state.field.grid.detach().clone()
+    keep_best(state)
+    torch.testing.assert_close(state.field.grid.detach(), spoiled, rtol=0, atol=0, equal_nan=True)
+    said = state.stopping.as_dict(state.iteration, diverged=state.diverged)
+    assert len(said["looks"]) == len(state.stopping.looks) == (0 if at < 48 else 5)
+    assert (said["kept"], said["stopped_early"]) == (at, False)
+    assert said["reason"] == "the step after diverged"
+
+
+def test_weights_under_which_training_diverges_are_not_chosen(problem, monkeypatch):
+    """Its state is the one before the step, whose held-out loss is a number and may be the least."""
+
+    def diverging(problem, recipe, state, until=None, report=None):
+        state.diverged = state.regularisation.factor == FACTORS[1]
+        if not state.diverged:
+            state.field.grid.detach()[:, 1] += 3.0 * torch.randn(len(state.field.grid))
+        return state
+
+    monkeypatch.setattr(judged, "train", diverging)
+    recipe = replace(RECIPE, regularisation="auto")
+    found = judged._choose(problem, recipe, start(problem, recipe, Bandwidth("off")))
+    assert found.factor != FACTORS[1]
+    assert np.isnan(found.trials[2].loss)
+    assert found.trials[2].p_value == 1.0
+
+
+LOOKING = """
+import sys
+import numpy as np
+import pixelid as px
+from pixelid.nerf import judged, parallel
+
+plain = judged.loss_of_pixels
+judged.loss_of_pixels = lambda rows: plain(rows) * (1.0 + 1e-3 * parallel.rank())  # rounding, and more
+state = px.reconstruct(sys.argv[1], iterations=24, regularisation="auto", device="cpu").state
+looks = [look.losses for look in state.stopping.looks]
+trials = [(trial.loss, trial.gain, trial.p_value) for trial in state.regularisation.trials]
+np.savez(f"{sys.argv[2]}/{parallel.rank()}.npz", looks=looks, trials=trials)
+"""
+
+
+def test_processes_look_at_the_same_losses(made, tmp_path):
+    """What one decides, all do, though sums of theirs differ in the last digits on GPUs."""
+    script = tmp_path / "looking.py"
+    script.write_text(LOOKING)
+    launch = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2", str(script)]
+    done = subprocess.run(
+        [*launch, str(made), str(tmp_path)], env={**os.environ, "OMP_NUM_THREADS": "1"}, capture_output=True, text=True,
+        timeout=300,
+    )  # fmt: skip
+    assert (tmp_path / "1.npz").is_file(), done.stderr[-2000:]
+    with np.load(tmp_path / "0.npz") as first, np.load(tmp_path / "1.npz") as second:
+        assert len(first["looks"]) == LOOKS
+        for name in first.files:
+            np.testing.assert_array_equal(first[name], second[name])
 
 
 def test_a_training_that_stands_still_is_stopped(made):
