@@ -70,14 +70,15 @@ class Stopping:
 
     @property
     def best(self) -> int:
-        """Which look has the least loss."""
-        return int(np.argmin([look.loss for look in self.looks]))
+        """Which look has the least loss; one that is no number is the largest."""
+        return int(np.argmin([look.loss if math.isfinite(look.loss) else math.inf for look in self.looks]))
 
     def add(self, look: Look, scene: dict[str, Any]) -> None:
         """Note a look, and the scene where it is not demonstrably worse than the best."""
         self.looks.append(look)
         last, best = len(self.looks) - 1, self.best
-        if best == last or paired(look.losses, self.looks[best].losses, look.rows).p_value * last >= ALPHA:
+        gain = paired(look.losses, self.looks[best].losses, look.rows)
+        if best == last or (math.isfinite(look.loss) and gain.p_value * last >= ALPHA):
             self.kept, self.scene = last, scene
 
     def to_gain(self) -> float:

@@ -79,6 +79,15 @@ def test_the_best_state_is_kept_where_training_goes_wrong_after_it():
     assert "demonstrably worse" in said["reason"]
 
 
+def test_a_state_whose_loss_is_no_number_is_not_kept_and_rules_no_other_out():
+    course = np.array([1.0, 0.9, 0.8, 0.7, 0.7, 0.7, 1.2, 1.2])
+    for at, kept in ((2, (3, 4, 5)), (3, (4, 5)), (7, (3, 4, 5))):
+        stopping = watched(np.where(np.arange(LOOKS) == at, np.nan, course), 0.02)
+        assert stopping.kept in kept
+        assert stopping.scene["vertices"] == stopping.kept
+        assert np.isfinite(stopping.looks[stopping.kept].loss)
+
+
 def test_training_stops_where_nothing_is_left_to_win_and_not_on_noise():
     still = watched(np.full(LOOKS, 0.5), 0.001)
     assert still.stopped
