@@ -54,9 +54,9 @@ def train_judged(
 
 
 def keep_best(state: State) -> None:
-    """Let a trained state be the one that held-out events speak for; its optimiser is of no use any more."""
+    """Let a trained state be the one that held-out events speak for, unless it diverged; its optimiser is of no use."""
     stopping = state.stopping
-    if state.diverged or not stopping.looks or stopping.kept == len(stopping.looks) - 1:
+    if not state.finite or not stopping.looks or stopping.kept == len(stopping.looks) - 1:
         return
     scene = stopping.scene
     take(state, Bricks.of_index(int(scene["vertices"]), scene["bricks"].cpu().numpy()), scene)

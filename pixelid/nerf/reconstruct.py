@@ -104,7 +104,7 @@ class Reconstruction(Result):
             "samples": self.bandwidth.samples,
             "recipe": self.recipe.as_dict(),
             "held_out_residual": self.held_out,
-            "stopping": self.state.stopping.as_dict(self.state.iteration, diverged=self.state.diverged),
+            "stopping": self.state.stopping.as_dict(self.state.iteration, diverged=not self.state.finite),
             "regularisation": self.state.regularisation.as_dict(),
             "gauge": {"kind": self.problem.gauge.kind, "background": self.problem.gauge.background},
             "box": {"low": self.problem.low, "high": self.problem.high, "near": self.problem.near},

@@ -97,11 +97,11 @@ class Stopping:
     def as_dict(self, iterations: int, *, diverged: bool = False) -> dict[str, Any]:
         """The entry "stopping" of reconstruction.json, of a training that ended after so many steps.
 
-        diverged: whether the step after them did, and the state before it is what there is
+        diverged: whether the next step did, or they left what is no number; the last state is then what there is
         """
         looks = [{"iteration": look.iteration, "loss": look.loss} for look in self.looks]
         if diverged or not looks:
-            reason = "the step after diverged" if diverged else "no events were held out"
+            reason = "training diverged" if diverged else "no events were held out"
             return {"kept": iterations, "stopped_early": False, "reason": reason, "looks": looks}
         kept = self.looks[self.kept].iteration
         if self.stopped:

@@ -135,23 +135,24 @@ def test_a_kept_state_on_a_coarser_grid_is_read_back(problem, tmp_path, monkeypa
     assert (resumed.field.vertices, resumed.stopping.scene["vertices"], resumed.stopping.kept) == states[0]
 
 
-@pytest.mark.parametrize("at", [20, 80])
+@pytest.mark.parametrize("at", [20, 80, 96])
 def test_a_training_that_diverges_says_so(problem, at):
-    """Before the first look, and after some: nothing of what was kept is brought back, and no step is left to make."""
+    """Before the first look, after some, and in the last step: nothing kept is brought back, and the reason is told."""
 
     def spoil(now: State, measured: dict[str, float]) -> None:
         if now.iteration == at:
             now.field.grid.detach()[:, 1] = np.nan
 
     state = train_judged(problem, RECIPE, start(problem, RECIPE, Bandwidth("off")), report=spoil)
-    assert state.diverged
+    assert state.diverged == (at < 96)
+    assert not state.finite
     spoiled = state.field.grid.detach().clone()
     keep_best(state)
     torch.testing.assert_close(state.field.grid.detach(), spoiled, rtol=0, atol=0, equal_nan=True)
-    said = state.stopping.as_dict(state.iteration, diverged=state.diverged)
-    assert len(said["looks"]) == len(state.stopping.looks) == (0 if at < 48 else 5)
+    said = state.stopping.as_dict(state.iteration, diverged=not state.finite)
+    assert len(said["looks"]) == len(state.stopping.looks) == {20: 0, 80: 5, 96: LOOKS}[at]
     assert (said["kept"], said["stopped_early"]) == (at, False)
-    assert said["reason"] == "the step after diverged"
+    assert said["reason"] == "training diverged"
 
 
 def test_weights_under_which_training_diverges_are_not_chosen(problem, monkeypatch):
