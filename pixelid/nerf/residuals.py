@@ -174,7 +174,7 @@ def left_by(problem: Problem, state: State) -> Left | None:
         state: of the training.
 
     Returns:
-        Maps over covariates, of held-out pixels, and over the sensor, of some `MOST_CHAINS` chains of all pixels.
+        Maps over covariates, of held-out pixels, and over the sensor, of some `MOST_CHAINS` chains or one a pixel.
     """
     unit = 0.5 * sum(float(x.detach()) for x in state.pixel.thresholds)
     of_held_out = rows_of(problem, state, problem.held_out, unit) if len(problem.held_out.starts) else None

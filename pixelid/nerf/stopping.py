@@ -1,16 +1,16 @@
 """When training stops and which of its states is kept, by events of pixels that it has not seen.
 
-In the last stage, whose grid stays as it is, the held-out loss is looked at `LOOKS` times, always of the same rows.
+In the last stage, whose grid stays as it is (but in runs shorter than 96 steps), the held-out loss is looked at `LOOKS` times, always of the same rows.
 Looks are compared pixel by pixel (`gain`), so what is hard in an event for every state of the scene cancels.
 
 kept     The last state that is not demonstrably worse than the best one: the best explains more by chance in less than
          `ALPHA`, all looks so far together (Bonferroni), for the best was chosen among them.  A state later in the
          decay of the learning rate has less of the noise of its steps, so that a tie is the later one's.
-stopped  A line through the last `WINDOW` looks or half of all, whichever are more, goes on as far as looks are left, at
-         the upper limit of its slope at confidence 1 − `ALPHA` (`gain.most_gained`).  As the learning rate falls looks
-         win less and less, so that is the most they can win.  Below `LEAST_SHARE`, nothing is left to win.  Looks less
-         than `APART` steps apart tell nothing of that: Adam's second moments remember 100 steps (β₂ = 0.99), and over
-         less than that the loss may rise on its way down.
+stopped  A line through the last `WINDOW` looks goes on as far as looks are left, at the upper limit of its slope at
+         confidence 1 − `ALPHA` (`gain.most_gained`).  As the learning rate falls looks win less and less, so that is
+         the most they can win.  Below `LEAST_SHARE`, nothing is left to win.  Looks less than `APART` steps apart tell
+         nothing of that: Adam's second moments remember 100 steps (β₂ = 0.99), and over less than that the loss may
+         rise on its way down.
 """
 
 from __future__ import annotations
@@ -26,8 +26,7 @@ from pixelid.nerf.gain import most_gained, paired
 from pixelid.nerf.limits import ALPHA, LEAST_SHARE
 
 LOOKS = 8  # in the last stage
-WINDOW = 5  # looks, at least, over which the loss has to stand still: three are left to tell the scatter of its line
-
+WINDOW = 5  # looks over which the loss has to stand still: three are left to tell the scatter of its line
 APART = 100 // (WINDOW - 1)  # steps between looks, at least
 
 
@@ -83,10 +82,9 @@ class Stopping:
 
     def to_gain(self) -> float:
         """Upper limit of the share of the held-out loss that the looks which are left can win; infinite so far."""
-        window = max(WINDOW, len(self.looks) // 2)
-        if len(self.looks) < window or self.steps[1] - self.steps[0] < APART:
+        if len(self.looks) < WINDOW or self.steps[1] - self.steps[0] < APART:
             return float("inf")
-        losses = np.stack([look.losses for look in self.looks[-window:]])
+        losses = np.stack([look.losses for look in self.looks[-WINDOW:]])
         return most_gained(losses, len(self.steps) - len(self.looks), ALPHA)
 
     @property
