@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from pixelid.fit.coordinates import Coordinates
-from pixelid.fit.event_times import EventTimesObjective
+from pixelid.fit.event_times import LEVELS_TAKEN_AT, EventTimesObjective
 from pixelid.fit.result import FitResult
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.likelihood.light_between_samples import with_told
@@ -39,9 +39,11 @@ def event_times_of(result: FitResult, recordings: Sequence[Recording]) -> EventT
     objective = stamps_weighed(EventTimesObjective(EventTimes(fine), result.coordinates), result.x)
     if objective.circuit(result.x).shot_density == 0.0:
         return objective
-    put_right = result.details.get("shot_noise", {}).get("parameters_put_right_by", {})
-    off = {name: -by for name, by in put_right.items()}
-    return EventTimesObjective(objective.likelihood, result.coordinates, off).under_shot_noise(result.x)
+    told = result.details.get("shot_noise", {})
+    off = {name: -by for name, by in told.get("parameters_put_right_by", {}).items()}
+    taken, names = told.get(LEVELS_TAKEN_AT, {}), result.coordinates.names
+    at = np.array([taken.get(name, value) for name, value in zip(names, result.x, strict=True)])
+    return EventTimesObjective(objective.likelihood, result.coordinates, off).under_shot_noise(at)
 
 
 def weighs_stamps(likelihood: EventTimes, coordinates: Coordinates) -> bool:

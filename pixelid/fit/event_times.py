@@ -29,6 +29,8 @@ DENSITY_ONLY = (*(name for name in NUMBERS if name not in ("silent", "refractory
 # coordinates, whose rounding leaves 1e-10.
 STEP = 1e-6
 
+LEVELS_TAKEN_AT = "levels_taken_at"  # of a fit under shot noise: coordinates that its levels were moved for
+
 
 class EventTimesObjective(Objective):
     """The log posterior of a model under the event-time likelihood.

@@ -21,7 +21,7 @@ import numpy as np
 from pixelid.dynamics.linear import linear_stages
 from pixelid.fit.again import can_be_simulated, simulate_again
 from pixelid.fit.coordinates import Coordinates
-from pixelid.fit.event_times import EventTimesObjective
+from pixelid.fit.event_times import LEVELS_TAKEN_AT, EventTimesObjective
 from pixelid.fit.judge import residual_tests
 from pixelid.fit.newton import Optimum
 from pixelid.fit.newton import maximise as newton_steps
@@ -107,11 +107,13 @@ def fit_under_shot_noise(
 
     def settled(at: np.ndarray, density: float) -> tuple[EventTimesObjective, Optimum]:
         noisy = objective.under_shot_noise(at, density)
+        details[LEVELS_TAKEN_AT] = _named(coordinates, at)
         return noisy, newton_steps(noisy, at, tolerance=1e-3, max_steps=40)
 
     if not len(linear_stages(coordinates.circuit(x), 1.0)[0]):  # noise without a pole has no level
         return _with_density(objective, optimum, model, clocks, parameter.value, OPEN, {"gain_nats": None, "turns": 0})
     found = divided(x) if parameter.free else None
+    details: dict[str, Any] = {}
     density, error, turns = parameter.value, 0.0, 0
     if parameter.free and (found is None or found.gain < LEAST_GAIN):
         details = {"gain_nats": 0.0 if found is None else float(found.gain), "turns": 0}
@@ -130,7 +132,7 @@ def fit_under_shot_noise(
         if turns > 1 and abs(math.log(density / before)) <= AT_REST * error:
             break
         found = divided(x) if parameter.free else None
-    details = {"gain_nats": None if found is None else float(found.gain), "turns": turns}
+    details |= {"gain_nats": None if found is None else float(found.gain), "turns": turns}
     if found is not None:
         shown = _simulated(objective, x, density, whole, seed)
         error *= OTHER_PARAMETERS
@@ -185,6 +187,10 @@ def _simulated(
     )  # fmt: skip
 
 
+def _named(coordinates: Coordinates, x: np.ndarray) -> dict[str, float]:
+    return dict(zip(coordinates.names, x.tolist(), strict=True))
+
+
 def _high(values: list[float]) -> float:
     """What another one like a few values hardly exceeds."""
     return float(np.mean(values) + 2.0 * np.std(values, ddof=1))
@@ -199,6 +205,7 @@ def _put_right(
     x = np.clip(optimum.x - shown.off, *objective.coordinates.bounds())
     right = EventTimesObjective(objective.likelihood, objective.coordinates, off).under_shot_noise(x, density)
     details["parameters_put_right_by"] = {name: -by for name, by in off.items()}
+    details[LEVELS_TAKEN_AT] = _named(objective.coordinates, x)
     fit = _with_density(right, replace(optimum, x=x), model, clocks, density, error, details)
     added = dict(zip(names, shown.added_sd.tolist(), strict=True))
     return replace(fit, added_sd=added, expected=shown.expected)

@@ -57,7 +57,7 @@ def test_noise_that_the_thresholds_do_not_have_is_worth_hundreds_of_nats(noisy):
 def test_the_objective_of_a_fit_comes_back(noisy):
     recordings, result = noisy
     again = event_times_of(result, recordings)
-    assert again.terms(result.x).total == pytest.approx(result.log_likelihood, abs=2.0)
+    assert again.terms(result.x).total == pytest.approx(result.log_likelihood, abs=1e-3)
     fine = [with_fine_light(r, "linear") for r in recordings]
     assert EventTimes(fine).log_likelihood(result.model.circuit()) < result.log_likelihood - 500.0
 

@@ -11,6 +11,8 @@ import torch
 
 from pixelid.errors import OutputError
 from pixelid.nerf import checkpoint
+from pixelid.nerf.regularisation import Regularisation
+from pixelid.nerf.stopping import Stopping
 
 
 @pytest.fixture
@@ -19,6 +21,8 @@ def state(monkeypatch):
     monkeypatch.setattr(checkpoint, "FORMAT", "x" * 100_000)
     state = MagicMock(iteration=1, rays=1, seconds=0.0, history=[], optimiser=MagicMock(state_dict=dict))
     state.field.occupied, state.field.bricks.index = np.zeros(3, bool), np.zeros(3, np.int32)
+    state.field.young = np.zeros(3, bool)
+    state.stopping, state.regularisation = Stopping(), Regularisation()
     state.field.vertices = 3
     for part in (state.field.grid, state.field.coefficients, state.field.log_background, state.pixel.factors,
                  state.pixel.added, state.pixel.departures, state.poses.offset, state.poses.moved):  # fmt: skip
