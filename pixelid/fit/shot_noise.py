@@ -207,7 +207,7 @@ def _put_right(
     details["parameters_put_right_by"] = {name: -by for name, by in off.items()}
     details[LEVELS_TAKEN_AT] = _named(objective.coordinates, x)
     fit = _with_density(right, replace(optimum, x=x), model, clocks, density, error, details)
-    added = dict(zip(names, shown.added_sd.tolist(), strict=True))
+    added = _named(objective.coordinates, shown.added_sd)
     return replace(fit, added_sd=added, expected=shown.expected)
 
 
@@ -222,7 +222,7 @@ def _with_density(
     known = replace(parameter, value=value, prior=Prior(parameter.to_coordinate(value), min(error, OPEN)))
     at = objective.coordinates.model_at(optimum.x)
     coordinates = Coordinates.of(replace(at, parameters={**at.parameters, DENSITY: known}), clocks)
-    here = dict(zip(objective.coordinates.names, optimum.x, strict=True))
+    here = _named(objective.coordinates, optimum.x)
     x = np.array([here.get(name, parameter.to_coordinate(value)) for name in coordinates.names])
     full = objective.on(coordinates)
     return UnderNoise(full, newton_steps(full, x, tolerance=1e-3, max_steps=80), details)

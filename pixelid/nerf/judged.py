@@ -63,8 +63,7 @@ def keep_best(state: State) -> None:
 
 
 def _look(problem: Problem, state: State) -> Look:
-    unit = 0.5 * float(sum(threshold.detach() for threshold in state.pixel.thresholds))
-    rows = rows_of(problem, state, problem.held_out, unit, MOST_CHAINS)
+    rows = rows_of(problem, state, problem.held_out, state.pixel.mean_threshold, MOST_CHAINS)
     losses = parallel.agreed(loss_of_pixels(rows))  # on GPUs last digits differ, and with them what is decided
     return Look(state.iteration, losses, len(rows.rest))
 

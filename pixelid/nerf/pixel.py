@@ -141,6 +141,11 @@ class Pixel(torch.nn.Module):
         mean, ratio = 0.5 * (on + off) * self._scale[4], on / off * self._scale[5]
         return 2 * mean * ratio / (1 + ratio), 2 * mean / (1 + ratio)
 
+    @property
+    def mean_threshold(self) -> float:
+        """Of ON and OFF, as trained, without a gradient [ln L]."""
+        return 0.5 * sum(float(threshold.detach()) for threshold in self.thresholds)
+
     def trains(self, name: str) -> bool:
         """Whether one of `FACTORS` is trained."""
         return bool(self.moves[FACTORS.index(name)])

@@ -170,6 +170,13 @@ def _met(flat, directional, index, x, y, z, ix, iy, iz, depth, every, each, c, b
     return passed, colour
 
 
+@njit(inline="always", error_model="numpy")
+def _behind(T, L, passed, colour):
+    """(transmittance, radiance) behind a sample."""
+    T_next = T * math.exp(-passed)
+    return T_next, L + (T - T_next) * colour
+
+
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "afn", "reassoc"})
 def _march(
     px, py, pz, qx, qy, qz, start, far, step, c, basis, grid, coefficients, cells, index, occupied, filled, floor,
@@ -193,9 +200,7 @@ def _march(
                 if keeping:
                     samples[kept], depths[kept], colours[kept] = k, passed, colour
                     kept += 1
-                T_next = T * math.exp(-passed)
-                L += (T - T_next) * colour
-                T = T_next
+                T, L = _behind(T, L, passed, colour)
                 if T < OPAQUE:
                     break
             k += 1
@@ -250,9 +255,7 @@ def _march_outwards(
                 if keeping:
                     samples[kept], depths[kept], colours[kept] = k, passed, colour
                     kept += 1
-                T_next = T * math.exp(-passed)
-                L += (T - T_next) * colour
-                T = T_next
+                T, L = _behind(T, L, passed, colour)
                 if T < OPAQUE:
                     break
             k += 1

@@ -176,7 +176,7 @@ def left_by(problem: Problem, state: State) -> Left | None:
     Returns:
         Maps over covariates, of held-out pixels, and over the sensor, of some `MOST_CHAINS` chains or one a pixel.
     """
-    unit = 0.5 * sum(float(x.detach()) for x in state.pixel.thresholds)
+    unit = state.pixel.mean_threshold
     of_held_out = rows_of(problem, state, problem.held_out, unit) if len(problem.held_out.starts) else None
     every = Intervals(problem.training.stretches, np.arange(len(problem.training.stretches.begin), dtype=np.int32))
     starts = apart(every)

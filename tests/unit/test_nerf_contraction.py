@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import torch
-from test_nerf_render import random_rays
+from test_nerf_render import assert_slopes_of_rays, random_rays, rays_from_inside
 
 from pixelid.nerf import contraction
 from pixelid.nerf.bricks import Bricks
@@ -133,26 +133,11 @@ def test_gradients_of_rays_are_those_of_finite_differences(of):
     box = unbounded()
     grid = box.bricks.gathered(torch.tensor(rng.normal(0, 0.5, (CELLS + 1,) * 3 + (2,)).astype(np.float32)))
     grid[64:, 0] -= 1.0
-    directions = rng.normal(size=(60, 3))
-    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    rays = Rays(
-        rng.uniform(-0.3, 0.3, (60, 3)).astype(np.float32), directions.astype(np.float32), np.zeros(60, int),
-        rng.random(60).astype(np.float32),
-    )  # fmt: skip
 
     def value(given):
-        return render(grid, torch.tensor([1.0]), rays._replace(**{of: given}), box._replace(step=0.05))[0]
+        return render(grid, torch.tensor([1.0]), given, box._replace(step=0.05))[0]
 
-    at = torch.tensor(getattr(rays, of), requires_grad=True)
-    value(at).sum().backward()
-    assert at.grad is not None
-    step = 1e-3
-    for j in range(3):
-        shift = np.zeros(3, np.float32)
-        shift[j] = step
-        by_hand = ((value(getattr(rays, of) + shift) - value(getattr(rays, of) - shift)) / (2 * step)).numpy()
-        close = np.abs(by_hand - at.grad[:, j].numpy()) < 0.05 * float(at.grad.abs().max())
-        assert close.mean() > 0.8
+    assert_slopes_of_rays(value, rays_from_inside(rng, 60), of, 1e-3, 0.05)
 
 
 @pytest.mark.parametrize("engine", ["compiled", "tensors"])

@@ -195,6 +195,29 @@ def test_gradients_are_those_of_finite_differences(of):
         assert float(at.grad.ravel()[flat]) == pytest.approx(slope, rel=2e-2)
 
 
+def rays_from_inside(rng, number: int) -> Rays:
+    directions = rng.normal(size=(number, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    return Rays(
+        rng.uniform(-0.3, 0.3, (number, 3)).astype(np.float32), directions.astype(np.float32),
+        np.zeros(number, int), rng.random(number).astype(np.float32),
+    )  # fmt: skip
+
+
+def assert_slopes_of_rays(value, rays: Rays, of: str, step: float, within: float) -> None:
+    """The gradient of radiance (n,) by what rays are `of` is that of differences, in four of five rays."""
+    at = torch.tensor(getattr(rays, of), requires_grad=True)
+    value(rays._replace(**{of: at})).sum().backward()
+    assert at.grad is not None
+    for j in range(3):
+        shift = np.zeros(3, np.float32)
+        shift[j] = step
+        up, down = (value(rays._replace(**{of: getattr(rays, of) + s})) for s in (shift, -shift))
+        by_hand = ((up - down) / (2 * step)).numpy()
+        close = np.abs(by_hand - at.grad[:, j].numpy()) < within * float(at.grad.abs().max())
+        assert close.mean() > 0.8
+
+
 @pytest.mark.parametrize("of", ["origins", "directions"])
 def test_gradients_of_rays_are_those_of_finite_differences(of):
     """From inside the box, where the march begins at the camera wherever that is; nothing is opaque or skipped."""
@@ -202,28 +225,13 @@ def test_gradients_of_rays_are_those_of_finite_differences(of):
     grid = torch.tensor(rng.normal(0, 0.5, (9, 9, 9, 2)).astype(np.float32))
     grid[..., 0] -= 0.5
     coefficients = torch.tensor(rng.normal(0, 0.2, (9, 9, 9, 1, 8)).astype(np.float32))
-    directions = rng.normal(size=(40, 3))
-    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    rays = Rays(
-        rng.uniform(-0.3, 0.3, (40, 3)).astype(np.float32), directions.astype(np.float32), np.zeros(40, int),
-        rng.random(40).astype(np.float32),
-    )  # fmt: skip
-    box = cube(9, 0.05)
+    rays, box = rays_from_inside(rng, 40), cube(9, 0.05)
 
     def value(given):
-        return rendered(grid, torch.tensor([1.0]), rays._replace(**{of: given}), box, coefficients=coefficients)[0]
+        return rendered(grid, torch.tensor([1.0]), given, box, coefficients=coefficients)[0]
 
-    at = torch.tensor(getattr(rays, of), requires_grad=True)
-    value(at).sum().backward()
-    assert at.grad is not None
-    step = 2e-3
-    for j in range(3):
-        shift = np.zeros(3, np.float32)
-        shift[j] = step
-        by_hand = (value(getattr(rays, of) + shift) - value(getattr(rays, of) - shift)) / (2 * step)
-        # the far end of the box comes and goes by a sample of one step, in some rays
-        close = np.abs(by_hand.numpy() - at.grad[:, j].numpy()) < 0.02 * float(at.grad.abs().max())
-        assert close.mean() > 0.8
+    # the far end of the box comes and goes by a sample of one step, in some rays
+    assert_slopes_of_rays(value, rays, of, 2e-3, 0.02)
 
 
 def test_skipping_empty_blocks_changes_nothing_that_shows():

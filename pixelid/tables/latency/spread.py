@@ -173,7 +173,7 @@ def _medians(changes, step, times, threshold, s, delays, mass, half):
                 high, missing_high = t, missing
                 missing_low *= 0.5 if falsi and last == -1 else 1.0
                 last = -1
-            if high - low < CLOSE * high or abs(missing) < LEAST * CLOSE:
+            if high - low < CLOSE * high or missing == 0.0:
                 break
         medians[row] = t
     return medians
