@@ -26,6 +26,9 @@ def plain(tmp_path_factory):
     folder = tmp_path_factory.mktemp("structures") / "here"
     folder.mkdir()
     structures.prepare_plain(folder)
+    words = "render result_reconstruction --out out --frames 1 --size 4 4 --quiet"  # whose kernels are compiled here:
+    assert structures.run_here(words.split(), folder, 600.0).code == 0  # that takes longer than an answer may
+    shutil.rmtree(folder / "out")
     return folder
 
 
