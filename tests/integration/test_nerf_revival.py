@@ -99,6 +99,7 @@ def test_events_ask_for_what_was_given_up_too_early(problem, monkeypatch):
     assert wanted[gone].mean() > 3 * wanted[missing & ~gone].mean()
 
 
+@pytest.mark.slow
 def test_a_thin_object_given_up_too_early_comes_back(problem, monkeypatch):
     monkeypatch.setattr(fields, "WHOLE", 17)
     left, back = {}, {}

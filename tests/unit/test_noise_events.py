@@ -199,7 +199,7 @@ def test_mismatch_raises_the_mean_rate(dead_s, noise, within):
     assert mean_rates(c, 24.0)[0] == pytest.approx(mean, rel=within)
 
 
-@pytest.mark.parametrize(("mismatch", "apart"), [(0.03, 1.0), (0.06, 0.99)])
+@pytest.mark.parametrize(("mismatch", "apart"), [pytest.param(0.03, 1.0, marks=pytest.mark.slow), (0.06, 0.99)])
 def test_mean_rates_have_no_waves_where_few_pixels_have_equal_thresholds(mismatch, apart):
     """That maximum is narrower than the 3.4 % that nodes of the difference were once apart: rates 25 % too low."""
     c = thresholds(circuit(refractory=1e-4), 50.0, 4.2 * apart, 4.2).with_(mismatch=mismatch, noise=0.04)

@@ -40,6 +40,10 @@ from pixelid.fit.objective import Local, Objective
 from pixelid.interruption import interrupt_kept
 from pixelid.likelihood.clocks import clocks_of
 
+# A step that promises more than it holds is halved so often, and then taken as it is: it moves next to nothing.  Where
+# the value has kinks (those of the light) IPOPT would halve it down to rounding, at a likelihood each.
+HALVINGS = 6
+IDLE = 3  # iterations in which less than the tolerance is gained, after which a solve has come to rest on kinks
 REACH = 3.0  # how far, in longest moves, one solve may go: beyond, the frozen choices are no longer those of the data
 
 
@@ -107,15 +111,17 @@ def _solve(objective, x0, local: Local, symbolically: bool, tolerance: float, ma
     scale = scales(local, longest)
     low, high = np.maximum(lower, x0 - REACH * longest), np.minimum(upper, x0 + REACH * longest)
     q = ca.MX.sym("q", len(x0))
-    keep: list = []
+    keep: list = [_at_rest(len(x0), tolerance)]
     options = {
+        "iteration_callback": keep[0],
         "print_time": False,
         "error_on_fail": False,
         "show_eval_warnings": False,
         "ipopt": {
             "print_level": 0, "sb": "yes", "max_iter": max(max_steps, 1), "mu_init": 1e-8, "bound_push": 1e-8,
             "bound_frac": 1e-8, "nlp_scaling_method": "none", "tol": float(np.sqrt(2.0 * tolerance / len(x0))),
-            "acceptable_iter": 0, "bound_relax_factor": 0.0, "mu_strategy": "monotone",
+            "acceptable_iter": 0, "bound_relax_factor": 0.0, "mu_strategy": "monotone", "max_soc": 0,
+            "accept_after_max_steps": HALVINGS,
         },
     }  # fmt: skip
     if symbolically:
@@ -135,6 +141,50 @@ def _solve(objective, x0, local: Local, symbolically: bool, tolerance: float, ma
     return x, int(solver.stats()["iter_count"])
 
 
+class _Callback(ca.Callback):
+    """A Python function of dense matrices as a CasADi function; slope: (sparsity, function) of its Jacobian."""
+
+    def __init__(self, name, inputs, outputs, evaluate, slope=None):
+        ca.Callback.__init__(self)
+        self.inputs, self.outputs, self.evaluate, self.slope = inputs, outputs, evaluate, slope
+        self.construct(name, {})
+
+    def get_n_in(self):
+        return len(self.inputs)
+
+    def get_n_out(self):
+        return len(self.outputs)
+
+    def get_sparsity_in(self, i):
+        return self.inputs[i]
+
+    def get_sparsity_out(self, i):
+        return self.outputs[i]
+
+    def eval(self, arg):
+        return self.evaluate(*arg)
+
+    def has_jacobian(self):
+        return self.slope is not None
+
+    def get_jacobian(self, name, inames, onames, opts):
+        row, slope = self.slope
+        self.jacobian_callback = _Callback(name, [*self.inputs, *self.outputs], [row], slope)
+        return self.jacobian_callback
+
+
+def _at_rest(n: int, tolerance: float) -> _Callback:
+    """Asks IPOPT to stop after `IDLE` iterations without a value that is better than the best by the tolerance."""
+    values: list[float] = []
+
+    def stop(x, f, *multipliers):
+        values.append(float(f))
+        return [float(len(values) > IDLE and min(values[-IDLE:]) > min(values[:-IDLE]) - tolerance)]
+
+    vector, one, none = ca.Sparsity.dense(n, 1), ca.Sparsity.dense(1, 1), ca.Sparsity.dense(0, 1)
+    return _Callback("at_rest", [vector, one, none, vector, none, none], [one], stop)
+
+
 def _callbacks(objective: Objective, x0: np.ndarray, scale: np.ndarray):
     """CasADi functions of q, x = x0 + scale · q: (−f; −f and gradient; Gauss–Newton Hessian of the Lagrangian)."""
     n = len(x0)
@@ -147,34 +197,6 @@ def _callbacks(objective: Objective, x0: np.ndarray, scale: np.ndarray):
             memory.clear()
             memory[key] = objective.local(x)
         return memory[key]
-
-    class Callback(ca.Callback):
-        def __init__(self, name, inputs, outputs, evaluate, slope=None):
-            ca.Callback.__init__(self)
-            self.inputs, self.outputs, self.evaluate, self.slope = inputs, outputs, evaluate, slope
-            self.construct(name, {})
-
-        def get_n_in(self):
-            return len(self.inputs)
-
-        def get_n_out(self):
-            return len(self.outputs)
-
-        def get_sparsity_in(self, i):
-            return self.inputs[i]
-
-        def get_sparsity_out(self, i):
-            return self.outputs[i]
-
-        def eval(self, arg):
-            return self.evaluate(*arg)
-
-        def has_jacobian(self):
-            return self.slope is not None
-
-        def get_jacobian(self, name, inames, onames, opts):
-            self.jacobian_callback = Callback(name, [*self.inputs, *self.outputs], [row], self.slope)
-            return self.jacobian_callback
 
     vector, row, one = ca.Sparsity.dense(n, 1), ca.Sparsity.dense(1, n), ca.Sparsity.dense(1, 1)
     none, empty = ca.Sparsity(0, 1), ca.Sparsity(0, 0)
@@ -195,7 +217,7 @@ def _callbacks(objective: Objective, x0: np.ndarray, scale: np.ndarray):
         return [ca.triu(ca.DM(float(factor) * curvature))]
 
     return (
-        Callback("value", [vector], [one], value, slope),
-        Callback("grad_f", [vector, empty], [one, vector], gradient),
-        Callback("hess_lag", [vector, empty, one, none], [ca.Sparsity.upper(n)], hessian),
+        _Callback("value", [vector], [one], value, (row, slope)),
+        _Callback("grad_f", [vector, empty], [one, vector], gradient),
+        _Callback("hess_lag", [vector, empty, one, none], [ca.Sparsity.upper(n)], hessian),
     )
