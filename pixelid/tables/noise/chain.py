@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from pixelid.stages.circuit import Circuit
-from pixelid.tables.noise.hidden import Hidden
+from pixelid.tables.noise.hidden import Hidden, normal_laws
 from pixelid.tables.noise.process import NoiseProcess
 from pixelid.tables.noise.quadrature import WHOLE, Resolution, offset_nodes, rayleigh_nodes, threshold_draws
 
@@ -67,7 +67,7 @@ class Crossings:
         process: the noise.
         slopes, omega, factors: (m,) nodes of slopes, their weights, and what turns densities into intensities.
         weights: (lags,) of integrals.
-        means, covariances, hidden: of output, slope and hidden states a lag after a crossing, see
+        means, laws, hidden: of output, slope and hidden states a lag after a crossing, see
             `crossings.between_crossings`.
     """
 
@@ -77,7 +77,7 @@ class Crossings:
     factors: np.ndarray
     weights: np.ndarray
     means: np.ndarray
-    covariances: np.ndarray
+    laws: np.ndarray
     hidden: Hidden
 
     @classmethod
@@ -92,8 +92,8 @@ class Crossings:
         ended = p.P - moved @ p.seen_covariance @ np.swapaxes(moved, 1, 2)
         loading, reading = p.hidden(resolution.least_hidden)
         hidden = Hidden.of(p, reading, moved, np.zeros(moved.shape[:2]), p.propagators @ loading, ended)
-        covariances = triangle(p.seen @ ended @ p.seen.T)
-        return cls(p, slopes_unit * p.slope_sigma, omega, factors, weights, p.seen @ moved, covariances, hidden)
+        laws = normal_laws(p.seen @ ended @ p.seen.T)
+        return cls(p, slopes_unit * p.slope_sigma, omega, factors, weights, p.seen @ moved, laws, hidden)
 
     def rates(self, up: np.ndarray, down: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Rice's intensities (k, 2 m s) of k pairs of levels, and (k, 2 m s, 2 m s) their first passages."""
@@ -106,7 +106,7 @@ class Crossings:
             rice = self.process.zero_crossings_hz * np.exp(-0.5 * (levels / self.process.sigma) ** 2)
             stationary[k, ::moments] = np.outer(rice, self.omega).ravel()
             crossings.between_crossings(
-                self.means, self.covariances, self.hidden.arrays, *levels, self.slopes, self.factors, self.weights,
+                self.means, self.laws, self.hidden.arrays, *levels, self.slopes, self.factors, self.weights,
                 stationary[k], between[k],
             )  # fmt: skip
         return stationary, np.linalg.inv(np.eye(size) + between)
@@ -161,7 +161,7 @@ def chain_of(process: NoiseProcess, circuit: Circuit, drift: float, resolution: 
     moved, late = np.zeros((states, states)), np.zeros((states, len(draws), count))
     crossings.transitions(
         nodes, at.slopes, at.omega, p.zero_crossings_hz, p.sigma, at.factors, at.weights, released.maps,
-        released.spread, released.tails, released.covariances, released.hidden.arrays, released.start_spread,
+        released.spread, released.tails, released.laws, released.hidden.arrays, released.start_spread,
         released.reference, released.sd, offsets, offset_weights, on, off, draw_weights, resolvents, moved, late,
     )  # fmt: skip
     late = late.reshape(states, -1)
@@ -197,7 +197,7 @@ class Release:
     maps: np.ndarray
     spread: np.ndarray
     tails: np.ndarray
-    covariances: np.ndarray
+    laws: np.ndarray
     reference: np.ndarray
     sd: float
     hidden: Hidden
@@ -236,11 +236,6 @@ def release(p: NoiseProcess, dead_s: float, resolution: Resolution) -> Release:
     carried = moved @ (hidden_start - np.outer(gain, start_spread))
     hidden = Hidden.of(p, reading, moved @ mean, moved @ gain, carried, ended)
     return Release(
-        seen @ mean, np.ascontiguousarray(seen @ gain), tails, triangle(p.seen @ ended @ p.seen.T), mean[p.input], sd,
-        hidden, start_spread,
+        seen @ mean, np.ascontiguousarray(seen @ gain), tails, normal_laws(p.seen @ ended @ p.seen.T), mean[p.input],
+        sd, hidden, start_spread,
     )  # fmt: skip
-
-
-def triangle(matrices: np.ndarray) -> np.ndarray:
-    """(lags, 3) entries 00, 01, 11 of symmetric (lags, 2, 2)."""
-    return np.ascontiguousarray(np.stack([matrices[:, 0, 0], matrices[:, 0, 1], matrices[:, 1, 1]], axis=1))

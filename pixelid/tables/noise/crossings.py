@@ -7,20 +7,8 @@ import math
 import numpy as np
 from numba import njit
 
-from pixelid.tables.noise.hidden import LOST
-
 FARTHEST = 100.0  # squared standard deviations from a mean: e⁻⁵⁰ of a density is nothing beside rates of e⁻⁴⁰
 PARTS = 8  # of a grid step that a leaking reference passes; the hazard is log-linear between them
-
-
-@njit(forceinline=True, error_model="numpy")
-def _density(d0, d1, v00, v01, v11):
-    """Density of output and slope at d0, d1 from their mean; 0 where the covariance is lost in rounding."""
-    det = v00 * v11 - v01 * v01
-    if not det > LOST * v00 * v11:
-        return 0.0
-    q = (v11 * d0 * d0 - 2.0 * v01 * d0 * d1 + v00 * d1 * d1) / det
-    return math.exp(-0.5 * q) / (2.0 * math.pi * math.sqrt(det)) if q < FARTHEST else 0.0
 
 
 @njit(forceinline=True, error_model="numpy")
@@ -48,20 +36,22 @@ def _add(into, first, f, d0, d1, hidden, t, before, after):
 
 
 @njit(forceinline=True, error_model="numpy")
-def add_crossings(into, weight, mz, mw, covariances, hidden, t, before, after, levels, slopes, factors):
+def add_crossings(into, weight, mz, mw, laws, hidden, t, before, after, levels, slopes, factors):
     """Add to into (s, 2 m s) weight times the intensities of crossings at lag t, by level, slope and moment.
 
-    mz, mw: means of output and slope there;  others as `_add` and `between_crossings`.
+    mz, mw: means of output and slope there;  laws: `hidden.normal_laws`;  others as `_add` and `between_crossings`.
     """
     m, s = len(slopes), len(before) + 1
-    v00, v01, v11 = covariances[t, 0], covariances[t, 1], covariances[t, 2]
+    farthest, p00, p01, p11 = FARTHEST * laws[t, 0], laws[t, 1], 2.0 * laws[t, 2], laws[t, 3]
+    highest = weight * laws[t, 4]
     for i in range(2):
         d0 = levels[i] - mz
-        if d0 * d0 > FARTHEST * v00:
+        if d0 * d0 > farthest:
             continue
         for j in range(m):
             d1 = (slopes[j] if i == 0 else -slopes[j]) - mw
-            f = weight * factors[j] * _density(d0, d1, v00, v01, v11)
+            q = p00 * d0 * d0 + (p01 * d0 + p11 * d1) * d1
+            f = highest * factors[j] * math.exp(-0.5 * q) if q < FARTHEST else 0.0
             if f > 0.0:
                 _add(into, (i * m + j) * s, f, d0, d1, hidden, t, before, after)
 
@@ -76,11 +66,11 @@ def mean_after_reset(maps, spread, tails, t, z, w, offset, kept):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def between_crossings(means, covariances, hidden, on, off, slopes, factors, weights, stationary, found):
+def between_crossings(means, laws, hidden, on, off, slopes, factors, weights, stationary, found):
     """found (2 m s, 2 m s): ∫ (intensity of crossings of one level and slope, a lag after another) − stationary.
 
     Per slope there are s moments: 1 and the mean of each hidden state.
-    means: (lags, 2, 2) of output and slope, per output and slope at lag 0;  covariances: (lags, 3) (00, 01, 11);
+    means: (lags, 2, 2) of output and slope, per output and slope at lag 0;  laws: (lags, 5) `hidden.normal_laws`;
     hidden: arrays of `hidden.Hidden`;  on, off: the two levels;  slopes: (m,) of nodes;  factors: (m,) what turns a
     density at a node into an intensity;  weights: (lags,) of the integral;  stationary: (2 m s,).
     """
@@ -102,12 +92,12 @@ def between_crossings(means, covariances, hidden, on, off, slopes, factors, weig
                 mz = means[t, 0, 0] * z + means[t, 0, 1] * w
                 mw = means[t, 1, 0] * z + means[t, 1, 1] * w
                 hidden_mean(hidden, t, z, w, 0.0, after)
-                add_crossings(into, weights[t], mz, mw, covariances, hidden, t, before, after, levels, slopes, factors)
+                add_crossings(into, weights[t], mz, mw, laws, hidden, t, before, after, levels, slopes, factors)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def after_reset(
-    maps, spread, tails, covariances, hidden, start_spread, z, w, offset, kept, on, off, slopes, factors, weights,
+    maps, spread, tails, laws, hidden, start_spread, z, w, offset, kept, on, off, slopes, factors, weights,
     stationary, found,
 ):  # fmt: skip
     """found (s, 2 m s): ∫ (intensity of crossing i with slope j, a lag after the reset) − stationary.
@@ -126,7 +116,7 @@ def after_reset(
     for t in range(len(weights)):
         mz, mw = mean_after_reset(maps, spread, tails, t, z, w, offset, kept)
         hidden_mean(hidden, t, z, w, offset, after)
-        add_crossings(found, weights[t], mz, mw, covariances, hidden, t, before, after, levels, slopes, factors)
+        add_crossings(found, weights[t], mz, mw, laws, hidden, t, before, after, levels, slopes, factors)
 
 
 @njit(forceinline=True, error_model="numpy")
@@ -209,7 +199,7 @@ def exits_long_after(nodes, on, off, moments, stationary, resolvent, drift, exit
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def transitions(
-    nodes, slopes, omega, stationary_hz, sigma, factors, weights, maps, spread, tails, covariances, hidden,
+    nodes, slopes, omega, stationary_hz, sigma, factors, weights, maps, spread, tails, laws, hidden,
     start_spread, reference, reference_sd, offsets, offset_weights, on, off, draw_weights, resolvents, moved, late,
 ):  # fmt: skip
     """The Markov chain of events: moved (states, states) and late (states, draws, k), shares that soon reach the next
@@ -243,7 +233,7 @@ def transitions(
                             stationary[j * s] = stationary_hz * math.exp(-0.5 * (up / sigma) ** 2) * omega[j]
                             stationary[each + j * s] = stationary_hz * math.exp(-0.5 * (down / sigma) ** 2) * omega[j]
                         after_reset(
-                            maps, spread, tails, covariances, hidden, start_spread, z, w, offsets[g], kept, up, down,
+                            maps, spread, tails, laws, hidden, start_spread, z, w, offsets[g], kept, up, down,
                             slopes, factors, weights, stationary, expected,
                         )  # fmt: skip
                         for b in range(s):

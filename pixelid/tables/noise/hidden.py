@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -64,3 +65,14 @@ class Hidden:
     def arrays(self) -> tuple[np.ndarray, ...]:
         """As `crossings` takes them."""
         return self.start_gain, self.end_gain, self.cross, self.end_mean, self.end_spread
+
+
+def normal_laws(covariances: np.ndarray) -> np.ndarray:
+    """(lags, 5) of output and slope with covariances (lags, 2, 2): the variance of the output, the entries 00, 01, 11
+    of the inverse, and the density at the mean, 0 where the covariance is lost in rounding.
+    """
+    v00, v01, v11 = covariances[:, 0, 0], covariances[:, 0, 1], covariances[:, 1, 1]
+    det = v00 * v11 - v01 * v01
+    known = det > LOST * v00 * v11
+    det = np.where(known, det, 1.0)
+    return np.stack([v00, v11 / det, -v01 / det, v00 / det, known / (2.0 * math.pi * np.sqrt(det))], axis=1)

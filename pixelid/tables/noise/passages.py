@@ -12,7 +12,7 @@ from pixelid.tables.noise.crossings import add_crossings, hidden_mean, lagrange,
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def crossings_after_events(
-    share, nodes, slopes, factors, maps, spread, tails, covariances, hidden, start_spread, reference, reference_sd,
+    share, nodes, slopes, factors, maps, spread, tails, laws, hidden, start_spread, reference, reference_sd,
     offsets, offset_weights, on, off, draw_weights, crossed, begun,
 ):  # fmt: skip
     """crossed (2, draws, k, lags, 2 m s): intensities after an ON or OFF event, by reference;  begun: their mass.
@@ -50,7 +50,7 @@ def crossings_after_events(
                             hidden_mean(hidden, t, z, w, offsets[g], after)
                             found[:] = 0.0
                             add_crossings(
-                                found, weight, mz, mw, covariances, hidden, t, before, after, levels, slopes, factors
+                                found, weight, mz, mw, laws, hidden, t, before, after, levels, slopes, factors
                             )
                             for i in range(2 * m * s):
                                 part = 0.0
@@ -61,7 +61,7 @@ def crossings_after_events(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def crossings_between(means, covariances, hidden, on, off, slopes, factors, found):
+def crossings_between(means, laws, hidden, on, off, slopes, factors, found):
     """found (lags, 2 m s, 2 m s): intensities a lag after a crossing, see `crossings.between_crossings`."""
     m, n = len(slopes), hidden[0].shape[1]
     s = n + 1
@@ -78,7 +78,7 @@ def crossings_between(means, covariances, hidden, on, off, slopes, factors, foun
                 into = found[t, row : row + s]
                 into[:] = 0.0
                 hidden_mean(hidden, t, z, w, 0.0, after)
-                add_crossings(into, 1.0, mz, mw, covariances, hidden, t, before, after, levels, slopes, factors)
+                add_crossings(into, 1.0, mz, mw, laws, hidden, t, before, after, levels, slopes, factors)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
