@@ -184,7 +184,9 @@ def test_leak_alone_is_regular():
     assert noise_rates(near, 24.0).on_hz == pytest.approx(0.3, rel=0.02)
 
 
-@pytest.mark.parametrize(("dead_s", "noise", "within"), [(1e-3, 0.0, 0.01), (1e-4, 0.04, 0.03)])
+@pytest.mark.parametrize(
+    ("dead_s", "noise", "within"), [pytest.param(1e-3, 0.0, 0.01, marks=pytest.mark.slow), (1e-4, 0.04, 0.03)]
+)
 def test_mismatch_raises_the_mean_rate(dead_s, noise, within):
     """Against the plain average over a fine grid of thresholds."""
     c = thresholds(circuit(refractory=dead_s), 24.0, 3.2, 3.3).with_(mismatch=0.03, noise=noise)
