@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy import optimize
 
+from pixelid.fit.engines.casadi_engine import CasadiEngine
 from pixelid.fit.newton import _best_inside, maximise
 from pixelid.fit.objective import Local, Objective
 
@@ -26,6 +27,27 @@ class Valley(Objective):
         off, slope = x[1] - self.bend * x[0] ** 2, np.array([-2.0 * self.bend * x[0], 1.0])
         gradient = -self.curvature * off * slope - np.array([x[0] - 1.0, 0.0])
         return Local(self.value(x), gradient, self.curvature * np.outer(slope, slope) + np.diag([1.0, 1e-12]))
+
+
+class Kinked(Valley):
+    """The same less kinks of 1e-3, a quarter of a coordinate's error apart and less: each is a maximum for itself."""
+
+    def value(self, x):
+        return super().value(x) - 1e-3 * np.abs(np.sin(50.0 * x)).sum()
+
+    def local(self, x):
+        smooth = super().local(x)
+        kinks = 0.05 * np.cos(50.0 * x) * np.sign(np.sin(50.0 * x))
+        return Local(smooth.value, smooth.gradient - kinks, smooth.information)
+
+
+@pytest.mark.parametrize(("bend", "curvature"), [(0.0, 1.0), (1.0, 10.0), (2.0, 1e4)])
+def test_ipopt_does_not_halve_steps_to_rounding_on_kinks(bend, curvature):
+    """It took three to four thousand values."""
+    ridge = Kinked(bend, curvature)
+    end = CasadiEngine().maximise(ridge, np.array([-1.5, 3.0]))
+    assert ridge.evaluations < 800
+    assert end.local.value > -3e-3
 
 
 @pytest.mark.parametrize(("bend", "curvature"), [(0.0, 1.0), (1.0, 10.0), (2.0, 1e4)])
