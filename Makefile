@@ -32,7 +32,7 @@ help:
 
 setup: $(STAMP)
 
-# What simulate and fit need is compiled now; where that fails, it is compiled when it is used.
+# What simulate, fit and reconstruct need is compiled now; where that fails, it is compiled when it is used.
 # torch first and pinned: a bare `torch` may pull gigabytes of CUDA where the pinned one has a CPU build.
 $(STAMP): pyproject.toml constraints.txt
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)

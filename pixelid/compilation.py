@@ -1,4 +1,6 @@
-"""Compile what the first `simulate` and `fit` need, so that nobody waits for it later: `python -m pixelid.compilation`.
+"""Compile what the first commands need, so that nobody waits for it later: `python -m pixelid.compilation`.
+
+`simulate` and `fit` are run on little in one process, `reconstruct` beside them in another.
 
 Numba keeps compiled code beside the package, or in the user's cache where the package cannot be written
 (`NUMBA_CACHE_DIR` says another place).  `make setup` runs this; whoever installs a wheel waits once, in the first
@@ -7,6 +9,7 @@ command.
 
 from __future__ import annotations
 
+import subprocess
 import sys
 import tempfile
 import time
@@ -16,6 +19,7 @@ from pathlib import Path
 
 NOTICEABLE_S = 1.0  # of compiling before anything is said: a missing kernel or two nobody notices
 DURATION_S = 0.3  # of the light: enough events for a fit, next to nothing to compute
+RECONSTRUCTION = "reconstruction"  # what the second process is asked for
 SENTENCE = "compiling, first run only (up to a minute)"
 
 
@@ -67,6 +71,23 @@ def compile_kernels() -> float:
     return time.monotonic() - begun_s
 
 
+def compile_reconstruction() -> float:
+    """The same of `simulate` under a video and `reconstruct`.
+
+    Raises:
+        RuntimeError: it could not be run.
+    """
+    from pixelid.cli.main import main
+    from pixelid.nerf.synthetic import make_dataset
+
+    begun_s = time.monotonic()
+    with tempfile.TemporaryDirectory() as name:
+        data = make_dataset(Path(name) / "scene", side=8, revolutions=1.0, frames_per_turn=60)
+        small = ["--steps", "2", "--batch", "16", "--cells", "8"]
+        _run(main, ["reconstruct", str(data), *small, "--out", str(Path(name) / "out")])
+    return time.monotonic() - begun_s
+
+
 def _run(main: Callable[[list[str]], int], words: list[str]) -> None:
     code = main([*words, "--quiet"])
     if code not in (0, 1):  # 1: so little light says little
@@ -75,14 +96,29 @@ def _run(main: Callable[[list[str]], int], words: list[str]) -> None:
 
 def compile_now() -> int:
     """Compile, and say how long it took; what cannot be compiled now is compiled when it is used."""
+    begun_s = time.monotonic()
+    beside = subprocess.Popen([sys.executable, "-m", "pixelid.compilation", RECONSTRUCTION])
     try:
-        seconds = compile_kernels()
+        compile_kernels()
+        what = "simulate, fit"
     except Exception as error:
         print(f"pixelid: not compiled now ({error}); the first commands will take longer", file=sys.stderr)
-        return 0
-    print(f"compiled what simulate and fit need, in {seconds:.0f} s")
+        what = ""
+    done = ", ".join(filter(None, [what, "reconstruct" if beside.wait() == 0 else ""]))
+    if done:
+        print(f"compiled for {done}, in {time.monotonic() - begun_s:.0f} s")
+    return 0
+
+
+def compile_beside() -> int:
+    """What the second process compiles; 1 where it cannot."""
+    try:
+        compile_reconstruction()
+    except Exception as error:
+        print(f"pixelid: reconstruct is not compiled now ({error}); the first one will take longer", file=sys.stderr)
+        return 1
     return 0
 
 
 if __name__ == "__main__":
-    sys.exit(compile_now())
+    sys.exit(compile_beside() if sys.argv[1:] == [RECONSTRUCTION] else compile_now())

@@ -1,5 +1,8 @@
-"""Compiling is announced once, and only where it takes long."""
+"""Compiling is announced once, and only where it takes long; what cannot be compiled is no failure."""
 
+from types import SimpleNamespace
+
+import pytest
 from numba import njit
 
 from pixelid import compilation
@@ -37,10 +40,24 @@ def test_short_compiling_is_not_announced(monkeypatch):
     assert said == []
 
 
-def test_what_cannot_be_compiled_now_is_no_failure(monkeypatch, capsys):
+@pytest.mark.parametrize(("beside", "told"), [(0, "compiled for reconstruct, in"), (1, "")])
+def test_what_cannot_be_compiled_now_is_no_failure(beside, told, monkeypatch, capsys):
     def broken() -> float:
         raise OSError("read-only")
 
     monkeypatch.setattr(compilation, "compile_kernels", broken)
+    monkeypatch.setattr(compilation.subprocess, "Popen", lambda words: SimpleNamespace(wait=lambda: beside))
     assert compilation.compile_now() == 0
-    assert "read-only" in capsys.readouterr().err
+    said = capsys.readouterr()
+    assert "read-only" in said.err
+    assert said.out.startswith(told)
+    assert bool(said.out) == bool(told)
+
+
+def test_the_second_process_says_what_it_cannot_compile(monkeypatch, capsys):
+    def broken() -> float:
+        raise OSError("read-only")
+
+    monkeypatch.setattr(compilation, "compile_reconstruction", broken)
+    assert compilation.compile_beside() == 1
+    assert "reconstruct is not compiled now (read-only)" in capsys.readouterr().err
