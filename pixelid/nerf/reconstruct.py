@@ -254,7 +254,9 @@ def reconstruct(
         )  # fmt: skip
 
     problem = make(calibration, bandwidth.moving)
+    parallel.join(device)
     memory = torch.cuda.get_device_properties(0).total_memory if device == "cuda" else memory_bytes()
+    memory = int(parallel.agreed(np.array([memory]))[0])  # processes may have other computers, and need one recipe
     past = bandwidth.samples if bandwidth.mode != "off" else 1
     recipe = recipe.for_data(len(problem.training.starts), past, memory)
     files = [*dataset.files, *([Path(fit) / "model.toml" if Path(fit).is_dir() else Path(fit)] if fit else [])]
@@ -262,7 +264,6 @@ def reconstruct(
     inputs = input_hashes(files)
     validation, test = evaluation_views(dataset)
     mark = checkpoint.run_identity(problem, recipe, bandwidth, inputs)
-    parallel.join(device)
     found: Mapping[str, Any] | None = None
     if gap:
         kept = checkpoint.search_file(Path(resume)) if resume is not None else None

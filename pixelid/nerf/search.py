@@ -18,6 +18,7 @@ import numpy as np
 import torch
 
 from pixelid.errors import InputError
+from pixelid.nerf import parallel
 from pixelid.nerf.additions import ADDITIONS, OF_EVENTS, threshold_factor
 from pixelid.nerf.calibration import Calibration
 from pixelid.nerf.gain import Gain
@@ -147,7 +148,7 @@ def search(
     here = told = _Place(with_trained_values(calibration, state.pixel, problem), (), state)
     kept: list[tuple[str, Trial]] = []
     rounds: list[tuple[Trial, ...]] = []
-    while len(rounds) < MOST_ROUNDS and names and not here.state.diverged:
+    while len(rounds) < MOST_ROUNDS and names and here.state.finite:
         trials, places, plain = bench.round(here, names)
         rounds.append(trials)
         named = [k for k, t in enumerate(trials) if t.gain.p_value * len(names) < ALPHA and t.gain.share >= LEAST_SHARE]
@@ -156,8 +157,11 @@ def search(
             break
         most = max(trials[k].gain.share for k in named)
         rivals = [k for k in named if trials[k].gain.share > min((1.0 - RIVALS) * most, most - TIE)]
-        which, here = bench.settled([places[k] for k in rivals])
-        best = rivals[which]
+        outcome = bench.settled([places[k] for k in rivals])
+        if outcome is None:
+            here = plain
+            break
+        best, here = rivals[outcome[0]], outcome[1]
         kept.append((names[best], trials[best]))
         names = tuple(name for k, name in enumerate(names) if k != best)
     if not kept:
@@ -167,7 +171,7 @@ def search(
     named = _with_named(calibration, here.calibration, [name for name, _ in kept], make(calibration, tuple(ADDITIONS)))
     effects = (replace(trial, values=_values(name, named, here.state.pixel)) for name, trial in kept)
     return Found(
-        named, here.trained, tuple(effects), tuple(rounds), compare(before, after),
+        named, here.trained, tuple(effects), tuple(rounds), _agreed(compare(before, after)),
         (score(told.state), score(here.state)), _map(before, after),
     )  # fmt: skip
 
@@ -182,6 +186,12 @@ def hot_pixels(problem: Problem) -> dict[str, Any] | None:
         return None
     values = {"hot_pixels.count": float(len(maps.hot)), "hot_pixels.rate_hz": maps.hot_hz}
     return {"name": "hot_pixels", "start": {}, "values": values, "heldout_gain": None, "p_value": None, "rows": 0}
+
+
+def _agreed(gain: Gain) -> Gain:
+    """The first process' of gains that all have, to rounding."""
+    share, p_value = parallel.agreed(np.array([gain.share, gain.p_value])).tolist()
+    return gain._replace(share=share, p_value=p_value)
 
 
 def _map(before: Rows, after: Rows) -> Mapping[str, Any]:
@@ -225,7 +235,7 @@ class _Bench:
         for name in names:
             begun = _renewed(here, suggested, every, name)
             there = self.go_on(begun, self.steps)
-            gain = compare(reference, self.rows(there))
+            gain = self._gain(reference, there)
             values = _values(name, there.calibration, there.state.pixel)
             trials.append(Trial(EFFECTS.get(name, name), _told(name, begun.calibration), values, gain))
             places.append(there)
@@ -235,19 +245,35 @@ class _Bench:
         """Scene and pixel after as many steps as a trial takes, from strengths that the residuals suggest."""
         return self.go_on(_renewed(here, *self._suggested(here), at_rest=at_rest), self.steps)
 
-    def settled(self, rivals: list[_Place]) -> tuple[int, _Place]:
-        """(which of some places explains most, where it is) when strengths have come to rest, all trained as long."""
+    def settled(self, rivals: Sequence[_Place]) -> tuple[int, _Place] | None:
+        """(which of some places explains most, where it is) when strengths have come to rest, all trained as long.
+
+        Those that diverge are left out; None where all do.
+        """
+        at = dict(enumerate(rivals))
         for turn in range(MOST_SETTLING):
-            before, rivals = rivals, [self.grown(place, turn >= SETTLING) for place in rivals]
-            moved = max(_moved_by(*pair) for pair in zip(before, rivals, strict=True))
-            if turn + 1 >= SETTLING and moved < SETTLED:
+            grown = {k: self.grown(place, turn >= SETTLING) for k, place in at.items()}
+            moved = {k: _moved_by(at[k], place) for k, place in grown.items() if place.state.finite}
+            at = {k: grown[k] for k in moved}
+            if not at:
+                return None
+            if turn + 1 >= SETTLING and max(moved.values()) < SETTLED:
                 break
-        if len(rivals) == 1:
-            return 0, rivals[0]
-        first = self.rows(rivals[0])
-        shares = [0.0, *(compare(first, self.rows(place)).share for place in rivals[1:])]
-        which = next(k for k, share in enumerate(shares) if share > max(shares) - TIE)
-        return which, rivals[which]
+        first, *others = at
+        if not others:
+            return first, at[first]
+        reference = self.rows(at[first])
+        shares = {first: 0.0, **{k: self._gain(reference, at[k]).share for k in others}}
+        which = next(k for k, share in shares.items() if share > max(shares.values()) - TIE)
+        return which, at[which]
+
+    def _gain(self, reference: Rows, there: _Place) -> Gain:
+        """The first process' gain of a place, which all have to rounding: what one decides, all do.
+
+        A place that has diverged explains nothing.
+        """
+        gain = compare(reference, self.rows(there))
+        return _agreed(gain) if there.state.finite else Gain(0.0, 1.0, gain.rows)
 
     def _suggested(self, here: _Place) -> tuple[Suggested, Problem]:
         every = self.make(here.calibration, (*self._using(here.trained).moving, *ADDITIONS))
@@ -367,6 +393,7 @@ def _renewed(here: _Place, suggested: Suggested, problem: Problem, name: str = "
     least = {k: ADDITIONS[k].least - getattr(here.calibration.circuit, ADDITIONS[k].field)
              for k in (*kept, *new) if k in ADDITIONS}  # fmt: skip
     moved, calibration = suggested.of(least), here.calibration
+    moved = dict(zip(moved, parallel.agreed(np.array(list(moved.values()), float)).tolist(), strict=True))
     for each in (*here.trained, name):
         calibration = _begun(each, calibration, moved.get(each, 0.0), problem)
     return _Place(calibration, (*here.trained, *new), here.state)

@@ -174,21 +174,35 @@ def test_weights_under_which_training_diverges_are_not_chosen(problem, monkeypat
 
 LOOKING = """
 import sys
+from dataclasses import replace
 import numpy as np
 import pixelid as px
-from pixelid.nerf import judged, parallel
+from pixelid.nerf import judged, parallel, search
 
-plain = judged.loss_of_pixels
-judged.loss_of_pixels = lambda rows: plain(rows) * (1.0 + 1e-3 * parallel.rank())  # rounding, and more
-state = px.reconstruct(sys.argv[1], iterations=24, regularisation="auto", device="cpu").state
+# rounding, and more: processes that each decided by themselves would part
+plain, suggestions = judged.loss_of_pixels, search.suggestions
+judged.loss_of_pixels = lambda rows: plain(rows) * (1.0 + 1e-3 * parallel.rank())
+search.SEARCHED, search.MOST_ROUNDS = ("leak",), 1
+gains = [search.Gain(-0.1 * parallel.rank(), 1.0, 99)] * 5 + [search.Gain(0.5, 1e-9, 99)] * (parallel.rank() == 0)
+search.compare = lambda before, after: gains.pop()  # the first process names the leak, and the other nothing
+
+def apart(problem, state):
+    of = suggestions(problem, state)
+    return replace(of, rest=of.slopes["leak"] * (1.0 + parallel.rank()))
+
+search.suggestions = apart
+found = px.reconstruct(sys.argv[1], iterations=24, regularisation="auto", gap=True, device="cpu")
+state = found.state
 looks = [look.losses for look in state.stopping.looks]
 trials = [(trial.loss, trial.gain, trial.p_value) for trial in state.regularisation.trials]
-np.savez(f"{sys.argv[2]}/{parallel.rank()}.npz", looks=looks, trials=trials)
+effects = [value for effect in found.gap["effects"] for value in effect["values"].values()]
+np.savez(f"{sys.argv[2]}/{parallel.rank()}.npz", looks=looks, trials=trials, effects=effects,
+         gap=found.gap["heldout_gain"], grid=state.field.grid.detach().numpy())
 """
 
 
-def test_processes_look_at_the_same_losses(made, tmp_path):
-    """What one decides, all do, though sums of theirs differ in the last digits on GPUs."""
+def test_processes_decide_by_the_same_numbers(made, tmp_path):
+    """What one decides, all do, though sums of theirs differ in the last digits on GPUs: looks, and a search."""
     script = tmp_path / "looking.py"
     script.write_text(LOOKING)
     launch = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2", str(script)]
@@ -199,6 +213,7 @@ def test_processes_look_at_the_same_losses(made, tmp_path):
     assert (tmp_path / "1.npz").is_file(), done.stderr[-2000:]
     with np.load(tmp_path / "0.npz") as first, np.load(tmp_path / "1.npz") as second:
         assert len(first["looks"]) == LOOKS
+        assert len(first["effects"]) == 1
         for name in first.files:
             np.testing.assert_array_equal(first[name], second[name])
 

@@ -17,7 +17,15 @@ from pixelid.nerf.pixel import TRAINABLE, Bandwidth, Pixel
 from pixelid.nerf.pixel_maps import PixelMaps
 from pixelid.nerf.residuals import Rows, apart, compare, of_every_pixel, of_some_pixels, residual_map
 from pixelid.nerf.scan import respond
-from pixelid.nerf.search import _begun, _candidates, _told, _with_named, with_trained_values
+from pixelid.nerf.search import (
+    _begun,
+    _Bench,
+    _candidates,
+    _Place,
+    _told,
+    _with_named,
+    with_trained_values,
+)
 from pixelid.nerf.state import Problem
 from pixelid.stages.circuit import Circuit
 from tests.unit.test_nerf_stretches import QUICK, comparator
@@ -309,3 +317,42 @@ def test_chains_of_every_pixel_are_drawn_evenly():
     assert (np.diff(some) > 0).all()
     assert len(of_every_pixel(every, starts, 10**6)) == len(starts)
     assert (np.bincount(pixel[of_every_pixel(every, starts, 1)]) == 1).all()  # each is asked, however few
+
+
+class Bench(_Bench):
+    """Whose places are numbers: what each explains, and the turn from which on it has diverged."""
+
+    def __init__(self, explains: list[float], until: list[float]) -> None:
+        object.__setattr__(self, "explains", explains)
+        object.__setattr__(self, "until", until)
+
+    def grown(self, here, at_rest):
+        k, turn = here.state.k, here.state.turn + 1
+        finite = turn < self.until[k]  # type: ignore[attr-defined]
+        return replace(here, state=SimpleNamespace(k=k, turn=turn, finite=finite))
+
+    def rows(self, here):
+        rest = np.where(np.arange(1000) % 2 == 0, 1.0, -1.0) * (1.0 - self.explains[here.state.k])  # type: ignore[attr-defined]
+        return rows(rest if here.state.finite else rest * np.nan, np.arange(1000.0))
+
+
+@pytest.mark.parametrize(
+    ("until", "which"), [((9, 9, 9), 1), ((9, 2, 9), 2), ((2, 9, 9), 1), ((1, 2, 9), 2), ((1, 2, 1), None)]
+)
+def test_of_rivals_that_settle_those_that_diverge_are_left_out(until, which):
+    """The second explains most, the third more than the first."""
+    places = [_Place(a_calibration(CIRCUIT), (), SimpleNamespace(k=k, turn=0, finite=True)) for k in range(3)]  # type: ignore[arg-type]
+    found = Bench([0.1, 0.5, 0.3], list(until)).settled(places)
+    assert (found and found[0]) == which
+    if found:
+        assert found[1].state.k == which
+
+
+def test_a_candidate_that_diverges_explains_nothing():
+    bench = Bench([0.1, 0.5], [9, 9])
+    there = [
+        _Place(a_calibration(CIRCUIT), (), SimpleNamespace(k=k, turn=0, finite=finite))  # type: ignore[arg-type]
+        for k, finite in ((0, True), (1, True), (1, False))
+    ]
+    assert bench._gain(bench.rows(there[0]), there[1]).share > 0.3
+    assert bench._gain(bench.rows(there[0]), there[2]) == (0.0, 1.0, 1000)
