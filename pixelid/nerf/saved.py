@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -50,6 +51,11 @@ class SavedReconstruction(Result):
     def advice(self) -> str:
         """What to do about it."""
         return self.content["advice"]
+
+    @property
+    def log_eps(self) -> float:
+        """What the data set adds to pictures of its views that are not quantised."""
+        return float(self.content["views"].get("log_eps") or 0.0)
 
     @property
     def headline(self) -> str:
@@ -158,6 +164,8 @@ class SavedReconstruction(Result):
             for name in "abc":
                 np.asarray(content["correction"][name] or 0.0, dtype=float)
             np.asarray(content["pixel"].get("dark") or 0.0, dtype=float)
+            if not (math.isfinite(saved.log_eps) and saved.log_eps >= 0):
+                raise ValueError(f"views.log_eps: expected a number of at least 0, found {saved.log_eps}")
         return saved
 
 

@@ -9,7 +9,7 @@ Transparent parts show white.
 from __future__ import annotations
 
 import glob
-from collections.abc import Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -41,7 +41,8 @@ class Views:
     images: (n, H, W, C) float32 radiance;  position: (n, 3), rotation: (n, 3, 3), camera to world;  names: n;
     exposure: (n,) exposure × gain, relative to the mean over all stages;  transparent: whether white shows through
     anywhere;  peak: the largest value an image can have;  span: from the smallest value that a stored picture can say
-    to the largest, the range that the reference implementation scores in
+    to the largest, the range that the reference implementation scores in;  log_eps: what the data set adds to pictures
+    that are not quantised
     """
 
     images: np.ndarray
@@ -53,6 +54,7 @@ class Views:
     transparent: bool
     peak: float
     span: float = 1.0
+    log_eps: float = 0.0
 
     def __len__(self) -> int:
         return len(self.images)
@@ -69,8 +71,73 @@ class Views:
         names = tuple(np.array(self.names, dtype=object)[which])
         return Views(
             self.images[which], self.position[which], self.rotation[which], self.camera, names, self.exposure[which],
-            self.transparent, self.peak, self.span,
+            self.transparent, self.peak, self.span, self.log_eps,
         )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class ViewsFile:
+    """Views of one `transforms_*.json`, as `read_views` has them, read one at a time: memory does not grow with them.
+
+    file: of the poses;  document: its content;  channels: colours;  log_eps: of `Views`;  first: a picture of the size
+    and type that all have;  usual: mean exposure over all stages beside the file;  peak, span: of `Views`, of all
+    pictures of the file
+    """
+
+    file: Path
+    document: dict
+    channels: int
+    log_eps: float
+    first: np.ndarray
+    usual: float
+    peak: float
+    span: float
+
+    @classmethod
+    def open(cls, file: Path, channels: int, dataset: Path | None = None, *, log_eps: float = 0.0) -> ViewsFile:
+        """The views of a file; where its pictures are not quantised all of them are looked at, for their white.
+
+        Args:
+            file: of the poses.
+            channels: colours, 1 or 3.
+            dataset: folder that they are of; by default the one that holds the folder of the file, if it is one.
+            log_eps: what is added to pictures where no data set says it: beside views that several data sets share
+                there is none.
+
+        Returns:
+            The views.
+
+        Raises:
+            InputError: the first picture, or one whose value is asked for, is missing or cannot be read.
+        """
+        file = Path(file)
+        document = read_json(file)
+        renderer = (file.resolve().parent.parent if dataset is None else Path(dataset)) / RENDERER
+        if dataset is not None or renderer.is_file():
+            log_eps = _log_eps(renderer)
+        with interpreting(file, "posed views"), np.errstate(all="ignore"):
+            stages = [place for stage in STAGES if (place := file.parent / f"transforms_{stage}.json").is_file()]
+            told = [_exposures(stage, read_json(stage)["frames"]) for stage in (stages or [file])]
+            frames = frames_of(file, document)
+            pose_of_frame(file, 0, frames[0])
+            first = image_of(picture_of(file, str(frames[0]["file_path"])))
+            usual = float(np.mean(np.concatenate(told)))
+            opened = cls(file, document, channels, log_eps, first, usual, 1.0, 1.0)
+            values = len(frames) * first.shape[0] * first.shape[1] * channels
+            images = (opened.view(k).images for k in range(len(frames)))
+            peak, span = _peak_and_span(images, values, first.dtype, document)
+        return replace(opened, peak=peak, span=span)
+
+    def view(self, k: int) -> Views:
+        """The k-th view of the file alone, its exposure relative to the mean over all stages.
+
+        Raises:
+            InputError: its picture is missing, cannot be read, or differs from the first one in size or type.
+        """
+        with interpreting(self.file, "posed views"), np.errstate(all="ignore"):
+            document = {**self.document, "frames": [self.document["frames"][k]]}
+            view = _views(self.file, document, self.channels, self.log_eps, self.first)
+        return replace(view, exposure=view.exposure / self.usual, peak=self.peak, span=self.span)
 
 
 def views_folder(dataset: Path) -> Path | None:
@@ -114,31 +181,6 @@ def read_views(dataset: Path, channels: int) -> dict[str, Views]:
     return {stage: replace(views, exposure=views.exposure / usual) for stage, views in stages.items()}
 
 
-def views_of_file(file: Path, which: Sequence[int], channels: int, dataset: Path | None = None) -> Views:
-    """Some views of one `transforms_*.json`, as `read_views` has them.
-
-    Args:
-        file: of the poses.
-        which: of its frames.
-        channels: colours, 1 or 3.
-        dataset: folder that they are of; by default the one that holds the folder of the file.
-
-    Returns:
-        Views in the order of `which`, their exposure relative to the mean over all stages beside the file.
-
-    Raises:
-        InputError: images or poses that are missing or cannot be read.
-    """
-    file = Path(file)
-    document = read_json(file)
-    log_eps = _log_eps((file.resolve().parent.parent if dataset is None else Path(dataset)) / RENDERER)
-    with interpreting(file, "posed views"), np.errstate(all="ignore"):
-        views = _views(file, {**document, "frames": [document["frames"][k] for k in which]}, channels, log_eps)
-        stages = [place for stage in STAGES if (place := file.parent / f"transforms_{stage}.json").is_file()]
-        told = [_exposures(stage, read_json(stage)["frames"]) for stage in (stages or [file])]
-    return replace(views, exposure=views.exposure / float(np.mean(np.concatenate(told))))
-
-
 def _log_eps(file: Path) -> float:
     if not file.is_file():
         return 0.0
@@ -155,27 +197,29 @@ def _stage(file: Path, channels: int, log_eps: float) -> Views:
         return _views(file, document, channels, log_eps)
 
 
-def _views(file: Path, document: dict, channels: int, log_eps: float) -> Views:
+def _views(file: Path, document: dict, channels: int, log_eps: float, first: np.ndarray | None = None) -> Views:
+    """The views of a document; first: a picture of the size and type that all have, by default that of the first."""
     frames = frames_of(file, document)
     poses = np.array([pose_of_frame(file, k, frame) for k, frame in enumerate(frames)])
     names = [str(frame["file_path"]) for frame in frames]
-    first = image_of(picture_of(file, names[0]))
-    height, width = first.shape[0], first.shape[1]
-    images = np.empty((len(names), height, width, channels), np.float32)
-    transparent = False
+    images, transparent = np.empty((0, 0, 0, channels), np.float32), False
     for k, name in enumerate(names):
         image = image_of(picture_of(file, name))
+        first = image if first is None else first
+        if k == 0:
+            images = np.empty((len(names), *first.shape[:2], channels), np.float32)
         if image.shape != first.shape or image.dtype != first.dtype:
             raise InputError(f"{file}: file_path: the pictures differ in size, channels or type")
         images[k] = _radiance(file, image, document, log_eps, channels)
         transparent |= _shows_through(image, document)
-    peak, span = _peak_and_span(images, first.dtype, document)
+    assert first is not None  # there is a view at least
+    peak, span = _peak_and_span(images, images.size, first.dtype, document)
     exposure = _exposures(file, frames)
     camera = camera_of_document(file, document, images.shape[2], images.shape[1])
     short = tuple(Path(name).name for name in names)
     return Views(
         images, poses[:, :3, 3], poses[:, :3, :3] @ OPENGL, camera, short, exposure,
-        transparent, peak, span,
+        transparent, peak, span, log_eps,
     )  # fmt: skip
 
 
@@ -272,17 +316,34 @@ def _levels(document: dict, kind: np.dtype) -> float:
     return float(2 ** document.get("bit_depth", 8 * kind.itemsize))
 
 
-def _peak_and_span(images: np.ndarray, kind: np.dtype, document: dict) -> tuple[float, float]:
+def _peak_and_span(
+    images: Iterable[np.ndarray], values: int, kind: np.dtype, document: dict
+) -> tuple[float, float]:  # fmt: skip
     """The largest value that pictures of this kind can have, and how far apart their values can be.
 
     Unquantised ones can have any; scores are relative to their white, which moves continuously with what they hold.
+
+    images: in parts, with so many values together
     """
     if kind.kind == "u":
         levels = _levels(document, kind)
         return 1.0, (levels - 1) / levels
-    brightest = float(images.max())
-    peak = max(1.0, min(brightest / HIGHLIGHTS, float(np.quantile(images, BRIGHT)))) if brightest > HIGHLIGHTS else 1.0
+    bright, brightest = _quantile_and_most(images, values, BRIGHT)
+    peak = max(1.0, min(brightest / HIGHLIGHTS, bright)) if brightest > HIGHLIGHTS else 1.0
     return peak, peak
+
+
+def _quantile_and_most(parts: Iterable[np.ndarray], values: int, share: float) -> tuple[float, float]:
+    """(quantile, largest) of so many values in parts, of which those above the quantile alone are held."""
+    place = share * (values - 1)
+    held, above = values - int(place), np.empty(0, np.float32)
+    for part in parts:
+        above = np.concatenate([above, part.ravel()])
+        if len(above) > held:
+            above = np.partition(above, len(above) - held)[-held:]
+    above = np.sort(above)
+    low, high = float(above[0]), float(above[min(1, len(above) - 1)])
+    return low + (place - int(place)) * (high - low), float(above[-1])
 
 
 def camera_of_document(file: Path, document: dict, width: int, height: int) -> Camera:

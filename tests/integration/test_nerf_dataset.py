@@ -165,19 +165,22 @@ def test_a_highlight_does_not_move_the_white_behind_transparent_views(made):
     assert gauge_of(replace(data, views=bright)).background == pytest.approx([1.0])
 
 
+def peak_of(images: np.ndarray) -> float:
+    """Of unquantised pictures."""
+    return _peak_and_span(images.astype(np.float32), images.size, np.dtype(np.float32), {})[0]
+
+
 def test_white_of_linear_views_does_not_jump_with_their_brightest_value():
     rng = np.random.default_rng(0)
     image = rng.uniform(0.0, 1.0, (1, 40, 40, 1))
     brightest = np.geomspace(0.5, 4000.0, 800)
-    peaks = np.array([
-        _peak_and_span((image * top / image.max()).astype(np.float32), np.dtype(np.float32), {})[0] for top in brightest
-    ])  # fmt: skip
+    peaks = np.array([peak_of(image * top / image.max()) for top in brightest])
     assert peaks[0] == 1.0
     assert (np.diff(np.log(peaks)) < 0.02).all()
     assert peaks[-1] == pytest.approx(1000.0)  # in another unit the same picture has the same PSNR
     assert (peaks[brightest <= 4.0] == 1.0).all()
     image[0, 3, 3] = 1000.0  # a single pixel says nothing of white
-    assert _peak_and_span(image.astype(np.float32), np.dtype(np.float32), {})[0] == 1.0
+    assert peak_of(image) == 1.0
 
 
 def test_the_unit_of_radiance_does_not_depend_on_how_long_views_were_exposed(made):

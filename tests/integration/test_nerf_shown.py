@@ -2,6 +2,7 @@
 
 import json
 import shutil
+import tracemalloc
 from pathlib import Path
 
 import numpy as np
@@ -13,14 +14,15 @@ import pixelid as px
 from pixelid.cli.main import main
 from pixelid.errors import InputError
 from pixelid.nerf.camera import pinhole
-from pixelid.nerf.evaluate import render_views
+from pixelid.nerf.evaluate import no_scores, render_views
 from pixelid.nerf.field import Field
 from pixelid.nerf.harmonics import harmonics
 from pixelid.nerf.saved import SavedReconstruction
+from pixelid.nerf.shown.render import Wanted, render
 from pixelid.nerf.shown.solid import depth_of, mesh_of
 from pixelid.nerf.shown.splats import splats_of
 from pixelid.nerf.shown.ways import around, way_of_file
-from pixelid.nerf.views import Views
+from pixelid.nerf.views import Views, read_views
 
 RADIUS, CENTRE, CELLS = 0.6, np.array([0.2, -0.1, 0.0]), 32
 CORRECTION = {"a": 0.8, "b": 0.9, "c": 0.01}
@@ -385,7 +387,8 @@ def test_wrong_usage_is_refused_before_frames_are_rendered(words, says, folder, 
     def refuse(*arguments, **options):
         raise AssertionError("a frame was rendered")
 
-    monkeypatch.setattr("pixelid.nerf.shown.render.render_views", refuse)
+    for module in ("frames", "render"):
+        monkeypatch.setattr(f"pixelid.nerf.shown.{module}.render_views", refuse)
     (tmp_path / "empty").mkdir()
     nothing = Field(np.full(3, -1.0), np.full(3, 1.0), 9, 1, [0.3])
     with torch.no_grad():
@@ -410,7 +413,7 @@ def test_a_result_that_lost_a_table_is_refused_in_a_line(key, folder, tmp_path, 
     assert key in capsys.readouterr().err
 
 
-def pictured(folder: Path, tmp_path: Path, brighter: float = 0.0) -> Path:
+def pictured(folder: Path, tmp_path: Path, brighter: float = 0.0, scale: float = 1.0) -> Path:
     """A data set of three views of the ball as corrected, of other exposures, and brighter on the right half."""
     from imageio.v3 import imwrite
 
@@ -428,6 +431,7 @@ def pictured(folder: Path, tmp_path: Path, brighter: float = 0.0) -> Path:
         frames.append(frame)
         image = exposure[k] * (0.8 * radiance[k] ** 0.9 - 0.01)
         image[:, 12:] += brighter
+        image *= scale
         imwrite(tmp_path / "scene" / "views" / "test" / f"r_{k}.tiff", image.astype(np.float32))
     file = tmp_path / "scene" / "views" / "transforms_test.json"
     file.write_text(json.dumps({"camera_angle_x": 0.7, "frames": frames}))
@@ -458,3 +462,80 @@ def test_frames_of_pictured_views_come_with_their_errors(folder, tmp_path):
     other = json.loads((tmp_path / "small" / "render.json").read_text())
     assert other["errors"] is None
     assert any("no error maps: pictures have 24 × 20 pixels" in note for note in other["notes"])
+
+
+def test_the_scale_of_errors_is_that_of_all_pictures_of_the_file(folder, tmp_path):
+    """White of unquantised pictures, as scores have it, whichever frames are shown."""
+    file = pictured(folder, tmp_path / "data", scale=30.0)
+    images = read_views(tmp_path / "data" / "scene", 1)["test"]
+    assert images.peak == pytest.approx(min(images.images.max() / 4.0, np.quantile(images.images, 0.999)))
+    assert images.peak > 1.5
+    for most in (1, 3):
+        out = tmp_path / f"out{most}"
+        assert main(["render", str(folder), "--views", str(file), "--out", str(out), "--frames", str(most),
+                     "--quiet"]) == 0  # fmt: skip
+        errors = json.loads((out / "render.json").read_text())["errors"]
+        assert errors["full_scale"] == pytest.approx(0.3 * images.peak)
+        assert len(errors["frames"]) == most
+
+
+def test_frames_whose_pictures_are_lost_have_no_error_map(folder, tmp_path):
+    """All others do; of quantised pictures, which are not looked at before."""
+    from imageio.v3 import imwrite
+
+    file = pictured(folder, tmp_path / "data")
+    for k in range(3):
+        imwrite(file.parent / "test" / f"r_{k}.png", np.full((20, 24), 100, np.uint8))
+        (file.parent / "test" / f"r_{k}.tiff").unlink()
+    (file.parent / "test" / "r_1.png").write_bytes(b"no picture")
+    out = tmp_path / "out"
+    assert main(["render", str(folder), "--views", str(file), "--out", str(out), "--quiet"]) == 0
+    result = json.loads((out / "render.json").read_text())
+    check("render", result)
+    assert [frame["name"] for frame in result["errors"]["frames"]] == ["0000_r_0", "0002_r_2"]
+    assert [note for note in result["notes"] if "1 of 3 frames have no error map; the first: 0001_r_1" in note]
+    assert len(list((out / "errors").glob("*.npy"))) == 2
+    assert len(list((out / "frames").iterdir())) == 3
+
+
+@pytest.mark.parametrize("shared", [False, True])
+def test_what_a_renderer_added_to_pictures_is_added_for_errors_too(folder, tmp_path, shared):
+    """Views within their data set say it by themselves; of those beside it, the reconstruction remembers."""
+    file, dark = pictured(folder, tmp_path / "data"), 0.02
+    sequence = tmp_path / "data" / ("sequence" if shared else "scene")
+    if shared:
+        sequence.mkdir()
+        shutil.move(file.parent, tmp_path / "data" / "views")
+        file = tmp_path / "data" / "views" / file.name
+    np.savez(sequence / "renderer_params.npz", interm_color_space="linear", log_eps=dark)
+    views = read_views(sequence, 1)["test"]
+    told = no_scores(views).as_dict(views)["log_eps"]
+    assert told == dark
+    content = json.loads((folder / "reconstruction.json").read_text())
+    content["views"]["log_eps"] = told if shared else 9.0  # of another data set
+    (folder / "reconstruction.json").write_text(json.dumps(content))
+    for name, asked in (("file", file), ("folder", sequence)):
+        words = ["render", str(folder), "--views", str(asked), "--out", str(tmp_path / name), "--quiet"]
+        assert main(words) == 0
+        for frame in json.loads((tmp_path / name / "render.json").read_text())["errors"]["frames"]:
+            assert frame["mean"] == pytest.approx(-dark, abs=1e-4)
+
+
+def test_many_frames_take_no_more_memory_than_few(folder, tmp_path):
+    """With depths and errors: what numbers are held at a time, besides a figure's few frames."""
+    scene, frames, most = pictured(folder, tmp_path / "data"), [], {}
+    document = json.loads(scene.read_text())
+    for k in range(24):
+        frames.append({**document["frames"][k % 3], "file_path": f"./test/r_{k % 3}.tiff"})
+    saved = SavedReconstruction.load(folder)
+    for number in (2, 6, 24):  # the first one compiles and imports
+        scene.write_text(json.dumps({**document, "frames": frames[:number]}))
+        way = way_of_file(scene, None)
+        (tmp_path / str(number)).mkdir()
+        tracemalloc.start()
+        made = render(folder, saved, way, tmp_path / str(number), Wanted(depth=True))
+        most[number] = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        assert len(made.content["errors"]["frames"]) == number
+    of_a_frame = 20 * 24 * (3 + 4 + 4)  # bytes of the picture, its depth and its error
+    assert most[24] - most[6] < 9 * of_a_frame  # half of what 18 frames more would take

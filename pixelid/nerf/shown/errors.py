@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,16 +13,20 @@ from pixelid.errors import InputError
 from pixelid.nerf.correction import Correction
 from pixelid.nerf.evaluate import psnr_of
 from pixelid.nerf.shown.ways import Way
-from pixelid.nerf.views import Views, views_of_file
+from pixelid.nerf.views import ViewsFile
 
-FULL_SCALE = 0.3  # of the largest value that a picture can have: the absolute error that is shown brightest
+FULL_SCALE = 0.3  # of the white of all pictures of a file, shown or not: the absolute error that is shown brightest
 
 
 @dataclass(frozen=True)
 class Pictures:
-    """The pictures of a way's frames.  truth: one view per frame;  correction: that the scores were made with."""
+    """The pictures of a way's frames, read one at a time.
 
-    truth: Views
+    truth: the views of their file;  which: of them are frames;  correction: that the scores were made with
+    """
+
+    truth: ViewsFile
+    which: Sequence[int]
     correction: Correction
 
     @property
@@ -30,39 +35,41 @@ class Pictures:
         return FULL_SCALE * self.truth.peak
 
     def error(self, radiance: np.ndarray, k: int) -> np.ndarray:
-        """(H, W, C) by how much frame k of that radiance is brighter than its picture, both clipped as for scores."""
-        view = self.truth.some([k])
+        """(H, W, C) by how much frame k of that radiance is brighter than its picture, both clipped as for scores.
+
+        Raises:
+            InputError: its picture is missing, damaged, or unlike the others.
+        """
+        view = self.truth.view(self.which[k])
         seen = np.clip(self.correction(radiance[None], view.exposure), 0.0, view.peak)
         return (seen - np.clip(view.images, 0.0, view.peak))[0].astype(np.float32)
 
-    def as_dict(self, names: tuple[str, ...], errors: list[np.ndarray]) -> dict[str, Any]:
-        """The entry "errors" of render.json."""
-        psnr = psnr_of(np.array([(e.astype(float) ** 2).mean() for e in errors]), self.truth.peak).tolist()
-        return {
-            "full_scale": self.full_scale,
-            "frames": [
-                {"name": name, "psnr": of, "mean": float(e.mean()), "mean_absolute": float(np.abs(e).mean())}
-                for name, of, e in zip(names, psnr, errors, strict=True)
-            ],
-        }
+    def row(self, name: str, error: np.ndarray) -> dict[str, Any]:
+        """Of one frame, in the entry "errors" of render.json."""
+        psnr = psnr_of(np.array((error.astype(float) ** 2).mean()), self.truth.peak)
+        of_all = {"mean": float(error.mean()), "mean_absolute": float(np.abs(error).mean())}
+        return {"name": name, "psnr": float(psnr), **of_all}
 
 
-def pictures_of(way: Way, correction: Correction | None, colours: int) -> tuple[Pictures | None, list[str]]:
+def pictures_of(
+    way: Way, correction: Correction | None, colours: int, log_eps: float = 0.0
+) -> tuple[Pictures | None, list[str]]:  # fmt: skip
     """(the pictures of a way's frames, why there are none where the way names some).
 
-    correction: of the scores, None where there are none: then nobody knows what the scene's unit is in the pictures'
+    correction: of the scores, None where there are none: then nobody knows what the scene's unit is in the pictures';
+    log_eps: of the views that were scored
     """
     if way.listed is None or correction is None:
         return None, []
     try:
-        truth = views_of_file(way.listed.file, way.listed.which, colours, way.listed.dataset)
+        truth = ViewsFile.open(way.listed.file, colours, way.listed.dataset, log_eps=log_eps)
     except InputError as error:
         return None, [f"no error maps: {error}"]
-    found, asked = truth.images.shape[2:0:-1], (way.camera.width, way.camera.height)
+    found, asked = truth.first.shape[1::-1], (way.camera.width, way.camera.height)
     if found != asked:
         sizes = f"pictures have {found[0]} × {found[1]} pixels, frames {asked[0]} × {asked[1]}"
         return None, [f"no error maps: {sizes}; leave --size out"]
-    return Pictures(truth, correction), []
+    return Pictures(truth, way.listed.which, correction), []
 
 
 def error_picture(error: np.ndarray, full_scale: float) -> np.ndarray:
