@@ -168,7 +168,7 @@ def reconstruct(
         radiance_scale: the fit's radiance units per unit of the views.
         protocol: of the scores: "strict", or "paper" for those of the reference implementation beside them.
         resume: a checkpoint, continued when it exists and written as training goes on.
-        preview: a PNG of the scene, replaced as training goes on.
+        preview: a PNG of the scene, replaced as training goes on; another picture of that name is refused.
         device: "cpu", "cuda" or "auto".
         seed: of everything random.
         progress: called with what is done and the fraction.

@@ -92,7 +92,8 @@ def command(
     """Reconstruct the scene of DATASET, a folder in the published layout of Robust e-NeRF and Deblur e-NeRF.
 
     Writes reconstruction.json, field.npz, figures and report.html.  Exit code 1 when the events were not explained.
-    An interrupted run continues when started again.  OUT.preview.png beside OUT shows the scene as it comes.
+    An interrupted run continues when started again.  OUT.preview.png beside OUT shows the scene as it comes; another
+    file of that name is replaced with --overwrite only.
     """
     import shutil
     from contextlib import nullcontext
@@ -145,7 +146,7 @@ def command(
             result = reconstruct(
                 data, fit=fit, sensor=sensor, bandwidth=pixel, recipe=recipe, background=background, scale=scale,
                 box=box or None, near=near, radiance_scale=radiance_scale, protocol=protocol, gap=gap, beside=beside,
-                resume=kept, preview=preview, device=device, seed=seed, progress=report,
+                resume=kept, preview=preview, overwrite=overwrite, device=device, seed=seed, progress=report,
             )  # fmt: skip
             if first:
                 with whole_folder(out, overwrite) as folder:

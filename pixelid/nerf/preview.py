@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import struct
+import zlib
 from dataclasses import replace
 from pathlib import Path
 
@@ -20,11 +23,38 @@ UNSEEN_SIDE = 96
 WHITE = 0.995  # quantile of such a picture that becomes white, coded by 1/2.2
 
 
-def refuse_preview(path: Path) -> None:
-    """Raise InputError, before any training, where no preview can be written."""
+# A text chunk (PNG specification, 5.3 and 11.3.3.2) behind the header: a preview that an interrupted run has left is
+# replaced without asking, as its checkpoint is, and another file of that name is not.
+HEADER_BYTES = 33
+MARK = b"tEXtSoftware\0pixelid reconstruct, preview"
+
+
+def refuse_preview(path: Path, overwrite: bool = False) -> None:
+    """Check, before any training, that a preview can be written.
+
+    Args:
+        path: of the preview.
+        overwrite: whether it may replace another file.
+
+    Raises:
+        InputError: it cannot be written, or would replace a file that is no preview.
+    """
     if path.suffix.lower() != ".png" or path.is_dir():
         raise InputError(f"{path}: expected the name of a PNG for the preview")
     refuse_existing(path, overwrite=True)
+    if os.path.lexists(path) and not overwrite and not _is_preview(path):
+        raise InputError(f"{path}: is not a preview and would be replaced by one; rename it or pass --overwrite")
+
+
+def _is_preview(path: Path) -> bool:
+    """Whether a file is a preview that `write_preview` has written."""
+    if not path.is_file():
+        return False
+    try:
+        with path.open("rb") as file:
+            return MARK in file.read(HEADER_BYTES + 4 + len(MARK))
+    except OSError:
+        return False
 
 
 def write_preview(path: Path, problem: Problem, state: State, scores: Scores | None, validation: Views) -> None:
@@ -63,3 +93,6 @@ def _save(path: Path, image: np.ndarray) -> None:
     levels = np.round(255.0 * np.nan_to_num(np.clip(image[::every, ::every], 0.0, 1.0))).astype(np.uint8)
     with whole_file(path, overwrite=True) as temporary:
         imsave(temporary, levels if levels.shape[-1] == 3 else levels[..., 0], check_contrast=False)
+        plain = temporary.read_bytes()
+        chunk = struct.pack(">I", len(MARK) - 4) + MARK + struct.pack(">I", zlib.crc32(MARK))
+        temporary.write_bytes(plain[:HEADER_BYTES] + chunk + plain[HEADER_BYTES:])

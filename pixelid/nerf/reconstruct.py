@@ -185,6 +185,7 @@ def reconstruct(
     beside: Path | None = None,
     resume: Path | None = None,
     preview: Path | None = None,
+    overwrite: bool = False,
     device: str = "auto",
     seed: int = 0,
     progress: Callable[[str, float], None] = lambda what, share: None,
@@ -210,6 +211,7 @@ def reconstruct(
         beside: folder of another reconstruction of the dataset, shown beside this one.
         resume: a checkpoint, continued when it exists and written as training goes on.
         preview: a PNG of the scene, replaced as training goes on.
+        overwrite: whether the preview may replace another picture.
         device: "cpu", "cuda" or "auto".
         seed: of everything random.
         progress: called with what is done and the fraction.
@@ -222,7 +224,7 @@ def reconstruct(
     """
     watch = time.perf_counter()
     if preview is not None:
-        refuse_preview(Path(preview))
+        refuse_preview(Path(preview), overwrite)
     other = None if beside is None else Beside.read(beside, dataset.files)
     bandwidth = Bandwidth() if bandwidth is None else bandwidth
     recipe = replace(Recipe() if recipe is None else recipe, seed=seed).for_sensor(dataset.calibration.camera.width)

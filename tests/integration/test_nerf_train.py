@@ -16,8 +16,9 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from PIL import Image
 from scipy.spatial.transform import Rotation
-from skimage.io import imread
+from skimage.io import imread, imsave
 from test_schemas import check
 
 import pixelid as px
@@ -628,6 +629,27 @@ def test_the_command_keeps_the_last_preview_in_its_folder(made, tmp_path):
     assert main(words) in (0, 1)
     assert imread(tmp_path / "out" / "preview.png").shape == (16, 16)
     assert [file.name for file in tmp_path.iterdir()] == ["out"]
+
+
+def test_another_picture_is_not_replaced_by_a_preview(made, tmp_path, capsys):
+    """One that an interrupted run has left is."""
+    from pixelid.nerf.preview import _save, refuse_preview
+
+    file = tmp_path / "out.preview.png"
+    _save(file, np.linspace(0, 1, 60).reshape(5, 12, 1))
+    refuse_preview(file)
+    with Image.open(file) as picture:  # an independent reader finds the mark, and what it stands beside
+        picture.verify()
+        assert picture.info["Software"] == "pixelid reconstruct, preview"
+    assert imread(file).tolist() == np.round(255 * np.linspace(0, 1, 60)).reshape(5, 12).tolist()
+    imsave(file, np.zeros((4, 4), np.uint8), check_contrast=False)
+    own = file.read_bytes()
+    words = ["reconstruct", str(made), "--out", str(tmp_path / "out"), "--iterations", "1", "--quiet"]
+    assert main(words) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "out.preview.png: is not a preview" in line
+    assert file.read_bytes() == own
+    refuse_preview(file, overwrite=True)
 
 
 @pytest.mark.parametrize("file", ["scene", "scene.jpg", "nowhere/scene.png"])
