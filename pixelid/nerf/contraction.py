@@ -34,6 +34,8 @@ from numba import njit
 SIDE = 2.0  # of the grid, in sides of the inner box
 # Cells from the end of the grid at which rays end and the places of its outermost vertices are, which else were nowhere
 SHORT = 0.5
+# Per side, at least: of fewer, half a cell from the end of the grid is within the inner box, and nothing is beyond
+LEAST_VERTICES = 3
 
 
 def contracted(point: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:

@@ -15,6 +15,7 @@ from pixelid.arrays import load_arrays
 from pixelid.documents import interpreting
 from pixelid.errors import shown
 from pixelid.nerf.bricks import Bricks
+from pixelid.nerf.contraction import LEAST_VERTICES
 from pixelid.nerf.field import Field
 from pixelid.nerf.harmonics import HIGHEST_DEGREE, number_of
 from pixelid.results import Result, Table, check_kinds, number, read_result, required
@@ -215,6 +216,9 @@ def read_field(folder: Path) -> Field:
             raise ValueError(f"coefficients {tuple(coefficients.shape)} of a grid {tuple(grid.shape)}")
         near = float(arrays["near"].item()) if "near" in arrays else 0.0
         unbounded = "unbounded" in arrays and bool(arrays["unbounded"].item())
+        vertices = grid.shape[0] if bricks is None else bricks.vertices
+        if unbounded and vertices < LEAST_VERTICES:
+            raise ValueError(f"unbounded: expected at least {LEAST_VERTICES} vertices per side, found {vertices}")
         scene = Field(
             arrays["low"], arrays["high"], 2, channels, arrays["background"], near=near, unbounded=unbounded
         )  # fmt: skip

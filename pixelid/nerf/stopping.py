@@ -1,8 +1,8 @@
 """When training stops and which of its states is kept, by events of pixels that it has not seen.
 
-In the last stage, whose grid stays as it is (but in runs shorter than 96 steps), the held-out loss is looked at `LOOKS`
-times, always of the same rows.  Looks are compared pixel by pixel (`gain`), so what is hard in an event for every state
-of the scene cancels.
+In the last stage, whose resolution stays as it is (but in runs shorter than 95 steps above 160 cells per side), the
+held-out loss is looked at `LOOKS` times, always of the same rows.  Looks are compared pixel by pixel (`gain`), so what
+is hard in an event for every state of the scene cancels.
 
 kept     The last state that is not demonstrably worse than the best one: the best explains more by chance in less than
          `ALPHA`, all looks so far together (Bonferroni), for the best was chosen among them.  A state later in the

@@ -17,7 +17,7 @@ from pixelid.nerf.camera import pinhole
 from pixelid.nerf.evaluate import no_scores, render_views
 from pixelid.nerf.field import Field
 from pixelid.nerf.harmonics import harmonics
-from pixelid.nerf.saved import SavedReconstruction
+from pixelid.nerf.saved import SavedReconstruction, write_field
 from pixelid.nerf.shown.render import Wanted, render
 from pixelid.nerf.shown.solid import depth_of, mesh_of
 from pixelid.nerf.shown.splats import splats_of
@@ -314,6 +314,23 @@ def test_fields_without_harmonics_are_read_and_damaged_ones_refused(folder):
         np.savez(folder / "field.npz", **arrays | {"coefficients": np.zeros(shape, np.float16)})
         with pytest.raises(InputError, match="coefficients"):
             SavedReconstruction.load(folder)
+
+
+def test_an_unbounded_grid_that_holds_nothing_beyond_the_box_is_refused(folder, tmp_path, capsys):
+    def written(vertices: int) -> None:
+        few = Field(np.full(3, -1.0), np.full(3, 1.0), vertices, 1, [0.3], unbounded=True)
+        write_field(few, folder)
+
+    written(2)
+    assert main(["render", str(folder), "--out", str(tmp_path / "out"), "--mesh", "--quiet"]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "unbounded: expected at least 3 vertices per side, found 2" in line
+    written(3)
+    field = SavedReconstruction.load(folder).field
+    assert np.isfinite(field.positions()).all()
+    way = around([-1] * 3, [1] * 3, "orbit", 2, (6, 5))
+    views = Views(np.empty((2, 5, 6, 1)), way.position, way.rotation, way.camera, ("",) * 2, np.ones(2), False, 1.0)
+    assert np.isfinite(render_views(field, views, np.zeros(1))).all()
 
 
 def test_a_video_plays_every_frame(folder, tmp_path):

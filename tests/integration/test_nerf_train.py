@@ -707,6 +707,27 @@ def test_a_near_distance_is_trained_with_stored_and_rendered_with(made, tmp_path
         assert "near" not in file
 
 
+def test_an_unbounded_fine_scene_is_trained_in_bricks_and_resumed(made, tmp_path, monkeypatch):
+    """Interrupted once bricks are given up, also far away; what is written shows what training came to."""
+    from pixelid.nerf import train as training
+
+    for module in (fields, training):
+        monkeypatch.setattr(module, "WHOLE", 9)
+    problem, bandwidth = problem_of(read_dataset(made)), Bandwidth("off")
+    recipe = Recipe(iterations=130, batch=24, vertices=(17, 33), unbounded=True)
+    whole = train(problem, recipe, start(problem, recipe, bandwidth))
+    assert whole.finite
+    half = train(problem, recipe, start(problem, recipe, bandwidth), until=110)
+    bricks = half.field.bricks
+    assert 0 < bricks.number < bricks.index.size
+    checkpoint.save(tmp_path / "half.pt", half, "mark")
+    resumed = checkpoint.load(tmp_path / "half.pt", problem, recipe, bandwidth, "mark")
+    assert resumed is not None
+    train(problem, recipe, resumed)
+    assert np.array_equal(whole.field.bricks.index, resumed.field.bricks.index)
+    assert torch.equal(whole.field.grid, resumed.field.grid)
+
+
 def test_an_unbounded_scene_is_trained_stored_and_resumed(made, tmp_path):
     words = ["reconstruct", str(made), "--out", str(tmp_path / "out"), "--iterations", "3", "--quiet", "--unbounded"]
     assert main([*words, "--device", "cpu"]) in (0, 1)

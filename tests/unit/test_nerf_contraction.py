@@ -6,10 +6,12 @@ import torch
 from test_nerf_render import assert_slopes_of_rays, random_rays, rays_from_inside
 
 from pixelid.nerf import contraction
+from pixelid.nerf import field as fields
 from pixelid.nerf.bricks import Bricks
 from pixelid.nerf.field import Field, blocks
 from pixelid.nerf.harmonics import number_of
 from pixelid.nerf.render import Box, Rays, render
+from pixelid.nerf.saved import read_field, write_field
 
 LOW, HIGH = np.array([-1.0, -1.5, -1.0]), np.array([1.0, 0.5, 1.5])
 MIDDLE, HALF = 0.5 * (LOW + HIGH), 0.5 * (HIGH - LOW)
@@ -188,3 +190,31 @@ def test_skipping_empty_blocks_changes_nothing_that_shows():
         some = field(rays)[0]
     assert share < 0.9
     torch.testing.assert_close(some, every, atol=1e-3, rtol=1e-3)
+
+
+def test_of_an_unbounded_field_only_what_shows_is_held(monkeypatch, tmp_path):
+    """A ball in the inner box and another outside; nothing changes what shows, nor the field that is read back."""
+    field = Field(LOW, HIGH, 33, 1, [0.4], degree=1, unbounded=True)
+    there = (field.positions() - MIDDLE) / HALF
+    near, far = np.linalg.norm(there, axis=1), np.linalg.norm(there - [8.0, 0.0, 0.0], axis=1)
+    dense = np.maximum(20.0 * (0.5 - near), 4.0 * (3.0 - far)).clip(-12.0, 3.0)
+    field.grid.data[64:, 0] = torch.as_tensor(dense, dtype=torch.float32)[64:]
+    field.grid.data[:, 1] = torch.as_tensor(0.1 * np.sin(9.0 * there[:, 0]))
+    field.coefficients.data[64:] = 0.1
+    field.look_for_empty_blocks()
+    rays = random_rays(2000, 1)
+    engines = ("compiled", "tensors")
+    with torch.no_grad():
+        whole, number = [field(rays, engine) for engine in engines], field.bricks.number
+        monkeypatch.setattr(fields, "WHOLE", 8)
+        assert field.follow() is not None
+        for engine, (radiance, opacity) in zip(engines, whole, strict=True):
+            assert 0.02 < float((opacity > 0.9).float().mean()) < 0.98
+            torch.testing.assert_close(field(rays, engine), (radiance, opacity), rtol=0.0, atol=0.0)
+        assert 0 < field.bricks.number < 0.5 * number
+        held = field.positions()[64:] - MIDDLE
+        assert np.abs(held / HALF).max(axis=1).min() < 1 < np.abs(held / HALF).max()
+        write_field(field, tmp_path)
+        read = read_field(tmp_path)
+        assert (read.unbounded, read.bricks.number) == (True, field.bricks.number)
+        torch.testing.assert_close(read(rays)[0], whole[0][0], rtol=1e-2, atol=1e-2)
