@@ -207,7 +207,7 @@ def _views(file: Path, document: dict, channels: int, log_eps: float, first: np.
         image = image_of(picture_of(file, name))
         first = image if first is None else first
         if k == 0:
-            images = np.empty((len(names), *first.shape[:2], channels), np.float32)
+            images = np.empty((len(names), first.shape[0], first.shape[1], channels), np.float32)
         if image.shape != first.shape or image.dtype != first.dtype:
             raise InputError(f"{file}: file_path: the pictures differ in size, channels or type")
         images[k] = _radiance(file, image, document, log_eps, channels)
