@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
+from pixelid.gap.imputation import paths as whole_paths
 from pixelid.gap.imputation.chances import BLOCK, Light, Thresholds, add_chances
 from pixelid.gap.imputation.lattice import draw_path
-from pixelid.gap.imputation.paths import draw_paths, followable
+from pixelid.gap.imputation.paths import Lights, draw_paths, followable
 from pixelid.gap.imputation.windows import jitter_windows, tick_windows
 from pixelid.model.shipped import find_model
 from pixelid.recordings.own_light import with_fine_light
@@ -180,6 +181,35 @@ def test_displacements_behind_a_jitter_are_that_jitter(exact):
     off = recording.events.t - times[0]
     assert abs(off.mean()) < 4 * sd / np.sqrt(len(off))
     assert np.sqrt(np.mean(off**2)) == pytest.approx(sd, rel=0.15)
+
+
+def test_light_that_is_remembered_draws_the_same_paths(exact, monkeypatch):
+    """It is that of the model: another one, and stamps after the light's end, have their own."""
+    made, make = [], whole_paths._light
+
+    def counted(*given):
+        made.append(given)
+        return make(*given)
+
+    monkeypatch.setattr(whole_paths, "_light", counted)
+    recording, stamps = with_fine_light(exact, "smooth"), [exact.events.t.astype(float)]
+    other = MODEL.set({"sf_cutoff_hz": 0.5 * MODEL.values["sf_cutoff_hz"]})
+
+    def drawn_paths(sd_s, model, lights=None):
+        rng, windows = np.random.default_rng(3), [jitter_windows(recording, sd_s)]
+        return draw_paths([recording], windows, stamps, model, rng, lights)
+
+    lights = Lights()
+    for sd_s, model, makes in ((1e-4, MODEL, 1), (2e-4, MODEL, 0), (2e-4, other, 1), (1e-4, MODEL, 0)):
+        made.clear()
+        again = drawn_paths(sd_s, model, lights)
+        assert len(made) == makes
+        anew = drawn_paths(sd_s, model)
+        assert again.log_likelihoods == anew.log_likelihoods
+        np.testing.assert_array_equal(again.times[0], anew.times[0])
+    late = replace(recording, events=replace(recording.events, t=recording.events.t + int(2e7)))
+    assert lights.of(late, MODEL.circuit()) is not lights.of(recording, MODEL.circuit())
+    assert lights.of(recording, MODEL.circuit()) is lights.of(recording, MODEL.circuit())
 
 
 def test_paths_are_only_drawn_under_full_field_light_that_is_known(exact):

@@ -16,7 +16,7 @@ from pixelid.gap.attribute.attribute import Candidate
 from pixelid.gap.attribute.significance import chance_of_gain
 from pixelid.gap.detect.pixels import PixelEvidence
 from pixelid.gap.imputation.impute import FINEST_PATH_S, JITTER, SIGMA
-from pixelid.gap.imputation.paths import draw_paths, followable
+from pixelid.gap.imputation.paths import Lights, draw_paths, followable
 from pixelid.gap.imputation.windows import jitter_windows
 from pixelid.model.model import Model
 from pixelid.recordings.recording import Recording
@@ -26,14 +26,19 @@ WIDER = 2.0  # one standard deviation tried to the next, from the finest of a pa
 EVENTS = 2_000  # of the pixels asked, of either pool: about a second for a standard deviation
 
 
-def coarse_jitter(evidence: PixelEvidence, fit: Maximum, start: Model, tried: int, seed: int) -> Candidate | None:
-    """The jitter under which stamps are likeliest on some fit pixels; None where the finest is, or none can be judged.
+def coarse_jitter(
+    evidence: PixelEvidence, fit: Maximum, start: Model, tried: int, alpha: float, seed: int
+) -> Candidate | None:
+    """The jitter under which stamps are likeliest on some fit pixels.
+
+    None where the finest is, none can be judged, or what it gains there may be chance: unseen pixels are not asked.
 
     Args:
         evidence: Of the model under test.
         fit: That model, fitted to stamps in the order in which they came.
         start: It as shipped, which times are followed from: in the other, noise covers for the order of the stamps.
         tried: Number of effects tried.
+        alpha: Chance of a gain from which on it is none.
         seed: Of pixels and draws.
     """
     if not followable(evidence.recordings, fit.model):
@@ -41,31 +46,39 @@ def coarse_jitter(evidence: PixelEvidence, fit: Maximum, start: Model, tried: in
     rng = np.random.default_rng(seed)
     pools = (only(evidence.recordings, pixels) for pixels in (evidence.split.fit, evidence.split.select))
     fitting, judging = (few(pool, EVENTS, rng) for pool in pools)
-    climb = _climb(fitting, start, seed)
+    lights, lights_fitted = Lights(), Lights()
+    climb = _climb(fitting, start, seed, lights)
     sigma = max(climb, key=lambda s: climb[s])
     if sigma == FINEST_PATH_S:
         return None
-    fitted = float(_log_likelihoods(fitting, fit.model, FINEST_PATH_S, seed).sum())
-    without = fit.model if fitted >= climb[FINEST_PATH_S] else start
+    fitted = float(_log_likelihoods(fitting, fit.model, FINEST_PATH_S, seed, lights_fitted).sum())
     gain = climb[sigma] - max(fitted, climb[FINEST_PATH_S])
-    held_out = _log_likelihoods(judging, start, sigma, seed) - _log_likelihoods(judging, without, FINEST_PATH_S, seed)
-    end = replace(fit, model=start.with_effect(JITTER, {SIGMA: sigma}))
-    return Candidate(JITTER, end, gain, chance_of_gain(JITTER, gain, tried), held_out)
+    p = chance_of_gain(JITTER, gain, tried)
+    if not p < alpha:
+        return None
+    held_out = _log_likelihoods(judging, start, sigma, seed, lights)
+    if fitted >= climb[FINEST_PATH_S]:
+        held_out = held_out - _log_likelihoods(judging, fit.model, FINEST_PATH_S, seed, lights_fitted)
+    else:
+        held_out = held_out - _log_likelihoods(judging, start, FINEST_PATH_S, seed, lights)
+    return Candidate(JITTER, replace(fit, model=start.with_effect(JITTER, {SIGMA: sigma})), gain, p, held_out)
 
 
-def _climb(recordings: Sequence[Recording], model: Model, seed: int) -> dict[float, float]:
+def _climb(recordings: Sequence[Recording], model: Model, seed: int, lights: Lights) -> dict[float, float]:
     """Standard deviation of a jitter, s → log-likelihood of the stamps, up to the first that lowers it."""
-    values = {FINEST_PATH_S: float(_log_likelihoods(recordings, model, FINEST_PATH_S, seed).sum())}
+    values = {FINEST_PATH_S: float(_log_likelihoods(recordings, model, FINEST_PATH_S, seed, lights).sum())}
     longest = max(r.stimulus.end_s - r.stimulus.start_s for r in recordings if r.stimulus is not None)
     while (last := max(values)) < longest:
-        values[WIDER * last] = float(_log_likelihoods(recordings, model, WIDER * last, seed).sum())
+        values[WIDER * last] = float(_log_likelihoods(recordings, model, WIDER * last, seed, lights).sum())
         if values[WIDER * last] < values[last]:
             break
     return values
 
 
-def _log_likelihoods(recordings: Sequence[Recording], model: Model, sigma_s: float, seed: int) -> np.ndarray:
+def _log_likelihoods(
+    recordings: Sequence[Recording], model: Model, sigma_s: float, seed: int, lights: Lights
+) -> np.ndarray:
     """(pixels,) nats of the stamps of each pixel, true times summed over."""
     windows, stamps = [jitter_windows(r, sigma_s) for r in recordings], [1.0 * r.events.t for r in recordings]
-    values = draw_paths(recordings, windows, stamps, model, np.random.default_rng(seed)).log_likelihoods
+    values = draw_paths(recordings, windows, stamps, model, np.random.default_rng(seed), lights).log_likelihoods
     return np.array([values[pixel] for pixel in sorted(values)])

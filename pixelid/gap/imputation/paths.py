@@ -33,6 +33,7 @@ from pixelid.stimuli.stimulus import Stimulus
 REACH = 6.0  # standard deviations of a jitter that a stamp can be off by
 FINEST_CELL_S = 2e-6  # the least step of the fastest edges: level moves by half a noise there
 MOST_CELLS = 2_000_000  # of one recording: 48 MB
+MOST_REMEMBERED = 16_000_000  # cells of all recordings under one model: 0.4 GB
 
 
 @dataclass(frozen=True)
@@ -58,7 +59,7 @@ def followable(recordings: Sequence[Recording], model: Model) -> bool:
 
 def draw_paths(
     recordings: Sequence[Recording], windows: Sequence[Windows], times: Sequence[np.ndarray], model: Model,
-    rng: np.random.Generator,
+    rng: np.random.Generator, lights: Lights | None = None,
 ) -> Paths:  # fmt: skip
     """All times drawn anew, given stamps in the order of the present times (n,) ns per recording.
 
@@ -68,15 +69,16 @@ def draw_paths(
         times: The present ones; they tell each pixel's thresholds, and which stamp of a polarity is whose.
         model: That the times follow.
         rng: Of the draws.
+        lights: What was made of the light before, where the same model draws more than once.
     """
-    circuit = model.circuit()
+    circuit, lights = model.circuit(), lights or Lights()
     thresholds = _thresholds(recordings, times, circuit)
     seeds = rng.integers(1 << 62, size=len(recordings))
 
     def drawn(job) -> tuple[np.ndarray, dict[int, float], int]:
         recording, window, t, own, seed = job
         here = circuit.in_recording(recording.name)
-        return _draw(recording, window, t, here, own, np.random.default_rng(seed))
+        return _draw(recording, window, t, lights.of(recording, here), own, np.random.default_rng(seed))
 
     made = map_threads(drawn, list(zip(recordings, windows, times, thresholds, seeds, strict=True)))
     total: dict[int, float] = {}
@@ -106,19 +108,18 @@ def _thresholds(
 
 
 def _draw(
-    recording: Recording, window: Windows, t: np.ndarray, circuit: Circuit, thresholds: dict[int, Thresholds],
+    recording: Recording, window: Windows, t: np.ndarray, light: Light | None, thresholds: dict[int, Thresholds],
     rng: np.random.Generator,
 ) -> tuple[np.ndarray, dict[int, float], int]:  # fmt: skip
     """(times (n,) ns, flat pixel → log-likelihood, pixels stuck) of one recording."""
     values: dict[int, float] = {}
     drawn, stuck = t.copy(), 0
-    if not len(t):
+    if light is None:
         return drawn, values, 0
     stamp = window.centre
     sd, reach = 1e-9 * window.sd, REACH * 1e-9 * window.sd
     if window.stamp is None:
         reach = 0.5e-9 * float(np.max(window.hi - window.lo))
-    light = light_of(recording, circuit, reach)
     of_stamp = -float(np.log(sd * np.sqrt(2.0 * np.pi))) if np.isfinite(sd) else 0.0
     order = np.lexsort((t, recording.events.pixel))
     pixel, rising = recording.events.pixel[order], recording.events.p[order] == 1
@@ -140,11 +141,35 @@ def _draw(
     return drawn, values, stuck
 
 
-def light_of(recording: Recording, circuit: Circuit, blur_s: float) -> Light:
-    """What a circuit makes of a recording's light, on cells fine enough for times blurred by so much."""
-    stimulus = recording.stimulus
-    assert isinstance(stimulus, Stimulus)
-    end = max(stimulus.end_s, 1e-9 * float(recording.events.t[-1]))
+class Lights:
+    """What circuits make of recordings' light, remembered up to `MOST_REMEMBERED` cells.
+
+    The light of a recording hangs on neither its pixels nor how far stamps are off.
+    """
+
+    def __init__(self) -> None:
+        self._made: dict[tuple, tuple[Stimulus, Light]] = {}
+        self._cells = 0
+
+    def of(self, recording: Recording, circuit: Circuit) -> Light | None:
+        """The light of a recording under a circuit; None without events."""
+        if not len(recording.events):
+            return None
+        stimulus = recording.stimulus
+        assert isinstance(stimulus, Stimulus)
+        end = max(stimulus.end_s, 1e-9 * float(recording.events.t[-1]))
+        key = (id(stimulus), end, circuit)
+        if key in self._made:
+            return self._made[key][1]
+        made = _light(stimulus, end, circuit)
+        if self._cells + len(made.output) <= MOST_REMEMBERED:
+            self._cells += len(made.output)
+            self._made[key] = stimulus, made  # the stimulus is kept: an id is its own while it lives
+        return made
+
+
+def _light(stimulus: Stimulus, end: float, circuit: Circuit) -> Light:
+    """What a circuit makes of the light until `end` s, on cells of at most `FINEST_CELL_S`."""
     span = end - stimulus.start_s
     step = max(FINEST_CELL_S, span / MOST_CELLS)
     times = stimulus.start_s + step * np.arange(int(span / step) + 2)

@@ -69,7 +69,7 @@ def _named_one_more(state: State, context: Context) -> State:
         return _without_lost(with_refused(state, winner, ONLY_WHERE_DRAWN))
     accepted = with_accepted(state, winner, attribution, standing.firm)
     if winner.effect == JITTER:
-        coarse = _behind_coarse_jitter(state, attribution, context) if _is_astray(state, context) else None
+        coarse = _behind_coarse_jitter(state, attribution, context) if is_astray(state, context) else None
         if coarse is not None:
             return coarse
         grown = _behind_jitter(accepted, winner, context)
@@ -225,12 +225,12 @@ def _another_first(state: State, attribution: Attribution[Maximum], context: Con
 
 def _with_jitter_instead(other: State, state: State, attribution: Attribution[Maximum], context: Context) -> State:
     """The state with a jitter named in place of the `other`, where only a jitter gives most events their cause."""
-    if not _is_astray(other, context):
+    if not is_astray(other, context):
         return other
     return _behind_coarse_jitter(state, attribution, context) or other
 
 
-def _is_astray(state: State, context: Context) -> bool:
+def is_astray(state: State, context: Context) -> bool:
     """Whether more events lack a cause than times drawn behind a jitter may leave."""
     return state.hypothesis.seen.background_fraction > context.options.criteria.max_unexplained_fraction_jittered
 
@@ -245,7 +245,8 @@ def _behind_coarse_jitter(state: State, attribution: Attribution[Maximum], conte
     # made feasible for stamps in the order in which they came; a dead time named on the way is as it was added
     shipped = {n: v for n, v in state.model.values.items() if n in (NOISE, DEAD_TIME) and n in hypothesis.start.free}
     start = hypothesis.start.set(shipped)
-    jitter = coarse_jitter(hypothesis.evidence, hypothesis.fit, start, tried, context.options.seed)
+    options = context.options
+    jitter = coarse_jitter(hypothesis.evidence, hypothesis.fit, start, tried, options.alpha_each, options.seed)
     if jitter is None or not may_be_named(jitter, context.options):
         return None
     beside = tuple(c for c in attribution.candidates if c.effect != JITTER)
@@ -254,7 +255,7 @@ def _behind_coarse_jitter(state: State, attribution: Attribution[Maximum], conte
     entry = attribution_entry(state.turn - 1, hypothesis.fit, hypothesis.seen, attribution, unable)
     named = with_accepted(replace(state, rounds=(*state.rounds[:-1], entry)), jitter, attribution, True)
     behind = _behind_jitter(named, jitter, context)
-    if _is_unlike(behind, context) or _is_astray(behind, context):
+    if _is_unlike(behind, context) or is_astray(behind, context):
         return None
     return behind.then(_next(behind))
 
