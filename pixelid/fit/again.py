@@ -57,5 +57,5 @@ def can_be_simulated(recordings: Sequence[Recording], model: Model) -> bool:
         light = recording.stimulus
         assert light is not None
         brightest = max(float(one.radiance.max()) for one in lights_in(light))
-        steps += light.duration_s / noise_step(rules, brightest + circuit.dark)
+        steps += light.duration_s / float(noise_step(rules, brightest + circuit.dark))
     return steps < MOST_STEPS

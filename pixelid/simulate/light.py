@@ -53,8 +53,8 @@ class Block:
         return self.after == 0
 
 
-def noise_step(rules: Rules, radiance: float) -> float:
-    """The longest step [s] that resolves shot noise at a radiance: 1/10 of the photoreceptor's 1/ωn.
+def noise_step(rules: Rules, radiance: float | np.ndarray) -> float | np.ndarray:
+    """The longest step [s] that resolves shot noise at a radiance (any shape): 1/10 of the photoreceptor's 1/ωn.
 
     Linear interpolation lowers the spectrum by sinc⁴(f Δt).  Behind two poles that costs of the order of (ωn Δt)² of
     the variance; behind a single pole ω, where the tail counts, 0.47 ω Δt, hence 1/50 there.  Without photoreceptor
@@ -79,8 +79,7 @@ def _parts(t, frames, rules: Rules) -> np.ndarray:
         longest = np.minimum(longest, slew.longest_step(rules.chain[:4], float(t[-1] - t[0])))
     if circuit.shot_density > 0:
         bright = frames.max(axis=1) * (1 + abs(circuit.flicker_modulation)) + circuit.dark
-        steps = [noise_step(rules, float(radiance)) for radiance in np.maximum(bright[1:], bright[:-1])]
-        longest = np.minimum(longest, steps)
+        longest = np.minimum(longest, noise_step(rules, np.maximum(bright[1:], bright[:-1]).astype(np.float64)))
     parts = np.maximum(np.ceil(np.diff(t) / longest - 1e-9), 1)
     if parts.sum() > MOST_STEPS:
         raise InputError(f"{parts.sum():.3g} steps are needed to resolve noise or slewing: shorten the stimulus")
