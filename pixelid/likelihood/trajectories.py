@@ -35,7 +35,7 @@ class Trajectories:
         self._light: tuple[tuple, StackedDrive] | None = None
 
     def of(self, circuit: Circuit, keep: bool) -> tuple[Trajectory, Output, StackedDrive]:
-        """The trajectory of a circuit, its output, and the light behind it.
+        """The trajectory of a circuit, its output (without its runs unless `keep`), and the light behind it.
 
         `keep` remembers them for circuits that differ in none of these: thresholds, dead time, leak and delay do not.
         """
@@ -60,7 +60,7 @@ class Trajectories:
                 light.t, light.rate_radiance, dynamics, linearisation=circuit.linearisation,
                 log_radiance=light.log_radiance, first=light.first,
             )  # fmt: skip
-        made = trajectory, Output.of(trajectory), light
+        made = trajectory, Output.of(trajectory) if keep else Output.without_runs(trajectory), light
         if keep and self._remember:
             self._latest = key, made
         return made
