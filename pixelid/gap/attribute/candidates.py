@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -76,19 +77,47 @@ def remove_effect(model: Model, effect: str, base: Model) -> Model:
     return model.without_effect(effect, photoreceptor_left=kind)
 
 
-def strongest_start(likelihood: EventTimes, model: Model, effect: str, least: float = -np.inf) -> Model | None:
+@dataclass(frozen=True)
+class Tried:
+    """A model with an effect at one strength, and what it explains.
+
+    Attributes:
+        model: With the effect.
+        value: Log-likelihood.
+        parts: (recordings,) of it, given the thresholds.
+    """
+
+    model: Model
+    value: float
+    parts: np.ndarray
+
+
+def tried(likelihood: EventTimes, model: Model, effect: str) -> list[Tried]:
+    """The model with the effect at each strength to try that can be evaluated."""
+    found = []
+    for trial in _trials(likelihood, model, effect):
+        try:
+            terms = likelihood.terms(trial.circuit())
+        except (InputError, FloatingPointError):
+            continue
+        if np.isfinite(terms.total):
+            found.append(Tried(trial, terms.total, terms.per_recording))
+    return found
+
+
+def strongest_start(
+    likelihood: EventTimes, model: Model, effect: str, least: float = -np.inf, trials: Sequence[Tried] | None = None
+) -> Model | None:
     """The model with the effect, at the strength among those tried that explains the events best.
 
-    None if none can be evaluated, or (slew_limit, slow to fit) none explains more than `least`.
+    None if none can be evaluated, or (slew_limit, slow to fit) none explains more than `least`.  trials: `tried`, where
+    known
     """
     if effect == SLEW:
         return _strongest_slew_start(likelihood, model, least)
-    best, top = None, -np.inf
-    for trial in _trials(likelihood, model, effect):
-        value = _value(likelihood, trial)
-        if value > top:
-            best, top = trial, value
-    return best
+    known = tried(likelihood, model, effect) if trials is None else trials
+    best = max(known, key=lambda trial: trial.value, default=None)
+    return None if best is None else best.model
 
 
 def _strongest_slew_start(likelihood: EventTimes, model: Model, least: float) -> Model | None:
@@ -156,30 +185,29 @@ def _trials(likelihood: EventTimes, model: Model, effect: str) -> Iterator[Model
                 yield sized.set({DEAD_TIME: min(sized.values[DEAD_TIME], shipped.value)})
 
 
-def start_in_each(likelihood: EventTimes, model: Model, effect: str) -> tuple[Model, float] | None:
+def start_in_each(
+    likelihood: EventTimes, model: Model, effect: str, trials: Sequence[Tried] | None = None
+) -> tuple[Model, float] | None:
     """(the model with the effect, what starts anew in each recording free there;  its log-likelihood).
 
     Of the strengths tried, each with the values that suit each recording best, the one that explains the events best.
-    None where nothing starts anew, or there are no several recordings of names of their own.
+    None where nothing starts anew, or there are no several recordings of names of their own.  trials: `tried`, where
+    known
     """
     anew = stages.effect(effect).starts_anew
     names = [recording.name for recording in likelihood.recordings]
     if not anew or len(names) < 2 or len(set(names)) < len(names):
         return None
-    tables: dict[tuple, list[tuple[Model, np.ndarray]]] = defaultdict(list)
-    for trial in variants(model, effect):
-        try:
-            parts = likelihood.terms(trial.circuit()).per_recording
-        except (InputError, FloatingPointError):
-            continue
-        if np.isfinite(parts).all():
-            tables[tuple(v for name, v in trial.values.items() if name not in anew)].append((trial, parts))
-    best = max(tables.values(), key=lambda rows: np.max([parts for _, parts in rows], axis=0).sum(), default=None)
+    tables: dict[tuple, list[Tried]] = defaultdict(list)
+    for trial in tried(likelihood, model, effect) if trials is None else trials:
+        if np.isfinite(trial.parts).all():
+            tables[tuple(v for name, v in trial.model.values.items() if name not in anew)].append(trial)
+    best = max(tables.values(), key=lambda rows: np.max([row.parts for row in rows], axis=0).sum(), default=None)
     if best is None:
         return None
-    which = np.argmax([parts for _, parts in best], axis=0)
-    values = {p: {name: best[i][0].values[p] for name, i in zip(names, which, strict=True)} for p in anew}
-    grown = best[0][0].with_nuisances(values)
+    which = np.argmax([row.parts for row in best], axis=0)
+    values = {p: {name: best[i].model.values[p] for name, i in zip(names, which, strict=True)} for p in anew}
+    grown = best[0].model.with_nuisances(values)
     return grown, likelihood.log_likelihood(grown.circuit())
 
 

@@ -11,7 +11,7 @@ from pixelid.cluster import Work
 from pixelid.fit.cache import FitCache, map_fits
 from pixelid.fit.maximise import Maximum, maximise
 from pixelid.gap.attribute.attribute import MIN_SCREENED_NATS, Report
-from pixelid.gap.attribute.candidates import SLEW, remove_effect, start_in_each, strongest_start
+from pixelid.gap.attribute.candidates import SLEW, Tried, remove_effect, start_in_each, strongest_start, tried
 from pixelid.gap.attribute.significance import chance_of_gain, own_values
 from pixelid.gap.detect.pixels import PixelEvidence, per_pixel
 from pixelid.gap.imputation.windows import DELAY
@@ -103,15 +103,17 @@ class _Screen:
         """(the effect fitted, nats gained); None where no strength of it can be evaluated."""
         best: Maximum | None = None
         steps = SCREEN_STEPS_TRADING if effect in TRADING_PLACES else SCREEN_STEPS
-        for origin in (self.base.model, self.restart):
-            if origin is None:
-                continue
-            end = strongest_fit(self.pool, origin, effect, self.base.value, lambda s: self._screened(s, steps, cache))
+        origins = [origin for origin in (self.base.model, self.restart) if origin is not None]
+        trials = [None if effect == SLEW else tried(self.pool, origin, effect) for origin in origins]
+        for origin, some in zip(origins, trials, strict=True):
+            end = strongest_fit(
+                self.pool, origin, effect, self.base.value, lambda s: self._screened(s, steps, cache), some
+            )
             if end is not None and (best is None or end.value > best.value):
                 best = end
         if best is None:
             return None
-        own = self._in_each(effect, best.value, cache)
+        own = self._in_each(effect, best.value, origins, trials, cache)
         best = best if own is None else own
         return best, best.value - self.base.value
 
@@ -129,12 +131,15 @@ class _Screen:
         again = maximise(pool, freed, tolerance=0.3, max_steps=steps, cache=cache)
         return again if end is None or again.value > end.value else end
 
-    def _in_each(self, effect: str, shared: float, cache: FitCache | None) -> Maximum | None:
+    def _in_each(
+        self, effect: str, shared: float, origins: Sequence[Model], trials: Sequence[list[Tried] | None],
+        cache: FitCache | None,
+    ) -> Maximum | None:  # fmt: skip
         """The effect with what starts anew free in each recording; None where that is not surely worth it.
 
-        shared: log-likelihood with it shared by all
+        shared: log-likelihood with it shared by all;  origins, trials: models begun at, and what was tried beside each
         """
-        starts = [start_in_each(self.pool, m, effect) for m in (self.base.model, self.restart) if m is not None]
+        starts = [start_in_each(self.pool, m, effect, some) for m, some in zip(origins, trials, strict=True)]
         start = max((s for s in starts if s is not None), key=lambda s: s[1], default=None)
         if start is None or start[1] < self.base.value + MIN_SCREENED_NATS:
             return None
@@ -145,14 +150,19 @@ class _Screen:
 
 
 def strongest_fit(
-    pool: EventTimes, origin: Model, effect: str, least: float, fit: Callable[[Model], Maximum]
+    pool: EventTimes,
+    origin: Model,
+    effect: str,
+    least: float,
+    fit: Callable[[Model], Maximum],
+    trials: Sequence[Tried] | None = None,
 ) -> Maximum | None:
-    """An effect fitted from its `strongest_start` beside a model; None where there is none.
+    """An effect fitted from its `strongest_start` beside a model; None where there is none.  trials: as of that.
 
     A limit of a slew at which nothing slews has no slope, so that a fit leaves it there: it is looked for again where
     the fit has led the other parameters.
     """
-    start = strongest_start(pool, origin, effect, least)
+    start = strongest_start(pool, origin, effect, least, trials)
     if start is None:
         return None
     end = fit(start)
