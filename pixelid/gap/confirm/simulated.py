@@ -103,23 +103,28 @@ def count_sensors(
     copies: int,
     seed: int,
 ) -> np.ndarray:
-    """(copies, P, cells) counts of P pixels of each of many simulated sensors, whole where pixels share a readout.
+    """(copies, P, cells) counts of P pixels of each of many simulated sensors.
+
+    They are one long row, which is simulated in little more time than each of them; but apart, and whole, where pixels
+    share a readout, and apart where each has so many hot ones.
 
     pixels: (P,) whose light they see;  everyone: these and all others that are active
     """
-    row = np.concatenate([pixels, np.setdiff1d(everyone, pixels)]) if model.has("readout_latency") else pixels
-    width = len(row)
+    queue = model.has("readout_latency")
+    crowd = np.concatenate([pixels, np.setdiff1d(everyone, pixels)]) if queue else pixels
+    sensors, each = (copies, 1) if queue or model.has("hot_pixels") else (1, copies)
+    row = np.tile(crowd, each)
+    watched = (np.arange(each)[:, None] * len(crowd) + np.arange(len(pixels))).ravel()
 
-    def run(job: tuple[int, int]) -> Recording:
-        copy, i = job
-        own, light = seed + 101 * copy + i, recordings[i].stimulus
-        assert light is not None
-        light = light_in_a_row(recordings[i], light, row, own)
-        here = model.in_recording(recordings[i].name)
-        return simulate_row(here, light, width, seed=own, sensor_seed=seed + copy)
+    def counted(sensor: int) -> np.ndarray:
+        runs = []
+        for i, recording in enumerate(recordings):
+            own, light = seed + 101 * sensor + i, recording.stimulus
+            assert light is not None
+            light = light_in_a_row(recording, light, row, own)
+            here = model.in_recording(recording.name)
+            runs.append(simulate_row(here, light, len(row), seed=own, sensor_seed=seed + sensor))
+        return count_events(runs, watched, edges).table
 
-    tables = []
-    for copy in range(copies):
-        runs = map_threads(run, [(copy, i) for i in range(len(recordings))])
-        tables.append(count_events(runs, np.arange(width), edges).table[: len(pixels)])
-    return np.stack(tables)
+    # sensors take as long as each other, recordings do not
+    return np.stack(map_threads(counted, range(sensors))).reshape(copies, len(pixels), -1)
