@@ -17,6 +17,8 @@ error, so that its tolerance means a fraction of a standard error.
 
 from __future__ import annotations
 
+from typing import Any
+
 import casadi as ca
 import numpy as np
 
@@ -144,7 +146,7 @@ def _solve(objective, x0, local: Local, symbolically: bool, tolerance: float, ma
 class _Callback(ca.Callback):
     """A Python function of dense matrices as a CasADi function; slope: (sparsity, function) of its Jacobian."""
 
-    def __init__(self, name, inputs, outputs, evaluate, slope=None):
+    def __init__(self, name, inputs, outputs, evaluate, slope: Any = None) -> None:
         ca.Callback.__init__(self)
         self.inputs, self.outputs, self.evaluate, self.slope = inputs, outputs, evaluate, slope
         self.construct(name, {})
