@@ -25,7 +25,6 @@ from pixelid.gap.steps.discount_imputation_noise import discount_imputation_nois
 from pixelid.gap.steps.explain_by_shot_noise import try_before_second_effect, try_shot_noise
 from pixelid.gap.steps.name_beside_shot_noise import name_beside_shot_noise
 from pixelid.gap.steps.name_effect import name_effect
-from pixelid.gap.steps.suppose_shot_noise import suppose_shot_noise
 from pixelid.gap.steps.undo_readout import undo_readout
 from pixelid.gap.steps.withdraw import withdraw
 from pixelid.inspection.timestamps import find_timestamp_signatures, with_coarse_units_as_grids
@@ -61,10 +60,9 @@ def begin(recordings: Sequence[Recording], model: Model, context: Context) -> St
 
 
 def name_next(state: State, context: Context) -> State:
-    """One round; before the second shot noise has its chance, or is supposed; after the last a look back."""
+    """One round, before the second of which shot noise has its chance, and after the last a look back."""
     if state.turn == 1 and state.steps:
         state = try_before_second_effect(state, context)
-        state = suppose_shot_noise(state, context) if state.phase is Phase.NAME else state
     state = name_effect(state, context) if state.phase is Phase.NAME else state
     return ask_again(state, context) if state.phase is Phase.SHOT_NOISE else state
 

@@ -23,7 +23,6 @@ from pixelid.gap.search import begin
 from pixelid.gap.shot_noise.replicates import Corrected
 from pixelid.gap.shot_noise.shot_noise import ShotNoise
 from pixelid.gap.state import NamedStep
-from pixelid.gap.steps import suppose_shot_noise as supposing
 from pixelid.gap.steps import withdraw as withdrawing
 from pixelid.gap.steps.name_effect import (
     NOTHING_LEFT_FOR_IT,
@@ -234,50 +233,6 @@ def test_an_effect_taken_back_from_beside_shot_noise_leaves_the_noise_found_befo
     assert state.shot_noise is before
     assert state.rounds[0]["withdrawn"] == "shot noise explains it"
     assert "withdrawn" in state.rounds[1]
-
-
-@pytest.mark.parametrize(("p", "kept"), [(0.5, True), (1e-9, False)])
-def test_noise_that_was_supposed_is_kept_where_it_leaves_nothing(complete, monkeypatch, p, kept):
-    """Beside what was named with it; else the search goes on as if it had not been supposed."""
-    hypothesis = complete.hypothesis
-    astray = replace(hypothesis.seen.residual, background=np.ones_like(hypothesis.seen.residual.background))
-    hypothesis = replace(hypothesis, seen=replace(hypothesis.seen, residual=astray, p=0.0))
-
-    def named(effect, before):
-        winner = Candidate(effect, hypothesis.fit, 600.0, 0.0, hypothesis.fit.x)
-        return NamedStep(winner, Attribution((), {}, None, (), {}), "", True, before)
-
-    def noise_of(left_p):
-        seen = replace(hypothesis.seen, p=left_p)
-        return ShotNoise(
-            1e-3, (0.0, 1.0), Corrected(hypothesis.fit.model, np.zeros_like(hypothesis.fit.x), seen), 9.0, 1.0
-        )
-
-    def beside(state, context):
-        if state.steps:
-            return state.then(Phase.DISCOUNT)
-        assert state.hypothesis.model is hypothesis.fit.model
-        noise = noise_of(p)
-        grown = replace(hypothesis, seen=noise.corrected.seen, corrected=noise.corrected)
-        rounds = (*state.rounds, entry(2, 0.0, named="refractory_period"))
-        return replace(
-            state, steps=(named("refractory_period", hypothesis),), hypothesis=grown, shot_noise=noise, rounds=rounds
-        )
-
-    monkeypatch.setattr(supposing, "_supposed", lambda *given: noise_of(0.0))
-    monkeypatch.setattr(supposing, "name_beside_shot_noise", beside)
-    state = replace(
-        complete, phase=Phase.NAME, turn=1, hypothesis=hypothesis, steps=(named("mains_flicker", hypothesis),),
-        rounds=(entry(1, 0.0, named="mains_flicker"),),
-    )  # fmt: skip
-    found = supposing.suppose_shot_noise(state, CONTEXT)
-    assert [step.effect for step in found.steps] == (["refractory_period"] if kept else ["mains_flicker"])
-    assert ("withdrawn" in found.rounds[0], "withdrawn" in found.rounds[1]) == (kept, not kept)
-    assert found.rounds[-1]["named"] == ("shot_noise" if kept else None)
-    assert (found.shot_noise is not None) == kept
-    assert found.phase is (Phase.DISCOUNT if kept else Phase.NAME)
-    calm = replace(state, hypothesis=complete.hypothesis)
-    assert supposing.suppose_shot_noise(calm, CONTEXT) is calm
 
 
 def test_a_jitter_of_dead_times_is_looked_for_beside_a_dead_time_named_on_the_way():

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from pixelid.fit.maximise import Maximum
-from pixelid.fit.shot_noise import EFFECT, NOISE
+from pixelid.fit.shot_noise import EFFECT
 from pixelid.gap.attribute.attribute import Attribution, Candidate, attribute, may_be_named
 from pixelid.gap.attribute.candidates import impossible, missing
 from pixelid.gap.attribute.pixels import candidates_of
@@ -80,11 +80,7 @@ def _with(
     winner: Candidate[Maximum], attribution: Attribution[Maximum], noise: ShotNoise, state: State, context: Context
 ) -> State | None:
     """The state with an effect named and shot noise found anew beside it; None where that explains less then."""
-    model = winner.end.model.without_effect(EFFECT)
-    covered = max(
-        model.values[NOISE], state.hypothesis.fit.values[NOISE]
-    )  # the thresholds' takes the place of shot noise
-    bare = replace(winner, end=replace(winner.end, model=model.set({NOISE: covered})))
+    bare = replace(winner, end=replace(winner.end, model=winner.end.model.without_effect(EFFECT)))
     attribution = replace(attribution, winner=bare, runners_up=())
     before = replace(state, hypothesis=replace(state.hypothesis, corrected=None))
     evidence = before.hypothesis.evidence.weighed(before.hypothesis.fit.model.circuit())
