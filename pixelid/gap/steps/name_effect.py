@@ -69,7 +69,7 @@ def _named_one_more(state: State, context: Context) -> State:
         return _without_lost(with_refused(state, winner, ONLY_WHERE_DRAWN))
     accepted = with_accepted(state, winner, attribution, standing.firm)
     if winner.effect == JITTER:
-        coarse = _behind_coarse_jitter(state, attribution, context) if is_astray(state, context) else None
+        coarse = _behind_coarse_jitter(state, attribution, context) if _is_astray(state, context) else None
         if coarse is not None:
             return coarse
         grown = _behind_jitter(accepted, winner, context)
@@ -225,12 +225,12 @@ def _another_first(state: State, attribution: Attribution[Maximum], context: Con
 
 def _with_jitter_instead(other: State, state: State, attribution: Attribution[Maximum], context: Context) -> State:
     """The state with a jitter named in place of the `other`, where only a jitter gives most events their cause."""
-    if not is_astray(other, context):
+    if not _is_astray(other, context):
         return other
     return _behind_coarse_jitter(state, attribution, context) or other
 
 
-def is_astray(state: State, context: Context) -> bool:
+def _is_astray(state: State, context: Context) -> bool:
     """Whether more events lack a cause than times drawn behind a jitter may leave."""
     return state.hypothesis.seen.background_fraction > context.options.criteria.max_unexplained_fraction_jittered
 
@@ -255,7 +255,7 @@ def _behind_coarse_jitter(state: State, attribution: Attribution[Maximum], conte
     entry = attribution_entry(state.turn - 1, hypothesis.fit, hypothesis.seen, attribution, unable)
     named = with_accepted(replace(state, rounds=(*state.rounds[:-1], entry)), jitter, attribution, True)
     behind = _behind_jitter(named, jitter, context)
-    if _is_unlike(behind, context) or is_astray(behind, context):
+    if _is_unlike(behind, context) or _is_astray(behind, context):
         return None
     return behind.then(_next(behind))
 
