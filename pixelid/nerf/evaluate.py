@@ -41,7 +41,7 @@ class Scores:
             }
             for k in range(len(views))
         ]
-        return {**self.means(), "per_view": per_view, "log_eps": views.log_eps}
+        return {**self.means(), "per_view": per_view}
 
     def means(self) -> dict[str, float | None]:
         """Over the test views."""

@@ -91,6 +91,7 @@ class Reconstruction(Result):
             "gap": {**self.gap, "final": self.left.as_dict() if self.left else None} if self.gap else None,
             "beside": None if self.beside is None else self.beside.as_dict(),
             "views": self.scores.as_dict(self.truth),
+            "log_eps": self.truth.log_eps,
             "correction": {
                 name: float(value[0]) if one else value.tolist()
                 for name, value in (("a", correction.a), ("b", correction.b), ("c", correction.c))

@@ -56,7 +56,7 @@ class SavedReconstruction(Result):
     @property
     def log_eps(self) -> float:
         """What the data set adds to pictures of its views that are not quantised."""
-        return float(self.content["views"].get("log_eps") or 0.0)
+        return float(self.content.get("log_eps") or 0.0)
 
     @property
     def headline(self) -> str:
@@ -166,7 +166,7 @@ class SavedReconstruction(Result):
                 np.asarray(content["correction"][name] or 0.0, dtype=float)
             np.asarray(content["pixel"].get("dark") or 0.0, dtype=float)
             if not (math.isfinite(saved.log_eps) and saved.log_eps >= 0):
-                raise ValueError(f"views.log_eps: expected a number of at least 0, found {saved.log_eps}")
+                raise ValueError(f"log_eps: expected a number of at least 0, found {saved.log_eps}")
         return saved
 
 

@@ -68,6 +68,7 @@ def test_the_command_writes_its_contract(made, tmp_path, capsys, bandwidth):
     assert (code == 0) == (result["status"] == "converged")
     assert result["bandwidth"] == bandwidth
     assert set(result["views"]) == {"psnr", "ssim", "lpips", "per_view"}
+    assert result["log_eps"] == 0.0
     assert len(result["views"]["per_view"]) == 8
     assert result["views"]["psnr"] == pytest.approx(np.mean([view["psnr"] for view in result["views"]["per_view"]]))
     assert set(result["correction"]) == {"a", "b", "c"}
