@@ -51,15 +51,14 @@ def announced(say: Callable[[str], None]) -> Iterator[None]:
         yield
 
 
-def compile_kernels() -> float:
-    """Run `simulate` and `fit` once on little, which compiles what they need; returns the seconds it took.
+def compile_kernels() -> None:
+    """Run `simulate` and `fit` once on little, which compiles what they need.
 
     Raises:
         RuntimeError: one of them could not be run.
     """
     from pixelid.cli.main import main
 
-    begun_s = time.monotonic()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         (folder / "session").mkdir()
@@ -68,10 +67,9 @@ def compile_kernels() -> float:
             light.write_text(f'[stimulus]\nkind = "{kind}"\nlevel = {level}\nduration_s = {DURATION_S}\n')
             _run(main, ["simulate", "dvs128", "--stimulus", str(light), "--pixels", "4", "--out", str(recording)])
         _run(main, ["fit", str(folder / "session"), "--model", "dvs128", "--out", str(folder / "fit")])
-    return time.monotonic() - begun_s
 
 
-def compile_reconstruction() -> float:
+def compile_reconstruction() -> None:
     """The same of `simulate` under a video and `reconstruct`.
 
     Raises:
@@ -80,12 +78,10 @@ def compile_reconstruction() -> float:
     from pixelid.cli.main import main
     from pixelid.nerf.synthetic import make_dataset
 
-    begun_s = time.monotonic()
     with tempfile.TemporaryDirectory() as name:
         data = make_dataset(Path(name) / "scene", side=8, revolutions=1.0, frames_per_turn=60)
         small = ["--steps", "2", "--batch", "16", "--cells", "8"]
         _run(main, ["reconstruct", str(data), *small, "--out", str(Path(name) / "out")])
-    return time.monotonic() - begun_s
 
 
 def _run(main: Callable[[list[str]], int], words: list[str]) -> None:

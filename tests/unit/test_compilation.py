@@ -42,7 +42,7 @@ def test_short_compiling_is_not_announced(monkeypatch):
 
 @pytest.mark.parametrize(("beside", "told"), [(0, "compiled for reconstruct, in"), (1, "")])
 def test_what_cannot_be_compiled_now_is_no_failure(beside, told, monkeypatch, capsys):
-    def broken() -> float:
+    def broken() -> None:
         raise OSError("read-only")
 
     monkeypatch.setattr(compilation, "compile_kernels", broken)
@@ -55,7 +55,7 @@ def test_what_cannot_be_compiled_now_is_no_failure(beside, told, monkeypatch, ca
 
 
 def test_the_second_process_says_what_it_cannot_compile(monkeypatch, capsys):
-    def broken() -> float:
+    def broken() -> None:
         raise OSError("read-only")
 
     monkeypatch.setattr(compilation, "compile_reconstruction", broken)

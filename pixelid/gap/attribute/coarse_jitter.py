@@ -56,12 +56,10 @@ def coarse_jitter(
     p = chance_of_gain(JITTER, gain, tried)
     if not p < alpha:
         return None
-    held_out = _log_likelihoods(judging, start, sigma, seed, lights)
-    if fitted >= climb[FINEST_PATH_S]:
-        held_out = held_out - _log_likelihoods(judging, fit.model, FINEST_PATH_S, seed, lights_fitted)
-    else:
-        held_out = held_out - _log_likelihoods(judging, start, FINEST_PATH_S, seed, lights)
-    return Candidate(JITTER, replace(fit, model=start.with_effect(JITTER, {SIGMA: sigma})), gain, p, held_out)
+    without, its_lights = (fit.model, lights_fitted) if fitted >= climb[FINEST_PATH_S] else (start, lights)
+    behind = _log_likelihoods(judging, start, sigma, seed, lights)
+    exact = _log_likelihoods(judging, without, FINEST_PATH_S, seed, its_lights)
+    return Candidate(JITTER, replace(fit, model=start.with_effect(JITTER, {SIGMA: sigma})), gain, p, behind - exact)
 
 
 def _climb(recordings: Sequence[Recording], model: Model, seed: int, lights: Lights) -> dict[float, float]:

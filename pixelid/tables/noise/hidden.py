@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -75,4 +74,4 @@ def normal_laws(covariances: np.ndarray) -> np.ndarray:
     det = v00 * v11 - v01 * v01
     known = det > LOST * v00 * v11
     det = np.where(known, det, 1.0)
-    return np.stack([v00, v11 / det, -v01 / det, v00 / det, known / (2.0 * math.pi * np.sqrt(det))], axis=1)
+    return np.stack([v00, v11 / det, -v01 / det, v00 / det, known / (2.0 * np.pi * np.sqrt(det))], axis=1)
