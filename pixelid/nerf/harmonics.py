@@ -62,9 +62,9 @@ def turned(d, coefficient, out):
 
 @njit(inline="always", error_model="numpy")
 def _at_corner(flat, i, basis):
-    """Σ_k basis_k times harmonic k at one vertex, the first at i; degree 1, the usual one, without a loop."""
-    if len(basis) == 3:
-        return basis[0] * flat[i] + basis[1] * flat[i + 1] + basis[2] * flat[i + 2]
+    """Σ_k basis_k times value k at one vertex, the first at i; degree 1, the usual one, without a loop."""
+    if len(basis) == 4:
+        return flat[i] + basis[1] * flat[i + 1] + basis[2] * flat[i + 2] + basis[3] * flat[i + 3]
     dot = np.float32(0.0)
     for k in range(len(basis)):
         dot += basis[k] * flat[i + k]
@@ -72,33 +72,34 @@ def _at_corner(flat, i, basis):
 
 
 @njit(inline="always", error_model="numpy")
-def seen(flat, at, every, first, shares, basis):
-    """Σ_k basis_k times the trilinear value of harmonic k.
+def seen(flat, at, number, first, shares, basis):
+    """Σ_k basis_k times the trilinear value of the constant (k = 0, basis 1) and the harmonics.
 
-    at: (8,) rows of a cell's corners, z fastest, of `every` numbers each;  first: of them that counts;  shares: (8,)
+    at: (8,) rows of a cell's corners, z fastest, of `number` values each;  first: of them that counts;  shares: (8,)
     """
     return (
-        shares[0] * _at_corner(flat, at[0] * every + first, basis)
-        + shares[1] * _at_corner(flat, at[1] * every + first, basis)
-        + shares[2] * _at_corner(flat, at[2] * every + first, basis)
-        + shares[3] * _at_corner(flat, at[3] * every + first, basis)
-        + shares[4] * _at_corner(flat, at[4] * every + first, basis)
-        + shares[5] * _at_corner(flat, at[5] * every + first, basis)
-        + shares[6] * _at_corner(flat, at[6] * every + first, basis)
-        + shares[7] * _at_corner(flat, at[7] * every + first, basis)
+        shares[0] * _at_corner(flat, at[0] * number + first, basis)
+        + shares[1] * _at_corner(flat, at[1] * number + first, basis)
+        + shares[2] * _at_corner(flat, at[2] * number + first, basis)
+        + shares[3] * _at_corner(flat, at[3] * number + first, basis)
+        + shares[4] * _at_corner(flat, at[4] * number + first, basis)
+        + shares[5] * _at_corner(flat, at[5] * number + first, basis)
+        + shares[6] * _at_corner(flat, at[6] * number + first, basis)
+        + shares[7] * _at_corner(flat, at[7] * number + first, basis)
     )
 
 
 @njit(inline="always", error_model="numpy")
-def spread(flat, at, every, first, shares, basis, by_value):
+def spread(flat, at, number, first, shares, basis, by_value):
     """The transpose: add a cell's shares of the gradient by `seen`."""
     for corner in range(8):
         w = shares[corner] * by_value
-        i = at[corner] * every + first
-        if len(basis) == 3:
-            flat[i] += w * basis[0]
+        i = at[corner] * number + first
+        if len(basis) == 4:
+            flat[i] += w
             flat[i + 1] += w * basis[1]
             flat[i + 2] += w * basis[2]
+            flat[i + 3] += w * basis[3]
         else:
             for k in range(len(basis)):
                 flat[i + k] += w * basis[k]

@@ -62,11 +62,10 @@ class _Compiled(torch.autograd.Function):
         ctx: Any, grid: torch.Tensor, coefficients: torch.Tensor, background: torch.Tensor, origins: torch.Tensor,
         directions: torch.Tensor, rays: Rays, box: Box, keep: bool,
     ):  # fmt: skip
-        values, directional, behind = grid.detach().numpy(), coefficients.detach().numpy(), background.detach().numpy()
+        (densities, looks), behind = _side_by_side(grid, coefficients), background.detach().numpy()
         radiance, opacity = np.empty(len(rays.origins), np.float32), np.empty(len(rays.origins), np.float32)
-
-        filled, (vertices, index) = np.empty(len(values), np.uint8), (box.bricks.vertices, box.bricks.index)
-        kernels.filled_cells(values, vertices, index, box.step, box.occupied, filled)
+        filled, (vertices, index) = np.empty(len(densities), np.uint8), (box.bricks.vertices, box.bricks.index)
+        kernels.filled_cells(densities, vertices, index, box.step, box.occupied, filled)
 
         def part(some: slice) -> tuple[np.ndarray, ...]:
             number = some.stop - some.start
@@ -74,7 +73,7 @@ class _Compiled(torch.autograd.Function):
             room = KEPT_PER_RAY * number if keep else 0
             samples, depths, colours = (np.empty(room, kind) for kind in (np.int32, np.float32, np.float32))
             kept = kernels.forward(
-                *(column[some] for column in rays), values, directional, vertices, index, box.occupied, filled, box.low,
+                *(column[some] for column in rays), densities, looks, vertices, index, box.occupied, filled, box.low,
                 box.high, box.unbounded, box.near, box.step, behind, radiance[some], opacity[some], first, samples,
                 depths, colours,
             )  # fmt: skip
@@ -82,36 +81,41 @@ class _Compiled(torch.autograd.Function):
 
         cuts = ranges(len(radiance), threads())
         ctx.kept = map_threads(part, cuts, threads=threads())
-        ctx.save_for_backward(grid, coefficients, background)
-        ctx.rays, ctx.box, ctx.radiance, ctx.cuts = rays, box, radiance, cuts
+        ctx.values, ctx.rays, ctx.box, ctx.radiance, ctx.cuts = (densities, looks, behind), rays, box, radiance, cuts
         out, covered = torch.from_numpy(radiance), torch.from_numpy(opacity)
         ctx.mark_non_differentiable(covered)
         return out, covered
 
     @staticmethod
     def backward(ctx: Any, *by_outputs: torch.Tensor):
-        grid, coefficients, background = ctx.saved_tensors
-        rays, box, behind = ctx.rays, ctx.box, background.detach().numpy()
-        values, directional = grid.detach().numpy(), coefficients.detach().numpy()
+        (densities, looks, behind), rays, box, cuts = ctx.values, ctx.rays, ctx.box, ctx.cuts
         by_radiance = np.ascontiguousarray(by_outputs[0].numpy())
-        cuts = ctx.cuts
-        by_grid = [np.zeros(values.shape, np.float32) for _ in cuts]
-        by_coefficients = [np.zeros(directional.shape, np.float32) for _ in cuts]
-        by_behind = [np.zeros(behind.shape, np.float32) for _ in cuts]
+        by_densities, by_looks, by_behind = (
+            [np.zeros(values.shape, np.float32) for _ in cuts] for values in ctx.values
+        )  # fmt: skip
         moving = any(ctx.needs_input_grad[3:5])
         by_origins, by_directions = (np.zeros((len(by_radiance) if moving else 0, 3), np.float32) for _ in range(2))
 
         def part(k: int) -> None:
             some = cuts[k]
             kernels.backward(
-                *(column[some] for column in rays), values, directional, box.bricks.vertices, box.bricks.index, box.low,
-                box.high, box.unbounded, box.near, box.step, behind, ctx.radiance[some], *ctx.kept[k],
-                by_radiance[some], by_grid[k], by_coefficients[k], by_behind[k], by_origins[some], by_directions[some],
+                *(column[some] for column in rays), densities, looks, box.bricks.vertices, box.bricks.index, box.low,
+                box.high, True if box.unbounded else None, box.near, box.step, behind, ctx.radiance[some],
+                *ctx.kept[k], by_radiance[some], by_densities[k], by_looks[k], by_behind[k], by_origins[some],
+                by_directions[some],
             )  # fmt: skip
 
         map_threads(part, range(len(cuts)), threads=threads())
         of_rays = (torch.from_numpy(by_origins), torch.from_numpy(by_directions)) if moving else (None, None)
-        return _total(by_grid), _total(by_coefficients), _total(by_behind), *of_rays, None, None, None
+        by_look = _total(by_looks)
+        by_grid = torch.cat([_total(by_densities)[:, None], by_look[:, :, 0]], dim=1)
+        return by_grid, by_look[:, :, 1:].contiguous(), _total(by_behind), *of_rays, None, None, None
+
+
+def _side_by_side(grid: torch.Tensor, coefficients: torch.Tensor) -> tuple[np.ndarray, np.ndarray]:
+    """(log densities (rows,), log radiance of every colour beside its harmonics (rows, C, 1 + K))."""
+    looks = torch.cat([grid.detach()[:, 1:, None], coefficients.detach()], dim=2)
+    return grid.detach()[:, 0].contiguous().numpy(), looks.numpy()
 
 
 def _total(parts: list[np.ndarray]) -> torch.Tensor:

@@ -1,7 +1,8 @@
 """The volume renderer, compiled: march, interpolate, composite; and its gradient.
 
 A field holds log density and log radiances at the vertices of a box (`bricks`), trilinear in between, exponential
-after; log radiance may also depend on the ray's direction (`harmonics`).
+after; log radiance may also depend on the ray's direction (`harmonics`).  Kernels read the densities in one array, and
+the log radiance of a colour with its harmonics side by side in another: two thirds of the time of a march.
 With step h, density σ_i, radiance c_i, transmittance T_i = exp(−h Σ_{j<i} σ_j) and background b,
 
     L = Σ_i (T_i − T_{i+1}) c_i + T_n b
@@ -58,35 +59,33 @@ def _shares(x, y, z):
 
 
 @njit(inline="always", error_model="numpy")
-def _interpolated(flat, at, depth, feature, shares):
-    """Trilinear value of one feature; at: (8,) rows of the corners, of `depth` features each."""
+def _interpolated(values, at, number, k, shares):
+    """Trilinear value of the k-th of `number` values per row; at: (8,) rows of the corners."""
     return (
-        shares[0] * flat[at[0] * depth + feature] + shares[1] * flat[at[1] * depth + feature]
-        + shares[2] * flat[at[2] * depth + feature] + shares[3] * flat[at[3] * depth + feature]
-        + shares[4] * flat[at[4] * depth + feature] + shares[5] * flat[at[5] * depth + feature]
-        + shares[6] * flat[at[6] * depth + feature] + shares[7] * flat[at[7] * depth + feature]
+        shares[0] * values[at[0] * number + k] + shares[1] * values[at[1] * number + k]
+        + shares[2] * values[at[2] * number + k] + shares[3] * values[at[3] * number + k]
+        + shares[4] * values[at[4] * number + k] + shares[5] * values[at[5] * number + k]
+        + shares[6] * values[at[6] * number + k] + shares[7] * values[at[7] * number + k]
     )  # fmt: skip
 
 
 @njit(inline="always", error_model="numpy")
-def _spread(flat, at, depth, other, shares, first, second):
-    """The transpose: add a cell's shares of `first` to feature 0, and of `second` to another one."""
+def _spread(values, at, shares, amount):
+    """The transpose for one value per row: add a cell's shares of `amount`."""
     for k in range(8):
-        i = at[k] * depth
-        flat[i] += shares[k] * first
-        flat[i + other] += shares[k] * second
+        values[at[k]] += shares[k] * amount
 
 
 @njit(inline="always", error_model="numpy")
-def _add_slopes(flat, at, depth, feature, x, y, z, by_value, out):
-    """Add to out (3,) by_value times the gradient, in cells, of the trilinear value of one feature."""
+def _add_slopes(values, at, number, k, x, y, z, by_value, out):
+    """Add to out (3,) by_value times the gradient, in cells, of the trilinear value of `_interpolated`."""
     one = np.float32(1.0)
-    for k in range(8):
-        wx, wy, wz = x if k & 4 else one - x, y if k & 2 else one - y, z if k & 1 else one - z
-        value = by_value * flat[at[k] * depth + feature]
-        out[0] += (value if k & 4 else -value) * wy * wz
-        out[1] += (value if k & 2 else -value) * wx * wz
-        out[2] += (value if k & 1 else -value) * wx * wy
+    for j in range(8):
+        wx, wy, wz = x if j & 4 else one - x, y if j & 2 else one - y, z if j & 1 else one - z
+        value = by_value * values[at[j] * number + k]
+        out[0] += (value if j & 4 else -value) * wy * wz
+        out[1] += (value if j & 2 else -value) * wx * wz
+        out[2] += (value if j & 1 else -value) * wx * wy
 
 
 @njit(inline="always", error_model="numpy")
@@ -106,26 +105,26 @@ def _per_cell(q, step):
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "afn", "reassoc"})
 def forward(
-    origins, directions, channels, offsets, grid, coefficients, vertices, index, occupied, filled, low, high, unbounded,
+    origins, directions, channels, offsets, densities, looks, vertices, index, occupied, filled, low, high, unbounded,
     nearest, step, background, radiance, opacity, first, samples, depths, colours,
 ):  # fmt: skip
     """Fill radiance (n,) and opacity (n,) of rays; (samples, depths, colours), where rays met something.
 
     origins, directions: (n, 3) float32;  channels: (n,) colour of each ray;  offsets: (n,) of the first sample in
-    steps;  grid: (rows, 1 + C) float32;  coefficients: (rows, C, K) float32 of the harmonics, K may be 0;  vertices:
-    per side;  index: of `Bricks`;  occupied: (b, b, b) uint8 per block;  filled: (rows,) uint8 of `filled_cells`, by
-    the low corner of the cell;  low, high: (3,) the box, the inner one where the field is unbounded;  nearest: distance
-    before which nothing is seen;  background: (C,) radiance behind it
+    steps;  densities: (rows,) float32, logs;  looks: (rows, C, 1 + K) float32, log radiance and its harmonics, K may be
+    0;  vertices: per side;  index: of `Bricks`;  occupied: (b, b, b) uint8 per block;  filled: (rows,) uint8 of
+    `filled_cells`, by the low corner of the cell;  low, high: (3,) the box, the inner one where the field is unbounded;
+    nearest: distance before which nothing is seen;  background: (C,) radiance behind it
     first: (n + 1,) where the samples of each ray begin, or (0,) when nobody asks for them;  samples, depths, colours:
     room for number of the step (int32), optical depth and radiance of samples that are not clear; larger arrays are
     returned where it does not suffice
     """
-    floor, basis, cells = np.float32(math.log(CLEAR / step)), np.empty(coefficients.shape[2], np.float32), vertices - 1
+    floor, basis, cells = np.float32(math.log(CLEAR / step)), np.ones(looks.shape[2], np.float32), vertices - 1
     sx, sy, sz = cells / (high[0] - low[0]), cells / (high[1] - low[1]), cells / (high[2] - low[2])
     kept, keeping = 0, len(first) > 0
     for i in range(len(origins)):
         o, d, c = origins[i], directions[i], channels[i]
-        harmonics.fill(d, basis)
+        harmonics.fill(d, basis[1:])
         near, far = _span(o, d, low, high, nearest)
         T, L = np.float32(1.0), np.float32(0.0)
         if keeping:
@@ -137,15 +136,15 @@ def forward(
                     samples, depths, colours = _longer(samples), _longer(depths), _longer(colours)
                 T, L, kept = _march_outwards(
                     o, d, low, high, begin + offsets[i] * step, until, entry, length, wide, reach, step, c, basis,
-                    grid, coefficients, cells, index, occupied, filled, floor, keeping, samples, depths, colours, kept,
+                    densities, looks, cells, index, occupied, filled, floor, keeping, samples, depths, colours, kept,
                 )  # fmt: skip
         elif near < far < FARTHEST * step:
             while keeping and kept + (far - near) / step + 2 > len(samples):
                 samples, depths, colours = _longer(samples), _longer(depths), _longer(colours)
             px, py, pz = (o[0] - low[0]) * sx, (o[1] - low[1]) * sy, (o[2] - low[2]) * sz
             T, L, kept = _march(
-                px, py, pz, d[0] * sx, d[1] * sy, d[2] * sz, near + offsets[i] * step, far, step, c, basis, grid,
-                coefficients, cells, index, occupied, filled, floor, keeping, samples, depths, colours, kept,
+                px, py, pz, d[0] * sx, d[1] * sy, d[2] * sz, near + offsets[i] * step, far, step, c, basis,
+                densities, looks, cells, index, occupied, filled, floor, keeping, samples, depths, colours, kept,
             )  # fmt: skip
         radiance[i] = L + T * background[c]
         opacity[i] = 1.0 - T
@@ -154,38 +153,13 @@ def forward(
     return samples, depths, colours
 
 
-@njit(inline="always", error_model="numpy")
-def _met(flat, directional, index, x, y, z, ix, iy, iz, depth, every, each, c, basis, step, floor):
-    """(h e^g, radiance) at (x, y, z) in cell (ix, iy, iz); zeros where it is clear."""
-    fx, fy, fz = np.float32(x - ix), np.float32(y - iy), np.float32(z - iz)
-    at, shares = corners(index, ix, iy, iz), _shares(fx, fy, fz)
-    density = _interpolated(flat, at, depth, 0, shares)
-    passed, colour = np.float32(0.0), np.float32(0.0)
-    if density > floor:
-        value = _interpolated(flat, at, depth, 1 + c, shares)
-        if each:
-            value += harmonics.seen(directional, at, every, c * each, shares, basis)
-        passed = np.float32(step) * math.exp(min(density, np.float32(HIGHEST)))
-        colour = math.exp(min(value, np.float32(HIGHEST)))
-    return passed, colour
-
-
-@njit(inline="always", error_model="numpy")
-def _behind(T, L, passed, colour):
-    """(transmittance, radiance) behind a sample."""
-    T_next = T * math.exp(-passed)
-    return T_next, L + (T - T_next) * colour
-
-
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "afn", "reassoc"})
 def _march(
-    px, py, pz, qx, qy, qz, start, far, step, c, basis, grid, coefficients, cells, index, occupied, filled, floor,
+    px, py, pz, qx, qy, qz, start, far, step, c, basis, densities, looks, cells, index, occupied, filled, floor,
     keeping, samples, depths, colours, kept,
 ):  # fmt: skip
     """(transmittance, radiance, kept) at the end of one ray."""
-    depth, last = grid.shape[1], cells - 1
-    flat, directional = grid.reshape(-1), coefficients.reshape(-1)
-    each, every = coefficients.shape[2], coefficients.shape[1] * coefficients.shape[2]
+    flat, each, number, last = looks.reshape(-1), looks.shape[2], looks.shape[1] * looks.shape[2], cells - 1
     rate_x, rate_y, rate_z = _per_cell(qx, step), _per_cell(qy, step), _per_cell(qz, step)
     k, t = 0, start
     T, L = np.float32(1.0), np.float32(0.0)
@@ -193,14 +167,18 @@ def _march(
         x, y, z = px + t * qx, py + t * qy, pz + t * qz
         ix, iy, iz = min(max(int(x), 0), last), min(max(int(y), 0), last), min(max(int(z), 0), last)
         if filled[row(index, ix, iy, iz)]:
-            passed, colour = _met(
-                flat, directional, index, x, y, z, ix, iy, iz, depth, every, each, c, basis, step, floor
-            )  # fmt: skip
-            if passed > np.float32(0.0):
+            at, shares = corners(index, ix, iy, iz), _shares(np.float32(x - ix), np.float32(y - iy), np.float32(z - iz))
+            density = _interpolated(densities, at, 1, 0, shares)
+            if density > floor:
+                value = harmonics.seen(flat, at, number, c * each, shares, basis)
+                passed = np.float32(step) * math.exp(min(density, np.float32(HIGHEST)))
+                colour = math.exp(min(value, np.float32(HIGHEST)))
                 if keeping:
                     samples[kept], depths[kept], colours[kept] = k, passed, colour
                     kept += 1
-                T, L = _behind(T, L, passed, colour)
+                T_next = T * math.exp(-passed)
+                L += (T - T_next) * colour
+                T = T_next
                 if T < OPAQUE:
                     break
             k += 1
@@ -228,13 +206,11 @@ def _in_grid(p, shrunk, scale):
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "afn", "reassoc"})
 def _march_outwards(
-    o, d, low, high, start, until, entry, length, wide, reach, step, c, basis, grid, coefficients, cells, index,
+    o, d, low, high, start, until, entry, length, wide, reach, step, c, basis, densities, looks, cells, index,
     occupied, filled, floor, keeping, samples, depths, colours, kept,
 ):  # fmt: skip
     """The same through an unbounded field; blocks are left in one stride within the inner box only."""
-    depth, last = grid.shape[1], cells - 1
-    flat, directional = grid.reshape(-1), coefficients.reshape(-1)
-    each, every = coefficients.shape[2], coefficients.shape[1] * coefficients.shape[2]
+    flat, each, number, last = looks.reshape(-1), looks.shape[2], looks.shape[1] * looks.shape[2], cells - 1
     (px, qx), (py, qy), (pz, qz) = _inner(o, d, low, high)
     scale = cells / (2.0 * contraction.SIDE)
     rate_x, rate_y, rate_z = _per_cell(qx * scale, step), _per_cell(qy * scale, step), _per_cell(qz * scale, step)
@@ -247,15 +223,19 @@ def _march_outwards(
         x, y, z = _in_grid(x, shrunk, scale), _in_grid(y, shrunk, scale), _in_grid(z, shrunk, scale)
         ix, iy, iz = min(max(int(x), 0), last), min(max(int(y), 0), last), min(max(int(z), 0), last)
         if filled[row(index, ix, iy, iz)]:
-            passed, colour = _met(
-                flat, directional, index, x, y, z, ix, iy, iz, depth, every, each, c, basis, step, floor
-            )  # fmt: skip
-            if passed > 0.0:
-                passed = np.float32(passed * stretch / (norm * norm))
+            at, shares = corners(index, ix, iy, iz), _shares(np.float32(x - ix), np.float32(y - iy), np.float32(z - iz))
+            density = _interpolated(densities, at, 1, 0, shares)
+            if density > floor:
+                value = harmonics.seen(flat, at, number, c * each, shares, basis)
+                thinned = stretch / (norm * norm)
+                passed = np.float32(thinned * step * math.exp(min(density, np.float32(HIGHEST))))
+                colour = math.exp(min(value, np.float32(HIGHEST)))
                 if keeping:
                     samples[kept], depths[kept], colours[kept] = k, passed, colour
                     kept += 1
-                T, L = _behind(T, L, passed, colour)
+                T_next = T * math.exp(-passed)
+                L += (T - T_next) * colour
+                T = T_next
                 if T < OPAQUE:
                     break
             k += 1
@@ -278,52 +258,47 @@ def _longer(column):
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "afn", "reassoc"})
 def backward(
-    origins, directions, channels, offsets, grid, coefficients, vertices, index, low, high, unbounded, nearest, step,
-    background, radiance, first, samples, depths, colours, by_radiance, by_grid, by_coefficients, by_background,
+    origins, directions, channels, offsets, densities, looks, vertices, index, low, high, unbounded, nearest, step,
+    background, radiance, first, samples, depths, colours, by_radiance, by_densities, by_looks, by_background,
     by_origins, by_directions,
 ):  # fmt: skip
     """Add the gradient of Σ by_radiance · radiance, from the samples that `forward` kept.
 
-    by_grid, by_coefficients, by_background: (…) as grid, coefficients, background;  by_origins, by_directions: (n, 3),
-    or (0, 3) when nobody asks
+    unbounded: True, or None, which compiles a walk that knows nothing of it;  by_densities, by_looks, by_background:
+    (…) as densities, looks, background;  by_origins, by_directions: (n, 3), or (0, 3) when nobody asks
     """
     moving, slopes, turning = len(by_origins) > 0, np.empty(3, np.float32), np.empty(3, np.float32)
-    depth, cells, last = grid.shape[1], vertices - 1, vertices - 2
-    flat, most = grid.reshape(-1), np.float32(step) * math.exp(np.float32(HIGHEST - 1e-5))
-    brightest = math.exp(np.float32(HIGHEST - 1e-5))
-    each, every = coefficients.shape[2], coefficients.shape[1] * coefficients.shape[2]
-    directional, basis = coefficients.reshape(-1), np.empty(each, np.float32)
+    cells, last, brightest = vertices - 1, vertices - 2, math.exp(np.float32(HIGHEST - 1e-5))
+    flat, each, number = looks.reshape(-1), looks.shape[2], looks.shape[1] * looks.shape[2]
+    by_flat, basis, here = by_looks.reshape(-1), np.ones(each, np.float32), np.empty(each, np.float32)
     sx, sy, sz = cells / (high[0] - low[0]), cells / (high[1] - low[1]), cells / (high[2] - low[2])
-    scale = cells / (2.0 * contraction.SIDE)
-    if unbounded:  # per half side of the inner box
+    scale, most = cells / (2.0 * contraction.SIDE), np.float32(step) * brightest
+    if unbounded is not None:  # per half side of the inner box
         sx, sy, sz = 2.0 / (high[0] - low[0]), 2.0 / (high[1] - low[1]), 2.0 / (high[2] - low[2])
-    by_flat, by_directional, here = by_grid.reshape(-1), by_coefficients.reshape(-1), np.empty(each, np.float32)
     for i in range(len(origins)):
         g = by_radiance[i]
         if g == 0.0:
             continue
         o, d, c = origins[i], directions[i], channels[i]
-        harmonics.fill(d, basis)
+        harmonics.fill(d, basis[1:])
         near, far = _span(o, d, low, high, nearest)
         T, left = np.float32(1.0), radiance[i]
         px, py, pz = (o[0] - low[0]) * sx, (o[1] - low[1]) * sy, (o[2] - low[2]) * sz
         qx, qy, qz = d[0] * sx, d[1] * sy, d[2] * sz
-        start, entry, length, wide, reach = near, near, 0.0, 1.0, 1.0
-        if unbounded:
+        start = near
+        if unbounded is not None:
             start, _, entry, length, wide, reach = contraction.way(o, d, low, high, near, far, nearest, step)
             (px, qx), (py, qy), (pz, qz) = _inner(o, d, low, high)
         start += offsets[i] * step
         for m in range(first[i], first[i + 1]):
             t, passed, colour = start + samples[m] * step, depths[m], colours[m]
-            thinned, ux, uy, uz = 1.0, 0.0, 0.0, 0.0
-            if unbounded:
+            x, y, z, densest = px + t * qx, py + t * qy, pz + t * qz, most
+            if unbounded is not None:
                 t, stretch = contraction.distance(t, entry, length, wide, reach)
                 ux, uy, uz = px + t * qx, py + t * qy, pz + t * qz
                 shrunk, norm = contraction.shrink(ux, uy, uz)
                 x, y, z = _in_grid(ux, shrunk, scale), _in_grid(uy, shrunk, scale), _in_grid(uz, shrunk, scale)
-                thinned = stretch / (norm * norm)
-            else:
-                x, y, z = px + t * qx, py + t * qy, pz + t * qz
+                densest = np.float32(most * stretch / (norm * norm))
             ix, iy, iz = min(max(int(x), 0), last), min(max(int(y), 0), last), min(max(int(z), 0), last)
             fx, fy, fz = np.float32(x - ix), np.float32(y - iy), np.float32(z - iz)
             at, shares = corners(index, ix, iy, iz), _shares(fx, fy, fz)
@@ -332,23 +307,20 @@ def backward(
             left -= (T - T_next) * colour
             by_density = g * (T_next * colour - left) * passed
             by_log_norm = -2.0 * by_density
-            if passed >= most * thinned:
+            if passed >= densest:
                 by_density = np.float32(0.0)
             if colour >= brightest:
                 by_value = np.float32(0.0)
-            _spread(by_flat, at, depth, 1 + c, shares, by_density, by_value)
-            if each:
-                harmonics.spread(by_directional, at, every, c * each, shares, basis, by_value)
+            _spread(by_densities, at, shares, by_density)
+            harmonics.spread(by_flat, at, number, c * each, shares, basis, by_value)
             if moving:
                 slopes[:], turning[:] = 0.0, 0.0
-                _add_slopes(flat, at, depth, 0, fx, fy, fz, by_density, slopes)
-                _add_slopes(flat, at, depth, 1 + c, fx, fy, fz, by_value, slopes)
+                _add_slopes(densities, at, 1, 0, fx, fy, fz, by_density, slopes)
                 for k in range(each):
-                    one = by_value * basis[k]
-                    _add_slopes(directional, at, every, c * each + k, fx, fy, fz, one, slopes)
-                    here[k] = by_value * _interpolated(directional, at, every, c * each + k, shares)
-                harmonics.turned(d, here, turning)
-                if unbounded:  # per half side of the inner box
+                    _add_slopes(flat, at, number, c * each + k, fx, fy, fz, by_value * basis[k], slopes)
+                    here[k] = by_value * _interpolated(flat, at, number, c * each + k, shares)
+                harmonics.turned(d, here[1:], turning)
+                if unbounded is not None:  # per half side of the inner box
                     slopes *= np.float32(scale)
                     contraction.pull_back(ux, uy, uz, slopes, by_log_norm)
                 for j in range(3):
@@ -357,12 +329,12 @@ def backward(
                     by_directions[i, j] += t * slope + turning[j]
             T = T_next
         by_background[c] += g * T
-    by_grid[:ROWS] = 0.0
-    by_coefficients[:ROWS] = 0.0
+    by_densities[:ROWS] = 0.0
+    by_looks[:ROWS] = 0.0
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def filled_cells(grid, vertices, index, step, occupied, filled):
+def filled_cells(densities, vertices, index, step, occupied, filled):
     """Mark cells (rows,), by their low corner, of occupied blocks in which a sample may be other than clear.
 
     No trilinear value is above that of all corners, so nothing that a march would meet is left out.
@@ -378,8 +350,8 @@ def filled_cells(grid, vertices, index, step, occupied, filled):
                     for j in range(b * BLOCK, min((b + 1) * BLOCK, last)):
                         for k in range(c * BLOCK, min((c + 1) * BLOCK, last)):
                             at = corners(index, i, j, k)
-                            most = max(grid[at[0], 0], grid[at[1], 0], grid[at[2], 0], grid[at[3], 0])
-                            other = max(grid[at[4], 0], grid[at[5], 0], grid[at[6], 0], grid[at[7], 0])
+                            most = max(densities[at[0]], densities[at[1]], densities[at[2]], densities[at[3]])
+                            other = max(densities[at[4]], densities[at[5]], densities[at[6]], densities[at[7]])
                             filled[at[0]] = 1 if max(most, other) > floor else 0
 
 
