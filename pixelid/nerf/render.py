@@ -94,22 +94,22 @@ class _Compiled(torch.autograd.Function):
             [np.zeros(values.shape, np.float32) for _ in cuts] for values in ctx.values
         )  # fmt: skip
         moving = any(ctx.needs_input_grad[3:5])
-        by_origins, by_directions = (np.zeros((len(by_radiance) if moving else 0, 3), np.float32) for _ in range(2))
+        of_rays = [np.zeros((len(by_radiance), 3), np.float32) for _ in range(2)] if moving else [None, None]
 
         def part(k: int) -> None:
             some = cuts[k]
             kernels.backward(
                 *(column[some] for column in rays), densities, looks, box.bricks.vertices, box.bricks.index, box.low,
                 box.high, True if box.unbounded else None, box.near, box.step, behind, ctx.radiance[some],
-                *ctx.kept[k], by_radiance[some], by_densities[k], by_looks[k], by_behind[k], by_origins[some],
-                by_directions[some],
+                *ctx.kept[k], by_radiance[some], by_densities[k], by_looks[k], by_behind[k],
+                *(None if by is None else by[some] for by in of_rays),
             )  # fmt: skip
 
         map_threads(part, range(len(cuts)), threads=threads())
-        of_rays = (torch.from_numpy(by_origins), torch.from_numpy(by_directions)) if moving else (None, None)
         by_look = _total(by_looks)
         by_grid = torch.cat([_total(by_densities)[:, None], by_look[:, :, 0]], dim=1)
-        return by_grid, by_look[:, :, 1:].contiguous(), _total(by_behind), *of_rays, None, None, None
+        by_rays = (None if by is None else torch.from_numpy(by) for by in of_rays)
+        return by_grid, by_look[:, :, 1:].contiguous(), _total(by_behind), *by_rays, None, None, None
 
 
 def _side_by_side(grid: torch.Tensor, coefficients: torch.Tensor) -> tuple[np.ndarray, np.ndarray]:

@@ -264,10 +264,10 @@ def backward(
 ):  # fmt: skip
     """Add the gradient of Σ by_radiance · radiance, from the samples that `forward` kept.
 
-    unbounded: True, or None, which compiles a walk that knows nothing of it;  by_densities, by_looks, by_background:
-    (…) as densities, looks, background;  by_origins, by_directions: (n, 3), or (0, 3) when nobody asks
+    unbounded: True or None;  by_densities, by_looks, by_background: (…) as densities, looks, background;  by_origins,
+    by_directions: (n, 3), or None when nobody asks.  What is None is left out of the compiled walk.
     """
-    moving, slopes, turning = len(by_origins) > 0, np.empty(3, np.float32), np.empty(3, np.float32)
+    slopes, turning = np.empty(3, np.float32), np.empty(3, np.float32)
     cells, last, brightest = vertices - 1, vertices - 2, math.exp(np.float32(HIGHEST - 1e-5))
     flat, each, number = looks.reshape(-1), looks.shape[2], looks.shape[1] * looks.shape[2]
     by_flat, basis, here = by_looks.reshape(-1), np.ones(each, np.float32), np.empty(each, np.float32)
@@ -313,7 +313,7 @@ def backward(
                 by_value = np.float32(0.0)
             _spread(by_densities, at, shares, by_density)
             harmonics.spread(by_flat, at, number, c * each, shares, basis, by_value)
-            if moving:
+            if by_origins is not None:
                 slopes[:], turning[:] = 0.0, 0.0
                 _add_slopes(densities, at, 1, 0, fx, fy, fz, by_density, slopes)
                 for k in range(each):
