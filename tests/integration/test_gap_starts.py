@@ -12,7 +12,7 @@ from pixelid.gap.attribute.attribute import Attribution, Candidate
 from pixelid.gap.attribute.candidates import strongest_start
 from pixelid.gap.attribute.pixels import strongest_fit
 from pixelid.gap.criteria import Criteria
-from pixelid.gap.imputation.exact import loses_where_times_are_exact
+from pixelid.gap.imputation.exact import keeps_its_times, loses_where_times_are_exact
 from pixelid.gap.imputation.impute import impute_with_effect
 from pixelid.gap.imputation.imputed import QUEUE, Imputation
 from pixelid.gap.imputation.windows import guess_edges, queue_windows, with_times
@@ -87,7 +87,7 @@ def test_times_drawn_without_a_dead_time_do_not_hold_it_back():
     lacking = MODEL.without_effect("refractory_period")
     wrong = maximise(EventTimes(with_times(fine, times)), lacking, tolerance=0.5, max_steps=20)
     grown = wrong.model.with_effect("refractory_period", {"refractory_s": 0.5 * dead})
-    drawn, model = impute_with_effect(drawn, grown, seed=0)
+    drawn, model = impute_with_effect(drawn, grown, Options())
     assert model.values["refractory_s"] == pytest.approx(dead, rel=0.01)
     assert drawn.likelihood.terms(model.circuit()).unexplained.sum() == 0
 
@@ -116,6 +116,18 @@ def behind_a_queue(lost):
         wrong = (window.hi > window.lo) & (rng.random(len(t)) < 0.01)
         t[wrong] = window.lo[wrong]
     return Imputation(QUEUE, tuple(r.stimulus for r in fine), fine, windows, tuple(times), rng.bit_generator.state, {})
+
+
+def test_a_recording_is_told_by_lost_times_only_where_the_model_holds_at_exact_ones():
+    """Behind a queue all recordings that a bandwidth floor had touched were once left out, and it was not found."""
+    drawn = behind_a_queue(0.0)
+    last = drawn.windows[-1]
+    times = np.where(last.hi > last.lo, last.lo, drawn.times[-1])  # no event waited: too early by what it did
+    wrong = replace(drawn, times=(*drawn.times[:-1], times))
+    most = CONTEXT.options.criteria.max_unexplained_share_of_recording
+    assert keeps_its_times(wrong, MODEL, most).tolist() == [True, True, False]
+    slower = MODEL.set({"alpha": 0.8 * MODEL.values["alpha"]})
+    assert keeps_its_times(wrong, slower, most).all()
 
 
 @pytest.mark.parametrize("lost", [0.0, 0.01, 0.1])

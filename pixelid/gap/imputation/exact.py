@@ -17,6 +17,7 @@ from pixelid.likelihood.event_times import EventTimes
 from pixelid.model.model import Model
 
 LOST, FRACTION = "lost_events", "lost_events.fraction"
+MIN_EXACT = 100  # intervals of a recording whose times are exact, by which the model is judged there
 SPOILED = 2.0  # drawn times that an event which the model lacks makes unexplained: on either side of it
 
 
@@ -55,12 +56,19 @@ def exact_intervals(imputation: Imputation, likelihood: EventTimes) -> np.ndarra
 def keeps_its_times(imputation: Imputation, model: Model, most: float) -> np.ndarray:
     """(recordings,) bool, whether drawn times leave few events of a recording unexplained.
 
-    Few is `most` of them, beyond what the model leaves unexplained where times are exact: events that it lacks.
+    Few is `most` of them, beyond what the model leaves unexplained where times are exact.  Where exact times of a
+    recording leave more than that by themselves, it is the model that lacks something, and no recording is told by it.
     """
     likelihood = imputation.likelihood
     unexplained, of = likelihood.terms(model.circuit()).unexplained, likelihood.recording_of_event
-    number = np.bincount(of, minlength=len(likelihood.recordings))
-    share = np.bincount(of, unexplained, len(likelihood.recordings)) / np.maximum(number, 1)
     exact = exact_intervals(imputation, likelihood)
+
+    def shares(some: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        number = np.bincount(of[some], minlength=len(likelihood.recordings))
+        return np.bincount(of[some], unexplained[some], len(number)) / np.maximum(number, 1), number
+
+    where_exact, number = shares(exact)
+    if (where_exact[number >= MIN_EXACT] > most).any():
+        return np.ones(len(number), bool)
     lacking = float(unexplained[exact].sum()) / max(np.count_nonzero(exact), 1)
-    return share <= most + SPOILED * lacking
+    return shares(np.ones_like(exact))[0] <= most + SPOILED * lacking

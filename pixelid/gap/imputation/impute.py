@@ -96,17 +96,14 @@ def impute_again(
 
 
 def impute_with_effect(
-    imputation: Imputation,
-    model: Model,
-    seed: int,
-    cache: FitCache | None = None,
+    imputation: Imputation, model: Model, options: Options, cache: FitCache | None = None
 ) -> tuple[Imputation, Model]:
-    """Times and model once the model has gained an effect.
+    """Times and model once the model has gained an effect, without recordings whose times it now shows to be lost.
 
     Args:
         imputation: With the times drawn without it.
         model: With it.
-        seed: Of first guesses.
+        options: With the seed of first guesses.
         cache: Fits already made.
     """
     if imputation.effect == QUEUE and imputation.windows:
@@ -116,8 +113,11 @@ def impute_with_effect(
         if events >= MIN_EVENTS_AT_ONCE and not at_once.all():
             model = imputation.with_filter_priors(model)
             part, model = impute_again(imputation.only(at_once), model, ROUNDS_AT_ONCE, exact=False, cache=cache)
-            imputation = _completed(imputation, part, at_once, model, seed)
-    return impute_again(imputation, model, cache=cache)
+            imputation = _completed(imputation, part, at_once, model, options.seed)
+    imputation, model = impute_again(imputation, model, cache=cache)
+    if imputation.effect == QUEUE and imputation.windows:
+        imputation = _without_lost_times(imputation, model, options)
+    return imputation, model
 
 
 def impute(
@@ -157,11 +157,15 @@ def impute(
     whole, model = _begin(whole, brief, whole.with_filter_priors(model), options.seed, report, cache)
     whole, model = impute_again(whole, model, ROUNDS[1], exact=False, report=report, cache=cache)
     whole, model = impute_again(whole, model, ROUNDS[2], report=report, cache=cache)
+    return whole if keep_all else _without_lost_times(whole, model, options)
+
+
+def _without_lost_times(whole: Imputation, model: Model, options: Options) -> Imputation:
+    """The imputation without recordings that the model leaves unexplained because their times are lost."""
     kept = keeps_its_times(whole, model, options.criteria.max_unexplained_share_of_recording)
     events = sum(len(w.hi) for w, stays in zip(whole.windows, kept, strict=True) if stays)
-    if keep_all or events < MIN_EVENTS:  # events unexplained everywhere: the model is wrong, not the times
-        return whole
-    return whole.only(kept)
+    # events unexplained everywhere: the model is wrong, not the times
+    return whole if events < MIN_EVENTS else whole.only(kept)
 
 
 def is_coarse_tick(signature: TimestampSignature) -> bool:

@@ -138,8 +138,9 @@ def grown_by(state: State, winner: Candidate[Maximum], evidence: PixelEvidence, 
     fit = maximise_with_restarts(evidence.training, model, start, tolerance=0.01, max_steps=40, cache=cache)
     state, fit, start = _pruned(state, winner, evidence, fit, start, context)
     if state.imputation is not None and state.imputed:
-        imputation, model = impute_with_effect(state.imputation, fit.model, options.seed, cache=cache)
-        return _at_imputed_times(replace(state, imputation=imputation), model, start, context)
+        imputation, model = impute_with_effect(state.imputation, fit.model, options, cache)
+        lost = state.lost + imputation.lost[len(state.imputation.lost) :]
+        return _at_imputed_times(replace(state, imputation=imputation, lost=lost), model, start, context)
     weights = hypothesis.fit.model.circuit()
     evidence, fit = reconsider_stimuli(evidence, hypothesis.recordings, state.model, fit, weights, options.seed, cache)
     allowed = None if state.undone else options.criteria.max_unexplained_fraction
