@@ -3,6 +3,7 @@
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -30,6 +31,7 @@ from pixelid.gap.imputation.jitter import uneven
 from pixelid.gap.imputation.windows import jitter_windows, queue_windows, with_times
 from pixelid.gap.options import Context, Options
 from pixelid.gap.phases import Phase
+from pixelid.gap.result import Named
 from pixelid.gap.search import begin
 from pixelid.gap.shot_noise.beside import chance_of_excess
 from pixelid.gap.split import split_pixels
@@ -467,6 +469,18 @@ def test_a_free_run_that_closes_nothing_withdraws_a_name():
     assert not closes_nothing(run(-0.2, (-20.0, 3.0)), False, Criteria())  # a gap too small to tell
     assert closes_nothing(run(0.05, (-1.0, 0.6)), True, Criteria())
     assert not closes_nothing(run(0.6, (0.5, 0.7)), True, Criteria())
+
+
+@pytest.mark.parametrize(("lost", "verdict"), [((), "named"), (("dim",), "unknown")])
+def test_a_gap_that_stays_open_counts_where_recordings_were_left_out_of_the_maps(monkeypatch, lost, verdict):
+    """A session was once `named` with 4 % of its gap closed: what showed the rest had been left out."""
+    named = Named("leak", 0.0, 9.0, None, None, 0.0, "", {}, "")
+    monkeypatch.setattr(confirming, "_named", lambda *_: (named,))
+    monkeypatch.setattr(confirming, "free_run_of", lambda *_: FreeRun(9.0, 6.0, 1.0, 0.4, (0.2, 0.6), {}))
+    state = SimpleNamespace(remainder=lambda alpha: False, new_signatures=(), shot_noise=None, lost=lost)
+    context = Context(Options(), None, lambda what, share: None)
+    found = confirming._confirmed(state, None, "named", context)
+    assert (found.verdict, found.effects) == (verdict, (named,))
 
 
 @pytest.mark.slow

@@ -79,8 +79,9 @@ def _confirmed(state: State, at: Space, said: str, context: Context) -> _Finding
     run = free_run_of(state, context) if effects else None
     if run is not None and closes_nothing(run, remainder, options.criteria):
         return _Findings("unknown", True, (), None, tuple(effect.name for effect in effects))
-    if run is not None and state.shot_noise is not None and leaves_much(run, options.criteria):
-        return _Findings("unknown", True, effects, run)  # under shot noise maps are compared roughly
+    # under shot noise maps are compared roughly, and recordings that were left out are in none
+    if run is not None and (state.shot_noise is not None or state.lost) and leaves_much(run, options.criteria):
+        return _Findings("unknown", True, effects, run)
     return _Findings(said, remainder, effects, run)
 
 
