@@ -476,6 +476,7 @@ def test_a_gap_that_stays_open_counts_where_recordings_were_left_out_of_the_maps
     """A session was once `named` with 4 % of its gap closed: what showed the rest had been left out."""
     named = Named("leak", 0.0, 9.0, None, None, 0.0, "", {}, "")
     monkeypatch.setattr(confirming, "_named", lambda *_: (named,))
+    monkeypatch.setattr(confirming, "_shot_noise", lambda *_: ())
     monkeypatch.setattr(confirming, "free_run_of", lambda *_: FreeRun(9.0, 6.0, 1.0, 0.4, (0.2, 0.6), {}))
     state = SimpleNamespace(remainder=lambda alpha: False, new_signatures=(), shot_noise=None, lost=lost)
     context = Context(Options(), None, lambda what, share: None)
