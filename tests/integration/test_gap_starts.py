@@ -13,7 +13,7 @@ from pixelid.gap.attribute.candidates import strongest_start
 from pixelid.gap.attribute.pixels import strongest_fit
 from pixelid.gap.criteria import Criteria
 from pixelid.gap.imputation.exact import keeps_its_times, loses_where_times_are_exact
-from pixelid.gap.imputation.impute import impute_with_effect
+from pixelid.gap.imputation.impute import impute, impute_with_effect
 from pixelid.gap.imputation.imputed import QUEUE, Imputation
 from pixelid.gap.imputation.windows import guess_edges, queue_windows, with_times
 from pixelid.gap.options import Context, Options
@@ -32,6 +32,7 @@ from pixelid.gap.steps.name_effect import (
     without_misplaced,
     without_negligible,
 )
+from pixelid.inspection.timestamps import TimestampSignature
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.model.shipped import find_model
 from pixelid.recordings.own_light import with_fine_light
@@ -128,6 +129,19 @@ def test_a_recording_is_told_by_lost_times_only_where_the_model_holds_at_exact_o
     assert keeps_its_times(wrong, MODEL, most).tolist() == [True, True, False]
     slower = MODEL.set({"alpha": 0.8 * MODEL.values["alpha"]})
     assert keeps_its_times(wrong, slower, most).all()
+
+
+def test_a_fine_tick_leaves_out_no_recording():
+    """It loses no times, so what is unexplained behind it is the model's: here a bandwidth floor that the model lacks."""
+    tick, camera = 2e-5, MODEL.with_effect("bandwidth_floor", {"radiance": 100.0})
+    dim, bright = recorded(camera, [steps(24.0, seed=1), steps(4000.0, seed=2)], side=3)
+    unit = round(1e9 * tick)
+    stamped = [replace(r, events=replace(r.events, t=r.events.t // unit * unit, tick_ns=1)) for r in (dim, bright)]
+    signature = TimestampSignature(
+        "timestamp_quantisation", "timestamp_quantisation.tick_s", tick, (tick, tick), 0.0, 1.0, 1, ""
+    )
+    drawn = impute(stamped, signature, MODEL, CONTEXT.options)
+    assert (len(drawn.recordings), drawn.lost) == (2, ())
 
 
 @pytest.mark.parametrize("lost", [0.0, 0.01, 0.1])

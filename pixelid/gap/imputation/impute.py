@@ -157,7 +157,8 @@ def impute(
     whole, model = _begin(whole, brief, whole.with_filter_priors(model), options.seed, report, cache)
     whole, model = impute_again(whole, model, ROUNDS[1], exact=False, report=report, cache=cache)
     whole, model = impute_again(whole, model, ROUNDS[2], report=report, cache=cache)
-    return whole if keep_all else _without_lost_times(whole, model, options)
+    fine_tick = signature.effect == TICK and not is_coarse_tick(signature)  # loses no time that a circuit would miss
+    return whole if keep_all or fine_tick else _without_lost_times(whole, model, options)
 
 
 def _without_lost_times(whole: Imputation, model: Model, options: Options) -> Imputation:
