@@ -132,7 +132,7 @@ def test_a_recording_is_told_by_lost_times_only_where_the_model_holds_at_exact_o
 
 
 def test_a_fine_tick_leaves_out_no_recording():
-    """It loses no times, so what is unexplained behind it is the model's: here a bandwidth floor that the model lacks."""
+    """It loses no times: what is unexplained behind it is the model's, here a bandwidth floor that it lacks."""
     tick, camera = 2e-5, MODEL.with_effect("bandwidth_floor", {"radiance": 100.0})
     dim, bright = recorded(camera, [steps(24.0, seed=1), steps(4000.0, seed=2)], side=3)
     unit = round(1e9 * tick)
