@@ -51,8 +51,9 @@ class Criteria:
     Times behind a readout
         max_wait_service_times: Window of nine events in ten behind a queue, beyond which a recording has lost its
             times.  Chosen on simulated queues.
-        max_unexplained_share_of_recording: Of its events at imputed times, beyond which they count as lost.  Chosen on
-            simulated queues: a hundred times what a true model leaves at true times.
+        max_unexplained_share_of_recording: Of its events at imputed times, beyond which they count as lost, and
+            of those at exact times, beyond which the model lacks something.  Chosen on simulated queues: a hundred
+            times what a true model leaves at true times.
         min_lost_share_at_exact_times: Of the fitted fraction of lost events, by which events that did not wait in a
             queue must be fewer: beside true losses, some of what drawn times leave is misplaced.  A choice.
         min_lost_fraction_at_drawn_times: Of events, behind a jitter or a coarse tick: sessions that lose none showed

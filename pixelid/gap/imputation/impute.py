@@ -103,7 +103,7 @@ def impute_with_effect(
     Args:
         imputation: With the times drawn without it.
         model: With it.
-        options: With the seed of first guesses.
+        options: With the seed of first guesses, and the share of events that lost times leave unexplained.
         cache: Fits already made.
     """
     if imputation.effect == QUEUE and imputation.windows:
