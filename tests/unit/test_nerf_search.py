@@ -221,18 +221,20 @@ def test_a_told_leak_stays_what_it_is_where_thresholds_are_told_anew():
 
 
 def test_only_what_was_named_is_handed_on():
-    """Filter and thresholds that the search has trained stay as told; a leak is that in thresholds per second."""
+    """Filter and thresholds that the search has trained stay as told, those that a drift begins from among them."""
     told = replace(CIRCUIT, photoreceptor="second_order", alpha=1e6, beta=1e3, gamma=1.0, follower=1e4)
-    found = replace(told, alpha=3e6, follower=2e4, on_threshold=0.1, off_threshold=0.05, leak_hz=40.0, refractory=2e-3)
-    problem = SimpleNamespace(tilts=tilts(cut, told, ["threshold_drift"]), shortest=2.5e-3)
+    found = replace(
+        told, alpha=3e6, follower=2e4, on_threshold=0.1, off_threshold=0.05, leak_hz=40.0, refractory=2e-3,
+        threshold_drift=0.5, mismatch=0.03,
+    )  # fmt: skip
     circuits = [a_calibration(circuit) for circuit in (told, found)]
-    assert _with_named(*circuits, ["leak"], problem).circuit == replace(told, leak_hz=40.0)
-    both = _with_named(*circuits, ["refractory", "bandwidth"], problem).circuit
-    assert both == replace(told, refractory=pytest.approx(2e-3), alpha=3e6, follower=2e4)
-    drifting = a_calibration(replace(found, threshold_drift=0.5))
-    named = _with_named(circuits[0], drifting, ["leak", "threshold_drift"], problem).circuit
-    on = 0.2 * problem.tilts["threshold_drift"].threshold_factor(0.5)
-    assert named == replace(told, threshold_drift=0.5, on_threshold=on, off_threshold=on, leak_hz=40.0)
+    for names, given in (
+        (["leak"], {"leak_hz": 40.0}),
+        (["refractory", "bandwidth"], {"refractory": 2e-3, "alpha": 3e6, "follower": 2e4}),
+        (["leak", "threshold_drift"], {"leak_hz": 40.0, "threshold_drift": 0.5}),
+        (["threshold_mismatch"], {"mismatch": 0.03}),
+    ):
+        assert _with_named(*circuits, names).circuit == replace(told, **given)
 
 
 def test_reported_thresholds_are_those_of_the_typical_event_and_pixel():
@@ -302,8 +304,7 @@ def test_another_bandwidth_is_tried_of_whatever_filters(kind):
     assert "bandwidth" not in _candidates(a_calibration(without), Bandwidth("on"), False, shortest=0.0)
     assert _told("bandwidth", calibration) == cutoffs
     found = replace(circuit, **{name: 2.0 * value for name, value in cutoffs.items()}, leak_hz=3.0)
-    problem = SimpleNamespace(tilts={})
-    named = _with_named(calibration, a_calibration(found), ["bandwidth"], problem).circuit
+    named = _with_named(calibration, a_calibration(found), ["bandwidth"]).circuit
     assert _told("bandwidth", a_calibration(named)) == {name: 2.0 * value for name, value in cutoffs.items()}
     assert named.leak_hz == 0.0  # not named, so as told
 
@@ -356,3 +357,35 @@ def test_a_candidate_that_diverges_explains_nothing():
     ]
     assert bench._gain(bench.rows(there[0]), there[1]).share > 0.3
     assert bench._gain(bench.rows(there[0]), there[2]) == (0.0, 1.0, 1000)
+
+
+class Sought(_Bench):
+    """Whose scenes explain held-out events the better the nearer a drift is to the best one, on a scale of factors."""
+
+    def __init__(self, best: float, told: bool) -> None:
+        told_all = {"best": best, "told": told, "steps": 1, "make": lambda *_: SimpleNamespace(tilts={})}
+        for name, value in told_all.items():
+            object.__setattr__(self, name, value)
+
+    def go_on(self, here, steps):
+        assert "threshold_drift" not in here.trained  # or a scene that has not followed yet would pull it back
+        return here
+
+    def rows(self, here):
+        missed = abs(np.log2(here.calibration.circuit.threshold_drift / self.best))  # type: ignore[attr-defined]
+        rng = np.random.default_rng(int(abs(1e6 * here.calibration.circuit.threshold_drift)))
+        rest = 1.0 + missed + (0.01 if self.told else 30.0) * rng.standard_normal(1000)  # type: ignore[attr-defined]
+        return rows(rest, np.arange(1000.0))
+
+
+@pytest.mark.parametrize(
+    ("best", "end"), [(0.8, 0.8), (0.1, 0.1), (0.28, 0.1 * 2**1.5), (0.075, 0.1 * 0.5**0.5), (-0.8, -0.8)]
+)
+def test_a_drift_is_looked_for_by_factors_until_held_out_events_are_explained_no_better(best, end):
+    circuit = CIRCUIT.with_(threshold_drift=float(np.copysign(0.1, best)))
+    here = _Place(a_calibration(circuit), ("leak", "threshold_drift"), SimpleNamespace(finite=True))  # type: ignore[arg-type]
+    found = Sought(best, told=True).sought(here, "threshold_drift")
+    assert found.calibration.circuit.threshold_drift == pytest.approx(end)
+    assert found.trained == ("leak",)
+    noisy = Sought(best, told=False).sought(here, "threshold_drift")
+    assert noisy.calibration.circuit.threshold_drift == circuit.threshold_drift
