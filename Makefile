@@ -44,11 +44,14 @@ $(STAMP): pyproject.toml constraints.txt
 demo: $(STAMP)
 	$(BIN)/pixelid demo --out demo-out --overwrite
 
+# Every process has its share in order, so that tests of one file share their fixtures, and takes of others' in the end.
+TESTS := $(BIN)/python -m pytest -n $(WORKERS) --dist worksteal
+
 test: $(STAMP)
-	$(BIN)/python -m pytest -n $(WORKERS) -m "not slow"
+	$(TESTS) -m "not slow"
 
 test-all: $(STAMP)
-	$(BIN)/python -m pytest -n $(WORKERS)
+	$(TESTS)
 
 ablations: $(STAMP)
 	$(BIN)/python benchmarks/reconstruction.py bandwidth baselines samples batch joint grid --settings hard8 --save docs/reconstruction.json
