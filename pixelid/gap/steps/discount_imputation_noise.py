@@ -11,7 +11,7 @@ from dataclasses import replace
 
 from pixelid.fit.again import simulate_again
 from pixelid.gap.detect.covariates import Factor
-from pixelid.gap.imputation.impute import impute, impute_again, impute_behind_jitter
+from pixelid.gap.imputation.impute import impute, impute_behind_jitter, impute_changed
 from pixelid.gap.options import Context
 from pixelid.gap.phases import Phase
 from pixelid.gap.rounds import entry
@@ -65,6 +65,6 @@ def _imputed_alike(made: Sequence[Recording], state: State, like: Sequence[Facto
         imputation, model = impute_behind_jitter(recordings, model, start, between, options.seed, report, cache)
     else:
         assert imputation is not None
-        imputation, model = impute_again(imputation, model, report=report, cache=cache)
+        imputation, model = impute_changed(imputation, model, report, cache)
     setting = Setting(split_pixels(made, options.seed), state.model, start, between, like)
     return at_imputed_times(imputation, model, setting, context)[1]

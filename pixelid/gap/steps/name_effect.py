@@ -18,8 +18,8 @@ from pixelid.gap.detect.words import where
 from pixelid.gap.imputation.exact import LOST, loses_where_times_are_exact
 from pixelid.gap.imputation.impute import (
     JITTER,
-    impute_again,
     impute_behind_jitter,
+    impute_changed,
     impute_with_effect,
 )
 from pixelid.gap.options import Context
@@ -306,7 +306,7 @@ def without_drawn_anew(state: State, effect: str, fit: Maximum, why: str, contex
     """The state with an effect that was named taken out again, at times drawn without it; fit: without it."""
     state = _without(state, effect, fit, why)
     assert state.imputation is not None
-    imputation, model = impute_again(state.imputation, fit.model, cache=context.cache)
+    imputation, model = impute_changed(state.imputation, fit.model, cache=context.cache)
     return _at_imputed_times(replace(state, imputation=imputation), model, state.hypothesis.start, context)
 
 
