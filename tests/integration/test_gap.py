@@ -450,6 +450,19 @@ def test_a_pole_that_ran_away_comes_back():
     assert maximise_with_restarts(likelihood, away, MODEL, tolerance=0.05, max_steps=25).values["diff_cutoff_hz"] < 5e4
 
 
+def test_a_photoreceptor_that_ran_away_comes_back_whole():
+    """With its rates alone put back, the light at which it is fast would stay where it went."""
+    lights = {"chirp_24": chirp(24.0, stop_hz=200.0), "steps_24": steps(24.0, seed=1)}
+    likelihood = likelihood_of(session(MODEL, side=2, seed=3, lights=lights))
+    away = MODEL.set({"alpha": 2e10, "beta": 8e8, "gamma": 1e-7, "threshold_sigma": 0.2})
+    assert maximise(likelihood, away, tolerance=0.05, max_steps=25).values["beta"] > 1e7
+    back = maximise_with_restarts(likelihood, away, MODEL, tolerance=0.05, max_steps=25)
+    truth = likelihood.log_likelihood(MODEL.circuit())
+    assert back.value > truth
+    for name in ("alpha", "beta"):
+        assert back.values[name] == pytest.approx(MODEL.values[name], rel=0.1)
+
+
 def test_cells_of_one_pool_serve_another():
     mine, theirs = (likelihood_of(session(MODEL, side=side, seed=3)) for side in (4, 3))
     circuit = MODEL.circuit()
