@@ -1,7 +1,7 @@
 """A model's free parameters fitted to a part of the pixels, from given starts, for searches that make many such fits.
 
-`maximise` starts at the model's own values; `maximise_with_restarts` gives filter cutoffs, and the photoreceptor's
-rates, that ran away a second chance.  Fits are read from and kept in a `FitCache` where one is passed.
+`maximise` starts at the model's own values; `maximise_with_restarts` gives filter cutoffs, and a photoreceptor, that
+ran away a second chance.  Fits are read from and kept in a `FitCache` where one is passed.
 """
 
 from __future__ import annotations
@@ -23,9 +23,10 @@ from pixelid.model.model import Model
 # From nominal (natural logarithm), beyond which a cutoff is put back and fitted again.  Cameras of one kind differ by
 # less; a fit that is restarted needlessly only costs time, as the better of the two is kept.
 RUNAWAY_LOG_FACTOR = math.log(5.0)
-# Numbers of one filter, the photoreceptor: where either rate ran away, gamma, alone left where it went, would hold the
-# fit there (beside a silence 710 nats below where it ends with all three put back, of 6,482 events).
-TWO_POLES, RATES = ("alpha", "beta", "gamma"), ("alpha", "beta", "alpha_over_beta")
+# The photoreceptor as one filter: where β ran away, γ, alone left where it went, would hold the fit there (beside a
+# silence 710 nats below where it ends with all three put back, of 6,482 events).  Only β is in a unit without the
+# light's, in which a camera may differ from nominal by any factor.
+TWO_POLES = ("alpha", "beta", "gamma")
 
 
 @dataclass(frozen=True)
@@ -95,18 +96,17 @@ def maximise_with_restarts(
 
     A cutoff far above all others leaves the likelihood flat: a fit that gets there by accident stays, though a better
     optimum lies where the pole belongs.  A neighbouring effect would then pass for a pole that the model has.  A
-    photoreceptor's rates are cutoffs, too.
+    photoreceptor's β is a cutoff, too.
     """
     end = maximise(likelihood, model, tolerance=tolerance, max_steps=max_steps, cache=cache)
-    cutoffs = [name for name in end.coordinates.names if name.endswith("cutoff_hz") or name in RATES]
+    cutoffs = [name for name in end.coordinates.names if name.endswith("cutoff_hz") or name == "beta"]
     away = [
         name
         for name in cutoffs
         if name in nominal.values and abs(math.log(end.values[name] / nominal.values[name])) > RUNAWAY_LOG_FACTOR
     ]
-    if any(name in TWO_POLES for name in away):
-        away += [name for name in TWO_POLES if name in end.coordinates.names and name in nominal.values]
-    runaway = {name: nominal.values[name] for name in away}
+    whole = [name for name in TWO_POLES if "beta" in away and name in end.coordinates.names]
+    runaway = {name: nominal.values[name] for name in (*away, *whole)}
     if not runaway:
         return end
     again = maximise(likelihood, end.model.set(runaway), tolerance=tolerance, max_steps=max_steps, cache=cache)
