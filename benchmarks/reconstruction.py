@@ -31,6 +31,7 @@ scale       radiance unit pinned by the background, by the views' mean level, fr
             under the prior of a fit
 
 Scenes and fits are kept in --work and reused; results are appended to results.jsonl there, and printed as a table.
+--device cuda trains on a GPU; these runs stand beside those of a CPU, with what they took of its memory.
 docs/reconstruction.json is made by --save.
 """
 
@@ -47,6 +48,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import torch
 from many_events import filmed_again
 from other_scenes import FAR, SCENES, far_away
 from paths.memory import command_apart
@@ -75,7 +77,7 @@ EXPERIMENTS = (
     "bandwidth", "baselines", "samples", "batch", "grid", "joint", "pixel", "effect", "scale", "whole", "field",
     "poses", "size", "paper", "once", "memory", "elsewhere", "unbounded", "pictures",
 )  # fmt: skip
-KEPT = ("experiment", "setting", "arm", "seed", "iterations")  # what tells runs apart
+KEPT = ("experiment", "setting", "arm", "seed", "iterations", "device")  # what tells runs apart
 SAMPLES = (1, 5, 15, 30, 50)
 BATCHES = (80, 320, 1280)  # chains per step
 SPEEDS, WHITES = (0.5, 2.0, 8.0), (20.0, 200.0, 2_000.0)  # revolutions per second; fA at white
@@ -174,8 +176,8 @@ def fitted(work: Path, seed: int) -> Path:
     return folder
 
 
-def arms(name: str, work: Path, setting: str, seed: int):
-    """(arm, dataset or what makes it, options of `reconstruct`) of an experiment."""
+def arms(name: str, work: Path, setting: str, seed: int, only: list[str] | None = None):
+    """(arm, dataset or what makes it, options of `reconstruct`) of an experiment; only: no data sets for other arms."""
     if name in ("bandwidth", "baselines", "samples", "batch", "joint"):
         data = dataset(work, setting, seed)
         circuit = data.calibration.circuit
@@ -210,9 +212,12 @@ def arms(name: str, work: Path, setting: str, seed: int):
             yield f"{batch} chains", data, {"recipe": Recipe(batch=batch, iterations=steps)}
     elif name == "grid":
         for speed, white in itertools.product(SPEEDS, WHITES):
+            cell = f"{speed:g} rev/s, {white:g} fA: "
+            if only and not any(arm.startswith(cell) for arm in only):
+                continue
             data = dataset(work, "grid", seed, f"_{speed:g}_{white:g}", own=Setting(speed, white))
             for mode in ("on", "off"):
-                yield f"{speed:g} rev/s, {white:g} fA: {mode}", data, {"bandwidth": Bandwidth(mode)}
+                yield cell + mode, data, {"bandwidth": Bandwidth(mode)}
     elif name == "joint":
         wrong = replace(data.calibration, circuit=circuit.with_(alpha=circuit.alpha * 3, follower=circuit.follower * 3))
         yield "joint from x3", data, {"calibration": wrong, "bandwidth": Bandwidth("joint")}
@@ -235,6 +240,8 @@ def arms(name: str, work: Path, setting: str, seed: int):
         yield "dead time ignored", data, {"calibration": ignored}
     elif name == "whole":
         for camera, (effects, values) in CAMERAS.items():
+            if only and not any(arm.startswith(f"{camera}: ") for arm in only):
+                continue
             model = camera_model(SETTINGS[setting]).set(values)
             for effect, its_values in effects.items():
                 model = model.with_effect(effect, its_values)
@@ -293,23 +300,25 @@ def arms(name: str, work: Path, setting: str, seed: int):
         yield "free, joint with prior", data, {"scale": "free", "bandwidth": Bandwidth("joint", prior_sd=sharp)}
 
 
-def run(name: str, work: Path, setting: str, seed: int, iterations: int | None, only: list[str] | None) -> None:
+def run(
+    name: str, work: Path, setting: str, seed: int, iterations: int | None, only: list[str] | None, device: str
+) -> None:
     """Train every arm of an experiment and note what it reached."""
     if name == "memory":
         return memory(work, setting, seed)
-    recipe = replace(Recipe(), iterations=iterations) if iterations else Recipe()
-    for arm, make, options in arms(name, work, setting, seed):
+    for arm, make, options in arms(name, work, setting, seed, only):
         if only and arm not in only:
             continue
         data = make() if callable(make) else make
         began, used = time.perf_counter(), time.process_time()
-        row: dict = {"experiment": name, "setting": setting, "seed": seed, "arm": arm}
+        row: dict = {"experiment": name, "setting": setting, "seed": seed, "arm": arm, "device": device}
         if "cutoff" in options:
             scores = two_stage(data, options["cutoff"], seed=seed)
             row |= {"iterations": ITERATIONS, "degree": DEGREE}
         else:
-            chosen = options.pop("recipe", recipe)
-            result = reconstruct(data, recipe=chosen, seed=seed, **options)
+            chosen = options.pop("recipe", Recipe())
+            chosen = replace(chosen, iterations=iterations) if iterations else chosen
+            result = reconstruct(data, recipe=chosen, seed=seed, device=device, **options)
             scores = result.scores
             row |= {
                 "iterations": result.state.iteration, "degree": chosen.degree, "held_out": round(result.held_out, 4),
@@ -317,6 +326,9 @@ def run(name: str, work: Path, setting: str, seed: int, iterations: int | None, 
                 "found": [effect["name"] for effect in result.gap["effects"]] if result.gap else None,
                 "poses": result.state.poses.as_dict(result.problem.time_resolution_s),
             }  # fmt: skip
+            if device == "cuda":
+                row["peak_gib"] = round(torch.cuda.max_memory_reserved() / 2**30, 2)
+                torch.cuda.reset_peak_memory_stats()
             if result.published is not None:
                 row["published_protocol_psnr"] = round(float(result.published.psnr.mean()), 3)
         note(work, row | {"psnr": scores.psnr.mean(), "ssim": scores.ssim.mean()}, began, used)
@@ -335,6 +347,7 @@ def memory(work: Path, setting: str, seed: int) -> None:
     views = json.loads((work / "many" / "reconstruction.json").read_text())["views"]
     row = {
         "experiment": "memory", "setting": setting, "seed": seed, "arm": f"{events / 1e6:.0f} million events",
+        "device": "cpu",
         "iterations": FEW_STEPS, "degree": Recipe().degree, "peak_gib": round(spent["peak_bytes"] / 2**30, 2),
         "psnr": views["psnr"], "ssim": views["ssim"],
     }  # fmt: skip
@@ -357,7 +370,7 @@ def pictures(work: Path, images: Path, seeds: list[int]) -> None:
         shown = scene.render(camera, poses[held, :3, 3], poses[held, :3, :3] @ OPENGL)
         row = {
             "experiment": "pictures", "setting": f"{width} × {height}", "seed": seed, "arm": "direct fit",
-            "iterations": ITERATIONS, "degree": DEGREE,
+            "device": "cpu", "iterations": ITERATIONS, "degree": DEGREE,
             "psnr": np.mean(10 * np.log10(1 / ((shown - truth) ** 2).mean(axis=(1, 2)))),
             "ssim": ssim(shown[..., None], truth[..., None], 1.0).mean(),
         }  # fmt: skip
@@ -379,11 +392,11 @@ def note(work: Path, row: dict, began: float, used: float) -> None:
 
 
 def last_runs(work: Path) -> dict[tuple, dict[int, dict]]:
-    """Per experiment, setting, arm and number of steps: the last run of every seed."""
+    """Per experiment, setting, arm, number of steps and device: the last run of every seed."""
     rows: dict = {}
     for line in (work / "results.jsonl").read_text().splitlines():
         row = json.loads(line)
-        key = row["experiment"], row["setting"], row["arm"], row["iterations"]
+        key = row["experiment"], row["setting"], row["arm"], row["iterations"], row["device"]
         rows.setdefault(key, {})[row["seed"]] = row
     return rows
 
@@ -403,16 +416,16 @@ def save(work: Path, path: Path) -> None:
 def table(work: Path) -> str:
     """Mean ± sd over seeds of every arm, as Markdown."""
     lines = [
-        "| experiment | setting | arm | steps | PSNR [dB] | SSIM | seeds | CPU s |",
-        "|---|---|---|---|---|---|---|---|",
+        "| experiment | setting | arm | steps | device | PSNR [dB] | SSIM | seeds | CPU s |",
+        "|---|---|---|---|---|---|---|---|---|",
     ]
-    for (name, setting, arm, steps), seeds in last_runs(work).items():
+    for (name, setting, arm, steps, device), seeds in last_runs(work).items():
         psnr = np.array([row["psnr"] for row in seeds.values()])
         spread = f" ± {psnr.std(ddof=1):.2f}" if len(psnr) > 1 else ""
         ssim = np.mean([row["ssim"] for row in seeds.values()])
         cpu = np.mean([row["cpu_seconds"] for row in seeds.values()])
         lines.append(
-            f"| {name} | {setting} | {arm} | {steps} | {psnr.mean():.2f}{spread} | {ssim:.3f} | {len(psnr)} "
+            f"| {name} | {setting} | {arm} | {steps} | {device} | {psnr.mean():.2f}{spread} | {ssim:.3f} | {len(psnr)} "
             f"| {cpu:.0f} |"
         )
     return "\n".join(lines)
@@ -425,6 +438,7 @@ def main() -> None:
     parser.add_argument("--seeds", nargs="+", type=int, default=[0])
     parser.add_argument("--arms", nargs="+", help="only these")
     parser.add_argument("--iterations", type=int)
+    parser.add_argument("--device", choices=("cpu", "cuda"), default="cpu")
     parser.add_argument("--images", type=Path, help="for pictures: npz of images, poses, focal")
     parser.add_argument("--save", type=Path, help="write all results of --work to a JSON file")
     parser.add_argument("--work", type=Path, default=Path("out/reconstruction"))
@@ -436,7 +450,7 @@ def main() -> None:
             continue
         for setting in options.settings:
             for seed in options.seeds:
-                run(name, options.work, setting, seed, options.iterations, options.arms)
+                run(name, options.work, setting, seed, options.iterations, options.arms, options.device)
     if (options.work / "results.jsonl").is_file():
         print(table(options.work))
         if options.save:

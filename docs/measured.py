@@ -194,7 +194,11 @@ def ranks() -> str:
 def reconstruction() -> str:
     """What `benchmarks/reconstruction.py` found, one table per experiment."""
     groups: dict[str, dict[tuple, list[dict]]] = defaultdict(lambda: defaultdict(list))
+    on_gpu = []
     for run in of_json("docs/reconstruction.json"):
+        if run["device"] == "cuda":
+            on_gpu.append(run)
+            continue
         groups[run["experiment"]][run["setting"], run["arm"], run["iterations"], run.get("degree") or 0].append(run)
     lines, own_tables = [], {"whole": _whole, "grid": _grid}
     for experiment, arms in groups.items():
@@ -217,7 +221,7 @@ def reconstruction() -> str:
         lines += [f"## {experiment.capitalize()}\n", table(heads, rows)]
         if experiment == "bandwidth":
             lines.append(_gain(arms))
-    return "\n".join(lines)
+    return "\n".join([*lines, _on_gpu(on_gpu)] if on_gpu else lines)
 
 
 def moving_plane() -> str:
@@ -264,6 +268,19 @@ def _grid(arms: dict[tuple, list[dict]]) -> str:
         rows.append((*cell.split(", "), f"{on:.2f}", f"{off:.2f}", f"{on - off:+.2f}"))
     heads = ("speed", "photocurrent of white", "on [dB]", "off [dB]", "gain [dB]")
     return "## Speed and illuminance\n\n" + table(heads, rows)
+
+
+def _on_gpu(runs: list[dict]) -> str:
+    """Trainings on a GPU, one row each."""
+    rows = [
+        (
+            run["experiment"], run["setting"], run["arm"], run["seed"], run["iterations"], f"{run['psnr']:.2f}",
+            f"{run['ssim']:.3f}", f"{run['cpu_seconds']:.0f}", f"{run['peak_gib']:.1f}",
+        )
+        for run in runs
+    ]  # fmt: skip
+    heads = ("experiment", "setting", "arm", "seed", "steps", "PSNR [dB]", "SSIM", "CPU s", "GiB on the GPU")
+    return "## Trained on a GPU\n\n" + table(heads, rows)
 
 
 def _gain(arms: dict[tuple, list[dict]]) -> str:
