@@ -73,6 +73,7 @@ def test_events_missing_for_an_eighth_of_the_time_are_not_explained():
     assert "part 5 of 8" in report.sentence
 
 
+@pytest.mark.slow
 def test_under_light_without_jumps_counts_are_sorted_by_level_and_slope():
     t = np.arange(0.0, 1.6, 1e-4)
     light = Stimulus(t, 120.0 * np.exp(0.7 * np.sin(2 * np.pi * 20.0 * t) + 0.3 * np.sin(2 * np.pi * 31.0 * t)))

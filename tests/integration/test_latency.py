@@ -188,6 +188,7 @@ def test_the_posterior_is_that_of_the_fit_and_of_its_seed(tmp_path):
     assert worse < best
 
 
+@pytest.mark.slow
 def test_poles_that_can_be_exchanged_are_not_told_apart(tmp_path):
     """A photoreceptor's own pole near the follower's: the table is met as well with the two exchanged."""
     true = {**TRUE, "alpha": 2e5 * 2500.0, "beta": 2500.0, "sf_cutoff_hz": 1500.0, "diff_cutoff_hz": 2e4}
@@ -221,10 +222,10 @@ def assert_limited_like_a_gen31(found: dict) -> None:
     assert last["stage"] != "photoreceptor"
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not NIST.is_file(), reason="needs a checkout")
 @pytest.mark.parametrize(
-    ("name", "cameras", "least"),
-    [("gen31", ["CAM3"], 0.03), pytest.param("imx636", ["CAM1", "CAM2"], 0.08, marks=pytest.mark.slow)],
+    ("name", "cameras", "least"), [("gen31", ["CAM3"], 0.03), ("imx636", ["CAM1", "CAM2"], 0.08)]
 )
 def test_a_shipped_sensor_is_what_its_recipe_gives(name, cameras, least, tmp_path):
     assert run("latency", NIST.parent.parent / f"{name}.toml", "--out", tmp_path / "out") == 0

@@ -230,7 +230,7 @@ def test_a_training_that_stands_still_is_stopped(made):
 
 
 def test_the_command_chooses_on_request(made, tmp_path):
-    words = ["reconstruct", str(made), "--iterations", "24", "--quiet", "--bandwidth", "off"]
+    words = ["reconstruct", str(made), "--iterations", "24", "--batch", "32", "--quiet", "--bandwidth", "off"]
     for kind in ("usual", "auto"):
         assert main([*words, "--out", str(tmp_path / kind), "--regularisation", kind]) in (0, 1)
         result = json.loads((tmp_path / kind / "reconstruction.json").read_text())

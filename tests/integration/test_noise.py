@@ -68,6 +68,7 @@ def test_searches_begin_behind_off_events_that_come_whatever_the_light(tmp_path)
     assert start["off_threshold"] / start["on_threshold"] == pytest.approx(0.27 / 0.12, rel=0.25)
 
 
+@pytest.mark.slow
 def test_a_planted_circuit_comes_back_and_predicts_other_lights(tmp_path):
     truth = planted(alpha=planted().values["alpha"] * 1.6, beta=planted().values["beta"] * 0.8)
     table = write_table(tmp_path / "noise.csv", truth, scatter=0.02)
@@ -206,6 +207,7 @@ def test_many_lights_are_interpolated(tmp_path):
     assert predicted == pytest.approx(noise.table.rate_hz, rel=5e-3, abs=1e-6)
 
 
+@pytest.mark.slow
 def test_a_search_begins_near_the_dead_time_and_beside_equal_thresholds(tmp_path):
     """From a dead time 15 times too short, or thresholds alike, it ended at scatters of 12 to 26 % for a true 2 %."""
     model = find_model("dvs128").without_effect("threshold_mismatch").without_effect("threshold_noise")
@@ -266,6 +268,7 @@ def test_off_events_that_no_light_changes_are_in_predictions(tmp_path):
     assert added == pytest.approx(np.where(table.on, 0.0, 0.14), abs=1e-9)
 
 
+@pytest.mark.slow
 def test_lights_are_interpolated_over_the_edge_where_noise_ends(tmp_path):
     """Five and a half decades, in one of which rates fall from tens of events to leak alone."""
     leaky, lights = planted().with_effect("leak", {"rate_hz": 0.05}), np.geomspace(0.01, 3000.0, 100).round(5)
@@ -412,6 +415,7 @@ def still_recording(model, light, duration_s, side):
     return simulate(model, constant(light, duration_s), width=side, height=side, seed=5, sensor_seed=1)
 
 
+@pytest.mark.slow
 def test_intervals_between_noise_events_are_those_of_simulation(tmp_path):
     """Shares of shorter ones, by the polarities of both events, of pixels whose thresholds differ."""
     camera = find_model("dvs128").with_effect("shot_noise", {"density": 6e-4})

@@ -93,6 +93,7 @@ def blurred():
     return truth, 1e-9 * sd, recordings
 
 
+@pytest.mark.slow
 def test_steps_lead_to_the_model_behind_blurred_stamps(blurred):
     truth, sd, recordings = blurred
     model, sigma, rng = MODEL.set({"refractory_s": 1.2e-4}), 0.6 * sd, np.random.default_rng(0)
