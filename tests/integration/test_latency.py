@@ -224,9 +224,7 @@ def assert_limited_like_a_gen31(found: dict) -> None:
 
 @pytest.mark.slow
 @pytest.mark.skipif(not NIST.is_file(), reason="needs a checkout")
-@pytest.mark.parametrize(
-    ("name", "cameras", "least"), [("gen31", ["CAM3"], 0.03), ("imx636", ["CAM1", "CAM2"], 0.08)]
-)
+@pytest.mark.parametrize(("name", "cameras", "least"), [("gen31", ["CAM3"], 0.03), ("imx636", ["CAM1", "CAM2"], 0.08)])
 def test_a_shipped_sensor_is_what_its_recipe_gives(name, cameras, least, tmp_path):
     assert run("latency", NIST.parent.parent / f"{name}.toml", "--out", tmp_path / "out") == 0
     found, shipped = load_camera(tmp_path / "out" / "model.toml"), load_camera(shipped_models()[name])
