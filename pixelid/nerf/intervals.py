@@ -104,27 +104,40 @@ def past_lifetimes(samples: int, rate: float) -> np.ndarray:
     return -np.log1p(-share) / rate
 
 
-def chains(every: Intervals, starts, samples: int, rate: float, rng: np.random.Generator) -> Chains:
+def own_past(samples: int) -> int:
+    """How many of its S − 1 past samples an output places itself; the others are those of its neighbours."""
+    return math.ceil(OWN * (samples - 1))
+
+
+def rows_of(every: Intervals, starts) -> np.ndarray:
+    """(runs, CHAIN) rows of `every.stretches` in the chains that begin at `starts`; of the end, its last row."""
+    rows = every.starts[np.asarray(starts)].astype(np.int64)[:, None] + np.arange(CHAIN)
+    return np.minimum(rows, len(every.stretches.begin) - 1)
+
+
+def chains(every: Intervals, starts, samples: int, rate, rng: np.random.Generator, points=None) -> Chains:
     """The chains that begin at `starts` (runs,), indices into `every.starts`.
 
-    samples: S, 1 for no past at all;  rate: ω rad/s.  Neighbours share their samples: of its S − 1 past ones
-    an output places a part `OWN` itself.
+    samples: S, 1 for no past at all;  rate: ω rad/s, one or (runs, CHAIN), of every output;  points: (runs, CHAIN) int,
+    the most past samples that an output places itself (at most `own_past`, which is the default)
     """
-    samples = 1 + math.ceil(OWN * (samples - 1))
+    samples = 1 + own_past(samples)
     first_of_run = every.starts[np.asarray(starts)].astype(np.int64)
     runs = len(first_of_run)
     random = rng.random((runs, CHAIN, 3))
     shape = (runs, CHAIN)
+    rate = np.broadcast_to(np.asarray(rate, float), shape)
+    points = np.broadcast_to(np.asarray(samples - 1 if points is None else points, np.int64), shape)
     begin, end, sub = np.zeros(shape, np.int64), np.zeros(shape, np.int64), np.zeros((*shape, 2), np.int64)
     weight = np.zeros(shape)
-    lifetimes = past_lifetimes(samples, rate)[1:][::-1].copy()
+    lifetimes = past_lifetimes(samples, 1.0)[1:][::-1].copy()
     first = np.zeros(runs + 1, np.int64)
     t = np.empty(runs * ((samples - 1) + CHAIN * (4 + samples)))
     which = np.zeros(shape, np.int64)
     f = every.stretches
     n = _fill(
-        first_of_run, f.begin, f.end, f.pixel, f.burst, lifetimes, rate, random, t, first, begin, end, weight, which,
-        sub,
+        first_of_run, f.begin, f.end, f.pixel, f.burst, lifetimes, rate, points, random, t, first, begin, end, weight,
+        which, sub,
     )  # fmt: skip
     rise, fall, variance = (column[which].astype(np.float64) for column in (f.rise, f.fall, f.variance))
     return Chains(
@@ -134,13 +147,16 @@ def chains(every: Intervals, starts, samples: int, rate: float, rng: np.random.G
 
 
 @njit(cache=True, nogil=True)
-def _fill(starts, since, until, pixel, burst, lifetimes, rate, random, out, first, begin, end, weight, which, sub):
+def _fill(
+    starts, since, until, pixel, burst, lifetimes, rate, points, random, out, first, begin, end, weight, which, sub
+):  # fmt: skip
     n = 0
-    density = len(lifetimes) / COVERED
     for run in range(len(starts)):
         first[run] = n
-        for j in range(len(lifetimes)):
-            out[n] = since[starts[run]] - lifetimes[j]
+        most = min(points[run, 0], len(lifetimes))
+        for j in range(most):
+            before = lifetimes[j] if most == len(lifetimes) else -np.log1p(-COVERED * (most - j) / most)
+            out[n] = since[starts[run]] - before / rate[run, 0]
             n += 1
         for k in range(CHAIN):
             i = starts[run] + k
@@ -161,14 +177,13 @@ def _fill(starts, since, until, pixel, burst, lifetimes, rate, random, out, firs
             part = (1.0 - np.sqrt(random[run, k, 1])) * length
             sub_at = start + random[run, k, 2] * (length - part)
             ends, wanted = (sub_at, sub_at + part), 0 if burst[i] else 2
-            placed, points = 0, 0
-            reach = 1.0 - np.exp(-rate * length)
-            if density > 0.0:
-                points = min(int(density * reach + random[run, k, 0]), len(lifetimes))
-            for j in range(points, -1, -1):
+            reach, most, placed, past = 1.0 - np.exp(-rate[run, k] * length), min(points[run, k], len(lifetimes)), 0, 0
+            if most > 0:
+                past = min(int(most / COVERED * reach + random[run, k, 0]), most)
+            for j in range(past, -1, -1):
                 at = until[i]
                 if j > 0:
-                    at = max(until[i] + np.log1p(-reach * (j - 0.5) / points) / rate, start)
+                    at = max(until[i] + np.log1p(-reach * (j - 0.5) / past) / rate[run, k], start)
                 while placed < wanted and ends[placed] <= at:
                     sub[run, k, placed] = n
                     out[n] = ends[placed]

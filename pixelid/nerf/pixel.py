@@ -203,18 +203,20 @@ class Pixel(torch.nn.Module):
         of_factors = ((self.factors / self.prior_sd) ** 2).sum()
         return 0.5 * of_factors + 0.5 * left * (self.departures**2).sum()
 
-    def slowest(self, darkest: float) -> float:
-        """The slowest dominant low-pass pole [rad/s] at a radiance, of the stages that the circuit has.
+    def slowest(self, radiance):
+        """The slowest dominant low-pass pole [rad/s] at a radiance or at each of an array, of the circuit's stages.
 
         The amplifier's reset and the lower cutoff count only where nothing else filters.
         """
         circuit, dynamics = self.circuit, Dynamics(*(float(x) for x in self.dynamics.detach()))
         poles = [cutoff for cutoff in (dynamics.follower, dynamics.extra_pole) if cutoff < PRESENT_BELOW]
         if circuit.photoreceptor != "unlimited":
-            a, b2 = photoreceptor_rates(dynamics, darkest)
+            a, b2 = photoreceptor_rates(dynamics, radiance)
             disc = 0.25 * b2 * b2 - a
-            poles.append(a / (0.5 * b2 + math.sqrt(disc)) if disc >= 0 else math.sqrt(a))
-        return min(poles) if poles else (circuit.lower_cutoff or dynamics.differencing)
+            poles.append(np.where(disc >= 0, a / (0.5 * b2 + np.sqrt(np.maximum(disc, 0.0))), np.sqrt(a)))
+        rate = min(poles[:-1], default=np.inf)
+        rate = np.minimum(rate, poles[-1]) if poles else (circuit.lower_cutoff or dynamics.differencing)
+        return rate if np.ndim(radiance) else float(rate)
 
     def values(self) -> dict[str, float]:
         """The numbers in use, by name, of the stages that the circuit has; of `ADDITIONS` those that it has or trains.

@@ -7,6 +7,7 @@ import torch
 
 from pixelid.nerf.intervals import Chains, Intervals, chains
 from pixelid.nerf.losses import Weights, amplifier_drift, changes, terms, total
+from pixelid.nerf.memory import past_of
 from pixelid.nerf.pixel import Pixel
 from pixelid.nerf.quiet import LAGS, Pairs, draw_pairs
 from pixelid.nerf.render import Rays
@@ -111,6 +112,20 @@ def _darkest(problem: Problem) -> float:
 
 def chains_at(problem: Problem, state: State, from_: Intervals, starts, rng: np.random.Generator) -> Chains:
     """The chains that begin at `starts` (runs,), indices into `from_.starts`, with samples as the pixel asks."""
-    samples = state.pixel.bandwidth.samples if state.pixel.filtering else 1
-    slowest = state.pixel.slowest(_darkest(problem))
-    return chains(from_, starts, samples, slowest, rng)
+    if not state.pixel.filtering:
+        return chains(from_, starts, 1, state.pixel.slowest(_darkest(problem)), rng)
+
+    def light(t: np.ndarray, pixel: np.ndarray) -> np.ndarray:
+        return _radiance_at(problem, state, t, pixel)
+
+    samples = state.pixel.bandwidth.samples
+    rate, points = past_of(state.pixel, from_, starts, samples, _darkest(problem), problem.crossing_s, light)
+    return chains(from_, starts, samples, rate, rng, points)
+
+
+def _radiance_at(problem: Problem, state: State, t: np.ndarray, pixel: np.ndarray) -> np.ndarray:
+    """(n,) radiance, dark current included, that pixels (n,) see at times (n,); nothing is trained by it."""
+    with torch.no_grad():
+        rays = _rays_at(problem, state, t, pixel, np.full(len(t), 0.5, np.float32))
+        radiance = state.field(rays)[0].reshape(len(t), -1).mean(dim=1)
+    return radiance.cpu().numpy().astype(float) + problem.dark[problem.channel[pixel]]

@@ -27,6 +27,7 @@ TOO_SHORT = 1e-3
 # Times the crossing time of the box's image as a whole: where a camera hardly moves, events come from a pixel that lags
 # or leaks, and each tells its own time.
 MOST_UNEVEN = 10.0
+FASTEST = 0.01  # share of the events at which the image may move faster than the past of the pixel is sampled for
 HELD_OUT = 0.03  # share of pixels whose events are kept from training
 
 
@@ -95,10 +96,11 @@ def problem_of(
         circuit = circuit.with_(refractory=possible)
     size = float((high - low).max()) / cells if cells else 0.0
     crossed_s = crossing_time(dataset.trajectory, camera, low, high)
-    shortest = close * crossing_times(
+    crossing = crossing_times(
         dataset.trajectory, camera, low, high, t, y * camera.width + x, cell=size, within=crossed_s,
         most=MOST_UNEVEN * crossed_s, near=near,
     )  # fmt: skip
+    shortest = close * crossing
 
     def cut(of: Circuit) -> Intervals:
         return intervals(
@@ -121,7 +123,7 @@ def problem_of(
     return Problem(
         training, held, dataset.trajectory, camera, calibration.channel_of(column, row), calibration.dark,
         circuit, gauge_of(dataset, background, scale), low, high, maps, tilts(cut, circuit, trained),
-        float(lengths.min()) if len(lengths) else 0.0, quiet, near,
+        float(lengths.min()) if len(lengths) else 0.0, quiet, near, float(np.quantile(crossing, FASTEST)),
     )  # fmt: skip
 
 

@@ -41,7 +41,8 @@ class Problem:
     radiance;  circuit: of the pixel;  gauge: what pins the radiance unit;  low, high: the box;  maps: how the pixels
     depart from the circuit, None where they do not;  tilts: of `additions.tilts`, for what is trained;  shortest: s,
     between two events of one pixel;  quiet: where and when nothing fired, of the pixels that training sees;  near:
-    distance from the camera before which nothing is
+    distance from the camera before which nothing is;  crossing_s: s in which the image moves by a pixel (a cell, where
+    cells are larger) where it is fastest, 0 where that does not matter
     """
 
     training: Intervals
@@ -59,6 +60,7 @@ class Problem:
     shortest: float = 0.0
     quiet: Quiet = NOTHING
     near: float = 0.0
+    crossing_s: float = 0.0
 
     def values(self, pixel: Pixel) -> dict[str, float]:
         """The numbers in use (`Pixel.values`), the thresholds those of the typical event and pixel.
