@@ -115,7 +115,10 @@ def rows_of(every: Intervals, starts) -> np.ndarray:
     return np.minimum(rows, len(every.stretches.begin) - 1)
 
 
-def chains(every: Intervals, starts, samples: int, rate, rng: np.random.Generator, points=None) -> Chains:
+def chains(
+    every: Intervals, starts, samples: int, rate: float | np.ndarray, rng: np.random.Generator,
+    points: int | np.ndarray | None = None,
+) -> Chains:  # fmt: skip
     """The chains that begin at `starts` (runs,), indices into `every.starts`.
 
     samples: S, 1 for no past at all;  rate: ω rad/s, one or (runs, CHAIN), of every output;  points: (runs, CHAIN) int,

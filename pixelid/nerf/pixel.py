@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import overload
 
 import numpy as np
 import torch
@@ -203,19 +204,23 @@ class Pixel(torch.nn.Module):
         of_factors = ((self.factors / self.prior_sd) ** 2).sum()
         return 0.5 * of_factors + 0.5 * left * (self.departures**2).sum()
 
-    def slowest(self, radiance):
-        """The slowest dominant low-pass pole [rad/s] at a radiance or at each of an array, of the circuit's stages.
+    @overload
+    def slowest(self, radiance: float) -> float: ...
+    @overload
+    def slowest(self, radiance: np.ndarray) -> np.ndarray: ...
+    def slowest(self, radiance: float | np.ndarray) -> float | np.ndarray:
+        """The slowest dominant low-pass pole [rad/s] at a radiance, or at each of an array, of the circuit's stages.
 
         The amplifier's reset and the lower cutoff count only where nothing else filters.
         """
         circuit, dynamics = self.circuit, Dynamics(*(float(x) for x in self.dynamics.detach()))
-        poles = [cutoff for cutoff in (dynamics.follower, dynamics.extra_pole) if cutoff < PRESENT_BELOW]
+        others = [cutoff for cutoff in (dynamics.follower, dynamics.extra_pole) if cutoff < PRESENT_BELOW]
         if circuit.photoreceptor != "unlimited":
-            a, b2 = photoreceptor_rates(dynamics, radiance)
-            disc = 0.25 * b2 * b2 - a
-            poles.append(np.where(disc >= 0, a / (0.5 * b2 + np.sqrt(np.maximum(disc, 0.0))), np.sqrt(a)))
-        rate = min(poles[:-1], default=np.inf)
-        rate = np.minimum(rate, poles[-1]) if poles else (circuit.lower_cutoff or dynamics.differencing)
+            a, b2 = photoreceptor_rates(dynamics, np.asarray(radiance, float))
+            real = np.sqrt(np.maximum(0.25 * b2 * b2 - a, 0.0))  # 0 where a pair is complex, whose modulus counts
+            rate = np.minimum(np.where(real > 0, a / (0.5 * b2 + real), np.sqrt(a)), min(others, default=np.inf))
+        else:
+            rate = np.full(np.shape(radiance), min(others, default=circuit.lower_cutoff or dynamics.differencing))
         return rate if np.ndim(radiance) else float(rate)
 
     def values(self) -> dict[str, float]:
