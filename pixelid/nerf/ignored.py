@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import fields
 
+import numpy as np
+
+from pixelid.nerf.intervals import CHAIN, Intervals
 from pixelid.stages import LIBRARY
 from pixelid.stages.circuit import Circuit
 from pixelid.stages.described import PREFIX
@@ -18,6 +22,7 @@ MODELLED = frozenset(
 )  # fmt: skip
 
 
+FORGOTTEN = 0.05  # ln L of drift over a chain per ln L of contrast: a tenth of a threshold of 0.25 at a contrast of 0.5
 NO_EFFECTS = ("delay", "of_recordings")  # of the clock of a stimulus, and bookkeeping
 
 
@@ -45,6 +50,31 @@ def ignored_effects(circuit: Circuit) -> tuple[str, ...]:
         acting -= {"described"}
         names += [f"{PREFIX}{m.quantity}.{m.covariate}.{m.form}" for m in circuit.described if m.strength != 0.0]
     return (*names, *sorted(acting))
+
+
+def forgotten(circuit: Circuit, every: Intervals) -> tuple[str, ...]:
+    """What a lower cutoff remembers from before the chains of events, in words, where it would matter.
+
+    A chain begins in the steady state of its first light.  What the high-pass still held of lights before would go at
+    ω_h times their contrast, and is missed over the chain.
+
+    Args:
+        circuit: of the pixel.
+        every: stretches, and where chains may begin.
+
+    Returns:
+        One sentence, or none.
+    """
+    first = every.starts[:: max(len(every.starts) // 4096, 1)].astype(np.int64)
+    last = np.minimum(first + CHAIN, len(every.stretches.begin)) - 1
+    whole = every.stretches.pixel[first] == every.stretches.pixel[last]
+    if not (circuit.lower_cutoff > 0 and whole.any()):
+        return ()
+    lasts_s = float(np.median((every.stretches.end[last] - every.stretches.begin[first])[whole]))
+    if circuit.lower_cutoff * lasts_s < FORGOTTEN:
+        return ()
+    cutoff_hz = circuit.lower_cutoff / (2 * math.pi)
+    return (f"what a lower cutoff of {cutoff_hz:.3g} Hz remembers from before {lasts_s:.2g} s of a pixel's events",)
 
 
 def _touched(effect, neutral: Circuit) -> set[str]:

@@ -17,7 +17,7 @@ from pixelid.nerf.beside import Beside
 from pixelid.nerf.calibration import CIRCUIT, Calibration, of_fit, uncertainty_of_fit, unexplained_by
 from pixelid.nerf.dataset import CALIBRATION, Dataset, evaluation_views, write_poses
 from pixelid.nerf.evaluate import Scores, evaluate, evaluate_as_published, no_scores, render_views
-from pixelid.nerf.ignored import ignored_effects
+from pixelid.nerf.ignored import forgotten, ignored_effects
 from pixelid.nerf.judged import keep_best, train_judged
 from pixelid.nerf.pixel import FILTER, Bandwidth
 from pixelid.nerf.pixel_maps import maps_of_sensor
@@ -287,6 +287,8 @@ def reconstruct(
             found = {**found, "effects": [*found["effects"], hot]}
         mark = checkpoint.run_identity(problem, recipe, bandwidth, inputs)
     ignored = (*ignored_effects(problem.circuit), *(maps.unused if maps else ()), *unexplained_by(fit))
+    if bandwidth.mode != "off":
+        ignored += forgotten(problem.circuit, problem.training)
     if problem.circuit.refractory < calibration.circuit.refractory:
         ignored += (f"a dead time beyond {problem.circuit.refractory:.3g} s, for intervals between events are shorter",)
     state = None
