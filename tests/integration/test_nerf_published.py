@@ -1,6 +1,7 @@
 """Published layouts, written here from the simulator's events, become datasets, and those reconstructions."""
 
 import json
+import re
 import shutil
 from pathlib import Path
 from types import SimpleNamespace
@@ -14,7 +15,7 @@ from pixelid.cli.main import main
 from pixelid.errors import InputError
 from pixelid.nerf.camera import Camera
 from pixelid.nerf.dataset import read_dataset
-from pixelid.nerf.published import esim
+from pixelid.nerf.published import esim, esim_flags
 from pixelid.nerf.published.undistort import pinhole_of, undistorted
 from pixelid.nerf.scenes import procedural
 from pixelid.nerf.synthetic import SETTINGS
@@ -293,6 +294,47 @@ def test_flags_and_views_beside_a_bag_make_a_complete_dataset(made, truth, tmp_p
     for stage, views in expected.views.items():
         np.testing.assert_array_equal(data.views[stage].images, views.images)
         assert data.views[stage].names == views.names
+    (spread,) = json.loads((tmp_path / "scene" / "dataset.json").read_text())["notes"]
+    assert "differ by default by 0.021" in spread
+
+
+def flags_in(folder: Path, *lines: str) -> tuple[Path, dict[str, str]]:
+    conf = folder / "esim.conf"
+    conf.write_text("\n".join(lines) + "\n")
+    return conf, esim_flags.read_flags(conf)
+
+
+EXACT = ("--contrast_threshold_sigma_pos=0", "--contrast_threshold_sigma_neg=0")
+
+
+@pytest.mark.parametrize(
+    ("lines", "says"),
+    [
+        (EXACT, []),
+        ((*EXACT, "--leak_rate_hz=0.5"), ["leak of 0.5 ON thresholds a second .* --train leak, --gap, or --fit"]),
+        (EXACT[1:], ["by default by 0.021 in their ON and 0 in .* --gap, or --fit with .* threshold_mismatch"]),
+        (("--contrast_threshold_sigma_neg=0.03", EXACT[0]), ["differ by 0 in their ON and 0.03 in"]),
+        (("--leak_rate_hz=2",), ["leak of 2 ON", "0.021 in their ON and 0.021 in their OFF"]),
+    ],
+)
+def test_what_acts_in_the_simulator_and_not_in_the_dataset_is_told(lines, says, tmp_path):
+    notes = esim_flags.notes_of(*flags_in(tmp_path, *lines))
+    assert len(notes) == len(says)
+    for note, pattern in zip(notes, says, strict=True):
+        assert re.search(pattern, note)
+
+
+def test_a_lower_cutoff_alone_is_a_circuit(tmp_path):
+    assert esim_flags.pixel_of(*flags_in(tmp_path, "--lower_cutoff_freq_hz=0.01"))["lower_cutoff_freq"] == 0.01
+    assert "lower_cutoff_freq" not in esim_flags.pixel_of(*flags_in(tmp_path, "--refractory_period_ns=1000"))
+
+
+def test_events_of_images_without_a_logarithm_are_refused(tmp_path):
+    esim_flags.pixel_of(*flags_in(tmp_path, "--use_log_image=1"))
+    with pytest.raises(InputError, match=r"esim\.conf: --use_log_image: expected true, found '0'"):
+        esim_flags.pixel_of(*flags_in(tmp_path, "--use_log_image=0"))
+    with pytest.raises(InputError, match="expected true or false, found 'perhaps'"):
+        esim_flags.pixel_of(*flags_in(tmp_path, "--use_log_image=perhaps"))
 
 
 def test_start_end_and_every_choose_whole_pixels_of_a_time(truth, tmp_path):

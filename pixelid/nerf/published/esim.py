@@ -14,7 +14,7 @@ import numpy as np
 
 from pixelid.errors import InputError
 from pixelid.nerf.camera import Camera
-from pixelid.nerf.published.esim_flags import pixel_of, read_flags, renderer_of
+from pixelid.nerf.published.esim_flags import notes_of, pixel_of, read_flags, renderer_of
 from pixelid.nerf.published.source import Block, Pictures, Poses, Source, camera_of, poses_of
 from pixelid.nerf.views import FOLDER
 from pixelid.recordings.ros import header_stamp, opened_bag, record_columns, record_types
@@ -57,7 +57,7 @@ def read(path: Path, camera: str = "") -> Source:
     pixel: dict[str, Any] = dict.fromkeys(("pos_contrast_threshold", "neg_contrast_threshold"), THRESHOLD)
     if conf is not None:
         flags = read_flags(conf)
-        pixel, renderer, notes = pixel_of(conf, flags), renderer_of(conf, flags), ()
+        pixel, renderer, notes = pixel_of(conf, flags), renderer_of(conf, flags), notes_of(conf, flags)
     else:
         renderer, notes = None, (f"thresholds of {THRESHOLD} are assumed, and the circuit is unknown: no esim.conf",)
     return Source(

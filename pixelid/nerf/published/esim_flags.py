@@ -1,6 +1,7 @@
 """The file of flags that the improved ESIM of Deblur e-NeRF ran with: thresholds and circuit in units of intensity.
 
-Flags as of github.com/wengflow/rpg_esim at 839166d, with that program's defaults for what a file leaves out.
+Flags as of github.com/wengflow/rpg_esim at 839166d, with that program's defaults for what a file leaves out.  Its leak
+is of ON thresholds per second, and its sigmas are those of each pixel's own thresholds, drawn once.
 """
 
 from __future__ import annotations
@@ -15,13 +16,19 @@ from pixelid.documents import read_text
 from pixelid.errors import InputError
 
 DEFAULTS = {
-    "contrast_threshold_pos": 1.0, "contrast_threshold_neg": 1.0, "refractory_period_ns": 0.0,
+    "contrast_threshold_pos": 1.0, "contrast_threshold_neg": 1.0, "contrast_threshold_sigma_pos": 0.021,
+    "contrast_threshold_sigma_neg": 0.021, "refractory_period_ns": 0.0, "leak_rate_hz": 0.0,
     "I_p_to_intensity_ratio_fa": math.inf, "dark_current_fa": 0.0, "amplifier_gain": math.inf, "back_gate_coeff": 0.7,
     "thermal_voltage_mv": 25.0, "photodiode_cap_ff": 0.0, "miller_cap_ff": 0.0, "output_time_const_us": 0.0,
     "lower_cutoff_freq_hz": 0.0, "sf_cutoff_freq_hz": math.inf, "diff_amp_cutoff_freq_hz": math.inf, "log_eps": 1e-3,
     "blender_interm_color_space": 0.0,
 }  # fmt: skip
-CIRCUIT = ("I_p_to_intensity_ratio_fa", "photodiode_cap_ff", "sf_cutoff_freq_hz", "diff_amp_cutoff_freq_hz")
+SWITCHES = {"simulate_color_events": False, "use_log_image": True}
+ON_WORDS, OFF_WORDS = ("1", "t", "true", "y", "yes"), ("0", "f", "false", "n", "no")  # as gflags reads them
+CIRCUIT = (
+    "I_p_to_intensity_ratio_fa", "photodiode_cap_ff", "lower_cutoff_freq_hz", "sf_cutoff_freq_hz",
+    "diff_amp_cutoff_freq_hz",
+)  # fmt: skip
 COLOUR_SPACES = ("display", "linear")
 BLENDER = 4  # renderer_type whose images have a colour space
 FF_MV = 1e-3  # fF · mV in fA · s: 1e-15 F · 1e-3 V = 1e-18 C
@@ -47,14 +54,20 @@ def pixel_of(file: Path, flags: dict[str, str]) -> dict[str, Any]:
     """The keys of `camera_calibration.npz` that flags tell: those of the circuit only where the file has any of them.
 
     Raises:
-        InputError: a flag that is no number.
+        InputError: a flag that is no number, or events of images that are not turned into logarithms.
     """
+    if not _switch(file, flags, "use_log_image"):
+        raise InputError(
+            f"{file}: --use_log_image: expected true, found {flags['use_log_image']!r}: events of changes of the "
+            "images' values themselves, where a pixel takes their logarithm"
+        )
+    colour = _switch(file, flags, "simulate_color_events")
     value = {name: _number(file, flags, name) for name in DEFAULTS}
     pixel: dict[str, Any] = {
         "pos_contrast_threshold": value["contrast_threshold_pos"],
         "neg_contrast_threshold": value["contrast_threshold_neg"],
         "refractory_period": value["refractory_period_ns"],
-        "bayer_pattern": "RGGB" if colour_events(flags) else "",
+        "bayer_pattern": "RGGB" if colour else "",
     }
     if not set(CIRCUIT) & set(flags):
         return pixel
@@ -63,7 +76,7 @@ def pixel_of(file: Path, flags: dict[str, str]) -> dict[str, Any]:
     return pixel | {
         "input_time_const_eff_it_prod": value["photodiode_cap_ff"] * charge / ratio,
         "miller_time_const_eff_it_prod": value["miller_cap_ff"] * charge / ratio,
-        "black_level": np.full(3 if colour_events(flags) else 1, value["dark_current_fa"] / ratio),
+        "black_level": np.full(3 if colour else 1, value["dark_current_fa"] / ratio),
         "amplifier_gain": value["amplifier_gain"],
         "closed_loop_gain": 1 / value["back_gate_coeff"],
         "output_time_const": 1e-6 * value["output_time_const_us"],
@@ -83,9 +96,36 @@ def renderer_of(file: Path, flags: dict[str, str]) -> dict[str, Any] | None:
     return {"interm_color_space": COLOUR_SPACES[int(space)], "log_eps": _number(file, flags, "log_eps")}
 
 
-def colour_events(flags: dict[str, str]) -> bool:
-    """Whether the sensor is behind a colour filter array."""
-    return flags.get("simulate_color_events", "false").lower() in ("true", "1", "yes")
+def notes_of(file: Path, flags: dict[str, str]) -> tuple[str, ...]:
+    """What acted in the simulator and has no place in `camera_calibration.npz`, with what a reconstruction can do.
+
+    Raises:
+        InputError: a flag that is no number.
+    """
+    names = ("contrast_threshold_sigma_pos", "contrast_threshold_sigma_neg")
+    leak, *sigmas = (_number(file, flags, name) for name in ("leak_rate_hz", *names))
+    notes = []
+    if leak > 0:
+        notes.append(
+            f"leak of {leak:g} ON thresholds a second (--leak_rate_hz), which the dataset cannot say: pixelid "
+            "reconstruct needs --train leak, --gap, or --fit with a model that has leak"
+        )
+    if any(sigmas):
+        by_default = "" if set(names) <= set(flags) else " by default"
+        notes.append(
+            f"pixels differ{by_default} by {sigmas[0]:g} in their ON and {sigmas[1]:g} in their OFF thresholds "
+            "(--contrast_threshold_sigma_pos, --contrast_threshold_sigma_neg), which the dataset cannot say: pixelid "
+            "reconstruct needs --gap, or --fit with a model that has threshold_mismatch"
+        )
+    return tuple(notes)
+
+
+def _switch(file: Path, flags: dict[str, str], name: str) -> bool:
+    """A flag that is true or false."""
+    word = flags.get(name, str(SWITCHES[name])).lower()
+    if word not in (*ON_WORDS, *OFF_WORDS):
+        raise InputError(f"{file}: --{name}: expected true or false, found {flags[name]!r}")
+    return word in ON_WORDS
 
 
 def _number(file: Path, flags: dict[str, str], name: str) -> float:
