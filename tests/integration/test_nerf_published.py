@@ -335,6 +335,21 @@ def test_events_of_images_without_a_logarithm_are_refused(tmp_path):
         esim_flags.pixel_of(*flags_in(tmp_path, "--use_log_image=0"))
     with pytest.raises(InputError, match="expected true or false, found 'perhaps'"):
         esim_flags.pixel_of(*flags_in(tmp_path, "--use_log_image=perhaps"))
+    with pytest.raises(InputError, match="--use_log_image: expected true"):
+        esim_flags.pixel_of(*flags_in(tmp_path, "--nouse_log_image"))
+
+
+@pytest.mark.parametrize(
+    ("lines", "bayer"),
+    [
+        (("--simulate_color_events", "--nosimulate_color_events"), ""),
+        (("--nosimulate_color_events", "-simulate_color_events"), "RGGB"),
+        (("--simulate_color_events=Yes",), "RGGB"),
+        (("--simulate_color_events=f",), ""),
+    ],
+)
+def test_the_last_of_a_flag_and_its_negation_counts(lines, bayer, tmp_path):
+    assert esim_flags.pixel_of(*flags_in(tmp_path, *lines))["bayer_pattern"] == bayer
 
 
 def test_start_end_and_every_choose_whole_pixels_of_a_time(truth, tmp_path):

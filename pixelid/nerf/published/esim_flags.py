@@ -35,10 +35,10 @@ FF_MV = 1e-3  # fF · mV in fA · s: 1e-15 F · 1e-3 V = 1e-18 C
 
 
 def read_flags(file: Path) -> dict[str, str]:
-    """Flag → value of lines `--flag=value`, `--flag` (true) and `--noflag` (false).
+    """Flag → value of lines `--flag=value`, `--flag` (true) and, of `SWITCHES`, `--noflag` (false); the last one counts.
 
     Raises:
-        InputError: the file cannot be read, or a number that is needed is none.
+        InputError: the file cannot be read.
     """
     flags = {}
     for line in read_text(file, "CSV").splitlines():
@@ -46,7 +46,10 @@ def read_flags(file: Path) -> dict[str, str]:
         if words.startswith("-"):
             name, is_given, value = words.lstrip("-").partition("=")
             name, value = name.strip(), value.strip().strip("\"'")
-            flags[name] = value if is_given else "true"
+            if name.removeprefix("no") in SWITCHES and name not in SWITCHES:
+                flags[name.removeprefix("no")] = "false"
+            else:
+                flags[name] = value if is_given else "true"
     return flags
 
 
