@@ -339,6 +339,24 @@ def test_events_of_images_without_a_logarithm_are_refused(tmp_path):
         esim_flags.pixel_of(*flags_in(tmp_path, "--nouse_log_image"))
 
 
+@pytest.mark.parametrize("value", ["0", "-0.25", "inf", "nan", "", "x"])
+@pytest.mark.parametrize("polarity", ["pos", "neg"])
+def test_thresholds_that_are_none_are_refused_where_they_are_read(polarity, value, tmp_path):
+    name = f"--contrast_threshold_{polarity}"
+    with pytest.raises(InputError, match=rf"esim\.conf: {name}: expected a number above 0, finite, found '{value}'"):
+        esim_flags.pixel_of(*flags_in(tmp_path, f"{name}={value}"))
+
+
+def test_what_is_left_out_of_a_circuit_is_infinite(tmp_path):
+    """Cutoffs are; a dark current is not, and is none by 0."""
+    pixel = esim_flags.pixel_of(*flags_in(tmp_path, "--sf_cutoff_freq_hz=inf", "--dark_current_fa=0"))
+    assert pixel["sf_cutoff_freq"] == np.inf
+    with pytest.raises(InputError, match="--dark_current_fa: expected a number of at least 0, finite, found 'inf'"):
+        esim_flags.pixel_of(*flags_in(tmp_path, "--dark_current_fa=inf"))
+    with pytest.raises(InputError, match="--sf_cutoff_freq_hz: expected a number above 0, found '0'"):
+        esim_flags.pixel_of(*flags_in(tmp_path, "--sf_cutoff_freq_hz=0"))
+
+
 @pytest.mark.parametrize(
     ("lines", "bayer"),
     [

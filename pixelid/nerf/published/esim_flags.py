@@ -23,6 +23,10 @@ DEFAULTS = {
     "lower_cutoff_freq_hz": 0.0, "sf_cutoff_freq_hz": math.inf, "diff_amp_cutoff_freq_hz": math.inf, "log_eps": 1e-3,
     "blender_interm_color_space": 0.0,
 }  # fmt: skip
+ABOVE_0 = (
+    "contrast_threshold_pos", "contrast_threshold_neg", "I_p_to_intensity_ratio_fa", "amplifier_gain",
+    "back_gate_coeff", "sf_cutoff_freq_hz", "diff_amp_cutoff_freq_hz",
+)  # fmt: skip
 SWITCHES = {"simulate_color_events": False, "use_log_image": True}
 ON_WORDS, OFF_WORDS = ("1", "t", "true", "y", "yes"), ("0", "f", "false", "n", "no")  # as gflags reads them
 CIRCUIT = (
@@ -35,7 +39,7 @@ FF_MV = 1e-3  # fF · mV in fA · s: 1e-15 F · 1e-3 V = 1e-18 C
 
 
 def read_flags(file: Path) -> dict[str, str]:
-    """Flag → value of lines `--flag=value`, `--flag` (true) and, of `SWITCHES`, `--noflag` (false); the last one counts.
+    """Flag → value of lines `--flag=value`, `--flag` (true) and, of `SWITCHES`, `--noflag` (false); the last counts.
 
     Raises:
         InputError: the file cannot be read.
@@ -132,10 +136,13 @@ def _switch(file: Path, flags: dict[str, str], name: str) -> bool:
 
 
 def _number(file: Path, flags: dict[str, str], name: str) -> float:
+    """A flag in its range; infinite where that is the default, which leaves something out."""
     try:
         value = float(flags.get(name, DEFAULTS[name]))
     except ValueError:
         value = math.nan
-    if math.isnan(value) or value < 0 or (name in ("back_gate_coeff", "I_p_to_intensity_ratio_fa") and value == 0):
-        raise InputError(f"{file}: --{name}: expected a number, found {flags[name]!r}")
+    low, high = (value > 0 if name in ABOVE_0 else value >= 0), (value < math.inf or DEFAULTS[name] == math.inf)
+    if not (low and high):
+        wanted = f"{'above' if name in ABOVE_0 else 'of at least'} 0{'' if DEFAULTS[name] == math.inf else ', finite'}"
+        raise InputError(f"{file}: --{name}: expected a number {wanted}, found {flags[name]!r}")
     return value
