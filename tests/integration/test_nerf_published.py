@@ -15,7 +15,7 @@ from pixelid.cli.main import main
 from pixelid.errors import InputError
 from pixelid.nerf.camera import Camera
 from pixelid.nerf.dataset import read_dataset
-from pixelid.nerf.published import esim, esim_flags
+from pixelid.nerf.published import esim, esim_flags, tumvie
 from pixelid.nerf.published.undistort import pinhole_of, undistorted
 from pixelid.nerf.scenes import procedural
 from pixelid.nerf.synthetic import SETTINGS
@@ -420,6 +420,24 @@ def test_tumvie(truth, tmp_path):
     way = Trajectory((t - t[0]) * 1e-9, truth["T_wc_position"], truth["T_wc_orientation"])
     position, rotation = way.at((truth["frame_t"][::2] - t[0]) * 1e-9)
     np.testing.assert_allclose(data.views["val"].position, position + rotation @ BESIDE[:3, 3], atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("file", "rig"),
+    [
+        ("mocap-desk2-vi_gt_data/mocap-desk2-events_left.h5", "A"),
+        ("mocap-desk_and_6dof/mocap-6dof/mocap-6dof-events_left.h5", "B"),
+        ("mocap-desk_and_6dof/mocap-6dof/events_left.h5", "B"),
+        ("mocap-desk_and_6dof/mocap-6dof/events_left/events_left.h5", "B"),
+        ("mocap-desk_and_6dof/mocap-6dof/events_left/0001.h5", "B"),
+        ("6dof/skate-easy/events_left/0001.h5", "A"),
+        ("6dof/loop-floor0/events_left.h5", "A"),
+        ("loop-floor0/../mocap-6dof/events_left.h5", "B"),
+    ],
+)
+def test_the_sequence_says_which_calibration(file, rig, tmp_path):
+    """Not a folder further up."""
+    assert tumvie._rig(tmp_path / file, "events_left") == rig
 
 
 def test_blosc_is_read_where_its_filter_is_installed(truth, tmp_path):

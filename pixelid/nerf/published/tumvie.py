@@ -9,6 +9,7 @@ left_images/                image_timestamps_left.txt (µs), image_exposures_lef
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -64,7 +65,7 @@ def read(path: Path, camera: str = "left") -> Source:
     if not path.is_dir():
         raise InputError(f"{path}: expected the folder of a sequence with *events_{side}.h5 and mocap_data.txt")
     events, mocap = wanted(path, f"*events_{side}.h5", f"events_{side}/*.h5"), wanted(path, "mocap_data.txt")
-    rig = "A" if any(name in str(events) for name in RIG_A) else "B"
+    rig = _rig(events, f"events_{side}")
     cameras = wanted(path, f"camera-calibration{rig}.json", "camera-calibration*.json", "calibration*.json")
     marker = wanted(path, f"mocap-imu-calibration{rig}.json", "mocap-imu-calibration*.json")
     content, frame, sensor = _content(cameras), *SIDES[side]
@@ -87,6 +88,17 @@ def read(path: Path, camera: str = "left") -> Source:
         "tumvie", _camera(content, sensor, cameras), poses, events_of(events), pictures, pixel, None, None, NOTES,
         (events, mocap, cameras, marker),
     )  # fmt: skip
+
+
+def _rig(events: Path, ending: str) -> str:
+    """Which calibration, A or B: by the file's name or, where that says the side alone, its folder's.
+
+    events: NAME-events_left.h5, NAME/events_left.h5 or NAME/events_left/….h5;  ending: "events_left"
+    """
+    place = Path(os.path.abspath(events))  # where it is named, whatever links lead to
+    names = (place.stem if place.stem.endswith(ending) else "", *(folder.name for folder in place.parents))
+    sequence = next((name for name in names if name not in ("", ending)), "")
+    return "A" if any(name in sequence for name in RIG_A) else "B"
 
 
 def _content(file: Path) -> Mapping[str, Any]:
