@@ -420,6 +420,29 @@ def test_tumvie(truth, tmp_path):
     way = Trajectory((t - t[0]) * 1e-9, truth["T_wc_position"], truth["T_wc_orientation"])
     position, rotation = way.at((truth["frame_t"][::2] - t[0]) * 1e-9)
     np.testing.assert_allclose(data.views["val"].position, position + rotation @ BESIDE[:3, 3], atol=1e-4)
+    notes = json.loads((tmp_path / "out" / "dataset.json").read_text())["notes"]
+    assert any("exposures of the views are taken as equal" in note for note in notes)
+
+
+@pytest.mark.parametrize(
+    ("exposures", "told"),
+    [
+        ([1, 2, 3, 4, 5, 6], []),
+        ([1, 2, 3], ["3 of them for 6 pictures"]),
+        ([1, 2, 0, 4, 5, 6], ["one is not a positive number"]),
+        (None, ["image_exposures_left.txt: no such file"]),
+    ],
+)
+def test_exposures_that_are_not_known_are_told(exposures, told, tmp_path):
+    folder = tmp_path / "left_images"
+    write_pictures(folder, "{:05d}.jpg", np.zeros((6, 4, 4), np.uint8))
+    np.savetxt(folder / "image_timestamps_left.txt", np.arange(6))
+    if exposures is not None:
+        np.savetxt(folder / "image_exposures_left.txt", exposures)
+    pictures = tumvie._pictures(tmp_path, "left", Camera(np.eye(3), 4, 4, np.empty(0)), np.eye(4))
+    np.testing.assert_array_equal(pictures.exposure, np.ones(6) if told else exposures)
+    assert len(pictures.notes) == len(told)
+    assert all(why in note for why, note in zip(told, pictures.notes, strict=True))
 
 
 @pytest.mark.parametrize(

@@ -231,6 +231,8 @@ def _notes(source: Source, thresholds, known: bool, views: Mapping[str, int]) ->
     notes = [note for note in source.notes if not (given and note.startswith("thresholds"))]
     if not known:
         notes.append("pixelid reconstruct needs --fit with the pixel of this camera, or --bandwidth off")
+    if views and source.views is None and source.pictures is not None:
+        notes += source.pictures.notes
     if not views:
         notes.append("no views: the reconstruction has no scores")
     return notes

@@ -45,7 +45,8 @@ class Pictures:
     """Frames of a camera that moves with the event sensor.
 
     t: (n,) int64 ns;  names: n;  exposure: (n,) exposure × gain up to a factor;  camera: that took them;
-    pose: (4, 4) from its frame to the event sensor's;  read: indices in increasing order → the pictures in that order
+    pose: (4, 4) from its frame to the event sensor's;  read: indices in increasing order → the pictures in that order;
+    notes: what was assumed of them
     """
 
     t: np.ndarray
@@ -54,6 +55,7 @@ class Pictures:
     camera: Camera
     pose: np.ndarray
     read: Callable[[np.ndarray], Iterator[np.ndarray]]
+    notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -152,15 +152,25 @@ def _pictures(path: Path, side: str, camera: Camera, pose: np.ndarray) -> Pictur
     t = nanoseconds(stamps, read_table(stamps, 1)[:, -1], 1e3)
     if len(files) != len(t):
         raise InputError(f"{stamps}: expected a time for each of {len(files)} pictures, found {len(t)}")
-    exposures = stamps.with_name(f"image_exposures_{side}.txt")
-    exposure = read_table(exposures, 1)[:, -1] if exposures.is_file() else np.ones(len(t))
-    if len(exposure) != len(t) or not (np.isfinite(exposure) & (exposure > 0)).all():
-        exposure = np.ones(len(t))
-
     kept = slice(SETTLING if len(t) > 2 * SETTLING else 0, None)
-    files, t, exposure = files[kept], t[kept], exposure[kept]
+    exposure, notes = _exposure(stamps.with_name(f"image_exposures_{side}.txt"), len(t), kept)
+    files, t = files[kept], t[kept]
 
     def read_some(which: np.ndarray) -> Iterator[np.ndarray]:
         return (read_picture(files[k]) for k in which)
 
-    return Pictures(t, tuple(file.stem for file in files), exposure, camera, pose, read_some)
+    return Pictures(t, tuple(file.stem for file in files), exposure, camera, pose, read_some, notes)
+
+
+def _exposure(file: Path, pictures: int, kept: slice) -> tuple[np.ndarray, tuple[str, ...]]:
+    """Those of the pictures that are kept, 1 where they are not known, which is then said."""
+    exposure = read_table(file, 1)[:, -1] if file.is_file() else np.empty(0)
+    if not file.is_file():
+        why = "no such file"
+    elif len(exposure) != pictures:
+        why = f"{len(exposure)} of them for {pictures} pictures"
+    elif not (np.isfinite(exposure[kept]) & (exposure[kept] > 0)).all():
+        why = "one is not a positive number"
+    else:
+        return exposure[kept], ()
+    return np.ones(pictures)[kept], (f"exposures of the views are taken as equal ({file.name}: {why})",)
