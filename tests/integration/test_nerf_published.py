@@ -470,6 +470,42 @@ def test_blosc_is_read_where_its_filter_is_installed(truth, tmp_path):
     same_events(read_dataset(tmp_path / "out"), truth, tick_ns=1000)
 
 
+def never_read(begin: int, end: int):
+    raise AssertionError("events were read before the views were looked at")
+
+
+@pytest.mark.parametrize(
+    ("wrong", "views", "says"),
+    [
+        ("nothing", 2, "events were read"),
+        ("nothing", 1, "--views 1"),
+        ("lens", 2, "no pinhole view fits"),
+        ("size", 2, "pictures of 5 × 4 pixels, but the calibration says 8 × 8"),
+        ("posed", 2, "gone: no such picture"),
+    ],
+)
+def test_views_are_refused_before_events_are_read(wrong, views, says, tmp_path, monkeypatch):
+    from pixelid.nerf.published import convert
+    from pixelid.nerf.published.source import Pictures, Poses, Source
+
+    K = np.array([[8.0, 0, 3.5], [0, 8, 3.5], [0, 0, 1]])
+    lens = np.array([500.0, 0, 0, 0]) if wrong == "lens" else np.empty(0)
+    camera = Camera(K, 8, 8, lens, "plumb_bob")
+    t = np.arange(4) * 10**9
+    image = np.zeros((4, 5) if wrong == "size" else (8, 8), np.uint8)
+    pictures = Pictures(t, tuple("abcd"), np.ones(4), camera, np.eye(4), lambda which: (image for _ in which))
+    (tmp_path / "posed").mkdir()
+    (tmp_path / "posed" / "transforms_test.json").write_text(json.dumps({"frames": [{"file_path": "gone"}]}))
+    poses = Poses(t, np.zeros((4, 3)), np.tile([0.0, 0, 0, 1], (4, 1)))
+    source = Source(
+        "esim", camera, poses, never_read, pictures, {}, tmp_path / "posed" if wrong == "posed" else None, None, (), ()
+    )
+    monkeypatch.setitem(convert.LAYOUTS, "esim", lambda path, camera: source)
+    (tmp_path / "out").mkdir()
+    with pytest.raises(AssertionError if wrong == "nothing" and views == 2 else InputError, match=says):
+        convert.convert(tmp_path, "esim", tmp_path / "out", views=views)
+
+
 def test_a_single_picture_is_refused(truth, tmp_path, capsys):
     folder = write_tumvie(tmp_path / "raw", truth, chunks=(512,))
     assert main(["dataset", "tumvie", str(folder), str(tmp_path / "out"), "--quiet", "--views", "1"]) == 2
@@ -595,7 +631,7 @@ def peak_bytes_of_events(folder: Path, copies: int, truth, monkeypatch) -> int:
         if what == "events" and not held:
             tracemalloc.reset_peak()
             held.append(tracemalloc.get_traced_memory()[0])
-        elif what == "views":
+        elif what == "events" and share == 1.0:
             held.append(tracemalloc.get_traced_memory()[1])
 
     tracemalloc.start()

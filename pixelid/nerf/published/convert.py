@@ -103,6 +103,8 @@ def convert(
     source = LAYOUTS[kind](path, camera)
     window = window_of(source.poses, start, end)
     kept = _pixels(source.camera, every, seed)
+    progress("views", 0.0)
+    number = _views(folder, source, window, views)  # first: what is wrong with them is said before all events are read
     counts, rate, events = _write_events(folder, source, window, kept, round(time_offset * 1e9), progress)
     np.savez(
         folder / POSES, T_wc_position=window.poses.position, T_wc_orientation=window.poses.orientation,
@@ -113,8 +115,6 @@ def convert(
     np.savez(folder / layout.FILE, **_geometry(source.camera), **pixel, **which)
     if source.renderer is not None:
         np.savez(folder / RENDERER, **source.renderer)
-    progress("views", 0.9)
-    number = _views(folder, source, window, views)
     known = set(layout.CIRCUIT) <= set(pixel)
     content = {
         "status": Status.converged,
@@ -174,7 +174,7 @@ def _write_events(folder: Path, source: Source, window: Window, kept: np.ndarray
             file.add(t, x, y, on)
             counts += np.bincount(y.astype(np.int64) * width + x, minlength=height * width)
             histogram += np.bincount((t * BINS // (span + 1)), minlength=BINS)
-            progress("events", 0.9 * min(max((last - window.begin) / span, 0.0), 1.0))
+            progress("events", 0.1 + 0.8 * min(max((last - window.begin) / span, 0.0), 1.0))
         if file.events == 0:
             if other:
                 raise InputError(f"--every: none of the {other} events is of a pixel that is kept")
@@ -184,6 +184,7 @@ def _write_events(folder: Path, source: Source, window: Window, kept: np.ndarray
                 "(--time-offset moves the events)"
             )
         number = file.events
+    progress("events", 1.0)
     rate = histogram / (span * 1e-9 / BINS)
     return counts.reshape(height, width), rate, {"kept": number, "of_other_pixels": other, "read_outside": outside}
 
