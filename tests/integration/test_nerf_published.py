@@ -440,6 +440,7 @@ def test_exposures_that_are_not_known_are_told(exposures, told, tmp_path):
     if exposures is not None:
         np.savetxt(folder / "image_exposures_left.txt", exposures)
     pictures = tumvie._pictures(tmp_path, "left", Camera(np.eye(3), 4, 4, np.empty(0)), np.eye(4))
+    assert pictures is not None
     np.testing.assert_array_equal(pictures.exposure, np.ones(6) if told else exposures)
     assert len(pictures.notes) == len(told)
     assert all(why in note for why, note in zip(told, pictures.notes, strict=True))
