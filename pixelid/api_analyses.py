@@ -183,18 +183,16 @@ def reconstruct(
         >>> import pixelid as px
         >>> px.reconstruct("scene/", fit="fit/")  # doctest: +SKIP
     """
+    from pixelid.nerf.asked import one_of
     from pixelid.nerf.dataset import read_dataset
     from pixelid.nerf.pixel import TRAINABLE, Bandwidth
     from pixelid.nerf.poses import Refinement
     from pixelid.nerf.recipe import Recipe
     from pixelid.nerf.reconstruct import reconstruct as run
 
-    if bandwidth not in ("on", "off", "joint"):
-        raise InputError(f"bandwidth: expected on, off or joint, found {bandwidth!r}")
+    one_of("bandwidth", bandwidth, ("on", "off", "joint"))
     if unknown := [name for name in trained if name not in TRAINABLE]:
         raise InputError(f"trained: expected names of {', '.join(TRAINABLE)}, found {unknown[0]!r}")
-    if protocol not in ("strict", "paper"):
-        raise InputError(f"protocol: expected strict or paper, found {protocol!r}")
     recipe = Recipe.asked(
         steps=iterations, batch=batch, cells=cells, harmonics=harmonics, between_poses=between_poses,
         refinement=Refinement.of(refine_time, refine_poses), regularisation=regularisation, unbounded=unbounded,

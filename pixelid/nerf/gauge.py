@@ -17,6 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pixelid.errors import InputError
+from pixelid.nerf.asked import number, one_of
 from pixelid.nerf.camera import Camera
 from pixelid.nerf.dataset import Dataset, evaluation_views
 from pixelid.nerf.trajectory import Trajectory
@@ -69,8 +70,11 @@ def gauge_of(dataset: Dataset, background: float | None = None, scale: str = "au
     one of `SCALES`, "auto" for the background where there is one
 
     Raises:
-        InputError: the scale is to come from views, and the dataset has none.
+        InputError: another scale than these, a background that is not above 0; the scale is to come from views, and the
+            dataset has none.
     """
+    one_of("scale", scale, SCALES)
+    background = None if background is None else number("background", background, above=0.0)
     channels = dataset.calibration.channels
     reference, _ = evaluation_views(dataset)
     if len(reference) == 0:

@@ -10,6 +10,7 @@ import numpy as np
 
 from pixelid.errors import InputError
 from pixelid.nerf.additions import tilts
+from pixelid.nerf.asked import number, numbers
 from pixelid.nerf.calibration import Calibration
 from pixelid.nerf.dataset import Dataset
 from pixelid.nerf.gauge import CLOSE_PIXELS, crossing_time, gauge_of, scene_box
@@ -68,18 +69,17 @@ def problem_of(
         What training works on.
 
     Raises:
-        InputError: no pixel has two events, or the box has no inside.
+        InputError: no pixel has two events, the box has no inside, or another argument is none that can be.
     """
     calibration = dataset.calibration if calibration is None else calibration
-    camera = calibration.camera
+    camera, gauge = calibration.camera, gauge_of(dataset, background, scale)
     if box is None:
         low, high = scene_box(dataset.trajectory, camera.half_angle)
     else:
-        low, high = np.asarray(box[:3], dtype=float), np.asarray(box[3:], dtype=float)
+        low, high = np.array(numbers("--box", box, 6)).reshape(2, 3)
     if not (high > low).all():
         raise InputError(f"--box: expected low corner below high corner, found {[*low.tolist(), *high.tolist()]}")
-    if not (math.isfinite(near) and near >= 0):
-        raise InputError(f"--near: expected a distance of at least 0, found {near}")
+    near = number("--near", near, least=0.0)
     circuit = calibration.circuit
     maps = maps_of_circuit(circuit, camera.width * camera.height) if maps is None else maps
     t, x, y, on = dataset.t, dataset.x, dataset.y, dataset.on
@@ -122,7 +122,7 @@ def problem_of(
     row, column = np.divmod(np.arange(camera.width * camera.height), camera.width)
     return Problem(
         training, held, dataset.trajectory, camera, calibration.channel_of(column, row), calibration.dark,
-        circuit, gauge_of(dataset, background, scale), low, high, maps, tilts(cut, circuit, trained),
+        circuit, gauge, low, high, maps, tilts(cut, circuit, trained),
         float(lengths.min()) if len(lengths) else 0.0, quiet, near, float(np.quantile(crossing, FASTEST)),
     )  # fmt: skip
 

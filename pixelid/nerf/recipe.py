@@ -5,12 +5,11 @@ from __future__ import annotations
 import dataclasses
 import math
 from dataclasses import dataclass
-from numbers import Integral
 from typing import Any
 
 import numpy as np
 
-from pixelid.errors import InputError
+from pixelid.nerf.asked import one_of, whole_number
 from pixelid.nerf.contraction import SIDE
 from pixelid.nerf.harmonics import HIGHEST_DEGREE
 from pixelid.nerf.intervals import CHAIN
@@ -33,6 +32,7 @@ BYTES_PER_SAMPLE, SAMPLES_PER_CHAIN, SAMPLES_PER_PAST = 2000, 24.0, 2.4
 MEMORY_SHARE = 0.25
 AUTO = "auto"  # steps by the number of changes
 CELLS, MOST_STEPS, MOST_BATCH = (8, 512), 1_000_000_000, 10_000_000  # what may be asked for
+MOST_SEED = 2**32 - 1  # of `cli.options.SEED`
 ELSEWHERE = ("iterations", "seed")  # in reconstruction.json
 
 
@@ -75,10 +75,9 @@ class Recipe:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        if self.regularisation not in CHOICES:
-            raise InputError(f"regularisation: expected {' or '.join(CHOICES)}, found {self.regularisation!r}")
-        if self.between_poses not in BETWEEN_POSES:
-            raise InputError(f"between_poses: expected {' or '.join(BETWEEN_POSES)}, found {self.between_poses!r}")
+        one_of("regularisation", self.regularisation, CHOICES)
+        one_of("between_poses", self.between_poses, BETWEEN_POSES)
+        whole_number("seed", self.seed, 0, MOST_SEED)
 
     @classmethod
     def asked(
@@ -106,11 +105,8 @@ class Recipe:
             ("cells", cells, CELLS), ("harmonics", harmonics, (0, HIGHEST_DEGREE)),
         )  # fmt: skip
         for name, value, (least, most) in limits:
-            if value is not None and (
-                isinstance(value, str) or not isinstance(value, Integral) or not least <= value <= most
-            ):
-                words = f" or {AUTO!r}" if name == "iterations" else ""
-                raise InputError(f"{name}: expected a whole number from {least} to {most}{words}, found {value!r}")
+            if value is not None:
+                whole_number(name, value, least, most, f" or {AUTO!r}" if name == "iterations" else "")
         usual = cls(
             degree=int(harmonics), between_poses=between_poses, refinement=refinement or Refinement(),
             regularisation=regularisation, unbounded=unbounded,

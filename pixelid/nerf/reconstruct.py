@@ -13,6 +13,7 @@ import torch
 
 from pixelid.errors import InputError
 from pixelid.nerf import checkpoint, parallel
+from pixelid.nerf.asked import one_of, whole_number
 from pixelid.nerf.beside import Beside
 from pixelid.nerf.calibration import CIRCUIT, Calibration, of_fit, uncertainty_of_fit, unexplained_by
 from pixelid.nerf.dataset import CALIBRATION, Dataset, evaluation_views, write_poses
@@ -41,6 +42,8 @@ LEARNED = 0.9  # share of held-out changes left unexplained, above which the fie
 # from a threshold hardly, has taken it along
 MOST_FAR = 5.0
 RESIDUALS = "residuals.npz"
+DEVICES, PROTOCOLS = ("auto", "cpu", "cuda"), ("strict", "paper")
+MOST_SAMPLES = 1000  # of the pixel's past
 LOOKS = 10  # running PSNR, per run
 SAVE_EVERY, SAVE_AFTER_S = 100, 30.0  # steps between checkpoints; sooner where steps take long
 
@@ -224,10 +227,13 @@ def reconstruct(
         InputError: input that cannot be used.
     """
     watch = time.perf_counter()
+    bandwidth = Bandwidth() if bandwidth is None else bandwidth
+    whole_number("samples", bandwidth.samples, 1, MOST_SAMPLES)
+    one_of("device", device, DEVICES)
+    one_of("protocol", protocol, PROTOCOLS)
     if preview is not None:
         refuse_preview(Path(preview), overwrite)
     other = None if beside is None else Beside.read(beside, dataset.files)
-    bandwidth = Bandwidth() if bandwidth is None else bandwidth
     recipe = replace(Recipe() if recipe is None else recipe, seed=seed).for_sensor(dataset.calibration.camera.width)
     device = ("cuda" if torch.cuda.is_available() else "cpu") if device == "auto" else device
     if device == "cuda" and not torch.cuda.is_available():

@@ -687,9 +687,25 @@ def test_the_function_takes_what_the_command_takes(made, tmp_path):
         {"batch": 0},
         {"iterations": "many"},
         {"protocol": "kind"},
+        {"scale": "levle"},
+        {"background": -1.0},
+        {"background": 0.0},
+        {"box": (0, 0, 0)},
+        {"box": (0, 0, 0, 1, 1, "x")},
+        {"near": -1.0},
+        {"refine_poses": (1.0,)},
+        {"refine_poses": (1.0, float("nan"))},
+        {"refine_time": -1.0},
+        {"refine_time": float("nan")},
+        {"samples": 0},
+        {"device": "gpu"},
+        {"seed": -1},
+        {"fit": "dvs128.toml", "radiance_scale": -1.0},
     )
+    save_model(find_model("dvs128"), tmp_path / "dvs128.toml")
     for wrong in wrongs:
-        with pytest.raises(InputError, match="expected"):
+        wrong = wrong | ({"fit": tmp_path / wrong["fit"]} if "fit" in wrong else {})
+        with pytest.raises(InputError, match=rf"^(--)?{[*wrong][-1]}: expected[^\n]*$"):
             px.reconstruct(made, **wrong)
 
 
