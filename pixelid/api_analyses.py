@@ -183,8 +183,8 @@ def reconstruct(
         >>> import pixelid as px
         >>> px.reconstruct("scene/", fit="fit/")  # doctest: +SKIP
     """
-    from pixelid.nerf.asked import one_of
     from pixelid.nerf.dataset import read_dataset
+    from pixelid.nerf.given import one_of
     from pixelid.nerf.pixel import TRAINABLE, Bandwidth
     from pixelid.nerf.poses import Refinement
     from pixelid.nerf.recipe import Recipe

@@ -50,12 +50,12 @@ class Beside:
         file = folder / SavedReconstruction.FILE
         with interpreting(file, "a reconstruction"):
             hashes = dict(scene.content["inputs_sha256"])
-            a, b, c = (np.atleast_1d(np.array(scene.content["correction"][key], dtype=float)) for key in "abc")
-            dark = np.atleast_1d(np.array(scene.content["pixel"]["dark"], dtype=float))
         for name, own in input_hashes(list(files)).items():
             if hashes.get(name) != own:
                 raise InputError(f"{folder}: expected a reconstruction of the same data, found one with another {name}")
-        return cls(scene, Correction(a, b, c), dark)
+        if scene.correction is None:
+            raise InputError(f"{file}: correction: missing; nothing was scored")
+        return cls(scene, scene.correction, scene.dark)
 
     def image(self, view: Views) -> np.ndarray:
         """(H, W, C) what it shows of a single view, clipped to what a picture holds."""

@@ -24,8 +24,8 @@ from pixelid.errors import InputError, shown
 from pixelid.model.model import Model
 from pixelid.model.shipped import find_model
 from pixelid.nerf.arrays import finite, has_none, intrinsics_of, read_arrays, scalar
-from pixelid.nerf.asked import number
 from pixelid.nerf.camera import DISTORTIONS, Camera, refuse_lens_without_inverse
+from pixelid.nerf.given import number
 from pixelid.nerf.pixel_maps import THRESHOLDS
 from pixelid.parameters.invariants import Physical
 from pixelid.recordings.events import MOST_PIXELS, MOST_SIDE

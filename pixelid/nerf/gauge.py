@@ -17,9 +17,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from pixelid.errors import InputError
-from pixelid.nerf.asked import number, one_of
 from pixelid.nerf.camera import Camera
 from pixelid.nerf.dataset import Dataset, evaluation_views
+from pixelid.nerf.given import number, one_of
 from pixelid.nerf.trajectory import Trajectory
 from pixelid.nerf.views import FOLDER, Views
 

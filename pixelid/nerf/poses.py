@@ -17,7 +17,7 @@ import numpy as np
 import torch
 from scipy.spatial.transform import Rotation
 
-from pixelid.nerf.asked import number, numbers
+from pixelid.nerf.given import number, numbers
 from pixelid.nerf.render import threads
 from pixelid.nerf.trajectory import Trajectory
 

@@ -10,10 +10,10 @@ import numpy as np
 
 from pixelid.errors import InputError
 from pixelid.nerf.additions import tilts
-from pixelid.nerf.asked import number, numbers
 from pixelid.nerf.calibration import Calibration
 from pixelid.nerf.dataset import Dataset
 from pixelid.nerf.gauge import CLOSE_PIXELS, crossing_time, gauge_of, scene_box
+from pixelid.nerf.given import number, numbers
 from pixelid.nerf.image_speed import crossing_times
 from pixelid.nerf.intervals import Intervals, intervals, split
 from pixelid.nerf.pixel_maps import PixelMaps, find_hot, maps_of_circuit, rate_of_hot

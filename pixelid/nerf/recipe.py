@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from pixelid.nerf.asked import one_of, whole_number
 from pixelid.nerf.contraction import SIDE
+from pixelid.nerf.given import one_of, whole_number
 from pixelid.nerf.harmonics import HIGHEST_DEGREE
 from pixelid.nerf.intervals import CHAIN
 from pixelid.nerf.losses import Weights

@@ -13,11 +13,11 @@ import torch
 
 from pixelid.errors import InputError
 from pixelid.nerf import checkpoint, parallel
-from pixelid.nerf.asked import one_of, whole_number
 from pixelid.nerf.beside import Beside
 from pixelid.nerf.calibration import CIRCUIT, Calibration, of_fit, uncertainty_of_fit, unexplained_by
 from pixelid.nerf.dataset import CALIBRATION, Dataset, evaluation_views, write_poses
 from pixelid.nerf.evaluate import Scores, evaluate, evaluate_as_published, no_scores, render_views
+from pixelid.nerf.given import one_of, whole_number
 from pixelid.nerf.ignored import forgotten, ignored_effects
 from pixelid.nerf.judged import keep_best, train_judged
 from pixelid.nerf.pixel import FILTER, Bandwidth
@@ -166,7 +166,7 @@ class Reconstruction(Result):
             What the folder holds.
 
         Raises:
-            InputError: no reconstruction there, or a damaged one.
+            InputError: no reconstruction there, a damaged one, or one that diverged.
         """
         return SavedReconstruction.load(folder)
 

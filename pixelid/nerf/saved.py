@@ -13,10 +13,12 @@ import torch
 
 from pixelid.arrays import load_arrays
 from pixelid.documents import interpreting
-from pixelid.errors import shown
+from pixelid.errors import InputError, shown
 from pixelid.nerf.bricks import Bricks
 from pixelid.nerf.contraction import LEAST_VERTICES
+from pixelid.nerf.correction import Correction
 from pixelid.nerf.field import Field
+from pixelid.nerf.given import numbers
 from pixelid.nerf.harmonics import HIGHEST_DEGREE, number_of
 from pixelid.results import Result, Table, check_kinds, number, read_result, required
 from pixelid.status import Status
@@ -57,6 +59,18 @@ class SavedReconstruction(Result):
     def log_eps(self) -> float:
         """What the data set adds to pictures of its views that are not quantised."""
         return float(self.content.get("log_eps") or 0.0)
+
+    @property
+    def correction(self) -> Correction | None:
+        """That the scores were made with, None where there is none."""
+        a, b, c = (np.atleast_1d(np.asarray(self.content["correction"][name], dtype=float)) for name in "abc")
+        return Correction(a, b, c) if np.isfinite(np.concatenate([a, b, c])).all() else None
+
+    @property
+    def dark(self) -> np.ndarray:
+        """(C,) black level that the field does not hold."""
+        told = self.content["pixel"].get("dark")
+        return np.resize(np.asarray(0.0 if told is None else told, dtype=float), self.field.grid.shape[1] - 1)
 
     @property
     def headline(self) -> str:
@@ -148,7 +162,7 @@ class SavedReconstruction(Result):
             The scene with its scores; it renders, and cannot be trained on.
 
         Raises:
-            InputError: no reconstruction there, or a damaged one.
+            InputError: no reconstruction there, a damaged one, or one that diverged.
         """
         folder = Path(folder)
         content = read_result(folder, cls.FILE)
@@ -159,15 +173,31 @@ class SavedReconstruction(Result):
         )  # fmt: skip
         needed = ("status", "advice", "views", "held_out_residual", "seconds", "ignored", "pixel", "correction")
         required(content, folder, cls.FILE, *needed)
+        if content["status"] == Status.diverged:  # what its field holds is no scene, and may be no numbers
+            raise InputError(f"{folder}: the reconstruction diverged, there is no scene: {content['advice']}")
         saved = cls(content, read_field(folder))
         with interpreting(folder / cls.FILE, "a reconstruction"):
             saved.summary()
-            for name in "abc":
-                np.asarray(content["correction"][name] or 0.0, dtype=float)
-            np.asarray(content["pixel"].get("dark") or 0.0, dtype=float)
+            _check_colours(content, folder / cls.FILE, saved.field.grid.shape[1] - 1)
             if not (math.isfinite(saved.log_eps) and saved.log_eps >= 0):
                 raise ValueError(f"log_eps: expected a number of at least 0, found {saved.log_eps}")
         return saved
+
+
+def _check_colours(content: Mapping[str, Any], file: Path, colours: int) -> None:
+    """Raise InputError unless correction and black level are one number, or one per colour, or all null."""
+    correction = {f"correction.{name}": _listed(content["correction"][name]) for name in "abc"}
+    if all(values and all(value is None for value in values) for values in correction.values()):  # nothing was scored
+        correction = {}
+    dark = content["pixel"].get("dark")
+    told = correction | ({} if dark is None else {"pixel.dark": _listed(dark)})
+    for name, values in told.items():
+        least = 0.0 if name == "pixel.dark" else -math.inf
+        numbers(f"{file}: {name}", values, 1 if len(values) == 1 else colours, least=least)
+
+
+def _listed(value: Any) -> list[Any]:
+    return value if isinstance(value, list) else [value]
 
 
 def write_field(scene: Field, folder: Path) -> None:

@@ -1,6 +1,7 @@
 """What a reconstruction shows: a ball whose views, depth, mesh and splats are known."""
 
 import json
+import math
 import shutil
 import tracemalloc
 from pathlib import Path
@@ -428,6 +429,55 @@ def test_a_result_that_lost_a_table_is_refused_in_a_line(key, folder, tmp_path, 
     (copy / "reconstruction.json").write_text(json.dumps(content))
     assert main(["render", str(copy), "--out", str(tmp_path / "out"), "--quiet"]) == 2
     assert key in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("table", "key", "value", "says"),
+    [
+        ("correction", "a", [1, 2], "correction.a: expected 3 numbers, found [1, 2]"),
+        ("correction", "b", None, "correction.b: expected a finite number, found None"),
+        ("correction", "c", ["nan"] * 3, "correction.c: expected a finite number, found 'nan'"),
+        ("pixel", "dark", [[0, 1], [1, 0]], "pixel.dark: expected 3 numbers, found [[0, 1], [1, 0]]"),
+        ("pixel", "dark", ["nan"], "pixel.dark: expected a finite number of at least 0, found 'nan'"),
+        ("pixel", "dark", -5, "pixel.dark: expected a finite number of at least 0, found -5"),
+    ],
+)
+def test_a_result_with_numbers_that_cannot_be_is_refused_in_a_line(table, key, value, says, tmp_path, capsys):
+    damaged = content(True)
+    damaged[table] = {**damaged[table], key: value}
+    SavedReconstruction(damaged, ball(3)).save(tmp_path / "scene")
+    assert main(["render", str(tmp_path / "scene"), "--out", str(tmp_path / "out"), "--quiet"]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert f"reconstruction.json: {says}" in line
+    assert not (tmp_path / "out").exists()
+
+
+def test_numbers_per_colour_and_unscored_scenes_are_read(tmp_path):
+    whole = content(True) | {"correction": {"a": [1, 2, 3], "b": 0.9, "c": [0.0] * 3}, "pixel": {"dark": [0, 1, 2]}}
+    SavedReconstruction(whole, ball(3)).save(tmp_path / "whole")
+    read = SavedReconstruction.load(tmp_path / "whole")
+    assert read.correction is not None
+    np.testing.assert_array_equal(read.correction.a, [1, 2, 3])
+    np.testing.assert_array_equal(read.dark, [0, 1, 2])
+    for nothing in (None, [None] * 3):
+        unscored = content(False) | {"correction": dict.fromkeys("abc", nothing), "pixel": {}}
+        SavedReconstruction(unscored, ball(3)).save(tmp_path / "unscored", overwrite=True)
+        read = SavedReconstruction.load(tmp_path / "unscored")
+        assert read.correction is None
+        np.testing.assert_array_equal(read.dark, [0, 0, 0])
+
+
+def test_a_scene_that_diverged_is_refused_as_such(tmp_path, capsys):
+    """As a training leaves it whose numbers ran away: no field, no scores."""
+    field = ball(1)
+    with torch.no_grad():
+        field.grid[:] = math.nan
+    gone = content(True, "diverged") | {"advice": "lower the learning rate"}
+    SavedReconstruction(gone, field).save(tmp_path / "scene")
+    assert main(["render", str(tmp_path / "scene"), "--out", str(tmp_path / "out"), "--quiet"]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "diverged" in line
+    assert "lower the learning rate" in line
 
 
 def pictured(folder: Path, tmp_path: Path, brighter: float = 0.0, scale: float = 1.0) -> Path:

@@ -10,7 +10,6 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from pixelid.errors import InputError
 from pixelid.nerf.correction import Correction
 from pixelid.nerf.evaluate import render_views
 from pixelid.nerf.saved import FIELD, SavedReconstruction
@@ -100,13 +99,9 @@ def render(
         InputError: a scene without surface is to become a mesh, or one without density splats.
     """
     watch = time.perf_counter()
-    if not saved.field.finite:
-        raise InputError(f"{path / FIELD}: the field holds numbers that are not finite: the reconstruction diverged")
-    colours = saved.field.grid.shape[1] - 1
-    dark = np.resize(np.asarray(saved.content["pixel"].get("dark") or 0.0, dtype=float), colours)
-    correction = _correction(saved)
+    dark, correction = saved.dark, _correction(saved)
     tone, notes = _tone(saved, correction, way, dark)
-    pictures, lacking = pictures_of(way, correction, colours, saved.log_eps)
+    pictures, lacking = pictures_of(way, correction, len(dark), saved.log_eps)
     notes += lacking
     if saved.status is not Status.converged:
         notes.append(f"the reconstruction ended as {saved.status}: {saved.advice or saved.status.advice}")
@@ -164,9 +159,7 @@ def render(
 
 def _correction(saved: SavedReconstruction) -> Correction | None:
     """Of the scores, None where nothing was scored."""
-    if not saved.content["views"]["per_view"] or saved.content["correction"]["a"] is None:
-        return None
-    return Correction(*(np.atleast_1d(np.asarray(saved.content["correction"][name], float)) for name in "abc"))
+    return saved.correction if saved.content["views"]["per_view"] else None
 
 
 def _tone(

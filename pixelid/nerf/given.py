@@ -1,4 +1,4 @@
-"""What users ask a reconstruction for, checked where it is used: the command line refuses most of it before."""
+"""Words and numbers that a reconstruction is given, checked where they are used: functions take any."""
 
 from __future__ import annotations
 
