@@ -242,12 +242,19 @@ def _of_mean_and_ratio(content: Mapping[str, Any], on_sd: float, off_sd: float) 
 
 
 def unexplained_by(folder: Path | None) -> tuple[str, ...]:
-    """What a search for the gap found and could not name, in a word; nothing for a fit or a model file."""
+    """What a search for the gap found and could not name or tell apart, in words; nothing for a fit or a model file."""
     file = Path(folder) / "gap.json" if folder is not None else None
     if file is None or not file.is_file():
         return ()
     content = read_json(file)
-    return ("what no effect explains in gap.json",) if content.get("unknown_term") or content.get("remainder") else ()
+    if content.get("unknown_term") or content.get("remainder"):
+        return ("what no effect explains in gap.json",)
+    if content.get("verdict") != "ambiguous":
+        return ()
+    then = content.get("recommended_next")
+    why = then.get("why") if isinstance(then, dict) else None  # "to tell one effect from the other"
+    which = f", recommended_next: {why}" if isinstance(why, str) and why else ""
+    return (f"the other explanation that gap.json leaves open (ambiguous{which})",)
 
 
 def _scale(calibration: Calibration, model: Model, file: Path) -> float:

@@ -14,7 +14,7 @@ from pixelid.cli.main import main
 from pixelid.errors import InputError
 from pixelid.model.files import save_model
 from pixelid.model.shipped import find_model
-from pixelid.nerf.calibration import CIRCUIT, of_fit, uncertainty_of_fit
+from pixelid.nerf.calibration import CIRCUIT, of_fit, uncertainty_of_fit, unexplained_by
 from pixelid.nerf.dataset import evaluation_views, read_dataset
 from pixelid.nerf.field import Field
 from pixelid.nerf.gauge import Gauge, gauge_of, scene_box
@@ -465,6 +465,23 @@ def test_what_a_fit_leaves_uncertain_is_the_prior(tmp_path):
     (tmp_path / "fit.json").write_text("{}")
     with pytest.raises(InputError, match=r"fit\.json: parameters"):
         uncertainty_of_fit(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("written", "says"),
+    [
+        ({"verdict": "named", "remainder": False, "unknown_term": None}, ()),
+        ({"verdict": "unknown", "remainder": True}, ("what no effect explains",)),
+        ({"verdict": "ambiguous", "recommended_next": {"why": "to tell leak from dark_current"}},
+         ("ambiguous", "to tell leak from dark_current")),
+        ({"verdict": "ambiguous", "recommended_next": None}, ("ambiguous",)),
+    ],
+)  # fmt: skip
+def test_what_a_search_for_the_gap_left_open_is_named(written, says, tmp_path):
+    (tmp_path / "gap.json").write_text(json.dumps({"remainder": False, "unknown_term": None, **written}))
+    told = unexplained_by(tmp_path)
+    assert len(told) == bool(says)
+    assert all(word in told[0] for word in says)
 
 
 @pytest.mark.parametrize(("correlation", "mean", "ratio"), [(0.0, 0.0283, 0.0566), (0.96, 0.0396, 0.0113)])
