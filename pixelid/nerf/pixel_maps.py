@@ -8,14 +8,18 @@ that has to explain it is blurred and full of grain.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 
 import numpy as np
 
+from pixelid import stages
 from pixelid.errors import InputError
 from pixelid.inspection.hot_pixels import ROBUST_SIGMAS, hot_of_counts, median_around
+from pixelid.model.model import Model
 from pixelid.nerf.camera import Camera
+from pixelid.nerf.ignored import NO_EFFECTS
 from pixelid.stages.circuit import Circuit
 from pixelid.statistics import SD_PER_MEDIAN
 
@@ -37,8 +41,9 @@ class PixelMaps:
 
     threshold: (pixels, 2) expected ln of a pixel's ON and OFF threshold over the circuit's;  threshold_sd: (pixels, 2)
     its uncertainty, 0 where it is known;  bandwidth: (pixels, 8) factors of the numbers of `Dynamics`, None where all
-    are alike;  filters: names of the maps in it;  unused: of those that have no place in a reconstruction;  hot: (k,)
-    pixels left out;  hot_hz: mean rate of their events beyond those of the pixels about them
+    are alike;  filters: names of the maps in it;  unused: of those that have no place in a reconstruction, and effects
+    of their model that the circuit lacks;  hot: (k,) pixels left out;  hot_hz: mean rate of their events beyond those
+    of the pixels about them
     """
 
     threshold: np.ndarray
@@ -66,7 +71,7 @@ def maps_of_sensor(folder: Path, circuit: Circuit, camera: Camera) -> PixelMaps:
     Returns:
         Thresholds with what the map leaves uncertain; bandwidth relative to the model of the map, since the radiance
         units may differ; pixels that fired far more than others under the map's light; by name, maps of what the
-        circuit does not have.
+        circuit does not have, and effects without a map that the map's model has and the circuit has not.
 
     Raises:
         InputError: no maps there, or of another sensor size.
@@ -98,9 +103,33 @@ def maps_of_sensor(folder: Path, circuit: Circuit, camera: Camera) -> PixelMaps:
             filters.append(f"map of {name}")
         else:
             unused.append(f"map of {name}")
+    unused += [f"{name} of the maps' model" for name in _lacking(circuit, fitted.model, [*fitted.maps])]
     hot = np.array([p.y * camera.width + p.x for p in hot_of_counts(fitted.events, 1.0)], np.int64)
     alike = (bandwidth == 1.0).all()
     return PixelMaps(mean, sd, None if alike else bandwidth, hot, tuple(unused), filters=tuple(filters))
+
+
+def _lacking(circuit: Circuit, model: Model, mapped: Sequence[str]) -> list[str]:
+    """Effects that act in a model and not in a circuit, but for those that maps hold: of pixels that are hot, and of
+    thresholds that differ where these are mapped."""
+    neutral, held = Circuit(), {*NO_EFFECTS, "hot_count", "hot_hz"}
+    if set(THRESHOLDS) & {*mapped}:
+        held.add("mismatch")
+    names = []
+    for name in model.effects:
+        effect = stages.effect(name)
+        if {parameter.name for parameter in effect.parameters} & {*mapped}:
+            continue
+        applied = effect.apply(neutral, model.values)
+        acting = [f.name for f in fields(Circuit) if f.name not in held and _differs(f.name, applied, neutral)]
+        if acting and not any(_differs(field, circuit, neutral) for field in acting):
+            names.append(name)
+    return names
+
+
+def _differs(field: str, one: Circuit, other: Circuit) -> bool:
+    a, b = getattr(one, field), getattr(other, field)
+    return bool(a is not b and a != b)  # NaN: a number that neither has
 
 
 def _has(circuit: Circuit, column: int) -> bool:

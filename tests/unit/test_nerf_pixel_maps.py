@@ -18,6 +18,7 @@ from pixelid.sensors.map import Map
 from pixelid.sensors.shrinkage import Population
 from pixelid.stages.circuit import Circuit
 
+OTHERS = ("differencing_pole", "threshold_noise", "refractory_period")
 CIRCUIT = Circuit(photoreceptor="unlimited", on_threshold=0.2, off_threshold=0.25, mismatch=0.1)
 
 
@@ -94,10 +95,10 @@ def of_values(name: str, value: np.ndarray, sd: float) -> Map:
     return Map(name, "", log, error, log, error, Population(float(log.mean()), 0.1, value.size), (0, 0), (0, 0))
 
 
-def sensor(folder, maps, events, block=1):
+def sensor(folder, maps, events, block=1, model=None):
     """A folder as `pixelid sensor` writes it."""
     folder.mkdir()
-    model = find_model("dvs128")
+    model = model or find_model("dvs128")
     SensorFit({m.name: m for m in maps}, events, 1, block, model, 1.0, 0, {}).write(folder)
     return folder
 
@@ -121,7 +122,8 @@ def test_maps_of_a_sensor_replace_the_mismatch(tmp_path):
     rates = pixel.dynamics_at(np.array([0, 2, 4, 17])).numpy()[:, 3]
     np.testing.assert_allclose(rates, 1e4 * np.array([1.0, 0.5, 2.0, 1.0]))
     assert found.hot.tolist() == [2 * 6 + 3]
-    assert found.unused == ()
+    # dvs128 beside follower and mismatch: no maps, and this circuit has none of them
+    assert found.unused == tuple(f"{name} of the maps' model" for name in OTHERS)
     with pytest.raises(InputError, match=r"expected 5 × 4 as in the dataset, found 6 × 4"):
         maps_of_sensor(folder, CIRCUIT, pinhole(5, 4, 0.7))
 
@@ -130,9 +132,24 @@ def test_a_map_without_a_place_is_named(tmp_path):
     events = np.full((3, 3), 50)
     folder = sensor(tmp_path / "maps", [of_values("lower_cutoff.cutoff_hz", np.full((3, 3), 0.5), 0.1)], events)
     found = maps_of_sensor(folder, CIRCUIT, pinhole(3, 3, 0.7))
-    assert found.unused == ("map of lower_cutoff.cutoff_hz",)
+    assert [name for name in found.unused if name.startswith("map ")] == ["map of lower_cutoff.cutoff_hz"]
     assert found.bandwidth is None
     np.testing.assert_array_equal(found.threshold_sd, 0.1)  # no map of thresholds: the circuit's mismatch
+
+
+def test_effects_of_the_model_of_the_maps_that_the_circuit_lacks_are_named(tmp_path):
+    maps = [of_values(name, np.full((2, 2), 0.3), 0.1) for name in ("on_threshold", "off_threshold")]
+    model = find_model("dvs128").with_effect("leak", {"rate_hz": 0.1}).with_effect("hot_pixels", {"count": 2.0})
+    folder = sensor(tmp_path / "maps", maps, np.full((2, 2), 50), model=model)
+
+    def lacking(circuit: Circuit) -> list[str]:
+        return [name.split()[0] for name in maps_of_sensor(folder, circuit, pinhole(2, 2, 0.7)).unused]
+
+    assert sorted(lacking(CIRCUIT.with_(mismatch=0.0))) == sorted((*OTHERS, "source_follower_pole", "leak"))
+    same = model.circuit()
+    assert lacking(same) == []
+    assert lacking(same.with_(leak_hz=0.0)) == ["leak"]
+    assert lacking(same.with_(leak_hz=7.0)) == []  # another strength is that of the circuit
 
 
 @pytest.mark.parametrize(
@@ -149,7 +166,7 @@ def test_a_map_of_a_stage_that_the_circuit_lacks_is_named(mapped, circuit, tmp_p
     typical = find_model("dvs128").values[mapped]
     folder = sensor(tmp_path / "maps", [of_values(mapped, typical * np.array([[1.0, 2.0]]), 0.1)], np.full((1, 2), 50))
     found = maps_of_sensor(folder, CIRCUIT.with_(**circuit), pinhole(2, 1, 0.7))
-    assert found.unused == (f"map of {mapped}",)
+    assert [name for name in found.unused if name.startswith("map ")] == [f"map of {mapped}"]
     assert found.bandwidth is None
 
 
