@@ -27,7 +27,8 @@ POSITIVE = options.Number(0.0, open_low=True)
               "many of --views.")  # fmt: skip
 @click.option("--size", type=(click.IntRange(1, 8192), click.IntRange(1, 8192)), metavar="W H",
               help="Pixels.  [default: 400 400, or those of --views]")  # fmt: skip
-@click.option("--fov", type=options.Number(1.0, 170.0), default=39.6, show_default=True, help="Horizontal, degrees.")
+@click.option("--fov", type=options.Number(1.0, 170.0), default=39.6, show_default=True,
+              help="Horizontal, degrees, where --views states no camera.")  # fmt: skip
 @click.option("--up", nargs=3, type=options.Number(), default=(0.0, 0.0, 1.0), show_default=True, metavar="X Y Z",
               help="What is up in the scene, for --path.")  # fmt: skip
 @click.option("--distance", type=POSITIVE, help="Of the camera from the middle, for --path; by default the box fills "
@@ -74,7 +75,8 @@ def command(
 
         saved = SavedReconstruction.load(reconstruction)
         if views is not None:
-            cameras = way_of_file(views, size, math.radians(fov), frames)
+            angle = math.radians(fov) if options.is_given(click.get_current_context(), "fov") else None
+            cameras = way_of_file(views, size, angle, frames)
         else:
             cameras = around(
                 saved.field.low, saved.field.high, way or "orbit", frames, size or (400, 400), fov=math.radians(fov),

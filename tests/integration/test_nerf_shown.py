@@ -15,6 +15,7 @@ import pixelid as px
 from pixelid.cli.main import main
 from pixelid.errors import InputError
 from pixelid.nerf.camera import pinhole
+from pixelid.nerf.dataset import write_poses
 from pixelid.nerf.evaluate import render_views
 from pixelid.nerf.field import Field
 from pixelid.nerf.harmonics import harmonics
@@ -140,6 +141,37 @@ def test_stated_intrinsics_are_of_the_pictures_whatever_the_size(tmp_path):
     for camera in (whole, small):
         edge = np.array([[-0.5, -0.5], [camera.width - 0.5, camera.height - 0.5]])  # outer corners of the view
         np.testing.assert_allclose(camera.directions(edge), whole.directions([[-0.5, -0.5], [63.5, 47.5]]))
+
+
+def test_poses_are_seen_by_the_camera_beside_them(folder, tmp_path, capsys):
+    """A data set without pictures: its event camera, whose angle --fov does not change."""
+    from pixelid.nerf.trajectory import Trajectory
+
+    data, matrix = tmp_path / "data", np.array([[50.0, 0.0, 30.0], [0.0, 51.0, 20.0], [0.0, 0.0, 1.0]])
+    data.mkdir()
+    turned = np.tile([0.0, 0.0, 0.0, 1.0], (3, 1))
+    write_poses(data, Trajectory(np.arange(3.0), np.arange(9.0).reshape(3, 3), turned))
+    alone = way_of_file(data, None, 0.5)
+    assert (alone.camera.width, alone.camera.height) == (400, 400)
+    np.testing.assert_allclose(alone.camera.directions([[-0.5, 199.5]])[0, 0], -math.sin(0.25))
+    np.savez(
+        data / "camera_calibration.npz", intrinsics=matrix, distortion_params=np.array([0.1, 0.0, 0.0, 0.0]),
+        distortion_model="plumb_bob", img_height=48, img_width=64, bayer_pattern="", pos_contrast_threshold=0.2,
+        neg_contrast_threshold=0.2, refractory_period=0,
+    )  # fmt: skip
+    for path in (data, data / "camera_poses.npz"):
+        camera = way_of_file(path, None).camera
+        assert (camera.width, camera.height, camera.distorts) == (64, 48, True)
+        np.testing.assert_array_equal(camera.intrinsics, matrix)
+    assert way_of_file(data, (32, 24)).camera.intrinsics[0, 0] == 25.0
+    words = ["render", str(folder), "--out", str(tmp_path / "out"), "--fov", "60", "--views"]
+    (data / "transforms_test.json").write_text(json.dumps(
+        {"camera_angle_x": 0.7, "frames": [{"file_path": "r_0", "transform_matrix": np.eye(4).tolist()}]}
+    ))  # fmt: skip
+    for path in (data, data / "transforms_test.json"):
+        assert main([*words, str(path)]) == 2
+        (line,) = capsys.readouterr().err.splitlines()
+        assert "--fov" in line
 
 
 def test_normals_of_a_box_that_is_no_cube(tmp_path):

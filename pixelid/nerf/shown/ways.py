@@ -12,8 +12,9 @@ from scipy.spatial.transform import Rotation
 from pixelid.documents import read_json
 from pixelid.errors import InputError
 from pixelid.nerf.arrays import finite, read_arrays, unit_quaternions
+from pixelid.nerf.calibration import read_calibration
 from pixelid.nerf.camera import Camera, pinhole
-from pixelid.nerf.dataset import POSES
+from pixelid.nerf.dataset import CALIBRATION, POSES
 from pixelid.nerf.scenes import FIELD_OF_VIEW, looking_at_centre, on_sphere
 from pixelid.nerf.views import (
     FOLDER,
@@ -96,20 +97,21 @@ def around(
     return Way(centre + seen_from @ upright.T, rotation, camera, names)
 
 
-def way_of_file(path: Path, size: tuple[int, int] | None, fov: float = FIELD_OF_VIEW, most: int = 10_000) -> Way:
+def way_of_file(path: Path, size: tuple[int, int] | None, fov: float | None = None, most: int = 10_000) -> Way:
     """The poses of a file, in its order.
 
     Args:
         path: a `transforms_*.json`, a dataset folder (its test views, else val, else train), or a `camera_poses.npz`.
-        size: width and height in pixels, of the whole view; by default those of the first picture, or 400 × 400.
-        fov: horizontal field of view [rad] where the file has none.
+        size: width and height in pixels, of the whole view; by default those of the first picture, of the event sensor
+            where poses lie beside its calibration, or 400 × 400.
+        fov: horizontal field of view [rad] where no camera is stated; by default `FIELD_OF_VIEW`.
         most: poses; more are thinned out evenly.
 
     Returns:
         The way.
 
     Raises:
-        InputError: naming what the file lacks.
+        InputError: naming what the file lacks; a field of view beside a camera that is stated.
     """
     dataset = path if path.is_dir() else None
     path = path if dataset is None else _inside(dataset)
@@ -124,7 +126,7 @@ def way_of_file(path: Path, size: tuple[int, int] | None, fov: float = FIELD_OF_
         some = _thinned(len(position), most)
         rotation = Rotation.from_quat(turned[some]).as_matrix()
         names = tuple(f"pose_{k:05d}" for k in some)
-        return Way(position[some], rotation, pinhole(*(size or DEFAULT_SIZE), fov), names, len(position) - len(some))
+        return Way(position[some], rotation, _camera_beside(path, size, fov), names, len(position) - len(some))
     document = read_json(path)
     frames = frames_of(path, document)
     some = _thinned(len(frames), most)
@@ -150,15 +152,38 @@ def _thinned(number: int, most: int) -> list[int]:
     return np.unique(np.linspace(0, number - 1, min(number, most)).round().astype(int)).tolist()
 
 
-def _stated_camera(path: Path, document: dict, picture: str, size: tuple[int, int] | None, fov: float) -> Camera:
+def _camera_beside(poses: Path, size: tuple[int, int] | None, fov: float | None) -> Camera:
+    """The event camera whose calibration lies beside its poses, in `size` pixels; an ideal one where there is none."""
+    file = poses.with_name(CALIBRATION)
+    if not file.is_file():
+        return pinhole(*(size or DEFAULT_SIZE), fov or FIELD_OF_VIEW)
+    _refuse_angle(file, fov)
+    camera = read_calibration(poses.parent).camera
+    return camera if size is None else camera.resized(*size)
+
+
+def _refuse_angle(file: Path, fov: float | None) -> None:
+    if fov is not None:
+        raise InputError(f"--fov: {file} says already what the camera sees; leave one of them out")
+
+
+def _stated_camera(
+    path: Path, document: dict, picture: str, size: tuple[int, int] | None, fov: float | None
+) -> Camera:  # fmt: skip
     """The camera that a document states, in `size` pixels; an ideal one where it states none."""
     own = _shape(path, picture)
+    if "camera_angle_x" in document or "intrinsics" in document:
+        _refuse_angle(path, fov)
     if "camera_angle_x" not in document and "intrinsics" in document:  # of pictures of one size
         if own is None:
             raise InputError(f"{path}: intrinsics: {picture} is not there, whose size says what they are in units of")
         return camera_of_document(path, document, *own).resized(*(size or own))
     shape = size or own or DEFAULT_SIZE
-    return camera_of_document(path, document, *shape) if "camera_angle_x" in document else pinhole(*shape, fov)
+    return (
+        camera_of_document(path, document, *shape)
+        if "camera_angle_x" in document
+        else pinhole(*shape, fov or FIELD_OF_VIEW)
+    )
 
 
 def _shape(path: Path, name: str) -> tuple[int, int] | None:
