@@ -250,6 +250,23 @@ def test_what_is_brighter_than_white_is_told(tmp_path):
     assert any("brighter than white" in note for note in notes)
 
 
+def test_depth_has_the_unit_of_the_scene_whatever_that_is():
+    """The ball in a unit a million times smaller: distances are that many times larger."""
+    small, unit = ball(1), 1e6
+    large = Field(unit * small.low, unit * small.high, CELLS + 1, 1, [0.3])
+    grid = torch.as_tensor(small.dense()[0]).clone()
+    grid[..., 0] -= math.log(unit)  # density is per length
+    large.hold_dense(grid)
+    way = around(small.low, small.high, "orbit", 1, (9, 9))
+    blank = np.empty((1, 9, 9, 1))
+    near, far = (
+        depth_of(field, Views(blank, scale * way.position, way.rotation, way.camera, ("",), np.ones(1), False, 1.0))
+        for field, scale in ((small, 1.0), (large, unit))
+    )
+    assert np.isfinite(near).any()
+    np.testing.assert_allclose(far, unit * near, rtol=1e-4)
+
+
 def test_an_orbit_looks_at_the_middle_with_depth(folder, tmp_path):
     words = ["render", str(folder), "--out", str(tmp_path / "out"), "--frames", "3", "--size", "33", "33", "--depth"]
     assert main([*words, "--up", "0", "1", "0", "--distance", "4", "--quiet"]) == 0

@@ -38,7 +38,8 @@ def vertex_values(field: Field) -> tuple[np.ndarray, np.ndarray]:
 def depth_of(field: Field, views: Views) -> np.ndarray:
     """Distances from the cameras to what they see, NaN where rays pass through.
 
-    The renderer's own sum with the distance in place of the radiance: Σ (T_i − T_{i+1}) t_i over the opacity.
+    The renderer's own sum with the distance in place of the radiance: Σ (T_i − T_{i+1}) t_i over the opacity.  It is
+    rendered as a share of the farthest, since the renderer caps radiance (`render_kernels.HIGHEST`).
 
     Args:
         field: the scene.
@@ -51,13 +52,15 @@ def depth_of(field: Field, views: Views) -> np.ndarray:
     out = []
     for k in range(len(views)):
         squared = ((positions - views.position[k]) ** 2).sum(axis=1)
-        distances = _like(field, np.stack([density, 0.5 * np.log(np.maximum(squared, 1e-12))], axis=-1))
+        farthest = max(float(squared.max()), np.finfo(float).tiny)
+        shares = 0.5 * np.log(np.maximum(squared / farthest, 1e-12))
+        distances = _like(field, np.stack([density, shares], axis=-1))
         clear = _like(field, np.stack([density, np.full_like(density, -30.0)], axis=-1))
         one = views.some([k])
         passed = render_views(clear, one, np.zeros(1))[0, ..., 0]  # transmittance: the background is 1
         total = render_views(distances, one, np.zeros(1))[0, ..., 0] - passed
         opacity = 1.0 - passed
-        out.append(np.where(opacity > SEEN, total / np.maximum(opacity, SEEN), np.nan))
+        out.append(np.where(opacity > SEEN, math.sqrt(farthest) * total / np.maximum(opacity, SEEN), np.nan))
     return np.array(out)
 
 
