@@ -457,7 +457,11 @@ def _begun(name: str, calibration: Calibration, moved: float, problem: Problem) 
 
 
 def _told(name: str, calibration: Calibration) -> dict[str, float]:
-    """Parameters of a candidate where it begins, by their names in the library."""
+    """Parameters of a candidate where it begins, by their names in the library.
+
+    Of another bandwidth by fields of `Circuit`: alpha [1/s²/radiance], or of one pole corner [rad/s/radiance], and
+    follower [rad/s], the cutoff that the library quotes in Hz.
+    """
     circuit = calibration.circuit
     if name == MISMATCHED:
         return {"threshold_mismatch.sigma": circuit.mismatch}
