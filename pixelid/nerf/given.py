@@ -23,7 +23,7 @@ def one_of(name: str, value: Any, known: Sequence[str]) -> str:
 
 def whole_number(name: str, value: Any, least: int, most: int, or_else: str = "") -> int:
     """The number.  Raises InputError for one below `least` or above `most`, and for anything else."""
-    if isinstance(value, bool) or not isinstance(value, Integral) or not least <= value <= most:
+    if isinstance(value, bool) or not isinstance(value, Integral) or not least <= int(value) <= most:
         raise InputError(f"{name}: expected a whole number from {least} to {most}{or_else}, found {shown(value)}")
     return int(value)
 
