@@ -96,11 +96,12 @@ def problem_of(
         circuit = circuit.with_(refractory=possible)
     size = float((high - low).max()) / cells if cells else 0.0
     crossed_s = crossing_time(dataset.trajectory, camera, low, high)
-    crossing = crossing_times(
+    shortest = crossing_times(
         dataset.trajectory, camera, low, high, t, y * camera.width + x, cell=size, within=crossed_s,
         most=MOST_UNEVEN * crossed_s, near=near,
     )  # fmt: skip
-    shortest = close * crossing
+    fastest_s = float(np.quantile(shortest[:: max(len(shortest) // 100_000, 1)], FASTEST)) if len(shortest) else 0.0
+    shortest *= np.float32(close)  # in place: four bytes for each of all events
 
     def cut(of: Circuit) -> Intervals:
         return intervals(
@@ -123,7 +124,7 @@ def problem_of(
     return Problem(
         training, held, dataset.trajectory, camera, calibration.channel_of(column, row), calibration.dark,
         circuit, gauge, low, high, maps, tilts(cut, circuit, trained),
-        float(lengths.min()) if len(lengths) else 0.0, quiet, near, float(np.quantile(crossing, FASTEST)),
+        float(lengths.min()) if len(lengths) else 0.0, quiet, near, fastest_s,
     )  # fmt: skip
 
 
