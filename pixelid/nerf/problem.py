@@ -94,6 +94,8 @@ def problem_of(
     lengths = interval_lengths(t, y * camera.width + x)
     if len(lengths) and (possible := float(np.quantile(lengths, TOO_SHORT))) < circuit.refractory:
         circuit = circuit.with_(refractory=possible)
+    least_s = float(lengths.min()) if len(lengths) else 0.0
+    del lengths  # as large as the times
     size = float((high - low).max()) / cells if cells else 0.0
     crossed_s = crossing_time(dataset.trajectory, camera, low, high)
     shortest = crossing_times(
@@ -124,7 +126,7 @@ def problem_of(
     return Problem(
         training, held, dataset.trajectory, camera, calibration.channel_of(column, row), calibration.dark,
         circuit, gauge, low, high, maps, tilts(cut, circuit, trained),
-        float(lengths.min()) if len(lengths) else 0.0, quiet, near, fastest_s,
+        least_s, quiet, near, fastest_s,
     )  # fmt: skip
 
 
