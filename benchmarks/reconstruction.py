@@ -178,6 +178,10 @@ def fitted(work: Path, seed: int) -> Path:
 
 def arms(name: str, work: Path, setting: str, seed: int, only: list[str] | None = None):
     """(arm, dataset or what makes it, options of `reconstruct`) of an experiment; only: no data sets for other arms."""
+
+    def wanted(start: str) -> bool:
+        return not only or any(arm.startswith(start) for arm in only)
+
     if name in ("bandwidth", "baselines", "samples", "batch", "joint"):
         data = dataset(work, setting, seed)
         circuit = data.calibration.circuit
@@ -213,7 +217,7 @@ def arms(name: str, work: Path, setting: str, seed: int, only: list[str] | None 
     elif name == "grid":
         for speed, white in itertools.product(SPEEDS, WHITES):
             cell = f"{speed:g} rev/s, {white:g} fA: "
-            if only and not any(arm.startswith(cell) for arm in only):
+            if not wanted(cell):
                 continue
             data = dataset(work, "grid", seed, f"_{speed:g}_{white:g}", own=Setting(speed, white))
             for mode in ("on", "off"):
@@ -240,7 +244,7 @@ def arms(name: str, work: Path, setting: str, seed: int, only: list[str] | None 
         yield "dead time ignored", data, {"calibration": ignored}
     elif name == "whole":
         for camera, (effects, values) in CAMERAS.items():
-            if only and not any(arm.startswith(f"{camera}: ") for arm in only):
+            if not wanted(f"{camera}: "):
                 continue
             model = camera_model(SETTINGS[setting]).set(values)
             for effect, its_values in effects.items():

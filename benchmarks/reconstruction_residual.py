@@ -19,6 +19,7 @@ from pixelid.nerf.camera import sub_pixel_directions
 from pixelid.nerf.dataset import Dataset, read_dataset
 from pixelid.nerf.intervals import chains
 from pixelid.nerf.losses import changes, unexplained
+from pixelid.nerf.past import past_of
 from pixelid.nerf.pixel import Bandwidth, Pixel
 from pixelid.nerf.predict import EPSILON
 from pixelid.nerf.problem import problem_of
@@ -60,9 +61,12 @@ def main() -> None:
             pixel = Pixel(problem.circuit, bandwidth)
             samples = bandwidth.samples if pixel.filtering else 1
             rng = np.random.default_rng(0)
-            slowest = pixel.slowest(max(float(problem.dark.min()), EPSILON))
             starts = rng.integers(0, len(problem.training.starts), CHAINS)
-            batch = chains(problem.training, starts, samples, slowest, rng)
+            rate, points = past_of(
+                pixel, problem.training, starts, samples, max(float(problem.dark.min()), EPSILON), problem.crossing_s,
+                lambda t, pixel: radiance(data, options.seed, t, pixel, 1) + problem.dark[0],  # noqa: B023
+            )  # fmt: skip
+            batch = chains(problem.training, starts, samples, rate, rng, points)
             which = np.repeat(batch.pixel, np.diff(batch.first))
             residuals = []
             for supersample in (1, 2):

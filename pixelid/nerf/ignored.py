@@ -7,7 +7,7 @@ from dataclasses import fields
 
 import numpy as np
 
-from pixelid.nerf.intervals import CHAIN, Intervals
+from pixelid.nerf.intervals import Intervals, rows_of
 from pixelid.stages import LIBRARY
 from pixelid.stages.circuit import Circuit
 from pixelid.stages.described import PREFIX
@@ -34,15 +34,11 @@ def ignored_effects(circuit: Circuit) -> tuple[str, ...]:
     >>> ignored_effects(Circuit(slew_rise=3000.0, leak_hz=2.0))
     ('slew_limit',)
     """
-    neutral = Circuit()
-    acting = {
-        field.name
-        for field in fields(Circuit)
-        if field.name not in (*MODELLED, *NO_EFFECTS) and getattr(circuit, field.name) != getattr(neutral, field.name)
-    }
+    acting = acting_fields(circuit) - MODELLED - {*NO_EFFECTS}
     names = []
     for effect in LIBRARY.values():
-        touched = _touched(effect, neutral) & acting
+        shipped = {parameter.name: parameter.value for parameter in effect.parameters}
+        touched = acting_fields(effect.apply(Circuit(), shipped)) & acting
         if touched:
             names.append(effect.name)
             acting -= touched
@@ -65,8 +61,8 @@ def forgotten(circuit: Circuit, every: Intervals) -> tuple[str, ...]:
     Returns:
         One sentence, or none.
     """
-    first = every.starts[:: max(len(every.starts) // 4096, 1)].astype(np.int64)
-    last = np.minimum(first + CHAIN, len(every.stretches.begin)) - 1
+    rows = rows_of(every, np.arange(0, len(every.starts), max(len(every.starts) // 4096, 1)))
+    first, last = rows[:, 0], rows[:, -1]
     whole = every.stretches.pixel[first] == every.stretches.pixel[last]
     if not (circuit.lower_cutoff > 0 and whole.any()):
         return ()
@@ -77,7 +73,7 @@ def forgotten(circuit: Circuit, every: Intervals) -> tuple[str, ...]:
     return (f"what a lower cutoff of {cutoff_hz:.3g} Hz remembers from before {lasts_s:.2g} s of a pixel's events",)
 
 
-def _touched(effect, neutral: Circuit) -> set[str]:
-    """The circuit fields that an effect sets: those that differ with its shipped values in place."""
-    applied = effect.apply(neutral, {parameter.name: parameter.value for parameter in effect.parameters})
-    return {field.name for field in fields(Circuit) if getattr(applied, field.name) is not getattr(neutral, field.name)}
+def acting_fields(circuit: Circuit) -> set[str]:
+    """The fields in which a circuit differs from one that does nothing."""
+    pairs = ((field.name, getattr(circuit, field.name), getattr(Circuit, field.name)) for field in fields(Circuit))
+    return {name for name, own, neutral in pairs if own is not neutral and own != neutral}  # NaN: neither has it

@@ -98,12 +98,6 @@ def split(every: Intervals, share: float, rng: np.random.Generator) -> tuple[Int
     return every.of(~held), every.of(held)
 
 
-def past_lifetimes(samples: int, rate: float) -> np.ndarray:
-    """(samples,) s before the output, increasing from 0: quantiles of the truncated exponential."""
-    share = COVERED * np.arange(samples) / max(samples - 1, 1)
-    return -np.log1p(-share) / rate
-
-
 def own_past(samples: int) -> int:
     """How many of its S − 1 past samples an output places itself; the others are those of its neighbours."""
     return math.ceil(OWN * (samples - 1))
@@ -130,17 +124,15 @@ def chains(
     random = rng.random((runs, CHAIN, 3))
     shape = (runs, CHAIN)
     rate = np.broadcast_to(np.asarray(rate, float), shape)
-    points = np.broadcast_to(np.asarray(samples - 1 if points is None else points, np.int64), shape)
+    points = np.broadcast_to(np.minimum(samples - 1 if points is None else points, samples - 1), shape)
     begin, end, sub = np.zeros(shape, np.int64), np.zeros(shape, np.int64), np.zeros((*shape, 2), np.int64)
     weight = np.zeros(shape)
-    lifetimes = past_lifetimes(samples, 1.0)[1:][::-1].copy()
     first = np.zeros(runs + 1, np.int64)
     t = np.empty(runs * ((samples - 1) + CHAIN * (4 + samples)))
     which = np.zeros(shape, np.int64)
     f = every.stretches
     n = _fill(
-        first_of_run, f.begin, f.end, f.pixel, f.burst, lifetimes, rate, points, random, t, first, begin, end, weight,
-        which, sub,
+        first_of_run, f.begin, f.end, f.pixel, f.burst, rate, points, random, t, first, begin, end, weight, which, sub,
     )  # fmt: skip
     rise, fall, variance = (column[which].astype(np.float64) for column in (f.rise, f.fall, f.variance))
     return Chains(
@@ -150,16 +142,12 @@ def chains(
 
 
 @njit(cache=True, nogil=True)
-def _fill(
-    starts, since, until, pixel, burst, lifetimes, rate, points, random, out, first, begin, end, weight, which, sub
-):  # fmt: skip
+def _fill(starts, since, until, pixel, burst, rate, points, random, out, first, begin, end, weight, which, sub):
     n = 0
     for run in range(len(starts)):
         first[run] = n
-        most = min(points[run, 0], len(lifetimes))
-        for j in range(most):
-            before = lifetimes[j] if most == len(lifetimes) else -np.log1p(-COVERED * (most - j) / most)
-            out[n] = since[starts[run]] - before / rate[run, 0]
+        for j in range(points[run, 0], 0, -1):  # quantiles of the truncated exponential, the oldest first
+            out[n] = since[starts[run]] + np.log1p(-COVERED * j / points[run, 0]) / rate[run, 0]
             n += 1
         for k in range(CHAIN):
             i = starts[run] + k
@@ -180,7 +168,7 @@ def _fill(
             part = (1.0 - np.sqrt(random[run, k, 1])) * length
             sub_at = start + random[run, k, 2] * (length - part)
             ends, wanted = (sub_at, sub_at + part), 0 if burst[i] else 2
-            reach, most, placed, past = 1.0 - np.exp(-rate[run, k] * length), min(points[run, k], len(lifetimes)), 0, 0
+            reach, most, placed, past = 1.0 - np.exp(-rate[run, k] * length), points[run, k], 0, 0
             if most > 0:
                 past = min(int(most / COVERED * reach + random[run, k, 0]), most)
             for j in range(past, -1, -1):

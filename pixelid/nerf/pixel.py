@@ -25,6 +25,7 @@ from pixelid.dynamics.of_circuit import dynamics_of
 from pixelid.dynamics.slew import without_slew_limit
 from pixelid.dynamics.trajectory import Dynamics
 from pixelid.nerf.additions import ADDITIONS
+from pixelid.nerf.given import whole_number
 from pixelid.nerf.pixel_maps import PixelMaps, maps_of_circuit
 from pixelid.stages.circuit import Circuit
 
@@ -32,6 +33,7 @@ FILTER = ("alpha", "beta", "gamma", "follower")
 PHOTORECEPTOR = ("alpha", "beta", "gamma")  # of them, those of a second-order photoreceptor
 FACTORS = (*FILTER, "threshold", "ratio")
 TRAINABLE = ("threshold", "ratio", *ADDITIONS)  # whatever is done of the filter
+MOST_SAMPLES = 1000  # of the past
 PRIOR_SD = 1.5  # of ln(factor), when no fit says better
 
 
@@ -48,6 +50,9 @@ class Bandwidth:
     samples: int = 30
     prior_sd: dict[str, float] | None = None
     trained: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        whole_number("samples", self.samples, 1, MOST_SAMPLES)
 
     @property
     def moving(self) -> tuple[str, ...]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +19,7 @@ from pixelid.errors import InputError
 from pixelid.inspection.hot_pixels import ROBUST_SIGMAS, hot_of_counts, median_around
 from pixelid.model.model import Model
 from pixelid.nerf.camera import Camera
-from pixelid.nerf.ignored import NO_EFFECTS
+from pixelid.nerf.ignored import NO_EFFECTS, acting_fields
 from pixelid.stages.circuit import Circuit
 from pixelid.statistics import SD_PER_MEDIAN
 
@@ -112,24 +112,17 @@ def maps_of_sensor(folder: Path, circuit: Circuit, camera: Camera) -> PixelMaps:
 def _lacking(circuit: Circuit, model: Model, mapped: Sequence[str]) -> list[str]:
     """Effects that act in a model and not in a circuit, but for those that maps hold: of pixels that are hot, and of
     thresholds that differ where these are mapped."""
-    neutral, held = Circuit(), {*NO_EFFECTS, "hot_count", "hot_hz"}
+    held, names = {*NO_EFFECTS, "hot_count", "hot_hz"}, []
     if set(THRESHOLDS) & {*mapped}:
         held.add("mismatch")
-    names = []
     for name in model.effects:
         effect = stages.effect(name)
         if {parameter.name for parameter in effect.parameters} & {*mapped}:
             continue
-        applied = effect.apply(neutral, model.values)
-        acting = [f.name for f in fields(Circuit) if f.name not in held and _differs(f.name, applied, neutral)]
-        if acting and not any(_differs(field, circuit, neutral) for field in acting):
+        acting = acting_fields(effect.apply(Circuit(), model.values)) - held
+        if acting and not acting & acting_fields(circuit):
             names.append(name)
     return names
-
-
-def _differs(field: str, one: Circuit, other: Circuit) -> bool:
-    a, b = getattr(one, field), getattr(other, field)
-    return bool(a is not b and a != b)  # NaN: a number that neither has
 
 
 def _has(circuit: Circuit, column: int) -> bool:

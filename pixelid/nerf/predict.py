@@ -7,7 +7,7 @@ import torch
 
 from pixelid.nerf.intervals import Chains, Intervals, chains
 from pixelid.nerf.losses import Weights, amplifier_drift, changes, terms, total
-from pixelid.nerf.memory import past_of
+from pixelid.nerf.past import past_of
 from pixelid.nerf.pixel import Pixel
 from pixelid.nerf.quiet import LAGS, Pairs, draw_pairs
 from pixelid.nerf.render import Rays
@@ -112,13 +112,11 @@ def _darkest(problem: Problem) -> float:
 
 def chains_at(problem: Problem, state: State, from_: Intervals, starts, rng: np.random.Generator) -> Chains:
     """The chains that begin at `starts` (runs,), indices into `from_.starts`, with samples as the pixel asks."""
-    if not state.pixel.filtering:
-        return chains(from_, starts, 1, state.pixel.slowest(_darkest(problem)), rng)
 
     def light(t: np.ndarray, pixel: np.ndarray) -> np.ndarray:
         return _radiance_at(problem, state, t, pixel)
 
-    samples = state.pixel.bandwidth.samples
+    samples = state.pixel.bandwidth.samples if state.pixel.filtering else 1
     rate, points = past_of(state.pixel, from_, starts, samples, _darkest(problem), problem.crossing_s, light)
     return chains(from_, starts, samples, rate, rng, points)
 

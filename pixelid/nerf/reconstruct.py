@@ -17,7 +17,7 @@ from pixelid.nerf.beside import Beside
 from pixelid.nerf.calibration import CIRCUIT, Calibration, of_fit, uncertainty_of_fit, unexplained_by
 from pixelid.nerf.dataset import CALIBRATION, Dataset, evaluation_views, write_poses
 from pixelid.nerf.evaluate import Scores, evaluate, evaluate_as_published, no_scores, render_views
-from pixelid.nerf.given import one_of, whole_number
+from pixelid.nerf.given import one_of
 from pixelid.nerf.ignored import forgotten, ignored_effects
 from pixelid.nerf.judged import keep_best, train_judged
 from pixelid.nerf.pixel import FILTER, Bandwidth
@@ -43,7 +43,6 @@ LEARNED = 0.9  # share of held-out changes left unexplained, above which the fie
 MOST_FAR = 5.0
 RESIDUALS = "residuals.npz"
 DEVICES, PROTOCOLS = ("auto", "cpu", "cuda"), ("strict", "paper")
-MOST_SAMPLES = 1000  # of the pixel's past
 LOOKS = 10  # running PSNR, per run
 SAVE_EVERY, SAVE_AFTER_S = 100, 30.0  # steps between checkpoints; sooner where steps take long
 
@@ -228,7 +227,6 @@ def reconstruct(
     """
     watch = time.perf_counter()
     bandwidth = Bandwidth() if bandwidth is None else bandwidth
-    whole_number("samples", bandwidth.samples, 1, MOST_SAMPLES)
     one_of("device", device, DEVICES)
     one_of("protocol", protocol, PROTOCOLS)
     if preview is not None:

@@ -8,7 +8,7 @@ import torch
 from oracles.output_weights import output_weights
 
 from pixelid.dynamics.trajectory import Dynamics, integrate
-from pixelid.nerf.intervals import CHAIN, chains, intervals, past_lifetimes
+from pixelid.nerf.intervals import CHAIN, chains, intervals
 from pixelid.nerf.losses import changes, terms
 from pixelid.nerf.scan import respond
 
@@ -44,7 +44,7 @@ def test_importance_samples_equal_the_simulators_filter_in_the_dense_limit(dynam
     truth = integrate(fine, light(fine), dynamics)
     slowest = 33.1 * 20 * 0.2  # α L / β at the darkest light
     for output in (0.1, 0.1434, 0.19):
-        t = output - past_lifetimes(200, slowest)[::-1]
+        t = output + np.log1p(-0.95 * np.arange(200)[::-1] / 199) / slowest
         u = torch.tensor(np.log(light(t)))
         level, changed = respond(u, tensor(dynamics), t, np.array([0, 200]))
         state = truth.at([output])[0]
@@ -225,8 +225,13 @@ def test_chains_are_sorted_padded_and_within_one_pixel(shortest, samples):
     assert last_of_pixel.all()
 
 
-def test_one_sample_is_no_past():
-    assert past_lifetimes(1, 100.0).tolist() == [0.0]
-    lifetimes = past_lifetimes(30, 100.0)
-    assert lifetimes[0] == 0
-    assert lifetimes[-1] == pytest.approx(-math.log(0.05) / 100)
+def test_the_past_before_a_chain_is_that_of_an_exponential_and_one_sample_is_none():
+    """Of thirty samples an output places ten itself: at tenths of 95 % of the exponential's probability."""
+    t, zero = np.linspace(0.5, 1.0, 40), np.zeros(40, int)
+    spans = intervals(t, zero, zero, t > 0, 1)
+    rng = np.random.default_rng(0)
+    first = spans.stretches.begin[spans.starts[3]]
+    past = first - chains(spans, np.array([3]), 30, 100.0, rng).t[:11]
+    assert past[:10] == pytest.approx([-math.log(1 - 0.095 * k) / 100 for k in range(10, 0, -1)])
+    assert past[10] == 0
+    assert chains(spans, np.array([3]), 1, 100.0, rng).t[0] == first

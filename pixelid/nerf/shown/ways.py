@@ -172,18 +172,15 @@ def _stated_camera(
 ) -> Camera:  # fmt: skip
     """The camera that a document states, in `size` pixels; an ideal one where it states none."""
     own = _shape(path, picture)
-    if "camera_angle_x" in document or "intrinsics" in document:
-        _refuse_angle(path, fov)
-    if "camera_angle_x" not in document and "intrinsics" in document:  # of pictures of one size
-        if own is None:
-            raise InputError(f"{path}: intrinsics: {picture} is not there, whose size says what they are in units of")
-        return camera_of_document(path, document, *own).resized(*(size or own))
     shape = size or own or DEFAULT_SIZE
-    return (
-        camera_of_document(path, document, *shape)
-        if "camera_angle_x" in document
-        else pinhole(*shape, fov or FIELD_OF_VIEW)
-    )
+    if "camera_angle_x" not in document and "intrinsics" not in document:
+        return pinhole(*shape, fov or FIELD_OF_VIEW)
+    _refuse_angle(path, fov)
+    if "camera_angle_x" in document:
+        return camera_of_document(path, document, *shape)
+    if own is None:  # intrinsics are of pictures of one size
+        raise InputError(f"{path}: intrinsics: {picture} is not there, whose size says what they are in units of")
+    return camera_of_document(path, document, *own).resized(*shape)
 
 
 def _shape(path: Path, name: str) -> tuple[int, int] | None:

@@ -18,8 +18,8 @@ from pixelid.nerf.intervals import CHAIN, COVERED, Intervals, own_past, rows_of
 from pixelid.nerf.pixel import Pixel
 
 BRIGHT = 1.0  # radiance of white, in the unit of the views
-# With these, changes of a half-trained scene are nearer to those by 1200 samples than with 30 over the memory
-# of the darkest light (docs/methods/reconstruction.md, "Samples").
+# With these, changes of a half-trained scene are nearer to those by 1200 samples than with 30 over the memory of the
+# darkest light, or within 0.003 thresholds of them (docs/methods/reconstruction.md, "Samples").
 DIMMER = 4.0  # a pixel is taken to have seen that much less light before than at the ends of a stretch
 FINE = 0.125  # pixels that the image may move between samples of the past
 FEWEST = 2  # of them, where the image does not move

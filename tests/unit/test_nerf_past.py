@@ -10,7 +10,7 @@ from pixelid.model.shipped import find_model
 from pixelid.nerf.calibration import in_unit
 from pixelid.nerf.intervals import CHAIN, chains, intervals, own_past, rows_of
 from pixelid.nerf.losses import changes
-from pixelid.nerf.memory import FEWEST, past_of
+from pixelid.nerf.past import FEWEST, past_of
 from pixelid.nerf.pixel import Bandwidth, Pixel
 from pixelid.nerf.scan import respond
 
