@@ -64,8 +64,9 @@ class _Compiled(torch.autograd.Function):
     ):  # fmt: skip
         (densities, looks), behind = _side_by_side(grid, coefficients), background.detach().numpy()
         radiance, opacity = np.empty(len(rays.origins), np.float32), np.empty(len(rays.origins), np.float32)
-        filled, (vertices, index) = np.empty(len(densities), np.uint8), (box.bricks.vertices, box.bricks.index)
-        kernels.filled_cells(densities, vertices, index, box.step, box.occupied, filled)
+        filled, away = np.empty(len(densities), np.uint8), np.empty(box.occupied.shape, np.int16)
+        vertices, index = box.bricks.vertices, box.bricks.index
+        kernels.filled_cells(densities, vertices, index, box.step, box.occupied, filled, away)
 
         def part(some: slice) -> tuple[np.ndarray, ...]:
             number = some.stop - some.start
@@ -73,8 +74,8 @@ class _Compiled(torch.autograd.Function):
             room = KEPT_PER_RAY * number if keep else 0
             samples, depths, colours = (np.empty(room, kind) for kind in (np.int32, np.float32, np.float32))
             kept = kernels.forward(
-                *(column[some] for column in rays), densities, looks, vertices, index, box.occupied, filled, box.low,
-                box.high, box.unbounded, box.near, box.step, behind, radiance[some], opacity[some], first, samples,
+                *(column[some] for column in rays), densities, looks, vertices, index, filled, away, box.low, box.high,
+                box.unbounded, box.near, box.step, behind, radiance[some], opacity[some], first, samples,
                 depths, colours,
             )  # fmt: skip
             return first, *kept

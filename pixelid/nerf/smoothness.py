@@ -15,7 +15,7 @@ import numpy as np
 import torch
 from numba import njit
 
-from pixelid.nerf.bricks import ROWS, SIDE, Bricks, row
+from pixelid.nerf.bricks import ROWS, SIDE, Bricks
 from pixelid.nerf.render import threads
 from pixelid.parallel import map_threads, ranges
 
@@ -119,38 +119,71 @@ def _fill(values, places, index, n, start, floor, shares, by_values):
     The gradient of their rows is filled in, times the share of each;  floor: of feature 0.
     """
     depth, of_density, of_radiance = values.shape[1], 0.0, 0.0
+    here = np.zeros((SIDE + 2, SIDE + 2, SIDE + 2), np.float32)  # a brick and the nearest vertices of its neighbours
+    slopes = np.zeros((SIDE, SIDE, SIDE), np.float32)
     for p in range(len(places)):
-        first, second, third = places[p, 0] * SIDE, places[p, 1] * SIDE, places[p, 2] * SIDE
-        for ix in range(first, min(first + SIDE, n)):
-            for iy in range(second, min(second + SIDE, n)):
-                for iz in range(third, min(third + SIDE, n)):
-                    at = row(index, ix, iy, iz)
-                    for axis in range(3):
-                        dx, dy, dz = 1 if axis == 0 else 0, 1 if axis == 1 else 0, 1 if axis == 2 else 0
-                        place = ix if axis == 0 else (iy if axis == 1 else iz)
-                        if place + 1 < n:
-                            other = row(index, ix + dx, iy + dy, iz + dz)
-                            if other >= ROWS:
-                                if start == 0:
-                                    of_density += _density_step(values, at, other, floor, shares[0], by_values)
-                                for c in range(1, depth):
-                                    step = values[at, c] - values[other, c]
-                                    of_radiance += abs(step)
-                                    by_values[at, c] += shares[1] * np.sign(step)
-                        if place > 0:
-                            other = row(index, ix - dx, iy - dy, iz - dz)
-                            if other >= ROWS:
-                                if start == 0:
-                                    _density_step(values, at, other, floor, shares[0], by_values)
-                                for c in range(1, depth):
-                                    by_values[at, c] += shares[1] * np.sign(values[at, c] - values[other, c])
+        x, y, z = places[p]
+        base = np.int64(index[x, y, z]) * ROWS
+        nx, ny, nz = min(n - SIDE * x, SIDE), min(n - SIDE * y, SIDE), min(n - SIDE * z, SIDE)
+        for feature in range(start, depth):
+            least = floor if feature == 0 else np.float32(-np.inf)
+            _gather(values, index, x, y, z, nx, ny, nz, feature, least, here)
+            total = np.float32(0.0)
+            for a in range(1, nx + 1):
+                for b in range(1, ny + 1):
+                    for c in range(1, nz + 1):
+                        own = here[a, b, c]
+                        in_x, in_y, in_z = here[a + 1, b, c] - own, here[a, b + 1, c] - own, here[a, b, c + 1] - own
+                        total += abs(in_x) + abs(in_y) + abs(in_z)
+                        slope = _sign(own - here[a - 1, b, c]) + _sign(own - here[a, b - 1, c])
+                        slope += _sign(own - here[a, b, c - 1]) - _sign(in_x) - _sign(in_y) - _sign(in_z)
+                        slopes[a - 1, b - 1, c - 1] = slope
+            share = shares[min(feature, 1)]
+            for a in range(nx):
+                for b in range(ny):
+                    for c in range(nz):
+                        at = np.uintp(base + (a * SIDE + b) * SIDE + c)
+                        if values[at, feature] >= least:
+                            by_values[at, feature] = share * slopes[a, b, c]
+            if feature == 0:
+                of_density += total
+            else:
+                of_radiance += total
     return of_density, of_radiance
 
 
 @njit(inline="always", error_model="numpy")
-def _density_step(values, at, other, floor, share, by_values):
-    """The absolute difference of a row's log density to another one's; its gradient by the row is added."""
-    step = max(values[at, 0], floor) - max(values[other, 0], floor)
-    if values[at, 0] >= floor:
-        by_values[at, 0] += share * np.sign(step)
-    return abs(step)
+def _sign(x):
+    return np.float32(x > 0) - np.float32(x < 0)
+
+
+@njit(inline="always", error_model="numpy")
+def _gather(values, index, x, y, z, nx, ny, nz, feature, least, here):
+    """Fill here (6, 6, 6) with a feature of brick (x, y, z), and of its neighbours where they touch its nx × ny × nz
+    vertices; where no neighbour is, with the brick's own, from which nothing differs."""
+    base, bricks = np.int64(index[x, y, z]) * ROWS, len(index)
+    for a in range(nx):
+        for b in range(ny):
+            for c in range(nz):
+                here[a + 1, b + 1, c + 1] = max(values[np.uintp(base + (a * SIDE + b) * SIDE + c), feature], least)
+    for axis in range(3):
+        place, number = (x, nx) if axis == 0 else ((y, ny) if axis == 1 else (z, nz))
+        sx, sy, sz = 1 if axis == 0 else 0, 1 if axis == 1 else 0, 1 if axis == 2 else 0
+        for way in (-1, 1):
+            other = np.int64(0)
+            if 0 <= place + way < bricks and (way < 0 or number == SIDE):
+                other = np.int64(index[x + way * sx, y + way * sy, z + way * sz]) * ROWS
+            own, near, at = (0, SIDE - 1, 0) if way < 0 else (number - 1, 0, number + 1)  # own and other's layer, here
+            wide, deep = ny if axis == 0 else nx, ny if axis == 2 else nz
+            for b in range(wide):
+                for c in range(deep):
+                    layer, row_at = near if other > 0 else own, other if other > 0 else base
+                    i, j, k = _in_layer(axis, layer, b, c)
+                    value = max(values[np.uintp(row_at + (i * SIDE + j) * SIDE + k), feature], least)
+                    i, j, k = _in_layer(axis, at, b + 1, c + 1)
+                    here[i, j, k] = value
+
+
+@njit(inline="always", error_model="numpy")
+def _in_layer(axis, layer, b, c):
+    return (layer if axis == 0 else b, b if axis == 0 else (layer if axis == 1 else c), layer if axis == 2 else c)
