@@ -76,13 +76,15 @@ def limits_bandwidth(circuit: Circuit) -> bool:
 class Pixel(torch.nn.Module):
     """A circuit as tensors, and its pixels.
 
-    factors: (6,) logs of what multiplies `FACTORS`, trained where `moves` is 1;  added: (5,) what is added to the
+    factors: (6,) logs of what multiplies `FACTORS`, trained where `moves` is 1;  told: (6,) of them, where priors lie:
+    0, unless the circuit is one that training has moved before;  added: (5,) what is added to the
     circuit's `ADDITIONS`, in their steps, trained where `adds` is 1;  departures: (pixels, 2) of single ON and OFF
     thresholds from what `maps` expects, in its standard deviations, trained where they are not 0
     """
 
     nominal: torch.Tensor
     prior_sd: torch.Tensor
+    told: torch.Tensor
     moves: torch.Tensor
     adds: torch.Tensor
     steps: torch.Tensor
@@ -106,6 +108,7 @@ class Pixel(torch.nn.Module):
         adds = torch.tensor([float(name in moving) for name in ADDITIONS], dtype=torch.float64)
         self.factors = torch.nn.Parameter(torch.zeros_like(moves), requires_grad=bool(moves.any()))
         self.added = torch.nn.Parameter(torch.zeros_like(adds), requires_grad=bool(adds.any()))
+        self.register_buffer("told", torch.zeros_like(moves), persistent=False)
         self.register_buffer("moves", moves)
         self.register_buffer("adds", adds)
         steps = [addition.step_from(circuit) for addition in ADDITIONS.values()]
@@ -159,7 +162,7 @@ class Pixel(torch.nn.Module):
     @property
     def growth(self) -> torch.Tensor:
         """By how much the mean threshold has been trained to be larger than told."""
-        return self._scale[4]
+        return self._scale[4] * torch.exp(-self.told[4])
 
     def thresholds_at(self, pixels: np.ndarray) -> tuple[torch.Tensor, torch.Tensor]:
         """(ON, OFF), (n, 1) each, of pixels (n,)."""
@@ -201,13 +204,22 @@ class Pixel(torch.nn.Module):
 
     def thresholds_from_told(self) -> dict[str, float]:
         """By how many standard deviations trained mean and ratio have left what `Bandwidth.prior_sd` tells of them."""
-        far = dict(zip(FACTORS, (self.moves * self.factors.detach() / self.prior_sd).tolist(), strict=True))
+        far = dict(zip(FACTORS, self._far.detach().tolist(), strict=True))
         return {name: far[name] for name in ("threshold", "ratio") if name in (self.bandwidth.prior_sd or {})}
 
     def penalty(self, left: float = 1.0) -> torch.Tensor:
         """−ln prior of the factors, and of the pixels' thresholds times `left`, the variance that a change leaves."""
-        of_factors = ((self.factors / self.prior_sd) ** 2).sum()
-        return 0.5 * of_factors + 0.5 * left * (self.departures**2).sum()
+        return 0.5 * (self._far**2).sum() + 0.5 * left * (self.departures**2).sum()
+
+    @property
+    def _far(self) -> torch.Tensor:
+        """(6,) from where their priors lie to the factors, in standard deviations."""
+        return self.moves * (self.factors - self.told) / self.prior_sd
+
+    @property
+    def moved(self) -> torch.Tensor:
+        """(6,) logs by which `FACTORS` have left what was told."""
+        return (self.moves * self.factors - self.told).detach()
 
     @overload
     def slowest(self, radiance: float) -> float: ...

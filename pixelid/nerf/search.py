@@ -148,7 +148,7 @@ def search(
     coarse = replace(recipe, vertices=recipe.vertices[:1], **SCENE)
     bench = _Bench(make, coarse, bandwidth, steps, unit, device, report)
     state = train(problem, bench.recipe, start(problem, bench.recipe, bandwidth, device), until=warm, report=report)
-    here = told = _Place(with_trained_values(calibration, state.pixel, problem), (), state)
+    here = told = _Place(calibration, (), state).after(problem, state)
     kept: list[tuple[str, Trial]] = []
     rounds: list[tuple[Trial, ...]] = []
     while len(rounds) < MOST_ROUNDS and names and here.state.finite:
@@ -206,11 +206,20 @@ def _map(before: Rows, after: Rows) -> Mapping[str, Any]:
 
 @dataclass(frozen=True)
 class _Place:
-    """Where a search is: a pixel, what of it is trained beyond the told, and a scene trained under it."""
+    """Where a search is: a pixel, what of it is trained beyond the told, and a scene trained under it.
+
+    moved: (6,) logs by which training has moved `pixel.FACTORS` from what was told, where their priors stay
+    """
 
     calibration: Calibration
     trained: tuple[str, ...]
     state: State
+    moved: torch.Tensor | float = 0.0
+
+    def after(self, problem: Problem, state: State) -> _Place:
+        """The same, once a scene and its pixel have been trained."""
+        calibration = with_trained_values(self.calibration, state.pixel, problem)
+        return replace(self, calibration=calibration, state=state, moved=state.pixel.moved)
 
 
 @dataclass(frozen=True)
@@ -313,7 +322,7 @@ class _Bench:
         """The same, trained on for some steps, in a copy; the pixel is what training has moved it to."""
         problem, state = self._moved(here)
         state = train(problem, self.recipe, state, until=state.iteration + steps, report=self.report)
-        return replace(here, calibration=with_trained_values(here.calibration, state.pixel, problem), state=state)
+        return here.after(problem, state)
 
     def rows(self, here: _Place) -> Rows:
         """What is left unexplained of held-out events."""
@@ -332,6 +341,7 @@ class _Bench:
             copy.field.hold(here.state.field.bricks, here.state.field.grid, here.state.field.coefficients)
             copy.field.log_background.copy_(here.state.field.log_background)
             copy.poses.load_state_dict(here.state.poses.state_dict())
+            copy.pixel.told.copy_(-torch.as_tensor(here.moved, dtype=torch.float64))
             if copy.pixel.departures.requires_grad and here.state.pixel.departures.requires_grad:
                 copy.pixel.departures.copy_(here.state.pixel.departures)
         copy.field.occupied = here.state.field.occupied.copy()
@@ -424,7 +434,7 @@ def _renewed(here: _Place, suggested: Suggested, problem: Problem, name: str = "
     moved = dict(zip(moved, parallel.agreed(np.array(list(moved.values()), float)).tolist(), strict=True))
     for each in (*here.trained, name):
         calibration = _begun(each, calibration, moved.get(each, 0.0), problem)
-    return _Place(calibration, (*here.trained, *new), here.state)
+    return replace(here, calibration=calibration, trained=(*here.trained, *new))
 
 
 def _moved_by(before: _Place, after: _Place) -> float:

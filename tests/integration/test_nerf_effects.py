@@ -7,18 +7,20 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 from test_schemas import check
 
 from pixelid.cli.main import main
 from pixelid.model.shipped import find_model
 from pixelid.nerf import checkpoint
-from pixelid.nerf.calibration import in_unit
+from pixelid.nerf.calibration import Calibration, in_unit
 from pixelid.nerf.dataset import Dataset, read_dataset
 from pixelid.nerf.pixel import Bandwidth
-from pixelid.nerf.problem import problem_of
+from pixelid.nerf.problem import Problem, problem_of
 from pixelid.nerf.recipe import Recipe
 from pixelid.nerf.residuals import Rows
-from pixelid.nerf.search import HELD_OUT, Found, _map, search
+from pixelid.nerf.search import HELD_OUT, Found, _Bench, _map, _Place, search
+from pixelid.nerf.state import start
 from pixelid.nerf.synthetic import SETTINGS, camera_model, make_dataset
 
 
@@ -136,6 +138,35 @@ def looked_for(data: Dataset, steps: int = 300) -> Found:
         replace(data.calibration, circuit=told), Bandwidth(), recipe,
         lambda calibration, trained: problem_of(data, calibration, trained=trained, held_out=HELD_OUT),
     )  # fmt: skip
+
+
+def test_priors_stay_where_they_were_told_from_trial_to_trial(leaking):
+    """Of a filter trained with the scene under the prior of a fit: each trial begins from what the last has come to."""
+    data = read_dataset(leaking)
+    sd = {"alpha": 0.02, "follower": 0.05, "threshold": 0.01}
+    joint = Bandwidth("joint", samples=5, prior_sd=sd, trained=("threshold",))
+
+    def make(calibration: Calibration, trained: tuple[str, ...]) -> Problem:
+        return problem_of(data, calibration, trained=trained, held_out=HELD_OUT)
+
+    recipe = Recipe(iterations=8, batch=8, vertices=(9,))
+    bench = _Bench(make, recipe, joint, 2, 0.25, "cpu", lambda state, measured: None)
+    problem = make(data.calibration, joint.moving)
+    state = start(problem, recipe, joint)
+    with torch.no_grad():
+        state.pixel.factors += 0.3
+    place = _Place(data.calibration, (), state).after(problem, state)
+    for _ in range(2):
+        _, copy = bench._moved(place)
+        last, now = place.state.pixel, copy.pixel
+        assert torch.equal(now.factors.detach(), torch.zeros(6, dtype=torch.float64))
+        torch.testing.assert_close(now.penalty(), last.penalty())
+        torch.testing.assert_close(now.growth, last.growth)
+        assert now.thresholds_from_told() == pytest.approx(last.thresholds_from_told())
+        torch.testing.assert_close(now.dynamics[:4], last.dynamics[:4])
+        place = bench.go_on(place, 2)
+    start_of_alpha = float(state.pixel.nominal[0])
+    assert float(place.moved[0]) == pytest.approx(np.log(float(place.state.pixel.dynamics[0]) / start_of_alpha))
 
 
 @pytest.mark.slow
