@@ -408,6 +408,19 @@ def test_eds(truth, tmp_path):
     np.testing.assert_allclose(views.rotation, rotation @ BESIDE[:3, :3], atol=1e-4)
 
 
+@pytest.mark.parametrize("listed", [True, False])
+def test_eds_says_where_exposures_are_not_known(truth, tmp_path, listed):
+    """They are in times.txt alone; the times of the pictures are in another file, too."""
+    folder = write_eds(tmp_path / "08", truth)
+    if not listed:
+        (folder / "times.txt").unlink()
+    assert main(["dataset", "eds", str(folder), str(tmp_path / "out"), "--quiet"]) == 0
+    assert len(np.unique(read_dataset(tmp_path / "out").views["test"].exposure)) == 1
+    notes = json.loads((tmp_path / "out" / "dataset.json").read_text())["notes"]
+    told = "exposures of the views are taken as equal (times.txt: no such file)"
+    assert (told in notes) is not listed
+
+
 def test_tumvie(truth, tmp_path):
     folder = write_tumvie(tmp_path / "raw", truth, compression="gzip", chunks=(512,))
     assert main(["dataset", "tumvie", str(folder), str(tmp_path / "out"), "--quiet"]) == 0

@@ -24,6 +24,7 @@ from pixelid.nerf.published.source import (
     Pictures,
     Source,
     camera_of,
+    equal_exposures,
     found,
     nanoseconds,
     poses_of,
@@ -131,13 +132,14 @@ def _pictures(folder: Path, cameras: Mapping[str, Any], sensor: str, chain: Path
     listed = folder / "times.txt"
     if not files or not others or (stamps is None and not listed.is_file()):
         return None
-    exposure = np.ones(len(files))
+    exposure, notes = np.ones(len(files)), equal_exposures(listed, "no such file")
     if listed.is_file():
         rows = [line.split() for line in read_text(listed, "CSV").splitlines() if line.strip()[:1] not in ("", "#")]
         try:
             files = [folder / "images" / row[4] for row in rows]
             t = nanoseconds(listed, np.array([float(row[1]) for row in rows]), 1e9)
             exposure = np.array([float(row[2]) * 10 ** (float(row[3]) / 20) for row in rows])
+            notes = ()
             if not (np.isfinite(exposure) & (exposure > 0)).all():
                 raise ValueError
         except (ValueError, IndexError, OverflowError):
@@ -153,7 +155,8 @@ def _pictures(folder: Path, cameras: Mapping[str, Any], sensor: str, chain: Path
 
     other = "cam0" if "cam0" in others else others[0]
     names = tuple(file.stem for file in files)
-    return Pictures(t, names, exposure, _camera(cameras, other, chain), _way(cameras, other, sensor, chain), read_some)
+    pose = _way(cameras, other, sensor, chain)
+    return Pictures(t, names, exposure, _camera(cameras, other, chain), pose, read_some, notes)
 
 
 def _way(cameras: Mapping[str, Any], other: str, sensor: str, file: Path) -> np.ndarray:

@@ -58,6 +58,11 @@ class Pictures:
     notes: tuple[str, ...] = ()
 
 
+def equal_exposures(file: Path, why: str) -> tuple[str, ...]:
+    """The note of `Pictures` whose exposures are not known, of the file that should tell them."""
+    return (f"exposures of the views are taken as equal ({file.name}: {why})",)
+
+
 @dataclass(frozen=True)
 class Source:
     """A published sequence.

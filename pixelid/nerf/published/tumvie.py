@@ -26,6 +26,7 @@ from pixelid.nerf.published.source import (
     Pictures,
     Source,
     camera_of,
+    equal_exposures,
     found,
     matrices,
     nanoseconds,
@@ -173,4 +174,4 @@ def _exposure(file: Path, pictures: int, kept: slice) -> tuple[np.ndarray, tuple
         why = "one is not a positive number"
     else:
         return exposure[kept], ()
-    return np.ones(pictures)[kept], (f"exposures of the views are taken as equal ({file.name}: {why})",)
+    return np.ones(pictures)[kept], equal_exposures(file, why)
