@@ -1,7 +1,8 @@
 """Chains: consecutive stretches of a pixel's events that share their samples of past light.
 
 A chain is up to `CHAIN` consecutive stretches of one pixel.  Its light is sampled once, at sorted times: both ends of
-every stretch, both ends of a random part of every quiet one, a past before the first one, and points within long ones.
+every stretch, both ends of a random part of every second quiet one, a past before the first one, and points within long
+ones.
 Where the samples go is importance sampling of past inputs (Low & Lee, arXiv 2409.17988, supplement): lifetimes before
 an output are exponential at the slowest dominant pole ω, truncated at cumulative probability 0.95, S evenly spaced
 quantiles, the output itself among them.  Within a chain the next output decides: over Δt, mass
@@ -21,6 +22,7 @@ from pixelid.nerf.stretches import NOISE, Stretches, stretches
 
 CHAIN = 16
 OWN = 1 / 3
+ASKED = 2  # one in so many stretches has a part of its own that is to be quiet: a third of all rays would be for that
 COVERED = 0.95  # of the lifetimes' probability
 LEAST = 0.01  # of a drifting threshold, relative; the simulator's least
 
@@ -46,7 +48,7 @@ class Chains(NamedTuple):
     t: (n,) sample times, run after run;  first: (runs + 1,);  pixel: (runs,)
     begin, end: (runs, CHAIN) sample at the stretch's start and end;  weight: (runs, CHAIN) 1, or 0 where there is
     none;  rise, fall, variance, reset, burst: (runs, CHAIN) of `Stretches`, of which `which` are the rows;  sub: (runs,
-    CHAIN, 2) samples at the ends of a random part of a quiet stretch
+    CHAIN, 2) samples at the ends of a random part of a quiet stretch, twice the same one where it is not asked
     """
 
     t: np.ndarray
@@ -167,7 +169,8 @@ def _fill(starts, since, until, pixel, burst, rate, points, random, out, first, 
             # a part of a quiet stretch: length triangular with mode 0, start uniform
             part = (1.0 - np.sqrt(random[run, k, 1])) * length
             sub_at = start + random[run, k, 2] * (length - part)
-            ends, wanted = (sub_at, sub_at + part), 0 if burst[i] else 2
+            asked = not burst[i] and (run + k) % ASKED == 0
+            ends, wanted = (sub_at, sub_at + part), 2 if asked else 0
             reach, most, placed, past = 1.0 - np.exp(-rate[run, k] * length), points[run, k], 0, 0
             if most > 0:
                 past = min(int(most / COVERED * reach + random[run, k, 0]), most)
@@ -183,8 +186,8 @@ def _fill(starts, since, until, pixel, burst, rate, points, random, out, first, 
                 if j > 0:
                     out[n] = at
                     n += 1
-            while placed < 2:  # a burst, or an end that rounding has put behind the stretch's
-                sub[run, k, placed] = begin[run, k] if burst[i] else n
+            while placed < 2:  # not asked, or an end that rounding has put behind the stretch's
+                sub[run, k, placed] = n if asked else begin[run, k]
                 placed += 1
             end[run, k] = n
             out[n] = until[i]

@@ -97,7 +97,8 @@ def terms(
     diff = (huber(rest / torch.sqrt(1.0 + variance)) * weight).sum() / number
     at = level[torch.as_tensor(chains.sub, device=device)]
     quiet = weight * ~burst
-    tv = ((at[..., 1] - at[..., 0]).abs() / mean * quiet).sum() / number
+    asked = quiet * torch.as_tensor(chains.sub[..., 0] != chains.sub[..., 1], device=device)
+    tv = ((at[..., 1] - at[..., 0]).abs() / mean * asked).sum() / asked.sum().clamp(min=1.0) * quiet.sum() / number
     running = torch.cumsum(rest * weight, dim=1)
     centre = (running * weight).sum(dim=1, keepdim=True) / weight.sum(dim=1, keepdim=True).clamp(min=1.0)
     spread = (variance * weight).sum(dim=1, keepdim=True) / 6  # of a centred random walk

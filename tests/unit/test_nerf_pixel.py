@@ -196,6 +196,19 @@ def test_changes_reset_at_the_end_of_the_dead_time():
     assert float(parts["chain"]) < 1e-3
 
 
+def test_what_every_second_stretch_says_of_silence_stands_for_all():
+    """ℓ_tv of light that rises evenly: the parts asked, a third of their stretch long on average, times its slope."""
+    rng = np.random.default_rng(2)
+    t = np.arange(1.0, 4001.0)
+    x = rng.integers(0, 4, len(t))
+    spans = intervals(t, x, np.zeros(len(t), int), rng.random(len(t)) < 0.5, 4)
+    batch = chains(spans, np.arange(0, len(spans.starts), 3), 1, 1.0, rng)
+    level = torch.tensor(0.1 * batch.t)
+    tv = float(terms(torch.zeros(batch.weight.shape), level, batch, *[torch.tensor(0.5)] * 2)["tv"])
+    lengths = (batch.t[batch.end] - batch.t[batch.begin])[batch.weight > 0]
+    assert tv == pytest.approx(0.1 * lengths.mean() / 3 / 0.5, rel=0.03)
+
+
 @pytest.mark.parametrize(("shortest", "samples"), [(0.0, 30), (4e-3, 30), (4e-3, 1)])
 def test_chains_are_sorted_padded_and_within_one_pixel(shortest, samples):
     rng = np.random.default_rng(3)
@@ -216,11 +229,16 @@ def test_chains_are_sorted_padded_and_within_one_pixel(shortest, samples):
     assert (batch.sub >= batch.begin[..., None])[ends].all()
     assert (batch.sub <= batch.end[..., None])[ends].all()
     quiet = ends & ~batch.burst
-    parts = batch.t[batch.sub][quiet]
-    assert quiet.any()
-    assert (parts[:, 1] > parts[:, 0]).all()
-    inside = (parts[:, 0] > batch.t[batch.begin][quiet]) & (parts[:, 1] < batch.t[batch.end][quiet])
+    asked = batch.sub[..., 0] < batch.sub[..., 1]
+    assert not asked[~quiet].any()
+    assert (batch.sub == batch.begin[..., None])[ends & ~asked].all()
+    parts = batch.t[batch.sub][asked]
+    inside = (parts[:, 0] > batch.t[batch.begin][asked]) & (parts[:, 1] < batch.t[batch.end][asked])
     assert inside.all()  # samples of their own, with and without a past
+    later = chains(spans, np.append(starts[0], starts), samples, 100.0, rng)  # the same ones in other places
+    others = (later.sub[..., 0] < later.sub[..., 1])[1:]
+    assert (asked ^ others)[quiet].all()  # every second stretch, and over batches all of them
+    assert abs(int(asked.sum()) - int(others.sum())) < 0.2 * quiet.sum()
     last_of_pixel = spans.stretches.pixel[spans.starts[starts]] == batch.pixel
     assert last_of_pixel.all()
 
