@@ -142,15 +142,19 @@ class Bricks:
 
 @njit(inline="always", error_model="numpy")
 def corners(index, ix, iy, iz):
-    """(8,) rows of the corners of a cell, z changing fastest."""
-    x, y, z = ix & 3, iy & 3, iz & 3
-    if x < 3 and y < 3 and z < 3:
-        at = row(index, ix, iy, iz)
-        return at, at + 1, at + 4, at + 5, at + 16, at + 17, at + 20, at + 21
+    """(8,) rows of the corners of a cell, z changing fastest.
+
+    All are looked up: whether a cell lies within one brick, as two in five do, cannot be foreseen.
+    """
     jx, jy, jz = ix + 1, iy + 1, iz + 1
+    x, y, z, up_x, up_y, up_z = (ix & 3) * 16, (iy & 3) * 4, iz & 3, (jx & 3) * 16, (jy & 3) * 4, jz & 3
+    a, b, c = np.uintp(ix >> 2), np.uintp(iy >> 2), np.uintp(iz >> 2)
+    d, e, f = np.uintp(jx >> 2), np.uintp(jy >> 2), np.uintp(jz >> 2)
     return (
-        row(index, ix, iy, iz), row(index, ix, iy, jz), row(index, ix, jy, iz), row(index, ix, jy, jz),
-        row(index, jx, iy, iz), row(index, jx, iy, jz), row(index, jx, jy, iz), row(index, jx, jy, jz),
+        np.int64(index[a, b, c]) * 64 + (x + y + z), np.int64(index[a, b, f]) * 64 + (x + y + up_z),
+        np.int64(index[a, e, c]) * 64 + (x + up_y + z), np.int64(index[a, e, f]) * 64 + (x + up_y + up_z),
+        np.int64(index[d, b, c]) * 64 + (up_x + y + z), np.int64(index[d, b, f]) * 64 + (up_x + y + up_z),
+        np.int64(index[d, e, c]) * 64 + (up_x + up_y + z), np.int64(index[d, e, f]) * 64 + (up_x + up_y + up_z),
     )  # fmt: skip
 
 
