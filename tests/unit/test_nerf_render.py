@@ -5,10 +5,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from scipy.ndimage import distance_transform_cdt
 from scipy.spatial.transform import Rotation, Slerp
 from scipy.special import factorial, lpmv
 
 from pixelid.errors import InputError
+from pixelid.nerf import render_kernels
 from pixelid.nerf.bricks import Bricks
 from pixelid.nerf.camera import Camera, pinhole, refuse_lens_without_inverse
 from pixelid.nerf.correction import fit_correction
@@ -244,6 +246,36 @@ def test_skipping_empty_blocks_changes_nothing_that_shows():
     before = field(rays)[0]
     assert field.look_for_empty_blocks() < 0.5
     torch.testing.assert_close(field(rays)[0], before, rtol=1e-3, atol=1e-3)
+
+
+@pytest.mark.parametrize(("vertices", "share"), [(33, 0.02), (34, 0.002), (50, 0.2), (17, 0.0)])
+def test_strides_end_before_whatever_is_not_clear(vertices, share):
+    """Blocks are as far from the nearest filled one as another library says, and strides miss nothing of what is there."""
+    rng = np.random.default_rng(vertices)
+    box, step = cube(vertices, 2 / 64), 2 / 64
+    specks = rng.random((vertices,) * 3) < share / 64
+    dense = np.where(specks, 4.0, -12.0).astype(np.float32)
+    densities = box.bricks.gathered(torch.tensor(dense)[..., None])[:, 0].numpy()
+    filled, away = np.empty(box.bricks.rows, np.uint8), np.empty(box.occupied.shape, np.int16)
+    render_kernels.filled_cells(densities, vertices, box.bricks.index, step, box.occupied, filled, away)
+    cells = np.lib.stride_tricks.sliding_window_view(dense, (2, 2, 2)).max(axis=(3, 4, 5)) > -12.0
+    wide = np.zeros(4 * np.array(box.occupied.shape), bool)
+    wide[tuple(slice(0, n) for n in cells.shape)] = cells
+    some = wide.reshape(len(away), 4, len(away), 4, len(away), 4).any(axis=(1, 3, 5))
+    expected = distance_transform_cdt(~some, "chessboard") if some.any() else np.full(some.shape, len(away))
+    np.testing.assert_array_equal(away, expected)
+    assert filled.sum() == cells.sum()
+    looks = box.bricks.gathered(torch.tensor(rng.normal(size=(vertices,) * 3 + (1, 1)), dtype=torch.float32))
+    rays, seen = random_rays(500, 1), []
+    for strides in (away, np.zeros_like(away)):
+        radiance, opacity, none = np.empty(500, np.float32), np.empty(500, np.float32), np.empty(0, np.int64)
+        render_kernels.forward(
+            *rays, densities, looks.numpy(), vertices, box.bricks.index, filled, strides, LOW, HIGH, False, 0.0, step,
+            np.ones(1, np.float32), radiance, opacity, none, np.empty(0, np.int32), *[np.empty(0, np.float32)] * 2,
+        )  # fmt: skip
+        seen.append((radiance, opacity))
+    np.testing.assert_array_equal(seen[0], seen[1])
+    assert (np.max(seen[0][1]) > 0) == some.any()
 
 
 def test_refining_keeps_the_scene():
