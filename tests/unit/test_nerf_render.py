@@ -250,7 +250,7 @@ def test_skipping_empty_blocks_changes_nothing_that_shows():
 
 @pytest.mark.parametrize(("vertices", "share"), [(33, 0.02), (34, 0.002), (50, 0.2), (17, 0.0)])
 def test_strides_end_before_whatever_is_not_clear(vertices, share):
-    """Blocks are as far from the nearest filled one as another library says, and strides miss nothing of what is there."""
+    """Blocks are as far from the nearest filled one as another library says, and strides miss nothing."""
     rng = np.random.default_rng(vertices)
     box, step = cube(vertices, 2 / 64), 2 / 64
     specks = rng.random((vertices,) * 3) < share / 64
