@@ -21,7 +21,9 @@ from pixelid.nerf.revival import asked_for
 from pixelid.nerf.smoothness import mean_log_density, mean_square, variation
 from pixelid.nerf.state import Problem, State, follow, optimiser_of
 
-FIRST_LOOK = 64  # steps before which clear space cannot be told from a scene that has not grown yet
+# Steps, not a share of them, before which clear space cannot be told from a scene that has not grown yet: Adam moves a
+# log density by its rate at most, a tenth a step.
+FIRST_LOOK = 64
 FOLLOW = 64  # steps after which the bricks of a fine field follow the scene, by one at a time
 LEVEL_RAYS = 512  # of the reference views in a step, whose mean light is compared
 JUDGED = 512  # held-out chains, the same ones every time
