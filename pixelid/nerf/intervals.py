@@ -22,7 +22,7 @@ from pixelid.nerf.stretches import NOISE, Stretches, stretches
 
 CHAIN = 16
 OWN = 1 / 3
-ASKED = 2  # one in so many stretches has a part of its own that is to be quiet: a third of all rays would be for that
+ASKED = 2  # one in so many stretches has a part of its own that is to be quiet: of all, half the rays would be for that
 COVERED = 0.95  # of the lifetimes' probability
 LEAST = 0.01  # of a drifting threshold, relative; the simulator's least
 
