@@ -248,7 +248,7 @@ def test_skipping_empty_blocks_changes_nothing_that_shows():
     torch.testing.assert_close(field(rays)[0], before, rtol=1e-3, atol=1e-3)
 
 
-@pytest.mark.parametrize(("vertices", "share"), [(33, 0.02), (34, 0.002), (50, 0.2), (17, 0.0)])
+@pytest.mark.parametrize(("vertices", "share"), [(33, 0.02), (34, 0.002), (50, 0.2), (17, 0.0), (9, 2.0), (4, 4.0)])
 def test_strides_end_before_whatever_is_not_clear(vertices, share):
     """Blocks are as far from the nearest filled one as another library says, and strides miss nothing."""
     rng = np.random.default_rng(vertices)
