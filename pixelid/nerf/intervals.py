@@ -1,11 +1,10 @@
 """Chains: consecutive stretches of a pixel's events that share their samples of past light.
 
 A chain is up to `CHAIN` consecutive stretches of one pixel.  Its light is sampled once, at sorted times: both ends of
-every stretch, both ends of a random part of every second quiet one, a past before the first one, and points within long
-ones.
-Where the samples go is importance sampling of past inputs (Low & Lee, arXiv 2409.17988, supplement): lifetimes before
-an output are exponential at the slowest dominant pole ω, truncated at cumulative probability 0.95, S evenly spaced
-quantiles, the output itself among them.  Within a chain the next output decides: over Δt, mass
+every stretch, both ends of a random part of every second one, if it is quiet, a past before the first one, and points
+within long ones.  Where the samples go is importance sampling of past inputs (Low & Lee, arXiv 2409.17988, supplement):
+lifetimes before an output are exponential at the slowest dominant pole ω, truncated at cumulative probability 0.95, S
+evenly spaced quantiles, the output itself among them.  Within a chain the next output decides: over Δt, mass
 (S − 1)(1 − exp(−ω Δt))/0.95 of points is due.
 """
 

@@ -174,16 +174,17 @@ def _gather(values, index, x, y, z, nx, ny, nz, feature, least, here):
             if 0 <= place + way < bricks and (way < 0 or number == SIDE):
                 other = np.int64(index[x + way * sx, y + way * sy, z + way * sz]) * ROWS
             own, near, at = (0, SIDE - 1, 0) if way < 0 else (number - 1, 0, number + 1)  # own and other's layer, here
+            layer, first = (near, other) if other > 0 else (own, base)
             wide, deep = ny if axis == 0 else nx, ny if axis == 2 else nz
             for b in range(wide):
                 for c in range(deep):
-                    layer, row_at = near if other > 0 else own, other if other > 0 else base
                     i, j, k = _in_layer(axis, layer, b, c)
-                    value = max(values[np.uintp(row_at + (i * SIDE + j) * SIDE + k), feature], least)
+                    value = max(values[np.uintp(first + (i * SIDE + j) * SIDE + k), feature], least)
                     i, j, k = _in_layer(axis, at, b + 1, c + 1)
                     here[i, j, k] = value
 
 
 @njit(inline="always", error_model="numpy")
 def _in_layer(axis, layer, b, c):
+    """(x, y, z) of place (b, c) in a layer across an axis."""
     return (layer if axis == 0 else b, b if axis == 0 else (layer if axis == 1 else c), layer if axis == 2 else c)
