@@ -13,7 +13,7 @@ from pixelid.gap.attribute.candidates import strongest_start
 from pixelid.gap.attribute.pixels import strongest_fit
 from pixelid.gap.criteria import Criteria
 from pixelid.gap.imputation.exact import keeps_its_times, loses_where_times_are_exact
-from pixelid.gap.imputation.impute import impute, impute_with_effect
+from pixelid.gap.imputation.impute import impute, impute_simulated, impute_with_effect
 from pixelid.gap.imputation.imputed import QUEUE, TICK, Imputation
 from pixelid.gap.imputation.windows import guess_edges, queue_windows, tick_windows, with_times
 from pixelid.gap.options import Context, Options
@@ -117,6 +117,27 @@ def behind_a_queue(lost):
         wrong = (window.hi > window.lo) & (rng.random(len(t)) < 0.01)
         t[wrong] = window.lo[wrong]
     return Imputation(QUEUE, tuple(r.stimulus for r in fine), fine, windows, tuple(times), rng.bit_generator.state, {})
+
+
+@pytest.mark.parametrize(("effect", "unit_s"), [(QUEUE, 2e-5), (TICK, 2e-5), (TICK, 5e-5)])
+def test_simulated_times_settle_where_the_true_ones_are(effect, unit_s):
+    """Both are draws from the same law: their log likelihoods differ by what those of two such draws do."""
+    unit = round(1e9 * unit_s)
+    true = recorded(MODEL, [chirp(24.0, stop_hz=200.0), slow(24.0, seed=2), steps(400.0, seed=4)], side=4)
+    if effect == QUEUE:
+        stamped = [replace(r, events=queued(r, unit)[0].events) for r in true]
+    else:
+        middle = [r.events.t // unit * unit + unit // 2 for r in true]
+        stamped = [replace(r, events=replace(r.events, t=t, tick_ns=1)) for r, t in zip(true, middle, strict=True)]
+    signature = TimestampSignature(effect, "", unit_s, (unit_s, unit_s), 0.0, 1.0, 1, "")
+    drawn, circuit = impute_simulated(stamped, signature, MODEL, 0), MODEL.circuit()
+    assert drawn.lost == ()
+    exact = EventTimes(with_times(drawn.fine, [r.events.t.astype(float) for r in true]))
+    first = EventTimes(with_times(drawn.fine, guess_edges(drawn.fine, drawn.windows, early=effect == QUEUE)))
+    many = sum(int((w.hi > w.lo).sum()) for w in drawn.windows)
+    expected, sd = exact.log_likelihood(circuit), np.sqrt(many)  # of a difference of sums of squares of normals, halved
+    assert abs(drawn.likelihood.log_likelihood(circuit) - expected) < 3.0 * sd
+    assert abs(first.log_likelihood(circuit) - expected) > 3.0 * sd
 
 
 def test_a_recording_is_told_by_lost_times_only_where_the_model_holds_at_exact_ones():

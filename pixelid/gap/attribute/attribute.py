@@ -152,7 +152,11 @@ def may_be_named(candidate: Candidate, options: Options) -> bool:
 
 
 def _as_good(other: Candidate, winner: Candidate, options: Options) -> bool:
-    """Whether another effect explains the events about as well: nearly the same gain, or its own on unseen units."""
-    if winner.gain - other.gain <= options.criteria.min_lead_nats:
-        return True
-    return other.p < options.alpha_each and not leads(winner.held_out - other.held_out, options.criteria)
+    """Whether another effect explains the events about as well: nearly the same gain, or its own on unseen units.
+
+    Unseen units that favour the winner count with those that were fitted to: nats of both add up.
+    """
+    lead, apart = winner.gain - other.gain, winner.held_out - other.held_out
+    if leads(apart, options.criteria):
+        return lead + float(apart.sum()) <= options.criteria.min_lead_nats
+    return lead <= options.criteria.min_lead_nats or other.p < options.alpha_each

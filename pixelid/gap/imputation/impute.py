@@ -21,7 +21,7 @@ from pixelid.fit.cache import FitCache
 from pixelid.fit.maximise import Maximum, maximise
 from pixelid.fit.starts import feasible
 from pixelid.gap.detect.pixels import SCREEN_EVENTS
-from pixelid.gap.imputation.blurred import follow, follow_again
+from pixelid.gap.imputation.blurred import draw_once_more, follow, follow_again
 from pixelid.gap.imputation.exact import keeps_its_times
 from pixelid.gap.imputation.imputed import JITTER, QUEUE, SIGMA, TICK, Imputation, draw_again
 from pixelid.gap.imputation.paths import followable
@@ -139,13 +139,53 @@ def impute(
     options: Options,
     report: Report = lambda what: None,
     cache: FitCache | None = None,
-    keep_all: bool = False,
 ) -> Imputation:
-    """The recordings without what a timestamp signature says the readout did to their times.
+    """The recordings without what a timestamp signature says the readout did to their times."""
+    whole = _with_windows(recordings, signature, model, options.seed)
+    if not whole.windows:
+        return whole
+    reach = np.array([np.quantile(w.hi - w.lo, 0.9) if len(w.hi) else 0.0 for w in whole.windows])
+    unit = 1e9 * signature.value
+    kept = reach <= options.criteria.max_wait_service_times * unit
+    if sum(len(w.hi) for w, stays in zip(whole.windows, kept, strict=True) if stays) < MIN_EVENTS:
+        kept = reach <= np.sort(reach)[len(reach) // 2]
+    whole = whole.only(kept)
+    if _by_paths(whole, signature, model):
+        return follow(replace(whole, by_paths=True), model, options.seed, report)[0]
+    brief = reach[kept] <= SHORT_SERVICE_TIMES * unit
+    whole, model = _begin(whole, brief, whole.with_filter_priors(model), options.seed, report, cache)
+    whole, model = impute_again(whole, model, ROUNDS[1], exact=False, report=report, cache=cache)
+    whole, model = impute_again(whole, model, ROUNDS[2], report=report, cache=cache)
+    fine_tick = signature.effect == TICK and not is_coarse_tick(signature)  # loses no time that a circuit would miss
+    return whole if fine_tick else _without_lost_times(whole, model, options)
 
-    keep_all: leave none out, as whose times are lost is known already
+
+def impute_simulated(
+    recordings: Sequence[Recording],
+    signature: TimestampSignature,
+    model: Model,
+    seed: int,
+    report: Report = lambda what: None,
+) -> Imputation:
+    """Simulated recordings without what their readout did, their times settled under the model they come from.
+
+    Nothing has to be found out about the model, so nothing is fitted, and no recording is left out.
     """
-    random = np.random.default_rng(options.seed).bit_generator.state
+    whole = _with_windows(recordings, signature, model, seed)
+    if not whole.windows:
+        return whole
+    report("true times")
+    if _by_paths(whole, signature, model):
+        return draw_once_more(replace(whole, by_paths=True), model)
+    none = np.zeros(len(whole.windows), bool)
+    return _completed(whole, whole.only(none), none, model, seed)
+
+
+def _with_windows(
+    recordings: Sequence[Recording], signature: TimestampSignature, model: Model, seed: int
+) -> Imputation:
+    """The windows that a signature leaves, with first guesses of the times in them."""
+    random = np.random.default_rng(seed).bit_generator.state
     stimuli = tuple(r.stimulus for r in recordings)
     if signature.effect == TICK and signature.value < FINEST_TICK_S:
         ticked = tuple(_with_tick(r, signature.value) for r in recordings)
@@ -153,24 +193,13 @@ def impute(
     fine = tuple(with_fine_light(r, "smooth") for r in recordings)
     make = tick_windows if signature.effect == TICK else queue_windows
     windows = tuple(make(r, signature.value) for r in fine)
-    reach = np.array([np.quantile(w.hi - w.lo, 0.9) if len(w.hi) else 0.0 for w in windows])
-    unit = 1e9 * signature.value
-    kept = reach <= options.criteria.max_wait_service_times * unit
-    if sum(len(w.hi) for w, stays in zip(windows, kept, strict=True) if stays) < MIN_EVENTS:
-        kept = reach <= np.sort(reach)[len(reach) // 2]
-    kept |= keep_all
     times = tuple(guess_edges(fine, windows, early=signature.effect == QUEUE))
-    priors = _filter_priors(model)
-    whole = Imputation(signature.effect, stimuli, fine, windows, times, random, priors).only(kept)
-    if is_coarse_tick(signature) and followable(fine, model):
-        whole, model = follow(replace(whole, by_paths=True), model, options.seed, report)
-        return whole
-    brief = reach[kept] <= SHORT_SERVICE_TIMES * unit
-    whole, model = _begin(whole, brief, whole.with_filter_priors(model), options.seed, report, cache)
-    whole, model = impute_again(whole, model, ROUNDS[1], exact=False, report=report, cache=cache)
-    whole, model = impute_again(whole, model, ROUNDS[2], report=report, cache=cache)
-    fine_tick = signature.effect == TICK and not is_coarse_tick(signature)  # loses no time that a circuit would miss
-    return whole if keep_all or fine_tick else _without_lost_times(whole, model, options)
+    return Imputation(signature.effect, stimuli, fine, windows, times, random, _filter_priors(model))
+
+
+def _by_paths(whole: Imputation, signature: TimestampSignature, model: Model) -> bool:
+    """Whether times are drawn as whole paths."""
+    return is_coarse_tick(signature) and followable(whole.fine, model)
 
 
 def _without_lost_times(whole: Imputation, model: Model, options: Options) -> Imputation:

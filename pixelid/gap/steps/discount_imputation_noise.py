@@ -11,7 +11,7 @@ from dataclasses import replace
 
 from pixelid.fit.again import simulate_again
 from pixelid.gap.detect.covariates import Factor
-from pixelid.gap.imputation.impute import impute, impute_behind_jitter, impute_changed
+from pixelid.gap.imputation.impute import impute_behind_jitter, impute_changed, impute_simulated
 from pixelid.gap.options import Context
 from pixelid.gap.phases import Phase
 from pixelid.gap.rounds import entry
@@ -56,7 +56,7 @@ def _imputed_alike(made: Sequence[Recording], state: State, like: Sequence[Facto
 
     for signature in state.undone:
         model = model.without_effect(signature.effect)
-        imputation = impute(recordings, signature, model, options, report, cache, keep_all=True)
+        imputation = impute_simulated(recordings, signature, model, options.seed, report)
         recordings = imputation.recordings
         model = model.with_effect(signature.effect, {signature.parameter: signature.value})
         model = model.fix({signature.parameter: None})
