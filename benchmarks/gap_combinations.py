@@ -4,7 +4,8 @@ Sessions are of the practice protocol: 25 pixels, twelve recordings of four ligh
 of its own (`gap_certification.camera`) and one, two or three effects drawn from the library or withheld from the base;
 of those that act on stamps at most one.  Strengths are log-uniform, from what single sessions of this protocol show to
 3 times the typical strength.  Target: all and only the planted effects named in nine of ten sessions, an effect named
-that was not planted in one of a hundred.  Finished sessions are kept, a second call continues.
+that was not planted in one of a hundred.  Finished sessions are kept, a second call continues; --again searches some of
+them with the present code, and keeps what became of them before.
 
     python benchmarks/gap_combinations.py --sessions 100 --out docs/gap_combinations.json
 """
@@ -135,23 +136,33 @@ def summary(rows: list[dict]) -> dict:
     }
 
 
+def with_row(rows: dict[int, dict], row: dict) -> dict[int, dict]:
+    """Sessions by seed with one more, or one searched again: then with what became of it `before`."""
+    before = rows.get(row["seed"])
+    if before is not None:
+        row = row | {"before": [*before.get("before", []), before["outcome"]]}
+    return dict(sorted((rows | {row["seed"]: row | {"outcome": outcome(row)}}).items()))
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--sessions", type=int, default=100)
     parser.add_argument("--first", type=int, default=0, help="first session")
+    parser.add_argument("--again", type=int, nargs="+", help="seeds of sessions to search again, no others")
     parser.add_argument("--out", type=Path, default=Path("docs/gap_combinations.json"))
     parser.add_argument("--minutes", type=float, default=1e9, help="stop after so long; run again to go on")
     options = parser.parse_args()
-    rows = json.loads(options.out.read_text())["runs"] if options.out.exists() else []
-    done, until = {row["seed"] for row in rows}, time.monotonic() + 60.0 * options.minutes
-    for seed in range(FIRST_SEED + options.first, FIRST_SEED + options.first + options.sessions):
-        if seed in done or time.monotonic() > until:
-            continue
+    rows = {row["seed"]: row for row in json.loads(options.out.read_text())["runs"]} if options.out.exists() else {}
+    until = time.monotonic() + 60.0 * options.minutes
+    first = FIRST_SEED + options.first
+    for seed in options.again or [s for s in range(first, first + options.sessions) if s not in rows]:
+        if time.monotonic() > until:
+            break
         row = run(seed)
-        rows.append(row)
-        rows.sort(key=lambda row: row["seed"])
+        rows = with_row(rows, row)
         temporary = options.out.with_suffix(".tmp")
-        temporary.write_text(json.dumps({"summary": summary(rows), "runs": rows}, indent=1, default=float) + "\n")
+        found = {"summary": summary(list(rows.values())), "runs": list(rows.values())}
+        temporary.write_text(json.dumps(found, indent=1, default=float) + "\n")
         temporary.replace(options.out)
         what = " + ".join(f"{name} x{factor:.2g}" if factor else f"no {name}" for name, factor in row["planted"])
         print(f"{seed} {what} -> {row['verdict']} {row['named']}, {row['cpu_seconds']:.0f} s", flush=True)

@@ -204,6 +204,7 @@ PAGES: dict[str, Callable[[], str]] = {
     "sensitivity": measured.sensitivity,
     "export_comparison": measured.export_comparison,
     "conform_results": measured.conform_results,
+    "combinations": measured.combinations,
     "single_sessions": measured.single_sessions,
     "coverage": measured.coverage,
     "faults": measured.faults,

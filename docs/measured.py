@@ -114,6 +114,42 @@ def sensitivity() -> str:
     )
 
 
+def combinations() -> str:
+    """What `benchmarks/gap_combinations.py` found: outcomes by number of effects, and the sessions that miss some."""
+    content = of_json("docs/gap_combinations.json")
+    summary, runs = content["summary"], content["runs"]
+    wanted = "all and only those planted"
+    kinds = [wanted, *sorted({run["outcome"] for run in runs} - {wanted})]
+    by_number = summary["by_number_of_effects"]
+    counts = [(number, *(by_number[number].get(kind, "") for kind in kinds)) for number in by_number]
+    missed = [
+        (run["seed"], _planted(run["planted"]), run["verdict"], ", ".join(run["named"]))
+        for run in runs if run["outcome"] != wanted
+    ]  # fmt: skip
+    again = [str(run["seed"]) for run in runs if run.get("before")]
+    return "\n".join(
+        [
+            _share(summary, wanted, "end with all and only the planted effects named") + "; "
+            + _share(summary, "an effect that was not planted", "name or list one that was not planted") + ". "
+            + "{} of {} strengths lie in their intervals.\n".format(*summary["intervals_hold"]),
+            table(("effects planted", *kinds), counts),
+            "The sessions that miss something, strengths in units of the typical one:\n",
+            table(("seed", "planted", "verdict", "named or listed"), missed),
+            f"Searched again since they were first looked at: {', '.join(again)}.\n" if again else "",
+        ]
+    )  # fmt: skip
+
+
+def _planted(effects: list) -> str:
+    return ", ".join(f"{name} × {factor:.2g}" if factor else f"{name} missing" for name, factor in effects)
+
+
+def _share(summary: dict, key: str, says: str) -> str:
+    row = summary[key]
+    low, high = row["interval_95"]
+    return f"{row['count']} of {row['of']} sessions {says} ({percent(low, 0)} to {percent(high, 0)})"
+
+
 def single_sessions() -> str:
     """Single simulated sessions, recorded by hand as their verdicts were read."""
     recorded = of_json("docs/results/gap_sessions.json")
