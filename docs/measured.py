@@ -146,8 +146,7 @@ def _planted(effects: list) -> str:
 
 def _share(summary: dict, key: str, says: str) -> str:
     row = summary[key]
-    low, high = row["interval_95"]
-    return f"{row['count']} of {row['of']} sessions {says} ({percent(low, 0)} to {percent(high, 0)})"
+    return f"{row['count']} of {row['of']} sessions {says} ({'–'.join(percent(x, 0) for x in row['interval_95'])})"
 
 
 def single_sessions() -> str:

@@ -32,8 +32,8 @@ class Criteria:
             misfits is not known so far out, so only what no law could excuse is to count.
     Attribution
         min_lead_nats: A likelihood ratio of e⁵ = 150, "very strong" (Kass & Raftery 1995, JASA 90, 773): by which the
-            leading effect must lead, an effect that later ones explain away may still gain, a better optimum must be
-            better, and an effect that would show less is called unseen.
+            leading effect must lead (with unseen pixels that favour it counted in), an effect that later ones explain
+            away may still gain, a better optimum must be better, and an effect that would show less is called unseen.
         min_lead_standard_errors: By which a gain on pixels that no fit has seen must exceed zero, or a rival's (paired
             over pixels).  It is a second lock behind the p-value, not a test of its own.
         min_relative_strength: Of an effect's typical strength: what is a hundredth of it, an error of the stimulus or

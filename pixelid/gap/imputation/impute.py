@@ -7,7 +7,8 @@ waited for far longer (a saturated readout) has lost its times and is left out. 
 paths are drawn, and the model follows the stamps with the times integrated out (`blurred.py`).  A model that gains an
 effect later moves the times behind it: they are drawn again (`impute_again`), behind a queue anew, since times drawn
 from a circuit that lacks what was found keep it (a dead time by the shortest intervals drawn): from recordings in which
-events hardly waited, then the others, as before (`impute_with_effect`).
+events hardly waited, then the others, as before (`impute_with_effect`).  Times of a simulated session begin
+where they settle under the model that it comes from (`impute_simulated`).
 """
 
 from __future__ import annotations
