@@ -1,7 +1,7 @@
 """The search as a fold: each step takes the state and gives the next one, until the last gives the report.
 
-undo_readout → name_effect (again and again) → ask_again → try_shot_noise → name_beside_shot_noise (again and again) →
-discount_imputation_noise → withdraw → confirm
+undo_readout → name_effect (again and again) → ask_stamps → ask_again → try_shot_noise → name_beside_shot_noise (again
+and again) → discount_imputation_noise → withdraw → confirm
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from pixelid.gap.result import GapReport
 from pixelid.gap.split import split_pixels
 from pixelid.gap.state import Hypothesis, State
 from pixelid.gap.steps.ask_again import ask_again
+from pixelid.gap.steps.ask_stamps import ask_stamps
 from pixelid.gap.steps.confirm import confirm
 from pixelid.gap.steps.discount_imputation_noise import discount_imputation_noise
 from pixelid.gap.steps.explain_by_shot_noise import try_before_second_effect, try_shot_noise
@@ -60,10 +61,11 @@ def begin(recordings: Sequence[Recording], model: Model, context: Context) -> St
 
 
 def name_next(state: State, context: Context) -> State:
-    """One round, before the second of which shot noise has its chance, and after the last a look back."""
+    """One round, before the second of which shot noise has its chance; after the last the stamps are asked."""
     if state.turn == 1 and state.steps:
         state = try_before_second_effect(state, context)
     state = name_effect(state, context) if state.phase is Phase.NAME else state
+    state = ask_stamps(state, context) if state.phase is Phase.SHOT_NOISE else state
     return ask_again(state, context) if state.phase is Phase.SHOT_NOISE else state
 
 

@@ -77,7 +77,10 @@ def drawn(path_light, on, off, sd, many, seed=0):
     times = np.empty((many, len(on) + len(off)))
     for k in range(many):
         uniform = rng.random(2 * (len(on) + len(off)))
-        value = draw_path(path_light, AT, on, off, sd, 6 * sd, 1e-3, uniform, times[k, : len(on)], times[k, len(on) :])
+        value = draw_path(
+            path_light, AT, on, off, sd, np.full(len(on), 6 * sd), np.full(len(off), 6 * sd), 1e-3, uniform,
+            times[k, : len(on)], times[k, len(on) :],
+        )  # fmt: skip
         assert np.isfinite(value)
     return times
 
@@ -107,6 +110,35 @@ def test_paths_have_the_mean_and_scatter_of_the_posterior_summed_by_hand():
     for k, (mean, scatter) in zip((2, 1, 0), expected, strict=True):
         assert times[:, k].mean() == pytest.approx(mean, abs=4 * scatter / np.sqrt(1500) + STEP_S)
         assert times[:, k].std() == pytest.approx(scatter, rel=0.08)
+
+
+def test_stamps_with_windows_of_their_own_have_the_likelihood_summed_by_hand():
+    """Four ON events under a ramp, the third known exactly: sums over the windows, cell by cell, for two thresholds."""
+    u = 100.0 * STEP_S * np.arange(5200)
+    t = STEP_S * np.arange(len(u))
+    stamps, reach = np.array([1.0e-3, 3.2e-3, 5.1e-3, 7.4e-3]), np.array([2e-4, 6e-4, 0.0, 3e-4])
+    within = [
+        (t >= s - r) & (t <= s + r) if r else np.arange(len(t)) == np.ceil(s / STEP_S)
+        for s, r in zip(stamps, reach, strict=True)
+    ]
+    nothing, uniform, times = np.empty(0), np.full(8, 0.5), np.empty(4)
+    by_hand, found = [], []
+    for on in (0.2, 0.19):
+        at = AT._replace(on=on)
+        forward = 1.0 * within[0]
+        for here in within[1:]:
+            new = np.zeros(len(t))
+            for k in np.flatnonzero(forward):
+                reached = u - np.interp(t[k] - 0.5 * STEP_S + DEAD_S, t, u)
+                crossed = norm.cdf((np.where(t >= t[k] + DEAD_S, reached, -np.inf) - on) / at.sd_on)
+                new += forward[k] * np.diff(np.concatenate([[0.0], crossed]))
+            forward = new * here
+        by_hand.append(np.log(forward.sum()))
+        found.append(
+            draw_path(light(u), at, stamps, nothing, np.inf, reach, nothing, 1e-3, uniform, times, np.empty(0))
+        )
+        assert (np.abs(times - stamps) <= reach + STEP_S).all()
+    assert found[1] - found[0] == pytest.approx(by_hand[1] - by_hand[0], abs=0.02)
 
 
 def test_polarities_are_put_in_the_order_that_the_light_allows():
@@ -158,7 +190,9 @@ def test_times_behind_a_coarse_tick_stay_in_it_and_a_dead_time_apart(exact):
     pixel = recording.events.pixel
     assert len(np.unique(np.stack([pixel, recording.events.t]), axis=1).T) < len(pixel)
     window = tick_windows(recording, 1e-9 * tick_ns)
-    paths = draw_paths([recording], [window], [recording.events.t.astype(float)], MODEL, np.random.default_rng(0))
+    paths = draw_paths(
+        [recording], [window], [recording.events.t.astype(float)], MODEL.circuit(), np.random.default_rng(0)
+    )
     times = paths.times[0]
     assert paths.stuck == 0
     assert ((window.lo <= times) & (times <= window.hi)).all()
@@ -177,7 +211,7 @@ def test_displacements_behind_a_jitter_are_that_jitter(exact):
     window = jitter_windows(recording, 1e-9 * sd)
     times = [recording.events.t.astype(float)]
     for _ in range(3):
-        times = draw_paths([recording], [window], times, MODEL, rng).times
+        times = draw_paths([recording], [window], times, MODEL.circuit(), rng).times
     off = recording.events.t - times[0]
     assert abs(off.mean()) < 4 * sd / np.sqrt(len(off))
     assert np.sqrt(np.mean(off**2)) == pytest.approx(sd, rel=0.15)
@@ -197,7 +231,7 @@ def test_light_that_is_remembered_draws_the_same_paths(exact, monkeypatch):
 
     def drawn_paths(sd_s, model, lights=None):
         rng, windows = np.random.default_rng(3), [jitter_windows(recording, sd_s)]
-        return draw_paths([recording], windows, stamps, model, rng, lights)
+        return draw_paths([recording], windows, stamps, model.circuit(), rng, lights)
 
     lights = Lights()
     for sd_s, model, makes in ((1e-4, MODEL, 1), (2e-4, MODEL, 0), (2e-4, other, 1), (1e-4, MODEL, 0)):

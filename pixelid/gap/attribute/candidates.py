@@ -6,6 +6,7 @@ import math
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
@@ -13,6 +14,7 @@ from pixelid import stages
 from pixelid.errors import InputError
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.model.model import Model
+from pixelid.stages.circuit import Circuit
 
 DECADES = (-2.0, -1.5, -1.0, -0.5, 0.0, 0.5, 1.0, 1.5)  # strengths tried, about the shipped value
 # A slew limit is slow to fit, and its likelihood only falls as it tightens past the best: it is fitted where one of the
@@ -67,7 +69,9 @@ def why_not(model: Model, effect: str) -> str | None:
 
 
 def holds_together(model: Model) -> bool:
-    """Whether a model of this structure can have all the effects that it has."""
+    """Whether a model of this structure can have all the effects that it has, and the likelihood knows them there."""
+    if model.has(SLEW) and not all(model.has(pole) for pole in SLEWS_THROUGH):
+        return False
     return all(model.photoreceptor in stages.effect(name).photoreceptors for name in model.effects)
 
 
@@ -114,13 +118,22 @@ def strongest_start(
     known
     """
     if effect == SLEW:
-        return _strongest_slew_start(likelihood, model, least)
+        return strongest_slew_start(likelihood, model, least)
     known = tried(likelihood, model, effect) if trials is None else trials
     best = max(known, key=lambda trial: trial.value, default=None)
     return None if best is None else best.model
 
 
-def _strongest_slew_start(likelihood: EventTimes, model: Model, least: float) -> Model | None:
+class Likelihood(Protocol):
+    """Of events, by a circuit: of their times, or of their stamps."""
+
+    @property
+    def events(self) -> int: ...
+
+    def log_likelihood(self, circuit: Circuit) -> float: ...
+
+
+def strongest_slew_start(likelihood: Likelihood, model: Model, least: float) -> Model | None:
     """The model with the limits of both sides where they explain the events best, one looked for after the other.
 
     From limits far off, or those that the model has.  None if nothing explains more than `least`.
@@ -143,7 +156,7 @@ def _strongest_slew_start(likelihood: EventTimes, model: Model, least: float) ->
     return best if found else None
 
 
-def _last_unfelt(likelihood: EventTimes, model: Model, side: str, limits: Sequence[float]) -> int:
+def _last_unfelt(likelihood: Likelihood, model: Model, side: str, limits: Sequence[float]) -> int:
     """Index of the last of falling limits of a side at which nothing slews, by halving: tighter ones all act."""
     free = _value(likelihood, model.set({side: limits[0]}))
     unfelt, felt = 0, len(limits)
@@ -156,7 +169,7 @@ def _last_unfelt(likelihood: EventTimes, model: Model, side: str, limits: Sequen
     return unfelt
 
 
-def _value(likelihood: EventTimes, model: Model) -> float:
+def _value(likelihood: Likelihood, model: Model) -> float:
     """Log-likelihood, −∞ where it cannot be evaluated."""
     try:
         value = likelihood.log_likelihood(model.circuit())

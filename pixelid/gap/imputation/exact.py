@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.stats import poisson
 
+from pixelid.gap.detect.diagnostics import chance_of_background
 from pixelid.gap.imputation.imputed import QUEUE, Imputation
 from pixelid.gap.options import Options
 from pixelid.likelihood.event_times import EventTimes
@@ -24,7 +25,7 @@ SPOILED = 2.0  # drawn times that an event which the model lacks makes unexplain
 
 
 def loses_where_times_are_exact(imputation: Imputation, fitted: Model, without: Model, options: Options) -> bool:
-    """Whether intervals of exact times may lack as many events as a fit says; of drawn paths, whether they are many.
+    """Whether intervals of exact times lack events, and may lack as many as fitted; of paths, whether many are lost.
 
     Args:
         imputation: with the times drawn last.
@@ -39,11 +40,13 @@ def loses_where_times_are_exact(imputation: Imputation, fitted: Model, without: 
         return True
     if imputation.by_paths:
         return fitted.values[FRACTION] >= options.criteria.min_lost_fraction_at_drawn_times
-    likelihood = imputation.likelihood
+    likelihood, criteria = imputation.likelihood, options.criteria
     exact = exact_intervals(imputation, likelihood)
-    unexplained = float(likelihood.terms(without.circuit()).unexplained[exact].sum())
-    share = options.criteria.min_lost_share_at_exact_times
-    expected = share * fitted.values[FRACTION] * np.count_nonzero(exact)
+    number = np.count_nonzero(exact)
+    unexplained = int(likelihood.terms(without.circuit()).unexplained[exact].sum())
+    expected = criteria.min_lost_share_at_exact_times * fitted.values[FRACTION] * number
+    if chance_of_background(unexplained, criteria.max_unexplained_fraction * number) >= options.alpha_each:
+        return False  # no more than a true model leaves
     return bool(poisson.cdf(unexplained, expected) >= options.alpha_each)
 
 

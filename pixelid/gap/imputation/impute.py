@@ -290,7 +290,8 @@ def _completed(whole: Imputation, part: Imputation, chosen: np.ndarray, model: M
     times = list(whole.times)
     if whole.effect == QUEUE:
         pixels = np.unique(np.concatenate([r.events.pixel for r in whole.fine]))
-        times = guess_by_rank(whole.fine, whole.windows, model, pixels, seed)
+        unqueued = model.without_effect(QUEUE) if model.has(QUEUE) else model  # the crowd fires, it is not read out
+        times = guess_by_rank(whole.fine, whole.windows, unqueued, pixels, seed)
     for i, t in zip(np.flatnonzero(chosen), part.times, strict=True):
         times[i] = t
     whole = replace(whole, times=tuple(times), random=part.random)

@@ -95,8 +95,11 @@ class Imputation:
         pixels, counts = np.unique(pixel, return_counts=True)
         order = rng.permutation(len(pixels))
         enough = max(int(np.searchsorted(np.cumsum(counts[order]), events)) + 1, 2)
-        chosen = pixels[order[:enough]]
-        kept = [np.isin(r.events.pixel, chosen) for r in self.fine]
+        return self.of(pixels[order[:enough]])
+
+    def of(self, pixels: np.ndarray) -> Imputation:
+        """Of some pixels (k,), flat indices."""
+        kept = [np.isin(r.events.pixel, pixels) for r in self.fine]
         fine = tuple(replace(r, events=r.events.select(some)) for r, some in zip(self.fine, kept, strict=True))
         windows = tuple(w.only(some) for w, some in zip(self.windows, kept, strict=True))
         times = tuple(t[some] for t, some in zip(self.times, kept, strict=True))
@@ -118,7 +121,7 @@ def draw_again(imputation: Imputation, model: Model, *, estimate: bool = True, e
     rng.bit_generator.state = imputation.random
     times, paths = imputation.times, imputation.by_paths
     if paths:
-        times = draw_paths(imputation.fine, imputation.windows, times, model, rng).times
+        times = draw_paths(imputation.fine, imputation.windows, times, model.circuit(), rng).times
     draw = draw_times(imputation.fine, imputation.windows, times, model, rng, exact or paths, paths)
     windows, error = imputation.windows, imputation.error
     if imputation.effect == JITTER:

@@ -62,20 +62,28 @@ def _kept(cells, first, stride):
 
 @njit(cache=True, error_model="numpy")
 def _window(light, centre, reach):
-    """(first, last) cells within reach of a stamp."""
+    """(first, last) cells within reach of a stamp; the one that holds it at least."""
     first = math.ceil((centre - reach - light.begin) / light.step)
-    last = math.floor((centre + reach - light.begin) / light.step)
+    last = max(math.floor((centre + reach - light.begin) / light.step), first)
     return max(first, 1), min(last, len(light.output) - 1)
 
 
+@njit(cache=True, error_model="numpy")
+def _share(end, stride, low, high):
+    """Of a cell `stride` wide that ends at `end`, what lies in a window of the cells low … high."""
+    return max(min(end, high) - max(end - stride, low - 1), 0) / stride
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
-def draw_path(light, at, stamps_on, stamps_off, sd, reach, background_hz, uniform, on_times, off_times):
+def draw_path(
+    light, at, stamps_on, stamps_off, sd, reach_on, reach_off, background_hz, uniform, on_times, off_times
+):  # fmt: skip
     """Draw all true times of one pixel in one recording, s; fills `on_times`, `off_times`.
 
     light, at: `Light`, `Thresholds`
     stamps_on, stamps_off: (I,), (J,) s, each in the order in which their events come
     sd: of the stamps about the times, s; infinite: only `reach` counts
-    reach: s, by which a stamp can be off
+    reach_on, reach_off: (I,), (J,) s, by which each stamp can be off
     background_hz: of events without a cause
     uniform: (2 (I + J),) random numbers
 
@@ -94,15 +102,17 @@ def draw_path(light, at, stamps_on, stamps_off, sd, reach, background_hz, unifor
     for q in (1, 0):
         if (n_on if q == 1 else n_off) == 0:
             continue
-        stamp = stamps_on[0] if q == 1 else stamps_off[0]
+        stamp, reach = (stamps_on[0], reach_on[0]) if q == 1 else (stamps_off[0], reach_off[0])
         other = n_off if q == 1 else n_on
-        if other > 0 and stamp - reach > (stamps_off[0] if q == 1 else stamps_on[0]) + reach:
+        if other > 0 and stamp - reach > (stamps_off[0] + reach_off[0] if q == 1 else stamps_on[0] + reach_on[0]):
             continue
         first, last = _window(light, stamp, reach)
         if last < first:
             continue
         stride = _stride(light, first, last, sd_least)
-        cells = np.ones((last - first) // stride + 1)
+        cells = np.ones((last - first + stride - 1) // stride + 1)
+        for c in range(len(cells)):
+            cells[c] = _share(first + c * stride, stride, first, last)
         used, nodes, weights, node = _add(
             light, cells, first, stride, stamp, sd, (1, 0, 1) if q == 1 else (0, 1, 0), weights, used, node, nodes
         )
@@ -137,7 +147,8 @@ def draw_path(light, at, stamps_on, stamps_off, sd, reach, background_hz, unifor
                 stamps_on,
                 stamps_off,
                 sd,
-                reach,
+                reach_on,
+                reach_off,
                 background_hz,
                 i,
                 j,
@@ -216,27 +227,29 @@ def _add(light, cells, first, stride, stamp, sd, state, weights, used, node, nod
 
 @njit(cache=True, error_model="numpy")
 def _advance(
-    light, at, stamps_on, stamps_off, sd, reach, background_hz, i, j, begin, end, weights, used, node, nodes, sd_least
+    light, at, stamps_on, stamps_off, sd, reach_on, reach_off, background_hz, i, j, begin, end, weights, used, node,
+    nodes, sd_least,
 ):  # fmt: skip
     """The lattice with the states that follow those with i ON and j OFF events."""
     want_on, want_off = i < len(stamps_on), j < len(stamps_off)
     # an event cannot come next whose stamp is later than the other polarity's next can be
     if want_on and want_off:
-        if stamps_on[i] - reach > stamps_off[j] + reach:
+        if stamps_on[i] - reach_on[i] > stamps_off[j] + reach_off[j]:
             want_on = False
-        elif stamps_off[j] - reach > stamps_on[i] + reach:
+        elif stamps_off[j] - reach_off[j] > stamps_on[i] + reach_on[i]:
             want_off = False
     first, last = len(light.output), 0
     if want_on:
-        low, high = _window(light, stamps_on[i], reach)
+        low, high = _window(light, stamps_on[i], reach_on[i])
         first, last = min(first, low), max(last, high)
     if want_off:
-        low, high = _window(light, stamps_off[j], reach)
+        low, high = _window(light, stamps_off[j], reach_off[j])
         first, last = min(first, low), max(last, high)
     if last < first:
         return used, nodes, weights, node
     stride = _stride(light, first, last, sd_least)
-    n = (last - first) // stride + 1
+    n = (last - first + stride - 1) // stride + 1
+    last = min(first + (n - 1) * stride, len(light.output) - 1)
     cells_on, cells_off = np.zeros(n if want_on else 0), np.zeros(n if want_off else 0)
     later = np.zeros(n + 1)
     for a in range(begin, end):
@@ -255,13 +268,15 @@ def _advance(
     for q in (1, 0):
         if not (want_on if q == 1 else want_off):
             continue
-        cells, stamp = (cells_on, stamps_on[i]) if q == 1 else (cells_off, stamps_off[j])
+        cells, stamp, reach = (
+            (cells_on, stamps_on[i], reach_on[i]) if q == 1 else (cells_off, stamps_off[j], reach_off[j])
+        )
         low, high = _window(light, stamp, reach)
         come = 0.0
         for c in range(n):
             come += later[c]
             here = first + c * stride
-            cells[c] = cells[c] + chance * come if low <= here <= high + stride - 1 else 0.0
+            cells[c] = (cells[c] + chance * come) * _share(here, stride, low, high)
         state = (i + 1, j, 1) if q == 1 else (i, j + 1, 0)
         used, nodes, weights, node = _add(light, cells, first, stride, stamp, sd, state, weights, used, node, nodes)
     return used, nodes, weights, node

@@ -58,7 +58,7 @@ def followable(recordings: Sequence[Recording], model: Model) -> bool:
 
 
 def draw_paths(
-    recordings: Sequence[Recording], windows: Sequence[Windows], times: Sequence[np.ndarray], model: Model,
+    recordings: Sequence[Recording], windows: Sequence[Windows], times: Sequence[np.ndarray], circuit: Circuit,
     rng: np.random.Generator, lights: Lights | None = None,
 ) -> Paths:  # fmt: skip
     """All times drawn anew, given stamps in the order of the present times (n,) ns per recording.
@@ -67,11 +67,11 @@ def draw_paths(
         recordings: As a fit reads them.
         windows: Of a jitter, or of a tick.
         times: The present ones; they tell each pixel's thresholds, and which stamp of a polarity is whose.
-        model: That the times follow.
+        circuit: That the times follow.
         rng: Of the draws.
-        lights: What was made of the light before, where the same model draws more than once.
+        lights: What was made of the light before, where the same circuit draws more than once.
     """
-    circuit, lights = model.circuit(), lights or Lights()
+    lights = lights or Lights()
     thresholds = _thresholds(recordings, times, circuit)
     seeds = rng.integers(1 << 62, size=len(recordings))
 
@@ -117,9 +117,8 @@ def _draw(
     if light is None:
         return drawn, values, 0
     stamp = window.centre
-    sd, reach = 1e-9 * window.sd, REACH * 1e-9 * window.sd
-    if window.stamp is None:
-        reach = 0.5e-9 * float(np.max(window.hi - window.lo))
+    sd = 1e-9 * window.sd
+    reach = np.full(len(t), REACH * sd) if window.stamp is not None else 0.5e-9 * (window.hi - window.lo)
     of_stamp = -float(np.log(sd * np.sqrt(2.0 * np.pi))) if np.isfinite(sd) else 0.0
     order = np.lexsort((t, recording.events.pixel))
     pixel, rising = recording.events.pixel[order], recording.events.p[order] == 1
@@ -128,8 +127,8 @@ def _draw(
         own, times = int(pixel[chunk[0]]), (np.empty(len(on)), np.empty(len(off)))
         uniform = rng.random(2 * len(chunk))
         value = draw_path(
-            light, thresholds[own], 1e-9 * stamp[on], 1e-9 * stamp[off], sd, reach, BACKGROUND_HZ,
-            uniform, *times,
+            light, thresholds[own], 1e-9 * stamp[on], 1e-9 * stamp[off], sd, reach[on], reach[off],
+            BACKGROUND_HZ, uniform, *times,
         )  # fmt: skip
         values[own] = len(chunk) * of_stamp
         if not np.isfinite(value):

@@ -8,7 +8,14 @@ from dataclasses import replace
 from pixelid.fit.maximise import Maximum, maximise, maximise_with_restarts
 from pixelid.gap.attribute.alternative import stands
 from pixelid.gap.attribute.attribute import Attribution, Candidate, attribute, may_be_named
-from pixelid.gap.attribute.candidates import canonical, holds_together, impossible, missing, remove_effect
+from pixelid.gap.attribute.candidates import (
+    USUAL_POLES,
+    canonical,
+    holds_together,
+    impossible,
+    missing,
+    remove_effect,
+)
 from pixelid.gap.attribute.coarse_jitter import coarse_jitter
 from pixelid.gap.attribute.pixels import candidates_of
 from pixelid.gap.attribute.significance import leads, negligible
@@ -69,7 +76,7 @@ def _named_one_more(state: State, context: Context) -> State:
         return _without_lost(with_refused(state, winner, ONLY_WHERE_DRAWN))
     accepted = with_accepted(state, winner, attribution, standing.firm)
     if winner.effect == JITTER:
-        coarse = _behind_coarse_jitter(state, attribution, context) if _is_astray(state, context) else None
+        coarse = _behind_coarse_jitter(state, attribution, context) if is_astray(state, context) else None
         if coarse is not None:
             return coarse
         grown = _behind_jitter(accepted, winner, context)
@@ -140,7 +147,7 @@ def grown_by(state: State, winner: Candidate[Maximum], evidence: PixelEvidence, 
     if state.imputation is not None and state.imputed:
         imputation, model = impute_with_effect(state.imputation, fit.model, options, cache)
         lost = state.lost + imputation.lost[len(state.imputation.lost) :]
-        return _at_imputed_times(replace(state, imputation=imputation, lost=lost), model, start, context)
+        return at_times_anew(replace(state, imputation=imputation, lost=lost), model, start, context)
     weights = hypothesis.fit.model.circuit()
     evidence, fit = reconsider_stimuli(evidence, hypothesis.recordings, state.model, fit, weights, options.seed, cache)
     allowed = None if state.undone else options.criteria.max_unexplained_fraction
@@ -183,7 +190,7 @@ def _behind_jitter(state: State, winner: Candidate[Maximum], context: Context) -
         hypothesis.recordings, winner.end.model, hypothesis.start, hypothesis.evidence.between, context.options.seed,
         lambda what: context.report(what, 0.5), context.cache,
     )  # fmt: skip
-    return _at_imputed_times(replace(state, imputation=imputation), model, hypothesis.start, context)
+    return at_times_anew(replace(state, imputation=imputation), model, hypothesis.start, context)
 
 
 def _is_unlike(state: State, context: Context) -> bool:
@@ -209,13 +216,14 @@ def _without_unlike_jitter(state: State, context: Context) -> State:
 def _another_first(state: State, attribution: Attribution[Maximum], context: Context) -> State | None:
     """The state with the effect named that explains most but a jitter; None where nothing else does.
 
-    Times drawn from a model that lacks something may hide it, and what it does take the place of a jitter's.
+    Times drawn from a model that lacks something may hide it, and what it does take the place of a jitter's.  A pole
+    that others wait for goes first: as long as it is missing, they cannot be tried.
     """
     options, hypothesis = context.options, state.hypothesis
-    able = (c for c in attribution.candidates if c.effect != JITTER and may_be_named(c, options))
-    other = next(able, None)
-    if other is None:
+    able = [c for c in attribution.candidates if c.effect != JITTER and may_be_named(c, options)]
+    if not able:
         return None
+    other = next((c for c in able if c.effect in USUAL_POLES), able[0])
     evidence = hypothesis.evidence.weighed(hypothesis.fit.model.circuit())
     standing = stands(evidence, hypothesis.fit, hypothesis.seen, other, options, context.cache)
     if standing.hopeless:
@@ -226,12 +234,12 @@ def _another_first(state: State, attribution: Attribution[Maximum], context: Con
 
 def _with_jitter_instead(other: State, state: State, attribution: Attribution[Maximum], context: Context) -> State:
     """The state with a jitter named in place of the `other`, where only a jitter gives most events their cause."""
-    if not _is_astray(other, context):
+    if not is_astray(other, context):
         return other
     return _behind_coarse_jitter(state, attribution, context) or other
 
 
-def _is_astray(state: State, context: Context) -> bool:
+def is_astray(state: State, context: Context) -> bool:
     """Whether more events lack a cause than times drawn behind a jitter may leave."""
     return state.hypothesis.seen.background_fraction > context.options.criteria.max_unexplained_fraction_jittered
 
@@ -256,12 +264,16 @@ def _behind_coarse_jitter(state: State, attribution: Attribution[Maximum], conte
     entry = attribution_entry(state.turn - 1, hypothesis.fit, hypothesis.seen, attribution, unable)
     named = with_accepted(replace(state, rounds=(*state.rounds[:-1], entry)), jitter, attribution, True)
     behind = _behind_jitter(named, jitter, context)
-    if _is_unlike(behind, context) or _is_astray(behind, context):
+    if _is_unlike(behind, context) or is_astray(behind, context):
         return None
     return behind.then(_next(behind))
 
 
-def _at_imputed_times(state: State, model: Model, start: Model, context: Context) -> State:
+def at_times_anew(state: State, model: Model, start: Model, context: Context) -> State:
+    """The state at the times that its imputation has last drawn under a model, without effects that these leave idle.
+
+    start: the base as shipped, with every effect named at its shipped value
+    """
     assert state.imputation is not None
     setting = Setting(state.split, state.model, start, state.hypothesis.evidence.between)
     imputation, hypothesis = at_imputed_times(state.imputation, model, setting, context)
@@ -307,7 +319,7 @@ def without_drawn_anew(state: State, effect: str, fit: Maximum, why: str, contex
     state = _without(state, effect, fit, why)
     assert state.imputation is not None
     imputation, model = impute_changed(state.imputation, fit.model, cache=context.cache)
-    return _at_imputed_times(replace(state, imputation=imputation), model, state.hypothesis.start, context)
+    return at_times_anew(replace(state, imputation=imputation), model, state.hypothesis.start, context)
 
 
 def _is_misplaced(state: State, fitted: Model, without: Model, context: Context) -> bool:
