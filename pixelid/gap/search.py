@@ -12,7 +12,7 @@ from pixelid.fit.measured_light import as_light_tells
 from pixelid.gap.detect.diagnostics import diagnose
 from pixelid.gap.detect.pixels import fit_base, fit_base_roughly
 from pixelid.gap.fold import Step, fold
-from pixelid.gap.imputation.impute import is_coarse_tick
+from pixelid.gap.imputation.impute import QUEUE, is_coarse_tick
 from pixelid.gap.mended_clocks import with_mended_clocks
 from pixelid.gap.options import Context
 from pixelid.gap.phases import Phase
@@ -50,7 +50,7 @@ def begin(recordings: Sequence[Recording], model: Model, context: Context) -> St
     recordings = with_mended_clocks(recordings, model, options.seed)
     timely = tuple(r.within_stimulus() for r in recordings)
     signatures = tuple(find_timestamp_signatures(recordings))
-    if any(is_coarse_tick(s) and s.effect not in options.leave_out for s in signatures):
+    if any((s.effect == QUEUE or is_coarse_tick(s)) and s.effect not in options.leave_out for s in signatures):
         evidence, base = fit_base_roughly(timely, split, model, options.seed, context.cache)
     else:
         evidence, base = fit_base(timely, split, model, criteria, options.seed, context.cache, context.work)

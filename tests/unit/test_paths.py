@@ -78,7 +78,8 @@ def drawn(path_light, on, off, sd, many, seed=0):
     for k in range(many):
         uniform = rng.random(2 * (len(on) + len(off)))
         value = draw_path(
-            path_light, AT, on, off, sd, np.full(len(on), 6 * sd), np.full(len(off), 6 * sd), 1e-3, uniform,
+            path_light, AT, on, off, sd, np.full(len(on), 6 * sd), np.full(len(off), 6 * sd), False, 1e-3,
+            uniform,
             times[k, : len(on)], times[k, len(on) :],
         )  # fmt: skip
         assert np.isfinite(value)
@@ -135,7 +136,7 @@ def test_stamps_with_windows_of_their_own_have_the_likelihood_summed_by_hand():
             forward = new * here
         by_hand.append(np.log(forward.sum()))
         found.append(
-            draw_path(light(u), at, stamps, nothing, np.inf, reach, nothing, 1e-3, uniform, times, np.empty(0))
+            draw_path(light(u), at, stamps, nothing, np.inf, reach, nothing, False, 1e-3, uniform, times, np.empty(0))
         )
         assert (np.abs(times - stamps) <= reach + STEP_S).all()
     assert found[1] - found[0] == pytest.approx(by_hand[1] - by_hand[0], abs=0.02)

@@ -24,7 +24,7 @@ from pixelid.fit.starts import feasible
 from pixelid.gap.detect.pixels import SCREEN_EVENTS
 from pixelid.gap.imputation.blurred import draw_once_more, follow, follow_again
 from pixelid.gap.imputation.exact import keeps_its_times
-from pixelid.gap.imputation.imputed import JITTER, QUEUE, SIGMA, TICK, Imputation, draw_again
+from pixelid.gap.imputation.imputed import JITTER, MOSTLY_WAITED, QUEUE, SIGMA, TICK, Imputation, draw_again
 from pixelid.gap.imputation.paths import followable
 from pixelid.gap.imputation.windows import (
     guess_by_rank,
@@ -47,7 +47,7 @@ from pixelid.recordings.selection import few
 FINEST_TICK_S = 5e-6  # a finer tick is a width of the event-time density, not a window
 SHORT_SERVICE_TIMES = 20.0  # windows (nine of ten) of the recordings that the first stage begins with
 MIN_EVENTS = 100  # to begin with, and to go on with
-MOSTLY_WAITED, MIN_EVENTS_AT_ONCE = 0.1, 1000  # of events that waited, and of recordings where fewer did, to begin anew
+MIN_EVENTS_AT_ONCE = 1000  # of recordings in which few waited, to begin anew with
 ROUNDS = (20, 8, 8)  # of draws and refits in each stage, the last with exact draws
 ROUNDS_AT_ONCE = 12  # with recordings where few waited: hardly anything is drawn
 # After the model has gained or lost an effect; the last ones with exact draws, which hardly leave times that the model
@@ -87,12 +87,12 @@ def impute_again(
     model, ends = imputation.with_filter_priors(model), []
     for turn in range(rounds):
         report("true times")
-        for _ in range(DRAWS_PER_ROUND):
+        for _ in range(1 if imputation.draws_paths(model) else DRAWS_PER_ROUND):
             imputation = draw_again(imputation, model, exact=exact)
         ends.append(maximise(imputation.likelihood, model, tolerance=0.5, max_steps=4, cache=cache))
         model = ends[-1].model
         stride = turn % EXTRAPOLATED_ROUNDS == EXTRAPOLATED_ROUNDS - 1 and turn < rounds - 1
-        if imputation.effect == JITTER and stride:
+        if imputation.effect in (JITTER, QUEUE) and stride:
             model = _extrapolated(ends[-EXTRAPOLATED_ROUNDS:])
     scatter = np.std([end.x for end in ends[rounds // 2 :]], axis=0)
     by_name = dict(zip(ends[-1].coordinates.names, scatter.tolist(), strict=True))
@@ -103,7 +103,7 @@ def impute_changed(
     imputation: Imputation, model: Model, report: Report = lambda what: None, cache: FitCache | None = None
 ) -> tuple[Imputation, Model]:
     """Times and model once the model has gained or lost an effect: times drawn before may be far off."""
-    if not imputation.by_paths:
+    if not imputation.draws_paths(model):
         imputation, model = impute_again(imputation, model, ROUNDS_AGAIN[0], exact=False, report=report, cache=cache)
     return impute_again(imputation, model, ROUNDS_AGAIN[1], report=report, cache=cache)
 
@@ -295,7 +295,7 @@ def _completed(whole: Imputation, part: Imputation, chosen: np.ndarray, model: M
     for i, t in zip(np.flatnonzero(chosen), part.times, strict=True):
         times[i] = t
     whole = replace(whole, times=tuple(times), random=part.random)
-    for _ in range(SETTLING_DRAWS):
+    for _ in range(1 if whole.draws_paths(model) else SETTLING_DRAWS):
         whole = draw_again(whole, model)
     return whole
 

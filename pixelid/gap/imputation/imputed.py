@@ -9,7 +9,7 @@ import numpy as np
 
 from pixelid.gap.imputation.draws import draw_times
 from pixelid.gap.imputation.jitter import estimate_spread, exchange_stamps, uneven
-from pixelid.gap.imputation.paths import draw_paths
+from pixelid.gap.imputation.paths import draw_paths, followable
 from pixelid.gap.imputation.windows import Windows, with_times
 from pixelid.gap.options import Options
 from pixelid.likelihood.event_times import EventTimes
@@ -21,6 +21,7 @@ from pixelid.stimuli.pixel_lights import Light
 QUEUE, TICK, JITTER, SIGMA = (
     "readout_latency", "timestamp_quantisation", "timestamp_jitter", "timestamp_jitter.sigma_s",
 )  # fmt: skip
+MOSTLY_WAITED = 0.1  # of a recording's events that waited in a queue; where fewer did, hardly anything has to be drawn
 EXCHANGES = 4  # of stamps, per path: paths find the order of polarities, these who has which stamp of one polarity
 
 
@@ -35,7 +36,7 @@ class Imputation:
         windows, times: Per recording (`windows.py`); () where nothing has to be drawn.
         random: State of the generator that the next draw begins with.
         priors: Of filters, while times are drawn.
-        by_paths: Whether whole paths are drawn (`paths.py`).
+        by_paths: Whether whole paths are drawn (`paths.py`), and the model follows the stamps behind them.
         lost: Names of recordings left out.
         error: Relative standard error of a jitter's spread.
         scatter: By parameter, standard deviation of its coordinate between draws.
@@ -63,6 +64,11 @@ class Imputation:
     def sigma_s(self) -> float:
         """The jitter's standard deviation."""
         return 1e-9 * self.windows[0].sd
+
+    def draws_paths(self, model: Model) -> bool:
+        """Whether all times of a pixel are drawn at once: behind a jitter or a coarse tick, and a queue where they can
+        be."""
+        return self.by_paths or (self.effect == QUEUE and followable(self.fine, model))
 
     @property
     def likelihood(self) -> EventTimes:
@@ -119,13 +125,14 @@ def draw_again(imputation: Imputation, model: Model, *, estimate: bool = True, e
     """All times drawn once more, and the jitter estimated from them."""
     rng = np.random.default_rng(0)
     rng.bit_generator.state = imputation.random
-    times, paths = imputation.times, imputation.by_paths
+    times, reordered, paths = imputation.times, imputation.by_paths, imputation.draws_paths(model)
     if paths:
-        times = draw_paths(imputation.fine, imputation.windows, times, model.circuit(), rng).times
-    draw = draw_times(imputation.fine, imputation.windows, times, model, rng, exact or paths, paths)
+        waited = np.array([reordered or (w.hi > w.lo).sum() > MOSTLY_WAITED * len(w.hi) for w in imputation.windows])
+        times = draw_paths(imputation.fine, imputation.windows, times, model.circuit(), rng, among=waited).times
+    draw = draw_times(imputation.fine, imputation.windows, times, model, rng, exact or paths, reordered)
     windows, error = imputation.windows, imputation.error
     if imputation.effect == JITTER:
-        for _ in range(EXCHANGES if paths else 1):
+        for _ in range(EXCHANGES if reordered else 1):
             windows = tuple(exchange_stamps(imputation.fine, windows, draw.times, rng))
         if estimate:
             sd, error = estimate_spread(draw, windows[0].sd)

@@ -76,7 +76,7 @@ def _share(end, stride, low, high):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def draw_path(
-    light, at, stamps_on, stamps_off, sd, reach_on, reach_off, background_hz, uniform, on_times, off_times
+    light, at, stamps_on, stamps_off, sd, reach_on, reach_off, in_order, background_hz, uniform, on_times, off_times
 ):  # fmt: skip
     """Draw all true times of one pixel in one recording, s; fills `on_times`, `off_times`.
 
@@ -84,6 +84,7 @@ def draw_path(
     stamps_on, stamps_off: (I,), (J,) s, each in the order in which their events come
     sd: of the stamps about the times, s; infinite: only `reach` counts
     reach_on, reach_off: (I,), (J,) s, by which each stamp can be off
+    in_order: whether events came in the order of their stamps, whatever their polarity
     background_hz: of events without a cause
     uniform: (2 (I + J),) random numbers
 
@@ -105,6 +106,8 @@ def draw_path(
         stamp, reach = (stamps_on[0], reach_on[0]) if q == 1 else (stamps_off[0], reach_off[0])
         other = n_off if q == 1 else n_on
         if other > 0 and stamp - reach > (stamps_off[0] + reach_off[0] if q == 1 else stamps_on[0] + reach_on[0]):
+            continue
+        if other > 0 and in_order and stamp > (stamps_off[0] if q == 1 else stamps_on[0]):
             continue
         first, last = _window(light, stamp, reach)
         if last < first:
@@ -149,6 +152,7 @@ def draw_path(
                 sd,
                 reach_on,
                 reach_off,
+                in_order,
                 background_hz,
                 i,
                 j,
@@ -227,8 +231,8 @@ def _add(light, cells, first, stride, stamp, sd, state, weights, used, node, nod
 
 @njit(cache=True, error_model="numpy")
 def _advance(
-    light, at, stamps_on, stamps_off, sd, reach_on, reach_off, background_hz, i, j, begin, end, weights, used, node,
-    nodes, sd_least,
+    light, at, stamps_on, stamps_off, sd, reach_on, reach_off, in_order, background_hz, i, j, begin, end, weights, used,
+    node, nodes, sd_least,
 ):  # fmt: skip
     """The lattice with the states that follow those with i ON and j OFF events."""
     want_on, want_off = i < len(stamps_on), j < len(stamps_off)
@@ -238,6 +242,9 @@ def _advance(
             want_on = False
         elif stamps_off[j] - reach_off[j] > stamps_on[i] + reach_on[i]:
             want_off = False
+        elif in_order:
+            want_on = stamps_on[i] <= stamps_off[j]
+            want_off = not want_on
     first, last = len(light.output), 0
     if want_on:
         low, high = _window(light, stamps_on[i], reach_on[i])
@@ -286,11 +293,13 @@ def _advance(
 def _backward(light, at, background_hz, weights, node, layer, total, nodes, uniform, on_times, off_times):
     """Draw a path from the last layer to the first."""
     a, c = _pick(weights, node, layer[total - 1], nodes, uniform[0])
-    nothing = np.empty(0)
+    nothing, latest = np.empty(0), np.inf
     for k in range(total - 1, -1, -1):
         i, j, q, stride = node[a, 0], node[a, 1], node[a, 2], node[a, 4]
         edge = node[a, 3] + c * stride
-        when = light.begin + light.step * (edge - uniform[2 * k + 1] * stride)
+        # cells let an event by up to a cell's width into the dead time before the next one
+        when = min(light.begin + light.step * (edge - uniform[2 * k + 1] * stride), latest)
+        latest = when - light.dead
         if q == 1:
             on_times[i - 1] = when
         else:

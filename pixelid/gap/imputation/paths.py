@@ -59,7 +59,7 @@ def followable(recordings: Sequence[Recording], model: Model) -> bool:
 
 def draw_paths(
     recordings: Sequence[Recording], windows: Sequence[Windows], times: Sequence[np.ndarray], circuit: Circuit,
-    rng: np.random.Generator, lights: Lights | None = None,
+    rng: np.random.Generator, lights: Lights | None = None, among: np.ndarray | None = None,
 ) -> Paths:  # fmt: skip
     """All times drawn anew, given stamps in the order of the present times (n,) ns per recording.
 
@@ -70,6 +70,7 @@ def draw_paths(
         circuit: That the times follow.
         rng: Of the draws.
         lights: What was made of the light before, where the same circuit draws more than once.
+        among: (recordings,) bool, whose times are drawn; None: of all.  The others tell of thresholds.
     """
     lights = lights or Lights()
     thresholds = _thresholds(recordings, times, circuit)
@@ -80,12 +81,15 @@ def draw_paths(
         here = circuit.in_recording(recording.name)
         return _draw(recording, window, t, lights.of(recording, here), own, np.random.default_rng(seed))
 
-    made = map_threads(drawn, list(zip(recordings, windows, times, thresholds, seeds, strict=True)))
-    total: dict[int, float] = {}
-    for _, values, _ in made:
+    jobs = zip(recordings, windows, times, thresholds, seeds, strict=True)
+    chosen = range(len(recordings)) if among is None else np.flatnonzero(among)
+    made = map_threads(drawn, [job for k, job in enumerate(jobs) if k in chosen])
+    total, found = {}, list(times)
+    for k, (t, values, _) in zip(chosen, made, strict=True):
+        found[k] = t
         for pixel, value in values.items():
             total[pixel] = total.get(pixel, 0.0) + value
-    return Paths([t for t, _, _ in made], total, sum(stuck for _, _, stuck in made))
+    return Paths(found, total, sum(stuck for _, _, stuck in made))
 
 
 def _thresholds(
@@ -128,7 +132,7 @@ def _draw(
         uniform = rng.random(2 * len(chunk))
         value = draw_path(
             light, thresholds[own], 1e-9 * stamp[on], 1e-9 * stamp[off], sd, reach[on], reach[off],
-            BACKGROUND_HZ, uniform, *times,
+            window.in_order, BACKGROUND_HZ, uniform, *times,
         )  # fmt: skip
         values[own] = len(chunk) * of_stamp
         if not np.isfinite(value):

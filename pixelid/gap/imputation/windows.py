@@ -28,12 +28,14 @@ class Windows:
 
     lo, hi: (n,) ns, in the order of its events; equal where the time is exact
     stamp: (n,) ns, about which times scatter, and sd: ns, by how much; without jitter nothing but the window counts
+    in_order: whether a pixel's events came in the order of their stamps
     """
 
     lo: np.ndarray
     hi: np.ndarray
     stamp: np.ndarray | None = None
     sd: float = np.inf
+    in_order: bool = False
 
     @property
     def centre(self) -> np.ndarray:
@@ -54,7 +56,8 @@ class Windows:
 
     def only(self, kept: np.ndarray) -> Windows:
         """Of some events: kept (n,) bool."""
-        return Windows(self.lo[kept], self.hi[kept], None if self.stamp is None else self.stamp[kept], self.sd)
+        stamp = None if self.stamp is None else self.stamp[kept]
+        return replace(self, lo=self.lo[kept], hi=self.hi[kept], stamp=stamp)
 
 
 def queue_windows(recording: Recording, service_s: float) -> Windows:
@@ -65,7 +68,7 @@ def queue_windows(recording: Recording, service_s: float) -> Windows:
     waited = np.concatenate([[False], np.diff(t) <= service + slack])
     begins = np.maximum.accumulate(np.where(waited, -1, np.arange(len(t)))) if len(t) else np.empty(0, int)
     arrival = t - service
-    return Windows(np.minimum(arrival[begins], arrival), arrival)
+    return Windows(np.minimum(arrival[begins], arrival), arrival, in_order=True)
 
 
 def tick_windows(recording: Recording, tick_s: float) -> Windows:

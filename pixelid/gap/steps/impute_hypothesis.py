@@ -49,7 +49,7 @@ def at_imputed_times(
     scatter = imputation.scatter
     judged = []
     for turn in range(DRAWS_JUDGED):
-        if turn and imputation.by_paths:
+        if turn and imputation.draws_paths(model):
             if judged[-1].seen.p >= context.options.alpha_each:
                 break  # another draw can only show less
             imputation = draw_once_more(imputation, model)
