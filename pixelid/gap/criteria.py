@@ -59,8 +59,8 @@ class Criteria:
         min_lost_fraction_at_drawn_times: Of events, behind a jitter or a coarse tick: sessions that lose none showed
             0.0003 to 0.0033 there (six, jitters of 1.5 dead times).
         min_stamps_gain_nats: Of an effect that drawn times hide, on stamps with all times summed over that they can
-            stand for.  Two runs of one model differ by up to 7 nats there (six runs); effects that were not there
-            gained 8 at most (eight sessions), those that were 50 and more.
+            stand for.  Of six runs of one model the best was 7 nats above the worst there; poles that were not there
+            gained up to 13 on fit pixels (eight sessions), one that was 50.
         max_jitter_divergence_nats: Relative entropy per event between the imputed displacements of a recording's
             polarity and the one normal that a jitter is: 0.1 is a shift by 0.45 or a spread by 1.33.
     Shot noise

@@ -82,7 +82,7 @@ def test_a_pole_behind_a_queue_is_named_where_it_is_missing_and_not_where_it_is_
     assert asked.rounds[-1]["by_stamps"]
     gain = asked.rounds[-1]["candidates"][0]["gain_nats"]
     if not lacks:
-        assert gain < 5.0
+        assert gain < CONTEXT.options.criteria.min_stamps_gain_nats
         assert asked.steps == state.steps
         assert asked.hypothesis is state.hypothesis
         return

@@ -9,12 +9,12 @@ import pytest
 from pixelid.fit.maximise import maximise
 from pixelid.gap import search
 from pixelid.gap.attribute.attribute import Attribution, Candidate
-from pixelid.gap.attribute.candidates import strongest_start
+from pixelid.gap.attribute.candidates import holds_together, strongest_start
 from pixelid.gap.attribute.pixels import strongest_fit
 from pixelid.gap.criteria import Criteria
 from pixelid.gap.imputation.exact import keeps_its_times, loses_where_times_are_exact
-from pixelid.gap.imputation.impute import impute, impute_simulated, impute_with_effect
-from pixelid.gap.imputation.imputed import QUEUE, TICK, Imputation
+from pixelid.gap.imputation.impute import _completed, impute, impute_simulated, impute_with_effect
+from pixelid.gap.imputation.imputed import QUEUE, TICK, Imputation, draw_again
 from pixelid.gap.imputation.windows import guess_edges, queue_windows, tick_windows, with_times
 from pixelid.gap.options import Context, Options
 from pixelid.gap.phases import Phase
@@ -69,6 +69,14 @@ def test_limits_of_both_sides_of_a_slew_are_found_apart(rise, fall):
     assert end.values["slew_limit.fall_per_s"] == pytest.approx(fall, rel=0.03)
 
 
+def test_a_slew_limit_does_without_neither_pole():
+    """Its likelihood needs both, so neither can be taken back from beside it."""
+    slewing = MODEL.with_effect("slew_limit")
+    assert holds_together(slewing)
+    assert not any(holds_together(slewing.without_effect(p)) for p in ("source_follower_pole", "differencing_pole"))
+    assert holds_together(MODEL.without_effect("source_follower_pole"))
+
+
 def test_no_limit_of_a_slew_is_tried_where_nothing_slews():
     events = EventTimes([with_fine_light(r, "smooth") for r in recorded(MODEL, [slow(400.0, seed=2)], side=2)])
     base = maximise(events, MODEL, tolerance=0.1, max_steps=30)
@@ -117,6 +125,23 @@ def behind_a_queue(lost):
         wrong = (window.hi > window.lo) & (rng.random(len(t)) < 0.01)
         t[wrong] = window.lo[wrong]
     return Imputation(QUEUE, tuple(r.stimulus for r in fine), fine, windows, tuple(times), rng.bit_generator.state, {})
+
+
+def test_events_in_a_wrong_place_leave_it_at_the_next_draw():
+    """All times of a pixel are drawn at once: none is held where it is by those before and after."""
+    drawn, circuit = behind_a_queue(0.0), MODEL.circuit()
+    drawn = replace(drawn, times=tuple(w.lo for w in drawn.windows))
+    assert drawn.likelihood.terms(circuit).unexplained.sum() > 50
+    assert draw_again(drawn, MODEL).likelihood.terms(circuit).unexplained.sum() <= 1
+
+
+def test_the_crowd_that_first_guesses_are_told_by_has_not_waited_itself():
+    drawn = behind_a_queue(0.0)
+    waiting = MODEL.with_effect(QUEUE, {"service_s": 2e-5}).fix({"readout_latency.service_s": None})
+    none = np.zeros(len(drawn.windows), bool)
+    one, other = (_completed(drawn, drawn.only(none), none, model, 0) for model in (MODEL, waiting))
+    for times, same in zip(one.times, other.times, strict=True):
+        np.testing.assert_array_equal(times, same)
 
 
 @pytest.mark.parametrize(("effect", "unit_s"), [(QUEUE, 2e-5), (TICK, 2e-5), (TICK, 5e-5)])

@@ -3,8 +3,9 @@
 Stochastic EM (Celeux & Diebolt 1985, Comput. Stat. Quarterly 2, 73).  Behind a queue or a tick, first only recordings
 whose windows are short, until thresholds and their noise settle; then those with longer windows, whose times first
 follow the model so found.  Filters have wide priors near the model's values meanwhile.  A recording whose events mostly
-waited for far longer (a saturated readout) has lost its times and is left out.  Behind a jitter and a coarse tick whole
-paths are drawn, and the model follows the stamps with the times integrated out (`blurred.py`).  A model that gains an
+waited for far longer (a saturated readout) has lost its times and is left out.  Behind a queue whole paths are drawn;
+behind a jitter and a coarse tick as well, and the model follows the stamps with the times integrated out
+(`blurred.py`).  A model that gains an
 effect later moves the times behind it: they are drawn again (`impute_again`), behind a queue anew, since times drawn
 from a circuit that lacks what was found keep it (a dead time by the shortest intervals drawn): from recordings in which
 events hardly waited, then the others, as before (`impute_with_effect`).  Times of a simulated session begin

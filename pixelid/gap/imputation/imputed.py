@@ -9,7 +9,7 @@ import numpy as np
 
 from pixelid.gap.imputation.draws import draw_times
 from pixelid.gap.imputation.jitter import estimate_spread, exchange_stamps, uneven
-from pixelid.gap.imputation.paths import draw_paths, followable
+from pixelid.gap.imputation.paths import draw_paths, followable, is_summed_whole
 from pixelid.gap.imputation.windows import Windows, with_times
 from pixelid.gap.options import Options
 from pixelid.likelihood.event_times import EventTimes
@@ -66,9 +66,10 @@ class Imputation:
         return 1e-9 * self.windows[0].sd
 
     def draws_paths(self, model: Model) -> bool:
-        """Whether all times of a pixel are drawn at once: behind a jitter or a coarse tick, and a queue where they can
-        be."""
-        return self.by_paths or (self.effect == QUEUE and followable(self.fine, model))
+        """Whether all times of a pixel are drawn at once: behind a jitter, a coarse tick, and a queue where sums
+        over paths know the model."""
+        queued = self.effect == QUEUE and followable(self.fine, model)
+        return self.by_paths or (queued and is_summed_whole(model.circuit()))
 
     @property
     def likelihood(self) -> EventTimes:

@@ -1,8 +1,8 @@
-"""Whole paths of true times behind a jitter or a coarse tick, pixel by pixel (`lattice.py`).
+"""Whole paths of true times behind a jitter, a coarse tick or a queue, pixel by pixel (`lattice.py`).
 
 Where times are blurred by more than a threshold's noise makes of an interval, moving one time between its neighbours
 gets nowhere: each is held by the next.  Here all times of a pixel are drawn together, and with them the order of its ON
-and OFF events, which a blur can turn around.
+and OFF events, which a blur can turn around; a queue keeps it.
 """
 
 from __future__ import annotations
@@ -57,6 +57,11 @@ def followable(recordings: Sequence[Recording], model: Model) -> bool:
     )
 
 
+def is_summed_whole(circuit: Circuit) -> bool:
+    """Whether sums over paths know all that a circuit's next event hangs on: neither a silence nor lost events."""
+    return circuit.silent == 0.0 and circuit.lost == 0.0
+
+
 def draw_paths(
     recordings: Sequence[Recording], windows: Sequence[Windows], times: Sequence[np.ndarray], circuit: Circuit,
     rng: np.random.Generator, lights: Lights | None = None, among: np.ndarray | None = None,
@@ -65,7 +70,7 @@ def draw_paths(
 
     Args:
         recordings: As a fit reads them.
-        windows: Of a jitter, or of a tick.
+        windows: Of a jitter, a tick or a queue.
         times: The present ones; they tell each pixel's thresholds, and which stamp of a polarity is whose.
         circuit: That the times follow.
         rng: Of the draws.

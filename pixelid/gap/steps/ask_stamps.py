@@ -17,7 +17,7 @@ from pixelid.gap.attribute.candidates import SLEW, USUAL_POLES, missing, stronge
 from pixelid.gap.attribute.significance import chance_of_gain
 from pixelid.gap.imputation.impute import FAST, QUEUE, impute_with_effect
 from pixelid.gap.imputation.imputed import Imputation
-from pixelid.gap.imputation.paths import followable
+from pixelid.gap.imputation.paths import is_summed_whole
 from pixelid.gap.imputation.stamps import Stamps
 from pixelid.gap.options import Context, Options
 from pixelid.gap.phases import Phase
@@ -34,8 +34,10 @@ EVENTS = 1_500  # of the pixels that limits of the slew are tried on: some forty
 
 def ask_stamps(state: State, context: Context) -> State:
     """The state with an effect named that the stamps ask for, and another round; else as it is."""
-    imputation = state.imputation
-    if imputation is None or not imputation.windows or not followable(imputation.fine, state.hypothesis.fit.model):
+    imputation, model = state.imputation, state.hypothesis.fit.model
+    if imputation is None or not imputation.windows or not imputation.draws_paths(model):
+        return state
+    if not is_summed_whole(model.circuit()):
         return state
     for effect in _hidden(state, context):
         state = replace(state, asked_of_stamps=state.asked_of_stamps | {effect})
