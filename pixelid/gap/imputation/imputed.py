@@ -38,6 +38,7 @@ class Imputation:
         priors: Of filters, while times are drawn.
         by_paths: Whether whole paths are drawn (`paths.py`), and the model follows the stamps behind them.
         lost: Names of recordings left out.
+        nats: Of the stamps drawn by paths, under the model that they were last drawn from.
         error: Relative standard error of a jitter's spread.
         scatter: By parameter, standard deviation of its coordinate between draws.
     """
@@ -51,6 +52,7 @@ class Imputation:
     priors: Mapping[str, Prior]
     by_paths: bool = False
     lost: tuple[str, ...] = ()
+    nats: float = 0.0
     error: float = 0.0
     scatter: Mapping[str, float] = field(default_factory=dict)
 
@@ -127,9 +129,11 @@ def draw_again(imputation: Imputation, model: Model, *, estimate: bool = True, e
     rng = np.random.default_rng(0)
     rng.bit_generator.state = imputation.random
     times, reordered, paths = imputation.times, imputation.by_paths, imputation.draws_paths(model)
+    nats = 0.0
     if paths:
         waited = np.array([reordered or (w.hi > w.lo).sum() > MOSTLY_WAITED * len(w.hi) for w in imputation.windows])
-        times = draw_paths(imputation.fine, imputation.windows, times, model.circuit(), rng, among=waited).times
+        made = draw_paths(imputation.fine, imputation.windows, times, model.circuit(), rng, among=waited)
+        times, nats = made.times, sum(made.log_likelihoods.values())
     draw = draw_times(imputation.fine, imputation.windows, times, model, rng, exact or paths, reordered)
     windows, error = imputation.windows, imputation.error
     if imputation.effect == JITTER:
@@ -139,4 +143,4 @@ def draw_again(imputation: Imputation, model: Model, *, estimate: bool = True, e
             sd, error = estimate_spread(draw, windows[0].sd)
             windows = tuple(replace(w, sd=sd) for w in windows)
     random = rng.bit_generator.state
-    return replace(imputation, windows=windows, times=tuple(draw.times), random=random, error=error)
+    return replace(imputation, windows=windows, times=tuple(draw.times), random=random, nats=nats, error=error)
