@@ -86,7 +86,7 @@ def test_a_pole_behind_a_queue_is_named_where_it_is_missing_and_not_where_it_is_
         assert asked.steps == state.steps
         assert asked.hypothesis is state.hypothesis
         return
-    assert gain > 20.0
+    assert gain > CONTEXT.options.criteria.min_stamps_gain_nats
     assert [step.effect for step in asked.steps] == [FOLLOWER]
     assert asked.phase is Phase.NAME
     assert asked.hypothesis.fit.values["sf_cutoff_hz"] == pytest.approx(SLOW_HZ, rel=0.2)

@@ -14,7 +14,7 @@ where they settle under the model that it comes from (`impute_simulated`).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -66,6 +66,7 @@ EXTRAPOLATED_ROUNDS, EXTRAPOLATION, MAX_EXTRAPOLATED_MOVE = 6, 3.0, 0.2
 # Behind a queue, of whole paths: of so many rounds and one extrapolation each; behind 23 µs a bandwidth floor that came
 # from 35 to 31 took six, and two draws under one model differ by 0.7 nats.
 MOST_CYCLES, SETTLED_NATS = 7, 3.0
+IDLE_CYCLES = 2  # one after the other that come no nearer: an extrapolation may lead astray
 NOISE, FAST = "threshold_sigma", ("sf_cutoff_hz", "diff_cutoff_hz")
 PRIOR_SD = 0.5  # of log filters, while times are drawn
 FILTERS = ("alpha", "beta", "gamma", "alpha_over_beta", "sf_cutoff_hz", "diff_cutoff_hz")
@@ -105,12 +106,13 @@ def impute_again(
 
 def settle(imputation: Imputation, model: Model, report: Report, cache: FitCache | None) -> tuple[Imputation, Model]:
     """Whole paths behind a queue drawn and the model refitted in turns, until the stamps are hardly likelier for it."""
-    nats = -np.inf
+    nats, idle = -np.inf, 0
     for _ in range(MOST_CYCLES):
         imputation, model = impute_again(imputation, model, EXTRAPOLATED_ROUNDS + 1, report=report, cache=cache)
-        if imputation.nats - nats < SETTLED_NATS:
+        idle = idle + 1 if imputation.nats - nats < SETTLED_NATS else 0
+        nats = max(nats, imputation.nats)
+        if idle == IDLE_CYCLES:
             break
-        nats = imputation.nats
     return imputation, model
 
 
@@ -276,17 +278,21 @@ def impute_behind_jitter(
 
 
 def _with_nominal_fast_poles(fitted: Model, nominal: Model) -> Model:
-    """The fitted model with what timestamps that jitter cannot tell apart set as the nominal one has it.
-
-    Fast poles run away under jitter, and the dead time with them; what it and the amplifier's recovery take together
-    is known.
-    """
+    """The fitted model with what timestamps that jitter cannot tell apart set as the nominal one has it: fast poles run
+    away under jitter, and the dead time with them."""
     values = {name: nominal.values[name] for name in FAST if name in fitted.free and name in nominal.values}
-    if "refractory_s" in fitted.free and "diff_cutoff_hz" in values:
-        recovery = [1.0 / (2.0 * np.pi * each["diff_cutoff_hz"]) for each in (fitted.values, values)]
-        dead = float(fitted.values["refractory_s"] + recovery[0] - recovery[1])
-        values["refractory_s"] = max(dead, MIN_DEAD_SHARE * nominal.values["refractory_s"])
-    return fitted.set(values)
+    return with_fast_poles(fitted, values, nominal)
+
+
+def with_fast_poles(model: Model, values: Mapping[str, float], nominal: Model | None = None) -> Model:
+    """The model with other fast poles, and a dead time that takes as long together with the amplifier's recovery as
+    before, but no less than a share of the nominal one."""
+    before, after = model.values, dict(values)
+    if "refractory_s" in model.free and "diff_cutoff_hz" in values:
+        recovery = [1.0 / (2.0 * np.pi * each["diff_cutoff_hz"]) for each in (before, values)]
+        dead = float(before["refractory_s"] + recovery[0] - recovery[1])
+        after["refractory_s"] = max(dead, MIN_DEAD_SHARE * (nominal or model).values["refractory_s"])
+    return model.set(after)
 
 
 def _begin(

@@ -63,6 +63,11 @@ class Imputation:
         return tuple(replace(r, stimulus=stimulus) for r, stimulus in zip(made, self.stimuli, strict=True))
 
     @property
+    def events(self) -> int:
+        """Number of events."""
+        return sum(len(r.events) for r in self.fine)
+
+    @property
     def sigma_s(self) -> float:
         """The jitter's standard deviation."""
         return 1e-9 * self.windows[0].sd

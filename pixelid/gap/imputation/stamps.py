@@ -30,7 +30,7 @@ class Stamps:
     @property
     def events(self) -> int:
         """Number of stamps."""
-        return sum(len(r.events) for r in self.imputation.fine)
+        return self.imputation.events
 
     def per_pixel(self, circuit: Circuit) -> np.ndarray:
         """(pixels,) nats, in order of the pixels."""

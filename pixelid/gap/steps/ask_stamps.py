@@ -15,7 +15,7 @@ from pixelid.fit.maximise import Maximum
 from pixelid.gap.attribute.attribute import Attribution, Candidate, may_be_named
 from pixelid.gap.attribute.candidates import SLEW, USUAL_POLES, missing, strongest_slew_start
 from pixelid.gap.attribute.significance import chance_of_gain
-from pixelid.gap.imputation.impute import FAST, QUEUE, impute_with_effect
+from pixelid.gap.imputation.impute import FAST, QUEUE, impute_with_effect, with_fast_poles
 from pixelid.gap.imputation.imputed import Imputation
 from pixelid.gap.imputation.paths import is_summed_whole
 from pixelid.gap.imputation.stamps import Stamps
@@ -26,9 +26,7 @@ from pixelid.gap.state import State
 from pixelid.gap.steps.name_effect import at_times_anew, is_astray, with_accepted
 from pixelid.model.model import Model
 
-# What refits alone may gain, of which the base then gets as many again: 20 and 7 nats on fit and select pixels for an
-# amplifier that was not there (of eight sessions).
-NEARER_NATS = 200.0
+NEARER_NATS = 200.0  # more than refits gain by themselves, of which the base else gets as many again
 EVENTS = 1_500  # of the pixels that limits of the slew are tried on: some forty of them, half a second each
 
 
@@ -63,16 +61,23 @@ def _hidden(state: State, context: Context) -> list[str]:
 
 
 def _start(state: State, effect: str) -> Model | None:
-    """Where the effect is followed from: a pole as shipped, as is the other one, which may have taken its place; the
-    likeliest limits of the slew."""
+    """Where the effect is followed from: of a few pixels, the likeliest limits of the slew, or poles."""
     hypothesis, imputation = state.hypothesis, state.imputation
     model = hypothesis.fit.model
     assert imputation is not None
+    few = Stamps(imputation.of(state.split.fit).few(EVENTS, np.random.default_rng(0)))
     if effect == SLEW:
-        few = Stamps(imputation.of(state.split.fit).few(EVENTS, np.random.default_rng(0)))
         return strongest_slew_start(few, model, few.log_likelihood(model.circuit()))
-    shipped = hypothesis.start.with_effect(effect).values
-    return model.with_effect(effect).set({name: shipped[name] for name in FAST if name in shipped})
+    return max(_poles(model, hypothesis.start, effect), key=lambda start: few.log_likelihood(start.circuit()))
+
+
+def _poles(model: Model, shipped: Model, effect: str) -> list[Model]:
+    """A model with a pole more: as shipped, and where the other one is, which may have taken its place."""
+    grown = model.with_effect(effect)
+    usual = {name: shipped.with_effect(effect).values[name] for name in FAST if name in grown.values}
+    starts = [with_fast_poles(grown, usual)]
+    own = next(name for name in usual if name not in model.values)
+    return starts + [with_fast_poles(grown, usual | {own: model.values[name]}) for name in usual if name != own]
 
 
 def _asked(state: State, effect: str, start: Model, context: Context) -> State:
