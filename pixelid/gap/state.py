@@ -98,7 +98,7 @@ class State:
         steps: Effects named by rounds;  turn: rounds so far;  rounds: what the result says of each.
         given_up: Effects not to be tried again.
         asked_again: Effects named before a jitter, looked for once more behind it.
-        asked_of_stamps: Effects that drawn times may hide, asked for of the stamps.
+        asked_of_stamps: Effects that drawn times hide, and that the stamps were asked for.
         jitter_given_up: Whether a jitter has been named once that did not look like one.
         shot_noise, shot_noise_p: Found, and the chance of what it explains.
         shot_noise_tried: Hypotheses beside which it was looked for, and what was found.

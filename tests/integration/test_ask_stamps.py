@@ -1,4 +1,4 @@
-"""Effects that times drawn behind a readout hide: stamps ask for them where they are missing, and only there."""
+"""A limit of the slew, which times drawn without it hide: stamps ask for it where there is one, and only there."""
 
 from dataclasses import replace
 
@@ -10,7 +10,6 @@ from pixelid.gap.imputation.imputed import QUEUE, TICK, Imputation
 from pixelid.gap.imputation.stamps import Stamps
 from pixelid.gap.imputation.windows import Windows
 from pixelid.gap.options import Context, Options
-from pixelid.gap.phases import Phase
 from pixelid.gap.search import begin
 from pixelid.gap.steps.ask_stamps import ask_stamps
 from pixelid.gap.steps.undo_readout import undo_readout
@@ -22,7 +21,6 @@ from pixelid.stimuli.resample import resampled
 from pixelid.stimuli.shapes import chirp, slow, steps
 
 MODEL = find_model("dvs128")
-FOLLOWER, SLOW_HZ = "source_follower_pole", 1500.0
 CONTEXT = Context(Options(0.01, 1, (), Criteria(), False))
 
 
@@ -66,31 +64,6 @@ def undone(camera, base, lights, side):
     state = undo_readout(begin(recorded(camera, lights, side), base, CONTEXT), CONTEXT)
     assert state.imputation is not None
     return state
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("lacks", [True, False])
-def test_a_pole_behind_a_queue_is_named_where_it_is_missing_and_not_where_it_is_not(lacks):
-    """Drawn times follow an amplifier that has taken the follower's place."""
-    camera = MODEL if lacks else MODEL.without_effect(FOLLOWER)
-    camera = camera.set({"threshold_sigma": 0.02}).with_effect(QUEUE, {"service_s": 2.2e-5})
-    camera = camera.set({"sf_cutoff_hz": SLOW_HZ}) if lacks else camera
-    lights = [chirp(24.0, stop_hz=200.0), slow(24.0, seed=2), steps(24.0, seed=5), chirp(3.0, stop_hz=60.0)]
-    state = undone(camera, MODEL.without_effect(FOLLOWER), lights, side=5)
-    asked = ask_stamps(state, CONTEXT)
-    assert asked.asked_of_stamps == {FOLLOWER}
-    assert asked.rounds[-1]["by_stamps"]
-    gain = asked.rounds[-1]["candidates"][0]["gain_nats"]
-    if not lacks:
-        assert gain < CONTEXT.options.criteria.min_stamps_gain_nats
-        assert asked.steps == state.steps
-        assert asked.hypothesis is state.hypothesis
-        return
-    assert gain > CONTEXT.options.criteria.min_stamps_gain_nats
-    assert [step.effect for step in asked.steps] == [FOLLOWER]
-    assert asked.phase is Phase.NAME
-    assert asked.hypothesis.fit.values["sf_cutoff_hz"] == pytest.approx(SLOW_HZ, rel=0.2)
-    assert ask_stamps(asked, CONTEXT) is asked  # once is enough
 
 
 @pytest.mark.slow

@@ -14,7 +14,7 @@ where they settle under the model that it comes from (`impute_simulated`).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -278,21 +278,17 @@ def impute_behind_jitter(
 
 
 def _with_nominal_fast_poles(fitted: Model, nominal: Model) -> Model:
-    """The fitted model with what timestamps that jitter cannot tell apart set as the nominal one has it: fast poles run
-    away under jitter, and the dead time with them."""
+    """The fitted model with what timestamps that jitter cannot tell apart set as the nominal one has it.
+
+    Fast poles run away under jitter, and the dead time with them; what it and the amplifier's recovery take together
+    is known.
+    """
     values = {name: nominal.values[name] for name in FAST if name in fitted.free and name in nominal.values}
-    return with_fast_poles(fitted, values, nominal)
-
-
-def with_fast_poles(model: Model, values: Mapping[str, float], nominal: Model | None = None) -> Model:
-    """The model with other fast poles, and a dead time that takes as long together with the amplifier's recovery as
-    before, but no less than a share of the nominal one."""
-    before, after = model.values, dict(values)
-    if "refractory_s" in model.free and "diff_cutoff_hz" in values:
-        recovery = [1.0 / (2.0 * np.pi * each["diff_cutoff_hz"]) for each in (before, values)]
-        dead = float(before["refractory_s"] + recovery[0] - recovery[1])
-        after["refractory_s"] = max(dead, MIN_DEAD_SHARE * (nominal or model).values["refractory_s"])
-    return model.set(after)
+    if "refractory_s" in fitted.free and "diff_cutoff_hz" in values:
+        recovery = [1.0 / (2.0 * np.pi * each["diff_cutoff_hz"]) for each in (fitted.values, values)]
+        dead = float(fitted.values["refractory_s"] + recovery[0] - recovery[1])
+        values["refractory_s"] = max(dead, MIN_DEAD_SHARE * nominal.values["refractory_s"])
+    return fitted.set(values)
 
 
 def _begin(
