@@ -66,6 +66,7 @@ EXTRAPOLATED_ROUNDS, EXTRAPOLATION, MAX_EXTRAPOLATED_MOVE = 6, 3.0, 0.2
 # Behind a queue, of whole paths: of so many rounds and one extrapolation each; behind 23 µs a bandwidth floor that came
 # from 35 to 31 took six, and two draws under one model differ by 0.7 nats.
 MOST_CYCLES, SETTLED_NATS = 7, 3.0
+FIRST_CYCLES = 3  # of a model that may lack something, and then is not worth more
 IDLE_CYCLES = 2  # one after the other that come no nearer: an extrapolation may lead astray
 NOISE, FAST = "threshold_sigma", ("sf_cutoff_hz", "diff_cutoff_hz")
 PRIOR_SD = 0.5  # of log filters, while times are drawn
@@ -104,10 +105,12 @@ def impute_again(
     return replace(imputation, scatter=by_name), model
 
 
-def settle(imputation: Imputation, model: Model, report: Report, cache: FitCache | None) -> tuple[Imputation, Model]:
+def settle(
+    imputation: Imputation, model: Model, report: Report, cache: FitCache | None, most: int = MOST_CYCLES
+) -> tuple[Imputation, Model]:
     """Whole paths behind a queue drawn and the model refitted in turns, until the stamps are hardly likelier for it."""
     nats, idle = -np.inf, 0
-    for _ in range(MOST_CYCLES):
+    for _ in range(most):
         imputation, model = impute_again(imputation, model, EXTRAPOLATED_ROUNDS + 1, report=report, cache=cache)
         idle = idle + 1 if imputation.nats - nats < SETTLED_NATS else 0
         nats = max(nats, imputation.nats)
@@ -175,7 +178,7 @@ def impute(
     brief = reach[kept] <= SHORT_SERVICE_TIMES * unit
     whole, model = _begin(whole, brief, whole.with_filter_priors(model), options.seed, report, cache)
     if whole.draws_paths(model):
-        whole, model = settle(whole, model, report, cache)
+        whole, model = settle(whole, model, report, cache, FIRST_CYCLES)
     else:
         whole, model = impute_again(whole, model, ROUNDS[1], exact=False, report=report, cache=cache)
         whole, model = impute_again(whole, model, ROUNDS[2], report=report, cache=cache)
