@@ -15,7 +15,8 @@ from pixelid.gap.criteria import Criteria
 from pixelid.gap.imputation.exact import keeps_its_times, loses_where_times_are_exact
 from pixelid.gap.imputation.impute import _completed, impute, impute_simulated, impute_with_effect
 from pixelid.gap.imputation.imputed import QUEUE, TICK, Imputation, draw_again
-from pixelid.gap.imputation.windows import guess_edges, queue_windows, tick_windows, with_times
+from pixelid.gap.imputation.stamps import Stamps
+from pixelid.gap.imputation.windows import Windows, guess_edges, queue_windows, tick_windows, with_times
 from pixelid.gap.options import Context, Options
 from pixelid.gap.phases import Phase
 from pixelid.gap.rounds import entry
@@ -24,6 +25,7 @@ from pixelid.gap.shot_noise.replicates import Corrected
 from pixelid.gap.shot_noise.shot_noise import ShotNoise
 from pixelid.gap.state import NamedStep
 from pixelid.gap.steps import withdraw as withdrawing
+from pixelid.gap.steps.ask_stamps import ask_stamps
 from pixelid.gap.steps.name_effect import (
     NOTHING_LEFT_FOR_IT,
     ONLY_WHERE_DRAWN,
@@ -32,6 +34,7 @@ from pixelid.gap.steps.name_effect import (
     without_misplaced,
     without_negligible,
 )
+from pixelid.gap.steps.undo_readout import undo_readout
 from pixelid.inspection.timestamps import TimestampSignature
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.model.shipped import find_model
@@ -330,3 +333,37 @@ def test_a_jitter_of_dead_times_is_looked_for_beside_a_dead_time_named_on_the_wa
     fit = maximise(state.hypothesis.evidence.training, start, tolerance=0.1, max_steps=30)
     state = replace(state, hypothesis=replace(state.hypothesis, fit=fit, start=start))
     assert _behind_coarse_jitter(state, Attribution((), {}, None, (), {}), CONTEXT) is None
+
+
+def test_stamps_without_a_blur_say_what_the_density_of_event_times_says():
+    """Two engines, sums over cells of time and the density at the event: circuits differ by as many nats in both."""
+    lights = [chirp(24.0, stop_hz=100.0), slow(24.0, seed=2)]
+    fine = tuple(with_fine_light(r, "smooth") for r in recorded(MODEL, lights, side=3))
+    times = tuple(r.events.t.astype(float) for r in fine)
+    random = np.random.default_rng(0).bit_generator.state
+    points = tuple(Windows(t, t) for t in times)
+    stamps, events = Stamps(Imputation(QUEUE, tuple(lights), fine, points, times, random, {})), EventTimes(fine)
+    here = MODEL.circuit()
+    for other in ({"beta": 0.93 * MODEL.values["beta"]}, {"sf_cutoff_hz": 1.15 * MODEL.values["sf_cutoff_hz"]}):
+        there = MODEL.set(other).circuit()
+        known = events.log_likelihood(here) - events.log_likelihood(there)
+        assert known > 15.0
+        assert stamps.log_likelihood(here) - stamps.log_likelihood(there) == pytest.approx(known, rel=0.05)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("slews", [True, False])
+def test_a_limit_of_the_slew_behind_a_coarse_tick_is_named_where_there_is_one(slews):
+    """Times drawn without it are too early for it: no limit that the drawn times know of is worth a fit."""
+    camera = MODEL.with_effect("slew_limit", {"rise_per_s": 1500.0, "fall_per_s": 1500.0}) if slews else MODEL
+    camera = camera.set({"threshold_sigma": 0.02}).with_effect(TICK, {"tick_s": 2e-4})
+    lights = [chirp(400.0, stop_hz=400.0), slow(24.0, seed=2), steps(400.0, seed=5), steps(24.0, seed=6)]
+    stamped = [replace(r, events=replace(r.events, tick_ns=1)) for r in recorded(camera, lights, side=4)]
+    state = undo_readout(begin(stamped, MODEL, CONTEXT), CONTEXT)
+    asked = ask_stamps(state, CONTEXT)
+    if not slews:
+        assert asked is state
+        return
+    assert [step.effect for step in asked.steps] == ["slew_limit"]
+    assert asked.hypothesis.fit.values["slew_limit.rise_per_s"] == pytest.approx(1500.0, rel=0.1)
+    assert asked.hypothesis.seen.background_fraction < 0.1 * state.hypothesis.seen.background_fraction

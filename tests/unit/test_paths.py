@@ -78,8 +78,7 @@ def drawn(path_light, on, off, sd, many, seed=0):
     for k in range(many):
         uniform = rng.random(2 * (len(on) + len(off)))
         value = draw_path(
-            path_light, AT, on, off, sd, np.full(len(on), 6 * sd), np.full(len(off), 6 * sd), False, 1e-3,
-            uniform,
+            path_light, AT, on, off, sd, np.full(len(on), 6 * sd), np.full(len(off), 6 * sd), False, 1e-3, uniform,
             times[k, : len(on)], times[k, len(on) :],
         )  # fmt: skip
         assert np.isfinite(value)

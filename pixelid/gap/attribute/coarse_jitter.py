@@ -78,7 +78,5 @@ def _log_likelihoods(
 ) -> np.ndarray:
     """(pixels,) nats of the stamps of each pixel, true times summed over."""
     windows, stamps = [jitter_windows(r, sigma_s) for r in recordings], [1.0 * r.events.t for r in recordings]
-    values = draw_paths(
-        recordings, windows, stamps, model.circuit(), np.random.default_rng(seed), lights
-    ).log_likelihoods
-    return np.array([values[pixel] for pixel in sorted(values)])
+    rng = np.random.default_rng(seed)
+    return draw_paths(recordings, windows, stamps, model.circuit(), rng, lights).per_pixel

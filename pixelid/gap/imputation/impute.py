@@ -5,11 +5,10 @@ whose windows are short, until thresholds and their noise settle; then those wit
 follow the model so found.  Filters have wide priors near the model's values meanwhile.  A recording whose events mostly
 waited for far longer (a saturated readout) has lost its times and is left out.  Behind a queue whole paths are drawn;
 behind a jitter and a coarse tick as well, and the model follows the stamps with the times integrated out
-(`blurred.py`).  A model that gains an
-effect later moves the times behind it: they are drawn again (`impute_again`), behind a queue anew, since times drawn
-from a circuit that lacks what was found keep it (a dead time by the shortest intervals drawn): from recordings in which
-events hardly waited, then the others, as before (`impute_with_effect`).  Times of a simulated session begin
-where they settle under the model that it comes from (`impute_simulated`).
+(`blurred.py`).  A model that gains an effect later moves the times behind it: they are drawn again (`impute_again`),
+behind a queue anew, since times drawn from a circuit that lacks what was found keep it (a dead time by the shortest
+intervals drawn): from recordings in which events hardly waited, then the others, as before (`impute_with_effect`).
+Times of a simulated session begin where they settle under the model that it comes from (`impute_simulated`).
 """
 
 from __future__ import annotations
@@ -64,7 +63,7 @@ JITTER_ROUNDS = (12, 12, 24)  # with the thresholds' noise held, then free, then
 # last half of them has gone, so many times as far, but by no more than a fifth of its coordinates' longest moves.
 EXTRAPOLATED_ROUNDS, EXTRAPOLATION, MAX_EXTRAPOLATED_MOVE = 6, 3.0, 0.2
 # Behind a queue, of whole paths: of so many rounds and one extrapolation each; behind 23 µs a bandwidth floor that came
-# from 35 to 31 took six, and two draws under one model differ by 0.7 nats.
+# from 35 to 31 took five, and two draws under one model differ by 0.7 nats.
 MOST_CYCLES, SETTLED_NATS = 7, 3.0
 FIRST_CYCLES = 3  # of a model that may lack something, and then is not worth more
 IDLE_CYCLES = 2  # one after the other that come no nearer: an extrapolation may lead astray
@@ -105,7 +104,7 @@ def impute_again(
     return replace(imputation, scatter=by_name), model
 
 
-def settle(
+def _settle(
     imputation: Imputation, model: Model, report: Report, cache: FitCache | None, most: int = MOST_CYCLES
 ) -> tuple[Imputation, Model]:
     """Whole paths behind a queue drawn and the model refitted in turns, until the stamps are hardly likelier for it."""
@@ -124,7 +123,7 @@ def impute_changed(
 ) -> tuple[Imputation, Model]:
     """Times and model once the model has gained or lost an effect: times drawn before may be far off."""
     if imputation.draws_paths(model) and not imputation.by_paths:
-        return settle(imputation, model, report, cache)
+        return _settle(imputation, model, report, cache)
     if not imputation.by_paths:
         imputation, model = impute_again(imputation, model, ROUNDS_AGAIN[0], exact=False, report=report, cache=cache)
     return impute_again(imputation, model, ROUNDS_AGAIN[1], report=report, cache=cache)
@@ -178,7 +177,7 @@ def impute(
     brief = reach[kept] <= SHORT_SERVICE_TIMES * unit
     whole, model = _begin(whole, brief, whole.with_filter_priors(model), options.seed, report, cache)
     if whole.draws_paths(model):
-        whole, model = settle(whole, model, report, cache, FIRST_CYCLES)
+        whole, model = _settle(whole, model, report, cache, FIRST_CYCLES)
     else:
         whole, model = impute_again(whole, model, ROUNDS[1], exact=False, report=report, cache=cache)
         whole, model = impute_again(whole, model, ROUNDS[2], report=report, cache=cache)

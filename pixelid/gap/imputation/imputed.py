@@ -63,11 +63,6 @@ class Imputation:
         return tuple(replace(r, stimulus=stimulus) for r, stimulus in zip(made, self.stimuli, strict=True))
 
     @property
-    def events(self) -> int:
-        """Number of events."""
-        return sum(len(r.events) for r in self.fine)
-
-    @property
     def sigma_s(self) -> float:
         """The jitter's standard deviation."""
         return 1e-9 * self.windows[0].sd
@@ -138,7 +133,7 @@ def draw_again(imputation: Imputation, model: Model, *, estimate: bool = True, e
     if paths:
         waited = np.array([reordered or (w.hi > w.lo).sum() > MOSTLY_WAITED * len(w.hi) for w in imputation.windows])
         made = draw_paths(imputation.fine, imputation.windows, times, model.circuit(), rng, among=waited)
-        times, nats = made.times, sum(made.log_likelihoods.values())
+        times, nats = made.times, float(made.per_pixel.sum())
     draw = draw_times(imputation.fine, imputation.windows, times, model, rng, exact or paths, reordered)
     windows, error = imputation.windows, imputation.error
     if imputation.effect == JITTER:

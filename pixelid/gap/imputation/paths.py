@@ -49,6 +49,11 @@ class Paths:
     log_likelihoods: dict[int, float]
     stuck: int
 
+    @property
+    def per_pixel(self) -> np.ndarray:
+        """(pixels,) nats, in order of the pixels."""
+        return np.array([self.log_likelihoods[pixel] for pixel in sorted(self.log_likelihoods)])
+
 
 def followable(recordings: Sequence[Recording], model: Model) -> bool:
     """Whether paths can be drawn: full-field light that is known between its samples, nothing described."""
@@ -86,9 +91,9 @@ def draw_paths(
         here = circuit.in_recording(recording.name)
         return _draw(recording, window, t, lights.of(recording, here), own, np.random.default_rng(seed))
 
-    jobs = zip(recordings, windows, times, thresholds, seeds, strict=True)
-    chosen = range(len(recordings)) if among is None else np.flatnonzero(among)
-    made = map_threads(drawn, [job for k, job in enumerate(jobs) if k in chosen])
+    jobs = list(zip(recordings, windows, times, thresholds, seeds, strict=True))
+    chosen = range(len(jobs)) if among is None else np.flatnonzero(among)
+    made = map_threads(drawn, [jobs[k] for k in chosen])
     total, found = {}, list(times)
     for k, (t, values, _) in zip(chosen, made, strict=True):
         found[k] = t

@@ -1,8 +1,7 @@
 """Stamps as evidence for a circuit: their likelihood, with all true times that they can stand for summed over.
 
 Times drawn from one model speak for it, and against every other, by as much as the stamps leave open.  Here nothing is
-drawn: each pixel's chain of events is summed over the windows of its stamps (`lattice.py`).  In a queue's windows the
-order in which different pixels' events were served does not count.
+drawn: each pixel's chain of events is summed over the windows of its stamps (`lattice.py`).
 """
 
 from __future__ import annotations
@@ -30,13 +29,12 @@ class Stamps:
     @property
     def events(self) -> int:
         """Number of stamps."""
-        return self.imputation.events
+        return sum(len(r.events) for r in self.imputation.fine)
 
     def per_pixel(self, circuit: Circuit) -> np.ndarray:
         """(pixels,) nats, in order of the pixels."""
         imputation, rng = self.imputation, np.random.default_rng(0)  # of times that are not used
-        paths = draw_paths(imputation.fine, imputation.windows, imputation.times, circuit, rng, self.lights)
-        return np.array([paths.log_likelihoods[pixel] for pixel in sorted(paths.log_likelihoods)])
+        return draw_paths(imputation.fine, imputation.windows, imputation.times, circuit, rng, self.lights).per_pixel
 
     def log_likelihood(self, circuit: Circuit) -> float:
         """Nats."""

@@ -35,10 +35,10 @@ def ask_stamps(state: State, context: Context) -> State:
     imputation, model = state.imputation, state.hypothesis.fit.model
     if imputation is None or not imputation.by_paths or not is_summed_whole(model.circuit()):
         return state
-    skip = {*context.options.leave_out, *state.given_up, *state.asked_of_stamps}
-    if SLEW in skip or SLEW not in missing(model) or not is_astray(state, context):
+    able = SLEW in missing(model) and SLEW not in {*context.options.leave_out, *state.given_up}
+    if state.stamps_asked or not able or not is_astray(state, context):
         return state
-    state = replace(state, asked_of_stamps=state.asked_of_stamps | {SLEW})
+    state = replace(state, stamps_asked=True)
     context.report(f"{SLEW}, of the stamps", 0.6)
     few = Stamps(imputation.of(state.split.fit).few(EVENTS, np.random.default_rng(0)))
     start = strongest_slew_start(few, model, few.log_likelihood(model.circuit()))
