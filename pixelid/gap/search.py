@@ -23,7 +23,7 @@ from pixelid.gap.steps.ask_again import ask_again
 from pixelid.gap.steps.ask_stamps import ask_stamps
 from pixelid.gap.steps.confirm import confirm
 from pixelid.gap.steps.discount_imputation_noise import discount_imputation_noise
-from pixelid.gap.steps.explain_by_shot_noise import try_before_second_effect, try_shot_noise
+from pixelid.gap.steps.explain_by_shot_noise import try_before_next_effect, try_shot_noise
 from pixelid.gap.steps.name_beside_shot_noise import name_beside_shot_noise
 from pixelid.gap.steps.name_effect import name_effect
 from pixelid.gap.steps.undo_readout import undo_readout
@@ -61,9 +61,9 @@ def begin(recordings: Sequence[Recording], model: Model, context: Context) -> St
 
 
 def name_next(state: State, context: Context) -> State:
-    """One round, before the second of which shot noise has its chance; after the last the stamps are asked."""
-    if state.turn == 1 and state.steps:
-        state = try_before_second_effect(state, context)
+    """One round, shot noise having its chance before all but the first; after the last the stamps are asked."""
+    if state.steps:
+        state = try_before_next_effect(state, context)
     state = name_effect(state, context) if state.phase is Phase.NAME else state
     state = ask_stamps(state, context) if state.phase is Phase.SHOT_NOISE else state
     return ask_again(state, context) if state.phase is Phase.SHOT_NOISE else state

@@ -102,6 +102,7 @@ class State:
         jitter_given_up: Whether a jitter has been named once that did not look like one.
         shot_noise, shot_noise_p: Found, and the chance of what it explains.
         shot_noise_tried: Hypotheses beside which it was looked for, and what was found.
+        noise_pursued: Those of them beside whose shot noise more was looked for, as something was left.
         global_p: Of anything being amiss at all.
     """
 
@@ -127,6 +128,7 @@ class State:
     shot_noise: ShotNoise | None = None
     shot_noise_p: float = 1.0
     shot_noise_tried: tuple[tuple[Hypothesis, ShotNoise | None], ...] = ()
+    noise_pursued: tuple[Hypothesis, ...] = ()
     global_p: float = 1.0
 
     def then(self, phase: Phase, **changes) -> State:

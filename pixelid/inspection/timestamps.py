@@ -27,6 +27,7 @@ from pixelid.statistics import Z95
 MIN_ATOM_EVENTS = 20
 MAX_ATOM_CHANCE = 1e-12  # of an atom by accident; a recording offers some 1e6 places where one could be
 MIN_GRID_UNITS = 1.5  # a grid is coarser than the file's own unit
+ROUNDING_SD = 12.0**-0.5  # of what rounding moves a number by, in units
 # Of the shortest intervals of a pixel (their 1 % quantile).  Thresholds scatter by 2 % and more of an interval; a tick
 # of a thousandth adds (1e-3/√12)² to that variance, 2e-4 of it: nobody could tell.
 MIN_TICK_SHARE = 1e-3
@@ -114,7 +115,11 @@ def find_service_time(recordings: Sequence[Recording]) -> TimestampSignature | N
     if len(atom) < MIN_ATOM_EVENTS or p > MAX_ATOM_CHANCE:
         return None
     value = float(atom.mean()) * 1e-9
-    error = max(float(atom.std()), 0.29 * unit) * 1e-9 / np.sqrt(len(atom))
+    # waits average out their rounding, but not that of arrivals which were whole nanoseconds themselves (a simulator's):
+    # then all are rounded alike.  Of the waits that have come there by chance the mean is half a width further.
+    rounding = ROUNDING_SD * np.hypot(unit / np.sqrt(len(atom)), 1.0)
+    by_chance = 0.5 * width * min(expected / len(atom), 1.0)
+    error = float(np.sqrt(atom.var() / len(atom) + rounding**2 + by_chance**2)) * 1e-9
     gain = float(np.log(len(atom) / expected) + density * least / len(atom))
     share = len(atom) / sum(len(r.events) for r in recordings)
     return TimestampSignature(

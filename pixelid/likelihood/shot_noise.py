@@ -203,13 +203,15 @@ def under_shot_noise(likelihood: EventTimes, circuit: Circuit) -> EventTimes:
     threshold = terms.group_mean[likelihood.group]
     total = noise.variance + (circuit.noise * threshold) ** 2
     missed = terms.z - threshold - noise.mean
-    told = np.abs(missed) < OUTLIER * np.sqrt(total)
+    told = ~terms.at_once & (np.abs(missed) < OUTLIER * np.sqrt(total))
     rate = likelihood.sign * terms.changes.events.slope
     slope = rate + noise.slope + np.where(told, noise.together / total * missed, 0.0)
     spread = np.sqrt(np.maximum(noise.slope_variance - noise.together**2 / total, 1e-12))
     x = np.maximum(slope / spread, SLOWEST)
     speed = spread * (x * ndtr(x) + np.exp(-0.5 * x * x) / math.sqrt(2.0 * math.pi))
-    further = np.clip(noise.mean + noise.together * ndtr(x) / speed, -MOST_MOVED * threshold, MOST_MOVED * threshold)
+    # at the end of a silence the level lies beyond the threshold: it is not met, and no faster for noise
+    met, speed = np.where(terms.at_once, 0.0, ndtr(x) / speed), np.where(terms.at_once, rate, speed)
+    further = np.clip(noise.mean + noise.together * met, -MOST_MOVED * threshold, MOST_MOVED * threshold)
     usual = np.full(likelihood.layout.ends, noise.variance.mean())
     at = likelihood.layout
     both = ((at.light, noise.variance), (at.light_reset, noise.variance), (at.light_last, usual))
@@ -230,7 +232,7 @@ def _chains(likelihood: EventTimes, circuit: Circuit, every: bool, seed: int) ->
     """The chains of events, and the steps between them."""
     terms = likelihood.terms(circuit)
     y = terms.z - terms.group_mean[likelihood.group]
-    usable = ~terms.background & (np.abs(y) < OUTLIER * terms.scale)
+    usable = ~(terms.background | terms.at_once) & (np.abs(y) < OUTLIER * terms.scale)
     seen = [r.stimulus for r in likelihood.recordings if r.stimulus is not None]
     lights = [np.log(np.exp(_range(light)) + circuit.dark) for light in seen]
     low, high = min(light[0] for light in lights) - MARGIN, max(light[1] for light in lights) + MARGIN

@@ -1,10 +1,15 @@
 """Readout as pure functions: queue, jitter, grid."""
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
+import pytest
+from scipy.stats import binom
 
+from pixelid.inspection.timestamps import find_service_time
 from pixelid.recordings.events import Events
+from pixelid.recordings.recording import Recording
 from pixelid.simulate.readout import Readout, jitter, quantise, queue
 from pixelid.stages.circuit import Circuit
 
@@ -70,3 +75,27 @@ def test_nothing_to_do_leaves_events_alone():
     out = Readout(Circuit(), 0)(events, 3e6, True)
     np.testing.assert_array_equal(out.t, events.t)
     assert out.tick_ns == 1
+
+
+@pytest.mark.parametrize(("arrivals", "unit"), [("whole nanoseconds", 1), ("any", 1), ("any", 1000)])
+def test_a_service_time_lies_in_its_interval(arrivals, unit):
+    """A queue written out event by event, its stamps rounded once; simulators' arrivals are rounded before."""
+    rng, inside, trials = np.random.default_rng(7), 0, 40
+    for _ in range(trials):
+        service = rng.uniform(2500.0, 30_000.0)
+        clusters = np.repeat(rng.uniform(0, 2e9, 400), 4)
+        t = np.sort(clusters + rng.exponential(2.0 * service, len(clusters)))
+        t = np.rint(t) if arrivals == "whole nanoseconds" else t
+        out, busy = np.empty(len(t)), -np.inf
+        for k, arrival in enumerate(t):
+            busy = max(arrival, busy) + service
+            out[k] = busy
+        stamps = (unit * np.rint(out / unit)).astype(np.int64)
+        x = np.arange(len(t)) % 25  # no two neighbours from one pixel
+        events = Events.from_columns(stamps, x, 0 * x, rng.integers(0, 2, len(t)), 25, 1)
+        found = find_service_time([Recording(replace(events, tick_ns=unit))])
+        assert found is not None
+        low, high = found.interval
+        inside += low <= 1e-9 * service <= high
+        assert high - low < 2.5e-9 * unit
+    assert inside >= binom.ppf(0.001, trials, 0.95)

@@ -175,6 +175,16 @@ def test_shot_noise_passes_a_slew_limited_follower_as_small_signals_do(lights):
     assert abs(np.log(found.density / 6e-5)) < 4.0 * found.error + 0.05
 
 
+def test_what_fires_at_the_end_of_a_silence_is_not_taken_for_noise(lights):
+    """Its level lies anywhere beyond the threshold: by much where the light went on meanwhile."""
+    silent = MODEL.with_effect("dead_time_without_reset", {"s": 5e-3})
+    truth = silent.set({"threshold_sigma": 0.03}).with_effect("shot_noise", {"density": 6e-5})
+    found, _ = divided(truth, lights, 11, silent.fix({"dead_time_without_reset.s": None}))
+    assert found.gain > 20.0  # half as many events as without silences
+    assert abs(np.log(found.density / 6e-5)) < 4.0 * found.error + 0.05
+    assert found.thresholds < 0.5
+
+
 def test_threshold_noise_alone_is_no_shot_noise(lights):
     found, _ = divided(MODEL.set({"threshold_sigma": 0.06}), lights, 21)
     assert found.gain < 3.0

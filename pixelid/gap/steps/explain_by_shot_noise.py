@@ -11,11 +11,13 @@ from pixelid.fit.maximise import maximise
 from pixelid.fit.shot_noise import EFFECT
 from pixelid.gap.attribute.candidates import remove_effect
 from pixelid.gap.detect.diagnostics import diagnose
+from pixelid.gap.detect.pixels import is_noisy
 from pixelid.gap.options import Context
 from pixelid.gap.phases import Phase
 from pixelid.gap.rounds import amended, entry, withdrawn
 from pixelid.gap.shot_noise.shot_noise import ShotNoise, find_shot_noise, looks_like_shot_noise
 from pixelid.gap.state import Hypothesis, State
+from pixelid.gap.steps.name_beside_shot_noise import name_beside_shot_noise
 
 
 @dataclass(frozen=True)
@@ -37,29 +39,35 @@ class _Found:
     index: int
 
 
-def try_before_second_effect(state: State, context: Context) -> State:
-    """Shot noise tried after the first effect, where the base already looked like it."""
-    first = state.steps[0].before
-    if not looks_like_shot_noise(first.seen, context.options.criteria):
+def try_before_next_effect(state: State, context: Context) -> State:
+    """Shot noise tried after an effect, where the base already looked like it, or what is left scatters more than
+    thresholds of such pixels do."""
+    first, hypothesis = state.steps[0].before, state.hypothesis
+    trials = (Trial(None, 0), Trial(hypothesis, len(state.steps)))
+    if state.turn == 1 and looks_like_shot_noise(first.seen, context.options.criteria):
+        trials = (Trial(first, 0), *trials)
+    elif state.imputed or not is_noisy(hypothesis.fit.model, state.model):
         return state
-    state = explain_by_shot_noise(state, (Trial(first, 0), Trial(None, 0), Trial(state.hypothesis, 1)), context)
-    return state if state.shot_noise is None else state.then(Phase.BESIDE_SHOT_NOISE)
+    return explain_by_shot_noise(state, trials, context)
 
 
 def try_shot_noise(state: State, context: Context) -> State:
     """Shot noise tried when nothing else can be named: in place of all that was, and beside it."""
     trials = tuple(Trial(step.before, 0) for step in state.steps[:1])
     trials = (*trials, Trial(state.hypothesis, len(state.steps)))
-    return explain_by_shot_noise(state, trials, context).then(Phase.BESIDE_SHOT_NOISE)
+    state = explain_by_shot_noise(state, trials, context)
+    return state if state.shot_noise is not None else state.then(Phase.DISCOUNT)
 
 
 def explain_by_shot_noise(state: State, trials: tuple[Trial, ...], context: Context) -> State:
-    """The state with shot noise, where one of the trials explains what is left, or as it is."""
+    """The state with shot noise, where one of the trials explains what is left, by itself or with other effects beside
+    it, or as it is."""
     options = context.options
     if EFFECT in options.leave_out or not state.remainder(options.alpha_each):
         return state
     alone: ShotNoise | None = None  # what leaves least of those with nothing beside them
     enough: _Found | None = None
+    nearest: _Found | None = None  # what leaves least of those that leave something
     waiting = list(trials)
     while waiting:
         trial = waiting.pop(0)
@@ -71,6 +79,8 @@ def explain_by_shot_noise(state: State, trials: tuple[Trial, ...], context: Cont
         if noise is None:
             continue
         found, p = _Found(noise, hypothesis, trial.kept, len(state.rounds) - 1), noise.corrected.seen.p
+        if p < options.alpha_each and (nearest is None or noise.left < nearest.noise.left):
+            nearest = found
         if trial.kept == 0:
             alone = noise if alone is None or noise.left < alone.left else alone
             if p >= options.criteria.sufficient_p_shot_noise:
@@ -88,7 +98,12 @@ def explain_by_shot_noise(state: State, trials: tuple[Trial, ...], context: Cont
             if not any(one.hypothesis is None for one in trials):
                 trials = (*trials, Trial(None, 0))
                 waiting.append(trials[-1])
-    return state if enough is None else _named(state, enough)
+    if enough is not None:
+        return _named(state, enough)
+    if nearest is None or any(nearest.hypothesis is other for other in state.noise_pursued):
+        return state
+    state = replace(state, noise_pursued=(*state.noise_pursued, nearest.hypothesis))
+    return _with_others_beside(state, nearest, context) or state
 
 
 def _look_beside(state: State, hypothesis: Hypothesis, context: Context) -> tuple[State, ShotNoise | None]:
@@ -109,13 +124,22 @@ def _look_beside(state: State, hypothesis: Hypothesis, context: Context) -> tupl
     return state, noise
 
 
+def _with_others_beside(state: State, found: _Found, context: Context) -> State | None:
+    """The state with shot noise that leaves something, and the effects that explain that in the likelihood which knows
+    the noise; None where something is left all the same."""
+    more = _named(state, found)
+    while more.phase is Phase.BESIDE_SHOT_NOISE:
+        more = name_beside_shot_noise(more, context)
+    return None if more.remainder(context.options.alpha_each) else more
+
+
 def _named(state: State, found: _Found) -> State:
     rounds = amended(state.rounds, found.index, named=EFFECT)
     for step in state.steps[found.kept :]:
         rounds = withdrawn(rounds, step.effect, f"{EFFECT} explains it")
     corrected = found.noise.corrected
     return replace(
-        state, steps=state.steps[: found.kept], rounds=rounds, shot_noise=found.noise,
+        state, phase=Phase.BESIDE_SHOT_NOISE, steps=state.steps[: found.kept], rounds=rounds, shot_noise=found.noise,
         shot_noise_p=found.hypothesis.seen.p,
         hypothesis=replace(found.hypothesis, seen=corrected.seen, corrected=corrected),
     )  # fmt: skip
