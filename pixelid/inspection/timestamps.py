@@ -115,8 +115,8 @@ def find_service_time(recordings: Sequence[Recording]) -> TimestampSignature | N
     if len(atom) < MIN_ATOM_EVENTS or p > MAX_ATOM_CHANCE:
         return None
     value = float(atom.mean()) * 1e-9
-    # waits average out their rounding, but not that of arrivals which were whole nanoseconds themselves (a simulator's):
-    # then all are rounded alike.  Of the waits that have come there by chance the mean is half a width further.
+    # waits average out their rounding, but not where arrivals are whole nanoseconds (a simulator's): those are rounded
+    # alike.  The mean of waits that are there by chance lies half a width further.
     rounding = ROUNDING_SD * np.hypot(unit / np.sqrt(len(atom)), 1.0)
     by_chance = 0.5 * width * min(expected / len(atom), 1.0)
     error = float(np.sqrt(atom.var() / len(atom) + rounding**2 + by_chance**2)) * 1e-9
