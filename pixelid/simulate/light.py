@@ -76,7 +76,9 @@ def _parts(t, frames, rules: Rules) -> np.ndarray:
     if circuit.flicker_modulation != 0:
         longest[:] = 1.0 / (FLICKER_STEPS * circuit.flicker_hz)
     if rules.slewing:
-        longest = np.minimum(longest, slew.longest_step(rules.chain[:4], float(t[-1] - t[0])))
+        noisy = circuit.shot_density > 0
+        per = slew.STEPS_PER_TIME_CONSTANT_UNDER_NOISE if noisy else slew.STEPS_PER_TIME_CONSTANT
+        longest = np.minimum(longest, slew.longest_step(rules.chain[:4], float(t[-1] - t[0]), per))
     if circuit.shot_density > 0:
         bright = frames.max(axis=1) * (1 + abs(circuit.flicker_modulation)) + circuit.dark
         longest = np.minimum(longest, noise_step(rules, np.maximum(bright[1:], bright[:-1]).astype(np.float64)))

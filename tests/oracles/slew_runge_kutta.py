@@ -55,22 +55,26 @@ def _step(state, u0, r, tau, a, b2, rates):
     return v1, y1, s, e, z, d
 
 
-def slewed_outputs(t, radiance, dynamics, rates) -> tuple[np.ndarray, np.ndarray]:
-    """(h, d), (n,) each, at t (n,) under radiance (n,): what the amplifier is driven by, and its output."""
+def slewed_outputs(t, radiance, dynamics, rates, at: float | None = None) -> tuple[np.ndarray, np.ndarray]:
+    """(h, d), (n,) each, at t (n,) under radiance (n,): what the amplifier is driven by, and its output.
+
+    at: the light that the photoreceptor is linearised at throughout; None: that of each step
+    """
     states = np.empty((len(t), 6))
-    _run(t, radiance, dynamics, rates, states)
+    light = np.sqrt(radiance[:-1] * radiance[1:]) if at is None else np.full(len(t) - 1, at)
+    _run(t, radiance, light, dynamics, rates, states)
     return states[:, 3] - states[:, 4], states[:, 5]
 
 
 @njit(error_model="numpy")
-def _run(t, radiance, dynamics, rates, states):
+def _run(t, radiance, lights, dynamics, rates, states):
     u = np.log(radiance[0])
     rest = u if rates[2] > 0.0 else 0.0
     state = (0.0, u, u, u, rest, u - rest)
     for k in range(len(t)):
         if k > 0 and t[k] > t[k - 1]:
             tau, u0 = t[k] - t[k - 1], np.log(radiance[k - 1])
-            light = np.sqrt(radiance[k - 1] * radiance[k])
+            light = lights[k - 1]
             r = (np.log(radiance[k]) - u0) / tau
             state = _step(state, u0, r, tau, dynamics.alpha * light, dynamics.beta + dynamics.gamma * light, rates)
         for j in range(6):

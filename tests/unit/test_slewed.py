@@ -11,6 +11,9 @@ from pixelid.dynamics.trajectory import integrate
 from pixelid.errors import InputError
 from pixelid.model.shipped import find_model
 from pixelid.simulate import simulate
+from pixelid.simulate.laws import rules_of
+from pixelid.simulate.light import noise_step
+from pixelid.simulate.step import cubic
 from pixelid.stimuli.drive import Drive, drive, refined
 from pixelid.stimuli.resample import resampled
 from pixelid.stimuli.shapes import chirp, steps
@@ -75,6 +78,32 @@ def test_between_coarse_samples_switches_are_found(light):
     read, fine = shown(light)
     found, wanted = trajectory(read, circuit, dynamics).at(fine.t), trajectory(fine, circuit, dynamics).states
     np.testing.assert_allclose(found[:, 1:], wanted[:, 1:], atol=5e-5)  # a missed switch: 5e-3
+
+
+@pytest.mark.parametrize("level", [3.0, 24.0, 400.0])
+def test_under_noisy_light_long_steps_err_little(level):
+    """The cubics between knots of a simulation with shot noise, against Runge-Kutta steps that resolve every pole."""
+    circuit = limited(DVS128, 1200.0, 900.0).with_(shot_density=3.5e-4)
+    rules = rules_of(circuit, 0, False, 0.0)
+    step_s = float(noise_step(rules, level))
+    logs = np.log(level) + np.sqrt(0.5 * 3.5e-4 / level / step_s) * np.random.default_rng(3).standard_normal(400)
+
+    def resolved(per_time_constant):
+        t, left, weight = refined(
+            step_s * np.arange(len(logs)), slew.longest_step(rules.chain[:4], 1.0, per_time_constant)
+        )
+        return t, (1 - weight) * logs[left] + weight * logs[left + 1]
+
+    t, u = resolved(slew.STEPS_PER_TIME_CONSTANT_UNDER_NOISE)
+    states = slew.slewed_states(t, np.full(len(t), level), rules.dynamics, rules.rates, False, u)
+    fine, light = resolved(20.0)
+    # one photoreceptor throughout: it runs at `level`, and not at what the noise makes of it
+    _, wanted = slewed_outputs(fine, np.exp(light), rules.dynamics, rules.rates, at=level)
+    k = np.clip(np.searchsorted(t, fine, "right") - 1, 0, len(t) - 2)
+    h, d, slope = np.diff(t)[k], states[:, 5], rules.chain[3] * (states[:, 3] - states[:, 5])
+    found, _ = cubic((fine - t[k]) / h, h, d[k], d[k + 1], slope[k], slope[k + 1])
+    assert np.abs(wanted - logs[0]).max() > 0.1  # a fifth of that is a threshold's noise
+    np.testing.assert_allclose(found, wanted, atol=1e-5)
 
 
 def test_a_limit_out_of_reach_changes_nothing():

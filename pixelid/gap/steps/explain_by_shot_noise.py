@@ -66,6 +66,7 @@ def explain_by_shot_noise(state: State, trials: tuple[Trial, ...], context: Cont
     if EFFECT in options.leave_out or not state.remainder(options.alpha_each):
         return state
     alone: ShotNoise | None = None  # what leaves least of those with nothing beside them
+    tried_alone = False
     enough: _Found | None = None
     nearest: _Found | None = None  # what leaves least of those that leave something
     waiting = list(trials)
@@ -76,6 +77,7 @@ def explain_by_shot_noise(state: State, trials: tuple[Trial, ...], context: Cont
         if undecidable or hypothesis.fit.model.has(EFFECT):
             continue  # imputed times scatter as they were drawn: replicates know nothing of that
         state, noise = _look_beside(state, hypothesis, context)
+        tried_alone = tried_alone or trial.kept == 0
         if noise is None:
             continue
         found, p = _Found(noise, hypothesis, trial.kept, len(state.rounds) - 1), noise.corrected.seen.p
@@ -90,8 +92,8 @@ def explain_by_shot_noise(state: State, trials: tuple[Trial, ...], context: Cont
         elif p >= options.alpha_each:
             # effects named before, in a likelihood that misread the noise, must weigh more than the noise does; what
             # was named first may also show by what noise alone leaves
-            needed = alone is not None and noise.left < alone.left - options.criteria.min_shot_noise_gain_nats
-            if trial.kept == 1 and needed:
+            needed = alone is None or noise.left < alone.left - options.criteria.min_shot_noise_gain_nats
+            if trial.kept == 1 and tried_alone and needed:
                 return _named(state, found)
             if all(step.winner.heldout_gain > noise.gain for step in state.steps[: trial.kept]):
                 return _named(state, found)
