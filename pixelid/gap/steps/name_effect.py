@@ -9,6 +9,8 @@ from pixelid.fit.maximise import Maximum, maximise, maximise_with_restarts
 from pixelid.gap.attribute.alternative import stands
 from pixelid.gap.attribute.attribute import Attribution, Candidate, attribute, may_be_named
 from pixelid.gap.attribute.candidates import (
+    SLEW,
+    SLEWS_THROUGH,
     USUAL_POLES,
     canonical,
     holds_together,
@@ -66,6 +68,10 @@ def _named_one_more(state: State, context: Context) -> State:
     if winner is None and state.imputed and [c.effect for c in attribution.candidates[:1]] == [LOST]:
         # drawing misplaces some events, and what explains these best is no more than that
         return _without_lost(state)
+    if winner is None or winner.effect == JITTER:
+        slewing = _slewing_through_new_poles(state, 0.0 if winner is None else winner.gain, context)
+        if slewing is not None:
+            return slewing.then(_next(slewing))
     if winner is None:
         return _with_jitter_instead(state, state, attribution, context)
     standing = stands(evidence, hypothesis.fit, hypothesis.seen, winner, context.options, context.cache)
@@ -230,6 +236,40 @@ def _another_first(state: State, attribution: Attribution[Maximum], context: Con
         return None
     state = replace(state, rounds=amended(state.rounds, -1, refused=f"{JITTER}: {UNLIKE_JITTER}"))
     return grown_by(with_accepted(state, other, attribution, standing.firm), other, evidence, context)
+
+
+def _slewing_through_new_poles(state: State, least: float, context: Context) -> State | None:
+    """The state with a slew limit and the poles that its likelihood needs; None where it gains less than `least`.
+
+    Where the limit acts a pole by itself explains nothing, and passes for a jitter: it is not named before what cannot
+    be tried without it.
+    """
+    options, before = context.options, state.hypothesis
+    poles = [pole for pole in SLEWS_THROUGH if not before.fit.model.has(pole)]
+    if not poles or not {*poles, SLEW}.isdisjoint({*options.leave_out, *state.given_up}):
+        return None
+    model, start = before.fit.model, before.start
+    for pole in poles:
+        model, start = model.with_effect(pole), start.with_effect(pole)
+    fit = maximise(before.evidence.training, model, tolerance=0.05, max_steps=25, cache=context.cache)
+    there = replace(state, hypothesis=replace(before, fit=fit, start=start))
+    evidence = before.evidence.weighed(fit.model.circuit())
+    candidates = candidates_of(evidence, fit.model, restart(there, context), context.cache, context.work)
+    context.report(f"{SLEW} with {' and '.join(poles)}", 0.5)
+    attribution = attribute(candidates, [SLEW], options)
+    winner = attribution.winner
+    if winner is None or winner.gain < least:
+        return None
+    standing = stands(evidence, fit, before.seen, winner, options, context.cache)
+    if standing.hopeless:
+        return None
+    told = attribution_entry(state.turn - 1, fit, before.seen, attribution, {})
+    for name in (*poles, SLEW):
+        there = with_accepted(
+            replace(there, rounds=(*there.rounds, told)), replace(winner, effect=name), attribution, standing.firm
+        )
+    steps = tuple(replace(step, before=before) for step in there.steps[len(state.steps) :])
+    return grown_by(replace(there, steps=(*state.steps, *steps)), winner, evidence, context)
 
 
 def _with_jitter_instead(other: State, state: State, attribution: Attribution[Maximum], context: Context) -> State:
