@@ -14,7 +14,7 @@ from pixelid.gap.attribute.pixels import strongest_fit
 from pixelid.gap.criteria import Criteria
 from pixelid.gap.imputation.exact import keeps_its_times, loses_where_times_are_exact
 from pixelid.gap.imputation.impute import _completed, impute, impute_simulated, impute_with_effect
-from pixelid.gap.imputation.imputed import QUEUE, TICK, Imputation, draw_again
+from pixelid.gap.imputation.imputed import JITTER, QUEUE, TICK, Imputation, draw_again
 from pixelid.gap.imputation.stamps import Stamps
 from pixelid.gap.imputation.windows import Windows, guess_edges, queue_windows, tick_windows, with_times
 from pixelid.gap.options import Context, Options
@@ -24,12 +24,14 @@ from pixelid.gap.search import begin
 from pixelid.gap.shot_noise.replicates import Corrected
 from pixelid.gap.shot_noise.shot_noise import ShotNoise
 from pixelid.gap.state import NamedStep
+from pixelid.gap.steps import explain_by_shot_noise as by_noise
 from pixelid.gap.steps import withdraw as withdrawing
 from pixelid.gap.steps.ask_stamps import ask_stamps
 from pixelid.gap.steps.name_effect import (
     NOTHING_LEFT_FOR_IT,
     ONLY_WHERE_DRAWN,
     _behind_coarse_jitter,
+    _slewing_through_new_poles,
     restart,
     without_misplaced,
     without_negligible,
@@ -323,6 +325,85 @@ def test_an_effect_taken_back_from_beside_shot_noise_leaves_the_noise_found_befo
     assert state.shot_noise is before
     assert state.rounds[0]["withdrawn"] == "shot noise explains it"
     assert "withdrawn" in state.rounds[1]
+
+
+def beside_shot_noise(complete, monkeypatch, left_alone, left_beside, p_beside):
+    """A search that has named a leak, where shot noise is said to leave so much, without it (None: not found) and
+    beside it."""
+    hypothesis = complete.hypothesis
+    left = replace(hypothesis, seen=replace(hypothesis.seen, p=0.0))
+    winner = Candidate("leak", hypothesis.fit, 600.0, 0.0, 0.0 * hypothesis.fit.x)
+    step = NamedStep(winner, Attribution((), {}, None, (), {}), "", True, left)
+    state = replace(complete, hypothesis=left, steps=(step,), turn=1, rounds=(entry(1, 0.0, named="leak"),))
+
+    def found(evidence, fit, seen, options, cache, work):
+        alone = seen is not left.seen
+        amount = left_alone if alone else left_beside
+        if amount is None:
+            return None
+        corrected = Corrected(fit.model, np.zeros_like(fit.x), replace(seen, p=0.0 if alone else p_beside))
+        return ShotNoise(1e-4, (0.0, 1.0), corrected, 1000.0, amount)
+
+    bare = replace(left, seen=replace(left.seen, p=1e-9))
+    monkeypatch.setattr(by_noise, "find_shot_noise", found)
+    monkeypatch.setattr(by_noise, "_bare", lambda state, context: bare)
+    monkeypatch.setattr(by_noise, "is_noisy", lambda model, shipped: True)
+    return by_noise.try_before_next_effect(state, CONTEXT)
+
+
+@pytest.mark.parametrize(("left_alone", "named"), [(None, True), (50.0, True), (10.0, False)])
+def test_an_effect_that_shot_noise_alone_cannot_replace_stays_beside_it(complete, monkeypatch, left_alone, named):
+    """Though what it gained before, in a likelihood that misread the noise, is less than the noise explains."""
+    state = beside_shot_noise(complete, monkeypatch, left_alone, 10.0, 0.5)
+    assert (state.shot_noise is not None) == named
+    assert state.phase is (Phase.BESIDE_SHOT_NOISE if named else complete.phase)
+    assert [step.effect for step in state.steps] == ["leak"]
+    assert state.rounds[-1]["named"] == ("shot_noise" if named else None)
+
+
+@pytest.mark.parametrize("explained", [True, False])
+def test_where_shot_noise_leaves_something_it_counts_with_what_explains_that(complete, monkeypatch, explained):
+    asked = []
+
+    def look(state, context):
+        asked.append(state.shot_noise)
+        seen = replace(state.hypothesis.seen, p=0.5 if explained else 0.0)
+        return state.then(Phase.DISCOUNT, hypothesis=replace(state.hypothesis, seen=seen))
+
+    monkeypatch.setattr(by_noise, "name_beside_shot_noise", look)
+    state = beside_shot_noise(complete, monkeypatch, None, 10.0, 1e-6)
+    assert len(asked) == 1
+    assert asked[0].left == 10.0
+    assert (state.shot_noise is asked[0]) == explained
+    assert state.phase is (Phase.DISCOUNT if explained else complete.phase)
+    again = by_noise.try_before_next_effect(replace(state, shot_noise=None, phase=Phase.NAME), CONTEXT)
+    assert again.shot_noise is None
+    assert len(asked) == 1  # not beside the same hypothesis again
+
+
+@pytest.mark.parametrize("slews", [True, False])
+def test_a_slew_limit_is_named_with_a_pole_that_it_needs(slews):
+    """The pole by itself explains nothing while the limit acts, and what that leaves passes for a jitter."""
+    limits = {"rise_per_s": 1200.0, "fall_per_s": 1200.0}
+    base = MODEL.without_effect("source_follower_pole")
+    camera = MODEL.with_effect("slew_limit", limits) if slews else base.with_effect(JITTER, {"sigma_s": 3e-5})
+    lights = [chirp(400.0, stop_hz=400.0), steps(400.0, seed=3)]
+    state = begin(recorded(camera, lights, side=3), base, CONTEXT)
+    told = (entry(1, 0.0),)
+    found = _slewing_through_new_poles(replace(state, turn=1, rounds=told), 0.0, CONTEXT)
+    if not slews:
+        assert found is None
+        return
+    assert found is not None
+    assert [step.effect for step in found.steps] == ["source_follower_pole", "slew_limit"]
+    assert [one["named"] for one in found.rounds] == [None, "source_follower_pole", "slew_limit"]
+    assert found.hypothesis.start.has("source_follower_pole")
+    assert all(step.before is state.hypothesis for step in found.steps)
+    values = found.hypothesis.fit.values
+    assert values["slew_limit.rise_per_s"] == pytest.approx(1200.0, rel=0.05)
+    assert values["sf_cutoff_hz"] == pytest.approx(MODEL.values["sf_cutoff_hz"], rel=0.3)
+    least = found.steps[-1].winner.gain + 1.0
+    assert _slewing_through_new_poles(replace(state, turn=1, rounds=told), least, CONTEXT) is None
 
 
 def test_a_jitter_of_dead_times_is_looked_for_beside_a_dead_time_named_on_the_way():
