@@ -1,7 +1,7 @@
 """The search as a fold: each step takes the state and gives the next one, until the last gives the report.
 
-undo_readout → name_effect (again and again) → ask_stamps → ask_again → try_shot_noise → name_beside_shot_noise (again
-and again) → discount_imputation_noise → withdraw → confirm
+undo_readout → name_effect (again and again, shot noise tried in between) → ask_stamps → ask_again → try_shot_noise →
+name_beside_shot_noise (again and again) → discount_imputation_noise → withdraw → confirm
 """
 
 from __future__ import annotations
