@@ -22,6 +22,7 @@ from pixelid.gap.attribute.pixels import candidates_of
 from pixelid.gap.attribute.significance import chance_of_gain, leads
 from pixelid.gap.confirm.free_run import FreeRun, closes_nothing, free_run
 from pixelid.gap.criteria import Criteria
+from pixelid.gap.detect import covariates
 from pixelid.gap.detect.covariates import sort_events
 from pixelid.gap.detect.maps import map_residuals
 from pixelid.gap.detect.residuals import Tangents, residuals, tangents
@@ -124,6 +125,25 @@ def test_maps_find_a_shift_where_it_is_and_nothing_where_there_is_none():
     top = next(c for c in mapped.cells if c.response == "level")
     assert top.factor == "the previous event's polarity"
     assert top.label.startswith("ON after")
+
+
+def test_speeds_that_are_all_the_same_cut_nothing_in_a_true_model(monkeypatch):
+    """At a limit of the slew most fast changes have its speed."""
+    slewed = MODEL.set({"threshold_sigma": 0.02}).with_effect(
+        "slew_limit", {"rise_per_s": 1100.0, "fall_per_s": 1100.0}
+    )
+    likelihood = likelihood_of(session(slewed, side=5, seed=3, lights={"chirp_400": chirp(400.0, stop_hz=400.0)}))
+    coordinates = Coordinates.of(slewed)
+    here = residuals(likelihood, slewed.circuit())
+    tangent = tangents(likelihood, coordinates, coordinates.start, here)
+
+    def p():
+        cells = sort_events(likelihood, slewed.circuit(), here)
+        return map_residuals(likelihood, here, tangent, cells, Criteria(), 0).p_normal
+
+    assert p() > 0.01
+    monkeypatch.setattr(covariates, "SPEED_BLUR", 0.0)
+    assert p() < 1e-10
 
 
 def test_maps_do_not_depend_on_the_rounding_of_what_parameters_move():

@@ -22,6 +22,10 @@ from pixelid.stimuli.pixel_lights import PixelLights, log_radiance_at
 
 # Slices per recording and polarity: some 400 cells in all, a few dozen events each in the smallest sessions.
 TIMES, WAITS, LIGHTS, SPEEDS = 8, 5, 5, 4
+# Of the logarithm of speeds, either way, at random.  Expected times are known to first order, so how fast a change was
+# expected to be errs a little, by what the event was late or early.  Where many speeds are nearly the same (at a limit
+# of the slew) cells would else be cut by that, and a true model look wrong.  0.01 to 0.1 do alike.
+SPEED_BLUR = 0.05
 SAME_LEVEL = 1.5  # factor between mean radiances that count as one level: illuminances are usually decades apart
 POLARITY = ("OFF", "ON")
 ROWS, COLUMNS = ("top", "middle", "bottom"), ("left", "centre", "right")  # of the rectangle whose light is known
@@ -68,18 +72,15 @@ def sort_events(
     ]
     if not all(r.stimulus is None or r.stimulus.full_field for r in likelihood.recordings):
         factors.append(_place(likelihood, time))
+    speed = expected_log_rate(likelihood, circuit, residual)
+    speed += np.random.default_rng(0).uniform(-SPEED_BLUR, SPEED_BLUR, len(speed))
     home = 2 * where + on
     home_labels = [f"{POLARITY[p]} in {name}" for name in names for p in (0, 1)]
     for name, value, slices, words in (
         ("time in the recording", time, TIMES, "at {:.3g}–{:.3g} s".format),
         ("time since the last event", time - last, WAITS, _after_the_last),
         ("log radiance", light, LIGHTS, "at log radiance {:.3g}–{:.3g}".format),
-        (
-            "speed of the change",
-            expected_log_rate(likelihood, circuit, residual),
-            SPEEDS,
-            "at log speed {:.3g}–{:.3g}".format,
-        ),
+        ("speed of the change", speed, SPEEDS, "at log speed {:.3g}–{:.3g}".format),
     ):
         known = next((f.cuts for f in like if f.name == name), None)
         cuts = _cuts(home, len(home_labels), value, slices) if known is None else known
