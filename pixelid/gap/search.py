@@ -61,9 +61,8 @@ def begin(recordings: Sequence[Recording], model: Model, context: Context) -> St
 
 
 def name_next(state: State, context: Context) -> State:
-    """One round, shot noise having its chance before all but the first; after the last the stamps are asked."""
-    if state.steps:
-        state = try_before_next_effect(state, context)
+    """One round, before which shot noise has its chance; after the last the stamps are asked."""
+    state = try_before_next_effect(state, context)
     state = name_effect(state, context) if state.phase is Phase.NAME else state
     state = ask_stamps(state, context) if state.phase is Phase.SHOT_NOISE else state
     return ask_again(state, context) if state.phase is Phase.SHOT_NOISE else state

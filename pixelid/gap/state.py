@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -134,6 +134,16 @@ class State:
     def then(self, phase: Phase, **changes) -> State:
         """The state with what has changed, and the step that comes next."""
         return replace(self, phase=phase, **changes)
+
+    def with_global_p(self, held: Iterable[float] = ()) -> State:
+        """The state with the chance of anything being amiss with the base.
+
+        held: chances of what candidates gain, and keep on held-out pixels
+        """
+        # before anything was undone; what the base model has, and was undone, is nothing amiss
+        seen_first = self.first if self.new_signatures else self.hypothesis.seen
+        chances = [seen_first.p, *held, *(f.p for f in self.new_signatures)]
+        return replace(self, global_p=min(1.0, 2.0 * min(chances)))
 
     def remainder(self, alpha_each: float) -> bool:
         """Whether something significant is left."""

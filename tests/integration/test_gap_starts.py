@@ -361,6 +361,19 @@ def test_an_effect_that_shot_noise_alone_cannot_replace_stays_beside_it(complete
     assert state.rounds[-1]["named"] == ("shot_noise" if named else None)
 
 
+@pytest.mark.parametrize("alike", [True, False])
+def test_shot_noise_that_the_base_looks_like_is_tried_before_any_effect(complete, monkeypatch, alike):
+    hypothesis = complete.hypothesis
+    left = replace(hypothesis, seen=replace(hypothesis.seen, p=1e-9))
+    corrected = Corrected(hypothesis.fit.model, np.zeros_like(hypothesis.fit.x), replace(hypothesis.seen, p=0.5))
+    noise = ShotNoise(1e-4, (0.0, 1.0), corrected, 1000.0, 5.0)
+    monkeypatch.setattr(by_noise, "find_shot_noise", lambda *given: noise)
+    monkeypatch.setattr(by_noise, "looks_like_shot_noise", lambda seen, criteria: alike)
+    state = by_noise.try_before_next_effect(replace(complete, hypothesis=left), CONTEXT)
+    assert state.shot_noise is (noise if alike else None)
+    assert state.global_p == (2e-9 if alike else 1.0)  # that of the base, not of what the noise leaves
+
+
 @pytest.mark.parametrize("explained", [True, False])
 def test_where_shot_noise_leaves_something_it_counts_with_what_explains_that(complete, monkeypatch, explained):
     asked = []

@@ -40,11 +40,16 @@ class _Found:
 
 
 def try_before_next_effect(state: State, context: Context) -> State:
-    """Shot noise tried after an effect, where the base already looked like it, or what is left scatters more than
-    thresholds of such pixels do."""
-    first, hypothesis = state.steps[0].before, state.hypothesis
+    """Shot noise tried before any effect, where the base looks like it, and after one, where the base did or what is
+    left scatters more than thresholds of such pixels do."""
+    hypothesis, criteria = state.hypothesis, context.options.criteria
+    if not state.steps:
+        if state.turn > 0 or state.imputed or not looks_like_shot_noise(hypothesis.seen, criteria):
+            return state
+        return explain_by_shot_noise(state.with_global_p(), (Trial(hypothesis, 0),), context)
+    first = state.steps[0].before
     trials = (Trial(None, 0), Trial(hypothesis, len(state.steps)))
-    if state.turn == 1 and looks_like_shot_noise(first.seen, context.options.criteria):
+    if state.turn == 1 and looks_like_shot_noise(first.seen, criteria):
         trials = (Trial(first, 0), *trials)
     elif state.imputed or not is_noisy(hypothesis.fit.model, state.model):
         return state

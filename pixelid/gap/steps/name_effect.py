@@ -59,11 +59,7 @@ def _named_one_more(state: State, context: Context) -> State:
     rounds = (*state.rounds, attribution_entry(state.turn, fit, seen, attribution, impossible(fit.model)))
     state = state.then(Phase.SHOT_NOISE, rounds=rounds, turn=state.turn + 1)
     if state.turn == 1:
-        held = (c.p for c in attribution.candidates if leads(c.held_out, criteria))
-        # before anything was undone; what the base model has, and was undone, is nothing amiss
-        seen_first = state.first if state.new_signatures else hypothesis.seen
-        chances = [seen_first.p, *held, *(f.p for f in state.new_signatures)]
-        state = replace(state, global_p=min(1.0, 2.0 * min(chances)))
+        state = state.with_global_p(c.p for c in attribution.candidates if leads(c.held_out, criteria))
     winner = attribution.winner
     if winner is None and state.imputed and [c.effect for c in attribution.candidates[:1]] == [LOST]:
         # drawing misplaces some events, and what explains these best is no more than that
