@@ -9,7 +9,7 @@ import pytest
 from pixelid.fit.maximise import maximise
 from pixelid.gap import search
 from pixelid.gap.attribute.attribute import Attribution, Candidate
-from pixelid.gap.attribute.candidates import holds_together, strongest_start
+from pixelid.gap.attribute.candidates import _last_unfelt, holds_together, strongest_start
 from pixelid.gap.attribute.pixels import strongest_fit
 from pixelid.gap.criteria import Criteria
 from pixelid.gap.imputation.exact import keeps_its_times, loses_where_times_are_exact
@@ -72,6 +72,19 @@ def test_limits_of_both_sides_of_a_slew_are_found_apart(rise, fall):
     end = max((end for end in ends if end is not None), key=lambda end: end.value)
     assert end.values["slew_limit.rise_per_s"] == pytest.approx(rise, rel=0.03)
     assert end.values["slew_limit.fall_per_s"] == pytest.approx(fall, rel=0.03)
+
+
+def test_a_limit_that_the_fastest_changes_just_reach_is_found():
+    """The next of the strengths tried first would already hold back much that is not."""
+    lights = [chirp(400.0, stop_hz=400.0), steps(400.0, seed=3)]
+    free = EventTimes([with_fine_light(r, "smooth") for r in recorded(MODEL, lights, side=3)])
+    finely = np.geomspace(1e5, 100.0, 500)
+    loose = MODEL.with_effect("slew_limit", {"rise_per_s": 1e5, "fall_per_s": 1e5})
+    fall = 0.96 * finely[_last_unfelt(free, loose, "slew_limit.fall_per_s", finely)]
+    made = recorded(loose.set({"slew_limit.fall_per_s": fall}), lights, side=3)
+    start = strongest_start(EventTimes([with_fine_light(r, "smooth") for r in made]), MODEL, "slew_limit")
+    assert start is not None
+    assert start.values["slew_limit.fall_per_s"] == pytest.approx(fall, rel=0.04)
 
 
 def test_a_slew_limit_does_without_neither_pole():

@@ -20,7 +20,7 @@ DECADES = (-2.0, -1.5, -1.0, -0.5, 0.0, 0.5, 1.0, 1.5)  # strengths tried, about
 # A slew limit is slow to fit, and its likelihood only falls as it tightens past the best: it is fitted where one of the
 # strengths gains this much by itself, and no tighter one is tried from where it loses that much per event.  A side that
 # nothing slews at has no slope, so a fit leaves it where it is: sides are looked for one by one, from weak to tight.
-MIN_SLEW_GAIN_NATS, MAX_SLEW_LOSS_NATS, SLEW_STEP = 0.5, 0.1, 0.125
+MIN_SLEW_GAIN_NATS, MAX_SLEW_LOSS_NATS, SLEW_STEP, FINER_SLEW_STEPS = 0.5, 0.1, 0.125, 8
 UNFELT_NATS = 1e-3  # what a limit changes that nothing reaches, beside rounding of the likelihood
 SLEW, RISE, FALL = "slew_limit", "slew_limit.rise_per_s", "slew_limit.fall_per_s"
 KNEE = "linear_log"
@@ -146,7 +146,7 @@ def strongest_slew_start(likelihood: Likelihood, model: Model, least: float) -> 
         if turn == 2 and not found:
             return None
         peak, others = -np.inf, best
-        for limit in limits[_last_unfelt(likelihood, others, side, limits) :]:
+        for limit in _onward(limits, _last_unfelt(likelihood, others, side, limits)):
             value = _value(likelihood, trial := others.set({side: limit}))
             peak = max(peak, value)
             if value < peak - MAX_SLEW_LOSS_NATS * likelihood.events:
@@ -154,6 +154,15 @@ def strongest_slew_start(likelihood: Likelihood, model: Model, least: float) -> 
             if value > top + MIN_SLEW_GAIN_NATS:
                 best, top, found = trial, value, True
     return best if found else None
+
+
+def _onward(limits: Sequence[float], unfelt: int) -> list[float]:
+    """Falling limits from the last one that is unfelt, finer up to the next: one that the fastest changes just touch
+    may already be too tight there."""
+    if unfelt + 1 == len(limits):
+        return []
+    finer = np.geomspace(limits[unfelt], limits[unfelt + 1], FINER_SLEW_STEPS + 1)
+    return [*finer[:-1], *limits[unfelt + 1 :]]
 
 
 def _last_unfelt(likelihood: Likelihood, model: Model, side: str, limits: Sequence[float]) -> int:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+from pixelid.fit.cache import FitCache
 from pixelid.fit.maximise import Maximum, maximise, maximise_with_restarts
 from pixelid.gap.attribute.alternative import stands
 from pixelid.gap.attribute.attribute import Attribution, Candidate, attribute, may_be_named
@@ -17,6 +18,7 @@ from pixelid.gap.attribute.candidates import (
     impossible,
     missing,
     remove_effect,
+    strongest_start,
 )
 from pixelid.gap.attribute.coarse_jitter import coarse_jitter
 from pixelid.gap.attribute.pixels import candidates_of
@@ -145,6 +147,7 @@ def grown_by(state: State, winner: Candidate[Maximum], evidence: PixelEvidence, 
     start = replace(hypothesis.start.with_effect(winner.effect), nuisances=winner.end.model.nuisances)
     model = canonical(winner.end.model, state.model)
     fit = maximise_with_restarts(evidence.training, model, start, tolerance=0.01, max_steps=40, cache=cache)
+    fit = _slewing_both_ways(evidence, fit, start, cache) if winner.effect == SLEW else fit
     state, fit, start = _pruned(state, winner, evidence, fit, start, context)
     if state.imputation is not None and state.imputed:
         imputation, model = impute_with_effect(state.imputation, fit.model, options, cache)
@@ -156,6 +159,15 @@ def grown_by(state: State, winner: Candidate[Maximum], evidence: PixelEvidence, 
     seen = diagnose(evidence.training, fit, options.criteria, options.seed, background_fraction=allowed)
     grown = Hypothesis(hypothesis.recordings, evidence, fit, seen, start, None, hypothesis.jitter, hypothesis.scatter)
     return replace(state, hypothesis=grown)
+
+
+def _slewing_both_ways(evidence: PixelEvidence, fit: Maximum, start: Model, cache: FitCache | None) -> Maximum:
+    """The fit, or a better one from where the limit of one side was looked for again: few pixels may not reach it."""
+    model = strongest_start(evidence.training, fit.model, SLEW, fit.value)
+    if model is None:
+        return fit
+    again = maximise_with_restarts(evidence.training, model, start, tolerance=0.01, max_steps=40, cache=cache)
+    return again if again.value > fit.value else fit
 
 
 def _pruned(
