@@ -29,7 +29,7 @@ from pixelid.stages.circuit import Circuit
 
 STEPS_PER_TIME_CONSTANT = 10.0  # of the fastest stage: the cubics between knots (`smooth_state`) err by 1e-7 there
 # Light that is noisy runs straight over steps far shorter than the photoreceptor's time constant, so that it excites no
-# fast stage: the cubics err by 4e-7 of ln L then (`tests/unit/test_slewed.py`).
+# fast stage: the cubics err by at most 6e-6 of ln L then, a threshold's noise being 4e-3 (`tests/unit/test_slewed.py`).
 STEPS_PER_TIME_CONSTANT_UNDER_NOISE = 0.5
 MOST_STEPS = 500_000_000
 ROOT = 1e-9  # of a step: how closely a switch is timed; s has no kink there, so its error is the square of this

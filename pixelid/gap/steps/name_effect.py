@@ -19,6 +19,7 @@ from pixelid.gap.attribute.candidates import (
     missing,
     remove_effect,
     strongest_start,
+    why_not,
 )
 from pixelid.gap.attribute.coarse_jitter import coarse_jitter
 from pixelid.gap.attribute.pixels import candidates_of
@@ -253,16 +254,22 @@ def _slewing_through_new_poles(state: State, least: float, context: Context) -> 
     be tried without it.
     """
     options, before = context.options, state.hypothesis
-    poles = [pole for pole in SLEWS_THROUGH if not before.fit.model.has(pole)]
-    if not poles or not {*poles, SLEW}.isdisjoint({*options.leave_out, *state.given_up}):
-        return None
     model, start = before.fit.model, before.start
+    poles = [pole for pole in SLEWS_THROUGH if not model.has(pole)]
+    unwanted = {*poles, SLEW} & {*options.leave_out, *state.given_up}
+    if not poles or unwanted or not state.remainder(options.alpha_each):
+        return None
+    if any(why_not(model, pole) is not None for pole in poles):
+        return None
     for pole in poles:
         model, start = model.with_effect(pole), start.with_effect(pole)
+    if why_not(model, SLEW) is not None:
+        return None
     fit = maximise(before.evidence.training, model, tolerance=0.05, max_steps=25, cache=context.cache)
     there = replace(state, hypothesis=replace(before, fit=fit, start=start))
     evidence = before.evidence.weighed(fit.model.circuit())
-    candidates = candidates_of(evidence, fit.model, restart(there, context), context.cache, context.work)
+    elsewhere = restart(there, context)
+    candidates = candidates_of(evidence, fit.model, elsewhere, context.cache, context.work, state.on_paths)
     context.report(f"{SLEW} with {' and '.join(poles)}", 0.5)
     attribution = attribute(candidates, [SLEW], options)
     winner = attribution.winner
