@@ -168,7 +168,12 @@ def strongest_fit(
     end = fit(start)
     if effect != SLEW or end.value < least + MIN_SCREENED_NATS:
         return end
-    start = strongest_start(pool, end.model, effect, end.value)
+    return slewing_both_ways(pool, end, fit)
+
+
+def slewing_both_ways(pool: EventTimes, end: Maximum, fit: Callable[[Model], Maximum]) -> Maximum:
+    """The end, or a better one from where the limits of a slew were looked for again, each side by itself."""
+    start = strongest_start(pool, end.model, SLEW, end.value)
     again = None if start is None else fit(start)
     return end if again is None or again.value <= end.value else again
 

@@ -5,6 +5,7 @@ It may take the place of effects that rounds have named, which only stood in for
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 from pixelid.fit.maximise import maximise
@@ -70,8 +71,7 @@ def explain_by_shot_noise(state: State, trials: tuple[Trial, ...], context: Cont
     options = context.options
     if EFFECT in options.leave_out or not state.remainder(options.alpha_each):
         return state
-    alone: ShotNoise | None = None  # what leaves least of those with nothing beside them
-    tried_alone = False
+    left_alone: float | None = None  # at least, with nothing beside it, ∞ where it explains too little; None: not tried
     enough: _Found | None = None
     nearest: _Found | None = None  # what leaves least of those that leave something
     waiting = list(trials)
@@ -82,14 +82,14 @@ def explain_by_shot_noise(state: State, trials: tuple[Trial, ...], context: Cont
         if undecidable or hypothesis.fit.model.has(EFFECT):
             continue  # imputed times scatter as they were drawn: replicates know nothing of that
         state, noise = _look_beside(state, hypothesis, context)
-        tried_alone = tried_alone or trial.kept == 0
+        if trial.kept == 0:
+            left_alone = min(math.inf if left_alone is None else left_alone, math.inf if noise is None else noise.left)
         if noise is None:
             continue
         found, p = _Found(noise, hypothesis, trial.kept, len(state.rounds) - 1), noise.corrected.seen.p
         if p < options.alpha_each and (nearest is None or noise.left < nearest.noise.left):
             nearest = found
         if trial.kept == 0:
-            alone = noise if alone is None or noise.left < alone.left else alone
             if p >= options.criteria.sufficient_p_shot_noise:
                 return _named(state, found)
             if p >= options.alpha_each and enough is None:
@@ -97,8 +97,9 @@ def explain_by_shot_noise(state: State, trials: tuple[Trial, ...], context: Cont
         elif p >= options.alpha_each:
             # effects named before, in a likelihood that misread the noise, must weigh more than the noise does; what
             # was named first may also show by what noise alone leaves
-            needed = alone is None or noise.left < alone.left - options.criteria.min_shot_noise_gain_nats
-            if trial.kept == 1 and tried_alone and needed:
+            least = options.criteria.min_shot_noise_gain_nats
+            needed = left_alone is not None and noise.left < left_alone - least
+            if trial.kept == 1 and needed:
                 return _named(state, found)
             if all(step.winner.heldout_gain > noise.gain for step in state.steps[: trial.kept]):
                 return _named(state, found)

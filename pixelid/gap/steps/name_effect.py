@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from pixelid.fit.cache import FitCache
 from pixelid.fit.maximise import Maximum, maximise, maximise_with_restarts
 from pixelid.gap.attribute.alternative import stands
 from pixelid.gap.attribute.attribute import Attribution, Candidate, attribute, may_be_named
@@ -18,11 +17,9 @@ from pixelid.gap.attribute.candidates import (
     impossible,
     missing,
     remove_effect,
-    strongest_start,
-    why_not,
 )
 from pixelid.gap.attribute.coarse_jitter import coarse_jitter
-from pixelid.gap.attribute.pixels import candidates_of
+from pixelid.gap.attribute.pixels import candidates_of, slewing_both_ways
 from pixelid.gap.attribute.significance import leads, negligible
 from pixelid.gap.detect.diagnostics import diagnose
 from pixelid.gap.detect.pixels import DEAD_TIME, NOISE, PixelEvidence, is_noisy, reconsider_stimuli, relative_noise
@@ -147,8 +144,13 @@ def grown_by(state: State, winner: Candidate[Maximum], evidence: PixelEvidence, 
     hypothesis, cache, options = state.hypothesis, context.cache, context.options
     start = replace(hypothesis.start.with_effect(winner.effect), nuisances=winner.end.model.nuisances)
     model = canonical(winner.end.model, state.model)
-    fit = maximise_with_restarts(evidence.training, model, start, tolerance=0.01, max_steps=40, cache=cache)
-    fit = _slewing_both_ways(evidence, fit, start, cache) if winner.effect == SLEW else fit
+
+    def fitted(origin: Model) -> Maximum:
+        return maximise_with_restarts(evidence.training, origin, start, tolerance=0.01, max_steps=40, cache=cache)
+
+    fit = fitted(model)
+    if winner.effect == SLEW:  # few pixels may not reach the limit of one side
+        fit = slewing_both_ways(evidence.training, fit, fitted)
     state, fit, start = _pruned(state, winner, evidence, fit, start, context)
     if state.imputation is not None and state.imputed:
         imputation, model = impute_with_effect(state.imputation, fit.model, options, cache)
@@ -160,15 +162,6 @@ def grown_by(state: State, winner: Candidate[Maximum], evidence: PixelEvidence, 
     seen = diagnose(evidence.training, fit, options.criteria, options.seed, background_fraction=allowed)
     grown = Hypothesis(hypothesis.recordings, evidence, fit, seen, start, None, hypothesis.jitter, hypothesis.scatter)
     return replace(state, hypothesis=grown)
-
-
-def _slewing_both_ways(evidence: PixelEvidence, fit: Maximum, start: Model, cache: FitCache | None) -> Maximum:
-    """The fit, or a better one from where the limit of one side was looked for again: few pixels may not reach it."""
-    model = strongest_start(evidence.training, fit.model, SLEW, fit.value)
-    if model is None:
-        return fit
-    again = maximise_with_restarts(evidence.training, model, start, tolerance=0.01, max_steps=40, cache=cache)
-    return again if again.value > fit.value else fit
 
 
 def _pruned(
@@ -259,11 +252,9 @@ def _slewing_through_new_poles(state: State, least: float, context: Context) -> 
     unwanted = {*poles, SLEW} & {*options.leave_out, *state.given_up}
     if not poles or unwanted or not state.remainder(options.alpha_each):
         return None
-    if any(why_not(model, pole) is not None for pole in poles):
-        return None
     for pole in poles:
         model, start = model.with_effect(pole), start.with_effect(pole)
-    if why_not(model, SLEW) is not None:
+    if not holds_together(model.with_effect(SLEW)):
         return None
     fit = maximise(before.evidence.training, model, tolerance=0.05, max_steps=25, cache=context.cache)
     there = replace(state, hypothesis=replace(before, fit=fit, start=start))
