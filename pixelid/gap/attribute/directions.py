@@ -183,8 +183,8 @@ def confusion(directions: Sequence[Direction]) -> dict[str, dict]:
     return table
 
 
-def similarities(at: Space, effect: str, others: Sequence[str]) -> dict[str, float]:
-    """|cos| between an effect that the fitted model has and every other that it lacks, by name."""
+def similarities(at: Space, effect: str, others: Sequence[Direction]) -> dict[str, float]:
+    """|cos| between an effect that the fitted model has and the directions of those that it lacks, by name."""
     name = next(p.name for p in stages.effect(effect).parameters if p.free)
     index = at.fit.coordinates.names.index(name)
     rest = [i for i in range(len(at.fit.x)) if i != index]
@@ -192,9 +192,4 @@ def similarities(at: Space, effect: str, others: Sequence[str]) -> dict[str, flo
     J = np.column_stack([at.demeaned(at.J[:, i]) for i in rest])
     q, _ = np.linalg.qr(J)
     own = own - q @ (q.T @ own)
-    alike = {}
-    for other in others:
-        there = direction(at, other)
-        if there is not None:
-            alike[other] = cosine(own, there.raw - q @ (q.T @ there.raw))
-    return alike
+    return {other.effect: cosine(own, other.raw - q @ (q.T @ other.raw)) for other in others}

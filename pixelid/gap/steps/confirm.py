@@ -54,7 +54,8 @@ def confirm(state: State, context: Context) -> GapReport:
     at, directions = _directions(state)
     named_any = bool(state.steps or state.new_signatures or state.shot_noise)
     confounder = None if named_any or remainder else confounded(at, directions, options)
-    findings = _confirmed(state, at, judge(named_any, bool(state.doubts), remainder, confounder), context)
+    said = judge(named_any, bool(state.doubts), remainder, confounder)
+    findings = _confirmed(state, at, directions, said, context)
     if findings.verdict == "unknown":
         described = describe_remainder(state, bool(findings.withdrawn), context)
         findings = replace(findings, run=described.run or findings.run, described=described)
@@ -69,12 +70,13 @@ def confirm(state: State, context: Context) -> GapReport:
     return _report(state, context, findings, term, confounder, directions, next_)
 
 
-def _confirmed(state: State, at: Space, said: str, context: Context) -> _Findings:
+def _confirmed(state: State, at: Space, directions: Sequence[Direction], said: str, context: Context) -> _Findings:
     """The findings that hold on the pixels that confirm."""
     options, report = context.options, context.report
     remainder = state.remainder(options.alpha_each)
     report("intervals", 0.8)
-    effects = (*(_from_signature(f, state) for f in state.new_signatures), *_named(at, state), *_shot_noise(state))
+    read_off = (_from_signature(f, state) for f in state.new_signatures)
+    effects = (*read_off, *_named(at, directions, state), *_shot_noise(state))
     report("free run", 0.85)
     run = free_run_of(state, context) if effects else None
     if run is not None and closes_nothing(run, remainder, options.criteria):
@@ -103,20 +105,22 @@ def _directions(state: State) -> tuple[Space, list[Direction]]:
     return at, [d for d in (direction(at, name) for name in effects) if d is not None]
 
 
-def _named(at: Space, state: State) -> tuple[Named, ...]:
+def _named(at: Space, directions: Sequence[Direction], state: State) -> tuple[Named, ...]:
     """Entries of the effects that the rounds named."""
     if not state.steps:
         return ()
     intervals = intervals_of(state.hypothesis)
-    return tuple(_of_step(step, at, state, intervals) for step in state.steps)
+    fitted = state.hypothesis.fit.model
+    alike = {s.effect: similarities(at, s.effect, directions) for s in state.steps if fitted.has(s.effect)}
+    return tuple(_of_step(step, state, intervals, alike.get(step.effect, {})) for step in state.steps)
 
 
-def _of_step(step: NamedStep, at: Space, state: State, intervals: dict[str, tuple[float, float]]) -> Named:
+def _of_step(
+    step: NamedStep, state: State, intervals: dict[str, tuple[float, float]], alike: dict[str, float]
+) -> Named:
     name, hypothesis = step.effect, state.hypothesis
     others = [c for c in step.attribution.candidates if c.effect != name]
     second = max(others, key=lambda c: c.heldout_gain, default=None)
-    fitted = hypothesis.fit.model
-    alike = similarities(at, name, missing(fitted)) if fitted.has(name) else {}
     nearest = max(alike, key=lambda k: alike[k], default="")
     effect, model = stages.effect(name), hypothesis.model
     ranges = {**model.parameters, **model.nuisances}
