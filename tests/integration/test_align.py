@@ -184,6 +184,7 @@ def test_a_fit_carries_the_clock(session):
     assert exact.estimates["alignment.drift_s[camera]"].fixed
 
 
+@pytest.mark.slow
 def test_without_a_trigger_the_delay_is_the_clocks_and_the_readouts(session):
     folder, _ = session
     _, result = fitted_after(folder, "auto", 2)

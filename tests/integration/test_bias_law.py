@@ -44,6 +44,7 @@ def test_a_law_without_departures_is_found_with_its_kappa():
         assert one["interval_95"][0] / 1.05 < true < one["interval_95"][1] * 1.05
 
 
+@pytest.mark.slow
 def test_a_cutoff_that_rises_with_its_bias_is_said_to():
     law = bias_law(fit_pixel(table(1, sign=1.0)))
     assert law["cutoff"] == "rises with the bias"

@@ -51,6 +51,7 @@ def shift(objective):
     return np.abs((continuous.x - discrete.x) / sd).max(), continuous, sd
 
 
+@pytest.mark.slow
 def test_continuous_and_discrete_fits_agree_when_sampling_is_fine_and_part_when_it_is_coarse(measured):
     fine, middle, coarse = (shift(objective_of(measured, n))[0] for n in (1601, 801, 201))
     assert fine < 0.01

@@ -405,6 +405,7 @@ def test_times_are_drawn_again_under_a_model_that_has_gained_an_effect():
     assert dark.parameters["dark_current.radiance"][0] == pytest.approx(2.0, rel=0.03)
 
 
+@pytest.mark.slow
 def test_draws_of_times_have_the_density_that_they_should():
     """One event of a pixel, all others known: many exact draws against its density by quadrature."""
     model, sd, rng = MODEL.set({"refractory_s": 2e-4}), 4e5, np.random.default_rng(0)
@@ -513,7 +514,7 @@ def test_a_gap_that_stays_open_counts_where_recordings_were_left_out_of_the_maps
     monkeypatch.setattr(confirming, "free_run_of", lambda *_: FreeRun(9.0, 6.0, 1.0, 0.4, (0.2, 0.6), {}))
     state = SimpleNamespace(remainder=lambda alpha: False, new_signatures=(), shot_noise=None, lost=lost)
     context = Context(Options(), None, lambda what, share: None)
-    found = confirming._confirmed(state, None, "named", context)
+    found = confirming._confirmed(state, None, (), "named", context)
     assert (found.verdict, found.effects) == (verdict, (named,))
 
 

@@ -101,6 +101,7 @@ def test_no_limit_of_a_slew_is_tried_where_nothing_slews():
     assert strongest_start(events, base.model, "slew_limit", base.value) is None
 
 
+@pytest.mark.slow
 def test_times_drawn_without_a_dead_time_do_not_hold_it_back():
     """The shortest intervals drawn without one would stay, and bound it, if times were only drawn again."""
     service, dead = 5e-6, MODEL.values["refractory_s"]
@@ -234,6 +235,7 @@ def test_lost_events_have_to_be_missing_where_times_are_exact_too(lost):
     assert loses_where_times_are_exact(ticked, fitted, without, CONTEXT.options)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lost", [0.0, 0.05])
 def test_lost_events_that_are_only_misplaced_are_withdrawn_and_not_tried_again(lost):
     drawn = behind_a_queue(lost)

@@ -107,6 +107,7 @@ def test_the_table_of_a_folder_is_the_table_it_was_fitted_to(folder):
     np.testing.assert_allclose(mine.latency_s["median"], theirs.latency_s["median"])
 
 
+@pytest.mark.slow
 def test_a_photoreceptor_that_is_not_one_over_the_light_is_said_to_be(folder):
     """α falls as E^−0.3: the model does not meet the table, and the delay goes as E^−0.7 instead of E^−1."""
     write_table(folder / "broken.csv", PIXEL, 0.02, np.random.default_rng(4), lambda E: (E / 0.06) ** -0.3)

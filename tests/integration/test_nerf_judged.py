@@ -201,6 +201,7 @@ np.savez(f"{sys.argv[2]}/{parallel.rank()}.npz", looks=looks, trials=trials, eff
 """
 
 
+@pytest.mark.slow
 def test_processes_decide_by_the_same_numbers(made, tmp_path):
     """What one decides, all do, though sums of theirs differ in the last digits on GPUs: looks, and a search."""
     script = tmp_path / "looking.py"

@@ -226,6 +226,7 @@ def test_resuming_continues_with_the_same_numbers(made, tmp_path, mode):
     assert torch.equal(whole.pixel.added, resumed.pixel.added)
 
 
+@pytest.mark.slow
 def test_a_field_in_bricks_learns_what_a_whole_one_does_and_resumes(made, tmp_path, monkeypatch):
     """Bricks come and go on the way; a run that is continued across that has the same numbers."""
     problem, recipe = problem_of(read_dataset(made)), Recipe(iterations=256, batch=32, vertices=(17, 33))

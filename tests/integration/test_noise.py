@@ -53,6 +53,7 @@ def run(*words):
     return main([str(word) for word in words])
 
 
+@pytest.mark.slow
 def test_searches_begin_behind_off_events_that_come_whatever_the_light(tmp_path):
     """These would hide that ON events are far more frequent than OFF events of the noise."""
     truth = planted(on_threshold=0.12, off_threshold=0.27)
@@ -96,6 +97,7 @@ def test_a_planted_circuit_comes_back_and_predicts_other_lights(tmp_path):
     assert all(abs(row["measured"] / row["predicted"] - 1) < 0.06 for row in check["rows"])
 
 
+@pytest.mark.slow
 def test_the_scale_of_light_goes_with_the_name_of_a_table(tmp_path):
     """Both tables were once predicted for the light as they state it, whatever the fit had found."""
     truth, folder = planted(), tmp_path / "fit"

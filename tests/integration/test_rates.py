@@ -118,6 +118,7 @@ STEEP = """freq_hz,fo1400,fo1350,fo1300,fo1200
 """
 
 
+@pytest.mark.slow
 def test_a_slow_column_far_above_its_cutoff_is_no_local_maximum(tmp_path):
     """300 Hz came out as 739 (707 to 772): with two parameters more the fit was less likely than the law of biases."""
     (tmp_path / "r.csv").write_text(STEEP)

@@ -85,6 +85,7 @@ def drawn(path_light, on, off, sd, many, seed=0):
     return times
 
 
+@pytest.mark.slow
 def test_paths_have_the_mean_and_scatter_of_the_posterior_summed_by_hand():
     """Three ON events under a ramp: the chain's posterior as a product of matrices."""
     u = 100.0 * STEP_S * np.arange(4600)  # a threshold in 2 ms, scattered by 0.1 ms
