@@ -1,12 +1,17 @@
-"""Where a model stands in the coordinates of a fit whose recordings have values of their own."""
+"""Where a model stands in the coordinates of a fit, and replicates that tell nothing of the noise in them."""
 
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+import pytest
 
 from pixelid.fit.coordinates import Coordinates
+from pixelid.gap.options import Options
+from pixelid.gap.shot_noise import shot_noise
+from pixelid.gap.shot_noise.replicates import Replicate
 from pixelid.gap.shot_noise.shares import vector
+from pixelid.likelihood.shot_noise import Division
 from pixelid.model.shipped import find_model
 from pixelid.parameters.parameter import Parameter
 
@@ -24,3 +29,41 @@ def test_phases_of_recordings_are_the_models_and_delays_the_fits():
     assert at["mains_flicker.phase_rad[bright]"] == start["mains_flicker.phase_rad[bright]"]
     assert at["delay_s[dim]"] == start["delay_s[dim]"] + 0.01
     np.testing.assert_allclose(at["alpha"] - start["alpha"], np.log(1.1))
+
+
+CELLS = [("level", str(k)) for k in range(100)]
+
+
+def replicate_in_which(fit, density, score):
+    division = Division(density, 0.5, 0.1, 500.0, 1e3)
+    return Replicate(fit.x, dict.fromkeys(CELLS, score), np.zeros(2), division)
+
+
+@pytest.mark.parametrize("lost_from", [1, 3])
+def test_replicates_whose_noise_is_not_found_again_end_the_attempt(monkeypatch, lost_from):
+    """Their correction once made a density of 7e4, which no model can have: the search ended with an error."""
+    model, made = find_model("dvs128"), []
+    coordinates = Coordinates.of(model)
+    fit: Any = SimpleNamespace(
+        coordinates=coordinates, x=coordinates.start, model=model, values=model.values,
+        information=1e6 * np.eye(len(coordinates.names)),
+    )  # fmt: skip
+    found = Division(3e-4, 0.5, 0.1, 500.0, 1e3)
+
+    def make(evidence, truth, fit, seen, criteria, seed, cache=None):
+        turn = len(made)
+        made.append(truth.values.get("shot_noise.density", 0.0))
+        return replicate_in_which(fit, 3e-12 if turn >= lost_from else 3e-4, 0.0 if turn == 0 else 20.0)
+
+    monkeypatch.setattr(shot_noise, "can_be_simulated", lambda *given: True)
+    monkeypatch.setattr(shot_noise, "share_out", lambda *given: found)
+    monkeypatch.setattr(shot_noise, "background_by_polarity", lambda *given: np.zeros(2))
+    monkeypatch.setattr(shot_noise, "make_replicate", make)
+    monkeypatch.setattr(shot_noise, "map_fits", lambda work, one, jobs, cache: [one(job, cache) for job in jobs])
+    evidence: Any = SimpleNamespace(training=SimpleNamespace(recordings=()))
+    seen: Any = SimpleNamespace(
+        maps=SimpleNamespace(scores=dict.fromkeys(CELLS, 20.0)), residual=SimpleNamespace(background=None)
+    )
+    assert shot_noise.find_shot_noise(evidence, fit, seen, Options()) is None
+    assert len(made) == (2 if lost_from == 1 else 2 + shot_noise.REPLICATES)
+    assert max(made) == pytest.approx(3e-4)

@@ -19,6 +19,9 @@ from pixelid.gap.shot_noise.replicates import MAX_SHIFT, PRIOR_DEGREES, Replicat
 from pixelid.likelihood.shot_noise import LEAST_THRESHOLDS, Division
 from pixelid.model.model import Model
 
+# Of the logarithm of a density, from what the filter found to what replicates make of it: one that shows less than a
+# tenth of what it was made with (the filter may find none at all) does not tell by how much to go on.
+MAX_LOG_CORRECTION = math.log(10.0)
 MAX_LOG_ERROR = 0.5  # of a replicate's density: one so far from the others' ended at a lesser optimum
 
 
@@ -44,6 +47,11 @@ class Guess:
         x = fit.x.copy()
         x[_noise_index(fit)] += found.log_noise
         return cls(fit, found, x, found.density)
+
+    @property
+    def is_told(self) -> bool:
+        """Whether replicates showed enough of the noise in them to be put right by."""
+        return abs(math.log(self.density / self.found.density)) < MAX_LOG_CORRECTION
 
     @property
     def model(self) -> Model:

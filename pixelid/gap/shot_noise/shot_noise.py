@@ -112,6 +112,8 @@ def find_shot_noise(
     bare, guessed = made((fit.model, 0), (guess.model, 1))
     without = _distance(measured, bare, criteria)
     guess = guess.corrected([guessed])
+    if not guess.is_told:
+        return None
     (first,) = made((guess.model, 2))
     nearest = _distance(measured, first, criteria)
     alike = 0.5 * len(measured.scores)  # between replicates of one model
@@ -121,11 +123,11 @@ def find_shot_noise(
         return None
     final = [first, *made(*((guess.model, turn) for turn in range(3, 2 + REPLICATES)))]
     better = guess.corrected(final)
-    if abs(math.log(better.density / guess.density)) > MAX_MOVE:
+    if better.is_told and abs(math.log(better.density / guess.density)) > MAX_MOVE:
         guess = better
         final = made(*((guess.model, turn) for turn in range(2 + REPLICATES, 2 + 2 * REPLICATES)))
         better = guess.corrected(final)
-    return _judged(better, final, measured, seen, without, criteria) if sound(final) else None
+    return _judged(better, final, measured, seen, without, criteria) if better.is_told and sound(final) else None
 
 
 @dataclass(frozen=True)
