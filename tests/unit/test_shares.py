@@ -34,9 +34,13 @@ def test_phases_of_recordings_are_the_models_and_delays_the_fits():
 CELLS = [("level", str(k)) for k in range(100)]
 
 
+def at_score(score):
+    return {cell: score for cell in CELLS}
+
+
 def replicate_in_which(fit, density, score):
     division = Division(density, 0.5, 0.1, 500.0, 1e3)
-    return Replicate(fit.x, dict.fromkeys(CELLS, score), np.zeros(2), division)
+    return Replicate(fit.x, at_score(score), np.zeros(2), division)
 
 
 @pytest.mark.parametrize("lost_from", [1, 3])
@@ -61,9 +65,7 @@ def test_replicates_whose_noise_is_not_found_again_end_the_attempt(monkeypatch, 
     monkeypatch.setattr(shot_noise, "make_replicate", make)
     monkeypatch.setattr(shot_noise, "map_fits", lambda work, one, jobs, cache: [one(job, cache) for job in jobs])
     evidence: Any = SimpleNamespace(training=SimpleNamespace(recordings=()))
-    seen: Any = SimpleNamespace(
-        maps=SimpleNamespace(scores=dict.fromkeys(CELLS, 20.0)), residual=SimpleNamespace(background=None)
-    )
+    seen: Any = SimpleNamespace(maps=SimpleNamespace(scores=at_score(20.0)), residual=SimpleNamespace(background=None))
     assert shot_noise.find_shot_noise(evidence, fit, seen, Options()) is None
     assert len(made) == (2 if lost_from == 1 else 2 + shot_noise.REPLICATES)
     assert max(made) == pytest.approx(3e-4)
