@@ -34,8 +34,8 @@ def test_phases_of_recordings_are_the_models_and_delays_the_fits():
 CELLS = [("level", str(k)) for k in range(100)]
 
 
-def at_score(score):
-    return {cell: score for cell in CELLS}
+def at_score(score: float):
+    return dict.fromkeys(CELLS, score)
 
 
 def replicate_in_which(fit, density, score):
