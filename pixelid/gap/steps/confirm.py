@@ -111,8 +111,8 @@ def _named(at: Space, directions: Sequence[Direction], state: State) -> tuple[Na
         return ()
     intervals = intervals_of(state.hypothesis)
     fitted = state.hypothesis.fit.model
-    alike = {s.effect: similarities(at, s.effect, directions) for s in state.steps if fitted.has(s.effect)}
-    return tuple(_of_step(step, state, intervals, alike.get(step.effect, {})) for step in state.steps)
+    alike = [similarities(at, s.effect, directions) if fitted.has(s.effect) else {} for s in state.steps]
+    return tuple(_of_step(step, state, intervals, those) for step, those in zip(state.steps, alike, strict=True))
 
 
 def _of_step(
