@@ -62,7 +62,7 @@ def conform(
     """
     check_searchable(recordings, model, alpha)
     recordings = named_apart(recordings)
-    cache = None if resume is None else FitCache(resume)
+    cache = FitCache(resume)
     report = progress or (lambda what, fraction: None)
     criteria = Criteria()
     with connected(where or Where()) as client:
@@ -75,8 +75,7 @@ def conform(
             found = with_doubts(found, recordings)
     sensor = ", ".join(dict.fromkeys(r.sensor for r in recordings if r.sensor))
     table = ConformReport(found, rows_of(found, beside, criteria), sensor, context.watch.seconds())
-    if cache is not None:
-        cache.remove()
+    cache.remove()
     return table
 
 

@@ -77,7 +77,7 @@ def gap(
     for name in lacking:
         stages.effect(name)
     options = Options(alpha, seed, lacking, criteria or Criteria(), recommend)
-    cache = None if resume is None else FitCache(resume)
+    cache = FitCache(resume)
     pooled = all(r.pooled for r in recordings)
     with connected(where or Where()) as client:
         context = Context(options, cache, progress or (lambda what, fraction: None), Work(client))
@@ -87,8 +87,7 @@ def gap(
             )
         else:
             report = (search_pooled if pooled else search)(recordings, model, context)
-    if cache is not None:
-        cache.remove()
+    cache.remove()
     return report if pooled else with_doubts(report, recordings)
 
 

@@ -25,7 +25,7 @@ from pixelid.gap.steps.confirm import confirm
 from pixelid.gap.steps.discount_imputation_noise import discount_imputation_noise
 from pixelid.gap.steps.explain_by_shot_noise import try_before_next_effect, try_shot_noise
 from pixelid.gap.steps.name_beside_shot_noise import name_beside_shot_noise
-from pixelid.gap.steps.name_effect import name_effect
+from pixelid.gap.steps.name_effect import name_effect, name_what_settles
 from pixelid.gap.steps.undo_readout import undo_readout
 from pixelid.gap.steps.withdraw import withdraw
 from pixelid.inspection.timestamps import find_timestamp_signatures, with_coarse_units_as_grids
@@ -61,9 +61,11 @@ def begin(recordings: Sequence[Recording], model: Model, context: Context) -> St
 
 
 def name_next(state: State, context: Context) -> State:
-    """One round, before which shot noise has its chance; after the last the stamps are asked."""
-    state = try_before_next_effect(state, context)
-    state = name_effect(state, context) if state.phase is Phase.NAME else state
+    """One round, before which shot noise has its chance unless an effect leaves nothing; after the last the stamps are
+    asked."""
+    settled = name_what_settles(state, context)
+    state = try_before_next_effect(state, context) if settled is None else settled
+    state = name_effect(state, context) if settled is None and state.phase is Phase.NAME else state
     state = ask_stamps(state, context) if state.phase is Phase.SHOT_NOISE else state
     return ask_again(state, context) if state.phase is Phase.SHOT_NOISE else state
 

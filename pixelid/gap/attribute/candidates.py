@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import chain, product
 from typing import Protocol
 
 import numpy as np
@@ -17,13 +18,14 @@ from pixelid.model.model import Model
 from pixelid.stages.circuit import Circuit
 
 DECADES = (-2.0, -1.5, -1.0, -0.5, 0.0, 0.5, 1.0, 1.5)  # strengths tried, about the shipped value
-# A slew limit is slow to fit, and its likelihood only falls as it tightens past the best: it is fitted where one of the
-# strengths gains this much by itself, and no tighter one is tried from where it loses that much per event.  A side that
-# nothing slews at has no slope, so a fit leaves it where it is: sides are looked for one by one, from weak to tight.
-MIN_SLEW_GAIN_NATS, MAX_SLEW_LOSS_NATS, SLEW_STEP, FINER_SLEW_STEPS = 0.5, 0.1, 0.125, 8
+# Per event, below the best so far, from which no stronger one is tried: past the best the likelihood only falls.
+MAX_LOSS_NATS = 0.1
+# A slew limit is slow to fit: it is fitted where one of the strengths gains this much by itself.  A side that nothing
+# slews at has no slope, so a fit leaves it where it is: sides are looked for one by one, from weak to tight.
+MIN_SLEW_GAIN_NATS, SLEW_STEP, FINER_SLEW_STEPS = 0.5, 0.125, 8
 UNFELT_NATS = 1e-3  # what a limit changes that nothing reaches, beside rounding of the likelihood
 SLEW, RISE, FALL = "slew_limit", "slew_limit.rise_per_s", "slew_limit.fall_per_s"
-KNEE = "linear_log"
+KNEE, MAINS = "linear_log", "mains_flicker"
 KNEE_DECADES = tuple(d / 8.0 for d in range(-16, 13))  # a knee below all light does nothing, one too high much harm
 MAINS_HZ = (100.0, 120.0)
 # Below the knee, of the logarithm's slope at it: without a kink, and as in v2e, on a line through the origin from the
@@ -97,9 +99,30 @@ class Tried:
 
 
 def tried(likelihood: EventTimes, model: Model, effect: str) -> list[Tried]:
-    """The model with the effect at each strength to try that can be evaluated."""
+    """The model with the effect at each strength to try that can be evaluated.
+
+    From weak to strong, until even what suits each recording best explains far less than a weaker one did.
+    """
+    if effect == SILENCE:
+        return _evaluated(likelihood, _silences(likelihood, model))
+    found: list[Tried] = []
+    top = -np.inf
+    for alike in by_strength(model, effect):
+        some = _evaluated(likelihood, alike)
+        found += some
+        if some:
+            shared = max(trial.value - trial.parts.sum() for trial in some)
+            value = shared + float(np.max([trial.parts for trial in some], axis=0).sum())
+            top = max(top, value)
+            if value < top - MAX_LOSS_NATS * likelihood.events:
+                break
+    return found
+
+
+def _evaluated(likelihood: EventTimes, trials: Iterable[Model]) -> list[Tried]:
+    """Those of the trials that can be evaluated."""
     found = []
-    for trial in _trials(likelihood, model, effect):
+    for trial in trials:
         try:
             terms = likelihood.terms(trial.circuit())
         except (InputError, FloatingPointError):
@@ -149,7 +172,7 @@ def strongest_slew_start(likelihood: Likelihood, model: Model, least: float) -> 
         for limit in _onward(limits, _last_unfelt(likelihood, others, side, limits)):
             value = _value(likelihood, trial := others.set({side: limit}))
             peak = max(peak, value)
-            if value < peak - MAX_SLEW_LOSS_NATS * likelihood.events:
+            if value < peak - MAX_LOSS_NATS * likelihood.events:
                 break  # the tighter the limit, the worse from here on
             if value > top + MIN_SLEW_GAIN_NATS:
                 best, top, found = trial, value, True
@@ -187,16 +210,13 @@ def _value(likelihood: Likelihood, model: Model) -> float:
     return value if np.isfinite(value) else -np.inf
 
 
-def _trials(likelihood: EventTimes, model: Model, effect: str) -> Iterator[Model]:
-    """The model with the effect at each strength to try on these events.
+def _silences(likelihood: EventTimes, model: Model) -> Iterator[Model]:
+    """The model with a dead time without reset, of each length to try on these events.
 
-    The end of a silence is sharp: it is looked for where intervals recur.  A dead time that resets may have stood in
-    for it, and is tried as shipped as well.
+    Its end is sharp: it is looked for where intervals recur.  A dead time that resets may have stood in for it, and is
+    tried as shipped as well.
     """
-    if effect != SILENCE:
-        yield from variants(model, effect, KNEE_DECADES if effect == KNEE else DECADES)
-        return
-    grown = model.with_effect(effect)
+    grown = model.with_effect(SILENCE)
     silence = grown.parameter(f"{SILENCE}.s")
     for wait in likelihood.commonest_intervals_s():
         if silence.lower < wait < silence.upper:
@@ -233,46 +253,47 @@ def start_in_each(
     return grown, likelihood.log_likelihood(grown.circuit())
 
 
-def variants(model: Model, effect: str, decades: Sequence[float] = DECADES) -> Iterator[Model]:
-    """The model with the effect at each strength to try, its own parameters free.
+def variants(model: Model, effect: str) -> Iterator[Model]:
+    """The model with the effect at each strength to try, its own parameters free, from weak to strong."""
+    return chain.from_iterable(by_strength(model, effect))
 
-    decades: from the shipped strength
+
+def by_strength(model: Model, effect: str) -> Iterator[list[Model]]:
+    """For each strength to try, from weak to strong, the models that have the effect at it, its own parameters free.
+
+    They differ in sign, and in what is no strength: slope below a knee, frequency and phase of mains flicker.
     """
     grown = model.with_effect(effect)
     if effect == "second_order_photoreceptor":
-        yield from _second_order_variants(model, grown)
+        yield from _second_orders(model, grown)
         return
-    names = [p.name for p in stages.effect(effect).parameters if p.free]
-    strength = grown.parameter(names[0])
+    strength = grown.parameter(next(p.name for p in stages.effect(effect).parameters if p.free))
     signs = (1.0,) if strength.transform == "log" else (1.0, -1.0)
-    for decade in decades:
-        for sign in signs:
-            value = sign * 10.0**decade * strength.value
-            if not strength.lower < value < strength.upper:
-                continue
-            sized = grown.set({strength.name: value})
-            if effect == SLEW:
-                sized = sized.set({RISE: value, FALL: value})
-            if effect == KNEE:
-                yield from (sized.set({"linear_log.slope": slope}) for slope in LINEAR_SLOPES)
-                continue
-            if effect != "mains_flicker":
-                yield sized
-                continue
-            for hz in MAINS_HZ:
-                for phase in PHASES:
-                    yield sized.set({"mains_flicker.frequency_hz": hz, "mains_flicker.phase_rad": phase})
+    decades = KNEE_DECADES if effect == KNEE else DECADES
+    for decade in reversed(decades) if effect in INVERSE else decades:
+        values = [sign * 10.0**decade * strength.value for sign in signs]
+        alike = [grown.set({strength.name: v}) for v in values if strength.lower < v < strength.upper]
+        if effect == SLEW:
+            alike = [sized.set({RISE: sized.values[RISE], FALL: sized.values[RISE]}) for sized in alike]
+        if effect == KNEE:
+            alike = [sized.set({"linear_log.slope": slope}) for sized in alike for slope in LINEAR_SLOPES]
+        if effect == MAINS:
+            alike = [
+                sized.set({f"{MAINS}.frequency_hz": hz, f"{MAINS}.phase_rad": phase})
+                for sized, hz, phase in product(alike, MAINS_HZ, PHASES)
+            ]
+        yield alike
 
 
-def _second_order_variants(model: Model, grown: Model) -> Iterator[Model]:
+def _second_orders(model: Model, grown: Model) -> Iterator[list[Model]]:
     """A second-order photoreceptor with the corner α/β of the one pole it grows from, or of any where there is none."""
     shipped = grown.parameter("alpha").value / grown.parameter("beta").value
     one_pole = model.photoreceptor == "one_pole"
-    corners = [model.values["alpha_over_beta"]] if one_pole else [shipped * 10.0**d for d in DECADES]
+    corners = [model.values["alpha_over_beta"]] if one_pole else [shipped * 10.0**d for d in reversed(DECADES)]
+    betas = [grown.parameter("beta").value * 10.0**d for d in reversed(DECADES if one_pole else BETA_DECADES)]
     for corner in corners:
-        for decade in DECADES if one_pole else BETA_DECADES:
-            beta = grown.parameter("beta").value * 10.0**decade
-            yield grown.set({"alpha": corner * beta, "beta": beta})
+        made = [grown.set({"alpha": corner * beta, "beta": beta}) for beta in betas]
+        yield from ([sized] for sized in made) if one_pole else [made]
 
 
 def canonical(model: Model, nominal: Model) -> Model:

@@ -17,15 +17,20 @@ import numpy as np
 from pixelid import stages
 from pixelid.errors import InputError
 from pixelid.fit.maximise import Maximum
-from pixelid.gap.attribute.candidates import INVERSE, variants
+from pixelid.gap.attribute.candidates import INVERSE, SILENCE, by_strength
 from pixelid.gap.detect.residuals import Residuals, compare, residuals, tangents
 from pixelid.gap.imputation.blur import Blur, blur_by
+from pixelid.gap.imputation.exact import LOST
 from pixelid.gap.imputation.windows import DELAY
 from pixelid.likelihood.density import sum_by
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.model.model import Model
 
 MAX_RMS_MOVE_SD = 0.2  # of the residuals, at the strength at which a direction is taken: small enough to be linear
+# Of the events, that may lose their cause there: they count as not moved, so this much of what an effect would show may
+# be missed.
+MAX_SHARE_LOST = 0.05
+WITHOUT_DIRECTION = {LOST, SILENCE}  # they take events away, and leave the residuals of the others where they are
 MIN_RMS_MOVE_SD = 1e-9  # below, rounding
 PRIOR_SD = 1.0  # of coordinates (a factor e), where these recordings say nothing of them
 
@@ -96,20 +101,21 @@ def residual_space(likelihood: EventTimes, end: Maximum, sd_s: Sequence[np.ndarr
 
 
 def direction(at: Space, effect: str) -> Direction | None:
-    """The direction of a missing effect, at the largest strength tried that is small; None if it moves nothing."""
+    """The direction of a missing effect, at the largest strength tried that is small; None if it moves nothing.
+
+    From weak to strong, as moves grow: beyond the first that is large, most events may have lost their cause, and what
+    little of the others moves is no direction.
+    """
+    if effect in WITHOUT_DIRECTION:
+        return None
     best: tuple[float, np.ndarray, Model] | None = None
-    for trial in variants(at.fit.model, effect):
-        try:
-            moved = residuals(at.likelihood, trial.circuit())
-        except InputError:
-            continue
-        undefined = at.here.background | moved.background
-        level, log_scale = compare(at.here, moved)
-        change = np.concatenate([np.where(undefined, 0.0, level), np.where(undefined, 0.0, np.sqrt(2.0) * log_scale)])
-        size = float(np.sqrt(np.mean(change**2)))
-        if MIN_RMS_MOVE_SD < size < MAX_RMS_MOVE_SD and (best is None or size > best[0]):
-            best = size, change, trial
-    if best is None:
+    for alike in by_strength(at.fit.model, effect):
+        moves = [moved for moved in (_move(at, trial) for trial in alike) if moved is not None]
+        small = [moved for moved in moves if moved[0] < MAX_RMS_MOVE_SD]
+        if moves and not small:
+            break
+        best = max((one for one in (best, *small) if one is not None), key=lambda one: one[0], default=None)
+    if best is None or best[0] < MIN_RMS_MOVE_SD:
         return None
     _, v, trial = best
     v = at.weighed(v)
@@ -132,6 +138,24 @@ def direction(at: Space, effect: str) -> Direction | None:
         _shown(at, J, ratio * raw) if DELAY in at.fit.coordinates.names else float(np.sum(clear**2)) * ratio**2,
         hidden,
     )
+
+
+def _move(at: Space, trial: Model) -> tuple[float, np.ndarray, Model] | None:
+    """(rms, (2n,) how a trial moves the residuals, the trial); infinite where too many events lose their cause.
+
+    None where it cannot be evaluated.
+    """
+    try:
+        moved = residuals(at.likelihood, trial.circuit())
+    except InputError:
+        return None
+    lost = moved.background & ~at.here.background
+    if lost.sum() > MAX_SHARE_LOST * len(lost):
+        return np.inf, np.zeros(2 * len(lost)), trial
+    undefined = at.here.background | moved.background
+    level, log_scale = compare(at.here, moved)
+    change = np.concatenate([np.where(undefined, 0.0, level), np.where(undefined, 0.0, np.sqrt(2.0) * log_scale)])
+    return float(np.sqrt(np.mean(change**2))), change, trial
 
 
 def _shown(at: Space, J: np.ndarray, v: np.ndarray) -> float:

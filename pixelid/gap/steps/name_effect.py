@@ -34,6 +34,7 @@ from pixelid.gap.imputation.impute import (
 from pixelid.gap.options import Context
 from pixelid.gap.phases import Phase
 from pixelid.gap.rounds import amended, attribution_entry, withdrawn
+from pixelid.gap.shot_noise.shot_noise import looks_like_shot_noise
 from pixelid.gap.state import Hypothesis, NamedStep, State
 from pixelid.gap.steps.impute_hypothesis import Setting, at_imputed_times
 from pixelid.model.model import Model
@@ -50,16 +51,45 @@ def name_effect(state: State, context: Context) -> State:
     return state if state.phase is Phase.NAME else _without_unlike_jitter(state, context)
 
 
-def _named_one_more(state: State, context: Context) -> State:
-    hypothesis, criteria = state.hypothesis, context.options.criteria
-    # one likelihood for the model and all that is tried beside it
-    evidence = hypothesis.evidence.weighed(hypothesis.fit.model.circuit())
-    attribution = _attribute(state, evidence, context)
-    fit, seen = hypothesis.fit, hypothesis.seen
+def name_what_settles(state: State, context: Context) -> State | None:
+    """The state with an effect that, tried from the fitted values alone, leaves nothing to explain; None without one.
+
+    Asked only where a round would begin with more than that: shot noise, or effects tried from the shipped values as
+    well.  Nothing else may explain the events as well.
+    """
+    before, options = state.hypothesis, context.options
+    noisy = not state.steps and looks_like_shot_noise(before.seen, options.criteria)
+    if state.imputed or not (noisy or restart(state, context) is not None):
+        return None
+    evidence = before.evidence.weighed(before.fit.model.circuit())
+    attribution = _attribute(state, evidence, None, context)
+    winner = attribution.winner
+    if winner is None or winner.effect == JITTER or attribution.runners_up:
+        return None
+    if not stands(evidence, before.fit, before.seen, winner, options, context.cache).firm:
+        return None
+    named = with_accepted(_after_round(state, attribution, context), winner, attribution, True)
+    grown = grown_by(named, winner, evidence, context)
+    left = grown.remainder(options.alpha_each) or restart(grown, context) is not None
+    return None if left else grown.then(_next(grown))
+
+
+def _after_round(state: State, attribution: Attribution[Maximum], context: Context) -> State:
+    """The state with one more round on record."""
+    fit, seen = state.hypothesis.fit, state.hypothesis.seen
     rounds = (*state.rounds, attribution_entry(state.turn, fit, seen, attribution, impossible(fit.model)))
     state = state.then(Phase.SHOT_NOISE, rounds=rounds, turn=state.turn + 1)
-    if state.turn == 1:
-        state = state.with_global_p(c.p for c in attribution.candidates if leads(c.held_out, criteria))
+    if state.turn > 1:
+        return state
+    return state.with_global_p(c.p for c in attribution.candidates if leads(c.held_out, context.options.criteria))
+
+
+def _named_one_more(state: State, context: Context) -> State:
+    hypothesis = state.hypothesis
+    # one likelihood for the model and all that is tried beside it
+    evidence = hypothesis.evidence.weighed(hypothesis.fit.model.circuit())
+    attribution = _attribute(state, evidence, restart(state, context), context)
+    state = _after_round(state, attribution, context)
     winner = attribution.winner
     if winner is None and state.imputed and [c.effect for c in attribution.candidates[:1]] == [LOST]:
         # drawing misplaces some events, and what explains these best is no more than that
@@ -99,9 +129,12 @@ def _next(state: State) -> Phase:
     return Phase.NAME if state.turn < MAX_ROUNDS else Phase.SHOT_NOISE
 
 
-def _attribute(state: State, evidence: PixelEvidence, context: Context) -> Attribution[Maximum]:
+def _attribute(
+    state: State, evidence: PixelEvidence, elsewhere: Model | None, context: Context
+) -> Attribution[Maximum]:
+    """elsewhere: where effects are tried from as well as from the fitted values"""
     options, hypothesis = context.options, state.hypothesis
-    model, elsewhere = hypothesis.fit.model, restart(state, context)
+    model = hypothesis.fit.model
     skip = {*options.leave_out, *state.given_up, *([JITTER] if state.hides_jitter else [])}
     share = 0.1 + 0.6 * state.turn / MAX_ROUNDS
     candidates = candidates_of(evidence, model, elsewhere, context.cache, context.work, state.on_paths)
