@@ -6,10 +6,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from pixelid.errors import InputError
 from pixelid.fit.maximise import maximise
 from pixelid.gap import search
 from pixelid.gap.attribute.attribute import Attribution, Candidate
-from pixelid.gap.attribute.candidates import _last_unfelt, holds_together, strongest_start
+from pixelid.gap.attribute.candidates import (
+    _last_unfelt,
+    holds_together,
+    missing,
+    start_in_each,
+    strongest_start,
+    tried,
+    variants,
+)
 from pixelid.gap.attribute.pixels import strongest_fit
 from pixelid.gap.criteria import Criteria
 from pixelid.gap.imputation.exact import keeps_its_times, loses_where_times_are_exact
@@ -32,6 +41,8 @@ from pixelid.gap.steps.name_effect import (
     ONLY_WHERE_DRAWN,
     _behind_coarse_jitter,
     _slewing_through_new_poles,
+    name_effect,
+    name_what_settles,
     restart,
     without_misplaced,
     without_negligible,
@@ -476,3 +487,78 @@ def test_a_limit_of_the_slew_behind_a_coarse_tick_is_named_where_there_is_one(sl
     assert [step.effect for step in asked.steps] == ["slew_limit"]
     assert asked.hypothesis.fit.values["slew_limit.rise_per_s"] == pytest.approx(1500.0, rel=0.1)
     assert asked.hypothesis.seen.background_fraction < 0.1 * state.hypothesis.seen.background_fraction
+
+
+@pytest.mark.parametrize("planted", [{}, {"leak": {"rate_hz": 3.0}}, {"mains_flicker": {"modulation": 0.12}}])
+def test_strengths_left_out_would_not_have_been_the_best(planted):
+    """From weak to strong, as far as it is worth it: the best of those is the best of all, and some are left out."""
+    truth = MODEL
+    for effect, values in planted.items():
+        truth = truth.with_effect(effect, values)
+    made = recorded(truth, [chirp(24.0, stop_hz=200.0), steps(400.0, seed=3)], 2)
+    pool = EventTimes([with_fine_light(r, "smooth") for r in made])
+    base = maximise(pool, MODEL, tolerance=0.1, max_steps=25).model
+    count = {"all": 0, "tried": 0}
+    for effect in missing(base):
+        if effect in ("slew_limit", "dead_time_without_reset"):
+            continue  # looked for in other ways
+        values = []
+        for trial in variants(base, effect):
+            try:
+                values.append(pool.log_likelihood(trial.circuit()))
+            except (InputError, FloatingPointError):
+                continue
+        some = tried(pool, base, effect)
+        assert max(one.value for one in some) == pytest.approx(np.nanmax(values), abs=1e-9)
+        count["all"] += len(values)
+        count["tried"] += len(some)
+    assert count["tried"] < 0.8 * count["all"]
+
+
+def test_flicker_of_each_recordings_own_phase_is_tried_as_strong_as_it_is():
+    """At no phase that all share does a strong flicker explain anything: what suits each recording counts."""
+    lights = [steps(24.0, seed=k) for k in range(4)]
+    made = []
+    for k, light in enumerate(lights):
+        values = {"modulation": 0.12, "frequency_hz": 100.0, "phase_rad": 0.5 * np.pi * k}
+        fine = resampled(light, "smooth")
+        one = simulate(MODEL.with_effect("mains_flicker", values), fine, width=2, height=2, seed=k, sensor_seed=3)
+        made.append(replace(one, stimulus=fine, condition=f"steps_{k}"))
+    pool = EventTimes(made)
+    strengths = {one.model.values["mains_flicker.modulation"] for one in tried(pool, MODEL, "mains_flicker")}
+    start = start_in_each(pool, MODEL, "mains_flicker")
+    assert start is not None
+    assert start[0].values["mains_flicker.modulation"] == pytest.approx(0.12, rel=0.6)  # half decades
+    assert max(strengths) > start[0].values["mains_flicker.modulation"]
+
+
+@pytest.mark.slow
+def test_an_effect_that_leaves_nothing_is_named_before_anything_dearer(monkeypatch):
+    """As it would have been from the shipped values as well, and without a look at shot noise."""
+    lights = [chirp(24.0, stop_hz=200.0), steps(24.0, seed=1), slow(24.0, seed=2), chirp(400.0, stop_hz=400.0)]
+    camera = MODEL.with_effect("lower_cutoff", {"cutoff_hz": 1.5})
+    state = undo_readout(begin(recorded(camera, lights, 3), MODEL, CONTEXT), CONTEXT)
+    assert restart(state, CONTEXT) is not None
+    plain = name_what_settles(state, CONTEXT)
+    assert plain is not None
+    full = name_effect(state, CONTEXT)
+    for found in (plain, full):
+        assert [step.effect for step in found.steps] == ["lower_cutoff"]
+        assert found.hypothesis.model.values["lower_cutoff.cutoff_hz"] == pytest.approx(1.5, rel=0.02)
+    assert plain.hypothesis.fit.value == pytest.approx(full.hypothesis.fit.value, abs=0.1)
+    assert (plain.phase, plain.turn, len(plain.rounds)) == (full.phase, full.turn, len(full.rounds))
+
+    def dear(*_):
+        raise AssertionError("asked for more than the plain round")
+
+    monkeypatch.setattr(search, "try_before_next_effect", dear)
+    monkeypatch.setattr(search, "name_effect", dear)
+    assert [step.effect for step in search.name_next(state, CONTEXT).steps] == ["lower_cutoff"]
+
+
+def test_nothing_settles_where_two_effects_are_missing():
+    lights = [chirp(24.0, stop_hz=200.0), steps(24.0, seed=1), slow(24.0, seed=2), chirp(400.0, stop_hz=400.0)]
+    camera = MODEL.with_effect("lower_cutoff", {"cutoff_hz": 1.5}).with_effect("leak", {"rate_hz": 5.0})
+    state = undo_readout(begin(recorded(camera, lights, 3), MODEL, CONTEXT), CONTEXT)
+    assert restart(state, CONTEXT) is not None
+    assert name_what_settles(state, CONTEXT) is None

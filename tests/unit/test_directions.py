@@ -5,8 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from pixelid import stages
 from pixelid.fit.maximise import maximise
-from pixelid.gap.attribute.directions import direction, residual_space
+from pixelid.gap.attribute.candidates import INVERSE, variants
+from pixelid.gap.attribute.directions import cosine, direction, residual_space
+from pixelid.gap.detect.residuals import compare, residuals
 from pixelid.gap.imputation.blur import blur_by, slopes_of, spreads
 from pixelid.gap.imputation.imputed import JITTER, TICK, Imputation
 from pixelid.gap.imputation.windows import Windows, jitter_windows, with_stamp_delay
@@ -165,3 +168,36 @@ def test_events_have_the_spread_of_their_own_window(recordings):
     jittered = tuple(jitter_windows(r, 5e-5) for r in recordings)
     behind_jitter = replace(whole, effect=JITTER, windows=jittered)
     np.testing.assert_allclose(np.concatenate(spreads(behind_jitter, part)), 5e-5)
+
+
+MOVES = ("dark_current", "mains_flicker", "leak", "parasitic_photocurrent", "threshold_drift", "polarity_memory",
+         "lower_cutoff", "extra_pole", "bandwidth_floor")  # fmt: skip
+
+
+@pytest.mark.parametrize("effect", MOVES)
+def test_a_direction_is_taken_where_moves_are_linear(likelihood, effect):
+    """A third of the strength moves the residuals a third as far, in the same direction."""
+    at = residual_space(likelihood, maximise(likelihood, CAMERA, tolerance=0.05, max_steps=40))
+    told = direction(at, effect)
+    if told is None:
+        assert effect in ("extra_pole", "bandwidth_floor")  # even the weakest tried moves them far
+        return
+    name = next(p.name for p in stages.effect(effect).parameters if p.free)
+    alike = next(m for m in variants(at.fit.model, effect) if m.values[name] == told.strength)
+    share = 3.0 if effect in INVERSE else 1.0 / 3.0
+    weaker = residuals(likelihood, alike.set({name: share * told.strength}).circuit())
+    level, log_scale = compare(at.here, weaker)
+    kept = ~(at.here.background | weaker.background)
+    moved = at.demeaned(np.concatenate([np.where(kept, level, 0.0), np.where(kept, np.sqrt(2.0) * log_scale, 0.0)]))
+    if effect == "mains_flicker":  # of several phases the one that moves most is taken
+        assert np.linalg.norm(moved) < 0.4 * np.linalg.norm(told.raw)
+        return
+    assert cosine(moved, told.raw) > 0.97
+    ratio = np.linalg.norm(moved) / np.linalg.norm(told.raw)
+    assert ratio == pytest.approx(1.0 / 3.0, rel=0.1)
+
+
+def test_what_only_takes_events_away_has_no_direction(likelihood):
+    at = residual_space(likelihood, maximise(likelihood, CAMERA, tolerance=0.05, max_steps=40))
+    assert direction(at, "lost_events") is None
+    assert direction(at, "dead_time_without_reset") is None
