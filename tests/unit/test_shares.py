@@ -9,7 +9,7 @@ import pytest
 from pixelid.fit.coordinates import Coordinates
 from pixelid.gap.options import Options
 from pixelid.gap.shot_noise import shot_noise
-from pixelid.gap.shot_noise.replicates import Replicate
+from pixelid.gap.shot_noise.replicates import NOTHING_TOLD, Replicate
 from pixelid.gap.shot_noise.shares import vector
 from pixelid.likelihood.shot_noise import Division
 from pixelid.model.shipped import find_model
@@ -43,8 +43,9 @@ def replicate_in_which(fit, density, score):
     return Replicate(fit.x, at_score(score), np.zeros(2), division)
 
 
+@pytest.mark.parametrize("told", [3e-12, NOTHING_TOLD.density])
 @pytest.mark.parametrize("lost_from", [1, 3])
-def test_replicates_whose_noise_is_not_found_again_end_the_attempt(monkeypatch, lost_from):
+def test_replicates_whose_noise_is_not_found_again_end_the_attempt(monkeypatch, lost_from, told):
     """Their correction once made a density of 7e4, which no model can have: the search ended with an error."""
     model, made = find_model("dvs128"), []
     coordinates = Coordinates.of(model)
@@ -57,7 +58,7 @@ def test_replicates_whose_noise_is_not_found_again_end_the_attempt(monkeypatch, 
     def make(evidence, truth, fit, seen, criteria, seed, cache=None):
         turn = len(made)
         made.append(truth.values.get("shot_noise.density", 0.0))
-        return replicate_in_which(fit, 3e-12 if turn >= lost_from else 3e-4, 0.0 if turn == 0 else 20.0)
+        return replicate_in_which(fit, told if turn >= lost_from else 3e-4, 0.0 if turn == 0 else 20.0)
 
     monkeypatch.setattr(shot_noise, "can_be_simulated", lambda *given: True)
     monkeypatch.setattr(shot_noise, "share_out", lambda *given: found)

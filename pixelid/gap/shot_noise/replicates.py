@@ -31,6 +31,7 @@ from pixelid.model.model import Model
 # and the farthest that one is shifted: the correction is first order.
 MAX_KNOWN_ERROR, MAX_SHIFT = 0.3, 0.3
 MAX_BACKGROUND_RATIO = 3.0  # to the measured number of background events: a refit with more ended at a lesser optimum
+NOTHING_TOLD = Division(1e-300, 1.0, np.inf, 0.0, 1.0)  # of the noise in a replicate without a usable event
 PRIOR_DEGREES = 10.0  # of freedom that all cells of a kind lend to the spread of one
 
 
@@ -96,8 +97,7 @@ def make_replicate(
     tangent = tangents(likelihood, refit.coordinates, refit.x, here)
     factors = sort_events(likelihood, circuit, here, like=seen.factors)
     maps = map_residuals(likelihood, here, tangent, factors, criteria, seed)
-    division = share_out(likelihood, circuit, seed)
-    assert division is not None  # as in the measurement, of as many events
+    division = share_out(likelihood, circuit, seed) or NOTHING_TOLD
     return Replicate(refit.x, maps.scores, background_by_polarity(likelihood, here.background), division)
 
 
