@@ -34,6 +34,7 @@ from pixelid.gap.shot_noise.replicates import Corrected
 from pixelid.gap.shot_noise.shot_noise import ShotNoise
 from pixelid.gap.state import NamedStep
 from pixelid.gap.steps import explain_by_shot_noise as by_noise
+from pixelid.gap.steps import name_beside_shot_noise as beside
 from pixelid.gap.steps import withdraw as withdrawing
 from pixelid.gap.steps.ask_stamps import ask_stamps
 from pixelid.gap.steps.name_effect import (
@@ -562,3 +563,34 @@ def test_nothing_settles_where_two_effects_are_missing():
     state = undo_readout(begin(recorded(camera, lights, 3), MODEL, CONTEXT), CONTEXT)
     assert restart(state, CONTEXT) is not None
     assert name_what_settles(state, CONTEXT) is None
+
+
+@pytest.mark.parametrize(
+    ("alone", "left", "named"),
+    [(1e-4, 300.0, True), (8e-4, 200.0, True), (8e-4, 295.0, False), (8e-4, 320.0, False), (0.02, 0.0, False)],
+)
+def test_an_excess_beside_shot_noise_is_borne_out_by_replicates_or_not(complete, monkeypatch, alone, left, named):
+    """alone: chance of the excess of one effect;  left: by shot noise beside it, 300 without."""
+    hypothesis, effects = complete.hypothesis, 10
+    seen = replace(hypothesis.seen, p=1e-3)
+    corrected = Corrected(hypothesis.fit.model, np.zeros_like(hypothesis.fit.x), seen)
+    before, after = (ShotNoise(1e-4, (0.0, 1.0), corrected, 1000.0, amount) for amount in (300.0, left))
+    winner = Candidate("polarity_memory", hypothesis.fit, 600.0, effects * alone, 0.0 * hypothesis.fit.x)
+    attribution = Attribution((winner,), {}, winner, (), {})
+    step = NamedStep(winner, attribution, "", True, hypothesis)
+    state = replace(complete, hypothesis=hypothesis, steps=(), rounds=(), shot_noise=before)
+    monkeypatch.setattr(beside, "settled_under_noise", lambda evidence, model, cache: (evidence, hypothesis.fit))
+    monkeypatch.setattr(beside, "missing", lambda model: [str(k) for k in range(effects)])
+    monkeypatch.setattr(beside, "candidates_of", lambda *given: None)
+    monkeypatch.setattr(beside, "attribute", lambda *given: attribution)
+    monkeypatch.setattr(beside, "may_be_named", lambda candidate, options: True)
+    monkeypatch.setattr(beside, "_most_in_excess", lambda able, tried, state, context: winner)
+    monkeypatch.setattr(beside, "_with", lambda *given: replace(state, steps=(step,), shot_noise=after))
+    found = beside.name_beside_shot_noise(state, CONTEXT)
+    assert [one.effect for one in found.steps] == (["polarity_memory"] if named else [])
+    assert found.phase is (Phase.BESIDE_SHOT_NOISE if named else Phase.DISCOUNT)
+    assert found.shot_noise is (after if named else before)
+    if named:
+        assert found.steps[0].winner.p < CONTEXT.options.alpha_each
+    else:
+        assert beside.NO_EXCESS in found.rounds[-1]["refused"]

@@ -10,6 +10,7 @@ from oracles import silent_events
 from pixelid.fit.coordinates import Coordinates
 from pixelid.fit.event_times import EventTimesObjective
 from pixelid.fit.fit import fit
+from pixelid.gap.detect.covariates import sort_events
 from pixelid.gap.detect.residuals import residuals
 from pixelid.likelihood.density import NUMBERS
 from pixelid.likelihood.event_times import EventTimes
@@ -159,6 +160,18 @@ def test_residuals_of_a_true_model_are_standard_normal():
         assert len(e) > 500
         assert abs(e.mean()) < 4.0 / np.sqrt(len(e)) + 0.03
         assert e.std() == pytest.approx(1.0, abs=4.0 / np.sqrt(2 * len(e)) + 0.03)
+
+
+def test_cells_of_a_true_model_scatter_as_normals_do():
+    """Cells of speeds, which are blurred at random, were once cut by the draws behind residuals at a silence's end."""
+    likelihood = EventTimes([recorded(SILENT.circuit(), seed, side=6) for seed in (3, 4)])
+    circuit = SILENT.circuit()
+    here = residuals(likelihood, circuit)
+    for factor in sort_events(likelihood, circuit, here):
+        for k in np.unique(factor.cell):
+            e = here.e[(factor.cell == k) & ~here.background]
+            if len(e) > 100:
+                assert abs(np.mean(e**2) - 1.0) < 4.5 * np.sqrt(2.0 / len(e)), (factor.name, factor.labels[k])
 
 
 @pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow), pytest.param(2, marks=pytest.mark.slow)])

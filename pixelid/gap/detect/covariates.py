@@ -26,6 +26,7 @@ TIMES, WAITS, LIGHTS, SPEEDS = 8, 5, 5, 4
 # expected to be errs a little, by what the event was late or early.  Where many speeds are nearly the same (at a limit
 # of the slew) cells would else be cut by that, and a true model look wrong.  0.01 to 0.1 do alike.
 SPEED_BLUR = 0.05
+BLUR_SEED = 1  # not that of what residuals draw at the end of a silence: cells would be sorted by the residuals
 SAME_LEVEL = 1.5  # factor between mean radiances that count as one level: illuminances are usually decades apart
 POLARITY = ("OFF", "ON")
 ROWS, COLUMNS = ("top", "middle", "bottom"), ("left", "centre", "right")  # of the rectangle whose light is known
@@ -73,7 +74,7 @@ def sort_events(
     if not all(r.stimulus is None or r.stimulus.full_field for r in likelihood.recordings):
         factors.append(_place(likelihood, time))
     speed = expected_log_rate(likelihood, circuit, residual)
-    speed += np.random.default_rng(0).uniform(-SPEED_BLUR, SPEED_BLUR, len(speed))
+    speed += np.random.default_rng(BLUR_SEED).uniform(-SPEED_BLUR, SPEED_BLUR, len(speed))
     home = 2 * where + on
     home_labels = [f"{POLARITY[p]} in {name}" for name in names for p in (0, 1)]
     for name, value, slices, words in (

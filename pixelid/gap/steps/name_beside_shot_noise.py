@@ -6,8 +6,11 @@ of a model that lacks one may look as the measurement does, another pole in its 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
+
+from scipy.stats import norm
 
 from pixelid.fit.maximise import Maximum
 from pixelid.fit.shot_noise import EFFECT
@@ -24,6 +27,8 @@ from pixelid.gap.shot_noise.shot_noise import ShotNoise, find_shot_noise
 from pixelid.gap.state import State
 from pixelid.gap.steps.name_effect import MAX_ROUNDS, grown_by, with_accepted, with_refused
 
+# Of the excess of one effect, from which replicates are made with it, too.  It steers: names are judged by both.
+PROMISING_P = 0.01
 NO_EXCESS = "sessions simulated without it gain as much by it"
 NOT_WITH_NOISE = "with it in the model shot noise explains less"
 
@@ -49,14 +54,34 @@ def name_beside_shot_noise(state: State, context: Context) -> State:
     state = replace(state, rounds=(*state.rounds, entry))
     able = [c for c in attribution.candidates if may_be_named(c, options)]
     winner = _most_in_excess(able, len(effects), state, context)
-    if winner is not None and winner.p < options.alpha_each:
+    if winner is None:
+        return state.then(Phase.DISCOUNT)
+    alone = winner.p < options.alpha_each
+    more = None
+    if alone or winner.p < PROMISING_P * len(effects):
         more = _with(winner, attribution, noise, state, context)
-        if more is not None:
-            return more.then(Phase.BESIDE_SHOT_NOISE)
-        state = with_refused(state, winner, NOT_WITH_NOISE)
-    elif winner is not None:
-        state = with_refused(state, winner, NO_EXCESS)
-    return state.then(Phase.DISCOUNT)
+    if more is not None and not alone:
+        more = _borne_out(more, winner, noise, len(effects), context)
+    if more is not None:
+        return more.then(Phase.BESIDE_SHOT_NOISE)
+    return with_refused(state, winner, NOT_WITH_NOISE if alone else NO_EXCESS).then(Phase.DISCOUNT)
+
+
+def _borne_out(more: State, winner: Candidate[Maximum], noise: ShotNoise, tried: int, context: Context) -> State | None:
+    """The state with an effect whose excess alone is not enough, where replicates with it come nearer; None where they
+    do not: both chances as one (Stouffer 1949), a drop of the distance in units of its error.
+
+    more: with the effect;  noise: without it;  tried: number of effects
+    """
+    assert more.shot_noise is not None
+    criteria = context.options.criteria
+    nearer = (noise.left - more.shot_noise.left) / criteria.min_shot_noise_gain_nats
+    both = (float(norm.isf(winner.p / tried)) + nearer) / math.sqrt(2.0)
+    p = min(1.0, tried * float(norm.sf(both)))
+    if p >= context.options.alpha_each:
+        return None
+    step = more.steps[-1]
+    return replace(more, steps=(*more.steps[:-1], replace(step, winner=replace(step.winner, p=p))))
 
 
 def _most_in_excess(
