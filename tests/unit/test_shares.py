@@ -10,10 +10,11 @@ from pixelid.fit.coordinates import Coordinates
 from pixelid.gap.options import Options
 from pixelid.gap.shot_noise import shot_noise
 from pixelid.gap.shot_noise.replicates import NOTHING_TOLD, Replicate
-from pixelid.gap.shot_noise.shares import vector
+from pixelid.gap.shot_noise.shares import Guess, vector
 from pixelid.likelihood.shot_noise import Division
 from pixelid.model.shipped import find_model
 from pixelid.parameters.parameter import Parameter
+from pixelid.statistics import Z95
 
 
 def test_phases_of_recordings_are_the_models_and_delays_the_fits():
@@ -70,3 +71,35 @@ def test_replicates_whose_noise_is_not_found_again_end_the_attempt(monkeypatch, 
     assert shot_noise.find_shot_noise(evidence, fit, seen, Options()) is None
     assert len(made) == (2 if lost_from == 1 else 2 + shot_noise.REPLICATES)
     assert max(made) == pytest.approx(3e-4)
+
+
+@pytest.mark.parametrize("factor", [1.0, 3.0, 10.0])
+def test_intervals_widened_by_the_scatter_of_replicates_hold_what_was_there(factor):
+    """Coordinates that err by several times what the likelihood says, put right by the median of four replicates."""
+    coordinates = Coordinates.of(find_model("dvs128"))
+    rng, said, d = np.random.default_rng(0), 0.01, len(coordinates.names)
+    found = Division(3e-4, 0.5, 0.1, 500.0, 1e3)
+    inside, width = [], []
+    for _ in range(400):
+        x = factor * said * rng.normal(size=d)
+        fit: Any = SimpleNamespace(coordinates=coordinates, x=x, information=np.eye(d) / said**2)
+        made = [Replicate(factor * said * rng.normal(size=d), {}, np.zeros(2), found) for _ in range(4)]
+        widened = Guess(fit, found, x, 3e-4).widened(made)
+        corrected = x - np.median([one.x for one in made], axis=0)
+        inside.append(np.abs(corrected) < Z95 * widened * said)
+        width.append(widened)
+    assert 0.93 < np.mean(inside) < 0.985
+    assert np.mean(width) == pytest.approx(factor * np.sqrt(1.0 + np.pi / 8.0), rel=0.15)
+
+
+def test_what_events_hold_little_of_is_not_widened():
+    coordinates = Coordinates.of(find_model("dvs128"))
+    d = len(coordinates.names)
+    information = np.diag([1.0, *[1e4] * (d - 1)])  # an error of a factor e, and of 1 %
+    fit: Any = SimpleNamespace(coordinates=coordinates, x=np.zeros(d), information=information)
+    found = Division(3e-4, 0.5, 0.1, 500.0, 1e3)
+    rng = np.random.default_rng(0)
+    made = [Replicate(rng.normal(size=d), {}, np.zeros(2), found) for _ in range(4)]
+    widened = Guess(fit, found, np.zeros(d), 3e-4).widened(made)
+    assert widened[0] == 1.0
+    assert (widened[1:] > 10.0).all()

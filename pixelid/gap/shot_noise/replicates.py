@@ -43,11 +43,13 @@ class Corrected:
         model: Such that a fit to what it simulates gives the fitted model.
         shift: (d,) of the coordinates, from fitted to corrected.
         seen: Diagnostics with only what replicates do not show.
+        widened: (d,) by how many times the coordinates err more than the likelihood says; None: by once.
     """
 
     model: Model
     shift: np.ndarray
     seen: Diagnostics
+    widened: np.ndarray | None = None
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.stats import chi2
 
 from pixelid.fit.maximise import Maximum
 from pixelid.fit.shot_noise import DENSITY, EFFECT, NOISE, OTHER_PARAMETERS
@@ -22,6 +23,7 @@ from pixelid.model.model import Model
 # Of the logarithm of a density, from what the filter found to what replicates make of it: one that shows less than a
 # tenth of what it was made with (the filter may find none at all) does not tell by how much to go on.
 MAX_LOG_CORRECTION = math.log(10.0)
+MEDIAN_VARIANCE = 0.5 * math.pi  # of the median of normals, over that of their mean
 MAX_LOG_ERROR = 0.5  # of a replicate's density: one so far from the others' ended at a lesser optimum
 
 
@@ -79,6 +81,22 @@ class Guess:
         degrees = len(made) - 1
         moderated = (PRIOR_DEGREES * expected + degrees * logs.var(ddof=1)) / (PRIOR_DEGREES + degrees)
         return math.sqrt(moderated * (1.0 + 1.0 / len(made)))
+
+    def widened(self, made: Sequence[Replicate]) -> np.ndarray:
+        """(d,) by how many times coordinates err more than the likelihood says, at least once.
+
+        From how replicates made from it scatter, each coordinate's variance moderated by that of all (as errors of the
+        density are), and the error of their median.  What the events hold little of is not corrected, nor widened.
+        """
+        said = np.diag(np.linalg.pinv(self.fit.information))
+        known = well_known(self.fit)
+        degrees = len(made) - 1
+        ratio = np.var([one.x for one in made], axis=0, ddof=1)[known] / said[known]
+        usual = np.median(ratio) / (chi2.median(degrees) / degrees) if known.any() else 1.0
+        moderated = (PRIOR_DEGREES * max(usual, 1.0) + degrees * ratio) / (PRIOR_DEGREES + degrees)
+        factor = np.ones(len(said))
+        factor[known] = np.sqrt(np.maximum(moderated, 1.0) * (1.0 + MEDIAN_VARIANCE / len(made)))
+        return factor
 
     def background_per_density(self) -> np.ndarray:
         """(2,) d log background events, OFF and ON, / d log density, at most: they come at a rate of

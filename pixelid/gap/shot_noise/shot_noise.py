@@ -175,7 +175,7 @@ def _judged(
     before, after = (0.5 * sum(min(c.score**2, MAX_SCORE**2) for c in some) for some in (seen.maps.cells, cells))
     left = replace(seen, maps=replace(seen.maps, cells=cells, p=p), p=p)
     model, fit, density = guess.model, guess.fit, guess.density
-    corrected = Corrected(model, vector(model, fit) - fit.x, left)
+    corrected = Corrected(model, vector(model, fit) - fit.x, left, guess.widened(final))
     return ShotNoise(density, (density * np.exp(-half), density * np.exp(half)), corrected, before - after, off - floor)
 
 
