@@ -340,7 +340,9 @@ def test_an_effect_taken_back_from_beside_shot_noise_leaves_the_noise_found_befo
     monkeypatch.setattr(withdrawing, "flexible_alternative", lambda *given: None)
     hypothesis = complete.hypothesis
     left = replace(hypothesis, seen=replace(hypothesis.seen, p=0.0))
-    corrected = Corrected(hypothesis.fit.model, np.zeros_like(hypothesis.fit.x), left.seen)
+    corrected = Corrected(
+        hypothesis.fit.model, np.zeros_like(hypothesis.fit.x), left.seen, np.ones_like(hypothesis.fit.x)
+    )
     before, found = (ShotNoise(density, (0.0, 1.0), corrected, 100.0, 5.0) for density in (1e-4, 3e-4))
     winner = Candidate("leak", hypothesis.fit, 600.0, 0.0, hypothesis.fit.x)
     step = NamedStep(winner, Attribution((), {}, None, (), {}), "", False, hypothesis, before)
@@ -368,7 +370,9 @@ def beside_shot_noise(complete, monkeypatch, left_alone, left_beside, p_beside):
         amount = left_alone if alone else left_beside
         if amount is None:
             return None
-        corrected = Corrected(fit.model, np.zeros_like(fit.x), replace(seen, p=0.0 if alone else p_beside))
+        corrected = Corrected(
+            fit.model, np.zeros_like(fit.x), replace(seen, p=0.0 if alone else p_beside), 1.0 + 0.0 * fit.x
+        )
         return ShotNoise(1e-4, (0.0, 1.0), corrected, 1000.0, amount)
 
     bare = replace(left, seen=replace(left.seen, p=1e-9))
@@ -392,7 +396,9 @@ def test_an_effect_that_shot_noise_alone_cannot_replace_stays_beside_it(complete
 def test_shot_noise_that_the_base_looks_like_is_tried_before_any_effect(complete, monkeypatch, alike):
     hypothesis = complete.hypothesis
     left = replace(hypothesis, seen=replace(hypothesis.seen, p=1e-9))
-    corrected = Corrected(hypothesis.fit.model, np.zeros_like(hypothesis.fit.x), replace(hypothesis.seen, p=0.5))
+    corrected = Corrected(
+        hypothesis.fit.model, 0.0 * hypothesis.fit.x, replace(hypothesis.seen, p=0.5), 1.0 + 0.0 * hypothesis.fit.x
+    )
     noise = ShotNoise(1e-4, (0.0, 1.0), corrected, 1000.0, 5.0)
     monkeypatch.setattr(by_noise, "find_shot_noise", lambda *given: noise)
     monkeypatch.setattr(by_noise, "looks_like_shot_noise", lambda seen, criteria: alike)
@@ -573,7 +579,7 @@ def test_an_excess_beside_shot_noise_is_borne_out_by_replicates_or_not(complete,
     """alone: chance of the excess of one effect;  left: by shot noise beside it, 300 without."""
     hypothesis, effects = complete.hypothesis, 10
     seen = replace(hypothesis.seen, p=1e-3)
-    corrected = Corrected(hypothesis.fit.model, np.zeros_like(hypothesis.fit.x), seen)
+    corrected = Corrected(hypothesis.fit.model, np.zeros_like(hypothesis.fit.x), seen, np.ones_like(hypothesis.fit.x))
     before, after = (ShotNoise(1e-4, (0.0, 1.0), corrected, 1000.0, amount) for amount in (300.0, left))
     winner = Candidate("polarity_memory", hypothesis.fit, 600.0, effects * alone, 0.0 * hypothesis.fit.x)
     attribution = Attribution((winner,), {}, winner, (), {})

@@ -43,13 +43,13 @@ class Corrected:
         model: Such that a fit to what it simulates gives the fitted model.
         shift: (d,) of the coordinates, from fitted to corrected.
         seen: Diagnostics with only what replicates do not show.
-        widened: (d,) by how many times the coordinates err more than the likelihood says; None: by once.
+        widened: (d,) by how many times the coordinates err more than the likelihood says.
     """
 
     model: Model
     shift: np.ndarray
     seen: Diagnostics
-    widened: np.ndarray | None = None
+    widened: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -69,10 +69,21 @@ class Replicate:
     division: Division
 
 
+def variance_said(fit: Maximum) -> np.ndarray:
+    """(d,) variance of the coordinates by the likelihood's information."""
+    return np.maximum(np.diag(np.linalg.pinv(fit.information)), 0.0)
+
+
 def well_known(fit: Maximum) -> np.ndarray:
     """(d,) which coordinates the events hold."""
-    error = np.sqrt(np.maximum(np.diag(np.linalg.pinv(fit.information)), 0.0))
+    error = np.sqrt(variance_said(fit))
     return (error > 0) & (error < MAX_KNOWN_ERROR)
+
+
+def moderated(own, usual, replicates: int):
+    """Variances between a few replicates, with `PRIOR_DEGREES` of freedom at what is usual (Smyth 2004)."""
+    degrees = replicates - 1
+    return (PRIOR_DEGREES * usual + degrees * own) / (PRIOR_DEGREES + degrees)
 
 
 def make_replicate(
@@ -130,8 +141,7 @@ def _subtracted(cells: tuple[Cell, ...], scores: Sequence[Scores]) -> list[Cell]
         alike = variance[(kinds == cell.response) & np.isfinite(variance)]
         usual = float(alike.mean()) if len(alike) else 1.0
         own = v if np.isfinite(v) else usual
-        moderated = (PRIOR_DEGREES * usual + (n - 1) * own) / (PRIOR_DEGREES + n - 1)
-        score = (cell.score - m) / np.sqrt(max(1.0, moderated) * (1.0 + 1.0 / n))
+        score = (cell.score - m) / np.sqrt(max(1.0, moderated(own, usual, n)) * (1.0 + 1.0 / n))
         tail = student.logsf(abs(score), PRIOR_DEGREES + n - 1)
         left.append(replace(cell, score=float(np.sign(score) * -ndtri_exp(tail))))
     return left

@@ -16,7 +16,7 @@ from scipy.stats import chi2
 
 from pixelid.fit.maximise import Maximum
 from pixelid.fit.shot_noise import DENSITY, EFFECT, NOISE, OTHER_PARAMETERS
-from pixelid.gap.shot_noise.replicates import MAX_SHIFT, PRIOR_DEGREES, Replicate, well_known
+from pixelid.gap.shot_noise.replicates import MAX_SHIFT, Replicate, moderated, variance_said, well_known
 from pixelid.likelihood.shot_noise import LEAST_THRESHOLDS, Division
 from pixelid.model.model import Model
 
@@ -78,9 +78,7 @@ class Guess:
         """Standard error of the log density, from how replicates made from it scatter."""
         logs = np.log([one.division.density for one in made])
         expected = (OTHER_PARAMETERS * self.found.error) ** 2
-        degrees = len(made) - 1
-        moderated = (PRIOR_DEGREES * expected + degrees * logs.var(ddof=1)) / (PRIOR_DEGREES + degrees)
-        return math.sqrt(moderated * (1.0 + 1.0 / len(made)))
+        return math.sqrt(moderated(logs.var(ddof=1), expected, len(made)) * (1.0 + 1.0 / len(made)))
 
     def widened(self, made: Sequence[Replicate]) -> np.ndarray:
         """(d,) by how many times coordinates err more than the likelihood says, at least once.
@@ -88,14 +86,13 @@ class Guess:
         From how replicates made from it scatter, each coordinate's variance moderated by that of all (as errors of the
         density are), and the error of their median.  What the events hold little of is not corrected, nor widened.
         """
-        said = np.diag(np.linalg.pinv(self.fit.information))
-        known = well_known(self.fit)
+        said, known = variance_said(self.fit), well_known(self.fit)
         degrees = len(made) - 1
         ratio = np.var([one.x for one in made], axis=0, ddof=1)[known] / said[known]
         usual = np.median(ratio) / (chi2.median(degrees) / degrees) if known.any() else 1.0
-        moderated = (PRIOR_DEGREES * max(usual, 1.0) + degrees * ratio) / (PRIOR_DEGREES + degrees)
+        variance = np.maximum(moderated(ratio, max(usual, 1.0), len(made)), 1.0)
         factor = np.ones(len(said))
-        factor[known] = np.sqrt(np.maximum(moderated, 1.0) * (1.0 + MEDIAN_VARIANCE / len(made)))
+        factor[known] = np.sqrt(variance * (1.0 + MEDIAN_VARIANCE / len(made)))
         return factor
 
     def background_per_density(self) -> np.ndarray:

@@ -37,9 +37,9 @@ def intervals_of(hypothesis: Hypothesis) -> dict[str, tuple[float, float]]:
         plain[SIGMA] = (sigma * (1.0 - Z95 * error), sigma * (1.0 + Z95 * error))
     if hypothesis.corrected is None:
         return plain
-    moved, fit, shifts = {}, hypothesis.fit, hypothesis.corrected.shift
-    widened = np.ones_like(shifts) if hypothesis.corrected.widened is None else hypothesis.corrected.widened
-    for p, at, shift, factor in zip(fit.coordinates.parameters, fit.x, shifts, widened, strict=True):
+    moved, fit, corrected = {}, hypothesis.fit, hypothesis.corrected
+    rows = zip(fit.coordinates.parameters, fit.x, corrected.shift, corrected.widened, strict=True)
+    for p, at, shift, factor in rows:
         edges = (at + factor * (p.to_coordinate(edge) - at) for edge in plain[p.name])
         low, high = (float(p.from_coordinate(float(shift + edge))) for edge in edges)
         moved[p.name] = (max(low, p.lower), min(high, p.upper))
