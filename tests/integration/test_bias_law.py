@@ -1,6 +1,8 @@
 """The subthreshold law of a follower's cutoff: planted e-folds are covered, settings left out are predicted."""
 
 import json
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -30,12 +32,22 @@ def table(seed: int, apart: float = 0.0, sign: float = -1.0) -> RateTable:
     return RateTable(FREQUENCIES, names, rates, 0.1)
 
 
-def test_a_law_without_departures_is_found_with_its_kappa():
-    law = bias_law(fit_pixel(table(1)))
+def write(path: Path, made: RateTable) -> None:
+    lines = ["freq_hz," + ",".join(made.columns)]
+    lines += [",".join(f"{v:.10g}" for v in (f, *row)) for f, row in zip(made.frequency_hz, made.rate_hz, strict=True)]
+    path.write_text("\n".join(lines) + "\n")
+
+
+def test_the_command_finds_a_law_without_departures_and_its_kappa(tmp_path, capsys):
+    write(tmp_path / "t.csv", table(1))
+    assert main(["rates", str(tmp_path / "t.csv"), "--bias-law", "--out", str(tmp_path / "out")]) in (0, 1)
+    assert "κ" in capsys.readouterr().out
+    law = json.loads((tmp_path / "out" / "rates.json").read_text())["bias_law"]
     low, high = law["mv_per_efold"]["interval_95"]
     assert low < EFOLD_MV < high
     assert high / low < 1.15
     thermal_mv = 1e3 * Boltzmann * 300.0 / elementary_charge
+    assert law["kappa"]["identified"]
     assert law["kappa"]["value"] * law["mv_per_efold"]["value"] == pytest.approx(thermal_mv)
     assert law["cutoff"] == "falls with the bias"
     assert law["nats_worse_than_free_cutoffs"] < 8.0
@@ -77,15 +89,7 @@ def test_columns_without_biases_are_refused(names, words):
         biases_of(names)
 
 
-def test_the_command_says_the_law(tmp_path, capsys):
+def test_the_command_refuses_columns_without_biases(tmp_path):
     made = table(2)
-    lines = ["freq_hz," + ",".join(made.columns)]
-    lines += [",".join(f"{v:.10g}" for v in (f, *row)) for f, row in zip(made.frequency_hz, made.rate_hz, strict=True)]
-    (tmp_path / "t.csv").write_text("\n".join(lines) + "\n")
-    assert main(["rates", str(tmp_path / "t.csv"), "--bias-law", "--out", str(tmp_path / "out")]) in (0, 1)
-    assert "κ" in capsys.readouterr().out
-    assert json.loads((tmp_path / "out" / "rates.json").read_text())["bias_law"]["kappa"]["identified"]
-    (tmp_path / "t.csv").write_text(
-        "\n".join(["freq_hz,slow,fast,faster", *(line[: line.rindex(",")] for line in lines[1:])])
-    )
+    write(tmp_path / "t.csv", replace(made, columns=("slow", "fast", "faster"), rate_hz=made.rate_hz[:, :3]))
     assert main(["rates", str(tmp_path / "t.csv"), "--bias-law", "--out", str(tmp_path / "no")]) == 2
