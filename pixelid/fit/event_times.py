@@ -24,7 +24,7 @@ from pixelid.stages.comparator import threshold_shifts
 from pixelid.stages.modulation import at_reset, since_event
 
 # Circuit numbers that leave the trajectories and changes alone and act in the density only.
-DENSITY_ONLY = (*(name for name in NUMBERS if name not in ("silent", "refractory")), "tick")
+DENSITY_ONLY = (*(name for name in NUMBERS if name not in ("silent", "polarity_memory", "refractory")), "tick")
 # Difference in fitting coordinates.  Of the changes one-sided: they bend by about themselves per unit, so the error is
 # 1e-6 relative, and their own error 1e-14 adds 1e-8.  Of the circuit's numbers central: elementary functions of the
 # coordinates, whose rounding leaves 1e-10.
@@ -165,7 +165,7 @@ class EventTimesObjective(Objective):
         return Tangent(difference, numbers)
 
     def _numbers_along(self, x: np.ndarray, i: int, circuit: Circuit, there: Circuit | None = None) -> np.ndarray:
-        """(9,) how the circuit's `NUMBERS` move along coordinate i at x;  there: the circuit a step up, where known."""
+        """(10,) how the circuit's `NUMBERS` move along coordinate i at x;  there: the circuit a step up, if known."""
         step = STEP * self.coordinates.longest_moves()[i]
         up, down = _moved(x, i, step), _moved(x, i, -step)
         there = self.circuit(up) if there is None else there

@@ -1,7 +1,8 @@
 """The search as a fold: each step takes the state and gives the next one, until the last gives the report.
 
-undo_readout → name_effect (again and again, shot noise tried in between) → ask_stamps → ask_again → try_shot_noise →
-name_beside_shot_noise (again and again) → discount_imputation_noise → withdraw → confirm
+undo_readout → name_effect (again and again, shot noise tried in between) → ask_stamps → ask_again →
+bootstrap_remainder → try_shot_noise → name_beside_shot_noise (again and again) → discount_imputation_noise →
+withdraw → confirm
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from pixelid.gap.split import split_pixels
 from pixelid.gap.state import Hypothesis, State
 from pixelid.gap.steps.ask_again import ask_again
 from pixelid.gap.steps.ask_stamps import ask_stamps
+from pixelid.gap.steps.bootstrap_remainder import bootstrap_remainder
 from pixelid.gap.steps.confirm import confirm
 from pixelid.gap.steps.discount_imputation_noise import discount_imputation_noise
 from pixelid.gap.steps.explain_by_shot_noise import try_before_next_effect, try_shot_noise
@@ -70,10 +72,15 @@ def name_next(state: State, context: Context) -> State:
     return ask_again(state, context) if state.phase is Phase.SHOT_NOISE else state
 
 
+def explain_by_simulation(state: State, context: Context) -> State:
+    """What the library's likelihoods leave: a right model's, or shot noise."""
+    return try_shot_noise(bootstrap_remainder(state, context), context)
+
+
 STEPS: Mapping[Phase, Step[State]] = {
     Phase.UNDO_READOUT: undo_readout,
     Phase.NAME: name_next,
-    Phase.SHOT_NOISE: try_shot_noise,
+    Phase.SHOT_NOISE: explain_by_simulation,
     Phase.BESIDE_SHOT_NOISE: name_beside_shot_noise,
     Phase.DISCOUNT: discount_imputation_noise,
     Phase.WITHDRAW: withdraw,

@@ -54,12 +54,12 @@ from pixelid.likelihood.losses import BACKGROUND_HZ, NO_PULL, Losses, losses_of,
 from pixelid.stages.circuit import Circuit
 from pixelid.stages.comparator import drifts_to_zero
 
-NUMBERS = (*Numbers._fields, "lost", "refractory")  # the last: after events that were lost
+NUMBERS = (*Numbers._fields, "lost", "polarity_memory", "refractory")  # the last two: after events that were lost
 
 
 @dataclass(frozen=True)
 class Gradient:
-    """Derivatives of the log-likelihood: `by_changes`, and (9,) by the circuit's `NUMBERS`."""
+    """Derivatives of the log-likelihood: `by_changes`, and (10,) by the circuit's `NUMBERS`."""
 
     by_changes: StackedChanges
     by_numbers: np.ndarray
@@ -186,7 +186,7 @@ class Terms:
             by_changes.events, by_changes.ends, by_numbers[: len(Numbers._fields)],
         )  # fmt: skip
         if self.losses is not None:
-            by_numbers[-2:] = self.losses.slope, self.losses.by_dead_time
+            by_numbers[-3:] = self.losses.slope, self.losses.by_memory, self.losses.by_dead_time
         return Gradient(by_changes, by_numbers)
 
 
@@ -218,7 +218,7 @@ def density(layout: Layout, circuit: Circuit, changes: StackedChanges, clock_sha
         at_release[which] = ~background[which]
     losses = None
     if lost > 0.0:
-        losses = losses_of(layout, lost, float(circuit.refractory), numbers, event, background, group, end)
+        losses = losses_of(layout, circuit, numbers, event, background, group, end)
         event.term[:] += losses.gain
     return Terms(layout, numbers, clock_share, changes, event, background, group, end, losses, at_release)
 

@@ -22,7 +22,7 @@ from pixelid.likelihood.layout import StackedChanges
 
 @dataclass(frozen=True)
 class Tangent:
-    """Derivatives along one coordinate: of all changes (None: they do not move) and of the `NUMBERS` (9,)."""
+    """Derivatives along one coordinate: of all changes (None: they do not move) and of the `NUMBERS` (10,)."""
 
     changes: StackedChanges | None
     numbers: np.ndarray
@@ -53,7 +53,7 @@ class Information:
     def add(self, i: int, tangent: Tangent) -> None:
         """Fill column i."""
         t, group, c = self.terms, self.terms.group, self.terms.numbers
-        d_on, d_off, d_noise, d_mismatch, d_drift, d_jitter, d_silent, d_lost, _ = tangent.numbers
+        d_on, d_off, d_noise, d_mismatch, d_drift, d_jitter, d_silent, d_lost, _, _ = tangent.numbers
         if t.losses is not None:
             self.lost[i] = d_lost * np.sqrt(t.losses.information)
         d_level, d_rate = np.empty(len(self.kept)), np.empty(len(self.kept))

@@ -87,6 +87,7 @@ class Layout:
 
     pixel_keys: (pixels,) sensor and flat index of each pixel, sorted
     sign, time_s, tick_s, pixel, recording: (n,) polarity ±1, time and timestamp width of the event, whose it is
+    previous_sign: (n,) polarity of the pixel's event before, ±1
     group: (n,) 2 · pixel + ON, the groups that share a threshold
     last_pixel, last_time_s, last_recording: (m,) of the unfinished intervals; the time is the recording's end
     event_ends, end_ends: where the columns of one section end and those of the next begin
@@ -98,6 +99,7 @@ class Layout:
     recordings: int
     pixel_keys: np.ndarray
     sign: np.ndarray
+    previous_sign: np.ndarray
     time_s: np.ndarray
     tick_s: np.ndarray
     pixel: np.ndarray
@@ -187,6 +189,7 @@ def layout_of(recordings: Sequence[Recording], intervals: Sequence[Sequences], s
     arrays = {
         "pixel_keys": pixel_keys,
         "sign": sign,
+        "previous_sign": np.concatenate([iv.previous_sign for iv in intervals]),
         "time_s": np.concatenate([iv.time_s for iv in intervals]),
         "tick_s": np.repeat([iv.tick_s for iv in intervals], counts),
         "pixel": pixel,

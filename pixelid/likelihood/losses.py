@@ -9,6 +9,9 @@ density
 
 with rate r, dead time T (in which the rate may have been another), and s the scatter of a threshold drawn.  How likely
 each j is follows from how often neighbours among the recorded events are of opposite polarity, as in a Markov chain.
+Where thresholds remember the polarity before, by a share m, every event has shifted that of the next, and z is free of
+what the last recorded one did only: m (a C_p + b C_p') is added to the mean, a and b from the orders that the chain
+makes.
 Up to `MOST_IN_A_ROW` are told apart from background; where j = i the event looks like any other, except that the other
 polarity's threshold was reached.
 
@@ -27,6 +30,7 @@ from scipy.special import ndtr
 
 from pixelid.likelihood.density_release import spread_of_draws
 from pixelid.likelihood.layout import NOTHING, Layout
+from pixelid.stages.circuit import Circuit
 
 BACKGROUND_HZ = 1e-3  # of events that no circuit explains, per polarity of a pixel
 # Lost events that are told apart from one background event: of 0.3 lost, one in 15 000 has more before it.
@@ -67,7 +71,8 @@ class Losses:
     gain: (n,) to the log-likelihood of each event
     after: (n,) chance that an event came after a lost one
     slope, information: first derivative of the log-likelihood by the fraction, and what its second expects
-    by_dead_time: derivative of the gains by the dead time after lost events, 1/s;  pull: by everything else
+    by_memory, by_dead_time: derivatives of the gains by the share m and by the dead time after lost events, 1/s
+    pull: by everything else
     """
 
     fraction: float
@@ -75,29 +80,37 @@ class Losses:
     after: np.ndarray
     slope: float
     information: float
+    by_memory: float
     by_dead_time: float
     pull: Pull
 
 
-def losses_of(layout: Layout, fraction: float, dead_s: float, numbers, event, background, group, end) -> Losses:
+def losses_of(layout: Layout, circuit: Circuit, numbers, event, background, group, end) -> Losses:
     """The losses of a layout's events.
 
     Args:
         layout: Of n events in g groups.
-        fraction: Of the events that are lost, f.
-        dead_s: After each of them.
+        circuit: Which loses a share of them, with the dead time after each and what thresholds remember.
         numbers, event, background, group, end: What `density_forward.forward` took and filled.
     """
+    fraction, dead_s, memory = float(circuit.lost), float(circuit.refractory), float(circuit.polarity_memory)
     k = np.flatnonzero(background & (event.level != 0.0))  # a level of 0: the circuit cannot have fired
+    before = layout.sign[k] * layout.previous_sign[k]
     own, rate, sd = layout.group[k], event.rate[k], spread_of_draws(group, numbers.noise)
     times = np.arange(1, MOST_IN_A_ROW + 1)
     shares = np.where(times < MOST_IN_A_ROW, 1.0 - fraction, 1.0) * fraction ** (times - 1)
     levels = _Levels(
-        event.level[k], rate * dead_s, group.mean[own], group.mean[own ^ 1], sd[own] ** 2, sd[own ^ 1] ** 2
+        event.level[k],
+        rate * dead_s,
+        group.mean[own],
+        group.mean[own ^ 1],
+        sd[own] ** 2,
+        sd[own ^ 1] ** 2,
+        np.full(len(k), memory),
     )
     many, slopes = np.empty((len(times), len(k))), _Levels(*np.zeros((len(_Levels._fields), len(k))))
     for lost, share in zip(times, shares, strict=True):
-        many[lost - 1] = _after_lost(int(lost), layout.turns, share, levels, slopes)
+        many[lost - 1] = _after_lost(_orders(int(lost), layout.turns), share, levels, before, slopes)
     chance, by_missed = _survivals(layout, fraction, event, group, sd)
     mixed = many.sum(axis=0)
     ratio = fraction * rate * mixed / (BACKGROUND_HZ * chance[k])
@@ -121,7 +134,7 @@ def losses_of(layout: Layout, fraction: float, dead_s: float, numbers, event, ba
     by_sd = 2.0 * sd * by_group(by.spread, by.other_spread)
     pull = Pull(by_level, by_rate, by_group(by.mean, by.other_mean), by_sd, 1.0 - after)
     information = lost / fraction**2 + ended / (1.0 - fraction) ** 2
-    return Losses(fraction, gain, after, slope, information, float(by.waited @ rate), pull)
+    return Losses(fraction, gain, after, slope, information, float(by.remembered.sum()), float(by.waited @ rate), pull)
 
 
 def _survivals(layout: Layout, fraction: float, event, group, sd) -> tuple[np.ndarray, np.ndarray]:
@@ -134,8 +147,8 @@ def _survivals(layout: Layout, fraction: float, event, group, sd) -> tuple[np.nd
 
 
 class _Levels(NamedTuple):
-    """(k,) levels of events, what light adds in a dead time, and mean and variance of both polarities' thresholds; or
-    derivatives by them.
+    """(k,) levels of events, what light adds in a dead time, mean and variance of both polarities' thresholds, and the
+    share of them that an event adds to the next; or derivatives by them.
     """
 
     level: np.ndarray
@@ -144,37 +157,64 @@ class _Levels(NamedTuple):
     other_mean: np.ndarray
     spread: np.ndarray
     other_spread: np.ndarray
+    remembered: np.ndarray
 
 
-def _after_lost(lost: int, turns: float, share: float, at: _Levels, slopes: _Levels) -> np.ndarray:
-    """(k,) `share` of the density of levels of events that this many lost ones came before; adds its derivatives."""
-    total = np.zeros_like(at.level)
-    for alike, chance in enumerate(_alike(lost, turns)):
+class _Orders(NamedTuple):
+    """(lost + 1,) each, by how many of the lost events were of the polarity of the one at hand: 0, 1, …
+
+    chance: of that many;  first_other: that the first one lost was of the other polarity
+    own, other: mean sum of the signs (relative to the event at hand) of those that events of this and of the other
+        polarity followed, the last recorded one not counted
+    """
+
+    chance: np.ndarray
+    first_other: np.ndarray
+    own: np.ndarray
+    other: np.ndarray
+
+
+def _after_lost(orders: _Orders, share: float, at: _Levels, before: np.ndarray, slopes: _Levels) -> np.ndarray:
+    """(k,) `share` of the density of levels of events that lost ones came before; adds its derivatives.
+
+    before: (k,) sign of the last recorded event, relative to that of the event at hand
+    """
+    total, lost = np.zeros_like(at.level), len(orders.chance) - 1
+    for alike, (chance, first_other, own, other) in enumerate(zip(*orders, strict=True)):
         others = lost - alike  # as many of either: the level is the usual one, but the other threshold was reached
         onwards = alike - others  # light goes on in the dead time after an event as it had come to it
-        away = at.level - (alike + 1) * at.mean + others * at.other_mean - onwards * at.waited
+        own, other = own - before * first_other, other + before * first_other
+        of_own, of_other = alike + 1 + at.remembered * own, at.remembered * other - others
+        away = at.level - of_own * at.mean - of_other * at.other_mean - onwards * at.waited
         more = (lost * at.waited) ** 2  # the rate was another one then
         variance = (alike + 1) * at.spread + others * at.other_spread + more
         density = share * chance * np.exp(-0.5 * away**2 / variance) / np.sqrt(2.0 * np.pi * variance)
         total += density
         by_away, by_variance = -away / variance * density, 0.5 * (away**2 / variance - 1.0) / variance * density
         slopes.level[:] += by_away
-        slopes.mean[:] -= (alike + 1) * by_away
-        slopes.other_mean[:] += others * by_away
+        slopes.mean[:] -= of_own * by_away
+        slopes.other_mean[:] -= of_other * by_away
+        slopes.remembered[:] -= (own * at.mean + other * at.other_mean) * by_away
         slopes.waited[:] += -onwards * by_away + 2.0 * lost**2 * at.waited * by_variance
         slopes.spread[:] += (alike + 1) * by_variance
         slopes.other_spread[:] += others * by_variance
     return total
 
 
-def _alike(lost: int, turns: float) -> np.ndarray:
-    """(lost + 1,) chance that so many of the lost events are of the polarity of the one at hand.
+def _orders(lost: int, turns: float) -> _Orders:
+    """What so many lost events may have been, from the event at hand backwards.
 
     turns: chance that neighbours are of opposite polarity
     """
-    now, against = np.zeros(lost + 1), np.zeros(lost + 1)  # the one looked at last: of that polarity, or of the other
-    now[0] = 1.0
+    alike, against = np.zeros(
+        (2, 3, lost + 1)
+    )  # where the one looked at last is so: chance, and it times own and other
+    alike[0, 0] = 1.0
+    own, other = np.array([0.0, 1.0, 0.0])[:, None], np.array([0.0, 0.0, 1.0])[:, None]
     for _ in range(lost):
-        same, other = (1.0 - turns) * now + turns * against, turns * now + (1.0 - turns) * against
-        now, against = np.append(0.0, same[:-1]), other
-    return now + against
+        after_alike = (1.0 - turns) * (alike + own * alike[0]) + turns * (against + other * against[0])
+        after_other = turns * (alike - own * alike[0]) + (1.0 - turns) * (against - other * against[0])
+        alike, against = np.concatenate([np.zeros((3, 1)), after_alike[:, :-1]], axis=1), after_other
+    chance, sum_own, sum_other = alike + against
+    possible = np.maximum(chance, TINY)
+    return _Orders(chance, against[0] / possible, sum_own / possible, sum_other / possible)

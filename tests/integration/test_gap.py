@@ -146,6 +146,22 @@ def test_speeds_that_are_all_the_same_cut_nothing_in_a_true_model(monkeypatch):
     assert p() < 1e-10
 
 
+@pytest.mark.slow
+def test_what_sessions_simulated_from_the_model_leave_too_is_nothing(monkeypatch):
+    """Of maps that err by themselves (see above) a bootstrap says that a true model leaves as much, and only then."""
+    slewed = MODEL.set({"threshold_sigma": 0.02}).with_effect(
+        "slew_limit", {"rise_per_s": 1100.0, "fall_per_s": 1100.0}
+    )
+    remembering = slewed.with_effect("polarity_memory", {"strength": 0.05})
+    monkeypatch.setattr(covariates, "SPEED_BLUR", 0.0)
+    for true, verdict in ((slewed, "none"), (remembering, "unknown")):
+        recordings = session(true, side=6, seed=3, lights={"chirp_400": chirp(400.0, stop_hz=400.0)})
+        report = gap(recordings, slewed, leave_out=["polarity_memory"], recommend=False)
+        (looked_at,) = (entry["bootstrap"] for entry in report.rounds if "bootstrap" in entry)
+        assert report.verdict == verdict
+        assert (looked_at["p_of_what_is_left"] >= 0.005) == (verdict == "none")
+
+
 def test_maps_do_not_depend_on_the_rounding_of_what_parameters_move():
     likelihood = likelihood_of(session(MODEL, side=4, seed=3))
     coordinates = Coordinates.of(MODEL)

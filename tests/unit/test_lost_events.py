@@ -13,7 +13,7 @@ from pixelid.fit.maximise import maximise
 from pixelid.gap.detect.residuals import residuals
 from pixelid.gap.gap import gap
 from pixelid.likelihood.event_times import EventTimes
-from pixelid.likelihood.losses import _alike
+from pixelid.likelihood.losses import _orders
 from pixelid.model.shipped import find_model
 from pixelid.simulate import simulate, simulate_stream
 from pixelid.stimuli.resample import resampled
@@ -25,11 +25,11 @@ LOSSY = MODEL.with_effect("lost_events", {"fraction": FRACTION})
 LIGHTS = (chirp(60.0, stop_hz=40.0, duration_s=0.6), steps(60.0, seed=1, duration_s=0.6))
 
 
-def thinned(side, seed=0, fraction=FRACTION):
+def thinned(side, seed=0, fraction=FRACTION, model=MODEL):
     """Recordings without the effect, of whose events a share was taken away by hand."""
     rng, made = np.random.default_rng(seed), []
     for i, light in enumerate(LIGHTS):
-        r = simulate(MODEL, resampled(light, "smooth"), width=side, height=side, seed=i, sensor_seed=3)
+        r = simulate(model, resampled(light, "smooth"), width=side, height=side, seed=i, sensor_seed=3)
         kept = rng.random(len(r.events)) > fraction
         made.append(replace(r, events=r.events.select(kept), stimulus=light, condition=f"part_{i}", attributes={}))
     return made
@@ -51,9 +51,11 @@ def test_the_simulator_drops_its_share_and_nothing_else():
     np.testing.assert_array_equal(streamed, less.t)
 
 
-def test_derivatives_are_differences_of_values(likelihood):
+@pytest.mark.parametrize("memory", [0.0, -0.06])
+def test_derivatives_are_differences_of_values(likelihood, memory):
     """Of the events that came after lost ones too: what moves a level or a threshold moves their share."""
     model = LOSSY.set({"on_threshold": 0.19, "alpha": 0.97 * LOSSY.values["alpha"], "lost_events.fraction": 0.2})
+    model = model.with_effect("polarity_memory", {"strength": memory}) if memory else model
     objective = EventTimesObjective(likelihood, Coordinates.of(model))
     x, step = objective.coordinates.start, 3e-6
     for slope, along in zip(objective.gradient(x), np.eye(len(x)), strict=True):
@@ -89,7 +91,41 @@ def test_the_chance_of_polarities_is_that_of_a_chain():
     for flips in product((0, 1), repeat=lost):
         alike = sum(np.cumsum(flips) % 2 == 0)
         chance[alike] += turns ** sum(flips) * (1.0 - turns) ** (lost - sum(flips))
-    np.testing.assert_allclose(_alike(lost, turns), chance, rtol=1e-12)
+    np.testing.assert_allclose(_orders(lost, turns).chance, chance, rtol=1e-12)
+
+
+def test_orders_of_lost_events_are_those_of_a_chain():
+    """What thresholds remember, one event after the other, along every chain."""
+    turns, lost, memory, thresholds = 0.3, 4, 0.08, {1: 0.2, -1: 0.27}
+    for before in (1, -1):
+        chance, needed = np.zeros((2, lost + 1))
+        for signs in product((1, -1), repeat=lost):
+            chain = [before, *signs, 1]
+            links = np.array(chain[1:]) * np.array(chain[:-1])
+            held = [s * thresholds[s] * (1.0 + memory * link) for s, link in zip(chain[1:], links, strict=True)]
+            p = float(np.prod(np.where(links[1:] > 0, 1.0 - turns, turns)))
+            chance[signs.count(1)] += p
+            needed[signs.count(1)] += p * (sum(held) - memory * before * thresholds[1])
+        orders, alike = _orders(lost, turns), np.arange(lost + 1)
+        own = alike + 1 + memory * (orders.own - before * orders.first_other)
+        other = memory * (orders.other + before * orders.first_other) - (lost - alike)
+        np.testing.assert_allclose(orders.chance, chance, rtol=1e-12)
+        np.testing.assert_allclose(own * thresholds[1] + other * thresholds[-1], needed / chance, rtol=1e-12)
+
+
+def test_what_lost_events_left_in_thresholds_is_counted():
+    """Without it the strength came out 4 % smaller than from all events, at 150 nats less."""
+    model = MODEL.with_effect("polarity_memory", {"strength": 0.09})
+    whole, less = (
+        EventTimes([r.with_stimulus(resampled(r.stimulus, "smooth")) for r in thinned(5, fraction=f, model=model)])
+        for f in (0.0, 0.1)
+    )
+    of_all = maximise(whole, model, tolerance=0.1, max_steps=20)
+    found = maximise(less, model.with_effect("lost_events", {"fraction": 0.05}), tolerance=0.1, max_steps=20)
+    assert abs(found.values["lost_events.fraction"] - 0.1) < 4.0 * np.sqrt(0.09 / less.events)
+    name = "polarity_memory.strength"
+    assert found.values[name] == pytest.approx(of_all.values[name], rel=0.015)
+    assert found.unexplained < 1e-3 * less.events
 
 
 def test_residuals_are_standard_normal_where_events_of_the_other_polarity_were_lost():

@@ -18,11 +18,9 @@ from pixelid.fit.again import simulate_again
 from pixelid.fit.cache import FitCache
 from pixelid.fit.maximise import Maximum, maximise
 from pixelid.gap.criteria import Criteria
-from pixelid.gap.detect.covariates import sort_events
-from pixelid.gap.detect.diagnostics import Diagnostics
-from pixelid.gap.detect.maps import Cell, Scores, chance_of_largest, map_residuals
+from pixelid.gap.detect.diagnostics import Diagnostics, diagnose
+from pixelid.gap.detect.maps import Cell, Scores, chance_of_largest
 from pixelid.gap.detect.pixels import PixelEvidence
-from pixelid.gap.detect.residuals import residuals, tangents
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.likelihood.shot_noise import Division, share_out
 from pixelid.model.model import Model
@@ -105,13 +103,10 @@ def make_replicate(
         start = replace(start, nuisances=truth.nuisances)
         again = maximise(likelihood, start, tolerance=0.05, max_steps=40, cache=cache)
         refit = again if again.value > refit.value else refit
-    circuit = refit.model.circuit()
-    here = residuals(likelihood, circuit)
-    tangent = tangents(likelihood, refit.coordinates, refit.x, here)
-    factors = sort_events(likelihood, circuit, here, like=seen.factors)
-    maps = map_residuals(likelihood, here, tangent, factors, criteria, seed)
-    division = share_out(likelihood, circuit, seed) or NOTHING_TOLD
-    return Replicate(refit.x, maps.scores, background_by_polarity(likelihood, here.background), division)
+    left = diagnose(likelihood, refit, criteria, seed, background_fraction=None, like=seen.factors)
+    division = share_out(likelihood, refit.model.circuit(), seed) or NOTHING_TOLD
+    background = background_by_polarity(likelihood, left.residual.background)
+    return Replicate(refit.x, left.maps.scores, background, division)
 
 
 def background_by_polarity(likelihood: EventTimes, background: np.ndarray) -> np.ndarray:
@@ -119,10 +114,23 @@ def background_by_polarity(likelihood: EventTimes, background: np.ndarray) -> np
     return np.bincount((likelihood.sign > 0).astype(np.int64), background, 2)
 
 
-def subtract_replicates(seen: Diagnostics, shown: Sequence[Scores]) -> tuple[tuple[Cell, ...], float]:
-    """(the cells by |score| with what replicates show taken out, p of the largest)."""
-    cells = sorted(_subtracted(seen.maps.cells, shown), key=lambda c: -abs(c.score))
-    return tuple(cells), chance_of_largest(cells)
+def subtract_replicates(
+    seen: Diagnostics, shown: Sequence[Scores], clear: float = 0.0
+) -> tuple[tuple[Cell, ...], float]:
+    """(the cells by |score| with what replicates show taken out, p of the largest).
+
+    clear: standard errors from zero that the mean of the replicates must be in a cell to be taken out of it
+    """
+    cells = seen.maps.cells
+    if clear > 0.0:
+        off = [abs(sum(s.get((c.response, c.label), 0.0) for s in shown)) / np.sqrt(len(shown)) for c in cells]
+        kept = [(c, far < clear) for c, far in zip(cells, off, strict=True)]
+        apart = _subtracted(tuple(c for c, stays in kept if not stays), shown)
+        left = [*apart, *(c for c, stays in kept if stays)]
+    else:
+        left = _subtracted(cells, shown)
+    left.sort(key=lambda c: -abs(c.score))
+    return tuple(left), chance_of_largest(left)
 
 
 def _subtracted(cells: tuple[Cell, ...], scores: Sequence[Scores]) -> list[Cell]:
