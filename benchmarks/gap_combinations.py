@@ -90,7 +90,8 @@ def run(seed: int) -> dict:
     model, base = planted(effects, camera(seed))
     recordings, begun = session(model, seed), time.process_time()
     report = gap(recordings, base, alpha=ALPHA, seed=seed, recommend=False)
-    names = {effect for effect, _ in effects}
+    names, found = {effect for effect, _ in effects}, {effect.name for effect in report.effects}
+    shows = report.details["shows_at_typical_strength_nats"]
     return {
         "seed": seed,
         "planted": effects,
@@ -102,6 +103,10 @@ def run(seed: int) -> dict:
             name: [model.values[name], value, limits]
             for effect in report.effects if effect.name in names
             for name, (value, limits) in effect.parameters.items() if name in model.values
+        },
+        "missed_shows_nats": {
+            effect: shows[effect] * (factor or 1.0) ** 2
+            for effect, factor in effects if effect in shows and effect not in found
         },
         "cpu_seconds": time.process_time() - begun,
     }  # fmt: skip
