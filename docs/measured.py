@@ -123,7 +123,7 @@ def combinations() -> str:
     by_number = summary["by_number_of_effects"]
     counts = [(number, *(by_number[number].get(kind, "") for kind in kinds)) for number in by_number]
     missed = [
-        (run["seed"], _planted(run["planted"]), run["verdict"], ", ".join(run["named"]))
+        (run["seed"], _planted(run["planted"]), run["verdict"], ", ".join(run["named"]), _shown(run))
         for run in runs if run["outcome"] != wanted
     ]  # fmt: skip
     again = [str(run["seed"]) for run in runs if run.get("before")]
@@ -134,10 +134,15 @@ def combinations() -> str:
             + "{} of {} strengths lie in their intervals.\n".format(*summary["intervals_hold"]),
             table(("effects planted", *kinds), counts),
             "The sessions that miss something, strengths in units of the typical one:\n",
-            table(("seed", "planted", "verdict", "named or listed"), missed),
+            table(("seed", "planted", "verdict", "named or listed", "what was missed shows by"), missed),
             f"Searched again since they were first looked at: {', '.join(again)}.\n" if again else "",
         ]
     )  # fmt: skip
+
+
+def _shown(run: dict) -> str:
+    shows = run.get("missed_shows_nats") or {}
+    return ", ".join(f"{name} {nats:.2g} nats" for name, nats in shows.items()) or "–"
 
 
 def _planted(effects: list) -> str:
