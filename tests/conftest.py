@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-# Processes that run tests side by side share the cores: with as many threads each as there are cores, `make test` takes
-# two fifths longer. Set before torch and BLAS are imported; what a test or a user sets holds.
+# Processes that run tests side by side share the cores: with as many threads each as there are cores, those that
+# train take two fifths longer. Set before torch and BLAS are imported; what a test or a user sets holds.
 if processes := int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "0")):
     share = str(max(1, (os.cpu_count() or 1) // processes))
     for name in ("OMP_NUM_THREADS", "PIXELID_THREADS"):

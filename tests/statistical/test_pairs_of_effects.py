@@ -9,11 +9,13 @@ from itertools import combinations
 
 import numpy as np
 import pytest
-from gap_certification import STRENGTHS, WEAKER, camera, session
+from gap_certification import STRENGTHS, camera, session
+from gap_combinations import planted
 
 from pixelid.fit.maximise import maximise
 from pixelid.gap.criteria import Criteria
 from pixelid.gap.detect.diagnostics import diagnose
+from pixelid.gap.shot_noise.replicates import variance_said
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.recordings.own_light import with_fine_light
 
@@ -21,14 +23,6 @@ NOT_EXACT = {"timestamp_quantisation", "timestamp_jitter", "readout_latency", "s
 FACTOR = 2.0
 WELL_KNOWN = 0.3  # standard error of a logarithm: beyond, it is no normal one
 OF_FEW_PIXELS = ("on_threshold", "off_threshold", "threshold_mismatch")  # nine draw them
-
-
-def planted(effects, seed):
-    model = camera(seed)
-    for effect in effects:
-        scale = 1.0 / FACTOR if effect in WEAKER else FACTOR
-        model = model.with_effect(effect, {name: value * scale for name, value in STRENGTHS[effect].items()})
-    return model
 
 
 # docs/limits/gap.md: what is off beside a dead time without reset
@@ -40,12 +34,12 @@ def test_pairs_of_effects_are_found_within_their_errors_and_leave_nothing():
     scores, chances = [], []
     pairs = [p for p in combinations((e for e in STRENGTHS if e not in NOT_EXACT), 2) if p not in KNOWN_TO_ERR]
     for seed, pair in enumerate(pairs, 7000):
-        model = planted(pair, seed)
+        model, _ = planted([(effect, FACTOR) for effect in pair], camera(seed))
         made = EventTimes([with_fine_light(r, "smooth") for r in session(model, seed)])
         end = maximise(made.weighed(model.circuit()), model, tolerance=0.05, max_steps=25)
         likelihood = made.weighed(end.model.circuit())
         chances.append(diagnose(likelihood, end, Criteria(), seed, background_fraction=None).maps.p)
-        error = np.sqrt(np.maximum(np.diag(np.linalg.pinv(end.information)), 0.0))
+        error = np.sqrt(variance_said(end))
         away = (end.x - end.coordinates.of(model).start) / np.where(error > 0, error, np.inf)
         known = [
             not name.startswith(OF_FEW_PIXELS) and 0.0 < sd < WELL_KNOWN

@@ -121,15 +121,13 @@ def subtract_replicates(
 
     clear: standard errors from zero that the mean of the replicates must be in a cell to be taken out of it
     """
-    cells = seen.maps.cells
-    if clear > 0.0:
-        off = [abs(sum(s.get((c.response, c.label), 0.0) for s in shown)) / np.sqrt(len(shown)) for c in cells]
-        kept = [(c, far < clear) for c, far in zip(cells, off, strict=True)]
-        apart = _subtracted(tuple(c for c, stays in kept if not stays), shown)
-        left = [*apart, *(c for c, stays in kept if stays)]
-    else:
-        left = _subtracted(cells, shown)
-    left.sort(key=lambda c: -abs(c.score))
+
+    def off(cell: Cell) -> float:
+        return abs(sum(s.get((cell.response, cell.label), 0.0) for s in shown)) / np.sqrt(len(shown))
+
+    apart = tuple(c for c in seen.maps.cells if off(c) >= clear)
+    others = [c for c in seen.maps.cells if off(c) < clear]
+    left = sorted([*_subtracted(apart, shown), *others], key=lambda c: -abs(c.score))
     return tuple(left), chance_of_largest(left)
 
 

@@ -24,7 +24,7 @@ from pixelid.likelihood.event_times import EventTimes
 REPLICATES = 4
 SEED_OFFSET = 9001  # of the simulated sessions: none of other replicates' (31 apart) or twins' (101 apart)
 # Standard errors from zero that a cell's mean score over the replicates must be: of a thousand cells one in sixteen is
-# so by chance, and taking it out costs the measurement no more than a score of 2.
+# so by chance, and taking it out costs the measurement little more than a score of 2.
 CLEAR = 4.0
 
 
