@@ -1,4 +1,4 @@
-"""Many independent tasks, one after the other or on a Dask cluster, with the same results.
+"""Many independent tasks, in this process or on a Dask cluster, with the same results.
 
 A task carries its own data, so workers need no shared disk.  Results may be kept on disk as they arrive: an interrupted
 run continues where it stopped.  Dask gives the tasks of a worker that dies to another one.
@@ -17,6 +17,7 @@ from concurrent.futures import CancelledError, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from threading import Lock
 from typing import Any, TypeVar
 
 import numpy as np
@@ -24,6 +25,7 @@ import numpy as np
 from pixelid.arrays import load_arrays
 from pixelid.errors import InputError, UntrustworthyResult, first_line, shown
 from pixelid.outputs import set_aside, whole_file
+from pixelid.parallel import map_threads
 
 Result = Mapping[str, np.ndarray]
 Item = TypeVar("Item")
@@ -79,7 +81,7 @@ class Where:
 
 @dataclass(frozen=True)
 class Work:
-    """Who does the independent parts of a computation: this process, or the workers of a Dask client.
+    """Who does the independent parts of a computation: the threads of this process, or the workers of a Dask client.
 
     Attributes:
         client: Of `connected`; None: this process.
@@ -101,9 +103,9 @@ class Work:
         """Apply a function to every item.
 
         Args:
-            function: What to do with one item; with a client it and the items are sent to other processes.
+            function: What to do with one item, in any thread; with a client it and the items go to other processes.
             items: The items.
-            begun: Called with each item when its turn comes.
+            begun: Called with each item when its turn comes, of several at a time by one of them.
 
         Returns:
             The results in the order of the items.
@@ -112,11 +114,15 @@ class Work:
             UntrustworthyResult: The workers were lost.
         """
         items = list(items)
+        one_at_a_time = Lock()
 
         def task(i: int) -> tuple[Item]:
-            begun(items[i])
+            with one_at_a_time:
+                begun(items[i])
             return (items[i],)
 
+        if self.client is None:
+            return map_threads(lambda i: function(*task(i)), range(len(items)))
         return run_tasks(function, len(items), task, client=self.client)  # type: ignore[arg-type, return-value]
 
 

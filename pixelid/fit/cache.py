@@ -14,6 +14,7 @@ import os
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from threading import Lock
 from typing import Generic, TypeVar
 from weakref import WeakKeyDictionary
 
@@ -47,6 +48,7 @@ class FitCache:
         self.path = path
         self._entries: dict[str, dict] = dict(entries or {})
         self._events: WeakKeyDictionary[EventTimes, bytes] = WeakKeyDictionary()  # of likelihoods, which do not change
+        self._one_at_a_time = Lock()
         if path is not None and path.exists():
             self._read(path)
         self._known = set(self._entries)
@@ -67,6 +69,10 @@ class FitCache:
 
     def add(self, key: str, entry: dict) -> None:
         """Keep an entry, and write it out."""
+        with self._one_at_a_time:
+            self._add(key, entry)
+
+    def _add(self, key: str, entry: dict) -> None:
         self._entries[key] = entry
         if self.path is None:
             return

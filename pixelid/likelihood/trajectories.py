@@ -47,9 +47,10 @@ class Trajectories:
         linear = slew.without_slew_limit(circuit)
         dynamics = dynamics_of(linear) if slew.slews(circuit) else _apart(dynamics_of(linear))
         key = (dynamics, circuit.linearisation, *limit, *reaching)
-        if self._latest is not None and self._latest[0] == key:
-            return self._latest[1]
-        light = self._light[1] if self._light is not None and self._light[0] == reaching else None
+        latest, known = self._latest, self._light  # taken once: another thread may put its own there
+        if latest is not None and latest[0] == key:
+            return latest[1]
+        light = known[1] if known is not None and known[0] == reaching else None
         if light is None:
             light = stacked_drive(self._lights, circuit, self._end_s)
             self._light = reaching, light

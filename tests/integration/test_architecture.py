@@ -15,7 +15,7 @@ MAY_IMPORT = {
     "errors": set(),
     "documents": {"errors"},
     "arrays": {"documents", "errors"},
-    "cluster": {"arrays", "errors", "outputs"},
+    "cluster": {"arrays", "errors", "outputs", "parallel"},
     "figures": set(),
     "interruption": set(),
     "outputs": {"documents", "errors"},

@@ -112,3 +112,21 @@ def test_fits_made_elsewhere_are_the_same_and_are_kept(tmp_path, likelihood):
     assert len(kept.entries) == len(starts)
     assert kept.added == {}
     assert all(kept.get(kept.key(likelihood, start, 0.5, 2)) is not None for start in starts)
+
+
+def test_fits_made_by_threads_side_by_side_are_those_made_alone(tmp_path, likelihood, monkeypatch):
+    """They share a likelihood, which remembers the latest trajectories, and a file."""
+    starts = [MODEL.set({"sf_cutoff_hz": cutoff}) for cutoff in (1500.0, 2000.0, 2500.0, 3000.0, 3500.0, 4000.0)]
+
+    def fit(start, cache):
+        return maximise(likelihood, start, tolerance=0.5, max_steps=3, cache=cache)
+
+    alone = [fit(start, None) for start in starts]
+    monkeypatch.setenv("PIXELID_THREADS", "3")
+    begun = []
+    beside = map_fits(Work(), fit, starts, FitCache(tmp_path / "fits"), begun.append)
+    assert {start.values["sf_cutoff_hz"] for start in begun} == {start.values["sf_cutoff_hz"] for start in starts}
+    for one, other in zip(alone, beside, strict=True):
+        assert one.value == other.value
+        np.testing.assert_array_equal(one.x, other.x)
+    assert len(FitCache(tmp_path / "fits").entries) == len(starts)

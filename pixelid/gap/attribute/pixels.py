@@ -196,6 +196,8 @@ def candidates_of(
         work: Who fits.
         delay_found: Whether a free delay of the stamps is near where it belongs.
     """
-    screened = maximise(evidence.screening, model, tolerance=0.1, max_steps=25, cache=cache)
     base = maximise(evidence.fitting, model, tolerance=0.05, max_steps=25, cache=cache)
+    screened = base
+    if evidence.screening is not evidence.fitting:
+        screened = maximise(evidence.screening, model, tolerance=0.1, max_steps=25, cache=cache)
     return PixelCandidates(evidence, screened, base, restart, cache, work, delay_found)
