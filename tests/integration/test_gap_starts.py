@@ -45,8 +45,8 @@ from pixelid.gap.steps.name_effect import (
     name_effect,
     name_what_settles,
     restart,
+    without_idle,
     without_misplaced,
-    without_negligible,
 )
 from pixelid.gap.steps.undo_readout import undo_readout
 from pixelid.inspection.timestamps import TimestampSignature
@@ -318,19 +318,31 @@ def test_an_effect_that_noise_has_covered_for_is_looked_for_from_the_shipped_noi
     assert restart(complete, CONTEXT) is None
 
 
-@pytest.mark.parametrize(("fraction", "stays"), [(1e-5, False), (0.02, True)])
-def test_an_effect_that_times_drawn_anew_leave_nothing_is_withdrawn(complete, fraction, stays):
-    hypothesis = complete.hypothesis
-    model = hypothesis.fit.model.with_effect("lost_events", {"fraction": fraction})
-    fit = maximise(hypothesis.evidence.training, model, tolerance=1.0, max_steps=0)
-    winner = Candidate("lost_events", fit, 600.0, 0.0, hypothesis.fit.x)
+@pytest.mark.parametrize(
+    ("effect", "value", "stays"),
+    [
+        ("lost_events", {"fraction": 1e-5}, False),
+        ("lost_events", {"fraction": 0.02}, True),
+        # a strength that a camera may have, but hardly likelier than none: times drawn with 112 us of jitter and a
+        # drift in the model left it 4 of the 10 nats for which it had been named
+        ("threshold_drift", {"per_s": 1e-3}, False),
+        ("threshold_drift", {"per_s": 0.05}, True),
+    ],
+)
+def test_an_effect_that_times_drawn_anew_leave_nothing_is_withdrawn(complete, effect, value, stays):
+    """The recordings hold what stays, and nothing of the rest."""
+    state = begun(MODEL.with_effect(effect, value)) if stays else complete
+    hypothesis = state.hypothesis
+    model = hypothesis.fit.model.with_effect(effect, value)
+    fit = maximise(hypothesis.evidence.training, model, tolerance=0.01, max_steps=40)
+    winner = Candidate(effect, fit, 600.0, 0.0, hypothesis.fit.x)
     step = NamedStep(winner, Attribution((), {}, None, (), {}), "", True, hypothesis)
     state = replace(
-        complete, hypothesis=replace(hypothesis, fit=fit, start=hypothesis.start.with_effect("lost_events")),
-        steps=(step,), rounds=(entry(1, 0.0, named="lost_events"),),
+        state, hypothesis=replace(hypothesis, fit=fit, start=hypothesis.start.with_effect(effect)),
+        steps=(step,), rounds=(entry(1, 0.0, named=effect),),
     )  # fmt: skip
-    left = without_negligible(state, CONTEXT)
-    assert left.hypothesis.fit.model.has("lost_events") == left.hypothesis.start.has("lost_events") == stays
+    left = without_idle(state, CONTEXT)
+    assert left.hypothesis.fit.model.has(effect) == left.hypothesis.start.has(effect) == stays
     assert len(left.steps) == int(stays)
     assert left.rounds[0].get("withdrawn") == (None if stays else NOTHING_LEFT_FOR_IT)
 

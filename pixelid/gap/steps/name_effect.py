@@ -20,7 +20,7 @@ from pixelid.gap.attribute.candidates import (
 )
 from pixelid.gap.attribute.coarse_jitter import coarse_jitter
 from pixelid.gap.attribute.pixels import candidates_of, slewing_both_ways
-from pixelid.gap.attribute.significance import leads, negligible
+from pixelid.gap.attribute.significance import leads
 from pixelid.gap.detect.diagnostics import diagnose
 from pixelid.gap.detect.pixels import DEAD_TIME, NOISE, PixelEvidence, is_noisy, reconsider_stimuli, relative_noise
 from pixelid.gap.detect.words import where
@@ -356,19 +356,19 @@ def at_times_anew(state: State, model: Model, start: Model, context: Context) ->
     assert state.imputation is not None
     setting = Setting(state.split, state.model, start, state.hypothesis.evidence.between)
     imputation, hypothesis = at_imputed_times(state.imputation, model, setting, context)
-    state = without_negligible(replace(state, imputation=imputation, hypothesis=hypothesis), context)
+    state = without_idle(replace(state, imputation=imputation, hypothesis=hypothesis), context)
     return without_misplaced(state, context)
 
 
-def without_negligible(state: State, context: Context) -> State:
-    """The state without effects that the times drawn anew leave far weaker than they are in any camera.
+def without_idle(state: State, context: Context) -> State:
+    """The state without effects that explain next to nothing at times drawn anew, though drawn with them in the model.
 
-    They were told by times that had been drawn from a model which lacked something.
+    They were told by times that had been drawn from a model which lacked something, or by chance.
     """
     for effect in [step.effect for step in state.steps]:
         hypothesis, criteria = state.hypothesis, context.options.criteria
         model = hypothesis.fit.model
-        if not (model.has(effect) and negligible(effect, model, criteria)):
+        if not model.has(effect):
             continue
         without = remove_effect(model, effect, state.model)
         if not holds_together(without):
