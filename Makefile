@@ -5,7 +5,8 @@ PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.pixelid-installed
-PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
+# Modules are byte-compiled when they are imported first: most of what comes with torch never is.
+PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile -c constraints.txt
 # Where pip finds a CPU build of torch, when the default index has only the CUDA one (Linux without an NVIDIA GPU):
 # `make TORCH_INDEX=https://download.pytorch.org/whl/cpu`.
 TORCH_INDEX ?=

@@ -6,8 +6,11 @@ exactly (`modulation.py` says how).  A cell is an effect like any other, by the 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from functools import cache
+
+import numpy as np
 
 from pixelid.errors import InputError, did_you_mean
 from pixelid.parameters.parameter import Parameter
@@ -20,6 +23,8 @@ STAGE_OF = {
     "light": "photocurrent",
     "response": "photocurrent",
     "rate": "photoreceptor",
+    "low_pass": "source_follower",
+    "high_pass": "source_follower",
     "leak": "differencing",
     **dict.fromkeys(THRESHOLDS, "comparator"),
     "dead_time": "comparator",
@@ -28,13 +33,15 @@ _THRESHOLD = {
     "previous_polarity": ("constant",),
     "time_in_recording": ("linear", "relaxation", "step"),
     "radiance": ("power", "relaxation", "step"),
-    "speed": ("power", "step"),
+    "speed": ("power", "relaxation", "step"),
     SINCE_EVENT: ("relaxation",),
 }
 CELLS: dict[str, dict[str, tuple[str, ...]]] = {
     "light": {"radiance": ("power", "relaxation"), "time_in_recording": ("linear", "relaxation", "step")},
     "response": {"radiance": ("power", "relaxation")},
     "rate": {"radiance": ("power", "relaxation"), "time_in_recording": ("linear", "relaxation", "step")},
+    "low_pass": {"none": ("constant",)},
+    "high_pass": {"none": ("constant",)},
     "leak": {"none": ("constant",), "radiance": ("linear",)},
     **dict.fromkeys(THRESHOLDS, _THRESHOLD),
     "dead_time": {
@@ -42,7 +49,7 @@ CELLS: dict[str, dict[str, tuple[str, ...]]] = {
         "previous_polarity": ("constant",),
         "time_in_recording": ("linear", "step"),
         "radiance": ("power", "step"),
-        "speed": ("power", "step"),
+        "speed": ("power", "relaxation", "step"),
     },
 }
 UNIT_OF = {"none": "", "previous_polarity": "", "time_in_recording": "s", "radiance": "radiance", "speed": "1/s",
@@ -55,6 +62,8 @@ IN_WORDS = {
     "light": "The light that reaches the pixel",
     "response": "What the pixel takes for the logarithm of the light",
     "rate": "The photoreceptor's bandwidth",
+    "low_pass": "The lag of the signal",
+    "high_pass": "The fading of slow changes",
     "leak": "The drift of the differencing amplifier",
     "on_threshold": "The threshold of ON events",
     "off_threshold": "The threshold of OFF events",
@@ -95,6 +104,14 @@ class Described(Effect):
     def apply(self, circuit: Circuit, values: Mapping[str, float]) -> Circuit:
         own = {p.name.removeprefix(self.name + "."): values[p.name] for p in self.parameters}
         strength = own["strength"]
+        if self.quantity == "low_pass":
+            if math.isfinite(np.real(circuit.extra_pole)):
+                raise InputError(f"{self.name}: the model has extra_pole, which is the same")
+            return circuit.with_(extra_pole=1.0 / strength if strength != 0.0 else math.inf)
+        if self.quantity == "high_pass":
+            if circuit.lower_cutoff != 0.0:
+                raise InputError(f"{self.name}: the model has lower_cutoff, which is the same")
+            return circuit.with_(lower_cutoff=2.0 * math.pi * strength)
         if self.quantity == "leak" and self.covariate == "none":
             return circuit.with_(leak_hz=circuit.leak_hz + strength)
         if self.quantity == "leak":
@@ -111,6 +128,10 @@ def _parameters(name: str, quantity: str, covariate: str, form: str):
     if quantity == "dead_time":
         own = "1" if form == "linear" else "s"
         yield Parameter(f"{name}.strength", 0.0, own, -1.0, 1.0, "linear")
+    elif quantity == "low_pass":
+        yield Parameter(f"{name}.strength", 0.0, "s", 0.0, 10.0, "linear")
+    elif quantity == "high_pass":
+        yield Parameter(f"{name}.strength", 0.0, "Hz", 0.0, 1e4, "linear")
     elif quantity == "leak":
         yield Parameter(f"{name}.strength", 0.0, "Hz/radiance" if form == "linear" else "Hz", 0.0, 1e4, "linear")
     else:
@@ -142,6 +163,10 @@ def equation(quantity: str, covariate: str, form: str, values: Mapping[str, floa
     }[form]
     if quantity == "leak":
         return f"change += C_on ∫ {g} dt"
+    if quantity == "low_pass":
+        return f"d ye/dt = (ysf − ye) / {g}"
+    if quantity == "high_pass":
+        return f"dz/dt = 2π {g} (ysf − z), output ysf − z"
     if quantity == "dead_time":
         return f"dead time → dead time + {g}"
     if quantity == "response":

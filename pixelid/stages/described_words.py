@@ -30,6 +30,10 @@ def in_words(own: Described, values: Mapping[str, float]) -> str:
     if own.quantity == "leak":
         rate = f"{s:.3g} Hz" + (" per unit of radiance" if own.covariate == "radiance" else "")
         return f"the change drifts upwards: ON events in constant light at {rate}"
+    if own.quantity == "low_pass":
+        return f"the signal lags behind, as through one more low-pass of {1e6 * s:.3g} µs"
+    if own.quantity == "high_pass":
+        return f"slow changes fade, as through a high-pass of {s:.3g} Hz"
     subject = SUBJECT[own.quantity]
     if own.covariate == "none":
         return f"{subject} {_amount(own, s)} than the model's"
@@ -68,12 +72,15 @@ def _where(own: Described, values: Mapping[str, float]) -> str:
             "relaxation": lambda: f"when a recording begins, fading within {_seconds(values['scale'])} (to 1/e)",
             "step": lambda: f"from {_seconds(values['edge'])} of a recording on",
         }[own.form]()
-    name, unit = ("radiance", "") if own.covariate == "radiance" else ("speed |d ln L/dt|", " per second")
+    of_radiance = own.covariate == "radiance"
+    name, unit, least = (
+        ("radiance", "", "in the dark") if of_radiance else ("speed |d ln L/dt|", " per second", "in constant light")
+    )
     return {
         "power": lambda: (
             f"at a {name} of {values['reference']:.3g}{unit}{before}, as its power {values['exponent']:.3g} elsewhere"
         ),
-        "relaxation": lambda: f"in the dark, fading with {name}{before}, to 1/e at {values['scale']:.3g}{unit}",
+        "relaxation": lambda: f"{least}, fading with {name}{before}, to 1/e at {values['scale']:.3g}{unit}",
         "step": lambda: f"where {name}{before} exceeds {values['edge']:.3g}{unit}",
     }[own.form]()
 

@@ -17,6 +17,7 @@ from pixelid.gap.state import Hypothesis
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.model.shipped import find_model
 from pixelid.simulate import simulate
+from pixelid.stages.described import described
 from pixelid.stimuli import shapes
 
 CELL = "described.on_threshold.previous_polarity.constant"
@@ -60,11 +61,12 @@ def test_a_description_is_judged_by_the_share_of_unexplained_events_that_its_mod
     base = maximise(likelihood, find_model("dvs128"), tolerance=0.1, max_steps=10)
     asked = []
     monkeypatch.setattr(describing, "diagnose", lambda *_, background_fraction, **__: asked.append(background_fraction))
-    monkeypatch.setattr(describing, "maximise", lambda *_, **__: base)
+    monkeypatch.setattr(describing, "maximise_with_restarts", lambda *_, **__: base)
+    accepted = SimpleNamespace(own=described(CELL), end=SimpleNamespace(model=base.model.with_effect(CELL)))
     for allowed in (5e-3, None):
         seen = SimpleNamespace(allowed=allowed)
         before = Hypothesis((), SimpleNamespace(training=likelihood), base, seen, base.model)
-        describing._with(before, before.evidence, SimpleNamespace(end=base), Context(Options(), None, print))
+        describing._with(before, before.evidence, accepted, Context(Options(), None, print))
     assert asked == [5e-3, None]
 
 
@@ -103,3 +105,59 @@ def test_an_effect_left_out_of_the_library_is_described(tmp_path):
     assert set(written) == {
         "stage", "quantity", "covariate", "form", "equation", "parameters", "heldout_gain_nats", "closed_fraction",
     }  # fmt: skip
+
+
+def a_candidate(worth, name=CELL):
+    """A description that gains so much more than its parameters cost."""
+    return SimpleNamespace(own=described(name), worth=worth, held_out=np.array([worth, worth]), p=1e-9, penalty=4.0,
+                           judged=np.array([worth]), as_dict=dict)  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("worths", "flexible", "left", "found"),
+    [
+        ([30.0], [20.0], [1.0], 1),  # as much as the flexible term, and nothing is left
+        ([30.0, 8.0], [20.0, 5.0], [0.0, 1.0], 2),
+        ([30.0, 3.0], [20.0, 5.0], [0.0, 1.0], 1),  # a second one that gains less than the term is not kept
+        ([15.0, 8.0], [20.0, 9.0], [0.0, 1.0], 2),  # together more than the term at first
+        ([15.0, 4.0], [20.0, 9.0], [0.0, 1.0], 0),
+        ([-1.0], [0.0], [0.0], 0),
+    ],
+)
+def test_descriptions_gain_what_a_flexible_term_does_one_by_one_or_both(monkeypatch, worths, flexible, left, found):
+    turns = iter(range(2))
+    monkeypatch.setattr(
+        describing, "_candidates",
+        lambda *_: describing._Looked([a_candidate(worths[(turn := next(turns))])], {}, np.zeros(1) + turn, 2.0),
+    )  # fmt: skip
+    terms = iter(flexible)
+    monkeypatch.setattr(
+        describing, "flexible_alternative", lambda *_: SimpleNamespace(held_out=np.array([next(terms)]))
+    )
+    after = iter(left)
+
+    class At(SimpleNamespace):
+        pass
+
+    def at(p):
+        evidence = SimpleNamespace(weighed=lambda circuit: None)
+        fit = SimpleNamespace(model=SimpleNamespace(circuit=lambda: None))
+        return At(evidence=evidence, fit=fit, seen=SimpleNamespace(p=p))
+
+    monkeypatch.setattr(describing, "_with", lambda *_: at(next(after)))
+    ended = describing.describe(at(0.0), Context(Options()))
+    assert len(ended.found) == found
+    assert [told["described"] for told in ended.tried].count(CELL) == found
+    assert ended.price == 4.0 * found
+    assert ended.judged == pytest.approx(worths[found - 1] if found else 0.0)
+
+
+@pytest.mark.parametrize(("gain", "held_out", "better"), [(5.0, 3.0, True), (5.0, 1e4, False), (1e4, 3.0, False)])
+def test_a_description_stands_against_an_effect_by_what_it_gains(gain, held_out, better):
+    truth = find_model("dvs128").with_effect(CELL, {"strength": 0.1})
+    light = shapes.chirp(60.0, duration_s=0.4)
+    fitting, judging = (EventTimes([simulate(truth, light, width=3, height=3, seed=s)]) for s in (5, 6))
+    evidence = SimpleNamespace(fitting=fitting, judging=judging)
+    base = maximise(fitting, find_model("dvs128"), tolerance=1e-3, max_steps=40)
+    rival = SimpleNamespace(gain=gain, heldout_gain=held_out)
+    assert describing.describes_better(evidence, base, rival, None, Context(Options())) is better

@@ -1,6 +1,7 @@
 """Described effects: simulator and likelihood against events written out one by one, files, and words."""
 
 import json
+from dataclasses import asdict
 
 import numpy as np
 import pytest
@@ -71,6 +72,8 @@ def strength_of(own):
         return {"power": 2e-4, "constant": 8e-4}.get(own.form, 4e-3)
     if own.quantity == "leak":
         return 0.02 if own.form == "linear" else 1.0
+    if own.quantity in TWINS:
+        return TWINS[own.quantity][2]
     return 0.2 if own.form == "linear" else -0.15
 
 
@@ -107,7 +110,27 @@ def written_out(own, strength, scale):
     return events(T, LOGS, threshold(ON, "on_threshold", 1.0), threshold(OFF, "off_threshold", -1.0), dead, **more)
 
 
-EXACT = [own for own in all_cells() if own.quantity != "rate"]
+# quantity → (the effect with the same equation, its values, strength)
+TWINS = {
+    "low_pass": ("extra_pole", {"extra_pole.cutoff_hz": 1500.0}, 1.0 / (2.0 * np.pi * 1500.0)),
+    "high_pass": ("lower_cutoff", {"lower_cutoff.cutoff_hz": 0.5}, 0.5),
+}
+EXACT = [own for own in all_cells() if own.quantity != "rate" and own.quantity not in TWINS]
+
+
+@pytest.mark.parametrize("quantity", TWINS)
+def test_a_filter_described_is_the_effect_of_that_equation(quantity):
+    effect, values, strength = TWINS[quantity]
+    own = cell(quantity, "none", "constant")
+    model = find_model("dvs128")
+    described = model.with_effect(own.name, {"strength": strength})
+    twin = model.with_effect(effect, values)
+    found, expected = (asdict(one.circuit()) for one in (described, twin))
+    assert found.pop("extra_pole") == pytest.approx(expected.pop("extra_pole"), rel=1e-12)
+    assert found == expected
+    assert model.with_effect(own.name, {"strength": 0.0}).circuit() == model.circuit()
+    with pytest.raises(InputError, match="which is the same"):
+        twin.with_effect(own.name, {"strength": strength}).circuit()
 
 
 @pytest.mark.parametrize("own", EXACT, ids=lambda own: own.name)

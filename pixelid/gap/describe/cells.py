@@ -18,7 +18,12 @@ SPEED_EXPONENTS = (0.5, 1.0)
 QUANTILES = (0.1, 0.5, 0.9)  # of a covariate at the events, as scales
 EDGES = (0.25, 0.5, 0.75)  # likewise
 NUDGE_S = 1e-5  # over which the slope of the light is taken
-SAME = {"leak.none": "leak", "leak.radiance": "parasitic_photocurrent"}  # what a model has already under its own name
+SAME = {  # what a model has already under its own name
+    "leak.none": "leak",
+    "leak.radiance": "parasitic_photocurrent",
+    "low_pass.none": "extra_pole",
+    "high_pass.none": "lower_cutoff",
+}
 
 
 def beginnings(likelihood: EventTimes, model: Model) -> Iterator[tuple[Described, Model]]:
@@ -32,7 +37,7 @@ def beginnings(likelihood: EventTimes, model: Model) -> Iterator[tuple[Described
             continue
         if own.covariate == SINCE_EVENT and any(f".{SINCE_EVENT}." in name for name in model.effects):
             continue
-        if own.quantity == "leak" and own.covariate == "none":
+        if own.quantity in ("leak", "low_pass", "high_pass") and own.covariate == "none":
             yield own, _at(model, own, {})
             continue
         for shape in _shapes(own, values.get(own.covariate)):

@@ -10,22 +10,25 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 from scipy.stats import chi2
 
 from pixelid.fit.cache import FitCache, map_fits
-from pixelid.fit.maximise import Maximum, maximise
+from pixelid.fit.maximise import Maximum, maximise, maximise_with_restarts
 from pixelid.gap.attribute.alternative import flexible_alternative
 from pixelid.gap.attribute.significance import leads
 from pixelid.gap.describe.cells import beginnings
 from pixelid.gap.describe.screen import Screened, screened
 from pixelid.gap.detect.diagnostics import diagnose
 from pixelid.gap.detect.pixels import PixelEvidence, per_pixel
-from pixelid.gap.options import Context
+from pixelid.gap.options import Context, Options
 from pixelid.gap.state import Hypothesis
 from pixelid.likelihood.event_times import EventTimes
+from pixelid.model.model import Model
 from pixelid.stages.described import Described
 
 # Work that is saved: each leader costs a fit.
@@ -33,6 +36,9 @@ MAX_LEADERS = 6
 MAX_OF_A_COVARIATE = 2  # forms of one quantity by one covariate among them
 MAX_DESCRIPTIONS = 2  # a camera that needs more needs a model
 FIT_STEPS, WITHOUT_STEPS = 30, 15
+# Of a rival's gain, that a score must promise for descriptions to be fitted: behind true jitters of 0.3 to 4 times the
+# typical one scores promised 0.05 to 0.17 of what the jitter gained.
+WORTH_A_FIT = 0.5
 
 
 @dataclass(frozen=True)
@@ -45,6 +51,7 @@ class Candidate:
         gain: Nats there.
         p: Chance of that gain, adjusted for all shapes tried.
         held_out: (select pixels,) nats gained.
+        judged: (select pixels,) log-likelihood.
         penalty: Nats for its parameters.
     """
 
@@ -53,6 +60,7 @@ class Candidate:
     gain: float
     p: float
     held_out: np.ndarray
+    judged: np.ndarray
     penalty: float
 
     @property
@@ -81,52 +89,138 @@ class Descriptions:
         found: Descriptions accepted, in order.
         hypothesis: The model with them, and what it leaves.
         tried: What each round tried, for the details of the result.
+        judged: (select pixels,) log-likelihood of the model, fitted to the fit pixels.
+        penalty: Nats for each parameter.
     """
 
     found: tuple[Candidate, ...]
     hypothesis: Hypothesis
     tried: tuple[dict, ...]
+    judged: np.ndarray
+    penalty: float
+
+    @property
+    def price(self) -> float:
+        """Nats for the parameters of the descriptions."""
+        return sum(one.penalty for one in self.found)
 
 
-def describe(hypothesis: Hypothesis, context: Context) -> Descriptions:
-    """The descriptions of what a hypothesis leaves, none, one or two."""
-    found, tried = [], []
+def describe(
+    hypothesis: Hypothesis, context: Context, elsewhere: Callable[[Hypothesis], Model | None] = lambda _: None
+) -> Descriptions:
+    """The descriptions of what a hypothesis leaves, none, one or two.
+
+    What one description does not explain as much of as the flexible term, two may: such a first one is kept if a second
+    one beside it brings both together to more than the term.
+
+    Args:
+        hypothesis: Whose model something is left of.
+        context: Of the search.
+        elsewhere: Where descriptions are fitted from as well as from a hypothesis; None where that is to be trusted.
+    """
+    options = context.options
+    ended, at = None, hypothesis
+    found: list[Candidate] = []
+    tried: list[dict] = []
+    wanted = worth = 0.0
     for turn in range(MAX_DESCRIPTIONS):
         context.report(f"description {turn + 1}", 0.7 + 0.02 * turn)
-        evidence = hypothesis.evidence.weighed(hypothesis.fit.model.circuit())
-        candidates, promising = _candidates(evidence, hypothesis.fit, context)
-        term = flexible_alternative(evidence, hypothesis.fit, hypothesis.seen)
+        evidence = at.evidence.weighed(at.fit.model.circuit())
+        looked_at = _candidates(evidence, at.fit, elsewhere(at), context)
+        if ended is None:
+            ended = Descriptions((), hypothesis, (), looked_at.judged, looked_at.penalty)
+        term = flexible_alternative(evidence, at.fit, at.seen)
         flexible = 0.0 if term is None else float(term.held_out.sum())
-        best = max(candidates, key=lambda c: c.worth, default=None)
-        accepted = best if best is not None and _earns_its_place(best, flexible, context) else None
+        best = max(looked_at.candidates, key=lambda c: c.worth, default=None)
+        wanted = wanted or flexible
+        worth += 0.0 if best is None else best.worth
         tried.append({
-            "flexible_heldout_gain_nats": flexible, "candidates": [c.as_dict() for c in candidates],
-            "screened": promising, "described": None if accepted is None else accepted.own.name,
+            "flexible_heldout_gain_nats": flexible, "candidates": [c.as_dict() for c in looked_at.candidates],
+            "screened": looked_at.promising, "described": None,
         })  # fmt: skip
-        if accepted is None:
+        enough = worth > wanted * options.criteria.min_description_share
+        if best is None or not _holds(best, options) or not (enough or turn + 1 < MAX_DESCRIPTIONS):
             break
-        found.append(accepted)
-        hypothesis = _with(hypothesis, evidence, accepted, context)
-        tried[-1]["remaining_p"] = hypothesis.seen.p
-        if hypothesis.seen.p >= context.options.alpha_each:
-            break
-    return Descriptions(tuple(found), hypothesis, tuple(tried))
+        found.append(best)
+        at = _with(at, evidence, best, context)
+        if enough:
+            for one, told in zip(found[len(ended.found) :], tried[len(ended.found) :], strict=True):
+                told["described"] = one.own.name
+            tried[-1]["remaining_p"] = at.seen.p
+            ended = replace(ended, found=tuple(found), hypothesis=at, judged=best.judged)
+            wanted = worth = 0.0
+            if at.seen.p >= options.alpha_each:
+                break
+    assert ended is not None
+    return replace(ended, tried=tuple(tried))
 
 
-def _candidates(evidence: PixelEvidence, fit: Maximum, context: Context) -> tuple[list[Candidate], dict[str, float]]:
-    """(descriptions fitted to the fit pixels, best on unseen pixels first;  cell → nats that its score promises)."""
-    cache = context.cache
-    base = maximise(evidence.fitting, fit.model, tolerance=0.05, max_steps=25, cache=cache)
-    looked_at = screened(evidence.fitting, base, beginnings(evidence.fitting, base.model))
-    penalty = 0.5 * math.log(max(evidence.judging.events, 2))
+def describes_better(
+    evidence: PixelEvidence, fit: Maximum, rival: Rival, elsewhere: Model | None, context: Context
+) -> bool:
+    """Whether a description explains more than an effect does, on pixels that no fit saw.
+
+    Args:
+        evidence: Of a hypothesis, weighed.
+        fit: Its model.
+        rival: The effect, fitted beside it.
+        elsewhere: Where descriptions are fitted from as well.
+        context: Of the search.
+    """
+    base, looked_at, _ = _promises(evidence, fit, context)
+    if not looked_at or looked_at[0].gain < WORTH_A_FIT * rival.gain:
+        return False
+    candidates = _candidates(evidence, base, elsewhere, context).candidates
+    best = max(candidates, key=lambda c: c.worth, default=None)
+    return best is not None and _holds(best, context.options) and best.worth > rival.heldout_gain
+
+
+class Rival(Protocol):
+    """What an effect gains on the fit pixels, and on those that no fit saw."""
+
+    @property
+    def gain(self) -> float: ...
+
+    @property
+    def heldout_gain(self) -> float: ...
+
+
+@dataclass(frozen=True)
+class _Looked:
+    """Descriptions looked at beside a model.
+
+    Attributes:
+        candidates: Fitted to the fit pixels, best on unseen pixels first.
+        promising: Cell → nats that its score promises.
+        judged, penalty: As of `Descriptions`, of the model without any of them.
+    """
+
+    candidates: list[Candidate]
+    promising: dict[str, float]
+    judged: np.ndarray
+    penalty: float
+
+
+def _candidates(evidence: PixelEvidence, fit: Maximum, elsewhere: Model | None, context: Context) -> _Looked:
+    """Descriptions beside a model, screened, and the leading ones fitted."""
+    base, looked_at, penalty = _promises(evidence, fit, context)
     leaders = _leaders(looked_at, penalty)
     promising: dict[str, float] = {}
     for one in looked_at:
         promising.setdefault(one.own.name, one.gain)
-    fitted = _Fit(base, evidence.fitting, evidence.judging, len(looked_at), penalty)
-    candidates = map_fits(context.work, fitted, leaders, cache)
+    fitted = _Fit(base, elsewhere, evidence.fitting, evidence.judging, len(looked_at), penalty)
+    candidates = map_fits(context.work, fitted, leaders, context.cache)
     candidates.sort(key=lambda c: -c.worth)
-    return candidates, dict(list(promising.items())[: 2 * MAX_LEADERS])
+    promising = dict(list(promising.items())[: 2 * MAX_LEADERS])
+    return _Looked(candidates, promising, per_pixel(evidence.judging, base.model), penalty)
+
+
+def _promises(evidence: PixelEvidence, fit: Maximum, context: Context) -> tuple[Maximum, list[Screened], float]:
+    """(a hypothesis' model on the fit pixels;  every description there, by what its score promises;  nats for each
+    parameter)."""
+    base = maximise(evidence.fitting, fit.model, tolerance=0.05, max_steps=25, cache=context.cache)
+    looked_at = screened(evidence.fitting, base, beginnings(evidence.fitting, base.model))
+    return base, looked_at, 0.5 * math.log(max(evidence.judging.events, 2))
 
 
 def _parameters(own: Described) -> int:
@@ -157,12 +251,14 @@ class _Fit:
 
     Attributes:
         base: The model without any.
+        elsewhere: Where fits start from as well.
         fitting, judging: Likelihoods of the fit pixels and of the select pixels.
         tried: Number of shapes looked at.
         penalty: Nats for each parameter.
     """
 
     base: Maximum
+    elsewhere: Model | None
     fitting: EventTimes
     judging: EventTimes
     tried: int
@@ -170,6 +266,10 @@ class _Fit:
 
     def __call__(self, one: Screened, cache: FitCache | None) -> Candidate:
         end = maximise(self.fitting, one.start, tolerance=0.02, max_steps=FIT_STEPS, cache=cache)
+        if self.elsewhere is not None:
+            start = self.elsewhere.with_effect(one.own.name, _values(one.own, end.model))
+            other = maximise(self.fitting, start, tolerance=0.02, max_steps=FIT_STEPS, cache=cache)
+            end = other if other.value > end.value else end
         less = end.model.without_effect(one.own.name)
         again = maximise(self.fitting, less, tolerance=0.1, max_steps=WITHOUT_STEPS, cache=cache)
         # the model without it may owe its lower place to its other parameters
@@ -177,19 +277,27 @@ class _Fit:
         gain = end.value - worse.value
         parameters = _parameters(one.own)
         p = min(1.0, self.tried * float(chi2.sf(2.0 * max(gain, 0.0), parameters)))
-        held_out = per_pixel(self.judging, end.model) - per_pixel(self.judging, worse.model)
-        return Candidate(one.own, end, gain, p, held_out, self.penalty * parameters)
+        judged = per_pixel(self.judging, end.model)
+        held_out = judged - per_pixel(self.judging, worse.model)
+        return Candidate(one.own, end, gain, p, held_out, judged, self.penalty * parameters)
 
 
-def _earns_its_place(candidate: Candidate, flexible: float, context: Context) -> bool:
-    criteria = context.options.criteria
-    significant = candidate.p < context.options.alpha_each and leads(candidate.held_out, criteria)
-    return significant and candidate.worth > max(flexible * criteria.min_description_share, 0.0)
+def _holds(candidate: Candidate, options: Options) -> bool:
+    """Whether a description's gain is significant, and worth its parameters on the select pixels."""
+    return candidate.p < options.alpha_each and leads(candidate.held_out, options.criteria) and candidate.worth > 0.0
 
 
 def _with(hypothesis: Hypothesis, evidence: PixelEvidence, accepted: Candidate, context: Context) -> Hypothesis:
     """The hypothesis with a description in its model, fitted to the training pixels."""
     options = context.options
-    fit = maximise(evidence.training, accepted.end.model, tolerance=0.01, max_steps=40, cache=context.cache)
+    start = hypothesis.start.with_effect(accepted.own.name, _values(accepted.own, accepted.end.model))
+    fit = maximise_with_restarts(
+        evidence.training, accepted.end.model, start, tolerance=0.01, max_steps=40, cache=context.cache
+    )
     seen = diagnose(evidence.training, fit, options.criteria, options.seed, background_fraction=hypothesis.seen.allowed)
-    return replace(hypothesis, evidence=evidence, fit=fit, seen=seen)
+    return replace(hypothesis, evidence=evidence, fit=fit, seen=seen, start=start)
+
+
+def _values(own: Described, model: Model) -> dict[str, float]:
+    """The values of a description in a model, by the last part of their names."""
+    return {p.name.removeprefix(f"{own.name}."): model.values[p.name] for p in own.parameters}

@@ -57,10 +57,12 @@ def confirm(state: State, context: Context) -> GapReport:
     said = judge(named_any, bool(state.doubts), remainder, confounder)
     findings = _confirmed(state, at, directions, said, context)
     if findings.verdict == "unknown":
-        described = describe_remainder(state, bool(findings.withdrawn), context)
-        findings = replace(findings, run=described.run or findings.run, described=described)
-    if findings.withdrawn:
+        known = bool(state.steps or not findings.withdrawn)  # not where what timestamps showed has been taken back
         state = without(findings.withdrawn, state)
+        described = describe_remainder(state, context) if known else Described()
+        findings = _with_descriptions(findings, state, described)
+        state = described.beside or state
+    if findings.withdrawn or state.hypothesis is not hypothesis:
         hypothesis, remainder = state.hypothesis, True
         at, directions = _directions(state)
     term = flexible_alternative(hypothesis.evidence, hypothesis.fit, hypothesis.seen) if remainder else None
@@ -85,6 +87,18 @@ def _confirmed(state: State, at: Space, directions: Sequence[Direction], said: s
     if run is not None and (state.shot_noise is not None or state.lost) and leaves_much(run, options.criteria):
         return _Findings("unknown", True, effects, run)
     return _Findings(said, remainder, effects, run)
+
+
+def _with_descriptions(findings: _Findings, state: State, described: Described) -> _Findings:
+    """The findings with descriptions, and the strengths of named effects beside them."""
+    grown = described.grown
+    if grown is None:
+        return replace(findings, described=described)
+    effects = findings.effects
+    if not findings.withdrawn:
+        read_off = (_from_signature(f, state) for f in state.new_signatures)
+        effects = (*read_off, *_named(*_directions(grown), grown))
+    return replace(findings, effects=effects, run=described.run or findings.run, described=described)
 
 
 def without(effects: Sequence[str], state: State) -> State:
@@ -170,6 +184,7 @@ def _report(
     recommended_next: dict,
 ) -> GapReport:
     hypothesis, options, effects = state.hypothesis, context.options, findings.effects
+    grown = findings.described.grown or (state if effects else None)
     unit, background = relative_noise(hypothesis.fit.model), hypothesis.seen.residual.background
     place = where(hypothesis.seen.maps, hypothesis.evidence.training, background, unit)
     runners_up = [other for _, other in state.doubts]
@@ -185,9 +200,9 @@ def _report(
         alpha=options.alpha,
         effects=effects,
         free_run=findings.run,
-        rounds=state.rounds,
+        rounds=(grown or state).rounds,
         base=state.base.model,
-        model=findings.described.model or (state.grown_model if effects else state.base.model),
+        model=grown.grown_model if grown else state.base.model,
         described=findings.described.effects,
         term=term,
         recommended_next=recommended_next,
@@ -200,14 +215,14 @@ def _report(
 
 
 def _details(state: State, directions: Sequence[Direction], findings: _Findings) -> dict:
-    split, seen = state.split, findings.described.seen or state.hypothesis.seen
+    split, seen = state.split, (findings.described.grown or state).hypothesis.seen
     tried = {"descriptions_tried": list(findings.described.tried)} if findings.described.tried else {}
     return {
         **tried,
         "stimulus_between_samples": state.hypothesis.evidence.between,
         "pixels": {"fit": len(split.fit), "select": len(split.select), "confirm": len(split.confirm)},
         "held_out": split.apart,
-        "withdrawn": list(findings.withdrawn),
+        "withdrawn": [*findings.withdrawn, *findings.described.withdrawn],
         "recordings_whose_times_are_lost": list(state.lost),
         "remaining_p": seen.p,
         "remaining": [_cell(c) for c in seen.maps.cells[:SHOWN_CELLS]],

@@ -21,6 +21,7 @@ from pixelid.gap.attribute.candidates import (
 from pixelid.gap.attribute.coarse_jitter import coarse_jitter
 from pixelid.gap.attribute.pixels import candidates_of, slewing_both_ways
 from pixelid.gap.attribute.significance import leads
+from pixelid.gap.describe.describe import describes_better
 from pixelid.gap.detect.diagnostics import diagnose
 from pixelid.gap.detect.pixels import DEAD_TIME, NOISE, PixelEvidence, is_noisy, reconsider_stimuli, relative_noise
 from pixelid.gap.detect.words import where
@@ -33,7 +34,7 @@ from pixelid.gap.imputation.impute import (
 )
 from pixelid.gap.options import Context
 from pixelid.gap.phases import Phase
-from pixelid.gap.rounds import amended, attribution_entry, withdrawn
+from pixelid.gap.rounds import Rounds, amended, attribution_entry, withdrawn
 from pixelid.gap.shot_noise.shot_noise import looks_like_shot_noise
 from pixelid.gap.state import Hypothesis, NamedStep, State
 from pixelid.gap.steps.impute_hypothesis import Setting, at_imputed_times
@@ -41,6 +42,7 @@ from pixelid.model.model import Model
 
 NOTHING_LEFT_FOR_IT = "at times drawn with it in the model nothing is left for it"
 ONLY_WHERE_DRAWN = "nothing is lost where the readout was idle and times are known, or no more than drawing leaves"
+DESCRIBED_BETTER = "a description explains more on pixels that no fit has seen"
 UNLIKE_JITTER = "what it would take of the times does not look like one"
 MAX_ROUNDS = 4  # a camera that lacks more effects than this lacks a model
 
@@ -100,6 +102,10 @@ def _named_one_more(state: State, context: Context) -> State:
             return slewing.then(_next(slewing))
     if winner is None:
         return _with_jitter_instead(state, state, attribution, context)
+    if winner.effect == JITTER and not state.imputed:  # for which any scatter passes
+        elsewhere = restart(state, context)
+        if describes_better(evidence, hypothesis.fit, winner, elsewhere, context):
+            return with_refused(state, winner, DESCRIBED_BETTER)
     standing = stands(evidence, hypothesis.fit, hypothesis.seen, winner, context.options, context.cache)
     if standing.hopeless:
         refused = with_refused(state, winner, "a flexible alternative explains more, and leaves it little to explain")
@@ -201,20 +207,50 @@ def _pruned(
     state: State, winner: Candidate[Maximum], evidence: PixelEvidence, fit: Maximum, start: Model, context: Context
 ) -> tuple[State, Maximum, Model]:
     """(state, fit, start) without earlier effects that gain nothing any more."""
-    steps, rounds = list(state.steps), state.rounds
-    for k in reversed(range(len(steps) - 1)):
-        earlier = steps[k].effect
-        if not fit.model.has(earlier):
+    why = f"{winner.effect} explains it"
+    steps, rounds, fit, start = without_unneeded(
+        state.steps, state.rounds, evidence, fit, start, state.model, why, context, newest=1
+    )
+    return replace(state, steps=steps, rounds=rounds), fit, start
+
+
+def without_unneeded(
+    steps: Sequence[NamedStep],
+    rounds: Rounds,
+    evidence: PixelEvidence,
+    fit: Maximum,
+    start: Model,
+    base: Model,
+    why: str,
+    context: Context,
+    newest: int = 0,
+) -> tuple[tuple[NamedStep, ...], Rounds, Maximum, Model]:
+    """(steps, rounds, fit, start) without the effects that gain nothing any more, the latest asked first.
+
+    Args:
+        steps, rounds: Of the search.
+        evidence: Behind the fit.
+        fit: On its training pixels, of a model with the effects.
+        start: As `Hypothesis.start`.
+        base: As shipped.
+        why: What the rounds say of those taken back.
+        context: Of the search.
+        newest: How many of the last steps are not asked.
+    """
+    kept = list(steps)
+    for k in reversed(range(len(kept) - newest)):
+        effect = kept[k].effect
+        if not fit.model.has(effect):
             continue
-        without = remove_effect(fit.model, earlier, state.model)
+        without = remove_effect(fit.model, effect, base)
         if not holds_together(without):
             continue  # a later effect needs this one
         less = maximise(evidence.training, without, tolerance=0.05, max_steps=25, cache=context.cache)
         if fit.value - less.value < context.options.criteria.min_lead_nats:
-            fit, start = less, remove_effect(start, earlier, state.model)
-            rounds = withdrawn(rounds, earlier, f"{winner.effect} explains it")
-            steps = _taken_back(steps, k)
-    return replace(state, steps=tuple(steps), rounds=rounds), fit, start
+            fit, start = less, remove_effect(start, effect, base)
+            rounds = withdrawn(rounds, effect, why)
+            kept = _taken_back(kept, k)
+    return tuple(kept), rounds, fit, start
 
 
 def _taken_back(steps: Sequence[NamedStep], k: int) -> list[NamedStep]:
