@@ -41,4 +41,6 @@ def test_effects_are_not_weighed_against_descriptions_at_other_times():
         steps=[SimpleNamespace(before=before, effect="leak")], hypothesis=SimpleNamespace(recordings=(drawn,))
     )
     assert remainder._without_steps(state) is None
+    state.hypothesis.recordings = ()  # lost their times
+    assert remainder._without_steps(state) is None
     assert remainder._without_steps(SimpleNamespace(steps=())) is None

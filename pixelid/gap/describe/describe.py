@@ -105,6 +105,16 @@ class Descriptions:
         return sum(one.penalty for one in self.found)
 
 
+class Rival(Protocol):
+    """What an effect gains on the fit pixels, and on those that no fit saw."""
+
+    @property
+    def gain(self) -> float: ...
+
+    @property
+    def heldout_gain(self) -> float: ...
+
+
 def describe(
     hypothesis: Hypothesis, context: Context, elsewhere: Callable[[Hypothesis], Model | None] = lambda _: None
 ) -> Descriptions:
@@ -173,16 +183,6 @@ def describes_better(
     candidates = _candidates(evidence, base, elsewhere, context).candidates
     best = max(candidates, key=lambda c: c.worth, default=None)
     return best is not None and _holds(best, context.options) and best.worth > rival.heldout_gain
-
-
-class Rival(Protocol):
-    """What an effect gains on the fit pixels, and on those that no fit saw."""
-
-    @property
-    def gain(self) -> float: ...
-
-    @property
-    def heldout_gain(self) -> float: ...
 
 
 @dataclass(frozen=True)

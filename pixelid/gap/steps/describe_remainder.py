@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from pixelid import stages
@@ -16,6 +17,7 @@ from pixelid.gap.state import State
 from pixelid.gap.steps.name_effect import restart, without_unneeded
 from pixelid.gap.steps.numbers import free_run_of, intervals_of
 from pixelid.model.model import Model
+from pixelid.recordings.recording import Recording
 from pixelid.stages.described import equation
 from pixelid.stages.described_words import in_words
 
@@ -101,13 +103,18 @@ def _without_steps(state: State) -> State | None:
     """The state as it was before its steps; None where there are none, or its events had other times there."""
     if not state.steps:
         return None
-    before, now = state.steps[0].before, state.hypothesis
-    if before.corrected is not None or any(a is not b for a, b in zip(before.recordings, now.recordings, strict=True)):
+    before = state.steps[0].before
+    if before.corrected is not None or not _alike(before.recordings, state.hypothesis.recordings):
         return None
     rounds = state.rounds
     for step in state.steps:
         rounds = withdrawn(rounds, step.effect, WHY)
     return replace(state, hypothesis=before, steps=(), rounds=rounds)
+
+
+def _alike(some: Sequence[Recording], others: Sequence[Recording]) -> bool:
+    """Whether these are the same recordings, with the same times."""
+    return len(some) == len(others) and all(a is b for a, b in zip(some, others, strict=True))
 
 
 def _without_unneeded(state: State, context: Context) -> State:
