@@ -107,6 +107,26 @@ def test_an_effect_left_out_of_the_library_is_described(tmp_path):
     }  # fmt: skip
 
 
+@pytest.mark.slow
+def test_a_description_takes_the_place_of_neighbours_that_were_named():
+    from gap_certification import camera, planted, session
+
+    model, base = planted("bandwidth_floor", 1.0, camera(6750))
+    report = gap(session(model, 6750), base, seed=6750, leave_out=("bandwidth_floor",), recommend=False)
+    assert report.verdict == "unknown"
+    assert [named.name for named in report.effects] == []
+    assert "dark_current" in report.details["withdrawn"]
+    (found,) = report.described
+    entry = found.as_dict()
+    assert (entry["stage"], entry["quantity"], entry["covariate"]) == ("photoreceptor", "rate", "radiance")
+    strength, reference, exponent = (found.parameters[key][0] for key in ("strength", "reference", "exponent"))
+    assert exponent == pytest.approx(-1.0, abs=0.05)
+    assert strength * reference == pytest.approx(model.values["bandwidth_floor.radiance"], rel=0.05)
+    assert report.details["remaining_p"] > 0.005
+    taken_back = [one["withdrawn"] for one in report.rounds if one.get("withdrawn")]
+    assert taken_back == ["a description explains better what it did"] * len(taken_back)
+
+
 def a_candidate(worth, name=CELL):
     """A description that gains so much more than its parameters cost."""
     return SimpleNamespace(own=described(name), worth=worth, held_out=np.array([worth, worth]), p=1e-9, penalty=4.0,
