@@ -5,7 +5,7 @@ PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.pixelid-installed
-# Modules are byte-compiled when they are imported first: most of what comes with torch never is.
+# pip byte-compiles one module after another; `setup` does, in as many processes as there are processors.
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile -c constraints.txt
 # Where pip finds a CPU build of torch, when the default index has only the CUDA one (Linux without an NVIDIA GPU):
 # `make TORCH_INDEX=https://download.pytorch.org/whl/cpu`.
@@ -39,6 +39,7 @@ $(STAMP): pyproject.toml constraints.txt
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	$(PIP) $(if $(TORCH_INDEX),--extra-index-url $(TORCH_INDEX)) $$(grep '^torch==' constraints.txt)
 	$(PIP) -e ".[dev]"
+	-@$(BIN)/python -m compileall -q -j 0 $(VENV)/lib >/dev/null 2>&1
 	-$(BIN)/python -m pixelid.compilation
 	touch $@
 
