@@ -101,8 +101,12 @@ class Described(Effect):
         self.parameters = tuple(_parameters(self.name, quantity, covariate, form))
         self.photoreceptors = ("second_order", "one_pole") if quantity == "rate" else Effect.photoreceptors
 
+    def own(self, values: Mapping[str, float]) -> dict[str, float]:
+        """Its values among those of a model, by the last part of their names."""
+        return {p.name.removeprefix(self.name + "."): values[p.name] for p in self.parameters}
+
     def apply(self, circuit: Circuit, values: Mapping[str, float]) -> Circuit:
-        own = {p.name.removeprefix(self.name + "."): values[p.name] for p in self.parameters}
+        own = self.own(values)
         strength = own["strength"]
         if self.quantity == "low_pass":
             if math.isfinite(np.real(circuit.extra_pole)):

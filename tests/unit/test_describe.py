@@ -146,6 +146,7 @@ def a_candidate(worth, name=CELL):
 )
 def test_descriptions_gain_what_a_flexible_term_does_one_by_one_or_both(monkeypatch, worths, flexible, left, found):
     turns = iter(range(2))
+    monkeypatch.setattr(describing, "_promises", lambda *_: None)
     monkeypatch.setattr(
         describing, "_candidates",
         lambda *_: describing._Looked([a_candidate(worths[(turn := next(turns))])], {}, np.zeros(1) + turn, 2.0),
@@ -156,13 +157,10 @@ def test_descriptions_gain_what_a_flexible_term_does_one_by_one_or_both(monkeypa
     )
     after = iter(left)
 
-    class At(SimpleNamespace):
-        pass
-
     def at(p):
         evidence = SimpleNamespace(weighed=lambda circuit: None)
         fit = SimpleNamespace(model=SimpleNamespace(circuit=lambda: None))
-        return At(evidence=evidence, fit=fit, seen=SimpleNamespace(p=p))
+        return SimpleNamespace(evidence=evidence, fit=fit, seen=SimpleNamespace(p=p))
 
     monkeypatch.setattr(describing, "_with", lambda *_: at(next(after)))
     ended = describing.describe(at(0.0), Context(Options()))

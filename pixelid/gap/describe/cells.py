@@ -37,9 +37,6 @@ def beginnings(likelihood: EventTimes, model: Model) -> Iterator[tuple[Described
             continue
         if own.covariate == SINCE_EVENT and any(f".{SINCE_EVENT}." in name for name in model.effects):
             continue
-        if own.quantity in ("leak", "low_pass", "high_pass") and own.covariate == "none":
-            yield own, _at(model, own, {})
-            continue
         for shape in _shapes(own, values.get(own.covariate)):
             yield own, _at(model, own, shape)
 

@@ -136,7 +136,7 @@ def describe(
     for turn in range(MAX_DESCRIPTIONS):
         context.report(f"description {turn + 1}", 0.7 + 0.02 * turn)
         evidence = at.evidence.weighed(at.fit.model.circuit())
-        looked_at = _candidates(evidence, at.fit, elsewhere(at), context)
+        looked_at = _candidates(evidence, _promises(evidence, at.fit, context), elsewhere(at), context)
         if ended is None:
             ended = Descriptions((), hypothesis, (), looked_at.judged, looked_at.penalty)
         term = flexible_alternative(evidence, at.fit, at.seen)
@@ -177,10 +177,10 @@ def describes_better(
         elsewhere: Where descriptions are fitted from as well.
         context: Of the search.
     """
-    base, looked_at, _ = _promises(evidence, fit, context)
-    if not looked_at or looked_at[0].gain < WORTH_A_FIT * rival.gain:
+    promises = _promises(evidence, fit, context)
+    if max((one.gain for one in promises.screened), default=0.0) < WORTH_A_FIT * rival.gain:
         return False
-    candidates = _candidates(evidence, base, elsewhere, context).candidates
+    candidates = _candidates(evidence, promises, elsewhere, context).candidates
     best = max(candidates, key=lambda c: c.worth, default=None)
     return best is not None and _holds(best, context.options) and best.worth > rival.heldout_gain
 
@@ -201,9 +201,9 @@ class _Looked:
     penalty: float
 
 
-def _candidates(evidence: PixelEvidence, fit: Maximum, elsewhere: Model | None, context: Context) -> _Looked:
-    """Descriptions beside a model, screened, and the leading ones fitted."""
-    base, looked_at, penalty = _promises(evidence, fit, context)
+def _candidates(evidence: PixelEvidence, promises: _Promises, elsewhere: Model | None, context: Context) -> _Looked:
+    """The leading ones of descriptions that were screened, fitted."""
+    base, looked_at, penalty = promises.base, promises.screened, promises.penalty
     leaders = _leaders(looked_at, penalty)
     promising: dict[str, float] = {}
     for one in looked_at:
@@ -215,12 +215,26 @@ def _candidates(evidence: PixelEvidence, fit: Maximum, elsewhere: Model | None, 
     return _Looked(candidates, promising, per_pixel(evidence.judging, base.model), penalty)
 
 
-def _promises(evidence: PixelEvidence, fit: Maximum, context: Context) -> tuple[Maximum, list[Screened], float]:
-    """(a hypothesis' model on the fit pixels;  every description there, by what its score promises;  nats for each
-    parameter)."""
+@dataclass(frozen=True)
+class _Promises:
+    """What descriptions promise beside a model.
+
+    Attributes:
+        base: The model on the fit pixels.
+        screened: Every description there, by what its score promises.
+        penalty: Nats for each parameter.
+    """
+
+    base: Maximum
+    screened: list[Screened]
+    penalty: float
+
+
+def _promises(evidence: PixelEvidence, fit: Maximum, context: Context) -> _Promises:
+    """What descriptions promise beside a fitted model."""
     base = maximise(evidence.fitting, fit.model, tolerance=0.05, max_steps=25, cache=context.cache)
     looked_at = screened(evidence.fitting, base, beginnings(evidence.fitting, base.model))
-    return base, looked_at, 0.5 * math.log(max(evidence.judging.events, 2))
+    return _Promises(base, looked_at, 0.5 * math.log(max(evidence.judging.events, 2)))
 
 
 def _parameters(own: Described) -> int:
@@ -267,7 +281,7 @@ class _Fit:
     def __call__(self, one: Screened, cache: FitCache | None) -> Candidate:
         end = maximise(self.fitting, one.start, tolerance=0.02, max_steps=FIT_STEPS, cache=cache)
         if self.elsewhere is not None:
-            start = self.elsewhere.with_effect(one.own.name, _values(one.own, end.model))
+            start = self.elsewhere.with_effect(one.own.name, one.own.own(end.model.values))
             other = maximise(self.fitting, start, tolerance=0.02, max_steps=FIT_STEPS, cache=cache)
             end = other if other.value > end.value else end
         less = end.model.without_effect(one.own.name)
@@ -290,14 +304,9 @@ def _holds(candidate: Candidate, options: Options) -> bool:
 def _with(hypothesis: Hypothesis, evidence: PixelEvidence, accepted: Candidate, context: Context) -> Hypothesis:
     """The hypothesis with a description in its model, fitted to the training pixels."""
     options = context.options
-    start = hypothesis.start.with_effect(accepted.own.name, _values(accepted.own, accepted.end.model))
+    start = hypothesis.start.with_effect(accepted.own.name, accepted.own.own(accepted.end.model.values))
     fit = maximise_with_restarts(
         evidence.training, accepted.end.model, start, tolerance=0.01, max_steps=40, cache=context.cache
     )
     seen = diagnose(evidence.training, fit, options.criteria, options.seed, background_fraction=hypothesis.seen.allowed)
     return replace(hypothesis, evidence=evidence, fit=fit, seen=seen, start=start)
-
-
-def _values(own: Described, model: Model) -> dict[str, float]:
-    """The values of a description in a model, by the last part of their names."""
-    return {p.name.removeprefix(f"{own.name}."): model.values[p.name] for p in own.parameters}

@@ -25,9 +25,8 @@ from pixelid.stages.described import Described
 
 STEP = 1e-6  # of a strength, times its usual size: rounding 1e-14 of a change, the change of second order 1e-12
 USUAL = {"dead_time": 1e-3}  # seconds; 1 for shares and Hz, and for a low-pass, which a microsecond does not bend
-UNLIMITED = ("leak", "low_pass", "high_pass")
 MIN_SHARE_UNFITTED = 1e-3  # of a score's variance that must be left beside the fitted parameters
-MAX_STRENGTH = 0.5  # of a share, to start a fit from: the score is a straight line
+MAX_STRENGTH = 0.5  # of what may fall as well as rise, to start a fit from: the score is a straight line
 
 
 @dataclass(frozen=True)
@@ -75,7 +74,7 @@ def screened(likelihood: EventTimes, fit: Maximum, beginnings: Iterable[tuple[De
         at, gain = promise
         if strength.lower < at < strength.upper:
             limit = MAX_STRENGTH * USUAL.get(own.quantity, 1.0)
-            begin = float(np.clip(at, -limit, limit)) if own.quantity not in UNLIMITED else at
+            begin = float(np.clip(at, -limit, limit)) if strength.lower < 0.0 else at
             found.append(Screened(own, start.set({strength.name: begin}), gain))
     return sorted(found, key=lambda one: -one.gain)
 

@@ -60,7 +60,7 @@ def confirm(state: State, context: Context) -> GapReport:
         known = bool(state.steps or not findings.withdrawn)  # not where what timestamps showed has been taken back
         state = without(findings.withdrawn, state)
         described = describe_remainder(state, context) if known else Described()
-        findings = _with_descriptions(findings, state, described)
+        findings = _with_descriptions(findings, described)
         state = described.beside or state
     if findings.withdrawn or state.hypothesis is not hypothesis:
         hypothesis, remainder = state.hypothesis, True
@@ -77,8 +77,7 @@ def _confirmed(state: State, at: Space, directions: Sequence[Direction], said: s
     options, report = context.options, context.report
     remainder = state.remainder(options.alpha_each)
     report("intervals", 0.8)
-    read_off = (_from_signature(f, state) for f in state.new_signatures)
-    effects = (*read_off, *_named(at, directions, state), *_shot_noise(state))
+    effects = _effects(at, directions, state)
     report("free run", 0.85)
     run = free_run_of(state, context) if effects else None
     if run is not None and closes_nothing(run, remainder, options.criteria):
@@ -89,16 +88,19 @@ def _confirmed(state: State, at: Space, directions: Sequence[Direction], said: s
     return _Findings(said, remainder, effects, run)
 
 
-def _with_descriptions(findings: _Findings, state: State, described: Described) -> _Findings:
+def _with_descriptions(findings: _Findings, described: Described) -> _Findings:
     """The findings with descriptions, and the strengths of named effects beside them."""
     grown = described.grown
     if grown is None:
         return replace(findings, described=described)
-    effects = findings.effects
-    if not findings.withdrawn:
-        read_off = (_from_signature(f, state) for f in state.new_signatures)
-        effects = (*read_off, *_named(*_directions(grown), grown))
-    return replace(findings, effects=effects, run=described.run or findings.run, described=described)
+    effects = () if findings.withdrawn else _effects(*_directions(grown), grown)
+    return replace(findings, effects=effects, run=described.run, described=described)
+
+
+def _effects(at: Space, directions: Sequence[Direction], state: State) -> tuple[Named, ...]:
+    """Entries of everything found, in the order in which it was."""
+    read_off = (_from_signature(f, state) for f in state.new_signatures)
+    return (*read_off, *_named(at, directions, state), *_shot_noise(state))
 
 
 def without(effects: Sequence[str], state: State) -> State:

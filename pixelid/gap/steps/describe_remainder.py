@@ -132,13 +132,13 @@ def _without_unneeded(state: State, context: Context) -> State:
 
 
 def _told(found: Candidate, model: Model, intervals: dict[str, tuple[float, float]], run: FreeRun) -> DescribedEffect:
-    own, begin = found.own, len(found.own.name) + 1
-    values = {p.name[begin:]: model.values[p.name] for p in own.parameters}
+    own = found.own
+    values = own.own(model.values)
     return DescribedEffect(
         effect=own.name,
         equation=equation(own.quantity, own.covariate, own.form, values),
         words=in_words(own, values),
-        parameters={p.name[begin:]: (model.values[p.name], intervals.get(p.name)) for p in own.parameters},
+        parameters={key: (value, intervals.get(f"{own.name}.{key}")) for key, value in values.items()},
         heldout_gain=found.heldout_gain,
         closed=run.closed,
     )
