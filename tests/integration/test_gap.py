@@ -127,6 +127,40 @@ def test_maps_find_a_shift_where_it_is_and_nothing_where_there_is_none():
     assert top.label.startswith("ON after")
 
 
+@pytest.mark.parametrize(("on", "off"), [(1.3, 0.8), (1.0, 1.0)])
+def test_maps_find_that_one_polarity_scatters_more(on, off):
+    """Noise goes with the threshold, so that another threshold of ON events could pass for more noise of theirs."""
+    likelihood = likelihood_of(session(MODEL, side=4, seed=3))
+    here = residuals(likelihood, MODEL.circuit())
+    coordinates = Coordinates.of(MODEL)
+    tangent = tangents(likelihood, coordinates, coordinates.start, here)
+    cells = sort_events(likelihood, MODEL.circuit(), here)
+    scattered = replace(here, e=here.e * np.where(likelihood.sign > 0, on, off))
+    maps = map_residuals(likelihood, scattered, tangent, cells, Criteria(), 0)
+    if on == off:
+        assert maps.p > 0.01
+        return
+    top = maps.cells[0]
+    assert maps.p < 1e-3
+    assert top.response == "spread"
+    assert (top.score > 0) == top.label.startswith("ON")
+
+
+def test_squares_of_residuals_know_how_much_their_own_threshold_took():
+    """Of two events or so of a pixel and polarity, their common threshold takes half of what they scatter."""
+    model = MODEL.set({"threshold_mismatch.sigma": 0.3})
+    t = np.arange(0.0, 0.02, 2e-4)
+    light = Stimulus(t, 4000.0 * np.exp(0.35 * np.sin(2 * np.pi * 50 * t)))
+    recording = simulate(model, resampled(light, "smooth"), width=30, height=30, seed=5)
+    likelihood = likelihood_of([recording.with_stimulus(light)])
+    here = residuals(likelihood, model.circuit())
+    n = len(here.e)
+    assert n > 1000
+    assert here.taken.mean() > 0.1
+    assert abs((here.e**2 - 1.0 + here.taken).mean()) < 4 * np.sqrt(2 / n)
+    assert abs((here.e**2 - 1.0).mean()) > 4 * np.sqrt(2 / n)
+
+
 def test_speeds_that_are_all_the_same_cut_nothing_in_a_true_model(monkeypatch):
     """At a limit of the slew most fast changes have its speed."""
     slewed = MODEL.set({"threshold_sigma": 0.02}).with_effect(
@@ -169,7 +203,9 @@ def test_maps_do_not_depend_on_the_rounding_of_what_parameters_move():
     tangent = tangents(likelihood, coordinates, coordinates.start, here)
     cells = sort_events(likelihood, MODEL.circuit(), here)
     rng = np.random.default_rng(0)
-    rounded = Tangents(*(J + 1e-8 * rng.standard_t(2, J.shape) * (J != 0) for J in (tangent.level, tangent.log_scale)))
+    rounded = Tangents(
+        *(J + 1e-8 * rng.standard_t(2, J.shape) * (J != 0) for J in (tangent.level, tangent.log_scale, tangent.apart))
+    )
     one, other = (
         {(c.response, c.label): c.score for c in map_residuals(likelihood, here, t, cells, Criteria(), 0).cells}
         for t in (tangent, rounded)

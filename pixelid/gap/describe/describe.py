@@ -21,7 +21,7 @@ from pixelid.fit.cache import FitCache, map_fits
 from pixelid.fit.maximise import Maximum, maximise, maximise_with_restarts
 from pixelid.gap.attribute.alternative import flexible_alternative
 from pixelid.gap.attribute.significance import leads
-from pixelid.gap.describe.cells import beginnings
+from pixelid.gap.describe.cells import beginnings, covariates
 from pixelid.gap.describe.screen import Screened, screened
 from pixelid.gap.detect.diagnostics import diagnose
 from pixelid.gap.detect.pixels import PixelEvidence, per_pixel
@@ -208,7 +208,8 @@ def _candidates(evidence: PixelEvidence, promises: _Promises, elsewhere: Model |
     promising: dict[str, float] = {}
     for one in looked_at:
         promising.setdefault(one.own.name, one.gain)
-    fitted = _Fit(base, elsewhere, evidence.fitting, evidence.judging, len(looked_at), penalty)
+    longest = {name: float(np.max(values, initial=0.0)) for name, values in covariates(evidence.fitting).items()}
+    fitted = _Fit(base, elsewhere, evidence.fitting, evidence.judging, longest, len(looked_at), penalty)
     candidates = map_fits(context.work, fitted, leaders, context.cache)
     candidates.sort(key=lambda c: -c.worth)
     promising = dict(list(promising.items())[: 2 * MAX_LEADERS])
@@ -267,6 +268,7 @@ class _Fit:
         base: The model without any.
         elsewhere: Where fits start from as well.
         fitting, judging: Likelihoods of the fit pixels and of the select pixels.
+        longest: Covariate → the largest value that events saw.
         tried: Number of shapes looked at.
         penalty: Nats for each parameter.
     """
@@ -275,6 +277,7 @@ class _Fit:
     elsewhere: Model | None
     fitting: EventTimes
     judging: EventTimes
+    longest: dict[str, float]
     tried: int
     penalty: float
 
@@ -291,6 +294,8 @@ class _Fit:
         gain = end.value - worse.value
         parameters = _parameters(one.own)
         p = min(1.0, self.tried * float(chi2.sf(2.0 * max(gain, 0.0), parameters)))
+        if one.own.form == "relaxation" and one.own.own(end.model.values)["scale"] > self.longest[one.own.covariate]:
+            p = 1.0  # no event saw it fade: it is a constant, and gains what a constant does
         judged = per_pixel(self.judging, end.model)
         held_out = judged - per_pixel(self.judging, worse.model)
         return Candidate(one.own, end, gain, p, held_out, judged, self.penalty * parameters)

@@ -6,8 +6,15 @@ polarity (whose threshold is fitted) and projected off the tangents J of the fre
     T = Σ f⊥ e / √(Σ f⊥²)
 
 is standard normal when the model is right, to first order whatever the parameters' errors: a score test.  Three
-responses are mapped: the residual e (thresholds or times shifted), its spread (e² − 1)/√2, and the product with the
-same pixel's residual before (memory).  Sums of squares are skewed: of thirty events, 4.8 standard deviations are as
+responses are mapped: the residual e (thresholds or times shifted), its spread (e² − 1 + v/s²)/√2, where the posterior
+mean of the event's threshold, of variance v, took v/s² of the residual's, and the product with the same pixel's
+residual before (memory).
+
+Noise is fitted to all events together: the weights of spreads are demeaned over all of them.  And most parameters are
+told by levels, though they move spreads too (noise goes with the threshold, so that a threshold of ON events could
+pass for noise of theirs): spreads are projected off the tangents of both, and of the levels of whole groups about their
+population's threshold.  Levels are projected off their own alone: a spread that is off draws parameters, and is not to
+show in the maps of levels.  Sums of squares are skewed: of thirty events, 4.8 standard deviations are as
 rare as 3.7 normal ones.  Their T is therefore read on the χ² law of its skewness (`normal_score`).
 
 The largest |T| is judged twice: against independent normals over all cells (the parametric answer), and by flipping
@@ -88,16 +95,16 @@ def map_residuals(
     kept = ~residual.background
     e = np.clip(residual.e, -MAX_RESIDUAL_SD, MAX_RESIDUAL_SD)
     group, pixel = likelihood.group, likelihood.pixel
-    spread = np.where(kept, (np.clip(e * e, 0, MAX_RESIDUAL_SD**2) - 1.0) / np.sqrt(2.0), 0.0)
+    spread = np.where(kept, (e * e - 1.0 + residual.taken) / np.sqrt(2.0), 0.0)
     last = _last_residual(likelihood, np.where(kept, e, 0.0))
-    responses = (
-        ("level", np.where(kept, e, 0.0), tangent.level, 0.0),
-        ("spread", spread, np.sqrt(2.0) * tangent.log_scale, SKEWNESS_OF_SQUARE),
-    )
+    levels = _Response(np.where(kept, e, 0.0), tangent.level, pixel, group, kept)
+    spreads = _Response(spread, np.sqrt(2.0) * tangent.log_scale, pixel, np.zeros_like(group), kept)
+    groups = np.arange(len(residual.apart))
+    thresholds = _Response(residual.apart, tangent.apart, groups // 2, None, np.ones_like(groups, np.bool_))
+    bases = (("level", _Basis(levels), 0.0), ("spread", _Basis(spreads, levels, thresholds), SKEWNESS_OF_SQUARE))
     cells: list[Cell] = []
     by_pixel: list[np.ndarray] = []
-    for name, value, J, skewness in responses:
-        basis = _Basis(value, J, group, pixel, kept)
+    for name, basis, skewness in bases:
         for factor in factors:
             scored, sums = basis.scores(factor, name, skewness, criteria)
             cells += scored
@@ -116,48 +123,65 @@ def chance_of_largest(cells: Sequence[Cell]) -> float:
     return float(min(1.0, len(cells) * 2.0 * norm.sf(abs(cells[0].score)))) if cells else 1.0
 
 
-class _Basis:
-    """One response and what its maps are projected off."""
+class _Response:
+    """n responses and their tangents J (n, d), demeaned within groups.
 
-    def __init__(self, value, J, group, pixel, kept):
-        self.kept, self.group, self.pixel = kept, group, pixel
-        self.groups = int(group.max(initial=0)) + 1
-        self.pixels = int(pixel.max(initial=0)) + 1
-        self.size = np.maximum(np.bincount(group, kept, self.groups), 1.0)
+    pixel: (n,) of each;  group: (n,) of each, None to demean nothing;  kept: (n,) those that count
+    size: (groups,) responses of each group that are kept
+    """
+
+    def __init__(self, value, J, pixel, group, kept):
+        self.pixel, self.group, self.kept = pixel, group, kept
+        self.groups = 0 if group is None else int(group.max(initial=0)) + 1
+        self.size = np.maximum(np.bincount(group, kept, self.groups), 1.0) if self.groups else np.array([])
         self.value = self._demeaned(value)
         self.J = np.column_stack([self._demeaned(J[:, j]) for j in range(J.shape[1])])
-        q, r = np.linalg.qr(self.J)
+
+    def _demeaned(self, column):
+        column = np.where(self.kept, column, 0.0)
+        if not self.groups:
+            return column
+        mean = sum_by(self.group, column, self.groups) / self.size
+        return np.where(self.kept, column - mean[self.group], 0.0)
+
+
+class _Basis:
+    """A response and what its maps are projected off: its tangents, beside those of other responses."""
+
+    def __init__(self, own: _Response, *beside: _Response):
+        self.own, every = own, (own, *beside)
+        self.pixels = int(own.pixel.max(initial=0)) + 1
+        q, r = np.linalg.qr(np.concatenate([response.J for response in every]))
         left = np.abs(np.diag(r))
-        self.Q = q[:, left > max(MIN_COLUMN_NORM, 1e-9 * left.max(initial=0.0))]
-        self.along = self._sums(pixel, self.Q.T * self.value, self.pixels)  # (d, pixels)
+        q = q[:, left > max(MIN_COLUMN_NORM, 1e-9 * left.max(initial=0.0))]
+        parts = np.split(q, np.cumsum([len(response.J) for response in every])[:-1])
+        self.Q = parts[0]
+        self.along = np.zeros((q.shape[1], self.pixels))
+        for response, part in zip(every, parts, strict=True):
+            self.along += self._sums(response.pixel, part.T * response.value, self.pixels)
 
     @staticmethod
     def _sums(index, rows, size):
         """(d, size) of rows (d, n) by index; d may be 0."""
         return np.array([np.bincount(index, row, size) for row in rows]).reshape(len(rows), size)
 
-    def _demeaned(self, column):
-        column = np.where(self.kept, column, 0.0)
-        mean = sum_by(self.group, column, self.groups) / self.size
-        return np.where(self.kept, column - mean[self.group], 0.0)
-
     def scores(self, factor: Factor, name: str, skewness: float, criteria: Criteria) -> tuple[list[Cell], np.ndarray]:
         """(cells, (pixels, cells) each pixel's part of the standardised score); skewness: of one event's response."""
-        k = len(factor.labels)
-        count = np.bincount(factor.cell, self.kept, k)
-        at = np.flatnonzero(self.kept)
-        joint = np.bincount(self.group[at] * k + factor.cell[at], minlength=self.groups * k).reshape(self.groups, k)
-        own = np.bincount(self.pixel * k + factor.cell, self.value, self.pixels * k).reshape(self.pixels, k)
+        k, own = len(factor.labels), self.own
+        count = np.bincount(factor.cell, own.kept, k)
+        at = np.flatnonzero(own.kept)
+        joint = np.bincount(own.group[at] * k + factor.cell[at], minlength=own.groups * k).reshape(own.groups, k)
+        summed = np.bincount(own.pixel * k + factor.cell, own.value, self.pixels * k).reshape(self.pixels, k)
         # f demeaned within groups: Σ f² = Σ_g n_gb (1 − n_gb/n_g);  its sums against demeaned columns are plain sums
-        share = joint / self.size[:, None]
+        share = joint / own.size[:, None]
         square = (joint * (1.0 - share)).sum(axis=0)
         cube = (joint * (1.0 - share) * (1.0 - 2.0 * share)).sum(axis=0)
         project = self._sums(factor.cell, self.Q.T, k)  # (d, cells)
         variance = square - (project**2).sum(axis=0)
         unfitted = variance > criteria.min_cell_share_unfitted * np.maximum(square, 1.0)
         usable = (count >= criteria.min_cell_events) & unfitted
-        sums = (own - self.along.T @ project)[:, usable] / np.sqrt(variance[usable])
-        raw = np.bincount(factor.cell, self.value, k) / np.maximum(count, 1.0)
+        sums = (summed - self.along.T @ project)[:, usable] / np.sqrt(variance[usable])
+        raw = np.bincount(factor.cell, own.value, k) / np.maximum(count, 1.0)
         total = normal_score(sums.sum(axis=0), skewness * cube[usable] / variance[usable] ** 1.5)
         cells = [
             Cell(name, factor.name, factor.labels[b], float(total[i]), int(count[b]), float(raw[b]))

@@ -19,7 +19,7 @@ An event at the end of a silence (`density_release.py`) came with a chance P all
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.special import log_ndtr, ndtri_exp
@@ -27,7 +27,7 @@ from scipy.special import log_ndtr, ndtri_exp
 from pixelid.fit.coordinates import Coordinates
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.likelihood.extremes import Extremes
-from pixelid.likelihood.layout import NOTHING, StackedChanges
+from pixelid.likelihood.layout import StackedChanges
 from pixelid.likelihood.losses import missed_of
 from pixelid.stages.circuit import Circuit
 
@@ -43,14 +43,18 @@ class Residuals:
     """e: (n,) residuals, 0 for background events;  log_scale: (n,) log of the spread they are measured in;
     log_rate: (n,) log speed of the change at the event;  background: (n,) events left to the background;
     extremes: where the changes' extremes are, which circuits close by share;  at_release: (n,) events at the end of a
-    silence, or empty"""
+    silence, or empty;  taken: (n,) share of the residual's variance that the posterior mean of its threshold takes;
+    apart: (g,) mean level of each pixel's and polarity's events about the population, in standard deviations
+    """
 
     e: np.ndarray
     log_scale: np.ndarray
     log_rate: np.ndarray
     background: np.ndarray
     extremes: Sequence[Extremes]
-    at_release: np.ndarray = field(default_factory=lambda: NOTHING)
+    at_release: np.ndarray
+    taken: np.ndarray
+    apart: np.ndarray
 
     @property
     def late(self) -> np.ndarray:
@@ -62,11 +66,13 @@ class Residuals:
 
 @dataclass(frozen=True)
 class Tangents:
-    """How the level behind each residual, in units of its scale, (n, d) and its log scale (n, d) move with the d free
-    parameters, the events given.  (A residual itself also shrinks as its scale grows: that is no shift.)"""
+    """How the level behind each residual, in units of its scale, (n, d), its log scale (n, d) and the groups' levels
+    `apart` (g, d) move with the d free parameters, the events given.  (A residual itself also shrinks as its scale
+    grows: that is no shift.)"""
 
     level: np.ndarray
     log_scale: np.ndarray
+    apart: np.ndarray
 
 
 def residuals(likelihood: EventTimes, circuit: Circuit, changes: StackedChanges | None = None) -> Residuals:
@@ -87,9 +93,12 @@ def residuals(likelihood: EventTimes, circuit: Circuit, changes: StackedChanges 
         log_survival = np.where(terms.at_release, np.log1p(-drawn * chance), log_survival)
     e = np.clip(-ndtri_exp(np.minimum(log_survival, -1e-300)), -LARGEST, LARGEST)
     shown = np.where(terms.background, 0.0, e)
+    taken = np.where(terms.background | terms.at_once, 0.0, terms.group_variance[group] / terms.scale**2)
+    apart = np.where(terms.weight_sum > 0.0, terms.weighted_mean - terms.centre, 0.0) / np.sqrt(terms.mean_variance)
     return Residuals(
-        shown, np.log(terms.scale), terms.log_rate, terms.background, terms.changes.extremes, terms.at_release
-    )
+        shown, np.log(terms.scale), terms.log_rate, terms.background, terms.changes.extremes, terms.at_release, taken,
+        apart,
+    )  # fmt: skip
 
 
 def expected_log_rate(likelihood: EventTimes, circuit: Circuit, here: Residuals) -> np.ndarray:
@@ -108,27 +117,31 @@ def tangents(likelihood: EventTimes, coordinates: Coordinates, x: np.ndarray, he
     """
     moves = STEP * coordinates.longest_moves()
     by_level, by_scale = np.empty((len(here.e), len(x))), np.empty((len(here.e), len(x)))
+    by_group = np.empty((len(here.apart), len(x)))
     for i, h in enumerate(moves):
-        level, log_scale = _differences(likelihood, coordinates, x, here, i, h)
+        there = _moved(likelihood, coordinates, x, here, i, h)
+        level, log_scale = compare(here, there)
+        by_group[:, i] = (there.apart - here.apart) / h
         far = ~(np.abs(level) <= FAR_SD)
         if far.any():
-            shorter = _differences(likelihood, coordinates, x, here, i, SHORTER * h)
+            shorter = compare(here, _moved(likelihood, coordinates, x, here, i, SHORTER * h))
             sound = np.abs(shorter[0]) <= FAR_SD
             again = [np.where(sound, each, 0.0) / SHORTER for each in shorter]
             level, log_scale = np.where(far, again[0], level), np.where(far, again[1], log_scale)
         by_level[:, i], by_scale[:, i] = level / h, log_scale / h
     undefined = here.background[:, None] | ~np.isfinite(by_level) | ~np.isfinite(by_scale)
-    return Tangents(np.where(undefined, 0.0, by_level), np.where(undefined, 0.0, by_scale))
+    by_level, by_scale = np.where(undefined, 0.0, by_level), np.where(undefined, 0.0, by_scale)
+    return Tangents(by_level, by_scale, np.where(np.isfinite(by_group), by_group, 0.0))
 
 
-def _differences(
+def _moved(
     likelihood: EventTimes, coordinates: Coordinates, x: np.ndarray, here: Residuals, i: int, h: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """What one coordinate's move by h makes of levels and log scales (n,)."""
+) -> Residuals:
+    """The residuals after one coordinate's move by h."""
     moved = x.copy()
     moved[i] += h
     circuit = coordinates.circuit(moved)
-    return compare(here, residuals(likelihood, circuit, likelihood.changes(circuit, here.extremes)))
+    return residuals(likelihood, circuit, likelihood.changes(circuit, here.extremes))
 
 
 def compare(here: Residuals, there: Residuals) -> tuple[np.ndarray, np.ndarray]:
