@@ -30,7 +30,7 @@ from pixelid.simulate.tiles import Tiles
 from pixelid.stages.circuit import Circuit
 from pixelid.stages.modulation import OF_LIGHT
 from pixelid.stimuli.pixel_lights import Light, PixelLights
-from pixelid.stimuli.resample import resampled
+from pixelid.stimuli.resample import resampled, without_long_steps
 from pixelid.stimuli.stimulus import Stimulus
 
 
@@ -152,8 +152,10 @@ def _chunks(
     shared = isinstance(stimulus, PixelLights) or (known and stimulus.full_field)
     if twins is not None and (not shared or circuit.shot_density > 0 or len(twins.on) != pixels):
         raise InputError("twins: expected full-field light or groups, no shot noise, and a threshold for each pixel")
-    if not (shared and circuit.shot_density == 0) and any(m.quantity in OF_LIGHT for m in circuit.described):
-        raise InputError("described light, response or rate: needs full-field light or groups, and no shot noise")
+    if any(m.quantity in OF_LIGHT for m in circuit.described):
+        if not isinstance(stimulus, Stimulus | PixelLights) or not shared or circuit.shot_density > 0:
+            raise InputError("described light, response or rate: needs full-field light or groups, and no shot noise")
+        stimulus = without_long_steps(stimulus)
     hot = HotPixels(circuit, pixels, seed, start)
     ordering, readout = Ordering(width, height, circuit.delay), Readout(circuit, seed)
     with ThreadPoolExecutor(threads or os.cpu_count() or 1) as pool:

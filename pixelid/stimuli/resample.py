@@ -25,8 +25,9 @@ MOST_PARTS = 64
 AFTER_JUMPS_S = np.concatenate(
     [np.geomspace(5e-6, 3e-4, 30), np.arange(3.4e-4, 3e-3, 4e-5), np.geomspace(3.1e-3, 5e-2, 20)]
 )
-
-
+# At least so many steps in a light: what a circuit makes of it may change with time though the light does not
+# (`stages/modulation.py`).  A relaxation by a half within a fiftieth of the light then errs by 1e-4 of log radiance.
+LEAST_STEPS, STEPS_IN_ALL = 2048, 50_000  # in each light, in all lights of a recording
 MOST_ADDED = 2_000_000  # samples, of some hundred bytes each in a likelihood
 
 
@@ -83,13 +84,47 @@ def resampled(stimulus: Light, between: str = "linear", largest_change: float = 
 def with_overshoots(light: Light, between: str = "linear") -> Light:
     """Light as a likelihood looks at it: `resampled`, and held light with more samples after each jump.
 
-    A likelihood asks at samples only how far a pixel's output has gone; after a jump it may overshoot and return.
+    A likelihood asks at samples only how far a pixel's output has gone; after a jump it may overshoot and return.  No
+    step is long.
     """
     finer = resampled(light, between)
     after = _after_jumps(sum(len(_jumps(one)) for one in lights_in(finer)))
     if isinstance(finer, PixelLights):
-        return finer.with_lights(map_threads(lambda one: _sampled_after_jumps(one, after), finer.lights))
-    return _sampled_after_jumps(finer, after)
+        finer = finer.with_lights(map_threads(lambda one: _sampled_after_jumps(one, after), finer.lights))
+    else:
+        finer = _sampled_after_jumps(finer, after)
+    return without_long_steps(finer)
+
+
+@overload
+def without_long_steps(light: Stimulus) -> Stimulus: ...
+@overload
+def without_long_steps(light: Light) -> Light: ...
+def without_long_steps(light: Light) -> Light:
+    """The same light in `LEAST_STEPS` steps or more (each of many lights in fewer), none much longer than others."""
+    lights = lights_in(light)
+    steps = min(LEAST_STEPS, STEPS_IN_ALL // len(lights))
+    if isinstance(light, PixelLights):
+        return light.with_lights(map_threads(lambda one: _in_steps(one, steps), lights))
+    return _in_steps(light, steps)
+
+
+def _in_steps(stimulus: Stimulus, steps: int) -> Stimulus:
+    if not stimulus.full_field or stimulus.unit == "shape":
+        return stimulus
+    gaps = np.diff(stimulus.t)
+    parts = np.ceil(gaps / (stimulus.duration_s / max(steps, 1)) - 1e-9).astype(np.int64)
+    long = np.flatnonzero(parts > 1)
+    if not len(long):
+        return stimulus
+    added = [stimulus.t[k] + gaps[k] / parts[k] * np.arange(1, parts[k]) for k in long]
+    t = np.union1d(stimulus.t, np.concatenate(added))
+    if stimulus.interpolation == "previous":
+        light = stimulus.radiance[np.searchsorted(stimulus.t, t, side="right") - 1]
+    else:
+        light = np.exp(np.interp(t, stimulus.t, np.log(stimulus.radiance.astype(np.float64))))
+        light[np.searchsorted(t, stimulus.t)] = stimulus.radiance
+    return Stimulus(t, light, stimulus.unit, stimulus.interpolation)
 
 
 def _after_jumps(jumps: int) -> np.ndarray:

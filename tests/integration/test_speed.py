@@ -36,7 +36,8 @@ def page_of(content):
 
 
 @pytest.mark.parametrize(
-    "section", [pytest.param(name, marks=[pytest.mark.slow] if name not in ("likelihood", "startup") else []) for name in ROWS]
+    "section",
+    [pytest.param(name, marks=[pytest.mark.slow] if name not in ("likelihood", "startup") else []) for name in ROWS],
 )
 def test_a_small_run_of_each_section(section, tmp_path):
     content, _ = measure(tmp_path / "speed.json", section)

@@ -14,6 +14,7 @@ from pixelid.likelihood.event_times import EventTimes
 from pixelid.model.files import from_document, load_model, save_model, to_document
 from pixelid.model.shipped import find_model
 from pixelid.recordings.events import Events
+from pixelid.recordings.own_light import with_fine_light
 from pixelid.recordings.recording import Recording
 from pixelid.simulate import simulate
 from pixelid.stages.described import all_cells, cell, equation
@@ -148,6 +149,35 @@ def test_simulated_events_are_those_written_out(own):
     tolerance = 2e-4 if own.quantity in ("light", "response", "leak") else 2e-6
     np.testing.assert_allclose(found.t * 1e-9, times, atol=tolerance)
     assert len(plain) != len(times) or np.abs(plain.t * 1e-9 - times).max() > 20 * tolerance
+
+
+@pytest.mark.parametrize(
+    "own", [cell("light", "time_in_recording", form) for form in ("linear", "relaxation")], ids=lambda own: own.form
+)
+def test_constant_light_of_two_samples_changes_with_time(own):
+    """A light that is constant is recorded as its two ends, and what changes with time bends between them."""
+    strength = 0.8 if own.form == "linear" else -0.7
+    values, scale = values_of(own, strength)
+    constant = Stimulus(np.array([0.0, 1.5]), np.array([40.0, 40.0]))
+    model = IDEAL.with_effect(own.name, values)
+    found = simulate(model, constant, synchronous=True).events
+
+    def response(x, when):
+        return x + np.log(1.0 + strength * FORM[own.form](when, scale))
+
+    times, signs = events(
+        np.linspace(0.0, 1.5, 20), np.full(20, np.log(40.0)), lambda b, s: ON, lambda b, s: OFF, lambda b: DEAD,
+        response=response,
+    )  # fmt: skip
+    assert len(times) > 2
+    assert len(found) == len(times)
+    np.testing.assert_array_equal(np.where(found.p == 1, 1.0, -1.0), signs)
+    np.testing.assert_allclose(found.t * 1e-9, times, atol=1e-3)  # a step of the light
+    recording = with_fine_light(Recording(found, constant), "smooth")
+    noisy = model.with_effect("threshold_noise", {"threshold_sigma": 0.02})
+    terms = EventTimes([recording]).terms(noisy.circuit())
+    np.testing.assert_allclose(terms.z, np.where(signs[1:] > 0, ON, OFF), atol=1e-5)
+    assert not terms.background.any()
 
 
 @pytest.mark.parametrize("own", EXACT, ids=lambda own: own.name)

@@ -151,6 +151,7 @@ def test_samples_after_jumps_have_a_budget(monkeypatch):
     pixels = pixel_lights(video, np.arange(4))
     assert pixels is not None
     monkeypatch.setattr(resample, "MOST_ADDED", 20 * 4 * 40)
+    monkeypatch.setattr(resample, "STEPS_IN_ALL", 4 * 40)
     looked_at = with_overshoots(pixels)
     assert all(41 < len(one.t) <= 41 + 20 * 40 for one in looked_at.lights)
     monkeypatch.setattr(resample, "MOST_ADDED", 100)

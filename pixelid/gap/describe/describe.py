@@ -36,6 +36,7 @@ MAX_LEADERS = 6
 MAX_OF_A_COVARIATE = 2  # forms of one quantity by one covariate among them
 MAX_DESCRIPTIONS = 2  # a camera that needs more needs a model
 FIT_STEPS, WITHOUT_STEPS = 30, 15
+NEARLY = 1e-3  # zero, as a share of a dead time: where a fit can move either way
 # Of a rival's gain, that a score must promise for descriptions to be fitted: behind true jitters of 0.3 to 4 times the
 # typical one scores promised 0.05 to 0.17 of what the jitter gained.
 WORTH_A_FIT = 0.5
@@ -282,11 +283,15 @@ class _Fit:
     penalty: float
 
     def __call__(self, one: Screened, cache: FitCache | None) -> Candidate:
-        end = maximise(self.fitting, one.start, tolerance=0.02, max_steps=FIT_STEPS, cache=cache)
+        def best(model: Model, than: Maximum | None) -> Maximum:
+            end = maximise(self.fitting, model, tolerance=0.02, max_steps=FIT_STEPS, cache=cache)
+            return end if than is None or end.value > than.value else than
+
+        end = best(one.start, None)
         if self.elsewhere is not None:
-            start = self.elsewhere.with_effect(one.own.name, one.own.own(end.model.values))
-            other = maximise(self.fitting, start, tolerance=0.02, max_steps=FIT_STEPS, cache=cache)
-            end = other if other.value > end.value else end
+            end = best(self.elsewhere.with_effect(one.own.name, one.own.own(end.model.values)), end)
+        at_zero = _with_dead_time_at_zero(one.own, end.model)
+        end = end if at_zero is None else best(at_zero, end)
         less = end.model.without_effect(one.own.name)
         again = maximise(self.fitting, less, tolerance=0.1, max_steps=WITHOUT_STEPS, cache=cache)
         # the model without it may owe its lower place to its other parameters
@@ -299,6 +304,22 @@ class _Fit:
         judged = per_pixel(self.judging, end.model)
         held_out = judged - per_pixel(self.judging, worse.model)
         return Candidate(one.own, end, gain, p, held_out, judged, self.penalty * parameters)
+
+
+def _with_dead_time_at_zero(own: Described, model: Model) -> Model | None:
+    """The model with a dead time of (nearly) zero after the polarity where a description has it below, the other as it
+    is; None where no dead time is.
+
+    Below zero all are the same, so that a fit which gets there does not come back.
+    """
+    if (own.quantity, own.covariate) != ("dead_time", "previous_polarity") or "refractory_s" not in model.values:
+        return None
+    name = f"{own.name}.strength"
+    dead, strength = model.values["refractory_s"], model.values[name]
+    if abs(strength) <= dead:
+        return None
+    half = 0.5 * (dead + abs(strength))
+    return model.set({"refractory_s": (1.0 + NEARLY) * half, name: math.copysign((1.0 - NEARLY) * half, strength)})
 
 
 def _holds(candidate: Candidate, options: Options) -> bool:
