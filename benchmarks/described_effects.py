@@ -54,13 +54,15 @@ UNKNOWN_NULL = 1018  # the one null session of the certification that ends in `u
 
 @dataclass(frozen=True)
 class Novel:
-    """What an unknown pixel does: relative shifts of its thresholds, and its dead time, by the event before."""
+    """What an unknown pixel does: relative shifts of its thresholds, and its dead time, by the event before; and the
+    logarithm of the light that it answers to."""
 
     stage: str
     quantity: str
     on: Callable[[Before, float], float] = lambda before, since: 0.0
     off: Callable[[Before, float], float] = lambda before, since: 0.0
     dead: Callable[[Before], float] = lambda before: DEAD
+    response: Callable[[float, float], float] = lambda log_light, time: log_light
 
 
 def _slow_recovery(before: Before, since: float) -> float:
@@ -79,6 +81,14 @@ def _faster(before: Before, since: float) -> float:
     return -0.08 * min(before.speed / 40.0, 1.5) if before.polarity else 0.0
 
 
+def _dim(before: Before, since: float) -> float:
+    return 0.1 * before.radiance / (before.radiance + 100.0) if before.polarity else 0.0
+
+
+def _warming(log_light: float, time: float) -> float:
+    return log_light + float(np.log(1.0 - 0.3 * np.exp(-time / 0.3)))
+
+
 def _saturating(before: Before, since: float) -> float:
     return -0.12 * since / (since + 0.05) if before.polarity else 0.0
 
@@ -94,6 +104,14 @@ NOVEL = {
     "both thresholds fall with the wait, as t/(t + 50 ms)": Novel(
         "comparator", "threshold", on=_saturating, off=_saturating
     ),
+    "dead time 0.2 ms after ON, 0.01 ms after OFF": Novel(
+        "comparator", "dead_time", dead=lambda before: 2e-4 if before.polarity > 0 else 1e-5
+    ),
+    "dead time grows with radiance": Novel(
+        "comparator", "dead_time", dead=lambda before: DEAD * (1.0 + before.radiance / 100.0)
+    ),
+    "ON threshold 10 % higher in bright light, half of it at 100": Novel("comparator", "on_threshold", on=_dim),
+    "light 30 % dimmer at first, rising in 0.3 s": Novel("photocurrent", "light", response=_warming),
 }
 
 
@@ -118,7 +136,8 @@ def novel_session(novel: Novel, seed: int) -> list[Recording]:
 
             times, signs = events(
                 fine.t, logs, lambda b, s, on=on: on + ON * novel.on(b, s),
-                lambda b, s, off=off: off + OFF * novel.off(b, s), novel.dead, draw=draw,
+                lambda b, s, off=off: off + OFF * novel.off(b, s), novel.dead,
+                novel.response, draw=draw,
             )  # fmt: skip
             stamps.append(np.round(1e9 * times).astype(np.int64))
             pixels.append(np.full(len(times), pixel))
