@@ -10,12 +10,10 @@ responses are mapped: the residual e (thresholds or times shifted), its spread (
 mean of the event's threshold, of variance v, took v/s² of the residual's, and the product with the same pixel's
 residual before (memory).
 
-Noise is fitted to all events together: the weights of spreads are demeaned over all of them.  And most parameters are
-told by levels, though they move spreads too (noise goes with the threshold, so that a threshold of ON events could
-pass for noise of theirs): spreads are projected off the tangents of both, and of the levels of whole groups about their
-population's threshold.  Levels are projected off their own alone: a spread that is off draws parameters, and is not to
-show in the maps of levels.  Sums of squares are skewed: of thirty events, 4.8 standard deviations are as
-rare as 3.7 normal ones.  Their T is therefore read on the χ² law of its skewness (`normal_score`).
+Spreads are also compared between polarities, over all pixels: of them noise is fitted together.  Most parameters are
+told by levels, though they move spreads too (noise goes with the threshold, so that a threshold of ON events could pass
+for noise of theirs): there the projection is off the tangents of spreads, levels, and levels of whole groups about their
+population's threshold.
 
 The largest |T| is judged twice: against independent normals over all cells (the parametric answer), and by flipping
 the signs of whole pixels (pixels are the exchangeable unit).  The larger p counts.
@@ -30,7 +28,7 @@ import numpy as np
 from scipy.stats import norm
 
 from pixelid.gap.criteria import Criteria
-from pixelid.gap.detect.covariates import Factor
+from pixelid.gap.detect.covariates import POLARITY, Factor
 from pixelid.gap.detect.residuals import Residuals, Tangents
 from pixelid.likelihood.density import sum_by
 from pixelid.likelihood.event_times import EventTimes
@@ -97,15 +95,22 @@ def map_residuals(
     group, pixel = likelihood.group, likelihood.pixel
     spread = np.where(kept, (e * e - 1.0 + residual.taken) / np.sqrt(2.0), 0.0)
     last = _last_residual(likelihood, np.where(kept, e, 0.0))
-    levels = _Response(np.where(kept, e, 0.0), tangent.level, pixel, group, kept)
-    spreads = _Response(spread, np.sqrt(2.0) * tangent.log_scale, pixel, np.zeros_like(group), kept)
+    level, log_scale = tangent.level, np.sqrt(2.0) * tangent.log_scale
+    levels = _Response(np.where(kept, e, 0.0), level, pixel, group, kept)
+    within = _Response(spread, log_scale, pixel, group, kept)
+    across = _Response(spread, log_scale, pixel, np.zeros_like(group), kept)
     groups = np.arange(len(residual.apart))
     thresholds = _Response(residual.apart, tangent.apart, groups // 2, None, np.ones_like(groups, np.bool_))
-    bases = (("level", _Basis(levels), 0.0), ("spread", _Basis(spreads, levels, thresholds), SKEWNESS_OF_SQUARE))
+    polarity = Factor("polarity", group % 2, tuple(f"all {sign} events" for sign in POLARITY))
+    jobs = (
+        ("level", _Basis(levels), factors, 0.0),
+        ("spread", _Basis(within), factors, SKEWNESS_OF_SQUARE),
+        ("spread", _Basis(across, levels, thresholds), (polarity,), SKEWNESS_OF_SQUARE),
+    )
     cells: list[Cell] = []
     by_pixel: list[np.ndarray] = []
-    for name, basis, skewness in bases:
-        for factor in factors:
+    for name, basis, some, skewness in jobs:
+        for factor in some:
             scored, sums = basis.scores(factor, name, skewness, criteria)
             cells += scored
             by_pixel.append(sums)
