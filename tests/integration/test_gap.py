@@ -766,8 +766,8 @@ def test_recordings_of_one_name_are_told_apart():
 def test_a_session_too_short_for_any_map_says_nothing():
     t = np.linspace(0, 2, 2001)
     light = Stimulus(t, 100 * np.exp(0.6 * t + 0.3 * np.sin(2 * np.pi * 3 * t)))
-    recording = simulate(MODEL, light, width=3, height=1, seed=2, sensor_seed=2)
-    assert len(recording.events) < 60
+    recording = simulate(MODEL, light, width=2, height=1, seed=2, sensor_seed=2)
+    assert len(recording.events) < 40
     report = gap([recording], MODEL, recommend=False)
     assert report.verdict == "none"
     assert report.global_p == 1.0

@@ -11,9 +11,9 @@ mean of the event's threshold, of variance v, took v/s² of the residual's, and 
 residual before (memory).
 
 Spreads are also compared between polarities, over all pixels: of them noise is fitted together.  Most parameters are
-told by levels, though they move spreads too (noise goes with the threshold, so that a threshold of ON events could pass
-for noise of theirs): there the projection is off the tangents of spreads, levels, and levels of whole groups about their
-population's threshold.
+told by levels, though they move spreads too (noise goes with the threshold, so that another threshold of ON events
+could pass for noise of theirs): there the projection is off the tangents of spreads, levels, and levels of whole groups
+about their population's threshold.
 
 The largest |T| is judged twice: against independent normals over all cells (the parametric answer), and by flipping
 the signs of whole pixels (pixels are the exchangeable unit).  The larger p counts.
