@@ -127,6 +127,34 @@ def test_a_description_takes_the_place_of_neighbours_that_were_named():
     assert taken_back == ["a description explains better what it did"] * len(taken_back)
 
 
+@pytest.mark.parametrize(("strength", "after_on_s", "after_off_s"), [(1.27e-4, 2.07e-4, 0.0), (-1.27e-4, 0.0, 2.07e-4)])
+def test_a_dead_time_below_zero_is_taken_back_to_zero(strength, after_on_s, after_off_s):
+    name = "described.dead_time.previous_polarity.constant"
+    model = find_model("dvs128").set({"refractory_s": 8e-5}).with_effect(name, {"strength": strength})
+    end = describing._with_dead_time_at_zero(described(name), model)
+    assert end is not None
+    dead, longer = end.values["refractory_s"], end.values[f"{name}.strength"]
+    assert dead + longer == pytest.approx(after_on_s, abs=3e-7)
+    assert dead - longer == pytest.approx(after_off_s, abs=3e-7)
+    assert min(dead + longer, dead - longer) > 0  # where a fit can move either way
+    assert describing._with_dead_time_at_zero(described(name), end) is None
+    assert describing._with_dead_time_at_zero(described("described.dead_time.none.constant"), model) is None
+
+
+@pytest.mark.parametrize(("scale", "constant"), [(0.3, False), (3.0, True)])
+def test_what_no_event_sees_fade_is_a_constant(likelihood, monkeypatch, scale, constant):
+    own = described("described.on_threshold.time_since_event.relaxation")
+    base = find_model("dvs128")
+    end = SimpleNamespace(model=base.with_effect(own.name, {"strength": 0.05, "scale": scale}), value=500.0)
+    monkeypatch.setattr(describing, "per_pixel", lambda *_: np.zeros(9))
+    worse = SimpleNamespace(model=base, value=0.0)
+    monkeypatch.setattr(describing, "maximise", lambda _, model, **__: end if model.has(own.name) else worse)
+    fit = describing._Fit(worse, None, likelihood, likelihood, {own.covariate: 1.0}, 100, 4.0)
+    p = fit(SimpleNamespace(own=own, start=end.model), None).p
+    assert (p == 1.0) == constant
+    assert constant or p < 1e-6
+
+
 def a_candidate(worth, name=CELL):
     """A description that gains so much more than its parameters cost."""
     return SimpleNamespace(own=described(name), worth=worth, held_out=np.array([worth, worth]), p=1e-9, penalty=4.0,

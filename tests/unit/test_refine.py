@@ -22,7 +22,7 @@ from pixelid.recordings.selection import only
 from pixelid.simulate import simulate
 from pixelid.stimuli import resample
 from pixelid.stimuli.pixel_lights import pixel_lights
-from pixelid.stimuli.resample import with_overshoots
+from pixelid.stimuli.resample import with_overshoots, without_long_steps
 from pixelid.stimuli.shapes import chirp, grating, steps
 from pixelid.stimuli.stimulus import Stimulus
 
@@ -156,3 +156,18 @@ def test_samples_after_jumps_have_a_budget(monkeypatch):
     assert all(41 < len(one.t) <= 41 + 20 * 40 for one in looked_at.lights)
     monkeypatch.setattr(resample, "MOST_ADDED", 100)
     assert [len(one.t) for one in with_overshoots(pixels).lights] == [41] * 4
+
+
+@pytest.mark.parametrize("interpolation", ["linear", "previous"])
+def test_a_light_has_many_steps_and_is_what_it_was(interpolation):
+    """A circuit may change with time though the light does not, or hardly."""
+    t = np.array([0.0, 0.1, 1.5])
+    light = Stimulus(t, np.array([20.0, 40.0, 30.0]), interpolation=interpolation)
+    fine = without_long_steps(light)
+    assert np.diff(fine.t).max() <= 1.5 / resample.LEAST_STEPS * (1 + 1e-9)
+    assert len(fine.t) <= resample.LEAST_STEPS + 3
+    assert np.isin(t, fine.t).all()
+    before = np.searchsorted(t, fine.t, side="right") - 1
+    between = np.exp(np.interp(fine.t, t, np.log(light.radiance)))
+    np.testing.assert_allclose(fine.radiance, between if interpolation == "linear" else light.radiance[before])
+    assert without_long_steps(fine) is fine
