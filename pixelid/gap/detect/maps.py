@@ -100,7 +100,8 @@ def map_residuals(
     within = _Response(spread, log_scale, pixel, group, kept)
     across = _Response(spread, log_scale, pixel, np.zeros_like(group), kept)
     groups = np.arange(len(residual.apart))
-    thresholds = _Response(residual.apart, tangent.apart, groups // 2, None, np.ones_like(groups, np.bool_))
+    every = np.ones_like(groups, np.bool_)
+    thresholds = _Response(residual.apart, tangent.apart, groups // 2, groups, every, demean=False)
     polarity = Factor("polarity", group % 2, tuple(f"all {sign} events" for sign in POLARITY))
     jobs = (
         ("level", _Basis(levels), factors, 0.0),
@@ -129,22 +130,22 @@ def chance_of_largest(cells: Sequence[Cell]) -> float:
 
 
 class _Response:
-    """n responses and their tangents J (n, d), demeaned within groups.
+    """n responses and their tangents J (n, d), demeaned within groups, or as they are.
 
-    pixel: (n,) of each;  group: (n,) of each, None to demean nothing;  kept: (n,) those that count
+    pixel, group: (n,) of each;  kept: (n,) those that count
     size: (groups,) responses of each group that are kept
     """
 
-    def __init__(self, value, J, pixel, group, kept):
-        self.pixel, self.group, self.kept = pixel, group, kept
-        self.groups = 0 if group is None else int(group.max(initial=0)) + 1
-        self.size = np.maximum(np.bincount(group, kept, self.groups), 1.0) if self.groups else np.array([])
-        self.value = self._demeaned(value)
-        self.J = np.column_stack([self._demeaned(J[:, j]) for j in range(J.shape[1])])
+    def __init__(self, value, J, pixel, group, kept, *, demean=True):
+        self.pixel, self.group, self.kept, self._demean = pixel, group, kept, demean
+        self.groups = int(group.max(initial=0)) + 1
+        self.size = np.maximum(np.bincount(group, kept, self.groups), 1.0)
+        self.value = self._cleared(value)
+        self.J = np.column_stack([self._cleared(J[:, j]) for j in range(J.shape[1])])
 
-    def _demeaned(self, column):
+    def _cleared(self, column):
         column = np.where(self.kept, column, 0.0)
-        if not self.groups:
+        if not self._demean:
             return column
         mean = sum_by(self.group, column, self.groups) / self.size
         return np.where(self.kept, column - mean[self.group], 0.0)
