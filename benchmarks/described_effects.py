@@ -136,8 +136,8 @@ def novel_session(novel: Novel, seed: int) -> list[Recording]:
 
             times, signs = events(
                 fine.t, logs, lambda b, s, on=on: on + ON * novel.on(b, s),
-                lambda b, s, off=off: off + OFF * novel.off(b, s), novel.dead,
-                novel.response, draw=draw,
+                lambda b, s, off=off: off + OFF * novel.off(b, s), novel.dead, novel.response,
+                draw=draw,
             )  # fmt: skip
             stamps.append(np.round(1e9 * times).astype(np.int64))
             pixels.append(np.full(len(times), pixel))

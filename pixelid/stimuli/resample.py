@@ -14,6 +14,7 @@ import numpy as np
 from pixelid.errors import InputError
 from pixelid.parallel import map_threads
 from pixelid.stimuli.course import course
+from pixelid.stimuli.drive import refined, refined_radiance
 from pixelid.stimuli.pixel_lights import Light, PixelLights, lights_in
 from pixelid.stimuli.stimulus import Stimulus
 
@@ -112,18 +113,14 @@ def without_long_steps(light: Light) -> Light:
 def _in_steps(stimulus: Stimulus, steps: int) -> Stimulus:
     if not stimulus.full_field or stimulus.unit == "shape":
         return stimulus
-    gaps = np.diff(stimulus.t)
-    parts = np.ceil(gaps / (stimulus.duration_s / max(steps, 1)) - 1e-9).astype(np.int64)
-    long = np.flatnonzero(parts > 1)
-    if not len(long):
+    longest = stimulus.duration_s / max(steps, 1)
+    t, left, weight = refined(stimulus.t, longest)
+    if len(t) == len(stimulus.t):
         return stimulus
-    added = [stimulus.t[k] + gaps[k] / parts[k] * np.arange(1, parts[k]) for k in long]
-    t = np.union1d(stimulus.t, np.concatenate(added))
-    if stimulus.interpolation == "previous":
-        light = stimulus.radiance[np.searchsorted(stimulus.t, t, side="right") - 1]
+    if stimulus.interpolation == "linear":
+        light = refined_radiance(stimulus.t, stimulus.radiance.astype(np.float64), longest)[1]
     else:
-        light = np.exp(np.interp(t, stimulus.t, np.log(stimulus.radiance.astype(np.float64))))
-        light[np.searchsorted(t, stimulus.t)] = stimulus.radiance
+        light = stimulus.radiance[left + (weight == 1.0)]
     return Stimulus(t, light, stimulus.unit, stimulus.interpolation)
 
 

@@ -147,7 +147,7 @@ def test_maps_find_that_one_polarity_scatters_more(on, off):
 
 
 def test_squares_of_residuals_know_how_much_their_own_threshold_took():
-    """Of two events or so of a pixel and polarity, their common threshold takes half of what they scatter."""
+    """Of a few events of a pixel and polarity, their common threshold takes a good part of what they scatter."""
     model = MODEL.set({"threshold_mismatch.sigma": 0.3})
     t = np.arange(0.0, 0.02, 2e-4)
     light = Stimulus(t, 4000.0 * np.exp(0.35 * np.sin(2 * np.pi * 50 * t)))

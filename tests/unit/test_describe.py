@@ -46,7 +46,7 @@ def test_covariates_are_those_of_the_previous_events(likelihood):
 
 def test_the_score_promises_what_a_fit_of_a_weak_effect_gains(likelihood):
     base = maximise(likelihood, find_model("dvs128"), tolerance=1e-3, max_steps=40)
-    starts = [(own, start) for own, start in beginnings(likelihood, base.model) if own.name == CELL]
+    starts = [(own, start) for own, start in beginnings(covariates(likelihood), base.model) if own.name == CELL]
     (one,) = screened(likelihood, base, starts)
     end = maximise(likelihood, one.start, tolerance=1e-3, max_steps=40)
     assert one.gain == pytest.approx(end.value - base.value, rel=0.15)
@@ -71,13 +71,13 @@ def test_a_description_is_judged_by_the_share_of_unexplained_events_that_its_mod
 
 
 def test_a_model_is_not_offered_what_it_has_under_its_own_name(likelihood):
-    plain = {own.name for own, _ in beginnings(likelihood, find_model("dvs128"))}
-    leaking = {own.name for own, _ in beginnings(likelihood, find_model("dvs128").with_effect("leak"))}
+    plain = {own.name for own, _ in beginnings(covariates(likelihood), find_model("dvs128"))}
+    leaking = {own.name for own, _ in beginnings(covariates(likelihood), find_model("dvs128").with_effect("leak"))}
     assert plain - leaking == {"described.leak.none.constant"}
-    ideal = {own.quantity for own, _ in beginnings(likelihood, find_model("ideal"))}
+    ideal = {own.quantity for own, _ in beginnings(covariates(likelihood), find_model("ideal"))}
     assert "rate" not in ideal
     with_one = find_model("dvs128").with_effect("described.on_threshold.time_since_event.relaxation")
-    assert not any(".time_since_event." in own.name for own, _ in beginnings(likelihood, with_one))
+    assert not any(".time_since_event." in own.name for own, _ in beginnings(covariates(likelihood), with_one))
 
 
 @pytest.mark.slow

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
@@ -26,9 +26,8 @@ SAME = {  # what a model has already under its own name
 }
 
 
-def beginnings(likelihood: EventTimes, model: Model) -> Iterator[tuple[Described, Model]]:
-    """Every description that the model can have and lacks, of strength 0, in each shape to try."""
-    values = covariates(likelihood)
+def beginnings(values: Mapping[str, np.ndarray], model: Model) -> Iterator[tuple[Described, Model]]:
+    """Every description that the model can have and lacks, of strength 0, in each shape to try of `covariates`."""
     for own in all_cells():
         twin = SAME.get(f"{own.quantity}.{own.covariate}")
         if model.has(own.name) or (twin is not None and model.has(twin)):

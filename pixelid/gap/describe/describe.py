@@ -209,8 +209,7 @@ def _candidates(evidence: PixelEvidence, promises: _Promises, elsewhere: Model |
     promising: dict[str, float] = {}
     for one in looked_at:
         promising.setdefault(one.own.name, one.gain)
-    longest = {name: float(np.max(values, initial=0.0)) for name, values in covariates(evidence.fitting).items()}
-    fitted = _Fit(base, elsewhere, evidence.fitting, evidence.judging, longest, len(looked_at), penalty)
+    fitted = _Fit(base, elsewhere, evidence.fitting, evidence.judging, promises.longest, len(looked_at), penalty)
     candidates = map_fits(context.work, fitted, leaders, context.cache)
     candidates.sort(key=lambda c: -c.worth)
     promising = dict(list(promising.items())[: 2 * MAX_LEADERS])
@@ -225,18 +224,22 @@ class _Promises:
         base: The model on the fit pixels.
         screened: Every description there, by what its score promises.
         penalty: Nats for each parameter.
+        longest: Covariate → the largest value that events saw.
     """
 
     base: Maximum
     screened: list[Screened]
     penalty: float
+    longest: dict[str, float]
 
 
 def _promises(evidence: PixelEvidence, fit: Maximum, context: Context) -> _Promises:
     """What descriptions promise beside a fitted model."""
     base = maximise(evidence.fitting, fit.model, tolerance=0.05, max_steps=25, cache=context.cache)
-    looked_at = screened(evidence.fitting, base, beginnings(evidence.fitting, base.model))
-    return _Promises(base, looked_at, 0.5 * math.log(max(evidence.judging.events, 2)))
+    seen = covariates(evidence.fitting)
+    looked_at = screened(evidence.fitting, base, beginnings(seen, base.model))
+    longest = {name: float(np.max(values, initial=0.0)) for name, values in seen.items()}
+    return _Promises(base, looked_at, 0.5 * math.log(max(evidence.judging.events, 2)), longest)
 
 
 def _parameters(own: Described) -> int:
