@@ -20,11 +20,10 @@ from pixelid.likelihood.event_times import EventTimes
 from pixelid.likelihood.information import Information, Tangent
 from pixelid.likelihood.shot_noise import under_shot_noise
 from pixelid.stages.circuit import Circuit
-from pixelid.stages.comparator import threshold_shifts
 from pixelid.stages.modulation import at_reset, since_event
 
 # Circuit numbers that leave the trajectories and changes alone and act in the density only.
-DENSITY_ONLY = (*(name for name in NUMBERS if name not in ("silent", "polarity_memory", "refractory")), "tick")
+DENSITY_ONLY = (*(name for name in NUMBERS if name not in ("silent", "refractory")), "tick")
 # Difference in fitting coordinates.  Of the changes one-sided: they bend by about themselves per unit, so the error is
 # 1e-6 relative, and their own error 1e-14 adds 1e-8.  Of the circuit's numbers central: elementary functions of the
 # coordinates, whose rounding leaves 1e-10.
@@ -220,9 +219,6 @@ def _set_by_events(circuit: Circuit) -> tuple:
 
 def only_density_differs(a: Circuit, b: Circuit) -> bool:
     """Whether two circuits have the same trajectories and changes."""
-    shifts = [(threshold_shifts(c, 1.0), c.threshold_drift) for c in (a, b)]
-    if shifts[0] != shifts[1] and (a.polarity_memory != 0 or b.polarity_memory != 0):
-        return False
     if (a.described or b.described) and _set_by_events(a) != _set_by_events(b):
         return False
     return a.with_(**{name: getattr(b, name) for name in DENSITY_ONLY}) == b

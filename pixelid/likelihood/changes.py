@@ -44,10 +44,8 @@ from pixelid.likelihood.modulated import (
     subtract_from_ends,
 )  # fmt: skip
 from pixelid.likelihood.sections import Section
-from pixelid.likelihood.sequences import Sequences
 from pixelid.likelihood.trajectories import Trajectories
 from pixelid.stages.circuit import Circuit
-from pixelid.stages.comparator import threshold_shifts
 from pixelid.stages.differencing import leaked, leaks
 from pixelid.stimuli.drive import StackedDrive, stacked_drive
 from pixelid.stimuli.stimulus import Stimulus
@@ -60,7 +58,7 @@ PER_PIXEL = ("rise", "rise_drift", "fall", "fall_drift")
 class Changes:
     """Per interval, in log radiance units (leak excluded) and units of C_on (drift).
 
-    Less what the pixel's history adds to the threshold that they are held against (`comparator.threshold_shifts`).
+    Less what the pixel's last event adds to the threshold that they are held against (`modulated.py`).
 
     change, slope: (n,) at the event;  drift, drift_slope: (n,) leak at the event, in C_on and C_on/s
     opposite: (n,) extreme of −sign·change before the event, and opposite_drift there
@@ -214,8 +212,6 @@ class ChangeEvaluator:
             reached_last_s.append(_times_of(at, trajectory.t, np.full(len(last), iv.end_s)))
             if opened_last is not None:
                 opened_last.raise_extremes(signs, circuit.on_threshold, iv.end_s, tuple(rows), reached_last_s[-1])
-        if circuit.polarity_memory != 0:
-            _subtract_threshold_shifts(circuit, iv, events, pixels)
         if own is not None and own_last is not None:
             growth = circuit.threshold_drift
             subtract(own, growth, iv.sign, time, reached_s, events)
@@ -318,23 +314,6 @@ def _times_of(at: np.ndarray, t: np.ndarray, otherwise: np.ndarray) -> np.ndarra
     return np.where(at >= 0, t[at], otherwise)
 
 
-def _subtract_threshold_shifts(circuit: Circuit, iv: Sequences, events: np.ndarray, pixels: np.ndarray) -> None:
-    """Changes less what the pixel's history adds to the thresholds that they are held against.
-
-    Thresholds drift with what is added to them.
-    """
-    on, off = threshold_shifts(circuit, iv.previous_sign)
-    rising, growth = iv.sign > 0, 1.0 + circuit.threshold_drift * iv.time_s
-    own, other = np.where(rising, on, off), np.where(rising, off, on)
-    events[0] -= iv.sign * own * growth
-    events[1] -= iv.sign * own * circuit.threshold_drift
-    events[4] -= other * growth
-    on, off = threshold_shifts(circuit, iv.last_sign)
-    growth = 1.0 + circuit.threshold_drift * iv.end_s
-    pixels[0] -= on * growth
-    pixels[2] -= off * growth
-
-
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
 def _changes(release, time, level, offset, output, output_slope, wd, change, slope):
     """Fill change and slope; loops that LLVM vectorises."""
@@ -355,9 +334,9 @@ def _near(circuit: Circuit, unknown: float) -> tuple[float, float]:
     if circuit.threshold_drift != 0 or circuit.described:
         return -np.inf, -np.inf
     spread = float(np.hypot(circuit.noise, circuit.mismatch))
-    shifts = zip(*(threshold_shifts(circuit, p) for p in (-1.0, 1.0)), strict=True)
+    least = 1.0 - abs(circuit.polarity_memory)
     on, off = (
-        threshold + min(shift) - 8.0 * float(np.hypot(spread * threshold, unknown))
-        for threshold, shift in zip((circuit.on_threshold, circuit.off_threshold), shifts, strict=True)
+        least * threshold - 8.0 * float(np.hypot(spread * threshold, unknown))
+        for threshold in (circuit.on_threshold, circuit.off_threshold)
     )
     return on, off

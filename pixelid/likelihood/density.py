@@ -10,7 +10,9 @@ the last factor being the chance that the other polarity's threshold C_i' stayed
 drawn, z_k could not equal it.)  The interval that the end of the recording cuts off contributes the chance that
 neither threshold was reached.
 
-Where thresholds drift, C(t) = C (1 + d·t), z is the change over 1 + d·t, whose rate has a part −z·d/(1 + d·t).
+Where thresholds drift, C(t) = C (1 + d·t), z is the change over 1 + d·t, whose rate has a part −z·d/(1 + d·t).  Where
+they remember the polarity before, C_i (1 + m p p'), z is the change over that factor f, too, and the noise of one draw,
+which does not grow with it, is σ C_i/f in units of z.
 
 s_k² = (σ C_i)² + q_k r_k² (tick²/12 + jitter²): threshold noise scales with the pixel's own threshold, and a
 timestamp's width is noise in time (q_k: `EventTimes.weighed`).  Light that is only known at
@@ -54,7 +56,7 @@ from pixelid.likelihood.losses import BACKGROUND_HZ, NO_PULL, Losses, losses_of,
 from pixelid.stages.circuit import Circuit
 from pixelid.stages.comparator import drifts_to_zero
 
-NUMBERS = (*Numbers._fields, "lost", "polarity_memory", "refractory")  # the last two: after events that were lost
+NUMBERS = (*Numbers._fields, "lost", "refractory")  # the dead time: after events that were lost
 
 
 @dataclass(frozen=True)
@@ -180,13 +182,14 @@ class Terms:
         by_numbers = np.zeros(len(NUMBERS))
         lost = 0.0 if self.losses is None else self.losses.fraction
         backward(
-            at.sign, at.group, at.time_s, self.clock_share, at.last_pixel, at.last_time_s,
+            at.sign, at.alike, at.group, at.time_s, self.clock_share, at.last_pixel, at.last_time_s, at.last_sign,
             self.changes.events, self.changes.ends, self.numbers, missed_of(lost), at.light, at.light_reset,
             at.light_last, self.event, self.group, self.released, NO_PULL if self.losses is None else self.losses.pull,
             by_changes.events, by_changes.ends, by_numbers[: len(Numbers._fields)],
         )  # fmt: skip
         if self.losses is not None:
-            by_numbers[-3:] = self.losses.slope, self.losses.by_memory, self.losses.by_dead_time
+            by_numbers[-2:] = self.losses.slope, self.losses.by_dead_time
+            by_numbers[Numbers._fields.index("polarity_memory")] += self.losses.by_memory
         return Gradient(by_changes, by_numbers)
 
 
@@ -207,8 +210,8 @@ def density(layout: Layout, circuit: Circuit, changes: StackedChanges, clock_sha
     background, end = np.empty(n, np.bool_), np.empty(layout.ends)
     which = candidates(layout, changes.events, numbers)
     forward(
-        layout.sign, layout.group, layout.time_s, layout.tick_s, clock_share, layout.last_pixel, layout.last_time_s,
-        changes.events, changes.ends, numbers, BACKGROUND_HZ, missed_of(lost),
+        layout.sign, layout.alike, layout.group, layout.time_s, layout.tick_s, clock_share, layout.last_pixel,
+        layout.last_time_s, layout.last_sign, changes.events, changes.ends, numbers, BACKGROUND_HZ, missed_of(lost),
         (layout.light, layout.light_reset, layout.light_last), released(which, layout, changes.events, numbers),
         event, np.empty(n, np.bool_), background, group, end,
     )  # fmt: skip

@@ -18,34 +18,44 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from pixelid.likelihood.density_forward import posterior, survival
-from pixelid.likelihood.density_release import at_release_back, release_rows_back, spread_of_draws, widened
+from pixelid.likelihood.density_forward import end_of, posterior, survival
+from pixelid.likelihood.density_release import (
+    at_release_back,
+    factor,
+    release_rows_back,
+    spread_back,
+    spread_of_draws,
+)
 
 NO_ZERO = 1e-300  # below any sum of weights
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def backward(
-    sign, group, time, clock_share, last_pixel, last_time, rows, ends, numbers, missed, light, reset, last, event,
-    at_group, release, pull, by_rows, by_ends, by_number,
+    sign, alike, group, time, clock_share, last_pixel, last_time, last_sign, rows, ends, numbers, missed, light, reset,
+    last, event, at_group, release, pull, by_rows, by_ends, by_number,
 ):  # fmt: skip
     """Fill the derivatives of the log-likelihood by the changes, EventRows `by_rows` and EndRows `by_ends`, and by the
-    `numbers` (7,).  `event`, `at_group`: what `forward` filled;  release: events at the end of a silence, `Released`;
+    `numbers` (8,).  `event`, `at_group`: what `forward` filled;  release: events at the end of a silence, `Released`;
     pull: of events after lost ones, `losses.Pull`.
     """
-    on, _, noise, mismatch, drift, jitter, _ = numbers
+    _, _, noise, mismatch, _, jitter, _, _ = numbers
     C, S, W, own = at_group.centre, at_group.spread, at_group.W, at_group.own
     groups = len(C)
-    by_mean, by_sd, lossy = np.zeros(groups), np.zeros(groups), len(pull.kept) > 0
+    by_mean, by_spread, by_drawn = np.zeros(groups), np.zeros(groups), np.zeros(groups)
+    lossy = len(pull.kept) > 0
     if lossy:
         by_mean += pull.by_mean
-        by_sd += pull.by_sd
-    by_on, by_drift = _survivals_back(
-        group, time, last_pixel, last_time, rows, ends, numbers, missed, reset, last, event, at_group, pull.kept,
-        by_rows, by_ends, by_mean, by_sd,
+        by_spread += pull.by_spread
+        by_drawn += pull.by_spread
+    by_on, by_drift, by_memory = _survivals_back(
+        alike, group, time, last_pixel, last_time, last_sign, rows, ends, numbers, missed, reset, last, event, at_group,
+        pull.kept, by_rows, by_ends, by_mean, by_spread, by_drawn,
     )  # fmt: skip
 
-    by_margin = at_release_back(group, noise, light, release, at_group, by_mean, by_sd)
+    by_margin, at_memory = at_release_back(
+        alike, group, numbers, light, release, at_group, by_mean, by_spread, by_drawn
+    )
 
     # groups: their terms, and the posteriors that the survivals saw
     D, by_C, by_S, by_W, by_A = (
@@ -56,12 +66,10 @@ def backward(
         np.zeros(groups),
     )
     by_noise = 0.0
-    sd = spread_of_draws(at_group, noise)
     for g in range(groups):
-        by_variance = by_sd[g] / (2.0 * sd[g])
-        by_mean[g] += by_variance * 2.0 * noise * noise * at_group.mean[g]
-        by_noise += by_variance * 2.0 * noise * at_group.mean[g] ** 2
-        by_C[g], by_S[g], by_W[g], by_A[g] = _posterior_back(at_group, W, at_group.A, g, by_mean[g], by_variance)
+        by_mean[g] += by_drawn[g] * 2.0 * noise * noise * at_group.mean[g]
+        by_noise += by_drawn[g] * 2.0 * noise * at_group.mean[g] ** 2
+        by_C[g], by_S[g], by_W[g], by_A[g] = _posterior_back(at_group, W, at_group.A, g, by_mean[g], by_spread[g])
         if W[g] > 0.0:
             D[g] = (at_group.weighted_mean[g] - C[g]) / (S[g] + 1.0 / W[g])
             by_C[g] += D[g]
@@ -72,8 +80,9 @@ def backward(
     by_z, by_rate, by_variance = by_rows.change, by_rows.slope, np.empty(len(group))
     _events_back(group, event, at_group, D / np.maximum(W, NO_ZERO), by_W, by_A, by_z, by_rate, by_variance)
     by_V = np.zeros(groups)
+    memory = numbers.polarity_memory
     for k in range(len(group)):
-        by_V[group[k]] += by_variance[k]
+        by_V[group[k]] += by_variance[k] / factor(memory, alike[k]) ** 2
     by_own, first_W, first_A = np.zeros(groups), at_group.first_W, at_group.first_A
     by_first_W, by_first_A = np.zeros(groups), np.zeros(groups)
     for g in range(groups):
@@ -85,7 +94,10 @@ def backward(
 
     # events, under the noise of the population's threshold, from which their own was told
     by_V[:] = 0.0
-    _first_events_back(group, noise, event, at_group, by_first_W, by_first_A, by_z, by_rate, by_variance, by_V)
+    by_memory += at_memory
+    by_memory += _first_events_back(
+        alike, group, numbers, event, at_group, by_first_W, by_first_A, by_z, by_rate, by_variance, by_V
+    )
     if lossy:
         by_z += pull.by_level
         by_rate += pull.by_rate
@@ -95,9 +107,11 @@ def backward(
     for g in range(groups):
         by_noise += by_V[g] * 2.0 * noise * C[g] ** 2
         by_C[g] += by_V[g] * 2.0 * noise * noise * C[g] + by_S[g] * 2.0 * mismatch * mismatch * C[g]
-    more_on, more_drift = _levels_back(sign, time, rows, on, drift, event, by_rows)
+    more_on, more_drift, more_memory = _levels_back(sign, alike, time, rows, numbers, event, by_rows)
     by_rows.early[:] = 0.0
-    at_on, at_drift, at_jitter, by_silent = release_rows_back(sign, time, on, drift, release, by_margin, rows, by_rows)
+    at_on, at_drift, at_memory, at_jitter, by_silent = release_rows_back(
+        sign, alike, time, numbers, release, by_margin, rows, by_rows
+    )
     by_number[0] = at_on + by_on + more_on + by_C[1::2].sum()
     by_number[1] = by_C[0::2].sum()
     by_number[2] = by_noise
@@ -105,6 +119,7 @@ def backward(
     by_number[4] = by_drift + more_drift + at_drift
     by_number[5] = by_jitter + at_jitter * jitter
     by_number[6] = by_silent * numbers.silent
+    by_number[7] = by_memory + more_memory + at_memory
 
 
 @njit(cache=True, error_model="numpy")
@@ -120,52 +135,60 @@ def _posterior_back(at_group, W, A, g, by_mean, by_variance):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _survivals_back(
-    group, time, last_pixel, last_time, rows, ends, numbers, missed, reset, last, event, at_group, kept, by_rows,
-    by_ends, by_mean, by_sd,
+    alike, group, time, last_pixel, last_time, last_sign, rows, ends, numbers, missed, reset, last, event, at_group,
+    kept, by_rows, by_ends, by_mean, by_spread, by_drawn,
 ):  # fmt: skip
-    """Back through the survivals; returns the parts of the derivatives by (ON threshold, drift).
+    """Back through the survivals; returns the parts of the derivatives by (ON threshold, drift, polarity memory).
 
     reset, last: variances by the light, (n,) and (m,), see `Layout`, or empty;  kept: (n,) `losses.Pull`, or empty
     """
-    on, _, noise, _, drift, _, _ = numbers
-    mean, sd, reached = at_group.mean, spread_of_draws(at_group, noise), event.reached
-    by_on, by_drift = 0.0, 0.0
+    on, _, noise, _, drift, _, _, memory = numbers
+    mean, reached = at_group.mean, event.reached
+    by_on, by_drift, by_memory = 0.0, 0.0, 0.0
     by_rows.opposite[:] = 0.0
     by_rows.opposite_drift[:] = 0.0
     for k in range(len(group)):
         if reached[k] > 0.0:
             g = group[k] ^ 1
-            wide = widened(sd[g], reset, k)
+            turned = -alike[k]  # the other polarity
+            shrunk = factor(memory, turned)
+            wide = spread_of_draws(at_group, noise, g, shrunk, reset, k)
             margin = (mean[g] - reached[k]) / wide
             slope = survival(margin, missed[0])[1] / wide
             if len(kept) > 0:
                 slope *= kept[k]
             by_mean[g] += slope
-            by_sd[g] -= slope * margin * (sd[g] / wide)
+            by_memory += spread_back(
+                -slope * margin / (2.0 * wide), wide, g, turned, numbers, at_group, by_spread, by_drawn
+            )
             growth = 1.0 + drift * time[k]
-            by_rows.opposite[k] = -slope / growth
-            by_rows.opposite_drift[k] = -slope * on / growth
-            by_on -= slope * rows.opposite_drift[k] / growth
+            by_rows.opposite[k] = -slope / (growth * shrunk)
+            by_rows.opposite_drift[k] = on * by_rows.opposite[k]
+            by_on += by_rows.opposite[k] * rows.opposite_drift[k]
             by_drift += slope * reached[k] / growth * time[k]
+            by_memory += slope * reached[k] / shrunk * turned
     for i in range(len(last_pixel)):
         growth = 1.0 + drift * last_time[i]
         for side in range(2):
-            g = 2 * last_pixel[i] + 1 - side
-            extreme, leaked = (ends.rise, ends.rise_drift) if side == 0 else (ends.fall, ends.fall_drift)
+            g, extreme, leaked, shrunk = end_of(i, side, last_pixel, last_sign, ends, memory)
+            after = last_sign[i] if side == 0 else -last_sign[i]
             by_extreme, by_leaked = (
                 (by_ends.rise, by_ends.rise_drift) if side == 0 else (by_ends.fall, by_ends.fall_drift)
             )
-            level = (extreme[i] + on * leaked[i]) / growth
-            wide = widened(sd[g], last, i)
+            level = (extreme[i] + on * leaked[i]) / (growth * shrunk)
+            wide = spread_of_draws(at_group, noise, g, shrunk, last, i)
             margin = (mean[g] - level) / wide
             slope = survival(margin, missed[1])[1] / wide
             by_mean[g] += slope
-            by_sd[g] -= slope * margin * (sd[g] / wide)
-            by_extreme[i] = -slope / growth
-            by_leaked[i] = -slope * on / growth
-            by_on -= slope * leaked[i] / growth
+            by_memory += spread_back(
+                -slope * margin / (2.0 * wide), wide, g, after, numbers, at_group, by_spread, by_drawn
+            )
+            by_extreme[i] = -slope / (growth * shrunk)
+            by_leaked[i] = on * by_extreme[i]
+            by_on += by_extreme[i] * leaked[i]
             by_drift += slope * level / growth * last_time[i]
-    return by_on, by_drift
+            by_memory += slope * level / shrunk * after
+    return by_on, by_drift, by_memory
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
@@ -182,20 +205,31 @@ def _events_back(group, event, at_group, pull, by_W, by_A, by_z, by_rate, by_var
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
-def _first_events_back(group, noise, event, at_group, by_W, by_A, by_z, by_rate, by_variance, by_V):
-    """Back through the sums first_W, first_A: add to what is known by level, rate, variance; by_V: sums by group."""
+def _first_events_back(alike, group, numbers, event, at_group, by_W, by_A, by_z, by_rate, by_variance, by_V):
+    """Back through the sums first_W, first_A: add to what is known by level, rate, variance; by_V: sums by group.
+
+    Returns the derivative by the polarity memory, through the variance of either pass.
+    """
+    noise, memory, by_memory = numbers.noise, numbers.polarity_memory, 0.0
     less = (noise * at_group.own) ** 2 - (noise * at_group.centre) ** 2
     z, rate, clock = event.level, event.rate, event.clock
     first = np.empty(len(group))
     for k in range(len(group)):
         g = group[k]
-        w = 1.0 / (event.variance[k] - less[g]) if event.weight[k] > 0.0 else 0.0
+        shrunk = factor(memory, alike[k])
+        first_variance = event.variance[k] - less[g] / (shrunk * shrunk)
+        w = 1.0 / first_variance if event.weight[k] > 0.0 else 0.0
         by_z[k] += by_A[g] * w
         first[k] = -(by_W[g] + by_A[g] * z[k]) * w * w
         by_rate[k] += first[k] * 2.0 * rate[k] * clock[k]
+        timed = rate[k] * rate[k] * clock[k]
+        drawn = by_variance[k] * (event.variance[k] - timed) + first[k] * (first_variance - timed)
+        by_memory -= 2.0 * drawn * alike[k] / shrunk
         by_variance[k] += first[k]
+        first[k] /= shrunk * shrunk
     for k in range(len(group)):
         by_V[group[k]] += first[k]
+    return by_memory
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"reassoc", "contract", "nsz"})
@@ -207,21 +241,22 @@ def _by_clock(clock_share, rate, by_variance):
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"reassoc", "contract", "nsz"})
-def _levels_back(sign, time, rows, on, drift, event, by_rows):
+def _levels_back(sign, alike, time, rows, numbers, event, by_rows):
     """Turn derivatives by level and rate, in by_rows.change and .slope, into those by all rows of the level; returns
-    the parts of the derivatives by (ON threshold, drift).
+    the parts of the derivatives by (ON threshold, drift, polarity memory).
     """
-    z, rate = event.level, event.rate
-    by_on, by_drift = 0.0, 0.0
+    z, rate, on, drift = event.level, event.rate, numbers.on_threshold, numbers.threshold_drift
+    by_on, by_drift, by_memory = 0.0, 0.0, 0.0
     for k in range(len(z)):
-        growth = 1.0 + drift * time[k]
-        by_rate = by_rows.slope[k] / growth
-        by_z = by_rows.change[k] / growth - by_rate * drift / growth
-        by_drift -= (by_z * z[k] + by_rate * rate[k]) * time[k] + by_rate * z[k]
+        growth, shrunk = 1.0 + drift * time[k], factor(numbers.polarity_memory, alike[k])
+        by_memory -= (by_rows.change[k] * z[k] + by_rows.slope[k] * rate[k]) * alike[k] / shrunk
+        by_rate = by_rows.slope[k] / (growth * shrunk)
+        by_z = by_rows.change[k] / (growth * shrunk) - by_rate * drift / growth
+        by_drift -= shrunk * ((by_z * z[k] + by_rate * rate[k]) * time[k] + by_rate * z[k])
         by_rows.change[k] = sign[k] * by_z
         by_rows.slope[k] = sign[k] * by_rate
         by_on += rows.drift[k] * by_rows.change[k] + rows.drift_slope[k] * by_rows.slope[k]
     for k in range(len(z)):
         by_rows.drift[k] = on * by_rows.change[k]
         by_rows.drift_slope[k] = on * by_rows.slope[k]
-    return by_on, by_drift
+    return by_on, by_drift, by_memory

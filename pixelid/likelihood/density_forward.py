@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit
 
 from pixelid.dynamics.vector_math import vlog
-from pixelid.likelihood.density_release import at_release, spread_of_draws, widened
+from pixelid.likelihood.density_release import at_release, factor, spread_of_draws
 
 
 class Numbers(NamedTuple):
@@ -26,6 +26,7 @@ class Numbers(NamedTuple):
     threshold_drift: float
     jitter: float
     silent: float
+    polarity_memory: float
 
 
 class EventTerms(NamedTuple):
@@ -68,52 +69,53 @@ class GroupTerms(NamedTuple):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def forward(
-    sign, group, time, tick, clock_share, last_pixel, last_time, rows, ends, numbers, background_hz, missed, light,
-    release, event, impossible, background, at_group, end_term,
+    sign, alike, group, time, tick, clock_share, last_pixel, last_time, last_sign, rows, ends, numbers, background_hz,
+    missed, light, release, event, impossible, background, at_group, end_term,
 ):  # fmt: skip
     """Fill EventTerms `event`, `background` (n,), GroupTerms `at_group` and `end_term` (m,).
 
-    light: variances (n,), (n,), (m,) by the light, see `Layout`, or three empty arrays
+    alike: (n,) as of `Layout`;  light: variances (n,), (n,), (m,) by the light, see `Layout`, or three empty arrays
     release: events that may be those at the end of a silence, `density_release.Released`;  impossible: (n,) work space
     """
     _populations(numbers, at_group)
-    _levels(sign, group, time, tick, clock_share, rows, numbers, at_group.centre, event, impossible)
+    _levels(sign, alike, time, tick, clock_share, rows, numbers, event, impossible)
     for j in range(len(release.k)):
         k = release.k[j]
         impossible[k], event.level[k], event.rate[k] = True, 0.0, 1.0
     for k in range(len(light[0])):
-        event.variance[k] += light[0][k]
+        event.variance[k] += light[0][k] / factor(numbers.polarity_memory, alike[k]) ** 2
     _classify(group, event, impossible, background_hz, at_group, background)
     for g in range(len(at_group.own)):
         at_group.own[g] = posterior(at_group, at_group.first_W, at_group.first_A, g)[0]
-    _scale_noise(group, numbers[2], at_group, background, event)
+    _scale_noise(alike, group, numbers, at_group, background, event)
     _sum_weights(group, event, at_group.W, at_group.A)
     _group_terms(at_group)
     _event_terms(group, background, math.log(background_hz), at_group, event)
-    at_release(group, numbers.noise, math.log(background_hz), light[0], release, at_group, event, background)
+    at_release(alike, group, numbers, math.log(background_hz), light[0], release, at_group, event, background)
     _survivals(
-        group, time, last_pixel, last_time, rows, ends, numbers, missed, light[1], light[2], at_group, event, end_term
-    )
+        alike, group, time, last_pixel, last_time, last_sign, rows, ends, numbers, missed, light[1], light[2], at_group,
+        event, end_term,
+    )  # fmt: skip
 
 
 @njit(cache=True, error_model="numpy")
 def _populations(numbers, at_group):
-    on, off, _, mismatch, _, _, _ = numbers
+    on, off, _, mismatch, _, _, _, _ = numbers
     for g in range(len(at_group.centre)):
         at_group.centre[g] = on if g % 2 == 1 else off
         at_group.spread[g] = (mismatch * at_group.centre[g]) ** 2
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _levels(sign, group, time, tick, clock_share, rows, numbers, centre, event, impossible):
+def _levels(sign, alike, time, tick, clock_share, rows, numbers, event, impossible):
     """Level, rate and variance of every event, and whether the circuit cannot have fired it."""
-    on, off, noise, _, drift, jitter, _ = numbers
+    on, off, noise, _, drift, jitter, _, memory = numbers
     noise_on, noise_off = (noise * on) ** 2, (noise * off) ** 2
     z, rate, variance, clock = event.level, event.rate, event.variance, event.clock
     change, slope, leak, leak_rate, early = rows.change, rows.slope, rows.drift, rows.drift_slope, rows.early
     for k in range(len(z)):
         growth = 1.0 + drift * time[k]
-        scale = sign[k] / growth
+        scale = sign[k] / (growth * factor(memory, alike[k]))
         z[k] = scale * (change[k] + on * leak[k])
         rate[k] = scale * (slope[k] + on * leak_rate[k]) - z[k] * drift / growth
     # a change beyond any sensible level comes from parameters far outside physics: not worth its digits
@@ -124,7 +126,8 @@ def _levels(sign, group, time, tick, clock_share, rows, numbers, centre, event, 
         rate[k] = 1.0 if impossible[k] else rate[k]
     for k in range(len(z)):
         clock[k] = clock_share[k] * (tick[k] * tick[k] / 12.0 + jitter * jitter)
-        variance[k] = (noise_on if sign[k] > 0.0 else noise_off) + rate[k] * rate[k] * clock[k]
+        drawn = (noise_on if sign[k] > 0.0 else noise_off) / factor(memory, alike[k]) ** 2
+        variance[k] = drawn + rate[k] * rate[k] * clock[k]
 
 
 @njit(cache=True, error_model="numpy")
@@ -181,11 +184,11 @@ def _sum_weights(group, event, W, A):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _scale_noise(group, noise, at_group, background, event):
+def _scale_noise(alike, group, numbers, at_group, background, event):
     """Noise that scales with each group's own threshold instead of the population's, and the weights under it."""
-    more = (noise * at_group.own) ** 2 - (noise * at_group.centre) ** 2
+    more = (numbers.noise * at_group.own) ** 2 - (numbers.noise * at_group.centre) ** 2
     for k in range(len(group)):
-        event.variance[k] += more[group[k]]
+        event.variance[k] += more[group[k]] / factor(numbers.polarity_memory, alike[k]) ** 2
     for k in range(len(group)):
         event.weight[k] = 0.0 if background[k] else 1.0 / event.variance[k]
 
@@ -229,26 +232,46 @@ def survival(margin, missed):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _survivals(
-    group, time, last_pixel, last_time, rows, ends, numbers, missed, reset, last, at_group, event, end_term
+    alike, group, time, last_pixel, last_time, last_sign, rows, ends, numbers, missed, reset, last, at_group, event,
+    end_term,
 ):  # fmt: skip
     """Add the survival of the other polarity to the events' terms, and fill the terms of the unfinished intervals.
 
     reset, last: variances by the light, (n,) and (m,), see `Layout`, or empty
     """
-    on, _, noise, _, drift, _, _ = numbers
-    mean, sd, reached = at_group.mean, spread_of_draws(at_group, noise), event.reached
+    on, _, noise, _, drift, _, _, memory = numbers
+    mean, reached = at_group.mean, event.reached
     for k in range(len(group)):
-        reached[k] = (rows.opposite[k] + on * rows.opposite_drift[k]) / (1.0 + drift * time[k])
+        growth = (1.0 + drift * time[k]) * factor(memory, -alike[k])
+        reached[k] = (rows.opposite[k] + on * rows.opposite_drift[k]) / growth
     for k in range(len(group)):
         if reached[k] > 0.0:
             other = group[k] ^ 1
-            event.term[k] += survival((mean[other] - reached[k]) / widened(sd[other], reset, k), missed[0])[0]
+            sd = spread_of_draws(at_group, noise, other, factor(memory, -alike[k]), reset, k)
+            event.term[k] += survival((mean[other] - reached[k]) / sd, missed[0])[0]
     for i in range(len(last_pixel)):
-        growth = 1.0 + drift * last_time[i]
-        g = 2 * last_pixel[i]
-        rise, fall = (
-            (ends.rise[i] + on * ends.rise_drift[i]) / growth,
-            (ends.fall[i] + on * ends.fall_drift[i]) / growth,
-        )
-        end_term[i] = survival((mean[g + 1] - rise) / widened(sd[g + 1], last, i), missed[1])[0]
-        end_term[i] += survival((mean[g] - fall) / widened(sd[g], last, i), missed[1])[0]
+        end_term[i] = 0.0
+        for side in range(2):
+            g, extreme, leaked, shrunk = end_of(i, side, last_pixel, last_sign, ends, memory)
+            level = (extreme[i] + on * leaked[i]) / ((1.0 + drift * last_time[i]) * shrunk)
+            sd = spread_of_draws(at_group, noise, g, shrunk, last, i)
+            end_term[i] += survival((mean[g] - level) / sd, missed[1])[0]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def spreads_of_others(alike, group, numbers, reset, at_group):
+    """(n,) `spread_of_draws` of the other polarity at each event; reset: as of `_survivals`."""
+    wide = np.empty(len(group))
+    for k in range(len(group)):
+        shrunk = factor(numbers.polarity_memory, -alike[k])
+        wide[k] = spread_of_draws(at_group, numbers.noise, group[k] ^ 1, shrunk, reset, k)
+    return wide
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def end_of(i, side, last_pixel, last_sign, ends, memory):
+    """(group, extremes, what has leaked there, factor of the thresholds) of an unfinished interval, for ON (side 0) or
+    OFF (1)."""
+    if side == 0:
+        return 2 * last_pixel[i] + 1, ends.rise, ends.rise_drift, factor(memory, last_sign[i])
+    return 2 * last_pixel[i], ends.fall, ends.fall_drift, factor(memory, -last_sign[i])

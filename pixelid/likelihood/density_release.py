@@ -24,10 +24,13 @@ import numpy as np
 from numba import njit
 
 from pixelid.likelihood.layout import EventRows, Layout
+from pixelid.stages.comparator import memory_factor
 
 SHARE = 1e-3  # of the silence: 60 events tell it to 1e-4 of itself all the same, and optimisers have something to climb
 WINDOW = 5.0  # standard deviations: 6e-7 are beyond
 NONE = np.empty(0, np.int64)
+
+factor = njit(memory_factor, cache=True, error_model="numpy", inline="always")
 
 
 class Released(NamedTuple):
@@ -54,7 +57,7 @@ def candidates(layout: Layout, rows: EventRows, numbers) -> np.ndarray:
 def released(k: np.ndarray, layout: Layout, rows: EventRows, numbers) -> Released:
     """The events `k` (j,), near the end of a silence."""
     growth = 1.0 + numbers.threshold_drift * layout.time_s[k]
-    scale = layout.sign[k] / growth
+    scale = layout.sign[k] / (growth * memory_factor(numbers.polarity_memory, layout.alike[k]))
     level = scale * (rows.change[k] + numbers.on_threshold * rows.drift[k])
     rate = scale * (rows.slope[k] + numbers.on_threshold * rows.drift_slope[k])
     rate = rate - level * numbers.threshold_drift / growth
@@ -66,15 +69,14 @@ def _width(tick_s: np.ndarray, numbers) -> np.ndarray:
 
 
 @njit(cache=True, error_model="numpy")
-def spread_of_draws(at_group, noise):
-    """(g,) standard deviation of the thresholds that a group draws, given its events."""
-    return np.sqrt((noise * at_group.mean) ** 2 + at_group.variance)
+def spread_of_draws(at_group, noise, g, shrunk, light, k):
+    """Standard deviation of the thresholds that group g draws, given its events, in units of levels.
 
-
-@njit(cache=True, error_model="numpy")
-def widened(sd, variances, k):
-    """A standard deviation with the k-th of some variances added; as it is where there are none."""
-    return sd if len(variances) == 0 else math.sqrt(sd**2 + variances[k])
+    shrunk: the thresholds' factor, which neither their noise nor that of the light has;  light: variances, of which the
+    k-th is added, or empty
+    """
+    drawn = (noise * at_group.mean[g]) ** 2 + (light[k] if len(light) > 0 else 0.0)
+    return math.sqrt(drawn / (shrunk * shrunk) + at_group.variance[g])
 
 
 @njit(cache=True, error_model="numpy")
@@ -87,61 +89,79 @@ def log_chance(margin):
 
 
 @njit(cache=True, error_model="numpy")
-def margin_of(j, group, light, release, mean, sd):
+def margin_of(j, alike, group, numbers, light, release, at_group):
     """(margin of the level at the window's end above the threshold, standard deviation that it is measured in)."""
     k = release.k[j]
-    wide = widened(sd[group[k]], light, k)
+    wide = spread_of_draws(at_group, numbers.noise, group[k], factor(numbers.polarity_memory, alike[k]), light, k)
     level = release.level[j] + (WINDOW * release.width[j] - release.late[j]) * release.rate[j]
-    return (level - mean[group[k]]) / wide, wide
+    return (level - at_group.mean[group[k]]) / wide, wide
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def at_release(group, noise, log_background, light, release, at_group, event, background):
+def at_release(alike, group, numbers, log_background, light, release, at_group, event, background):
     """Fill terms, levels and variances of events at the end of a silence; `background` where the background explains
     them better.
     """
-    mean, sd = at_group.mean, spread_of_draws(at_group, noise)
     for j in range(len(release.k)):
         k, w = release.k[j], release.width[j]
-        chance = log_chance(margin_of(j, group, light, release, mean, sd)[0])[0]
+        chance = log_chance(margin_of(j, alike, group, numbers, light, release, at_group)[0])[0]
         term = chance - 0.5 * (release.late[j] / w) ** 2 - math.log(w * math.sqrt(2.0 * math.pi))
         background[k] = not term > log_background
         event.term[k] = log_background if background[k] else term
-        event.variance[k] = (noise * mean[group[k]]) ** 2
+        drawn = numbers.noise * at_group.mean[group[k]] / factor(numbers.polarity_memory, alike[k])
+        event.variance[k] = drawn**2
         if not background[k]:
             event.level[k] = release.level[j] + (WINDOW * w - release.late[j]) * release.rate[j]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def at_release_back(group, noise, light, release, at_group, by_mean, by_sd):
-    """(j,) derivatives of the terms by the level at the window's end; adds those by the groups' thresholds."""
-    mean, sd = at_group.mean, spread_of_draws(at_group, noise)
-    by_level = np.empty(len(release.k))
+def at_release_back(alike, group, numbers, light, release, at_group, by_mean, by_variance, by_drawn):
+    """(j,) derivatives of the terms by the level at the window's end, and that by the polarity memory; adds those by
+    the groups' thresholds, as `spread_back`.
+    """
+    by_level, by_memory = np.empty(len(release.k)), 0.0
     for j in range(len(release.k)):
-        g = group[release.k[j]]
-        margin, wide = margin_of(j, group, light, release, mean, sd)
+        k = release.k[j]
+        margin, wide = margin_of(j, alike, group, numbers, light, release, at_group)
         slope = log_chance(margin)[1] / wide
         by_level[j] = slope
-        by_mean[g] -= slope
-        by_sd[g] -= slope * margin * (sd[g] / wide)
-    return by_level
+        by_mean[group[k]] -= slope
+        by_memory += spread_back(
+            -slope * margin / (2.0 * wide), wide, group[k], alike[k], numbers, at_group, by_variance, by_drawn
+        )
+    return by_level, by_memory
+
+
+@njit(cache=True, error_model="numpy")
+def spread_back(by_square, wide, g, alike, numbers, at_group, by_variance, by_drawn):
+    """Back through `spread_of_draws`, whose value is `wide`, from the derivative by its square.
+
+    Adds the derivatives by the variance of the group's threshold and by that of its draws; returns that by the polarity
+    memory.
+    """
+    shrunk = factor(numbers.polarity_memory, alike)
+    by_variance[g] += by_square
+    by_drawn[g] += by_square / (shrunk * shrunk)
+    return -2.0 * by_square * (wide * wide - at_group.variance[g]) * alike / shrunk
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def release_rows_back(sign, time, on, drift, release, by_level, rows, by_rows):
+def release_rows_back(sign, alike, time, numbers, release, by_level, rows, by_rows):
     """Fill the derivatives by the rows of events at the end of a silence.
 
-    Returns the parts of the derivatives by the ON threshold and by drift, and those by jitter and silence as factors of
-    jitter and silence.
+    Returns the parts of the derivatives by the ON threshold, drift and polarity memory, and those by jitter and silence
+    as factors of jitter and silence.
     """
-    by_on, by_drift, by_jitter, by_silent = 0.0, 0.0, 0.0, 0.0
+    on, drift = numbers.on_threshold, numbers.threshold_drift
+    by_on, by_drift, by_memory, by_jitter, by_silent = 0.0, 0.0, 0.0, 0.0, 0.0
     for j in range(len(release.k)):
         k, w, late = release.k[j], release.width[j], release.late[j]
         level, rate, ahead = release.level[j], release.rate[j], WINDOW * w - late
-        growth = 1.0 + drift * time[k]
-        by_rate = by_level[j] * ahead / growth
-        by_z = by_level[j] / growth - by_rate * drift / growth
-        by_drift -= (by_z * level + by_rate * rate) * time[k] + by_rate * level
+        growth, shrunk = 1.0 + drift * time[k], factor(numbers.polarity_memory, alike[k])
+        by_rate = by_level[j] * ahead / (growth * shrunk)
+        by_z = by_level[j] / (growth * shrunk) - by_rate * drift / growth
+        by_drift -= shrunk * ((by_z * level + by_rate * rate) * time[k] + by_rate * level)
+        by_memory -= by_level[j] * (level + ahead * rate) * alike[k] / shrunk
         by_rows.change[k], by_rows.slope[k] = sign[k] * by_z, sign[k] * by_rate
         by_rows.drift[k], by_rows.drift_slope[k] = on * by_rows.change[k], on * by_rows.slope[k]
         by_on += rows.drift[k] * by_rows.change[k] + rows.drift_slope[k] * by_rows.slope[k]
@@ -149,4 +169,4 @@ def release_rows_back(sign, time, on, drift, release, by_level, rows, by_rows):
         by_width = by_level[j] * WINDOW * rate + late**2 / w**3 - 1.0 / w
         by_jitter += by_width * 2.0 / w
         by_silent += by_width * SHARE**2 / w
-    return by_on, by_drift, by_jitter, by_silent
+    return by_on, by_drift, by_memory, by_jitter, by_silent

@@ -16,8 +16,10 @@ from numba import njit
 from scipy.stats import norm
 
 from pixelid.likelihood.density import Terms
+from pixelid.likelihood.density_forward import Numbers
 from pixelid.likelihood.density_release import SHARE, WINDOW
 from pixelid.likelihood.layout import StackedChanges
+from pixelid.stages.comparator import memory_factor
 
 
 @dataclass(frozen=True)
@@ -38,7 +40,8 @@ class Information:
         kept = self.kept = np.flatnonzero(usual)
         at, event, rows = terms.layout, terms.event, terms.changes.events
         self.group, self.weight = at.group[kept], event.weight[kept]
-        self.growth = 1.0 + terms.numbers.threshold_drift * at.time_s[kept]
+        self.growth, self.alike = 1.0 + terms.numbers.threshold_drift * at.time_s[kept], at.alike[kept]
+        self.factor = memory_factor(terms.numbers.polarity_memory, self.alike)
         self.of_level = at.sign[kept], at.time_s[kept], event.level[kept], event.rate[kept]
         self.leak = rows.drift[kept], rows.drift_slope[kept]
         self.clock, self.clock_share = event.clock[kept], terms.clock_share[kept]
@@ -53,14 +56,14 @@ class Information:
     def add(self, i: int, tangent: Tangent) -> None:
         """Fill column i."""
         t, group, c = self.terms, self.terms.group, self.terms.numbers
-        d_on, d_off, d_noise, d_mismatch, d_drift, d_jitter, d_silent, d_lost, _, _ = tangent.numbers
+        d_on, d_off, d_noise, d_mismatch, d_drift, d_jitter, d_silent, d_memory, d_lost, _ = tangent.numbers
         if t.losses is not None:
             self.lost[i] = d_lost * np.sqrt(t.losses.information)
         d_level, d_rate = np.empty(len(self.kept)), np.empty(len(self.kept))
         moved = _NOTHING if tangent.changes is None else tangent.changes.events.of_level
         _levels_along(
-            self.kept, *self.of_level, *self.leak, self.growth, *moved, c.on_threshold, c.threshold_drift,
-            d_on, d_drift, d_level, d_rate,
+            self.kept, *self.of_level, *self.leak, self.growth, self.factor, self.alike, *moved, c.on_threshold,
+            c.threshold_drift, d_on, d_drift, d_memory, d_level, d_rate,
         )  # fmt: skip
         safe = np.where(self.seen, group.W, 1.0)
         d_mean = np.bincount(self.group, self.weight * d_level, len(safe)) / safe
@@ -69,33 +72,35 @@ class Information:
         d_own = d_centre + share * (d_mean - d_centre)
         if len(self.release.k):
             width = 2.0 * c.jitter * d_jitter + SHARE**2 * c.silent * d_silent
-            self._add_released(i, tangent, width / self.release.width, d_on, d_drift, d_own)
+            self._add_released(i, tangent, width / self.release.width, d_own)
         d_noise_variance = 2.0 * c.noise * group.mean * (d_noise * group.mean + c.noise * d_own)
         d_weight_sum = np.zeros(len(safe))
         _residuals_along(
-            self.group, self.of_level[3], self.weight, self.clock, self.clock_share,
-            d_mean, d_noise_variance, 2.0 * c.jitter * d_jitter, d_level, d_rate, self.events[i], d_weight_sum,
+            self.group, self.of_level[3], self.weight, self.clock, self.clock_share, self.factor, d_mean,
+            d_noise_variance, d_memory * self.alike, 2.0 * c.jitter * d_jitter, d_level, d_rate, self.events[i],
+            d_weight_sum,
         )  # fmt: skip
         d_spread = 2.0 * c.mismatch * group.centre * (d_mismatch * group.centre + c.mismatch * d_centre)
         d_mean_variance = d_spread - d_weight_sum / safe**2
         self.groups[i, 0] = np.where(self.seen, (d_mean - d_centre) / np.sqrt(t.mean_variance), 0.0)
         self.groups[i, 1] = np.where(self.seen, np.sqrt(0.5) * d_mean_variance / t.mean_variance, 0.0)
 
-    def _add_released(self, i: int, tangent: Tangent, d_width: np.ndarray, d_on: float, d_drift: float, d_own) -> None:
+    def _add_released(self, i: int, tangent: Tangent, d_width: np.ndarray, d_own: np.ndarray) -> None:
         """Fill column i of the events at the end of a silence; d_width: (j,), of the width of their moment."""
         t, c, release = self.terms, self.terms.numbers, self.release
         at, rows, k, group = t.layout, t.changes.events, release.k, t.layout.group[release.k]
-        growth = 1.0 + c.threshold_drift * at.time_s[k]
+        d_on, d_drift, d_memory = (tangent.numbers[Numbers._fields.index(name)] for name in _OF_LEVEL)
+        growth, factor = 1.0 + c.threshold_drift * at.time_s[k], memory_factor(c.polarity_memory, at.alike[k])
         moved = _NOTHING if tangent.changes is None else tangent.changes.events.of_level
         d_late = np.zeros(len(k)) if tangent.changes is None else -tangent.changes.events.early[k]
         d_level, d_rate = np.empty(len(k)), np.empty(len(k))
         _levels_along(
             k, at.sign[k], at.time_s[k], release.level, release.rate, rows.drift[k], rows.drift_slope[k], growth,
-            *moved, c.on_threshold, c.threshold_drift, d_on, d_drift, d_level, d_rate,
+            factor, at.alike[k], *moved, c.on_threshold, c.threshold_drift, d_on, d_drift, d_memory, d_level, d_rate,
         )  # fmt: skip
         ahead = WINDOW * release.width - release.late
         d_level += ahead * d_rate + release.rate * (WINDOW * d_width - d_late)
-        spread = np.sqrt((c.noise * t.group_mean[group]) ** 2 + t.group_variance[group])
+        spread = np.sqrt((c.noise * t.group_mean[group] / factor) ** 2 + t.group_variance[group])
         margin = (release.level + ahead * release.rate - t.group_mean[group]) / spread
         hazard = np.exp(norm.logpdf(margin) - norm.logcdf(margin))
         bend = np.sqrt(np.maximum(hazard * (hazard + margin), 0.0))  # of −log Φ
@@ -118,12 +123,13 @@ def _products(residuals: np.ndarray) -> np.ndarray:
 
 
 _NOTHING = (np.empty(0),) * 4
+_OF_LEVEL = ("on_threshold", "threshold_drift", "polarity_memory")
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _levels_along(
-    kept, sign, time, level, rate, leak, leak_rate, growth, by_change, by_slope, by_drift, by_drift_slope,
-    on, drift, d_on, d_drift, d_level, d_rate,
+    kept, sign, time, level, rate, leak, leak_rate, growth, factor, alike, by_change, by_slope, by_drift,
+    by_drift_slope, on, drift, d_on, d_drift, d_memory, d_level, d_rate,
 ):  # fmt: skip
     """Fill the derivatives of level and rate of the events kept; by_…: of the changes, empty where they rest."""
     for i in range(len(kept)):
@@ -132,22 +138,25 @@ def _levels_along(
             k = kept[i]
             change += by_change[k] + on * by_drift[k]
             slope += by_slope[k] + on * by_drift_slope[k]
-        growing = d_drift * time[i] / growth[i]
-        d_level[i] = sign[i] * change / growth[i] - growing * level[i]
-        d_rate[i] = sign[i] * slope / growth[i] - growing * rate[i]
-        d_rate[i] -= (d_level[i] * drift + level[i] * d_drift) / growth[i]
+        growing = d_drift * time[i] / growth[i] + d_memory * alike[i] / factor[i]
+        grown, drifting = growth[i] * factor[i], drift / growth[i]
+        d_level[i] = sign[i] * change / grown - growing * level[i]
+        d_rate[i] = sign[i] * slope / grown - growing * (rate[i] + drifting * level[i])
+        d_rate[i] -= d_level[i] * drifting + level[i] * d_drift / growth[i] ** 2
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _residuals_along(
-    group, rate, weight, clock, clock_share, d_mean, d_noise_variance, d_jitter_variance, d_level, d_rate,
-    rows, d_weight_sum,
+    group, rate, weight, clock, clock_share, factor, d_mean, d_noise_variance, d_factor, d_jitter_variance, d_level,
+    d_rate, rows, d_weight_sum,
 ):  # fmt: skip
     """Fill a column's three rows: level within its group, log rate, log scale; and how the groups' weights change."""
     half = np.sqrt(0.5)
     for i in range(len(group)):
         g, w, r = group[i], weight[i], rate[i]
-        d_variance = d_noise_variance[g] + 2.0 * r * d_rate[i] * clock[i] + r * r * clock_share[i] * d_jitter_variance
+        d_variance = d_noise_variance[g] / factor[i] ** 2
+        d_variance -= 2.0 * (1.0 / w - r * r * clock[i]) * d_factor[i] / factor[i]
+        d_variance += 2.0 * r * d_rate[i] * clock[i] + r * r * clock_share[i] * d_jitter_variance
         rows[0, i] = (d_level[i] - d_mean[g]) * np.sqrt(w)
         rows[1, i] = d_rate[i] / r
         rows[2, i] = half * d_variance * w

@@ -89,7 +89,8 @@ class Layout:
     sign, time_s, tick_s, pixel, recording: (n,) polarity ±1, time and timestamp width of the event, whose it is
     previous_sign: (n,) polarity of the pixel's event before, ±1
     group: (n,) 2 · pixel + ON, the groups that share a threshold
-    last_pixel, last_time_s, last_recording: (m,) of the unfinished intervals; the time is the recording's end
+    last_pixel, last_time_s, last_sign, last_recording: (m,) of the unfinished intervals; the time is the recording's
+        end, the sign that of the event which began them
     event_ends, end_ends: where the columns of one section end and those of the next begin
     light, light_reset: (n,) variance of the change, and of its reference alone, by light that is not known between
         samples (`light_between_samples.py`);  light_last: (m,) of the changes in unfinished intervals
@@ -107,6 +108,7 @@ class Layout:
     group: np.ndarray
     last_pixel: np.ndarray
     last_time_s: np.ndarray
+    last_sign: np.ndarray
     last_recording: np.ndarray
     event_ends: np.ndarray
     end_ends: np.ndarray
@@ -138,6 +140,11 @@ class Layout:
     def size(self) -> int:
         """Length of the vector of all changes."""
         return len(EventRows._fields) * self.events + len(EndRows._fields) * self.ends
+
+    @cached_property
+    def alike(self) -> np.ndarray:
+        """(n,) 1 after an event of the same polarity, −1 after one of the other."""
+        return read_only(self.sign * self.previous_sign)
 
     @cached_property
     def unknown(self) -> float:
@@ -197,6 +204,7 @@ def layout_of(recordings: Sequence[Recording], intervals: Sequence[Sequences], s
         "group": 2 * pixel + (sign > 0),
         "last_pixel": last_pixel,
         "last_time_s": np.repeat([iv.end_s for iv in intervals], last_counts),
+        "last_sign": np.concatenate([iv.last_sign for iv in intervals]),
         "last_recording": np.repeat(which, last_counts),
         "event_ends": np.cumsum([len(s.intervals) for s in sections])[:-1],
         "end_ends": np.cumsum([len(s.intervals.last_s) for s in sections])[:-1],

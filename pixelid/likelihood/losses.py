@@ -9,9 +9,8 @@ density
 
 with rate r, dead time T (in which the rate may have been another), and s the scatter of a threshold drawn.  How likely
 each j is follows from how often neighbours among the recorded events are of opposite polarity, as in a Markov chain.
-Where thresholds remember the polarity before, by a share m, every event has shifted that of the next, and z is free of
-what the last recorded one did only: m (a C_p + b C_p') is added to the mean, a and b from the orders that the chain
-makes.
+Where thresholds remember the polarity before, by a share m, z counts in units of that after the last recorded event; it
+is the change here, and m (a C_p + b C_p') is added to its mean, a and b from the orders that the chain makes.
 Up to `MOST_IN_A_ROW` are told apart from background; where j = i the event looks like any other, except that the other
 polarity's threshold was reached.
 
@@ -28,9 +27,10 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import ndtr
 
-from pixelid.likelihood.density_release import spread_of_draws
+from pixelid.likelihood.density_forward import spreads_of_others
 from pixelid.likelihood.layout import NOTHING, Layout
 from pixelid.stages.circuit import Circuit
+from pixelid.stages.comparator import memory_factor
 
 BACKGROUND_HZ = 1e-3  # of events that no circuit explains, per polarity of a pixel
 # Lost events that are told apart from one background event: of 0.3 lost, one in 15 000 has more before it.
@@ -50,14 +50,14 @@ def missed_of(fraction: float) -> tuple[float, float]:
 class Pull(NamedTuple):
     """Derivatives of the gains by what `density_forward.forward` filled; empty arrays where no event is lost.
 
-    by_level, by_rate: (n,);  by_mean, by_sd: (g,) by a group's mean threshold and the scatter of those it draws;  kept:
-    (n,) chance that no lost event came before, which is how much an event's survival counts
+    by_level, by_rate: (n,);  by_mean, by_spread: (g,) by a group's mean threshold and the variance of those it draws;
+    kept: (n,) chance that no lost event came before, which is how much an event's survival counts
     """
 
     by_level: np.ndarray
     by_rate: np.ndarray
     by_mean: np.ndarray
-    by_sd: np.ndarray
+    by_spread: np.ndarray
     kept: np.ndarray
 
 
@@ -95,25 +95,27 @@ def losses_of(layout: Layout, circuit: Circuit, numbers, event, background, grou
     """
     fraction, dead_s, memory = float(circuit.lost), float(circuit.refractory), float(circuit.polarity_memory)
     k = np.flatnonzero(background & (event.level != 0.0))  # a level of 0: the circuit cannot have fired
-    before = layout.sign[k] * layout.previous_sign[k]
-    own, rate, sd = layout.group[k], event.rate[k], spread_of_draws(group, numbers.noise)
+    before, own = layout.alike[k], layout.group[k]
+    factor = memory_factor(memory, before)
+    level, rate = factor * event.level[k], factor * event.rate[k]
+    spread = (numbers.noise * group.mean) ** 2 + group.variance
     times = np.arange(1, MOST_IN_A_ROW + 1)
     shares = np.where(times < MOST_IN_A_ROW, 1.0 - fraction, 1.0) * fraction ** (times - 1)
     levels = _Levels(
-        event.level[k],
+        level,
         rate * dead_s,
         group.mean[own],
         group.mean[own ^ 1],
-        sd[own] ** 2,
-        sd[own ^ 1] ** 2,
+        spread[own],
+        spread[own ^ 1],
         np.full(len(k), memory),
     )
     many, slopes = np.empty((len(times), len(k))), _Levels(*np.zeros((len(_Levels._fields), len(k))))
     for lost, share in zip(times, shares, strict=True):
         many[lost - 1] = _after_lost(_orders(int(lost), layout.turns), share, levels, before, slopes)
-    chance, by_missed = _survivals(layout, fraction, event, group, sd)
+    chance, by_missed = _survivals(layout, fraction, event, group, numbers)
     mixed = many.sum(axis=0)
-    ratio = fraction * rate * mixed / (BACKGROUND_HZ * chance[k])
+    ratio = fraction * rate * mixed / (BACKGROUND_HZ * chance[k])  # by time: rate and density of the change
     gain = np.where(background, 0.0, np.log1p(-fraction))
     after = np.zeros(layout.events)
     gain[k], after[k] = np.log1p(ratio), ratio / (1.0 + ratio)
@@ -126,23 +128,24 @@ def losses_of(layout: Layout, circuit: Circuit, numbers, event, background, grou
 
     by = _Levels(*(after[k] / np.maximum(mixed, TINY) * slope_of_one for slope_of_one in slopes))
     by_level, by_rate = np.zeros((2, layout.events))
-    by_level[k], by_rate[k] = by.level, after[k] / rate + by.waited * dead_s
+    by_rate_here = after[k] / rate + by.waited * dead_s
+    by_level[k], by_rate[k] = factor * by.level, factor * by_rate_here
+    by_memory = float(by.remembered.sum())
+    by_memory += float((before / factor * (by.level * level + by_rate_here * rate)).sum())
 
     def by_group(of_own: np.ndarray, of_other: np.ndarray) -> np.ndarray:
         return np.bincount(own, of_own, layout.groups) + np.bincount(own ^ 1, of_other, layout.groups)
 
-    by_sd = 2.0 * sd * by_group(by.spread, by.other_spread)
-    pull = Pull(by_level, by_rate, by_group(by.mean, by.other_mean), by_sd, 1.0 - after)
+    pull = Pull(by_level, by_rate, by_group(by.mean, by.other_mean), by_group(by.spread, by.other_spread), 1.0 - after)
     information = lost / fraction**2 + ended / (1.0 - fraction) ** 2
-    return Losses(fraction, gain, after, slope, information, float(by.remembered.sum()), float(by.waited @ rate), pull)
+    return Losses(fraction, gain, after, slope, information, by_memory, float(by.waited @ rate), pull)
 
 
-def _survivals(layout: Layout, fraction: float, event, group, sd) -> tuple[np.ndarray, np.ndarray]:
+def _survivals(layout: Layout, fraction: float, event, group, numbers) -> tuple[np.ndarray, np.ndarray]:
     """(n,) chance that the other polarity's threshold was not reached, or its event is missing, and its derivative by
     the share of missing ones."""
-    other = layout.group ^ 1
-    wide = sd[other] if len(layout.light_reset) == 0 else np.sqrt(sd[other] ** 2 + layout.light_reset)
-    reached = np.where(event.reached > 0.0, ndtr((event.reached - group.mean[other]) / wide), 0.0)
+    wide = spreads_of_others(layout.alike, layout.group, numbers, layout.light_reset, group)
+    reached = np.where(event.reached > 0.0, ndtr((event.reached - group.mean[layout.group ^ 1]) / wide), 0.0)
     return 1.0 - (1.0 - missed_of(fraction)[0]) * reached, 2.0 * fraction * reached
 
 
@@ -183,7 +186,7 @@ def _after_lost(orders: _Orders, share: float, at: _Levels, before: np.ndarray, 
     for alike, (chance, first_other, own, other) in enumerate(zip(*orders, strict=True)):
         others = lost - alike  # as many of either: the level is the usual one, but the other threshold was reached
         onwards = alike - others  # light goes on in the dead time after an event as it had come to it
-        own, other = own - before * first_other, other + before * first_other
+        own, other = own + before * (1.0 - first_other), other + before * first_other
         of_own, of_other = alike + 1 + at.remembered * own, at.remembered * other - others
         away = at.level - of_own * at.mean - of_other * at.other_mean - onwards * at.waited
         more = (lost * at.waited) ** 2  # the rate was another one then

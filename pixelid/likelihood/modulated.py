@@ -1,7 +1,7 @@
 """Changes under described effects: what a pixel's last event set for the interval after it (`stages/modulation.py`).
 
 Dead times differ from interval to interval.  Thresholds are held to be those of the population; what an event adds to
-them is taken from the changes instead, at the event and at the extremes, as for `polarity_memory`:
+them is taken from the changes instead, at the event and at the extremes:
 
     ON  change − C_on g          OFF  −change − C_off g          slope less that of C g
 

@@ -27,6 +27,7 @@ from pixelid.likelihood.event_times import EventTimes
 from pixelid.likelihood.layout import Shift, read_only
 from pixelid.parallel import map_threads
 from pixelid.stages.circuit import Circuit
+from pixelid.stages.comparator import memory_factor
 from pixelid.stimuli.pixel_lights import Light, lights_in, log_radiance_at
 
 STEP = 0.1  # of the time in which the level's noise changes by its own size, in the brightest light
@@ -202,7 +203,8 @@ def under_shot_noise(likelihood: EventTimes, circuit: Circuit) -> EventTimes:
     noise, terms = noise_of(likelihood, circuit), likelihood.terms(circuit)
     threshold = terms.group_mean[likelihood.group]
     total = noise.variance + (circuit.noise * threshold) ** 2
-    missed = terms.z - threshold - noise.mean
+    factor = memory_factor(circuit.polarity_memory, likelihood.layout.alike)
+    missed = factor * (terms.z - threshold) - noise.mean
     told = ~terms.at_once & (np.abs(missed) < OUTLIER * np.sqrt(total))
     rate = likelihood.sign * terms.changes.events.slope
     slope = rate + noise.slope + np.where(told, noise.together / total * missed, 0.0)

@@ -24,6 +24,7 @@ from pixelid.simulate.step import light_integral, probe
 LEVEL, DECAY, RELEASE, ON, OFF, BASE_ON, BASE_OFF, LAST = range(8)
 FIELDS = 8
 LEAST = 0.01  # relative draws of thresholds are repeated until they exceed this
+UNMOVED = (0.0, 0.0)  # thresholds to which nothing is added
 _RETRY = 1 << 40  # counters of repeated draws
 
 
@@ -42,20 +43,21 @@ def _relative(key, pixel, counter, sigma):
 
 
 @njit(forceinline=True, error_model="numpy")
-def _shifted(mean, relative, shift):
-    """A pixel's threshold, drawn and shifted, of the least that a draw may be."""
-    return max(mean * relative + shift, LEAST * mean)
+def _shifted(mean, relative, factor, shift):
+    """A pixel's threshold times a factor, with the draw's noise and shifted, of the least that a draw may be."""
+    return max(mean * (factor + (relative - 1.0)) + shift, LEAST * mean)
 
 
 @njit(forceinline=True, error_model="numpy")
-def draw_thresholds(pixel, place, comparators, drawn, key, noise, shifts):
-    """Fresh ON and OFF thresholds for the next event of `pixel`, held at column `place`, moved by `shifts`."""
+def draw_thresholds(pixel, place, comparators, drawn, key, noise, factors, shifts):
+    """Fresh ON and OFF thresholds for the next event of `pixel`, held at column `place`, moved by `shifts`; factors: of
+    its thresholds, before noise."""
     on, off = 1.0, 1.0
     if noise > 0.0:
         on, off = _relative(key, pixel, drawn[place], noise)
         drawn[place] += 1
-    comparators[ON, place] = _shifted(comparators[BASE_ON, place], on, shifts[0])
-    comparators[OFF, place] = _shifted(comparators[BASE_OFF, place], off, shifts[1])
+    comparators[ON, place] = _shifted(comparators[BASE_ON, place], on, factors[0], shifts[0])
+    comparators[OFF, place] = _shifted(comparators[BASE_OFF, place], off, factors[1], shifts[1])
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -72,7 +74,7 @@ def start(first_pixel, on, off, mismatch, noise, seed, synchronous, level, out, 
         a, b = _relative(spread, pixel, 0, mismatch)
         comparators[BASE_ON, i], comparators[BASE_OFF, i] = on * a, off * b
         drawn[i] = 0
-        draw_thresholds(pixel, i, comparators, drawn, event, noise, (0.0, 0.0))
+        draw_thresholds(pixel, i, comparators, drawn, event, noise, (1.0, 1.0), UNMOVED)
         comparators[RELEASE, i], comparators[LAST, i] = np.inf, -np.inf
         if synchronous:
             comparators[LEVEL, i], comparators[DECAY, i] = level[i], out[i] - level[i]
@@ -106,7 +108,7 @@ def fire(pixel, place, time, polarity, comparators, drawn, laws, fired, count):
     fired[0][count], fired[1][count], fired[2][count] = time, pixel, polarity
     comparators[LAST, place], comparators[RELEASE, place] = time, time + refractory
     comparators[LEVEL, place], comparators[DECAY, place] = np.nan, 0.0
-    draw_thresholds(pixel, place, comparators, drawn, key, noise, history[polarity])
+    draw_thresholds(pixel, place, comparators, drawn, key, noise, history[polarity], UNMOVED)
     return fired, count + 1
 
 
@@ -157,14 +159,14 @@ def events_in_step(pixel, place, t0, t1, step, chain, comparators, drawn, laws, 
             fired = grown(fired)
         fired[0][count], fired[1][count], fired[2][count] = t0 + at, pixel, polarity
         count += 1
-        dead, shifts = refractory, history[polarity]
+        dead, shifts = refractory, UNMOVED
         if len(described) > 0:
             on, off, longer = set_at_reset(
                 described, 2.0 * polarity - 1.0, t0 + at, step[7] * np.exp(step[8] * at), abs(step[8])
             )
-            dead, shifts = max(dead + longer, 0.0), (shifts[0] + on, shifts[1] + off)
+            dead, shifts = max(dead + longer, 0.0), (on, off)
         comparators[LAST, place] = t0 + at
-        draw_thresholds(pixel, place, comparators, drawn, key, noise, shifts)
+        draw_thresholds(pixel, place, comparators, drawn, key, noise, history[polarity], shifts)
         if t0 + at + dead > t1:
             comparators[RELEASE, place] = t0 + at + dead
             comparators[LEVEL, place], comparators[DECAY, place] = np.nan, 0.0

@@ -115,15 +115,15 @@ class FullField:
         waiting = np.isfinite(twins.event_s)
         dead = np.full(len(waiting), float(self._rules.circuit.refractory))
         if twins.after is not None:
-            history = np.array([self._rules.laws.history[0], (0.0, 0.0), self._rules.laws.history[1]])
-            shift = history[np.sign(twins.after).astype(int) + 1].T
+            history = np.array([self._rules.laws.history[0], (1.0, 1.0), self._rules.laws.history[1]])
+            more, shift = history[np.sign(twins.after).astype(int) + 1].T - 1.0, np.zeros((2, len(twins.on)))
             if len(self._rules.laws.described):
                 on, off, longer = np.where(waiting & (twins.after != 0), self._set_before(twins), 0.0)
-                shift, dead = shift + np.array([on, off]), np.maximum(dead + longer, 0.0)
-            for drawn, base, moved in zip(
-                (comparator.ON, comparator.OFF), (comparator.BASE_ON, comparator.BASE_OFF), shift, strict=True
+                shift, dead = np.array([on, off]), np.maximum(dead + longer, 0.0)
+            for drawn, base, by, moved in zip(
+                (comparator.ON, comparator.OFF), (comparator.BASE_ON, comparator.BASE_OFF), more, shift, strict=True
             ):
-                state[drawn] = np.maximum(state[drawn] + moved, comparator.LEAST * state[base])
+                state[drawn] = np.maximum(state[drawn] + by * state[base] + moved, comparator.LEAST * state[base])
         state[comparator.LAST, waiting] = twins.event_s[waiting]
         state[RELEASE, waiting] = (twins.event_s + dead)[waiting]
         state[LEVEL, waiting], state[DECAY, waiting] = np.nan, 0.0

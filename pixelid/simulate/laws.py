@@ -14,7 +14,7 @@ from pixelid.dynamics.trajectory import Dynamics
 from pixelid.errors import InputError
 from pixelid.simulate import random
 from pixelid.stages.circuit import Circuit
-from pixelid.stages.comparator import drifts_to_zero, threshold_shifts
+from pixelid.stages.comparator import drifts_to_zero, memory_factor
 from pixelid.stages.differencing import leaked
 from pixelid.stages.modulation import at_reset, since_event
 
@@ -22,7 +22,7 @@ from pixelid.stages.modulation import at_reset, since_event
 class Laws(NamedTuple):
     """The comparator's laws as the kernels want them; see `comparator.events_in_step`.
 
-    history: what is added to ON and OFF thresholds after an OFF event, and after an ON event
+    history: what ON and OFF thresholds are multiplied by after an OFF event, and after an ON event
     described, relaxing: `modulation.at_reset` and `modulation.since_event`
     silent: seconds after an event in which nothing is compared
     """
@@ -78,6 +78,7 @@ def rules_of(circuit: Circuit, seed: int, synchronous: bool, t_end: float) -> Ru
     if circuit.shot_density > 0 and unlimited:
         raise InputError("shot_noise needs a bandwidth limit: white noise on ln L has no finite level without one")
     chain = (w1, w2, wh, wd, bool(kernels.cutoffs_coincide(w1, w2, wh, wd)), slewing)
+    like = float(memory_factor(circuit.polarity_memory, 1.0)), float(memory_factor(circuit.polarity_memory, -1.0))
     laws = Laws(
         circuit.refractory,
         circuit.on_threshold * leaked(circuit, 1.0, 0.0),
@@ -85,7 +86,7 @@ def rules_of(circuit: Circuit, seed: int, synchronous: bool, t_end: float) -> Ru
         circuit.threshold_drift,
         circuit.noise,
         np.uint64(random.stream_key(seed, random.THRESHOLD)),  # as int, compiled code would overflow from some seeds on
-        (threshold_shifts(circuit, -1.0), threshold_shifts(circuit, 1.0)),
+        ((like[1], like[0]), like),
         at_reset(circuit),
         since_event(circuit),
         circuit.silent,

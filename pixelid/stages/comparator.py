@@ -27,13 +27,12 @@ def drifts_to_zero(drift: float, until_s: float) -> bool:
     return 1.0 + drift * until_s <= LEAST_GROWTH
 
 
-def threshold_shifts(circuit: Circuit, before):
-    """(ON, OFF) what is added to a pixel's thresholds after an event of polarity `before`, in log radiance.
+def memory_factor(memory, alike):
+    """What a threshold is multiplied by after an event: of the same polarity (alike = 1), of the other (−1), none (0).
 
-    before: +1, −1, or 0 where there was none; a number or an array
+    The noise of a draw, σ C_i, is not multiplied.  Numbers or arrays; also compiled.
     """
-    memory = circuit.polarity_memory * before
-    return memory * circuit.on_threshold, -memory * circuit.off_threshold
+    return 1.0 + memory * alike
 
 
 class ThresholdMismatch(Effect):
@@ -76,8 +75,8 @@ class PolarityMemory(Effect):
     name = "polarity_memory"
     stage = "comparator"
     sentence = "A threshold depends on the polarity of the pixel's previous event."
-    equation = "C_i,p → C_i,p + strength · p · p_before · C_p, C_p the mean over pixels; first event: C_i,p"
-    source = "docs/model.md: what an incomplete reset leaves behind shifts the next threshold, to first order"
+    equation = "C_i,p → C_i,p (1 + strength · p · p_before), σ C_i,p as before; first event: C_i,p"
+    source = "docs/model.md: what an event leaves behind moves the next threshold, to first order"
     parameters = (Parameter("polarity_memory.strength", 0.05, "1", -0.5, 0.5, "linear"),)
 
     def apply(self, circuit: Circuit, values: Mapping[str, float]) -> Circuit:

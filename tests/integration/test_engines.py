@@ -15,7 +15,9 @@ from pixelid.model.shipped import find_model
 from pixelid.simulate import simulate
 from pixelid.stimuli.stimulus import Stimulus
 
-EVERYTHING = ("leak", "parasitic_photocurrent", "dark_current", "threshold_drift", "timestamp_jitter")
+EVERYTHING = (
+    "leak", "parasitic_photocurrent", "dark_current", "threshold_drift", "timestamp_jitter", "polarity_memory",
+)  # fmt: skip
 
 
 def light(level, frequency, samples=401, duration=0.2, depth=1.0):
@@ -86,7 +88,10 @@ def test_the_symbolic_form_equals_the_compiled_density_with_its_gradient(effects
     assert casadi.value(objective, x) == pytest.approx(objective.value(x), rel=1e-8)
     compiled, symbolic = objective.gradient(x), casadi.gradient(objective, x)
     error = 1.0 / np.sqrt(np.maximum(np.diag(objective.local(x).information), 1e-12))
-    in_density = ("threshold_sigma", "threshold_mismatch.sigma", "threshold_drift.per_s", "timestamp_jitter.sigma_s")
+    in_density = (
+        "threshold_sigma", "threshold_mismatch.sigma", "threshold_drift.per_s", "timestamp_jitter.sigma_s",
+        "polarity_memory.strength",
+    )  # fmt: skip
     for i, name in enumerate(objective.coordinates.names):
         if name.endswith("_threshold") or name in in_density:  # no changes between them: no difference quotients
             assert compiled[i] == pytest.approx(symbolic[i], rel=1e-8, abs=1e-8 / error[i]), name

@@ -22,6 +22,12 @@ def terms(likelihood, circuit, vector: np.ndarray) -> SimpleNamespace:
     rise, rise_drift, fall, fall_drift = changes.ends
     on, off = circuit.on_threshold, circuit.off_threshold
     growth = 1.0 + circuit.threshold_drift * at.time_s
+    m, link = circuit.polarity_memory, at.sign * at.previous_sign
+    f, f_other = 1.0 + m * link, 1.0 - m * link  # C_i (1 + m p p'), of the event's own polarity and of the other
+    change, slope, drift, drift_slope = (row / f for row in (change, slope, drift, drift_slope))
+    opposite, opposite_drift = opposite / f_other, opposite_drift / f_other
+    f_rise, f_fall = 1.0 + m * at.last_sign, 1.0 - m * at.last_sign
+    rise, rise_drift, fall, fall_drift = rise / f_rise, rise_drift / f_rise, fall / f_fall, fall_drift / f_fall
     z = at.sign * (change + on * drift) / growth
     rate = at.sign * (slope + on * drift_slope) / growth - z * circuit.threshold_drift / growth
     width_of_release = np.sqrt(at.tick_s**2 / 6.0 + 2.0 * circuit.jitter**2 + (1e-3 * circuit.silent) ** 2)
@@ -32,7 +38,7 @@ def terms(likelihood, circuit, vector: np.ndarray) -> SimpleNamespace:
     rate = np.where(impossible, 1.0, rate)
     z = np.where(impossible, 0.0, z)
     width = rate * rate * likelihood.clock_share * (at.tick_s**2 / 12.0 + circuit.jitter**2)
-    variance = (circuit.noise * np.where(at.sign > 0, on, off)) ** 2 + width
+    variance = (circuit.noise * np.where(at.sign > 0, on, off) / f) ** 2 + width
     C = np.where(np.arange(at.groups) % 2 == 1, on, off)
     spread = (circuit.mismatch * C) ** 2
     background = impossible
@@ -48,7 +54,7 @@ def terms(likelihood, circuit, vector: np.ndarray) -> SimpleNamespace:
         extra = spread.real / shrink
     weight = np.where(background, 0.0, 1.0 / variance)
     own = (C + spread * sum_by(at.group, weight * z, at.groups)) / (1.0 + spread * sum_by(at.group, weight, at.groups))
-    variance = (circuit.noise * own[at.group]) ** 2 + width
+    variance = (circuit.noise * own[at.group] / f) ** 2 + width
     weight = np.where(background, 0.0, 1.0 / variance)
 
     W, A = sum_by(at.group, weight, at.groups), sum_by(at.group, weight * z, at.groups)
@@ -63,21 +69,25 @@ def terms(likelihood, circuit, vector: np.ndarray) -> SimpleNamespace:
     within = z - z_bar[at.group]
     event_term = -0.5 * np.log(2.0 * np.pi * variance) - 0.5 * within * within * weight + np.log(rate)
     event_term = np.where(background, np.log(BACKGROUND_HZ), event_term)
-    sd = np.sqrt((circuit.noise * group_mean) ** 2 + group_variance)
-    at_once = log_ndtr((ahead - group_mean[at.group]) / sd[at.group]) - 0.5 * (early / width_of_release) ** 2
+
+    def sd(group, factor):
+        return np.sqrt((circuit.noise * group_mean[group] / factor) ** 2 + group_variance[group])
+
+    at_once = log_ndtr((ahead - group_mean[at.group]) / sd(at.group, f)) - 0.5 * (early / width_of_release) ** 2
     at_once = at_once - np.log(np.sqrt(2.0 * np.pi) * width_of_release)
     released = released & (at_once.real > np.log(BACKGROUND_HZ))
     event_term = np.where(released, at_once, event_term)
     background = background & ~released
     z = np.where(released, ahead, z)
-    variance = np.where(released, (circuit.noise * group_mean[at.group]) ** 2, variance)
+    variance = np.where(released, (circuit.noise * group_mean[at.group] / f) ** 2, variance)
     other = at.group ^ 1
     reached = (opposite + on * opposite_drift) / growth
-    event_term = event_term + np.where(reached.real > 0, log_survival((group_mean[other] - reached) / sd[other]), 0.0)
+    survives = log_survival((group_mean[other] - reached) / sd(other, f_other))
+    event_term = event_term + np.where(reached.real > 0, survives, 0.0)
     ON, OFF = 2 * at.last_pixel + 1, 2 * at.last_pixel
     grown = 1.0 + circuit.threshold_drift * at.last_time_s
-    end_term = log_survival((group_mean[ON] - (rise + on * rise_drift) / grown) / sd[ON])
-    end_term = end_term + log_survival((group_mean[OFF] - (fall + on * fall_drift) / grown) / sd[OFF])
+    end_term = log_survival((group_mean[ON] - (rise + on * rise_drift) / grown) / sd(ON, f_rise))
+    end_term = end_term + log_survival((group_mean[OFF] - (fall + on * fall_drift) / grown) / sd(OFF, f_fall))
     per_pixel = (
         sum_by(at.pixel, event_term, at.pixels)
         + sum_by(at.last_pixel, end_term, at.pixels)

@@ -105,9 +105,9 @@ def test_orders_of_lost_events_are_those_of_a_chain():
             held = [s * thresholds[s] * (1.0 + memory * link) for s, link in zip(chain[1:], links, strict=True)]
             p = float(np.prod(np.where(links[1:] > 0, 1.0 - turns, turns)))
             chance[signs.count(1)] += p
-            needed[signs.count(1)] += p * (sum(held) - memory * before * thresholds[1])
+            needed[signs.count(1)] += p * sum(held)
         orders, alike = _orders(lost, turns), np.arange(lost + 1)
-        own = alike + 1 + memory * (orders.own - before * orders.first_other)
+        own = alike + 1 + memory * (orders.own + before * (1.0 - orders.first_other))
         other = memory * (orders.other + before * orders.first_other) - (lost - alike)
         np.testing.assert_allclose(orders.chance, chance, rtol=1e-12)
         np.testing.assert_allclose(own * thresholds[1] + other * thresholds[-1], needed / chance, rtol=1e-12)

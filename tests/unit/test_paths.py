@@ -14,12 +14,10 @@ from pixelid.gap.imputation.windows import jitter_windows, tick_windows
 from pixelid.model.shipped import find_model
 from pixelid.recordings.own_light import with_fine_light
 from pixelid.simulate import simulate
-from pixelid.stages.circuit import Circuit
-from pixelid.stages.comparator import threshold_shifts
 from pixelid.stimuli.shapes import chirp
 
 STEP_S, DEAD_S = 2e-6, 1e-4
-AT = Thresholds(0.2, 0.25, 0.01, 0.012, 0.0, 0.0)
+AT = Thresholds(0.2, 0.25, 0.01, 0.012, 0.0)
 MODEL = find_model("dvs128")
 
 
@@ -51,9 +49,7 @@ def crossing(u: np.ndarray, when: float, sign: float) -> np.ndarray:
 def test_chances_of_cells_are_those_of_the_running_extreme(sign, memory):
     t = STEP_S * np.arange(2000)
     u = 0.2155 * np.sin(2 * np.pi * 400.0 * t) + 100.0 * t  # about as likely to fall by the one as to rise by the other
-    circuit = Circuit(on_threshold=AT.on, off_threshold=AT.off, polarity_memory=memory)
-    on, off = threshold_shifts(circuit, 1.0)
-    at = AT._replace(on=AT.on - on, off=AT.off - off, memory_on=on, memory_off=off)  # as AT after an ON event
+    at = AT._replace(on=AT.on / (1.0 + memory), off=AT.off / (1.0 - memory), memory=memory)  # as AT after an ON event
     when = 3.01e-4
     cells = np.zeros(len(u)), np.zeros(len(u))
     add_chances(light(u), at, when, 1.0, 0, 1, len(u) - 1, *cells, 1.0)

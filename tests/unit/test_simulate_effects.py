@@ -79,6 +79,25 @@ def test_polarity_memory_acts_from_the_second_event_on(shape):
     np.testing.assert_allclose(20 * dt, [1.0] + [1.1] * (len(dt) - 1), rtol=1e-6)
 
 
+def test_polarity_memory_goes_with_each_pixels_own_threshold_and_leaves_its_noise():
+    """Leak alone: every ON event but the first of a pixel waits (1 + strength) C_i, with the noise of C_i."""
+    circuit = PLAIN.with_(leak_hz=20.0, mismatch=0.1)
+    light, size = shapes.constant(50.0, 20.0), {"width": 6, "height": 1, "synchronous": True, "seed": 4}
+
+    def waits(circuit):
+        events = simulate(circuit, light, **size).events
+        return [np.diff(events.t[events.x == x] * 1e-9) for x in range(6)]
+
+    without = [w.mean() for w in waits(circuit)]
+    assert np.std(without) > 0.03 * np.mean(without)
+    for memory in (-0.4, 0.3):
+        for own, w in zip(without, waits(circuit.with_(polarity_memory=memory)), strict=True):
+            np.testing.assert_allclose(w, (1.0 + memory) * own, rtol=1e-6)
+    noisy = [waits(circuit.with_(noise=0.05, polarity_memory=memory)) for memory in (0.0, -0.4)]
+    spread = [np.concatenate([w - w.mean() for w in every]).std() / np.mean(without) for every in noisy]
+    assert spread == pytest.approx([0.05, 0.05], rel=4.0 / np.sqrt(2 * 6 * 400))
+
+
 def test_polarity_memory_of_turns_and_runs():
     """Ideal pixel, triangular light: each event's change over the one before it is C_p (1 + strength p p_before)."""
     t = np.linspace(0.0, 1.0, 9)

@@ -20,6 +20,7 @@ from pixelid.dynamics.trajectory import Dynamics
 from pixelid.fit.engines.frozen import Frozen, FrozenRecording
 from pixelid.likelihood.clocks import Clock
 from pixelid.likelihood.losses import BACKGROUND_HZ, MISSED
+from pixelid.stages.comparator import memory_factor
 
 
 class Operations(Protocol):
@@ -218,15 +219,16 @@ def log_likelihood(op: Operations, frozen: Frozen, circuit, clocks=None, changes
     S = (circuit.mismatch * C) * (circuit.mismatch * C)
     scale = op.constant(at.sign[kept] / frozen.threshold_factor[kept])
     growth = 1.0 + circuit.threshold_drift * op.constant(at.time_s[kept])
-    z = scale * (row("change", kept) + on * row("drift", kept)) / growth
-    rate = scale * (row("slope", kept) + on * row("drift_slope", kept)) / growth
+    factor = memory_factor(circuit.polarity_memory, op.constant(at.alike[kept]))
+    z = scale * (row("change", kept) + on * row("drift", kept)) / (growth * factor)
+    rate = scale * (row("slope", kept) + on * row("drift_slope", kept)) / (growth * factor)
     rate = rate - z * circuit.threshold_drift / growth
     share = frozen.clock_share[kept]
     clock = op.constant(share * at.tick_s[kept] ** 2 / 12.0) + circuit.jitter * circuit.jitter * op.constant(share)
 
     def weighed(threshold):
         """(variance, Σ w, Σ w z) with noise that scales with `threshold` (groups,)."""
-        sd = circuit.noise * op.take(threshold, group)
+        sd = circuit.noise * op.take(threshold, group) / factor
         variance = sd * sd + rate * rate * clock
         return variance, op.sum_by(group, 1.0 / variance, at.groups), op.sum_by(group, z / variance, at.groups)
 
@@ -244,18 +246,20 @@ def log_likelihood(op: Operations, frozen: Frozen, circuit, clocks=None, changes
         + frozen.background * math.log(BACKGROUND_HZ)
     )
     mean = (C + S * A) / q
-    sd = op.sqrt((circuit.noise * mean) * (circuit.noise * mean) + S / q)
 
-    def survival(index, reached):
-        margin = (op.take(mean, index) - reached) / op.take(sd, index)
+    def survival(index, reached, alike):
+        shrunk = memory_factor(circuit.polarity_memory, op.constant(alike))
+        drawn = circuit.noise * op.take(mean, index) / shrunk
+        sd = op.sqrt(drawn * drawn + op.take(S / q, index))
+        margin = (op.take(mean, index) - reached / shrunk) / sd
         return op.total(op.log(MISSED + (1.0 - MISSED) * op.normal_cdf(margin)))
 
     if len(survived):
         reached = row("opposite", survived) + on * row("opposite_drift", survived)
         reached = reached / (1.0 + circuit.threshold_drift * op.constant(at.time_s[survived]))
-        total = total + survival(at.group[survived] ^ 1, reached)
+        total = total + survival(at.group[survived] ^ 1, reached, -at.alike[survived])
     every = np.arange(at.ends)
     grown = 1.0 + circuit.threshold_drift * op.constant(at.last_time_s)
     rise, fall = (row(name, every) + on * row(f"{name}_drift", every) for name in ("rise", "fall"))
-    total = total + survival(2 * at.last_pixel + 1, rise / grown)
-    return total + survival(2 * at.last_pixel, fall / grown)
+    total = total + survival(2 * at.last_pixel + 1, rise / grown, at.last_sign)
+    return total + survival(2 * at.last_pixel, fall / grown, -at.last_sign)

@@ -76,8 +76,7 @@ def freeze(objective: EventTimesObjective, x: np.ndarray) -> Frozen:
     """The discrete choices at x.
 
     Raises InputError for what only the compiled form has: light of each pixel's own, extra pole, lower cutoff, mains
-    flicker, a response that is linear in low light, lost events, silence without reset, thresholds that depend on the
-    polarity before, described effects.
+    flicker, a response that is linear in low light, lost events, silence without reset, described effects.
     """
     likelihood = objective.likelihood
     circuit = objective.coordinates.circuit(x)
@@ -89,7 +88,6 @@ def freeze(objective: EventTimesObjective, x: np.ndarray) -> Frozen:
         ("linear_log", circuit.knee != 0),
         ("lost_events", circuit.lost != 0),
         ("dead_time_without_reset", circuit.silent != 0),
-        ("a threshold that depends on the polarity before", circuit.polarity_memory != 0),
         ("a described effect", bool(circuit.described)),
         ("an unlimited photoreceptor", dynamics.beta > PRESENT_BELOW and dynamics.gamma == 0),
     ):

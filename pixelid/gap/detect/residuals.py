@@ -25,9 +25,10 @@ import numpy as np
 from scipy.special import log_ndtr, ndtri_exp
 
 from pixelid.fit.coordinates import Coordinates
+from pixelid.likelihood.density_forward import spreads_of_others
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.likelihood.extremes import Extremes
-from pixelid.likelihood.layout import StackedChanges
+from pixelid.likelihood.layout import NOTHING, StackedChanges
 from pixelid.likelihood.losses import missed_of
 from pixelid.stages.circuit import Circuit
 
@@ -80,15 +81,17 @@ def residuals(likelihood: EventTimes, circuit: Circuit, changes: StackedChanges 
     terms = likelihood.terms(circuit, changes)
     group, other = likelihood.group, likelihood.group ^ 1
     margin = (terms.group_mean[group] - terms.z) / terms.scale
-    spread = np.sqrt((circuit.noise * terms.group_mean) ** 2 + terms.group_variance)
-    other_margin = (terms.group_mean[other] - terms.reached) / spread[other]
+    at = likelihood.layout
+    other_spread = spreads_of_others(at.alike, at.group, terms.numbers, NOTHING, terms.group)
+    other_margin = (terms.group_mean[other] - terms.reached) / other_spread
     other_survives = log_ndtr(other_margin)
     if circuit.lost > 0.0:
         missed = missed_of(circuit.lost)[0]
         other_survives = np.logaddexp(np.log(missed), np.log1p(-missed) + other_survives)
     log_survival = log_ndtr(margin) + np.where(terms.reached > 0, other_survives, 0.0)
     if len(terms.at_release):
-        chance = np.exp(log_ndtr((terms.z - terms.group_mean[group]) / spread[group]))
+        spread = np.sqrt(terms.scale**2 + terms.group_variance[group])
+        chance = np.exp(log_ndtr((terms.z - terms.group_mean[group]) / spread))
         drawn = np.random.default_rng(DRAWS).random(len(chance))
         log_survival = np.where(terms.at_release, np.log1p(-drawn * chance), log_survival)
     e = np.clip(-ndtri_exp(np.minimum(log_survival, -1e-300)), -LARGEST, LARGEST)

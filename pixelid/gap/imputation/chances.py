@@ -12,6 +12,8 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from pixelid.likelihood.density_release import factor
+
 BLOCK = 64  # cells whose extremes are kept together
 MARGIN = 5.5  # standard deviations from a threshold beyond which nothing crosses: 2e-8
 DECAYED = 14.0  # time constants after which a reset counts as over: 1e-6 of its offset
@@ -43,15 +45,13 @@ class Light(NamedTuple):
 
 
 class Thresholds(NamedTuple):
-    """Of one pixel: mean and standard deviation of ON and OFF, and what an ON event before adds to them, of either sign
-    (`comparator.threshold_shifts`); an OFF event takes it."""
+    """Of one pixel: mean and standard deviation of ON and OFF, and the circuit's polarity memory."""
 
     on: float
     off: float
     sd_on: float
     sd_off: float
-    memory_on: float
-    memory_off: float
+    memory: float
 
 
 @njit(cache=True, error_model="numpy", inline="always")
@@ -95,7 +95,7 @@ def add_chances(light, at, when, before, first, stride, last, on_cells, off_cell
     Cells are `stride` wide and end at cells first, first + stride … of the light, up to `last`.  Empty: not wanted.
     """
     k, level, offset, drift = _release(light, when + light.dead)
-    on, off = at.on + before * at.memory_on, at.off + before * at.memory_off
+    on, off = at.on * factor(at.memory, before), at.off * factor(at.memory, -before)
     near_on, near_off = on - MARGIN * at.sd_on, off - MARGIN * at.sd_off
     if light.growth != 0.0:
         near_on, near_off = 0.0, 0.0

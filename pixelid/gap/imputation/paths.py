@@ -26,7 +26,6 @@ from pixelid.parallel import map_threads
 from pixelid.recordings.recording import Recording
 from pixelid.recordings.sensor_light import is_measured
 from pixelid.stages.circuit import Circuit
-from pixelid.stages.comparator import threshold_shifts
 from pixelid.stages.differencing import leaked, leaks
 from pixelid.stimuli.stimulus import Stimulus
 
@@ -110,12 +109,11 @@ def _thresholds(
     terms, at = likelihood.terms(circuit), likelihood.layout
     mean = terms.group_mean.reshape(-1, 2)
     sd = np.sqrt((circuit.noise * mean) ** 2 + terms.group_variance.reshape(-1, 2))
-    memory = [float(shift) for shift in threshold_shifts(circuit, 1.0)]
     found = []
     for i, intervals in enumerate(likelihood.intervals):
         pixels = at.last_pixel[at.last_recording == i]
         found.append({
-            int(flat): Thresholds(mean[k, 1], mean[k, 0], sd[k, 1], sd[k, 0], *memory)
+            int(flat): Thresholds(mean[k, 1], mean[k, 0], sd[k, 1], sd[k, 0], float(circuit.polarity_memory))
             for flat, k in zip(intervals.last_pixel, pixels, strict=True)
         })  # fmt: skip
     return found
