@@ -8,6 +8,10 @@ from typing import Any
 from pixelid.stages.described import Described, cell
 from pixelid.stages.modulation import THRESHOLDS
 
+# Of a power's exponent: what it adds over a decade is a line in the logarithm but for a seventh of it, while its strength
+# says little (a power of 0.06 comes with 70 %, and the rest of the quantity takes that back).
+NEARLY_A_LOGARITHM = 0.25
+
 SUBJECT = {
     "on_threshold": "threshold of ON events",
     "off_threshold": "threshold of OFF events",
@@ -44,7 +48,16 @@ def in_words(own: Described, values: Mapping[str, float]) -> str:
             else ("after an ON event", "after an OFF event")
         )
         return f"{subject} {_amount(own, s)} {first}, {_amount(own, -s)} {second}"
+    if own.form == "power" and abs(values["exponent"]) < NEARLY_A_LOGARITHM:
+        return f"{subject} {_amount(own, _per_tenfold(own, values))} with every tenfold {_covariate(own)}"
     return f"{subject} {_amount(own, s)} {_where(own, values)}"
+
+
+def _per_tenfold(own: Described, values: Mapping[str, float]) -> float:
+    """By how much a power changes a quantity between a covariate of √10 times less and √10 times more than its
+    reference: relative, a dead time in seconds."""
+    low, high = (values["strength"] * 10.0 ** (0.5 * sign * values["exponent"]) for sign in (-1.0, 1.0))
+    return high - low if own.quantity == "dead_time" else (1.0 + high) / (1.0 + low) - 1.0
 
 
 def words_of_entry(entry: Mapping[str, Any]) -> str:
@@ -62,8 +75,6 @@ def _amount(own: Described, strength: float) -> str:
 
 
 def _where(own: Described, values: Mapping[str, float]) -> str:
-    at_event = own.quantity in THRESHOLDS or own.quantity == "dead_time"
-    before = " at the event before" if at_event else ""
     if own.covariate == "time_since_event":
         return f"just after an event, the difference fading within {_seconds(values['scale'])} (to 1/e)"
     if own.covariate == "time_in_recording":
@@ -72,17 +83,24 @@ def _where(own: Described, values: Mapping[str, float]) -> str:
             "relaxation": lambda: f"when a recording begins, fading within {_seconds(values['scale'])} (to 1/e)",
             "step": lambda: f"from {_seconds(values['edge'])} of a recording on",
         }[own.form]()
-    of_radiance = own.covariate == "radiance"
-    name, unit, least = (
-        ("radiance", "", "in the dark") if of_radiance else ("speed |d ln L/dt|", " per second", "in constant light")
-    )
+    name, before = _covariate(own), _before(own)
+    unit, least = ("", "in the dark") if own.covariate == "radiance" else (" per second", "in constant light")
     return {
         "power": lambda: (
-            f"at a {name} of {values['reference']:.3g}{unit}{before}, as its power {values['exponent']:.3g} elsewhere"
+            f"at a {name.removesuffix(before)} of {values['reference']:.3g}{unit}{before}, as its power "
+            f"{values['exponent']:.3g} elsewhere"
         ),
-        "relaxation": lambda: f"{least}, fading with {name}{before}, to 1/e at {values['scale']:.3g}{unit}",
-        "step": lambda: f"where {name}{before} exceeds {values['edge']:.3g}{unit}",
+        "relaxation": lambda: f"{least}, fading with {name}, to 1/e at {values['scale']:.3g}{unit}",
+        "step": lambda: f"where {name} exceeds {values['edge']:.3g}{unit}",
     }[own.form]()
+
+
+def _before(own: Described) -> str:
+    return " at the event before" if own.quantity in THRESHOLDS or own.quantity == "dead_time" else ""
+
+
+def _covariate(own: Described) -> str:
+    return ("radiance" if own.covariate == "radiance" else "speed |d ln L/dt|") + _before(own)
 
 
 def _seconds(value: float) -> str:

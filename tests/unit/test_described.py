@@ -304,6 +304,17 @@ def test_one_quantity_at_most_depends_on_the_time_since_the_last_event():
          "threshold of OFF events 20 % higher just after an event, the difference fading within 12 ms (to 1/e)"),
         (("leak", "none", "constant"), {"strength": 0.5},
          "the change drifts upwards: ON events in constant light at 0.5 Hz"),
+        (("on_threshold", "radiance", "power"), {"strength": 0.1, "exponent": 0.5, "reference": 80.0},
+         "threshold of ON events 10 % higher at a radiance of 80 at the event before, as its power 0.5 elsewhere"),
+        (("rate", "radiance", "relaxation"), {"strength": -0.1, "scale": 30.0},
+         "bandwidth of the photoreceptor 10 % lower in the dark, fading with radiance, to 1/e at 30"),
+        (("dead_time", "speed", "step"), {"strength": 1e-4, "edge": 20.0},
+         "dead time 100 µs longer where speed |d ln L/dt| at the event before exceeds 20 per second"),
+        # nearly logarithms: (1 + 0.722 · 10^0.03145) / (1 + 0.722 · 10^-0.03145), and 200 µs · (10^-0.062 - 10^0.062)
+        (("threshold", "radiance", "power"), {"strength": 0.722, "exponent": 0.0629, "reference": 79.0},
+         "thresholds of both polarities 6.26 % higher with every tenfold radiance at the event before"),
+        (("dead_time", "radiance", "power"), {"strength": 2e-4, "exponent": -0.124, "reference": 89.8},
+         "dead time 57.3 µs shorter with every tenfold radiance at the event before"),
     ],
 )  # fmt: skip
 def test_descriptions_say_themselves_in_words(own, values, words):
