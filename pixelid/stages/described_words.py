@@ -8,7 +8,7 @@ from typing import Any
 from pixelid.stages.described import Described, cell
 from pixelid.stages.modulation import THRESHOLDS
 
-# Of a power's exponent: what it adds over a decade is a line in the logarithm but for a seventh of it, while its strength
+# Of a power's exponent.  Over a decade it is a line in the logarithm but for a seventh of what it adds; its strength
 # says little (a power of 0.06 comes with 70 %, and the rest of the quantity takes that back).
 NEARLY_A_LOGARITHM = 0.25
 
