@@ -194,6 +194,26 @@ def test_a_direction_is_taken_where_moves_are_linear(likelihood, effect):
     assert ratio == pytest.approx(1.0 / 3.0, rel=0.1)
 
 
+@pytest.mark.parametrize(("effect", "name", "third"), [
+    ("extra_pole", "extra_pole.cutoff_hz", 3.0), ("bandwidth_floor", "bandwidth_floor.radiance", 1.0 / 3.0),
+])  # fmt: skip
+@pytest.mark.parametrize("sd_s", [None, 1e-4])
+def test_effects_that_show_at_once_have_a_direction_too(likelihood, effect, name, third, sd_s):
+    """A hundredth of their usual strength moves every residual far."""
+    fit = maximise(likelihood, CAMERA, tolerance=0.05, max_steps=40)
+    unknown = None if sd_s is None else [np.full(len(r.events), sd_s) for r in likelihood.recordings]
+    at = residual_space(likelihood, fit, unknown)
+    told = direction(at, effect)
+    assert told is not None
+    weaker = residuals(likelihood, fit.model.with_effect(effect, {name: third * told.strength}).circuit())
+    level, log_scale = compare(at.here, weaker)
+    kept = ~(at.here.background | weaker.background)
+    moved = np.concatenate([np.where(kept, level, 0.0), np.where(kept, np.sqrt(2.0) * log_scale, 0.0)])
+    moved = at.demeaned(at.weighed(moved))
+    assert cosine(moved, told.raw) > 0.97
+    assert np.linalg.norm(moved) / np.linalg.norm(told.raw) == pytest.approx(1.0 / 3.0, rel=0.1)
+
+
 def test_what_only_takes_events_away_has_no_direction(likelihood):
     at = residual_space(likelihood, maximise(likelihood, CAMERA, tolerance=0.05, max_steps=40))
     assert direction(at, "lost_events") is None

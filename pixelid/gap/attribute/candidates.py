@@ -258,10 +258,11 @@ def variants(model: Model, effect: str) -> Iterator[Model]:
     return chain.from_iterable(by_strength(model, effect))
 
 
-def by_strength(model: Model, effect: str) -> Iterator[list[Model]]:
+def by_strength(model: Model, effect: str, decades: Sequence[float] | None = None) -> Iterator[list[Model]]:
     """For each strength to try, from weak to strong, the models that have the effect at it, its own parameters free.
 
-    They differ in sign, and in what is no strength: slope below a knee, frequency and phase of mains flicker.
+    They differ in sign, and in what is no strength: slope below a knee, frequency and phase of mains flicker.  decades:
+    of the shipped strength, weaker ones negative; None: those where an effect is looked for
     """
     grown = model.with_effect(effect)
     if effect == "second_order_photoreceptor":
@@ -269,8 +270,12 @@ def by_strength(model: Model, effect: str) -> Iterator[list[Model]]:
         return
     strength = grown.parameter(next(p.name for p in stages.effect(effect).parameters if p.free))
     signs = (1.0,) if strength.transform == "log" else (1.0, -1.0)
-    decades = KNEE_DECADES if effect == KNEE else DECADES
-    for decade in reversed(decades) if effect in INVERSE else decades:
+    if decades is None:
+        decades = KNEE_DECADES if effect == KNEE else DECADES
+        decades = decades[::-1] if effect in INVERSE else decades
+    elif effect in INVERSE:
+        decades = [-decade for decade in decades]
+    for decade in decades:
         values = [sign * 10.0**decade * strength.value for sign in signs]
         alike = [grown.set({strength.name: v}) for v in values if strength.lower < v < strength.upper]
         if effect == SLEW:

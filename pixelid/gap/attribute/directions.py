@@ -9,7 +9,7 @@ free parameters.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -30,6 +30,7 @@ MAX_RMS_MOVE_SD = 0.2  # of the residuals, at the strength at which a direction 
 # Of the events, that may lose their cause there: they count as not moved, so this much of what an effect would show may
 # be missed.
 MAX_SHARE_LOST = 0.05
+WEAKER_DECADES = (-3.0, -4.0, -5.0)  # of the shipped strength, where a hundredth of it moves the residuals too far
 WITHOUT_DIRECTION = {LOST, SILENCE}  # they take events away, and leave the residuals of the others where they are
 MIN_RMS_MOVE_SD = 1e-9  # below, rounding
 PRIOR_SD = 1.0  # of coordinates (a factor e), where these recordings say nothing of them
@@ -104,17 +105,15 @@ def direction(at: Space, effect: str) -> Direction | None:
     """The direction of a missing effect, at the largest strength tried that is small; None if it moves nothing.
 
     From weak to strong, as moves grow: beyond the first that is large, most events may have lost their cause, and what
-    little of the others moves is no direction.
+    little of the others moves is no direction.  Where the weakest moves far, weaker ones are tried.
     """
     if effect in WITHOUT_DIRECTION:
         return None
-    best: tuple[float, np.ndarray, Model] | None = None
-    for alike in by_strength(at.fit.model, effect):
-        moves = [moved for moved in (_move(at, trial) for trial in alike) if moved is not None]
-        small = [moved for moved in moves if moved[0] < MAX_RMS_MOVE_SD]
-        if moves and not small:
+    best = _largest_small_move(at, by_strength(at.fit.model, effect))
+    for decade in WEAKER_DECADES if best is None else ():
+        best = _largest_small_move(at, by_strength(at.fit.model, effect, (decade,)))
+        if best is not None:
             break
-        best = max((one for one in (best, *small) if one is not None), key=lambda one: one[0], default=None)
     if best is None or best[0] < MIN_RMS_MOVE_SD:
         return None
     _, v, trial = best
@@ -138,6 +137,18 @@ def direction(at: Space, effect: str) -> Direction | None:
         _shown(at, J, ratio * raw) if DELAY in at.fit.coordinates.names else float(np.sum(clear**2)) * ratio**2,
         hidden,
     )
+
+
+def _largest_small_move(at: Space, strengths: Iterable[Sequence[Model]]) -> tuple[float, np.ndarray, Model] | None:
+    """The largest of the moves (`_move`) that are small, of strengths from weak to strong; None where none is."""
+    best: tuple[float, np.ndarray, Model] | None = None
+    for alike in strengths:
+        moves = [moved for moved in (_move(at, trial) for trial in alike) if moved is not None]
+        small = [moved for moved in moves if moved[0] < MAX_RMS_MOVE_SD]
+        if moves and not small:
+            break
+        best = max((one for one in (best, *small) if one is not None), key=lambda one: one[0], default=None)
+    return best
 
 
 def _move(at: Space, trial: Model) -> tuple[float, np.ndarray, Model] | None:
