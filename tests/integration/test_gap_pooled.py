@@ -52,6 +52,7 @@ def test_report_says_what_was_looked_at(plain):
     assert sum(row["measured"] for row in rows) > 0.9 * len(bits(POOL).events)
 
 
+@pytest.mark.slow
 def test_a_high_pass_is_found_and_closes_most_of_the_gap():
     report = gap([bits(POOL.with_effect("lower_cutoff", {"cutoff_hz": 20.0}), 300, duration_s=0.8)], MODEL)
     assert [e.name for e in report.effects] == ["lower_cutoff"]

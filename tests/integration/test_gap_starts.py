@@ -439,7 +439,7 @@ def test_where_shot_noise_leaves_something_it_counts_with_what_explains_that(com
     assert len(asked) == 1  # not beside the same hypothesis again
 
 
-@pytest.mark.parametrize("slews", [True, False])
+@pytest.mark.parametrize("slews", [pytest.param(True, marks=pytest.mark.slow), False])
 def test_a_slew_limit_is_named_with_a_pole_that_it_needs(slews):
     """The pole by itself explains nothing while the limit acts, and what that leaves passes for a jitter."""
     limits = {"rise_per_s": 1200.0, "fall_per_s": 1200.0}

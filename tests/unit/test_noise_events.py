@@ -10,6 +10,7 @@ import pytest
 
 from pixelid.errors import InputError
 from pixelid.model.shipped import find_model
+from pixelid.tables.noise.chain import chain_of
 from pixelid.tables.noise.first_passage import mean_rates, noise_rates, rates_of, typical_rates, typical_thresholds
 from pixelid.tables.noise.intervals import noise_intervals
 from pixelid.tables.noise.process import noise_process
@@ -128,6 +129,16 @@ def test_threshold_noise_is_that_of_brute_simulation():
     assert rates.on_hz + rates.off_hz == pytest.approx(seen_on + seen_off, rel=0.02 + 3.5 * error)
     quiet = noise_rates(c.with_(noise=0.0), 24.0)
     assert quiet.on_hz != pytest.approx(rates.on_hz, rel=0.01)
+
+
+@pytest.mark.parametrize(("threshold_sd", "dead_s"), [(3.0, 1e-3), (4.0, 1e-4), (3.2, 1e-5)])
+def test_the_law_of_events_is_the_one_that_the_chain_leaves_unchanged(threshold_sd, dead_s):
+    """Where events forget those before at once, and where an ON and an OFF event undo each other for long."""
+    c = thresholds(circuit(refractory=dead_s), 24.0, threshold_sd, threshold_sd)
+    chain = chain_of(noise_process(c, 24.0), c, 0.0)
+    law, shares = chain.share, chain.share[:: chain.at.hidden.moments]
+    np.testing.assert_allclose(chain.moved.T @ law, law, rtol=0, atol=1e-11 * np.abs(law).max())
+    assert shares.sum() == pytest.approx(1.0, rel=1e-12)
 
 
 def test_thresholds_and_noise_have_one_scale():

@@ -17,6 +17,7 @@ from pixelid.tables.noise.quadrature import WHOLE, Resolution, offset_nodes, ray
 # differ by twice as much
 ALIKE = 0.1
 MARGIN = 2.0  # standard deviations of references beyond the larger threshold
+SOLVED, PRODUCTS = 1e-12, 200  # relative residual of the stationary law, and products with the chain to get there
 QUIET = 9.0  # a threshold of so many standard deviations is crossed at e⁻⁴⁰ of the bandwidth: never
 
 
@@ -50,13 +51,26 @@ class Chain:
 
     @cached_property
     def share(self) -> np.ndarray:
-        """(states,) the law of states at events that the chain leaves unchanged."""
-        system = self.moved.T - np.eye(len(self.moved))
-        system[0] = 0.0
-        system[0, :: self.at.hidden.moments] = 1.0
-        right = np.zeros(len(self.moved))
-        right[0] = 1.0
-        return np.linalg.solve(system, right)
+        """(states,) the law of states at events that the chain leaves unchanged.
+
+        With 1 the sum over states (their first moments) and e any law of states, x = M x and 1 x = 1 are one system,
+        (I − M + e 1) x = e.  Events forget those before soon, so that a few dozen products with M solve it.
+        """
+        from scipy.sparse.linalg import LinearOperator, gmres
+
+        size = len(self.moved)
+        total = np.zeros(size)
+        total[:: self.at.hidden.moments] = 1.0
+        law = total / total.sum()
+
+        def times(x: np.ndarray) -> np.ndarray:
+            return x - x @ self.moved + law * float(total @ x)
+
+        system = LinearOperator((size, size), matvec=times, dtype=np.float64)
+        share, unfinished = gmres(system, law, rtol=SOLVED, atol=0.0, restart=PRODUCTS, maxiter=1)
+        if unfinished:
+            share = np.linalg.solve(np.eye(size) - self.moved.T + np.outer(law, total), law)
+        return share
 
 
 @dataclass(frozen=True)
