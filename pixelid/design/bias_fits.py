@@ -20,7 +20,7 @@ from scipy.stats import t as student
 
 from pixelid.documents import interpreting, read_json
 from pixelid.errors import InputError, shown
-from pixelid.statistics import Z95
+from pixelid.statistics import Z95, departures
 from pixelid.status import Status
 from pixelid.tables.rates.bias_law import LEAST_COLUMNS, MOST_MV
 from pixelid.tables.rates.square_wave import rate
@@ -147,17 +147,14 @@ def read_bias_fit(folder: Path, bias: str | None = None) -> BiasFit:
 def line_through(bias: np.ndarray, log_value: np.ndarray, sd: np.ndarray) -> Line:
     """The line through values (n,) of standard errors (n,), with departures by moments."""
     X = np.stack([np.ones(len(bias)), bias - bias.mean()], axis=1)
-    W = np.diag(1.0 / sd**2)
-    inverse = np.linalg.inv(X.T @ W @ X)
-    rest = log_value - X @ (inverse @ X.T @ W @ log_value)
-    spare = len(bias) - 2
-    scale = np.trace(W) - np.trace(inverse @ X.T @ W @ W @ X)
-    departure = math.sqrt(max((float(rest @ W @ rest) - spare) / scale, 0.0))
+    departure = departures(X, log_value, sd)
     W = np.diag(1.0 / (sd**2 + departure**2))
     covariance = np.linalg.inv(X.T @ W @ X)
     level, slope = covariance @ X.T @ W @ log_value
     errors = np.sqrt(np.diag(covariance))
-    return Line(float(bias.mean()), float(level), float(errors[0]), float(slope), float(errors[1]), departure, spare)
+    return Line(
+        float(bias.mean()), float(level), float(errors[0]), float(slope), float(errors[1]), departure, len(bias) - 2
+    )
 
 
 def _cutoff(law: Mapping[str, Any], columns: int) -> Line:

@@ -13,6 +13,7 @@ from pixelid.export.circuit_values import circuit_values
 from pixelid.export.esim import lost
 from pixelid.export.exported import Entry, Exported
 from pixelid.export.light import Light
+from pixelid.export.losses import known_as
 from pixelid.model.model import Model
 
 
@@ -47,14 +48,16 @@ def export(model: Model, light: Light) -> Exported:
 
 
 def _lost(model: Model) -> list[str]:
-    sentences = [s for s in lost(model) if not s.startswith(("threshold_mismatch", "leak", "parasitic_photocurrent"))]
-    if model.has("threshold_mismatch"):
-        sentences.append("threshold_mismatch: one ON and one OFF threshold for all pixels.")
-    for name in ("leak", "parasitic_photocurrent"):
-        if model.has(name):
-            sentences.append(f"{name}: the reconstruction takes all change for a change of the light.")
-    if model.has("lower_cutoff"):
-        sentences.append("lower_cutoff: the file has it, and the pixel model of the reconstruction leaves it out.")
+    own = {
+        "threshold_mismatch": "one ON and one OFF threshold for all pixels.",
+        **dict.fromkeys(
+            ("leak", "parasitic_photocurrent"), "the reconstruction takes all change for a change of the light."
+        ),
+        "lower_cutoff": "the file has it, and the pixel model of the reconstruction leaves it out.",
+    }
+    told = {name: own[known] for name, known in known_as(model).items() if known in own}
+    sentences = [s for s in lost(model) if not s.startswith(tuple(told))] if told else lost(model)
+    sentences += [f"{name}: {words}" for name, words in told.items()]
     if model.photoreceptor != "second_order":
         sentences.append(
             f"a {model.photoreceptor.replace('_', '-')} photoreceptor: the reconstruction divides by tau_out, "

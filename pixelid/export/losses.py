@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 from pixelid import stages
 from pixelid.model.model import Model
+from pixelid.stages.described import Described
 
 
 def losses(model: Model, carried: Mapping[str, str]) -> list[str]:
@@ -14,14 +15,23 @@ def losses(model: Model, carried: Mapping[str, str]) -> list[str]:
     carried: effect → what changes about it; "" where it is expressed exactly
     """
     sentences = []
-    for name in model.effects:
-        if name not in carried:
-            own = stages.effect(name)
+    for name, known in known_as(model).items():
+        own = stages.effect(name)
+        if known not in carried:
             values = ", ".join(_strength(p.name, model.values[p.name], p.unit) for p in own.parameters)
             sentences.append(f"{name} ({values}): not in this simulator. {own.sentence}")
-        elif carried[name]:
-            sentences.append(f"{name}: {carried[name]}")
+        elif carried[known]:
+            sentences.append(f"{name}: {carried[known]}")
     return sentences
+
+
+def known_as(model: Model) -> dict[str, str]:
+    """Each effect of the model → the one of the library that has the same equation: itself, but for descriptions."""
+    found = {}
+    for name in model.effects:
+        own = stages.effect(name)
+        found[name] = own.twin if isinstance(own, Described) and own.twin is not None else name
+    return found
 
 
 def _strength(name: str, value: float, unit: str) -> str:

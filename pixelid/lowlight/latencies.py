@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from pixelid.errors import InputError
 from pixelid.lowlight import poles, radii
 from pixelid.lowlight.latency_break import Break, breaks
 from pixelid.lowlight.latency_poles import Poles, measured_poles, threshold_sd
@@ -43,8 +44,11 @@ def latency_analysis(
     lenses = list(dict.fromkeys(source.table.lens.tolist()))
     camera = camera_for((camera,), source.name, lenses)
     said = predicted_result(source.table, (camera,))
+    errors = next(iter(said["errors"].values()))
+    if "median" not in errors:
+        raise InputError(f"camera {source.name}: no latency has a median above 0: there is nothing to compare")
     cells = gather(source.table)
-    misses = next(iter(said["errors"].values()))["median"]["rms_without_spoiled"]
+    misses = errors["median"]["rms_without_spoiled"]
     status, advice = said["status"], said["advice"]
     off = [abs(row["standardised"]) > SUSPECT_SCALES for row in said["rows"] if row["standardised"] is not None]
     if status == Status.converged and np.mean(off) > MOST_SUSPECT:

@@ -19,6 +19,7 @@ import numpy as np
 
 from pixelid.errors import InputError
 from pixelid.stages.circuit import Circuit
+from pixelid.stages.modulation import OF_LIGHT
 
 LEAST_CORNER = 1e-6  # of the pole in the dark, where its tangent would be negative: it has failed long before
 APPROXIMATIONS = ("one_pole", "at_dark")
@@ -26,7 +27,13 @@ SCOPES = ("photoreceptor", "pixel")
 
 
 def check(circuit: Circuit) -> None:
-    """Raise InputError for a circuit whose photoreceptor has no bandwidth."""
+    """Raise InputError for a circuit whose photoreceptor has no bandwidth, or one that no analysis here follows."""
+    changed = [m.quantity for m in circuit.described if m.quantity in OF_LIGHT and m.strength != 0.0]
+    if changed:
+        raise InputError(
+            f"described effects of {' and '.join(dict.fromkeys(changed))} change with the light what this analysis "
+            "takes as the photoreceptor's own; it does not follow them: leave them out"
+        )
     if circuit.photoreceptor == "unlimited":
         raise InputError("this model's photoreceptor has no bandwidth limit: there are no poles to analyse")
 

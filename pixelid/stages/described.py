@@ -52,6 +52,12 @@ CELLS: dict[str, dict[str, tuple[str, ...]]] = {
         "speed": ("power", "relaxation", "step"),
     },
 }
+TWINS = {  # effects of the library that have the same equation
+    "leak.none": "leak",
+    "leak.radiance": "parasitic_photocurrent",
+    "low_pass.none": "extra_pole",
+    "high_pass.none": "lower_cutoff",
+}
 UNIT_OF = {"none": "", "previous_polarity": "", "time_in_recording": "s", "radiance": "radiance", "speed": "1/s",
            SINCE_EVENT: "s"}  # fmt: skip
 SYMBOL = {
@@ -100,6 +106,11 @@ class Described(Effect):
         self.equation = equation(quantity, covariate, form, {})
         self.parameters = tuple(_parameters(self.name, quantity, covariate, form))
         self.photoreceptors = ("second_order", "one_pole") if quantity == "rate" else Effect.photoreceptors
+
+    @property
+    def twin(self) -> str | None:
+        """The effect of the library that has the same equation; None where none does."""
+        return TWINS.get(f"{self.quantity}.{self.covariate}")
 
     def own(self, values: Mapping[str, float]) -> dict[str, float]:
         """Its values among those of a model, by the last part of their names."""

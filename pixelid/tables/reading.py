@@ -113,7 +113,7 @@ def _number(path: Path, row: int, cell: str) -> float:
     if not cell:
         return float("nan")
     try:
-        value = float(cell)
+        value = float(cell if "_" not in cell else "")  # Python reads 1_000, nobody else does
     except ValueError as error:
         raise InputError(f"{path}: row {row}: expected a number, found {shown(cell)}") from error
     if not np.isfinite(value):

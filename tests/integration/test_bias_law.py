@@ -65,10 +65,29 @@ def test_a_cutoff_that_rises_with_its_bias_is_said_to():
 
 def test_departures_beyond_the_errors_are_counted():
     rng = np.random.default_rng(0)
-    own = [(float(x), 0.1) for x in rng.normal(0.0, 0.5, 2000)]
-    assert departure(own, [(0.0, 0.2)] * len(own)) == pytest.approx(np.sqrt(0.25 - 0.01 - 0.04), rel=0.05)
-    assert departure([(0.01, 0.1)], [(0.0, 0.1)]) == 0.0
-    assert departure([(1.0, np.inf)], [(0.0, 0.1)]) == 0.0
+    biases = rng.uniform(1300.0, 1500.0, 2000)
+    own = [(float(0.02 * bias + x), 0.1) for bias, x in zip(biases, rng.normal(0.0, 0.5, 2000), strict=True)]
+    assert departure(biases, own) == pytest.approx(np.sqrt(0.25 - 0.01), rel=0.05)
+    assert departure(biases[:3], [(float(0.02 * bias), 0.1) for bias in biases[:3]]) == 0.0
+    assert departure(biases[:3], [(1.0, np.inf), *own[1:3]]) == 0.0  # two lie on any line
+
+
+@pytest.mark.parametrize(("apart", "status"), [
+    ((0.0, 2.0, -3.0, 1.5, -2.0), ("misfit", "not_identified")), ((0.0, 0.0, 0.0, 2.3, 0.0), None),
+])  # fmt: skip
+def test_a_table_without_a_law_is_no_result(tmp_path, apart, status):
+    """Departures of all settings, and of one tenfold: both were once said to be zero."""
+    cutoff = CUTOFF_HZ * np.exp((BIASES[0] - BIASES) / EFOLD_MV + np.array(apart))
+    rates = [FREQUENCIES * events_per_cycle(FREQUENCIES, 36.0, 1 / (2 * np.pi * c), 8e-6, 20.0) for c in cutoff]
+    noise = np.exp(0.02 * np.random.default_rng(0).standard_normal((len(FREQUENCIES), len(BIASES))))
+    write(tmp_path / "t.csv", replace(table(0), rate_hz=np.round(np.stack(rates, 1) * noise, 1)))
+    code = main(["rates", str(tmp_path / "t.csv"), "--bias-law", "--out", str(tmp_path / "out")])
+    found = json.loads((tmp_path / "out" / "rates.json").read_text())
+    low, high = found["bias_law"]["mv_per_efold"]["interval_95"]
+    assert low < EFOLD_MV < high
+    assert found["bias_law"]["departure_sd"] > (0.3 if status is None else 1.5)
+    if status is not None:
+        assert (code, found["status"] in status) == (1, True)
 
 
 @pytest.mark.slow

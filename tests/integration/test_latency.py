@@ -92,6 +92,29 @@ def test_a_prediction_that_misses_every_row_or_many_is_a_misfit(folder):
         assert result(folder / "slower")["status"] == ("misfit" if code else "converged")
 
 
+def test_a_prediction_of_zeros_or_of_extremes_alone_is_judged_too(folder):
+    """Once `converged`: medians of zero were left out, and rows without medians said nothing."""
+    lines = (folder / "table.csv").read_text().splitlines()
+    names = lines[0].split(",")
+    median = names.index("median")
+    rows = [line.split(",") for line in lines[1:]]
+
+    def code(made: list[list[str]]) -> int:
+        path = folder / "judged.csv"
+        path.write_text("\n".join([lines[0], *(",".join(row) for row in made)]) + "\n")
+        words = ["latency", path, "--model", folder / "fit", "--predict", "--out", folder / "judged", "--overwrite"]
+        return run(*words)
+
+    zero = [[("0" if k == median and value else value) for k, value in enumerate(row)] for row in rows]
+    assert code(zero) == 1
+    bare = [[("" if k == median else value) for k, value in enumerate(row)] for row in rows]
+    assert code(bare) == 0
+    far = [names.index(name) for name in ("min", "max")]
+    late = [[(str(5e6) if k in far and value else value) for k, value in enumerate(row)] for row in bare]
+    assert code(late) == 1
+    assert result(folder / "judged")["status"] == "misfit"
+
+
 def test_what_a_prediction_rests_on_is_said(folder, capsys):
     table = folder / "far.csv"
     head = "camera,lens,polarity,irradiance_W_m2,bias_config\n"
@@ -117,7 +140,7 @@ def test_medians_of_zero_are_none(tmp_path, capsys):
     rows = [f"{k % 2},{0.01 * (1 + k // 2)},0,{100e-6 if k == 0 else 0}" for k in range(8)]
     table.write_text("\n".join(["polarity,irradiance_W_m2,bias_config,median", *rows]) + "\n")
     assert run("latency", table, "--out", tmp_path / "out") == 2
-    assert "with a median above 0" in capsys.readouterr().err
+    assert "with a median of 0.1 µs or more" in capsys.readouterr().err
 
 
 def test_a_table_without_latencies_is_predicted(folder):

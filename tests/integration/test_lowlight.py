@@ -277,6 +277,7 @@ def test_the_command_end_to_end(tmp_path, capsys):
         (["lowlight", "nothing"], "no model"),
         (["lowlight", "dvs128", "missing.h5"], "no such file"),
         (["lowlight", "dvs128", "--with", "glow"], "glow"),
+        (["lowlight", "dvs128", "--with", "described.rate.radiance.power:strength=5"], "described effects of rate"),
     ],
 )
 def test_bad_input_is_refused(words, says, tmp_path, capsys):

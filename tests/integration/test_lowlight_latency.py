@@ -162,6 +162,19 @@ def test_bad_input_is_refused(words, says, tmp_path, capsys):
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.skipif(not FITS.is_dir(), reason="needs a checkout")
+def test_a_camera_without_medians_is_refused(tmp_path, capsys):
+    lines = (FITS / "nist_latency" / "nist_latency_median_over_roi.csv").read_text().splitlines()
+    median = lines[0].split(",").index("median")
+    rows = [line.split(",") for line in lines[1:]]
+    made = [[("" if k == median and row[0] == "CAM3" else value) for k, value in enumerate(row)] for row in rows]
+    assert any(row[0] == "CAM3" for row in made)
+    table = tmp_path / "t.csv"
+    table.write_text("\n".join([lines[0], *(",".join(row) for row in made)]) + "\n")
+    assert run("lowlight", "gen31", "--latency", table, "--camera", "CAM3", "--out", tmp_path / "out") == 2
+    assert "CAM3: no latency has a median above 0" in capsys.readouterr().err
+
+
 def test_a_damaged_fit_is_refused(folder, tmp_path, capsys):
     fit = tmp_path / "fit"
     fit.mkdir()

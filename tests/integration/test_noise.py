@@ -54,6 +54,14 @@ def run(*words):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize(("light", "says"), [("1e300", "light of 1e-15"), ("1_0", "expected a number")])
+def test_lights_that_no_sensor_has_seen_and_numbers_that_nobody_writes_are_refused(light, says, tmp_path, capsys):
+    table = tmp_path / "t.csv"
+    table.write_text(f"lux,ON_hz,OFF_hz\n{light},1,1\n1,1,1\n")
+    assert main(["noise", str(table), "--model", "imx636", "--predict", "--out", str(tmp_path / "out")]) == 2
+    assert says in capsys.readouterr().err
+
+
 def test_searches_begin_behind_off_events_that_come_whatever_the_light(tmp_path):
     """These would hide that ON events are far more frequent than OFF events of the noise."""
     truth = planted(on_threshold=0.12, off_threshold=0.27)

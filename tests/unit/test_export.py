@@ -241,6 +241,23 @@ def test_every_effect_is_expressed_or_named_as_lost(name, to):
     assert all(not math.isnan(value) for value in exported.parameters.values())
 
 
+@pytest.mark.parametrize(("to", "described", "twin", "entry"), [
+    ("v2e", "described.leak.none.constant", ("leak", "leak.rate_hz"), "leak_rate_hz"),
+    ("v2e", "described.low_pass.none.constant", ("extra_pole", None), "cutoff_hz"),
+    ("deblur-e-nerf", "described.high_pass.none.constant", ("lower_cutoff", "lower_cutoff.cutoff_hz"), None),
+])  # fmt: skip
+def test_a_description_with_a_name_in_the_library_is_carried_like_that(to, described, twin, entry):
+    """It was exported, and said to be lost."""
+    strength = 5e-4 if "low_pass" in described else 0.5
+    named = {twin[1].split(".", 1)[1]: strength} if twin[1] else {"cutoff_hz": 1 / (2 * math.pi * strength)}
+    ours = export(find_model("dvs128").with_effect(described, {"strength": strength}), to, Light())
+    theirs = export(find_model("dvs128").with_effect(twin[0], named), to, Light())
+    assert ours.parameters == pytest.approx(theirs.parameters)
+    assert sorted(one.replace(described, twin[0]) for one in ours.lost) == sorted(theirs.lost)
+    if entry is not None:
+        assert ours.parameters[entry] != pytest.approx(export(find_model("dvs128"), to, Light()).parameters[entry])
+
+
 @pytest.mark.parametrize("to", TARGETS)
 def test_files_hold_parameters_and_losses(to, tmp_path, capsys):
     assert main(["export", "dvs128", "--to", to, "--out", str(tmp_path / "own")]) == 0

@@ -18,19 +18,12 @@ SPEED_EXPONENTS = (0.5, 1.0)
 QUANTILES = (0.1, 0.5, 0.9)  # of a covariate at the events, as scales
 EDGES = (0.25, 0.5, 0.75)  # likewise
 NUDGE_S = 1e-5  # over which the slope of the light is taken
-SAME = {  # what a model has already under its own name
-    "leak.none": "leak",
-    "leak.radiance": "parasitic_photocurrent",
-    "low_pass.none": "extra_pole",
-    "high_pass.none": "lower_cutoff",
-}
 
 
 def beginnings(values: Mapping[str, np.ndarray], model: Model) -> Iterator[tuple[Described, Model]]:
     """Every description that the model can have and lacks, of strength 0, in each shape to try of `covariates`."""
     for own in all_cells():
-        twin = SAME.get(f"{own.quantity}.{own.covariate}")
-        if model.has(own.name) or (twin is not None and model.has(twin)):
+        if model.has(own.name) or (own.twin is not None and model.has(own.twin)):
             continue
         if model.photoreceptor not in own.photoreceptors:
             continue

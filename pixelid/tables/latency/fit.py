@@ -88,7 +88,8 @@ def fit_camera(name: str, cells: Cells, *, one_delay: bool = False, start: Camer
     measured = int((np.isfinite(median) & (median >= LEAST_S)).sum())
     if measured < LEAST_CELLS:
         raise InputError(
-            f"camera {name}: expected at least {LEAST_CELLS} cells with a median above 0, found {measured}"
+            f"camera {name}: expected at least {LEAST_CELLS} cells with a median of {1e6 * LEAST_S:g} µs or more, "
+            f"found {measured} (columns of seconds are named median_s, …)"
         )
     starts = FOLLOWER_STARTS_HZ[: 1 if start is not None else None]
     models = [LatencyModel(name, cells, hz, one_delay, start) for hz in starts]

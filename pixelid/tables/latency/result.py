@@ -80,7 +80,7 @@ def predicted_result(table: LatencyTable, cameras: Sequence[Camera], *inputs: Pa
     }  # fmt: skip
     return {
         "status": Status.misfit if wrong else Status.converged,
-        "advice": f"the model misses the medians {wrong[-1]}: fit it to this table" if wrong else "",
+        "advice": f"the model misses what was measured {wrong[-1]}: fit it to this table" if wrong else "",
         **common,
         "parameters": parameters,
         "unidentified": _stand_ins(table, cameras, used, common["rows"]),
@@ -89,14 +89,22 @@ def predicted_result(table: LatencyTable, cameras: Sequence[Camera], *inputs: Pa
 
 
 def _missed(rows: Sequence[Mapping[str, Any]]) -> list[str]:
-    """How the medians of cameras are missed, in a few words each; spoiled cells and all."""
+    """How what was measured of cameras is missed, in a few words each; spoiled cells and all.
+
+    A row is told by its median, where it has none by its extremes.
+    """
     said = []
     for camera in dict.fromkeys(row.get("camera", "-") for row in rows):
-        pairs = [
-            (math.log(max(row["predicted"], 1e-12) / row["measured"]), row["standardised"])
-            for row in rows
-            if row.get("camera", "-") == camera and (row["measured"] or 0.0) > 0.0
-        ]
+        pairs = []
+        for row in rows:
+            if row.get("camera", "-") != camera:
+                continue
+            asked = ("median",) if row["measured"] is not None else ("min", "max")
+            known = (row["statistics"][name] for name in asked if name in row["statistics"])
+            pairs += [
+                (math.log((one["predicted"] + TIMESTAMP_S) / (one["measured"] + TIMESTAMP_S)), one["standardised"])
+                for one in known
+            ]
         if pairs and (how := misses(*np.array(pairs).T)):
             said.append(how)
     return said

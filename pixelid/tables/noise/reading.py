@@ -33,6 +33,7 @@ SCALED_RATE = re.compile(
 POLARITY = {"ON": re.compile(r"\b(on|pos)\b"), "OFF": re.compile(r"\b(off|neg)\b")}
 RATE = re.compile(r"event|rate|hz|per s|\bs\b")
 _PLAIN = str.maketrans("²µμ⁻·", "2uu  ")
+DARKEST, BRIGHTEST = 1e-15, 1e15  # of any unit: beyond lies no light that a sensor has seen
 STILL = 1e-3  # relative change of the light of a still scene: 10⁻³ of a threshold of 1 would be 1 % of a rate
 # Of a recording, left out: where it begins, references are not yet those that the noise leaves (in simulations they
 # are anywhere between the thresholds, and the nearest fire at once)
@@ -104,6 +105,7 @@ def _read(path: Path, group: int) -> NoiseTable:
     light_name = _light_column(text)
     light = text.numbers(light_name)
     text.check(light_name, light > 0, "light above 0")
+    text.check(light_name, (light > DARKEST) & (light < BRIGHTEST), f"light of {DARKEST:g} to {BRIGHTEST:g}")
     rows: dict[str, list[Any]] = {"light": [], "on": [], "rate": [], "digit": []}
     columns: dict[str, list[Any]] = {"file": [], light_name: [], "polarity": []}
     for polarity in POLARITY:

@@ -7,8 +7,8 @@ Delbrück et al. 2010, IEEE ISCAS.)  The law replaces one cutoff per column by t
 the fit is predicted by taking its own bias as V_ref: the cutoff fitted is then the one predicted, with its interval.
 
 Settings depart from the law by more than their rates' errors (other currents, the loop around the photoreceptor).  The
-variance τ² of ln f about it is estimated by moments from the columns left out (as DerSimonian & Laird 1986, Controlled
-Clinical Trials 7, 177), and widens both the predictions and the interval of the e-fold.
+variance τ² of ln f about it is estimated by moments from the columns' own cutoffs (`statistics.departures`), and widens
+both the predictions and the interval of the e-fold.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from scipy.constants import Boltzmann, elementary_charge
 
 from pixelid.errors import InputError, shown
 from pixelid.parameters.parameter import OPEN_SD, Parameter
-from pixelid.statistics import Z95
+from pixelid.statistics import Z95, departures
 from pixelid.tables.fit import TableFit, fit_table
 from pixelid.tables.rates.pixel import CUTOFF, CUTOFF_STARTS, DEAD_STARTS_S, PixelFit, PixelModel
 from pixelid.tables.rates.reading import RateTable
@@ -31,6 +31,8 @@ from pixelid.tables.rates.square_wave import rate
 
 MOST_MV = 10_000.0  # supplies of image sensors are 3.3 V or less
 LEAST_COLUMNS = 3  # two lie on any line
+LEAST_SD = 1e-6  # of ln f: rates without any scatter
+NO_LAW = "the biases do not fix how the cutoff goes with them"
 SLOPE = Parameter("mv_per_efold", 32.0, "mV", 5.0, 500.0, "log")
 TEMPERATURE_K = 300.0  # of the sensor, where nobody says: 15 K more or less change κ by 5 %
 
@@ -134,7 +136,8 @@ def bias_law(free: PixelFit) -> dict[str, Any]:
     assert isinstance(model, BiasLawModel)
     own = [_log_estimate(free.regression, f"cutoff_hz[{name}]") for name in table.columns]
     said = [_of_others(table, biases, k, shared) for k in range(len(biases)) if len(biases) > LEAST_COLUMNS]
-    apart = departure(own, said)
+    worse = free.regression.log_likelihood - law.log_likelihood
+    apart = departure(biases, own, worse)
     slope, slope_sd = _log_estimate(law, SLOPE.name)
     # ln f = c ± V/s: a departure τ of each setting moves 1/s by τ / √Σ(V − V̄)², and so ln s by s times that
     spread = float(np.sqrt(((biases - biases.mean()) ** 2).sum()))
@@ -162,27 +165,36 @@ def bias_law(free: PixelFit) -> dict[str, Any]:
         "reference_mv": model.reference_mv,
         "cutoff_hz_at_reference": law.as_dict()["cutoff_hz"],
         "departure_sd": apart,
-        "nats_worse_than_free_cutoffs": free.regression.log_likelihood - law.log_likelihood,
+        "nats_worse_than_free_cutoffs": worse,
         "parameters_fewer": len(free.regression.x) - len(law.x),
         "left_out": left_out,
     }  # fmt: skip
 
 
-def departure(own: Sequence[tuple[float, float]], said: Sequence[tuple[float, float]]) -> float:
-    """τ, by which settings depart from the law in ln f beyond the errors of (estimate, sd) and (prediction, sd)."""
-    excess = [
-        (mine - theirs) ** 2 - sd**2 - other**2
-        for (mine, sd), (theirs, other) in zip(own, said, strict=False)
-        if sd < OPEN_SD and other < OPEN_SD
-    ]
-    return float(np.sqrt(max(np.mean(excess), 0.0))) if excess else 0.0
+def departure(biases: np.ndarray, own: Sequence[tuple[float, float]], worse: float = 0.0) -> float:
+    """τ, by which ln f of settings (estimate, sd) scatters about a line over their biases beyond the errors.
+
+    worse: nats by which the law is less likely than a cutoff for each, which know of cutoffs that are known on one side
+    """
+    kept = [(bias, *each) for bias, each in zip(biases, own, strict=True) if each[1] < OPEN_SD]
+    if len(kept) < LEAST_COLUMNS:
+        return 0.0
+    bias, value, sd = np.array(kept).T
+    line = np.stack([np.ones(len(bias)), bias - bias.mean()], axis=1)
+    return departures(line, value, np.maximum(sd, LEAST_SD), 2.0 * worse - (len(biases) - len(bias)))
+
+
+def describes(law: dict[str, Any]) -> bool:
+    """Whether the law explains more of how the cutoffs of the settings vary than it leaves."""
+    explained = np.std(list(law["bias_mv"].values())) / law["mv_per_efold"]["value"]
+    return bool(law["departure_sd"] < explained)
 
 
 def law_sentences(law: dict[str, Any]) -> list[str]:
     """The law in words."""
     slope, kappa = law["mv_per_efold"], law["kappa"]
     if not slope["identified"]:
-        return ["the biases do not fix how the cutoff goes with them"]
+        return [NO_LAW]
     low, high = kappa["interval_95"]
     sentences = [
         f"the cutoff {law['cutoff']} by a factor e per {slope['value']:.1f} mV ({slope['interval_95'][0]:.1f} to "

@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from pixelid.provenance import provenance
+from pixelid.status import Status
 from pixelid.tables.fit import SUSPECT_SCALES, TableFit
-from pixelid.tables.rates.bias_law import bias_law, law_sentences
+from pixelid.tables.rates.bias_law import NO_LAW, bias_law, describes, law_sentences
 from pixelid.tables.rates.figures import draw_pixel, draw_pool
 from pixelid.tables.rates.pixel import PixelFit, fit_pixel
 from pixelid.tables.rates.pool import PoolFit, fit_pool
@@ -35,9 +36,14 @@ def pixel_result(fit: PixelFit, by_bias: bool = False) -> dict:
         }
         for j, (i, k) in enumerate(zip(fit.row, fit.column, strict=True))
     ]
-    law = bias_law(fit) if by_bias else None
+    law, head = bias_law(fit) if by_bias else None, _head(r, "pixel", table.frequency_hz)
+    if law and head["status"] == Status.converged:
+        if not law["mv_per_efold"]["identified"]:
+            head |= {"status": Status.not_identified, "advice": NO_LAW}
+        elif not describes(law):
+            head |= {"status": Status.misfit, "advice": "cutoffs depart from the law by more than it explains"}
     return {
-        **_head(r, "pixel", table.frequency_hz),
+        **head,
         **({"bias_law": {**law, "sentences": law_sentences(law)}} if law else {}),
         "cells": cells,
         "one_dead_time": {"log_likelihood": together.log_likelihood, "parameters": together.as_dict()},
