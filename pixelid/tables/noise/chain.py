@@ -56,21 +56,16 @@ class Chain:
         With 1 the sum over states (their first moments) and e any law of states, x = M x and 1 x = 1 are one system,
         (I − M + e 1) x = e.  Events forget those before soon, so that a few dozen products with M solve it.
         """
-        from scipy.sparse.linalg import LinearOperator, gmres
+        from scipy.sparse.linalg import gmres
 
         size = len(self.moved)
         total = np.zeros(size)
         total[:: self.at.hidden.moments] = 1.0
         law = total / total.sum()
-
-        def times(x: np.ndarray) -> np.ndarray:
-            return x - x @ self.moved + law * float(total @ x)
-
-        system = LinearOperator((size, size), matvec=times, dtype=np.float64)
+        system = np.outer(law, total) - self.moved.T
+        system[np.arange(size), np.arange(size)] += 1.0
         share, unfinished = gmres(system, law, rtol=SOLVED, atol=0.0, restart=PRODUCTS, maxiter=1)
-        if unfinished:
-            share = np.linalg.solve(np.eye(size) - self.moved.T + np.outer(law, total), law)
-        return share
+        return np.linalg.solve(system, law) if unfinished else share
 
 
 @dataclass(frozen=True)
