@@ -58,9 +58,9 @@ class Criteria:
             queue must be fewer: beside true losses, some of what drawn times leave is misplaced.  A choice.
         min_lost_fraction_at_drawn_times: Of events, behind a jitter or a coarse tick: sessions that lose none showed
             0.0003 to 0.0033 there (six, jitters of 1.5 dead times).
-        min_stamps_gain_nats: Of a limit of the slew on stamps, with all times summed over that they can stand for.
-            Models that differed by a pole that was not there differed by up to 14 nats (behind queues, where none is
-            asked for); a limit that was there gained 5,447.
+        min_stamps_gain_nats: Of a limit of the slew or a pole more on stamps, with all times summed over that they can
+            stand for.  Models that differed by a pole that was not there differed by up to 14 nats (behind queues,
+            where none is asked for).  A limit that was there gained 5,447.
         max_jitter_divergence_nats: Relative entropy per event between the imputed displacements of a recording's
             polarity and the one normal that a jitter is: 0.1 is a shift by 0.45 or a spread by 1.33.
     Shot noise

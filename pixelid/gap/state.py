@@ -98,7 +98,7 @@ class State:
         steps: Effects named by rounds;  turn: rounds so far;  rounds: what the result says of each.
         given_up: Effects not to be tried again.
         asked_again: Effects named before a jitter, looked for once more behind it.
-        stamps_asked: Whether the stamps were asked for a limit of the slew.
+        stamps_asked: Effects that the stamps were asked for.
         jitter_given_up: Whether a jitter has been named once that did not look like one.
         shot_noise, shot_noise_p: Found, and the chance of what it explains.
         shot_noise_tried: Hypotheses beside which it was looked for, and what was found.
@@ -123,7 +123,7 @@ class State:
     rounds: Rounds = ()
     given_up: frozenset[str] = frozenset()
     asked_again: frozenset[str] = frozenset()
-    stamps_asked: bool = False
+    stamps_asked: frozenset[str] = frozenset()
     jitter_given_up: bool = False
     shot_noise: ShotNoise | None = None
     shot_noise_p: float = 1.0

@@ -36,7 +36,7 @@ from pixelid.gap.state import NamedStep
 from pixelid.gap.steps import explain_by_shot_noise as by_noise
 from pixelid.gap.steps import name_beside_shot_noise as beside
 from pixelid.gap.steps import withdraw as withdrawing
-from pixelid.gap.steps.ask_stamps import ask_stamps
+from pixelid.gap.steps.ask_stamps import ask_stamps, split_pole
 from pixelid.gap.steps.name_effect import (
     NOTHING_LEFT_FOR_IT,
     ONLY_WHERE_DRAWN,
@@ -506,6 +506,21 @@ def test_a_limit_of_the_slew_behind_a_coarse_tick_is_named_where_there_is_one(sl
     assert [step.effect for step in asked.steps] == ["slew_limit"]
     assert asked.hypothesis.fit.values["slew_limit.rise_per_s"] == pytest.approx(1500.0, rel=0.1)
     assert asked.hypothesis.seen.background_fraction < 0.1 * state.hypothesis.seen.background_fraction
+
+
+def test_a_pole_more_takes_what_the_others_are_later_than_shipped():
+    """In all as late as before, dead time and recovery of the amplifier too; nothing where they are no later."""
+    names = ("sf_cutoff_hz", "diff_cutoff_hz")
+    late = MODEL.set({**{name: 0.4 * MODEL.values[name] for name in names}, "refractory_s": 3e-4})
+    start = split_pole(late, MODEL)
+    assert start is not None
+    assert [start.values[name] for name in names] == [MODEL.values[name] for name in names]
+    delays = [1.0 / late.values[name] for name in names], [1.0 / start.values[name] for name in names]
+    assert sum(delays[1]) + 1.0 / start.values["extra_pole.cutoff_hz"] == pytest.approx(sum(delays[0]))
+    recovery = [m.values["refractory_s"] + 1.0 / (2 * np.pi * m.values["diff_cutoff_hz"]) for m in (late, start)]
+    assert recovery[0] == pytest.approx(recovery[1])
+    assert split_pole(MODEL, MODEL) is None
+    assert split_pole(MODEL.set({"sf_cutoff_hz": 1.5 * MODEL.values["sf_cutoff_hz"]}), MODEL) is None
 
 
 @pytest.mark.parametrize("planted", [{}, {"leak": {"rate_hz": 3.0}}, {"mains_flicker": {"modulation": 0.12}}])

@@ -262,7 +262,7 @@ def impute_behind_jitter(
     """
     fine = tuple(with_fine_light(r, between) for r in recordings)
     windows = tuple(jitter_windows(r, fitted.values[SIGMA]) for r in recordings)
-    model = _with_nominal_fast_poles(fitted.without_effect(JITTER), nominal)
+    model = with_nominal_fast_poles(fitted.without_effect(JITTER), nominal)
     times = tuple(guess_spaced(fine, windows, float(model.circuit().refractory)))
     stimuli = tuple(r.stimulus for r in recordings)
     random = np.random.default_rng(seed).bit_generator.state
@@ -279,7 +279,7 @@ def impute_behind_jitter(
     return impute_again(whole, free, JITTER_ROUNDS[2], report=report, cache=cache)
 
 
-def _with_nominal_fast_poles(fitted: Model, nominal: Model) -> Model:
+def with_nominal_fast_poles(fitted: Model, nominal: Model) -> Model:
     """The fitted model with what timestamps that jitter cannot tell apart set as the nominal one has it.
 
     Fast poles run away under jitter, and the dead time with them; what it and the amplifier's recovery take together

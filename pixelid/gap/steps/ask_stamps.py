@@ -1,9 +1,10 @@
-"""The step that asks the stamps for a limit of the slew, which times drawn without it hide.
+"""The step that asks the stamps for what times drawn without it hide.
 
-Times behind a jitter or a coarse tick follow the model that they are drawn from, and a limit of the slew forbids times
-drawn without it: beside them no limit is worth a fit, and many events are left without a cause.  So it is looked for on
-the stamps, with all times summed over that they can stand for (`imputation/stamps.py`), followed to times of its own,
-and what it gains is asked of the stamps again.
+Times behind a jitter or a coarse tick follow the model that they are drawn from, and speak against every other.  A
+limit of the slew forbids them outright: no limit is worth a fit beside them, and many events are left without a cause.
+A pole more hides behind slower ones that the model has: between them lies a valley, in which times drawn follow
+neither.  So both are looked for on the stamps, with all times summed over that they can stand for
+(`imputation/stamps.py`): the model is followed to times of its own, and what it gains is asked of the stamps again.
 """
 
 from __future__ import annotations
@@ -14,9 +15,9 @@ import numpy as np
 
 from pixelid.fit.maximise import Maximum
 from pixelid.gap.attribute.attribute import Attribution, Candidate, may_be_named
-from pixelid.gap.attribute.candidates import SLEW, missing, strongest_slew_start
+from pixelid.gap.attribute.candidates import SLEW, canonical, missing, strongest_slew_start
 from pixelid.gap.attribute.significance import chance_of_gain
-from pixelid.gap.imputation.impute import impute_with_effect
+from pixelid.gap.imputation.impute import FAST, impute_with_effect, with_nominal_fast_poles
 from pixelid.gap.imputation.imputed import Imputation
 from pixelid.gap.imputation.paths import is_summed_whole
 from pixelid.gap.imputation.stamps import Stamps
@@ -27,29 +28,44 @@ from pixelid.gap.state import State
 from pixelid.gap.steps.name_effect import at_times_anew, is_astray, with_accepted
 from pixelid.model.model import Model
 
+POLE = "extra_pole"
+LEAST_SPLIT = 0.1  # of the lateness of the poles, that a pole more must take: less is how cameras differ
 EVENTS = 1_500  # of the pixels that limits are tried on: some forty of them, half a second each
 
 
 def ask_stamps(state: State, context: Context) -> State:
-    """The state with a limit of the slew named that the stamps ask for, and another round; else as it is."""
+    """The state with an effect named that the stamps ask for, and another round; else as it is."""
     imputation, model = state.imputation, state.hypothesis.fit.model
     if imputation is None or not imputation.by_paths or not is_summed_whole(model.circuit()):
         return state
-    able = SLEW in missing(model) and SLEW not in {*context.options.leave_out, *state.given_up}
-    if state.stamps_asked or not able or not is_astray(state, context):
+    effect = SLEW if is_astray(state, context) else POLE
+    if effect not in missing(model) or effect in {*context.options.leave_out, *state.given_up, *state.stamps_asked}:
         return state
-    state = replace(state, stamps_asked=True)
-    context.report(f"{SLEW}, of the stamps", 0.6)
-    few = Stamps(imputation.of(state.split.fit).few(EVENTS, np.random.default_rng(0)))
-    start = strongest_slew_start(few, model, few.log_likelihood(model.circuit()))
-    return state if start is None else _asked(state, imputation, start, context)
+    state = replace(state, stamps_asked=state.stamps_asked | {effect})
+    context.report(f"{effect}, of the stamps", 0.6)
+    if effect == POLE:
+        start = split_pole(model, state.model)
+    else:
+        few = Stamps(imputation.of(state.split.fit).few(EVENTS, np.random.default_rng(0)))
+        start = strongest_slew_start(few, model, few.log_likelihood(model.circuit()))
+    return state if start is None else _asked(state, imputation, effect, start, context)
 
 
-def _asked(state: State, before: Imputation, start: Model, context: Context) -> State:
-    """The state with a round more; with the limit, and times drawn with it, where the stamps ask for it."""
+def split_pole(model: Model, nominal: Model) -> Model | None:
+    """The model with a pole more and its others as shipped, in all as late as before; None where that is no later."""
+    shipped = with_nominal_fast_poles(model, nominal)
+    late, usual = (sum(1.0 / each.values[name] for name in FAST) for each in (model, shipped))
+    if late - usual < LEAST_SPLIT * late:
+        return None
+    return shipped.with_effect(POLE, {"cutoff_hz": 1.0 / (late - usual)})
+
+
+def _asked(state: State, before: Imputation, effect: str, start: Model, context: Context) -> State:
+    """The state with a round more; with the effect, and times drawn with it, where the stamps ask for it."""
     hypothesis, options = state.hypothesis, context.options
     imputation, model = impute_with_effect(before, start, options, context.cache)
-    winner = _candidate(state, before, imputation, model)
+    model = canonical(model, state.model)
+    winner = _candidate(state, before, imputation, effect, model)
     able = winner.gain > options.criteria.min_stamps_gain_nats and may_be_named(winner, options)
     attribution = Attribution((winner,), {}, winner if able else None, (), {})
     told = attribution_entry(state.turn, hypothesis.fit, hypothesis.seen, attribution, {})
@@ -57,17 +73,17 @@ def _asked(state: State, before: Imputation, start: Model, context: Context) -> 
     if not able:
         return asked
     asked = replace(with_accepted(asked, winner, attribution, True), imputation=imputation)
-    return at_times_anew(asked, model, hypothesis.start.with_effect(SLEW), context).then(Phase.NAME)
+    return at_times_anew(asked, model, hypothesis.start.with_effect(effect), context).then(Phase.NAME)
 
 
-def _candidate(state: State, before: Imputation, after: Imputation, model: Model) -> Candidate[Maximum]:
-    """What the limit of a model gains on stamps, with and without it at times of its own."""
+def _candidate(state: State, before: Imputation, after: Imputation, effect: str, model: Model) -> Candidate[Maximum]:
+    """What a model with an effect gains on stamps, with and without it at times of its own."""
     fit, split = state.hypothesis.fit, state.split
 
     def gained(pixels: np.ndarray) -> np.ndarray:
-        with_limit = Stamps(after.of(pixels)).per_pixel(model.circuit())
-        return with_limit - Stamps(before.of(pixels)).per_pixel(fit.model.circuit())
+        with_effect = Stamps(after.of(pixels)).per_pixel(model.circuit())
+        return with_effect - Stamps(before.of(pixels)).per_pixel(fit.model.circuit())
 
     gain = float(gained(split.fit).sum())
-    p = chance_of_gain(SLEW, gain, len(missing(fit.model)))
-    return Candidate(SLEW, replace(fit, model=model), gain, p, gained(split.select))
+    p = chance_of_gain(effect, gain, len(missing(fit.model)))
+    return Candidate(effect, replace(fit, model=model), gain, p, gained(split.select))
