@@ -520,6 +520,8 @@ def test_a_pole_more_takes_what_the_others_are_later_than_shipped():
     recovery = [m.values["refractory_s"] + 1.0 / (2 * np.pi * m.values["diff_cutoff_hz"]) for m in (late, start)]
     assert recovery[0] == pytest.approx(recovery[1])
     assert split_pole(MODEL, MODEL) is None
+    named = late.with_effect("leak"), MODEL.with_effect("leak")  # beside effects named on the way
+    assert split_pole(*named).values["leak.rate_hz"] == named[0].values["leak.rate_hz"]
     assert split_pole(MODEL.set({"sf_cutoff_hz": 1.5 * MODEL.values["sf_cutoff_hz"]}), MODEL) is None
 
 

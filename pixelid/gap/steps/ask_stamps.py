@@ -44,7 +44,7 @@ def ask_stamps(state: State, context: Context) -> State:
     state = replace(state, stamps_asked=state.stamps_asked | {effect})
     context.report(f"{effect}, of the stamps", 0.6)
     if effect == POLE:
-        start = split_pole(model, state.model)
+        start = split_pole(model, state.hypothesis.start)
     else:
         few = Stamps(imputation.of(state.split.fit).few(EVENTS, np.random.default_rng(0)))
         start = strongest_slew_start(few, model, few.log_likelihood(model.circuit()))
@@ -52,7 +52,10 @@ def ask_stamps(state: State, context: Context) -> State:
 
 
 def split_pole(model: Model, nominal: Model) -> Model | None:
-    """The model with a pole more and its others as shipped, in all as late as before; None where that is no later."""
+    """The model with a pole more and its others as shipped, in all as late as before; None where that is no later.
+
+    nominal: as shipped, with every effect that the model has
+    """
     shipped = with_nominal_fast_poles(model, nominal)
     late, usual = (sum(1.0 / each.values[name] for name in FAST) for each in (model, shipped))
     if late - usual < LEAST_SPLIT * late:
