@@ -18,7 +18,9 @@ Example:
 @click.command("latency", epilog=EXAMPLE)
 @click.argument("tables", nargs=-1, required=True, type=options.PATH)
 @options.out()
-@options.model(False, "What --predict evaluates: a shipped model, a model file, or a fit folder.")
+@options.model(
+    False, "What --predict evaluates, or where a fit begins: a shipped model, a model file, or a fit folder."
+)
 @click.option("--predict", is_flag=True, help="Evaluate --model on the tables instead of fitting.")
 @click.option("--camera", help="Only the rows of this camera.")
 @click.option("--sample", is_flag=True, help="Sample the posterior with emcee.")

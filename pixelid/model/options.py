@@ -32,7 +32,17 @@ def effect_with_values(text: str) -> tuple[str, dict[str, float]]:
     stages.effect(name)
     if sign and not values.strip():
         raise InputError(f"--with {text!r}: expected parameter=value after the colon")
-    return name, dict(assignment(part) for part in values.split(",")) if sign else {}
+    return name, _once(f"--with {name}", [assignment(part) for part in values.split(",")]) if sign else {}
+
+
+def _once(where: str, assigned: Iterable[tuple[str, float]]) -> dict[str, float]:
+    """Assignments by name.  Raises InputError for one name twice."""
+    found: dict[str, float] = {}
+    for name, value in assigned:
+        if name in found:
+            raise InputError(f"{where}: expected {name} once, found {found[name]:g} and {value:g}")
+        found[name] = value
+    return found
 
 
 def changed(
@@ -44,6 +54,9 @@ def changed(
     """
     remarks = []
     added = [effect_with_values(text) for text in with_]
+    twice = [name for k, (name, _) in enumerate(added) if name in (other for other, _ in added[:k])]
+    if twice:
+        raise InputError(f"--with {twice[0]}: expected an effect once, with all its values")
     for name in without:
         if name in (other for other, _ in added):
             raise InputError(f"effect {name} is in both --with and --without")
@@ -52,4 +65,4 @@ def changed(
         model = model.without_effect(name)
     for name, values in added:
         model = model.with_effect(name, values)
-    return model.set(dict(assignment(text) for text in set_)), remarks
+    return model.set(_once("--set", [assignment(text) for text in set_])), remarks

@@ -106,6 +106,12 @@ def test_options():
     assert assignment("a.b = 3e-2") == ("a.b", 0.03)
     assert effect_with_values("leak:rate_hz=3") == ("leak", {"rate_hz": 3.0})
     assert effect_with_values("leak") == ("leak", {})
+    with pytest.raises(InputError, match="rate_hz once, found 1 and 2"):
+        effect_with_values("leak:rate_hz=1,rate_hz=2")
+    with pytest.raises(InputError, match="an effect once"):
+        changed(find_model("dvs128"), ["leak:rate_hz=1", "leak:rate_hz=3"])
+    with pytest.raises(InputError, match="alpha once"):
+        changed(find_model("dvs128"), set_=["alpha=5e4", "alpha=6e4"])
     with pytest.raises(InputError, match="after the colon"):
         effect_with_values("leak:")
     with pytest.raises(InputError, match="finite"):
