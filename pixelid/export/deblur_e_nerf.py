@@ -17,6 +17,15 @@ from pixelid.export.losses import known_as
 from pixelid.model.model import Model
 
 
+ALL_CHANGE = "the reconstruction takes all change for a change of the light."
+OTHERWISE = {  # lost in another way than by ESIM
+    "threshold_mismatch": "one ON and one OFF threshold for all pixels.",
+    "leak": ALL_CHANGE,
+    "parasitic_photocurrent": ALL_CHANGE,
+    "lower_cutoff": "the file has it, and the pixel model of the reconstruction leaves it out.",
+}
+
+
 def export(model: Model, light: Light) -> Exported:
     """The pixel's part of the calibration for a circuit."""
     circuit = model.circuit()
@@ -48,15 +57,8 @@ def export(model: Model, light: Light) -> Exported:
 
 
 def _lost(model: Model) -> list[str]:
-    own = {
-        "threshold_mismatch": "one ON and one OFF threshold for all pixels.",
-        **dict.fromkeys(
-            ("leak", "parasitic_photocurrent"), "the reconstruction takes all change for a change of the light."
-        ),
-        "lower_cutoff": "the file has it, and the pixel model of the reconstruction leaves it out.",
-    }
-    told = {name: own[known] for name, known in known_as(model).items() if known in own}
-    sentences = [s for s in lost(model) if not s.startswith(tuple(told))] if told else lost(model)
+    told = {name: OTHERWISE[known] for name, known in known_as(model).items() if known in OTHERWISE}
+    sentences = [sentence for sentence in lost(model) if not sentence.startswith(tuple(told))]
     sentences += [f"{name}: {words}" for name, words in told.items()]
     if model.photoreceptor != "second_order":
         sentences.append(

@@ -49,7 +49,7 @@ def in_words(own: Described, values: Mapping[str, float]) -> str:
         )
         return f"{subject} {_amount(own, s)} {first}, {_amount(own, -s)} {second}"
     if own.form == "power" and abs(values["exponent"]) < NEARLY_A_LOGARITHM:
-        return f"{subject} {_amount(own, _per_tenfold(own, values))} with every tenfold {_covariate(own)}"
+        return f"{subject} {_amount(own, _per_tenfold(own, values))} with every tenfold {_covariate(own)}{_before(own)}"
     return f"{subject} {_amount(own, s)} {_where(own, values)}"
 
 
@@ -87,11 +87,10 @@ def _where(own: Described, values: Mapping[str, float]) -> str:
     unit, least = ("", "in the dark") if own.covariate == "radiance" else (" per second", "in constant light")
     return {
         "power": lambda: (
-            f"at a {name.removesuffix(before)} of {values['reference']:.3g}{unit}{before}, as its power "
-            f"{values['exponent']:.3g} elsewhere"
+            f"at a {name} of {values['reference']:.3g}{unit}{before}, as its power {values['exponent']:.3g} elsewhere"
         ),
-        "relaxation": lambda: f"{least}, fading with {name}, to 1/e at {values['scale']:.3g}{unit}",
-        "step": lambda: f"where {name} exceeds {values['edge']:.3g}{unit}",
+        "relaxation": lambda: f"{least}, fading with {name}{before}, to 1/e at {values['scale']:.3g}{unit}",
+        "step": lambda: f"where {name}{before} exceeds {values['edge']:.3g}{unit}",
     }[own.form]()
 
 
@@ -100,7 +99,7 @@ def _before(own: Described) -> str:
 
 
 def _covariate(own: Described) -> str:
-    return ("radiance" if own.covariate == "radiance" else "speed |d ln L/dt|") + _before(own)
+    return "radiance" if own.covariate == "radiance" else "speed |d ln L/dt|"
 
 
 def _seconds(value: float) -> str:
