@@ -16,7 +16,6 @@ from pixelid.export.light import Light
 from pixelid.export.losses import known_as
 from pixelid.model.model import Model
 
-
 ALL_CHANGE = "the reconstruction takes all change for a change of the light."
 OTHERWISE = {  # lost in another way than by ESIM
     "threshold_mismatch": "one ON and one OFF threshold for all pixels.",
