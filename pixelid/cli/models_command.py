@@ -13,6 +13,8 @@ Example:
     pixelid models dvs128
 """
 
+NAMES = {"min_width": 26, "max_width": 34, "overflow": "fold"}  # the library's in one line, a described effect's in two
+
 
 @click.command("models", epilog=EXAMPLE)
 @click.argument("name", required=False)
@@ -70,7 +72,8 @@ def _print_one(console, model) -> None:
         f"radiance in {model.radiance_unit}",
         highlight=False,
     )
-    table = Table(Column("parameter", no_wrap=True), "value", "unit", "bounds", "free", "source")
+    value, unit, free = (Column(head, no_wrap=True) for head in ("value", "unit", "free"))
+    table = Table(Column("parameter", **NAMES), value, unit, "bounds", free, "source")
     for parameter in model.parameters.values():
         table.add_row(
             parameter.name,
@@ -81,7 +84,7 @@ def _print_one(console, model) -> None:
             parameter.source,
         )
     console.print(table)
-    effects = Table(Column("effect", no_wrap=True), "what it does", "equation", "source")
+    effects = Table(Column("effect", **NAMES), "what it does", "equation", "source")
     for name in model.effects:
         effect = stages.effect(name)
         effects.add_row(name, effect.sentence, effect.equation, effect.source)

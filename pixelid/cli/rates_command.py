@@ -18,8 +18,8 @@ Example:
 @click.command("rates", epilog=EXAMPLE)
 @click.argument("source", type=options.PATH)
 @options.out()
-@click.option("--unit", type=click.Choice(["hz", "kev/s", "mev/s"]), default="hz", show_default=True,
-              help="Of the rates in a CSV.")  # fmt: skip
+@click.option("--unit", type=click.Choice(["hz", "kev/s", "mev/s"]),
+              help="Of the rates in a CSV; default: what its header says, hz where it says nothing.")  # fmt: skip
 @click.option(
     "--bias-law", is_flag=True, help="Columns end in a bias in mV (fo1477): one law for their cutoffs, and κ."
 )
@@ -37,7 +37,7 @@ def command(source, out, unit, bias_law, data, overwrite, seed, quiet):
     from pixelid.errors import InputError
     from pixelid.outputs import claimed, whole_folder
 
-    if not source.is_file():
+    if not source.exists():
         raise InputError(f"{source}: no such file")
     with claimed(out, overwrite, [source]):
         from pixelid.report.html import write_report

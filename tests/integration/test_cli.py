@@ -12,7 +12,8 @@ import pytest
 from pixelid.cli import main as command_line
 from pixelid.cli.main import COMMANDS, main
 from pixelid.errors import UntrustworthyResult
-from pixelid.model.shipped import shipped_models
+from pixelid.model.files import save_model
+from pixelid.model.shipped import find_model, shipped_models
 
 HEAVY = {
     "torch",
@@ -201,6 +202,18 @@ def test_one_model_in_full(name, capsys):
     assert name in printed
     for parameter in document["parameters"]:
         assert parameter in printed
+
+
+def test_values_of_described_effects_fit_into_80_columns(tmp_path, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    values = {"strength": 0.1234, "exponent": 0.5678, "reference": 81.23}
+    save_model(
+        find_model("dvs128").with_effect("described.on_threshold.radiance.power", values), tmp_path / "model.toml"
+    )
+    assert main(["models", str(tmp_path / "model.toml")]) == 0
+    printed = capsys.readouterr().out
+    for value in values.values():
+        assert f" {value:g} " in printed
 
 
 def test_a_model_shows_units_and_gauge(capsys, monkeypatch):

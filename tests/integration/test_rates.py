@@ -315,6 +315,27 @@ def test_units_and_empty_cells(tmp_path):
     assert np.isnan(table.rate_hz[0, 1])
 
 
+def test_a_header_says_the_unit_of_the_rates(tmp_path):
+    path = tmp_path / "t.csv"
+    path.write_text("freq_hz,fo1477 [kev/s],fo1400 (kEv/s)\n1,0.5,\n10,0.25,0.125\n")
+    for unit in (None, "kev/s"):
+        table = read_table(path, unit)
+        assert table.columns == ("fo1477", "fo1400")
+        assert (table.rate_hz[0, 0], table.resolution_hz) == (500.0, 1.0)
+    with pytest.raises(InputError, match="--unit mev/s: the columns say kev/s"):
+        read_table(path, "mev/s")
+    path.write_text("freq_hz,a [ev/s]\n1,0.5\n10,0.25\n")
+    assert read_table(path).rate_hz[0, 0] == 0.5
+    for heads, words in (
+        ("freq_hz,a [kev/s],b", "expected one unit for all rates"),
+        ("freq_hz,a [kev/s],a [mev/s]", "columns of different names"),
+        ("freq_rad_per_s,a,b", "expected frequencies in Hz, found a column 'freq_rad_per_s'"),
+    ):
+        path.write_text(f"{heads}\n1,0.5,1\n10,0.25,1\n")
+        with pytest.raises(InputError, match=words):
+            read_table(path)
+
+
 @pytest.mark.parametrize("mark", [",", ";", "\t"])
 def test_cells_are_apart_by_what_the_header_has(tmp_path, mark):
     (tmp_path / "t.csv").write_text(STEEP.replace(",", mark))

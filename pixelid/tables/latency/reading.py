@@ -101,7 +101,7 @@ def read_tables(paths: Sequence[Path], *, measured: bool = True) -> LatencyTable
 
 
 def _table(path: Path, measured: bool) -> LatencyTable:
-    if not path.is_file():
+    if not path.exists():
         raise InputError(f"{path}: no such file")
     text = read_text_table(path, first="", expected=EXPECTED)
     rows = len(text.rows)
