@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
 from pixelid.fit.coordinates import Coordinates
 from pixelid.fit.event_times import EventTimesObjective
@@ -12,7 +13,13 @@ from pixelid.fit.maximise import maximise
 from pixelid.fit.own_values import in_event_times
 from pixelid.fit.result import FitResult
 from pixelid.gap.attribute.candidates import remove_effect, start_in_each
-from pixelid.gap.attribute.significance import chance_of_gain, own_values
+from pixelid.gap.attribute.significance import (
+    SMALLEST,
+    _log_chi2_sf,
+    chance_of_gain,
+    log_chance_of_gain,
+    own_values,
+)
 from pixelid.gap.gap import gap
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.model.shipped import find_model
@@ -169,6 +176,17 @@ def test_nothing_starts_anew_in_one_recording_or_in_recordings_of_one_name(likel
 def test_more_values_need_more_gain():
     shared, own = chance_of_gain("mains_flicker", 10.0, 5), chance_of_gain("mains_flicker", 10.0, 5, own=2)
     assert shared < own < chance_of_gain("mains_flicker", 10.0, 5, own=6)
+
+
+def test_gains_whose_chances_no_number_holds_are_told_apart():
+    assert chance_of_gain("mains_flicker", 5000.0, 1) == chance_of_gain("mains_flicker", 7000.0, 1, own=12) == 0.0
+    # amplitude and phase, tried at two frequencies: χ² of two degrees is an exponential
+    assert log_chance_of_gain("mains_flicker", 5000.0, 1) == pytest.approx(np.log(2.0) - 5000.0, rel=1e-12)
+    assert log_chance_of_gain("mains_flicker", 7000.0, 1, own=12) < log_chance_of_gain("mains_flicker", 5000.0, 1)
+    for degrees in (1, 3, 13, 40):
+        near = np.nextafter(0.5 * chi2.isf(2.0 * SMALLEST, degrees), 0.0)
+        exact, series = (_log_chi2_sf(half, degrees) for half in (near, near + 1.0))
+        assert series - exact == pytest.approx(-1.0 + (0.5 * degrees - 1.0) / near, abs=1e-3)
 
 
 @pytest.mark.slow

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -12,7 +13,7 @@ from pixelid.fit.cache import FitCache, map_fits
 from pixelid.fit.maximise import Maximum, maximise
 from pixelid.gap.attribute.attribute import MIN_SCREENED_NATS, Report
 from pixelid.gap.attribute.candidates import SLEW, Tried, remove_effect, start_in_each, strongest_start, tried
-from pixelid.gap.attribute.significance import chance_of_gain, own_values
+from pixelid.gap.attribute.significance import log_chance_of_gain, own_values
 from pixelid.gap.detect.pixels import PixelEvidence, per_pixel
 from pixelid.gap.imputation.windows import DELAY
 from pixelid.likelihood.event_times import EventTimes
@@ -144,9 +145,9 @@ class _Screen:
         if start is None or start[1] < self.base.value + MIN_SCREENED_NATS:
             return None
         end = maximise(self.pool, start[0], tolerance=0.3, max_steps=SCREEN_STEPS_OWN, cache=cache)
-        of_own = chance_of_gain(effect, end.value - self.base.value, 1, own_values(end.model, effect))
-        of_shared = chance_of_gain(effect, shared - self.base.value, 1)
-        return end if of_own < min(WORTH_P, of_shared) else None
+        of_own = log_chance_of_gain(effect, end.value - self.base.value, 1, own_values(end.model, effect))
+        of_shared = log_chance_of_gain(effect, shared - self.base.value, 1)
+        return end if of_own < min(math.log(WORTH_P), of_shared) else None
 
 
 def strongest_fit(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from scipy.stats import chi2
 
@@ -11,6 +13,8 @@ from pixelid.gap.criteria import Criteria
 from pixelid.model.model import Model
 
 ON_BOUNDARY = 0.5  # share of the χ² in the mixture, the rest being 0 (Self & Liang 1987, JASA 82, 605, case 5)
+SMALLEST = 1e-290  # chance that double precision holds: of some 660 nats and more it does not
+TERMS = 8  # of the series for smaller ones, each less than a tenth of that before at 100 degrees of freedom
 WAYS = 2  # values shared by all recordings, or of each one's own
 
 
@@ -24,14 +28,30 @@ def chance_of_gain(effect: str, gain_nats: float, tried: int, own: int = 0) -> f
     own: values that recordings have each for themselves, in place of shared ones (`own_values`): then the effect was
     tried both ways, and this was the better one
     """
+    return math.exp(log_chance_of_gain(effect, gain_nats, tried, own))
+
+
+def log_chance_of_gain(effect: str, gain_nats: float, tried: int, own: int = 0) -> float:
+    """The logarithm of `chance_of_gain`, which tells chances apart that are too small for a number."""
     share, degrees = _null(effect, tried, own)
-    return min(1.0, share * float(chi2.sf(2.0 * max(gain_nats, 0.0), degrees)))
+    return min(0.0, math.log(share) + _log_chi2_sf(max(gain_nats, 0.0), degrees))
 
 
 def gain_of_chance(effect: str, chance: float, tried: int) -> float:
     """Nats whose `chance_of_gain` that is."""
     share, degrees = _null(effect, tried, 0)
     return 0.5 * float(chi2.isf(min(chance / share, 1.0), degrees))
+
+
+def _log_chi2_sf(half: float, degrees: int) -> float:
+    """ln P(χ² > 2 half); where that is no number, by Γ(a, x) ~ x^(a−1) e^−x Σ (a−1)…(a−k) x^−k (DLMF 8.11.2)."""
+    chance = float(chi2.sf(2.0 * half, degrees))
+    if chance > SMALLEST:
+        return math.log(chance)
+    a, term, total, k = 0.5 * degrees, 1.0, 1.0, 1
+    while k < TERMS and abs(term := term * (a - k) / half) > 0.0:
+        total, k = total + term, k + 1
+    return (a - 1.0) * math.log(half) - half - math.lgamma(a) + math.log(total)
 
 
 def _null(effect: str, tried: int, own: int) -> tuple[float, int]:
