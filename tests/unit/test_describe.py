@@ -80,6 +80,23 @@ def test_a_model_is_not_offered_what_it_has_under_its_own_name(likelihood):
     assert not any(".time_since_event." in own.name for own, _ in beginnings(covariates(likelihood), with_one))
 
 
+def test_the_edge_of_a_step_is_found_between_those_that_are_screened():
+    name, truth = "described.threshold.time_in_recording.step", find_model("dvs128")
+    edge = 0.34  # nearly in the middle between two that are screened
+    stepping = truth.with_effect(name, {"strength": 0.1, "edge": edge})
+    made = EventTimes([simulate(stepping, shapes.chirp(60.0, duration_s=0.4), width=3, height=3, seed=4)])
+    seen = covariates(made)
+    base = maximise(made, truth, tolerance=0.1, max_steps=20)
+    starts = [(own, start) for own, start in beginnings(seen, base.model) if own.name == name]
+    one = screened(made, base, starts)[0]
+    fitted = describing._Fit(base, None, made, made, seen, 1, 0.0)(one, None)
+    assert abs(one.start.values[f"{name}.edge"] - edge) > 0.01
+    times = np.sort(seen["time_in_recording"])
+    k = np.searchsorted(times, edge)  # known to a few events: thresholds scatter by 4 %, and step by 10
+    assert times[k - 4] < fitted.end.values[f"{name}.edge"] < times[k + 3]
+    assert fitted.end.values[f"{name}.strength"] == pytest.approx(0.1, abs=0.02)
+
+
 @pytest.mark.slow
 def test_an_effect_left_out_of_the_library_is_described(tmp_path):
     from gap_certification import camera, planted, session

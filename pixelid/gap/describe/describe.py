@@ -36,6 +36,9 @@ MAX_LEADERS = 6
 MAX_OF_A_COVARIATE = 2  # forms of one quantity by one covariate among them
 MAX_DESCRIPTIONS = 2  # a camera that needs more needs a model
 FIT_STEPS, WITHOUT_STEPS = 30, 15
+# Of a step, whose edge no fit moves: it is looked for as far as the next one that was screened, then between two of
+# these.
+EDGES_TRIED, EDGE_SPANS = 25, (0.25, 0.02)
 NEARLY = 1e-3  # zero, as a share of a dead time: where a fit can move either way
 # Of a rival's gain, that a score must promise for descriptions to be fitted: behind true jitters of 0.3 to 4 times the
 # typical one scores promised 0.05 to 0.17 of what the jitter gained.
@@ -209,7 +212,7 @@ def _candidates(evidence: PixelEvidence, promises: _Promises, elsewhere: Model |
     promising: dict[str, float] = {}
     for one in looked_at:
         promising.setdefault(one.own.name, one.gain)
-    fitted = _Fit(base, elsewhere, evidence.fitting, evidence.judging, promises.longest, len(looked_at), penalty)
+    fitted = _Fit(base, elsewhere, evidence.fitting, evidence.judging, promises.seen, len(looked_at), penalty)
     candidates = map_fits(context.work, fitted, leaders, context.cache)
     candidates.sort(key=lambda c: -c.worth)
     promising = dict(list(promising.items())[: 2 * MAX_LEADERS])
@@ -224,13 +227,13 @@ class _Promises:
         base: The model on the fit pixels.
         screened: Every description there, by what its score promises.
         penalty: Nats for each parameter.
-        longest: Covariate → the largest value that events saw.
+        seen: As of `covariates`.
     """
 
     base: Maximum
     screened: list[Screened]
     penalty: float
-    longest: dict[str, float]
+    seen: dict[str, np.ndarray]
 
 
 def _promises(evidence: PixelEvidence, fit: Maximum, context: Context) -> _Promises:
@@ -238,8 +241,7 @@ def _promises(evidence: PixelEvidence, fit: Maximum, context: Context) -> _Promi
     base = maximise(evidence.fitting, fit.model, tolerance=0.05, max_steps=25, cache=context.cache)
     seen = covariates(evidence.fitting)
     looked_at = screened(evidence.fitting, base, beginnings(seen, base.model))
-    longest = {name: float(np.max(values, initial=0.0)) for name, values in seen.items()}
-    return _Promises(base, looked_at, 0.5 * math.log(max(evidence.judging.events, 2)), longest)
+    return _Promises(base, looked_at, 0.5 * math.log(max(evidence.judging.events, 2)), seen)
 
 
 def _parameters(own: Described) -> int:
@@ -272,7 +274,7 @@ class _Fit:
         base: The model without any.
         elsewhere: Where fits start from as well.
         fitting, judging: Likelihoods of the fit pixels and of the select pixels.
-        longest: Covariate → the largest value that events saw.
+        seen: Covariate → its values at the events that are fitted.
         tried: Number of shapes looked at.
         penalty: Nats for each parameter.
     """
@@ -281,7 +283,7 @@ class _Fit:
     elsewhere: Model | None
     fitting: EventTimes
     judging: EventTimes
-    longest: dict[str, float]
+    seen: dict[str, np.ndarray]
     tried: int
     penalty: float
 
@@ -295,6 +297,10 @@ class _Fit:
             end = best(self.elsewhere.with_effect(one.own.name, one.own.own(end.model.values)), end)
         at_zero = _with_dead_time_at_zero(one.own, end.model)
         end = end if at_zero is None else best(at_zero, end)
+        if one.own.form == "step":
+            for span in EDGE_SPANS:
+                moved = self._with_better_edge(one.own, end, span)
+                end = end if moved is None else best(moved, end)
         less = end.model.without_effect(one.own.name)
         again = maximise(self.fitting, less, tolerance=0.1, max_steps=WITHOUT_STEPS, cache=cache)
         # the model without it may owe its lower place to its other parameters
@@ -302,11 +308,26 @@ class _Fit:
         gain = end.value - worse.value
         parameters = _parameters(one.own)
         p = min(1.0, self.tried * float(chi2.sf(2.0 * max(gain, 0.0), parameters)))
-        if one.own.form == "relaxation" and one.own.own(end.model.values)["scale"] > self.longest[one.own.covariate]:
+        if one.own.form == "relaxation" and one.own.own(end.model.values)["scale"] > np.max(
+            self.seen[one.own.covariate]
+        ):
             p = 1.0  # no event saw it fade: it is a constant, and gains what a constant does
         judged = per_pixel(self.judging, end.model)
         held_out = judged - per_pixel(self.judging, worse.model)
         return Candidate(one.own, end, gain, p, held_out, judged, self.penalty * parameters)
+
+    def _with_better_edge(self, own: Described, end: Maximum, span: float) -> Model | None:
+        """The model with the edge of a step where it explains most, all else as it is; None for where it is.
+
+        span: how far it may move, as a share of the events
+        """
+        values, name = np.sort(self.seen[own.covariate]), f"{own.name}.edge"
+        share = np.searchsorted(values, end.model.values[name]) / len(values)
+        edges = np.unique(np.quantile(values, np.clip(share + span * np.linspace(-1.0, 1.0, EDGES_TRIED), 0.0, 1.0)))
+        models = [end.model.set({name: float(edge)}) for edge in edges]
+        explained = [self.fitting.log_likelihood(model.circuit()) for model in models]
+        best = int(np.argmax(explained))
+        return models[best] if explained[best] > end.value else None
 
 
 def _with_dead_time_at_zero(own: Described, model: Model) -> Model | None:
