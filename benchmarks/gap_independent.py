@@ -176,7 +176,7 @@ def run(missing: str, seed: int) -> dict:
 
 
 def right(row: dict) -> bool:
-    """Whether a session came out as wanted; what a description closes is counted by itself."""
+    """Whether a session came out as wanted."""
     missing, said = row["missing"], (row["verdict"], row["named"])
     if missing == "nothing":
         return said == ("none", [])
@@ -199,7 +199,7 @@ def summary(rows: list[dict]) -> dict:
         closed = [c for r in mine for *_, c in r["described"] if c is not None]
         found[missing] = {
             "sessions": len(mine),
-            "right": sum(map(right, mine)),
+            "right": sum(map(right, mine)),  # what a description closes is counted by itself
             "errors_median_and_largest": [float(np.median(errors)), max(errors)] if errors else None,
             "intervals_hold": [sum(r["found"][1][0] <= r["strength"] <= r["found"][1][1] for r in told), len(told)],
             "closed_0.8": [sum(c >= 0.8 for c in closed), len(closed)],
@@ -223,7 +223,8 @@ def main() -> None:
             seed = FIRST_SEED + 100 * KINDS.index(missing) + i
             if (missing, seed) in done:
                 continue
-            rows.append(run(missing, seed))
+            row = run(missing, seed)
+            rows.append(row | {"wrong": not right(row)})
             temporary = options.out.with_suffix(".tmp")
             temporary.write_text(json.dumps({"summary": summary(rows), "runs": rows}, indent=1, default=float) + "\n")
             temporary.replace(options.out)

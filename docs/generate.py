@@ -205,6 +205,7 @@ PAGES: dict[str, Callable[[], str]] = {
     "export_comparison": measured.export_comparison,
     "conform_results": measured.conform_results,
     "combinations": measured.combinations,
+    "independent": measured.independent,
     "single_sessions": measured.single_sessions,
     "coverage": measured.coverage,
     "faults": measured.faults,

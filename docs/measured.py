@@ -179,6 +179,35 @@ def _share(summary: dict, key: str, says: str) -> str:
     return f"{row['count']} of {row['of']} sessions {says} ({'–'.join(percent(x, 0) for x in row['interval_95'])})"
 
 
+def independent() -> str:
+    """What `benchmarks/gap_independent.py` found: by what is missing, and what was said of what has no name."""
+    content = of_json("docs/gap_independent.json")
+    kinds = [
+        (
+            kind,
+            f"{row['right']} of {row['sessions']}",
+            " / ".join(percent(x, 2) for x in row["errors_median_and_largest"] or []),
+            "{} of {}".format(*row["intervals_hold"]) if row["intervals_hold"][1] else "",
+            "{} of {}".format(*row["closed_0.8"]) if row["closed_0.8"][1] else "",
+            " / ".join(f"{x:.0f}" for x in row["cpu_seconds_median_and_largest"]),
+        )
+        for kind, row in content["summary"].items()
+    ]
+    said = [
+        (run["seed"], run["missing"], f"{run['strength']:.3g}", run["verdict"],
+         "; ".join([*run["named"], *(words for _, words, _ in run["described"])]))
+        for run in content["runs"] if run["described"] or run["wrong"]
+    ]  # fmt: skip
+    heads = ("missing", "right", "error, median / largest", "intervals hold", "closed 0.8", "CPU s, median / largest")
+    return "\n".join(
+        [
+            table(heads, kinds),
+            "What was said where something has no name, or came out wrong; strengths are those of the benchmark:\n",
+            table(("seed", "missing", "strength", "verdict", "named, listed or described"), said),
+        ]
+    )
+
+
 def single_sessions() -> str:
     """Single simulated sessions, recorded by hand as their verdicts were read."""
     recorded = of_json("docs/results/gap_sessions.json")
