@@ -1,5 +1,6 @@
 """Where a model stands in the coordinates of a fit, and replicates that tell nothing of the noise in them."""
 
+import math
 from types import SimpleNamespace
 from typing import Any
 
@@ -71,6 +72,35 @@ def test_replicates_whose_noise_is_not_found_again_end_the_attempt(monkeypatch, 
     assert shot_noise.find_shot_noise(evidence, fit, seen, Options()) is None
     assert len(made) == (2 if lost_from == 1 else 2 + shot_noise.REPLICATES)
     assert max(made) == pytest.approx(3e-4)
+
+
+@pytest.mark.parametrize("more_than_chance", [0.0, 40.0])
+def test_a_density_far_off_is_put_right_by_events_without_a_cause(more_than_chance):
+    """Where the filter finds nearly the same noise whatever there is, as it does with poles that are far off."""
+    model = find_model("dvs128").set({"on_threshold": 0.2, "off_threshold": 0.2})
+    coordinates, truth, measured = Coordinates.of(model), 7e-4, np.full(2, 4000.0)
+    fit: Any = SimpleNamespace(
+        coordinates=coordinates, x=coordinates.start, model=model, values=model.values,
+        information=1e6 * np.eye(len(coordinates.names)),
+    )  # fmt: skip
+    rounds = []
+
+    def made(at, turn=0):
+        rounds.append(at.density)
+        found = Division(8e-4 * (at.density / truth) ** 0.1, 0.5, 0.01, 500.0, 8.5)
+        background = measured * (at.density / truth) ** at.background_per_density()
+        return [Replicate(fit.x, {}, background, found)] * shot_noise.REPLICATES
+
+    def judged(at, final):
+        left = more_than_chance + abs(math.log(rounds[-1] / truth))
+        p = 0.5 if left < 0.05 else 1e-6
+        return SimpleNamespace(left=left, density=at.density, corrected=SimpleNamespace(seen=SimpleNamespace(p=p)))
+
+    guess = Guess(fit, Division(8e-4, 0.5, 0.01, 500.0, 8.5), fit.x, 9e-4)
+    noise = shot_noise._put_right(guess, made(guess), measured, made, judged, 0.05)
+    assert noise is not None
+    assert noise.density == pytest.approx(truth, rel=0.05 if more_than_chance else 0.03)
+    assert len(rounds) == 4  # what stays comes no nearer, however often
 
 
 @pytest.mark.parametrize("factor", [1.0, 3.0, 10.0])

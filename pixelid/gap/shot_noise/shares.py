@@ -61,8 +61,12 @@ class Guess:
         model = self.fit.coordinates.model_at(np.clip(self.x, *self.fit.coordinates.bounds()))
         return with_shot_noise(model, self.density)
 
-    def corrected(self, made: Sequence[Replicate]) -> Guess:
-        """By what replicates made from it are off by."""
+    def corrected(self, made: Sequence[Replicate], background: np.ndarray | None = None) -> Guess:
+        """By what replicates made from it are off by.
+
+        background: (2,) OFF and ON events without a cause that were measured, where these shall tell the density as
+        well as the filter does: with poles that are far off it finds nearly the same noise whatever there is
+        """
         k = _noise_index(self.fit)
         truth = vector(self.model, self.fit)
         moved = np.median([np.clip(one.x - truth, -MAX_SHIFT, MAX_SHIFT) for one in made], axis=0)
@@ -72,6 +76,9 @@ class Guess:
         thresholds = math.exp(2.0 * self.x[k]) + self.found.thresholds * variance - seen
         x[k] = 0.5 * math.log(np.clip(thresholds, LEAST_THRESHOLDS * variance, variance))
         off = np.median([math.log(one.division.density / self.found.density) for one in made])
+        if background is not None:
+            more = np.mean([np.log(one.background + 1.0) for one in made], axis=0) - np.log(background + 1.0)
+            off = 0.5 * (off + float(np.mean(more / self.background_per_density())))
         return replace(self, x=x, density=self.density * math.exp(-off))
 
     def error(self, made: Sequence[Replicate]) -> float:

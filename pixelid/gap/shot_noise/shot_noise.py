@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -40,6 +40,8 @@ from pixelid.statistics import Z95
 
 REPLICATES = 4  # at the density taken
 MAX_MOVE = 0.1  # of its logarithm that these leave from the one that they were made at: else they are made again
+ROUNDS, PATIENCE = 10, 2  # of replicates, at most, and of those that come hardly nearer
+NEARER = 0.9  # of what was left, that must at most be left for being nearer
 MAX_SCORE = 10.0  # standard deviations: cells that differ by more count as this in a distance
 MAX_SCORE_AT_SIGHT = 30.0  # the same where maps are only looked at
 MIN_HALF_WIDTH = 0.05  # relative, of the interval: replicates are no better than this
@@ -122,12 +124,49 @@ def find_shot_noise(
     if without - nearest < 0.5 * criteria.min_shot_noise_gain_nats or far:
         return None
     final = [first, *made(*((guess.model, turn) for turn in range(3, 2 + REPLICATES)))]
-    better = guess.corrected(final)
-    if better.is_told and abs(math.log(better.density / guess.density)) > MAX_MOVE:
-        guess = better
-        final = made(*((guess.model, turn) for turn in range(2 + REPLICATES, 2 + 2 * REPLICATES)))
-        better = guess.corrected(final)
-    return _judged(better, final, measured, seen, without, criteria) if better.is_told and sound(final) else None
+    return _put_right(
+        guess, final, measured.background, lambda at, turn: made(*((at.model, turn + k) for k in range(REPLICATES))),
+        lambda at, some: _judged(at, some, measured, seen, without, criteria), criteria.sufficient_p_shot_noise,
+    )  # fmt: skip
+
+
+def _put_right(
+    guess: Guess,
+    final: Sequence[Replicate],
+    background: np.ndarray,
+    made: Callable[[Guess, int], list[Replicate]],
+    judged: Callable[[Guess, Sequence[Replicate]], ShotNoise | None],
+    enough: float,
+) -> ShotNoise | None:
+    """Shot noise as guessed, put right by replicates of it until these are like the measurement, or come no nearer.
+
+    Replicates correct a guess in the measure of their own errors: far off they do not put it right at once, and may
+    overshoot.
+
+    Args:
+        guess: What the first replicates were made from.
+        final: These.
+        background: (2,) OFF and ON events without a cause that were measured.
+        made: Replicates of a guess, from a number of a turn on.
+        judged: What is left beside replicates, by the guess that they lead to; None for too much.
+        enough: p-value of what is left, from which on no more are made.
+    """
+    best: ShotNoise | None = None
+    worse = 0
+    for turn in range(2 + REPLICATES, 2 + REPLICATES * ROUNDS, REPLICATES):
+        better = guess.corrected(final, None if best is None else background)
+        if not better.is_told or not sound(final):
+            break
+        if turn > 2 + REPLICATES or abs(math.log(better.density / guess.density)) < MAX_MOVE:
+            noise = judged(better, final)
+            if noise is None or noise.corrected.seen.p >= enough:
+                return noise or best
+            worse = 0 if best is None or noise.left < NEARER * best.left else worse + 1
+            best = noise if best is None or noise.left < best.left else best
+            if worse == PATIENCE:
+                break
+        guess, final = better, made(better, turn)
+    return best
 
 
 @dataclass(frozen=True)
