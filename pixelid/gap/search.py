@@ -1,6 +1,6 @@
 """The search as a fold: each step takes the state and gives the next one, until the last gives the report.
 
-undo_readout → name_effect (again and again, shot noise tried in between) → ask_stamps → ask_again →
+undo_readout → name_effect (again and again, shot noise tried in between) → ask_stamps → ask_again → ask_recordings →
 bootstrap_remainder → try_shot_noise → name_beside_shot_noise (again and again) → discount_imputation_noise →
 withdraw → confirm
 """
@@ -27,7 +27,8 @@ from pixelid.gap.steps.confirm import confirm
 from pixelid.gap.steps.discount_imputation_noise import discount_imputation_noise
 from pixelid.gap.steps.explain_by_shot_noise import try_before_next_effect, try_shot_noise
 from pixelid.gap.steps.name_beside_shot_noise import name_beside_shot_noise
-from pixelid.gap.steps.name_effect import name_effect, name_what_settles
+from pixelid.gap.steps.name_effect import name_effect, name_what_settles, restart
+from pixelid.gap.steps.recordings_differ import ask_recordings
 from pixelid.gap.steps.undo_readout import undo_readout
 from pixelid.gap.steps.withdraw import withdraw
 from pixelid.inspection.timestamps import find_timestamp_signatures, with_coarse_units_as_grids
@@ -66,6 +67,10 @@ def name_next(state: State, context: Context) -> State:
     """One round, before which shot noise has its chance unless an effect leaves nothing; after the last the stamps are
     asked."""
     settled = name_what_settles(state, context)
+    if settled is None and (state.turn > 0 or restart(state, context) is not None):
+        state = ask_recordings(state, context)
+        if state.phase is Phase.CONFIRM:
+            return state
     state = try_before_next_effect(state, context) if settled is None else settled
     state = name_effect(state, context) if settled is None and state.phase is Phase.NAME else state
     state = ask_stamps(state, context) if state.phase is Phase.SHOT_NOISE else state
@@ -73,7 +78,10 @@ def name_next(state: State, context: Context) -> State:
 
 
 def explain_by_simulation(state: State, context: Context) -> State:
-    """What the library's likelihoods leave: a right model's, or shot noise."""
+    """What the library's likelihoods leave: recordings that differ, a right model's, or shot noise."""
+    state = ask_recordings(state, context)
+    if state.phase is Phase.CONFIRM:
+        return state
     return try_shot_noise(bootstrap_remainder(state, context), context)
 
 

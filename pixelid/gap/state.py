@@ -100,6 +100,7 @@ class State:
         asked_again: Effects named before a jitter, looked for once more behind it.
         stamps_asked: Effects that the stamps were asked for.
         jitter_given_up: Whether a jitter has been named once that did not look like one.
+        recordings_asked: Whether recordings that differ have been asked for.
         shot_noise, shot_noise_p: Found, and the chance of what it explains.
         shot_noise_tried: Hypotheses beside which it was looked for, and what was found.
         noise_pursued: Those of them beside whose shot noise more was looked for, as something was left.
@@ -125,6 +126,7 @@ class State:
     asked_again: frozenset[str] = frozenset()
     stamps_asked: frozenset[str] = frozenset()
     jitter_given_up: bool = False
+    recordings_asked: bool = False
     shot_noise: ShotNoise | None = None
     shot_noise_p: float = 1.0
     shot_noise_tried: tuple[tuple[Hypothesis, ShotNoise | None], ...] = ()

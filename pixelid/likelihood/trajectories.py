@@ -40,8 +40,8 @@ class Trajectories:
         `keep` remembers them for circuits that differ in none of these: thresholds, dead time, leak and delay do not.
         """
         reaching = (
-            circuit.dark, circuit.flicker_modulation, circuit.flicker_hz, circuit.flicker_phase, circuit.knee,
-            circuit.knee_slope, *(m for m in circuit.described if m.quantity in OF_LIGHT),
+            circuit.light_gain, circuit.dark, circuit.flicker_modulation, circuit.flicker_hz, circuit.flicker_phase,
+            circuit.knee, circuit.knee_slope, *(m for m in circuit.described if m.quantity in OF_LIGHT),
         )  # fmt: skip
         limit = (circuit.slew_rise, circuit.slew_fall)
         linear = slew.without_slew_limit(circuit)

@@ -14,6 +14,8 @@ from pixelid.results import Table, html_page
 from pixelid.stages import Circuit, comparator, photoreceptor
 
 DELAY = Parameter("delay_s", 0.0, "s", -10.0, 10.0, "linear", free=False, source="clock of events minus stimulus")
+# What only a recording can have for itself: a factor on the light that its stimulus says.
+LIGHT_GAIN = Parameter("light_gain", 1.0, "1", 1e-2, 1e2, "log", source="light of a recording over what it says")
 
 
 @dataclass(frozen=True, repr=False)
@@ -110,6 +112,8 @@ class Model:
             return circuit
         own: dict[str, dict] = {}
         for name in self.nuisances:
+            if "[" not in name:
+                continue
             parameter, recording = name[:-1].split("[", 1)
             own.setdefault(recording, {})[parameter] = values[name]
         circuits = {name: self._shared_circuit({**values, **mine}) for name, mine in own.items()}
@@ -117,7 +121,8 @@ class Model:
 
     def _shared_circuit(self, values: Mapping[str, float]) -> Circuit:
         """The circuit at values of all parameters, nothing in it a recording's own."""
-        circuit = Circuit(linearisation=self.linearisation, delay=values["delay_s"])
+        gain = values.get(LIGHT_GAIN.name, 1.0)
+        circuit = Circuit(linearisation=self.linearisation, delay=values["delay_s"], light_gain=gain)
         circuit = photoreceptor.apply(self.photoreceptor, circuit, values)
         circuit = comparator.apply(circuit, values)
         for name in self.effects:
@@ -184,7 +189,7 @@ class Model:
         """
         nuisances = dict(self.nuisances)
         for parameter, own in values.items():
-            shared = self.parameter(parameter)
+            shared = LIGHT_GAIN if parameter == LIGHT_GAIN.name else self.parameter(parameter)
             for recording, value in own.items():
                 name = f"{parameter}[{recording}]"
                 nuisances[name] = replace(shared, name=name, value=float(value), free=True)
@@ -196,7 +201,9 @@ class Model:
             return self
         end = f"[{recording}]"
         own = {name.removesuffix(end): p.value for name, p in self.nuisances.items() if name.endswith(end)}
-        return replace(self, nuisances={}).set(own)
+        gain = own.pop(LIGHT_GAIN.name, None)
+        kept = {} if gain is None else {LIGHT_GAIN.name: LIGHT_GAIN.at(gain).fixed()}
+        return replace(self, nuisances=kept).set(own)
 
     def with_effect(self, name: str, values: Mapping[str, float] | None = None) -> Model:
         """The model with an effect added (or its values changed when it is there already).
@@ -246,7 +253,8 @@ class Model:
             return self
         wanted = expected_parameters(kind, effects)
         left = {key: parameters[key] for key in wanted}
-        nuisances = {key: p for key, p in self.nuisances.items() if key.split("[", 1)[0] in left}
+        kept = {*left, LIGHT_GAIN.name}
+        nuisances = {key: p for key, p in self.nuisances.items() if key.split("[", 1)[0] in kept}
         return replace(self, photoreceptor=kind, effects=effects, parameters=left, nuisances=nuisances)
 
 

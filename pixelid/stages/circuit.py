@@ -22,6 +22,7 @@ class Circuit:
     linearisation: str = "midpoint"
     # photocurrent
     light_spread: float = 0.0  # of pooled pixels' light, standard deviation of its logarithm
+    light_gain: float = 1.0  # of the stimulus, in one recording
     dark: float = 0.0  # added to the radiance
     flicker_modulation: float = 0.0
     flicker_hz: float = 100.0

@@ -111,6 +111,8 @@ def drive(stimulus: Stimulus, circuit: Circuit, until_s: float | None = None) ->
         raise InputError("this needs a full-field stimulus, found one radiance per pixel")
     t, index = knots(stimulus, until_s)
     radiance = stimulus.radiance[index].astype(np.float64)
+    if circuit.light_gain != 1.0:
+        radiance = radiance * circuit.light_gain
     if circuit.flicker_modulation != 0:
         t, radiance = refined_radiance(t, radiance, 1.0 / (64 * circuit.flicker_hz.real))
         radiance = radiance * (

@@ -26,6 +26,7 @@ from pixelid.gap.rounds import withdrawn as taken_back
 from pixelid.gap.state import NamedStep, State
 from pixelid.gap.steps.describe_remainder import Described, describe_remainder
 from pixelid.gap.steps.numbers import free_run_of, intervals_of
+from pixelid.gap.steps.recordings_differ import in_words, own_values, with_recordings_that_differ
 from pixelid.gap.verdict import Confounder, confounded, judge
 from pixelid.gap.verdict import describe as in_a_sentence
 from pixelid.inspection.timestamps import TimestampSignature
@@ -59,6 +60,9 @@ def confirm(state: State, context: Context) -> GapReport:
     if findings.verdict == "unknown":
         known = bool(state.steps or not findings.withdrawn)  # not where what timestamps showed has been taken back
         state = without(findings.withdrawn, state)
+        alike = with_recordings_that_differ(state, context) if known else None
+        if alike is not None:
+            return confirm(alike, context)
         described = describe_remainder(state, context) if known else Described()
         findings = _with_descriptions(findings, described)
         state = described.beside or state
@@ -196,7 +200,7 @@ def _report(
     )  # fmt: skip
     return GapReport(
         verdict=findings.verdict,
-        sentence=sentence,
+        sentence=sentence + in_words(hypothesis.fit.model),
         remainder=findings.remainder,
         global_p=state.global_p,
         alpha=options.alpha,
@@ -219,8 +223,12 @@ def _report(
 def _details(state: State, directions: Sequence[Direction], findings: _Findings) -> dict:
     split, seen = state.split, (findings.described.grown or state).hypothesis.seen
     tried = {"descriptions_tried": list(findings.described.tried)} if findings.described.tried else {}
+    own = own_values(state.hypothesis.fit.model)
+    intervals = intervals_of(state.hypothesis) if own else {}
+    differ = {name: {"value": value, "interval_95": intervals.get(name)} for name, value in own.items()}
     return {
         **tried,
+        **({"recordings_differ": differ} if differ else {}),
         "stimulus_between_samples": state.hypothesis.evidence.between,
         "pixels": {"fit": len(split.fit), "select": len(split.select), "confirm": len(split.confirm)},
         "held_out": split.apart,

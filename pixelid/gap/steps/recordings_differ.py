@@ -1,0 +1,186 @@
+"""The step that asks whether recordings differ in what is no part of the camera: the level of their light, their clock.
+
+Recordings are made minutes apart.  Where one factor on the light of each, one delay, or both explain all that is left,
+nothing is missing of the camera.  They have many values, so what explains as much with fewer comes first: effects that
+rounds name, which leave nothing to ask for, and descriptions (Schwarz 1978, Annals of Statistics 6, 461).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+from scipy.stats import chi2
+
+from pixelid.errors import InputError
+from pixelid.fit.maximise import Maximum, maximise
+from pixelid.gap.attribute.significance import leads
+from pixelid.gap.detect.diagnostics import Diagnostics, diagnose
+from pixelid.gap.detect.pixels import PixelEvidence, per_pixel
+from pixelid.gap.options import Context
+from pixelid.gap.phases import Phase
+from pixelid.gap.rounds import entry, withdrawn
+from pixelid.gap.state import Hypothesis, State
+from pixelid.gap.steps.describe_remainder import describe_remainder
+from pixelid.likelihood.event_times import EventTimes
+from pixelid.model.model import LIGHT_GAIN, Model
+
+GAIN, DELAY = LIGHT_GAIN.name, "delay_s"
+KINDS = ((GAIN,), (DELAY,), (GAIN, DELAY))
+# Delays tried of every recording.  Light of 400 Hz and a threshold of a fifth tell a quarter of a millisecond: from the
+# nearest one a fit climbs to where the recording is.
+DELAYS_S = tuple(2.5e-4 * k for k in range(-20, 21))
+STEPS = 40
+HOPELESS_P = 1e-4  # of what is left on a few pixels: on all of them more is.  It saves fits to those.
+WHY = "recordings that differ explain it"
+
+
+def ask_recordings(state: State, context: Context) -> State:
+    """The state that is left to confirm where recordings that differ explain all; asked once, after a round."""
+    if state.recordings_asked or not state.remainder(context.options.alpha_each):
+        return state
+    found = with_recordings_that_differ(state, context)
+    if found is None:
+        return replace(state, recordings_asked=True)
+    return (found if state.turn else found.with_global_p()).then(Phase.CONFIRM)
+
+
+def with_recordings_that_differ(state: State, context: Context) -> State | None:
+    """The state with the light's level or the clock of every recording its own, where that leaves nothing.
+
+    None where something is left all the same, where the gain is chance, where descriptions explain as much with fewer
+    values, and where recordings have no names of their own.
+    """
+    names = [r.name for r in state.hypothesis.recordings]
+    if len(names) < 2 or len(set(names)) < len(names) or state.shot_noise is not None or state.imputed:
+        return None
+    bare = state.steps[0].before if state.steps else state.hypothesis
+    trials = [(0, bare), *([(len(state.steps), state.hypothesis)] if state.steps else [])]
+    for kept, hypothesis in trials:
+        if hypothesis.corrected is not None or hypothesis.jitter is not None or hypothesis.fit.model.nuisances:
+            continue
+        context.report("recordings that differ", 0.7)
+        found = _explained(hypothesis, context)
+        if found is not None:
+            grown = describe_remainder(state, context).grown
+            if grown is not None and _explains_more(grown.hypothesis.fit, found.fit, found.evidence.training):
+                return None
+            return _taken_over(state, found, kept, context)
+    return None
+
+
+def _explains_more(one: Maximum, other: Maximum, events: EventTimes) -> bool:
+    """Whether a fitted model is likelier than another by more than its values are worth, ½ ln n for each."""
+    price = 0.5 * math.log(max(events.events, 2))
+    first, second = (events.log_likelihood(fit.model.circuit()) - price * len(fit.x) for fit in (one, other))
+    return first > second
+
+
+def in_words(model: Model) -> str:
+    """A sentence on how recordings differ; empty where they do not."""
+    told = []
+    gains = _own(model, GAIN)
+    if gains:
+        name = max(gains, key=lambda k: abs(math.log(gains[k])))
+        told.append(
+            f"light whose level is another than recordings say (by up to {100 * abs(gains[name] - 1.0):.2g} %, in "
+            f"{name}, beside the recording with most events)"
+        )
+    delays = _own(model, DELAY)
+    if delays:
+        name = max(delays, key=lambda k: abs(delays[k]))
+        told.append(f"clocks that are off (by up to {1e3 * abs(delays[name]):.3g} ms, in {name})")
+    return f" With {' and '.join(told)}: no part of the camera." if told else ""
+
+
+def own_values(model: Model) -> dict[str, float]:
+    """Of a model: what its recordings differ in, by the name of the parameter and the recording."""
+    return {name: p.value for name, p in model.nuisances.items() if name.split("[", 1)[0] in (GAIN, DELAY)}
+
+
+def _own(model: Model, parameter: str) -> dict[str, float]:
+    """Recording → its own value."""
+    start = f"{parameter}["
+    return {name[len(start) : -1]: p.value for name, p in model.nuisances.items() if name.startswith(start)}
+
+
+def _explained(hypothesis: Hypothesis, context: Context) -> Hypothesis | None:
+    """The hypothesis with what differs, where nothing is left then."""
+    options = context.options
+    evidence = hypothesis.evidence.weighed(hypothesis.fit.model.circuit())
+    allowed = hypothesis.seen.allowed
+
+    def left_by(fit: Maximum, pool: EventTimes) -> Diagnostics:
+        return diagnose(pool, fit, options.criteria, options.seed, background_fraction=allowed)
+
+    for kinds in KINDS:
+        roughly = _fitted(evidence.screening, _starts(evidence.screening, hypothesis, kinds), context)
+        if roughly is None or left_by(roughly, evidence.screening).p < HOPELESS_P:
+            continue
+        fit = _fitted(evidence.training, [roughly.model], context)
+        assert fit is not None
+        seen = left_by(fit, evidence.training)
+        if seen.p >= options.alpha_each and _is_no_chance(evidence, hypothesis, fit, context):
+            start = replace(hypothesis.start, nuisances=fit.model.nuisances)
+            return replace(hypothesis, evidence=evidence, fit=fit, seen=seen, start=start)
+    return None
+
+
+def _fitted(pool: EventTimes, starts: Iterable[Model], context: Context) -> Maximum | None:
+    """The best end of fits from some starts; None without any."""
+    ends = [maximise(pool, start, tolerance=0.02, max_steps=STEPS, cache=context.cache) for start in starts]
+    return max(ends, key=lambda end: end.value, default=None)
+
+
+def _starts(pool: EventTimes, hypothesis: Hypothesis, kinds: Sequence[str]) -> Iterator[Model]:
+    """The model with what differs, from its fitted values and, as these may have been led astray, its shipped ones."""
+    names = [r.name for r in pool.recordings]
+    counts = np.bincount(pool.recording_of_event, minlength=len(names))
+    most = names[int(np.argmax(counts))]
+    for model in (hypothesis.fit.model, hypothesis.start):
+        own: dict[str, dict[str, float]] = {}
+        if GAIN in kinds:  # a factor common to all is one of the camera's rates
+            own[GAIN] = {name: 1.0 for name, n in zip(names, counts, strict=True) if name != most and n}
+        if DELAY in kinds:
+            best = np.argmax([_parts(pool, model.set({DELAY: delay})) for delay in DELAYS_S], axis=0)
+            own[DELAY] = {name: DELAYS_S[k] for name, k, n in zip(names, best, counts, strict=True) if n}
+        grown = model.with_nuisances(own)
+        if np.isfinite(_parts(pool, grown)).all():
+            yield grown
+
+
+def _parts(pool: EventTimes, model: Model) -> np.ndarray:
+    """(recordings,) log-likelihood of each, −∞ where it cannot be evaluated."""
+    try:
+        parts = pool.terms(model.circuit()).per_recording
+    except (InputError, FloatingPointError):
+        return np.full(len(pool.recordings), -np.inf)
+    return np.where(np.isfinite(parts), parts, -np.inf)
+
+
+def _is_no_chance(evidence: PixelEvidence, hypothesis: Hypothesis, fit: Maximum, context: Context) -> bool:
+    """Whether the gain is significant, and there on pixels that no fit has seen, beyond what its values are worth."""
+    options, cache = context.options, context.cache
+    base = maximise(evidence.fitting, hypothesis.fit.model, tolerance=0.05, max_steps=STEPS, cache=cache)
+    end = maximise(evidence.fitting, fit.model, tolerance=0.05, max_steps=STEPS, cache=cache)
+    more = len(end.x) - len(base.x)
+    p = len(KINDS) * float(chi2.sf(2.0 * max(end.value - base.value, 0.0), more))
+    held_out = per_pixel(evidence.judging, end.model) - per_pixel(evidence.judging, base.model)
+    price = 0.5 * math.log(max(evidence.judging.events, 2)) * more
+    return p < options.alpha_each and leads(held_out, options.criteria) and float(held_out.sum()) > price
+
+
+def _taken_over(state: State, found: Hypothesis, kept: int, context: Context) -> State:
+    """The state with what differs in its model and in its base."""
+    rounds = state.rounds
+    for step in state.steps[kept:]:
+        rounds = withdrawn(rounds, step.effect, WHY)
+    own = {name: p.value for name, p in found.fit.model.nuisances.items()}
+    told = entry(len(rounds) + 1, state.hypothesis.seen.p, recordings_differ=own, p_of_what_is_left=found.seen.p)
+    base = found.fit
+    if kept:
+        start = replace(state.base.model, nuisances=found.fit.model.nuisances)
+        base = maximise(found.evidence.training, start, tolerance=0.05, max_steps=STEPS, cache=context.cache)
+    return replace(state, hypothesis=found, base=base, steps=state.steps[:kept], rounds=(*rounds, told))
