@@ -196,7 +196,7 @@ def summary(rows: list[dict]) -> dict:
             continue
         told = [r for r in mine if r["found"]]
         errors = [abs(r["found"][0] / r["strength"] - 1.0) for r in told]
-        closed = [c for r in mine for *_, c in r["described"] if c is not None]
+        closed = [r["described"][0][-1] for r in mine if r["described"] and r["described"][0][-1] is not None]
         found[missing] = {
             "sessions": len(mine),
             "right": sum(map(right, mine)),  # what a description closes is counted by itself

@@ -178,8 +178,8 @@ class Model:
     def with_nuisances(self, values: Mapping[str, Mapping[str, float]]) -> Model:
         """The model with values that recordings have for themselves: parameter → recording → value, free in fits.
 
-        They take the place of the shared parameter, which no fit moves any more.  "light_gain", a factor on the stimulus, is
-        none that a model shares: recordings without one have their light as it is said.
+        They take the place of the shared parameter, which no fit moves any more.  "light_gain", a factor on the
+        stimulus, is none that a model shares: recordings without one have their light as it is said.
 
         Example:
             >>> import pixelid as px
