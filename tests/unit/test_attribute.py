@@ -69,3 +69,13 @@ NOISE = np.tile([2.0, -2.0], UNITS // 2)  # standard error of the sum: 9 nats
 )
 def test_a_rival_is_as_good_unless_both_kinds_of_units_together_tell_them_apart(lead, apart, as_good):
     assert runners_up(lead, apart) == ([RIVAL] if as_good else [])
+
+
+@pytest.mark.parametrize(("lead", "named"), [(0.2, True), (20.0, False)])
+def test_of_two_that_fitted_units_do_not_tell_apart_that_one_is_named_that_unseen_units_bear_out(lead, named):
+    unseen = np.linspace(0.2, 0.4, UNITS)
+    evidence = Evidence({RIVAL: 60.0 + lead, WINNER: 60.0}, {RIVAL: np.zeros(UNITS), WINNER: unseen})
+    found = attribute(evidence, [WINNER, RIVAL], Options())
+    assert [c.effect for c in found.candidates] == [RIVAL, WINNER]
+    assert (found.winner is not None and found.winner.effect == WINNER) is named
+    assert bool(found.runners_up) is False

@@ -133,8 +133,11 @@ def attribute(
         p = chance_of_gain(effect, gain, len(effects), own_values(end.model, effect))
         candidates.append(Candidate(effect, end, gain, p, evidence.held_out_gain(end, base)))
     candidates.sort(key=lambda c: -c.gain)
-    winner = next((c for c in candidates[:1] if may_be_named(c, options)), None)
-    runners_up = tuple(c for c in candidates[1:] if winner is not None and _as_good(c, winner, options))
+    # of those that fitted units do not tell apart, the first that unseen ones do not speak against
+    alike = [c for c in candidates if candidates[0].gain - c.gain <= options.criteria.min_lead_nats]
+    winner = next((c for c in alike if may_be_named(c, options)), None)
+    others = [c for c in candidates if c is not winner]
+    runners_up = tuple(c for c in others if winner is not None and _as_good(c, winner, options))
     return Attribution(tuple(candidates), gains, winner, runners_up, skipped)
 
 
