@@ -111,6 +111,7 @@ def test_words():
 def test_a_search_names_nothing_for_recordings_that_differ(levels, delays, tmp_path):
     report = gap(session(levels, delays), find_model("dvs128"), recommend=False)
     assert (report.verdict, report.effects, report.described) == ("none", (), ())
+    assert report.global_p < report.alpha  # of light and clocks as they were said
     assert set(report.details["recordings_differ"]) == set(report.model.nuisances)
     assert "no part of the camera" in report.sentence
     report.save(tmp_path / "gap")

@@ -38,13 +38,14 @@ WHY = "recordings that differ explain it"
 
 
 def ask_recordings(state: State, context: Context) -> State:
-    """The state that is left to confirm where recordings that differ explain all; asked once, after a round."""
+    """The state that is left to confirm where recordings that differ explain all; asked once."""
     if state.recordings_asked or not state.remainder(context.options.alpha_each):
         return state
     found = with_recordings_that_differ(state, context)
     if found is None:
         return replace(state, recordings_asked=True)
-    return (found if state.turn else found.with_global_p()).then(Phase.CONFIRM)
+    amiss = state if state.turn else state.with_global_p()  # under the light and clocks as they were said
+    return found.then(Phase.CONFIRM, global_p=amiss.global_p)
 
 
 def with_recordings_that_differ(state: State, context: Context) -> State | None:
