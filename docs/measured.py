@@ -199,9 +199,11 @@ def independent() -> str:
         for run in content["runs"] if run["described"] or run["wrong"]
     ]  # fmt: skip
     heads = ("missing", "right", "error, median / largest", "intervals hold", "closed 0.8", "CPU s, median / largest")
+    earlier = sum(bool(run.get("earlier_code")) for run in content["runs"])
     return "\n".join(
         [
             table(heads, kinds),
+            f"{earlier} of the {len(content['runs'])} searches are of an earlier version (`earlier_code`).\n",
             "What was said where something has no name, or came out wrong; strengths are those of the benchmark:\n",
             table(("seed", "missing", "strength", "verdict", "named, listed or described"), said),
         ]
