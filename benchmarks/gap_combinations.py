@@ -29,6 +29,7 @@ from pixelid.recordings.recording import Recording
 from pixelid.simulate import simulate
 from pixelid.stimuli.resample import resampled
 from pixelid.stimuli.shapes import chirp, constant, slow, steps
+from pixelid.stimuli.stimulus import Stimulus
 
 SIDE, LEVELS, STOPS = 5, (3.0, 24.0, 400.0), (60.0, 200.0, 400.0)
 OF_STAMPS = ("timestamp_jitter", "readout_latency", "timestamp_quantisation")
@@ -66,18 +67,23 @@ def planted(effects: list[tuple[str, float]], model: Model) -> tuple[Model, Mode
     return model, base
 
 
-def session(model: Model, seed: int) -> list[Recording]:
-    """Twelve recordings of one small sensor; the light is smooth, the stimulus its samples."""
-    lights = {}
+def lights(seed: int) -> dict[str, Stimulus]:
+    """Name → light of a recording, of the practice protocol."""
+    found = {}
     for k, (level, stop) in enumerate(zip(LEVELS, STOPS, strict=True)):
-        lights |= {
+        found |= {
             f"constant_{level:g}": constant(level),
             f"slow_{level:g}": slow(level, seed=seed + 1 + k),
             f"chirp_{level:g}": chirp(level, stop_hz=stop),
             f"steps_{level:g}": steps(level, seed=seed + 2 * k),
         }
+    return found
+
+
+def session(model: Model, seed: int) -> list[Recording]:
+    """Twelve recordings of one small sensor; the light is smooth, the stimulus its samples."""
     recordings = []
-    for i, (name, light) in enumerate(lights.items()):
+    for i, (name, light) in enumerate(lights(seed).items()):
         r = simulate(model, resampled(light, "smooth"), width=SIDE, height=SIDE, seed=1000 * seed + i, sensor_seed=seed)
         events = replace(r.events, tick_ns=1)
         recordings.append(replace(r, stimulus=light, condition=name, attributes={}, events=events))

@@ -26,15 +26,14 @@ from pathlib import Path
 
 import numpy as np
 from gap_certification import ALPHA
-from gap_combinations import LEVELS, SIDE, STOPS
+from gap_combinations import SIDE, lights
 from scipy.interpolate import CubicSpline
 
 from pixelid.gap.gap import gap
 from pixelid.model.shipped import find_model
 from pixelid.recordings.events import Events
 from pixelid.recordings.recording import Recording
-from pixelid.stimuli.shapes import chirp, constant, slow, steps
-from pixelid.stimuli.stimulus import Stimulus
+from pixelid.stages.modulation import THRESHOLDS
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from tests.oracles.whole_pixel import NOTHING, Oddity, Pixel, events, signals, thresholds
@@ -45,37 +44,36 @@ DEPTHS = 0.015, 0.3  # log-uniform
 DEAD_TIMES = 1.5
 REFERENCE = 100.0  # radiance about which what depends on it turns
 
-# Something the library has no name for → (stage, quantities) that a description should have, and the oddity of a
-# strength of 1; strengths are uniform between 0.5 and 1.5, of either sign where a quantity may rise as well as fall.
+# Something the library has no name for → quantities that a description may be of (which say the stage), whether it is
+# of either sign, and the oddity of a strength, uniform between 0.5 and 1.5.
 Made = Callable[[float], Oddity]
-THRESHOLDS = ("on_threshold", "off_threshold", "threshold")
-ODDITIES: dict[str, tuple[str, tuple[str, ...], bool, Made]] = {
-    "ON threshold after an ON event": ("comparator", ("on_threshold",), True, lambda s: Oddity(after=(0.07 * s, 0, 0))),
-    "OFF threshold relaxes": ("comparator", ("off_threshold",), True, lambda s: Oddity(relaxing=(0, 0.2 * s, 0.02))),
-    "thresholds by the logarithm of light": ("comparator", THRESHOLDS, True, lambda s: _both(_by_log_light(0.07 * s))),
-    "ON threshold by speed": ("comparator", ("on_threshold",), True, lambda s: Oddity(on=_saturating(0.15 * s))),
+ODDITIES: dict[str, tuple[tuple[str, ...], bool, Made]] = {
+    "ON threshold after an ON event": (("on_threshold",), True, lambda s: Oddity(after=(0.07 * s, 0, 0))),
+    "OFF threshold relaxes": (("off_threshold",), True, lambda s: Oddity(relaxing=(0, 0.2 * s, 0.02))),
+    "thresholds by the logarithm of light": (THRESHOLDS, True, lambda s: _both(_by_log_light(0.07 * s))),
+    "ON threshold by speed": (("on_threshold",), True, lambda s: Oddity(on=_saturating(0.15 * s))),
     "thresholds jump": (
-        "comparator", THRESHOLDS, True, lambda s: _both(lambda t, light, speed: 0.07 * s * (t > 0.4)),
+        THRESHOLDS, True, lambda s: _both(lambda t, light, speed: 0.07 * s * (t > 0.4)),
     ),
     "dead time by light": (
-        "comparator", ("dead_time",), False,
+        ("dead_time",), False,
         lambda s: Oddity(dead_s=lambda t, light, speed: 3e-4 * s * np.sqrt(REFERENCE / light)),
     ),
-    "dead time by polarity": ("comparator", ("dead_time",), True, lambda s: Oddity(after=(0, 0, 7e-5 * s))),
-    "dead time by speed": ("comparator", ("dead_time",), False, lambda s: Oddity(dead_s=_saturating(4e-4 * s))),
+    "dead time by polarity": (("dead_time",), True, lambda s: Oddity(after=(0, 0, 7e-5 * s))),
+    "dead time by speed": (("dead_time",), False, lambda s: Oddity(dead_s=_saturating(4e-4 * s))),
     "bandwidth warms up": (
-        "photoreceptor", ("rate",), False,
+        ("rate",), False,
         lambda s: Oddity(faster=lambda t, light, speed: 1.0 - 0.25 * s * np.exp(-t / 0.3)),
     ),
     "bandwidth by light": (
-        "photoreceptor", ("rate",), True,
+        ("rate",), True,
         lambda s: Oddity(faster=lambda t, light, speed: (light / REFERENCE) ** (0.15 * s)),
     ),
     "lamp fades": (
-        "photocurrent", ("light",), False, lambda s: Oddity(light=lambda t, light, speed: 1.0 - 0.25 * s * t),
+        ("light",), False, lambda s: Oddity(light=lambda t, light, speed: 1.0 - 0.25 * s * t),
     ),
-    "gain by light": ("photocurrent", ("response", "light"), True, lambda s: Oddity(responds=_bent(0.03 * s))),
-    "leak grows": ("differencing", ("leak",), False, lambda s: Oddity(leak_hz=lambda t, light, speed: 2.0 * s * t)),
+    "gain by light": (("response", "light"), True, lambda s: Oddity(responds=_bent(0.03 * s))),
+    "leak grows": (("leak",), False, lambda s: Oddity(leak_hz=lambda t, light, speed: 2.0 * s * t)),
 }  # fmt: skip
 
 
@@ -111,19 +109,6 @@ def camera(rng: np.random.Generator) -> Pixel:
     )  # fmt: skip
 
 
-def lights(seed: int) -> dict[str, Stimulus]:
-    """Name → light of a recording."""
-    found = {}
-    for k, (level, stop) in enumerate(zip(LEVELS, STOPS, strict=True)):
-        found |= {
-            f"constant_{level:g}": constant(level),
-            f"slow_{level:g}": slow(level, seed=seed + 1 + k),
-            f"chirp_{level:g}": chirp(level, stop_hz=stop),
-            f"steps_{level:g}": steps(level, seed=seed + 2 * k),
-        }
-    return found
-
-
 def session(missing: str, seed: int) -> tuple[list[Recording], float]:
     """(recordings, strength of what is missing: a depth, seconds, or that of an oddity)."""
     rng = np.random.default_rng(seed)
@@ -134,7 +119,7 @@ def session(missing: str, seed: int) -> tuple[list[Recording], float]:
     jitter_s = DEAD_TIMES * pixel.dead_s if missing == "timestamp_jitter" else 0.0
     odd, strength = NOTHING, depth or jitter_s
     if missing in ODDITIES:
-        *_, signed, made = ODDITIES[missing]
+        _, signed, made = ODDITIES[missing]
         strength = float(rng.uniform(0.5, 1.5) * (rng.choice([-1.0, 1.0]) if signed else 1.0))
         odd = made(strength)
     recordings = []
@@ -182,7 +167,7 @@ def right(row: dict) -> bool:
         return said == ("none", [])
     if missing in PARAMETER:
         return said == ("named", [missing])
-    quantities = ODDITIES[missing][1]
+    quantities = ODDITIES[missing][0]
     told = [name.split(".")[1] for name, *_ in row["described"]]
     return said == ("unknown", []) and bool(told) and set(told) <= set(quantities)
 

@@ -30,8 +30,8 @@ class Model:
     photoreceptor: "second_order" | "one_pole" | "unlimited";  effects: names present, in signal order;
     parameters: name → Parameter, exactly those of the photoreceptor, the comparator, the clock and the effects;
     physical, gauge: nominal circuit values and the statements that make them unique, when known;
-    nuisances: "parameter[recording]" → Parameter, values that a recording has for itself (`with_nuisances`).  They are
-    no part of the pixel, nor of its file.
+    nuisances: "parameter[recording]" → Parameter, values that a recording has for itself (`with_nuisances`); of a model
+    as it was in one recording, its `light_gain`.  They are no part of the pixel, nor of its file.
     """
 
     name: str

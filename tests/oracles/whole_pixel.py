@@ -1,6 +1,6 @@
 """Events of the whole pixel, written out: Runge–Kutta on a fine grid, then pixel by pixel and event by event.
 
-DESIGN §1 from its equations, nothing of the package: photoreceptor, follower, amplifier, reset during the dead time,
+The equations of docs/model.md, nothing of the package: photoreceptor, follower, amplifier, reset during the dead time,
 leak, thresholds that differ from pixel to pixel and scatter from event to event.  What the library lacks is an array on
 the grid or a function of the previous event: see `Oddity`.
 """
@@ -85,8 +85,7 @@ def signals(
     speed = np.abs(np.gradient(np.log(radiance), half))
 
     def of(what: Light | None, otherwise: float) -> np.ndarray:
-        found = np.full(len(half), otherwise)
-        return found if what is None else found * 0.0 + what(half, radiance, speed)
+        return np.full(len(half), otherwise) if what is None else np.zeros(len(half)) + what(half, radiance, speed)
 
     radiance = radiance * of(odd.light, 1.0)
     u = np.log(radiance) + of(odd.responds, 0.0)

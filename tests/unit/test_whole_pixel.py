@@ -1,4 +1,4 @@
-"""The simulator's events of the whole pixel are those written out from its equations, to microseconds."""
+"""The simulator's events of the whole pixel are those written out from its equations, to 10 µs."""
 
 import numpy as np
 import pytest

@@ -48,9 +48,8 @@ def _log_chi2_sf(half: float, degrees: int) -> float:
     chance = float(chi2.sf(2.0 * half, degrees))
     if chance > SMALLEST:
         return math.log(chance)
-    a, term, total, k = 0.5 * degrees, 1.0, 1.0, 1
-    while k < TERMS and abs(term := term * (a - k) / half) > 0.0:
-        total, k = total + term, k + 1
+    a = 0.5 * degrees
+    total = 1.0 + sum(math.prod((a - j) / half for j in range(1, k + 1)) for k in range(1, TERMS))
     return (a - 1.0) * math.log(half) - half - math.lgamma(a) + math.log(total)
 
 
@@ -66,6 +65,11 @@ def _null(effect: str, tried: int, own: int) -> tuple[float, int]:
         share *= len(LINEAR_SLOPES)
     share *= WAYS if own else 1
     return share * tried, degrees
+
+
+def price(values: int, events: int) -> float:
+    """Nats that values fitted to events must gain to be worth it (Schwarz 1978, Annals of Statistics 6, 461)."""
+    return 0.5 * values * math.log(max(events, 2))
 
 
 def own_values(model: Model, effect: str) -> int:

@@ -20,7 +20,7 @@ from scipy.stats import chi2
 from pixelid.fit.cache import FitCache, map_fits
 from pixelid.fit.maximise import Maximum, maximise, maximise_with_restarts
 from pixelid.gap.attribute.alternative import flexible_alternative
-from pixelid.gap.attribute.significance import leads
+from pixelid.gap.attribute.significance import leads, price
 from pixelid.gap.describe.cells import beginnings, covariates
 from pixelid.gap.describe.screen import Screened, screened
 from pixelid.gap.detect.diagnostics import diagnose
@@ -241,7 +241,7 @@ def _promises(evidence: PixelEvidence, fit: Maximum, context: Context) -> _Promi
     base = maximise(evidence.fitting, fit.model, tolerance=0.05, max_steps=25, cache=context.cache)
     seen = covariates(evidence.fitting)
     looked_at = screened(evidence.fitting, base, beginnings(seen, base.model))
-    return _Promises(base, looked_at, 0.5 * math.log(max(evidence.judging.events, 2)), seen)
+    return _Promises(base, looked_at, price(1, evidence.judging.events), seen)
 
 
 def _parameters(own: Described) -> int:

@@ -154,6 +154,8 @@ def _put_right(
     best: ShotNoise | None = None
     worse = 0
     for turn in range(2 + REPLICATES, 2 + REPLICATES * ROUNDS, REPLICATES):
+        if turn > 2 + REPLICATES:
+            final = made(guess, turn - REPLICATES)
         better = guess.corrected(final, None if best is None else background)
         if not better.is_told or not sound(final):
             break
@@ -165,7 +167,7 @@ def _put_right(
             best = noise if best is None or noise.left < best.left else best
             if worse == PATIENCE:
                 break
-        guess, final = better, made(better, turn)
+        guess = better
     return best
 
 

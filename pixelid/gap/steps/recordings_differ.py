@@ -2,7 +2,7 @@
 
 Recordings are made minutes apart.  Where one factor on the light of each, one delay, or both explain all that is left,
 nothing is missing of the camera.  They have many values, so what explains as much with fewer comes first: effects that
-rounds name, which leave nothing to ask for, and descriptions (Schwarz 1978, Annals of Statistics 6, 461).
+rounds name, which leave nothing to ask for, and descriptions.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from scipy.stats import chi2
 
 from pixelid.errors import InputError
 from pixelid.fit.maximise import Maximum, maximise
-from pixelid.gap.attribute.significance import leads
+from pixelid.gap.attribute.significance import leads, price
 from pixelid.gap.detect.diagnostics import Diagnostics, diagnose
 from pixelid.gap.detect.pixels import PixelEvidence, per_pixel
 from pixelid.gap.options import Context
@@ -57,9 +57,8 @@ def with_recordings_that_differ(state: State, context: Context) -> State | None:
     names = [r.name for r in state.hypothesis.recordings]
     if len(names) < 2 or len(set(names)) < len(names) or state.shot_noise is not None or state.imputed:
         return None
-    bare = state.steps[0].before if state.steps else state.hypothesis
-    trials = [(0, bare), *([(len(state.steps), state.hypothesis)] if state.steps else [])]
-    for kept, hypothesis in trials:
+    trials = {0: state.steps[0].before} if state.steps else {}
+    for kept, hypothesis in (trials | {len(state.steps): state.hypothesis}).items():
         if hypothesis.corrected is not None or hypothesis.jitter is not None or hypothesis.fit.model.nuisances:
             continue
         context.report("recordings that differ", 0.7)
@@ -74,8 +73,9 @@ def with_recordings_that_differ(state: State, context: Context) -> State | None:
 
 def _explains_more(one: Maximum, other: Maximum, events: EventTimes) -> bool:
     """Whether a fitted model is likelier than another by more than its values are worth, ½ ln n for each."""
-    price = 0.5 * math.log(max(events.events, 2))
-    first, second = (events.log_likelihood(fit.model.circuit()) - price * len(fit.x) for fit in (one, other))
+    first, second = (
+        events.log_likelihood(fit.model.circuit()) - price(len(fit.x), events.events) for fit in (one, other)
+    )
     return first > second
 
 
@@ -169,8 +169,8 @@ def _is_no_chance(evidence: PixelEvidence, hypothesis: Hypothesis, fit: Maximum,
     more = len(end.x) - len(base.x)
     p = len(KINDS) * float(chi2.sf(2.0 * max(end.value - base.value, 0.0), more))
     held_out = per_pixel(evidence.judging, end.model) - per_pixel(evidence.judging, base.model)
-    price = 0.5 * math.log(max(evidence.judging.events, 2)) * more
-    return p < options.alpha_each and leads(held_out, options.criteria) and float(held_out.sum()) > price
+    worth = float(held_out.sum()) > price(more, evidence.judging.events)
+    return p < options.alpha_each and leads(held_out, options.criteria) and worth
 
 
 def _taken_over(state: State, found: Hypothesis, kept: int, context: Context) -> State:
@@ -178,8 +178,8 @@ def _taken_over(state: State, found: Hypothesis, kept: int, context: Context) ->
     rounds = state.rounds
     for step in state.steps[kept:]:
         rounds = withdrawn(rounds, step.effect, WHY)
-    own = {name: p.value for name, p in found.fit.model.nuisances.items()}
-    told = entry(len(rounds) + 1, state.hypothesis.seen.p, recordings_differ=own, p_of_what_is_left=found.seen.p)
+    own, left = own_values(found.fit.model), found.seen.p
+    told = entry(len(rounds) + 1, state.hypothesis.seen.p, recordings_differ=own, p_of_what_is_left=left)
     base = found.fit
     if kept:
         start = replace(state.base.model, nuisances=found.fit.model.nuisances)
