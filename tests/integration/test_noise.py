@@ -78,6 +78,18 @@ def test_searches_begin_behind_off_events_that_come_whatever_the_light(tmp_path)
 
 
 @pytest.mark.slow
+def test_a_published_curve_is_fitted_to_its_end(shared, tmp_path):
+    """Searches that were given up where others had come farther by then left 12 % of scatter, not at rest."""
+    table = shared / "recordings" / "noise_vs_lux" / "evk4_noise_vs_lux_published_fit.csv"
+    assert run("noise", table, "--out", tmp_path / "out", "--quiet") == 0
+    result = json.loads((tmp_path / "out" / "noise.json").read_text())
+    assert result["status"] == "converged"
+    within = [abs(row["measured"] / row["predicted"] - 1) < 0.15 for row in result["rows"]]
+    assert len(within) == 26
+    assert sum(within) >= 24
+
+
+@pytest.mark.slow
 def test_a_planted_circuit_comes_back_and_predicts_other_lights(tmp_path):
     truth = planted(alpha=planted().values["alpha"] * 1.6, beta=planted().values["beta"] * 0.8)
     table = write_table(tmp_path / "noise.csv", truth, scatter=0.02)
@@ -233,16 +245,6 @@ def test_a_search_begins_near_the_dead_time_and_beside_equal_thresholds(tmp_path
     assert values["off_threshold"] == pytest.approx(0.18, rel=0.3)
     # priors went with the starts once: a follower begun at a tenth of its cutoff was held there, five errors off
     assert all([p.prior for p in start.parameters] == [p.prior for p in noise.parameters] for start in starts)
-
-
-def test_a_search_that_falls_short_of_another_s_end_is_given_up():
-    """One nat a step for sixty steps comes from 100 to 40, whatever it did first."""
-    visited = [300.0, *(100.0 - k for k in range(1, 12))]
-    assert not search._falls_short(visited, 45.0)
-    assert search._falls_short(visited, 35.0)
-    assert search._falls_short([100.0] * 12, 99.9)
-    assert not search._falls_short([100.0] * 4, 99.9)
-    assert not search._falls_short([90.0] * 8 + [95.0] * 2, 96.0)  # of a scatter found anew: it is there already
 
 
 @pytest.mark.parametrize(("off", "rests"), [(0.02, True), (0.06, False)])

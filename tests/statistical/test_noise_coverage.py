@@ -14,6 +14,7 @@ from pixelid.statistics import Z95
 from pixelid.stimuli.stimulus import Stimulus
 from pixelid.tables.noise.first_passage import mean_rates, noise_rates
 from pixelid.tables.noise.fit import fit_noise
+from pixelid.tables.noise.model import PRIOR_SD
 from pixelid.tables.noise.process import noise_process
 from pixelid.tables.noise.reading import reduced_recordings
 from tests.oracles.noise_events import simulate_noise_events
@@ -88,17 +89,23 @@ def test_rates_are_those_of_the_package_s_simulator():
 
 
 def test_intervals_cover_what_was_planted():
-    """Thresholds (at a known density) and the bandwidth α/β of 40 small sensors at four lights each."""
+    """Thresholds (at a known density) and the photoreceptor's α and β of 40 small sensors at four lights each.
+
+    Sensors are drawn from the fit's own priors: of such that differ less, intervals that lights hardly narrow would
+    hold all.  Thresholds go with the noise, as silent sensors and such that fire all the time tell nothing.
+    """
     base = find_model("dvs128").without_effect("threshold_noise").without_effect("threshold_mismatch")
     base = base.with_effect("shot_noise", {"density": DENSITY}).set({"refractory_s": 1e-3})
+    drawn = ("alpha", "beta", "gamma", "sf_cutoff_hz", "refractory_s")
     rng = np.random.default_rng(1)
     inside, count = {}, 0
     for session in range(40):
-        truth = base.set({
-            "on_threshold": 0.15 * math.exp(0.1 * rng.standard_normal()),
-            "off_threshold": 0.16 * math.exp(0.1 * rng.standard_normal()),
-            "alpha": base.values["alpha"] * math.exp(0.3 * rng.standard_normal()),
-            "beta": base.values["beta"] * math.exp(0.3 * rng.standard_normal()),
+        factors = dict(zip(drawn, np.exp(PRIOR_SD * rng.standard_normal(len(drawn))).tolist(), strict=True))
+        truth = base.set({name: base.values[name] * factor for name, factor in factors.items()})
+        noise = noise_process(truth.circuit(), 24.0).sigma / noise_process(base.circuit(), 24.0).sigma
+        truth = truth.set({
+            "on_threshold": 0.15 * noise * math.exp(0.1 * rng.standard_normal()),
+            "off_threshold": 0.16 * noise * math.exp(0.1 * rng.standard_normal()),
         })  # fmt: skip
         recordings = [
             simulate(truth, Stimulus.from_arrays([0.0, 12.0], [light, light], unit="fA"), width=4, height=4,
@@ -115,5 +122,5 @@ def test_intervals_cover_what_was_planted():
     coverage = {name: float(np.mean(hits)) for name, hits in inside.items()}
     print(count, coverage)
     together = float(np.mean([hit for hits in inside.values() for hit in hits]))
-    assert 0.92 <= together <= 1.0
+    assert 0.92 <= together <= 0.985
     assert all(value >= 0.85 for value in coverage.values())  # 40 sessions: 0.95 ± 0.034

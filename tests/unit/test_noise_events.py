@@ -10,7 +10,8 @@ import pytest
 
 from pixelid.errors import InputError
 from pixelid.model.shipped import find_model
-from pixelid.tables.noise.chain import chain_of
+from pixelid.tables.noise.chain import Crossings, chain_of
+from pixelid.tables.noise.crossings import add_at_lag, add_sums, exp_of_minus, means_after_crossing
 from pixelid.tables.noise.first_passage import mean_rates, noise_rates, rates_of, typical_rates, typical_thresholds
 from pixelid.tables.noise.intervals import noise_intervals
 from pixelid.tables.noise.process import noise_process
@@ -50,6 +51,29 @@ def test_covariance_is_the_oracle_s():
     assert pytest.approx(P, rel=1e-9, abs=1e-15) == process.P
     late = process.propagators[-1]
     assert np.abs(late).max() < 1e-10
+
+
+def test_exponential_of_multiplications():
+    x = np.linspace(0.0, 50.0, 20001)
+    assert np.array([exp_of_minus.py_func(v) for v in x]) == pytest.approx(np.exp(-x), rel=1e-10)
+
+
+def test_sums_over_lags_are_those_of_single_lags():
+    """Hidden states as in bright light, where there are two."""
+    p = noise_process(circuit(), 2000.0)
+    at = Crossings.of(p, WHOLE)
+    n, lags = at.hidden.moments - 1, len(at.weights)
+    assert n == 2
+    before, mean, after = np.array([0.7, -0.4]), np.empty((2, lags)), np.empty((n, lags))
+    means_after_crossing(at.means, at.hidden.arrays, 0.9 * p.sigma, at.slopes[1], mean, after)
+    rest = (before, after, (1.1 * p.sigma, -1.3 * p.sigma), at.slopes, at.factors)
+    size = 2 * len(at.slopes) * (n + 1)
+    summed, one_by_one = np.zeros((n + 1, size)), np.zeros((n + 1, size))
+    add_sums(summed, at.weights, mean, at.laws, at.hidden.arrays, *rest)
+    for t in range(lags):
+        add_at_lag(one_by_one, at.weights[t], t, mean, at.laws, at.hidden.arrays, *rest)
+    assert (summed != 0.0).any(axis=0).all()
+    assert summed == pytest.approx(one_by_one, rel=1e-9, abs=1e-12 * np.abs(summed).max())
 
 
 def test_variance_of_a_second_order_photoreceptor():

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from pixelid.stages.circuit import Circuit
-from pixelid.tables.noise.hidden import Hidden, normal_laws
+from pixelid.tables.noise.hidden import Hidden, lags_last, normal_laws
 from pixelid.tables.noise.process import NoiseProcess
 from pixelid.tables.noise.quadrature import WHOLE, Resolution, offset_nodes, rayleigh_nodes, threshold_draws
 
@@ -102,7 +102,7 @@ class Crossings:
         loading, reading = p.hidden(resolution.least_hidden)
         hidden = Hidden.of(p, reading, moved, np.zeros(moved.shape[:2]), p.propagators @ loading, ended)
         laws = normal_laws(p.seen @ ended @ p.seen.T)
-        return cls(p, slopes_unit * p.slope_sigma, omega, factors, weights, p.seen @ moved, laws, hidden)
+        return cls(p, slopes_unit * p.slope_sigma, omega, factors, weights, lags_last(p.seen @ moved), laws, hidden)
 
     def rates(self, up: np.ndarray, down: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Rice's intensities (k, 2 m s) of k pairs of levels, and (k, 2 m s, 2 m s) their first passages."""
@@ -245,6 +245,6 @@ def release(p: NoiseProcess, dead_s: float, resolution: Resolution) -> Release:
     carried = moved @ (hidden_start - np.outer(gain, start_spread))
     hidden = Hidden.of(p, reading, moved @ mean, moved @ gain, carried, ended)
     return Release(
-        seen @ mean, np.ascontiguousarray(seen @ gain), tails, normal_laws(p.seen @ ended @ p.seen.T), mean[p.input],
-        sd, hidden, start_spread,
+        lags_last(seen @ mean), lags_last(seen @ gain), lags_last(tails), normal_laws(p.seen @ ended @ p.seen.T),
+        mean[p.input], sd, hidden, start_spread,
     )  # fmt: skip

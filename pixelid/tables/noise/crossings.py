@@ -1,4 +1,8 @@
-"""Expected crossings after a known crossing, or after a reset, as compiled sums over lags (see `first_passage.py`)."""
+"""Expected crossings after a known crossing, or after a reset, as compiled sums over lags (see `first_passage.py`).
+
+Sums take nearly all of the time.  They store nothing, may add in any order and have an exponential of multiplications
+alone, so that compilers make several lags at once of them; whatever depends on the lag has it as its last axis.
+"""
 
 from __future__ import annotations
 
@@ -9,60 +13,141 @@ from numba import njit
 
 FARTHEST = 100.0  # squared standard deviations from a mean: e⁻⁵⁰ of a density is nothing beside rates of e⁻⁴⁰
 PARTS = 8  # of a grid step that a leaking reference passes; the hazard is log-linear between them
+ANY_ORDER = {"reassoc", "contract", "nsz"}  # of a sum's terms
 
 
-@njit(forceinline=True, error_model="numpy")
-def hidden_mean(hidden, t, z, w, offset, into):
-    """Mean of the hidden states at the end: see `hidden.Hidden`."""
-    end_mean, end_spread = hidden[3], hidden[4]
-    for e in range(len(into)):
-        into[e] = end_mean[t, e, 0] * z + end_mean[t, e, 1] * w + end_spread[t, e] * offset
+@njit(inline="always")
+def exp_of_minus(x):
+    """e⁻ˣ for 0 ≤ x ≤ 50, to 1e-10 of itself: ten terms of e^(−x/64) about its middle, squared six times."""
+    y = 0.390625 - x / 64.0
+    tail = 1.0 / 720.0 + y * (1.0 / 5040.0 + y * (1.0 / 40320.0 + y * (1.0 / 362880.0 + y / 3628800.0)))
+    root = 0.676633846161729 * (
+        1.0 + y * (1.0 + y * (0.5 + y * (1.0 / 6.0 + y * (1.0 / 24.0 + y * (1.0 / 120.0 + y * tail)))))
+    )
+    second = root * root
+    fourth = second * second
+    eighth = fourth * fourth
+    sixteenth = eighth * eighth
+    half = sixteenth * sixteenth
+    return half * half
 
 
-@njit(forceinline=True, error_model="numpy")
-def _add(into, first, f, d0, d1, hidden, t, before, after):
-    """Add the intensity f of a crossing, and its moments, to into[:, first:]: rows of the start, columns of the end.
+@njit(inline="always")
+def _intensity(laws, t, d0, d1):
+    """Density of output and slope at d0 and d1 from their means."""
+    q = (laws[1, t] * d0 + 2.0 * laws[2, t] * d1) * d0 + laws[3, t] * d1 * d1
+    return laws[4, t] * exp_of_minus(0.5 * q) if q < FARTHEST else 0.0
 
-    d0, d1: output and slope from their mean;  before, after: (n,) means of the hidden states that know neither.
+
+@njit(inline="always")
+def _moved(gain, t, known, d0, d1):
+    """Mean of a hidden state at d0 and d1; known: its mean at the means of output and slope."""
+    return known + gain[0, t] * d0 + gain[1, t] * d1
+
+
+@njit(nogil=True, error_model="numpy", fastmath=ANY_ORDER)
+def _is_within_reach(mean, laws, level):
+    reached = 0.0
+    for t in range(mean.shape[1]):
+        reached += 1.0 if (level - mean[0, t]) ** 2 <= FARTHEST * laws[0, t] else 0.0
+    return reached > 0.0
+
+
+@njit(nogil=True, error_model="numpy", fastmath=ANY_ORDER)
+def _summed(weights, laws, mean, level, slope):
+    """Crossings of a level with a slope, over all lags."""
+    found = 0.0
+    for t in range(len(weights)):
+        found += weights[t] * _intensity(laws, t, level - mean[0, t], slope - mean[1, t])
+    return found
+
+
+@njit(nogil=True, error_model="numpy", fastmath=ANY_ORDER)
+def _summed_moments(weights, laws, mean, level, slope, start_gain, end_gain, cross, before, after):
+    """The same, and their moments by a hidden state at the start, by one at the end, and by both."""
+    found, by_start, by_end, by_both = 0.0, 0.0, 0.0, 0.0
+    for t in range(len(weights)):
+        d0, d1 = level - mean[0, t], slope - mean[1, t]
+        f = weights[t] * _intensity(laws, t, d0, d1)
+        start, end = _moved(start_gain, t, before, d0, d1), _moved(end_gain, t, after[t], d0, d1)
+        found += f
+        by_start += f * start
+        by_end += f * end
+        by_both += f * (start * end + cross[t])
+    return found, by_start, by_end, by_both
+
+
+@njit(nogil=True, error_model="numpy")
+def add_sums(into, weights, mean, laws, hidden, before, after, levels, slopes, factors):
+    """Add to into (s, 2 m s) the intensities of crossings over all lags, by level, slope and moment.
+
+    Rows are moments of the start, columns those of the end.
+    weights: (lags,);  mean: (2, lags) of output and slope;  laws: `hidden.normal_laws`;  before: (n,) and
+    after: (n, lags) means of the hidden states at start and end;  others as `between_crossings`.
     """
     start_gain, end_gain, cross = hidden[0], hidden[1], hidden[2]
-    n = len(before)
-    for b in range(n + 1):
-        start = before[b - 1] + start_gain[t, b - 1, 0] * d0 + start_gain[t, b - 1, 1] * d1 if b else 1.0
-        into[b, first] += f * start
-        for e in range(n):
-            end = after[e] + end_gain[t, e, 0] * d0 + end_gain[t, e, 1] * d1
-            into[b, first + 1 + e] += f * (start * end + (cross[t, e, b - 1] if b else 0.0))
-
-
-@njit(forceinline=True, error_model="numpy")
-def add_crossings(into, weight, mz, mw, laws, hidden, t, before, after, levels, slopes, factors):
-    """Add to into (s, 2 m s) weight times the intensities of crossings at lag t, by level, slope and moment.
-
-    mz, mw: means of output and slope there;  laws: `hidden.normal_laws`;  others as `_add` and `between_crossings`.
-    """
-    m, s = len(slopes), len(before) + 1
-    farthest, p00, p01, p11 = FARTHEST * laws[t, 0], laws[t, 1], 2.0 * laws[t, 2], laws[t, 3]
-    highest = weight * laws[t, 4]
+    m, n = len(slopes), len(before)
     for i in range(2):
-        d0 = levels[i] - mz
-        if d0 * d0 > farthest:
+        if not _is_within_reach(mean, laws, levels[i]):
             continue
         for j in range(m):
-            d1 = (slopes[j] if i == 0 else -slopes[j]) - mw
-            q = p00 * d0 * d0 + (p01 * d0 + p11 * d1) * d1
-            f = highest * factors[j] * math.exp(-0.5 * q) if q < FARTHEST else 0.0
-            if f > 0.0:
-                _add(into, (i * m + j) * s, f, d0, d1, hidden, t, before, after)
+            slope, first = slopes[j] if i == 0 else -slopes[j], (i * m + j) * (n + 1)
+            if n == 0:
+                into[0, first] += factors[j] * _summed(weights, laws, mean, levels[i], slope)
+            for b in range(n):
+                for e in range(n):
+                    found, by_start, by_end, by_both = _summed_moments(
+                        weights, laws, mean, levels[i], slope, start_gain[b], end_gain[e], cross[e, b], before[b],
+                        after[e],
+                    )  # fmt: skip
+                    if b == 0 and e == 0:
+                        into[0, first] += factors[j] * found
+                    if e == 0:
+                        into[1 + b, first] += factors[j] * by_start
+                    if b == 0:
+                        into[0, first + 1 + e] += factors[j] * by_end
+                    into[1 + b, first + 1 + e] += factors[j] * by_both
 
 
-@njit(forceinline=True, error_model="numpy")
-def mean_after_reset(maps, spread, tails, t, z, w, offset, kept):
-    """(output, slope) a lag after a reset: see `after_reset`."""
-    return (
-        maps[t, 0, 0] * z + maps[t, 0, 1] * w + spread[t, 0] * offset + tails[t, 0] * kept,
-        maps[t, 1, 0] * z + maps[t, 1, 1] * w + spread[t, 1] * offset + tails[t, 1] * kept,
-    )
+@njit(nogil=True, error_model="numpy")
+def add_at_lag(into, weight, t, mean, laws, hidden, before, after, levels, slopes, factors):
+    """The same at one lag, times a weight."""
+    start_gain, end_gain, cross = hidden[0], hidden[1], hidden[2]
+    m, n = len(slopes), len(before)
+    for i in range(2):
+        d0 = levels[i] - mean[0, t]
+        if d0 * d0 > FARTHEST * laws[0, t]:
+            continue
+        for j in range(m):
+            d1, first = (slopes[j] if i == 0 else -slopes[j]) - mean[1, t], (i * m + j) * (n + 1)
+            f = weight * factors[j] * _intensity(laws, t, d0, d1)
+            for b in range(n + 1):
+                start = _moved(start_gain[b - 1], t, before[b - 1], d0, d1) if b else 1.0
+                into[b, first] += f * start
+                for e in range(n):
+                    end = _moved(end_gain[e], t, after[e, t], d0, d1)
+                    into[b, first + 1 + e] += f * (start * end + (cross[e, b - 1, t] if b else 0.0))
+
+
+@njit(nogil=True, error_model="numpy")
+def means_after_crossing(means, hidden, z, w, mean, after):
+    """Fill mean (2, lags), of output and slope, and after (n, lags), of the hidden states, a lag after z and w."""
+    for t in range(mean.shape[1]):
+        for r in range(2):
+            mean[r, t] = means[r, 0, t] * z + means[r, 1, t] * w
+        for e in range(len(after)):
+            after[e, t] = hidden[3][e, 0, t] * z + hidden[3][e, 1, t] * w
+
+
+@njit(nogil=True, error_model="numpy")
+def means_after_reset(maps, spread, tails, hidden, z, w, offset, kept, mean, after):
+    """The same a lag after a reset: see `after_reset`."""
+    means_after_crossing(maps, hidden, z, w, mean, after)
+    for t in range(mean.shape[1]):
+        for r in range(2):
+            mean[r, t] += spread[r, t] * offset + tails[r, t] * kept
+        for e in range(len(after)):
+            after[e, t] += hidden[4][e, t] * offset
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -70,16 +155,16 @@ def between_crossings(means, laws, hidden, on, off, slopes, factors, weights, st
     """found (2 m s, 2 m s): ∫ (intensity of crossings of one level and slope, a lag after another) − stationary.
 
     Per slope there are s moments: 1 and the mean of each hidden state.
-    means: (lags, 2, 2) of output and slope, per output and slope at lag 0;  laws: (lags, 5) `hidden.normal_laws`;
+    means: (2, 2, lags) of output and slope, per output and slope at lag 0;  laws: (5, lags) `hidden.normal_laws`;
     hidden: arrays of `hidden.Hidden`;  on, off: the two levels;  slopes: (m,) of nodes;  factors: (m,) what turns a
     density at a node into an intensity;  weights: (lags,) of the integral;  stationary: (2 m s,).
     """
-    m, n = len(slopes), hidden[0].shape[1]
+    m, n, lags = len(slopes), hidden[0].shape[0], len(weights)
     s = n + 1
     levels = (on, off)
     signs = (1.0, -1.0)
     total = weights.sum()
-    before, after = np.zeros(n), np.empty(n)
+    before, mean, after = np.zeros(n), np.empty((2, lags)), np.empty((n, lags))
     for i0 in range(2):
         for j0 in range(m):
             row = (i0 * m + j0) * s
@@ -87,36 +172,30 @@ def between_crossings(means, laws, hidden, on, off, slopes, factors, weights, st
             into[:] = 0.0
             for i in range(2 * m * s):
                 into[0, i] = -total * stationary[i]
-            z, w = levels[i0], signs[i0] * slopes[j0]
-            for t in range(len(weights)):
-                mz = means[t, 0, 0] * z + means[t, 0, 1] * w
-                mw = means[t, 1, 0] * z + means[t, 1, 1] * w
-                hidden_mean(hidden, t, z, w, 0.0, after)
-                add_crossings(into, weights[t], mz, mw, laws, hidden, t, before, after, levels, slopes, factors)
+            means_after_crossing(means, hidden, levels[i0], signs[i0] * slopes[j0], mean, after)
+            add_sums(into, weights, mean, laws, hidden, before, after, levels, slopes, factors)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy")
 def after_reset(
     maps, spread, tails, laws, hidden, start_spread, z, w, offset, kept, on, off, slopes, factors, weights,
-    stationary, found,
+    stationary, mean, after, found,
 ):  # fmt: skip
     """found (s, 2 m s): ∫ (intensity of crossing i with slope j, a lag after the reset) − stationary.
 
     The event was at output z with slope w; the reference that was then stored lies `offset` standard deviations from
-    its mean.  maps: (lags, 2, 2) per z and w;  spread: (lags, 2) per offset;  tails: (lags, 2) per `kept`, the
-    reference;  start_spread: (n,) mean of the hidden states at the event per offset;  others as `between_crossings`.
+    its mean.  maps: (2, 2, lags) per z and w;  spread: (2, lags) per offset;  tails: (2, lags) per `kept`, the
+    reference;  start_spread: (n,) mean of the hidden states at the event per offset;  mean, after: room for those of
+    `add_sums`;  others as `between_crossings`.
     """
-    levels = (on, off)
     total = weights.sum()
-    before, after = start_spread * offset, np.empty(len(start_spread))
+    before = start_spread * offset
     for i in range(len(stationary)):
         found[0, i] = -total * stationary[i]
         for b in range(len(before)):
             found[1 + b, i] = found[0, i] * before[b]
-    for t in range(len(weights)):
-        mz, mw = mean_after_reset(maps, spread, tails, t, z, w, offset, kept)
-        hidden_mean(hidden, t, z, w, offset, after)
-        add_crossings(found, weights[t], mz, mw, laws, hidden, t, before, after, levels, slopes, factors)
+    means_after_reset(maps, spread, tails, hidden, z, w, offset, kept, mean, after)
+    add_sums(found, weights, mean, laws, hidden, before, after, (on, off), slopes, factors)
 
 
 @njit(forceinline=True, error_model="numpy")
@@ -147,6 +226,26 @@ def _scatter(into, level, pick, each, share, first, step, count):
     i, j = pick // each, pick % each
     for q in range(4):
         into[(i * count + k + q) * each + j] += share * weights[q]
+
+
+@njit(nogil=True, error_model="numpy", fastmath=ANY_ORDER)
+def _first_passages(expected, resolvents, line, between, found):
+    """found (s, 2 m s): of `expected` crossings, by resolvents (4, 2 m s, 2 m s) that the weights `line` interpolate.
+
+    between: room for the one interpolated
+    """
+    size = len(between)
+    for q in range(size):
+        for i in range(size):
+            between[q, i] = (
+                line[0] * resolvents[0, q, i] + line[1] * resolvents[1, q, i] + line[2] * resolvents[2, q, i]
+                + line[3] * resolvents[3, q, i]
+            )  # fmt: skip
+    for b in range(len(found)):
+        found[b] = 0.0
+        for q in range(size):
+            for i in range(size):
+                found[b, i] += expected[b, q] * between[q, i]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -214,8 +313,9 @@ def transitions(
     each = m * s
     first, step = nodes[0], nodes[1] - nodes[0]
     expected = np.empty((s, 2 * each))
+    mean, after = np.empty((2, len(weights))), np.empty((s - 1, len(weights)))
     stationary = np.zeros(2 * each)
-    quick = np.empty(2 * each)
+    between, quick = np.empty((2 * each, 2 * each)), np.empty((s, 2 * each))
     for i0 in range(2):
         for k0 in range(count):
             for j0 in range(m):
@@ -234,20 +334,15 @@ def transitions(
                             stationary[each + j * s] = stationary_hz * math.exp(-0.5 * (down / sigma) ** 2) * omega[j]
                         after_reset(
                             maps, spread, tails, laws, hidden, start_spread, z, w, offsets[g], kept, up, down,
-                            slopes, factors, weights, stationary, expected,
+                            slopes, factors, weights, stationary, mean, after, expected,
                         )  # fmt: skip
+                        _first_passages(expected, resolvents[a, k : k + 4], line, between, quick)
                         for b in range(s):
-                            quick[:] = 0.0
-                            for n in range(4):
-                                for q in range(2 * each):
-                                    part = line[n] * expected[b, q]
-                                    for i in range(2 * each):
-                                        quick[i] += part * resolvents[a, k + n, q, i]
                             left = start_spread[b - 1] * offsets[g] if b else 1.0
                             for i in range(2 * each):
                                 if i % s == 0:
-                                    left -= quick[i]
+                                    left -= quick[b, i]
                                 level = up if i < each else down
-                                _scatter(moved[row + b], level, i, each, share * quick[i], first, step, count)
+                                _scatter(moved[row + b], level, i, each, share * quick[b, i], first, step, count)
                             for n in range(4):
                                 late[row + b, a, k + n] += share * left * line[n]

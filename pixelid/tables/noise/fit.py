@@ -44,7 +44,6 @@ NEAR = 1.0  # the same for searches that others go on from
 # Rates err by a per cent or two, in 26 rows that scatter by 7 % up to a nat: so much may be promised by a step of which
 # none of any length wins its share.  Up to that it counts as an error of what is fitted.
 LOST = 1.0
-LATELY = 8  # steps from whose gains it is told what a search would still gain, were it not to slow down
 ROUNDS = 6  # of whole rates: where the last still moves, the search is not at rest
 LEAST_GAINED, GOOD = 0.1, 0.7  # of what a step promised: taken from, and longer steps tried from
 # Scatter of a table up to which slopes must be of `WHOLE`: those of `ROUGH` err by less than other tables scatter
@@ -143,11 +142,9 @@ def fit_noise(table: NoiseTable, model: Model, progress: Callable[[str, float], 
     def after(done: float, share: float) -> Callable[[float], None]:
         return lambda part: report("fitting", done + share * part)
 
-    ends: list[tuple[_End, NoiseModel]] = []
-    for k, start in enumerate(starts):
-        least = min((end.misfit for end, _ in ends if end.scale < MAX_SCATTER), default=math.inf)
-        end = _settled(start.of_equal_pixels, after(0.1 + 0.1 * k, 0.1), near=True, least=least)
-        ends.append((end, start))
+    ends = [
+        (_settled(start.of_equal_pixels, after(0.1 + 0.1 * k, 0.1), near=True), start) for k, start in enumerate(starts)
+    ]
     best, noise = min(ends, key=lambda pair: (not pair[0].scale < MAX_SCATTER, pair[0].misfit))
     end = _settled(noise, after(0.4, 0.2), best, near=True) if noise.nearly_alike(best.x) else best
     for k in range(ROUNDS):
@@ -184,7 +181,7 @@ class _End:
 
 def _settled(
     noise: NoiseModel, report: Callable[[float], None], begun: _End | None = None, shift: np.ndarray | float = 0.0,
-    *, near: bool = False, least: float = math.inf,
+    *, near: bool = False,
 ) -> _End:  # fmt: skip
     """The end of one search by rough rates times e^`shift`, from where the model has it begin or from another's end.
 
@@ -192,7 +189,6 @@ def _settled(
     for the rest of the way, and to tell rest, where a table scatters by 1 %.
 
     near: end where slopes, of differences or not, promise no more than `NEAR`, for other searches to go on from
-    least: minus log posterior of another search's end; this one ends where it will not come so far
     """
     limits = np.array([p.coordinate_bounds() for p in noise.parameters])
     slopes = WHOLE if begun and begun.scale < FINE_SCATTER else ROUGH
@@ -201,12 +197,9 @@ def _settled(
     scale = begun.scale if begun else MAX_SCATTER
     line = replace(begun.line, level=level) if begun else None
     exact = line if begun and begun.of == (noise.circuit, slopes) else None
-    trust, at_rest, left, visited = TRUST, False, np.zeros(len(x)), []
+    trust, at_rest, left = TRUST, False, np.zeros(len(x))
     for step in range(STEPS):
         report(step / STEPS)
-        visited.append(_minus_log_posterior(noise, level, x, scale))
-        if _falls_short(visited, least):
-            break
         line = line or (exact := _linearise(noise, x, level, slopes))
         fit, here, promised, s = _promise(line, noise, limits, TRUST)
         if promised < (NEAR if near else REST):
@@ -232,17 +225,10 @@ def _settled(
             if most < LOST:
                 scale, at_rest, left = whole.scale, True, whole.x - x
             break
-    misfit = _minus_log_posterior(noise, level, x, scale)
+    s = np.sqrt(scale**2 + noise.rows.known_variance)
+    misfit = _misfit(noise, level, x, s) + float(np.log(s).sum())
     line = line or (exact := _linearise(noise, x, level, slopes))
     return _End((noise.circuit, slopes) if line is exact else None, x, line, at_rest, scale, misfit, left)
-
-
-def _falls_short(visited: Sequence[float], least: float) -> bool:
-    """Whether a search that went on to its last step as fast as of late would not come as far as another one has."""
-    if len(visited) <= LATELY:
-        return False
-    gained = max(visited[-1 - LATELY] - visited[-1], 0.0) / LATELY
-    return visited[-1] - gained * (STEPS - len(visited) + 1) > least
 
 
 def _level(noise: NoiseModel, x: np.ndarray, resolution: Resolution) -> np.ndarray:
@@ -394,9 +380,3 @@ def _misfit(noise: NoiseModel, level: np.ndarray, x: np.ndarray, s: np.ndarray) 
     r = noise.rows.log_ratio(np.exp(level)) / s
     prior = log_prior(noise.parameters, x)
     return float(0.5 * (FREEDOM + 1.0) * np.log1p(r**2 / FREEDOM).sum() - prior)
-
-
-def _minus_log_posterior(noise: NoiseModel, level: np.ndarray, x: np.ndarray, scale: float) -> float:
-    """The same with a scatter of the table's own, without constants."""
-    s = np.sqrt(scale**2 + noise.rows.known_variance)
-    return _misfit(noise, level, x, s) + float(np.log(s).sum())

@@ -23,9 +23,9 @@ class Hidden:
         E[h_end h_startᵀ | y_end] = E[h_end | y_end] E[h_start | y_end]ᵀ + cross
 
     Attributes:
-        start_gain, end_gain, end_mean: (lags, n, 2).
-        cross: (lags, n, n).
-        end_spread: (lags, n) per standard deviation o of the reference that was stored in between; 0 without a reset.
+        start_gain, end_gain, end_mean: (n, 2, lags).
+        cross: (n, n, lags).
+        end_spread: (n, lags) per standard deviation o of the reference that was stored in between; 0 without a reset.
     """
 
     start_gain: np.ndarray
@@ -53,12 +53,12 @@ class Hidden:
         start_gain, end_gain = together @ inverse, reading @ covariance @ p.seen.T @ inverse
         cross = reading @ carried - end_gain @ np.swapaxes(together, 1, 2)
         arrays = start_gain, end_gain, cross, reading @ mean, spread @ reading.T
-        return cls(*(np.ascontiguousarray(each) for each in arrays))
+        return cls(*map(lags_last, arrays))
 
     @property
     def moments(self) -> int:
         """1 and the mean of each hidden state."""
-        return self.start_gain.shape[1] + 1
+        return len(self.start_gain) + 1
 
     @property
     def arrays(self) -> tuple[np.ndarray, ...]:
@@ -67,11 +67,16 @@ class Hidden:
 
 
 def normal_laws(covariances: np.ndarray) -> np.ndarray:
-    """(lags, 5) of output and slope with covariances (lags, 2, 2): the variance of the output, the entries 00, 01, 11
+    """(5, lags) of output and slope with covariances (lags, 2, 2): the variance of the output, the entries 00, 01, 11
     of the inverse, and the density at the mean, 0 where the covariance is lost in rounding.
     """
     v00, v01, v11 = covariances[:, 0, 0], covariances[:, 0, 1], covariances[:, 1, 1]
     det = v00 * v11 - v01 * v01
     known = det > LOST * v00 * v11
     det = np.where(known, det, 1.0)
-    return np.stack([v00, v11 / det, -v01 / det, v00 / det, known / (2.0 * np.pi * np.sqrt(det))], axis=1)
+    return np.stack([v00, v11 / det, -v01 / det, v00 / det, known / (2.0 * np.pi * np.sqrt(det))])
+
+
+def lags_last(array: np.ndarray) -> np.ndarray:
+    """(lags, …) as (…, lags), which `crossings` wants."""
+    return np.ascontiguousarray(np.moveaxis(array, 0, -1))

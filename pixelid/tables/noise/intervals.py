@@ -96,7 +96,7 @@ def intervals_of(chain: Chain, dead_s: float) -> NoiseIntervals:
     draws, count, size = c.stationary.shape
     crossed, begun = np.zeros((2, draws, count, len(lags), size)), np.zeros((2, draws, count))
     passages.crossings_after_events(
-        c.share, c.nodes, at.slopes, at.factors, r.maps[:known], r.spread, r.tails, r.laws,
+        c.share, c.nodes, at.slopes, at.factors, r.maps[..., :known], r.spread, r.tails, r.laws,
         r.hidden.arrays, r.start_spread, r.reference, r.sd, c.offsets, c.offset_weights, c.on, c.off, c.draw_weights,
         crossed, begun,
     )  # fmt: skip
@@ -111,7 +111,7 @@ def intervals_of(chain: Chain, dead_s: float) -> NoiseIntervals:
             if np.abs(begun[:, a, k]).max() < 1e-9:
                 continue
             passages.crossings_between(
-                at.means[:known], at.laws, at.hidden.arrays, reference + c.on[a], reference - c.off[a],
+                at.means[..., :known], at.laws, at.hidden.arrays, reference + c.on[a], reference - c.off[a],
                 at.slopes, at.factors, between,
             )  # fmt: skip
             quick = np.zeros((2, len(lags), size))

@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numba import njit
 
-from pixelid.tables.noise.crossings import add_crossings, hidden_mean, lagrange, mean_after_reset, place
+from pixelid.tables.noise.crossings import add_at_lag, lagrange, means_after_crossing, means_after_reset, place
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -19,11 +19,11 @@ def crossings_after_events(
 
     share: (states,) of the events;  others as `crossings.transitions`.
     """
-    count, m, h = len(nodes), len(slopes), len(start_spread)
+    count, m, h, lags = len(nodes), len(slopes), len(start_spread), maps.shape[2]
     s = h + 1
     first, step = nodes[0], nodes[1] - nodes[0]
     signs = (1.0, -1.0)
-    after, found = np.empty(h), np.empty((s, 2 * m * s))
+    mean, after, found = np.empty((2, lags)), np.empty((h, lags)), np.empty((s, 2 * m * s))
     for i0 in range(2):
         for k0 in range(count):
             for j0 in range(m):
@@ -37,6 +37,7 @@ def crossings_after_events(
                     k, p = place(kept, first, step, count)
                     line = lagrange(p)
                     before = start_spread * offsets[g]
+                    means_after_reset(maps, spread, tails, hidden, z, w, offsets[g], kept, mean, after)
                     mass = share[row]
                     for b in range(h):
                         mass += share[row + 1 + b] * before[b]
@@ -45,13 +46,9 @@ def crossings_after_events(
                         for n in range(4):
                             begun[i0, a, k + n] += weight * mass * line[n]
                         levels = (kept + on[a], kept - off[a])
-                        for t in range(len(maps)):
-                            mz, mw = mean_after_reset(maps, spread, tails, t, z, w, offsets[g], kept)
-                            hidden_mean(hidden, t, z, w, offsets[g], after)
+                        for t in range(lags):
                             found[:] = 0.0
-                            add_crossings(
-                                found, weight, mz, mw, laws, hidden, t, before, after, levels, slopes, factors
-                            )
+                            add_at_lag(found, weight, t, mean, laws, hidden, before, after, levels, slopes, factors)
                             for i in range(2 * m * s):
                                 part = 0.0
                                 for b in range(s):
@@ -63,22 +60,19 @@ def crossings_after_events(
 @njit(cache=True, nogil=True, error_model="numpy")
 def crossings_between(means, laws, hidden, on, off, slopes, factors, found):
     """found (lags, 2 m s, 2 m s): intensities a lag after a crossing, see `crossings.between_crossings`."""
-    m, n = len(slopes), hidden[0].shape[1]
+    m, n, lags = len(slopes), hidden[0].shape[0], means.shape[2]
     s = n + 1
     levels = (on, off)
     signs = (1.0, -1.0)
-    before, after = np.zeros(n), np.empty(n)
-    for t in range(len(means)):
-        for i0 in range(2):
-            for j0 in range(m):
-                z, w = levels[i0], signs[i0] * slopes[j0]
-                mz = means[t, 0, 0] * z + means[t, 0, 1] * w
-                mw = means[t, 1, 0] * z + means[t, 1, 1] * w
-                row = (i0 * m + j0) * s
+    before, mean, after = np.zeros(n), np.empty((2, lags)), np.empty((n, lags))
+    for i0 in range(2):
+        for j0 in range(m):
+            row = (i0 * m + j0) * s
+            means_after_crossing(means, hidden, levels[i0], signs[i0] * slopes[j0], mean, after)
+            for t in range(lags):
                 into = found[t, row : row + s]
                 into[:] = 0.0
-                hidden_mean(hidden, t, z, w, 0.0, after)
-                add_crossings(into, 1.0, mz, mw, laws, hidden, t, before, after, levels, slopes, factors)
+                add_at_lag(into, 1.0, t, mean, laws, hidden, before, after, levels, slopes, factors)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
