@@ -13,7 +13,8 @@ Example:
     pixelid models dvs128
 """
 
-NAMES = {"min_width": 26, "max_width": 34, "overflow": "fold"}  # the library's in one line, a described effect's in two
+ONE_TABLE = 110  # columns of a terminal from which on a value and where it comes from fit in one line
+MOST_OF_NAMES = 34  # columns: the library's in one line, a described effect's in two
 
 
 @click.command("models", epilog=EXAMPLE)
@@ -53,12 +54,19 @@ def _overview(models):
         Column("model", no_wrap=True),
         "photoreceptor",
         Column("effects", no_wrap=True),
-        "summary",
+        Column("summary", overflow="fold"),  # a path is longer than a line
         title="shipped circuits",
     )
     for model in models:
         table.add_row(model.name, model.photoreceptor, "\n".join(model.effects) or "none", model.summary)
     return table
+
+
+def _names(head: str, names):
+    """A column of names that nothing makes narrower."""
+    from rich.table import Column
+
+    return Column(head, width=min(max(map(len, [head, *names])), MOST_OF_NAMES), overflow="fold")
 
 
 def _print_one(console, model) -> None:
@@ -72,22 +80,22 @@ def _print_one(console, model) -> None:
         f"radiance in {model.radiance_unit}",
         highlight=False,
     )
+    wide = console.width >= ONE_TABLE
     value, unit, free = (Column(head, no_wrap=True) for head in ("value", "unit", "free"))
-    table = Table(Column("parameter", **NAMES), value, unit, "bounds", free, "source")
-    for parameter in model.parameters.values():
-        table.add_row(
-            parameter.name,
-            f"{parameter.value:.6g}",
-            parameter.unit,
-            f"{parameter.lower:g} .. {parameter.upper:g}",
-            "yes" if parameter.free else "no",
-            parameter.source,
-        )
+    table = Table(_names("parameter", model.parameters), value, unit, "bounds", free, *(["source"] if wide else []))
+    sources = Table(_names("parameter", model.parameters), "source")
+    for p in model.parameters.values():
+        bounds = f"{p.lower:g}…{p.upper:g}"
+        source = [p.source] if wide else []
+        table.add_row(p.name, f"{p.value:.6g}", p.unit, bounds, "yes" if p.free else "no", *source)
+        sources.add_row(p.name, p.source)
     console.print(table)
-    effects = Table(Column("effect", **NAMES), "what it does", "equation", "source")
+    if not wide:
+        console.print(sources)
+    effects = Table(_names("effect", model.effects), "what it does", "equation", *(["source"] if wide else []))
     for name in model.effects:
         effect = stages.effect(name)
-        effects.add_row(name, effect.sentence, effect.equation, effect.source)
+        effects.add_row(name, effect.sentence, effect.equation, *([effect.source] if wide else []))
     console.print(effects)
     if model.physical is not None:
         physical = Table("physical value", "nominal", "gauge", title=model.physical_source)

@@ -216,6 +216,20 @@ def test_values_of_described_effects_fit_into_80_columns(tmp_path, capsys, monke
         assert f" {value:g} " in printed
 
 
+@pytest.mark.parametrize("name", ["dvs128", "gen31"])
+def test_a_model_fits_in_eighty_columns(name, capsys, monkeypatch):
+    """Where values come from took the last two columns there, letter below letter."""
+    monkeypatch.setenv("COLUMNS", "80")
+    assert main(["models", name]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    rows = [line for line in lines if line.startswith(("│", "┃"))]
+    assert max(map(len, lines)) <= 80
+    assert all(line.endswith(("│", "┃")) for line in rows)
+    assert len(rows) < 100
+    for parameter in find_model(name).parameters.values():
+        assert any(parameter.name in line and f"{parameter.value:.6g}" in line for line in rows)
+
+
 def test_a_model_shows_units_and_gauge(capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "300")
     assert main(["models", "dvs128"]) == 0
