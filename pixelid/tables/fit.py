@@ -198,8 +198,9 @@ def misses(log_ratio: np.ndarray, standardised: np.ndarray) -> str:
 
 
 def fit_table(
-    model: TableModel, start: Sequence[float] | None = None, ties: Sequence[Tie] = (), *, rest: float = REST
-) -> TableFit:
+    model: TableModel, start: Sequence[float] | None = None, ties: Sequence[Tie] = (), *, rest: float = REST,
+    scatter: float | None = None,
+) -> TableFit:  # fmt: skip
     """Fit a table of values.  All parameters are logarithmic.
 
     Args:
@@ -207,6 +208,7 @@ def fit_table(
         start: values to begin at, in the order of the parameters; their own by default.
         ties: priors on means of fitting coordinates, beside the parameters' own.
         rest: nats by which a step of EM may still gain when it has come to rest.
+        scatter: σ where it is known; fitted where None.
     """
     from scipy.optimize import least_squares
 
@@ -233,7 +235,8 @@ def fit_table(
         return prior_rows @ x - prior_target
 
     r = residuals(x)
-    sigma, last, converged = max(1.48 * float(np.median(np.abs(r))), 0.02), -np.inf, False
+    sigma = max(1.48 * float(np.median(np.abs(r))), 0.02) if scatter is None else scatter
+    last, converged = -np.inf, False
     for _ in range(MAX_EM_STEPS):
         s = np.sqrt(sigma**2 + known)
         root = np.sqrt((FREEDOM + 1.0) / (FREEDOM + (r / s) ** 2)) / s
@@ -246,8 +249,9 @@ def fit_table(
         )
         x = optimum.x
         r = residuals(x)
-        spare = np.maximum(1.0 - _leverages(optimum.jac, len(r)), LEAST_SPARE)
-        sigma = _maximise_scatter(r / np.sqrt(spare), known, sigma)
+        if scatter is None:
+            spare = np.maximum(1.0 - _leverages(optimum.jac, len(r)), LEAST_SPARE)
+            sigma = _maximise_scatter(r / np.sqrt(spare), known, sigma)
         value = _log_likelihood(r, np.sqrt(sigma**2 + known)) - 0.5 * float((prior_residuals(x) ** 2).sum())
         if abs(value - last) < rest:
             converged = True
@@ -283,17 +287,19 @@ def fit_at(
     sd = np.where(low | high, np.inf, sd)
     weight = (FREEDOM + 1.0) / (FREEDOM + (r / s) ** 2) / ((FREEDOM + 1.0) / FREEDOM)
     value = _log_likelihood(r, s)
-    return TableFit(model, x, sd, limit, scale, model.predict(x), r / s, weight, value, converged, tuple(ties))
+    rows, predicted = model.rows, model.predict(x)
+    own = rows.log_ratio(predicted) / np.sqrt(scale**2 + rows.known_variance)
+    return TableFit(model, x, sd, limit, scale, predicted, own, weight, value, converged, tuple(ties))
 
 
 def _residuals(model: TableModel, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(rows,) ln measured over predicted, and variances that are known."""
+    """(rows,) ln measured over predicted, turned, and variances that are known."""
     rows = model.rows
-    return rows.log_ratio(model.predict(x)), np.broadcast_to(rows.known_variance, rows.measured.shape)
+    return rows.turned(rows.log_ratio(model.predict(x))), rows.turned_variance
 
 
 def slopes(model: TableModel, x: np.ndarray) -> np.ndarray:
-    """(rows, parameters) derivatives of ln(predicted + d) by the fitting coordinates."""
+    """(rows, parameters) derivatives of ln(predicted + d) by the fitting coordinates, turned as residuals are."""
     d = model.rows.last_digit
     J = np.zeros((len(model.rows.measured), len(x)))
     here = np.log(model.predict(x) + d)
@@ -301,7 +307,7 @@ def slopes(model: TableModel, x: np.ndarray) -> np.ndarray:
         step = np.zeros(len(x))
         step[slot] = STEP
         J[np.arange(len(J)), slot] += (np.log(model.predict(x + step) + d) - here) / STEP
-    return J
+    return model.rows.turned(J)
 
 
 def information_at(fit: TableFit) -> np.ndarray:

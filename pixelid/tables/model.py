@@ -10,6 +10,8 @@ import numpy as np
 
 from pixelid.parameters.parameter import Parameter
 
+SQRT2 = np.sqrt(2.0)
+
 
 @dataclass(frozen=True)
 class Rows:
@@ -19,6 +21,8 @@ class Rows:
         measured: (rows,) positive quantity (events/s, s, …); 0 where less than the last digit was seen.
         last_digit: (rows,) or scalar, the smallest difference that the table can write, in the same unit.
         relative_error: (rows,) or scalar, relative errors that the table itself states.
+        pairs, pair_error: (pairs, 2) rows whose errors go together, and the relative errors of their sum and of their
+            difference, each over √2.
         columns: what identifies a row (frequency, setting, illuminance, …): name → (rows,) values.
     """
 
@@ -26,6 +30,8 @@ class Rows:
     last_digit: np.ndarray | float
     relative_error: np.ndarray | float = 0.0
     columns: Mapping[str, Sequence[Any]] = field(default_factory=dict)
+    pairs: np.ndarray = field(default_factory=lambda: np.empty((0, 2), int))
+    pair_error: np.ndarray = field(default_factory=lambda: np.empty((0, 2)))
 
     @property
     def rounding(self) -> np.ndarray:
@@ -40,6 +46,23 @@ class Rows:
     def log_ratio(self, predicted: np.ndarray) -> np.ndarray:
         """(rows,) ln measured over predicted, finite where less than the last digit was seen."""
         return np.log(self.measured + self.last_digit) - np.log(predicted + self.last_digit)
+
+    def turned(self, values: np.ndarray) -> np.ndarray:
+        """(rows, …) with sum and difference of every pair, over √2, in place of the two: they err independently."""
+        if not len(self.pairs):
+            return values
+        found = np.array(values, float)
+        first, second = values[self.pairs[:, 0]], values[self.pairs[:, 1]]
+        found[self.pairs[:, 0]], found[self.pairs[:, 1]] = (first + second) / SQRT2, (first - second) / SQRT2
+        return found
+
+    @property
+    def turned_variance(self) -> np.ndarray:
+        """(rows,) the known variance of what is `turned`."""
+        found = np.array(np.broadcast_to(self.known_variance, self.measured.shape))
+        rounding = np.broadcast_to(self.rounding, self.measured.shape)[self.pairs] ** 2
+        found[self.pairs] = self.pair_error**2 + rounding.mean(1, keepdims=True)
+        return found
 
 
 class TableModel(Protocol):

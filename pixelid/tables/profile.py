@@ -8,7 +8,7 @@ distance, with all that goes with it.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -23,12 +23,17 @@ HELD_SD = 1e-3  # in ln: far below LEAST_SD
 GROWTH, TRIES = 1.6, 4  # of the step that looks for the end of the interval; up to ten standard errors away
 
 
-def follow_profile(fit: TableFit, name: str) -> TableFit:
+Fallen = Callable[[int, float, np.ndarray], float]  # see `follow_profile`
+
+
+def follow_profile(fit: TableFit, name: str, fallen: Fallen | None = None) -> TableFit:
     """The fit with errors widened to the profile of one parameter, where that is wider than the normal approximation.
 
     Args:
         fit: at its maximum.
         name: of the parameter.
+        fallen: (place of a coordinate, value at which it is held, coordinates to begin at) → by how many nats the
+            maximum is lower then; of `fit_table` by default.
 
     Returns:
         The same fit where the parameter is known to `LEAST_SD`, lies on a bound or is wide open.
@@ -39,7 +44,7 @@ def follow_profile(fit: TableFit, name: str) -> TableFit:
     if not (LEAST_SD < sd < np.inf and np.isfinite(fit.sd[k])):
         return fit
     along = covariance[:, k] / covariance[k, k]
-    reach = max(_reach(fit, k, side, sd, along) for side in (-1.0, 1.0)) / Z95
+    reach = max(_reach(fit, k, side, sd, along, fallen or _fallen(fit)) for side in (-1.0, 1.0)) / Z95
     if reach <= sd:
         return fit
     return _widened(fit, along * np.sqrt(reach**2 - sd**2))
@@ -72,21 +77,29 @@ def _widened(fit: TableFit, by: np.ndarray) -> TableFit:
     return replace(fit, wider=rows, sd=np.sqrt(fit.sd**2 + by**2))
 
 
-def _reach(fit: TableFit, k: int, side: float, sd: float, along: np.ndarray) -> float:
+def _fallen(fit: TableFit) -> Fallen:
+    top = log_posterior_at(fit, fit.x)
+
+    def fallen(k: int, wanted: float, start: np.ndarray) -> float:
+        held = fit_table(fit.model, np.exp(start).tolist(), (*fit.ties, Tie((k,), wanted, HELD_SD)), rest=REST)
+        return top - log_posterior_at(fit, held.x)
+
+    return fallen
+
+
+def _reach(fit: TableFit, k: int, side: float, sd: float, along: np.ndarray, fallen: Fallen) -> float:
     """How far the coordinate goes to one side until the profile has fallen by `FALL`; up to its bound."""
     lower, upper = np.array([p.coordinate_bounds() for p in fit.parameters]).T
     most = abs((upper if side > 0 else lower)[k] - fit.x[k])
-    top, before, fallen_before, distance = log_posterior_at(fit, fit.x), 0.0, 0.0, Z95 * sd
+    before, fallen_before, distance = 0.0, 0.0, Z95 * sd
     for _ in range(TRIES):
         distance = min(distance, most)
-        wanted = fit.x[k] + side * distance
         start = np.clip(fit.x + along * side * distance, lower, upper)
-        held = fit_table(fit.model, np.exp(start).tolist(), (*fit.ties, Tie((k,), float(wanted), HELD_SD)), rest=REST)
-        fallen = top - log_posterior_at(fit, held.x)
-        if fallen >= FALL:  # roots of the fall are nearly linear in the distance
-            a, b = np.sqrt(max(fallen_before, 0.0)), np.sqrt(fallen)
+        now = fallen(k, float(fit.x[k] + side * distance), start)
+        if now >= FALL:  # roots of the fall are nearly linear in the distance
+            a, b = np.sqrt(max(fallen_before, 0.0)), np.sqrt(now)
             return before + (distance - before) * float((np.sqrt(FALL) - a) / (b - a))
         if distance >= most:
             return most
-        before, fallen_before, distance = distance, fallen, distance * GROWTH
+        before, fallen_before, distance = distance, now, distance * GROWTH
     return before

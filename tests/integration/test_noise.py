@@ -20,6 +20,7 @@ from pixelid.status import STOPPED
 from pixelid.stimuli.shapes import constant
 from pixelid.stimuli.stimulus import Stimulus
 from pixelid.tables.fit import fit_at
+from pixelid.tables.model import Rows
 from pixelid.tables.noise import fit as search
 from pixelid.tables.noise.first_passage import mean_rates
 from pixelid.tables.noise.fit import Linearised, fit_noise, started, starting_model
@@ -313,6 +314,40 @@ def still(radiance, on, off, pixels=16, duration=20.0, seed=0):
     )
     stimulus = Stimulus.from_arrays([0.0, duration], [radiance, radiance], unit="fA")
     return Recording(events, stimulus, condition=f"{radiance} fA")
+
+
+def test_errors_of_events_that_take_turns():
+    """Of 64 pixels that each have as many ON as OFF events, but one: counts err together, their ratio hardly at all."""
+    rng = np.random.default_rng(5)
+    pixels, seconds = 64, 10.0
+    pairs = rng.integers(10, 60, pixels)  # far from Poisson
+    x = np.repeat(np.arange(pixels), 2 * pairs)
+    p = np.concatenate([np.arange(2 * n) % 2 for n in pairs])
+    t = np.concatenate([np.linspace(1.5, 9.5, 2 * n) for n in pairs])
+    order = np.argsort(t, kind="stable")
+    times, polarity = np.round(1e9 * t[order]).astype(np.int64), p[order].astype(np.uint8)
+    events = Events(times, x[order].astype(np.uint16), np.zeros(len(t), np.uint16), polarity, pixels, 1)
+    light = Stimulus.from_arrays([0.0, seconds], [10.0, 10.0], unit="fA")
+    table = reduced_recordings([Recording(events, light, condition="turns")])
+    assert table.pairs.tolist() == [[0, 1]]
+    together, apart = table.pair_error[0]
+    own = float(np.std(pairs, ddof=1) / np.sqrt(pixels) / np.mean(pairs))
+    assert table.relative_error == pytest.approx(own, rel=1e-6)
+    assert together == pytest.approx(np.sqrt(2.0) * own, rel=1e-6)
+    assert apart == pytest.approx(1.0 / pairs.sum() / np.sqrt(2.0), rel=1e-6)  # an event
+
+
+def test_what_is_turned_is_as_likely_as_what_errs_together():
+    rows = Rows(
+        np.array([2.0, 3.0, 5.0]), 0.0, np.array([0.1, 0.1, 0.2]), {}, np.array([[0, 2]]), np.array([[0.15, 0.03]])
+    )
+    ratio = rows.log_ratio(np.array([2.1, 2.8, 5.6]))
+    half = 0.5 * np.array([[0.15**2 + 0.03**2, 0.15**2 - 0.03**2], [0.15**2 - 0.03**2, 0.15**2 + 0.03**2]])
+    both = ratio[[0, 2]]
+    wanted = both @ np.linalg.inv(half) @ both + (ratio[1] / 0.1) ** 2
+    assert (rows.turned(ratio) ** 2 / rows.turned_variance).sum() == pytest.approx(wanted)
+    slopes = np.arange(6.0).reshape(3, 2)
+    assert rows.turned(slopes) == pytest.approx(np.stack([rows.turned(column) for column in slopes.T], axis=1))
 
 
 def test_recordings_are_counted_per_pixel():

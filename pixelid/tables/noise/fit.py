@@ -11,7 +11,7 @@ Three searches by `ROUGH` rates of pixels that do not differ come near; the best
 mismatch.  `WHOLE` rates, ten times dearer, are taken where that came to rest: what they differ by is added to the rough
 ones, and the search goes on until it stays where it is (Alexandrov & Lewis 2001, Optim. Eng. 2, 413).  Where no
 pixel's thresholds are alike, rough rates are those of typical pixels, and pixels that differ are in what is added
-only.  Priors lie around the model's values, wherever a search begins.
+only.  Priors lie around the model's values, wherever a search begins.  Errors of recordings follow profiles.
 """
 
 from __future__ import annotations
@@ -32,6 +32,7 @@ from pixelid.tables.model import Rows
 from pixelid.tables.noise.model import BESIDE, FITTED, FLOOR, LEAST_HZ, OFF_BACKGROUND, NoiseModel, in_unit
 from pixelid.tables.noise.quadrature import ROUGH, WHOLE, Resolution
 from pixelid.tables.noise.reading import NoiseTable
+from pixelid.tables.profile import Fallen, follow_profile
 
 STEP = 0.02  # of a coordinate, for central differences
 TRUST = 0.7  # of a coordinate per round: a factor of 2
@@ -41,6 +42,10 @@ STEPS = 60  # tried, taken or not
 # hardly fix are curved, and steps in them gain a few hundredths for long.
 REST = 0.1
 NEAR = 1.0  # the same for searches that others go on from
+NEARLY = 0.3  # … and for those along a profile, whose end moves by a twelfth
+# Of what recordings fix along curved valleys: the thresholds, which go together, and a dead time, below which noise has
+# nothing to tell
+PROFILED = ("on_threshold", "refractory_s")
 # Rates err by a per cent or two, in 26 rows that scatter by 7 % up to a nat: so much may be promised by a step of which
 # none of any length wins its share.  Up to that it counts as an error of what is fitted.
 LOST = 1.0
@@ -54,7 +59,7 @@ THRESHOLD_STARTS = np.geomspace(0.35, 1.6, 8)
 LIGHT_STARTS = np.geomspace(0.03, 300.0, 9)
 FOLLOWER_STARTS = (0.1, 0.4, 1.0)
 # … and then on the dead time, which models of other sensors may have wrong by far
-DEAD_STARTS = (1.0, 3.0, 10.0, 30.0)
+DEAD_STARTS = (0.1, 0.3, 1.0, 3.0, 10.0, 30.0)
 NEAR_STARTS = (0.8, 0.9, 1.0, 1.1)  # factors on thresholds beside those
 # Between ln of the thresholds: a search that begins at equal ones, where rates may have a narrow maximum, stays there.
 # The second, of rates at their maximum, also lets it begin far from that.
@@ -143,10 +148,10 @@ def fit_noise(table: NoiseTable, model: Model, progress: Callable[[str, float], 
         return lambda part: report("fitting", done + share * part)
 
     ends = [
-        (_settled(start.of_equal_pixels, after(0.1 + 0.1 * k, 0.1), near=True), start) for k, start in enumerate(starts)
+        (_settled(start.of_equal_pixels, after(0.1 + 0.1 * k, 0.1), near=NEAR), start) for k, start in enumerate(starts)
     ]
     best, noise = min(ends, key=lambda pair: (not pair[0].scale < MAX_SCATTER, pair[0].misfit))
-    end = _settled(noise, after(0.4, 0.2), best, near=True) if noise.nearly_alike(best.x) else best
+    end = _settled(noise, after(0.4, 0.2), best, near=NEAR) if noise.nearly_alike(best.x) else best
     for k in range(ROUNDS):
         rough = noise if noise.nearly_alike(end.x) else noise.of_typical_pixels(end.x)
         shift = _level(noise, end.x, WHOLE) - _level(rough, end.x, ROUGH)
@@ -161,8 +166,27 @@ def fit_noise(table: NoiseTable, model: Model, progress: Callable[[str, float], 
     names = [p.name for p in noise.parameters]
     own = np.array([spread if table.pixels and name.endswith("_threshold") else 0.0 for name in names])
     sd = np.sqrt(final.sd**2 + own**2 + end.left**2)
-    regression = replace(final, model=noise, sd=sd, wider=end.left[None])
-    return NoiseFit(regression, noise, time.perf_counter() - begun)
+    regression = replace(final, sd=sd, wider=end.left[None])
+    if table.pixels and end.at_rest:
+        fallen = _fallen(rough, end, shift)
+        for name in PROFILED:
+            regression = follow_profile(regression, name, fallen) if name in names else regression
+    return NoiseFit(replace(regression, model=noise), noise, time.perf_counter() - begun)
+
+
+def _fallen(rough: NoiseModel, end: _End, shift: np.ndarray | float) -> Fallen:
+    """Of a finished search by rough rates times e^`shift`."""
+    s = np.sqrt(end.scale**2 + rough.rows.turned_variance)
+    top, names = _misfit(rough, end.line.level, end.x, s), [p.name for p in rough.parameters]
+
+    def fallen(k: int, wanted: float, start: np.ndarray) -> float:
+        line = end.line.moved(start, _level(rough, start, ROUGH) + shift)
+        model = replace(rough, held={names[k]: math.exp(wanted)})
+        begun = replace(end, of=None, x=start, line=line)
+        held = _settled(model, lambda done: None, begun, shift, near=NEARLY, scatter=end.scale)
+        return _misfit(rough, held.line.level, held.x, s) - top
+
+    return fallen
 
 
 @dataclass(frozen=True)
@@ -181,14 +205,15 @@ class _End:
 
 def _settled(
     noise: NoiseModel, report: Callable[[float], None], begun: _End | None = None, shift: np.ndarray | float = 0.0,
-    *, near: bool = False,
+    *, near: float = 0.0, scatter: float | None = None,
 ) -> _End:  # fmt: skip
     """The end of one search by rough rates times e^`shift`, from where the model has it begin or from another's end.
 
     Slopes of `ROUGH` rates lead near an optimum.  Along directions that the rates hardly fix they are not good enough
     for the rest of the way, and to tell rest, where a table scatters by 1 %.
 
-    near: end where slopes, of differences or not, promise no more than `NEAR`, for other searches to go on from
+    near: nats; end where slopes, of differences or not, promise no more, for other searches to go on from
+    scatter: of the table where it is known; fitted where None
     """
     limits = np.array([p.coordinate_bounds() for p in noise.parameters])
     slopes = WHOLE if begun and begun.scale < FINE_SCATTER else ROUGH
@@ -201,8 +226,8 @@ def _settled(
     for step in range(STEPS):
         report(step / STEPS)
         line = line or (exact := _linearise(noise, x, level, slopes))
-        fit, here, promised, s = _promise(line, noise, limits, TRUST)
-        if promised < (NEAR if near else REST):
+        fit, here, promised, s = _promise(line, noise, limits, TRUST, scatter)
+        if promised < (near or REST):
             if near or line is exact:
                 scale, at_rest = fit.scale, True
                 break
@@ -210,7 +235,7 @@ def _settled(
             continue
         whole, most = fit, promised
         if trust < TRUST:
-            fit, here, promised, s = _promise(line, noise, limits, trust)
+            fit, here, promised, s = _promise(line, noise, limits, trust, scatter)
         trial = _level(noise, fit.x, ROUGH) + shift
         gained = here - _misfit(noise, trial, fit.x, s)
         if gained > LEAST_GAINED * promised:
@@ -225,7 +250,7 @@ def _settled(
             if most < LOST:
                 scale, at_rest, left = whole.scale, True, whole.x - x
             break
-    s = np.sqrt(scale**2 + noise.rows.known_variance)
+    s = np.sqrt(scale**2 + noise.rows.turned_variance)
     misfit = _misfit(noise, level, x, s) + float(np.log(s).sum())
     line = line or (exact := _linearise(noise, x, level, slopes))
     return _End((noise.circuit, slopes) if line is exact else None, x, line, at_rest, scale, misfit, left)
@@ -242,11 +267,11 @@ def _start(noise: NoiseModel) -> np.ndarray:
 
 
 def _promise(
-    line: Linearised, noise: NoiseModel, limits: np.ndarray, trust: float
+    line: Linearised, noise: NoiseModel, limits: np.ndarray, trust: float, scatter: float | None
 ) -> tuple[TableFit, float, float, np.ndarray]:
     """The linear table's optimum within a trusted step, minus log posterior here, what it promises, and the scales."""
-    fit = fit_table(_within(line, limits, trust), np.exp(line.x0).tolist())
-    s = np.sqrt(fit.scale**2 + noise.rows.known_variance)
+    fit = fit_table(_within(line, limits, trust), np.exp(line.x0).tolist(), scatter=scatter)
+    s = np.sqrt(fit.scale**2 + noise.rows.turned_variance)
     here = _misfit(noise, line.level, line.x0, s)
     return fit, here, here - _misfit(noise, np.log(line.predict(fit.x)), fit.x, s), s
 
@@ -307,7 +332,7 @@ def started(noise: NoiseModel, report: Callable[[str, float], None]) -> list[Noi
             best[of] = min(best.get(of, one), one, key=lambda start: start[0])
     report("fitting", 0.05)
     ranked = sorted(best.values(), key=lambda start: start[0])[:MOST_STARTS]
-    if not table.pixels and "refractory_s" in plain.parameters:
+    if "refractory_s" in plain.parameters:
         ranked = [
             min((tried(start, {"refractory_s": dead, "on_threshold": f, "off_threshold": f})
                  for dead in DEAD_STARTS for f in NEAR_STARTS), key=lambda one: one[0])
@@ -377,6 +402,6 @@ def _within(line: Linearised, limits: np.ndarray, trust: float) -> Linearised:
 
 def _misfit(noise: NoiseModel, level: np.ndarray, x: np.ndarray, s: np.ndarray) -> float:
     """Minus log posterior for given scales, without constants."""
-    r = noise.rows.log_ratio(np.exp(level)) / s
+    r = noise.rows.turned(noise.rows.log_ratio(np.exp(level))) / s
     prior = log_prior(noise.parameters, x)
     return float(0.5 * (FREEDOM + 1.0) * np.log1p(r**2 / FREEDOM).sum() - prior)

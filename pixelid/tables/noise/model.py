@@ -44,6 +44,7 @@ WIDE = ("alpha", "gamma", "alpha_over_beta", "dark_current.radiance", "leak.rate
 # ln of ON over OFF threshold beyond which no pixel is near the maximum of equal ones: its width, some tenths of a
 # standard deviation of noise at thresholds of four of these, and so many standard deviations of mismatch
 LEAST_APART, MANY_SD = 0.1, 3.0
+HELD = 1e-6  # relative width of what is held
 LEAST_HZ = 1e-12  # of a predicted rate: its logarithm must exist
 
 
@@ -57,6 +58,7 @@ class NoiseModel:
         beside: values of `BESIDE`, 0 where there is none; fitted where `fit_beside`.
         fit_beside: see there.
         start: where a search begins, by name; the circuit's values where there is none.
+        held: name → value of what a fit does not move.
         typical: pixels that stand for all: ascending (n,) lights, and (n, 2, 2) their `typical_thresholds`.
     """
 
@@ -65,6 +67,7 @@ class NoiseModel:
     beside: Mapping[str, float] = field(default_factory=dict)
     fit_beside: bool = False
     start: Mapping[str, float] = field(default_factory=dict)
+    held: Mapping[str, float] = field(default_factory=dict)
     typical: tuple[np.ndarray, np.ndarray] | None = None
 
     # an effect that is too weak to show
@@ -77,7 +80,7 @@ class NoiseModel:
     def rows(self) -> Rows:
         """The table's rates."""
         table = self.table
-        return Rows(table.rate_hz, table.last_digit, table.relative_error, table.columns)
+        return Rows(table.rate_hz, table.last_digit, table.relative_error, table.columns, table.pairs, table.pair_error)
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -95,7 +98,7 @@ class NoiseModel:
             found.append(replace(p, value=self.start.get(p.name, self.beside[p.name]), prior=prior))
         for group in self._scaled:
             found.append(Parameter(f"light_scale[{group}]", 1.0, "1", 1e-2, 1e2, "log", prior=Prior(0.0, PRIOR_SD)))
-        return tuple(found)
+        return tuple(_at(p, self.held[p.name]) if p.name in self.held else p for p in found)
 
     @property
     def of_equal_pixels(self) -> NoiseModel:
@@ -193,6 +196,11 @@ class NoiseModel:
         inside = np.clip(np.log(scaled), np.log(lights[0]), np.log(lights[-1]))
         smooth = PchipInterpolator(np.log(lights), np.log(rates), axis=0)(inside)
         return np.exp(smooth[np.arange(len(scaled)), column])
+
+
+def _at(p: Parameter, value: float) -> Parameter:
+    """Where bounds leave nothing to move."""
+    return replace(p, value=value, lower=value * (1.0 - HELD), upper=value * (1.0 + HELD))
 
 
 def _inside(p: Parameter, value: float) -> float:

@@ -56,6 +56,8 @@ class NoiseTable:
         pixels: that recordings averaged over; 0 for tables.
         sources: the files.
         intervals: between events, one for each recording; empty for tables.
+        pairs, pair_error: (lights, 2) of recordings, see `tables.model.Rows`: an ON event by noise is followed by an
+            OFF event, so that both counts of a pixel are too large together.
     """
 
     light: np.ndarray
@@ -69,6 +71,8 @@ class NoiseTable:
     pixels: int = 0
     sources: tuple[Path, ...] = ()
     intervals: tuple[MeasuredIntervals, ...] = ()
+    pairs: np.ndarray = field(default_factory=lambda: np.empty((0, 2), int))
+    pair_error: np.ndarray = field(default_factory=lambda: np.empty((0, 2)))
 
 
 def read_noise_tables(paths: Sequence[Path]) -> NoiseTable:
@@ -188,7 +192,7 @@ def reduced_recordings(recordings: Sequence[Recording]) -> NoiseTable:
         InputError: without light, with light that changes, pooled, or without a single event in any recording.
     """
     rows, columns = [], {"file": [], "radiance": [], "polarity": [], "events": []}
-    sizes, units, intervals = [], [], []
+    sizes, units, intervals, pairs, pair_errors = [], [], [], [], []
     for recording in recordings:
         radiance, begin, end = _still(recording)
         events = recording.events
@@ -203,16 +207,22 @@ def reduced_recordings(recordings: Sequence[Recording]) -> NoiseTable:
         intervals.append(
             count_intervals(recording.name, radiance, time_s[steady], events.pixel[steady], events.p[steady], duration)
         )
+        size = int(events.pixel.max(initial=-1)) + 1
+        of_both = []
         for polarity, p in (("ON", 1), ("OFF", 0)):
-            counts = np.bincount(events.pixel[steady & (events.p == p)]).astype(float)  # 0 in the other pixels
+            counts = np.bincount(events.pixel[steady & (events.p == p)], minlength=size)
+            of_both.append(counts)
             total = int(counts.sum())
-            scatter = (float(counts @ counts) * pixels - total**2) / (pixels - 1) if pixels > 1 else 0.0
-            error = np.sqrt(max(scatter, total, 1.0)) / max(total, 1)
+            error = np.sqrt(max(_scatter(counts, pixels), total, 1.0)) / max(total, 1)
             rows.append((radiance, p == 1, total / (pixels * duration), min(error, 1.0), 1.0 / (pixels * duration)))
             columns["file"].append(recording.name)
             columns["radiance"].append(radiance)
             columns["polarity"].append(polarity)
             columns["events"].append(total)
+        on_counts, off_counts = of_both
+        if on_counts.any() and off_counts.any():
+            pairs.append((len(rows) - 2, len(rows) - 1))
+            pair_errors.append(_errors_together(on_counts, off_counts, pixels))
     if not any(columns["events"]):
         raise InputError("noise: the recordings hold no events")
     if len(set(units)) > 1:
@@ -223,7 +233,25 @@ def reduced_recordings(recordings: Sequence[Recording]) -> NoiseTable:
         light, on.astype(bool), rate, error, 0.5 * digit, np.zeros(len(rows), int), columns,
         units[0], min(sizes),
         tuple(r.source for r in recordings if r.source is not None), tuple(intervals),
+        np.array(pairs, int).reshape(-1, 2), np.array(pair_errors).reshape(-1, 2),
     )  # fmt: skip
+
+
+def _scatter(counts: np.ndarray, pixels: int) -> float:
+    """Variance of the sum of counts of all pixels, as they differ; those beyond (counts,) have none."""
+    return (float(counts @ counts) * pixels - float(counts.sum()) ** 2) / (pixels - 1) if pixels > 1 else 0.0
+
+
+def _errors_together(on: np.ndarray, off: np.ndarray, pixels: int) -> tuple[float, float]:
+    """Relative errors of the sum and of the difference of ln rates, each over √2.
+
+    Of the sum no less than of Poisson events, of the difference no less than of one event: where thresholds are alike
+    ON and OFF events take turns, and a pixel's counts differ by one at most.
+    """
+    a, b = on / on.sum(), off / off.sum()
+    poisson, one = 1.0 / on.sum() + 1.0 / off.sum(), 1.0 / min(on.sum(), off.sum())
+    together, apart = _scatter(a + b, pixels), _scatter(a - b, pixels)
+    return min(np.sqrt(max(together, poisson) / 2.0), 1.0), min(np.sqrt(max(apart, one**2) / 2.0), 1.0)
 
 
 def _still(recording: Recording) -> tuple[float, float, float]:
