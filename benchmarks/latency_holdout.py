@@ -4,8 +4,8 @@
 
 Per camera: rms of ln(predicted / measured) of the cells' medians, fitted and left out, without the cells that the full
 fit disbelieves or that their own figure does not resolve; what the fit without them says that it will miss them by
-(draws from its normal approximation, the table's scatter and the cells' own errors; not in it is how far settings lie
-off the rule between their neighbours); and what the fit would miss with one delay for all settings and edges.
+(its normal approximation, the table's scatter and the cells' own errors; not in it is how far settings lie off the rule
+between their neighbours); and what the fit would miss with one delay for all settings and edges.
 """
 
 from __future__ import annotations
@@ -22,8 +22,7 @@ from pixelid.tables.latency.fit import CameraFit, fit_camera
 from pixelid.tables.latency.reading import LatencyTable, read_tables
 from pixelid.tables.latency.result import REPEATABLE
 
-DRAWS = 60  # the said error is then known to 10 %
-MOST_SD = 1.0  # of a draw along any coordinate
+STEP = 0.02  # of ln, for slopes
 TABLE = Path(__file__).resolve().parents[1] / "fits" / "nist_latency" / "nist_latency_by_roi.csv"
 
 
@@ -40,16 +39,18 @@ def logs(fit: CameraFit, cells: LatencyTable) -> np.ndarray:
 def expected(fit: CameraFit, cells: LatencyTable, error: np.ndarray) -> float:
     """Rms that a fit says its ln(predicted / measured) of medians will have in cells that it has not seen."""
     regression = fit.regression
-    covariance = covariance_at(regression)
-    sd = np.sqrt(np.diag(covariance))
-    narrow = np.minimum(1.0, MOST_SD / sd)  # what is wide open moves nothing that latencies show
     lower, upper = np.array([p.coordinate_bounds() for p in regression.parameters]).T
-    rng = np.random.default_rng(0)
-    draws = rng.multivariate_normal(regression.x, covariance * np.outer(narrow, narrow), DRAWS)
-    logs = [
-        np.log(fit.model.camera_at(np.clip(x, lower, upper), regression.scale).predict(cells)["median"]) for x in draws
-    ]
-    return float(np.sqrt(np.mean(np.var(logs, axis=0) + regression.scale**2 + error**2)))
+    values, vectors = np.linalg.eigh(covariance_at(regression))
+
+    def median_at(x: np.ndarray) -> np.ndarray:
+        camera = fit.model.camera_at(np.clip(x, lower, upper), regression.scale)
+        return np.log(camera.predict(cells)["median"])
+
+    here = median_at(regression.x)
+    steps = vectors * np.minimum(STEP, np.sqrt(np.maximum(values, 0.0)))
+    slopes = [(median_at(regression.x + step) - here) / max(np.linalg.norm(step), 1e-12) for step in steps.T]
+    variance = np.maximum(values, 0.0) @ np.square(slopes)
+    return float(np.sqrt(np.mean(variance + regression.scale**2 + error**2)))
 
 
 def hold_out(name: str, table: LatencyTable) -> dict:

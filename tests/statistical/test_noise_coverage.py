@@ -55,23 +55,32 @@ def circuit(radiance, on, off, **changes):
 )
 def test_rates_within_two_per_cent_of_brute_simulation(radiance, on, off, dead_s, noise, events):
     c = circuit(radiance, on, off, refractory=dead_s).with_(noise=noise)
-    noise_rates(c, radiance)
-    begun = time.perf_counter()
     rates = noise_rates(c, radiance)
-    fast = time.perf_counter() - begun
+
+    def simulated(events):
+        return simulate_noise_events(
+            c.alpha * radiance, c.beta + c.gamma * radiance, c.follower, c.differencing, DENSITY / radiance,
+            c.on_threshold, c.off_threshold, dead_s=dead_s, duration_s=events / (rates.on_hz + rates.off_hz),
+            threshold_noise=noise, seed=11,
+        )  # fmt: skip
+
+    simulated(1)  # compiles
+    taken = []
+    for _ in range(5):
+        begun = time.perf_counter()
+        rates = noise_rates(c, radiance)
+        taken.append(time.perf_counter() - begun)
+    fast = float(np.median(taken))
     begun = time.perf_counter()
-    t, p, duration = simulate_noise_events(
-        c.alpha * radiance, c.beta + c.gamma * radiance, c.follower, c.differencing, DENSITY / radiance,
-        c.on_threshold, c.off_threshold, dead_s=dead_s, duration_s=events / (rates.on_hz + rates.off_hz),
-        threshold_noise=noise, seed=11,
-    )  # fmt: skip
+    t, p, duration = simulated(events)
     slow = time.perf_counter() - begun
     blocks = np.histogram(t, 50, (0.0, duration))[0]
     error = blocks.std(ddof=1) / math.sqrt(50) / blocks.mean()
     seen = len(p) / duration
     ratio = (rates.on_hz + rates.off_hz) / seen
     print(f"{radiance:g} fA, {on}, {off}, {dead_s:g} s, {noise}: {ratio * seen:.4g} Hz, "
-          f"ratio {ratio:.4f} ± {error:.4f}, {slow / fast:.0f} times faster than {events} events")  # fmt: skip
+          f"ratio {ratio:.4f} ± {error:.4f}, {slow / fast:.0f} times faster than {events} events, "
+          f"{slow / fast * (error / 0.01) ** 2:.0f} times faster than such as err by 1 %")  # fmt: skip
     assert rates.on_hz + rates.off_hz == pytest.approx(seen, rel=0.02 + 3.0 * error)
 
 
@@ -90,7 +99,7 @@ def test_rates_are_those_of_the_package_s_simulator():
     assert on + off == pytest.approx(sum(counts), rel=0.08)
 
 
-def still_scene(c, radiance, seed, pixels=16, seconds=12.0):
+def still_scene(c, radiance, seed, pixels=64, seconds=12.0):
     """By brute simulation: a long recording of one pixel that has long been running, cut into several pixels'."""
     t, p, _ = simulate_noise_events(
         c.alpha * radiance, c.beta + c.gamma * radiance, c.follower, c.differencing, DENSITY / radiance,
@@ -127,6 +136,8 @@ def test_intervals_cover_what_was_planted():
         lights = (2.0, 10.0, 50.0, 250.0)
         recordings = [still_scene(truth.circuit(), light, 100 * session + k) for k, light in enumerate(lights)]
         fit = fit_noise(reduced_recordings(recordings), base).regression
+        if not fit.converged:
+            continue  # nothing is then said to be known
         names = [p.name for p in fit.parameters]
         for k, name in enumerate(names):
             if np.isfinite(fit.sd[k]) and name in ("on_threshold", "off_threshold", "alpha", "beta"):
@@ -136,5 +147,6 @@ def test_intervals_cover_what_was_planted():
     coverage = {name: float(np.mean(hits)) for name, hits in inside.items()}
     print(count, coverage)
     together = float(np.mean([hit for hits in inside.values() for hit in hits]))
+    assert count >= 34
     assert 0.92 <= together <= 0.985
     assert all(value >= 0.85 for value in coverage.values())  # 40 sessions: 0.95 ± 0.034
