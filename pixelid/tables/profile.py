@@ -26,7 +26,7 @@ GROWTH, TRIES = 1.6, 4  # of the step that looks for the end of the interval; up
 Fallen = Callable[[int, float, np.ndarray], float]  # see `follow_profile`
 
 
-def follow_profile(fit: TableFit, name: str, fallen: Fallen | None = None) -> TableFit:
+def follow_profile(fit: TableFit, name: str, fallen: Fallen | None = None, moving: str = "") -> TableFit:
     """The fit with errors widened to the profile of one parameter, where that is wider than the normal approximation.
 
     Args:
@@ -34,6 +34,7 @@ def follow_profile(fit: TableFit, name: str, fallen: Fallen | None = None) -> Ta
         name: of the parameter.
         fallen: (place of a coordinate, value at which it is held, coordinates to begin at) → by how many nats the
             maximum is lower then; of `fit_table` by default.
+        moving: part of the names of those whose errors are raised; by default of all that goes with the parameter.
 
     Returns:
         The same fit where the parameter is known to `LEAST_SD`, lies on a bound or is wide open.
@@ -47,7 +48,8 @@ def follow_profile(fit: TableFit, name: str, fallen: Fallen | None = None) -> Ta
     reach = max(_reach(fit, k, side, sd, along, fallen or _fallen(fit)) for side in (-1.0, 1.0)) / Z95
     if reach <= sd:
         return fit
-    return _widened(fit, along * np.sqrt(reach**2 - sd**2))
+    moved = np.array([moving in p.name for p in fit.parameters])
+    return _widened(fit, moved * along * np.sqrt(reach**2 - sd**2))
 
 
 def with_rivals(fit: TableFit, others: Sequence[TableFit]) -> tuple[TableFit, list[TableFit]]:

@@ -12,12 +12,15 @@ from pixelid.errors import InputError
 from pixelid.tables.fit import TableFit, fit_table, log_posterior_at
 from pixelid.tables.latency.camera import Camera, camera_for
 from pixelid.tables.latency.cells import Cells, gather
-from pixelid.tables.latency.model import FOLLOWER_STARTS_HZ, LatencyModel
+from pixelid.tables.latency.model import FOLLOWER_STARTS_HZ, THRESHOLD, LatencyModel
 from pixelid.tables.latency.reading import LEAST_S, LatencyTable
 from pixelid.tables.profile import follow_profile, with_rivals
 
 LEAST_CELLS = 4  # a threshold, a delay and a bandwidth, and one to spare
-SWING = "led_off_fraction"  # scales all thresholds of a table: the likelihood is skewed along it
+SCALED = (0.5, 2.0)  # two maxima of the public table's CAM1, nearly as good as each other, are a factor of 2 apart
+# Scales all thresholds of a table: the likelihood is skewed along it, and along the thresholds, whose errors by
+# curvature alone were a third of their profiles'
+SWING = "led_off_fraction"
 
 
 @dataclass(frozen=True)
@@ -95,9 +98,11 @@ def fit_camera(name: str, cells: Cells, *, one_delay: bool = False, start: Camer
     models = [LatencyModel(name, cells, hz, one_delay, start) for hz in starts]
     fits = [(fit_table(model), model) for model in models]
     best, model = max(fits, key=lambda pair: log_posterior_at(pair[0], pair[0].x))
-    ends = [best, *(fit_table(model, start) for start in _exchanged(best))]
+    ends = [best, *(fit_table(model, start) for start in (*_exchanged(best), *_scaled(best)))]
     best = max(ends, key=lambda end: log_posterior_at(end, end.x))
-    widened, rivals = with_rivals(follow_profile(best, SWING), [end for end in ends if end is not best])
+    middle = f"on_{THRESHOLD.name}[{model.settings[len(model.settings) // 2]}]"
+    widened = follow_profile(follow_profile(best, SWING), middle, moving=f"_{THRESHOLD.name}[")
+    widened, rivals = with_rivals(widened, [end for end in ends if end is not best])
     return CameraFit(model, widened, tuple(rivals))
 
 
@@ -112,3 +117,15 @@ def _exchanged(fit: TableFit) -> list[list[float]]:
         other = values | {"beta": 2.0 * np.pi * values[name], name: values["beta"] / (2.0 * np.pi)}
         starts.append([p.within(other[p.name]) for p in fit.parameters])
     return starts
+
+
+def _scaled(fit: TableFit) -> list[list[float]]:
+    """Values with all thresholds and the bandwidth per light smaller and larger together.
+
+    Well below the swing of the light a latency is their ratio, so that maxima may lie far apart along it.
+    """
+    values = {p.name: float(np.exp(x)) for p, x in zip(fit.parameters, fit.x, strict=True)}
+    moved = [name for name in values if name == "alpha_over_beta" or name.startswith(("on_threshold", "off_threshold"))]
+    return [
+        [p.within(values[p.name] * (factor if p.name in moved else 1.0)) for p in fit.parameters] for factor in SCALED
+    ]
