@@ -209,7 +209,7 @@ def main() -> None:
             if folder is None or (name == "iebcs" and model.photoreceptor == "unlimited"):
                 continue  # without delays IEBCS never leaves its loop
             to = "esim" if name == "evlib" else name
-            exported = export(model, to, Light(level=LEVEL), SEED)
+            exported = export(model, to, Light(level=LEVEL))
             theirs = run(folder, exported.parameters)
             content["runs"].append({"simulator": name, "circuit": circuit, "theirs": theirs, "ours": ours})
             print(name, circuit, theirs, ours, flush=True)
