@@ -19,13 +19,13 @@ def dispersion(counts: np.ndarray, expected: np.ndarray) -> float:
     return float(((n - m)[keep] ** 2 / m[keep]).mean())
 
 
-def departures(X: np.ndarray, y: np.ndarray, sd: np.ndarray, least: float = 0.0) -> float:
+def departures(X: np.ndarray, y: np.ndarray, covariance: np.ndarray, least: float = 0.0) -> float:
     """τ, by which values scatter about a linear model beyond their errors, by moments; 0 where nothing is to spare.
 
-    DerSimonian & Laird 1986, Controlled Clinical Trials 7, 177.  X: (n, p);  y, sd: (n,) values and standard errors;
+    DerSimonian & Laird 1986, Controlled Clinical Trials 7, 177.  X: (n, p);  y: (n,);  covariance: (n, n) of errors;
     least: χ² of the model where a likelihood tells more of it than normal errors do
     """
-    W = np.diag(1.0 / sd**2)
+    W = np.linalg.inv(covariance)
     inverse = np.linalg.inv(X.T @ W @ X)
     rest = y - X @ (inverse @ X.T @ W @ y)
     scale = np.trace(W) - np.trace(inverse @ X.T @ W @ W @ X)

@@ -147,7 +147,7 @@ def read_bias_fit(folder: Path, bias: str | None = None) -> BiasFit:
 def line_through(bias: np.ndarray, log_value: np.ndarray, sd: np.ndarray) -> Line:
     """The line through values (n,) of standard errors (n,), with departures by moments."""
     X = np.stack([np.ones(len(bias)), bias - bias.mean()], axis=1)
-    departure = departures(X, log_value, sd)
+    departure = departures(X, log_value, np.diag(sd**2))
     W = np.diag(1.0 / (sd**2 + departure**2))
     covariance = np.linalg.inv(X.T @ W @ X)
     level, slope = covariance @ X.T @ W @ log_value

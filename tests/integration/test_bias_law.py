@@ -70,6 +70,10 @@ def test_departures_beyond_the_errors_are_counted():
     assert departure(biases, own) == pytest.approx(np.sqrt(0.25 - 0.01), rel=0.05)
     assert departure(biases[:3], [(float(0.02 * bias), 0.1) for bias in biases[:3]]) == 0.0
     assert departure(biases[:3], [(1.0, np.inf), *own[1:3]]) == 0.0  # two lie on any line
+    # an error that all have in common moves no setting off the line
+    together = np.full((len(biases), len(biases)), 1.0) + 0.01 * np.eye(len(biases))
+    wide = [(value, 0.4) for value, _ in own]
+    assert departure(biases, wide, covariance=together) == pytest.approx(np.sqrt(0.25 - 0.01), rel=0.05)
 
 
 @pytest.mark.parametrize(("apart", "status"), [

@@ -24,7 +24,7 @@ from scipy.constants import Boltzmann, elementary_charge
 from pixelid.errors import InputError, shown
 from pixelid.parameters.parameter import OPEN_SD, Parameter
 from pixelid.statistics import Z95, departures
-from pixelid.tables.fit import TableFit, fit_table
+from pixelid.tables.fit import TableFit, covariance_at, fit_table
 from pixelid.tables.rates.pixel import CUTOFF, CUTOFF_STARTS, DEAD_STARTS_S, PixelFit, PixelModel
 from pixelid.tables.rates.reading import RateTable
 from pixelid.tables.rates.square_wave import rate
@@ -137,7 +137,8 @@ def bias_law(free: PixelFit) -> dict[str, Any]:
     own = [_log_estimate(free.regression, f"cutoff_hz[{name}]") for name in table.columns]
     said = [_of_others(table, biases, k, shared) for k in range(len(biases)) if len(biases) > LEAST_COLUMNS]
     worse = free.regression.log_likelihood - law.log_likelihood
-    apart = departure(biases, own, worse)
+    places = [[p.name for p in free.regression.parameters].index(f"cutoff_hz[{name}]") for name in table.columns]
+    apart = departure(biases, own, worse, covariance_at(free.regression)[np.ix_(places, places)])
     slope, slope_sd = _log_estimate(law, SLOPE.name)
     # ln f = c ± V/s: a departure τ of each setting moves 1/s by τ / √Σ(V − V̄)², and so ln s by s times that
     spread = float(np.sqrt(((biases - biases.mean()) ** 2).sum()))
@@ -171,17 +172,22 @@ def bias_law(free: PixelFit) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def departure(biases: np.ndarray, own: Sequence[tuple[float, float]], worse: float = 0.0) -> float:
+def departure(
+    biases: np.ndarray, own: Sequence[tuple[float, float]], worse: float = 0.0, covariance: np.ndarray | None = None
+) -> float:
     """τ, by which ln f of settings (estimate, sd) scatters about a line over their biases beyond the errors.
 
+    covariance: of the errors, which a swing that all settings share makes go together; independent where None
     worse: nats by which the law is less likely than a cutoff for each, which know of cutoffs that are known on one side
     """
-    kept = [(bias, *each) for bias, each in zip(biases, own, strict=True) if each[1] < OPEN_SD]
+    value, sd = np.array(own).T
+    kept = np.flatnonzero(sd < OPEN_SD)
     if len(kept) < LEAST_COLUMNS:
         return 0.0
-    bias, value, sd = np.array(kept).T
-    line = np.stack([np.ones(len(bias)), bias - bias.mean()], axis=1)
-    return departures(line, value, np.maximum(sd, LEAST_SD), 2.0 * worse - (len(biases) - len(bias)))
+    line = np.stack([np.ones(len(kept)), biases[kept] - biases[kept].mean()], axis=1)
+    errors = np.diag(sd[kept] ** 2) if covariance is None else covariance[np.ix_(kept, kept)]
+    errors = errors + np.diag(np.maximum(LEAST_SD**2 - np.diag(errors), 0.0))
+    return departures(line, value[kept], errors, 2.0 * worse - (len(biases) - len(kept)))
 
 
 def describes(law: dict[str, Any]) -> bool:
