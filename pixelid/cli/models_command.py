@@ -81,18 +81,20 @@ def _print_one(console, model) -> None:
         highlight=False,
     )
     wide = console.width >= ONE_TABLE
+    last = ["source"] if wide else []
     value, unit, free = (Column(head, no_wrap=True) for head in ("value", "unit", "free"))
-    table = Table(_names("parameter", model.parameters), value, unit, "bounds", free, *(["source"] if wide else []))
+    table = Table(_names("parameter", model.parameters), value, unit, "bounds", free, *last)
     sources = Table(_names("parameter", model.parameters), "source")
     for p in model.parameters.values():
         bounds = f"{p.lower:g}…{p.upper:g}"
-        source = [p.source] if wide else []
-        table.add_row(p.name, f"{p.value:.6g}", p.unit, bounds, "yes" if p.free else "no", *source)
+        table.add_row(
+            p.name, f"{p.value:.6g}", p.unit, bounds, "yes" if p.free else "no", *([p.source] if wide else [])
+        )
         sources.add_row(p.name, p.source)
     console.print(table)
     if not wide:
         console.print(sources)
-    effects = Table(_names("effect", model.effects), "what it does", "equation", *(["source"] if wide else []))
+    effects = Table(_names("effect", model.effects), "what it does", "equation", *last)
     for name in model.effects:
         effect = stages.effect(name)
         effects.add_row(name, effect.sentence, effect.equation, *([effect.source] if wide else []))

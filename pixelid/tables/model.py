@@ -49,8 +49,6 @@ class Rows:
 
     def turned(self, values: np.ndarray) -> np.ndarray:
         """(rows, …) with sum and difference of every pair, over √2, in place of the two: they err independently."""
-        if not len(self.pairs):
-            return values
         found = np.array(values, float)
         first, second = values[self.pairs[:, 0]], values[self.pairs[:, 1]]
         found[self.pairs[:, 0]], found[self.pairs[:, 1]] = (first + second) / SQRT2, (first - second) / SQRT2

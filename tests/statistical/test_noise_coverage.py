@@ -148,5 +148,5 @@ def test_intervals_cover_what_was_planted():
     print(count, coverage)
     together = float(np.mean([hit for hits in inside.values() for hit in hits]))
     assert count >= 34
-    assert 0.92 <= together <= 0.985
+    assert 0.92 <= together <= 0.98
     assert all(value >= 0.85 for value in coverage.values())  # 40 sessions: 0.95 ± 0.034

@@ -228,26 +228,6 @@ def _scatter(into, level, pick, each, share, first, step, count):
         into[(i * count + k + q) * each + j] += share * weights[q]
 
 
-@njit(nogil=True, error_model="numpy", fastmath=ANY_ORDER)
-def _first_passages(expected, resolvents, line, between, found):
-    """found (s, 2 m s): of `expected` crossings, by resolvents (4, 2 m s, 2 m s) that the weights `line` interpolate.
-
-    between: room for the one interpolated
-    """
-    size = len(between)
-    for q in range(size):
-        for i in range(size):
-            between[q, i] = (
-                line[0] * resolvents[0, q, i] + line[1] * resolvents[1, q, i] + line[2] * resolvents[2, q, i]
-                + line[3] * resolvents[3, q, i]
-            )  # fmt: skip
-    for b in range(len(found)):
-        found[b] = 0.0
-        for q in range(size):
-            for i in range(size):
-                found[b, i] += expected[b, q] * between[q, i]
-
-
 @njit(cache=True, nogil=True, error_model="numpy")
 def exits_long_after(nodes, on, off, moments, stationary, resolvent, drift, exits, times):
     """Where a pixel exits that has forgotten its last event but its reference, which falls at the rate `drift`.
@@ -315,7 +295,7 @@ def transitions(
     expected = np.empty((s, 2 * each))
     mean, after = np.empty((2, len(weights))), np.empty((s - 1, len(weights)))
     stationary = np.zeros(2 * each)
-    between, quick = np.empty((2 * each, 2 * each)), np.empty((s, 2 * each))
+    quick = np.empty(2 * each)
     for i0 in range(2):
         for k0 in range(count):
             for j0 in range(m):
@@ -336,13 +316,18 @@ def transitions(
                             maps, spread, tails, laws, hidden, start_spread, z, w, offsets[g], kept, up, down,
                             slopes, factors, weights, stationary, mean, after, expected,
                         )  # fmt: skip
-                        _first_passages(expected, resolvents[a, k : k + 4], line, between, quick)
                         for b in range(s):
+                            quick[:] = 0.0
+                            for n in range(4):
+                                for q in range(2 * each):
+                                    part = line[n] * expected[b, q]
+                                    for i in range(2 * each):
+                                        quick[i] += part * resolvents[a, k + n, q, i]
                             left = start_spread[b - 1] * offsets[g] if b else 1.0
                             for i in range(2 * each):
                                 if i % s == 0:
-                                    left -= quick[b, i]
+                                    left -= quick[i]
                                 level = up if i < each else down
-                                _scatter(moved[row + b], level, i, each, share * quick[b, i], first, step, count)
+                                _scatter(moved[row + b], level, i, each, share * quick[i], first, step, count)
                             for n in range(4):
                                 late[row + b, a, k + n] += share * left * line[n]
