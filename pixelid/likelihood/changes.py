@@ -58,7 +58,8 @@ PER_PIXEL = ("rise", "rise_drift", "fall", "fall_drift")
 class Changes:
     """Per interval, in log radiance units (leak excluded) and units of C_on (drift).
 
-    Less what the pixel's last event adds to the threshold that they are held against (`modulated.py`).
+    Less what the pixel's last event adds to the threshold that they are held against (`modulated.py`), and divided by
+    the factor that thresholds have in this recording alone; a leak, in events per second, is not.
 
     change, slope: (n,) at the event;  drift, drift_slope: (n,) leak at the event, in C_on and C_on/s
     opposite: (n,) extreme of −sign·change before the event, and opposite_drift there
@@ -216,6 +217,9 @@ class ChangeEvaluator:
             growth = circuit.threshold_drift
             subtract(own, growth, iv.sign, time, reached_s, events)
             subtract_from_ends(own_last, growth, iv.end_s, reached_last_s, pixels)
+        if circuit.threshold_gain != 1.0:
+            for row in (change, slope, opposite, pixels[0], pixels[2]):
+                row /= circuit.threshold_gain
         return extremes
 
     def _modulated(

@@ -14,8 +14,10 @@ from pixelid.results import Table, html_page
 from pixelid.stages import Circuit, comparator, photoreceptor
 
 DELAY = Parameter("delay_s", 0.0, "s", -10.0, 10.0, "linear", free=False, source="clock of events minus stimulus")
-# What only a recording can have for itself: a factor on the light that its stimulus says.
+# What only a recording can have for itself: a factor on the light that its stimulus says, and one on both thresholds.
 LIGHT_GAIN = Parameter("light_gain", 1.0, "1", 1e-2, 1e2, "log", source="light of a recording over what it says")
+THRESHOLD_GAIN = Parameter("threshold_gain", 1.0, "1", 0.1, 10.0, "log", source="thresholds of a recording over those")
+ONLY_OWN = {p.name: p for p in (LIGHT_GAIN, THRESHOLD_GAIN)}
 
 
 @dataclass(frozen=True, repr=False)
@@ -121,8 +123,10 @@ class Model:
 
     def _shared_circuit(self, values: Mapping[str, float]) -> Circuit:
         """The circuit at values of all parameters, nothing in it a recording's own."""
-        gain = values.get(LIGHT_GAIN.name, 1.0)
-        circuit = Circuit(linearisation=self.linearisation, delay=values["delay_s"], light_gain=gain)
+        light, thresholds = (values.get(name, 1.0) for name in ONLY_OWN)
+        circuit = Circuit(
+            linearisation=self.linearisation, delay=values["delay_s"], light_gain=light, threshold_gain=thresholds
+        )
         circuit = photoreceptor.apply(self.photoreceptor, circuit, values)
         circuit = comparator.apply(circuit, values)
         for name in self.effects:
@@ -179,7 +183,8 @@ class Model:
         """The model with values that recordings have for themselves: parameter → recording → value, free in fits.
 
         They take the place of the shared parameter, which no fit moves any more.  "light_gain", a factor on the
-        stimulus, is none that a model shares: recordings without one have their light as it is said.
+        stimulus, and "threshold_gain", one on both thresholds, are none that a model shares: recordings without one
+        have their light as it is said, and the model's thresholds.
 
         Example:
             >>> import pixelid as px
@@ -190,7 +195,7 @@ class Model:
         """
         nuisances = dict(self.nuisances)
         for parameter, own in values.items():
-            shared = LIGHT_GAIN if parameter == LIGHT_GAIN.name else self.parameter(parameter)
+            shared = ONLY_OWN[parameter] if parameter in ONLY_OWN else self.parameter(parameter)
             for recording, value in own.items():
                 name = f"{parameter}[{recording}]"
                 nuisances[name] = replace(shared, name=name, value=float(value), free=True)
@@ -204,7 +209,9 @@ class Model:
         own = {name.removesuffix(end): p.value for name, p in self.nuisances.items() if name.endswith(end)}
         gain = own.pop(LIGHT_GAIN.name, None)
         kept = {} if gain is None else {LIGHT_GAIN.name: LIGHT_GAIN.at(gain).fixed()}
-        return replace(self, nuisances=kept).set(own)
+        factor = own.pop(THRESHOLD_GAIN.name, 1.0)
+        thresholds = {p.name: factor * self.values[p.name] for p in comparator.PARAMETERS if factor != 1.0}
+        return replace(self, nuisances=kept).set(own | thresholds)
 
     def with_effect(self, name: str, values: Mapping[str, float] | None = None) -> Model:
         """The model with an effect added (or its values changed when it is there already).
@@ -254,7 +261,7 @@ class Model:
             return self
         wanted = expected_parameters(kind, effects)
         left = {key: parameters[key] for key in wanted}
-        kept = {*left, LIGHT_GAIN.name}
+        kept = {*left, *ONLY_OWN}
         nuisances = {key: p for key, p in self.nuisances.items() if key.split("[", 1)[0] in kept}
         return replace(self, photoreceptor=kind, effects=effects, parameters=left, nuisances=nuisances)
 

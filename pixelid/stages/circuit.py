@@ -49,6 +49,7 @@ class Circuit:
     # comparator
     on_threshold: float = math.nan
     off_threshold: float = math.nan
+    threshold_gain: float = 1.0  # of both thresholds, in one recording
     mismatch: float = 0.0  # pixel-to-pixel standard deviation, relative to the threshold
     noise: float = 0.0  # event-to-event standard deviation, relative to the threshold
     threshold_drift: float = 0.0  # relative, per second
@@ -84,4 +85,8 @@ class Circuit:
         """The circuit as it was in the recording of that name, with the numbers that are the recording's own."""
         if not self.of_recordings:
             return self
-        return self.with_(of_recordings=(), **dict(dict(self.of_recordings).get(name, ())))
+        own = self.with_(of_recordings=(), **dict(dict(self.of_recordings).get(name, ())))
+        gain = own.threshold_gain
+        if gain == 1.0:
+            return own
+        return own.with_(on_threshold=gain * own.on_threshold, off_threshold=gain * own.off_threshold)

@@ -54,7 +54,8 @@ def count_twins(
         place_of_first = np.searchsorted(crowd, first[0])
         fired[place_of_first] = own.events.t[first[1]] * 1e-9 - delay
         after[place_of_first] = np.where(own.events.p[first[1]] == 1, 1.0, -1.0)
-        twins = Twins(*(np.tile(one, each) for one in (on, off, fired, after)))
+        gain = model.circuit().in_recording(recording.name).threshold_gain
+        twins = Twins(*(np.tile(one, each) for one in (gain * on, gain * off, fired, after)))
         assert recording.stimulus is not None
         seen = recording.stimulus, np.tile(crowd, each)
         for k, done in enumerate(runs):

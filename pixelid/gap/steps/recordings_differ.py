@@ -1,8 +1,12 @@
-"""The step that asks whether recordings differ in what is no part of the camera: the level of their light, their clock.
+"""The step that asks whether recordings differ in the level of their light, their clock, or where thresholds stand.
 
-Recordings are made minutes apart.  Where one factor on the light of each, one delay, or both explain all that is left,
-nothing is missing of the camera.  They have many values, so what explains as much with fewer comes first: effects that
-rounds name, which leave nothing to ask for, and descriptions.
+Recordings are made minutes apart.  Where one factor on the light of each, one delay, both, or one factor on its
+thresholds (which a bias or a temperature has moved between them) explain all that is left, nothing is missing of the
+pixel.  They have many values, so what explains as much with fewer comes first: effects that rounds name, which leave
+nothing to ask for, and descriptions.
+
+A drift of the thresholds goes on between recordings: each finds them where the drift has brought them.  Alone it leaves
+that, and is not named; it is asked for once more together with such factors, and named where both leave nothing.
 """
 
 from __future__ import annotations
@@ -16,19 +20,23 @@ from scipy.stats import chi2
 
 from pixelid.errors import InputError
 from pixelid.fit.maximise import Maximum, maximise
-from pixelid.gap.attribute.significance import leads, price
+from pixelid.gap.attribute.attribute import Attribution, Candidate, may_be_named
+from pixelid.gap.attribute.candidates import missing, remove_effect
+from pixelid.gap.attribute.significance import chance_of_gain, leads, price
 from pixelid.gap.detect.diagnostics import Diagnostics, diagnose
 from pixelid.gap.detect.pixels import PixelEvidence, per_pixel
 from pixelid.gap.options import Context
 from pixelid.gap.phases import Phase
-from pixelid.gap.rounds import entry, withdrawn
+from pixelid.gap.rounds import attribution_entry, entry, withdrawn
 from pixelid.gap.state import Hypothesis, State
 from pixelid.gap.steps.describe_remainder import describe_remainder
+from pixelid.gap.steps.name_effect import with_accepted
 from pixelid.likelihood.event_times import EventTimes
-from pixelid.model.model import LIGHT_GAIN, Model
+from pixelid.model.model import LIGHT_GAIN, THRESHOLD_GAIN, Model
 
-GAIN, DELAY = LIGHT_GAIN.name, "delay_s"
-KINDS = ((GAIN,), (DELAY,), (GAIN, DELAY))
+GAIN, DELAY, THRESHOLDS = LIGHT_GAIN.name, "delay_s", THRESHOLD_GAIN.name
+KINDS = ((GAIN,), (DELAY,), (THRESHOLDS,), (GAIN, DELAY))
+DRIFT = "threshold_drift"
 # Delays tried of every recording.  Light of 400 Hz and a threshold of a fifth tell a quarter of a millisecond: from the
 # nearest one a fit climbs to where the recording is.
 DELAYS_S = tuple(2.5e-4 * k for k in range(-20, 21))
@@ -62,12 +70,19 @@ def with_recordings_that_differ(state: State, context: Context) -> State | None:
         if hypothesis.corrected is not None or hypothesis.jitter is not None or hypothesis.fit.model.nuisances:
             continue
         context.report("recordings that differ", 0.7)
-        found = _explained(hypothesis, context)
+        found, drift = _explained(hypothesis, context), None
+        may_drift = DRIFT not in {*hypothesis.fit.model.effects, *context.options.leave_out, *state.given_up}
+        if may_drift and (found is None or _own(found.fit.model, THRESHOLDS)):
+            drifting, drift = _drifting(hypothesis, state.model, context)
+            found = drifting or found
         if found is not None:
             grown = describe_remainder(state, context).grown
             if grown is not None and _explains_more(grown.hypothesis.fit, found.fit, found.evidence.training):
                 return None
-            return _taken_over(state, found, kept, context)
+            before = _without_later(state, kept)
+            if drift is not None:
+                before = _with_named(replace(before, hypothesis=hypothesis), drift)
+            return _taken_over(before, found, context)
     return None
 
 
@@ -93,12 +108,22 @@ def in_words(model: Model) -> str:
     if delays:
         name = max(delays, key=lambda k: abs(delays[k]))
         told.append(f"clocks that are off (by up to {1e3 * abs(delays[name]):.3g} ms, in {name})")
-    return f" With {' and '.join(told)}: no part of the camera." if told else ""
+    words = f" With {' and '.join(told)}: no part of the camera." if told else ""
+    thresholds = _own(model, THRESHOLDS)
+    if thresholds:
+        name = max(thresholds, key=lambda k: abs(math.log(thresholds[k])))
+        most = 100 * abs(thresholds[name] - 1.0)
+        words += (
+            f" With thresholds that are others in each recording (by up to {most:.2g} %, in {name}, beside the "
+            "recording with most events), as biases and temperature move them."
+        )
+    return words
 
 
 def own_values(model: Model) -> dict[str, float]:
     """Of a model: what its recordings differ in, by the name of the parameter and the recording."""
-    return {name: p.value for name, p in model.nuisances.items() if name.split("[", 1)[0] in (GAIN, DELAY)}
+    differing = {kind for kinds in KINDS for kind in kinds}
+    return {name: p.value for name, p in model.nuisances.items() if name.split("[", 1)[0] in differing}
 
 
 def _own(model: Model, parameter: str) -> dict[str, float]:
@@ -107,8 +132,8 @@ def _own(model: Model, parameter: str) -> dict[str, float]:
     return {name[len(start) : -1]: p.value for name, p in model.nuisances.items() if name.startswith(start)}
 
 
-def _explained(hypothesis: Hypothesis, context: Context) -> Hypothesis | None:
-    """The hypothesis with what differs, where nothing is left then."""
+def _explained(hypothesis: Hypothesis, context: Context, among: Sequence[Sequence[str]] = KINDS) -> Hypothesis | None:
+    """The hypothesis with what differs, of these kinds, where nothing is left then."""
     options = context.options
     evidence = hypothesis.evidence.weighed(hypothesis.fit.model.circuit())
     allowed = hypothesis.seen.allowed
@@ -116,7 +141,7 @@ def _explained(hypothesis: Hypothesis, context: Context) -> Hypothesis | None:
     def left_by(fit: Maximum, pool: EventTimes) -> Diagnostics:
         return diagnose(pool, fit, options.criteria, options.seed, background_fraction=allowed)
 
-    for kinds in KINDS:
+    for kinds in among:
         roughly = _fitted(evidence.screening, _starts(evidence.screening, hypothesis, kinds), context)
         if roughly is None or left_by(roughly, evidence.screening).p < HOPELESS_P:
             continue
@@ -127,6 +152,33 @@ def _explained(hypothesis: Hypothesis, context: Context) -> Hypothesis | None:
             start = replace(hypothesis.start, nuisances=fit.model.nuisances)
             return replace(hypothesis, evidence=evidence, fit=fit, seen=seen, start=start)
     return None
+
+
+def _drifting(
+    hypothesis: Hypothesis, base: Model, context: Context
+) -> tuple[Hypothesis | None, Candidate[Maximum] | None]:
+    """(the hypothesis with a drift of thresholds that begins elsewhere in each recording, the drift), where both leave
+    nothing and the drift may be named; None twice else.
+
+    base: as shipped
+    """
+    grown = replace(
+        hypothesis, start=hypothesis.start.with_effect(DRIFT),
+        fit=replace(hypothesis.fit, model=hypothesis.fit.model.with_effect(DRIFT)),
+    )  # fmt: skip
+    found = _explained(grown, context, ((THRESHOLDS,),))
+    if found is None:
+        return None, None
+    evidence, cache, model = found.evidence, context.cache, found.fit.model
+    end, less = (
+        maximise(evidence.fitting, one, tolerance=0.05, max_steps=STEPS, cache=cache)
+        for one in (model, remove_effect(model, DRIFT, base))
+    )
+    held_out = per_pixel(evidence.judging, end.model) - per_pixel(evidence.judging, less.model)
+    gain = end.value - less.value
+    p = chance_of_gain(DRIFT, gain, len(missing(hypothesis.fit.model)))
+    drift = Candidate(DRIFT, end, gain, p, held_out)
+    return (found, drift) if may_be_named(drift, context.options) else (None, None)
 
 
 def _fitted(pool: EventTimes, starts: Iterable[Model], context: Context) -> Maximum | None:
@@ -142,8 +194,8 @@ def _starts(pool: EventTimes, hypothesis: Hypothesis, kinds: Sequence[str]) -> I
     most = names[int(np.argmax(counts))]
     for model in (hypothesis.fit.model, hypothesis.start):
         own: dict[str, dict[str, float]] = {}
-        if GAIN in kinds:  # a factor common to all is one of the camera's rates
-            own[GAIN] = {name: 1.0 for name, n in zip(names, counts, strict=True) if name != most and n}
+        for factor in {GAIN, THRESHOLDS}.intersection(kinds):  # one common to all is the camera's
+            own[factor] = {name: 1.0 for name, n in zip(names, counts, strict=True) if name != most and n}
         if DELAY in kinds:
             best = np.argmax([_parts(pool, model.set({DELAY: delay})) for delay in DELAYS_S], axis=0)
             own[DELAY] = {name: DELAYS_S[k] for name, k, n in zip(names, best, counts, strict=True) if n}
@@ -173,15 +225,29 @@ def _is_no_chance(evidence: PixelEvidence, hypothesis: Hypothesis, fit: Maximum,
     return p < options.alpha_each and leads(held_out, options.criteria) and worth
 
 
-def _taken_over(state: State, found: Hypothesis, kept: int, context: Context) -> State:
-    """The state with what differs in its model and in its base."""
+def _without_later(state: State, kept: int) -> State:
+    """The state with the first steps only."""
     rounds = state.rounds
     for step in state.steps[kept:]:
         rounds = withdrawn(rounds, step.effect, WHY)
+    return replace(state, steps=state.steps[:kept], rounds=rounds)
+
+
+def _with_named(state: State, drift: Candidate[Maximum]) -> State:
+    """The state with a round more, which has named the drift; the hypothesis as it was."""
+    hypothesis = state.hypothesis
+    attribution = Attribution((drift,), {}, drift, (), {})
+    told = attribution_entry(state.turn, hypothesis.fit, hypothesis.seen, attribution, {})
+    asked = replace(state, rounds=(*state.rounds, told), turn=state.turn + 1)
+    return with_accepted(asked, drift, attribution, True)
+
+
+def _taken_over(state: State, found: Hypothesis, context: Context) -> State:
+    """The state with what differs in its model and in its base."""
     own, left = own_values(found.fit.model), found.seen.p
-    told = entry(len(rounds) + 1, state.hypothesis.seen.p, recordings_differ=own, p_of_what_is_left=left)
+    told = entry(len(state.rounds) + 1, state.hypothesis.seen.p, recordings_differ=own, p_of_what_is_left=left)
     base = found.fit
-    if kept:
+    if state.steps:
         start = replace(state.base.model, nuisances=found.fit.model.nuisances)
         base = maximise(found.evidence.training, start, tolerance=0.05, max_steps=STEPS, cache=context.cache)
-    return replace(state, hypothesis=found, base=base, steps=state.steps[:kept], rounds=(*rounds, told))
+    return replace(state, hypothesis=found, base=base, rounds=(*state.rounds, told))
