@@ -27,7 +27,7 @@ from pixelid.gap.steps.confirm import confirm
 from pixelid.gap.steps.discount_imputation_noise import discount_imputation_noise
 from pixelid.gap.steps.explain_by_shot_noise import try_before_next_effect, try_shot_noise
 from pixelid.gap.steps.name_beside_shot_noise import name_beside_shot_noise
-from pixelid.gap.steps.name_effect import name_effect, name_what_settles, restart
+from pixelid.gap.steps.name_effect import is_astray, name_effect, name_what_settles, restart
 from pixelid.gap.steps.recordings_differ import ask_recordings
 from pixelid.gap.steps.undo_readout import undo_readout
 from pixelid.gap.steps.withdraw import withdraw
@@ -71,6 +71,8 @@ def name_next(state: State, context: Context) -> State:
         state = ask_recordings(state, context)
         if state.phase is Phase.CONFIRM:
             return state
+    if settled is None and is_astray(state, context):  # a limit of the slew, before what stands in for it
+        state = ask_stamps(state, context)
     state = try_before_next_effect(state, context) if settled is None else settled
     state = name_effect(state, context) if settled is None and state.phase is Phase.NAME else state
     state = ask_stamps(state, context) if state.phase is Phase.SHOT_NOISE else state
