@@ -16,6 +16,7 @@ import json
 import math
 import sys
 import types
+from collections.abc import Iterable
 from pathlib import Path
 from unittest.mock import MagicMock
 
@@ -141,7 +142,8 @@ def of_dvs_voltmeter(folder: Path, p: dict) -> dict:
     return summary(e[:, 0] * 1e-6, e[:, 1], e[:, 2], e[:, 3] == 1)
 
 
-def of_evlib(folder: Path, p: dict) -> dict:
+def events_of_evlib(folder: Path, p: dict, seen: Iterable[tuple[float, np.ndarray]]) -> np.ndarray:
+    """(n, 4) x, y, time [s] and polarity of evlib's ESIM that sees (time [s], frame) of radiance."""
     package = types.ModuleType("evlib_simulation")
     package.__path__ = [str(folder / "simulation")]
     sys.modules["evlib_simulation"] = package
@@ -152,8 +154,12 @@ def of_evlib(folder: Path, p: dict) -> dict:
             refractory_period_ms=1e-6 * p["refractory_period_ns"], log_floor=max(p["log_eps"], 1e-9), device="cpu",
         )
     )  # fmt: skip
-    found = [np.stack(camera.process_frame(frame, when), axis=1) for when, frame in frames()]
-    e = columns([c for c in found if len(c)])
+    found = [np.stack(camera.process_frame(frame, when), axis=1) for when, frame in seen]
+    return columns([c for c in found if len(c)])
+
+
+def of_evlib(folder: Path, p: dict) -> dict:
+    e = events_of_evlib(folder, p, frames())
     return summary(e[:, 2], e[:, 0], e[:, 1], e[:, 3] > 0)
 
 

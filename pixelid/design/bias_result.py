@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
 from pixelid.design.bias_fits import read_bias_fit
-from pixelid.design.biases import QUANTITIES, recommend_setting
+from pixelid.design.biases import OPEN, QUANTITIES, recommend_setting
 from pixelid.provenance import provenance
 from pixelid.results import ContentResult, Table, interval, number
 
@@ -92,11 +93,17 @@ def wish_rows(content: Mapping[str, Any]) -> list[list[str]]:
     for name, said in content["recommended"]["predicted"].items():
         wish = content["wishes"].get(name)
         rows.append([
-            name, number(said["value"]), interval(said["interval_95"]),
+            name, number(said["value"]), "open" if _is_open(said["interval_95"]) else interval(said["interval_95"]),
             f"at {wish['at']} {wish['wanted']:g}" if wish else "–", QUANTITIES[name],
             ("surely" if wish["surely"] else "probably" if wish["met"] else "no") if wish else "",
         ])  # fmt: skip
     return rows
+
+
+def _is_open(ends: Sequence[float]) -> bool:
+    """Whether an interval reaches further than anything is known to that is called known."""
+    low, high = ends
+    return low <= 0.0 or math.log(high / low) > 2.0 * OPEN
 
 
 def measured_rows(content: Mapping[str, Any]) -> list[list[str]]:
