@@ -5,7 +5,8 @@
 Per camera: rms of ln(predicted / measured) of the cells' medians, fitted and left out, without the cells that the full
 fit disbelieves or that their own figure does not resolve; what the fit without them says that it will miss them by
 (its normal approximation, the table's scatter and the cells' own errors; not in it is how far settings lie off the rule
-between their neighbours); and what the fit would miss with one delay for all settings and edges.
+between their neighbours); what the fit would miss with one delay for all settings and edges, and how much of that
+misfit delays of their own close (of sums of squares; 95 % by settings drawn again).
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from pixelid.tables.latency.reading import LatencyTable, read_tables
 from pixelid.tables.latency.result import REPEATABLE
 
 STEP = 0.02  # of ln, for slopes
+DRAWS = 4000
 TABLE = Path(__file__).resolve().parents[1] / "fits" / "nist_latency" / "nist_latency_by_roi.csv"
 
 
@@ -53,6 +55,20 @@ def expected(fit: CameraFit, cells: LatencyTable, error: np.ndarray) -> float:
     return float(np.sqrt(np.mean(variance + regression.scale**2 + error**2)))
 
 
+def closed(with_delays: np.ndarray, without: np.ndarray, setting: np.ndarray) -> dict:
+    """Share of the sum of squares of the cells' errors that delays of settings and edges take away, 95 %."""
+    rng = np.random.default_rng(0)
+    cells = {name: np.flatnonzero(setting == name) for name in np.unique(setting)}
+    names = list(cells)
+
+    def share(some: np.ndarray) -> float:
+        return 1.0 - float(np.sum(with_delays[some] ** 2) / np.sum(without[some] ** 2))
+
+    drawn = [share(np.concatenate([cells[names[k]] for k in rng.integers(len(names), size=len(names))]))
+             for _ in range(DRAWS)]  # fmt: skip
+    return {"value": share(np.arange(len(setting))), "interval_95": np.percentile(drawn, [2.5, 97.5]).tolist()}
+
+
 def hold_out(name: str, table: LatencyTable) -> dict:
     """One camera's errors."""
     full = fit_camera(name, gather(table))
@@ -61,11 +77,13 @@ def hold_out(name: str, table: LatencyTable) -> dict:
     everything = logs(full, cells)
     scale = np.hypot(max(full.regression.scale, REPEATABLE), error)
     clean = (np.abs(everything) < SUSPECT_SCALES * scale) & (error < UNRESOLVED)
+    one_delay = logs(fit_camera(name, gather(table), one_delay=True), cells)[clean]
     found = {
         "cells": len(clean),
         "spoiled": int((~clean).sum()),
         "fitted": rms(everything[clean]),
-        "one_delay": rms(logs(fit_camera(name, gather(table), one_delay=True), cells)[clean]),
+        "one_delay": rms(one_delay),
+        "closed": closed(everything[clean], one_delay, cells.setting[clean]),
     }
     for kind, column, own in (
         ("irradiance", table.irradiance, cells.irradiance), ("setting", table.setting, cells.setting)
@@ -93,7 +111,9 @@ def main() -> None:
     names = [arguments.camera] if arguments.camera else list(dict.fromkeys(table.camera.tolist()))
     found = {name: hold_out(name, table.select(table.camera == name)) for name in names}
     for name, one in found.items():
-        print(f"{name}: fitted {one['fitted']:.3f}, with one delay {one['one_delay']:.3f}")
+        low, high = one["closed"]["interval_95"]
+        print(f"{name}: fitted {one['fitted']:.3f}, with one delay {one['one_delay']:.3f}, "
+              f"closed {one['closed']['value']:.3f} ({low:.3f} to {high:.3f})")  # fmt: skip
     if arguments.out:
         arguments.out.write_text(json.dumps(found, indent=2) + "\n")
 

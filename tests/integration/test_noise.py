@@ -276,6 +276,7 @@ def test_off_events_that_no_light_changes_are_in_predictions(tmp_path):
     (folder / "noise.json").write_text(json.dumps({"parameters": {"off_background.rate_hz": {"value": 0.14}}}))
     table = read_noise_tables([write_table(tmp_path / "noise.csv", circuit, lights=(3.0, 300.0))])
     plain, more = (NoiseModel(table, circuit, beside) for beside in ({}, model_beside(folder)))
+    assert model_beside(folder / "model.toml") == model_beside(folder)
     x = np.array([p.to_coordinate(p.value) for p in plain.parameters])
     added = more.predict(x) - plain.predict(x)
     assert added == pytest.approx(np.where(table.on, 0.0, 0.14), abs=1e-9)

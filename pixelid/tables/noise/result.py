@@ -28,6 +28,7 @@ from pixelid.tables.noise.model import BESIDE, FA_PER_UNIT, FLOOR, OFF_BACKGROUN
 from pixelid.tables.noise.reading import NoiseTable
 from pixelid.tables.result import table_result, write_result
 
+MODEL_FILE = "model.toml"
 NAMED = 0.15  # relative disagreement that is said in words
 MOST_NAMED = 12
 INTERVAL_LIGHTS = 6  # spread over those recorded, at which intervals are predicted: some seconds each
@@ -38,7 +39,7 @@ FOLDED = ("shot_noise.density", "diff_cutoff_hz", "threshold_sigma", "threshold_
 
 def save_fit(fit: NoiseFit, folder: Path, seed: int) -> dict[str, Any]:
     """Write noise.json, noise.svg and model.toml into an existing folder; returns the JSON."""
-    save_model(fit.circuit, folder / "model.toml")
+    save_model(fit.circuit, folder / MODEL_FILE)
     result = fitted_result(fit)
     return write_result(result | {"seed": seed}, "noise.json", _figures(fit.fitted, result), folder)
 
@@ -159,13 +160,20 @@ def disagreements(table: NoiseTable, rows: Sequence[dict[str, Any]]) -> list[str
     return sentences
 
 
+def _result_of(spec: str | Path) -> Path:
+    """noise.json of the folder that a model is given by, or that its model.toml lies in."""
+    path = Path(spec)
+    return (path.parent if path.name == MODEL_FILE else path) / "noise.json"
+
+
 def model_beside(spec: str | Path) -> dict[str, float]:
-    """What a folder of `pixelid noise` found beside its model, by names of `BESIDE`; empty for any other model.
+    """What a folder of `pixelid noise` (or its model.toml) found beside its model, by names of `BESIDE`; empty for any
+    other model.
 
     Raises:
         InputError: a noise.json that is damaged.
     """
-    path = Path(spec) / "noise.json"
+    path = _result_of(spec)
     if not path.is_file():
         return {}
     parameters, found = read_json(path).get("parameters", {}), {}
@@ -185,7 +193,7 @@ def model_scales(spec: str | Path) -> dict[str, float]:
     Raises:
         InputError: a noise.json that is damaged.
     """
-    path = Path(spec) / "noise.json"
+    path = _result_of(spec)
     if not path.is_file():
         return {}
     document = read_json(path)
