@@ -16,7 +16,9 @@ from pixelid.stages import Circuit, comparator, photoreceptor
 DELAY = Parameter("delay_s", 0.0, "s", -10.0, 10.0, "linear", free=False, source="clock of events minus stimulus")
 # What only a recording can have for itself: a factor on the light that its stimulus says, and one on both thresholds.
 LIGHT_GAIN = Parameter("light_gain", 1.0, "1", 1e-2, 1e2, "log", source="light of a recording over what it says")
-THRESHOLD_GAIN = Parameter("threshold_gain", 1.0, "1", 0.1, 10.0, "log", source="thresholds of a recording over those")
+THRESHOLD_GAIN = Parameter(
+    "threshold_gain", 1.0, "1", 0.1, 10.0, "log", source="thresholds of a recording over the camera's"
+)
 ONLY_OWN = {p.name: p for p in (LIGHT_GAIN, THRESHOLD_GAIN)}
 
 

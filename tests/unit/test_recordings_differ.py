@@ -132,7 +132,7 @@ def test_words():
     assert "by up to -2 ms, in b" not in told
     assert "by up to 2 ms, in b" in told
     told = in_words(MODEL.with_nuisances({THRESHOLDS: {"a": 0.9, "b": 1.05}}))
-    assert "thresholds that are others in each recording (by up to 10 %, in a" in told
+    assert "thresholds that differ from recording to recording (by up to 10 %, in a" in told
 
 
 @pytest.mark.slow

@@ -114,8 +114,8 @@ def in_words(model: Model) -> str:
         name = max(thresholds, key=lambda k: abs(math.log(thresholds[k])))
         most = 100 * abs(thresholds[name] - 1.0)
         words += (
-            f" With thresholds that are others in each recording (by up to {most:.2g} %, in {name}, beside the "
-            "recording with most events), as biases and temperature move them."
+            f" With thresholds that differ from recording to recording (by up to {most:.2g} %, in {name}, beside the "
+            "one with most events), as biases and temperature move them."
         )
     return words
 
