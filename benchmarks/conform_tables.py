@@ -64,9 +64,7 @@ TABLES = {
     "evlib_esim": Table(
         "ESIM of evlib 0.13.2",
         "25 pixels, frames of 20 µs, two chirps to 200 Hz and two slow lights at two levels, thresholds of 0.2 and "
-        "a dead time of 0.1 ms (its default), which no event meets; base `ideal` with mismatch and threshold "
-        "noise. It is as it says: thresholds of 0.2 and frames. What is left significant is a hundredth of a per "
-        "cent of the threshold, which shows since nothing of it scatters.",
+        "a dead time of 0.1 ms (its default); base `ideal` with mismatch and threshold noise.",
         "ideal", with_=SCATTER,
     ),
     "led": Table(

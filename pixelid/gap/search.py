@@ -1,8 +1,8 @@
 """The search as a fold: each step takes the state and gives the next one, until the last gives the report.
 
-undo_readout → name_effect (again and again, shot noise tried in between) → ask_stamps → ask_again → ask_recordings →
-bootstrap_remainder → try_shot_noise → name_beside_shot_noise (again and again) → discount_imputation_noise →
-withdraw → confirm
+undo_readout → name_effect (again and again, shot noise tried in between, stamps asked where events lack a cause) →
+ask_stamps → ask_again → ask_recordings → bootstrap_remainder → try_shot_noise → name_beside_shot_noise (again and
+again) → discount_imputation_noise → withdraw → confirm
 """
 
 from __future__ import annotations
@@ -67,16 +67,21 @@ def name_next(state: State, context: Context) -> State:
     """One round, before which shot noise has its chance unless an effect leaves nothing; after the last the stamps are
     asked."""
     settled = name_what_settles(state, context)
-    if settled is None and (state.turn > 0 or restart(state, context) is not None):
+    state = _one_round(state, context) if settled is None else settled
+    state = ask_stamps(state, context) if state.phase is Phase.SHOT_NOISE else state
+    return ask_again(state, context) if state.phase is Phase.SHOT_NOISE else state
+
+
+def _one_round(state: State, context: Context) -> State:
+    """The state after what comes before the next effect, and that effect; left to confirm where recordings differ."""
+    if state.turn > 0 or restart(state, context) is not None:
         state = ask_recordings(state, context)
         if state.phase is Phase.CONFIRM:
             return state
-    if settled is None and is_astray(state, context):  # a limit of the slew, before what stands in for it
+    if is_astray(state, context):  # a limit of the slew, before what stands in for it
         state = ask_stamps(state, context)
-    state = try_before_next_effect(state, context) if settled is None else settled
-    state = name_effect(state, context) if settled is None and state.phase is Phase.NAME else state
-    state = ask_stamps(state, context) if state.phase is Phase.SHOT_NOISE else state
-    return ask_again(state, context) if state.phase is Phase.SHOT_NOISE else state
+    state = try_before_next_effect(state, context)
+    return name_effect(state, context) if state.phase is Phase.NAME else state
 
 
 def explain_by_simulation(state: State, context: Context) -> State:

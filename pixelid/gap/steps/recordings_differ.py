@@ -73,8 +73,7 @@ def with_recordings_that_differ(state: State, context: Context) -> State | None:
         found, drift = _explained(hypothesis, context), None
         may_drift = DRIFT not in {*hypothesis.fit.model.effects, *context.options.leave_out, *state.given_up}
         if may_drift and (found is None or _own(found.fit.model, THRESHOLDS)):
-            drifting, drift = _drifting(hypothesis, state.model, context)
-            found = drifting or found
+            found, drift = _drifting(hypothesis, state.model, context) or (found, None)
         if found is not None:
             grown = describe_remainder(state, context).grown
             if grown is not None and _explains_more(grown.hypothesis.fit, found.fit, found.evidence.training):
@@ -122,8 +121,7 @@ def in_words(model: Model) -> str:
 
 def own_values(model: Model) -> dict[str, float]:
     """Of a model: what its recordings differ in, by the name of the parameter and the recording."""
-    differing = {kind for kinds in KINDS for kind in kinds}
-    return {name: p.value for name, p in model.nuisances.items() if name.split("[", 1)[0] in differing}
+    return {n: p.value for n, p in model.nuisances.items() if n.split("[", 1)[0] in (GAIN, DELAY, THRESHOLDS)}
 
 
 def _own(model: Model, parameter: str) -> dict[str, float]:
@@ -154,11 +152,9 @@ def _explained(hypothesis: Hypothesis, context: Context, among: Sequence[Sequenc
     return None
 
 
-def _drifting(
-    hypothesis: Hypothesis, base: Model, context: Context
-) -> tuple[Hypothesis | None, Candidate[Maximum] | None]:
+def _drifting(hypothesis: Hypothesis, base: Model, context: Context) -> tuple[Hypothesis, Candidate[Maximum]] | None:
     """(the hypothesis with a drift of thresholds that begins elsewhere in each recording, the drift), where both leave
-    nothing and the drift may be named; None twice else.
+    nothing and the drift may be named; None else.
 
     base: as shipped
     """
@@ -168,17 +164,24 @@ def _drifting(
     )  # fmt: skip
     found = _explained(grown, context, ((THRESHOLDS,),))
     if found is None:
-        return None, None
-    evidence, cache, model = found.evidence, context.cache, found.fit.model
-    end, less = (
-        maximise(evidence.fitting, one, tolerance=0.05, max_steps=STEPS, cache=cache)
-        for one in (model, remove_effect(model, DRIFT, base))
-    )
-    held_out = per_pixel(evidence.judging, end.model) - per_pixel(evidence.judging, less.model)
+        return None
+    without = remove_effect(found.fit.model, DRIFT, base)
+    end, less, held_out = _compared(found.evidence, found.fit.model, without, context)
     gain = end.value - less.value
     p = chance_of_gain(DRIFT, gain, len(missing(hypothesis.fit.model)))
     drift = Candidate(DRIFT, end, gain, p, held_out)
-    return (found, drift) if may_be_named(drift, context.options) else (None, None)
+    return (found, drift) if may_be_named(drift, context.options) else None
+
+
+def _compared(
+    evidence: PixelEvidence, better: Model, worse: Model, context: Context
+) -> tuple[Maximum, Maximum, np.ndarray]:
+    """(one model, another on the fit pixels;  (pixels,) nats that the one gains on pixels that no fit has seen)."""
+    one, other = (
+        maximise(evidence.fitting, start, tolerance=0.05, max_steps=STEPS, cache=context.cache)
+        for start in (better, worse)
+    )
+    return one, other, per_pixel(evidence.judging, one.model) - per_pixel(evidence.judging, other.model)
 
 
 def _fitted(pool: EventTimes, starts: Iterable[Model], context: Context) -> Maximum | None:
@@ -194,8 +197,9 @@ def _starts(pool: EventTimes, hypothesis: Hypothesis, kinds: Sequence[str]) -> I
     most = names[int(np.argmax(counts))]
     for model in (hypothesis.fit.model, hypothesis.start):
         own: dict[str, dict[str, float]] = {}
-        for factor in {GAIN, THRESHOLDS}.intersection(kinds):  # one common to all is the camera's
-            own[factor] = {name: 1.0 for name, n in zip(names, counts, strict=True) if name != most and n}
+        for factor in (GAIN, THRESHOLDS):
+            if factor in kinds:  # one common to all is the camera's
+                own[factor] = {name: 1.0 for name, n in zip(names, counts, strict=True) if name != most and n}
         if DELAY in kinds:
             best = np.argmax([_parts(pool, model.set({DELAY: delay})) for delay in DELAYS_S], axis=0)
             own[DELAY] = {name: DELAYS_S[k] for name, k, n in zip(names, best, counts, strict=True) if n}
@@ -215,12 +219,10 @@ def _parts(pool: EventTimes, model: Model) -> np.ndarray:
 
 def _is_no_chance(evidence: PixelEvidence, hypothesis: Hypothesis, fit: Maximum, context: Context) -> bool:
     """Whether the gain is significant, and there on pixels that no fit has seen, beyond what its values are worth."""
-    options, cache = context.options, context.cache
-    base = maximise(evidence.fitting, hypothesis.fit.model, tolerance=0.05, max_steps=STEPS, cache=cache)
-    end = maximise(evidence.fitting, fit.model, tolerance=0.05, max_steps=STEPS, cache=cache)
+    options = context.options
+    end, base, held_out = _compared(evidence, fit.model, hypothesis.fit.model, context)
     more = len(end.x) - len(base.x)
     p = len(KINDS) * float(chi2.sf(2.0 * max(end.value - base.value, 0.0), more))
-    held_out = per_pixel(evidence.judging, end.model) - per_pixel(evidence.judging, base.model)
     worth = float(held_out.sum()) > price(more, evidence.judging.events)
     return p < options.alpha_each and leads(held_out, options.criteria) and worth
 
