@@ -133,3 +133,53 @@ def test_what_events_hold_little_of_is_not_widened():
     widened = Guess(fit, found, np.zeros(d), 3e-4).widened(made)
     assert widened[0] == 1.0
     assert (widened[1:] > 10.0).all()
+
+
+@pytest.mark.parametrize("answer", [0.6, 1.0, 1.7, 2.6])
+def test_corrections_settle_where_refits_answer_a_step_by_more_than_its_length(answer):
+    """Full steps would go farther off with each from an answer of 2 on; a memory of the polarity answered by 1.7."""
+    model = find_model("dvs128")
+    coordinates, rng = Coordinates.of(model), np.random.default_rng(0)
+    start = coordinates.start
+    i = coordinates.names.index("beta")
+    truth = start.copy()
+    truth[i] += 0.15
+    fit: Any = SimpleNamespace(
+        coordinates=coordinates, x=start.copy(), model=model, values=model.values,
+        information=1e6 * np.eye(len(start)),
+    )  # fmt: skip
+    fit.x[i] = start[i] + 0.35  # where the likelihood that knows no shot noise ends in the measurement
+    found = Division(3e-4, 0.5, 0.1, 500.0, 1e3)
+    guess = Guess(fit, found, fit.x, 3e-4)
+
+    def refitted(at):
+        x = at.copy()
+        x[i] = fit.x[i] + answer * (at[i] - truth[i]) + 0.003 * rng.normal()
+        return Replicate(x, {}, np.zeros(2), found)
+
+    for _ in range(6):
+        guess = guess.corrected([refitted(vector(guess.model, fit))])
+    assert guess.x[i] == pytest.approx(truth[i], abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("off", "tried"),
+    [
+        ([1000.0, 100.0], 1),  # near at once
+        ([3000.0, 3700.0, 2600.0, 400.0], 3),  # the first correction leads away
+        ([3000.0, 3000.0, 3000.0, 100.0], None),  # two come no nearer
+        ([3950.0, 3550.0, 3190.0, 2870.0, 2580.0, 2450.0, 2430.0, 100.0], None),  # too slow
+    ],
+)
+def test_single_replicates_lead_on_as_long_as_they_come_nearer(off, tried):
+    turns = []
+
+    def made(job):
+        turns.append(job[1])
+        return [off[len(turns)]]
+
+    start: Any = SimpleNamespace(is_told=True, model=None)
+    start.corrected = lambda replicates: start
+    found: Any = shot_noise._approached(start, off[0], lambda one: one, 4000.0, 50.0, made, Options().criteria)
+    assert (None if found is None else len(turns)) == tried
+    assert len(set(turns)) == len(turns)

@@ -23,6 +23,8 @@ from pixelid.model.model import Model
 # Of the logarithm of a density, from what the filter found to what replicates make of it: one that shows less than a
 # tenth of what it was made with (the filter may find none at all) does not tell by how much to go on.
 MAX_LOG_CORRECTION = math.log(10.0)
+MOST_ANSWER = 3.0  # of a step, by which the next is shortened: what exceeds it is of other coordinates' steps
+LEAST_STEP = 0.01  # whose answer tells anything beside how refits scatter
 MEDIAN_VARIANCE = 0.5 * math.pi  # of the median of normals, over that of their mean
 MAX_LOG_ERROR = 0.5  # of a replicate's density: one so far from the others' ended at a lesser optimum
 
@@ -36,12 +38,16 @@ class Guess:
         found: By the filter, in the measured events.
         x: (d,) coordinates of the fit, its noise that of the thresholds alone.
         density: Of shot noise.
+        step: (d + 1,) by which the correction that led here moved x and the logarithm of the density.
+        excess: (d + 1,) by which refits of the guess before were off from the measured one.
     """
 
     fit: Maximum
     found: Division
     x: np.ndarray
     density: float
+    step: np.ndarray | None = None
+    excess: np.ndarray | None = None
 
     @classmethod
     def first(cls, fit: Maximum, found: Division) -> Guess:
@@ -62,7 +68,8 @@ class Guess:
         return with_shot_noise(model, self.density)
 
     def corrected(self, made: Sequence[Replicate], background: np.ndarray | None = None) -> Guess:
-        """By what replicates made from it are off by.
+        """By what replicates made from it are off by; by less where refits answer a step by more than its length, as
+        those of a memory of the polarity do (deviations under shot noise reverse as they do under one).
 
         background: (2,) OFF and ON events without a cause that were measured, where these shall tell the density as
         well as the filter does: with poles that are far off it finds nearly the same noise whatever there is
@@ -70,16 +77,27 @@ class Guess:
         k = _noise_index(self.fit)
         truth = vector(self.model, self.fit)
         moved = np.median([np.clip(one.x - truth, -MAX_SHIFT, MAX_SHIFT) for one in made], axis=0)
-        x = self.fit.x - np.where(well_known(self.fit), moved, 0.0)
+        off = np.where(well_known(self.fit), moved, 0.0)
+        denser = np.median([math.log(one.division.density / self.found.density) for one in made])
+        if background is not None:
+            more = np.mean([np.log(one.background + 1.0) for one in made], axis=0) - np.log(background + 1.0)
+            denser = 0.5 * (denser + float(np.mean(more / self.background_per_density())))
+        excess = np.append(truth + off - self.fit.x, denser)
+        step = -excess / self._answer(excess)
+        x = truth + step[:-1]
         variance = math.exp(2.0 * self.fit.x[k])
         seen = float(np.median([one.division.thresholds * math.exp(2.0 * one.x[k]) for one in made]))
         thresholds = math.exp(2.0 * self.x[k]) + self.found.thresholds * variance - seen
         x[k] = 0.5 * math.log(np.clip(thresholds, LEAST_THRESHOLDS * variance, variance))
-        off = np.median([math.log(one.division.density / self.found.density) for one in made])
-        if background is not None:
-            more = np.mean([np.log(one.background + 1.0) for one in made], axis=0) - np.log(background + 1.0)
-            off = 0.5 * (off + float(np.mean(more / self.background_per_density())))
-        return replace(self, x=x, density=self.density * math.exp(-off))
+        return replace(self, x=x, density=self.density * math.exp(step[-1]), step=step, excess=excess)
+
+    def _answer(self, excess: np.ndarray) -> np.ndarray:
+        """(d + 1,) by how many times its length refits have answered the last step, 1 to `MOST_ANSWER`; at first 1."""
+        if self.step is None or self.excess is None:
+            return np.ones_like(excess)
+        moved = np.abs(self.step) > LEAST_STEP
+        ratio = np.divide(excess - self.excess, self.step, out=np.ones_like(excess), where=moved)
+        return np.clip(ratio, 1.0, MOST_ANSWER)
 
     def error(self, made: Sequence[Replicate]) -> float:
         """Standard error of the log density, from how replicates made from it scatter."""

@@ -21,7 +21,7 @@ from pixelid.cluster import Work
 from pixelid.fit.again import can_be_simulated
 from pixelid.fit.cache import FitCache, map_fits
 from pixelid.fit.maximise import Maximum
-from pixelid.fit.shot_noise import NOISE
+from pixelid.fit.shot_noise import EFFECT, NOISE
 from pixelid.gap.criteria import Criteria
 from pixelid.gap.detect.diagnostics import Diagnostics
 from pixelid.gap.detect.pixels import PixelEvidence
@@ -41,6 +41,7 @@ from pixelid.statistics import Z95
 REPLICATES = 4  # at the density taken
 MAX_MOVE = 0.1  # of its logarithm that these leave from the one that they were made at: else they are made again
 ROUNDS, PATIENCE = 10, 2  # of replicates, at most, and of those that come hardly nearer
+APPROACH = (2, *range(3 + REPLICATES * ROUNDS, 8 + REPLICATES * ROUNDS))  # turns of single replicates before these
 NEARER = 0.9  # of what was left, that must at most be left for being nearer
 MAX_SCORE = 10.0  # standard deviations: cells that differ by more count as this in a distance
 MAX_SCORE_AT_SIGHT = 30.0  # the same where maps are only looked at
@@ -78,6 +79,23 @@ def looks_like_shot_noise(seen: Diagnostics, criteria: Criteria) -> bool:
     return spread > level and min(-min(memory), max(memory)) > criteria.min_alternation_score
 
 
+def noise_explains_more(evidence: PixelEvidence, model: Model, gain: float, options: Options) -> bool:
+    """Whether by the filter shot noise gains more beside the model with an effect than that effect does.
+
+    No other effect of the library gains as much, so what the filter sees is no other effect's.
+
+    Args:
+        evidence: Of the pixels.
+        model: With the leading effect, or with what describes what is left.
+        gain: Nats of that.
+        options: Of the search.
+    """
+    if EFFECT in options.leave_out or model.has(EFFECT):
+        return False
+    beside = share_out(evidence.training, model.circuit(), options.seed)
+    return beside is not None and beside.gain > max(gain, options.criteria.min_shot_noise_gain_nats)
+
+
 def find_shot_noise(
     evidence: PixelEvidence, fit: Maximum, seen: Diagnostics, options: Options, cache: FitCache | None = None,
     work: Work | None = None,
@@ -110,24 +128,60 @@ def find_shot_noise(
     measured = Replicate(
         fit.x, seen.maps.scores, background_by_polarity(evidence.training, seen.residual.background), found
     )
-    guess = Guess.first(fit, found)
-    bare, guessed = made((fit.model, 0), (guess.model, 1))
+    bare, guessed = made((fit.model, 0), (Guess.first(fit, found).model, 1))
     without = _distance(measured, bare, criteria)
-    guess = guess.corrected([guessed])
-    if not guess.is_told:
+    near = _approached(
+        Guess.first(fit, found), guessed, lambda one: _distance(measured, one, criteria), without,
+        0.5 * len(measured.scores), made, criteria,
+    )  # fmt: skip
+    if near is None:
         return None
-    (first,) = made((guess.model, 2))
-    nearest = _distance(measured, first, criteria)
-    alike = 0.5 * len(measured.scores)  # between replicates of one model
-    # more are made only where this one comes half as near as they must in the end
-    far = nearest - alike > 2.0 * criteria.max_share_left_by_shot_noise * (without - alike)
-    if without - nearest < 0.5 * criteria.min_shot_noise_gain_nats or far:
-        return None
+    guess, first = near
     final = [first, *made(*((guess.model, turn) for turn in range(3, 2 + REPLICATES)))]
     return _put_right(
         guess, final, measured.background, lambda at, turn: made(*((at.model, turn + k) for k in range(REPLICATES))),
         lambda at, some: _judged(at, some, measured, seen, without, criteria), criteria.sufficient_p_shot_noise,
     )  # fmt: skip
+
+
+def _approached(
+    guess: Guess,
+    guessed: Replicate,
+    distance: Callable[[Replicate], float],
+    without: float,
+    alike: float,
+    made: Callable[..., list[Replicate]],
+    criteria: Criteria,
+) -> tuple[Guess, Replicate] | None:
+    """A guess, corrected by one replicate after the other, and one of its own that comes half as near as they must in
+    the end; None where none does.
+
+    The first corrections may lead away: an effect that a fit takes for shot noise is off by as much as the noise is.
+
+    Args:
+        guess: As the filter has it.
+        guessed: A replicate of it.
+        distance: From the measurement, of a replicate.
+        without: Of one without shot noise.
+        alike: Between replicates of one model.
+        made: Replicates of (model, turn)s.
+        criteria: How near they must come.
+    """
+    nearest, farther = distance(guessed), 0
+    near_enough = alike + 2.0 * criteria.max_share_left_by_shot_noise * (without - alike)
+    for turn in APPROACH:
+        guess = guess.corrected([guessed])
+        if not guess.is_told:
+            return None
+        (guessed,) = made((guess.model, turn))
+        off = distance(guessed)
+        if without - off >= 0.5 * criteria.min_shot_noise_gain_nats and off <= near_enough:
+            return guess, guessed
+        farther = 0 if off < NEARER * nearest else farther + 1
+        if farther == PATIENCE:
+            return None
+        nearest = min(nearest, off)
+    return None
 
 
 def _put_right(

@@ -13,8 +13,9 @@ from pixelid.gap.detect.diagnostics import diagnose
 from pixelid.gap.options import Context
 from pixelid.gap.result import DescribedEffect
 from pixelid.gap.rounds import withdrawn
+from pixelid.gap.shot_noise.shot_noise import noise_explains_more
 from pixelid.gap.state import State
-from pixelid.gap.steps.name_effect import restart, without_unneeded
+from pixelid.gap.steps.name_effect import NOISE_EXPLAINS_MORE, restart, without_unneeded
 from pixelid.gap.steps.numbers import free_run_of, intervals_of
 from pixelid.model.model import Model
 from pixelid.recordings.recording import Recording
@@ -75,6 +76,9 @@ def describe_remainder(state: State, context: Context) -> Described:
             ended, beside = alone, bare
     if not ended.found:
         return Described(tried)
+    evidence, gain = ended.hypothesis.evidence, sum(one.gain for one in ended.found)
+    if state.imputed and noise_explains_more(evidence, ended.hypothesis.model, gain, context.options):
+        return Described((*tried[:-1], {**tried[-1], "refused": NOISE_EXPLAINS_MORE}))
     grown = _without_unneeded(replace(beside, hypothesis=ended.hypothesis), context)
     run = free_run_of(grown, context)
     if closes_nothing(run, grown.remainder(context.options.alpha_each), context.options.criteria):

@@ -53,18 +53,25 @@ def name_beside_shot_noise(state: State, context: Context) -> State:
     entry = attribution_entry(len(state.rounds), fit, hypothesis.seen, attribution, impossible(fit.model))
     state = replace(state, rounds=(*state.rounds, entry))
     able = [c for c in attribution.candidates if may_be_named(c, options)]
-    winner = _most_in_excess(able, len(effects), state, context)
-    if winner is None:
-        return state.then(Phase.DISCOUNT)
-    alone = winner.p < options.alpha_each
-    more = None
-    if alone or winner.p < PROMISING_P * len(effects):
-        more = _with(winner, attribution, noise, state, context)
-    if more is not None and not alone:
-        more = _borne_out(more, winner, noise, len(effects), context)
-    if more is not None:
-        return more.then(Phase.BESIDE_SHOT_NOISE)
-    return with_refused(state, winner, NOT_WITH_NOISE if alone else NO_EXCESS).then(Phase.DISCOUNT)
+    asked = _to_be_asked(able, len(effects), state, context)
+    nearest: State | None = None
+    for one in asked:
+        alone = one.p < options.alpha_each
+        more = _with(one, attribution, noise, state, context)
+        if more is not None and not alone:
+            more = _borne_out(more, one, noise, len(effects), context)
+        if more is not None and (nearest is None or _left(more) < _left(nearest)):
+            nearest = more
+    if nearest is not None:
+        return nearest.then(Phase.BESIDE_SHOT_NOISE)
+    if asked:
+        state = with_refused(state, asked[0], NOT_WITH_NOISE if asked[0].p < options.alpha_each else NO_EXCESS)
+    return state.then(Phase.DISCOUNT)
+
+
+def _left(state: State) -> float:
+    """Nats by which replicates are off from the measurement."""
+    return math.inf if state.shot_noise is None else state.shot_noise.left
 
 
 def _borne_out(more: State, winner: Candidate[Maximum], noise: ShotNoise, tried: int, context: Context) -> State | None:
@@ -84,21 +91,29 @@ def _borne_out(more: State, winner: Candidate[Maximum], noise: ShotNoise, tried:
     return replace(more, steps=(*more.steps[:-1], replace(step, winner=replace(step.winner, p=p))))
 
 
-def _most_in_excess(
+def _to_be_asked(
     able: Sequence[Candidate[Maximum]], tried: int, state: State, context: Context
-) -> Candidate[Maximum] | None:
-    """The candidate whose gain is least by chance, beside what it gains in sessions without it; p: that chance."""
+) -> list[Candidate[Maximum]]:
+    """Candidates with which replicates are to be made, p: the chance of what each gains beside its gain in sessions
+    without it.
+
+    The one of least chance, where that promises anything, and the one that gains most: an effect that does to events
+    what the noise does gains as much without it, however strong it is, and only replicates tell.
+    """
     if not able:
-        return None
-    hypothesis = state.hypothesis
+        return []
+    hypothesis, criteria = state.hypothesis, context.options.criteria
     without = gains_without(
         hypothesis.evidence, hypothesis.model, able, context.options.seed, context.cache, context.work
     )
     judged = [
-        replace(c, p=chance_of_excess(c.gain, gains, tried, context.options.criteria))
-        for c, gains in zip(able, without, strict=True)
+        replace(c, p=chance_of_excess(c.gain, gains, tried, criteria)) for c, gains in zip(able, without, strict=True)
     ]
-    return min(judged, key=lambda c: (c.p, -c.gain))
+    least, most = min(judged, key=lambda c: (c.p, -c.gain)), max(judged, key=lambda c: c.gain)
+    asked = [least] if least.p < PROMISING_P * tried else []
+    if most not in asked and most.gain > criteria.min_shot_noise_gain_nats:
+        asked.append(most)
+    return asked
 
 
 def _with(

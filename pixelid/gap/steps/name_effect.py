@@ -35,7 +35,7 @@ from pixelid.gap.imputation.impute import (
 from pixelid.gap.options import Context
 from pixelid.gap.phases import Phase
 from pixelid.gap.rounds import Rounds, amended, attribution_entry, withdrawn
-from pixelid.gap.shot_noise.shot_noise import looks_like_shot_noise
+from pixelid.gap.shot_noise.shot_noise import looks_like_shot_noise, noise_explains_more
 from pixelid.gap.state import Hypothesis, NamedStep, State
 from pixelid.gap.steps.impute_hypothesis import Setting, at_imputed_times
 from pixelid.model.model import Model
@@ -43,6 +43,7 @@ from pixelid.model.model import Model
 NOTHING_LEFT_FOR_IT = "at times drawn with it in the model nothing is left for it"
 ONLY_WHERE_DRAWN = "nothing is lost where the readout was idle and times are known, or no more than drawing leaves"
 DESCRIBED_BETTER = "a description explains more on pixels that no fit has seen"
+NOISE_EXPLAINS_MORE = "shot noise beside it would explain more than it does, which drawn times cannot bear out"
 UNLIKE_JITTER = "what it would take of the times does not look like one"
 MAX_ROUNDS = 4  # a camera that lacks more effects than this lacks a model
 
@@ -110,6 +111,8 @@ def _named_one_more(state: State, context: Context) -> State:
     if standing.hopeless:
         refused = with_refused(state, winner, "a flexible alternative explains more, and leaves it little to explain")
         return _with_jitter_instead(refused, state, attribution, context)
+    if state.imputed and noise_explains_more(evidence, winner.end.model, winner.gain, context.options):
+        return with_refused(state, winner, NOISE_EXPLAINS_MORE)
     if winner.effect == LOST and _is_misplaced(state, winner.end.model, hypothesis.fit.model, context):
         return _without_lost(with_refused(state, winner, ONLY_WHERE_DRAWN))
     accepted = with_accepted(state, winner, attribution, standing.firm)
