@@ -66,7 +66,8 @@ class Criteria:
     Shot noise
         min_shot_noise_gain_nats: By which simulated replicates with it must come nearer than those without: 1.4
             standard deviations of the distance between replicates of one model (√(n/2) of n = 400 cells: 14 nats).
-            Also the error of how much nearer replicates with one effect more come: of a difference of two distances.
+            Also the error of how much nearer replicates with one effect more come (of a difference of two distances),
+            and so what an effect must gain for that to show, and shot noise by its filter for being another's rival.
         max_share_left_by_shot_noise: Of the distance without it that may remain.
         sufficient_p_shot_noise: Of what it alone leaves, from which on it takes the place of all that was named before.
         artefact_error_share: Of the root of what effects gain under shot noise in sessions that lack them, by which

@@ -618,7 +618,10 @@ def test_nothing_settles_where_two_effects_are_missing():
 
 @pytest.mark.parametrize(
     ("alone", "left", "named"),
-    [(1e-4, 300.0, True), (8e-4, 200.0, True), (8e-4, 295.0, False), (8e-4, 320.0, False), (0.02, 0.0, False)],
+    [
+        *[(1e-4, 300.0, True), (8e-4, 200.0, True), (8e-4, 295.0, False), (8e-4, 320.0, False)],
+        *[(0.02, 0.0, True), (0.02, 260.0, False)],
+    ],
 )
 def test_an_excess_beside_shot_noise_is_borne_out_by_replicates_or_not(complete, monkeypatch, alone, left, named):
     """alone: chance of the excess of one effect;  left: by shot noise beside it, 300 without."""
@@ -635,7 +638,8 @@ def test_an_excess_beside_shot_noise_is_borne_out_by_replicates_or_not(complete,
     monkeypatch.setattr(beside, "candidates_of", lambda *given: None)
     monkeypatch.setattr(beside, "attribute", lambda *given: attribution)
     monkeypatch.setattr(beside, "may_be_named", lambda candidate, options: True)
-    monkeypatch.setattr(beside, "_most_in_excess", lambda able, tried, state, context: winner)
+    monkeypatch.setattr(beside, "gains_without", lambda *given: np.zeros((1, 2)))
+    monkeypatch.setattr(beside, "chance_of_excess", lambda *given: effects * alone)
     monkeypatch.setattr(beside, "_with", lambda *given: replace(state, steps=(step,), shot_noise=after))
     found = beside.name_beside_shot_noise(state, CONTEXT)
     assert [one.effect for one in found.steps] == (["polarity_memory"] if named else [])
@@ -645,3 +649,62 @@ def test_an_excess_beside_shot_noise_is_borne_out_by_replicates_or_not(complete,
         assert found.steps[0].winner.p < CONTEXT.options.alpha_each
     else:
         assert beside.NO_EXCESS in found.rounds[-1]["refused"]
+
+
+@pytest.mark.parametrize(
+    ("chances", "left", "asked", "named"),
+    [
+        ((0.5, 1e-9), (50.0, 280.0), ["dark_current", "polarity_memory"], "polarity_memory"),
+        ((0.5, 1e-9), (None, 280.0), ["dark_current", "polarity_memory"], "dark_current"),
+        ((0.5, 0.5), (50.0, None), ["polarity_memory"], "polarity_memory"),
+        ((1e-9, 0.5), (50.0, None), ["polarity_memory"], "polarity_memory"),
+    ],
+)
+def test_what_gains_most_beside_shot_noise_is_asked_by_replicates(complete, monkeypatch, chances, left, asked, named):
+    """An effect that does what the noise does gains as much in sessions without it, as one is sure to without doing so.
+
+    chances: of the excess of a gain of 3000 nats and of one of 200;  left: with each in the model, 300 without
+    """
+    hypothesis, given = complete.hypothesis, []
+    seen = replace(hypothesis.seen, p=1e-3)
+    corrected = Corrected(hypothesis.fit.model, np.zeros_like(hypothesis.fit.x), seen, np.ones_like(hypothesis.fit.x))
+    candidates = [
+        Candidate(name, hypothesis.fit, gain, 1e-9, np.zeros(4))
+        for name, gain in (("polarity_memory", 3000.0), ("dark_current", 200.0))
+    ]
+    attribution = Attribution(tuple(candidates), {}, candidates[0], (), {})
+    before = ShotNoise(1e-4, (0.0, 1.0), corrected, 1000.0, 300.0)
+    state = replace(complete, hypothesis=hypothesis, steps=(), rounds=(), shot_noise=before)
+
+    def with_it(one, *rest):
+        given.append(one.effect)
+        amount = dict(zip(("polarity_memory", "dark_current"), left, strict=True))[one.effect]
+        step = NamedStep(one, attribution, "", True, hypothesis)
+        return None if amount is None else replace(state, steps=(step,), shot_noise=replace(before, left=amount))
+
+    monkeypatch.setattr(beside, "settled_under_noise", lambda evidence, model, cache: (evidence, hypothesis.fit))
+    monkeypatch.setattr(beside, "missing", lambda model: ["polarity_memory", "dark_current"])
+    monkeypatch.setattr(beside, "candidates_of", lambda *given: None)
+    monkeypatch.setattr(beside, "attribute", lambda *given: attribution)
+    monkeypatch.setattr(beside, "may_be_named", lambda candidate, options: True)
+    monkeypatch.setattr(beside, "gains_without", lambda *given: np.zeros((2, 2)))
+    monkeypatch.setattr(beside, "chance_of_excess", lambda gain, *rest: chances[0] if gain > 1e3 else chances[1])
+    monkeypatch.setattr(beside, "_with", with_it)
+    found = beside.name_beside_shot_noise(state, CONTEXT)
+    assert given == asked
+    assert [one.effect for one in found.steps] == [named]
+
+
+@pytest.mark.slow
+def test_a_memory_of_the_polarity_is_named_beside_shot_noise():
+    """Deviations reverse under either: replicates made from the first fit are hardly nearer than without noise."""
+    strength, density = 0.12, 2.7e-4
+    camera = MODEL.with_effect("polarity_memory", {"strength": strength})
+    camera = camera.with_effect("shot_noise", {"density": density})
+    lights = [chirp(24.0, stop_hz=200.0), steps(24.0, seed=1), slow(24.0, seed=2), chirp(400.0, stop_hz=400.0)]
+    report = gap(recorded(camera, lights, side=4), MODEL, alpha=0.01, seed=1, recommend=False)
+    assert (report.verdict, {effect.name for effect in report.effects}) == ("named", {"polarity_memory", "shot_noise"})
+    for effect in report.effects:
+        for name, (value, (low, high)) in effect.parameters.items():
+            truth = {"polarity_memory.strength": strength, "shot_noise.density": density}[name]
+            assert low <= truth <= high, (name, value, low, high)

@@ -203,9 +203,13 @@ def _put_right(
         background: (2,) OFF and ON events without a cause that were measured.
         made: Replicates of a guess, from a number of a turn on.
         judged: What is left beside replicates, by the guess that they lead to; None for too much.
-        enough: p-value of what is left, from which on no more are made.
+        enough: p-value of what is left, from which on no more are made, but once where they were off in the density by
+            more than its error.
     """
     best: ShotNoise | None = None
+    alike: ShotNoise | None = (
+        None  # the first that leaves little enough, its replicates off in the density all the same
+    )
     worse = 0
     for turn in range(2 + REPLICATES, 2 + REPLICATES * ROUNDS, REPLICATES):
         if turn > 2 + REPLICATES:
@@ -213,16 +217,21 @@ def _put_right(
         better = guess.corrected(final, None if best is None else background)
         if not better.is_told or not sound(final):
             break
-        if turn > 2 + REPLICATES or abs(math.log(better.density / guess.density)) < MAX_MOVE:
+        off = abs(math.log(better.density / guess.density))
+        if turn > 2 + REPLICATES or off < MAX_MOVE:
             noise = judged(better, final)
-            if noise is None or noise.corrected.seen.p >= enough:
-                return noise or best
+            if noise is None:
+                break
+            sufficient = noise.corrected.seen.p >= enough
+            if alike is not None or (sufficient and off < better.error(final)):
+                return noise if sufficient else alike
+            alike = noise if sufficient else None
             worse = 0 if best is None or noise.left < NEARER * best.left else worse + 1
             best = noise if best is None or noise.left < best.left else best
             if worse == PATIENCE:
                 break
         guess = better
-    return best
+    return alike or best
 
 
 @dataclass(frozen=True)
