@@ -2,6 +2,7 @@
 shipped noise), and what better times take back."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -34,6 +35,7 @@ from pixelid.gap.search import begin
 from pixelid.gap.shot_noise.replicates import Corrected
 from pixelid.gap.shot_noise.shot_noise import ShotNoise
 from pixelid.gap.state import NamedStep
+from pixelid.gap.steps import discount_imputation_noise as discounting
 from pixelid.gap.steps import explain_by_shot_noise as by_noise
 from pixelid.gap.steps import name_beside_shot_noise as beside
 from pixelid.gap.steps import withdraw as withdrawing
@@ -693,6 +695,34 @@ def test_what_gains_most_beside_shot_noise_is_asked_by_replicates(complete, monk
     found = beside.name_beside_shot_noise(state, CONTEXT)
     assert given == asked
     assert [one.effect for one in found.steps] == [named]
+
+
+@pytest.mark.parametrize(("at_these", "afresh", "left"), [(0.3, None, 0.3), (1e-4, 0.4, 0.4), (1e-4, 1e-3, 1e-4)])
+def test_times_are_drawn_afresh_where_more_is_left_than_of_a_simulated_session(
+    complete, monkeypatch, at_these, afresh, left
+):
+    """at_these, afresh: chance of what is left at the times of the search, and at others; None: not to be asked."""
+    windows: Any = (None,)
+    imputation = Imputation(QUEUE, (), (), windows, (), {}, {})
+    hypothesis = replace(complete.hypothesis, seen=replace(complete.hypothesis.seen, p=1e-6))
+    state = replace(complete, hypothesis=hypothesis, imputation=imputation)
+    again, other = replace(hypothesis, seen=replace(hypothesis.seen, p=1e-5)), replace(imputation, effect=TICK)
+
+    def imputed(made, *rest):
+        return (imputation, complete.hypothesis) if made is None else (other, again)
+
+    def subtracted(seen, shown):
+        chance = at_these if seen is hypothesis.seen else afresh
+        assert chance is not None, "drawn afresh though nothing is left"
+        return seen.maps.cells, chance
+
+    monkeypatch.setattr(discounting, "simulate_again", lambda *given: None)
+    monkeypatch.setattr(discounting, "_imputed_alike", imputed)
+    monkeypatch.setattr(discounting, "subtract_replicates", subtracted)
+    found = discounting.discount_imputation_noise(state, CONTEXT)
+    assert found.phase is Phase.WITHDRAW
+    assert found.hypothesis.seen.p == left
+    assert found.imputation is (other if left == afresh else imputation)
 
 
 @pytest.mark.slow

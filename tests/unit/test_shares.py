@@ -217,3 +217,20 @@ def test_replicates_alike_but_off_in_the_density_are_made_once_more(guessed, p_a
     assert noise is not None
     assert len(seen) == rounds
     assert noise.density == pytest.approx(seen[0] if density is None else density, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("by_the_filter", "gained", "left_out", "more"),
+    [
+        *[(1050.0, 170.0, (), True), (0.0, 715.0, (), False), (15.0, 10.0, (), False)],
+        (1050.0, 170.0, ("shot_noise",), False),
+    ],
+)
+def test_an_effect_at_drawn_times_has_shot_noise_for_a_rival(monkeypatch, by_the_filter, gained, left_out, more):
+    """Behind a queue a memory of the polarity stood in for it; one that was there left the filter nothing."""
+    monkeypatch.setattr(shot_noise, "share_out", lambda *given: Division(3e-4, 0.5, 0.1, by_the_filter, 1e3))
+    evidence: Any = SimpleNamespace(training=None)
+    options, model = Options(leave_out=left_out), find_model("dvs128")
+    assert shot_noise.noise_explains_more(evidence, model, gained, options) == more
+    with_noise = model.with_effect("shot_noise", {"density": 3e-4})
+    assert not shot_noise.noise_explains_more(evidence, with_noise, gained, options)
