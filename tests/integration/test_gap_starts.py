@@ -725,6 +725,23 @@ def test_times_are_drawn_afresh_where_more_is_left_than_of_a_simulated_session(
     assert found.imputation is (other if left == afresh else imputation)
 
 
+@pytest.mark.parametrize(("named", "p_afresh", "taken"), [(True, 0.4, True), (True, 1e-9, False), (False, 0.4, False)])
+def test_times_behind_a_queue_are_drawn_afresh_once_an_effect_is_named(complete, monkeypatch, named, p_afresh, taken):
+    """Nothing significant is left at the times of the search."""
+    windows: Any = (None,)
+    imputation = Imputation(QUEUE, (), (), windows, (), {}, {})
+    hypothesis = complete.hypothesis
+    winner = Candidate("leak", hypothesis.fit, 600.0, 0.0, hypothesis.fit.x)
+    step = NamedStep(winner, Attribution((), {}, None, (), {}), "", True, hypothesis)
+    queue = TimestampSignature(QUEUE, "", 3e-6, (3e-6, 3e-6), 0.0, 1.0, 1, "")
+    state = replace(complete, imputation=imputation, undone=(queue,), steps=(step,) if named else ())
+    again, other = replace(hypothesis, seen=replace(hypothesis.seen, p=p_afresh)), replace(imputation, effect=TICK)
+    monkeypatch.setattr(discounting, "_imputed_alike", lambda *given: (other, again))
+    found = discounting.discount_imputation_noise(state, CONTEXT)
+    assert (found.imputation is other) == taken
+    assert (found.hypothesis is again) == taken
+
+
 @pytest.mark.slow
 def test_a_memory_of_the_polarity_is_named_beside_shot_noise():
     """Deviations reverse under either: replicates made from the first fit are hardly nearer than without noise."""
