@@ -717,6 +717,7 @@ def test_times_are_drawn_afresh_where_more_is_left_than_of_a_simulated_session(
         return seen.maps.cells, chance
 
     monkeypatch.setattr(discounting, "simulate_again", lambda *given: None)
+    monkeypatch.setattr(discounting, "split_pixels", lambda *given: complete.split)
     monkeypatch.setattr(discounting, "_imputed_alike", imputed)
     monkeypatch.setattr(discounting, "subtract_replicates", subtracted)
     found = discounting.discount_imputation_noise(state, CONTEXT)
