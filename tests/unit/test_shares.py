@@ -234,3 +234,20 @@ def test_an_effect_at_drawn_times_has_shot_noise_for_a_rival(monkeypatch, by_the
     assert shot_noise.noise_explains_more(evidence, model, gained, options) == more
     with_noise = model.with_effect("shot_noise", {"density": 3e-4})
     assert not shot_noise.noise_explains_more(evidence, with_noise, gained, options)
+
+
+@pytest.mark.parametrize("events", [0.0, 1e9])
+def test_a_correction_beyond_all_densities_is_not_told(events):
+    """Noise that replicates lack, weighed by events without a cause that hardly depend on it, was e to the 900 off."""
+    model = find_model("dvs128").set({"on_threshold": 0.01, "off_threshold": 0.01})
+    coordinates = Coordinates.of(model)
+    fit: Any = SimpleNamespace(
+        coordinates=coordinates, x=coordinates.start, model=model, values=model.values,
+        information=1e6 * np.eye(len(coordinates.names)),
+    )  # fmt: skip
+    found = Division(3e-4, 0.5, 0.1, 500.0, 8.5)
+    told = NOTHING_TOLD if events == 0.0 else Division(1e290, 0.5, 0.1, 500.0, 8.5)
+    made = [Replicate(fit.x, {}, np.full(2, events), told)]
+    guess = Guess(fit, found, fit.x, 3e-4).corrected(made, np.full(2, 4000.0))
+    assert not guess.is_told
+    assert np.isfinite(guess.density)

@@ -84,6 +84,9 @@ class Guess:
             denser = 0.5 * (denser + float(np.mean(more / self.background_per_density())))
         excess = np.append(truth + off - self.fit.x, denser)
         step = -excess / self._answer(excess)
+        step[-1] = np.clip(
+            step[-1], -2.0 * MAX_LOG_CORRECTION, 2.0 * MAX_LOG_CORRECTION
+        )  # from any that is told to none
         x = truth + step[:-1]
         variance = math.exp(2.0 * self.fit.x[k])
         seen = float(np.median([one.division.thresholds * math.exp(2.0 * one.x[k]) for one in made]))
