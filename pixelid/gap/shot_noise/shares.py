@@ -25,6 +25,7 @@ from pixelid.model.model import Model
 MAX_LOG_CORRECTION = math.log(10.0)
 MOST_ANSWER = 3.0  # of a step, by which the next is shortened: what exceeds it is of other coordinates' steps
 LEAST_STEP = 0.01  # whose answer tells anything beside how refits scatter
+FARTHEST = 2.0 * MAX_LOG_CORRECTION  # of one step: from any density that is told to one that is not
 MEDIAN_VARIANCE = 0.5 * math.pi  # of the median of normals, over that of their mean
 MAX_LOG_ERROR = 0.5  # of a replicate's density: one so far from the others' ended at a lesser optimum
 
@@ -84,9 +85,7 @@ class Guess:
             denser = 0.5 * (denser + float(np.mean(more / self.background_per_density())))
         excess = np.append(truth + off - self.fit.x, denser)
         step = -excess / self._answer(excess)
-        step[-1] = np.clip(
-            step[-1], -2.0 * MAX_LOG_CORRECTION, 2.0 * MAX_LOG_CORRECTION
-        )  # from any that is told to none
+        step[-1] = np.clip(step[-1], -FARTHEST, FARTHEST)
         x = truth + step[:-1]
         variance = math.exp(2.0 * self.fit.x[k])
         seen = float(np.median([one.division.thresholds * math.exp(2.0 * one.x[k]) for one in made]))

@@ -207,9 +207,7 @@ def _put_right(
             more than its error.
     """
     best: ShotNoise | None = None
-    alike: ShotNoise | None = (
-        None  # the first that leaves little enough, its replicates off in the density all the same
-    )
+    alike: ShotNoise | None = None  # leaves little enough, but its replicates were off in the density
     worse = 0
     for turn in range(2 + REPLICATES, 2 + REPLICATES * ROUNDS, REPLICATES):
         if turn > 2 + REPLICATES:

@@ -110,8 +110,9 @@ def _to_be_asked(
         replace(c, p=chance_of_excess(c.gain, gains, tried, criteria)) for c, gains in zip(able, without, strict=True)
     ]
     least, most = min(judged, key=lambda c: (c.p, -c.gain)), max(judged, key=lambda c: c.gain)
-    asked = [least] if least.p < PROMISING_P * tried else []
-    if most not in asked and most.gain > criteria.min_shot_noise_gain_nats:
+    promising = least.p < PROMISING_P * tried
+    asked = [least] if promising else []
+    if most.gain > criteria.min_shot_noise_gain_nats and not (promising and most is least):
         asked.append(most)
     return asked
 
