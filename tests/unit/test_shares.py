@@ -3,7 +3,7 @@
 import math
 from dataclasses import replace
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -11,8 +11,9 @@ import pytest
 from pixelid.fit.coordinates import Coordinates
 from pixelid.gap.options import Options
 from pixelid.gap.shot_noise import shot_noise
-from pixelid.gap.shot_noise.replicates import NOTHING_TOLD, Replicate
+from pixelid.gap.shot_noise.replicates import NOTHING_TOLD, Corrected, Replicate
 from pixelid.gap.shot_noise.shares import Guess, vector
+from pixelid.gap.steps import numbers
 from pixelid.likelihood.shot_noise import Division
 from pixelid.model.shipped import find_model
 from pixelid.parameters.parameter import Parameter
@@ -238,7 +239,7 @@ def test_an_effect_at_drawn_times_has_shot_noise_for_a_rival(monkeypatch, by_the
 
 @pytest.mark.parametrize("events", [0.0, 1e9])
 def test_a_correction_beyond_all_densities_is_not_told(events):
-    """Noise that replicates lack, weighed by events without a cause that hardly depend on it, was e to the 900 off."""
+    """Noise that replicates lack, weighed by events without a cause that hardly depend on it, is e to the 900 off."""
     model = find_model("dvs128").set({"on_threshold": 0.01, "off_threshold": 0.01})
     coordinates = Coordinates.of(model)
     fit: Any = SimpleNamespace(
@@ -251,3 +252,24 @@ def test_a_correction_beyond_all_densities_is_not_told(events):
     guess = Guess(fit, found, fit.x, 3e-4).corrected(made, np.full(2, 4000.0))
     assert not guess.is_told
     assert np.isfinite(guess.density)
+
+
+def test_an_interval_without_an_end_stays_one_when_it_is_widened(monkeypatch):
+    """A pole that the events left open, widened beside shot noise, ended the search with an OverflowError."""
+    model = find_model("dvs128")
+    coordinates = Coordinates.of(model)
+    plain = {p.name: (p.lower, min(p.upper, 1e80)) for p in coordinates.parameters}
+    plain["beta"] = (model.values["beta"] / 1.01, model.values["beta"] * 1.01)
+    monkeypatch.setattr(numbers, "interval_95", lambda *given: plain)
+    d = len(coordinates.names)
+    fit: Any = SimpleNamespace(coordinates=coordinates, x=coordinates.start)
+    corrected = Corrected(model, np.full(d, 0.05), cast(Any, None), np.full(d, 80.0))
+    hypothesis: Any = SimpleNamespace(
+        evidence=SimpleNamespace(training=None), fit=fit, scatter=None, jitter=None, corrected=corrected
+    )
+    found = numbers.intervals_of(hypothesis)
+    factor = math.exp(0.05) * np.array([1.01**-80, 1.01**80])
+    np.testing.assert_allclose(found["beta"], model.values["beta"] * factor)
+    for p in coordinates.parameters:
+        low, high = found[p.name]
+        assert p.lower <= low < high <= p.upper

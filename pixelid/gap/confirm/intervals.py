@@ -45,7 +45,7 @@ def interval_95(
     drawn = np.array([(scatter or {}).get(name, 0.0) for name in end.coordinates.names])
     sd = np.sqrt(sd**2 + IMPUTATION_VARIANCE_FACTOR * drawn**2)
     lower, upper = intervals(end.coordinates.names, end.x, sd, likelihood.pixels)
-    return {name: _in_units(end.coordinates, i, lower[i], upper[i]) for i, name in enumerate(end.coordinates.names)}
+    return {name: in_units(end.coordinates, i, lower[i], upper[i]) for i, name in enumerate(end.coordinates.names)}
 
 
 def open_sides(limits: tuple[float, float] | None, parameter: Parameter) -> tuple[float | None, float | None] | None:
@@ -71,7 +71,8 @@ def _inverse_or_open(information: np.ndarray) -> np.ndarray:
     return covariance
 
 
-def _in_units(coordinates: Coordinates, i: int, low: float, high: float) -> tuple[float, float]:
+def in_units(coordinates: Coordinates, i: int, low: float, high: float) -> tuple[float, float]:
+    """An interval of coordinate i in the parameter's unit, within its bounds, however wide."""
     p = coordinates.parameters[i]
     low, high = (p.from_coordinate(float(np.clip(c, -300.0, 300.0))) for c in (low, high))
     return max(low, p.lower), min(high, p.upper)

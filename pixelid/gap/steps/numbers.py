@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from pixelid.gap.confirm.free_run import FreeRun, free_run
-from pixelid.gap.confirm.intervals import interval_95
+from pixelid.gap.confirm.intervals import in_units, interval_95
 from pixelid.gap.imputation.impute import SIGMA
 from pixelid.gap.options import Context
 from pixelid.gap.state import Hypothesis, State
@@ -39,8 +39,7 @@ def intervals_of(hypothesis: Hypothesis) -> dict[str, tuple[float, float]]:
         return plain
     moved, fit, corrected = {}, hypothesis.fit, hypothesis.corrected
     rows = zip(fit.coordinates.parameters, fit.x, corrected.shift, corrected.widened, strict=True)
-    for p, at, shift, factor in rows:
-        edges = (at + factor * (p.to_coordinate(edge) - at) for edge in plain[p.name])
-        low, high = (float(p.from_coordinate(float(shift + edge))) for edge in edges)
-        moved[p.name] = (max(low, p.lower), min(high, p.upper))
+    for i, (p, at, shift, factor) in enumerate(rows):
+        low, high = (shift + at + factor * (p.to_coordinate(edge) - at) for edge in plain[p.name])
+        moved[p.name] = in_units(fit.coordinates, i, low, high)
     return moved
