@@ -618,6 +618,17 @@ def test_nothing_settles_where_two_effects_are_missing():
     assert name_what_settles(state, CONTEXT) is None
 
 
+def attributed_beside(monkeypatch, attribution, fit, tried, chance):
+    """Beside shot noise, of so many effects tried, what an attribution says;  chance: of the excess of a gain."""
+    monkeypatch.setattr(beside, "settled_under_noise", lambda evidence, model, cache: (evidence, fit))
+    monkeypatch.setattr(beside, "missing", lambda model: [str(k) for k in range(tried)])
+    monkeypatch.setattr(beside, "candidates_of", lambda *given: None)
+    monkeypatch.setattr(beside, "attribute", lambda *given: attribution)
+    monkeypatch.setattr(beside, "may_be_named", lambda candidate, options: True)
+    monkeypatch.setattr(beside, "gains_without", lambda *given: np.zeros((len(attribution.candidates), 2)))
+    monkeypatch.setattr(beside, "chance_of_excess", lambda gain, *rest: chance(gain))
+
+
 @pytest.mark.parametrize(
     ("alone", "left", "named"),
     [
@@ -635,13 +646,7 @@ def test_an_excess_beside_shot_noise_is_borne_out_by_replicates_or_not(complete,
     attribution = Attribution((winner,), {}, winner, (), {})
     step = NamedStep(winner, attribution, "", True, hypothesis)
     state = replace(complete, hypothesis=hypothesis, steps=(), rounds=(), shot_noise=before)
-    monkeypatch.setattr(beside, "settled_under_noise", lambda evidence, model, cache: (evidence, hypothesis.fit))
-    monkeypatch.setattr(beside, "missing", lambda model: [str(k) for k in range(effects)])
-    monkeypatch.setattr(beside, "candidates_of", lambda *given: None)
-    monkeypatch.setattr(beside, "attribute", lambda *given: attribution)
-    monkeypatch.setattr(beside, "may_be_named", lambda candidate, options: True)
-    monkeypatch.setattr(beside, "gains_without", lambda *given: np.zeros((1, 2)))
-    monkeypatch.setattr(beside, "chance_of_excess", lambda *given: effects * alone)
+    attributed_beside(monkeypatch, attribution, hypothesis.fit, effects, lambda gain: effects * alone)
     monkeypatch.setattr(beside, "_with", lambda *given: replace(state, steps=(step,), shot_noise=after))
     found = beside.name_beside_shot_noise(state, CONTEXT)
     assert [one.effect for one in found.steps] == (["polarity_memory"] if named else [])
@@ -684,13 +689,9 @@ def test_what_gains_most_beside_shot_noise_is_asked_by_replicates(complete, monk
         step = NamedStep(one, attribution, "", True, hypothesis)
         return None if amount is None else replace(state, steps=(step,), shot_noise=replace(before, left=amount))
 
-    monkeypatch.setattr(beside, "settled_under_noise", lambda evidence, model, cache: (evidence, hypothesis.fit))
-    monkeypatch.setattr(beside, "missing", lambda model: ["polarity_memory", "dark_current"])
-    monkeypatch.setattr(beside, "candidates_of", lambda *given: None)
-    monkeypatch.setattr(beside, "attribute", lambda *given: attribution)
-    monkeypatch.setattr(beside, "may_be_named", lambda candidate, options: True)
-    monkeypatch.setattr(beside, "gains_without", lambda *given: np.zeros((2, 2)))
-    monkeypatch.setattr(beside, "chance_of_excess", lambda gain, *rest: chances[0] if gain > 1e3 else chances[1])
+    attributed_beside(
+        monkeypatch, attribution, hypothesis.fit, 2, lambda gain: chances[0] if gain > 1e3 else chances[1]
+    )
     monkeypatch.setattr(beside, "_with", with_it)
     found = beside.name_beside_shot_noise(state, CONTEXT)
     assert given == asked

@@ -35,6 +35,15 @@ def test_phases_of_recordings_are_the_models_and_delays_the_fits():
     np.testing.assert_allclose(at["alpha"] - start["alpha"], np.log(1.1))
 
 
+def well_known_fit(model) -> Any:
+    """At the model's own values, each coordinate known to a thousandth."""
+    coordinates = Coordinates.of(model)
+    return SimpleNamespace(
+        coordinates=coordinates, x=coordinates.start.copy(), model=model, values=model.values,
+        information=1e6 * np.eye(len(coordinates.names)),
+    )  # fmt: skip
+
+
 CELLS = [("level", str(k)) for k in range(100)]
 
 
@@ -52,11 +61,7 @@ def replicate_in_which(fit, density, score):
 def test_replicates_whose_noise_is_not_found_again_end_the_attempt(monkeypatch, lost_from, told):
     """Their correction once made a density of 7e4, which no model can have: the search ended with an error."""
     model, made = find_model("dvs128"), []
-    coordinates = Coordinates.of(model)
-    fit: Any = SimpleNamespace(
-        coordinates=coordinates, x=coordinates.start, model=model, values=model.values,
-        information=1e6 * np.eye(len(coordinates.names)),
-    )  # fmt: skip
+    fit = well_known_fit(model)
     found = Division(3e-4, 0.5, 0.1, 500.0, 1e3)
 
     def make(evidence, truth, fit, seen, criteria, seed, cache=None):
@@ -80,11 +85,8 @@ def test_replicates_whose_noise_is_not_found_again_end_the_attempt(monkeypatch, 
 def test_a_density_far_off_is_put_right_by_events_without_a_cause(more_than_chance):
     """Where the filter finds nearly the same noise whatever there is, as it does with poles that are far off."""
     model = find_model("dvs128").set({"on_threshold": 0.2, "off_threshold": 0.2})
-    coordinates, truth, measured = Coordinates.of(model), 7e-4, np.full(2, 4000.0)
-    fit: Any = SimpleNamespace(
-        coordinates=coordinates, x=coordinates.start, model=model, values=model.values,
-        information=1e6 * np.eye(len(coordinates.names)),
-    )  # fmt: skip
+    truth, measured = 7e-4, np.full(2, 4000.0)
+    fit = well_known_fit(model)
     rounds = []
 
     def made(at, turn=0):
@@ -146,10 +148,7 @@ def test_corrections_settle_where_refits_answer_a_step_by_more_than_its_length(a
     i = coordinates.names.index("beta")
     truth = start.copy()
     truth[i] += 0.15
-    fit: Any = SimpleNamespace(
-        coordinates=coordinates, x=start.copy(), model=model, values=model.values,
-        information=1e6 * np.eye(len(start)),
-    )  # fmt: skip
+    fit = well_known_fit(model)
     fit.x[i] = start[i] + 0.35  # where the likelihood that knows no shot noise ends in the measurement
     found = Division(3e-4, 0.5, 0.1, 500.0, 1e3)
     guess = Guess(fit, found, fit.x, 3e-4)
@@ -182,7 +181,7 @@ def test_single_replicates_lead_on_as_long_as_they_come_nearer(off, tried):
 
     start: Any = SimpleNamespace(is_told=True, model=None)
     start.corrected = lambda replicates: start
-    found: Any = shot_noise._approached(start, off[0], lambda one: one, 4000.0, 50.0, made, Options().criteria)
+    found: Any = shot_noise._approached(start, off[0], lambda one: one, 2420.0, made)
     assert (None if found is None else len(turns)) == tried
     assert len(set(turns)) == len(turns)
 
@@ -197,11 +196,7 @@ def test_single_replicates_lead_on_as_long_as_they_come_nearer(off, tried):
 )
 def test_replicates_alike_but_off_in_the_density_are_made_once_more(guessed, p_again, rounds, density):
     model = find_model("dvs128")
-    coordinates = Coordinates.of(model)
-    fit: Any = SimpleNamespace(
-        coordinates=coordinates, x=coordinates.start, model=model, values=model.values,
-        information=1e6 * np.eye(len(coordinates.names)),
-    )  # fmt: skip
+    fit = well_known_fit(model)
     truth, measured, seen = 3e-4, Division(3e-4, 0.5, 0.03, 500.0, 8.5), []
 
     def made(at, turn=0):
@@ -241,11 +236,7 @@ def test_an_effect_at_drawn_times_has_shot_noise_for_a_rival(monkeypatch, by_the
 def test_a_correction_beyond_all_densities_is_not_told(events):
     """Noise that replicates lack, weighed by events without a cause that hardly depend on it, is e to the 900 off."""
     model = find_model("dvs128").set({"on_threshold": 0.01, "off_threshold": 0.01})
-    coordinates = Coordinates.of(model)
-    fit: Any = SimpleNamespace(
-        coordinates=coordinates, x=coordinates.start, model=model, values=model.values,
-        information=1e6 * np.eye(len(coordinates.names)),
-    )  # fmt: skip
+    fit = well_known_fit(model)
     found = Division(3e-4, 0.5, 0.1, 500.0, 8.5)
     told = NOTHING_TOLD if events == 0.0 else Division(1e290, 0.5, 0.1, 500.0, 8.5)
     made = [Replicate(fit.x, {}, np.full(2, events), told)]
@@ -255,7 +246,7 @@ def test_a_correction_beyond_all_densities_is_not_told(events):
 
 
 def test_an_interval_without_an_end_stays_one_when_it_is_widened(monkeypatch):
-    """A pole that the events left open, widened beside shot noise, ended the search with an OverflowError."""
+    """An interval that went beyond all numbers, widened beside shot noise, ended the search with an OverflowError."""
     model = find_model("dvs128")
     coordinates = Coordinates.of(model)
     plain = {p.name: (p.lower, min(p.upper, 1e80)) for p in coordinates.parameters}

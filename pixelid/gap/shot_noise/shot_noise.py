@@ -128,12 +128,15 @@ def find_shot_noise(
     measured = Replicate(
         fit.x, seen.maps.scores, background_by_polarity(evidence.training, seen.residual.background), found
     )
-    bare, guessed = made((fit.model, 0), (Guess.first(fit, found).model, 1))
+    guess = Guess.first(fit, found)
+    bare, guessed = made((fit.model, 0), (guess.model, 1))
     without = _distance(measured, bare, criteria)
-    near = _approached(
-        Guess.first(fit, found), guessed, lambda one: _distance(measured, one, criteria), without,
-        0.5 * len(measured.scores), made, criteria,
-    )  # fmt: skip
+    alike = 0.5 * len(measured.scores)  # between replicates of one model
+    near_enough = min(
+        alike + 2.0 * criteria.max_share_left_by_shot_noise * (without - alike),  # half as near as they must in the end
+        without - 0.5 * criteria.min_shot_noise_gain_nats,
+    )
+    near = _approached(guess, guessed, lambda one: _distance(measured, one, criteria), near_enough, made)
     if near is None:
         return None
     guess, first = near
@@ -148,34 +151,29 @@ def _approached(
     guess: Guess,
     guessed: Replicate,
     distance: Callable[[Replicate], float],
-    without: float,
-    alike: float,
+    near_enough: float,
     made: Callable[..., list[Replicate]],
-    criteria: Criteria,
 ) -> tuple[Guess, Replicate] | None:
-    """A guess, corrected by one replicate after the other, and one of its own that comes half as near as they must in
-    the end; None where none does.
+    """A guess, corrected by one replicate after the other, and one of its own that comes near enough; None where none
+    does.
 
-    The first corrections may lead away: an effect that a fit takes for shot noise is off by as much as the noise is.
+    The first corrections may lead away: an effect that does to events what shot noise does takes part of it at first.
 
     Args:
         guess: As the filter has it.
         guessed: A replicate of it.
         distance: From the measurement, of a replicate.
-        without: Of one without shot noise.
-        alike: Between replicates of one model.
+        near_enough: Such a distance.
         made: Replicates of (model, turn)s.
-        criteria: How near they must come.
     """
     nearest, farther = distance(guessed), 0
-    near_enough = alike + 2.0 * criteria.max_share_left_by_shot_noise * (without - alike)
     for turn in APPROACH:
         guess = guess.corrected([guessed])
         if not guess.is_told:
             return None
         (guessed,) = made((guess.model, turn))
         off = distance(guessed)
-        if without - off >= 0.5 * criteria.min_shot_noise_gain_nats and off <= near_enough:
+        if off <= near_enough:
             return guess, guessed
         farther = 0 if off < NEARER * nearest else farther + 1
         if farther == PATIENCE:

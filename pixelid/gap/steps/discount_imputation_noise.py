@@ -32,10 +32,10 @@ def discount_imputation_noise(state: State, context: Context) -> State:
     """
     if not state.imputed:
         return state.then(Phase.WITHDRAW)
-    alpha, effects = context.options.alpha_each, {signature.effect for signature in state.undone}
-    stayed = QUEUE in effects and bool(state.steps) and state.hypothesis.corrected is None
-    looked_at = _looked_at(state)
-    if stayed:
+    alpha, looked_at = context.options.alpha_each, _looked_at(state)
+    queued = any(signature.effect == QUEUE for signature in state.undone)
+    drawn_afresh = queued and bool(state.steps) and state.hypothesis.corrected is None
+    if drawn_afresh:
         imputation, again = _imputed_alike(looked_at, state.split, state, context)
         if again.seen.p >= min(alpha, state.hypothesis.seen.p):
             state = replace(state, imputation=imputation, hypothesis=again)
@@ -47,7 +47,7 @@ def discount_imputation_noise(state: State, context: Context) -> State:
     shown = _imputed_alike(made, split_pixels(made, context.options.seed), state, context)[1].seen.maps
     cells, p = subtract_replicates(seen, [shown.scores])
     told = {"p_of_what_is_left": p, "background_events": shown.background}
-    if p < alpha and not stayed:
+    if p < alpha and not drawn_afresh:
         imputation, again = _imputed_alike(looked_at, state.split, state, context)
         afresh, p_afresh = subtract_replicates(again.seen, [shown.scores])
         told["p_at_times_drawn_afresh"] = p_afresh

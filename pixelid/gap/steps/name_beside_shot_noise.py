@@ -27,7 +27,7 @@ from pixelid.gap.shot_noise.shot_noise import ShotNoise, find_shot_noise
 from pixelid.gap.state import State
 from pixelid.gap.steps.name_effect import MAX_ROUNDS, grown_by, with_accepted, with_refused
 
-# Chance of one effect's excess, from which replicates are made with it, too: what exceeds less is not named.  A choice.
+# Chance of one effect's excess, from which replicates are made with it, too, whatever it gains.  A choice.
 PROMISING_P = 0.01
 NO_EXCESS = "sessions simulated without it gain as much by it"
 NOT_WITH_NOISE = "with it in the model shot noise explains less"
