@@ -140,10 +140,12 @@ def share_out(likelihood: EventTimes, circuit: Circuit, seed: int = 0) -> Divisi
         seed: Of the choice of pixels where all would take too long.
 
     Returns:
-        None where no event tells anything.
+        None where no event tells anything, or the circuit has no pole: white noise has no level there.
     """
     from scipy.optimize import minimize_scalar
 
+    if not len(linear_stages(circuit, 1.0)[0]):
+        return None
     chains, steps = _chains(likelihood, circuit, False, seed)
     chains = [chain for chain in chains if chain.usable.any()]
     if not chains:

@@ -35,6 +35,11 @@ PLANTED = (
     "dead_time_without_reset",
 )  # fmt: skip
 
+BLURRED = {
+    "timestamp_quantisation": {"tick_s": 1e-4}, "timestamp_jitter": {"sigma_s": 1e-4},
+    "readout_latency": {"service_s": 1e-4},
+}  # fmt: skip
+
 
 def base_model(name, added=""):
     model = find_model(name)
@@ -90,6 +95,27 @@ def test_the_search_goes_through_from_every_base(name, added, planted):
     if not possible(name, added) or not possible(name, planted):
         pytest.skip("this photoreceptor cannot have it")
     check(*search(name, added, planted))
+
+
+def behind_blurred_times(name, effect):
+    """The report on a camera that lacks a leak too."""
+    base = base_model(name)
+    camera = base.with_effect("leak").set({"leak.rate_hz": 20.0}).with_effect(effect, BLURRED[effect])
+    return gap(tiny_session(camera), base)
+
+
+def test_a_leak_behind_a_tick_is_named_where_the_base_has_no_pole():
+    report = behind_blurred_times("ideal", "timestamp_quantisation")
+    assert [found.name for found in report.effects] == ["timestamp_quantisation", "leak"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("effect", BLURRED)
+@pytest.mark.parametrize("name", SHIPPED)
+def test_the_search_goes_through_behind_blurred_times(name, effect):
+    report = behind_blurred_times(name, effect)
+    assert report.verdict in VERDICTS
+    assert {found.name for found in report.effects} <= {effect, "leak"}
 
 
 @pytest.mark.parametrize("name", SHIPPED)

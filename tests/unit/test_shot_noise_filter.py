@@ -157,6 +157,12 @@ def divided(truth, lights, seed, model=MODEL):
     return found, fit
 
 
+def test_without_a_pole_noise_is_not_shared_out(lights):
+    ideal = find_model("ideal").with_effect("threshold_noise")
+    likelihood = EventTimes([simulate(ideal, light, width=2, height=2, seed=1) for light in lights])
+    assert share_out(likelihood, ideal.circuit()) is None
+
+
 def test_planted_shot_noise_is_told_from_threshold_noise(lights):
     truth = MODEL.set({"threshold_sigma": 0.03}).with_effect("shot_noise", {"density": 6e-5})
     found, fit = divided(truth, lights, 11)
