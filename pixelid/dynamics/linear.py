@@ -12,6 +12,11 @@ from pixelid.dynamics.slew import without_slew_limit
 from pixelid.stages.circuit import Circuit
 
 
+def has_pole(circuit: Circuit) -> bool:
+    """Whether a stage limits the bandwidth of white noise: without one the noise has no level."""
+    return len(linear_stages(circuit, 1.0)[0]) > 0
+
+
 def linear_stages(circuit: Circuit, light: float) -> tuple[np.ndarray, np.ndarray, int]:
     """(A (n, n), drive (n,), stored): dx/dt = A x + drive · (ln L − its mean) of the stages, around a constant light.
 

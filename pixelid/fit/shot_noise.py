@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from pixelid.dynamics.linear import linear_stages
+from pixelid.dynamics.linear import has_pole
 from pixelid.fit.again import can_be_simulated, simulate_again
 from pixelid.fit.coordinates import Coordinates
 from pixelid.fit.event_times import LEVELS_TAKEN_AT, EventTimesObjective
@@ -110,7 +110,7 @@ def fit_under_shot_noise(
         details[LEVELS_TAKEN_AT] = _named(coordinates, at)
         return noisy, newton_steps(noisy, at, tolerance=1e-3, max_steps=40)
 
-    if not len(linear_stages(coordinates.circuit(x), 1.0)[0]):  # noise without a pole has no level
+    if not has_pole(coordinates.circuit(x)):
         return _with_density(objective, optimum, model, clocks, parameter.value, OPEN, {"gain_nats": None, "turns": 0})
     found = divided(x) if parameter.free else None
     details: dict[str, Any] = {}

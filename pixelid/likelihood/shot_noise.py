@@ -22,7 +22,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from pixelid.dynamics.linear import linear_stages, stationary_covariance
+from pixelid.dynamics.linear import has_pole, linear_stages, stationary_covariance
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.likelihood.layout import Shift, read_only
 from pixelid.parallel import map_threads
@@ -144,7 +144,7 @@ def share_out(likelihood: EventTimes, circuit: Circuit, seed: int = 0) -> Divisi
     """
     from scipy.optimize import minimize_scalar
 
-    if not len(linear_stages(circuit, 1.0)[0]):
+    if not has_pole(circuit):
         return None
     chains, steps = _chains(likelihood, circuit, False, seed)
     chains = [chain for chain in chains if chain.usable.any()]
