@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from pixelid.dynamics.equations import PRESENT_BELOW
+from pixelid.likelihood.clocks import light_on_clock
 from pixelid.likelihood.light_drawn import light_in_a_row
 from pixelid.model.model import Model
 from pixelid.parallel import map_threads
@@ -36,8 +37,8 @@ def simulate_again(
         i, r = job
         light = r.stimulus if between is None else with_fine_light(r, between).stimulus
         assert light is not None
-        seen = light_in_a_row(r, light, pixels, seed + 101 * i)
         here = truth.in_recording(r.name)
+        seen = light_in_a_row(r, light_on_clock(r, light, here.circuit()), pixels, seed + 101 * i)
         run = simulate(here, seen, width=len(pixels), height=1, seed=seed + 101 * i, sensor_seed=seed)
         as_came = in_a_row(light if r.stimulus is None else r.stimulus, pixels)
         made = replace(r, events=replace(run.events, tick_ns=r.events.tick_ns), stimulus=as_came)

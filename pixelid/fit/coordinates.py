@@ -9,7 +9,7 @@ import numpy as np
 
 from pixelid.errors import InputError
 from pixelid.model.model import Model
-from pixelid.parameters.parameter import Parameter, log_prior
+from pixelid.parameters.parameter import RATE_UNIT, Parameter, log_prior
 
 
 @dataclass(frozen=True)
@@ -28,10 +28,10 @@ class Coordinates:
     def of(model: Model, nuisances: tuple[Parameter, ...] = ()) -> Coordinates:
         """Coordinates of everything free.
 
-        Nuisances named after what of the model starts anew in a recording ("mains_flicker.phase_rad[NAME]") become the
-        model's own.  Raises InputError when nothing is free.
+        Nuisances that a circuit knows ("mains_flicker.phase_rad[NAME]", "alignment.clock_rate") become the model's own.
+        Raises InputError when nothing is free.
         """
-        own = {p.name: p for p in nuisances if "[" in p.name and p.name.split("[", 1)[0] in model.starts_anew}
+        own = {p.name: p for p in nuisances if model.knows(p.name)}
         model = replace(model, nuisances={**model.nuisances, **own}) if own else model
         nuisances = tuple(p for p in nuisances if p.name not in own)
         nuisances = (*model.nuisances.values(), *nuisances)
@@ -61,8 +61,9 @@ class Coordinates:
         return np.array([p[0] for p in pairs]), np.array([p[1] for p in pairs])
 
     def longest_moves(self) -> np.ndarray:
-        """The longest sensible step of every coordinate: a factor e, a millisecond, or one unit."""
-        return np.array([1e-3 if p.transform == "linear" and p.unit == "s" else 1.0 for p in self.parameters])
+        """The longest sensible step of every coordinate: a factor e, a millisecond (in each second), or one unit."""
+        small = ("s", RATE_UNIT)
+        return np.array([1e-3 if p.transform == "linear" and p.unit in small else 1.0 for p in self.parameters])
 
     def values(self, x: np.ndarray) -> dict:
         """Values of all parameters, fixed and free, at a coordinate vector, real or with complex steps."""
@@ -97,6 +98,5 @@ class Coordinates:
         gradient, curvature = np.zeros(len(self)), np.zeros(len(self))
         for i, (p, c) in enumerate(zip(self.parameters, x, strict=True)):
             if p.prior is not None:
-                gradient[i] = -(c - p.prior.mean) / p.prior.sd**2
-                curvature[i] = 1.0 / p.prior.sd**2
+                gradient[i], curvature[i] = p.prior.slope_and_information(c)
         return gradient, curvature

@@ -14,11 +14,13 @@ from pixelid.likelihood.light_between_samples import with_told
 from pixelid.recordings.own_light import with_fine_light, with_pixel_lights
 from pixelid.recordings.recording import Recording
 from pixelid.recordings.selection import named_apart
+from pixelid.stimuli.trace_noise import without_trace_noise
 
 
 def as_fitted(recordings: Sequence[Recording]) -> list[Recording]:
     """The recordings as every likelihood of them takes them: within their light, told apart by their names."""
-    return with_told(with_pixel_lights([recording.within_stimulus() for recording in named_apart(recordings)]))
+    recordings = without_trace_noise(named_apart(recordings))
+    return with_told(with_pixel_lights([recording.within_stimulus() for recording in recordings]))
 
 
 def event_times_of(result: FitResult, recordings: Sequence[Recording]) -> EventTimesObjective:

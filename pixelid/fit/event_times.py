@@ -14,7 +14,6 @@ from numba import njit
 
 from pixelid.fit.coordinates import Coordinates
 from pixelid.fit.objective import Local, Objective
-from pixelid.likelihood.clocks import Clock, clocks_of
 from pixelid.likelihood.density import NUMBERS, Gradient, Terms
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.likelihood.information import Information, Tangent
@@ -76,14 +75,8 @@ class EventTimesObjective(Objective):
         return EventTimesObjective(under_shot_noise(self.at(x), circuit), self.coordinates, self.off)
 
     def at(self, x: np.ndarray) -> EventTimes:
-        """The likelihood by the recordings' clocks at x."""
-        return self.likelihood.with_clocks(self.clocks(x))
-
-    def clocks(self, x: np.ndarray) -> tuple[Clock | None, ...] | None:
-        """The recordings' clocks at x, see `EventTimes`."""
-        if not self.coordinates.nuisances:
-            return None
-        return clocks_of(self.likelihood.recordings, self.coordinates.values(x))
+        """The likelihood as it is at x."""
+        return self.likelihood
 
     def value(self, x: np.ndarray) -> float:
         return self.terms(x).total + self.coordinates.log_prior(x)
@@ -102,8 +95,7 @@ class EventTimesObjective(Objective):
         base, steps = self.gradient(x) if here is None else here.gradient, self.difference_steps()
         circuit, moved = self.circuit(x), [_moved(x, i, step) for i, step in enumerate(steps)]
         sharing = [
-            i for i, at in enumerate(moved)
-            if self.clocks(at) == self.clocks(x) and only_density_differs(circuit, self.circuit(at))
+            i for i, at in enumerate(moved) if only_density_differs(circuit, self.circuit(at))
         ]  # fmt: skip
         others = [i for i in range(len(x)) if i not in sharing]
         H = np.empty((len(x), len(x)))
@@ -147,14 +139,14 @@ class EventTimesObjective(Objective):
         up = _moved(x, i, STEP * self.coordinates.longest_moves()[i])
         there = self.circuit(up)
         numbers = self._numbers_along(x, i, circuit, there)
-        moved = self._moved_recording(x, i, up, circuit, there)
+        moved = self._moved_recording(i, circuit, there)
         if moved is None and only_density_differs(circuit, there):
             return Tangent(None, numbers)
         here, likelihood = self.terms(x).changes, self.at(x)
         if moved is None:
             difference = likelihood.changes(there, here.extremes)
         else:
-            difference = likelihood.changes_of_one(there, here, *moved)
+            difference = likelihood.changes_of_one(there, here, moved)
         slope = difference.vector
         with np.errstate(over="ignore", invalid="ignore"):  # intervals whose density is zero
             slope -= here.vector
@@ -175,20 +167,13 @@ class EventTimesObjective(Objective):
             numbers /= up[i] - down[i]
         return numbers
 
-    def _moved_recording(
-        self, x: np.ndarray, i: int, up: np.ndarray, here: Circuit, there: Circuit
-    ) -> tuple[int, Clock | None] | None:
-        """(recording, its clock at `up`) when coordinate i, moved to `up`, is one recording's own."""
-        if self.coordinates.parameters[i].name not in self.coordinates.nuisances:
+    def _moved_recording(self, i: int, here: Circuit, there: Circuit) -> int | None:
+        """The recording that coordinate i belongs to, where it is one recording's own."""
+        if "[" not in self.coordinates.parameters[i].name:
             return None
-        recordings = self.likelihood.recordings
-        unknown = (None,) * len(recordings)
-        before, after = self.clocks(x) or unknown, self.clocks(up) or unknown
-        moved = [
-            k for k, recording in enumerate(recordings)
-            if before[k] != after[k] or here.in_recording(recording.name) != there.in_recording(recording.name)
-        ]  # fmt: skip
-        return (moved[0], after[moved[0]]) if len(moved) == 1 else None
+        names = [recording.name for recording in self.likelihood.recordings]
+        moved = [k for k, name in enumerate(names) if here.in_recording(name) != there.in_recording(name)]
+        return moved[0] if len(moved) == 1 else None
 
 
 def _moved(x: np.ndarray, i: int, by: float) -> np.ndarray:

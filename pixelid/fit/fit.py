@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from pixelid.errors import InputError
+from pixelid.fit.bench import clocks_found, common_delay, held, with_bench
 from pixelid.fit.bias_priors import beside_events, with_bias_priors
-from pixelid.fit.clocks import clocks_found, held_clocks
 from pixelid.fit.coordinates import Coordinates
 from pixelid.fit.data import as_fitted
 from pixelid.fit.engines import FORMS, Engine
@@ -20,10 +20,10 @@ from pixelid.fit.levels.found import pixel_levels as levels_of
 from pixelid.fit.levels.objective import LevelledObjective
 from pixelid.fit.levels.pixel_levels import PixelLevelsLike, Wanted
 from pixelid.fit.levels.scales import fit_levels
+from pixelid.fit.light_unit import in_recorded_unit
 from pixelid.fit.measured_light import NO_PHYSICAL, as_light_tells, held_in_words, line_errors, unresolved
 from pixelid.fit.newton import Optimum
 from pixelid.fit.newton import maximise as newton_steps
-from pixelid.fit.own_values import held_values
 from pixelid.fit.pooled import fit_pooled
 from pixelid.fit.refine import BETWEEN, refine
 from pixelid.fit.result import FitResult, Stopwatch, estimates_of
@@ -33,7 +33,6 @@ from pixelid.fit.uncertainty.challenge import challenged
 from pixelid.fit.uncertainty.curvature import read_curvature
 from pixelid.fit.uncertainty.ridge import profile_of_ridge, widened
 from pixelid.fit.uncertainty.small_sample import intervals
-from pixelid.likelihood.clocks import unseparated
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.model.model import Model
 from pixelid.parameters.gauge import Gauge
@@ -43,6 +42,7 @@ from pixelid.recordings.selection import few, unit_of_light
 from pixelid.recordings.sensor_light import is_measured, light_caveats
 
 Progress = Callable[[str, float], None]
+CLOCKS = "alignment."  # what names of the clocks' nuisances begin with
 STARTS = 2  # random starts beside the model's own
 MORE_STARTS, FAR = 6, 1.0  # tried one after the other, factors e^±FAR away, while the best end has not converged
 # Nats: a step of 0.01 standard errors, well below the difference of the two forms; each step integrates anew.
@@ -146,9 +146,7 @@ def fit(
     coordinates = objective.coordinates
     # A clock moves every event across samples of the light, where the density has corners, and is nearly exchangeable
     # for the fastest poles: along that ridge differences of the gradient are noise, and the information matrix is not.
-    clocks_free = not all(pooled) and any(
-        p.name in coordinates.nuisances and p.name not in coordinates.model.nuisances for p in coordinates.parameters
-    )
+    clocks_free = not all(pooled) and any(name.startswith(CLOCKS) for name in coordinates.names)
     information = optimum.local.information / dispersion
     curvature = information if clocks_free else -objective.hessian(optimum.x, optimum.local) / dispersion
     if clocks_free:
@@ -192,7 +190,7 @@ def fit(
     status, advice = status_of(objective, optimum, estimates, details)
     estimates, stopped = at_rest_only(estimates, status)
     details["precision"] = {p.name: precision(estimates[p.name], p, status) for p in coordinates.parameters}
-    apart = unseparated(recordings)
+    apart = common_delay(recordings)
     report("done", 1.0)
     return FitResult(
         status=status,
@@ -223,7 +221,7 @@ def fit(
         recordings=tuple(recording.name for recording in recordings),
         seconds=watch.seconds(),
         seed=seed,
-        alignment=clocks_found(recordings, estimates),
+        alignment=clocks_found(recordings, coordinates.model, estimates),
         pixel_levels=levels,
         bias_priors=of_biases,
         details=details,
@@ -249,17 +247,19 @@ def _fit_event_times(recordings, model, fixed, starts, between, maximiser: Engin
     check_event_times(model)
     pixels = EventTimes(recordings).pixels
     scout = EventTimes(few(recordings, SCOUT_EVENTS, rng))
-    if unseparated(recordings):
+    if common_delay(recordings):
         model = model.fix({"delay_s": None})
+    report("unit of the light", 0.02)
+    model = in_recorded_unit(model, scout)
     noisy = EFFECT in model.effects
     if noisy and wanted is not None:
         raise InputError(f"{EFFECT}: is not told beside levels of pixels; leave one of them out")
     if noisy and form != "discrete":
         raise InputError(f"form: {EFFECT} is fitted in the discrete form only")
+    model = with_bench(model, recordings)
     whole, model = model, without_density(model)
-    model, rest = held_values(feasible(model, scout), fixed)
-    clocks = held_clocks(recordings, rest, model)
-    coordinates = Coordinates.of(model, clocks)
+    model = held(feasible(model, scout), fixed)
+    coordinates = Coordinates.of(model)
     report("searching", 0.05)
     searcher = engine_named("scipy") if maximiser.name == "torch" else maximiser  # far starts need curvature
     ends: list[Optimum] = []
@@ -269,12 +269,12 @@ def _fit_event_times(recordings, model, fixed, starts, between, maximiser: Engin
         ends.append(searcher.maximise(objective, begun, tolerance=1e-2, max_steps=80))
         closer = narrower(coordinates.model_at(ends[-1].x), scout)
         if closer is not None:
-            begun = Coordinates.of(closer, clocks).start
+            begun = Coordinates.of(closer).start
             ends.append(searcher.maximise(objective, begun, tolerance=1e-2, max_steps=80))
         report("searching", 0.05 + 0.45 * len(ends) / (len(ends) + starts + 1))
 
     def feasible_start(point: np.ndarray) -> np.ndarray:
-        return Coordinates.of(feasible(coordinates.model_at(point), scout), clocks).start
+        return Coordinates.of(feasible(coordinates.model_at(point), scout)).start
 
     if wanted is None:
         search(coordinates.start)
@@ -305,7 +305,7 @@ def _fit_event_times(recordings, model, fixed, starts, between, maximiser: Engin
     expected: dict[str, float] = {}
     if noisy:
         report("shot noise", 0.85)
-        under = fit_under_shot_noise(objective, optimum, whole, clocks, seed)
+        under = fit_under_shot_noise(objective, optimum, whole, seed)
         objective, optimum, expected = under.objective, under.optimum, under.expected
         found = {**found, EFFECT: under.details, "added_sd": under.added_sd}
     if form == "continuous":

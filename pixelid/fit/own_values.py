@@ -6,8 +6,7 @@ many optima: a fit climbs to the nearest, so each recording starts at the best o
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -29,7 +28,8 @@ def with_own_values(model: Model, names: Sequence[str], parts_of: Callable[[Mode
         parts_of: The log-likelihood (recordings,) of each under a model.
     """
     anew = [name for name in model.starts_anew if model.parameter(name).free]
-    if model.nuisances or not anew or len(names) < 2 or len(set(names)) < len(names):
+    own = {name.split("[", 1)[0] for name in model.nuisances}
+    if own & {*anew} or not anew or len(names) < 2 or len(set(names)) < len(names):
         return model
     for parameter in anew:
         trials = [model.parameter(parameter).value, *PHASES]
@@ -44,13 +44,6 @@ def in_event_times(model: Model, likelihood: EventTimes) -> Model:
     """As `with_own_values`, by the event times of recordings."""
     names = [recording.name for recording in likelihood.recordings]
     return with_own_values(model, names, lambda trial: likelihood.terms(trial.circuit()).per_recording)
-
-
-def held_values(model: Model, fixed: Mapping[str, float]) -> tuple[Model, dict[str, float]]:
-    """(the model with those of its recordings' values held that `fixed` has, what else `fixed` has)."""
-    held = {name: p.at(fixed[name]).fixed() for name, p in model.nuisances.items() if name in fixed}
-    rest = {name: value for name, value in fixed.items() if name not in held}
-    return replace(model, nuisances={**model.nuisances, **held}), rest
 
 
 def _finite(parts_of: Callable[[Model], np.ndarray], trial: Model) -> np.ndarray | float:

@@ -7,9 +7,10 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from pixelid.errors import InputError
+from pixelid.fit.bench import held, with_bench
 from pixelid.fit.coordinates import Coordinates
 from pixelid.fit.newton import Optimum, maximise
-from pixelid.fit.own_values import held_values, with_own_values
+from pixelid.fit.own_values import with_own_values
 from pixelid.fit.pooled_rate import PooledRateObjective
 from pixelid.fit.starts import align, match_counts
 from pixelid.likelihood.pooled_rate import PooledRate
@@ -34,7 +35,9 @@ def fit_pooled(
         model = model.fix({"diff_cutoff_hz": None})
     scout = PooledRate(recordings, first_s=SCOUT_S)
     nuisances = {p.name: p for p in scout.nuisances()}
+    model = with_bench(model, recordings, delays=False)
     owned = {f"{parameter}[{recording.name}]" for parameter in model.starts_anew for recording in recordings}
+    owned |= {*model.nuisances}
     for name, value in fixed.items():
         if name in owned:
             continue
@@ -50,7 +53,7 @@ def fit_pooled(
     model = with_own_values(
         model, names, lambda trial: scout.per_recording(scout.expected(trial.circuit(), {**start, **trial.values}))
     )
-    model, _ = held_values(model, fixed)
+    model = held(model, {name: value for name, value in fixed.items() if name in owned})
     coordinates = Coordinates.of(model, tuple(p.at(start[name]) for name, p in nuisances.items()))
     report("searching", 0.1)
     scouted = maximise(

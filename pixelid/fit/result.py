@@ -299,7 +299,7 @@ def as_document(parameter: Parameter) -> dict[str, Any]:
     """A nuisance parameter as fit.json holds it."""
     document = asdict(parameter)
     del document["name"], document["source"]
-    return document
+    return document | {"prior": parameter.prior.as_dict() if parameter.prior else None}
 
 
 def from_document(name: str, document: Mapping[str, Any]) -> Parameter:

@@ -28,7 +28,7 @@ from pixelid.fit.newton import maximise as newton_steps
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.likelihood.shot_noise import Division, share_out
 from pixelid.model.model import Model
-from pixelid.parameters.parameter import Parameter, Prior
+from pixelid.parameters.parameter import Prior
 
 EFFECT, DENSITY, NOISE = "shot_noise", "shot_noise.density", "threshold_sigma"
 LEAST_GAIN = 3.0  # nats that a density must be worth: one coordinate gains 0.5 by chance, in one of 70 cases as much
@@ -86,15 +86,12 @@ def without_filter(fitted: Model, model: Model) -> Model:
     return replace(fitted, parameters={**fitted.parameters, DENSITY: density})
 
 
-def fit_under_shot_noise(
-    objective: EventTimesObjective, optimum: Optimum, model: Model, clocks: tuple[Parameter, ...], seed: int
-) -> UnderNoise:
+def fit_under_shot_noise(objective: EventTimesObjective, optimum: Optimum, model: Model, seed: int) -> UnderNoise:
     """The optimum of events under shot noise, from that of a fit which takes all noise for the thresholds'.
 
     Args:
         objective, optimum: Of that fit, the density of shot noise held.
         model: With the density as the fit has it, free or held.
-        clocks: Nuisances of the recordings.
         seed: Of the sessions that are simulated.
     """
     coordinates, x = objective.coordinates, optimum.x
@@ -111,14 +108,14 @@ def fit_under_shot_noise(
         return noisy, newton_steps(noisy, at, tolerance=1e-3, max_steps=40)
 
     if not has_pole(coordinates.circuit(x)):
-        return _with_density(objective, optimum, model, clocks, parameter.value, OPEN, {"gain_nats": None, "turns": 0})
+        return _with_density(objective, optimum, model, parameter.value, OPEN, {"gain_nats": None, "turns": 0})
     found = divided(x) if parameter.free else None
     details: dict[str, Any] = {}
     density, error, turns = parameter.value, 0.0, 0
     if parameter.free and (found is None or found.gain < LEAST_GAIN):
         details = {"gain_nats": 0.0 if found is None else float(found.gain), "turns": 0}
         density = parameter.lower if found is None else found.density
-        return _with_density(objective, optimum, model, clocks, density, OPEN, details)
+        return _with_density(objective, optimum, model, density, OPEN, details)
     under = objective
     for turns in range(1, TURNS + 1):
         before = density
@@ -144,8 +141,8 @@ def fit_under_shot_noise(
             under, optimum = settled(x, density)
             x = optimum.x
         if shown is not None:
-            return _put_right(objective, optimum, shown, model, clocks, density, error, details)
-    return _with_density(under, optimum, model, clocks, density, error, details)
+            return _put_right(objective, optimum, shown, model, density, error, details)
+    return _with_density(under, optimum, model, density, error, details)
 
 
 def _simulated(
@@ -158,25 +155,24 @@ def _simulated(
         return None
     rng = np.random.default_rng([seed, 23])
     pixels = np.sort(rng.permutation(likelihood.flat_pixels)[:MOST_PIXELS])
-    clocks = np.array([name in coordinates.nuisances for name in coordinates.names])  # simulated without
-    start = np.where(clocks, coordinates.start, x)
+    of_bench = np.array([name in coordinates.nuisances for name in coordinates.names])
     logs, ends, shares = [], [], []
     for k in range(REPLICATES):
         made = EventTimes(simulate_again(likelihood.recordings, truth, pixels, None, seed + 31 * (k + 1)))
         own = EventTimesObjective(made, coordinates)
-        found = share_out(own.at(start), truth.circuit().with_(noise=whole), seed)
+        found = share_out(own.at(x), truth.circuit().with_(noise=whole), seed)
         if found is None:
             return None
         logs.append(math.log(found.density / density))
-        end = newton_steps(own.under_shot_noise(start, density), start, tolerance=1e-3, max_steps=40)
+        end = newton_steps(own.under_shot_noise(x, density), x, tolerance=1e-3, max_steps=40)
         under = own.under_shot_noise(end.x, density)
         ends.append(newton_steps(under, end.x, tolerance=1e-3, max_steps=40))
         shares.append({test.covariate: test.share for test in residual_tests(under, ends[-1].x)})
-    off = np.clip(np.array([end.x for end in ends]) - start, -MAX_SHIFT, MAX_SHIFT)
+    off = np.clip(np.array([end.x for end in ends]) - x, -MAX_SHIFT, MAX_SHIFT)
     told = np.mean([np.diag(np.linalg.pinv(end.local.information)) for end in ends], axis=0)
     degrees = len(ends) - 1
     variance = (PRIOR_DEGREES * told + degrees * off.var(axis=0, ddof=1)) / (PRIOR_DEGREES + degrees)
-    known = ~clocks & (variance > 0.0) & (variance < (MAX_SHIFT / 2.0) ** 2)
+    known = ~of_bench & (variance > 0.0) & (variance < (MAX_SHIFT / 2.0) ** 2)
     off = np.where(known, off.mean(axis=0), 0.0)
     added = variance / len(ends) + np.maximum(variance - told, 0.0) + (CORRECTION_ERROR * off) ** 2
     covariates = set.intersection(*map(set, shares)) if shares else set()
@@ -197,7 +193,7 @@ def _high(values: list[float]) -> float:
 
 
 def _put_right(
-    objective: EventTimesObjective, optimum: Optimum, shown: _Simulated, model: Model, clocks, density, error, details
+    objective: EventTimesObjective, optimum: Optimum, shown: _Simulated, model: Model, density, error, details
 ) -> UnderNoise:
     """A fit without what its simulated sessions are off by;  objective: of the events, all noise the thresholds'."""
     names = objective.coordinates.names
@@ -206,13 +202,13 @@ def _put_right(
     right = EventTimesObjective(objective.likelihood, objective.coordinates, off).under_shot_noise(x, density)
     details["parameters_put_right_by"] = {name: -by for name, by in off.items()}
     details[LEVELS_TAKEN_AT] = _named(objective.coordinates, x)
-    fit = _with_density(right, replace(optimum, x=x), model, clocks, density, error, details)
+    fit = _with_density(right, replace(optimum, x=x), model, density, error, details)
     added = _named(objective.coordinates, shown.added_sd)
     return replace(fit, added_sd=added, expected=shown.expected)
 
 
 def _with_density(
-    objective: EventTimesObjective, optimum: Optimum, model: Model, clocks, density: float, error: float, details
+    objective: EventTimesObjective, optimum: Optimum, model: Model, density: float, error: float, details
 ) -> UnderNoise:
     """With the density among the coordinates, known as the filter knows it; as it is where it is held."""
     parameter = model.parameters[DENSITY]
@@ -221,7 +217,7 @@ def _with_density(
     value = parameter.within(density)
     known = replace(parameter, value=value, prior=Prior(parameter.to_coordinate(value), min(error, OPEN)))
     at = objective.coordinates.model_at(optimum.x)
-    coordinates = Coordinates.of(replace(at, parameters={**at.parameters, DENSITY: known}), clocks)
+    coordinates = Coordinates.of(replace(at, parameters={**at.parameters, DENSITY: known}))
     here = _named(objective.coordinates, optimum.x)
     x = np.array([here.get(name, parameter.to_coordinate(value)) for name in coordinates.names])
     full = objective.on(coordinates)

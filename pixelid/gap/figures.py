@@ -26,6 +26,7 @@ from pixelid.fit.levels.figures import draw_levels
 from pixelid.fit.levels.pixel_levels import PixelLevels
 from pixelid.gap.attribute.flexible import Flexible
 from pixelid.gap.confirm.free_run import FreeRun
+from pixelid.likelihood.clocks import light_on_clock
 from pixelid.model.model import Model
 from pixelid.recordings.own_light import with_fine_light
 from pixelid.recordings.recording import Recording
@@ -179,7 +180,13 @@ def draw_before_after(report: Searched, recordings: Sequence[Recording], axes: A
             )
         for model, colour, mark in ((report.base, MUTED, "x"), (report.model, IMPROVED, ".")):
             here = model.in_recording(recording.name)
-            copy = simulate(here, light, width=SIMULATED_PIXELS, height=1, seed=report.seed).events
+            copy = simulate(
+                here,
+                light_on_clock(recording, light, here.circuit()),
+                width=SIMULATED_PIXELS,
+                height=1,
+                seed=report.seed,
+            ).events
             for polarity, sign, _, _ in sides:
                 expected = np.histogram(copy.t[copy.p == polarity] * 1e-9, edges)[0] * pixels / SIMULATED_PIXELS
                 rate = sign * expected / pixels / np.diff(edges)

@@ -8,13 +8,17 @@ again) → discount_imputation_noise → withdraw → confirm
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
+import numpy as np
+
+from pixelid.fit.bench import with_bench
+from pixelid.fit.light_unit import in_recorded_unit
 from pixelid.fit.measured_light import as_light_tells
 from pixelid.gap.detect.diagnostics import diagnose
-from pixelid.gap.detect.pixels import fit_base, fit_base_roughly
+from pixelid.gap.detect.pixels import SCREEN_EVENTS, fit_base, fit_base_roughly
 from pixelid.gap.fold import Step, fold
 from pixelid.gap.imputation.impute import QUEUE, is_coarse_tick
-from pixelid.gap.mended_clocks import with_mended_clocks
 from pixelid.gap.options import Context
 from pixelid.gap.phases import Phase
 from pixelid.gap.result import GapReport
@@ -32,10 +36,13 @@ from pixelid.gap.steps.recordings_differ import ask_recordings
 from pixelid.gap.steps.undo_readout import undo_readout
 from pixelid.gap.steps.withdraw import withdraw
 from pixelid.inspection.timestamps import find_timestamp_signatures, with_coarse_units_as_grids
+from pixelid.likelihood.event_times import EventTimes
 from pixelid.likelihood.light_between_samples import with_told
 from pixelid.model.model import Model
 from pixelid.recordings.own_light import with_pixel_lights
 from pixelid.recordings.recording import Recording
+from pixelid.recordings.selection import few
+from pixelid.stimuli.trace_noise import without_trace_noise
 
 
 def search(recordings: Sequence[Recording], model: Model, context: Context) -> GapReport:
@@ -48,10 +55,11 @@ def begin(recordings: Sequence[Recording], model: Model, context: Context) -> St
     options, criteria = context.options, context.options.criteria
     split = split_pixels(recordings, options.seed)
     context.report("base model", 0.02)
-    recordings = with_coarse_units_as_grids(with_told(with_pixel_lights(recordings)))
+    recordings = with_coarse_units_as_grids(with_told(with_pixel_lights(without_trace_noise(recordings))))
     model = as_light_tells(model, recordings)
-    recordings = with_mended_clocks(recordings, model, options.seed)
     timely = tuple(r.within_stimulus() for r in recordings)
+    some = few(timely, SCREEN_EVENTS, np.random.default_rng(options.seed))
+    model = with_bench(in_recorded_unit(model, EventTimes(some)), timely)
     signatures = tuple(find_timestamp_signatures(recordings))
     if any((s.effect == QUEUE or is_coarse_tick(s)) and s.effect not in options.leave_out for s in signatures):
         evidence, base = fit_base_roughly(timely, split, model, options.seed, context.cache)
@@ -59,7 +67,8 @@ def begin(recordings: Sequence[Recording], model: Model, context: Context) -> St
         evidence, base = fit_base(timely, split, model, criteria, options.seed, context.cache, context.work)
     allowed = criteria.max_unexplained_fraction
     first = diagnose(evidence.training, base, criteria, options.seed, background_fraction=allowed)
-    hypothesis = Hypothesis(timely, evidence, base, first, evidence.nominal)
+    start = replace(evidence.nominal, nuisances=base.model.nuisances)
+    hypothesis = Hypothesis(timely, evidence, base, first, start)
     return State(Phase.UNDO_READOUT, tuple(recordings), model, split, base, first, hypothesis, signatures)
 
 

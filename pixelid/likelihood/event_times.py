@@ -13,7 +13,7 @@ import numpy as np
 
 from pixelid.errors import InputError
 from pixelid.likelihood.changes import ChangeEvaluator
-from pixelid.likelihood.clocks import Clock
+from pixelid.likelihood.clocks import Clock, clock_in
 from pixelid.likelihood.density import Terms, density
 from pixelid.likelihood.extremes import Extremes
 from pixelid.likelihood.layout import Layout, Shift, StackedChanges, flat_index, layout_of, read_only
@@ -45,7 +45,6 @@ class EventTimes:
         clock_share: (n,) how often timestamp noise counts, 1 until `weighed`.
         threshold_factor: (n,) what each event's threshold is multiplied by beside all that the circuit says, or None.
         shift: What noise has added to the changes at events, or None.
-        clocks: One per recording, None where its times are taken as they are; None: for none of them.
         unknown_light: What is not known of light that sensors measured themselves, None where there is none.
 
     Raises:
@@ -73,7 +72,6 @@ class EventTimes:
         self.clock_share = read_only(np.ones(self.events))
         self.threshold_factor: np.ndarray | None = None
         self.shift: Shift | None = None
-        self.clocks: tuple[Clock | None, ...] | None = None
         self._large = samples + self.events > LARGE
 
     @property
@@ -160,9 +158,7 @@ class EventTimes:
             raise InputError("light_spread: of pooled recordings only; pixels with addresses have light of their own")
         vector = np.empty(self.layout.size)
         where = [True] * len(self.evaluators) if extremes is None else extremes
-        clocks = self.clocks or (None,) * len(self.recordings)
-        by = [clocks[recording] for recording in self._recording_of_section]
-        circuits = self._circuits(circuit)
+        circuits, by = self._circuits(circuit)
         parts = list(zip(circuits, self.evaluators, where, self.layout.per_section(vector), by, strict=True))
 
         located = self._filled(parts)
@@ -176,16 +172,15 @@ class EventTimes:
                 row /= self.threshold_factor
         return changes
 
-    def changes_of_one(
-        self, circuit: Circuit, here: StackedChanges, recording: int, clock: Clock | None
-    ) -> StackedChanges:
-        """`here`, but for one recording under another circuit or by another clock; its extremes where they were."""
+    def changes_of_one(self, circuit: Circuit, here: StackedChanges, recording: int) -> StackedChanges:
+        """`here`, but for one recording under another circuit; its extremes where they were."""
         vector = here.vector.copy()
+        circuits, by = self._circuits(circuit)
         sections = zip(
-            self._recording_of_section, self._circuits(circuit), self.evaluators, here.extremes,
-            self.layout.per_section(vector), strict=True,
+            self._recording_of_section, circuits, self.evaluators, here.extremes, self.layout.per_section(vector), by,
+            strict=True,
         )  # fmt: skip
-        self._filled([(*section, clock) for of, *section in sections if of == recording])
+        self._filled([tuple(section) for of, *section in sections if of == recording])
         changes = self.layout.stacked(vector)
         if self.unknown_light is not None:
             self.unknown_light.apply(changes, self.sign, self.layout.recording == recording)
@@ -197,10 +192,12 @@ class EventTimes:
                 row[mine] /= self.threshold_factor[mine]
         return changes
 
-    def _circuits(self, circuit: Circuit) -> list[Circuit]:
-        """Of every section: the circuit as it was in its recording."""
+    def _circuits(self, circuit: Circuit) -> tuple[list[Circuit], list[Clock | None]]:
+        """Of every section: the circuit as it was in its recording, and the clock."""
         in_each = [circuit.in_recording(recording.name) for recording in self.recordings]
-        return [in_each[recording] for recording in self._recording_of_section]
+        clocks = [clock_in(recording, circuit) for recording in self.recordings]
+        which = self._recording_of_section
+        return [in_each[k] for k in which], [clocks[k] for k in which]
 
     def _filled(self, parts: Sequence[tuple]) -> list[Extremes]:
         """Fill the rows of sections (circuit, evaluator, extremes or True, rows, clock); where their extremes are."""
@@ -212,6 +209,15 @@ class EventTimes:
             return evaluator.fill(circuit, at, *rows, clock, unknown)
 
         return list(map_threads(fill, parts, threads=None if self._large else 1))
+
+    def times_on_light(self, circuit: Circuit) -> tuple[np.ndarray, np.ndarray]:
+        """(n,) each: when the event before, and the event, left their pixel, in seconds of the light."""
+        previous, time = [], []
+        for recording, intervals in zip(self.recordings, self.intervals, strict=True):
+            clock, delay = clock_in(recording, circuit), circuit.in_recording(recording.name).delay
+            for out, stamps in ((previous, intervals.previous_s), (time, intervals.time_s)):
+                out.append((stamps if clock is None else clock.on_light(stamps)) - delay)
+        return np.concatenate(previous), np.concatenate(time)
 
     def terms(self, circuit: Circuit, changes: StackedChanges | None = None) -> Terms:
         """The likelihood's pieces under a circuit; `changes` is `changes(circuit)` when it is known already."""
@@ -238,14 +244,6 @@ class EventTimes:
         moved = np.where(told, there.z - here.z, 0.0) / NUDGE_S
         other = copy(self)
         other.clock_share = read_only(1.0 + np.minimum((moved / here.event.rate) ** 2, MOST_CLOCK_SHARE - 1.0))
-        return other
-
-    def with_clocks(self, clocks: tuple[Clock | None, ...] | None) -> EventTimes:
-        """The same likelihood by other clocks; itself when they are the same."""
-        if clocks == self.clocks:
-            return self
-        other = copy(self)
-        other.clocks = clocks
         return other
 
     def with_lights(self, lights: Sequence[Sequence[Stimulus]]) -> EventTimes:

@@ -30,7 +30,7 @@ from pixelid.dynamics.slew import slews, without_slew_limit
 from pixelid.dynamics.slewed import slewed
 from pixelid.dynamics.trajectory import integrate
 from pixelid.errors import InputError
-from pixelid.likelihood.clocks import clock_parameters, clocks_of
+from pixelid.likelihood.clocks import clock_in
 from pixelid.parameters.parameter import Parameter
 from pixelid.recordings.kept import kept_of
 from pixelid.recordings.recording import Recording
@@ -134,7 +134,6 @@ class PooledRate:
             Parameter(delay_name(self.recordings, i), 0.0, "s", -0.05, 0.05, "linear")
             for i in range(1, len(self.recordings))
         ]
-        parameters += clock_parameters(self.recordings, delays=False)
         if any(r.stimulus is not None and r.stimulus.unit == "shape" for r in self.recordings):
             parameters += [
                 Parameter("stimulus.offset", 1.0, "radiance", 1e-9, 1e9, "log", free=False),
@@ -169,7 +168,7 @@ class PooledRate:
                 log_radiance=wave.log_radiance,
             )  # fmt: skip
         delay = values[delay_name(self.recordings, i)]
-        clock = (clocks_of(self.recordings, values) or {i: None})[i]
+        clock = clock_in(recording, circuit)
         edges = counts.edges if clock is None else clock.on_light(counts.edges)
         states = trajectory.at(np.maximum(edges - delay, wave.t[0]))
         return states[:, 5]

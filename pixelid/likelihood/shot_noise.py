@@ -247,8 +247,7 @@ def _chains(likelihood: EventTimes, circuit: Circuit, every: bool, seed: int) ->
     # coarser ones round the times of events, no more: noise is propagated exactly
     step_s = max(fine_s, duration_s * count / MOST_STEPS)
     steps = _steps(circuit, np.exp(grid), step_s)
-    previous = np.concatenate([interval.previous_s for interval in likelihood.intervals]) - circuit.delay
-    time = likelihood.time_s - circuit.delay
+    previous, time = likelihood.times_on_light(circuit)
     chains = []
     whole: dict[int, tuple[np.ndarray, np.ndarray]] = {}  # of recordings under full-field light
     for rows in _within(likelihood, count, seed):

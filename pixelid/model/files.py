@@ -49,6 +49,9 @@ def from_document(document: dict) -> Model:
     words = {"name": "", "photoreceptor": "second_order", "summary": "", "linearisation": "midpoint",
              "radiance_unit": "radiance"}  # fmt: skip
     title, kind, summary, linearisation, radiance_unit = (_text(head, "[model]", key, words[key]) for key in words)
+    light_scale = head.get("light_scale", 1.0)
+    if not is_number(light_scale) or not 0 < light_scale < math.inf:
+        raise InputError(f"[model] light_scale: expected a positive number, found {shown(light_scale)}")
     if "\n" in title:
         raise InputError(f"[model] name: expected one line, found {shown(title)}")
     effects = head.get("effects", [])
@@ -70,6 +73,7 @@ def from_document(document: dict) -> Model:
         summary=summary,
         linearisation=linearisation,
         radiance_unit=radiance_unit,
+        light_scale=light_scale,
         physical=physical,
         physical_source=source,
         gauge=Gauge.parse(document.get("gauge", {})),
@@ -107,7 +111,9 @@ def _parameter(default: Parameter, entry) -> Parameter:
     changes = dict(entry)
     if "prior" in changes:
         try:
-            changes["prior"] = Prior(float(changes["prior"]["mean"]), float(changes["prior"]["sd"]))
+            changes["prior"] = Prior(
+                **{key: float(changes["prior"][key]) for key in {"mean", "sd"} | {*changes["prior"]}}
+            )
         except (TypeError, KeyError, ValueError):
             raise InputError(f"[parameters] {default.name}: prior must be {{ mean = …, sd = … }}") from None
     for key in ("value", "lower", "upper"):
@@ -155,6 +161,7 @@ def to_document(model: Model) -> dict:
         "effects": [name for name in model.effects if not name.startswith(PREFIX)],
         "linearisation": model.linearisation,
         "radiance_unit": model.radiance_unit,
+        **({} if model.light_scale == 1.0 else {"light_scale": model.light_scale}),
     }
     document: dict = {"model": head, "parameters": {}}
     described = {name: described_entry(name) for name in model.effects if name.startswith(PREFIX)}
@@ -165,7 +172,7 @@ def to_document(model: Model) -> dict:
                 entry[key] = getattr(parameter, key)
         entry |= {"transform": parameter.transform, "free": parameter.free}
         if parameter.prior:
-            entry["prior"] = {"mean": parameter.prior.mean, "sd": parameter.prior.sd}
+            entry["prior"] = parameter.prior.as_dict()
         if parameter.source:
             entry["source"] = parameter.source
         owner, _, short = parameter.name.rpartition(".")

@@ -4,22 +4,31 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields, replace
+from typing import Any
 
 from pixelid import stages
 from pixelid.errors import InputError, did_you_mean
 from pixelid.parameters.gauge import Gauge
 from pixelid.parameters.invariants import Physical
-from pixelid.parameters.parameter import Parameter
+from pixelid.parameters.parameter import RATE_UNIT, Parameter
 from pixelid.results import Table, html_page
 from pixelid.stages import Circuit, comparator, photoreceptor
 
 DELAY = Parameter("delay_s", 0.0, "s", -10.0, 10.0, "linear", free=False, source="clock of events minus stimulus")
-# What only a recording can have for itself: a factor on the light that its stimulus says, and one on both thresholds.
+# What only a recording can have for itself: a factor on the light that its stimulus says and what is added to it, what
+# its clock is late by, and a factor on both thresholds.
 LIGHT_GAIN = Parameter("light_gain", 1.0, "1", 1e-2, 1e2, "log", source="light of a recording over what it says")
 THRESHOLD_GAIN = Parameter(
     "threshold_gain", 1.0, "1", 0.1, 10.0, "log", source="thresholds of a recording over the camera's"
 )
-ONLY_OWN = {p.name: p for p in (LIGHT_GAIN, THRESHOLD_GAIN)}
+LIGHT_OFFSET = Parameter("light_offset", 0.0, "radiance", transform="linear", source="zero of a recording's light")
+CLOCK_DELAY = Parameter(
+    "alignment.delay_s", 0.0, "s", -0.02, 0.02, "linear", source="clock of a recording against its light's"
+)
+ONLY_OWN = {p.name: p for p in (LIGHT_GAIN, LIGHT_OFFSET, CLOCK_DELAY, THRESHOLD_GAIN)}
+# What all recordings of a session have in common and the pixel has not: what the camera counts per second of the light,
+# less one.
+CLOCK_RATE = Parameter("alignment.clock_rate", 0.0, RATE_UNIT, -1e-3, 1e-3, "linear", source="two clocks")
 
 
 @dataclass(frozen=True, repr=False)
@@ -34,6 +43,7 @@ class Model:
     photoreceptor: "second_order" | "one_pole" | "unlimited";  effects: names present, in signal order;
     parameters: name → Parameter, exactly those of the photoreceptor, the comparator, the clock and the effects;
     physical, gauge: nominal circuit values and the statements that make them unique, when known;
+    light_scale: what the library's unit of light (the fA of a DVS128) is in the numbers of this model's light;
     nuisances: "parameter[recording]" → Parameter, values that a recording has for itself (`with_nuisances`); of a model
     as it was in one recording, its `light_gain`.  They are no part of the pixel, nor of its file.
     """
@@ -48,6 +58,7 @@ class Model:
     physical: Physical | None = None
     physical_source: str = ""
     gauge: Gauge = field(default_factory=Gauge)
+    light_scale: float = 1.0
     nuisances: Mapping[str, Parameter] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -101,6 +112,13 @@ class Model:
         """Names of the parameters that every recording has anew."""
         return tuple(name for effect in self.effects for name in stages.effect(effect).starts_anew)
 
+    def knows(self, nuisance: str) -> bool:
+        """Whether the circuit of this model reads a nuisance, by the name that `nuisances` has it under."""
+        parameter, _, recording = nuisance.partition("[")
+        return nuisance == CLOCK_RATE.name or (
+            bool(recording) and (parameter in self.starts_anew or parameter in ONLY_OWN)
+        )
+
     def has(self, effect: str) -> bool:
         """Whether the effect is part of this model, by name or by the structure of its photoreceptor."""
         stages.effect(effect)
@@ -125,15 +143,18 @@ class Model:
 
     def _shared_circuit(self, values: Mapping[str, float]) -> Circuit:
         """The circuit at values of all parameters, nothing in it a recording's own."""
-        light, thresholds = (values.get(name, 1.0) for name in ONLY_OWN)
+        own = {name: values.get(name, p.value) for name, p in ONLY_OWN.items()}
         circuit = Circuit(
-            linearisation=self.linearisation, delay=values["delay_s"], light_gain=light, threshold_gain=thresholds
-        )
+            linearisation=self.linearisation, delay=values["delay_s"] + own[CLOCK_DELAY.name],
+            clock_rate=values.get(CLOCK_RATE.name), light_gain=own[LIGHT_GAIN.name],
+            threshold_gain=own[THRESHOLD_GAIN.name],
+        )  # fmt: skip
         circuit = photoreceptor.apply(self.photoreceptor, circuit, values)
         circuit = comparator.apply(circuit, values)
         for name in self.effects:
             circuit = stages.effect(name).apply(circuit, values)
-        return circuit
+        offset = own[LIGHT_OFFSET.name]
+        return circuit if isinstance(offset, float) and offset == 0.0 else circuit.with_(dark=circuit.dark + offset)
 
     def set(self, values: Mapping[str, float]) -> Model:
         """The model at other values.  Raises InputError for unknown names and values out of bounds."""
@@ -181,6 +202,23 @@ class Model:
                 parameters[name] = replace(p, prior=None)
         return replace(self, parameters=parameters, radiance_unit=unit)
 
+    def in_light(self, factor: float) -> Model:
+        """The same circuit where the numbers of the light are `factor` times as large: α and γ go with 1/light.
+
+        Example:
+            >>> import pixelid as px
+            >>> model = px.find_model("dvs128")
+            >>> model.in_light(10.0).values["alpha"] / model.values["alpha"]
+            0.1
+        """
+        library = expected_parameters(self.photoreceptor, self.effects)
+        scaled = {name: p.in_light(factor, library[name].radiance_power) for name, p in self.parameters.items()}
+        return replace(self, parameters=scaled, light_scale=self.light_scale * factor)
+
+    def library(self, effect: str) -> tuple[Parameter, ...]:
+        """The parameters of an effect of the library, in the unit of this model's light."""
+        return tuple(p.in_light(self.light_scale, p.radiance_power) for p in stages.effect(effect).parameters)
+
     def with_nuisances(self, values: Mapping[str, Mapping[str, float]]) -> Model:
         """The model with values that recordings have for themselves: parameter → recording → value, free in fits.
 
@@ -209,9 +247,9 @@ class Model:
             return self
         end = f"[{recording}]"
         own = {name.removesuffix(end): p.value for name, p in self.nuisances.items() if name.endswith(end)}
-        gain = own.pop(LIGHT_GAIN.name, None)
-        kept = {} if gain is None else {LIGHT_GAIN.name: LIGHT_GAIN.at(gain).fixed()}
         factor = own.pop(THRESHOLD_GAIN.name, 1.0)
+        kept = {name: p.fixed() for name, p in self.nuisances.items() if "[" not in name}
+        kept |= {name: p.at(own.pop(name)).fixed() for name, p in ONLY_OWN.items() if name in own}
         thresholds = {p.name: factor * self.values[p.name] for p in comparator.PARAMETERS if factor != 1.0}
         return replace(self, nuisances=kept).set(own | thresholds)
 
@@ -221,8 +259,7 @@ class Model:
         `values`: parameter → value, by full name or by the part after the dot; given values stay free.
         Raises InputError for unknown effects and parameters.
         """
-        new = stages.effect(name)
-        known = {p.name: p for p in new.parameters}
+        known = {p.name: p for p in self.library(name)}
         full = {}
         for key, value in (values or {}).items():
             long = key if key in known else f"{name}.{key}"
@@ -253,7 +290,7 @@ class Model:
         stages.effect(name)
         if name == "second_order_photoreceptor" and self.photoreceptor == "second_order":
             ratio = self.parameters["alpha"].value / self.parameters["beta"].value
-            one_pole = photoreceptor.ONE_POLE[0].at(ratio)
+            one_pole = photoreceptor.ONE_POLE[0].in_light(self.light_scale, -1).at(ratio)
             parameters = {**self.parameters, one_pole.name: one_pole}
             kind, effects = photoreceptor_left, self.effects
         elif name in self.effects:
@@ -269,9 +306,14 @@ class Model:
 
 
 def _differing(own: Circuit, shared: Circuit) -> tuple[tuple[str, float], ...]:
-    """The numbers of a circuit that are not those of another."""
+    """The numbers of a circuit that are not those of another; an engine's symbols count as differing."""
     pairs = ((f.name, getattr(own, f.name), getattr(shared, f.name)) for f in fields(Circuit))
-    return tuple((name, mine) for name, mine, others in pairs if mine is not others and mine != others)
+    return tuple((name, mine) for name, mine, others in pairs if mine is not others and not _equal(mine, others))
+
+
+def _equal(one: Any, other: Any) -> bool:
+    plain = (int, float, complex, str, tuple, type(None))
+    return isinstance(one, plain) and isinstance(other, plain) and one == other
 
 
 def expected_parameters(kind: str, effects: Iterable[str]) -> dict[str, Parameter]:

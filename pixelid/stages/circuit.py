@@ -67,6 +67,7 @@ class Circuit:
     described: tuple[Modulation, ...] = ()
     # clock of the events against the stimulus
     delay: float = 0.0
+    clock_rate: float | None = None  # of the camera's clock against the light's, less one; None: as recordings have it
     # (recording, ((field, number), …)), …: what is a recording's own
     of_recordings: tuple[tuple[str, tuple[tuple[str, float], ...]], ...] = ()
 
@@ -81,12 +82,20 @@ class Circuit:
         changed.__dict__.update(self.__dict__, **changes)
         return changed
 
+    def later_by(self, seconds: float) -> Circuit:
+        """The circuit whose events are stamped later, in every recording."""
+        own = tuple(
+            (name, tuple((key, number + seconds if key == "delay" else number) for key, number in numbers))
+            for name, numbers in self.of_recordings
+        )
+        return self.with_(delay=self.delay + seconds, of_recordings=own)
+
     def in_recording(self, name: str) -> Circuit:
         """The circuit as it was in the recording of that name, with the numbers that are the recording's own."""
         if not self.of_recordings:
             return self
         own = self.with_(of_recordings=(), **dict(dict(self.of_recordings).get(name, ())))
         gain = own.threshold_gain
-        if gain == 1.0:
+        if isinstance(gain, float) and gain == 1.0:
             return own
         return own.with_(on_threshold=gain * own.on_threshold, off_threshold=gain * own.off_threshold)

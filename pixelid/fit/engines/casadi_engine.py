@@ -40,7 +40,6 @@ from pixelid.fit.event_times import EventTimesObjective
 from pixelid.fit.newton import Optimum
 from pixelid.fit.objective import Local, Objective
 from pixelid.interruption import interrupt_kept
-from pixelid.likelihood.clocks import clocks_of
 
 # A step that promises more than it holds is halved so often, and then taken as it is: it moves next to nothing.  Where
 # the value has kinks (those of the light) IPOPT would halve it down to rounding, at a likelihood each.
@@ -54,9 +53,9 @@ def symbolic(objective: EventTimesObjective, x: np.ndarray) -> tuple[ca.MX, ca.M
     coordinates = objective.coordinates
     at = ca.MX.sym("x", len(coordinates))
     values = parameter_values(coordinates, at, ca.exp)
-    circuit, clocks = coordinates.model.circuit(values), clocks_of(objective.likelihood.recordings, values)
-    value = log_likelihood(CasadiOperations(), freeze(objective, x), circuit, clocks)
-    return at, with_priors(value, coordinates, at)
+    circuit = coordinates.model.circuit(values)
+    value = log_likelihood(CasadiOperations(), freeze(objective, x), circuit)
+    return at, with_priors(value, coordinates, at, ca.log)
 
 
 class CasadiEngine(Engine):

@@ -30,7 +30,6 @@ from pixelid.fit.engines.engine import parameter_values, with_priors
 from pixelid.fit.engines.frozen import Frozen, freeze
 from pixelid.fit.event_times import EventTimesObjective
 from pixelid.fit.objective import Local, Objective
-from pixelid.likelihood.clocks import clocks_of
 
 Flow = Callable[[tuple, Any, Any, Any, Any, Dynamics], tuple]
 
@@ -95,17 +94,17 @@ def log_posterior(op: Any, objective: EventTimesObjective, frozen: Frozen, x: An
     """The log posterior of the continuous form at an engine's vector x (p,)."""
     coordinates = objective.coordinates
     values = parameter_values(coordinates, x, op.exp)
-    circuit, clocks = coordinates.model.circuit(values), clocks_of(objective.likelihood.recordings, values)
+    circuit = coordinates.model.circuit(values)
     midpoint = frozen.circuit.linearisation == "midpoint"
 
-    def changes_of(recording, clock):
+    def changes_of(recording, circuit, real, clock):
         def states_of(light, dynamics):
             return _states(op, recording, light, dynamics, flow)
 
-        return expression.changes(op, recording, circuit, frozen.circuit, midpoint, clock, states_of)
+        return expression.changes(op, recording, circuit, real, midpoint, clock, states_of)
 
-    value = expression.log_likelihood(op, frozen, circuit, clocks, changes_of)
-    return with_priors(value, coordinates, x)
+    value = expression.log_likelihood(op, frozen, circuit, changes_of)
+    return with_priors(value, coordinates, x, op.log)
 
 
 def _states(op, recording, light, dynamics, flow):

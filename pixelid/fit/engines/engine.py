@@ -131,11 +131,11 @@ def parameter_values(coordinates: Coordinates, x: Any, exp: Callable) -> dict[st
     return {**coordinates.model.values, **fixed, **free}
 
 
-def with_priors(value: Any, coordinates: Coordinates, x: Any) -> Any:
-    """A log-likelihood and the log priors at an engine's vector x, in the engine's numbers."""
+def with_priors(value: Any, coordinates: Coordinates, x: Any, log: Callable) -> Any:
+    """A log-likelihood and the log priors at an engine's vector x, in the engine's numbers and by its logarithm."""
     for i, p in enumerate(coordinates.parameters):
         if p.prior is not None:
-            value = value + p.prior.log_density(x[i])
+            value = value + p.prior.log_density(x[i], log)
     return value
 
 

@@ -18,7 +18,7 @@ from pixelid.dynamics.equations import PRESENT_BELOW
 from pixelid.dynamics.of_circuit import dynamics_of
 from pixelid.dynamics.trajectory import Dynamics
 from pixelid.fit.engines.frozen import Frozen, FrozenRecording
-from pixelid.likelihood.clocks import Clock
+from pixelid.likelihood.clocks import Clock, clock_in
 from pixelid.likelihood.losses import BACKGROUND_HZ, MISSED
 from pixelid.stages.comparator import memory_factor
 
@@ -199,15 +199,18 @@ def light_integral(op: Operations, radiance, r, tau):
     return radiance * tau * op.where(near, 1.0 + x / 2.0 + x * x / 6.0, (op.exp(safe) - 1.0) / safe)
 
 
-def log_likelihood(op: Operations, frozen: Frozen, circuit, clocks=None, changes_of=None) -> Any:
+def log_likelihood(op: Operations, frozen: Frozen, circuit, changes_of=None) -> Any:
     """The log-likelihood of `EventTimes`, a scalar of the engine, at the circuit's numbers.
 
-    clocks: of the recordings in engine numbers, as of `EventTimes`
-    changes_of(recording, clock) replaces `changes` (another integrator).
+    changes_of(recording, circuit, frozen circuit, clock) replaces `changes` (another integrator).
     """
     midpoint = frozen.circuit.linearisation == "midpoint"
-    made = changes_of or (lambda recording, clock: changes(op, recording, circuit, frozen.circuit, midpoint, clock))
-    parts = list(map(made, frozen.recordings, clocks or (None,) * len(frozen.recordings)))
+    made = changes_of or (lambda part, own, real, clock: changes(op, part, own, real, midpoint, clock))
+    parts = []
+    for part in frozen.recordings:
+        name = part.recording.name
+        own, real = circuit.in_recording(name), frozen.circuit.in_recording(name)
+        parts.append(made(part, own, real, clock_in(part.recording, circuit)))
     at, kept, survived = frozen.layout, frozen.kept, frozen.survived
     group, on, off = at.group[kept], circuit.on_threshold, circuit.off_threshold
 

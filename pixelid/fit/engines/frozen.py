@@ -16,9 +16,10 @@ from pixelid.dynamics.of_circuit import dynamics_of
 from pixelid.errors import InputError
 from pixelid.fit.event_times import EventTimesObjective
 from pixelid.likelihood.changes import ChangeEvaluator
-from pixelid.likelihood.clocks import Clock
+from pixelid.likelihood.clocks import clock_in
 from pixelid.likelihood.extremes import Extremes
 from pixelid.likelihood.layout import Layout
+from pixelid.recordings.recording import Recording
 from pixelid.stages.circuit import Circuit
 from pixelid.stimuli.drive import drive
 
@@ -27,12 +28,14 @@ from pixelid.stimuli.drive import drive
 class FrozenRecording:
     """One recording's samples and where its n events and m pixels stand among them.
 
+    recording: whose they are
     t, radiance: (samples,) seconds and radiance without dark current
     previous, time, sign: (n,) of the intervals;  last: (m,) start of the censored ones
     step_r, step_e: (n,) and step_l: (m,) steps that hold release, event, and the last release
     opposite_at: (n,) and rise_at, fall_at: (m,) samples of extremes; −1: none
     """
 
+    recording: Recording
     t: np.ndarray
     radiance: np.ndarray
     previous: np.ndarray
@@ -95,12 +98,16 @@ def freeze(objective: EventTimesObjective, x: np.ndarray) -> Frozen:
             raise InputError(f"{name}: not in the symbolic form of the likelihood; use its compiled form")
     if not all(r.stimulus is not None and r.stimulus.full_field for r in likelihood.recordings):
         raise InputError("light of each pixel's own: not in the symbolic form of the likelihood; use its compiled form")
+    own = {name for _, numbers in circuit.of_recordings for name, _ in numbers}
+    if own - {"delay"}:
+        raise InputError("numbers of one recording: not in the symbolic form of the likelihood; use its compiled form")
     terms, factor = objective.terms(x), likelihood.threshold_factor
-    clocks = objective.clocks(x) or (None,) * len(likelihood.recordings)
-    located = zip(likelihood.evaluators, terms.changes.extremes, clocks, strict=True)
+    located = zip(likelihood.evaluators, terms.changes.extremes, likelihood.recordings, strict=True)
     return Frozen(
         circuit=circuit,
-        recordings=tuple(_frozen(evaluator, extremes, circuit, clock) for evaluator, extremes, clock in located),
+        recordings=tuple(
+            _frozen(evaluator, extremes, circuit, recording) for evaluator, extremes, recording in located
+        ),
         layout=likelihood.layout,
         clock_share=likelihood.clock_share,
         threshold_factor=np.ones(likelihood.events) if factor is None else factor,
@@ -110,8 +117,9 @@ def freeze(objective: EventTimesObjective, x: np.ndarray) -> Frozen:
     )
 
 
-def _frozen(evaluator: ChangeEvaluator, extremes: Extremes, circuit: Circuit, clock: Clock | None) -> FrozenRecording:
-    iv = evaluator.intervals
+def _frozen(evaluator: ChangeEvaluator, extremes: Extremes, circuit: Circuit, recording: Recording) -> FrozenRecording:
+    iv, clock = evaluator.intervals, clock_in(recording, circuit)
+    circuit = circuit.in_recording(recording.name)
     light = drive(evaluator.section.lights[0], circuit, iv.end_s)
 
     def step_of(stamps, later):
@@ -119,6 +127,7 @@ def _frozen(evaluator: ChangeEvaluator, extremes: Extremes, circuit: Circuit, cl
         return np.maximum(np.searchsorted(light.t, times, side="right") - 1, 0)
 
     return FrozenRecording(
+        recording=recording,
         t=light.t,
         radiance=light.radiance - circuit.dark,
         previous=iv.previous_s,

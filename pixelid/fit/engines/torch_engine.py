@@ -35,7 +35,6 @@ from pixelid.fit.engines.torch_operations import TorchOperations
 from pixelid.fit.event_times import EventTimesObjective
 from pixelid.fit.newton import Optimum
 from pixelid.fit.objective import Objective
-from pixelid.likelihood.clocks import clocks_of
 
 OPTIMISERS = ("lbfgs", "adam")
 ROUND = 20  # L-BFGS iterations between refreshes of the discrete choices and of the scaling
@@ -60,10 +59,10 @@ def log_posterior(objective: EventTimesObjective, frozen: Frozen, x: torch.Tenso
     """The log posterior at a coordinate tensor (p,), differentiable; discrete choices from `frozen`."""
     coordinates = objective.coordinates
     values = parameter_values(coordinates, x, torch.exp)
-    circuit, clocks = coordinates.model.circuit(values), clocks_of(objective.likelihood.recordings, values)
+    circuit = coordinates.model.circuit(values)
     operations: Any = TorchOperations(x.device)
-    value = log_likelihood(operations, frozen, circuit, clocks)
-    return with_priors(value, coordinates, x)
+    value = log_likelihood(operations, frozen, circuit)
+    return with_priors(value, coordinates, x, torch.log)
 
 
 class TorchEngine(Engine):

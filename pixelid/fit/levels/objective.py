@@ -232,9 +232,9 @@ class LevelledObjective(EventTimesObjective):
 
     def _tangents(self, x: np.ndarray, u: np.ndarray, here: EventTimesObjective) -> tuple[Tangent, ...]:
         """How all changes move with the levels of all pixels at once, by kind."""
-        circuit, clocks, changes, out = self.coordinates.circuit(x), self.clocks(x), here.terms(x).changes, []
+        circuit, changes, out = self.coordinates.circuit(x), here.terms(x).changes, []
         for k in range(u.shape[1]):
-            moved = self._under(u + STEP * np.eye(u.shape[1])[k]).with_clocks(clocks)
+            moved = self._under(u + STEP * np.eye(u.shape[1])[k])
             difference = moved.changes(circuit, changes.extremes)
             with np.errstate(over="ignore", invalid="ignore"):
                 difference.vector[:] = (difference.vector - changes.vector) / STEP

@@ -189,7 +189,7 @@ def _typical_ratio(effect: str, name: str, trial: Model, base: Model) -> float:
     A pole's strength is the delay that it adds.  A second-order photoreceptor adds to one pole the delay 1/β of
     another, which α follows there, and to none that of both, nearly β/(αL).
     """
-    shipped = {p.name: p.value for p in stages.effect(effect).parameters}
+    shipped = {p.name: p.value for p in trial.library(effect)}
     if effect == "second_order_photoreceptor" and base.photoreceptor == "unlimited":
         late = trial.values["beta"] / trial.values["alpha"]
         return shipped["beta"] / shipped["alpha"] / late

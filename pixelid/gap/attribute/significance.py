@@ -87,7 +87,7 @@ def leads(differences: np.ndarray, criteria: Criteria) -> bool:
 
 def negligible(effect: str, fitted: Model, criteria: Criteria) -> bool:
     """Whether a fitted effect is far weaker than it ever is in a camera."""
-    parameter = next(p for p in stages.effect(effect).parameters if p.free)
+    parameter = next(p for p in fitted.library(effect) if p.free)
     relative = abs(fitted.values[parameter.name]) / parameter.value
     if effect in INVERSE:
         relative = 1.0 / relative

@@ -13,6 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from pixelid.gap.confirm.counts import count_events
+from pixelid.likelihood.clocks import light_on_clock
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.likelihood.light_drawn import light_in_a_row
 from pixelid.model.model import Model
@@ -41,7 +42,6 @@ def count_twins(
     on, off = _thresholds(only(timely, crowd), crowd, model)
     exact = model.without_effect("threshold_mismatch").without_effect("hot_pixels")
     extra_hz = model.circuit().hot_hz if hot is not None else 0.0
-    delay = float(np.real(model.circuit().delay))
     sensors, each = (copies, 1) if queue else (1, copies)  # sensors of twins, twins of each pixel in a sensor
     place = np.searchsorted(crowd, pixels)
     watched = (np.arange(each)[:, None] * len(crowd) + place).ravel()
@@ -52,12 +52,13 @@ def count_twins(
         first = np.unique(own.events.pixel, return_index=True)
         after = np.zeros(len(crowd))
         place_of_first = np.searchsorted(crowd, first[0])
-        fired[place_of_first] = own.events.t[first[1]] * 1e-9 - delay
+        circuit = model.circuit().in_recording(recording.name)
+        fired[place_of_first] = own.events.t[first[1]] * 1e-9 - circuit.delay
         after[place_of_first] = np.where(own.events.p[first[1]] == 1, 1.0, -1.0)
-        gain = model.circuit().in_recording(recording.name).threshold_gain
+        gain = circuit.threshold_gain
         twins = Twins(*(np.tile(one, each) for one in (gain * on, gain * off, fired, after)))
         assert recording.stimulus is not None
-        seen = recording.stimulus, np.tile(crowd, each)
+        seen = light_on_clock(recording, recording.stimulus, circuit), np.tile(crowd, each)
         for k, done in enumerate(runs):
             own_seed = seed + i + 101 * k
             here = exact.in_recording(recording.name)
@@ -122,8 +123,8 @@ def count_sensors(
         for i, recording in enumerate(recordings):
             own, light = seed + 101 * sensor + i, recording.stimulus
             assert light is not None
-            light = light_in_a_row(recording, light, row, own)
             here = model.in_recording(recording.name)
+            light = light_in_a_row(recording, light_on_clock(recording, light, here.circuit()), row, own)
             runs.append(simulate_row(here, light, len(row), seed=own, sensor_seed=seed + sensor))
         return count_events(runs, watched, edges).table
 

@@ -106,7 +106,7 @@ def residuals(likelihood: EventTimes, circuit: Circuit, changes: StackedChanges 
 
 def expected_log_rate(likelihood: EventTimes, circuit: Circuit, here: Residuals) -> np.ndarray:
     """(n,) log speed of the change at the time when each event was expected."""
-    earlier = circuit.with_(delay=circuit.delay + NUDGE_S)
+    earlier = circuit.later_by(NUDGE_S)
     there = likelihood.terms(earlier, likelihood.changes(earlier, here.extremes))
     rate = np.exp(here.log_rate)
     growing = np.where(here.background | there.background, 0.0, (rate - np.exp(there.log_rate)) / NUDGE_S)

@@ -16,6 +16,7 @@ from pixelid.dynamics.equations import PRESENT_BELOW
 from pixelid.gap.imputation.chances import BLOCK, Light, Thresholds
 from pixelid.gap.imputation.lattice import draw_path
 from pixelid.gap.imputation.windows import Windows, with_times
+from pixelid.likelihood.clocks import light_on_clock
 from pixelid.likelihood.density import BACKGROUND_HZ
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.likelihood.leaked import light_until
@@ -172,7 +173,9 @@ class Lights:
         key = (id(stimulus), end, circuit)
         if key in self._made:
             return self._made[key][1]
-        made = _light(stimulus, end, circuit)
+        on_clock = light_on_clock(recording, stimulus, circuit)
+        assert isinstance(on_clock, Stimulus)
+        made = _light(on_clock, end, circuit)
         if self._cells + len(made.output) <= MOST_REMEMBERED:
             self._cells += len(made.output)
             self._made[key] = stimulus, made  # the stimulus is kept: an id is its own while it lives

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import isotonic_regression
 
+from pixelid.likelihood.clocks import light_on_clock
 from pixelid.model.model import Model
 from pixelid.recordings.recording import Recording
 from pixelid.simulate import simulate_row
@@ -114,8 +115,10 @@ def guess_by_rank(
     for i, (recording, window) in enumerate(zip(recordings, windows, strict=True)):
         assert recording.stimulus is not None
         copies = max(1, round(CROWD_PIXELS / len(pixels)))
-        light = in_a_row(recording.stimulus, np.tile(pixels, copies))
-        crowd = simulate_row(model.in_recording(recording.name), light, copies * len(pixels), seed=seed + i).events
+        here = model.in_recording(recording.name)
+        seen = light_on_clock(recording, recording.stimulus, here.circuit())
+        light = in_a_row(seen, np.tile(pixels, copies))
+        crowd = simulate_row(here, light, copies * len(pixels), seed=seed + i).events
         when, number = crowd.t.astype(float), np.arange(len(crowd)) / copies
         begins = window.hi <= window.lo
         head = np.maximum.accumulate(np.where(begins, np.arange(len(begins)), 0))

@@ -19,6 +19,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from pixelid.errors import InputError
+from pixelid.fit.bench import is_of_bench
 from pixelid.fit.maximise import Maximum, maximise
 from pixelid.gap.attribute.attribute import Attribution, Candidate, may_be_named
 from pixelid.gap.attribute.candidates import missing, remove_effect
@@ -32,7 +33,7 @@ from pixelid.gap.state import Hypothesis, State
 from pixelid.gap.steps.describe_remainder import describe_remainder
 from pixelid.gap.steps.name_effect import with_accepted
 from pixelid.likelihood.event_times import EventTimes
-from pixelid.model.model import LIGHT_GAIN, THRESHOLD_GAIN, Model
+from pixelid.model.model import CLOCK_DELAY, LIGHT_GAIN, THRESHOLD_GAIN, Model
 
 GAIN, DELAY, THRESHOLDS = LIGHT_GAIN.name, "delay_s", THRESHOLD_GAIN.name
 KINDS = ((GAIN,), (DELAY,), (THRESHOLDS,), (GAIN, DELAY))
@@ -67,7 +68,7 @@ def with_recordings_that_differ(state: State, context: Context) -> State | None:
         return None
     trials = {0: state.steps[0].before} if state.steps else {}
     for kept, hypothesis in (trials | {len(state.steps): state.hypothesis}).items():
-        if hypothesis.corrected is not None or hypothesis.jitter is not None or hypothesis.fit.model.nuisances:
+        if hypothesis.corrected is not None or hypothesis.jitter is not None or own_phases(hypothesis.fit.model):
             continue
         context.report("recordings that differ", 0.7)
         found, drift = _explained(hypothesis, context), None
@@ -121,13 +122,20 @@ def in_words(model: Model) -> str:
 
 def own_values(model: Model) -> dict[str, float]:
     """Of a model: what its recordings differ in, by the name of the parameter and the recording."""
-    return {n: p.value for n, p in model.nuisances.items() if n.split("[", 1)[0] in (GAIN, DELAY, THRESHOLDS)}
+    differ = (GAIN, DELAY, THRESHOLDS)
+    return {n: p.value for n, p in model.nuisances.items() if n.split("[", 1)[0] in differ and p.prior is None}
+
+
+def own_phases(model: Model) -> bool:
+    """Whether recordings have values of their own that no bench states."""
+    return any(not is_of_bench(name) or (p.prior is None and name in own_values(model))
+               for name, p in model.nuisances.items())  # fmt: skip
 
 
 def _own(model: Model, parameter: str) -> dict[str, float]:
     """Recording → its own value."""
     start = f"{parameter}["
-    return {name[len(start) : -1]: p.value for name, p in model.nuisances.items() if name.startswith(start)}
+    return {n[len(start) : -1]: p.value for n, p in model.nuisances.items() if n.startswith(start) and p.prior is None}
 
 
 def _explained(hypothesis: Hypothesis, context: Context, among: Sequence[Sequence[str]] = KINDS) -> Hypothesis | None:
@@ -195,6 +203,9 @@ def _starts(pool: EventTimes, hypothesis: Hypothesis, kinds: Sequence[str]) -> I
     names = [r.name for r in pool.recordings]
     counts = np.bincount(pool.recording_of_event, minlength=len(names))
     most = names[int(np.argmax(counts))]
+    stated = {name.split("[", 1)[0] for name in hypothesis.fit.model.nuisances}  # fitted already, about what is stated
+    if (GAIN in kinds and GAIN in stated) or (DELAY in kinds and CLOCK_DELAY.name in stated):
+        return
     for model in (hypothesis.fit.model, hypothesis.start):
         own: dict[str, dict[str, float]] = {}
         for factor in (GAIN, THRESHOLDS):
