@@ -14,8 +14,9 @@ from dataclasses import replace
 import numpy as np
 
 from pixelid.errors import InputError, did_you_mean
-from pixelid.recordings.alignment_from_events import RATE_BOUND, alignment_from_events
-from pixelid.recordings.clocks import CRYSTAL, Alignment, ClockPrior
+from pixelid.recordings.alignment_filter import RATE_BOUND
+from pixelid.recordings.alignment_from_events import alignment_from_events
+from pixelid.recordings.clocks import CRYSTAL, ONE_CLOCK, Alignment, ClockPrior
 from pixelid.recordings.kept import ATTRIBUTE, kept_of
 from pixelid.recordings.parts import WHOLE_EVENTS, LongRecording, joined
 from pixelid.recordings.recording import Recording
@@ -25,52 +26,91 @@ from pixelid.stimuli.pixel_lights import Light, pixel_lights
 from pixelid.stimuli.stimulus import Stimulus
 
 METHODS = ("trigger", "first-event", "auto")
+GIVEN_SD_S = 1e-3  # of an offset stated without its error (DESIGN §9)
 EDGE_S = 1e-6  # cameras stamp trigger edges in microseconds, whatever unit a file has them in
 
 
-def find_alignment(recording: Recording, light: Light, how: str) -> Alignment:
+def find_alignment(recording: Recording, light: Light, how: str, *, one_clock: bool = False) -> Alignment:
     """The alignment by one of `METHODS`, or by a number: the light's time zero in seconds of the camera's clock.
 
     Args:
-        recording: events, and triggers for "trigger": the first rising edge is the light's first sample; where more
-            follow, a second edge at the light's last sample gives the clocks' rate; "trigger:N" of input N.
+        recording: events, and triggers for "trigger".
         light: full-field or of each pixel's own.
-        how: "trigger", "first-event" (the first event is the light's first change), "auto", or seconds.
+        how: "trigger": the first rising edge is the light's time zero where that lies within it, as an oscilloscope's
+            does, else its first sample; "trigger@zero" and "trigger@start" state which.  "trigger:N" of input N.  Where
+            more edges follow, a second one at the light's last sample gives the clocks' rate.
+            "first-event": the first event is the light's first change.  "auto": by the events themselves.
+            Seconds: "12.345" with a standard deviation of 1 ms, or "12.345±0.002" (also "+-").
+        one_clock: the light and the camera are on one clock.
 
     Returns:
         The alignment; `aligned` applies it.
 
     Raises:
-        InputError: for an unknown method, no triggers, no events, and events that do not tell: no correlation with the
-            light, or two offsets as good as each other.
+        InputError: for an unknown method, no triggers, no events, and events that do not identify it: no correlation
+            with the light, or two offsets as good as each other.
     """
-    found = _found(recording, light, how)
-    return replace(found, start_s=found.offset_s + (1.0 + found.rate_error) * light.start_s)
+    alignment = _find(recording, light, how)
+    if one_clock and alignment.prior is not None:
+        prior = replace(alignment.prior, rate_mean=0.0, rate_sd=ONE_CLOCK)
+        start = alignment.offset_s + (1.0 + alignment.rate_error) * prior.at_s
+        offset, half = start - prior.at_s, Z95 * ONE_CLOCK
+        interval = alignment.offset_interval_95
+        moved = None if interval is None else (interval[0] + offset - alignment.offset_s,
+                                               interval[1] + offset - alignment.offset_s)  # fmt: skip
+        alignment = replace(
+            alignment,
+            offset_s=offset,
+            rate_error=0.0,
+            rate_interval_95=(-half, half),
+            offset_interval_95=moved,
+            prior=prior,
+        )
+    return replace(alignment, start_s=alignment.offset_s + (1.0 + alignment.rate_error) * light.start_s)
 
 
-def _found(recording: Recording, light: Light, how: str) -> Alignment:
-    how, _, channel = how.partition(":") if how.startswith("trigger:") else (how, "", "")
+def _find(recording: Recording, light: Light, how: str) -> Alignment:
+    if _is_trigger(how):
+        return _trigger_alignment(recording, light, how)
     if how not in METHODS:
-        try:
-            seconds = float(how)
-        except ValueError:
-            seconds = np.nan
-        if not np.isfinite(seconds):
-            raise InputError(
-                f"--align: expected {', '.join(METHODS)} or seconds, found {how!r}{did_you_mean(how, METHODS)}"
-            )
-        return Alignment(seconds, "given")
-    if how == "trigger":
-        if recording.triggers is None or not len(recording.triggers):
-            raise InputError(f"{recording.name}: --align trigger: the file holds no trigger edges")
-        edges = _edges_s(recording, recording.triggers, channel)
-        note = "" if recording.triggers.rises_at(edges[0]) else "no edge rises; falling ones are taken"
-        return replace(_from_triggers(edges, light, recording.events.tick_ns), note=note)
+        return _given(how, light)
     if len(recording.events) == 0:
         raise InputError(f"{recording.name}: --align {how}: the file holds no events")
     if how == "first-event":
         return Alignment(float(recording.events.t[0] * 1e-9 - _first_change_s(light)), "first-event")
     return alignment_from_events(recording, light)
+
+
+def _is_trigger(how: str) -> bool:
+    method, _, first = how.partition("@")
+    return method.partition(":")[0] == "trigger" and first in ("", "zero", "start")
+
+
+def _given(how: str, light: Light) -> Alignment:
+    """Seconds, perhaps with their standard deviation."""
+    value, _, error = how.replace("+-", "±").partition("±")
+    try:
+        seconds, sd = float(value), float(error) if error.strip() else GIVEN_SD_S
+    except ValueError:
+        seconds, sd = np.nan, np.nan
+    if not (np.isfinite(seconds) and np.isfinite(sd) and sd > 0.0):
+        raise InputError(
+            f"--align: expected {', '.join(METHODS)} or seconds, as 12.345 or 12.345±0.001, found {how!r}"
+            f"{did_you_mean(how, METHODS)}"
+        )
+    return known_alignment(seconds, "given", ClockPrior(0.0, light.duration_s, sd, 0.0, CRYSTAL), light)
+
+
+def known_alignment(offset_s: float, method: str, prior: ClockPrior, light: Light, rate: float = 0.0) -> Alignment:
+    """An alignment that is known as well as its prior says; `offset_s` at the light's time zero."""
+    assert prior.delay_sd_s is not None
+    half, start_half = (
+        Z95 * float(np.hypot(prior.delay_sd_s, (moment - prior.at_s) * prior.rate_sd))
+        for moment in (0.0, light.start_s)
+    )
+    rates = rate - Z95 * prior.rate_sd, rate + Z95 * prior.rate_sd
+    interval = offset_s - half, offset_s + half
+    return Alignment(offset_s, method, interval, rate, rates, prior, start_half_s=start_half)
 
 
 def aligned(recording: Recording, light: Light, alignment: Alignment) -> Recording:
@@ -173,47 +213,58 @@ def _moved(events, zero_ns: int, last_ns: int):
     return replace(kept, t=kept.t - zero_ns)
 
 
+def trigger_edges(recording: Recording, light: Light, how: str = "trigger") -> tuple[np.ndarray, np.ndarray, float]:
+    """(camera's times of one or two edges, the light's moments they mark, standard deviation of a stamp), in seconds.
+
+    An edge is known to its stamp: uniform over a tick.  Of several edges that may be the light's last sample nobody
+    knows which, so none is.
+
+    Args:
+        how: "trigger" as of `find_alignment`.
+
+    Raises:
+        InputError: no edges, several inputs and none stated.
+    """
+    method, _, first = how.partition("@")
+    if recording.triggers is None or not len(recording.triggers):
+        raise InputError(f"{recording.name}: --align trigger: the file holds no trigger edges")
+    edges = _edges_s(recording, recording.triggers, method.partition(":")[2])
+    begin = light.start_s
+    if first == "zero" or (first == "" and light.start_s < 0.0 <= light.end_s):
+        begin = 0.0
+    duration = light.end_s - begin
+    stamp = max(EDGE_S, recording.events.tick_ns * 1e-9) / float(np.sqrt(12.0))
+    near = edges[np.abs(edges - edges[0] - duration) <= RATE_BOUND * duration]
+    if len(near) > 1 and isinstance(light, Stimulus) and len(edges) == len(light.t):  # an edge per sample
+        near = near[near == edges[-1]]
+    if len(near) == 1 and near[0] > edges[0]:
+        return np.array([edges[0], near[0]]), np.array([begin, light.end_s]), stamp
+    return edges[:1], np.array([begin]), stamp
+
+
+def _trigger_alignment(recording: Recording, light: Light, how: str) -> Alignment:
+    edges, moments, stamp = trigger_edges(recording, light, how)
+    begin, rate, rate_sd = float(moments[0]), 0.0, CRYSTAL
+    if len(edges) == 2:
+        between = float(np.diff(moments)[0])
+        rate, rate_sd = float(np.diff(edges)[0]) / between - 1.0, float(np.sqrt(2.0)) * stamp / between
+    prior = ClockPrior(begin, light.duration_s, stamp, 0.0, CRYSTAL)
+    offset = float(edges[0]) - (1.0 + rate) * begin
+    alignment = known_alignment(offset, "trigger", replace(prior, rate_sd=rate_sd), light, rate)
+    assert recording.triggers is not None
+    note = "" if recording.triggers.rises_at(edges[0]) else "no edge rises; falling ones are taken"
+    return replace(alignment, prior=prior, note=note)
+
+
 def _edges_s(recording: Recording, triggers: Triggers, channel: str) -> np.ndarray:
     """Seconds of the edges at one input: the one asked for ("" where there is only one)."""
     inputs = sorted({*triggers.channel.tolist()})
     wanted = [number for number in inputs if channel in ("", str(number))]
     if len(wanted) != 1:
-        found = ", ".join(map(str, inputs))
+        present = ", ".join(map(str, inputs))
         asked = f"expected one of them, found {channel!r}" if channel else f"say which, --align trigger:{inputs[0]}"
-        raise InputError(f"{recording.name}: --align trigger: edges at the inputs {found}; {asked}")
+        raise InputError(f"{recording.name}: --align trigger: edges at the inputs {present}; {asked}")
     return triggers.edges_s(wanted[0])
-
-
-def _from_triggers(edges: np.ndarray, light: Light, tick_ns: int) -> Alignment:
-    """First edge at the light's first sample; the one edge within RATE_BOUND of its last gives the rate.
-
-    An edge is known to its stamp: uniform over a tick.  Without a second one, and where several may be it, the rate is
-    as uncertain as clocks are.
-    """
-    duration, begin = light.duration_s, light.start_s
-    stamp = max(EDGE_S, tick_ns * 1e-9) / np.sqrt(12.0)
-    near = edges[np.abs(edges - edges[0] - duration) <= RATE_BOUND * duration]
-    if len(near) > 1 and isinstance(light, Stimulus) and len(edges) == len(light.t):  # an edge per sample
-        near = near[near == edges[-1]]
-    if len(near) == 1:  # of several nobody knows which
-        last = float(near[0])
-        rate = (last - float(edges[0])) / duration - 1.0
-        rate_sd = np.sqrt(2.0) * stamp / duration
-        prior = ClockPrior(begin + 0.5 * duration, duration, stamp / np.sqrt(2.0), rate, rate_sd)
-    else:
-        rate, prior = 0.0, ClockPrior(begin, duration, stamp, 0.0, CRYSTAL)
-    assert prior.delay_sd_s is not None
-    offset = float(edges[0]) - (1.0 + rate) * begin
-    half = Z95 * float(np.hypot(prior.delay_sd_s, prior.at_s * prior.rate_sd))  # at the light's time zero
-    return Alignment(
-        offset,
-        "trigger",
-        (offset - half, offset + half),
-        rate,
-        (rate - Z95 * prior.rate_sd, rate + Z95 * prior.rate_sd),
-        prior,
-        start_half_s=Z95 * float(np.hypot(prior.delay_sd_s, (begin - prior.at_s) * prior.rate_sd)),
-    )
 
 
 def _first_change_s(light: Light) -> float:

@@ -3,12 +3,14 @@
 `pixelid convert --align` puts the light on the camera's clock as well as it can.  What it leaves, a delay and a
 difference of the clocks' rates, is a Gaussian whose two numbers are independent at one moment of the recording:
 
-    trigger, an edge at either end    both stamped as well as the camera stamps edges; independent in the middle
-    trigger, one edge                 the delay at the edge likewise; the rate as well as clocks are known to agree
-    auto                              the delay not at all, the rate as well as clocks are known to agree
+    trigger     the delay at the edge as well as the camera stamps edges
+    given       the delay at the light's time zero as well as stated, 1 ms where it is not
+    auto        the delay not at all
+    inherited   1 ms: a light that does not change, or no events
 
-The last says nothing of what `auto` has found: it has found it among the same events, and a fit that took its interval
-for a prior would count them twice.
+and the rate as well as clocks are known to agree, unless they are said to be one.  `auto` says nothing of what it has
+found: it has found it among the same events, and a fit that took its interval for a prior would count them twice.  For
+the same reason a second trigger edge, which is as easily misplaced as the first, does not count as the rate.
 """
 
 from __future__ import annotations
@@ -23,8 +25,13 @@ from pixelid.documents import is_number
 from pixelid.errors import InputError
 from pixelid.recordings.recording import Recording
 
-CRYSTAL = 7e-5  # standard deviation of the difference of two crystal clocks (each within some 50 ppm)
-ESTIMATED = ("trigger", "auto")  # ways of alignment that leave an uncertainty; what was given is taken as exact
+# Standard deviation of two clocks' rate difference (DESIGN §9): each crystal is within ± 100 ppm over make, temperature
+# and age, evenly: 100 √2/√3 = 82 ppm, and a few are worse.
+CRYSTAL = 1e-4
+ONE_CLOCK = 1e-7  # the same of two devices on one clock: rounding of their ticks
+# Ways of alignment that leave an uncertainty.  Without an interval it is exact: "first-event", and files from before
+# `given` had one.
+ESTIMATED = ("trigger", "auto", "given", "inherited")
 
 
 @dataclass(frozen=True)
@@ -104,9 +111,9 @@ def _number(table: Mapping[str, Any], name: str, where: str) -> float:
 class Alignment:
     """Where the light's time zero lies on the camera's clock.
 
-    offset_s: seconds on the camera's clock;  offset_interval_95: None where it was given, not estimated
+    offset_s: seconds on the camera's clock;  offset_interval_95: None where it counts as exact
     rate_error: seconds that the camera counts per second of the light, less one
-    rate_interval_95: likewise;  method: "trigger", "first-event", "auto" or "given"
+    rate_interval_95: likewise;  method: "trigger", "first-event", "auto", "given" or "inherited"
     prior: of the clock without the events, at a moment of the light's clock; None: offset and rate count as exact
     start_s, start_half_s: the light's first sample on the camera's clock, and half its 95 % interval: far from the time
         zero of a trace that began long before, the rate's uncertainty has not added up

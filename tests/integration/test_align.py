@@ -68,7 +68,7 @@ def test_the_light_finds_its_place(session, tmp_path, how):
         low, high = told["offset_interval_95"]
         assert low <= told["offset_s"] <= high
         assert (told["prior"]["delay_sd_s"] is None) == (how == "auto")
-    assert ("prior" in told) == (how != "seconds")
+    assert "prior" in told
 
 
 def edges_at(camera, seconds, channel=0):

@@ -36,8 +36,8 @@ def saying(recording: Recording, **changes) -> Recording:
     return replace(recording, attributes={"alignment": {**TOLD, **changes}})
 
 
-def test_what_was_given_and_what_has_no_interval_is_exact(plain):
-    for attributes in ({}, {"alignment": "by hand"}, {"alignment": {**TOLD, "method": "given"}},
+def test_what_has_no_interval_is_exact(plain):
+    for attributes in ({}, {"alignment": "by hand"}, {"alignment": {**TOLD, "method": "first-event"}},
                        {"alignment": {**TOLD, "offset_interval_95": None}}):  # fmt: skip
         recording = replace(plain[0], attributes=attributes)
         assert clock_of(recording) is None

@@ -1,0 +1,189 @@
+"""Where events may follow a light: lights and changes as alignment looks at them, and offsets worth a refinement."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from scipy.signal import find_peaks
+
+from pixelid.errors import InputError
+from pixelid.recordings.alignment_filter import STARTS, Changes, LogLight, Refined, lag_s, scan, soft_loss
+from pixelid.recordings.recording import Recording
+from pixelid.stimuli.pixel_lights import Light, pixel_lights
+from pixelid.stimuli.stimulus import Stimulus
+
+MOST_BINS = 1 << 21  # of the correlation, 16 MiB a transform
+SCREENED = 600  # by which starts are chosen
+CANDIDATES = 8  # peaks of the correlation
+SCANNED = 6_000  # offsets of the scan: each half a bin of a chirp to 300 Hz over a second
+MOST_LIGHTS = 8  # of pixels' own, those with most events: more would tell no other offset
+LEAST_COMMON = 0.4  # of the best's changes: of two or more periods, a shift by one leaves half
+RIVALS = 5  # offsets compared with the best
+
+
+def lights_of(
+    recording: Recording, light: Light
+) -> tuple[Recording, tuple[tuple[np.ndarray, np.ndarray], ...], np.ndarray]:
+    """(recording of the pixels that see one, (t, log radiance) of each light, which of them each pixel sees).
+
+    Of pixels' own lights, the `MOST_LIGHTS` with most events.
+
+    Raises:
+        InputError: where the light is constant.
+    """
+    grouped = pixel_lights(light, recording.events.pixel)
+    size = recording.events.width * recording.events.height
+    if grouped is None:
+        assert isinstance(light, Stimulus)
+        lights, of_pixel = [light], np.zeros(size, np.int64)
+    else:
+        if grouped.of_pixel.size != size:
+            raise InputError(
+                f"{recording.name}: expected light of {recording.events.width} x {recording.events.height} pixels, "
+                f"found {grouped.size[0]} x {grouped.size[1]}"
+            )
+        which = grouped.of_pixels(recording.events.pixel)
+        chosen = np.argsort(-np.bincount(which, minlength=len(grouped.lights)), kind="stable")[:MOST_LIGHTS]
+        place = np.full(len(grouped.lights) + 1, -1)  # the last: of pixels without light
+        place[chosen] = np.arange(len(chosen))
+        lights, of_pixel = [grouped.lights[k] for k in chosen], place[grouped.of_pixel.ravel()]
+        recording = replace(recording, events=recording.events.select(of_pixel[recording.events.pixel] >= 0))
+    highest = max(float(one.radiance.max()) for one in lights)
+    logs = tuple((one.t, np.log(np.maximum(one.radiance.astype(np.float64), 1e-6 * highest))) for one in lights)
+    if max(float(np.ptp(log)) for _, log in logs) < 1e-3:
+        raise InputError("--align auto: the light is constant; nothing in it can be found among the events")
+    return recording, logs, of_pixel
+
+
+def changes_of(recording: Recording, light_of_pixel: np.ndarray, polarity: int) -> Changes:
+    """All intervals between two events of one pixel, sorted by time."""
+    events = recording.events
+    order = np.lexsort((events.t, events.pixel))
+    t, pixel, p = events.t[order], events.pixel[order], events.p[order]
+    origin = int(events.t[0]) if len(events) else 0
+    seconds = (t - origin) * 1e-9
+    same = np.flatnonzero(pixel[1:] == pixel[:-1])
+    same = same[np.argsort(t[1:][same], kind="stable")]
+    sign = np.where(p[1:] == 1, polarity, -polarity).astype(np.float64)
+    return Changes(seconds[:-1][same], seconds[1:][same], sign[same], light_of_pixel[pixel[1:][same]], origin * 1e-9)
+
+
+def stretches(changes: Changes, most: int) -> Changes:
+    """About `most` of them, whole stretches of time spread over the recording: neighbours share their residuals."""
+    count = len(changes.time)
+    every = max(1, round(count / most))
+    stretches = np.arange(count) * (64 * every) // max(count, 1)
+    return changes if every == 1 else changes.select(stretches % every == 0)
+
+
+def correlation(recording: Recording, light: Light, polarity: int = 1) -> float:
+    """The highest correlation of signed events and changes of the light over all offsets; 0 of constant light."""
+    try:
+        recording, lights, of_pixel = lights_of(recording, light)
+    except InputError:
+        return 0.0
+    return correlate(recording, lights, of_pixel, polarity)[1] if len(recording.events) > 1 else 0.0
+
+
+def correlate(
+    recording: Recording, lights: Sequence[tuple[np.ndarray, np.ndarray]], of_pixel: np.ndarray, polarity: int
+) -> tuple[np.ndarray, float]:
+    """(offsets (s, camera's clock) at which signed events and d ln L/dt correlate best; the highest correlation)."""
+    events, t = recording.events, lights[0][0]
+    origin = events.t[0] * 1e-9
+    lasting = events.duration_s + float(t[-1] - t[0])
+    width = max(lasting / MOST_BINS, 1e-4)
+    bins = int(events.duration_s / width) + 1
+    index = ((events.t - events.t[0]) * 1e-9 / width).astype(np.int64)
+    sign, seen_by = np.where(events.p == 1, polarity, -polarity), of_pixel[events.pixel]
+    n = int((t[-1] - t[0]) / width) + 1
+    size = 1 << int(np.ceil(np.log2(bins + n)))
+    correlation, length, powers = np.zeros(size), 1.0, np.zeros(2)
+    for k, (when, log_light) in enumerate(lights):
+        counts = np.bincount(index, np.where(seen_by == k, sign, 0.0), bins)
+        change = np.diff(np.interp(t[0] + width * np.arange(n + 1), when, log_light))
+        counts, change = counts - counts.mean(), change - change.mean()
+        spectra = [np.fft.rfft(series, size) for series in (counts, change)]
+        correlation += np.fft.irfft(spectra[0] * np.conj(spectra[1]), size)
+        length = max(length, _correlation_length(change))
+        powers += [float(counts @ counts), float(change @ change)]
+    lags = np.arange(size)
+    lags[lags >= bins] -= size  # negative: the light began before the first event
+    order = np.argsort(lags)
+    heights = correlation[order]
+    peaks, _ = find_peaks(np.concatenate([[-np.inf], heights, [-np.inf]]))
+    peaks = peaks[np.argsort(heights[peaks - 1])[::-1]] - 1
+    kept: list[int] = []
+    for peak in peaks[: 20 * CANDIDATES]:
+        if all(abs(peak - other) > length for other in kept):
+            kept.append(int(peak))
+    offsets = origin + width * lags[order][kept[:CANDIDATES]] - t[0]
+    return offsets, float(heights.max() / max(np.sqrt(powers.prod()), 1e-300))
+
+
+def _correlation_length(change: np.ndarray) -> float:
+    """Bins over which the light's change stays like itself (half height of its autocorrelation)."""
+    spectrum = np.abs(np.fft.rfft(change, 2 * len(change))) ** 2
+    own = np.fft.irfft(spectrum)
+    below = np.flatnonzero(own < 0.5 * own[0])
+    return float(below[0]) if len(below) else 1.0
+
+
+def best_starts(changes: Changes, light: LogLight, peaks: np.ndarray) -> list[tuple[float, np.ndarray]]:
+    """The best few (begin, parameters) of candidates × filters × shifts, thresholds by medians."""
+    few = changes.select(slice(None, None, max(1, len(changes.time) // SCREENED)))
+    on = few.sign > 0
+    scored = []
+    for start, filtered in zip(STARTS, light.filtered(STARTS[:, :4]), strict=True):
+        lag = lag_s(start)
+        for peak in peaks:
+            best = (np.inf, 0.0, start)
+            for begin in peak + np.linspace(-1.5 * lag - 1e-3, 1e-3, 24):
+                moved = _moved(few, light, filtered, begin, start)
+                x = np.array([*start[:5], *(np.log(max(_typical(moved[mine]), 0.02)) for mine in (on, ~on))])
+                cost = float(soft_loss(moved * np.where(on, np.exp(-x[5]), np.exp(-x[6])) - 1.0).mean())
+                best = min(best, (cost, begin, x), key=lambda entry: entry[0])
+            scored.append(best)
+    scored.sort(key=lambda entry: entry[0])
+    return [(begin, np.array([0.0, 0.0, *x])) for _, begin, x in scored[:4]]
+
+
+def _typical(moved: np.ndarray) -> float:
+    return float(np.median(moved)) if len(moved) else 0.2
+
+
+def _moved(changes: Changes, light: LogLight, filtered: np.ndarray, begin: float, start: np.ndarray) -> np.ndarray:
+    """(n,) how far the filtered light has moved towards the event, in e-folds."""
+    grid = light.first_s + light.step_s * np.arange(light.log.shape[1])
+    out = np.zeros(len(changes.time))
+    for k, row in enumerate(filtered):
+        mine = changes.light == k
+        end, first = changes.time[mine] - begin, changes.begin[mine] + 1e-4 * start[4] - begin
+        out[mine] = changes.sign[mine] * (np.interp(end, grid, row) - np.interp(first, grid, row))
+    return out
+
+
+def scan_offsets(changes: Changes, light: LogLight, fit: Refined) -> tuple[np.ndarray, np.ndarray]:
+    """(begins, mean loss of the changes within the light) over all offsets with enough in it; elsewhere infinite."""
+    lasting = float(changes.time.max()), light.last_s - light.first_s
+    begins = fit.zero_s + np.arange(-SCANNED // 2, SCANNED // 2) * (2.0 * max(lasting) / SCANNED)
+    few = changes.select(slice(None, None, max(1, len(changes.time) // 800)))
+    loss, count = scan(few, light, light.filtered(fit.x[None, 2:6])[0], begins, fit.x)
+    enough = count >= max(LEAST_COMMON * count[SCANNED // 2], 20)
+    return begins, np.where(enough, loss / np.maximum(count, 1), np.inf)
+
+
+def lowest(begins: np.ndarray, losses: np.ndarray, best: float) -> list[float]:
+    lows, _ = find_peaks(-np.where(np.isfinite(losses), losses, 1.0))
+    return [float(begins[k]) for k in lows[np.argsort(losses[lows])][: RIVALS + 1] if begins[k] != best]
+
+
+def distinct(begins: Sequence[float], fits: Sequence[Refined]) -> list[float]:
+    """Those not within 0.3 ms of each other or of a refinement: each refinement moves freely by as much."""
+    kept: list[float] = []
+    for begin in begins:
+        if all(abs(begin - other) > 3e-4 for other in [*kept, *(fit.zero_s for fit in fits)]):
+            kept.append(begin)
+    return kept
