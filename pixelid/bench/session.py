@@ -12,7 +12,6 @@ from pixelid.errors import InputError
 from pixelid.recordings.crop import crop
 from pixelid.recordings.reading import open_recording
 from pixelid.recordings.recording import Recording
-from pixelid.recordings.selection import only
 from pixelid.stimuli.files import load_stimulus
 from pixelid.stimuli.pixel_lights import Light
 from pixelid.stimuli.stimulus import WITHOUT_SCALE, Stimulus
@@ -116,7 +115,7 @@ def _opened(entry: Entry, bench: Bench) -> tuple[Recording, Light]:
 
 
 def of_one_size(recordings: Sequence[Recording]) -> tuple[list[Recording], list[str]]:
-    """(the recordings as of one sensor, what that was inferred from): sizes that a file does not state are the session's.
+    """(the recordings as of one sensor, what that was inferred from): a size that no file states is the session's.
 
     Raises:
         InputError: Files that state different sizes, or different sensors.
@@ -142,11 +141,6 @@ def good_pixels(recordings: Sequence[Recording]) -> tuple[np.ndarray, np.ndarray
     median = float(np.median(counts[active]))
     good = (counts[active] >= UNLIT * median) & (counts[active] <= HOT * median)
     return active[good], active[~good]
-
-
-def among(session: Session, recordings: Sequence[Recording], pixels: np.ndarray) -> list[Recording]:
-    """The recordings with the events of some of the session's pixels."""
-    return only(recordings, pixels)
 
 
 def _check_units(recordings: Sequence[Recording], lights: Sequence[Light]) -> None:

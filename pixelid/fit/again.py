@@ -42,7 +42,8 @@ def simulate_again(
         run = simulate(here, seen, width=len(pixels), height=1, seed=seed + 101 * i, sensor_seed=seed)
         as_came = in_a_row(light if r.stimulus is None else r.stimulus, pixels)
         made = replace(r, events=replace(run.events, tick_ns=r.events.tick_ns), stimulus=as_came)
-        return made.within_stimulus() if is_measured(r) else made  # its delay is free, and carries events past the end
+        late = is_measured(r) or here.circuit().delay != 0.0  # a delay that is free carries events past the end
+        return made.within_stimulus() if late else made
 
     return map_threads(simulated, enumerate(recordings))
 
