@@ -51,7 +51,11 @@ def evt2(t_us: np.ndarray, x: np.ndarray, y: np.ndarray, p: np.ndarray, edges_us
     return b"% evt 2.0\n% geometry 640x480\n% end\n" + stream.astype("<u4").tobytes()
 
 
-def write_light(path: Path, t_s: np.ndarray, light: np.ndarray, unit: str) -> None:
-    """A trace (n,) whose header states the unit."""
+def write_light(path: Path, form: str, t_s: np.ndarray, light: np.ndarray, unit: str) -> None:
+    """A trace (n,) in csv or npz, whose column's header or `unit` states the unit."""
+    if form == "npz":
+        stated = unit.split("_")[1]
+        np.savez_compressed(path, t=t_s, radiance=light.astype(np.float32), unit=stated)
+        return
     np.savetxt(path, np.column_stack([t_s, light]), fmt=["%.7f", "%.7g"], delimiter=",",
                header=f"t_s,{unit}", comments="")  # fmt: skip

@@ -1,8 +1,8 @@
 """Bench sessions as a laboratory has them, by a simulator that shares no code with the package.
 
-A folder holds the camera's events of each recording and, as `NAME_light.csv`, a photodiode's trace on a clock of its
-own; `truth.json` says what is true.  Events come from `bench_pixel.py`, lights from `bench_lights.py`, files from
-`bench_files.py`.
+A folder holds the camera's events of each recording and a photodiode's trace on a clock of its own, `NAME_light.csv`
+(or `.npz`); `truth.json` says what is true.  Events come from `bench_pixel.py`, lights from `bench_lights.py`, files
+from `bench_files.py`.
 
     make_session(folder, 7)                                   everything drawn
     make_session(folder, 7, fault="edge", effects={"leak": 2.0}, clock_ppm=0.0)
@@ -75,6 +75,7 @@ class Plan:
     levels: tuple[float, ...] = LEVELS_FA
     durations: tuple[tuple[str, float], ...] = tuple(DURATION_S.items())
     light_step_s: float = 5e-5
+    light_form: str = "csv"
 
 
 def draw(seed: int, **options: Any) -> Plan:
@@ -166,7 +167,8 @@ def make_session(folder: Path | str, seed: int, **options: Any) -> dict[str, Any
     swapped = dict(zip(wrong, reversed(wrong), strict=True)) if plan.fault == "light" else {}
     for name in names:
         t, trace = lights[swapped.get(name, name)]
-        write_light(folder / f"{name}_light.csv", LIGHT_START_S + t, trace, plan.unit)
+        path = folder / f"{name}_light.{plan.light_form}"
+        write_light(path, plan.light_form, LIGHT_START_S + t, trace, plan.unit)
     truth = _truth(plan, own, recordings, wrong)
     (folder / "truth.json").write_text(json.dumps(truth, indent=1))
     return truth
