@@ -12,7 +12,7 @@ CIRCUIT = {
     "off_threshold": 0.18, "refractory_s": 2e-4,
 }  # fmt: skip
 TRUTH = CIRCUIT | {
-    "effects": {"I_dark": 2.0, "leak": 0.4}, "unit": "illuminance_lux", "unit_factor": UNIT, "clock_ppm": 44.0,
+    "effects": {"I_dark": 2.0, "leak": 0.2}, "unit": "illuminance_lux", "unit_factor": UNIT, "clock_ppm": 44.0,
     "fault": "level", "fault_recordings": ["chirp_24"],
 }  # fmt: skip
 
@@ -33,7 +33,7 @@ def row(**changes) -> dict:
     """A run that finds everything."""
     parameters = {name: reported(value) for name, value in CIRCUIT.items()}
     parameters |= {"alpha": reported(6e4 / UNIT), "gamma": reported(1.1 / UNIT)}
-    parameters |= {"dark_current.radiance": reported(2.0 * UNIT), "leak.rate_hz": reported(0.4)}
+    parameters |= {"dark_current.radiance": reported(2.0 * UNIT), "leak.rate_hz": reported(0.2)}
     calibration = {
         "status": "converged",
         "verdict": "named",
