@@ -30,8 +30,8 @@ from pixelid.errors import InputError, OutputError, SetAside
 
 # The JSON files that mark a folder as a result, which --overwrite may replace.
 RESULT_FILES = (
-    "fit.json", "gap.json", "posterior.json", "lowlight.json", "design.json", "rates.json", "flicker.json",
-    "latency.json", "noise.json", "sensor.json", "compare.json", "inspect.json", "static_noise.json",
+    "calibration.json", "fit.json", "gap.json", "posterior.json", "lowlight.json", "design.json", "rates.json",
+    "flicker.json", "latency.json", "noise.json", "sensor.json", "compare.json", "inspect.json", "static_noise.json",
     "reconstruction.json", "conform.json", "render.json", "dataset.json",
 )  # fmt: skip
 _AT_FDCWD, _RENAME_EXCHANGE = -100, 2  # linux/fcntl.h, linux/fs.h

@@ -121,6 +121,7 @@ def calibrate(
         held_out=held_out,
         unit=unit_sentence(last.model, base),
         recommended_next={} if searched is None else searched.recommended_next,
+        recordings=tuple(recordings),
         seconds=watch.seconds(),
         seed=seed,
         versions=versions(),

@@ -13,6 +13,7 @@ from pixelid.fit.result import FitResult
 from pixelid.gap.result import GapReport
 from pixelid.model.files import save_model
 from pixelid.model.model import Model
+from pixelid.recordings.recording import Recording
 from pixelid.results import Result, Table
 from pixelid.status import Status
 
@@ -25,6 +26,7 @@ class Calibration(Result):
     fit: the joint fit of circuit, effects and bench;  first: the fit of the base;  gap: the search, None without one
     statements: what is stated about the bench and the events contradict;  rows: of the recordings, as checked
     unidentified: sentences;  held_out: how the fitted model describes pixels that no fit has seen, None without any
+    recordings: on the camera's clock, with the pixels that were fitted
     unit: what one unit of the light is in the base model's own, in words
 
     Example:
@@ -47,6 +49,7 @@ class Calibration(Result):
     held_out: Mapping[str, Any] | None
     unit: str
     recommended_next: Mapping[str, Any]
+    recordings: tuple[Recording, ...]
     seconds: float
     seed: int
     versions: Mapping[str, str] = field(default_factory=dict)

@@ -134,7 +134,7 @@ def of_one_size(recordings: Sequence[Recording]) -> tuple[list[Recording], list[
 def good_pixels(recordings: Sequence[Recording]) -> tuple[np.ndarray, np.ndarray]:
     """Flat indices of pixels that see the light as most do, and of those that fire far less or more."""
     size = recordings[0].events.width * recordings[0].events.height
-    counts = sum(np.bincount(r.events.pixel, minlength=size) for r in recordings)
+    counts = np.sum([np.bincount(r.events.pixel, minlength=size) for r in recordings], axis=0)
     active = np.flatnonzero(counts)
     if not len(active):
         return active, active

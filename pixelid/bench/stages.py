@@ -59,11 +59,6 @@ class Stages:
             write_json(temporary / KEY, {"key": self._key})
         return made
 
-    def move_to(self, target: Path) -> None:
-        """Put the kept stages where the result is."""
-        if self.folder is not None and self.folder.is_dir():
-            shutil.move(str(self.folder), str(target))
-
 
 def _digest(content: Mapping[str, Any]) -> str:
     return hashlib.sha256(json.dumps(plain(content), sort_keys=True).encode()).hexdigest()

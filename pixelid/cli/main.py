@@ -18,6 +18,8 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.setdefault("MPLBACKEND", "Agg")  # figures go to files; no display is needed
 
 COMMANDS = {
+    "check": "A bench's recordings held against their lights, in seconds.",
+    "calibrate": "From a bench of raw recordings to a checked model.",
     "models": "List the shipped circuits, or print one with units and gauge.",
     "inspect": "Health of a recording, no stimulus needed.",
     "convert": "Any readable recording to .h5, and back to text or npz.",

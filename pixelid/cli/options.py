@@ -155,6 +155,16 @@ def crop(command: Decorated) -> Decorated:
     return cast(Decorated, gathered)
 
 
+def bench(command: Decorated) -> Decorated:
+    """--roi and --pixels of a bench."""
+    for option in (
+        click.option("--pixels", type=PIXELS, metavar="N", help="How many pixels are fitted (default: 36)."),
+        click.option("--roi", metavar="X0,Y0,X1,Y1", callback=_region, help="Only these columns and rows."),
+    ):
+        command = option(command)
+    return command
+
+
 def where(command: Decorated) -> Decorated:
     """--workers, --cluster and the TLS files of a cluster, handed on together as `where`."""
 

@@ -24,8 +24,10 @@ from pixelid.parameters.parameter import Parameter, Prior
 from pixelid.recordings.bench import bench_of
 from pixelid.recordings.clocks import CRYSTAL, clock_of
 from pixelid.recordings.recording import Recording
+from pixelid.stimuli.pixel_lights import lights_in
 
 DF = 4.0  # degrees of freedom of the priors: heavy tails, and still a variance
+MOST_OFFSET = 0.5  # of the dimmest light: what is left of it stays positive
 MEASURED = 0.5  # of what crystals keep: a rate with a smaller error was measured
 REWEIGHTINGS = 50  # more than enough for a fixed point of a few dozen rates
 
@@ -55,9 +57,16 @@ def of_recording(recording: Recording, delays: bool = True) -> list[Parameter]:
     if bench.level_sd > 0:
         parameters.append(replace(LIGHT_GAIN, name=f"{LIGHT_GAIN.name}[{name}]", prior=Prior(0.0, bench.level_sd, DF)))
     if bench.offset_sd > 0:
-        prior = Prior(0.0, bench.offset_sd, DF)
-        parameters.append(replace(LIGHT_OFFSET, name=f"{LIGHT_OFFSET.name}[{name}]", prior=prior))
+        prior, most = Prior(0.0, bench.offset_sd, DF), MOST_OFFSET * dimmest_light(recording)
+        offset = replace(LIGHT_OFFSET, name=f"{LIGHT_OFFSET.name}[{name}]", lower=-most, upper=most, prior=prior)
+        parameters.append(offset)
     return parameters
+
+
+def dimmest_light(recording: Recording) -> float:
+    """The least radiance that a recording's light has anywhere."""
+    assert recording.stimulus is not None
+    return min(float(one.radiance.min()) for one in lights_in(recording.stimulus))
 
 
 def common_rate(recordings: Sequence[Recording]) -> Parameter | None:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from pixelid.report import analyses, conform, fits, gap, health, scene, tables
+from pixelid.report import analyses, bench, conform, fits, gap, health, scene, tables
 from pixelid.report.page import Page
 
 PAGES = (
+    Page("calibration.json", "calibration.html", bench.summarise, bench.prepare),
     Page("conform.json", "conform.html", conform.summarise, conform.prepare),  # before gap.json, which lies beside it
     Page("gap.json", "gap.html", gap.summarise, gap.prepare),
     Page("fit.json", "fit.html", fits.summarise_fit, fits.prepare_fit),

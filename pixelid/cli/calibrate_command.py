@@ -1,0 +1,67 @@
+"""`pixelid calibrate`: from a bench to a checked model, in one command."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import click
+
+from pixelid.cli import options
+
+EXAMPLE = """
+\b
+Example:
+    pixelid check bench/
+    pixelid calibrate bench/ --out camera
+"""
+
+
+@click.command("calibrate", epilog=EXAMPLE)
+@click.argument("bench", metavar="BENCH", type=options.PATH)
+@options.out()
+@options.model(required=False)
+@options.bench
+@click.option("--sample", is_flag=True, help="Also draw from the posterior of the final fit: posterior.nc and plots.")
+@options.overwrite
+@options.seed()
+@options.quiet
+def command(
+    bench: Path, out: Path, model: Path | None, roi, pixels, sample: bool, overwrite: bool, seed: int, quiet: bool
+) -> int:
+    """Calibrate the pixel from BENCH: a folder of recordings and light traces, or a bench.toml.
+
+    Reads and aligns, fits, finds what is missing, fits circuit and bench together again, and says what to record next.
+    Writes calibration.json, model.toml, figures and report.html.  Interrupted, it goes on with the stage it was in.
+    """
+    from pixelid.bench.files import find_bench
+    from pixelid.cli.progress import bar
+    from pixelid.cli.terminal import say
+    from pixelid.model.shipped import find_model
+    from pixelid.outputs import claimed, whole_folder
+
+    found = find_bench(bench)
+    start = None if model is None else find_model(model)
+    with claimed(out, overwrite, [*found.paths, *([model] if model else [])]):
+        from pixelid.bench.calibrate import calibrate
+        from pixelid.bench.figures import write_figures
+        from pixelid.report.html import write_report
+
+        kept = out.with_name(f".{out.name}.stages")  # interrupted and called again, finished stages are read back
+        with bar(quiet, compiles=True) as report:
+            result = calibrate(found, model=start, roi=roi, pixels=pixels, seed=seed, resume=kept, progress=report)
+            recordings = result.recordings
+            if sample:
+                from pixelid.sample.sample import sample as draw
+
+                posterior = draw(result.fit, recordings, seed=seed, progress=report)
+        with whole_folder(out, overwrite) as folder:
+            result.write(folder)
+            if sample:
+                posterior.write(folder)
+            write_figures(result, recordings, folder)
+            write_report(folder)
+        shutil.rmtree(kept, ignore_errors=True)
+    if not quiet:
+        say(result.summary(), str(out / "report.html"))
+    return result.status.exit_code
