@@ -49,7 +49,7 @@ class Status(StrEnum):
 
 
 # Among what a result leaves open, where its search is not at rest.
-STOPPED = "every parameter: the search stopped before its maximum; values and intervals are of where it stopped"
+STOPPED = "every parameter: the optimiser stopped early; values are those of where it stopped"
 _ADVICE = {
     Status.converged: "",
     Status.misfit: "The model does not describe the data: look at the residuals, then search for what it lacks with "

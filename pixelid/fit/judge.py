@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.stats import chi2
 
+from pixelid.fit.advice import likely_causes
 from pixelid.fit.event_times import EventTimesObjective
 from pixelid.fit.newton import Optimum
 from pixelid.fit.objective import Objective
@@ -165,7 +166,7 @@ def status_of(
     if not np.isfinite(optimum.local.value) or not np.isfinite(optimum.x).all():
         return Status.diverged, Status.diverged.advice
     if not has_arrived(objective, optimum):
-        advice.append("the search ended before its maximum: fix a parameter that is not identified, or start closer")
+        advice.append("the optimiser did not converge, so no interval can be trusted")
         statuses.append(Status.not_converged)
     background, share = details.get("background_events", 0), details.get("background_fraction", 0.0)
     if share > LARGEST_BACKGROUND_FRACTION and background >= MIN_BACKGROUND_EVENTS:
@@ -186,6 +187,11 @@ def status_of(
             "residuals' variance): it misses an effect, look for it with `pixelid gap`"
         )
         statuses.append(Status.misfit)
+    if statuses and isinstance(objective, EventTimesObjective):
+        causes = likely_causes(objective, optimum.x)
+        advice += causes
+        if not causes and Status.misfit not in statuses:
+            advice.append("most likely an effect is missing: look for it with `pixelid gap`")
     held = deciding_bounds(objective, optimum, dispersion)
     if held:
         advice.append(f"{', '.join(held)} on the bound: fix there, remove the effect, or widen the bound")
@@ -236,10 +242,14 @@ def open_sides(
 
 
 def at_rest_only(estimates: Mapping[str, Estimate], status: Status) -> tuple[dict[str, Estimate], list[str]]:
-    """Estimates of which nothing is identified where the search did not come to rest, and a sentence that says so."""
+    """Estimates without intervals where the search did not come to rest, and a sentence that says so."""
     if status.at_rest:
         return dict(estimates), []
-    return {name: e if e.fixed else replace(e, identified=False) for name, e in estimates.items()}, [STOPPED]
+    unknown = {
+        name: e if e.fixed else replace(e, std=None, interval_95=None, identified=False)
+        for name, e in estimates.items()
+    }
+    return unknown, [STOPPED]
 
 
 def precision(estimate: Estimate, parameter: Parameter, status: Status = Status.converged) -> str:
@@ -247,5 +257,5 @@ def precision(estimate: Estimate, parameter: Parameter, status: Status = Status.
     if estimate.fixed:
         return "fixed"
     if not status.at_rest:
-        return "open: the search stopped before its maximum"
+        return "not reliable: the optimiser stopped early"
     return precision_in_words(estimate.interval_95 or (None, None), parameter)

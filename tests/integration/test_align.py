@@ -171,7 +171,7 @@ def test_a_fit_carries_the_clock(session):
     assert not any("common delay" in sentence for sentence in result.unidentified)
     # the engines' own arithmetic, and what is sampled, agree with what was maximised
     objective, x = objective_of(result, recordings), result.x
-    assert objective.coordinates.names[-2:] == ("alignment.delay_s[camera]", "alignment.drift_s[camera]")
+    assert objective.coordinates.names[-2:] == ("alignment.delay_s[camera]", "alignment.clock_rate")
     for name in ("casadi", "torch"):
         assert engine(name).value(objective, x) == pytest.approx(objective.value(x), abs=1e-6)
     scale = np.sqrt(np.diag(objective.local(x).information))
@@ -179,9 +179,9 @@ def test_a_fit_carries_the_clock(session):
     np.testing.assert_allclose(apart[-2:], 0.0, atol=1e-3)  # in standard errors
     assert Target(result, recordings).value(x) == pytest.approx(objective.value(x), abs=1e-9)
     exact = fit(recordings, find_model("dvs128"), starts=0, between="linear", engine="scipy",
-                fixed={"alignment.delay_s[camera]": 0.0, "alignment.drift_s[camera]": 0.0})  # fmt: skip
+                fixed={"alignment.delay_s[camera]": 0.0, "alignment.clock_rate": 0.0})  # fmt: skip
     assert exact.log_likelihood < result.log_likelihood - 2.0
-    assert exact.estimates["alignment.drift_s[camera]"].fixed
+    assert exact.estimates["alignment.clock_rate"].fixed
 
 
 @pytest.mark.slow

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from pixelid.fit.bench import held, with_bench
 from pixelid.fit.coordinates import Coordinates
 from pixelid.fit.event_times import EventTimesObjective
 from pixelid.likelihood import sections
-from pixelid.likelihood.clocks import Clock, clock_parameters
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.model.shipped import find_model
 from pixelid.recordings import Events, Recording, npz, open_recording, write_recording
@@ -62,16 +62,17 @@ def same(found: Recording, expected: Recording) -> None:
 def test_a_clock_is_that_of_the_pixels_one_by_one(recording, section_samples, monkeypatch):
     """All sections of a recording go by its clock."""
     monkeypatch.setattr(sections, "SECTION_SAMPLES", section_samples)
-    clock, circuit = (Clock(0.25, 0.5, 40e-6, 30e-6),), MODEL.circuit()
-    terms = EventTimes([recording]).with_clocks(clock).terms(circuit)
+    own = {"alignment.delay_s[own]": 40e-6, "alignment.clock_rate": 60e-6}
+    circuit = held(with_bench(MODEL, [recording]), own).circuit()
+    terms = EventTimes([recording]).terms(circuit)
     alone = [
         EventTimes([only([recording], np.array([k]))[0].with_stimulus(
             replace(VIDEO, radiance=VIDEO.radiance.reshape(len(VIDEO.t), -1)[:, k].copy())
-        )]).with_clocks(clock).terms(circuit).total
+        )]).terms(circuit).total
         for k in np.unique(recording.events.pixel)
     ]  # fmt: skip
     np.testing.assert_allclose(terms.per_pixel, alone, rtol=1e-11, atol=1e-9)
-    assert abs(terms.total - EventTimes([recording]).terms(circuit).total) > 1.0
+    assert abs(terms.total - EventTimes([recording]).terms(MODEL.circuit()).total) > 1.0
 
 
 @pytest.mark.parametrize("section_samples", [1, 6000])
@@ -79,14 +80,14 @@ def test_gradients_along_clocks_are_those_of_the_value(recording, beside, sectio
     """With the recording of many sections before and behind one of a single section."""
     monkeypatch.setattr(sections, "SECTION_SAMPLES", section_samples)
     for recordings in ([recording, beside], [beside, recording]):
-        coordinates = Coordinates.of(MODEL, clock_parameters(recordings))
+        coordinates = Coordinates.of(with_bench(MODEL, recordings))
         rng = np.random.default_rng(1)
         likelihood = EventTimes([with_fine_light(r, "linear") for r in recordings])
         factor = rng.uniform(0.9, 1.1, likelihood.events)
         objective = EventTimesObjective(likelihood.with_threshold_factor(factor), coordinates)
         x = coordinates.start + 0.02 * rng.normal(size=len(coordinates)) * coordinates.longest_moves()
         gradient = objective.gradient(x)
-        assert list(coordinates.names[-2:]) == ["alignment.delay_s[own]", "alignment.drift_s[own]"]
+        assert list(coordinates.names[-2:]) == ["alignment.delay_s[own]", "alignment.clock_rate"]
         for i in (-2, -1):
             up, down = x.copy(), x.copy()
             up[i] += 3e-8
