@@ -52,6 +52,7 @@ MOST_CHANGES = 20_000  # of the final refinement: errors of microseconds
 COMPARED = 3_000  # by which offsets are compared
 BLOCKS = 24  # of time, whose residuals count as independent
 LEAST_CHANGES = 50
+LEAST_INSIDE = 0.3  # of the changes within the light: with fewer, a few edges of another light may fit
 NEAR_S = 2e-3  # offsets closer than this are one, known as badly as they differ
 FAST_POLE_S = 1e-5  # lag of a pole too fast for the filter to know (a differencing amplifier's, 16 kHz)
 FORM = 0.03  # thresholds: leak, dark current and the like shift events so that a block shares it
@@ -77,7 +78,7 @@ class EventAlignment:
 
     offset_s: of the light's time zero;  rate_error: see `Alignment`;  covariance: (2, 2) of both
     nats: by which the light at this offset explains the events better than no light does
-    loss: mean of a change;  inside: share of the changes within the light;  rivals: other offsets
+    loss: mean of a change within the light;  inside: share of the changes within the light;  rivals: other offsets
     filter: (4,) ln rates at the light's mean ln level `level`
     profile: (2, k) lags (s) from this offset at the events' middle, and mean loss there
     middle_s: the events' middle on the light's clock
@@ -98,7 +99,7 @@ class EventAlignment:
     @property
     def follows(self) -> bool:
         """Whether the events follow this light at all."""
-        return self.loss <= LARGEST_LOSS and self.nats >= ENOUGH_NATS
+        return self.loss <= LARGEST_LOSS and self.nats >= ENOUGH_NATS and self.inside >= LEAST_INSIDE
 
     @property
     def equal_rivals(self) -> tuple[Rival, ...]:
@@ -183,17 +184,21 @@ def align_events(recording: Recording, light: Light, polarity: int = 1) -> Event
     fits = [_converged(few, coarse, fit) if abs(fit.zero_s - best.zero_s) < NEAR_S else fit for fit in fits]
     best = min(fits, key=lambda fit: fit.cost)
     everything = stretches(changes, MOST_CHANGES)
+    covered = within(everything, coarse, best, few.middle_s)
+    share = float(covered.mean())
+    everything = everything.select(covered) if share >= LEAST_INSIDE else everything
     fine = LogLight.of(lights, FINER)
     begun_again = np.concatenate([[0.0], best.x[1:]])
-    final = refine(everything, fine, best.zero_s, begun_again, best.x[2:6], 30, 1e-6)
+    zero = best.zero_s + RATE_BOUND * float(best.x[1]) * (everything.middle_s - few.middle_s)
+    final = refine(everything, fine, zero, begun_again, best.x[2:6], 30, 1e-6)
     offset, rate, covariance = _estimate(everything, final)
     inside = within(few, coarse, best)
     rivals = []
     for fit in fits:
         if abs(fit.zero_s - best.zero_s) < 2.0 * float(np.sqrt(covariance[0, 0])) or downhill(few, coarse, fit, best):
             continue
-        share = within(few, coarse, fit)
-        common = inside & share
+        here = within(few, coarse, fit)
+        common = inside & here
         if common.sum() < LEAST_COMMON * inside.sum():
             common[:] = True
         nats = evidence_nats(few.time[common], best.residuals[common], fit.residuals[common])
@@ -202,7 +207,7 @@ def align_events(recording: Recording, light: Light, polarity: int = 1) -> Event
         ):  # not another offset, but how well it is known
             covariance[0, 0] += (fit.zero_s - best.zero_s) ** 2
         else:
-            rivals.append(Rival(few.origin_s + fit.zero_s, nats, float(share.mean())))
+            rivals.append(Rival(few.origin_s + fit.zero_s, nats, float(here.mean())))
     middle = everything.middle_s
     turn = np.array([[1.0, final.zero_s - middle], [0.0, 1.0]])  # to the light's time zero, which may be far away
     return EventAlignment(
@@ -211,7 +216,7 @@ def align_events(recording: Recording, light: Light, polarity: int = 1) -> Event
         covariance=turn @ covariance @ turn.T,
         nats=evidence_nats(everything.time, final.residuals, np.full(len(final.residuals), -1.0)),
         loss=final.cost,
-        inside=float(within(everything, fine, final).mean()),
+        inside=share,
         rivals=tuple(sorted(rivals, key=lambda rival: rival.nats)),
         filter=final.x[2:6],
         level=fine.level,
