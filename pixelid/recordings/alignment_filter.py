@@ -222,7 +222,7 @@ def scan(
 
 
 def within(changes: Changes, light: LogLight, fit: Refined, middle_s: float | None = None) -> np.ndarray:
-    """(n,) whether both ends of a change lie within the light; `middle_s` of the changes that were refined, if others."""
+    """(n,) whether both ends of a change lie within the light; `middle_s`: of the changes refined, if others."""
     middle_s = changes.middle_s if middle_s is None else middle_s
     begin, time = (_on_light(t, middle_s, fit.begin_s, fit.x) for t in (changes.begin, changes.time))
     return (begin >= light.first_s) & (time <= light.last_s)

@@ -78,8 +78,8 @@ def stretches(changes: Changes, most: int) -> Changes:
     """About `most` of them, whole stretches of time spread over the recording: neighbours share their residuals."""
     count = len(changes.time)
     every = max(1, round(count / most))
-    stretches = np.arange(count) * (64 * every) // max(count, 1)
-    return changes if every == 1 else changes.select(stretches % every == 0)
+    stretch = np.arange(count) * (64 * every) // max(count, 1)
+    return changes if every == 1 else changes.select(stretch % every == 0)
 
 
 def correlation(recording: Recording, light: Light, polarity: int = 1) -> float:
