@@ -221,9 +221,10 @@ def scan(
     return out[0], out[1]
 
 
-def within(changes: Changes, light: LogLight, fit: Refined) -> np.ndarray:
-    """(n,) whether both ends of a change lie within the light."""
-    begin, time = (_on_light(t, changes.middle_s, fit.begin_s, fit.x) for t in (changes.begin, changes.time))
+def within(changes: Changes, light: LogLight, fit: Refined, middle_s: float | None = None) -> np.ndarray:
+    """(n,) whether both ends of a change lie within the light; `middle_s`: of the changes refined, if others."""
+    middle_s = changes.middle_s if middle_s is None else middle_s
+    begin, time = (_on_light(t, middle_s, fit.begin_s, fit.x) for t in (changes.begin, changes.time))
     return (begin >= light.first_s) & (time <= light.last_s)
 
 

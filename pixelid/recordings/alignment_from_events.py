@@ -52,6 +52,7 @@ MOST_CHANGES = 20_000  # of the final refinement: errors of microseconds
 COMPARED = 3_000  # by which offsets are compared
 BLOCKS = 24  # of time, whose residuals count as independent
 LEAST_CHANGES = 50
+LEAST_INSIDE = 0.3  # of the changes within the light: with fewer, a few edges of another light may fit
 NEAR_S = 2e-3  # offsets closer than this are one, known as badly as they differ
 FAST_POLE_S = 1e-5  # lag of a pole too fast for the filter to know (a differencing amplifier's, 16 kHz)
 FORM = 0.03  # thresholds: leak, dark current and the like shift events so that a block shares it
@@ -77,8 +78,7 @@ class EventAlignment:
 
     offset_s: of the light's time zero;  rate_error: see `Alignment`;  covariance: (2, 2) of both
     nats: by which the light at this offset explains the events better than no light does
-    loss: mean of a change;  inside: share of the changes within the light;  rivals: other offsets
-    filter: (4,) ln rates at the light's mean ln level `level`
+    loss: mean of a change within the light;  inside: share of the changes within the light;  rivals: other offsets
     profile: (2, k) lags (s) from this offset at the events' middle, and mean loss there
     middle_s: the events' middle on the light's clock
     """
@@ -90,15 +90,13 @@ class EventAlignment:
     loss: float
     inside: float
     rivals: tuple[Rival, ...]
-    filter: np.ndarray
-    level: float
     profile: np.ndarray
     middle_s: float
 
     @property
     def follows(self) -> bool:
         """Whether the events follow this light at all."""
-        return self.loss <= LARGEST_LOSS and self.nats >= ENOUGH_NATS
+        return self.loss <= LARGEST_LOSS and self.nats >= ENOUGH_NATS and self.inside >= LEAST_INSIDE
 
     @property
     def equal_rivals(self) -> tuple[Rival, ...]:
@@ -171,57 +169,72 @@ def align_events(recording: Recording, light: Light, polarity: int = 1) -> Event
             f"{recording.name}: --align auto: expected at least {LEAST_CHANGES} events that follow one of their pixel"
         )
     coarse = LogLight.of(lights, 1)
-    peaks = correlate(recording, lights, of_pixel, polarity)[0] - few.origin_s
-    begun = best_starts(few, coarse, peaks)
-    fits = sorted((refine(few, coarse, begin, x, x[2:6], 15) for begin, x in begun), key=lambda fit: fit.cost)
-    begins, losses = scan_offsets(few, coarse, fits[0])
-    near = lowest(begins, losses, fits[0].zero_s)
-    near = [*near, *(peak - lag_s(fits[0].x[2:6]) for peak in peaks[:RIVALS])]
-    start = np.concatenate([[0.0, 0.0], fits[0].x[2:]])
-    fits += [refine(few, coarse, begin, start, start[2:6], 12) for begin in distinct(near, fits)]
+    fits, profile = _optima(few, coarse, correlate(recording, lights, of_pixel, polarity)[0] - few.origin_s)
     best = min(fits, key=lambda fit: fit.cost)
-    fits = [_converged(few, coarse, fit) if abs(fit.zero_s - best.zero_s) < NEAR_S else fit for fit in fits]
-    best = min(fits, key=lambda fit: fit.cost)
-    everything = stretches(changes, MOST_CHANGES)
-    fine = LogLight.of(lights, FINER)
-    begun_again = np.concatenate([[0.0], best.x[1:]])
-    final = refine(everything, fine, best.zero_s, begun_again, best.x[2:6], 30, 1e-6)
-    offset, rate, covariance = _estimate(everything, final)
-    inside = within(few, coarse, best)
-    rivals = []
-    for fit in fits:
-        if abs(fit.zero_s - best.zero_s) < 2.0 * float(np.sqrt(covariance[0, 0])) or downhill(few, coarse, fit, best):
-            continue
-        share = within(few, coarse, fit)
-        common = inside & share
-        if common.sum() < LEAST_COMMON * inside.sum():
-            common[:] = True
-        nats = evidence_nats(few.time[common], best.residuals[common], fit.residuals[common])
-        if (
-            nats < ENOUGH_NATS and abs(fit.zero_s - best.zero_s) < NEAR_S
-        ):  # not another offset, but how well it is known
-            covariance[0, 0] += (fit.zero_s - best.zero_s) ** 2
-        else:
-            rivals.append(Rival(few.origin_s + fit.zero_s, nats, float(share.mean())))
-    middle = everything.middle_s
-    turn = np.array([[1.0, final.zero_s - middle], [0.0, 1.0]])  # to the light's time zero, which may be far away
+    many = stretches(changes, MOST_CHANGES)
+    covered = within(many, coarse, best, few.middle_s)
+    inside = float(covered.mean())
+    many = many.select(covered) if inside >= LEAST_INSIDE else many
+    zero = best.zero_s + RATE_BOUND * float(best.x[1]) * (many.middle_s - few.middle_s)
+    start = np.concatenate([[0.0], best.x[1:]])
+    final = refine(many, LogLight.of(lights, FINER), zero, start, start[2:6], 30, 1e-6)
+    offset, rate, covariance = _estimate(many, final)
+    rivals, spread = _rivals(few, coarse, fits, best, float(np.sqrt(covariance[0, 0])))
+    covariance[0, 0] += spread**2
+    middle = many.middle_s - final.zero_s
+    turn = np.array([[1.0, -middle], [0.0, 1.0]])  # to the light's time zero, which may be far away
     return EventAlignment(
-        offset_s=everything.origin_s + offset,
+        offset_s=many.origin_s + offset,
         rate_error=rate,
         covariance=turn @ covariance @ turn.T,
-        nats=evidence_nats(everything.time, final.residuals, np.full(len(final.residuals), -1.0)),
+        nats=evidence_nats(many.time, final.residuals, np.full(len(final.residuals), -1.0)),
         loss=final.cost,
-        inside=float(within(everything, fine, final).mean()),
-        rivals=tuple(sorted(rivals, key=lambda rival: rival.nats)),
-        filter=final.x[2:6],
-        level=fine.level,
-        profile=np.stack([begins - best.zero_s, losses]),
-        middle_s=middle - final.zero_s,
+        inside=inside,
+        rivals=tuple(replace(rival, offset_s=many.origin_s + offset + rival.offset_s) for rival in rivals),
+        profile=profile,
+        middle_s=middle,
     )
 
 
-def _converged(changes: Changes, light: LogLight, fit: Refined) -> Refined:
-    return refine(changes, light, fit.begin_s, fit.x, fit.x[2:6], 30, 1e-6)
+def _optima(changes: Changes, light: LogLight, peaks: np.ndarray) -> tuple[list[Refined], np.ndarray]:
+    """(refinements from all offsets worth one, profile as of `EventAlignment`)."""
+    begun = best_starts(changes, light, peaks)
+    fits = sorted((refine(changes, light, begin, x, x[2:6], 15) for begin, x in begun), key=lambda fit: fit.cost)
+    begins, losses = scan_offsets(changes, light, fits[0])
+    x = fits[0].x
+    near = [*lowest(begins, losses, fits[0].zero_s), *(peak - lag_s(x[2:6]) for peak in peaks[:RIVALS])]
+    start = np.concatenate([[0.0, 0.0], x[2:]])
+    fits += [refine(changes, light, begin, start, start[2:6], 12) for begin in distinct(near, fits)]
+    best = min(fits, key=lambda fit: fit.cost)
+    fits = [
+        refine(changes, light, fit.begin_s, fit.x, fit.x[2:6], 30, 1e-6)
+        if abs(fit.zero_s - best.zero_s) < NEAR_S
+        else fit
+        for fit in fits
+    ]
+    return fits, np.stack([begins - min(fits, key=lambda fit: fit.cost).zero_s, losses])
+
+
+def _rivals(
+    changes: Changes, light: LogLight, fits: list[Refined], best: Refined, sd_s: float
+) -> tuple[list[Rival], float]:
+    """(other optima, `offset_s` from the best; the widest lag of those within `NEAR_S` that are as good)."""
+    inside = within(changes, light, best)
+    rivals, spread = [], 0.0
+    for fit in fits:
+        lag = fit.zero_s - best.zero_s
+        if abs(lag) < 2.0 * sd_s or downhill(changes, light, fit, best):
+            continue
+        mine = within(changes, light, fit)
+        common = inside & mine
+        if common.sum() < LEAST_COMMON * inside.sum():
+            common[:] = True
+        nats = evidence_nats(changes.time[common], best.residuals[common], fit.residuals[common])
+        if nats < ENOUGH_NATS and abs(lag) < NEAR_S:
+            spread = max(spread, abs(lag))
+        else:
+            rivals.append(Rival(lag, nats, float(mine.mean())))
+    return sorted(rivals, key=lambda rival: rival.nats), spread
 
 
 def _estimate(changes: Changes, fit: Refined) -> tuple[float, float, np.ndarray]:

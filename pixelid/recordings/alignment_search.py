@@ -15,6 +15,7 @@ from pixelid.stimuli.pixel_lights import Light, pixel_lights
 from pixelid.stimuli.stimulus import Stimulus
 
 MOST_BINS = 1 << 21  # of the correlation, 16 MiB a transform
+MOST_EVENTS = 300_000  # sorted by pixel
 SCREENED = 600  # by which starts are chosen
 CANDIDATES = 8  # peaks of the correlation
 SCANNED = 6_000  # offsets of the scan: each half a bin of a chirp to 300 Hz over a second
@@ -58,8 +59,11 @@ def lights_of(
 
 
 def changes_of(recording: Recording, light_of_pixel: np.ndarray, polarity: int) -> Changes:
-    """All intervals between two events of one pixel, sorted by time."""
+    """The intervals between two events of one pixel, sorted by time, of as many pixels as have `MOST_EVENTS`."""
     events = recording.events
+    every = 1 + len(events) // MOST_EVENTS
+    if every > 1:  # evenly over the sensor
+        events = events.select(np.isin(events.pixel, np.unique(events.pixel)[::every]))
     order = np.lexsort((events.t, events.pixel))
     t, pixel, p = events.t[order], events.pixel[order], events.p[order]
     origin = int(events.t[0]) if len(events) else 0
@@ -74,8 +78,8 @@ def stretches(changes: Changes, most: int) -> Changes:
     """About `most` of them, whole stretches of time spread over the recording: neighbours share their residuals."""
     count = len(changes.time)
     every = max(1, round(count / most))
-    stretches = np.arange(count) * (64 * every) // max(count, 1)
-    return changes if every == 1 else changes.select(stretches % every == 0)
+    stretch = np.arange(count) * (64 * every) // max(count, 1)
+    return changes if every == 1 else changes.select(stretch % every == 0)
 
 
 def correlation(recording: Recording, light: Light, polarity: int = 1) -> float:
