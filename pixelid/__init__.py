@@ -31,11 +31,12 @@ __all__ = [
     "reconstruct",
     "sample",
     "simulate",
+    "stimulus",
 ]
 
 if TYPE_CHECKING:
     from pixelid.api import find_model, fit, gap, open, sample, simulate
-    from pixelid.api_analyses import design, load_field, lowlight, reconstruct
+    from pixelid.api_analyses import design, load_field, lowlight, reconstruct, stimulus
     from pixelid.model.model import Model
     from pixelid.recordings.recording import Recording
     from pixelid.status import Status
@@ -46,6 +47,7 @@ _HOMES = {
     "load_field": "pixelid.api_analyses",
     "lowlight": "pixelid.api_analyses",
     "reconstruct": "pixelid.api_analyses",
+    "stimulus": "pixelid.api_analyses",
     "Model": "pixelid.model.model",
     "Recording": "pixelid.recordings.recording",
     "Status": "pixelid.status",

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,6 +13,7 @@ from pixelid.errors import InputError
 if TYPE_CHECKING:
     from pixelid.api import Progress
     from pixelid.design.result import DesignReport
+    from pixelid.design.waveform import Waveform
     from pixelid.inputs import ModelLike, RecordingsLike
     from pixelid.lowlight.result import LowlightReport
     from pixelid.nerf.field import Field
@@ -106,6 +107,58 @@ def design(
         as_model(model), _opened(recordings), fitted=fitted, sources=sources, criterion=criterion,
         menu=None if menu is None else Path(menu), pixels=pixels, draws=draws, spread=spread, per_second=per_second,
         seed=seed, progress=progress,
+    )  # fmt: skip
+
+
+def stimulus(
+    source: str | Path,
+    *,
+    seconds: float | None = None,
+    level: float | None = None,
+    contrast: float | None = None,
+    top_hz: float | None = None,
+    model: ModelLike | None = None,
+    parameters: Mapping[str, float] | None = None,
+    rate_hz: float = 48_000.0,
+    rest_s: float = 1.0,
+    unit: str | None = None,
+    seed: int | None = None,
+) -> Waveform:
+    """A waveform for a generator or a sound card, with the trigger edges that mark its ends.
+
+    Args:
+        source: a built-in shape ("chirp", "steps", "slow", "constant", …), an entry of the model's menu, a stimulus
+            file, or the folder of a design, whose recommendation it is.
+        seconds: of light; the shape's own by default.
+        level: mean light; with a model the brightest of its menu by default.
+        contrast: the shape's modulation.
+        top_hz: where a chirp ends; with a model its −3 dB frequency at this level by default.
+        model: the circuit that the waveform is for; the light is in its unit.
+        parameters: further ones of the shape, as {"hold_s": 0.01}.
+        rate_hz: samples per second.
+        rest_s: seconds at the first value before the light, for the pixel to come to rest.
+        unit: of the light, when not the model's.
+        seed: of random steps and phases.
+
+    Returns:
+        The waveform; `.save("chirp.wav")` writes it.
+
+    Raises:
+        InputError: an unknown name or parameter, light of each pixel's own, a chirp too fast for the rate.
+
+    Example:
+        >>> import pixelid as px
+        >>> px.stimulus("chirp", level=24.0, model="dvs128").stimulus.duration_s
+        0.8
+    """
+    from pixelid.design.waveform import waveform
+    from pixelid.inputs import as_model
+
+    asked = {"duration_s": seconds, "level": level, "modulation": contrast, "stop_hz": top_hz, "seed": seed}
+    asked = {name: value for name, value in asked.items() if value is not None}
+    return waveform(
+        source, model=None if model is None else as_model(model), parameters={**(parameters or {}), **asked},
+        rate_hz=rate_hz, rest_s=rest_s, unit=unit,
     )  # fmt: skip
 
 

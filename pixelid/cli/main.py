@@ -31,6 +31,7 @@ COMMANDS = {
     "noise": "Noise events of still scenes against light: thresholds, noise, bandwidth.",
     "lowlight": "Dominant-pole analysis over radiance.",
     "design": "Which stimulus to record next, and why.",
+    "stimulus": "A waveform for a generator or sound card, with a trigger channel.",
     "gap": "Which effect a model lacks: find it, name it, add it.",
     "conform": "What of the signal path a simulator or camera has, effect by effect.",
     "export": "A circuit in the parameters of another simulator.",

@@ -44,6 +44,7 @@ for folder in ("sample", "compare", "lowlight", "design"):  # what follows from 
     MAY_IMPORT[folder] = MAY_IMPORT["fit"] | {"fit", "sample"}
 for folder in ("lowlight", "design"):
     MAY_IMPORT[folder] = MAY_IMPORT[folder] | {"tables"}  # what tables of latencies and rates say of a sensor
+MAY_IMPORT["design"] |= {"lowlight"}  # a chirp goes up to the bandwidth at its level
 MAY_IMPORT["gap"] = MAY_IMPORT["fit"] | {"fit", "design", "inspection"}
 MAY_IMPORT["conform"] = MAY_IMPORT["gap"] | {"gap"}  # the gap's verdict, effect by effect
 MAY_IMPORT["export"] = BASE | {"model", "parameters", "stages", "tables"}  # rates of noise

@@ -18,7 +18,7 @@ from pixelid.recordings import Events, Recording, write_recording
 
 NAMES = {
     "open", "find_model", "simulate", "fit", "sample", "gap", "lowlight", "design", "reconstruct", "load_field",
-    "Model", "Recording", "Stimulus", "Status",
+    "stimulus", "Model", "Recording", "Stimulus", "Status",
 }  # fmt: skip
 SUBPACKAGES = ("fit", "sample", "gap", "lowlight", "design", "simulate")
 
