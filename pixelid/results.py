@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, cast
 
 from pixelid.documents import is_number, read_json, read_toml
 from pixelid.errors import InputError, shown
-from pixelid.outputs import refuse_existing, whole_folder, write_json
+from pixelid.outputs import holds_result, into_folder, whole_folder, write_json
 from pixelid.status import Status
 
 if TYPE_CHECKING:
@@ -110,18 +110,22 @@ class Result(ABC):
         self.write_companions(folder)
 
     def save(self, folder: str | Path, *, overwrite: bool = False) -> None:
-        """Write the result's folder, whole or not at all.
+        """Write the result's folder, whole or not at all; nothing is replaced unless `overwrite` is given.
 
-        A folder that exists without a result is written into.
+        A folder that holds none of the files is written into, beside what is there.
+
+        Args:
+            folder: of the result.
+            overwrite: replace the result of pixelid that the folder holds, of whatever kind.
 
         Raises:
-            InputError: the folder holds a result and `overwrite` is not given.
+            InputError: a file of this name is there, and is not to be replaced or belongs to no result of pixelid.
         """
         folder = Path(folder)
-        if folder.is_dir() and not (folder / self.FILE).exists():
-            self.write(folder)
+        if folder.is_dir() and not (overwrite and holds_result(folder)):
+            with into_folder(folder) as temporary:
+                self.write(temporary)
             return
-        refuse_existing(folder, overwrite)
         with whole_folder(folder, overwrite) as temporary:
             self.write(temporary)
 
