@@ -10,6 +10,7 @@ from pixelid.errors import InputError, did_you_mean
 from pixelid.parameters.gauge import Gauge
 from pixelid.parameters.invariants import Physical
 from pixelid.parameters.parameter import Parameter
+from pixelid.parameters.units import RADIANCE, goes_with_light, in_light_unit
 from pixelid.results import Table, html_page
 from pixelid.stages import Circuit, comparator, photoreceptor
 
@@ -67,6 +68,11 @@ class Model:
                     + ([f"parameters without their effect: {', '.join(surplus)}"] if surplus else [])
                 )
             )
+        if self.radiance_unit != RADIANCE:  # what the library states for light of any unit
+            spelled = {name: in_light_unit(p.unit, RADIANCE, self.radiance_unit) for name, p in self.parameters.items()}
+            if any(unit != self.parameters[name].unit for name, unit in spelled.items()):
+                parameters = {name: replace(p, unit=spelled[name]) for name, p in self.parameters.items()}
+                object.__setattr__(self, "parameters", parameters)
 
     def __repr__(self) -> str:
         return f"model {self.name}: {self._structure}\n{self._table.text()}"
@@ -175,10 +181,10 @@ class Model:
         old = self.radiance_unit
         if unit is None or old.replace("²", "2") == unit:
             return self
-        parameters = {name: replace(p, unit=p.unit.replace(old, "radiance")) for name, p in self.parameters.items()}
-        for name, p in parameters.items():
-            if old not in ("radiance", "relative") and "radiance" in p.unit and p.unit != "log radiance":
-                parameters[name] = replace(p, prior=None)
+        parameters = {name: replace(p, unit=in_light_unit(p.unit, old, unit)) for name, p in self.parameters.items()}
+        for name, p in self.parameters.items():
+            if old not in (RADIANCE, "relative") and goes_with_light(p.unit, old):
+                parameters[name] = replace(parameters[name], prior=None)
         return replace(self, parameters=parameters, radiance_unit=unit)
 
     def with_nuisances(self, values: Mapping[str, Mapping[str, float]]) -> Model:
