@@ -4,16 +4,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import tempfile
+from collections.abc import Generator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pixelid.errors import InputError
+from pixelid.public import public
 
 if TYPE_CHECKING:
     from pixelid.api import Progress
     from pixelid.design.result import DesignReport
     from pixelid.design.waveform import Waveform
+    from pixelid.fit.result import FitResult
+    from pixelid.gap.result import GapReport
     from pixelid.inputs import ModelLike, RecordingsLike
     from pixelid.lowlight.result import LowlightReport
     from pixelid.nerf.field import Field
@@ -21,6 +26,7 @@ if TYPE_CHECKING:
     from pixelid.recordings.recording import Recording
 
 
+@public
 def lowlight(
     model: ModelLike,
     recordings: RecordingsLike = (),
@@ -62,6 +68,7 @@ def lowlight(
     )  # fmt: skip
 
 
+@public
 def design(
     model: ModelLike,
     recordings: RecordingsLike = (),
@@ -110,6 +117,7 @@ def design(
     )  # fmt: skip
 
 
+@public
 def stimulus(
     source: str | Path,
     *,
@@ -162,10 +170,11 @@ def stimulus(
     )  # fmt: skip
 
 
+@public
 def reconstruct(
     dataset: str | Path,
     *,
-    fit: str | Path | None = None,
+    fit: ModelLike | FitResult | GapReport | None = None,
     sensor: str | Path | None = None,
     bandwidth: str = "on",
     samples: int = 30,
@@ -197,7 +206,7 @@ def reconstruct(
 
     Args:
         dataset: a folder in the published layout of Robust e-NeRF and Deblur e-NeRF.
-        fit: folder of a fit or a search for the gap whose pixel replaces the dataset's.
+        fit: a fit or a search for the gap, or the folder of one, or a model, whose pixel replaces the dataset's.
         sensor: folder of a sensor fit, whose maps say how the pixels differ.
         bandwidth: the pixel's filter: "on" (known), "off" (ignored), or "joint" (trained with the scene).
         samples: of the pixel's past.
@@ -250,15 +259,15 @@ def reconstruct(
         steps=iterations, batch=batch, cells=cells, harmonics=harmonics, between_poses=between_poses,
         refinement=Refinement.of(refine_time, refine_poses), regularisation=regularisation, unbounded=unbounded,
     )  # fmt: skip
-    return run(
-        read_dataset(Path(dataset)), fit=None if fit is None else Path(fit),
-        sensor=None if sensor is None else Path(sensor),
-        bandwidth=Bandwidth(bandwidth, samples, trained=tuple(trained)), recipe=recipe, gap=gap,
-        beside=None if beside is None else Path(beside), background=background, scale=scale, box=box,
-        near=near, radiance_scale=radiance_scale, protocol=protocol, resume=None if resume is None else Path(resume),
-        preview=None if preview is None else Path(preview), device=device, seed=seed,
-        progress=progress or (lambda what, share: None),
-    )  # fmt: skip
+    with _as_file(fit) as file:
+        return run(
+            read_dataset(Path(dataset)), fit=file, sensor=None if sensor is None else Path(sensor),
+            bandwidth=Bandwidth(bandwidth, samples, trained=tuple(trained)), recipe=recipe, gap=gap,
+            beside=None if beside is None else Path(beside), background=background, scale=scale, box=box, near=near,
+            radiance_scale=radiance_scale, protocol=protocol, resume=None if resume is None else Path(resume),
+            preview=None if preview is None else Path(preview), device=device, seed=seed,
+            progress=progress or (lambda what, share: None),
+        )  # fmt: skip
 
 
 def load_field(folder: str | Path) -> Field:
@@ -281,6 +290,25 @@ def load_field(folder: str | Path) -> Field:
     from pixelid.nerf.saved import read_field
 
     return read_field(Path(folder))
+
+
+@contextmanager
+def _as_file(fit: ModelLike | FitResult | GapReport | None) -> Generator[Path | None]:
+    """The folder or file of a fit or a model; one in memory goes to a temporary folder, for as long as the block."""
+    from pixelid.inputs import as_model
+    from pixelid.model.files import save_model
+    from pixelid.model.shipped import shipped_models
+    from pixelid.results import Result
+
+    if fit is None or (isinstance(fit, str | Path) and str(fit) not in shipped_models()):
+        yield None if fit is None else Path(fit)
+        return
+    with tempfile.TemporaryDirectory() as name:
+        if isinstance(fit, Result):
+            fit.write(name)
+        else:
+            save_model(as_model(fit), Path(name) / "model.toml")
+        yield Path(name)
 
 
 def _fit_and_files(model: ModelLike) -> tuple[dict[str, Any] | None, list[Path]]:

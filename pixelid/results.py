@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, cast
 
 from pixelid.documents import is_number, read_json, read_toml
-from pixelid.errors import InputError, shown
+from pixelid.errors import InputError, shown, spelled
 from pixelid.outputs import holds_result, into_folder, whole_folder, write_json
 from pixelid.status import Status
 
@@ -180,7 +180,7 @@ class WrittenResult(ContentResult):
 
 def _text(headline: str, tables: Sequence[Table], sentences: Sequence[str], most_rows: int | None = None) -> str:
     parts = [headline, *(table.text(most_rows) for table in tables if table.rows)]
-    said = "\n".join(f"- {sentence}" for sentence in sentences if sentence)
+    said = "\n".join(f"- {spelled(sentence)}" for sentence in sentences if sentence)
     return "\n".join([*parts, said] if said else parts)
 
 
@@ -203,7 +203,7 @@ def html_page(headline: str, tables: Sequence[Table], sentences: Sequence[str] =
     """A compact fragment for notebooks; every text is escaped."""
     import jinja2
 
-    said = [sentence for sentence in sentences if sentence]
+    said = [spelled(sentence) for sentence in sentences if sentence]
     template = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined).from_string(_HTML)
     return template.render(headline=headline, tables=tables, sentences=said)
 

@@ -9,7 +9,7 @@ import sys
 import click
 
 from pixelid.cli.terminal import complain, use_utf8, warnings_as_lines
-from pixelid.errors import PixelidError, did_you_mean
+from pixelid.errors import PixelidError, did_you_mean, on_command_line
 from pixelid.interruption import SENTENCE, end_on_interrupt, ending, exit_code
 from pixelid.provenance import running
 
@@ -78,6 +78,11 @@ def main(argv: list[str] | None = None) -> int:
     An error that nobody foresaw is one line and exit code 1; PIXELID_DEBUG=1 adds where it happened.
     """
     use_utf8()
+    with on_command_line():
+        return _main(argv)
+
+
+def _main(argv: list[str] | None) -> int:
     try:
         with warnings_as_lines(), running(sys.argv[1:] if argv is None else argv):
             code = cli.main(args=argv, prog_name="pixelid", standalone_mode=False)

@@ -11,7 +11,7 @@ from typing import Any
 
 import click
 
-from pixelid.errors import SetAside, printable
+from pixelid.errors import Doubtful, SetAside, printable
 
 MOST_CHARACTERS = 1000  # of a line of an error
 
@@ -28,11 +28,12 @@ def use_utf8() -> None:
 def warnings_as_lines() -> Iterator[None]:
     """Print our own warnings as one plain line each; those of libraries say nothing to users (PIXELID_DEBUG=1 does)."""
     with warnings.catch_warnings():
-        warnings.simplefilter("always", SetAside)
+        for ours in (SetAside, Doubtful):
+            warnings.simplefilter("always", ours)
         others = warnings.showwarning
 
         def show(message: Warning | str, category: type[Warning], *where: Any) -> None:
-            if issubclass(category, SetAside):
+            if issubclass(category, SetAside | Doubtful):
                 complain(str(message))
             elif os.environ.get("PIXELID_DEBUG") == "1":
                 others(message, category, *where)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 
 from pixelid.documents import interpreting
-from pixelid.errors import InputError
+from pixelid.errors import InputError, did_you_mean
 from pixelid.fit.bias_priors import prior_sentences, prior_table
 from pixelid.fit.coordinates import Coordinates
 from pixelid.fit.levels.pixel_levels import PixelLevels
@@ -153,6 +153,13 @@ class FitResult(Result):
             "versions": dict(self.versions),
             "inputs_sha256": dict(self.inputs_sha256),
         }
+
+    def __getitem__(self, name: str) -> Estimate:
+        """The estimate of a parameter: `result["on_threshold"].interval_95`.  Raises InputError for unknown names."""
+        if name not in self.estimates:
+            known = f"{', '.join(self.estimates)}{did_you_mean(name, self.estimates)}"
+            raise InputError(f"fit of {self.model.name}: no parameter {name!r}; it has {known}")
+        return self.estimates[name]
 
     @property
     def headline(self) -> str:

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields, replace
+from numbers import Real
 
 from pixelid import stages
-from pixelid.errors import InputError, did_you_mean
+from pixelid.errors import InputError, did_you_mean, shown
 from pixelid.parameters.gauge import Gauge
 from pixelid.parameters.invariants import Physical
 from pixelid.parameters.parameter import Parameter
@@ -29,7 +30,7 @@ class Model:
 
     Example:
         >>> import pixelid as px
-        >>> px.find_model("dvs128").with_effect("leak", {"rate_hz": 0.1}).values["leak.rate_hz"]
+        >>> px.find_model("dvs128").with_effect("leak", rate_hz=0.1).values["leak.rate_hz"]
         0.1
 
     photoreceptor: "second_order" | "one_pole" | "unlimited";  effects: names present, in signal order;
@@ -141,11 +142,16 @@ class Model:
             circuit = stages.effect(name).apply(circuit, values)
         return circuit
 
-    def set(self, values: Mapping[str, float]) -> Model:
-        """The model at other values.  Raises InputError for unknown names and values out of bounds."""
+    def set(self, values: Mapping[str, float] | None = None, **named: float) -> Model:
+        """The model at other values: `set({"leak.rate_hz": 2})`, `set(on_threshold=0.3)`.
+
+        Raises InputError for unknown names, values that are no numbers, and those out of bounds.
+        """
         parameters = dict(self.parameters)
-        for name, value in values.items():
-            parameters[name] = self.parameter(name).at(value)
+        for name, value in {**(values or {}), **named}.items():
+            if isinstance(value, bool) or not isinstance(value, Real):
+                raise InputError(f"{name}: expected a number, found {shown(value)}")
+            parameters[name] = self.parameter(name).at(float(value))
         return replace(self, parameters=parameters)
 
     def fix(self, values: Mapping[str, float | None]) -> Model:
@@ -221,16 +227,16 @@ class Model:
         thresholds = {p.name: factor * self.values[p.name] for p in comparator.PARAMETERS if factor != 1.0}
         return replace(self, nuisances=kept).set(own | thresholds)
 
-    def with_effect(self, name: str, values: Mapping[str, float] | None = None) -> Model:
-        """The model with an effect added (or its values changed when it is there already).
+    def with_effect(self, name: str, values: Mapping[str, float] | None = None, **named: float) -> Model:
+        """The model with an effect added (or its values changed when it is there already): `("leak", rate_hz=2)`.
 
-        `values`: parameter → value, by full name or by the part after the dot; given values stay free.
+        `values`, `named`: parameter → value, by full name or by the part after the dot; given values stay free.
         Raises InputError for unknown effects and parameters.
         """
         new = stages.effect(name)
         known = {p.name: p for p in new.parameters}
         full = {}
-        for key, value in (values or {}).items():
+        for key, value in {**(values or {}), **named}.items():
             long = key if key in known else f"{name}.{key}"
             if long not in known:
                 meant = did_you_mean(long, known) or did_you_mean(key, known)

@@ -122,3 +122,9 @@ def test_a_folder_of_other_files_is_written_into(fitted, tmp_path):
         with pytest.raises(InputError, match=r"model\.toml already; choose another \S+$"):
             fitted.save(tmp_path / "thesis", overwrite=overwrite)
     assert (tmp_path / "thesis" / "model.toml").read_text() == "mine"
+
+
+def test_a_fit_is_asked_for_one_parameter(fitted):
+    assert fitted["on_threshold"] is fitted.estimates["on_threshold"]
+    with pytest.raises(InputError, match=r"no parameter 'on_treshold'.*did you mean 'on_threshold'"):
+        fitted["on_treshold"]
