@@ -10,7 +10,7 @@ import click
 
 from pixelid.cli.terminal import complain, use_utf8, warnings_as_lines
 from pixelid.errors import PixelidError, did_you_mean, on_command_line
-from pixelid.interruption import SENTENCE, end_on_interrupt, ending, exit_code
+from pixelid.interruption import end_on_interrupt, ending, exit_code, sentence
 from pixelid.provenance import running
 
 # Recordings already share out the cores; BLAS threads for ten by ten matrices spin on them.  Before NumPy is imported.
@@ -137,7 +137,7 @@ def _by_interrupt(error: BaseException | None) -> bool:
 
 def _interrupted() -> int:
     ending.set()
-    print(SENTENCE, file=sys.stderr)
+    print(sentence(), file=sys.stderr)
     return exit_code()
 
 
