@@ -15,7 +15,7 @@ from sphinx.ext.napoleon import GoogleDocstring
 
 NAMES = (
     "open", "find_model", "simulate", "fit", "sample", "gap", "lowlight", "design", "reconstruct", "load_field",
-    "Model", "Recording", "Stimulus", "Status",
+    "stimulus", "Model", "Recording", "Stimulus", "Status",
 )  # fmt: skip
 RESULTS = (
     "pixelid.results.Result",
@@ -24,6 +24,7 @@ RESULTS = (
     "pixelid.gap.result.GapReport",
     "pixelid.lowlight.result.LowlightReport",
     "pixelid.design.result.DesignReport",
+    "pixelid.design.waveform.Waveform",
     "pixelid.compare.compare.Comparison",
     "pixelid.sensors.sensor.SensorFit",
     "pixelid.nerf.reconstruct.Reconstruction",

@@ -10,9 +10,10 @@ A model is a `Model`, a shipped name, a .toml file or a fit folder; recordings a
 either; a stimulus is a `Stimulus`, a built-in name, or a file.  Everything else is an `InputError` in plain words.
 """
 
-from typing import TYPE_CHECKING
-
-from pixelid.lazy import show
+import sys
+from importlib import import_module
+from types import ModuleType
+from typing import TYPE_CHECKING, Any
 
 __version__ = "0.1.0"
 
@@ -31,24 +32,55 @@ __all__ = [
     "reconstruct",
     "sample",
     "simulate",
+    "stimulus",
 ]
 
 if TYPE_CHECKING:
     from pixelid.api import find_model, fit, gap, open, sample, simulate
-    from pixelid.api_analyses import design, load_field, lowlight, reconstruct
+    from pixelid.api_analyses import design, load_field, lowlight, reconstruct, stimulus
     from pixelid.model.model import Model
     from pixelid.recordings.recording import Recording
     from pixelid.status import Status
     from pixelid.stimuli.stimulus import Stimulus
 
-_HOMES = {
+_ELSEWHERE = {
     "design": "pixelid.api_analyses",
     "load_field": "pixelid.api_analyses",
     "lowlight": "pixelid.api_analyses",
     "reconstruct": "pixelid.api_analyses",
+    "stimulus": "pixelid.api_analyses",
     "Model": "pixelid.model.model",
     "Recording": "pixelid.recordings.recording",
     "Status": "pixelid.status",
     "Stimulus": "pixelid.stimuli.stimulus",
 }
-show(__name__, {name: _HOMES.get(name, "pixelid.api") for name in __all__})
+_HOMES = {name: _ELSEWHERE.get(name, "pixelid.api") for name in __all__}
+
+
+def __getattr__(name: str) -> Any:  # PEP 562: what is heavy loads when it is used
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return globals().setdefault(name, getattr(import_module(_HOMES[name]), name))
+
+
+def __dir__() -> list[str]:
+    return [*__all__, "__version__"]
+
+
+class _Package(ModuleType):
+    """This package, of which a few functions and subpackages have one name: `pixelid.fit(…)`, `pixelid.fit.FitResult`.
+
+    The import system sets a subpackage as an attribute once it is loaded.  The function keeps its place, and shares the
+    subpackage's names.
+    """
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if isinstance(value, ModuleType) and name in _HOMES:
+            function = getattr(self, name)
+            value.__dict__["__wrapped__"] = function.__wrapped__  # where `inspect` looks for the signature
+            function.__dict__ = value.__dict__
+        else:
+            super().__setattr__(name, value)
+
+
+sys.modules[__name__].__class__ = _Package

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
 from pixelid.errors import InputError
+from pixelid.public import public
 
 if TYPE_CHECKING:
     from pixelid.fit.levels.pixel_levels import PixelLevelsLike
@@ -44,11 +45,9 @@ def open(source: str | Path | Sequence[str | Path]) -> Recording | tuple[Recordi
         >>> px.open("session/chirp.h5")  # doctest: +SKIP
     """
     from pixelid.inputs import as_recordings
-    from pixelid.recordings.reading import open_recording
 
-    if isinstance(source, str | Path) and not Path(source).is_dir():
-        return open_recording(source)
-    return tuple(as_recordings(source))
+    opened = as_recordings(source)
+    return opened[0] if isinstance(source, str | Path) and not Path(source).is_dir() else tuple(opened)
 
 
 def find_model(model: ModelLike) -> Model:
@@ -67,6 +66,7 @@ def find_model(model: ModelLike) -> Model:
     return as_model(model)
 
 
+@public
 def simulate(
     model: ModelLike,
     stimulus: StimulusLike,
@@ -88,7 +88,7 @@ def simulate(
         sensor_seed: of what belongs to the sensor (thresholds, hot pixels); `seed` by default.
         synchronous: every pixel takes its first reference at the first sample.
         threads: one per core by default; the events do not depend on it.
-        progress: called with what is done and the fraction.
+        progress: called with what is done and the fraction; by default a bar where a terminal or notebook shows it.
 
     Returns:
         The recording, with its stimulus.
@@ -116,6 +116,7 @@ def simulate(
     )  # fmt: skip
 
 
+@public
 def fit(
     recordings: RecordingsLike,
     model: ModelLike,
@@ -146,7 +147,7 @@ def fit(
             spread over pixels where it is known, {"gain": 0.2, "background": None}.
         bias_priors: priors of thresholds, dead time and the follower's cutoff from the bias settings of jAER's headers.
         seed: of the starts.
-        progress: called with what is done and the fraction.
+        progress: called with what is done and the fraction; by default a bar where a terminal or notebook shows it.
 
     Returns:
         Values with intervals, what is not identified, and how it ended.
@@ -173,6 +174,7 @@ def fit(
     )  # fmt: skip
 
 
+@public
 def sample(
     result: FitResult | str | Path,
     recordings: RecordingsLike,
@@ -194,7 +196,7 @@ def sample(
         ensembles: independent ones, at least 2: their agreement is the test of convergence.
         max_steps: of every walker; a posterior that needs more says that it did not converge.
         chain_file: .npz file of the chains; an unfinished one of the same fit and seed is continued.
-        progress: called with what is done and the fraction.
+        progress: called with what is done and the fraction; by default a bar where a terminal or notebook shows it.
 
     Returns:
         The draws, with their convergence.
@@ -221,6 +223,7 @@ def sample(
     )  # fmt: skip
 
 
+@public
 def gap(
     recordings: RecordingsLike,
     model: ModelLike,
@@ -244,7 +247,7 @@ def gap(
         recommend: also work out what to record next.
         pixel_levels: as of `fit`; the search takes them as they are told with the base, and again with what it names.
         resume: a file that keeps the fits made so far, for a search that is interrupted and called again.
-        progress: called with what is done and the fraction.
+        progress: called with what is done and the fraction; by default a bar where a terminal or notebook shows it.
 
     Returns:
         The verdict, the effects with their strengths, and the gap before and after.

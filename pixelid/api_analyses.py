@@ -4,15 +4,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import tempfile
+from collections.abc import Generator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pixelid.errors import InputError
+from pixelid.public import public
 
 if TYPE_CHECKING:
     from pixelid.api import Progress
     from pixelid.design.result import DesignReport
+    from pixelid.design.waveform import Waveform
+    from pixelid.fit.result import FitResult
+    from pixelid.gap.result import GapReport
     from pixelid.inputs import ModelLike, RecordingsLike
     from pixelid.lowlight.result import LowlightReport
     from pixelid.nerf.field import Field
@@ -20,6 +26,7 @@ if TYPE_CHECKING:
     from pixelid.recordings.recording import Recording
 
 
+@public
 def lowlight(
     model: ModelLike,
     recordings: RecordingsLike = (),
@@ -61,6 +68,7 @@ def lowlight(
     )  # fmt: skip
 
 
+@public
 def design(
     model: ModelLike,
     recordings: RecordingsLike = (),
@@ -109,10 +117,64 @@ def design(
     )  # fmt: skip
 
 
+@public
+def stimulus(
+    source: str | Path,
+    *,
+    seconds: float | None = None,
+    level: float | None = None,
+    contrast: float | None = None,
+    top_hz: float | None = None,
+    model: ModelLike | None = None,
+    parameters: Mapping[str, float] | None = None,
+    rate_hz: float = 48_000.0,
+    rest_s: float = 1.0,
+    unit: str | None = None,
+    seed: int | None = None,
+) -> Waveform:
+    """A waveform for a generator or a sound card, with the trigger edges that mark its ends.
+
+    Args:
+        source: a built-in shape ("chirp", "steps", "slow", "constant", …), an entry of the model's menu, a stimulus
+            file, or the folder of a design, whose recommendation it is.
+        seconds: of light; the shape's own by default.
+        level: mean light; with a model the brightest of its menu by default.
+        contrast: the shape's modulation.
+        top_hz: where a chirp ends; with a model its −3 dB frequency at this level by default.
+        model: the circuit that the waveform is for; the light is in its unit.
+        parameters: further ones of the shape, as {"hold_s": 0.01}.
+        rate_hz: samples per second.
+        rest_s: seconds at the first value before the light, for the pixel to come to rest.
+        unit: of the light, when not the model's.
+        seed: of random steps and phases.
+
+    Returns:
+        The waveform; `.save("chirp.wav")` writes it.
+
+    Raises:
+        InputError: an unknown name or parameter, light of each pixel's own, a chirp too fast for the rate.
+
+    Example:
+        >>> import pixelid as px
+        >>> px.stimulus("chirp", level=24.0, model="dvs128").stimulus.duration_s
+        0.8
+    """
+    from pixelid.design.waveform import waveform
+    from pixelid.inputs import as_model
+
+    asked = {"duration_s": seconds, "level": level, "modulation": contrast, "stop_hz": top_hz, "seed": seed}
+    asked = {name: value for name, value in asked.items() if value is not None}
+    return waveform(
+        source, model=None if model is None else as_model(model), parameters={**(parameters or {}), **asked},
+        rate_hz=rate_hz, rest_s=rest_s, unit=unit,
+    )  # fmt: skip
+
+
+@public
 def reconstruct(
     dataset: str | Path,
     *,
-    fit: str | Path | None = None,
+    fit: ModelLike | FitResult | GapReport | None = None,
     sensor: str | Path | None = None,
     bandwidth: str = "on",
     samples: int = 30,
@@ -144,7 +206,7 @@ def reconstruct(
 
     Args:
         dataset: a folder in the published layout of Robust e-NeRF and Deblur e-NeRF.
-        fit: folder of a fit or a search for the gap whose pixel replaces the dataset's.
+        fit: a fit or a search for the gap, or the folder of one, or a model, whose pixel replaces the dataset's.
         sensor: folder of a sensor fit, whose maps say how the pixels differ.
         bandwidth: the pixel's filter: "on" (known), "off" (ignored), or "joint" (trained with the scene).
         samples: of the pixel's past.
@@ -197,15 +259,15 @@ def reconstruct(
         steps=iterations, batch=batch, cells=cells, harmonics=harmonics, between_poses=between_poses,
         refinement=Refinement.of(refine_time, refine_poses), regularisation=regularisation, unbounded=unbounded,
     )  # fmt: skip
-    return run(
-        read_dataset(Path(dataset)), fit=None if fit is None else Path(fit),
-        sensor=None if sensor is None else Path(sensor),
-        bandwidth=Bandwidth(bandwidth, samples, trained=tuple(trained)), recipe=recipe, gap=gap,
-        beside=None if beside is None else Path(beside), background=background, scale=scale, box=box,
-        near=near, radiance_scale=radiance_scale, protocol=protocol, resume=None if resume is None else Path(resume),
-        preview=None if preview is None else Path(preview), device=device, seed=seed,
-        progress=progress or (lambda what, share: None),
-    )  # fmt: skip
+    with _as_file(fit) as file:
+        return run(
+            read_dataset(Path(dataset)), fit=file, sensor=None if sensor is None else Path(sensor),
+            bandwidth=Bandwidth(bandwidth, samples, trained=tuple(trained)), recipe=recipe, gap=gap,
+            beside=None if beside is None else Path(beside), background=background, scale=scale, box=box, near=near,
+            radiance_scale=radiance_scale, protocol=protocol, resume=None if resume is None else Path(resume),
+            preview=None if preview is None else Path(preview), device=device, seed=seed,
+            progress=progress or (lambda what, share: None),
+        )  # fmt: skip
 
 
 def load_field(folder: str | Path) -> Field:
@@ -228,6 +290,25 @@ def load_field(folder: str | Path) -> Field:
     from pixelid.nerf.saved import read_field
 
     return read_field(Path(folder))
+
+
+@contextmanager
+def _as_file(fit: ModelLike | FitResult | GapReport | None) -> Generator[Path | None]:
+    """The folder or file of a fit or a model; one in memory goes to a temporary folder, for as long as the block."""
+    from pixelid.inputs import as_model
+    from pixelid.model.files import save_model
+    from pixelid.model.shipped import shipped_models
+    from pixelid.results import Result
+
+    if fit is None or (isinstance(fit, str | Path) and str(fit) not in shipped_models()):
+        yield None if fit is None else Path(fit)
+        return
+    with tempfile.TemporaryDirectory() as name:
+        if isinstance(fit, Result):
+            fit.write(name)
+        else:
+            save_model(as_model(fit), Path(name) / "model.toml")
+        yield Path(name)
 
 
 def _fit_and_files(model: ModelLike) -> tuple[dict[str, Any] | None, list[Path]]:

@@ -8,7 +8,8 @@ expected and what was found.  `UntrustworthyResult` is for a computation that ra
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 
 # Control characters, also those that turn the direction of text: nothing that a terminal or a page should be sent.
 _UNPRINTABLE = re.compile(
@@ -16,10 +17,55 @@ _UNPRINTABLE = re.compile(
 )
 
 
+# In messages `--name` marks a parameter; what is a command's stands in backquotes and stays.
+_PARAMETER = re.compile(r"`[^`]*`|(?<![\w-])--([a-z][a-z0-9]*(?:-[a-z0-9]+)*)(?![\w-])(?: (\w+)(?=[)\n]))?")
+_IN_PYTHON = {
+    "fix": "fixed", "recorded": "recordings", "train": "trained", "steps": "iterations", "out": "path",
+    "overwrite": "overwrite=True", "with": "with_effect", "without": "without_effect", "set": ".set()",
+}  # fmt: skip
+_reader = {"words": "Python"}
+
+
+@contextmanager
+def on_command_line() -> Iterator[None]:
+    """Until the end of the block, messages name parameters as the command line does."""
+    before = _reader["words"]
+    _reader["words"] = "command line"
+    try:
+        yield
+    finally:
+        _reader["words"] = before
+
+
+def spelled(text: str) -> str:
+    """A message whose parameters are named as whoever reads it writes them.
+
+    >>> spelled("--pixel-levels: expected a name; `pixelid convert --align` says more; add --with leak")
+    'pixel_levels: expected a name; `pixelid convert --align` says more; add with_effect leak'
+    """
+    if _reader["words"] == "command line":
+        return text
+
+    def in_python(match: re.Match[str]) -> str:
+        if match[1] is None:
+            return match[0]
+        name = _IN_PYTHON.get(match[1], match[1].replace("-", "_"))
+        return (
+            name
+            if match[2] is None
+            else (f'{name}("{match[2]}")' if name.endswith("_effect") else f"{name} {match[2]}")
+        )
+
+    return _PARAMETER.sub(in_python, text)
+
+
 class PixelidError(Exception):
     """Base of every error raised on purpose by pixelid."""
 
     exit_code = 1
+
+    def __str__(self) -> str:
+        return spelled(super().__str__())
 
 
 class InputError(PixelidError):
@@ -35,6 +81,10 @@ class OutputError(PixelidError):
     """
 
     exit_code = 2
+
+
+class Doubtful(UserWarning):
+    """What a user gave can be used, and is hardly what was meant."""
 
 
 class SetAside(UserWarning):

@@ -4,11 +4,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import warnings
+from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import TypeAlias
+from typing import TypeAlias, cast
 
-from pixelid.errors import InputError
+from pixelid.errors import Doubtful, InputError
 from pixelid.model.model import Model
 from pixelid.model.options import changed
 from pixelid.model.shipped import find_model, shipped_models
@@ -32,11 +33,14 @@ def as_model(model: ModelLike) -> Model:
     """
     if isinstance(model, Model):
         return model
-    if isinstance(model, str | Path):
-        return find_model(model)
+    try:
+        if isinstance(model, str | Path):
+            return find_model(model)
+    except InputError as error:
+        raise InputError(f"{error}{_swapped(model)}") from None
     raise InputError(
         f"model: expected a Model, a .toml file, a fit folder, or one of {', '.join(shipped_models())}, "
-        f"found {_kind(model)}"
+        f"found {_kind(model)}{_swapped(model)}"
     )
 
 
@@ -64,8 +68,8 @@ def as_recordings(recordings: RecordingsLike) -> list[Recording]:
     Raises:
         InputError: nothing at all, something else, or a file that cannot be read as a recording.
     """
-    if isinstance(recordings, Recording | str | Path):
-        recordings = [recordings]
+    if isinstance(recordings, Recording | Model | str | Path):
+        recordings = [recordings]  # type: ignore[list-item]  # a model is refused below
     if not isinstance(recordings, Iterable):
         raise InputError(f"recordings: expected a Recording, a path, or a list of either, found {_kind(recordings)}")
     opened: list[Recording] = []
@@ -73,9 +77,15 @@ def as_recordings(recordings: RecordingsLike) -> list[Recording]:
         if isinstance(entry, Recording):
             opened.append(entry)
         elif isinstance(entry, str | Path):
-            opened += open_recordings([entry])
+            try:
+                read = open_recordings([entry])
+            except InputError as error:
+                raise InputError(f"{error}{_swapped(entry)}") from None
+            _warn_of_empty(read)
+            opened += read
         else:
-            raise InputError(f"recordings: expected a Recording, a path, or a list of either, found {_kind(entry)}")
+            expected = "expected a Recording, a path, or a list of either"
+            raise InputError(f"recordings: {expected}, found {_kind(entry)}{_swapped(entry)}")
     if not opened:
         raise InputError("recordings: expected at least one, found none")
     return opened
@@ -95,6 +105,42 @@ def as_stimulus(stimulus: StimulusLike) -> Light:
         f"stimulus: expected a Stimulus, a recording, a .toml file, or one of {', '.join(SHAPES)}, "
         f"found {_kind(stimulus)}"
     )
+
+
+def _warn_of_empty(recordings: Iterable[Recording]) -> None:
+    """Say which recordings hold no events: nothing is wrong with their files, and hardly anyone means to use them."""
+    empty = [str(r.source or r.name) for r in recordings if len(r.events) == 0]
+    if empty:
+        warnings.warn(f"{', '.join(empty)}: no events", Doubtful, stacklevel=4)
+
+
+def _swapped(value: object) -> str:
+    """Words of doubt about an argument that would fit in another's place; empty where it would not."""
+    several = cast("Sequence[object]", value) if isinstance(value, list | tuple) else [value]
+    if isinstance(value, str) and value in SHAPES:
+        found = "a stimulus"
+    elif several and all(isinstance(one, Recording) for one in several):
+        found = "a recording"
+    elif isinstance(value, Model) or (isinstance(value, str) and value in shipped_models()):
+        found = "a model"
+    elif isinstance(value, str | Path) and _holds_recordings(Path(value)):
+        found = "a recording"
+    elif isinstance(value, str | Path) and (Path(value) / "model.toml").is_file():
+        found = "a result, which holds a model"
+    else:
+        return ""
+    return f" (this is {found}: are two arguments swapped?)"
+
+
+def _holds_recordings(path: Path) -> bool:
+    """Whether a path is a recording by its look, or a folder of some."""
+    if not path.exists() or (path / "model.toml").exists() or path.suffix == ".toml":
+        return False
+    try:
+        check_readable([path])
+    except InputError:
+        return False
+    return True
 
 
 def _kind(value: object) -> str:

@@ -9,13 +9,53 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 
 INTERRUPTED, TERMINATED = 130, 143  # exit codes: 128 + SIGINT or SIGTERM, as shells have it
-SENTENCE = "pixelid: interrupted; nothing was left half written"
+STOPPED = "pixelid: stopped; nothing is left half written"
 GRACE_S = 1.2  # between Ctrl-C and the end: less than the two seconds after which people press it again
 
 ending = threading.Event()  # set by a run that is about to say by itself that it was interrupted
 terminated = threading.Event()  # set where SIGTERM was taken for an interrupt
+
+
+_kept: list[tuple[Path, str]] = []  # what this run leaves for the same command to go on from
+
+
+@contextmanager
+def keeping(path: Path, what: str) -> Iterator[None]:
+    """While the block runs, an interruption says what `path` keeps: entries of a folder, lines of a text, or `what`.
+
+    Args:
+        path: file or folder that the work keeps as it goes on.
+        what: its entries in the plural ("fits"), or what it is ("the training").
+    """
+    _kept.append((path, what))
+    yield  # an interruption leaves the entry, for the sentence that follows
+    _kept.remove((path, what))
+
+
+def sentence() -> str:
+    """What a run that was interrupted says: what is kept, and what the same command does next."""
+    kept = [words for path, what in _kept if (words := _in_words(path, what))]
+    _kept.clear()
+    if not kept:
+        return f"{STOPPED}; the same command starts again"
+    return f"{STOPPED}; {' and '.join(kept)} kept: the same command goes on from there"
+
+
+def _in_words(path: Path, what: str) -> str:
+    try:
+        if path.is_dir():
+            count = sum(1 for entry in path.iterdir() if entry.suffix != ".json")  # a note of what they belong to
+        elif path.is_file() and path.suffix == ".fits":
+            with path.open("rb") as lines:
+                count = sum(1 for _ in lines)
+        else:
+            return what if path.is_file() else ""
+    except OSError:
+        return ""
+    return f"{count} {what}" if count else ""
 
 
 def exit_code() -> int:
@@ -78,7 +118,7 @@ def end_on_interrupt(clean: Callable[[], None]) -> None:
         time.sleep(GRACE_S)
         clean()
         if not ending.is_set():
-            os.write(2, SENTENCE.encode() + b"\n")
+            os.write(2, sentence().encode() + b"\n")
         os._exit(TERMINATED if number == signal.SIGTERM else INTERRUPTED)
 
     signal.signal(signal.SIGTERM, terminate)

@@ -57,7 +57,7 @@ def refuse_existing(path: Path, overwrite: bool, *, markers: Sequence[str] | Non
             raise InputError(f"{path}: exists already; choose another --out or pass --overwrite")
         if path.exists() and not (path.is_file() or path.is_dir()):  # /dev/null, which root could replace
             raise InputError(f"{path}: expected a file or a folder, found a device or a pipe; choose another --out")
-        if path.is_dir() and markers is not None and not _ours(path, markers):
+        if path.is_dir() and markers is not None and not holds_result(path, markers):
             raise InputError(
                 f"{path}: --overwrite replaces only a result of pixelid (a folder with {markers[0]} or the like), "
                 "found something else; choose another --out"
@@ -83,7 +83,7 @@ def refuse_inputs(path: Path, inputs: Iterable[str | Path]) -> None:
                 raise InputError(f"{path}: --out would replace the input {file}; choose another --out")
 
 
-def _ours(folder: Path, markers: Sequence[str]) -> bool:
+def holds_result(folder: Path, markers: Sequence[str] = RESULT_FILES) -> bool:
     """Whether a folder is empty or holds one of our results."""
     if not any(folder.iterdir()):
         return True
@@ -222,6 +222,28 @@ def whole_folder(
             else:
                 os.rename(target, temporary)
             raise
+
+
+@contextmanager
+def into_folder(path: Path) -> Iterator[Path]:
+    """Yield a temporary folder; on success what is in it joins what is in `path`, of which nothing is replaced.
+
+    Raises:
+        InputError: `path` holds one of the names already.
+        OutputError: it cannot be written.
+    """
+    path = Path(path)
+    with _beside(path) as parent:
+        temporary = parent / path.name
+        temporary.mkdir()
+        yield temporary
+        new = sorted(temporary.iterdir())
+        for member in new:
+            if os.path.lexists(path / member.name):
+                replaceable = " or pass --overwrite" if holds_result(path) else ""
+                raise InputError(f"{path}: holds {member.name} already; choose another --out{replaceable}")
+        for member in new:
+            os.rename(member, path.resolve() / member.name)
 
 
 def file_name(label: str) -> str:

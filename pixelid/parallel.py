@@ -11,8 +11,9 @@ from __future__ import annotations
 import os
 import sys
 import threading
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
+from contextlib import contextmanager
 from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path
@@ -96,6 +97,15 @@ def map_threads(
         finally:
             for future in futures:
                 future.cancel()
+
+
+@contextmanager
+def one_blas_thread() -> Iterator[None]:
+    """Let linear algebra use one thread, in NumPy and in SciPy, until the end of the block."""
+    import scipy.linalg  # noqa: F401  # a library is limited only once it is loaded
+
+    with _linear_algebra(True).limit(limits=1, user_api="blas"):
+        yield
 
 
 def ranges(count: int, parts: int | None = None) -> list[slice]:

@@ -5,15 +5,17 @@ A result says what it found as tables and sentences; how they look on a terminal
 
 from __future__ import annotations
 
+import textwrap
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import zip_longest
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, cast
 
 from pixelid.documents import is_number, read_json, read_toml
-from pixelid.errors import InputError, shown
-from pixelid.outputs import refuse_existing, whole_folder, write_json
+from pixelid.errors import InputError, shown, spelled
+from pixelid.outputs import holds_result, into_folder, whole_folder, write_json
 from pixelid.status import Status
 
 if TYPE_CHECKING:
@@ -33,8 +35,8 @@ class Table:
     rows: tuple[tuple[str, ...], ...]
     left: frozenset[str] = frozenset()
 
-    def text(self, most_rows: int | None = None) -> str:
-        """The table as lines of plain text; names are never broken or cut.
+    def text(self, most_rows: int | None = None, width: int | None = None) -> str:
+        """The table as lines of plain text, columns of words wrapped into `width`; no word is ever broken or cut.
 
         >>> rows = (("leak.rate_hz", "0.1"), ("alpha", "60 000"))
         >>> print(Table("", ("name", "value"), rows, frozenset({"name"})).text())
@@ -44,16 +46,41 @@ class Table:
         """
         rows = self.rows if most_rows is None else self.rows[:most_rows]
         widths = [max(len(row[k]) for row in (self.headings, *rows)) for k in range(len(self.headings))]
+        if width is not None:
+            widths = self._narrowed(rows, widths, width)
         lines = [self.title] if self.title else []
         for row in (self.headings, *rows):
             cells = [
-                cell.ljust(width) if heading in self.left else cell.rjust(width)
-                for cell, width, heading in zip(row, widths, self.headings, strict=True)
+                textwrap.wrap(cell, w, break_long_words=False, break_on_hyphens=False) or [""]
+                if len(cell) > w
+                else [cell]
+                for cell, w in zip(row, widths, strict=True)
             ]
-            lines.append("  ".join(cells).rstrip())
+            for each in zip_longest(*cells, fillvalue=""):
+                aligned = [
+                    cell.ljust(w) if heading in self.left else cell.rjust(w)
+                    for cell, w, heading in zip(each, widths, self.headings, strict=True)
+                ]
+                lines.append("  ".join(aligned).rstrip())
         if len(rows) < len(self.rows):
             lines.append(f"… {len(self.rows) - len(rows)} more")
         return "\n".join(lines)
+
+    def _narrowed(self, rows: Sequence[tuple[str, ...]], widths: list[int], width: int) -> list[int]:
+        """Widths of the columns that fit into `width`: the widest of words gives way, down to its longest word."""
+        widths = list(widths)
+        least = [
+            max(len(word) for row in (self.headings, *rows) for word in (row[k].split() or [""]))
+            if heading in self.left
+            else widths[k]
+            for k, heading in enumerate(self.headings)
+        ]
+        while sum(widths) + 2 * (len(widths) - 1) > width:
+            wide = max(range(len(widths)), key=lambda k: (widths[k] > least[k]) * widths[k])
+            if widths[wide] <= least[wide]:
+                break
+            widths[wide] -= 1
+        return widths
 
 
 class Result(ABC):
@@ -90,9 +117,9 @@ class Result(ABC):
     def write_companions(self, folder: Path) -> None:
         """Write what belongs beside the JSON into an existing folder."""
 
-    def summary(self) -> str:
-        """Everything found, as the command line prints it."""
-        return _text(self.headline, self.tables(), self.sentences())
+    def summary(self, width: int | None = None) -> str:
+        """Everything found, as the command line prints it; wrapped at words where a width is given."""
+        return _text(self.headline, self.tables(), self.sentences(), width=width)
 
     def to_dataframe(self) -> pd.DataFrame:
         """The most important table as a pandas data frame, indexed by the rows' names."""
@@ -110,18 +137,22 @@ class Result(ABC):
         self.write_companions(folder)
 
     def save(self, folder: str | Path, *, overwrite: bool = False) -> None:
-        """Write the result's folder, whole or not at all.
+        """Write the result's folder, whole or not at all; nothing is replaced unless `overwrite` is given.
 
-        A folder that exists without a result is written into.
+        A folder that holds none of the files is written into, beside what is there.
+
+        Args:
+            folder: of the result.
+            overwrite: replace the result of pixelid that the folder holds, of whatever kind.
 
         Raises:
-            InputError: the folder holds a result and `overwrite` is not given.
+            InputError: a file of this name is there, and is not to be replaced or belongs to no result of pixelid.
         """
         folder = Path(folder)
-        if folder.is_dir() and not (folder / self.FILE).exists():
-            self.write(folder)
+        if folder.is_dir() and not (overwrite and holds_result(folder)):
+            with into_folder(folder) as temporary:
+                self.write(temporary)
             return
-        refuse_existing(folder, overwrite)
         with whole_folder(folder, overwrite) as temporary:
             self.write(temporary)
 
@@ -174,10 +205,24 @@ class WrittenResult(ContentResult):
         """Nothing: they are there."""
 
 
-def _text(headline: str, tables: Sequence[Table], sentences: Sequence[str], most_rows: int | None = None) -> str:
-    parts = [headline, *(table.text(most_rows) for table in tables if table.rows)]
-    said = "\n".join(f"- {sentence}" for sentence in sentences if sentence)
+def _text(
+    headline: str,
+    tables: Sequence[Table],
+    sentences: Sequence[str],
+    most_rows: int | None = None,
+    width: int | None = None,
+) -> str:
+    parts = [wrapped(headline, width), *(table.text(most_rows, width) for table in tables if table.rows)]
+    said = "\n".join(wrapped(f"- {spelled(sentence)}", width, "  ") for sentence in sentences if sentence)
     return "\n".join([*parts, said] if said else parts)
+
+
+def wrapped(text: str, width: int | None, indent: str = "") -> str:
+    """The text in lines of at most `width`, broken between words; as it is without a width."""
+    if width is None:
+        return text
+    options: dict[str, Any] = {"break_long_words": False, "break_on_hyphens": False, "subsequent_indent": indent}
+    return "\n".join(textwrap.fill(line, max(width, 20), **options) for line in text.splitlines())
 
 
 def _cut(sentence: str) -> str:
@@ -199,7 +244,7 @@ def html_page(headline: str, tables: Sequence[Table], sentences: Sequence[str] =
     """A compact fragment for notebooks; every text is escaped."""
     import jinja2
 
-    said = [sentence for sentence in sentences if sentence]
+    said = [spelled(sentence) for sentence in sentences if sentence]
     template = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined).from_string(_HTML)
     return template.render(headline=headline, tables=tables, sentences=said)
 

@@ -29,7 +29,7 @@ Example:
 def command(recordings, models, out, folds, sample, overwrite, seed, quiet):
     """Fit every MODEL to RECORDINGS and judge it on pixels that its fit has not seen."""
     from pixelid.cli.progress import bar
-    from pixelid.cli.terminal import say
+    from pixelid.cli.terminal import say_result
     from pixelid.outputs import claimed, whole_folder
 
     with claimed(out, overwrite, [*recordings, *models]):
@@ -49,5 +49,5 @@ def command(recordings, models, out, folds, sample, overwrite, seed, quiet):
             save_figure(draw_held_out(outcome.as_dict()), folder / "held_out.svg")
             write_report(folder)
     if not quiet:
-        say(outcome.summary())
+        say_result(outcome, out)
     return outcome.status.exit_code

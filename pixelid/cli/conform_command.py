@@ -25,7 +25,8 @@ def command(recordings, model, out, with_, without, alpha, crop, where, overwrit
     conform.json, gap.json, model.toml, figures and report.html.
     """
     from pixelid.cli.progress import bar
-    from pixelid.cli.terminal import say
+    from pixelid.cli.terminal import say_result
+    from pixelid.interruption import keeping
     from pixelid.outputs import claimed, whole_folder
 
     with claimed(out, overwrite, [*recordings, model]):
@@ -40,12 +41,12 @@ def command(recordings, model, out, with_, without, alpha, crop, where, overwrit
         from pixelid.report.html import write_report
 
         kept = out.with_name(f".{out.name}.fits")  # interrupted and called again, the search reads back its fits
-        with bar(quiet, compiles=True) as report:
+        with keeping(kept, "fits"), bar(quiet, compiles=True) as report:
             result = conform(opened, base, alpha=alpha, seed=seed, progress=report, resume=kept, where=where)
         with whole_folder(out, overwrite) as folder:
             result.write(folder)
             write_figures(result, opened, folder)
             write_report(folder)
     if not quiet:
-        say(*remarks, result.summary(), str(out / "report.html"))
+        say_result(result, out, remarks)
     return result.status.exit_code

@@ -60,7 +60,7 @@ def command(context, model, out, criterion, recorded, menu, pixels, draws, sprea
         wanted = {name: value for name, value in wanted.items() if value is not None}
         return _recommend_setting(model, out, wanted, bias, frequency, overwrite, seed, quiet)
     from pixelid.cli.progress import bar
-    from pixelid.cli.terminal import say
+    from pixelid.cli.terminal import say_result
     from pixelid.outputs import claimed, whole_folder
 
     with claimed(out, overwrite, [*recorded, model, *([menu] if menu else [])]):
@@ -86,7 +86,7 @@ def command(context, model, out, criterion, recorded, menu, pixels, draws, sprea
                 write_figures(result.as_dict(), folder)
                 write_report(folder)
     if not quiet:
-        say(result.summary(), str(out / "report.html"))
+        say_result(result, out)
     return result.status.exit_code
 
 
@@ -102,7 +102,7 @@ def _check_options(context: click.Context, biases: bool) -> None:
 
 def _recommend_setting(model, out, wanted, bias, frequency, overwrite, seed, quiet):
     """`pixelid design FOLDER --biases`."""
-    from pixelid.cli.terminal import say
+    from pixelid.cli.terminal import say_result
     from pixelid.errors import InputError
     from pixelid.outputs import claimed, whole_folder
 
@@ -121,5 +121,5 @@ def _recommend_setting(model, out, wanted, bias, frequency, overwrite, seed, qui
             write_bias_figure(result.as_dict(), folder)
             write_report(folder)
     if not quiet:
-        say(result.summary(), str(out / "report.html"))
+        say_result(result, out)
     return result.status.exit_code

@@ -20,7 +20,7 @@ Example:
 
 @click.command("export", epilog=EXAMPLE)
 @click.argument("model")
-@click.option("--to", required=True, type=click.Choice(TARGETS), help="The simulator.")
+@click.option("--to", required=True, type=click.Choice(TARGETS, case_sensitive=False), help="The simulator.")
 @options.out("The file to write; a name that ends in .json gives JSON for any simulator.")
 @click.option("--white", type=options.Number(0.0, open_low=True), default=None,
               help="Radiance of a white pixel, 255 grey levels, in the model's unit.  [default: 255]")  # fmt: skip

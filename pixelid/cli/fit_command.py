@@ -51,10 +51,11 @@ def command(
     Writes fit.json, model.toml (the fitted model), figures and report.html.
     """
     from pixelid.cli.progress import bar
-    from pixelid.cli.terminal import say
+    from pixelid.cli.terminal import say_result
     from pixelid.documents import read_toml
     from pixelid.errors import InputError
     from pixelid.inputs import check_given
+    from pixelid.interruption import keeping
     from pixelid.outputs import claimed, refuse_inputs
 
     by_recipe = len(recordings) == 1 and recordings[0].suffix == ".toml"
@@ -67,7 +68,7 @@ def command(
     else:
         check_given(recordings, [model], with_=with_, without=without)
     with claimed(out, overwrite, [*recordings, *([model] if model else [])]):
-        from pixelid.fit.recipe import Recipe, read_recipe
+        from pixelid.fit.recipe import Recipe, chain_beside, read_recipe
 
         if by_recipe:
             recipe = read_recipe(recordings[0])
@@ -90,8 +91,8 @@ def command(
             recipe = replace(recipe, pixel_levels=pixel_levels)
         if bias_priors:
             recipe = replace(recipe, bias_priors=True)
-        with bar(quiet, compiles=True) as report:
+        with keeping(chain_beside(out), "the chains"), bar(quiet, compiles=True) as report:
             result = recipe.run(out, overwrite, report)
     if not quiet:
-        say(*recipe.remarks(), result.summary(), str(out / "report.html"))
+        say_result(result, out, recipe.remarks())
     return result.status.exit_code

@@ -34,7 +34,7 @@ def command(recording, out, frequency, groups, model, overwrite, seed, quiet):
     Writes flicker.json (with what one frequency fixes and what it does not), phases.svg, maps.svg and report.html.
     """
     from pixelid.cli.progress import bar
-    from pixelid.cli.terminal import say, say_sentences
+    from pixelid.cli.terminal import say, say_page, say_sentences
     from pixelid.errors import InputError
     from pixelid.outputs import claimed, whole_folder
 
@@ -61,4 +61,5 @@ def command(recording, out, frequency, groups, model, overwrite, seed, quiet):
         for title in ("identified", "unidentified", "disagreements"):
             say(f"{title}:")
             say_sentences(written[title])
+        say_page(out)
     return written["status"].exit_code

@@ -28,7 +28,8 @@ def command(
     report.html.  Interrupted, it keeps the fits it has made, and goes on there when called again.
     """
     from pixelid.cli.progress import bar
-    from pixelid.cli.terminal import say
+    from pixelid.cli.terminal import say_result
+    from pixelid.interruption import keeping
     from pixelid.outputs import claimed, whole_folder
 
     with claimed(out, overwrite, [*recordings, model]):
@@ -43,7 +44,7 @@ def command(
         from pixelid.report.html import write_report
 
         kept = out.with_name(f".{out.name}.fits")  # interrupted and called again, the search reads back its fits
-        with bar(quiet, compiles=True) as report:
+        with keeping(kept, "fits"), bar(quiet, compiles=True) as report:
             result = gap(
                 opened, base, alpha=alpha, seed=seed, pixel_levels=pixel_levels or None, progress=report, resume=kept,
                 where=where,
@@ -53,5 +54,5 @@ def command(
             write_figures(result, opened, folder)
             write_report(folder)
     if not quiet:
-        say(*remarks, result.summary(), str(out / "report.html"))
+        say_result(result, out, remarks)
     return result.status.exit_code

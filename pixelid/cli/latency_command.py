@@ -36,7 +36,7 @@ def command(tables, out, model, predict, camera, sample, overwrite, seed, quiet)
     several), figures and report.html.
     """
     from pixelid.cli.progress import bar
-    from pixelid.cli.terminal import say, say_sentences
+    from pixelid.cli.terminal import say, say_page, say_sentences
     from pixelid.errors import InputError
     from pixelid.outputs import claimed, whole_folder
 
@@ -82,4 +82,5 @@ def command(tables, out, model, predict, camera, sample, overwrite, seed, quiet)
                 say(f"{name:10s} {statistic:8s} {e['rows']:5d} rows, rms {100 * e['rms']:5.1f} %, {clean} without the "
                     f"{e['spoiled']} spoiled")  # fmt: skip
         say_sentences(written["limiting_stages"])
+        say_page(out)
     return written["status"].exit_code

@@ -39,7 +39,7 @@ def command(model, recordings, out, latency, camera, with_, without, set_, overw
     limits where. A folder of `pixelid latency` brings its own table. Writes lowlight.json, figures and report.html.
     """
     from pixelid.cli.progress import bar
-    from pixelid.cli.terminal import say
+    from pixelid.cli.terminal import say_result
     from pixelid.outputs import claimed, whole_folder
 
     with claimed(out, overwrite, [*recordings, model, *latency]):
@@ -67,5 +67,5 @@ def command(model, recordings, out, latency, camera, with_, without, set_, overw
                 write_figures(result.as_dict(), circuit_model.circuit(), folder)
                 write_report(folder)
     if not quiet:
-        say(*remarks, result.summary(), str(out / "report.html"))
+        say_result(result, out, remarks)
     return result.status.exit_code

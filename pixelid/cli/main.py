@@ -9,8 +9,8 @@ import sys
 import click
 
 from pixelid.cli.terminal import complain, use_utf8, warnings_as_lines
-from pixelid.errors import PixelidError, did_you_mean
-from pixelid.interruption import SENTENCE, end_on_interrupt, ending, exit_code
+from pixelid.errors import PixelidError, did_you_mean, on_command_line
+from pixelid.interruption import end_on_interrupt, ending, exit_code, sentence
 from pixelid.provenance import running
 
 # Recordings already share out the cores; BLAS threads for ten by ten matrices spin on them.  Before NumPy is imported.
@@ -33,6 +33,7 @@ COMMANDS = {
     "noise": "Noise events of still scenes against light: thresholds, noise, bandwidth.",
     "lowlight": "Dominant-pole analysis over radiance.",
     "design": "Which stimulus to record next, and why.",
+    "stimulus": "A waveform for a generator or sound card, with a trigger channel.",
     "gap": "Which effect a model lacks: find it, name it, add it.",
     "conform": "What of the signal path a simulator or camera has, effect by effect.",
     "export": "A circuit in the parameters of another simulator.",
@@ -79,6 +80,11 @@ def main(argv: list[str] | None = None) -> int:
     An error that nobody foresaw is one line and exit code 1; PIXELID_DEBUG=1 adds where it happened.
     """
     use_utf8()
+    with on_command_line():
+        return _main(argv)
+
+
+def _main(argv: list[str] | None) -> int:
     try:
         with warnings_as_lines(), running(sys.argv[1:] if argv is None else argv):
             code = cli.main(args=argv, prog_name="pixelid", standalone_mode=False)
@@ -133,7 +139,7 @@ def _by_interrupt(error: BaseException | None) -> bool:
 
 def _interrupted() -> int:
     ending.set()
-    print(SENTENCE, file=sys.stderr)
+    print(sentence(), file=sys.stderr)
     return exit_code()
 
 

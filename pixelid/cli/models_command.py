@@ -37,29 +37,25 @@ def command(name: str | None, as_json: bool, seed: int, quiet: bool) -> None:
         click.echo("\n".join(model.name for model in models))
     elif quiet:
         click.echo("\n".join(f"{key} = {value:.10g}" for key, value in models[0].values.items()))
+    elif name is None:
+        from pixelid.cli.terminal import say
+
+        say(*_overview(models), "`pixelid models NAME` prints one with its effects, values and sources.")
     else:
         from rich.console import Console
 
-        console = Console(markup=False)  # sources contain words in brackets
-        if name is None:
-            console.print(_overview(models))
-        else:
-            _print_one(console, models[0])
+        _print_one(Console(markup=False), models[0])  # sources contain words in brackets
 
 
-def _overview(models):
-    from rich.table import Column, Table
+def _overview(models) -> list[str]:
+    """One line for each: name, light's unit, and what it is, as far as the terminal is wide."""
+    from pixelid.cli.terminal import columns
 
-    table = Table(
-        Column("model", no_wrap=True),
-        "photoreceptor",
-        Column("effects", no_wrap=True),
-        Column("summary", overflow="fold"),  # a path is longer than a line
-        title="shipped circuits",
-    )
-    for model in models:
-        table.add_row(model.name, model.photoreceptor, "\n".join(model.effects) or "none", model.summary)
-    return table
+    names = max(len(model.name) for model in models)
+    units = max(len(model.radiance_unit) for model in models)
+    lines = [f"{model.name:{names}}  {model.radiance_unit:{units}}  {model.summary}" for model in models]
+    width = columns()
+    return lines if width is None else [line if len(line) <= width else f"{line[: width - 1]}…" for line in lines]
 
 
 def _names(head: str, names):

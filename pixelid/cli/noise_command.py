@@ -31,7 +31,7 @@ def command(sources, out, model, predict, overwrite, seed, quiet):
     and report.html.
     """
     from pixelid.cli.progress import bar
-    from pixelid.cli.terminal import say, say_sentences
+    from pixelid.cli.terminal import say, say_page, say_sentences
     from pixelid.errors import InputError
     from pixelid.outputs import claimed, whole_folder
 
@@ -72,4 +72,5 @@ def command(sources, out, model, predict, overwrite, seed, quiet):
             say(f"{name:44s} {v['value']:10.4g} {v['unit']}{known}")
         say(f"relative scatter {100 * written['relative_scatter']:.1f} %")
         say_sentences([written["advice"], *written["disagreements"]])
+        say_page(out)
     return written["status"].exit_code

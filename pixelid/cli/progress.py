@@ -27,7 +27,8 @@ def bar(quiet: bool, compiles: bool = False) -> Iterator[Callable[[str, float], 
         TextColumn("{task.description:>20}", markup=False), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn()
     )  # fmt: skip
     console = Console(stderr=True, markup=False)
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
+    shows = console.is_terminal or console.is_jupyter
+    with Progress(*columns, console=console, transient=True, disable=not shows) as progress:
         task = progress.add_task("starting", total=1.0)
         with _compilation_announced(console) if compiles else nullcontext():
             yield lambda what, fraction: progress.update(task, description=printable(what), completed=fraction)

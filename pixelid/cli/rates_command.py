@@ -33,7 +33,7 @@ def command(source, out, unit, bias_law, data, overwrite, seed, quiet):
     A CSV gives bandwidth, dead time and noise per column; a recipe gives how the image's pixels spread in bandwidth.
     Writes rates.json (with the cells that disagree, in words), rates.svg and report.html.
     """
-    from pixelid.cli.terminal import say, say_sentences
+    from pixelid.cli.terminal import say, say_page, say_sentences
     from pixelid.errors import InputError
     from pixelid.outputs import claimed, whole_folder
 
@@ -70,4 +70,5 @@ def command(source, out, unit, bias_law, data, overwrite, seed, quiet):
         say(f"relative scatter {100 * written['relative_scatter']:.1f} %")
         say_sentences(written.get("bias_law", {}).get("sentences", []))
         say_sentences(written["disagreements"])
+        say_page(out)
     return written["status"].exit_code

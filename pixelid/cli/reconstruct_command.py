@@ -99,8 +99,9 @@ def command(
     from contextlib import nullcontext
 
     from pixelid.cli.progress import bar
-    from pixelid.cli.terminal import say
+    from pixelid.cli.terminal import say_result
     from pixelid.errors import InputError
+    from pixelid.interruption import keeping
     from pixelid.outputs import claimed, refuse_existing, refuse_inputs, whole_folder
 
     if checkpoint is not None and checkpoint.is_dir():
@@ -142,7 +143,7 @@ def command(
             regularisation=regularisation, refinement=Refinement.of(refine_time, refine_poses), unbounded=unbounded,
         )  # fmt: skip
         pixel = Bandwidth(bandwidth, samples, trained=trained)
-        with bar(quiet or not first, compiles=True) as report:
+        with keeping(kept, "the training"), bar(quiet or not first, compiles=True) as report:
             result = reconstruct(
                 data, fit=fit, sensor=sensor, bandwidth=pixel, recipe=recipe, background=background, scale=scale,
                 box=box or None, near=near, radiance_scale=radiance_scale, protocol=protocol, gap=gap, beside=beside,
@@ -163,5 +164,5 @@ def command(
     if first and result.ignored:
         click.echo(f"warning: the reconstruction does not model {', '.join(result.ignored)} of this pixel", err=True)
     if first and not quiet:
-        say(result.summary(), str(out / "report.html"))
+        say_result(result, out)
     return result.status.exit_code if first else 0

@@ -54,7 +54,7 @@ def command(
     import math
 
     from pixelid.cli.progress import bar
-    from pixelid.cli.terminal import say
+    from pixelid.cli.terminal import say_result
     from pixelid.errors import InputError
     from pixelid.outputs import claimed, whole_folder
 
@@ -91,5 +91,5 @@ def command(
             write_figures(result, folder)
             write_report(folder)
     if not quiet:
-        say(result.summary(), str(out / "report.html"))
+        say_result(result, out)
     return result.status.exit_code

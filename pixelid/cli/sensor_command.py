@@ -50,7 +50,8 @@ def command(
     import shutil
 
     from pixelid.cli.progress import bar
-    from pixelid.cli.terminal import say
+    from pixelid.cli.terminal import say_result
+    from pixelid.interruption import keeping
     from pixelid.outputs import claimed, whole_folder
 
     keep = out.with_name(out.name + ".tiles")
@@ -67,7 +68,7 @@ def command(
         from pixelid.report.html import write_report
         from pixelid.sensors import fit_sensor
 
-        with bar(quiet, compiles=True) as report:
+        with keeping(keep, "tiles"), bar(quiet, compiles=True) as report:
             fit = fit_sensor(
                 opened,
                 circuit,
@@ -85,5 +86,5 @@ def command(
             write_report(folder)
         shutil.rmtree(keep, ignore_errors=True)
     if not quiet:
-        say(fit.summary())
+        say_result(fit, out)
     return fit.status.exit_code

@@ -3,17 +3,28 @@
 from __future__ import annotations
 
 import os
+import re
+import shutil
 import sys
 import warnings
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from pixelid.errors import SetAside, printable
+from pixelid.errors import Doubtful, SetAside, printable
+
+if TYPE_CHECKING:
+    from pixelid.results import Result
 
 MOST_CHARACTERS = 1000  # of a line of an error
+VERDICTS = {
+    "converged": "green", "named": "cyan", "none": "green", "misfit": "yellow", "at_bound": "yellow",
+    "not_identified": "yellow", "ambiguous": "yellow", "unknown": "yellow", "not_converged": "red", "diverged": "red",
+    "interrupted": "red",
+}  # fmt: skip
 
 
 def use_utf8() -> None:
@@ -28,11 +39,12 @@ def use_utf8() -> None:
 def warnings_as_lines() -> Iterator[None]:
     """Print our own warnings as one plain line each; those of libraries say nothing to users (PIXELID_DEBUG=1 does)."""
     with warnings.catch_warnings():
-        warnings.simplefilter("always", SetAside)
+        for ours in (SetAside, Doubtful):
+            warnings.simplefilter("always", ours)
         others = warnings.showwarning
 
         def show(message: Warning | str, category: type[Warning], *where: Any) -> None:
-            if issubclass(category, SetAside):
+            if issubclass(category, SetAside | Doubtful):
                 complain(str(message))
             elif os.environ.get("PIXELID_DEBUG") == "1":
                 others(message, category, *where)
@@ -57,4 +69,32 @@ def say(*lines: str) -> None:
 
 def say_sentences(sentences: Iterable[str]) -> None:
     """Print sentences as a list."""
-    say(*(f"- {sentence}" for sentence in sentences if sentence))
+    from pixelid.results import wrapped
+
+    say(*(wrapped(f"- {sentence}", columns(), "  ") for sentence in sentences if sentence))
+
+
+def say_result(result: Result, out: Path, remarks: Iterable[str] = ()) -> None:
+    """Print a result, its verdict coloured, and where its page is."""
+    say(*remarks)
+    headline, line_break, rest = result.summary(columns()).partition("\n")
+    click.echo(coloured(printable(headline)) + line_break + printable(rest))
+    say_page(out)
+
+
+def say_page(out: Path) -> None:
+    """Print where the page of a result folder is."""
+    say(str(out / "report.html"))
+
+
+def columns() -> int | None:
+    """Of the terminal that is printed to; None where there is none, and lines stay whole for whatever reads them."""
+    return shutil.get_terminal_size().columns if sys.stdout.isatty() else None
+
+
+def coloured(text: str) -> str:
+    """A line with the first word of `VERDICTS` in its colour, on a terminal that has not been told otherwise."""
+    if not sys.stdout.isatty() or os.environ.get("NO_COLOR"):
+        return text
+    words = "|".join(VERDICTS)
+    return re.sub(rf"\b({words})\b", lambda word: click.style(word[1], fg=VERDICTS[word[1]], bold=True), text, count=1)

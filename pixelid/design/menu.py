@@ -51,8 +51,7 @@ def default_menu(model: Model) -> list[Candidate]:
 
     Levels follow the model's β²/α (100 for photoreceptors without one); every duration is `DURATION_S` or twice that.
     """
-    values = model.values
-    natural = values["beta"] ** 2 / values["alpha"] if model.photoreceptor == "second_order" else 100.0
+    natural = natural_level(model)
     menu = []
     for factor in LEVELS:
         level = float(f"{factor * natural:.2g}")
@@ -67,6 +66,17 @@ def default_menu(model: Model) -> list[Candidate]:
             candidate(f"long_steps_{label}", "steps", level=level, duration_s=2 * DURATION_S, seed=1),
         ]
     return menu
+
+
+def natural_level(model: Model) -> float:
+    """β²/α, around which the photoreceptor's poles change their kind; 100 for photoreceptors without one."""
+    values = model.values
+    return values["beta"] ** 2 / values["alpha"] if model.photoreceptor == "second_order" else 100.0
+
+
+def brightest_level(model: Model) -> float:
+    """The highest level of the default menu."""
+    return float(f"{max(LEVELS) * natural_level(model):.2g}")
 
 
 def read_menu(path: Path) -> list[Candidate]:

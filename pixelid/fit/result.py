@@ -11,13 +11,14 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 
 from pixelid.documents import interpreting
-from pixelid.errors import InputError
+from pixelid.errors import InputError, did_you_mean
 from pixelid.fit.bias_priors import prior_sentences, prior_table
 from pixelid.fit.coordinates import Coordinates
 from pixelid.fit.levels.pixel_levels import PixelLevels
 from pixelid.model.files import load_model, save_model
+from pixelid.model.fitted import as_fitted, fit_hash, today
 from pixelid.model.model import Model
-from pixelid.parameters.invariants import PHYSICAL_UNITS
+from pixelid.parameters.invariants import PHYSICAL_UNITS, Physical
 from pixelid.parameters.parameter import Parameter, Prior
 from pixelid.results import Result, Table, check_kinds, check_parameters, interval, number, read_result, required
 from pixelid.status import Status
@@ -62,6 +63,7 @@ class FitResult(Result):
     alignment: by recording, what was found of a clock that `convert --align` had estimated (docs/formats.md)
     pixel_levels: gain and background of every pixel, None where they were not asked for
     bias_priors: what the recordings' biases imply and which priors the fit took of them, None where not asked for
+    date: of the fit, ISO; empty where a file does not say it
 
     Example:
         >>> import pixelid as px
@@ -96,6 +98,26 @@ class FitResult(Result):
     details: Mapping = field(default_factory=dict)
     versions: Mapping[str, str] = field(default_factory=dict)
     inputs_sha256: Mapping[str, str] = field(default_factory=dict)
+    date: str = field(default_factory=today)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "model", self._truthful())  # whatever made the result
+
+    @property
+    def hash(self) -> str:
+        """A short name of this fit, which model.toml gives as the source of its values."""
+        limits = {name: e.interval_95 for name, e in self.estimates.items()}
+        return fit_hash("fit", self.model, [limits, self.recordings, self.inputs_sha256, self.seed, self.date])
+
+    def _truthful(self) -> Model:
+        """The model, saying of every fitted value that it is fitted, and how well it is known."""
+        free = {name: e for name, e in self.estimates.items() if not e.fixed}
+        return as_fitted(
+            self.model, fit=self.hash, day=self.date, fitted=free, limits={n: e.interval_95 for n, e in free.items()},
+            unidentified=[name for name, e in free.items() if not e.identified],
+            to=f"{', '.join(self.recordings)}: {self.events} events of {self.pixels} pixels, {self.status}",
+            physical=(Physical(**self.physical) if self.physical else None, self.physical_why),
+        )  # fmt: skip
 
     def as_dict(self) -> dict[str, Any]:
         """The content of fit.json (docs/formats.md)."""
@@ -126,9 +148,18 @@ class FitResult(Result):
             "nuisances": {name: as_document(p) for name, p in self.coordinates.nuisances.items()},
             "seconds": self.seconds,
             "seed": self.seed,
+            "date": self.date,
+            "hash": self.hash,
             "versions": dict(self.versions),
             "inputs_sha256": dict(self.inputs_sha256),
         }
+
+    def __getitem__(self, name: str) -> Estimate:
+        """The estimate of a parameter: `result["on_threshold"].interval_95`.  Raises InputError for unknown names."""
+        if name not in self.estimates:
+            known = f"{', '.join(self.estimates)}{did_you_mean(name, self.estimates)}"
+            raise InputError(f"fit of {self.model.name}: no parameter {name!r}; it has {known}")
+        return self.estimates[name]
 
     @property
     def headline(self) -> str:
@@ -259,6 +290,7 @@ class FitResult(Result):
                 bias_priors=content.get("bias_priors"),
                 versions=content["versions"],
                 inputs_sha256=content["inputs_sha256"],
+                date=str(content.get("date", "")),
                 **known,
             )
             if result.bias_priors is not None:

@@ -15,6 +15,7 @@ from pixelid.fit.levels.pixel_levels import PixelLevels
 from pixelid.gap.attribute.flexible import Flexible
 from pixelid.gap.confirm.free_run import FreeRun
 from pixelid.model.files import load_model, save_model
+from pixelid.model.fitted import as_fitted, fit_hash, today
 from pixelid.model.model import Model
 from pixelid.results import Result, Table, check_kinds, interval, number, read_result, required
 from pixelid.stages.described import cell, described
@@ -135,6 +136,24 @@ class GapReport(Result):
     pixel_levels: PixelLevels | None = None
     status: Status = Status.converged
     advice: str = ""
+    date: str = field(default_factory=today)
+
+    def __post_init__(self) -> None:
+        for name in ("base", "model"):  # whatever made the report
+            object.__setattr__(self, name, self._truthful(getattr(self, name)))
+
+    def _hash(self, model: Model) -> str:
+        """A short name of the search's fit of a model."""
+        return fit_hash("gap", model, [self.inputs_sha256, self.seed, self.date])
+
+    def _truthful(self, model: Model) -> Model:
+        """The model, saying of every fitted value that it is fitted, and how well it is known."""
+        known = {**{e.name: e.parameters for e in self.effects}, **{e.effect: e.parameters for e in self.described}}
+        limits = {name: limits for each in known.values() for name, (_, limits) in each.items()}
+        limits |= {f"{e.effect}.{name}": limits for e in self.described for name, (_, limits) in e.parameters.items()}
+        added = limits if model.name != self.base.name else {}
+        to = f"the recordings of a search for the gap, verdict {self.verdict}"
+        return as_fitted(model, fit=self._hash(model), day=self.date, to=to, fitted=model.free, limits=added)
 
     def as_dict(self) -> dict[str, Any]:
         """The content of gap.json (docs/formats.md)."""
@@ -157,6 +176,8 @@ class GapReport(Result):
             "details": dict(self.details),
             "seconds": self.seconds,
             "seed": self.seed,
+            "date": self.date,
+            "hash": self._hash(self.model),
             "versions": dict(self.versions),
             "inputs_sha256": dict(self.inputs_sha256),
         }
@@ -250,6 +271,7 @@ class GapReport(Result):
                 pixel_levels=PixelLevels.from_dict(content["pixel_levels"]) if "pixel_levels" in content else None,
                 status=Status(content.get("status", "converged")),
                 advice=content.get("advice", ""),
+                date=str(content.get("date", "")),
                 **known,
             )
             report.summary()  # what cannot be shown is of another kind than it should be

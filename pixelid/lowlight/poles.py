@@ -69,7 +69,12 @@ def approximate(circuit: Circuit, radiance: float, scope: str, approximation: st
 
 
 def _with_stages(circuit: Circuit, poles: np.ndarray, scope: str) -> np.ndarray:
-    return poles if scope == "photoreceptor" else np.append(poles, list(stages(circuit).values()))
+    return poles if scope == "photoreceptor" else np.append(poles, later_poles(circuit))
+
+
+def later_poles(circuit: Circuit) -> np.ndarray:
+    """(n,) complex poles [rad/s] after the photoreceptor."""
+    return np.array(list(stages(circuit).values()), dtype=complex)
 
 
 def dominant(circuit: Circuit, radiance) -> np.ndarray:

@@ -6,7 +6,7 @@
     [gauge]       q_in = 0.875, A_loop = "0.7 A_amp", …                            (optional)
     [[described]] stage, quantity, covariate, form, parameters                     (optional, `stages/described.py`)
 
-What a parameter leaves out is taken from the effect library.
+What a parameter leaves out is taken from the effect library; the source only with the library's value.
 """
 
 from __future__ import annotations
@@ -123,6 +123,8 @@ def _parameter(default: Parameter, entry) -> Parameter:
             changes[key] = float(changes[key])
     for key in ("unit", "transform", "source"):
         _text(changes, f"[parameters] {default.name}", key, "")
+    if "source" not in changes and changes.get("value", default.value) != default.value:
+        changes["source"] = ""  # the library's is of its own value
     if not isinstance(changes.get("free", True), bool):
         raise InputError(f"[parameters] {default.name}.free: expected true or false, found {shown(changes['free'])}")
     return replace(default, **changes)

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields, replace
+from numbers import Real
 from typing import Any
 
 from pixelid import stages
-from pixelid.errors import InputError, did_you_mean
+from pixelid.errors import InputError, did_you_mean, shown
 from pixelid.parameters.gauge import Gauge
 from pixelid.parameters.invariants import Physical
 from pixelid.parameters.parameter import RATE_UNIT, Parameter
+from pixelid.parameters.units import RADIANCE, goes_with_light, in_light_unit
 from pixelid.results import Table, html_page
 from pixelid.stages import Circuit, comparator, photoreceptor
 
@@ -37,7 +39,7 @@ class Model:
 
     Example:
         >>> import pixelid as px
-        >>> px.find_model("dvs128").with_effect("leak", {"rate_hz": 0.1}).values["leak.rate_hz"]
+        >>> px.find_model("dvs128").with_effect("leak", rate_hz=0.1).values["leak.rate_hz"]
         0.1
 
     photoreceptor: "second_order" | "one_pole" | "unlimited";  effects: names present, in signal order;
@@ -78,6 +80,11 @@ class Model:
                     + ([f"parameters without their effect: {', '.join(surplus)}"] if surplus else [])
                 )
             )
+        if self.radiance_unit != RADIANCE:  # what the library states for light of any unit
+            spelled = {name: in_light_unit(p.unit, RADIANCE, self.radiance_unit) for name, p in self.parameters.items()}
+            if any(unit != self.parameters[name].unit for name, unit in spelled.items()):
+                parameters = {name: replace(p, unit=spelled[name]) for name, p in self.parameters.items()}
+                object.__setattr__(self, "parameters", parameters)
 
     def __repr__(self) -> str:
         return f"model {self.name}: {self._structure}\n{self._table.text()}"
@@ -156,11 +163,16 @@ class Model:
         offset = own[LIGHT_OFFSET.name]
         return circuit if isinstance(offset, float) and offset == 0.0 else circuit.with_(dark=circuit.dark + offset)
 
-    def set(self, values: Mapping[str, float]) -> Model:
-        """The model at other values.  Raises InputError for unknown names and values out of bounds."""
+    def set(self, values: Mapping[str, float] | None = None, **named: float) -> Model:
+        """The model at other values: `set({"leak.rate_hz": 2})`, `set(on_threshold=0.3)`.
+
+        Raises InputError for unknown names, values that are no numbers, and those out of bounds.
+        """
         parameters = dict(self.parameters)
-        for name, value in values.items():
-            parameters[name] = self.parameter(name).at(value)
+        for name, value in {**(values or {}), **named}.items():
+            if isinstance(value, bool) or not isinstance(value, Real):
+                raise InputError(f"{name}: expected a number, found {shown(value)}")
+            parameters[name] = self.parameter(name).at(float(value))
         return replace(self, parameters=parameters)
 
     def fix(self, values: Mapping[str, float | None]) -> Model:
@@ -196,10 +208,10 @@ class Model:
         old = self.radiance_unit
         if unit is None or old.replace("²", "2") == unit:
             return self
-        parameters = {name: replace(p, unit=p.unit.replace(old, "radiance")) for name, p in self.parameters.items()}
-        for name, p in parameters.items():
-            if old not in ("radiance", "relative") and "radiance" in p.unit and p.unit != "log radiance":
-                parameters[name] = replace(p, prior=None)
+        parameters = {name: replace(p, unit=in_light_unit(p.unit, old, unit)) for name, p in self.parameters.items()}
+        for name, p in self.parameters.items():
+            if old not in (RADIANCE, "relative") and goes_with_light(p.unit, old):
+                parameters[name] = replace(parameters[name], prior=None)
         return replace(self, parameters=parameters, radiance_unit=unit)
 
     def in_light(self, factor: float) -> Model:
@@ -253,15 +265,15 @@ class Model:
         thresholds = {p.name: factor * self.values[p.name] for p in comparator.PARAMETERS if factor != 1.0}
         return replace(self, nuisances=kept).set(own | thresholds)
 
-    def with_effect(self, name: str, values: Mapping[str, float] | None = None) -> Model:
-        """The model with an effect added (or its values changed when it is there already).
+    def with_effect(self, name: str, values: Mapping[str, float] | None = None, **named: float) -> Model:
+        """The model with an effect added (or its values changed when it is there already): `("leak", rate_hz=2)`.
 
-        `values`: parameter → value, by full name or by the part after the dot; given values stay free.
+        `values`, `named`: parameter → value, by full name or by the part after the dot; given values stay free.
         Raises InputError for unknown effects and parameters.
         """
         known = {p.name: p for p in self.library(name)}
         full = {}
-        for key, value in (values or {}).items():
+        for key, value in {**(values or {}), **named}.items():
             long = key if key in known else f"{name}.{key}"
             if long not in known:
                 meant = did_you_mean(long, known) or did_you_mean(key, known)

@@ -35,6 +35,11 @@ def effect_with_values(text: str) -> tuple[str, dict[str, float]]:
     return name, _once(f"--with {name}", [assignment(part) for part in values.split(",")]) if sign else {}
 
 
+def assignments(option: str, texts: Iterable[str]) -> dict[str, float]:
+    """Numbers by name from several "name=value".  Raises InputError for anything else, and for one name twice."""
+    return _once(option, [assignment(text) for text in texts])
+
+
 def _once(where: str, assigned: Iterable[tuple[str, float]]) -> dict[str, float]:
     """Assignments by name.  Raises InputError for one name twice."""
     found: dict[str, float] = {}
@@ -65,4 +70,4 @@ def changed(
         model = model.without_effect(name)
     for name, values in added:
         model = model.with_effect(name, values)
-    return model.set(_once("--set", [assignment(text) for text in set_])), remarks
+    return model.set(assignments("--set", set_)), remarks

@@ -7,11 +7,12 @@ from pathlib import Path
 
 import numpy as np
 
-from pixelid.errors import InputError
+from pixelid.errors import InputError, shown
 from pixelid.recordings.events import Events
 from pixelid.recordings.triggers import Triggers
 from pixelid.results import Table, html_page
-from pixelid.stimuli.pixel_lights import Light
+from pixelid.stimuli.pixel_lights import Light, PixelLights
+from pixelid.stimuli.stimulus import Stimulus
 
 LATENCY_S = 1e-3
 
@@ -113,9 +114,21 @@ class Recording:
         inside = self.events.t <= self.stimulus.end_s * 1e9
         return self if inside.all() else replace(self, events=self.events.select(inside))
 
-    def with_stimulus(self, stimulus: Light) -> Recording:
-        """The same events beside another stimulus."""
-        return replace(self, stimulus=stimulus)
+    def with_stimulus(self, stimulus: Light | str | Path) -> Recording:
+        """The same events with another stimulus: a light, or the name or file of one, which is opened.
+
+        Raises:
+            InputError: it is neither, or of another sensor's size.
+        """
+        from pixelid.stimuli.files import load_stimulus
+
+        light = load_stimulus(stimulus) if isinstance(stimulus, str | Path) else stimulus
+        if not isinstance(light, Stimulus | PixelLights):
+            raise InputError(f"stimulus: expected a Stimulus, a name or a file, found {shown(stimulus)}")
+        size = (self.events.width, self.events.height)
+        if light.size not in (None, size) and not self.pooled:
+            raise InputError(f"stimulus: expected light for {size[0]} x {size[1]} pixels, found {light.size}")
+        return replace(self, stimulus=light)
 
 
 def _kind_of(recording: Recording) -> str:

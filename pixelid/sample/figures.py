@@ -13,6 +13,7 @@ from pixelid.fit.coordinates import Coordinates
 from pixelid.sample.convergence import Convergence
 
 LEVELS = (0.68, 0.95)  # of the posterior inside the contours
+HISTOGRAM_LINE = 1.2  # points
 
 
 class Draws(Protocol):
@@ -50,10 +51,11 @@ def draw_corner(posterior: Draws) -> Any:
     ranges = [(low, high) if high > low else (low - 0.5, high + 0.5) for low, high in ranges]
     figure = corner.corner(
         draws, labels=list(values), range=ranges, bins=30, levels=LEVELS, color=SERIES[0], plot_datapoints=False,
-        quantiles=(0.025, 0.5, 0.975), max_n_ticks=3, label_kwargs={"fontsize": 7}, quiet=True,
+        quantiles=(0.025, 0.5, 0.975), max_n_ticks=3, label_kwargs={"fontsize": 8}, quiet=True,
+        hist_kwargs={"linewidth": HISTOGRAM_LINE},  # which the style's patches, being filled, do not have
     )  # fmt: skip
     for axis in figure.axes:
-        axis.tick_params(labelsize=5)
+        axis.tick_params(labelsize=7)
     d = draws.shape[1]
     return np.array(figure.axes).reshape(d, d)
 

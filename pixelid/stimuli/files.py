@@ -73,6 +73,11 @@ def _holds_light(path: Path) -> bool:
     return "radiance" in names and "x" not in names
 
 
+def shape_parameters(kind: str) -> dict[str, float]:
+    """The parameters of a built-in shape, with their defaults."""
+    return {name: p.default for name, p in inspect.signature(SHAPES[kind]).parameters.items()}
+
+
 def shape(kind: str, parameters: Mapping[str, object]) -> Stimulus:
     """A built-in shape with parameters.  Raises InputError for unknown kinds and parameters, listing the known."""
     if kind not in SHAPES:

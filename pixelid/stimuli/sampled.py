@@ -21,7 +21,7 @@ from pixelid.arrays import load_arrays
 from pixelid.documents import refuse_hollow, separator_of, words_of
 from pixelid.errors import InputError, first_line, shown
 from pixelid.parallel import memory_bytes
-from pixelid.stimuli.stimulus import UNITS, Stimulus
+from pixelid.stimuli.stimulus import Stimulus, unit_named
 
 TABLES, ARRAYS = (".csv", ".txt", ".tsv"), (".npy", ".npz")
 VIDEOS, PICTURES = (".mp4", ".avi", ".mov", ".mkv", ".webm"), (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp")
@@ -90,8 +90,7 @@ def read_light(path: Path, *, unit: str | None = None, fps: float | None = None,
     Raises:
         InputError: one line that names file, field, expected and found.
     """
-    if unit is not None and unit not in UNITS:
-        raise InputError(f"unit of the light: expected one of {', '.join(UNITS)}, found {unit!r}")
+    unit = None if unit is None else unit_named(unit, where="unit of the light")
     if gamma not in ("linear", "display"):
         raise InputError(f"gamma: expected linear or display, found {gamma!r}")
     suffix = path.suffix.lower()

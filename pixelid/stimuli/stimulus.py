@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 from zlib import crc32
@@ -13,9 +14,28 @@ from pixelid.errors import InputError, shown
 if TYPE_CHECKING:
     from jaxtyping import Float, Float64
 
-UNITS = ("relative", "lux", "W/m2", "fA", "shape")
+UNITS = ("relative", "lux", "W/m2", "fA", "shape")  # the usual ones; any other short word is kept as it is written
+SAME_UNITS = {
+    **{unit.lower(): unit for unit in UNITS}, "lx": "lux", "w/m²": "W/m2", "w/m^2": "W/m2", "wm2": "W/m2",
+    "radiance": "relative", "": "relative",
+}  # fmt: skip
+_UNIT = re.compile(r"[^\W\d_][\w²³/·^%.*µμ-]{0,15}|%")  # a letter first: no number passes for a unit
 WITHOUT_SCALE = ("relative", "shape")  # units that say nothing of how bright the light was
 INTERPOLATIONS = ("linear", "previous")
+
+
+def unit_named(unit: object, *, where: str = "stimulus") -> str:
+    """The unit of light that a text means; one that is not known is kept as it is written.
+
+    >>> unit_named("lx"), unit_named("W/m²"), unit_named("V")
+    ('lux', 'W/m2', 'V')
+
+    Raises:
+        InputError: it is no short word.
+    """
+    if isinstance(unit, str) and (unit.lower() in SAME_UNITS or _UNIT.fullmatch(unit)):
+        return SAME_UNITS.get(unit.lower(), unit)
+    raise InputError(f"{where}: unit must be {', '.join(UNITS)} or another short word as V, found {shown(unit)}")
 
 
 @dataclass(frozen=True, repr=False)
@@ -24,7 +44,7 @@ class Stimulus:
 
     t: (n,) float64 seconds, strictly increasing, same time zero as the events
     radiance: (n,) full-field, or (n, height, width) per pixel; > 0 except for unit "shape" (≥ 0)
-    unit: "relative" | "lux" | "W/m2" | "fA" | "shape" (known up to offset and gain)
+    unit: "relative", "shape" (known up to offset and gain), or a short word as "lux", "W/m2", "fA", "V"
     interpolation: "linear" (log radiance is linear between samples) or "previous" (held)
     """
 
@@ -102,7 +122,8 @@ class Stimulus:
         """A validated stimulus.
 
         Raises InputError naming `where` for too few samples, times that do not increase, shapes that do
-        not match, NaN or infinite values, radiance ≤ 0 (< 0 for "shape"), and unknown unit or interpolation.
+        not match, NaN or infinite values, radiance ≤ 0 (< 0 for "shape"), a unit that is no short word, and unknown
+        interpolation.
         """
         t, radiance = np.asarray(t), np.asarray(radiance)
         if t.dtype.kind not in "fiu":
@@ -112,8 +133,7 @@ class Stimulus:
             raise InputError(f"{where}/radiance: expected numbers, found {radiance.dtype}")
         if radiance.dtype not in (np.float32, np.float64):
             radiance = radiance.astype(np.float64)
-        if unit not in UNITS:
-            raise InputError(f"{where}: unit must be one of {', '.join(UNITS)}, found {shown(unit)}")
+        unit = unit_named(unit, where=where)
         if interpolation not in INTERPOLATIONS:
             raise InputError(
                 f"{where}: interpolation must be one of {', '.join(INTERPOLATIONS)}, found {shown(interpolation)}"

@@ -103,7 +103,7 @@ def test_edges_at_two_inputs_are_told_apart(session):
     camera, light = open_recording(folder / "camera.h5"), load_stimulus(str(folder / "light.csv"))
     here, there = edges_at(camera, [0.0]).triggers, edges_at(camera, [-0.5], channel=6).triggers
     both = replace(camera, triggers=Triggers.joined([here, there]))
-    with pytest.raises(InputError, match="edges at the inputs 0, 6; say which, --align trigger:0"):
+    with pytest.raises(InputError, match="edges at the inputs 0, 6; say which, align trigger:0"):
         find_alignment(both, light, "trigger")
     alone = find_alignment(replace(camera, triggers=here), light, "trigger")
     assert find_alignment(both, light, "trigger:0").offset_s == alone.offset_s

@@ -23,7 +23,7 @@ MAY_IMPORT = {
     "statistics": set(),
     "status": set(),
     "results": {"documents", "errors", "outputs", "status"},
-    "lazy": set(),
+    "public": {"errors"},
     "parallel": {"errors"},
     "parameters": BASE,
     "stages": BASE | {"parameters"},
@@ -34,7 +34,9 @@ MAY_IMPORT = {
 }
 MAY_IMPORT["inputs"] = BASE | {"model", "recordings", "stimuli"}
 MAY_IMPORT["compilation"] = set()  # everything else is imported when a function is called
-MAY_IMPORT["api"] = MAY_IMPORT["api_analyses"] = BASE  # everything else is imported when a function is called
+MAY_IMPORT["api"] = MAY_IMPORT["api_analyses"] = BASE | {
+    "public"
+}  # everything else is imported when a function is called
 MAY_IMPORT["biases"] = {"errors", "statistics"}
 MAY_IMPORT["inspection"] = BASE | {"biases", "recordings", "stimuli"}
 MAY_IMPORT["simulate"] = MAY_IMPORT["likelihood"] = set(MAY_IMPORT) - {"inspection"}
@@ -44,6 +46,7 @@ for folder in ("sample", "compare", "lowlight", "design"):  # what follows from 
     MAY_IMPORT[folder] = MAY_IMPORT["fit"] | {"fit", "sample"}
 for folder in ("lowlight", "design"):
     MAY_IMPORT[folder] = MAY_IMPORT[folder] | {"tables"}  # what tables of latencies and rates say of a sensor
+MAY_IMPORT["design"] |= {"lowlight"}  # a chirp goes up to the bandwidth at its level
 MAY_IMPORT["gap"] = MAY_IMPORT["fit"] | {"fit", "design", "inspection"}
 MAY_IMPORT["conform"] = MAY_IMPORT["gap"] | {"gap"}  # the gap's verdict, effect by effect
 MAY_IMPORT["export"] = BASE | {"model", "parameters", "stages", "tables"}  # rates of noise
@@ -57,7 +60,7 @@ MAY_IMPORT["cli"] = set(MAY_IMPORT)
 BACK = {
     ("fit", "report"), ("fit", "sample"), ("recordings", "inspection"), ("stimuli", "recordings"), ("tables", "sample"),
 }  # fmt: skip
-ON_CALL = {"api", "api_analyses", "compilation"}  # import whatever they need when a function is called
+ON_CALL = {"api", "api_analyses", "compilation", "public"}  # import whatever they need when a function is called
 FILES = sorted(PACKAGE.rglob("*.py"))
 
 

@@ -105,7 +105,7 @@ def test_no_command_shows_the_commands(capsys):
 @pytest.mark.parametrize(
     ("error", "code", "says"),
     [
-        (KeyboardInterrupt(), 130, "interrupted; nothing was left half written"),
+        (KeyboardInterrupt(), 130, "stopped; nothing is left half written; the same command starts again"),
         (UntrustworthyResult("no optimum", "start elsewhere"), 1, "no optimum"),
         (MemoryError(), 2, "not enough memory"),
         (PermissionError(13, "Permission denied", "models"), 2, "models: Permission denied"),

@@ -70,7 +70,7 @@ def test_a_fit_speaks_the_unit_of_its_light():
     )
     result = fit([one], model, starts=0)
     assert result.model.radiance_unit == "lux"
-    assert result.estimates["alpha"].unit == "1/s²/radiance"
+    assert result.estimates["alpha"].unit == "1/s²/lux"
     assert fit([replace(one, stimulus=steps(60.0))], model, starts=0).model.radiance_unit == "fA"
     for refusing in (fit, gap, fit_sensor):
         with pytest.raises(InputError, match="light is in one unit, found W/m2, lux"):

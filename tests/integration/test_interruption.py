@@ -90,7 +90,7 @@ def interrupted(run: str, folder: Path, number: int, code: int) -> float:
     _, said = started.communicate(timeout=60)
     took = time.monotonic() - begun
     assert started.returncode == code
-    assert said.strip() == "pixelid: interrupted; nothing was left half written"
+    assert said.strip() == "pixelid: stopped; nothing is left half written; the same command starts again"
     assert sorted(os.listdir(folder)) in (["out"], [".out.lock", "out"])  # the lock ends with the process that held it
     assert os.listdir(folder / "out") == ["fit.json"]
     return took

@@ -36,6 +36,7 @@ GOOD = {  # command → words that run; {out} is free
     "noise": "noise.csv --out {out} --predict --model dvs128",
     "lowlight": "dvs128 good.h5 --out {out}",
     "design": "dvs128 --out {out} --pixels 1 --draws 1",
+    "stimulus": "chirp --seconds 0.01 --out {out}.csv",
     "gap": "good.h5 --model dvs128 --out {out}",
     "conform": "good.h5 --model dvs128 --out {out}",
     "export": "dvs128 --to v2e --out {out}.yaml",

@@ -322,7 +322,7 @@ def test_a_header_says_the_unit_of_the_rates(tmp_path):
         table = read_table(path, unit)
         assert table.columns == ("fo1477", "fo1400")
         assert (table.rate_hz[0, 0], table.resolution_hz) == (500.0, 1.0)
-    with pytest.raises(InputError, match="--unit mev/s: the columns say kev/s"):
+    with pytest.raises(InputError, match="unit mev/s: the columns say kev/s"):
         read_table(path, "mev/s")
     path.write_text("freq_hz,a [ev/s]\n1,0.5\n10,0.25\n")
     assert read_table(path).rate_hz[0, 0] == 0.5

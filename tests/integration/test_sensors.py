@@ -210,8 +210,8 @@ def test_a_cluster_that_is_none_is_said_within_seconds(where, tmp_path, sensor, 
 def test_certificates_that_do_not_fit_are_refused(tmp_path):
     (tmp_path / "a.pem").write_text("")
     for settings, says in (
-        ({"cluster": "tcp://h:1", "tls_ca": tmp_path / "a.pem"}, "--cluster tls://"),
-        ({"cluster": "tls://h:1", "tls_ca": tmp_path / "a.pem"}, "--tls-cert, --tls-key"),
+        ({"cluster": "tcp://h:1", "tls_ca": tmp_path / "a.pem"}, "cluster tls://"),
+        ({"cluster": "tls://h:1", "tls_ca": tmp_path / "a.pem"}, "tls_cert, tls_key"),
         (
             {"cluster": "tls://h:1", **dict.fromkeys(("tls_ca", "tls_cert", "tls_key"), tmp_path / "b.pem")},
             "no such file",

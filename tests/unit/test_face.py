@@ -1,10 +1,13 @@
 """What `import pixelid` shows: a dozen names, quick, in every import order, and forgiving about what they are given."""
 
 import doctest
+import importlib
 import inspect
 import pickle
+import pydoc
 import subprocess
 import sys
+from contextlib import nullcontext
 from pathlib import Path
 from unittest import mock
 
@@ -12,13 +15,14 @@ import numpy as np
 import pytest
 
 import pixelid as px
-from pixelid.errors import InputError, did_you_mean
+from pixelid.errors import Doubtful, InputError, did_you_mean
 from pixelid.inputs import as_model, as_recordings, as_stimulus
+from pixelid.outputs import refuse_existing
 from pixelid.recordings import Events, Recording, write_recording
 
 NAMES = {
     "open", "find_model", "simulate", "fit", "sample", "gap", "lowlight", "design", "reconstruct", "load_field",
-    "Model", "Recording", "Stimulus", "Status",
+    "stimulus", "Model", "Recording", "Stimulus", "Status",
 }  # fmt: skip
 SUBPACKAGES = ("fit", "sample", "gap", "lowlight", "design", "simulate")
 
@@ -54,7 +58,8 @@ ORDERS = {
 def test_fit_is_the_function_in_every_import_order(order):
     check = (
         "\nimport sys, types, pixelid.api"
-        "\nassert f.__wrapped__ is pixelid.api.fit, f"
+        "\nassert f is pixelid.api.fit, f"
+        "\nimport pixelid.fit.result"
         "\nassert f.FitResult is sys.modules['pixelid.fit'].FitResult"
         "\nassert isinstance(sys.modules['pixelid.fit'], types.ModuleType)"
         "\ntry: f(3, 'dvs128')"
@@ -72,12 +77,16 @@ def test_functions_are_documented_pickled_and_patched_like_any_other(name, monke
     assert "Returns:" in inspect.getdoc(function)
     assert "progress" in inspect.signature(function).parameters
     assert pickle.loads(pickle.dumps(function)) is function
-    assert repr(function) == f"<function pixelid.{name}>"
+    assert inspect.isfunction(function)
+    printed = pydoc.render_doc(function, renderer=pydoc.plaintext)
+    for parameter in inspect.signature(function).parameters:
+        assert f"{parameter}: " in printed.partition("Args:")[0]  # in the line of the signature
     with mock.patch(f"pixelid.{name}", return_value=7):
         assert getattr(px, name)() == 7
     assert getattr(px, name) is function
-    monkeypatch.setattr(f"pixelid.{name}.__doc__", "patched")
-    assert sys.modules[f"pixelid.{name}"].__doc__ == "patched"
+    importlib.import_module(f"pixelid.{name}")
+    monkeypatch.setattr(f"pixelid.{name}.anything", "patched", raising=False)
+    assert sys.modules[f"pixelid.{name}"].anything == "patched"
 
 
 def test_examples():
@@ -142,7 +151,22 @@ def test_models_and_stimuli_come_as_names_files_or_values(tmp_path):
         (lambda: px.find_model(3), "model: expected a Model, a .toml file, a fit folder, or one of .*found int 3"),
         (lambda: px.simulate("dvs128", "chrip"), r"no stimulus 'chrip'.*\(did you mean 'chirp'\?\)"),
         (lambda: px.simulate("dvs128", np.ones(3)), "stimulus: expected a Stimulus, .*found ndarray"),
-        (lambda: px.simulate("dvs128", "chirp", pixels=0), "--pixels: expected at least 1"),
+        (lambda: px.simulate("dvs128", "chirp", pixels=0), "^pixels: expected at least 1"),
+        (lambda: px.simulate("dvs128", "chirp", pixels=-1), "^pixels: expected at least 1, found -1"),
+        (lambda: px.simulate("dvs128", "chirp", pixels=9.0), r"^pixels: expected a whole number, found 9\.0"),
+        (lambda: px.simulate("dvs128", "chirp", pixels=1 << 40), "^pixels: expected at most"),
+        (lambda: px.simulate("dvs128", "chirp", seed="a"), "^seed: expected a whole number, found 'a'"),
+        (lambda: px.simulate("dvs128", "chirp", seed=-1), "^seed: expected at least 0"),
+        (lambda: px.simulate("dvs128", "chirp", synchronous=1), "^synchronous: expected True or False, found 1"),
+        (lambda: px.gap("x", "dvs128", alpha="low"), "^alpha: expected a number, found 'low'"),
+        (lambda: px.fit("dvs128", "chirp"), "this is a stimulus: are two arguments swapped"),
+        (lambda: px.fit("dvs128", px.find_model("dvs128")), "this is a model: are two arguments swapped"),
+        (lambda: px.fit(px.find_model("dvs128"), "dvs128"), "this is a model: are two arguments swapped"),
+        (lambda: px.fit("dvs128", [px.simulate("ideal", "sine", pixels=1)]), "this is a recording: are two"),
+        (lambda: px.simulate("chirp", "dvs128"), "this is a stimulus: are two arguments swapped"),
+        (lambda: px.find_model("dvs128").with_effect("leak", rate=2), r"did you mean 'leak\.rate_hz'"),
+        (lambda: px.find_model("dvs128").set(on_threshold="a"), "on_threshold: expected a number, found 'a'"),
+        (lambda: px.find_model("dvs128").set(on_treshold=0.2), "did you mean 'on_threshold'"),
         (lambda: px.fit(3, "dvs128"), "recordings: expected a Recording, a path, or a list of either, found int 3"),
         (lambda: px.fit([], "dvs128"), "recordings: expected at least one, found none"),
         (lambda: px.fit(["gone.h5"], "dvs128"), "gone.h5: no such file"),
@@ -198,3 +222,98 @@ def test_simulating_is_what_the_command_line_does(tmp_path):
     assert isinstance(file, Recording)
     assert np.array_equal(file.events.t, own.events.t)
     assert len(own.events) > 0
+
+
+# --- one way of naming parameters --------------------------------------------------------------------------------
+
+
+def test_errors_name_parameters_as_their_reader_writes_them(tmp_path, capsys):
+    from pixelid.cli.main import main
+    from pixelid.errors import on_command_line, spelled
+
+    words = "--pixels: expected 1; use --fix NAME, `pixelid convert --align`, --use_log_image (add --with leak)"
+    python = 'pixels: expected 1; use fixed NAME, `pixelid convert --align`, --use_log_image (add with_effect("leak"))'
+    assert spelled(words) == python
+    assert str(InputError(f"a.h5: {InputError(words)}")) == f"a.h5: {python}"
+    with on_command_line():
+        assert str(InputError(words)) == words
+    error = pickle.loads(pickle.dumps(InputError(words)))
+    assert str(error) == python
+    (tmp_path / "fit.json").write_text("{}")
+    with pytest.raises(InputError, match="exists already; choose another path or pass overwrite=True"):
+        refuse_existing(tmp_path, False)
+    assert main(["lowlight", "dvs128", "--out", str(tmp_path)]) == 2
+    assert "choose another --out or pass --overwrite" in capsys.readouterr().err
+    assert main(["simulate", "dvs128", "--stimulus", "chirp", "--pixels", "0", "--out", str(tmp_path / "a.h5")]) == 2
+    assert "--pixels: expected at least 1" in capsys.readouterr().err
+
+
+# --- what is new in a keyword, an index or a path ----------------------------------------------------------------
+
+
+def test_models_change_by_keyword():
+    model = px.find_model("dvs128").with_effect("leak", rate_hz=2).set(on_threshold=0.3)
+    assert model == px.find_model("dvs128").with_effect("leak", {"rate_hz": 2.0}).set({"on_threshold": 0.3})
+
+
+def test_a_stimulus_is_opened_or_refused(tmp_path):
+    recording = px.simulate("ideal", "sine", pixels=4)
+    (tmp_path / "l.csv").write_text("t_s,light_lux\n0,1\n0.5,2\n1,1\n")
+    assert recording.with_stimulus(tmp_path / "l.csv").stimulus.unit == "lux"
+    assert recording.with_stimulus("chirp").stimulus.duration_s == pytest.approx(0.8)
+    for wrong, says in (
+        (3, "expected a Stimulus"),
+        ("gone.csv", "no stimulus 'gone.csv'"),
+        ("grating", "4|2 x 2 pixels"),
+    ):
+        with pytest.raises(InputError, match=says):
+            recording.with_stimulus(wrong)
+
+
+def test_empty_recordings_are_said(folder):
+    with pytest.warns(Doubtful, match=r"a\.h5: no events"):
+        px.open(folder / "a.h5")
+    with pytest.warns(Doubtful, match=r"a\.h5, .*b\.h5: no events"):
+        px.open(folder)
+
+
+def test_a_reconstruction_takes_models_and_results():
+    from pixelid.api_analyses import _as_file
+    from pixelid.model.files import load_model
+
+    for given in (px.find_model("dvs128"), "dvs128", px.lowlight("dvs128")):
+        with _as_file(given) as path:
+            assert load_model(path / "model.toml").values == px.find_model("dvs128").values
+    with _as_file("fit") as path:
+        assert path == Path("fit")
+
+
+# --- what public functions have in common ------------------------------------------------------------------------
+
+
+def test_linear_algebra_uses_one_thread_while_public_functions_work():
+    import threadpoolctl
+
+    def threads() -> list[int]:
+        return [lib["num_threads"] for lib in threadpoolctl.threadpool_info() if lib["user_api"] == "blas"]
+
+    with threadpoolctl.threadpool_limits(limits=2, user_api="blas"):
+        before, within = threads(), []
+        px.simulate("ideal", "sine", pixels=4, progress=lambda what, share: within.append(threads()))
+        assert within
+        assert all(set(one) == {1} for one in within)
+        assert threads()[: len(before)] == before
+
+
+def test_progress_shows_itself_on_a_terminal_only(monkeypatch):
+    from pixelid import public
+
+    shown = []
+    monkeypatch.setattr("pixelid.cli.progress.bar", lambda quiet: nullcontext(lambda *said: shown.append(said)))
+    px.simulate("ideal", "sine", pixels=4)
+    assert not shown
+    monkeypatch.setattr(public.sys.stderr, "isatty", lambda: True, raising=False)
+    px.simulate("ideal", "sine", pixels=4, progress=False)
+    assert not shown
+    px.simulate("ideal", "sine", pixels=4)
+    assert shown

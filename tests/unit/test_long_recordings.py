@@ -185,9 +185,9 @@ def test_what_cuts_of_cuts_have_kept():
     long = second.applied_to_parts(long_of(first))
     assert kept_of(long.head) == twice
     assert kept_of(Crop(without_hot_pixels=True).applied(made())).count == WIDTH * HEIGHT - 1
-    with pytest.raises(InputError, match="--roi: expected part of 0,0,8,8"):
+    with pytest.raises(InputError, match="roi: expected part of 0,0,8,8"):
         Crop((9, 0, 12, 9)).applied(first)
-    with pytest.raises(InputError, match=r"--time: expected part of 0\.5:2"):
+    with pytest.raises(InputError, match=r"time: expected part of 0\.5:2"):
         Crop(time_s=(2.5, 3.0)).applied(first)
 
 

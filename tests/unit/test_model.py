@@ -224,7 +224,7 @@ def test_numbers_in_another_unit_of_light(dvs128):
     model = replace(dark, parameters=told).with_radiance_in("lux")
     assert model.radiance_unit == "lux"
     assert model.values == dark.values
-    assert [model.parameter(name).unit for name in ("alpha", "gamma")] == ["1/s²/radiance", "1/s/radiance"]
+    assert [model.parameter(name).unit for name in ("alpha", "gamma")] == ["1/s²/lux", "1/s/lux"]
     lost = {name for name, p in model.parameters.items() if p.prior is None}
     assert lost == {"alpha", "gamma", "dark_current.radiance"}
     assert replace(model, radiance_unit="W/m²").with_radiance_in("W/m2").parameters == model.parameters

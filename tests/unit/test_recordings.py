@@ -207,7 +207,8 @@ def test_microseconds_beyond_64_bits(tmp_path):
 @pytest.mark.parametrize(
     ("attribute", "value", "message"),
     [
-        ("stimulus:unit", "candela", "unit must be one of relative, lux, W/m2, fA, shape, found 'candela'"),
+        ("stimulus:unit", "no unit", "unit must be relative, lux, W/m2, fA, shape or another short word as V, found"),
+        ("stimulus:unit", 7, "unit must be relative, lux"),
         ("stimulus:interpolation", "cubic", "interpolation must be one of"),
         ("events:width", 0, "attribute width: expected a positive integer, found 0"),
         ("events/t:unit", "days", "expected unit 'ns' or 'us', found 'days'"),

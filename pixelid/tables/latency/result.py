@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from pixelid.model.fitted import fit_hash, fitted_source, implied_physical, today
 from pixelid.outputs import file_name
 from pixelid.parameters.parameter import Parameter, Prior
 from pixelid.provenance import provenance
@@ -180,6 +181,8 @@ def described(one: CameraFit, table: LatencyTable) -> Camera:
     setting = camera.settings[[s.on_threshold for s in camera.settings].index(camera.model.values["on_threshold"])].name
     same = {"on_threshold": f"on_threshold[{setting}]", "off_threshold": f"off_threshold[{setting}]"}
     origin = f"first-event latencies, {', '.join(path.name for path in table.sources)}"
+    day = today()
+    fit = fit_hash("latency", camera.model, [[path.name for path in table.sources], day])
     parameters: dict[str, Parameter] = {}
     for name, parameter in camera.model.parameters.items():
         key = same.get(name, name)
@@ -187,13 +190,13 @@ def described(one: CameraFit, table: LatencyTable) -> Camera:
         if key in entries:
             low, high = entries[key]["interval_95"]
             known = entries[key]["identified"]
-            text = f"{origin}: 95 % {low:.4g} to {high:.4g}{'' if known else '; not identified'}"
+            text = f"{fitted_source(fit, day, (low, high), known)}; {origin}"
             prior = Prior(x[key], sd[key]) if known else None
             if key in same.values():
                 text += f"; setting {setting}, in units of the light's unknown contrast"
         elif name == "alpha":
             corner, damping = _interval(entries["alpha_over_beta"]), _interval(entries["beta"])
-            text = f"{origin}: alpha_over_beta {corner} times beta {damping}"
+            text = f"{fitted_source(fit, day, None)}, alpha_over_beta {corner} times beta {damping}; {origin}"
             both = ("alpha_over_beta", "beta")
             if one.regression.converged and all(np.isfinite(sd[key]) for key in both):
                 prior = Prior(sum(x[key] for key in both), float(np.hypot(*(sd[key] for key in both))))
@@ -206,7 +209,12 @@ def described(one: CameraFit, table: LatencyTable) -> Camera:
         f"{camera.name}, fitted to {one.model.cells.table.camera.size} cells of first-event latencies; "
         f"scatter {100 * one.regression.scale:.1f} %. Radiance is irradiance in the light's plane, W/m²."
     )
-    return replace(camera, model=replace(camera.model, parameters=parameters, summary=summary))
+    circuit, why = implied_physical(camera.model)
+    source = f"fitted: {origin}, as the fitted values imply under the gauge" if circuit else ""
+    if camera.model.physical is not None and circuit is None:
+        summary += f" No [physical] values: {why}."
+    model = replace(camera.model, parameters=parameters, summary=summary, physical=circuit, physical_source=source)
+    return replace(camera, model=model)
 
 
 def _interval(entry: Mapping[str, Any]) -> str:

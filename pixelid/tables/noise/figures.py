@@ -53,7 +53,7 @@ def draw_intervals(entries: Sequence[dict[str, Any]], unit: str, axes: Any = Non
         if histogram["edges_s"]:
             ax.stairs(histogram["measured"], histogram["edges_s"], color=MUTED, fill=True, alpha=0.4, label="measured")
             if histogram["predicted"] is not None:
-                ax.stairs(histogram["predicted"], histogram["edges_s"], color=INK, label="predicted")
+                ax.stairs(histogram["predicted"], histogram["edges_s"], color=INK, linewidth=1.2, label="predicted")
         ax.set(xscale="log", ylabel="share", title=f"{entry['radiance']:.3g} {unit}, {entry['count']} intervals")
     axes[0].legend()
     axes[-1].set_xlabel("interval between events of a pixel (s)")

@@ -14,6 +14,7 @@ from pixelid.model.model import Model
 from pixelid.parallel import map_threads
 from pixelid.parameters.gauge import Gauge
 from pixelid.parameters.parameter import Parameter, Prior
+from pixelid.parameters.units import in_light_unit
 from pixelid.stages.circuit import Circuit
 from pixelid.stages.described import power_of_radiance
 from pixelid.tables.model import Rows
@@ -235,5 +236,5 @@ def in_unit(model: Model, unit: str) -> Model:
         if grows := power.get(name, -power_of_radiance(name)):
             f = factor**grows
             p = replace(p, value=p.value * f, lower=min(p.lower, p.lower * f), upper=max(p.upper, p.upper * f))
-        parameters[name] = replace(p, unit=p.unit.replace(own, unit))
+        parameters[name] = replace(p, unit=in_light_unit(p.unit, own, unit))
     return replace(model, parameters=parameters, radiance_unit=unit, physical=None, physical_source="", gauge=Gauge())

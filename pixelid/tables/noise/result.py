@@ -14,6 +14,7 @@ import numpy as np
 from pixelid.documents import interpreting, read_json
 from pixelid.errors import InputError
 from pixelid.model.files import save_model
+from pixelid.model.fitted import as_fitted, fit_hash, today
 from pixelid.model.model import Model
 from pixelid.provenance import provenance
 from pixelid.statistics import SD_PER_MEDIAN
@@ -39,9 +40,22 @@ FOLDED = ("shot_noise.density", "diff_cutoff_hz", "threshold_sigma", "threshold_
 
 def save_fit(fit: NoiseFit, folder: Path, seed: int) -> dict[str, Any]:
     """Write noise.json, noise.svg and model.toml into an existing folder; returns the JSON."""
-    save_model(fit.circuit, folder / MODEL_FILE)
     result = fitted_result(fit)
+    save_model(_truthful(fit, result, seed), folder / MODEL_FILE)
     return write_result(result | {"seed": seed}, "noise.json", _figures(fit.fitted, result), folder)
+
+
+def _truthful(fit: NoiseFit, result: Mapping[str, Any], seed: int) -> Model:
+    """The fitted circuit, with the fit and interval of every value that the table has moved."""
+    entries = {name: entry for name, entry in result["parameters"].items()
+               if name in fit.circuit.parameters and not entry.get("fixed")}  # fmt: skip
+    day = today()
+    return as_fitted(
+        fit.circuit, fit=fit_hash("noise", fit.circuit, [result["inputs_sha256"], seed, day]), day=day, fitted=entries,
+        limits={name: entry["interval_95"] for name, entry in entries.items()},
+        unidentified=[name for name, entry in entries.items() if not entry["identified"]],
+        to=f"noise rates of {', '.join(result['inputs_sha256']) or 'a table'}, {result['status']}",
+    )  # fmt: skip
 
 
 def fitted_result(fit: NoiseFit) -> dict[str, Any]:
