@@ -35,6 +35,7 @@ Example:
               help="The light's time zero on the camera's clock: trigger or trigger:INPUT, first-event, auto, "
                    "or seconds.")  # fmt: skip
 @options.crop
+@options.reading
 @click.option("--overwrite", is_flag=True, help="Replace the file OUT.")
 @options.seed("Of the pixels chosen by --pixels.")
 @options.quiet

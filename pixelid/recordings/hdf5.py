@@ -156,7 +156,7 @@ def _arrays(file, path: Path) -> Arrays:
     kinds = {}
 
     def note(name: str, item) -> None:
-        if isinstance(item, h5py.Dataset) and item.shape:
+        if isinstance(item, h5py.Dataset) and item.shape is not None:
             kinds[name] = (item.dtype, item.shape)
 
     file.visititems(note)

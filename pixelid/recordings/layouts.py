@@ -107,8 +107,9 @@ def _listed(names: Sequence[str]) -> str:
 
 def _streams(arrays: Arrays, options: ReadingOptions, where: str) -> list[Stream]:
     groups: dict[str, list[str]] = {}
-    for path in arrays.kinds:
-        groups.setdefault(path.rpartition("/")[0], []).append(path)
+    for path, (_, shape) in arrays.kinds.items():
+        if shape:
+            groups.setdefault(path.rpartition("/")[0], []).append(path)
     found = [_of_group(arrays, group, paths, options, where) for group, paths in groups.items()]
     found += [_of_records(path, kind, options) for path, kind in arrays.kinds.items()]
     streams = [stream for stream in found if stream is not None]

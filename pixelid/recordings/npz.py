@@ -62,7 +62,7 @@ def _arrays(path: Path, where: str) -> Arrays:
         for member in packed.namelist():
             with packed.open(member) as file:
                 shape, dtype, _ = _array_header(file)
-            if shape and not dtype.hasobject:
+            if not dtype.hasobject:
                 kinds[member.removesuffix(".npy")] = (dtype, shape)
 
     def pieces(names: Sequence[str]) -> Iterator[list[np.ndarray]]:

@@ -22,6 +22,7 @@ from pixelid.recordings.source import OPTION, ReadingOptions, Source, size_of_ch
 from pixelid.recordings.triggers import Triggers
 
 MOST_STRETCHES = 100
+NO_EVENTS = tuple(np.empty(0, kind) for kind in (np.int64, np.uint16, np.uint16, np.uint8))
 
 
 class Block(NamedTuple):
@@ -110,7 +111,10 @@ def interpreted(raw: RawEvents, options: ReadingOptions) -> tuple[Recording, Ite
         _, parts = interpreted(raw.exposures, replace(options, size=settled.size, clock=None))
         exposures = _one([part.events for part in parts])
     head = replace(
-        raw.head, events=Events.empty(*settled.size, tick_ns=tick_ns), attributes=attributes, exposures=exposures
+        raw.head,
+        events=Events.from_columns(*NO_EVENTS, *settled.size, tick_ns=tick_ns, where=raw.where),
+        attributes=attributes,
+        exposures=exposures,
     )
     if clock == "sort" and statistics.fall_count:
         columns = _sorted(settled, blocks)

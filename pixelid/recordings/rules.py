@@ -92,6 +92,9 @@ def infer_order(sample: Sequence[np.ndarray], where: str) -> tuple[list[int], tu
     """
     if len(sample) != 4:
         raise InputError(f"{where}: expected four columns, or their names, found {len(sample)}; {_way('columns')}")
+    for column in sample:
+        if column.dtype.kind not in "iufb":
+            raise InputError(f"{where}: expected lines of t x y p, found {shown(str(column[0]), 30)}")
     possible = [order for order in ORDERS if _is_consistent(order, sample)]
     rising = [order for order in possible if _rises(sample[order.index("t")])]
     fitting = rising or possible
@@ -99,7 +102,8 @@ def infer_order(sample: Sequence[np.ndarray], where: str) -> tuple[list[int], tu
         found = (
             f"{' or '.join(map(' '.join, fitting))} are possible" if fitting else "no order that programs write fits"
         )
-        raise InputError(f"{where}: columns without names: {found}; {_way('columns')}")
+        falls = "" if rising else ", and none has times that never fall: --clock sort, too"
+        raise InputError(f"{where}: columns without names: {found}; {_way('columns')}{falls}")
     order = fitting[0]
     why = ": the only order of t x y p, x y p t and x y t p that fits"
     return [order.index(letter) for letter in "txyp"], (list(order), why)
@@ -113,7 +117,7 @@ def _is_consistent(order: str, sample: Sequence[np.ndarray]) -> bool:
 
 
 def _rises(t: np.ndarray) -> bool:
-    return len(t) > 1 and bool(np.all(np.diff(t) >= 0)) and bool(t[-1] > t[0])
+    return len(t) > 1 and bool(np.all(t[1:] >= t[:-1])) and bool(t[-1] > t[0])
 
 
 @dataclass
@@ -146,9 +150,9 @@ class Statistics:
             raise InputError(f"{where}: t, x, y, p must have one length, found {len(t)}, {len(x)}, {len(y)}, {len(p)}")
         if not len(t) or any(column.dtype.kind not in "iufb" for column in (t, x, y, p)):
             return  # what is no number is refused where it is read
-        steps = np.diff(
-            t.astype(np.float64) if t.dtype.kind == "u" else t, prepend=t[0] if self.last is None else self.last
-        )
+        if t.dtype.kind == "u":  # differences of unsigned numbers do not fall
+            t = t.astype(np.int64 if t.max() < 1 << 63 else np.float64)
+        steps = np.diff(t, prepend=t[0] if self.last is None else self.last)
         fallen = np.flatnonzero(steps < 0)
         self.falls += (self.events + fallen[: FALLS_KEPT - len(self.falls)]).tolist()
         self.fall_count += len(fallen)

@@ -76,7 +76,7 @@ class ReadingOptions:
             if name not in names:
                 raise InputError(f"{where}{name}: expected one of {', '.join(names)}{did_you_mean(name, names)}")
             if value is not None and value != "" and value != ():
-                checked[name] = _checked(name, value, where)
+                checked[name] = _checked(name, value, f"{where}{name.replace('_', '-') if where == '--' else name}")
         return cls(**checked)
 
     def over(self, other: ReadingOptions) -> ReadingOptions:
@@ -91,33 +91,33 @@ class ReadingOptions:
 def _checked(name: str, value: Any, where: str) -> Any:
     if name == "size":
         sides = re.fullmatch(r"(\d{1,9})\s*[x×,]\s*(\d{1,9})", value.strip()) if isinstance(value, str) else None
-        sides = sides.groups() if sides else value
+        sides = sides.groups() if sides else value if isinstance(value, list | tuple) else ()
         try:
             width, height = (int(side) for side in sides)
         except (TypeError, ValueError):
             width = height = 0
         if not (0 < width <= MOST_SIDE and 0 < height <= MOST_SIDE):
-            raise InputError(f"{where}size: expected WIDTHxHEIGHT in pixels, as 640x480, found {shown(value)}")
+            raise InputError(f"{where}: expected WIDTHxHEIGHT in pixels, as 640x480, found {shown(value)}")
         return width, height
     if name == "columns":
         words = value.split(",") if isinstance(value, str) else value
         if not isinstance(words, list | tuple) or not all(isinstance(word, str) and word.strip() for word in words):
-            raise InputError(f"{where}columns: expected names as t,x,y,p or t=NAME,…, found {shown(value)}")
+            raise InputError(f"{where}: expected names as t,x,y,p or t=NAME,…, found {shown(value)}")
         letters = [word.partition("=")[0].strip() for word in words]
         if any(letters.count(letter) != 1 for letter in "txyp"):
-            raise InputError(f"{where}columns: expected each of t, x, y, p once, found {shown(','.join(words))}")
+            raise InputError(f"{where}: expected each of t, x, y, p once, found {shown(','.join(words))}")
         return tuple(word.strip() for word in words)
     if not isinstance(value, str):
-        raise InputError(f"{where}{name}: expected text, found {shown(value)}")
+        raise InputError(f"{where}: expected text, found {shown(value)}")
     known: tuple[str, ...] = {"time_unit": TIME_UNITS, "polarity": POLARITIES, "clock": CLOCKS}.get(name, ())
     value = value.replace("µ", "u") if name == "time_unit" else value
     ok = value in known or (name == "clock" and re.fullmatch(r"split:[1-9]\d{0,5}", value))
     if known and not ok:
         raise InputError(
-            f"{where}{name}: expected {', '.join(known)}, found {shown(value)}{did_you_mean(value, known)}"
+            f"{where}: expected {', '.join(known)}, found {shown(value)}{did_you_mean(value, known)}"
         )
     if name == "chip" and size_of_chip(value) is None:
-        raise InputError(f"{where}chip: expected one of {', '.join(SENSOR_SIZES)}, found {shown(value)}")
+        raise InputError(f"{where}: expected one of {', '.join(SENSOR_SIZES)}, found {shown(value)}")
     return value
 
 

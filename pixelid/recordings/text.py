@@ -33,6 +33,7 @@ from pixelid.recordings.source import ReadingOptions
 from pixelid.stimuli.pixel_lights import PixelLights
 
 LINES_AT_ONCE = 1 << 19
+SPACES = r"\s+"
 COMMENTS = ("#", "%", "//")
 NUMBER = re.compile(r"[-+]?(\d+[.,]?\d*|[.,]\d+)([eE][-+]?\d+)?|nan|true|false", re.I)
 SIZE = re.compile(r"(?:geometry|size|resolution|sensor)\W+(\d{1,5})\s*[x×, ;]\s*(\d{1,5})", re.I)
@@ -50,7 +51,7 @@ class _Header:
     size: tuple[int | None, int | None] = (None, None)
     lines: int = 0
     first: str | None = None
-    mark: str = r"\s+"
+    mark: str = SPACES
     decimal: str = "."
     encoding: str = "utf-8-sig"
 
@@ -106,9 +107,9 @@ def _header(path: Path) -> _Header:
                     header.names = names
             elif text:
                 cells, mark = _cells(text)
-                if not all(NUMBER.fullmatch(cell) for cell in cells if cell):
+                if not any(NUMBER.fullmatch(cell) for cell in cells):
                     header.names = cells
-                elif len(cells) == 2 and header.size == (None, None) and all(cell.isdecimal() for cell in cells):
+                elif len(cells) == 2 and mark == SPACES and header.names is None and all(map(str.isdecimal, cells)):
                     header.size = int(cells[0]), int(cells[1])
                 else:
                     header.first, header.mark = text, mark
@@ -138,7 +139,7 @@ def _cells(line: str) -> tuple[list[str], str]:
             except csv.Error:  # a cell of more than 128 KiB
                 return [], mark
             return [cell.strip() for cell in cells], mark
-    return words, r"\s+"
+    return words, SPACES
 
 
 def _order(sample, header: _Header, options: ReadingOptions, where: str):
