@@ -170,7 +170,7 @@ def crop(command: Decorated) -> Decorated:
 
 
 def reading(command: Decorated) -> Decorated:
-    """What a recording's file does not state, for every file that the command opens; says in a line what was inferred."""
+    """Options that state what a recording's file does not; a line says what was inferred of each file."""
 
     @functools.wraps(command)
     def gathered(*arguments: Any, **others: Any) -> Any:

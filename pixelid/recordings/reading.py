@@ -9,6 +9,7 @@ from pathlib import Path
 
 from pixelid.errors import InputError, did_you_mean
 from pixelid.recordings.crop import Crop
+from pixelid.recordings.doubts import doubts
 from pixelid.recordings.isolated import read_isolated, stream_isolated
 from pixelid.recordings.parts import LongRecording, as_whole, joined_if_short
 from pixelid.recordings.recording import Recording
@@ -43,9 +44,9 @@ def open_recording(path: str | Path, options: ReadingOptions | None = None) -> R
     path = Path(path)
     reader = _recognised(path)
     recording = replace(read_isolated(reader, path, options_for(path, options).as_dict()), source=path)
-    announce(path, recording.attributes)
     if recording.stimulus is not None:
         recording.check_stimulus_covers_events()
+    announce(path, recording.attributes, lambda: doubts(recording))
     return recording
 
 

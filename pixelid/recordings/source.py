@@ -113,9 +113,7 @@ def _checked(name: str, value: Any, where: str) -> Any:
     value = value.replace("µ", "u") if name == "time_unit" else value
     ok = value in known or (name == "clock" and re.fullmatch(r"split:[1-9]\d{0,5}", value))
     if known and not ok:
-        raise InputError(
-            f"{where}: expected {', '.join(known)}, found {shown(value)}{did_you_mean(value, known)}"
-        )
+        raise InputError(f"{where}: expected {', '.join(known)}, found {shown(value)}{did_you_mean(value, known)}")
     if name == "chip" and size_of_chip(value) is None:
         raise InputError(f"{where}: expected one of {', '.join(SENSOR_SIZES)}, found {shown(value)}")
     return value
@@ -204,11 +202,12 @@ def stating(options: ReadingOptions, say: Callable[[str], object] | None = None)
         _SAY.reset(tokens[1])
 
 
-def announce(path: Path, attributes: Mapping[str, Any]) -> None:
-    """Print what was inferred of a file, where its caller asks for it."""
-    say, line = _SAY.get(), Source.from_dict(attributes.get(ATTRIBUTE)).line()
-    if say is not None and line:
-        say(f"{path.name}: {line}")
+def announce(path: Path, attributes: Mapping[str, Any], doubts: Callable[[], list[str]] = list) -> None:
+    """Print what was inferred of a file, and what speaks against it, where its caller asks for it."""
+    if (say := _SAY.get()) is not None:
+        for line in (Source.from_dict(attributes.get(ATTRIBUTE)).line(), *doubts()):
+            if line:
+                say(f"{path.name}: {line}")
 
 
 def options_for(path: Path, options: ReadingOptions | None = None) -> ReadingOptions:
