@@ -57,6 +57,12 @@ class Health:
     source: dict[str, Any] | None = None
     doubts: tuple[str, ...] = ()
 
+    def summary(self) -> str:
+        """What was found, in words: one line per finding."""
+        from pixelid.inspection.table import rows_of_result
+
+        return "\n".join(f"{name}: {text}" for name, text in rows_of_result(self.to_dict()))
+
     def to_dict(self) -> dict:
         """The stable keys of `inspect --json`."""
         counts, dead, tick = self.counts, self.dead_time, self.tick

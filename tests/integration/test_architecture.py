@@ -34,7 +34,8 @@ MAY_IMPORT = {
 }
 MAY_IMPORT["inputs"] = BASE | {"model", "recordings", "stimuli"}
 MAY_IMPORT["compilation"] = set()  # everything else is imported when a function is called
-MAY_IMPORT["api"] = MAY_IMPORT["api_analyses"] = BASE  # everything else is imported when a function is called
+for face in ("api", "api_analyses", "api_recordings"):
+    MAY_IMPORT[face] = BASE  # everything else is imported when a function is called
 MAY_IMPORT["biases"] = {"errors", "statistics"}
 MAY_IMPORT["inspection"] = BASE | {"biases", "recordings", "stimuli"}
 MAY_IMPORT["simulate"] = MAY_IMPORT["likelihood"] = set(MAY_IMPORT) - {"inspection"}
@@ -57,7 +58,7 @@ MAY_IMPORT["cli"] = set(MAY_IMPORT)
 BACK = {
     ("fit", "report"), ("fit", "sample"), ("recordings", "inspection"), ("stimuli", "recordings"), ("tables", "sample"),
 }  # fmt: skip
-ON_CALL = {"api", "api_analyses", "compilation"}  # import whatever they need when a function is called
+ON_CALL = {"api", "api_analyses", "api_recordings", "compilation"}  # import what they need when called
 FILES = sorted(PACKAGE.rglob("*.py"))
 
 
