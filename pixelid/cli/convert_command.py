@@ -55,13 +55,14 @@ def command(
         raise InputError("--align: expected --stimulus beside it, the light to align")
     light_files = [stimulus] if stimulus and Path(stimulus).exists() else []
     with claimed(target, overwrite, [source, *light_files]):
+        from pixelid.recordings.reading import check_readable
+
+        check_readable([source])
         from pixelid.cli.progress import bar
         from pixelid.recordings.conversion import converted
         from pixelid.recordings.parts import LongRecording, Totals
-        from pixelid.recordings.reading import check_readable
         from pixelid.recordings.writing import write_recording
 
-        check_readable([source])
         recording, said = converted(source, stimulus, align, crop, seed)
         totals = Totals()
         with bar(quiet) as report:

@@ -169,22 +169,28 @@ def crop(command: Decorated) -> Decorated:
     return cast(Decorated, gathered)
 
 
-def reading(command: Decorated) -> Decorated:
-    """Options that state what a recording's file does not; a line says what was inferred of each file."""
+def said(command: Decorated) -> Decorated:
+    """Let a line say what was inferred of each file that the command opens."""
 
     @functools.wraps(command)
-    def gathered(*arguments: Any, **others: Any) -> Any:
+    def saying(*arguments: Any, **others: Any) -> Any:
         from pixelid.cli.terminal import say
         from pixelid.recordings.source import ReadingOptions, stating
 
-        stated = ReadingOptions.of({name: others.pop(name) for name in STATED}, "--")
+        stated = ReadingOptions.of({name: others.pop(name, None) for name in STATED}, "--")
         shows_itself = others.get("quiet") or "as_json" in others
         with stating(stated, None if shows_itself else say):
             return command(*arguments, **others)
 
+    return cast(Decorated, saying)
+
+
+def reading(command: Decorated) -> Decorated:
+    """Options that state what a recording's file does not, for every file that the command opens."""
+    command = said(command)
     for name, metavar, help in reversed(list(zip(STATED, *STATED_AS, strict=True))):
-        gathered = click.option(f"--{name.replace('_', '-')}", name, metavar=metavar, help=help)(gathered)
-    return cast(Decorated, gathered)
+        command = click.option(f"--{name.replace('_', '-')}", name, metavar=metavar, help=help)(command)
+    return command
 
 
 def where(command: Decorated) -> Decorated:

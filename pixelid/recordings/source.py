@@ -187,14 +187,14 @@ _SAY: ContextVar[Callable[[str], object] | None] = ContextVar("told of what is i
 
 
 @contextmanager
-def stating(options: ReadingOptions, say: Callable[[str], object] | None = None) -> Iterator[None]:
-    """Let `options` hold for every file that is opened inside the block, and `say` print a line of each.
+def stating(options: ReadingOptions, printing: Callable[[str], object] | None = None) -> Iterator[None]:
+    """Let `options` hold for every file that is opened inside the block, and `printing` show a line of each.
 
     Args:
         options: over those of a block around this one.
-        say: called with one line of every file of which something was inferred.
+        printing: called with one line of every file of which something was inferred.
     """
-    tokens = _STATED.set(options.over(_STATED.get())), _SAY.set(say)
+    tokens = _STATED.set(options.over(_STATED.get())), _SAY.set(printing)
     try:
         yield
     finally:
@@ -202,9 +202,15 @@ def stating(options: ReadingOptions, say: Callable[[str], object] | None = None)
         _SAY.reset(tokens[1])
 
 
+def say(line: str) -> None:
+    """Print a line of what was inferred, where the caller of the readers asks for it."""
+    if (printing := _SAY.get()) is not None:
+        printing(line)
+
+
 def announce(path: Path, attributes: Mapping[str, Any], doubts: Callable[[], list[str]] = list) -> None:
     """Print what was inferred of a file, and what speaks against it, where its caller asks for it."""
-    if (say := _SAY.get()) is not None:
+    if _SAY.get() is not None:
         for line in (Source.from_dict(attributes.get(ATTRIBUTE)).line(), *doubts()):
             if line:
                 say(f"{path.name}: {line}")

@@ -10,7 +10,6 @@ stimulus in `# stimulus {JSON}`.
 
 from __future__ import annotations
 
-import csv
 import json
 import re
 from collections.abc import Iterator
@@ -22,6 +21,7 @@ from typing import Any
 
 import numpy as np
 
+from pixelid.delimited import COMMENTS, DECIMAL_COMMA, NUMBER, SPACES, cells_of, encoding_of
 from pixelid.errors import InputError, first_line, shown
 from pixelid.recordings import metadata
 from pixelid.recordings.events import NS_PER_UNIT, Events
@@ -33,12 +33,8 @@ from pixelid.recordings.source import ReadingOptions
 from pixelid.stimuli.pixel_lights import PixelLights
 
 LINES_AT_ONCE = 1 << 19
-SPACES = r"\s+"
-COMMENTS = ("#", "%", "//")
-NUMBER = re.compile(r"[-+]?(\d+[.,]?\d*|[.,]\d+)([eE][-+]?\d+)?|nan|true|false", re.I)
 SIZE = re.compile(r"(?:geometry|size|resolution|sensor)\W+(\d{1,5})\s*[x×, ;]\s*(\d{1,5})", re.I)
 SIDES = re.compile(r"\b(width|height)\W{1,3}(\d{1,5})\b", re.I)
-ENCODINGS = {b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16"}  # by their marks
 
 
 @dataclass
@@ -90,7 +86,7 @@ def _text(path: Path) -> Iterator[None]:
 def _header(path: Path) -> _Header:
     """What stands before the first line of numbers."""
     with path.open("rb") as file:
-        header = _Header(encoding=ENCODINGS.get(file.read(2), "utf-8-sig"))
+        header = _Header(encoding=encoding_of(file.read(2)))
     comment = ""
     with path.open(encoding=header.encoding) as file:
         for line in file:
@@ -103,17 +99,17 @@ def _header(path: Path) -> _Header:
             elif text.startswith(COMMENTS):
                 comment = text.lstrip("#%/ \t")
                 _note_size(header, comment)
-                if named_columns(names := _cells(comment.rpartition(":")[2].strip())[0])[0] is not None:
+                if named_columns(names := cells_of(comment.rpartition(":")[2].strip())[0])[0] is not None:
                     header.names = names
             elif text:
-                cells, mark = _cells(text)
+                cells, mark = cells_of(text)
                 if not any(NUMBER.fullmatch(cell) for cell in cells):
                     header.names = cells
                 elif len(cells) == 2 and mark == SPACES and header.names is None and all(map(str.isdecimal, cells)):
                     header.size = int(cells[0]), int(cells[1])
                 else:
                     header.first, header.mark = text, mark
-                    if mark != "," and any("," in cell for cell in cells):
+                    if mark != "," and any(DECIMAL_COMMA.fullmatch(cell) for cell in cells):
                         header.decimal = ","
                     return header
             header.lines += 1
@@ -126,20 +122,6 @@ def _note_size(header: _Header, comment: str) -> None:
     for side, number in SIDES.findall(comment):
         k = 0 if side.lower() == "width" else 1
         header.size = tuple(int(number) if i == k else old for i, old in enumerate(header.size))  # type: ignore[assignment]
-
-
-def _cells(line: str) -> tuple[list[str], str]:
-    """The cells of a line without their quotes, and what they are apart by."""
-    words = line.split()
-    decimal_commas = len(words) >= 4 and all(NUMBER.fullmatch(word) for word in words)
-    for mark in (";", "\t", ","):
-        if mark in line and not (mark == "," and decimal_commas):
-            try:
-                cells = next(csv.reader([line], delimiter=mark, skipinitialspace=True), [])
-            except csv.Error:  # a cell of more than 128 KiB
-                return [], mark
-            return [cell.strip() for cell in cells], mark
-    return words, SPACES
 
 
 def _order(sample, header: _Header, options: ReadingOptions, where: str):

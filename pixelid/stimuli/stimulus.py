@@ -13,7 +13,10 @@ from pixelid.errors import InputError, shown
 if TYPE_CHECKING:
     from jaxtyping import Float, Float64
 
-UNITS = ("relative", "lux", "W/m2", "fA", "shape")
+UNITS = (
+    "relative", "lux", "W/m2", "fA", "shape", "klux", "cd/m2", "W", "mW", "uW", "nW", "W/cm2", "mW/cm2", "uW/cm2", "V",
+    "mV", "A", "mA", "uA", "nA", "pA", "counts", "DN", "photons/s",
+)  # fmt: skip
 WITHOUT_SCALE = ("relative", "shape")  # units that say nothing of how bright the light was
 INTERPOLATIONS = ("linear", "previous")
 
@@ -24,7 +27,7 @@ class Stimulus:
 
     t: (n,) float64 seconds, strictly increasing, same time zero as the events
     radiance: (n,) full-field, or (n, height, width) per pixel; > 0 except for unit "shape" (≥ 0)
-    unit: "relative" | "lux" | "W/m2" | "fA" | "shape" (known up to offset and gain)
+    unit: one of `UNITS`; "shape" is known up to offset and gain
     interpolation: "linear" (log radiance is linear between samples) or "previous" (held)
     """
 

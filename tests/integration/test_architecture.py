@@ -8,12 +8,13 @@ import pytest
 
 PACKAGE = Path(__file__).resolve().parents[2] / "pixelid"
 BASE = {
-    "arrays", "cluster", "documents", "errors", "figures", "interruption", "outputs", "parallel", "provenance",
+    "arrays", "cluster", "delimited", "documents", "errors", "figures", "interruption", "outputs", "parallel", "provenance",
     "results", "statistics", "status",
 }  # fmt: skip
 MAY_IMPORT = {
     "errors": set(),
-    "documents": {"errors"},
+    "delimited": {"errors"},
+    "documents": {"delimited", "errors"},
     "arrays": {"documents", "errors"},
     "cluster": {"arrays", "errors", "outputs", "parallel"},
     "figures": set(),
