@@ -122,6 +122,11 @@ def is_light_table(path: Path) -> bool:
         head = file.read(HEAD_BYTES)
     text = head.decode(encoding_of(head), "replace")
     lines = [line for line in text.splitlines()[:HEAD_ROWS] if line.strip() and not line.lstrip().startswith("#")]
+    file = path.with_suffix(".source.toml")
+    if file.is_file() and len(read_toml(file).get("columns", ())) == 2:
+        return True
+    if lines and len(cells_of(lines[-2 if len(lines) > 1 else -1].strip())[0]) in (2, 3):
+        return True  # events have four columns
     try:
         names = [re.split(r"[^a-z0-9µ]+", name.lower()) for name in _parsed(lines[:-1] or lines, path).names]
     except InputError:
