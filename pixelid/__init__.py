@@ -22,10 +22,13 @@ __all__ = [
     "Recording",
     "Status",
     "Stimulus",
+    "convert",
+    "crop",
     "design",
     "find_model",
     "fit",
     "gap",
+    "inspect",
     "load_field",
     "lowlight",
     "open",
@@ -36,14 +39,16 @@ __all__ = [
 ]
 
 if TYPE_CHECKING:
-    from pixelid.api import find_model, fit, gap, open, sample, simulate
+    from pixelid.api import find_model, fit, gap, sample, simulate
     from pixelid.api_analyses import design, load_field, lowlight, reconstruct, stimulus
+    from pixelid.api_recordings import convert, crop, inspect, open
     from pixelid.model.model import Model
     from pixelid.recordings.recording import Recording
     from pixelid.status import Status
     from pixelid.stimuli.stimulus import Stimulus
 
 _ELSEWHERE = {
+    **dict.fromkeys(("convert", "crop", "inspect", "open"), "pixelid.api_recordings"),
     "design": "pixelid.api_analyses",
     "load_field": "pixelid.api_analyses",
     "lowlight": "pixelid.api_analyses",

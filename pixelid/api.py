@@ -28,28 +28,6 @@ if TYPE_CHECKING:
 Progress: TypeAlias = Callable[[str, float], None]
 
 
-def open(source: str | Path | Sequence[str | Path]) -> Recording | tuple[Recording, ...]:
-    """Open recordings of any readable format.
-
-    Args:
-        source: a file, a folder that stands for the recordings in it, or a list of either.
-
-    Returns:
-        One `Recording` for a file, a tuple of them for a folder or a list.
-
-    Raises:
-        InputError: a file or folder that cannot be read as recordings; one line says which and why.
-
-    Example:
-        >>> import pixelid as px
-        >>> px.open("session/chirp.h5")  # doctest: +SKIP
-    """
-    from pixelid.inputs import as_recordings
-
-    opened = as_recordings(source)
-    return opened[0] if isinstance(source, str | Path) and not Path(source).is_dir() else tuple(opened)
-
-
 def find_model(model: ModelLike) -> Model:
     """The circuit of a shipped name, a .toml file or a fit folder.
 

@@ -19,6 +19,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TypeGuard, cast
 
+from pixelid.delimited import encoding_of
 from pixelid.errors import InputError, first_line, printable, shown
 
 MOST_BYTES = {"TOML": 2 << 20, "JSON": 64 << 20, "CSV": 64 << 20}  # each is read within 5 s
@@ -87,14 +88,9 @@ def read_text(path: str | Path, kind: str) -> str:
     if len(content) > most:
         raise InputError(f"{path}: expected {kind} of at most {most >> 20} MiB, found {status.st_size} bytes")
     try:
-        return content.decode("utf-8-sig")
+        return content.decode(encoding_of(content))
     except UnicodeDecodeError as error:
         raise InputError(f"{path}: expected UTF-8 text, found other bytes at byte {error.start}") from None
-
-
-def separator_of(header: str) -> str | None:
-    """What the cells of a table's header are apart by: commas, else semicolons, else tabs; None where there is none."""
-    return next((mark for mark in (",", ";", "\t") if mark in header), None)
 
 
 def words_of(name: str) -> list[str]:

@@ -15,6 +15,7 @@ from pixelid.model.options import changed
 from pixelid.model.shipped import find_model, shipped_models
 from pixelid.recordings.reading import check_readable, open_recordings
 from pixelid.recordings.recording import Recording
+from pixelid.recordings.session import agreed
 from pixelid.stimuli.files import load_stimulus
 from pixelid.stimuli.pixel_lights import Light, PixelLights
 from pixelid.stimuli.shapes import SHAPES
@@ -66,7 +67,8 @@ def as_recordings(recordings: RecordingsLike) -> list[Recording]:
     """One or several recordings; paths are opened, and a folder stands for the recordings in it.
 
     Raises:
-        InputError: nothing at all, something else, or a file that cannot be read as a recording.
+        InputError: nothing at all, something else, a file that cannot be read as a recording, or recordings of
+            different sensors.
     """
     if isinstance(recordings, Recording | Model | str | Path):
         recordings = [recordings]  # type: ignore[list-item]  # a model is refused below
@@ -88,7 +90,7 @@ def as_recordings(recordings: RecordingsLike) -> list[Recording]:
             raise InputError(f"recordings: {expected}, found {_kind(entry)}{_swapped(entry)}")
     if not opened:
         raise InputError("recordings: expected at least one, found none")
-    return opened
+    return agreed(opened)
 
 
 def as_stimulus(stimulus: StimulusLike) -> Light:

@@ -211,7 +211,7 @@ def _inputs(checked: CheckReport, base: Model, roi, pixels, search: bool, seed: 
     return {
         "files": dict(checked.inputs_sha256), "versions": versions(), "model": to_document(base), "roi": roi,
         "pixels": pixels, "search": search, "seed": seed,
-        "stated": [stated.unit, stated.clock, stated.level_sd, dict(stated.source)],
+        "stated": [stated.unit, stated.clock, stated.level_sd, stated.source.as_dict()],
         "entries": [[e.name, str(e.events), str(e.light), e.level, e.clock, e.skip] for e in stated.entries],
     }  # fmt: skip
 

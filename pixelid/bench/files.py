@@ -34,6 +34,7 @@ from pixelid.documents import is_number, read_toml
 from pixelid.errors import InputError, did_you_mean, shown
 from pixelid.recordings.bench import LEVEL_SD
 from pixelid.recordings.reading import BINARY_SUFFIXES, TEXT_SUFFIXES
+from pixelid.recordings.source import ReadingOptions
 
 LIGHT = "_light"  # what the name of a light's file ends in
 LIGHT_SUFFIXES = (".csv", ".tsv", ".npy", ".npz", ".toml")
@@ -72,7 +73,7 @@ class Bench:
     clock: str = "auto"
     level_sd: float = LEVEL_SD
     roi: tuple[int, int, int, int] | None = None
-    source: Mapping[str, Any] = field(default_factory=dict)
+    source: ReadingOptions = field(default_factory=ReadingOptions)
     stated: Path | None = None
 
     @property
@@ -132,7 +133,8 @@ def read_bench(path: Path) -> Bench:
     listed = [_entry(table, folder, path) for table in tables]
     return Bench(
         folder, tuple(listed or entries_in(folder)), model, unit, _clock(clock or "auto", path), float(level_sd),
-        _roi(document.get("roi"), path), _table(document.get("source", {}), path), path,
+        _roi(document.get("roi"), path),
+        ReadingOptions.of(_table(document.get("source", {}), path), f"{path}: [source] "), path,
     )  # fmt: skip
 
 
@@ -146,11 +148,15 @@ def write_bench(bench: Bench, path: Path) -> None:
     document: dict[str, Any] = {key: value for key, value in head.items() if value is not None}
     if bench.roi is not None:
         document["roi"] = list(bench.roi)
-    if bench.source:
-        document["source"] = dict(bench.source)
+    if bench.source.as_dict():
+        document["source"] = _plain(bench.source)
     document["recording"] = [_as_table(entry, bench.folder) for entry in bench.entries]
     with whole_file(path) as temporary:
         temporary.write_text(tomli_w.dumps(document), encoding="utf-8")
+
+
+def _plain(options: ReadingOptions) -> dict[str, Any]:
+    return {key: list(value) if isinstance(value, tuple) else value for key, value in options.as_dict().items()}
 
 
 def _as_table(entry: Entry, folder: Path) -> dict[str, Any]:

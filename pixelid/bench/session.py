@@ -12,6 +12,8 @@ from pixelid.errors import InputError
 from pixelid.recordings.crop import crop
 from pixelid.recordings.reading import open_recording
 from pixelid.recordings.recording import Recording
+from pixelid.recordings.session import agreed
+from pixelid.recordings.source import ATTRIBUTE, Source
 from pixelid.stimuli.files import load_stimulus
 from pixelid.stimuli.pixel_lights import Light
 from pixelid.stimuli.stimulus import WITHOUT_SCALE, Stimulus
@@ -75,7 +77,8 @@ def read_session(
     if not recordings:
         reasons = "; ".join(f"{name}: {why}" for name, why in left_out.items())
         raise InputError(f"{bench.folder}: no recording can be used ({reasons})")
-    recordings, notes = of_one_size(recordings)
+    recordings = agreed(recordings)
+    notes = _inferences(recordings)
     _check_units(recordings, lights)
     roi = roi or bench.roi
     if roi is not None:
@@ -101,7 +104,7 @@ def _opened(entry: Entry, bench: Bench) -> tuple[Recording, Light]:
     """A recording and its light, both as the bench states them."""
     if entry.events.stat().st_size == 0:
         raise _Unusable("the file is empty")
-    recording = replace(open_recording(entry.events), label=entry.name)
+    recording = replace(open_recording(entry.events, bench.source), label=entry.name)
     if entry.light is not None:
         light = load_stimulus(entry.light)
     elif recording.stimulus is not None:
@@ -114,21 +117,15 @@ def _opened(entry: Entry, bench: Bench) -> tuple[Recording, Light]:
     return recording, light
 
 
-def of_one_size(recordings: Sequence[Recording]) -> tuple[list[Recording], list[str]]:
-    """(the recordings as of one sensor, what that was inferred from): a size that no file states is the session's.
-
-    Raises:
-        InputError: Files that state different sizes, or different sensors.
-    """
-    sensors = {r.sensor for r in recordings if r.sensor}
-    if len(sensors) > 1:
-        raise InputError(f"expected recordings of one sensor, found {', '.join(sorted(sensors))}")
-    sizes = {(r.events.width, r.events.height) for r in recordings}
-    if len(sizes) == 1:
-        return list(recordings), []
-    width, height = (max(size[k] for size in sizes) for k in (0, 1))
-    same = [replace(r, events=replace(r.events, width=width, height=height)) for r in recordings]
-    return same, [f"size {width} × {height}: the largest address in any recording"]
+def _inferences(recordings: Sequence[Recording]) -> list[str]:
+    """What was inferred of the files, each rule once with the recordings that it is about."""
+    lines: dict[str, list[str]] = {}
+    for recording in recordings:
+        line = Source.from_dict(recording.attributes.get(ATTRIBUTE)).line()
+        if line:
+            lines.setdefault(line, []).append(recording.name)
+    everyone = len(recordings)
+    return [line if len(names) == everyone else f"{', '.join(names)}: {line}" for line, names in lines.items()]
 
 
 def good_pixels(recordings: Sequence[Recording]) -> tuple[np.ndarray, np.ndarray]:

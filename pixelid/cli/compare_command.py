@@ -23,6 +23,7 @@ Example:
     "--folds", type=click.IntRange(2, 1000), default=2, show_default=True, help="Parts the pixels are dealt into."
 )
 @click.option("--sample", is_flag=True, help="Also PSIS-LOO over pixels, from posteriors.")
+@options.reading
 @options.overwrite
 @options.seed()
 @options.quiet

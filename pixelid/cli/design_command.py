@@ -43,6 +43,7 @@ Example:
 @click.option("--noise", type=POSITIVE, metavar="HZ", help="At most so many noise events per pixel and second.")
 @click.option("--rate", type=POSITIVE, metavar="HZ", help="At most so many events per pixel and second.")
 @click.option("--frequency", type=POSITIVE, metavar="HZ", help="Of the light that --rate is of [--bandwidth].")
+@options.reading
 @options.overwrite
 @options.seed("Of the draws and simulations.")
 @options.quiet

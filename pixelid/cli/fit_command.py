@@ -36,6 +36,7 @@ Example:
 @click.option("--bias-priors", is_flag=True,
               help="Priors of thresholds, dead time and cutoff from the biases of jAER's header.")  # fmt: skip
 @options.crop
+@options.reading
 @click.option("--sample", is_flag=True, help="Also draw from the posterior: posterior.nc, corner and trace plots.")
 @click.option("--profile", is_flag=True, help="Also profile every parameter: bounded, one-sided or flat.")
 @options.overwrite

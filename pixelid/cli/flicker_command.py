@@ -25,6 +25,7 @@ Example:
 )
 @click.option("--groups", default="8x6", show_default=True, help="Groups of pixels across x down.")
 @options.model(False, "Nominal circuit for what one frequency can fix.", default="dvs128", show_default=True)
+@options.reading
 @options.overwrite
 @options.no_seed
 @options.quiet

@@ -23,6 +23,7 @@ Example:
 @options.as_json
 @options.out("Folder for inspect.json, figures and report.html.", required=False)
 @options.crop
+@options.reading
 @options.overwrite
 @options.seed("Of the resampling of .npy histograms; else noted.")
 @options.quiet

@@ -28,6 +28,7 @@ Example:
 @options.with_effect
 @options.without
 @options.set_value
+@options.reading
 @options.overwrite
 @options.seed("Of the draws and simulations.")
 @options.quiet

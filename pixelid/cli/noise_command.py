@@ -20,6 +20,7 @@ Example:
 @options.out()
 @options.model(False, "Where a fit starts, and what --predict evaluates; default: dvs128.")
 @click.option("--predict", is_flag=True, help="Evaluate --model on the rates instead of fitting.")
+@options.reading
 @options.overwrite
 @options.seed("Accepted everywhere; nothing here is random.")
 @options.quiet

@@ -66,6 +66,20 @@ SEED = click.IntRange(0, 2**32 - 1)
 PIXELS = click.IntRange(1, 1 << 24)  # recordings.events.MOST_PIXELS
 SIDE = click.IntRange(1, 1 << 16)  # recordings.events.MOST_SIDE
 
+STATED = ("size", "time_unit", "columns", "stream", "chip", "polarity", "clock")  # recordings.source.ReadingOptions
+STATED_AS = (
+    ("WxH", "s|ms|us|ns", "t,x,y,p", "NAME", "NAME", "01|pm1|swapped", "strict|sort|split[:K]"),
+    (
+        "Sensor's size, where the file does not state it.",
+        "Unit of its times.",
+        "Order of its columns, or t=NAME,x=NAME,…",
+        "Which of several streams, topics or arrays.",
+        "The sensor, whose size and addresses are known.",
+        "How ON and OFF are coded; swapped: exchanged.",
+        "Where times fall: refuse, sort, or read stretch K.",
+    ),
+)
+
 overwrite = click.option("--overwrite", is_flag=True, help="Replace the result that --out holds.")
 quiet = click.option("--quiet", is_flag=True, help="No progress, no table.")
 with_effect = click.option("--with", "with_", multiple=True, metavar="EFFECT[:param=value,…]", help="Add an effect.")
@@ -165,6 +179,30 @@ def bench(command: Decorated) -> Decorated:
     return command
 
 
+def said(command: Decorated) -> Decorated:
+    """Let a line say what was inferred of each file that the command opens."""
+
+    @functools.wraps(command)
+    def saying(*arguments: Any, **others: Any) -> Any:
+        from pixelid.cli.terminal import say
+        from pixelid.recordings.source import ReadingOptions, stating
+
+        stated = ReadingOptions.of({name: others.pop(name, None) for name in STATED}, "--")
+        shows_itself = others.get("quiet") or "as_json" in others
+        with stating(stated, None if shows_itself else say):
+            return command(*arguments, **others)
+
+    return cast(Decorated, saying)
+
+
+def reading(command: Decorated) -> Decorated:
+    """Options that state what a recording's file does not, for every file that the command opens."""
+    command = said(command)
+    for name, metavar, help in reversed(list(zip(STATED, *STATED_AS, strict=True))):
+        command = click.option(f"--{name.replace('_', '-')}", name, metavar=metavar, help=help)(command)
+    return command
+
+
 def where(command: Decorated) -> Decorated:
     """--workers, --cluster and the TLS files of a cluster, handed on together as `where`."""
 
@@ -193,7 +231,7 @@ def where(command: Decorated) -> Decorated:
 
 def search(command):
     """What every search for the gap takes."""
-    taken = (recordings, model(), out(), with_effect, without, alpha, crop, where, overwrite, seed(), quiet)
+    taken = (recordings, model(), out(), with_effect, without, alpha, crop, reading, where, overwrite, seed(), quiet)
     for option in reversed(taken):
         command = option(command)
     return command

@@ -34,6 +34,7 @@ Example:
 )
 @options.where
 @options.crop
+@options.reading
 @options.overwrite
 @options.seed()
 @options.quiet

@@ -31,6 +31,7 @@ Example:
 @options.seed("Of every random draw.")
 @click.option("--sensor-seed", type=options.SEED, help="Of the pixels' thresholds and hot pixels; default: --seed.")
 @options.quiet
+@options.said
 def command(
     model: str,
     stimulus: str,

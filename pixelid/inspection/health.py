@@ -16,9 +16,11 @@ from pixelid.inspection.dead_time import DeadTime, find_dead_time
 from pixelid.inspection.hot_pixels import HotPixel, hot_of_counts
 from pixelid.inspection.lines import Line, Spectra
 from pixelid.inspection.tick import MIN_EVENTS, Tick, tick_of
+from pixelid.recordings.doubts import doubts, polarity_doubt
 from pixelid.recordings.events import Events
 from pixelid.recordings.parts import LongRecording
 from pixelid.recordings.recording import Recording
+from pixelid.recordings.source import ATTRIBUTE, Source
 
 HOT_PIXELS_LISTED = 100
 RATE_BINS = 500
@@ -35,6 +37,8 @@ class Health:
 
     intervals_share: of the intervals within pixels, how many dead time and tick were looked for in; 1 but in long ones
     biases: what the bias settings of jAER's header imply, as `biases.Implied.as_dict`; None where there are none
+    source: what was inferred of the file and what was stated, as `recordings.source.Source.as_dict`
+    doubts: what speaks against the events, in words
     """
 
     name: str
@@ -50,6 +54,14 @@ class Health:
     ceiling: Ceiling | None
     intervals_share: float = 1.0
     biases: dict[str, Any] | None = None
+    source: dict[str, Any] | None = None
+    doubts: tuple[str, ...] = ()
+
+    def summary(self) -> str:
+        """What was found, in words: one line per finding."""
+        from pixelid.inspection.table import rows_of_result
+
+        return "\n".join(f"{name}: {text}" for name, text in rows_of_result(self.to_dict()))
 
     def to_dict(self) -> dict:
         """The stable keys of `inspect --json`."""
@@ -89,6 +101,8 @@ class Health:
             "hot_pixel_count": len(self.hot_pixels),
             "ceiling": None if self.ceiling is None else asdict(self.ceiling),
             **({} if self.biases is None else {"biases": self.biases}),
+            "source": {"line": Source.from_dict(self.source).line(), **(self.source or {})},
+            "doubts": list(self.doubts),
         }
 
 
@@ -162,8 +176,17 @@ def inspect_closely(recording: Recording | LongRecording, progress: Progress = n
         ceiling=None if paces is None else paces.ceiling(),
         intervals_share=survey.intervals.share,
         biases=_implied(head),
+        source=Source.from_dict(head.attributes.get(ATTRIBUTE)).as_dict(),
+        doubts=_doubts(recording, survey),
     )
     return health, Overview(rates.edges_s, rates.counts[1], rates.counts[0], survey.image, intervals)
+
+
+def _doubts(recording: Recording | LongRecording, survey: Survey) -> tuple[str, ...]:
+    if isinstance(recording, Recording):
+        return tuple(doubts(recording))
+    line = polarity_doubt(survey.events, survey.on / survey.events if survey.events else None)
+    return (line,) if line else ()
 
 
 def _implied(head: Recording) -> dict[str, Any] | None:

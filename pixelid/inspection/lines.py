@@ -19,6 +19,7 @@ from pixelid.recordings.events import Events
 BIN_S = 5e-5
 MAX_FREQUENCY_HZ = 2500.0
 MAX_BINS = 1 << 22
+BINS_PER_EVENT = 128  # 6 ms: with fewer events no lamp shows, and time would go with the span, not with the events
 MIN_BINS = 64
 MIN_CYCLES = 6
 MIN_EVENTS = 200
@@ -67,12 +68,13 @@ class Spectra:
         self._first = first_ns
         bins = int(float(last_ns - first_ns) * 1e-9 / BIN_S) if events >= MIN_EVENTS else 0
         long = bins // max(-(-bins // MAX_BINS), 1)
-        self._long = _Segments(bins, long) if long >= MIN_BINS else None
+        dense = bins <= max(MAX_BINS, BINS_PER_EVENT * events)
+        self._long = _Segments(bins, long) if long >= MIN_BINS and dense else None
         self._seconds = _Segments(bins, SECOND_BINS, only_full=True) if bins >= 2 * SECOND_BINS else None
 
     def add(self, events: Events) -> None:
         """Take in events that follow those taken in before."""
-        if self._long is None or not len(events):
+        if not len(events):
             return
         index, on = (events.t - self._first) // round(BIN_S * 1e9), events.p == 1
         for segments in (self._long, self._seconds):
@@ -81,11 +83,9 @@ class Spectra:
 
     def lines(self, tick_s: float | None) -> list[Line]:
         """The lines, strongest first; none above half the frequency of the tick."""
-        if self._long is None:
-            return []
         if self._seconds is not None and self._seconds.lie_between_gaps():
             return self._seconds.lines(tick_s)
-        return self._long.lines(tick_s)
+        return [] if self._long is None else self._long.lines(tick_s)
 
 
 class _Segments:

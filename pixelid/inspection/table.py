@@ -54,6 +54,9 @@ def rows_of_result(result: dict[str, Any]) -> list[tuple[str, str]]:
             ("hot pixels", _hot_pixels(result["hot_pixels"], result["hot_pixel_count"])),
             ("readout ceiling", _ceiling(result["ceiling"])),
         ]
+    if result.get("source", {}).get("line"):
+        rows.insert(1, ("read as", result["source"]["line"]))
+    rows += [("check", doubt) for doubt in result.get("doubts", ())]
     if "biases" in result:
         rows.append(("biases imply", _biases(result["biases"])))
     return rows

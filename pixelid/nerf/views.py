@@ -1,7 +1,7 @@
 """Posed images: `views/transforms_{train,val,test}.json` and the pictures they list.
 
-Poses are OpenGL (x right, y up, z backward) and become x right, y down, z forward.  Pixel centres are at integer
-coordinates, so the principal point of `camera_angle_x` is (W/2 − 0.5, H/2 − 0.5).  Quantised images of D bits hold x
+Poses are OpenGL (x right, y up, z backward) and become x right, y down, z forward; `view_cameras` reads the camera.
+Quantised images of D bits hold x
 for values in [x, x + 1): they become (x + 0.5) / 2^D.  Unquantised ones (linear colour) get `log_eps` added.
 Transparent parts show white.
 """
@@ -17,8 +17,9 @@ import numpy as np
 
 from pixelid.documents import interpreting, read_json
 from pixelid.errors import InputError, shown
-from pixelid.nerf.arrays import intrinsics_of, read_arrays, rotations, scalar
-from pixelid.nerf.camera import Camera, pinhole
+from pixelid.nerf.arrays import read_arrays, rotations, scalar
+from pixelid.nerf.camera import Camera
+from pixelid.nerf.view_cameras import camera_of_document, refuse_several_cameras
 from pixelid.recordings.pictures import read_picture
 
 FOLDER = "views"
@@ -119,6 +120,7 @@ class ViewsFile:
             stages = [place for stage in STAGES if (place := file.parent / f"transforms_{stage}.json").is_file()]
             told = [_exposures(stage, read_json(stage)["frames"]) for stage in (stages or [file])]
             frames = frames_of(file, document)
+            refuse_several_cameras(file, document)
             pose_of_frame(file, 0, frames[0])
             first = image_of(picture_of(file, str(frames[0]["file_path"])))
             usual = float(np.mean(np.concatenate(told)))
@@ -344,15 +346,3 @@ def _quantile_and_most(parts: Iterable[np.ndarray], values: int, share: float) -
     above = np.sort(above)
     low, high = float(above[0]), float(above[min(1, len(above) - 1)])
     return low + (place - int(place)) * (high - low), float(above[-1])
-
-
-def camera_of_document(file: Path, document: dict, width: int, height: int) -> Camera:
-    """The pinhole camera of a `transforms_*.json`."""
-    if "camera_angle_x" in document:
-        angle = document["camera_angle_x"]
-        if not isinstance(angle, (int, float)) or not 0 < angle < np.pi:
-            raise InputError(f"{file}: camera_angle_x: expected an angle between 0 and π, found {shown(angle)}")
-        return pinhole(width, height, angle)
-    if "intrinsics" in document:
-        return Camera(intrinsics_of(file, document["intrinsics"]), width, height, np.empty(0))
-    raise InputError(f"{file}: camera_angle_x: missing, and no intrinsics either")

@@ -10,16 +10,16 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from pixelid.errors import InputError, shown
-from pixelid.recordings.columns import PART_EVENTS, Rollovers, validated
+from pixelid.recordings.columns import PART_EVENTS, Rollovers
 from pixelid.recordings.events import Events
-from pixelid.recordings.parts import joined
+from pixelid.recordings.raw import Block, RawEvents
 from pixelid.recordings.recording import Recording
+from pixelid.recordings.source import ReadingOptions
 
 SIZES = {"DAVIS240": (240, 180), "DAVIS346": (346, 260), "DVS128": (128, 128)}
 ENTRY = re.compile(r'<entry key="([^"]+)" value="([^"]*)"')
@@ -28,36 +28,31 @@ TEXT = re.compile(rb"#[\t\x20-\x7e\x80-\xff]*\r?\n")  # in any coding of letters
 END_OF_HEADER, LONGEST_LINE = "#End Of ASCII Header", 1 << 20
 
 
-def read(path: Path) -> Recording:
+def opened(path: Path, options: ReadingOptions) -> RawEvents:
     """The events of an AEDAT2 file; frames, IMU samples and external inputs are left out.
 
-    Raises InputError for other chips and for a file that ends within an event.
+    Raises InputError for other chips, none, and for a file that ends within an event.
     """
-    return joined(*stream(path))
-
-
-def stream(path: Path) -> tuple[Recording, Iterator[Recording]]:
-    """The same in parts: the recording without events, and its parts."""
     lines, start = _header(path)
-    said = next((line.split("AEChip:")[1].split() for line in lines if "AEChip:" in line), [])
-    chip = said[0].rsplit(".", 1)[-1] if said else ""
-    size = next((size for name, size in SIZES.items() if chip.upper().startswith(name)), None)
-    if size is None:
+    words = next((line.split("AEChip:")[1].split() for line in lines if "AEChip:" in line), [])
+    chip = options.chip or (words[0].rsplit(".", 1)[-1] if words else "")
+    name = next((name for name in SIZES if chip.upper().replace("-", "").startswith(name)), None)
+    if name is None:
         raise InputError(
-            f"{path}: AEChip: expected one of {', '.join(SIZES)}, found {shown(chip) if chip else 'nothing'}"
+            f"{path}: AEChip: expected one of {', '.join(SIZES)}, found {shown(chip) if chip else 'nothing'}; "
+            "state whose addresses these are: --chip DAVIS346|DAVIS240|DVS128"
         )
     length = path.stat().st_size - start
     if length % 8:
         raise InputError(f"{path}: expected 8 bytes per event after the header, found {length % 8} left over")
-    head = Recording(
-        Events.empty(*size, tick_ns=1000), sensor=chip, source=path, attributes={"biases": _biases(lines, chip)}
-    )
-    columns = _columns(path, start, dvs128=chip.upper().startswith("DVS128"))
-    events = validated(columns, *size, unit="us", tick_ns=1000, where=f"{path}: events")
-    return head, (replace(head, events=some) for some in events)
+    head = Recording(Events.empty(1, 1), sensor=chip, source=path, attributes={"biases": _biases(lines, chip)})
+    return RawEvents(
+        head, lambda: _blocks(path, start, name == "DVS128"), f"{path}: events", "us", 1000, size=SIZES[name],
+        polarity="01",
+    )  # fmt: skip
 
 
-def _columns(path: Path, start: int, dvs128: bool) -> Iterator[tuple]:
+def _blocks(path: Path, start: int, dvs128: bool) -> Iterator[Block]:
     """Blocks of (t µs, x, y, p), the clock's rollovers undone."""
     event, of = (_is_dvs128_event, _of_dvs128) if dvs128 else (_is_davis_event, _of_davis)
     clock = Rollovers(1 << 32)
@@ -67,7 +62,7 @@ def _columns(path: Path, start: int, dvs128: bool) -> Iterator[tuple]:
             words = np.frombuffer(data, ">u4").reshape(-1, 2)
             address = words[:, 0].astype(np.uint32)
             keep = event(address)
-            yield (clock.undone(words[keep, 1]), *of(address[keep]))
+            yield Block(clock.undone(words[keep, 1]), *of(address[keep]))
 
 
 def _is_davis_event(address: np.ndarray) -> np.ndarray:

@@ -1,8 +1,8 @@
-"""From a file's raw columns to validated events, whatever the file's unit and size conventions."""
+"""Columns of times in any unit, events that repeat, clocks that roll over."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+import math
 
 import numpy as np
 
@@ -35,13 +35,20 @@ def to_nanoseconds(t: np.ndarray, unit: str, where: str, offset: int = 0) -> np.
     return t if scale == 1 else t * scale
 
 
-def sensor_size(x: np.ndarray, y: np.ndarray, width: int | None, height: int | None) -> tuple[int, int]:
-    """The stated size, or the smallest that holds every event where the file states none."""
-    if width is None:
-        width = int(x.max()) + 1 if len(x) else 1
-    if height is None:
-        height = int(y.max()) + 1 if len(y) else 1
-    return max(int(width), 1), max(int(height), 1)
+def floats_to_ns(t: np.ndarray, unit: str, where: str) -> np.ndarray:
+    """(n,) int64 nanoseconds from (n,) floating times, to the last decimal that all of them can carry.
+
+    A double at 1.7e9 s is a multiple of 0.24 µs: what was written in µs would show a clock of that instead.
+    Raises InputError for NaN and times beyond 64 bits.
+    """
+    if not np.isfinite(t).all():
+        raise InputError(f"{where}/t: expected finite times, event {int(np.argmin(np.isfinite(t)))} has none")
+    nanoseconds = t.astype(np.float64) * NS_PER_UNIT[unit]
+    if len(t) and np.abs(nanoseconds).max() >= 9.2e18:
+        found = f"{np.abs(t).max():g} {unit}"
+        raise InputError(f"{where}/t: expected times that fit 64 bits in nanoseconds, found {found}")
+    last = 10 ** math.ceil(math.log10(max(1.0, np.spacing(np.abs(nanoseconds).max(initial=0.0)))))
+    return np.rint(nanoseconds / last).astype(np.int64) * last
 
 
 def duplicated(events: Events) -> np.ndarray:
@@ -85,7 +92,7 @@ class RepeatCounter:
 class Rollovers:
     """Undoes the rollovers of a clock whose stamps come block by block.
 
-    A fall by more than half of `span` is one; any smaller fall stays, for `validated` to refuse.
+    A fall by more than half of `span` is one; any smaller fall stays, for `raw.interpreted` to refuse.
     """
 
     def __init__(self, span: int) -> None:
@@ -100,22 +107,3 @@ class Rollovers:
         turns = self._turns + np.cumsum(np.diff(stamps, prepend=before) < -(self._span // 2))
         self._last, self._turns = stamps[-1], turns[-1]
         return stamps + turns * self._span
-
-
-def validated(
-    columns: Iterable[tuple], width: int, height: int, *, unit: str, tick_ns: int, where: str, offset: int = 0
-) -> Iterator[Events]:
-    """Events of successive blocks of columns (t in `unit`, x, y, p) of one file.
-
-    Raises:
-        InputError: as `to_nanoseconds` and `Events.from_columns`, counting events from the first block.
-    """
-    before, last_ns = 0, 0
-    for t, x, y, p in columns:
-        nanoseconds = to_nanoseconds(np.asarray(t), unit, where, offset)
-        events = Events.from_columns(
-            nanoseconds, x, y, p, width, height, tick_ns=tick_ns, where=where, before=before, not_before_ns=last_ns
-        )
-        before += len(events)
-        last_ns = int(events.t[-1]) if len(events) else last_ns
-        yield events

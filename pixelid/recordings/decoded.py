@@ -5,80 +5,60 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
-from itertools import chain, islice
+from itertools import islice
 from pathlib import Path
-from typing import TypeAlias, TypeVar
+from typing import TypeVar
 
 import numpy as np
 
 from pixelid.errors import InputError, first_line
 from pixelid.recordings import dat, evt, evt21
-from pixelid.recordings.columns import PART_EVENTS, to_nanoseconds, validated
+from pixelid.recordings.columns import PART_EVENTS, to_nanoseconds
 from pixelid.recordings.events import Events
-from pixelid.recordings.parts import joined
+from pixelid.recordings.raw import Block, RawEvents
 from pixelid.recordings.recording import Recording
+from pixelid.recordings.source import OPTION, ReadingOptions, size_of_chip
 from pixelid.recordings.triggers import Triggers
 
-Block: TypeAlias = tuple[tuple, Triggers | None]  # (t µs, x, y, p) and trigger edges
 Packet = TypeVar("Packet")
 
 TYPES: dict = {".aedat4": "aedat", ".raw": "evt", ".dat": "dat", ".es": "es"}
 AEDAT_EDGES = {1: True, 2: False, 3: True}  # external signal: rising edge, falling edge, pulse
 FORMATS: dict = {"EVT2": "evt2", "EVT21": "evt2.1", "EVT3": "evt3"}  # of newer headers
+NO_SIZE = (65535, 65535)  # of a file that states none
 MOST_PACKETS = 1 << 14  # of a part: packets of frames and samples hold no events
 VERSIONS: dict = {"2.0": "evt2", "2.1": "evt2.1", "3.0": "evt3", "2": "evt2", "3": "evt3"}
 
 
-def read(path: Path) -> Recording:
-    """The first event stream of a camera maker's file, with external trigger edges; frames and IMU samples are skipped.
+# Sizes by the system number of older headers (Prophesee's OpenEB, `psee_raw_file_header.cpp` and `device_system_id.h`).
+VGA_SYSTEMS = (0x15, 0x1C, 0x17, 0x19, 0x1D, 0x23, 0x21, 0x97, 0x99, 0xA1)
+HD_SYSTEMS = (0x1A, 0x1E, 0x20, 0x2E, 0x9A)
+
+
+def opened(path: Path, options: ReadingOptions) -> RawEvents:
+    """The event stream of a camera maker's file, with external trigger edges; frames and IMU samples are skipped.
 
     Raises:
-        InputError: when the file cannot be decoded.
-    """
-    return joined(*stream(path))
-
-
-def stream(path: Path) -> tuple[Recording, Iterator[Recording]]:
-    """The same in parts: the recording without events, and parts of it with their trigger edges.
-
-    Raises:
-        InputError: when the file cannot be decoded; also while the parts are taken.
+        InputError: when the file cannot be decoded, or holds several streams of which none is stated.
     """
     header = _header(path)
     kind = TYPES.get(path.suffix.lower()) or ("aedat" if "source" in header else "evt")
-    if kind == "evt":
-        size = _size(header)
-        blocks = decode_evt(path, header, path)
-    elif kind == "aedat":
-        size, blocks = _decode_aedat(path)
-    elif kind == "dat" and header.get("Version") == "2":
-        size, blocks = _size(header), ((columns, None) for columns in dat.decode(path, _header_bytes(path)))
-    else:
-        size, blocks = _decode_others(path, kind, header)
-    sensor = header.get("plugin_name", "") or header.get("source", "")
     attributes: dict = {"header": header} if header else {}
     biases = path.with_suffix(".bias")
     if biases.is_file():
         attributes["biases"] = _bias_file(biases)
-    return evt_recording(blocks, size, path, sensor=sensor, attributes=attributes)
-
-
-def evt_recording(blocks: Iterator[Block], size: tuple[int, int], path: Path, **about) -> tuple[Recording, Iterator]:
-    """The recording without events, and its parts, of blocks of columns with times in µs."""
-    head = Recording(Events.empty(*size, tick_ns=1000), source=path, **about)
-    where = f"{path}: events"
-    edges: list[Triggers | None] = []
-
-    def columns() -> Iterator[tuple]:
-        for block, triggers in blocks:
-            edges.append(triggers)
-            yield block
-
-    def parts() -> Iterator[Recording]:
-        for events in validated(columns(), *size, unit="us", tick_ns=1000, where=where):
-            yield replace(head, events=events, triggers=edges.pop())
-
-    return head, parts()
+    sensor = header.get("plugin_name", "") or header.get("source", "")
+    head = Recording(Events.empty(1, 1), sensor=sensor, source=path, attributes=attributes)
+    raw = RawEvents(head, lambda: iter(()), f"{path}: events", "us", 1000, polarity="01")
+    if kind == "aedat":
+        return _aedat(path, raw, options)
+    size, likely = _sizes(header)
+    if kind == "evt":
+        return replace(raw, blocks=lambda: decode_evt(path, header, path), size=size, likely_sizes=likely)
+    if kind == "dat" and header.get("Version") == "2":
+        start = _header_bytes(path)
+        return replace(raw, blocks=lambda: (Block(*c) for c in dat.decode(path, start)), size=size, likely_sizes=likely)
+    return _others(path, kind, raw, size if None not in size else None)
 
 
 def decode_evt(path: Path, header: dict[str, str], named: Path) -> Iterator[Block]:
@@ -91,44 +71,48 @@ def decode_evt(path: Path, header: dict[str, str], named: Path) -> Iterator[Bloc
     version = VERSIONS.get(header.get("evt", "")) or FORMATS.get(stated)
     if version == "evt2.1":
         said = re.search(r"endianness=(\w+)", header.get("format", ""))
-        yield from evt21.decode(path, _header_bytes(path), said.group(1) == "legacy" if said else None)
+        legacy = said.group(1) == "legacy" if said else None
+        yield from (Block(*columns, edges) for columns, edges in evt21.decode(path, _header_bytes(path), legacy))
         return
 
     if version is None:
         found = header.get("evt") or stated or "none"
         raise InputError(f"{named}: expected EVT 2.0, 2.1 or 3.0 in the header, found {found[:40]}")
-    yield from evt.decode(path, _header_bytes(path), int(version[3]), named)
+    for columns, edges in evt.decode(path, _header_bytes(path), int(version[3]), named):
+        yield Block(*columns, edges)
 
 
-def _decode_aedat(path: Path) -> tuple[tuple[int, int], Iterator[Block]]:
+def _aedat(path: Path, raw: RawEvents, options: ReadingOptions) -> RawEvents:
+    """An AEDAT4 file, of whose streams of events one is read."""
     from faery.extension import aedat
 
-    tracks = []
-
-    def packets() -> Iterator[tuple]:
+    def packets(kinds: tuple[str, ...], first: list) -> Iterator[tuple]:
         with aedat.Decoder(path) as decoder:
-            tracks.extend(decoder.tracks())
+            first.extend(decoder.tracks())
             for track, packet in decoder:
-                if track.data_type in ("events", "triggers"):
+                if track.data_type in kinds:
                     yield track, packet
 
-    found = checked_packets(packets, path)
-    before: list[tuple] = []  # what comes ahead of the first events, which say whose the size is
-    for entry in found:
-        before.append(entry)
-        if entry[0].data_type == "events":
-            break
-    streams = [track for track in tracks if track.data_type == "events"]
+    tracks: list = []
+    for _ in islice(checked_packets(lambda: packets(("events",), tracks), path), 1):
+        pass
+    streams = {str(track.id): track for track in tracks if track.data_type == "events"}
     if not streams:
         raise InputError(f"{path}: expected a stream of events, found {', '.join(t.data_type for t in tracks)}")
-    first = before[-1][0] if before and before[-1][0].data_type == "events" else streams[0]
-    size = next(track.dimensions for track in streams if track.id == first.id)
-
-    def mine(entry: tuple):
-        return entry[1] if entry[0].id == first.id else None
+    if options.stream is None and len(streams) > 1:
+        counts = dict.fromkeys(streams, 0)
+        for track, packet in checked_packets(lambda: packets(("events",), []), path):
+            counts[str(track.id)] += len(packet)
+        found = {name: count for name, count in counts.items() if count}
+    else:
+        found = {options.stream or next(iter(streams)): 1}
+    name = chosen(list(found), list(streams), options, path)
 
     def blocks() -> Iterator[Block]:
-        for batch in _batches(chain(before, found), mine):
+        def mine(entry: tuple):
+            return entry[1] if str(entry[0].id) == name else None
+
+        for batch in _batches(checked_packets(lambda: packets(("events", "triggers"), []), path), mine):
             edges = [packet for track, packet in batch if track.data_type == "triggers"]
             edges = [packet[np.isin(packet["source"], list(AEDAT_EDGES))] for packet in edges]
             triggers = None
@@ -139,26 +123,44 @@ def _decode_aedat(path: Path) -> tuple[tuple[int, int], Iterator[Block]]:
                 triggers = Triggers.from_columns(
                     nanoseconds, rising, np.zeros(len(every), np.uint8), where=f"{path}: triggers"
                 )
-            yield _columns([packet for packet in map(mine, batch) if packet is not None]), triggers
+            yield Block(*_columns([packet for packet in map(mine, batch) if packet is not None]), triggers)
 
-    return size, blocks()
+    names = tuple(streams) if len(streams) > 1 else ()
+    return replace(raw, blocks=blocks, size=streams[name].dimensions, streams=names)
 
 
-def _decode_others(path: Path, kind, header: dict[str, str]) -> tuple[tuple[int, int], Iterator[Block]]:
+def chosen(filled: list[str], every: list[str], options: ReadingOptions, path: Path) -> str:
+    """The stream that is stated, else the only one with events, else the first where none has any.
+
+    Raises:
+        InputError: one must be stated, or another is.
+    """
+    if options.stream is not None:
+        if options.stream not in every:
+            raise InputError(f"{path}: --stream: expected one of {', '.join(every)}, found {options.stream!r}")
+        return options.stream
+    if len(filled) > 1:
+        raise InputError(f"{path}: several streams of events: {', '.join(filled)}; {OPTION['stream']}")
+    return (filled or every)[0]
+
+
+def _others(path: Path, kind, raw: RawEvents, size: tuple[int, int] | None) -> RawEvents:
+    """A file that faery decodes."""
     from faery.file_decoder import Decoder
 
-    sizes = []
+    sizes: list[tuple[int, int]] = []
 
     def packets() -> Iterator[np.ndarray]:
-        decoder = Decoder(path, dimensions_fallback=_size(header), file_type=kind, time_range_cache=None)
+        decoder = Decoder(path, dimensions_fallback=size or NO_SIZE, file_type=kind, time_range_cache=None)
         sizes.append(decoder.dimensions())
         for packet in decoder:
             yield packet.copy()  # the decoder's own memory is overwritten
 
-    found = checked_packets(packets, path)
-    before = list(islice(found, 1))
-    blocks = ((_columns(batch), None) for batch in _batches(chain(before, found), lambda packet: packet))
-    return sizes[0], blocks
+    def blocks() -> Iterator[Block]:
+        return (Block(*_columns(batch)) for batch in _batches(checked_packets(packets, path), lambda packet: packet))
+
+    next(blocks(), None)
+    return replace(raw, blocks=blocks, size=sizes[0] if sizes and sizes[0] != NO_SIZE else (None, None))
 
 
 def checked_packets(packets: Callable[[], Iterator], path: Path) -> Iterator:
@@ -198,13 +200,12 @@ def _columns(parts: list) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarra
 
 
 def _bias_file(path: Path) -> dict[str, int | str]:
-    """Prophesee's `.bias` file beside a RAW file: lines `value % name`."""
+    """Prophesee's `.bias` file beside a RAW file: lines `value % name [% kind]`; others are its header."""
     biases: dict[str, int | str] = {}
     for line in path.read_text("latin1").splitlines()[:200]:
-        value, _, name = line.partition("%")
-        if name.strip():
-            value = value.strip()
-            biases[name.strip()] = int(value) if re.fullmatch(r"-?\d{1,9}", value) else value[:80]
+        value, name = (*(part.strip() for part in line.split("%")), "")[:2]
+        if name and value:
+            biases[name] = int(value) if re.fullmatch(r"-?\d{1,9}", value) else value[:80]
     return biases
 
 
@@ -237,12 +238,19 @@ def _header_bytes(path: Path) -> int:
     return start
 
 
-def _size(header: dict[str, str]) -> tuple[int, int]:
-    """Sensor size: from the header where it says, else by the generation of the sensor."""
+def _sizes(header: dict[str, str]) -> tuple[tuple[int | None, int | None], tuple]:
+    """Sensor size that a header states, or what its sensor's generation, system number or plugin suggest."""
     text = " ".join(f"{name} {value}" for name, value in header.items())
     if found := re.search(r"geometry (\d+)x(\d+)", text):
-        return int(found.group(1)), int(found.group(2))
+        return (int(found.group(1)), int(found.group(2))), ()
     width, height = re.search(r"width[= ](\d+)", text, re.I), re.search(r"height[= ](\d+)", text, re.I)
     if width and height:
-        return int(width.group(1)), int(height.group(1))
-    return (640, 480) if re.search(r"gen3", text, re.I) else (1280, 720)
+        return (int(width.group(1)), int(height.group(1))), ()
+    generation = re.search(r"(gen\d|imx63[67]|genx320)", text, re.I)
+    generation = generation.group(1) if generation else f"gen{header.get('sensor_generation', '')}"
+    if (size := size_of_chip(generation)) is not None:
+        return (None, None), ((size, f" of the sensor ({generation})"),)
+    system = header.get("system_ID", "")
+    number = int(system) if system.isdecimal() and len(system) < 6 else -1
+    size = (640, 480) if number in VGA_SYSTEMS else (1280, 720) if number in HD_SYSTEMS else None
+    return (None, None), () if size is None else ((size, f" of the maker's system {number}"),)

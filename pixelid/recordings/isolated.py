@@ -20,7 +20,7 @@ import stat
 import subprocess
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -44,14 +44,14 @@ serve()
 ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
 
 
-def read_isolated(reader: str, path: Path) -> Recording:
-    """The recording that a reader of `reading_child.READERS` finds in a file.
+def read_isolated(reader: str, path: Path, options: Mapping[str, Any] | None = None) -> Recording:
+    """The recording that a reader of `reading_child.READERS` finds in a file, with what is stated of it.
 
     Raises:
         InputError: the reader's own; or that reading crashed, took too long, or needed too much memory.
     """
     path, size = _regular(path)
-    return _CHILD.read(reader, path, size)
+    return _CHILD.read({"reader": reader, "options": dict(options or {})}, path, size)
 
 
 def _regular(path: Path) -> tuple[Path, int]:
@@ -67,7 +67,9 @@ def _regular(path: Path) -> tuple[Path, int]:
     return path, status.st_size
 
 
-def stream_isolated(reader: str, path: Path) -> Iterator[Recording]:
+def stream_isolated(
+    reader: str, path: Path, options: Mapping[str, Any] | None = None
+) -> Iterator[Recording]:  # fmt: skip
     """The same in parts: first the recording without events, then its parts.
 
     Raises:
@@ -77,7 +79,8 @@ def stream_isolated(reader: str, path: Path) -> Iterator[Recording]:
     child = _Child()
     try:
         process = child.start()
-        header = child.ask(process, {"reader": reader, "stream": True}, path, size)
+        request = {"reader": reader, "options": dict(options or {}), "stream": True}
+        header = child.ask(process, request, path, size)
         while header is not None:
             yield assembled(header, path)
             header = child.answer(process, path, size)
@@ -123,16 +126,16 @@ class _Child:
         self._lock = threading.Lock()
         self._owner = 0
 
-    def read(self, reader: str, path: Path, size: int) -> Recording:
-        """The recording that a reader finds in a file."""
+    def read(self, request: dict[str, Any], path: Path, size: int) -> Recording:
+        """The recording that answers a request."""
         with self._lock:
             try:
                 process = self.start()
             except OSError:  # no process can be started: read here
-                from pixelid.recordings.reading_child import reader_of
+                from pixelid.recordings.reading_child import recordings_of
 
-                return reader_of(reader)(path)
-            return assembled(self._whole(process, {"reader": reader}, path, size), path)
+                return next(recordings_of(request["reader"], path, request["options"]))
+            return assembled(self._whole(process, request, path, size), path)
 
     def arrays(self, request: dict[str, Any], path: Path, size: int) -> dict[str, np.ndarray]:
         """The arrays of a request that has one answer."""

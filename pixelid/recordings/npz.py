@@ -1,14 +1,12 @@
-"""Recordings in NumPy's .npz: columns t, x, y, p under the names people use."""
+"""Recordings in NumPy's .npz: events under the names that people use."""
 
 from __future__ import annotations
 
-import math
 import tempfile
 import zipfile
 import zlib
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import ExitStack
-from dataclasses import replace
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import NamedTuple
 
@@ -16,165 +14,86 @@ import numpy as np
 
 from pixelid.errors import InputError, shown
 from pixelid.recordings import metadata
-from pixelid.recordings.columns import PART_EVENTS, sensor_size, to_nanoseconds, validated
+from pixelid.recordings.columns import PART_EVENTS
 from pixelid.recordings.events import NS_PER_UNIT, Events
+from pixelid.recordings.layouts import Arrays, chosen_stream
 from pixelid.recordings.parts import LongRecording
+from pixelid.recordings.raw import RawEvents
 from pixelid.recordings.recording import Recording
+from pixelid.recordings.source import ReadingOptions
 
 PREFIX = "stimulus_"  # of the arrays of the light
 COLUMNS = {"t": np.dtype(np.int64), "x": np.dtype(np.uint16), "y": np.dtype(np.uint16), "p": np.dtype(np.uint8)}
-NAMES = {
-    "t": ("t", "ts", "time", "times", "timestamp", "timestamps"),
-    "x": ("x", "xs", "col", "column"),
-    "y": ("y", "ys", "row"),
-    "p": ("p", "ps", "pol", "polarity", "polarities", "on"),
-}
 
 
-def read(path: Path) -> Recording:
-    """The recording in a .npz file.
+def opened(path: Path, options: ReadingOptions) -> RawEvents:
+    """What a .npz file holds; raises InputError where no events can be found in it."""
+    where = f"{path}: events"
+    with _damage(path), np.load(path, allow_pickle=False) as archive:
+        arrays = _arrays(path, where)
+        meta = metadata.from_json(str(archive["metadata"]), f"{path}: metadata") if "metadata" in archive else {}
+        stream, streams = chosen_stream(arrays, options, where)
+        unit = meta.get("unit") or (str(archive["unit"]) if "unit" in archive else None) or stream.unit
+        if unit is not None and unit not in NS_PER_UNIT:
+            raise InputError(f"{path}: unit: expected {' or '.join(NS_PER_UNIT)}, found {shown(unit, 20)}")
+        sides = [meta.get(name) or _scalar(archive, name, where) for name in ("width", "height")]
+        light = {name[len(PREFIX) :]: archive[name] for name in archive.files if name.startswith(PREFIX)} or None
+        floating = arrays.kinds[stream.time][0].kind == "f"
+    tick_ns = meta.get("tick_ns") or (1 if unit is not None and floating else None)
+    head = metadata.assemble(meta, Events.empty(1, 1), light, path, str(path))
+    return RawEvents(
+        head, lambda: stream.blocks(arrays), where, unit, tick_ns, size=(sides[0], sides[1]),
+        polarity="01" if meta else None, inferred=stream.inferred, streams=streams,
+    )  # fmt: skip
 
-    Integer times are microseconds and floating times are seconds, unless an array `unit` says otherwise.
-    Columns may also be the fields of one structured array.  Raises InputError where they cannot be found.
-    """
+
+@contextmanager
+def _damage(path: Path) -> Iterator[None]:
     try:
-        with np.load(path, allow_pickle=False) as archive:
-            return _read(archive, path)
-    except (zipfile.BadZipFile, EOFError, OSError, ValueError, zipfile.error) as error:
+        yield
+    except (zipfile.BadZipFile, EOFError, OSError, ValueError, zipfile.error, zlib.error) as error:
         raise InputError(f"{path}: expected a .npz archive, found a damaged or different file ({error})") from error
 
 
-def _read(archive, path: Path) -> Recording:
-    where = f"{path}: events"
-    t, x, y, p = (_column(archive, letter, where) for letter in "txyp")
-    meta, unit, tick_ns = _described(archive, t.dtype, path)
-    if t.dtype.kind == "f":
-        t, unit = floats_to_ns(t, unit, where), "ns"
-    stated = [meta.get(name, _scalar(archive, name, where)) for name in ("width", "height")]
-    if x.dtype.kind in "iu" and y.dtype.kind in "iu":
-        stated = list(sensor_size(x, y, *stated))
-    width, height = (1 if size is None else size for size in stated)
-    nanoseconds = to_nanoseconds(t, unit, where)
-    events = Events.from_columns(nanoseconds, x, y, p, width, height, tick_ns=tick_ns, where=where)
-    return metadata.assemble(meta, events, _stimulus_arrays(archive), path, str(path))
+def _arrays(path: Path, where: str) -> Arrays:
+    """The arrays of an archive, which are unpacked piece by piece."""
+    kinds = {}
+    with zipfile.ZipFile(path) as packed:
+        for member in packed.namelist():
+            with packed.open(member) as file:
+                shape, dtype, _ = _array_header(file)
+            if not dtype.hasobject:
+                kinds[member.removesuffix(".npy")] = (dtype, shape)
+
+    def pieces(names: Sequence[str]) -> Iterator[list[np.ndarray]]:
+        with _damage(path), zipfile.ZipFile(path) as packed, ExitStack() as stack:
+            files = [stack.enter_context(packed.open(f"{name}.npy")) for name in names]
+            headers = [_array_header(file) for file in files]
+            if any(fortran for _, _, fortran in headers):
+                with np.load(path, allow_pickle=False) as archive:
+                    yield [archive[name] for name in names]
+                return
+            if any(dtype.itemsize == 0 for _, dtype, _ in headers):
+                raise ValueError("expected numbers, found arrays of none")
+            rows = [(dtype, shape[1:]) for shape, dtype, _ in headers]
+            length = headers[0][0][0]
+            for k in range(0, length, PART_EVENTS):
+                count = min(PART_EVENTS, length - k)
+                data = [
+                    file.read(count * dtype.itemsize * int(np.prod(row)))
+                    for file, (dtype, row) in zip(files, rows, strict=True)
+                ]
+                yield [np.frombuffer(d, dtype).reshape(count, *row) for d, (dtype, row) in zip(data, rows, strict=True)]
+
+    return Arrays(kinds, pieces)
 
 
-def stream(path: Path) -> tuple[Recording, Iterator[Recording]] | None:
-    """The same in parts: the recording without events, and its parts; None where it must be read whole.
-
-    Columns that are arrays of their own are unpacked piece by piece; fields of one structured array are not.
-    """
-    where = f"{path}: events"
-    damaged = (zipfile.BadZipFile, EOFError, OSError, ValueError, zipfile.error, zlib.error)
-    try:
-        with np.load(path, allow_pickle=False) as archive:
-            names = [next((name for name in NAMES[letter] if name in archive.files), None) for letter in "txyp"]
-            if None in names:
-                return None
-            members = [f"{name}.npy" for name in names]
-            with zipfile.ZipFile(path) as packed:
-                if not set(members) <= set(packed.namelist()):
-                    return None
-                kinds = [_member_dtype(packed, member, where) for member in members]
-            meta, unit, tick_ns = _described(archive, kinds[0], path)
-            stated = [meta.get(name, _scalar(archive, name, where)) for name in ("width", "height")]
-            light = _stimulus_arrays(archive)
-        if None in stated:
-            stated = [1, 1]
-            for x, y in _blocks(path, members[1:3], where):
-                stated = [max(a, b) for a, b in zip(stated, sensor_size(x, y, None, None), strict=True)]
-    except damaged as error:
-        raise InputError(f"{path}: expected a .npz archive, found a damaged or different file ({error})") from error
-    floating = kinds[0].kind == "f"
-
-    def columns() -> Iterator[tuple]:
-        try:
-            for t, *others in _blocks(path, members, where):
-                yield floats_to_ns(t, unit, where) if floating else t, *others
-        except damaged as error:
-            raise InputError(f"{path}: expected a .npz archive, found a damaged file ({error})") from error
-
-    size = (int(stated[0] or 1), int(stated[1] or 1))
-    head = metadata.assemble(meta, Events.empty(*size, tick_ns), light, path, str(path))
-    events = validated(columns(), *size, unit="ns" if floating else unit, tick_ns=tick_ns, where=where)
-    return head, (replace(head, events=some) for some in events)
-
-
-def _member_dtype(packed: zipfile.ZipFile, member: str, where: str) -> np.dtype:
-    with packed.open(member) as file:
-        shape, dtype = _array_header(file)
-    if len(shape) != 1:
-        raise InputError(f"{where}/{member.removesuffix('.npy')}: expected one column, found shape {shape}")
-    return dtype
-
-
-def _array_header(file) -> tuple[tuple, np.dtype]:
-    """Shape and type of a .npy file, which is then read from its first number on."""
+def _array_header(file) -> tuple[tuple, np.dtype, bool]:
+    """Shape, type and order of a .npy file, which is then read from its first number on."""
     version = np.lib.format.read_magic(file)
     reading = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-    shape, _, dtype = reading(file)
-    if dtype.hasobject or dtype.itemsize == 0:
-        raise ValueError(f"expected numbers, found {dtype}")
-    return shape, dtype
-
-
-def _blocks(path: Path, members: list[str], where: str) -> Iterator[list[np.ndarray]]:
-    """Pieces of several columns, side by side."""
-    with zipfile.ZipFile(path) as packed, ExitStack() as stack:
-        files = [stack.enter_context(packed.open(member)) for member in members]
-        headers = [_array_header(file) for file in files]
-        lengths = [shape[0] for shape, _ in headers]
-        if len(set(lengths)) != 1:
-            raise InputError(f"{where}: t, x, y, p must have one length, found {', '.join(map(str, lengths))}")
-        for k in range(0, lengths[0], PART_EVENTS):
-            count = min(PART_EVENTS, lengths[0] - k)
-            data = [file.read(count * dtype.itemsize) for file, (_, dtype) in zip(files, headers, strict=True)]
-            yield [np.frombuffer(d, dtype, count) for d, (_, dtype) in zip(data, headers, strict=True)]
-
-
-def _described(archive, kind: np.dtype, path: Path) -> tuple[dict, str, int]:
-    """Metadata, unit and tick [ns] of times of a kind of number."""
-    meta = metadata.from_json(str(archive["metadata"]), f"{path}: metadata") if "metadata" in archive else {}
-    floating = kind.kind == "f"
-    unit = meta.get("unit") or (str(archive["unit"]) if "unit" in archive else "s" if floating else "us")
-    if unit not in NS_PER_UNIT:
-        raise InputError(f"{path}: unit: expected {' or '.join(NS_PER_UNIT)}, found {shown(unit, 20)}")
-    return meta, unit, meta.get("tick_ns", 1 if floating else NS_PER_UNIT[unit])
-
-
-def _stimulus_arrays(archive) -> dict[str, np.ndarray] | None:
-    return {name[len(PREFIX) :]: archive[name] for name in archive.files if name.startswith(PREFIX)} or None
-
-
-def floats_to_ns(t: np.ndarray, unit: str, where: str) -> np.ndarray:
-    """(n,) int64 nanoseconds from (n,) floating times, to the last decimal that all of them can carry.
-
-    A double at 1.7e9 s is a multiple of 0.24 µs: what was written in µs would show a clock of that instead.
-    Raises InputError for NaN and times beyond 64 bits.
-    """
-    if not np.isfinite(t).all():
-        raise InputError(f"{where}/t: expected finite times, event {int(np.argmin(np.isfinite(t)))} has none")
-    nanoseconds = t.astype(np.float64) * NS_PER_UNIT[unit]
-    if len(t) and np.abs(nanoseconds).max() >= 9.2e18:
-        found = f"{np.abs(t).max():g} {unit}"
-        raise InputError(f"{where}/t: expected times that fit 64 bits in nanoseconds, found {found}")
-    last = 10 ** math.ceil(math.log10(max(1.0, np.spacing(np.abs(nanoseconds).max(initial=0.0)))))
-    return np.rint(nanoseconds / last).astype(np.int64) * last
-
-
-def _column(archive, letter: str, where: str) -> np.ndarray:
-    for name in NAMES[letter]:
-        if name in archive:
-            column = archive[name]
-            if column.ndim != 1:
-                raise InputError(f"{where}/{name}: expected one column, found shape {column.shape}")
-            return column
-    structured = next((archive[key] for key in archive.files if archive[key].dtype.names), None)
-    if structured is not None:
-        for name in NAMES[letter]:
-            if name in (structured.dtype.names or ()):
-                return structured[name]
-    raise InputError(f"{where}/{letter}: missing; expected arrays t, x, y, p, found {', '.join(archive.files)}")
+    shape, fortran, dtype = reading(file)
+    return shape, dtype, fortran and len(shape) > 1
 
 
 def _scalar(archive, name: str, where: str) -> int | None:

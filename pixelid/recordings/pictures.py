@@ -35,16 +35,14 @@ def read_picture(path: Path) -> np.ndarray:
     return found["picture"]
 
 
-def read_video(path: Path) -> tuple[float, Iterator[np.ndarray]]:
-    """Frames per second (0 where the file does not say), and grey frames of a video one by one, (H, W) uint8.
+def read_video(path: Path) -> Iterator[tuple[float, np.ndarray]]:
+    """Times [s] (NaN where the file has none) and grey frames of a video one by one, (H, W) uint8 or uint16.
 
     Raises:
         InputError: it is damaged or no video, the package that decodes videos is missing, or it crashed or hung; also
             between frames.
     """
-    answers = arrays_isolated("video", path)
-    rate = float(next(answers)["rate"][0])
-    return rate, (answer["frame"] for answer in answers)
+    return ((float(answer["time"][0]), answer["frame"]) for answer in arrays_isolated("video", path))
 
 
 def picture(path: Path) -> Iterator[dict[str, np.ndarray]]:
@@ -80,11 +78,12 @@ def video(path: Path) -> Iterator[dict[str, np.ndarray]]:
     try:
         with av.open(str(path)) as file:
             stream = file.streams.video[0]
-            yield {"rate": np.array([float(stream.average_rate or 0)])}
             for frame in file.decode(stream):
                 if frame.width * frame.height > MOST_PIXELS:
                     raise InputError(f"{path}: expected frames of at most {MOST_PIXELS} pixels")
-                yield {"frame": frame.to_ndarray(format="gray")}
+                deep = any(component.bits > 8 for component in frame.format.components)
+                grey = frame.to_ndarray(format="gray16le" if deep else "gray")
+                yield {"time": np.array([np.nan if frame.time is None else frame.time]), "frame": grey}
     except (FFmpegError, LookupError, ValueError, ArithmeticError) as error:
         raise InputError(f"{path}: expected a video: {first_line(error)}") from None
 

@@ -9,9 +9,12 @@ from pathlib import Path
 
 from pixelid.errors import InputError, did_you_mean
 from pixelid.recordings.crop import Crop
+from pixelid.recordings.doubts import doubts
 from pixelid.recordings.isolated import read_isolated, stream_isolated
 from pixelid.recordings.parts import LongRecording, as_whole, joined_if_short
 from pixelid.recordings.recording import Recording
+from pixelid.recordings.session import agreed
+from pixelid.recordings.source import ATTRIBUTE, ReadingOptions, Source, announce, options_for
 
 LONG_BYTES = 1 << 21  # of files that are read in parts: smaller ones cannot hold what memory could not
 BAG_SUFFIXES = (".bag", ".db3", ".mcap")
@@ -20,30 +23,43 @@ TEXT_SUFFIXES = (".csv", ".txt")
 READABLE = ", ".join(BINARY_SUFFIXES + TEXT_SUFFIXES)
 
 
-def open_recording(path: str | Path) -> Recording:
+def open_recording(path: str | Path, options: ReadingOptions | None = None) -> Recording:
     """The recording in the file `path`, whatever its format.
 
-    Reads pixelid and DSEC HDF5, npz, AEDAT4, AEDAT2 (DAVIS, DVS128), Prophesee RAW (EVT2, EVT2.1, EVT3) and DAT, ES,
-    and text.  Times become int64 nanoseconds; `events.tick_ns` remembers the unit of the source.
+    Reads pixelid and published HDF5, npz, AEDAT4, AEDAT2 (DAVIS, DVS128), Prophesee RAW (EVT2, EVT2.1, EVT3) and DAT,
+    ES, bags, MATLAB files and text.  Times become int64 nanoseconds; `events.tick_ns` remembers the unit of the source.
 
-    Raises InputError (one plain line: file, field, expected, found) for a missing, empty, truncated or unknown
-    file, a missing column, unsorted times, pixels outside the sensor, another polarity coding than 1/0, times
-    that do not fit 64 bits in nanoseconds, and a stimulus that is invalid or does not cover the events.
+    Args:
+        path: the file; `NAME.source.toml` beside it may state what it does not.
+        options: what the caller states, over that.
+
+    Returns:
+        The recording; `attributes["source"]` says what was inferred, where anything was.
+
+    Raises:
+        InputError: one plain line (file, field, expected, found) for a missing, empty, truncated or unknown file, a
+            missing column, unsorted times, pixels outside the sensor, readings of which one must be stated, times that
+            do not fit 64 bits in nanoseconds, and a stimulus that is invalid or does not cover the events.
     """
     path = Path(path)
-    recording = replace(read_isolated(_recognised(path), path), source=path)
+    reader = _recognised(path)
+    recording = replace(read_isolated(reader, path, options_for(path, options).as_dict()), source=path)
     if recording.stimulus is not None:
         recording.check_stimulus_covers_events()
+    announce(path, recording.attributes, lambda: doubts(recording))
     return recording
 
 
-def open_cropped(path: str | Path, crop: Crop, seed: int = 0) -> Recording | LongRecording:
+def open_cropped(
+    path: str | Path, crop: Crop, seed: int = 0, options: ReadingOptions | None = None
+) -> Recording | LongRecording:
     """The part of a file's recording that is asked for; one of many events stays in the file.
 
     Args:
         path: of any readable format; bags and MATLAB files are decoded whole, by a process of their own.
         crop: what is wanted of it.
         seed: chooses the pixels of `crop`.
+        options: as of `open_recording`.
 
     Returns:
         The recording, or what reads it part by part where more than `WHOLE_EVENTS` events are left.
@@ -54,13 +70,15 @@ def open_cropped(path: str | Path, crop: Crop, seed: int = 0) -> Recording | Lon
     path = Path(path)
     reader = _recognised(path)
     if path.stat().st_size < LONG_BYTES:
-        return crop.applied(open_recording(path), seed)
+        return crop.applied(open_recording(path, options), seed)
+    stated = options_for(path, options).as_dict()
 
     def read() -> Iterator[Recording]:
-        for part in islice(stream_isolated(reader, path), 1, None):
+        for part in islice(stream_isolated(reader, path, stated), 1, None):
             yield replace(part, source=path)
 
-    head = replace(next(stream_isolated(reader, path)), source=path)
+    head = replace(next(stream_isolated(reader, path, stated)), source=path)
+    announce(path, head.attributes)
     cropped = crop.applied_to_parts(LongRecording(head, read), seed)
     recording = joined_if_short(cropped)
     if recording.stimulus is not None:
@@ -68,18 +86,29 @@ def open_cropped(path: str | Path, crop: Crop, seed: int = 0) -> Recording | Lon
     return recording
 
 
-def open_recordings(paths: Iterable[str | Path], crop: Crop | None = None, seed: int = 0) -> list[Recording]:
-    """Every recording of `paths`; a folder stands for the recordings in it, sorted by name.
+def open_recordings(
+    paths: Iterable[str | Path], crop: Crop | None = None, seed: int = 0, options: ReadingOptions | None = None
+) -> list[Recording]:
+    """Every recording of `paths`, as one session; a folder stands for the recordings in it, sorted by name.
 
     Text files of a folder (often notes) count only when it holds nothing else.  With a crop, only what it leaves is
-    taken into memory.
+    taken into memory.  A clock that is split makes several recordings of a file.
 
-    Raises InputError as `open_recording` does, and for a folder without recordings.
+    Raises InputError as `open_recording` does, for a folder without recordings, and for recordings that do not agree on
+    the sensor's size, the unit of time or the polarity (`session.agreed`).
     """
-    files = [file for path in paths for file in _files(Path(path))]
-    if crop is None or crop == Crop():
-        return [open_recording(file) for file in files]
-    return [as_whole(open_cropped(file, crop, seed)) for file in files]
+    cut = crop or Crop()
+    opened = []
+    for file in (file for path in paths for file in _files(Path(path))):
+        first = as_whole(open_cropped(file, cut, seed, options))
+        number, _, count = str(
+            Source.from_dict(first.attributes.get(ATTRIBUTE)).inferred.get("clock", ("",))[0]
+        ).partition("/")
+        opened.append(first)
+        for k in range(2, int(count) + 1) if number == "1" and (options_for(file, options).clock == "split") else ():
+            again = replace(options_for(file, options), clock=f"split:{k}")
+            opened.append(replace(as_whole(open_cropped(file, cut, seed, again)), label=f"{file.stem} ({k})"))
+    return agreed(opened)
 
 
 def check_readable(paths: Iterable[str | Path]) -> None:

@@ -10,7 +10,7 @@ import importlib
 import json
 import os
 import signal
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -18,23 +18,23 @@ import numpy as np
 
 from pixelid.errors import InputError
 from pixelid.recordings.answers import send, taken_apart
-from pixelid.recordings.parts import cut
+from pixelid.recordings.parts import cut, joined
+from pixelid.recordings.raw import interpreted
 from pixelid.recordings.recording import Recording
+from pixelid.recordings.source import ReadingOptions
 
-READERS = {  # name → module with the function `read` (or the function named)
+READERS = {  # name → module with the function `opened`, which finds the columns, or `read`
     name: f"pixelid.recordings.{name}"
     for name in ("aedat2", "decoded", "frames", "hdf5", "matlab", "npz", "ros", "text")
-}
-STREAMING = {  # those with the function `stream`; bags and MATLAB files are read whole by the child
-    name: READERS[name] for name in ("aedat2", "decoded", "hdf5", "npz", "text")
 }
 FUNCTIONS = {  # name → module with a generator of that name: (path, arguments) → arrays by name
     "picture": "pixelid.recordings.pictures", "video": "pixelid.recordings.pictures",
     "event_blocks": "pixelid.nerf.published.hdf5_events",
 }  # fmt: skip
 LIBRARIES = {  # what readers import; that takes a second, which is none of a file's
-    "decoded": ("faery.extension", "faery.file_decoder"), "frames": ("faery.extension",), "hdf5": ("h5py",),
-    "matlab": ("scipy.io",),
+    "decoded": ("faery.extension", "faery.file_decoder"), "frames": ("faery.extension",),
+    "hdf5": ("h5py", "hdf5plugin"),
+    "matlab": ("scipy.io",), "text": ("pandas",),
     "ros": ("rosbags.highlevel", "rosbags.typesys", "faery.extension"),
     "picture": ("skimage.io", "imageio.v3", "tifffile"), "video": ("av",), "event_blocks": ("h5py", "hdf5plugin"),
 }  # fmt: skip
@@ -68,7 +68,9 @@ def _answers(request: dict[str, Any]) -> Iterator[tuple[dict[str, Any], list[np.
         if "arguments" in request:
             yield from _of_function(request, path)
             return
-        for recording in _recordings(request["reader"], path, bool(request.get("stream"))):
+        for recording in recordings_of(
+            request["reader"], path, request.get("options", {}), request.get("stream", False)
+        ):
             arrays: list[np.ndarray] = []
             yield taken_apart(recording, arrays), arrays
         if request.get("stream"):
@@ -96,16 +98,21 @@ def _of_function(request: dict[str, Any], path: Path) -> Iterator[tuple[dict[str
     yield {}, []
 
 
-def _recordings(reader: str, path: Path, in_parts: bool) -> Iterator[Recording]:
-    """The recording, or a head and its parts; formats that cannot be read in parts are cut after reading."""
-    if not in_parts:
-        yield reader_of(reader)(path)
-        return
-    streaming = STREAMING.get(reader)
-    cut_already = streaming and importlib.import_module(streaming).stream(path)
-    head, parts = cut_already or cut(reader_of(reader)(path))
-    yield head
-    yield from parts
+def recordings_of(
+    reader: str, path: Path, options: dict[str, Any] | None = None, in_parts: bool = False
+) -> Iterator[Recording]:
+    """The recording in a file as a reader of `READERS` finds it, or a head and its parts."""
+    module = importlib.import_module(READERS[reader])
+    if hasattr(module, "opened"):
+        stated = ReadingOptions.of(options or {})
+        head, parts = interpreted(module.opened(path, stated), stated)
+    else:
+        head, parts = cut(module.read(path))
+    if in_parts:
+        yield head
+        yield from parts
+    else:
+        yield joined(head, parts)
 
 
 def _limit(cpu_s: float, memory: int) -> None:
@@ -116,8 +123,3 @@ def _limit(cpu_s: float, memory: int) -> None:
             import resource
 
             resource.setrlimit(resource.RLIMIT_AS, (memory, resource.getrlimit(resource.RLIMIT_AS)[1]))
-
-
-def reader_of(name: str) -> Callable[[Path], Recording]:
-    """The function `read` of a reader."""
-    return importlib.import_module(READERS[name]).read

@@ -17,17 +17,19 @@ import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from pixelid.errors import InputError, first_line
-from pixelid.recordings.columns import Rollovers, sensor_size, to_nanoseconds
-from pixelid.recordings.decoded import decode_evt, evt_recording
+from pixelid.recordings.columns import Rollovers
+from pixelid.recordings.decoded import chosen, decode_evt
 from pixelid.recordings.events import Events
-from pixelid.recordings.parts import joined
+from pixelid.recordings.raw import Block, RawEvents
 from pixelid.recordings.recording import Recording
+from pixelid.recordings.source import ReadingOptions
 
 if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader
@@ -42,8 +44,8 @@ LIBCAER = np.dtype([("address", "<u4"), ("t", "<u4")])
 ROLLOVER_US = 1 << 31
 
 
-def read(path: Path) -> Recording:
-    """The events of the first event topic of a bag, with trigger edges where the camera's bytes hold them.
+def opened(path: Path, options: ReadingOptions) -> RawEvents:
+    """The events of a topic of a bag, with trigger edges where the camera's bytes hold them.
 
     Raises:
         InputError: for a damaged bag, one without events, and encodings that are not read.
@@ -53,15 +55,15 @@ def read(path: Path) -> Recording:
         if not topics:
             found = ", ".join(sorted({c.msgtype for c in bag.connections})) or "nothing"
             raise InputError(f"{path}: expected a topic of events ({PACKETS}, {record_types()[0]}), found {found}")
-        topic = topics[0]
-        raw = (bytes(data) for connection, _, data in bag.messages(connections=[topic]))
-        little = bag.is2
-        if topic.msgtype == PACKETS:
-            recording = _read_packets(path, raw, cdr=little)
-        else:
-            recording = _read_records(path, raw, cdr=little)
-    recording.attributes["topic"] = topic.topic
-    return recording
+        every = list(dict.fromkeys(c.topic for c in topics))
+        filled = list(dict.fromkeys(c.topic for c in topics if c.msgcount))
+        name = chosen(filled, every, options, path)
+        mine = [c for c in topics if c.topic == name]
+        messages = [bytes(data) for _, _, data in bag.messages(connections=mine)]
+        cdr = bag.is2
+    head = Recording(Events.empty(1, 1), source=path, attributes={"topic": name})
+    raw = RawEvents(head, lambda: iter(()), f"{path}: events", polarity="01", streams=tuple(every[1:] and every))
+    return (_packets if mine[0].msgtype == PACKETS else _records)(path, messages, cdr, raw)
 
 
 @contextmanager
@@ -127,13 +129,13 @@ class _Message:
         return value
 
 
-def _read_packets(path: Path, raw: Iterator[bytes], cdr: bool) -> Recording:
+def _packets(path: Path, messages: list[bytes], cdr: bool, raw: RawEvents) -> RawEvents:
     """Events of `EventPacket` messages, whose payloads follow each other as one stream of bytes."""
-    size, encoding, payloads = (1, 1), "", []
-    for data in raw:
+    size, encoding, payloads, numbers = (1, 1), "", [], []
+    for data in messages:
         message = _Message(data, cdr, path)
         message.skip_header()
-        height, width, _ = message.number(4), message.number(4), message.number(8)
+        height, width, number = message.number(4), message.number(4), message.number(8)
         message.number(8)  # time_base: the payload says its own times
         here = message.text()
         if message.number(1) != 0:
@@ -142,21 +144,25 @@ def _read_packets(path: Path, raw: Iterator[bytes], cdr: bool) -> Recording:
         if here != encoding:
             raise InputError(f"{path}: encoding: expected {encoding!r} throughout, found {here!r}")
         size = (width, height)
+        numbers.append(number)
         payloads.append(message.rest(message.number(4)))
-    where = f"{path}: events"
-    if encoding == "evt3":
+    if encoding not in ("evt3", "libcaer"):
+        raise InputError(f"{path}: encoding: expected evt3 or libcaer, found {encoding or 'no message'!r}")
+    lost = sum(after - before - 1 for before, after in pairwise(numbers) if after > before + 1)
+    notes = (f"{lost} of {len(numbers) + lost} packets are missing (seq jumps): events are lost",) if lost else ()
+    head = replace(raw.head, sensor=f"{encoding} camera")
+    payload = b"".join(payloads)
+
+    def blocks() -> Iterator[Block]:
+        if encoding == "libcaer":
+            yield Block(*_libcaer(payload, raw.where))
+            return
         with tempfile.TemporaryDirectory() as folder:
             copy = Path(folder) / "payload.raw"
-            with copy.open("wb") as file:
-                file.write(f"% evt 3.0\n% geometry {size[0]}x{size[1]}\n% end\n".encode())
-                file.writelines(payloads)
-            recording = joined(*evt_recording(decode_evt(copy, {"evt": "3.0"}, path), size, path))
-        return replace(recording, sensor=f"{encoding} camera")
-    if encoding != "libcaer":
-        raise InputError(f"{path}: encoding: expected evt3 or libcaer, found {encoding or 'no message'!r}")
-    t, x, y, p = _libcaer(b"".join(payloads), where)
-    events = Events.from_columns(to_nanoseconds(t, "us", where), x, y, p, *size, tick_ns=1000, where=where)
-    return Recording(events, sensor=f"{encoding} camera", source=path)
+            copy.write_bytes(f"% evt 3.0\n% geometry {size[0]}x{size[1]}\n% end\n".encode() + payload)
+            yield from decode_evt(copy, {"evt": "3.0"}, path)
+
+    return replace(raw, head=head, blocks=blocks, unit="us", tick_ns=1000, size=size, notes=notes)
 
 
 def _libcaer(payload: bytes, where: str) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -169,24 +175,26 @@ def _libcaer(payload: bytes, where: str) -> tuple[np.ndarray, np.ndarray, np.nda
     return t - t[:1].sum(), address >> 17, address >> 2 & 0x7FFF, address >> 1 & 1
 
 
-def _read_records(path: Path, raw: Iterator[bytes], cdr: bool) -> Recording:
-    """Events of `EventArray` messages."""
-    width = height = 0
-    columns: list[tuple[np.ndarray, ...]] = []
-    for data in raw:
-        (width, height), found = record_columns(data, cdr, path)
-        columns += found
-    where = f"{path}: events"
-    empty = np.empty(0, np.int64)
-    t, x, y, p = (np.concatenate([c[k] for c in columns]) if columns else empty for k in range(4))
-    late = np.flatnonzero(np.diff(t) < 0)
-    if len(late):  # some drivers write a packet's events in the order of their rows
-        order = np.argsort(t, kind="stable")
-        t, x, y, p = t[order], x[order], y[order], p[order]
-    width, height = sensor_size(x, y, width or None, height or None)
-    tick_ns = 1000 if not np.any(t % 1000) else 1
-    events = Events.from_columns(t, x, y, p != 0, width, height, tick_ns=tick_ns, where=where)
-    return Recording(events, source=path, attributes={"reordered": len(late)} if len(late) else {})
+def _records(path: Path, messages: list[bytes], cdr: bool, raw: RawEvents) -> RawEvents:
+    """Events of `EventArray` messages; some drivers write those of a message in the order of their rows."""
+    size, blocks, reordered = (0, 0), [], 0
+    for data in messages:
+        size, found = record_columns(data, cdr, path)
+        if not found:
+            continue
+        t, x, y, p = (np.concatenate([part[k] for part in found]) for k in range(4))
+        fallen = int(np.count_nonzero(np.diff(t) < 0))
+        if fallen:
+            order = np.argsort(t, kind="stable")
+            t, x, y, p = t[order], x[order], y[order], p[order]
+        reordered += fallen
+        blocks.append(Block(t, x, y, (p != 0).astype(np.uint8)))
+    notes = (f"{reordered} events were earlier than the one before within their messages: sorted",) if reordered else ()
+    tick_ns = 1 if any(np.any(block.t % 1000) for block in blocks) else 1000
+    attributes = {**raw.head.attributes, **({"reordered": reordered} if reordered else {})}
+    stated = (size[0] or None, size[1] or None)
+    return replace(raw, head=replace(raw.head, attributes=attributes), blocks=lambda: iter(blocks), unit="ns",
+                   tick_ns=tick_ns, size=stated, notes=notes)  # fmt: skip
 
 
 def header_stamp(data: bytes, cdr: bool, path: Path) -> int:

@@ -1,9 +1,11 @@
-"""Recordings as text: one event per line, `t x y p`, separated by spaces or commas.
+"""Recordings as text: one event per line, in the dialects that programs write.
 
-Lines that begin with `#` are comments; a line of column names may say another order and a unit of the times (`t_us`,
-`timestamp [ns]`).  Otherwise integer times are microseconds, times with a decimal point seconds (the layout of the
-Event Camera Dataset's events.txt), and lines without names may be Metavision's, `x,y,p,t`.
-The project's own files carry a line `# {JSON}` with everything else, and the stimulus in `# stimulus {JSON}`.
+Cells are apart by spaces, commas, semicolons or tabs; numbers may have decimal commas where commas are not the mark.
+Lines that begin with `#`, `%` or `//` are comments, of which the last before the numbers may name the columns
+(`# x y t[ms] p`), and any may state the sensor's size (`%geometry:1280,720`).  A line of names may say the order of the
+columns and the unit of the times (`t_us`, `timestamp [ns]`); a first line of two numbers is E2VID's width and height.
+Everything else is inferred (`rules`).  The project's own files carry a line `# {JSON}` with everything else, and the
+stimulus in `# stimulus {JSON}`.
 """
 
 from __future__ import annotations
@@ -11,119 +13,199 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterator
-from dataclasses import replace
+from contextlib import contextmanager
+from dataclasses import dataclass, field
 from itertools import islice
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from pixelid.delimited import COMMENTS, DECIMAL_COMMA, NUMBER, SPACES, cells_of, encoding_of
 from pixelid.errors import InputError, first_line, shown
 from pixelid.recordings import metadata
-from pixelid.recordings.columns import sensor_size, to_nanoseconds, validated
 from pixelid.recordings.events import NS_PER_UNIT, Events
-from pixelid.recordings.npz import NAMES, floats_to_ns
 from pixelid.recordings.parts import LongRecording, cut
+from pixelid.recordings.raw import Block, RawEvents
 from pixelid.recordings.recording import Recording
+from pixelid.recordings.rules import ROWS, infer_order, named_columns
+from pixelid.recordings.source import ReadingOptions
 from pixelid.stimuli.pixel_lights import PixelLights
 
 LINES_AT_ONCE = 1 << 19
-LINES_SEEN = 1 << 12  # that say whether times are whole microseconds or seconds
-TXYP, METAVISION = [0, 1, 2, 3], [3, 0, 1, 2]  # columns of t, x, y, p
-IN_UNIT = re.compile(r"(\w+?)(?:[\s_]+|\s*[\[(])(ns|[uµ]s|ms|s)[\])]?")  # t_us, timestamp [ns]
+SIZE = re.compile(r"(?:geometry|size|resolution|sensor)\W+(\d{1,5})\s*[x×, ;]\s*(\d{1,5})", re.I)
+SIDES = re.compile(r"\b(width|height)\W{1,3}(\d{1,5})\b", re.I)
 
 
-def read(path: Path) -> Recording:
-    """The recording in a text file; raises InputError for lines that are not four numbers."""
+@dataclass
+class _Header:
+    """What stands before the numbers, and how cells are apart."""
+
+    meta: dict[str, Any] = field(default_factory=dict)
+    light: dict[str, np.ndarray] | None = None
+    names: list[str] | None = None
+    size: tuple[int | None, int | None] = (None, None)
+    lines: int = 0
+    first: str | None = None
+    mark: str = SPACES
+    decimal: str = "."
+    encoding: str = "utf-8-sig"
+
+
+def opened(path: Path, options: ReadingOptions) -> RawEvents:
+    """What a text file holds; raises InputError for lines that are not numbers."""
     where = f"{path}: events"
-    meta, stimulus, blocks, unit, tick_ns = _opened(path)
-    every = list(blocks)
-    empty = np.empty(0, np.int64)
-    t, x, y, p = (np.concatenate([block[k] for block in every]) if every else empty for k in range(4))
-    width, height = sensor_size(x, y, meta.get("width"), meta.get("height"))
-    t = to_nanoseconds(t, unit, where)
-    events = Events.from_columns(t, x, y, p, width, height, tick_ns=tick_ns, where=where)
-    return metadata.assemble(meta, events, stimulus, path, str(path))
+    with _text(path):
+        header = _header(path)
+        sample = next(_frames(path, header, where, ROWS), None)
+    order, unit, inferred = _order(sample, header, options, where)
+    unit = unit or header.meta.get("unit")
+    if unit is not None and unit not in NS_PER_UNIT:
+        raise InputError(f"{where}/t: expected unit {' or '.join(NS_PER_UNIT)}, found {unit!r}")
+    floating = sample is not None and sample[order[0]].dtype.kind == "f"
+    tick_ns = header.meta.get("tick_ns") or (1 if unit is not None and floating else None)
+
+    def blocks() -> Iterator[Block]:
+        with _text(path):
+            for columns in _frames(path, header, where, LINES_AT_ONCE):
+                yield Block(*(columns[k] for k in order))
+
+    head = metadata.assemble(header.meta, Events.empty(1, 1), header.light, path, str(path))
+    return RawEvents(head, blocks, where, unit, tick_ns, size=header.size, inferred=inferred,
+                     polarity="01" if header.meta else None)  # fmt: skip
 
 
-def stream(path: Path) -> tuple[Recording, Iterator[Recording]]:
-    """The same in parts: the recording without events, and its parts; an unstated size takes a reading more."""
-    meta, stimulus, blocks, unit, tick_ns = _opened(path)
-    size = meta.get("width"), meta.get("height")
-    if None in size:
-        size = (1, 1)
-        for _, x, y, _ in blocks:
-            wide, high = sensor_size(x, y, meta.get("width"), meta.get("height"))
-            size = max(size[0], wide), max(size[1], high)
-        *_, blocks, _, _ = _opened(path)
-    width, height = sensor_size(np.empty(0), np.empty(0), *size)
-    head = metadata.assemble(meta, Events.empty(width, height, tick_ns), stimulus, path, str(path))
-    events = validated(blocks, width, height, unit=unit, tick_ns=tick_ns, where=f"{path}: events")
-    return head, (replace(head, events=some) for some in events)
-
-
-def _opened(path: Path):
-    """Metadata, arrays of the stimulus or None, blocks of columns, unit and tick [ns] of the times."""
+@contextmanager
+def _text(path: Path) -> Iterator[None]:
     try:
-        with path.open(encoding="utf-8-sig") as file:
-            meta, stimulus, named, first = _header(file, path)
-            seen = [] if first is None else _rows([first, *islice(file, LINES_SEEN - 1)])
-    except UnicodeDecodeError as error:
+        yield
+    except UnicodeError as error:
         raise InputError(f"{path}: expected text, found binary data") from error
-    order, told = named or (METAVISION if _is_metavision(seen) else TXYP, None)
-    point = _has_point(seen, order, path)
-    unit = told or ("s" if point else meta.get("unit", "us"))
-    tick_ns = meta.get("tick_ns", 1 if point else NS_PER_UNIT.get(unit, 1000))
-
-    def blocks() -> Iterator[tuple]:
-        try:
-            with path.open(encoding="utf-8-sig") as file:
-                *_, first = _header(file, path)
-                if first is not None:
-                    yield from _blocks(file, first, order, unit if point else None, f"{path}: events")
-        except UnicodeDecodeError as error:
-            raise InputError(f"{path}: expected text, found binary data") from error
-
-    return meta, stimulus, blocks(), "ns" if point else unit, tick_ns
 
 
-def _header(file, path: Path):
-    """Metadata, arrays of the stimulus or None, what names of columns say or None, and the first line of numbers."""
-    meta, stimulus, named = {}, None, None
-    for line in file:
-        line = line.strip()
-        if line.startswith("# {"):
-            meta = metadata.from_json(line[2:], f"{path}: header")
-        elif line.startswith("# stimulus {"):
-            stimulus = _light(line[len("# stimulus ") :], f"{path}: stimulus")
-        elif line and not line.startswith("#"):
-            if not line[0].isalpha():
-                return meta, stimulus, named, line
-            named = _named(line, path)
-    return meta, stimulus, named, None
+def _header(path: Path) -> _Header:
+    """What stands before the first line of numbers."""
+    with path.open("rb") as file:
+        header = _Header(encoding=encoding_of(file.read(2)))
+    comment = ""
+    with path.open(encoding=header.encoding) as file:
+        for line in file:
+            text = line.strip()
+            if text.startswith("# {"):
+                header.meta = metadata.from_json(text[2:], f"{path}: header")
+                header.size = header.meta["width"], header.meta["height"]
+            elif text.startswith("# stimulus {"):
+                header.light = _light(text[len("# stimulus ") :], f"{path}: stimulus")
+            elif text.startswith(COMMENTS):
+                comment = text.lstrip("#%/ \t")
+                _note_size(header, comment)
+                if named_columns(names := cells_of(comment.rpartition(":")[2].strip())[0])[0] is not None:
+                    header.names = names
+            elif text:
+                cells, mark = cells_of(text)
+                if not any(NUMBER.fullmatch(cell) for cell in cells):
+                    header.names = cells
+                elif len(cells) == 2 and mark == SPACES and header.names is None and all(map(str.isdecimal, cells)):
+                    header.size = int(cells[0]), int(cells[1])
+                else:
+                    header.first, header.mark = text, mark
+                    if mark != "," and any(DECIMAL_COMMA.fullmatch(cell) for cell in cells):
+                        header.decimal = ","
+                    return header
+            header.lines += 1
+    return header
 
 
-def _rows(lines: list[str]) -> list[list[str]]:
-    """The cells of those lines that are no comments."""
-    return [line.replace(",", " ").split() for line in lines if line.strip() and not line.lstrip().startswith("#")]
+def _note_size(header: _Header, comment: str) -> None:
+    if header.size == (None, None) and (found := SIZE.search(comment)):
+        header.size = int(found[1]), int(found[2])
+    for side, number in SIDES.findall(comment):
+        k = 0 if side.lower() == "width" else 1
+        header.size = tuple(int(number) if i == k else old for i, old in enumerate(header.size))  # type: ignore[assignment]
 
 
-def _is_metavision(rows: list[list[str]]) -> bool:
-    """Whether rows without names are `x y p t`: the last number is no polarity but a time, and the one before it is."""
-    if not all(len(row) == 4 and row[2] in ("0", "1") and row[3].isdecimal() for row in rows):
-        return False
-    t = [int(row[3]) for row in rows]
-    return bool(t) and max(t) > 1 and t == sorted(t)
+def _order(sample, header: _Header, options: ReadingOptions, where: str):
+    """Places of t, x, y, p; the unit that a name states; what was inferred."""
+    if header.names is not None or options.columns:
+        names = header.names or [str(k) for k in range(len(sample or ()))]
+        order, unit = named_columns(names, options.columns)
+        if order is None:
+            raise InputError(
+                f"{where}: header: expected columns t, x, y, p (with its unit: t_us, t [s]), found "
+                f"{', '.join(names)[:80]}; state them: --columns t,x,y,p or t=NAME,…"
+            )
+        if sample is not None and max(order) >= len(sample):
+            found = f"{len(sample)} in event 0"
+            raise InputError(f"{where}: expected {max(order) + 1} numbers a line at least, found {found}")
+        if sample is not None and header.names and len(sample) != len(names) and not options.columns:
+            raise InputError(
+                f"{where}: header: names {len(names)} columns, found {len(sample)}; state them: --columns t,x,y,p"
+            )
+        return order, unit, ()
+    if sample is None:
+        return [0, 1, 2, 3], None, ()
+    order, inferred = infer_order(sample, where)
+    return order, None, (("columns", inferred),)
 
 
-def _has_point(rows: list[list[str]], order: list[int], path: Path) -> bool:
-    """Whether any time in some rows has a decimal point or an exponent."""
-    for k, cells in enumerate(rows):
-        if len(cells) <= max(order):
-            found = f"{len(cells)} in event {k}"
-            raise InputError(f"{path}: expected {max(order) + 1} numbers a line at least, found {found}")
-        if any(c in cells[order[0]] for c in ".eE"):
-            return True
-    return False
+def _frames(path: Path, header: _Header, where: str, rows: int) -> Iterator[list[np.ndarray]]:
+    """Columns of numbers of successive lines, so many at once."""
+    import pandas
+
+    if header.first is None:
+        return
+    done = 0
+    try:
+        with path.open(encoding=header.encoding) as file:
+            lines = (line for line in islice(file, header.lines, None) if not line.lstrip().startswith(COMMENTS))
+            with pandas.read_csv(
+                _Lines(lines), sep=header.mark, header=None, decimal=header.decimal, chunksize=rows,
+                float_precision="round_trip", skipinitialspace=True, na_filter=False, low_memory=False,
+            ) as frames:  # fmt: skip
+                for frame in frames:
+                    columns = [frame[name].to_numpy() for name in frame]
+                    for k, column in enumerate(columns):
+                        if column.dtype.kind not in "iufb":
+                            columns[k] = _numbers(column, f"{where}: column {k}", done)
+                    yield columns
+                    done += len(frame)
+    except (ValueError, OverflowError, pandas.errors.ParserError) as error:
+        if isinstance(error, UnicodeError):
+            raise
+        reason = first_line(error)
+        raise InputError(f"{where}: expected lines of t x y p after event {done}, found: {reason}") from error
+
+
+def _numbers(column: np.ndarray, where: str, before: int) -> np.ndarray:
+    """A column that is no plain numbers: of words that are none anywhere it stays as it is, and is refused if read."""
+    words = [str(word) for word in column[:1]]
+    if not NUMBER.fullmatch(words[0]):
+        return column.astype("U")
+    for k, word in enumerate(column):
+        if not isinstance(word, int | float) and not NUMBER.fullmatch(str(word)):
+            raise ValueError(f"{shown(word, 30)} in event {before + k}")
+    raise ValueError(f"numbers that fit no column of 64 bits in {where}")
+
+
+class _Lines:
+    """Lines as a file that pandas reads."""
+
+    def __init__(self, lines: Iterator[str]) -> None:
+        self._lines, self._rest = lines, ""
+
+    def __iter__(self) -> Iterator[str]:
+        return self._lines
+
+    def read(self, count: int = -1) -> str:
+        """At least some characters, until there are none."""
+        held, size = [self._rest], len(self._rest)
+        while (size < count or count < 0) and (line := next(self._lines, "")):
+            held.append(line)
+            size += len(line)
+        text = "".join(held)
+        cut_at = len(text) if count < 0 else count
+        self._rest = text[cut_at:]
+        return text[:cut_at]
 
 
 def _light(text: str, where: str) -> dict[str, np.ndarray]:
@@ -137,42 +219,6 @@ def _light(text: str, where: str) -> dict[str, np.ndarray]:
     except (ValueError, TypeError, KeyError, RecursionError) as error:
         found = f"no {shown(error.args[0])}" if isinstance(error, KeyError) else first_line(error)
         raise InputError(f"{where}: expected t, radiance and dtype as JSON, found {found}") from error
-
-
-def _named(line: str, path: Path) -> tuple[list[int], str | None]:
-    """The columns of t, x, y, p by their names, and the unit of the times where that of t says one."""
-    names = [name.strip().lower() for name in (line.split(",") if "," in line else line.split())]
-    unit = None
-    for k, name in enumerate(names):
-        if (parts := IN_UNIT.fullmatch(name)) and parts[1] in NAMES["t"]:
-            names[k], unit = parts[1], parts[2].replace("µ", "u")
-    columns = [next((k for k, name in enumerate(names) if name in NAMES[letter]), None) for letter in "txyp"]
-    if any(k is None for k in columns):
-        raise InputError(
-            f"{path}: header: expected columns t, x, y, p (t in whole µs, or in s with a point), found "
-            f"{', '.join(names)[:80]}"
-        )
-    return [k for k in columns if k is not None], unit
-
-
-def _blocks(file, first: str, order: list[int], unit: str | None, where: str):
-    """The columns (t int64 [ns when floats in `unit`], x, y, p) of successive blocks of lines."""
-    delimiter = "," if "," in first else None
-    lines, done = [first], 0
-    time = np.int64 if unit is None else np.float64
-    kinds = np.dtype([("t", time), ("x", np.int32), ("y", np.int32), ("p", np.int8)])
-    while True:
-        lines += islice(file, LINES_AT_ONCE - len(lines))
-        if not lines:
-            return
-        try:
-            block = np.loadtxt(lines, dtype=kinds, delimiter=delimiter, usecols=order, ndmin=1)
-        except (ValueError, OverflowError) as error:
-            reason = str(error).splitlines()[0]
-            raise InputError(f"{where}: expected lines of t x y p after event {done}, found: {reason}") from error
-        t = block["t"] if unit is None else floats_to_ns(block["t"], unit, where)
-        yield t, block["x"].copy(), block["y"].copy(), block["p"].copy()
-        done, lines = done + len(block), []
 
 
 def write(recording: Recording | LongRecording, path: Path) -> None:

@@ -7,7 +7,8 @@
     start_s = 0.2            when it begins (0 if left out)
 
 or `kind = "samples"` with lists `t` (seconds) and `radiance`, or `kind = "file"` with the `path` of a table, array,
-video or folder of frames beside the description; both with `unit`, and `fps` and `gamma` for frames (`sampled.py`).
+video or folder of frames beside the description.  Both take `unit`; frames also `fps`, `gamma`, `interpolation`,
+`full_scale`, `background` (`frames.py`), tables `columns` (`light_tables.py`), both `time_unit`.
 """
 
 from __future__ import annotations
@@ -20,8 +21,10 @@ import numpy as np
 
 from pixelid.documents import interpreting, is_number, read_toml
 from pixelid.errors import InputError, did_you_mean, shown
+from pixelid.stimuli.frames import VIDEOS, FrameOptions, holds_pictures
+from pixelid.stimuli.light_tables import Stated, is_light_table
 from pixelid.stimuli.pixel_lights import Light
-from pixelid.stimuli.sampled import TABLES, VIDEOS, holds_pictures, is_light_table, read_light
+from pixelid.stimuli.sampled import TABLES, read_light
 from pixelid.stimuli.shapes import SHAPES
 from pixelid.stimuli.stimulus import Stimulus
 
@@ -142,17 +145,25 @@ def _text(values: dict, name: str, default: str) -> str:
 
 
 def _file(values: dict, folder: Path) -> Stimulus:
-    _refuse_others(values, ("path", "unit", "fps", "gamma"))
+    of_frames = ("fps", "gamma", "interpolation", "full_scale", "background")
+    _refuse_others(values, ("path", "unit", "time_unit", "columns", *of_frames))
     if not isinstance(values.get("path"), str):
         raise InputError("stimulus file.path: expected the name of a table, array, video or folder of frames")
     file = folder / values["path"]
     if not file.exists():
         raise InputError(f"stimulus file.path: {file} does not exist")
-    fps = values.get("fps")
-    if fps is not None and not is_number(fps):
-        raise InputError(f"stimulus file.fps: expected a number, found {shown(fps)}")
-    unit = _text(values, "unit", "") or None
-    return read_light(file, unit=unit, fps=fps, gamma=_text(values, "gamma", "linear"))
+    for name in ("fps", "full_scale"):
+        if name in values and not is_number(values[name]):
+            raise InputError(f"stimulus file.{name}: expected a number, found {shown(values[name])}")
+    words = {name: _text(values, name, "") for name in ("gamma", "interpolation", "background", "time_unit")}
+    given = {name: values[name] for name in (*of_frames, "time_unit") if name in values}
+    of_table = not (file.is_dir() or file.suffix.lower() in VIDEOS)
+    if of_table and any(name in values for name in of_frames):
+        raise InputError(f"stimulus file: {', '.join(of_frames)}: expected frames, found {file.name}")
+    frames = FrameOptions(**{**given, **{name: word for name, word in words.items() if word}}) if not of_table else None
+    return read_light(
+        file, unit=_text(values, "unit", "") or None, frames=frames, table=Stated.of(values, "stimulus file")
+    )
 
 
 def _refuse_others(values: dict, known: tuple[str, ...]) -> None:

@@ -1,6 +1,6 @@
 """Read a table of a CSV file: a header, one row per line, `#` lines are remarks, empty cells were not measured.
 
-Cells are apart by commas, or by semicolons or tabs where the header has no comma.
+Cells are apart by commas, semicolons or tabs; numbers may have decimal commas where commas are not the mark.
 """
 
 from __future__ import annotations
@@ -12,7 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
-from pixelid.documents import read_text, separator_of
+from pixelid.delimited import SPACES, cells_of, with_points
+from pixelid.documents import read_text
 from pixelid.errors import InputError, did_you_mean, printable, shown
 
 MOST_PLACES = 17  # behind the point
@@ -92,10 +93,12 @@ def read_text_table(path: Path, *, first: str, expected: str) -> TextTable:
     path = Path(path)
     text = printable(read_text(path, "CSV"))
     lines = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")]
+    mark = cells_of(lines[0])[1] if lines else ","
     try:
-        rows = list(csv.reader(lines, delimiter=(separator_of(lines[0]) if lines else None) or ","))
+        rows = list(csv.reader(lines, delimiter="," if mark == SPACES else mark))
     except csv.Error as error:
         raise InputError(f"{path}: expected a text table, found {error}") from None
+    rows = [*rows[:1], *with_points(rows[1:], mark, str(path))]
     if not rows or len(rows[0]) < 2 or not rows[0][0].strip().lower().startswith(first):
         raise InputError(
             f"{path}: expected a header line {expected}, found {shown(lines[0], 60) if lines else 'nothing'}"

@@ -8,12 +8,13 @@ import pytest
 
 PACKAGE = Path(__file__).resolve().parents[2] / "pixelid"
 BASE = {
-    "arrays", "cluster", "documents", "errors", "figures", "interruption", "outputs", "parallel", "provenance",
-    "results", "statistics", "status",
+    "arrays", "cluster", "delimited", "documents", "errors", "figures", "interruption", "outputs", "parallel",
+    "provenance", "results", "statistics", "status",
 }  # fmt: skip
 MAY_IMPORT = {
     "errors": set(),
-    "documents": {"errors"},
+    "delimited": {"errors"},
+    "documents": {"delimited", "errors"},
     "arrays": {"documents", "errors"},
     "cluster": {"arrays", "errors", "outputs", "parallel"},
     "figures": set(),
@@ -34,9 +35,8 @@ MAY_IMPORT = {
 }
 MAY_IMPORT["inputs"] = BASE | {"model", "recordings", "stimuli"}
 MAY_IMPORT["compilation"] = set()  # everything else is imported when a function is called
-MAY_IMPORT["api"] = MAY_IMPORT["api_analyses"] = BASE | {
-    "public"
-}  # everything else is imported when a function is called
+for face in ("api", "api_analyses", "api_recordings"):
+    MAY_IMPORT[face] = BASE | {"public"}  # everything else is imported when a function is called
 MAY_IMPORT["biases"] = {"errors", "statistics"}
 MAY_IMPORT["inspection"] = BASE | {"biases", "recordings", "stimuli"}
 MAY_IMPORT["simulate"] = MAY_IMPORT["likelihood"] = set(MAY_IMPORT) - {"inspection"}
@@ -60,7 +60,7 @@ MAY_IMPORT["cli"] = set(MAY_IMPORT)
 BACK = {
     ("fit", "report"), ("fit", "sample"), ("recordings", "inspection"), ("stimuli", "recordings"), ("tables", "sample"),
 }  # fmt: skip
-ON_CALL = {"api", "api_analyses", "compilation", "public"}  # import whatever they need when a function is called
+ON_CALL = {"api", "api_analyses", "api_recordings", "compilation", "public"}  # import what they need when called
 FILES = sorted(PACKAGE.rglob("*.py"))
 
 

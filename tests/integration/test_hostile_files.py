@@ -112,9 +112,9 @@ def readers(tmp_path, monkeypatch):
     """A child that reads slowly, and one that waits for what never comes."""
     from pixelid.recordings import isolated
 
-    slow = "import time\nfrom pixelid.recordings.npz import read as now\n"
+    slow = "import time\nfrom pixelid.recordings.reading_child import recordings_of\n"
     slow += "def read(path):\n    end = time.process_time() + 0.5\n"
-    slow += "    while time.process_time() < end: pass\n    return now(path)\n"
+    slow += "    while time.process_time() < end: pass\n    return next(recordings_of('npz', path))\n"
     (tmp_path / "slow.py").write_text(slow)
     (tmp_path / "hangs.py").write_text("import threading\ndef read(path):\n    threading.Event().wait()\n")
     write_recording(Recording(Events.from_columns([1], [0], [0], [1], 1, 1)), tmp_path / "good.npz")

@@ -6,10 +6,14 @@ import numpy as np
 import pytest
 
 from pixelid.errors import InputError
-from pixelid.recordings.decoded import read, stream
+from pixelid.recordings.reading_child import recordings_of
 
 SIZE = "% geometry 640x480\n% end\n"
 EVENTS = [(1000, 32, 5, 1), (1003, 95, 7, 0), (5000, 0, 2, 1), (5000, 639, 479, 0)]  # t µs, x, y, p
+
+
+def read(path):
+    return next(recordings_of("decoded", path))
 
 
 def evt2(path: Path, events, edges=()) -> Path:
@@ -117,7 +121,7 @@ def test_damaged_words(tmp_path):
         read(path)
     path.write_bytes(b"% evt 4.0\n% end\n" + bytes(40))
     with pytest.raises(InputError, match=r"expected EVT 2.0, 2.1 or 3.0 in the header, found 4\.0"):
-        stream(path)[1].__next__()
+        list(recordings_of("decoded", path, in_parts=True))
 
 
 def dat(path: Path, events, kind=12) -> Path:

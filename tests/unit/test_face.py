@@ -22,7 +22,8 @@ from pixelid.recordings import Events, Recording, write_recording
 
 NAMES = {
     "open", "find_model", "simulate", "fit", "sample", "gap", "lowlight", "design", "reconstruct", "load_field",
-    "stimulus", "Model", "Recording", "Stimulus", "Status",
+    "convert", "crop", "inspect", "stimulus",
+    "Model", "Recording", "Stimulus", "Status",
 }  # fmt: skip
 SUBPACKAGES = ("fit", "sample", "gap", "lowlight", "design", "simulate")
 
@@ -92,14 +93,15 @@ def test_functions_are_documented_pickled_and_patched_like_any_other(name, monke
 def test_examples():
     import pixelid.api
     import pixelid.api_analyses
+    import pixelid.api_recordings
     import pixelid.errors
     import pixelid.model.model
     import pixelid.recordings.recording
     import pixelid.recordings.selection
     import pixelid.results
 
-    homes = (pixelid.api, pixelid.api_analyses, pixelid.errors, pixelid.results, pixelid.recordings.selection,
-             pixelid.recordings.recording, pixelid.model.model)  # fmt: skip
+    homes = (pixelid.api, pixelid.api_analyses, pixelid.api_recordings, pixelid.errors, pixelid.results,
+             pixelid.recordings.selection, pixelid.recordings.recording, pixelid.model.model)  # fmt: skip
     for home in homes:
         tried = doctest.testmod(home)
         assert tried.attempted > 0

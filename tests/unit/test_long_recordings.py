@@ -23,6 +23,7 @@ from pixelid.recordings import (
     metadata,
     npz,
     open_recording,
+    raw,
     text,
     write_recording,
 )
@@ -33,10 +34,21 @@ from pixelid.recordings.columns import RepeatCounter, duplicated
 from pixelid.recordings.crop import Crop
 from pixelid.recordings.kept import kept_of, seconds_looked_at
 from pixelid.recordings.parts import LongRecording, joined
+from pixelid.recordings.reading_child import recordings_of
 from pixelid.recordings.triggers import Triggers
 from pixelid.stimuli.stimulus import Stimulus
 
 WIDTH, HEIGHT = 12, 9
+
+
+def in_pieces(monkeypatch, events: int) -> None:
+    """Let every reader take so many events at once."""
+    places = ((npz, "PART_EVENTS"), (hdf5, "PIECE"), (text, "LINES_AT_ONCE"), (evt, "WORDS_AT_ONCE"),
+              (aedat2, "PART_EVENTS"), (decoded, "PART_EVENTS"), (raw, "WHOLE_EVENTS"))  # fmt: skip
+    for module, name in places:
+        monkeypatch.setattr(module, name, events)
+
+
 SECONDS = 3.0
 
 
@@ -86,15 +98,13 @@ def same(found: Recording, expected: Recording) -> None:
         np.testing.assert_array_equal(found.stimulus.t, expected.stimulus.t)
 
 
-@pytest.mark.parametrize(("suffix", "reader"), [(".h5", hdf5), (".npz", npz), (".csv", text)])
+@pytest.mark.parametrize(("suffix", "reader"), [(".h5", "hdf5"), (".npz", "npz"), (".csv", "text")])
 def test_readers_in_parts(tmp_path, monkeypatch, suffix, reader):
     path = tmp_path / f"a{suffix}"
     write_recording(made(), path)
-    whole = reader.read(path)
-    monkeypatch.setattr(reader, "PART_EVENTS", 777, raising=False)
-    monkeypatch.setattr(text, "LINES_AT_ONCE", 777)
-    head, parts = reader.stream(path)
-    parts = list(parts)
+    whole = next(recordings_of(reader, path))
+    in_pieces(monkeypatch, 777)
+    head, *parts = recordings_of(reader, path, in_parts=True)
     assert len(parts) > 20
     same(joined(head, parts), whole)
 
@@ -104,21 +114,20 @@ def test_a_size_that_is_not_stated_is_found_before_the_parts(tmp_path, monkeypat
     np.savez(tmp_path / "a.npz", t=e.t // 1000, x=e.x, y=e.y, p=e.p)
     rows = zip(*(c.tolist() for c in (e.t // 1000, e.x, e.y, e.p)), strict=True)
     (tmp_path / "a.txt").write_text("\n".join(" ".join(map(str, row)) for row in rows))
-    monkeypatch.setattr(npz, "PART_EVENTS", 777)
-    monkeypatch.setattr(text, "LINES_AT_ONCE", 777)
-    for reader, name in ((npz, "a.npz"), (text, "a.txt")):
-        same(joined(*reader.stream(tmp_path / name)), reader.read(tmp_path / name))
+    in_pieces(monkeypatch, 777)
+    for reader, name in (("npz", "a.npz"), ("text", "a.txt")):
+        head, *parts = recordings_of(reader, tmp_path / name, in_parts=True)
+        assert len(parts) > 20
+        same(joined(head, parts), next(recordings_of(reader, tmp_path / name)))
 
 
 def test_camera_files_in_parts(tmp_path, monkeypatch, shared):
     for name in ("gen41_saturated.evt3.raw", "davis346_aps.aedat4", "davis240_boxes.aedat"):
-        reader = aedat2 if name.endswith(".aedat") else decoded
+        reader = "aedat2" if name.endswith(".aedat") else "decoded"
         path = shared / "recordings" / name
-        whole = reader.read(path)
-        monkeypatch.setattr(reader, "PART_EVENTS", 10_000)
-        monkeypatch.setattr(evt, "WORDS_AT_ONCE", 10_000)
-        head, parts = reader.stream(path)
-        parts = list(parts)
+        whole = next(recordings_of(reader, path))
+        in_pieces(monkeypatch, 10_000)
+        head, *parts = recordings_of(reader, path, in_parts=True)
         assert len(parts) > 3
         same(joined(head, parts), whole)
         monkeypatch.undo()
@@ -130,9 +139,9 @@ def test_errors_count_from_the_first_part(tmp_path, monkeypatch):
     t[5000] = t[4999] - 1
     np.savez(tmp_path / "a.npz", t=t, x=e.x, y=e.y, p=e.p)
     for size in (1 << 20, 777, 5000):
-        monkeypatch.setattr(npz, "PART_EVENTS", size)
+        in_pieces(monkeypatch, size)
         with pytest.raises(InputError, match="event 5000 is earlier than event 4999"):
-            joined(*npz.stream(tmp_path / "a.npz"))
+            list(recordings_of("npz", tmp_path / "a.npz", in_parts=True))
 
 
 def test_repeats_are_counted_across_parts():
@@ -153,9 +162,9 @@ def test_a_file_joined_to_itself_is_refused_in_parts(tmp_path, monkeypatch):
     write_recording(made(), tmp_path / "a.h5")
     with h5py.File(tmp_path / "a.h5", "r+") as file:
         del file["events"].attrs["duplicates"]
-    monkeypatch.setattr(hdf5, "PART_EVENTS", 777)
+    in_pieces(monkeypatch, 777)
     with pytest.raises(InputError, match="found duplicates"):
-        joined(*hdf5.stream(tmp_path / "a.h5"))
+        list(recordings_of("hdf5", tmp_path / "a.h5", in_parts=True))
 
 
 @pytest.mark.parametrize(
@@ -428,7 +437,7 @@ def test_any_bytes_of_evt21_are_answered(tmp_path_factory, data, swapped):
     evt21(path, VECTORS, swapped=swapped)
     path.write_bytes(path.read_bytes() + data)
     with suppress(InputError):
-        events = decoded.read(path).events
+        events = next(recordings_of("decoded", path)).events
         assert (np.diff(events.t) >= 0).all()
         assert (events.x < 640).all()
 

@@ -142,11 +142,12 @@ def test_frames_of_a_folder(tmp_path):
         imsave(folder / f"{k:03}.png", picture, check_contrast=False)
     (tmp_path / "a.toml").write_text('[stimulus]\nkind = "file"\npath = "frames"\nfps = 50\ngamma = "display"\n')
     light = load_stimulus(tmp_path / "a.toml")
-    np.testing.assert_allclose(light.t, np.arange(4) / 50)
-    np.testing.assert_allclose(light.radiance, (grey / 255.0) ** 2.2, rtol=1e-5)
+    np.testing.assert_allclose(light.t, np.arange(5) / 50)  # the last one is shown, too
+    np.testing.assert_allclose(light.radiance[:4], (grey / 255.0) ** 2.2, rtol=1e-5)
+    np.testing.assert_array_equal(light.radiance[4], light.radiance[3])
     assert light.interpolation == "previous"
     (folder / "timestamps.txt").write_text("0\n0.1\n0.3\n0.7\n")
-    np.testing.assert_allclose(load_stimulus(folder).t, [0, 0.1, 0.3, 0.7])
+    np.testing.assert_allclose(load_stimulus(folder).t, [0, 0.1, 0.3, 0.7, 1.1])
 
 
 @pytest.mark.parametrize(

@@ -16,11 +16,11 @@ from pixelid.nerf.calibration import read_calibration
 from pixelid.nerf.camera import Camera, pinhole
 from pixelid.nerf.dataset import CALIBRATION, POSES
 from pixelid.nerf.scenes import FIELD_OF_VIEW, looking_at_centre, on_sphere
+from pixelid.nerf.view_cameras import camera_of_document, stated_size, states_camera
 from pixelid.nerf.views import (
     FOLDER,
     OPENGL,
     STAGES,
-    camera_of_document,
     frames_of,
     image_of,
     picture_of,
@@ -173,11 +173,12 @@ def _stated_camera(
     """The camera that a document states, in `size` pixels; an ideal one where it states none."""
     own = _shape(path, picture)
     shape = size or own or DEFAULT_SIZE
-    if "camera_angle_x" not in document and "intrinsics" not in document:
+    if not states_camera(document):
         return pinhole(*shape, fov or FIELD_OF_VIEW)
     _refuse_angle(path, fov)
-    if "camera_angle_x" in document:
+    if "camera_angle_x" in document and "fl_x" not in document:
         return camera_of_document(path, document, *shape)
+    own = own or stated_size(document)
     if own is None:  # intrinsics are of pictures of one size
         raise InputError(f"{path}: intrinsics: {picture} is not there, whose size says what they are in units of")
     return camera_of_document(path, document, *own).resized(*shape)

@@ -1,0 +1,162 @@
+"""Where the events lie among a file's arrays: HDF5, npz and MATLAB files name and nest them in many ways.
+
+A stream of events is a group of columns with the names of t, x, y and p; one array of records with such fields; or an
+array of four columns, whose order is inferred.  Streams without events are passed over; of several one is stated.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from pixelid.errors import InputError, shown
+from pixelid.recordings.raw import Block
+from pixelid.recordings.rules import ROWS, infer_order, named_columns
+from pixelid.recordings.source import OPTION, ReadingOptions
+
+Kind = tuple[np.dtype, tuple[int, ...]]
+SHOWN_STREAMS = 8
+
+
+@dataclass(frozen=True)
+class Arrays:
+    """The arrays of a file.
+
+    Attributes:
+        kinds: path → type and shape.
+        pieces: makes an iterator over pieces of some arrays of one length, side by side, along their first axis.
+    """
+
+    kinds: dict[str, Kind]
+    pieces: Callable[[Sequence[str]], Iterator[list[np.ndarray]]]
+
+
+@dataclass(frozen=True)
+class Stream:
+    """Columns of events in a file.
+
+    Attributes:
+        name: path of the group or array.
+        length: events.
+        paths: of t, x, y, p, or of the one array that holds all of them.
+        fields: names or numbers of t, x, y, p in that array; empty where each is an array.
+        unit: that the name of t states.
+        inferred: of `Source`.
+    """
+
+    name: str
+    length: int
+    paths: tuple[str, ...]
+    fields: tuple[Any, ...] = ()
+    unit: str | None = None
+    inferred: tuple[tuple[str, tuple[Any, str]], ...] = ()
+
+    @property
+    def time(self) -> str:
+        """Path of the times."""
+        return self.paths[0]
+
+    def blocks(self, arrays: Arrays) -> Iterator[Block]:
+        """Its columns, piece by piece."""
+        for piece in arrays.pieces(self.paths):
+            if not self.fields:
+                yield Block(*(column.reshape(-1) for column in piece))
+            elif isinstance(self.fields[0], str):
+                yield Block(*(piece[0][name] for name in self.fields))
+            else:
+                yield Block(*(piece[0][:, k] for k in self.fields))
+
+
+def chosen_stream(
+    arrays: Arrays, options: ReadingOptions, where: str, without: Sequence[str] = ()
+) -> tuple[Stream, tuple[str, ...]]:
+    """The stream of events of a file that is stated, or the only one that has any; and the names of all.
+
+    Args:
+        arrays: of the file.
+        options: what the user states.
+        where: names the file in errors.
+        without: streams that hold something else.
+
+    Raises:
+        InputError: there is none, or one must be stated.
+    """
+    streams = [stream for stream in _streams(arrays, options, where) if stream.name not in without]
+    names = tuple(stream.name for stream in streams)
+    if options.stream is not None:
+        streams = [s for s in streams if options.stream in (s.name, s.name.rpartition("/")[2])]
+        if len(streams) != 1:
+            raise InputError(f"{where}: --stream: expected one of {_listed(names)}, found {shown(options.stream)}")
+    filled = [stream for stream in streams if stream.length] or streams[:1]
+    if not filled:
+        raise InputError(
+            f"{where}: expected columns t, x, y, p, found {shown(', '.join(arrays.kinds) or 'nothing', 200)}; "
+            "state their names: --columns t=NAME,x=NAME,y=NAME,p=NAME"
+        )
+    if len(filled) > 1:
+        raise InputError(f"{where}: several streams of events: {_listed([s.name for s in filled])}; {OPTION['stream']}")
+    return filled[0], names if len(names) > 1 else ()
+
+
+def _listed(names: Sequence[str]) -> str:
+    return ", ".join(names[:SHOWN_STREAMS]) + (" …" if len(names) > SHOWN_STREAMS else "")
+
+
+def _streams(arrays: Arrays, options: ReadingOptions, where: str) -> list[Stream]:
+    groups: dict[str, list[str]] = {}
+    for path, (_, shape) in arrays.kinds.items():
+        if shape:
+            groups.setdefault(path.rpartition("/")[0], []).append(path)
+    found = [_of_group(arrays, group, paths, options, where) for group, paths in groups.items()]
+    found += [_of_records(path, kind, options) for path, kind in arrays.kinds.items()]
+    streams = [stream for stream in found if stream is not None]
+    plain = [path for path, (dtype, shape) in arrays.kinds.items()
+             if dtype.kind in "iuf" and len(shape) == 2 and shape[1] == 4 and shape[0]]  # fmt: skip
+    named = [path for path in plain if "event" in path.lower()]
+    for path in named or ([] if streams else plain):
+        streams.append(_of_four(arrays, path, options, where))
+    return streams
+
+
+def _of_group(arrays: Arrays, group: str, paths: list[str], options: ReadingOptions, where: str) -> Stream | None:
+    order, unit = named_columns([path.rpartition("/")[2] for path in paths], _by_name(options))
+    if order is None:
+        return None
+    chosen = tuple(paths[k] for k in order)
+    lengths = []
+    for path in chosen:
+        dtype, shape = arrays.kinds[path]
+        if int(np.prod(shape)) != max(shape, default=0) or dtype.names:
+            raise InputError(f"{where}: {path}: expected one column, found shape {shape}")
+        lengths.append(max(shape, default=0))
+    if len(set(lengths)) != 1:
+        raise InputError(f"{where}: {group}: t, x, y, p must have one length, found {', '.join(map(str, lengths))}")
+    return Stream(group or "/", lengths[0], chosen, (), unit)
+
+
+def _by_name(options: ReadingOptions) -> list[str]:
+    """Columns that are stated by their names in the file: arrays of a group have no order."""
+    return [word for word in options.columns if "=" in word]
+
+
+def _of_records(path: str, kind: Kind, options: ReadingOptions) -> Stream | None:
+    names = kind[0].names or ()
+    order, unit = named_columns(names, _by_name(options)) if names else (None, None)
+    if order is None or len(kind[1]) != 1:
+        return None
+    return Stream(path, kind[1][0], (path,), tuple(names[k] for k in order), unit)
+
+
+def _of_four(arrays: Arrays, path: str, options: ReadingOptions, where: str) -> Stream:
+    length = arrays.kinds[path][1][0]
+    if options.columns:
+        order, _ = named_columns([str(k) for k in range(4)], options.columns)
+        if order is None:
+            raise InputError(f"{where}: {path}: --columns: expected four columns, found {','.join(options.columns)}")
+        return Stream(path, length, (path,), tuple(order))
+    sample = next(arrays.pieces([path]))[0][:ROWS]
+    order, inferred = infer_order([sample[:, k] for k in range(4)], f"{where}: {path}")
+    return Stream(path, length, (path,), tuple(order), None, (("columns", inferred),))

@@ -1,0 +1,255 @@
+"""From a file's raw columns to a recording: what is stated, else what the rules infer, once for every format.
+
+A reader finds the columns and says what the file states of them (`RawEvents`).  `interpreted` settles unit, size,
+polarity and clock, reading the columns once before where that takes a look at all of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from pixelid.errors import InputError
+from pixelid.recordings.columns import PART_EVENTS, RepeatCounter, floats_to_ns, to_nanoseconds
+from pixelid.recordings.events import NS_PER_UNIT, Events
+from pixelid.recordings.parts import WHOLE_EVENTS
+from pixelid.recordings.recording import Recording
+from pixelid.recordings.rules import Statistics, decoded_polarity, infer_polarity, infer_unit
+from pixelid.recordings.source import OPTION, ReadingOptions, Source, size_of_chip
+from pixelid.recordings.triggers import Triggers
+
+MOST_STRETCHES = 100
+NO_EVENTS = tuple(np.empty(0, kind) for kind in (np.int64, np.uint16, np.uint16, np.uint8))
+
+
+class Block(NamedTuple):
+    """Columns of successive events as the file has them, and trigger edges among them."""
+
+    t: np.ndarray
+    x: np.ndarray
+    y: np.ndarray
+    p: np.ndarray
+    triggers: Triggers | None = None
+
+
+@dataclass(frozen=True)
+class RawEvents:
+    """What a file holds and states of its events.
+
+    Attributes:
+        head: the recording without events.
+        blocks: makes an iterator over the columns, each time from the beginning.
+        where: names file and place in errors.
+        unit: of the times; None: not stated.
+        tick_ns: unit in which the source counted; None: that of the times.
+        offset: added to the times, in their unit.
+        size: (width, height), None each where it is not stated.
+        likely_sizes: what other things than the header suggest, and why; the first that holds all events is taken.
+        polarity: "01" where the format says so.
+        inferred, notes, streams: of `Source`, settled by the reader.
+        duplicates: how many events the file declares to repeat an earlier one; None: any number may.
+        exposures: exposure measurements of an ATIS.
+    """
+
+    head: Recording
+    blocks: Callable[[], Iterator[Block]]
+    where: str
+    unit: str | None = None
+    tick_ns: int | None = None
+    offset: int = 0
+    size: tuple[int | None, int | None] = (None, None)
+    likely_sizes: tuple[tuple[tuple[int, int], str], ...] = ()
+    polarity: str | None = None
+    inferred: tuple[tuple[str, tuple[Any, str]], ...] = ()
+    notes: tuple[str, ...] = ()
+    streams: tuple[str, ...] = ()
+    duplicates: int | None = None
+    exposures: RawEvents | None = None
+
+
+def interpreted(raw: RawEvents, options: ReadingOptions) -> tuple[Recording, Iterator[Recording]]:
+    """The recording without events, and its parts.
+
+    Raises:
+        InputError: columns that are no events, two readings that matter; also while the parts are taken.
+    """
+    stated, inferred, notes = options.as_dict(), dict(raw.inferred), list(raw.notes)
+    clock = options.clock or "strict"
+    size = options.size or (size_of_chip(options.chip) if options.chip else None) or raw.size
+    unit, code = options.time_unit or raw.unit, options.polarity or raw.polarity
+    statistics, blocks, widest = Statistics(), raw.blocks, (0, 0)
+    if None in size or unit is None or code is None or clock != "strict":
+        statistics, blocks = _looked_at(raw)
+        widest = statistics.side
+        if raw.exposures is not None:
+            other = _looked_at(raw.exposures)[0].side
+            widest = max(widest[0], other[0]), max(widest[1], other[1])
+    if None in size:
+        size = _settled_size(size, widest, raw, inferred)
+    if unit is None:
+        unit, why = infer_unit(statistics, raw.where)
+        inferred["time_unit"] = (unit, why)
+    if code is None:
+        code = infer_polarity(statistics.codes, raw.where)
+        if code == "pm1":
+            inferred["polarity"] = (code, ": −1 is OFF")
+    stretch: tuple[int, int] | None = None
+    if clock.startswith("split") and statistics.fall_count:
+        stretch, inferred["clock"] = _stretch(statistics, clock, raw.where)
+    elif clock == "sort" and statistics.fall_count:
+        notes.append(f"sorted by time: {statistics.fall_count} events were earlier than the one before")
+    source = Source(stated, inferred, tuple(notes), raw.streams)
+    attributes = source.kept_in(raw.head.attributes)
+    settled = _Settled(raw, unit, (int(size[0] or 1), int(size[1] or 1)), code)
+    counted = not statistics.floating or ("time_unit" in inferred and statistics.whole)
+    tick_ns = raw.tick_ns or (NS_PER_UNIT.get(unit, 1) if counted else 1)
+    exposures = None
+    if raw.exposures is not None:
+        _, parts = interpreted(raw.exposures, replace(options, size=settled.size, clock=None))
+        exposures = _one([part.events for part in parts])
+    head = replace(
+        raw.head,
+        events=Events.from_columns(*NO_EVENTS, *settled.size, tick_ns=tick_ns, where=raw.where),
+        attributes=attributes,
+        exposures=exposures,
+    )
+    if clock == "sort" and statistics.fall_count:
+        columns = _sorted(settled, blocks)
+    else:
+        columns = _of_stretch(settled, blocks, stretch)
+    return replace(head, triggers=None), _parts(head, columns, raw)
+
+
+def _looked_at(raw: RawEvents) -> tuple[Statistics, Callable[[], Iterator[Block]]]:
+    """The statistics of all events, and the columns: from memory, where they are few enough."""
+    statistics, kept = Statistics(), []
+    for block in raw.blocks():
+        statistics.add(*(np.asarray(column) for column in block[:4]), raw.where)
+        if kept is not None:
+            kept = [*kept, block] if statistics.events <= WHOLE_EVENTS else None
+    return statistics, raw.blocks if kept is None else lambda: iter(kept)
+
+
+def _settled_size(
+    size: tuple[int | None, int | None], widest: tuple[int, int], raw: RawEvents, inferred: dict
+) -> tuple[int, int]:
+    """The stated sides, else a likely size that holds every event, else the smallest that does."""
+    for likely, why in raw.likely_sizes if size == (None, None) else ():
+        if widest[0] <= likely[0] and widest[1] <= likely[1]:
+            inferred["size"] = (likely, why)
+            return likely
+    settled = (size[0] or max(widest[0], 1), size[1] or max(widest[1], 1))
+    if widest != (0, 0):
+        inferred["size"] = (settled, " from the largest address")
+    return settled
+
+
+def _stretch(s: Statistics, clock: str, where: str) -> tuple[tuple[int, int], tuple[str, str]]:
+    """First and last event of the stretch that is asked for; its number, and what to say of it."""
+    count, number = s.fall_count + 1, int(clock.partition(":")[2] or 1)
+    if count > MOST_STRETCHES:
+        raise InputError(f"{where}/t: the clock goes back {s.fall_count} times: too often to split; --clock sort")
+    if number > count:
+        raise InputError(
+            f"{where}/t: --clock {clock}: the clock goes back {s.fall_count} times, there are {count} stretches"
+        )
+    edges = [0, *s.falls, s.events]
+    begin, end = edges[number - 1], edges[number]
+    return (begin, end), (f"{number}/{count}", f" (events {begin} to {end - 1}); --clock split:K reads another")
+
+
+@dataclass(frozen=True)
+class _Settled:
+    """How the columns of a file are read."""
+
+    raw: RawEvents
+    unit: str
+    size: tuple[int, int]
+    code: str
+
+    def columns(self, block: Block) -> tuple[np.ndarray, ...]:
+        """(t ns, x, y, p)."""
+        where = self.raw.where
+        t, x, y, p = (np.asarray(column) for column in block[:4])
+        if t.dtype.kind == "f":
+            t = floats_to_ns(t, self.unit, where) + self.raw.offset * NS_PER_UNIT[self.unit]
+        else:
+            t = to_nanoseconds(t, self.unit, where, self.raw.offset)
+        p = decoded_polarity(p.astype(np.uint8) if p.dtype.kind == "b" else p, self.code, where)
+        return t, _whole(x, f"{where}/x"), _whole(y, f"{where}/y"), p
+
+
+def _whole(column: np.ndarray, where: str) -> np.ndarray:
+    """Whole numbers that are written as floating ones."""
+    if column.dtype.kind != "f":
+        return column
+    if not np.all(np.isfinite(column) & (column == np.rint(column)) & (np.abs(column) < 2**53)):
+        raise InputError(f"{where}: expected integers, found {column[column != np.rint(column)][:1].tolist() or 'NaN'}")
+    return column.astype(np.int64)
+
+
+def _of_stretch(settled: _Settled, blocks, stretch: tuple[int, int] | None) -> Iterator[Block]:
+    """Columns of the file, or of a stretch of its events."""
+    seen = 0
+    for block in blocks():
+        columns = settled.columns(block)
+        if stretch is not None:
+            part = slice(max(stretch[0] - seen, 0), max(stretch[1] - seen, 0))
+            columns = tuple(column[part] for column in columns)
+        seen += len(block.t)
+        yield Block(*columns, block.triggers)
+
+
+def _sorted(settled: _Settled, blocks) -> Iterator[Block]:
+    """Columns of the whole file in the order of their times."""
+    every = [Block(*settled.columns(block), block.triggers) for block in blocks()]
+    columns = [np.concatenate([block[k] for block in every]) for k in range(4)]
+    order = np.argsort(columns[0], kind="stable")
+    columns = [column[order] for column in columns]
+    edges = Triggers.joined(block.triggers for block in every)
+    for k in range(0, len(order), PART_EVENTS):
+        yield Block(*(column[k : k + PART_EVENTS] for column in columns), edges if k == 0 else None)
+
+
+def _parts(head: Recording, columns: Iterator[Block], raw: RawEvents) -> Iterator[Recording]:
+    """Validated parts of the recording, with the edges among them."""
+    before, last_ns, repeats, counter, edges = 0, 0, 0, RepeatCounter(), head.triggers
+    size, tick_ns, where = (head.events.width, head.events.height), head.events.tick_ns, raw.where
+    for t, x, y, p, triggers in columns:
+        if len(t):
+            _refuse_fall(t, last_ns, before, where)
+        events = Events.from_columns(
+            t, x, y, p, *size, tick_ns=tick_ns, where=where, before=before, not_before_ns=last_ns
+        )
+        before += len(events)
+        last_ns = int(events.t[-1]) if len(events) else last_ns
+        if raw.duplicates is not None:
+            repeats += counter.add(events)
+            if repeats > raw.duplicates:
+                raise InputError(f"{where}: expected each event once, found duplicates, the first of them at or before "
+                                 f"t = {last_ns} ns")  # fmt: skip
+        yield replace(head, events=events, triggers=Triggers.joined([edges, triggers]))
+        edges = None
+    if edges is not None:
+        yield replace(head, triggers=edges)
+
+
+def _refuse_fall(t: np.ndarray, last_ns: int, before: int, where: str) -> None:
+    """Raise InputError for a time before the one before it, and say what may be done."""
+    steps = np.diff(t, prepend=last_ns if before else t[0])
+    if len(fallen := np.flatnonzero(steps < 0)):
+        k = before + int(fallen[0])
+        raise InputError(
+            f"{where}/t: timestamps must not decrease, event {k} is earlier than event {k - 1} by "
+            f"{-float(steps[fallen[0]]) * 1e-9:g} s; sort them, or read one stretch: {OPTION['clock']}"
+        )
+
+
+def _one(parts: list[Events]) -> Events | None:
+    if not parts:
+        return None
+    t, x, y, p = (np.concatenate([getattr(part, name) for part in parts]) for name in "txyp")
+    return Events(t, x, y, p, parts[0].width, parts[0].height, parts[0].tick_ns)

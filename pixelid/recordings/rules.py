@@ -1,0 +1,240 @@
+"""The rules by which what a file does not state is inferred; where two readings are possible and matter, they refuse.
+
+- Columns without names are `t x y p`, `x y p t` (Metavision) or `x y t p`: whichever one alone is consistent, with p a
+  polarity, whole x and y below 65536, and t that increases.
+- Times that are whole numbers, however written, are microseconds; with decimal fractions they are seconds, if two
+  events lie nearer than 0.001 or all within 100.  Whole thousands, and fractions of whole thousandths, may be counts of
+  another clock.
+- Polarities 0 and 1 are OFF and ON, and so are −1 and 1.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from pixelid.errors import InputError, shown
+from pixelid.recordings.source import OPTION
+
+NAMES = {
+    "t": ("t", "ts", "time", "times", "timestamp", "timestamps"),
+    "x": ("x", "xs", "col", "column", "x_pos", "x_coordinate"),
+    "y": ("y", "ys", "row", "y_pos", "y_coordinate"),
+    "p": ("p", "ps", "pol", "pols", "polarity", "polarities", "on"),
+}
+IN_UNIT = re.compile(r"(\w+?)(?:[\s_]+|\s*[\[(])(ns|[uµμ]s|ms|s|sec|seconds)[\])]?")  # t_us, timestamp [ns]
+ORDERS = ("txyp", "xypt", "xytp")  # of columns without names, as programs write them
+ROWS = 1 << 12  # of columns without names, by which their order is inferred
+MOST_ADDRESS = 1 << 16
+ENOUGH = 16  # distinct times that all lie on a grid by chance: 1000⁻¹⁵
+MOST_EVENTS_PER_S = 1e9  # of the fastest readouts
+NEAR, SHORT = (
+    1e-3,
+    100.0,
+)  # of times with fractions: nearer than a nanosecond, were they µs; so few µs hold no recording
+FALLS_KEPT = 1000
+
+
+def column_name(name: str) -> tuple[str, str | None]:
+    """A column's plain name, and the unit that it states: `t [µs]` → t, us."""
+    name = name.strip().strip("'\"").strip().lower()
+    parts = IN_UNIT.fullmatch(name)
+    if parts and parts[1] in NAMES["t"]:
+        return parts[1], {"µs": "us", "μs": "us", "sec": "s", "seconds": "s"}.get(parts[2], parts[2])
+    return name, None
+
+
+def named_columns(names: Sequence[str], columns: Sequence[str] = ()) -> tuple[list[int] | None, str | None]:
+    """Where t, x, y, p are among named columns, and the unit that the name of t states.
+
+    Args:
+        names: of the columns in the file.
+        columns: as `ReadingOptions.columns` states them.
+
+    Returns:
+        Indices, or None where any is missing; the unit or None.
+    """
+    plain = [column_name(name) for name in names]
+    place: list[int | None] = []
+    for letter in "txyp":
+        stated = next((k for k, word in enumerate(columns) if word.partition("=")[0].strip() == letter), None)
+        if stated is None:
+            place.append(next((k for k, (name, _) in enumerate(plain) if name in NAMES[letter]), None))
+        elif "=" not in columns[stated]:
+            place.append(stated if stated < len(names) else None)
+        else:
+            word = columns[stated].partition("=")[2].strip()
+            found = [k for k, name in enumerate(names) if name.strip() == word or plain[k][0] == word.lower()]
+            number = int(word) if word.isdecimal() and len(word) < 6 else -1
+            place.append(found[0] if found else number if 0 <= number < len(names) else None)
+    if any(k is None for k in place):
+        return None, None
+    order = [k for k in place if k is not None]
+    return order, plain[order[0]][1]
+
+
+def infer_order(sample: Sequence[np.ndarray], where: str) -> tuple[list[int], tuple[list[str], str]]:
+    """Where t, x, y, p are among four columns without names.
+
+    Args:
+        sample: the first rows of each.
+        where: named in errors.
+
+    Returns:
+        Indices of t, x, y, p; the order in letters and why.
+
+    Raises:
+        InputError: no order is consistent, or several are.
+    """
+    if len(sample) != 4:
+        raise InputError(f"{where}: expected four columns, or their names, found {len(sample)}; {_way('columns')}")
+    for column in sample:
+        if column.dtype.kind not in "iufb":
+            raise InputError(f"{where}: expected lines of t x y p, found {shown(str(column[0]), 30)}")
+    possible = [order for order in ORDERS if _is_consistent(order, sample)]
+    rising = [order for order in possible if _rises(sample[order.index("t")])]
+    fitting = rising or possible
+    if len(fitting) != 1:
+        found = (
+            f"{' or '.join(map(' '.join, fitting))} are possible" if fitting else "no order that programs write fits"
+        )
+        falls = "" if rising else ", and none has times that never fall: --clock sort, too"
+        raise InputError(f"{where}: columns without names: {found}; {_way('columns')}{falls}")
+    order = fitting[0]
+    why = ": the only order of t x y p, x y p t and x y t p that fits"
+    return [order.index(letter) for letter in "txyp"], (list(order), why)
+
+
+def _is_consistent(order: str, sample: Sequence[np.ndarray]) -> bool:
+    p, *addresses = (sample[order.index(letter)] for letter in "pxy")
+    codes = set(np.unique(p).tolist()) if len(p) else set()
+    whole = all(np.all((a >= 0) & (a < MOST_ADDRESS) & (a == np.rint(a))) for a in addresses)
+    return whole and (codes <= {0, 1} or codes <= {-1, 1} or codes <= {-1, 0, 1})
+
+
+def _rises(t: np.ndarray) -> bool:
+    return len(t) > 1 and bool(np.all(t[1:] >= t[:-1])) and bool(t[-1] > t[0])
+
+
+@dataclass
+class Statistics:
+    """What the rules look at, of all events of a file, block by block.
+
+    Attributes:
+        falls: indices of events that are earlier than the one before, the first `FALLS_KEPT`.
+        largest_fall: in units of t.
+    """
+
+    events: int = 0
+    first: float = 0.0
+    low: float = np.inf
+    high: float = -np.inf
+    last: Any = None
+    floating: bool = False
+    whole: bool = True
+    on_grid: bool = True
+    distinct: int = 0
+    least_step: float = np.inf
+    fall_count: int = 0
+    falls: list[int] = field(default_factory=list)
+    side: tuple[int, int] = (0, 0)
+    codes: set[float] = field(default_factory=set)
+
+    def add(self, t: np.ndarray, x: np.ndarray, y: np.ndarray, p: np.ndarray, where: str) -> None:
+        """Take in a block that follows those before."""
+        if not len(t) == len(x) == len(y) == len(p):
+            raise InputError(f"{where}: t, x, y, p must have one length, found {len(t)}, {len(x)}, {len(y)}, {len(p)}")
+        if not len(t) or any(column.dtype.kind not in "iufb" for column in (t, x, y, p)):
+            return  # what is no number is refused where it is read
+        if t.dtype.kind == "u":  # differences of unsigned numbers do not fall
+            t = t.astype(np.int64 if t.max() < 1 << 63 else np.float64)
+        steps = np.diff(t, prepend=t[0] if self.last is None else self.last)
+        fallen = np.flatnonzero(steps < 0)
+        self.falls += (self.events + fallen[: FALLS_KEPT - len(self.falls)]).tolist()
+        self.fall_count += len(fallen)
+        risen = steps[steps > 0]
+        self.least_step = min(self.least_step, float(risen.min()) if len(risen) else np.inf)
+        self.distinct += len(risen)
+        if t.dtype.kind == "f":
+            self.floating = True
+            self.whole &= bool(np.all(t == np.rint(t)))
+        self.on_grid &= _all_on_grid(t, self.whole)
+        self.low, self.high = min(self.low, float(t.min())), max(self.high, float(t.max()))
+        self.side = (
+            max(self.side[0], int(np.nan_to_num(x.max())) + 1),
+            max(self.side[1], int(np.nan_to_num(y.max())) + 1),
+        )
+        self.codes |= set(np.unique(p).tolist()[:10])
+        self.events, self.last = self.events + len(t), t[-1]
+
+
+def _all_on_grid(t: np.ndarray, whole: bool) -> bool:
+    """Whether all times are whole thousands, or with fractions whole thousandths."""
+    if whole:
+        return bool(np.all(t % 1000 == 0))
+    thousandths = t * 1000.0
+    return bool(np.all(np.abs(thousandths - np.rint(thousandths)) <= 4 * np.spacing(np.abs(thousandths))))
+
+
+def infer_unit(s: Statistics, where: str) -> tuple[str, str]:
+    """The unit of times that none states, and why.
+
+    Raises:
+        InputError: two readings are possible.
+    """
+    gridded = s.on_grid and s.distinct >= ENOUGH
+    if s.whole:
+        if gridded:
+            raise _two_readings(where, "whole thousands", "µs of a millisecond clock or ns of a microsecond clock")
+        if s.high >= 9.2e15:
+            raise _two_readings(where, f"numbers up to {s.high:g}", "no µs that fit 64 bits in nanoseconds")
+        if s.events > 1000 and s.events > MOST_EVENTS_PER_S * 1e-6 * (s.high - s.low):
+            raise _two_readings(where, f"{s.events} events within {s.high - s.low:g}", "no readout is as fast in µs")
+        return "us", ": whole numbers"
+    if gridded:
+        raise _two_readings(where, "whole thousandths", "s of a millisecond clock or ms of a microsecond clock")
+    if s.least_step >= NEAR and s.high - s.low >= SHORT:
+        raise _two_readings(where, f"decimal fractions, {s.high - s.low:g} long", "s of a slow recording, or ms or µs")
+    return "s", ": decimal fractions"
+
+
+def _two_readings(where: str, found: str, readings: str) -> InputError:
+    return InputError(f"{where}/t: unit not stated, found {found}: {readings}; {_way('time_unit')}")
+
+
+def infer_polarity(codes: set[float], where: str) -> str:
+    """The code of polarities that none states: "01" or "pm1".
+
+    Raises:
+        InputError: other numbers than 0 and 1, or −1 and 1.
+    """
+    if codes <= {0, 1}:
+        return "01"
+    if codes <= {-1, 1}:
+        return "pm1"
+    raise InputError(
+        f"{where}/p: polarity must be 1 (ON) or 0 (OFF), or 1 and −1, found {shown(sorted(codes))}; remove the events "
+        f"that are neither, or {_way('polarity')}"
+    )
+
+
+def decoded_polarity(p: np.ndarray, code: str, where: str) -> np.ndarray:
+    """(n,) 0 and 1 from a column in a code.  Raises InputError for other values."""
+    if code == "pm1":
+        if not np.all((p == 1) | (p == -1)):
+            raise InputError(
+                f"{where}/p: polarity must be 1 (ON) or −1 (OFF), found {shown(np.unique(p)[:5].tolist())}"
+            )
+        return (p > 0).astype(np.uint8)
+    if code == "swapped":
+        values = p > 0
+        return (~values).astype(np.uint8) if np.isin(p, (-1, 0, 1)).all() else p
+    return p
+
+
+def _way(name: str) -> str:
+    return f"state it: {OPTION[name]}"
