@@ -29,6 +29,7 @@ from pixelid.recordings.alignment_filter import (
     hold,
     lag_s,
     refine,
+    soft_loss,
     within,
 )
 from pixelid.recordings.alignment_search import (
@@ -97,6 +98,11 @@ class EventAlignment:
     def follows(self) -> bool:
         """Whether the events follow this light at all."""
         return self.loss <= LARGEST_LOSS and self.nats >= ENOUGH_NATS and self.inside >= LEAST_INSIDE
+
+    @property
+    def loss_of_all(self) -> float:
+        """Mean loss of all changes, those outside of the light unexplained."""
+        return self.inside * self.loss + (1.0 - self.inside) * float(soft_loss(np.ones(1))[0])
 
     @property
     def equal_rivals(self) -> tuple[Rival, ...]:

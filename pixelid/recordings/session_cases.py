@@ -14,7 +14,7 @@ import numpy as np
 
 from pixelid.errors import InputError
 from pixelid.recordings.alignment import trigger_edges
-from pixelid.recordings.alignment_from_events import LEAST_CHANGES, EventAlignment, align_events
+from pixelid.recordings.alignment_from_events import LARGEST_LOSS, LEAST_CHANGES, EventAlignment, align_events
 from pixelid.recordings.alignment_search import correlation
 from pixelid.recordings.clocks import CRYSTAL
 from pixelid.recordings.recording import Recording
@@ -72,10 +72,11 @@ def case_of(
     how = how or ("trigger" if recording.triggers is not None and len(recording.triggers) else "auto")
     name, polarity = recording.name, 1
     events = _events(recording, light)
-    if (events is None or not events.follows) and len(recording.events) > LEAST_CHANGES:
-        other = _other_hypothesis(recording, light, recordings, lights)
-        if other is not None:
-            events, light, name, polarity = other
+    if not _explains(events) and len(recording.events) > LEAST_CHANGES:
+        own = [] if events is None or not events.follows else [(events, light, name, 1)]
+        hypotheses = [*own, *_other_hypotheses(recording, light, recordings, lights)]
+        if hypotheses:
+            events, light, name, polarity = min(hypotheses, key=lambda entry: entry[0].loss_of_all)
     edges, moments, stamp = np.empty(0), np.empty(0), 0.0
     if how.startswith("trigger"):
         edges, moments, stamp = trigger_edges(recording, light, how)
@@ -99,20 +100,27 @@ def is_constant(light: Light) -> bool:
     return spans < CONSTANT_SPAN and max(float(np.ptp(log)) for log in logs) < CONSTANT_RANGE
 
 
-def _other_hypothesis(
+def _explains(events: EventAlignment | None) -> bool:
+    """Whether nearly all events follow: another light may share a few edges."""
+    return events is not None and events.follows and events.loss_of_all <= LARGEST_LOSS
+
+
+def _other_hypotheses(
     recording: Recording, own: Light, recordings: Sequence[Recording], lights: Sequence[Light]
-) -> tuple[EventAlignment, Light, str, int] | None:
-    """(events, light, its recording's name, polarity) that the events do follow, exchanged polarity first."""
+) -> list[tuple[EventAlignment, Light, str, int]]:
+    """(events, light, its recording's name, polarity) that are followed; exchanged polarity alone where it explains."""
     exchanged = _events(recording, own, -1)
-    if exchanged is not None and exchanged.follows:
-        return exchanged, own, recording.name, -1
+    if exchanged is not None and _explains(exchanged):
+        return [(exchanged, own, recording.name, -1)]
     others = [(correlation(recording, light), k) for k, light in enumerate(lights) if light is not own]
-    best = None
+    tried: list[tuple[EventAlignment | None, Light, str, int]] = [(exchanged, own, recording.name, -1)]
     for _, k in sorted(others, reverse=True)[:OTHER_LIGHTS]:
-        events = _events(recording, lights[k])
-        if events is not None and events.follows and (best is None or events.loss < best[0].loss):
-            best = events, lights[k], recordings[k].name, 1
-    return best
+        tried.append((_events(recording, lights[k]), lights[k], recordings[k].name, 1))
+    return [
+        (events, light, name, polarity)
+        for events, light, name, polarity in tried
+        if events is not None and events.follows
+    ]
 
 
 def shared_rate(terms: Sequence[tuple[float, float, bool]]) -> SharedRate:
