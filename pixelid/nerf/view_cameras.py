@@ -22,7 +22,8 @@ PLUMB_BOB = ("OPENCV", "RADIAL", "SIMPLE_RADIAL", "FULL_OPENCV")
 FISHEYE = ("OPENCV_FISHEYE", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE")
 LENS = ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2", "s1", "s2", "s3", "s4")
 KEYS = (
-    "camera_angle_x", "camera_angle_y", "fl_x", "fl_y", "cx", "cy", "w", "h", "camera_model", "is_fisheye", "intrinsics",
+    "camera_angle_x", "camera_angle_y", "fl_x", "fl_y", "cx", "cy", "w", "h", "camera_model", "is_fisheye",
+    "intrinsics",
 )  # fmt: skip
 MOST_ASPECT, MOST_FOCAL = 0.02, 0.01  # relative, of what two statements of one camera may differ by
 
@@ -101,9 +102,7 @@ def _number(file: Path, stated: dict, key: str, default: float | None = None, le
 
 
 def _by_angle(file: Path, stated: dict, width: int, height: int) -> Camera:
-    key, side = next(
-        ((k, s) for k, s in (("camera_angle_x", width), ("camera_angle_y", height)) if k in stated), ("", 0)
-    )
+    key = next((key for key in ("camera_angle_x", "camera_angle_y") if key in stated), "")
     if not key:
         raise InputError(f"{file}: camera_angle_x: missing, and neither fl_x nor intrinsics there")
     angle = stated[key]
