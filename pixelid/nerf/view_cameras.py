@@ -102,7 +102,7 @@ def _number(file: Path, stated: dict, key: str, default: float | None = None, le
 
 
 def _by_angle(file: Path, stated: dict, width: int, height: int) -> Camera:
-    key, _ = next(((k, s) for k, s in (("camera_angle_x", width), ("camera_angle_y", height)) if k in stated), ("", 0))
+    key = next((key for key in ("camera_angle_x", "camera_angle_y") if key in stated), "")
     if not key:
         raise InputError(f"{file}: camera_angle_x: missing, and neither fl_x nor intrinsics there")
     angle = stated[key]

@@ -59,11 +59,13 @@ def opened(path: Path, options: ReadingOptions) -> RawEvents:
 
     if not h5py.is_hdf5(path):
         raise InputError(f"{path}: expected an HDF5 file, found something else")
-    with _damage(path):
-        file = h5py.File(path, "r")
+    with _damage(path), contextlib.ExitStack() as stack:
+        file = stack.enter_context(h5py.File(path, "r"))
         refuse_foreign_storage(file, path)
         attributes, own, pooled = _attributes(file, path)
-        return _own(file, path, attributes, pooled) if own else _foreign(file, path, attributes, options)
+        raw = _own(file, path, attributes, pooled) if own else _foreign(file, path, attributes, options)
+        stack.pop_all()  # its blocks are read later
+        return replace(raw, close=file.close)
 
 
 @contextlib.contextmanager

@@ -52,6 +52,7 @@ class RawEvents:
         inferred, notes, streams: of `Source`, settled by the reader.
         duplicates: how many events the file declares to repeat an earlier one; None: any number may.
         exposures: exposure measurements of an ATIS.
+        close: lets go of the file.
     """
 
     head: Recording
@@ -68,6 +69,7 @@ class RawEvents:
     streams: tuple[str, ...] = ()
     duplicates: int | None = None
     exposures: RawEvents | None = None
+    close: Callable[[], object] = lambda: None
 
 
 def interpreted(raw: RawEvents, options: ReadingOptions) -> tuple[Recording, Iterator[Recording]]:

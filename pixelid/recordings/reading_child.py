@@ -103,16 +103,22 @@ def recordings_of(
 ) -> Iterator[Recording]:
     """The recording in a file as a reader of `READERS` finds it, or a head and its parts."""
     module = importlib.import_module(READERS[reader])
-    if hasattr(module, "opened"):
-        stated = ReadingOptions.of(options or {})
-        head, parts = interpreted(module.opened(path, stated), stated)
-    else:
+    if not hasattr(module, "opened"):
         head, parts = cut(module.read(path))
-    if in_parts:
-        yield head
-        yield from parts
-    else:
-        yield joined(head, parts)
+        yield from (head, *parts) if in_parts else (joined(head, parts),)
+        return
+    stated = ReadingOptions.of(options or {})
+    raw = module.opened(path, stated)
+    try:
+        head, parts = interpreted(raw, stated)
+        if in_parts:
+            yield head
+            yield from parts
+            return
+        whole = joined(head, parts)
+    finally:
+        raw.close()
+    yield whole
 
 
 def _limit(cpu_s: float, memory: int) -> None:

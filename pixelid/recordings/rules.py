@@ -1,7 +1,7 @@
 """The rules by which what a file does not state is inferred; where two readings are possible and matter, they refuse.
 
-- Columns without names are `t x y p`, `x y p t` (Metavision) or `x y t p`: whichever one alone is consistent, with p a
-  polarity, whole x and y below 65536, and t that increases.
+- Columns without names are in the one order that is consistent: p a polarity, whole x and y below 65536, x before y,
+  and t that increases (`t x y p` of most, Metavision's `x y p t`, …).
 - Times that are whole numbers, however written, are microseconds; with decimal fractions they are seconds, if two
   events lie nearer than 0.001 or all within 100.  Whole thousands, and fractions of whole thousandths, may be counts of
   another clock.
@@ -13,6 +13,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from itertools import permutations
 from typing import Any
 
 import numpy as np
@@ -27,7 +28,7 @@ NAMES = {
     "p": ("p", "ps", "pol", "pols", "polarity", "polarities", "on"),
 }
 IN_UNIT = re.compile(r"(\w+?)(?:[\s_]+|\s*[\[(])(ns|[uµμ]s|ms|s|sec|seconds)[\])]?")  # t_us, timestamp [ns]
-ORDERS = ("txyp", "xypt", "xytp")  # of columns without names, as programs write them
+ORDERS = [o for o in map("".join, permutations("txyp")) if o.index("x") < o.index("y")]  # nobody writes y x
 ROWS = 1 << 12  # of columns without names, by which their order is inferred
 MOST_ADDRESS = 1 << 16
 ENOUGH = 16  # distinct times that all lie on a grid by chance: 1000⁻¹⁵
@@ -99,14 +100,12 @@ def infer_order(sample: Sequence[np.ndarray], where: str) -> tuple[list[int], tu
     rising = [order for order in possible if _rises(sample[order.index("t")])]
     fitting = rising or possible
     if len(fitting) != 1:
-        found = (
-            f"{' or '.join(map(' '.join, fitting))} are possible" if fitting else "no order that programs write fits"
-        )
+        listed = " or ".join(" ".join(order) for order in fitting[:3])
+        found = f"{listed} are possible" if fitting else "no order of t, x, y, p fits"
         falls = "" if rising else ", and none has times that never fall: --clock sort, too"
         raise InputError(f"{where}: columns without names: {found}; {_way('columns')}{falls}")
     order = fitting[0]
-    why = ": the only order of t x y p, x y p t and x y t p that fits"
-    return [order.index(letter) for letter in "txyp"], (list(order), why)
+    return [order.index(letter) for letter in "txyp"], (list(order), ": the only order that fits, x before y")
 
 
 def _is_consistent(order: str, sample: Sequence[np.ndarray]) -> bool:

@@ -71,7 +71,8 @@ def _of_one_size(recordings: Sequence[Recording], sources: Sequence[Source]) -> 
 def _is_free(recording: Recording, source: Source) -> bool:
     """Whether a recording's size is only that of its largest address, and no light is of that size."""
     light = recording.stimulus
-    inferred = source.inferred.get("size", (None, ""))[1] in (LARGEST, OF_SESSION)
+    nothing = not len(recording.events) and recording.events.width * recording.events.height == 1  # no address at all
+    inferred = nothing or source.inferred.get("size", (None, ""))[1] in (LARGEST, OF_SESSION)
     return inferred and not recording.pooled and (light is None or light.full_field)
 
 

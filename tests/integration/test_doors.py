@@ -1,0 +1,166 @@
+"""Foreign files are read as they are meant, or refused with the option that states what they leave out."""
+
+import os
+from collections import Counter
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from foreign_files import FORMATS, Spec, is_true, judged, write
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from pixelid.errors import InputError
+from pixelid.recordings import open_recording, open_recordings
+from pixelid.recordings.source import ReadingOptions, Source
+
+SHARED = Path(os.environ.get("PIXELID_SHARED", Path(__file__).parents[3] / "shared")) / "doors"
+NUMBER_OF_FILES = int(os.environ.get("PIXELID_FOREIGN_FILES", "300"))
+SPECS = st.builds(
+    Spec, format=st.sampled_from(FORMATS), order=st.sampled_from(["txyp", "xypt", "xytp", "ptxy", "tpxy", "yxtp"]),
+    named=st.booleans(), unit_named=st.booleans(), size_stated=st.booleans(),
+    unit=st.sampled_from(["s", "ms", "us", "us", "ns"]), floats=st.sampled_from(["none", "none", "t", "all"]),
+    polarity=st.sampled_from(["01", "01", "pm1", "bool", "three"]), mark=st.sampled_from([",", ";", "\t", " "]),
+    decimal=st.sampled_from([".", ".", ","]), comment=st.sampled_from(["", "# made by a lab", "% exported", "// t"]),
+    quoted=st.booleans(), index=st.booleans(),
+    clock=st.sampled_from(["rises", "rises", "rises", "ties", "swap", "back", "frames"]),
+    empty_stream=st.booleans(), second_stream=st.booleans(), width=st.sampled_from([1, 2, 64, 304, 1280]),
+    height=st.sampled_from([1, 2, 48, 240, 720]), events=st.sampled_from([30, 200, 2000]),
+    seconds=st.sampled_from([0.02, 0.5, 20.0]), seed=st.integers(0, 1000),
+)  # fmt: skip
+COUNTS: Counter = Counter()
+
+
+def possible(spec: Spec) -> Spec:
+    """The nearest file that a program could write."""
+    if spec.format != "text" or spec.mark == "," or spec.floats == "none":
+        spec = replace(spec, decimal=".")
+    if spec.unit == "s" and spec.floats == "none":
+        spec = replace(spec, floats="t")  # whole seconds tell nothing
+    if spec.format in ("npz_rows", "h5_rows") and spec.polarity == "bool":
+        spec = replace(spec, polarity="01")
+    rows = spec.format in ("npz_rows", "h5_rows")
+    if spec.format != "text":
+        spec = replace(spec, named=not rows)
+    if not spec.named or spec.mark == " ":
+        spec = replace(spec, index=False, unit_named=spec.unit_named and spec.named)
+    return spec
+
+
+@settings(max_examples=NUMBER_OF_FILES, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
+@given(spec=SPECS)
+def test_no_foreign_file_is_read_wrongly(tmp_path_factory, spec):
+    spec = possible(spec)
+    path = write(spec, tmp_path_factory.mktemp("foreign"))
+    answer = judged(spec, path)
+    COUNTS[answer] += 1
+    assert not answer.startswith("wrong"), f"{spec}: {answer}"
+
+
+def test_what_is_stated_is_read(tmp_path):
+    """The same files with everything stated: all of them true, but for polarities that are none."""
+    for k in range(24):
+        spec = possible(Spec(
+            format=FORMATS[k % len(FORMATS)], order=["xytp", "ptxy", "yxtp"][k % 3], named=False,
+            unit=["s", "ms", "us", "ns"][k % 4], floats=["none", "t"][k % 2], polarity=["01", "pm1"][k % 2],
+            clock=["rises", "frames"][k // 12], seed=k, mark=[",", ";", " "][k % 3],
+        ))  # fmt: skip
+        options = ReadingOptions.of({
+            "size": (spec.width, spec.height), "time_unit": spec.unit, "columns": ",".join(spec.order),
+            "polarity": spec.polarity, "clock": "sort",
+        })  # fmt: skip
+        recording = open_recording(write(spec, tmp_path), options)
+        right = np.sort(np.asarray(recording.events.t))
+        np.testing.assert_array_equal(recording.events.t, right)
+        assert Source.from_dict(recording.attributes["source"]).stated["time_unit"] == spec.unit
+        if spec.clock == "rises":
+            assert is_true(recording, spec), spec
+
+
+# --- the samples of public reports ------------------------------------------------------------------------------------
+
+READ = {  # folder → (file, options that its truth needs)
+    "02": ("events.csv", {}), "02d": ("events.csv", {}), "02f": ("events.txt", {}), "07": ("events.h5", {}),
+    "07b": ("events.h5", {}), "08": ("v2e.aedat", {"chip": "DAVIS346"}), "09": ("v2e.h5", {}),
+    "17": ("voltmeter.txt", {"columns": "t,x,y,p", "clock": "sort"}), "19h": ("none.bag", {}),
+    "26": ("events.txt", {}), "28": ("e2vid.h5", {}), "32": ("rec.raw", {}), "34b": ("events.txt", {}),
+    "36": ("events.txt", {}), "36b": ("events.csv", {}), "36c": ("events.csv", {}), "37": ("events.csv", {}),
+    "39": ("td.dat", {}),
+}  # fmt: skip
+REFUSED = {  # folder → (file, what the line names)
+    "08": ("v2e.aedat", "--chip"), "17": ("voltmeter.txt", "--columns.*--clock sort"), "18b": ("reset.bag", "--clock"),
+    "30": ("events.csv", "polarity"), "31g": ("imu.aedat4", "imus"),
+}  # fmt: skip
+
+
+def door(name: str) -> Path:
+    if not (SHARED / name).exists():
+        pytest.skip("shared files absent")
+    return SHARED / name
+
+
+@pytest.mark.parametrize("name", READ)
+def test_files_of_reports(name):
+    folder = door(name)
+    file, options = READ[name]
+    recording = open_recording(folder / file, ReadingOptions.of(options))
+    with np.load(folder / "truth.npz") as true:
+        for letter in "txyp":
+            np.testing.assert_array_equal(getattr(recording.events, letter), true[letter])
+        if true["w"] > 0:
+            assert (recording.events.width, recording.events.height) == (true["w"], true["h"])
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_files_of_reports_that_need_a_word(name):
+    file, says = REFUSED[name]
+    with pytest.raises(InputError, match=says):
+        open_recording(door(name) / file)
+
+
+def test_a_clock_set_back_makes_two_recordings():
+    one, two = open_recordings([door("18b") / "reset.bag"], options=ReadingOptions(clock="split"))
+    assert (len(one.events), len(two.events)) == (300, 300)
+    assert two.name == "reset (2)"
+    both = open_recording(door("18b") / "reset.bag", ReadingOptions(clock="sort"))
+    assert len(both.events) == 600
+    assert "sorted" in Source.from_dict(both.attributes["source"]).line()
+
+
+def test_lost_packets_and_biases_and_sizes_are_said():
+    lost = open_recording(door("20c") / "lost.bag")
+    assert "1 of 6 packets are missing" in Source.from_dict(lost.attributes["source"]).line()
+    assert open_recording(door("32") / "rec.raw").attributes["biases"]["bias_hpf"] == 1500
+    pixel = open_recording(door("40f") / "one.txt").events
+    assert (set(pixel.x), set(pixel.y), pixel.t[0]) == ({5}, {7}, 1_000_000)
+    session = open_recordings([door("39d") / f"nosize{k}.dat" for k in range(3)])
+    assert {(r.events.width, r.events.height) for r in session} == {(304, 240)}
+    assert "of the session" in Source.from_dict(session[0].attributes["source"]).line()
+
+
+@pytest.mark.parametrize(
+    ("name", "low", "high", "end_s"),
+    [("10n", 61 / 65535, 499 / 65535, 0.16), ("60b", 20 / 255, 163 / 255, 0.16), ("11", 40 / 255, 167 / 255, 1.24),
+     ("14b", 50 / 255, 100 / 255, 0.198134), ("16", 20 / 255, 163 / 255, 0.15)],
+)  # fmt: skip
+def test_pictures_of_reports(name, low, high, end_s):
+    from pixelid.stimuli.files import load_stimulus
+
+    if name == "11":
+        pytest.importorskip("av")
+    light = load_stimulus(door(name) / "light.toml")
+    assert light.radiance.min() == pytest.approx(low, rel=0.01)
+    assert light.radiance.max() == pytest.approx(high, rel=0.01)
+    assert light.end_s == pytest.approx(end_s)
+    assert np.all(np.diff(light.radiance.mean(axis=(1, 2))) >= 0)
+
+
+@pytest.mark.parametrize("name", ["light_de", "light_iso", "scope", "scope2"])
+def test_traces_of_reports(name):
+    from pixelid.stimuli.files import load_stimulus
+
+    light = load_stimulus(door("80") / f"{name}.csv")
+    assert light.unit == ("lux" if "light" in name else "V")
+    assert light.end_s == pytest.approx(0.5, rel=0.01)
+    assert light.radiance[0] * (0.01 if "light" in name else 1.0) == pytest.approx(1.0)
