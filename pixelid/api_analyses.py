@@ -209,7 +209,7 @@ def reconstruct(
         fit: a fit or a search for the gap, or the folder of one, or a model, whose pixel replaces the dataset's.
         sensor: folder of a sensor fit, whose maps say how the pixels differ.
         bandwidth: the pixel's filter: "on" (known), "off" (ignored), or "joint" (trained with the scene).
-        samples: of the pixel's past.
+        samples: of the pixel's past, per event.
         trained: of the pixel, trained with the scene: "threshold", "ratio", "refractory", "leak",
             "parasitic_photocurrent", "threshold_drift", "polarity_memory".
         between_poses: how the camera went, "linear" (constant rates) or "cubic" (splines).
@@ -221,7 +221,7 @@ def reconstruct(
         harmonics: degree of the harmonics by which colours depend on the direction, 0 to 2.
         iterations: training steps, 1200 by default; "auto" for steps and batch by the number of events.
         batch: chains of events per step; by default 320, or what "auto" chooses.
-        regularisation: how smooth the field is held, "usual", or "auto" where held-out events choose a factor.
+        regularisation: smoothing, "usual", or "auto": ⅓, 1 or 3 times that, chosen on held-out events.
         background: radiance behind the scene; by default what the views show.
         scale: what pins the radiance unit: "auto", "level" or "free".
         box: corners of the scene, x0 y0 z0 x1 y1 z1; by default a cube where the views look.

@@ -13,13 +13,16 @@ from pixelid.errors import Doubtful, InputError
 from pixelid.model.model import Model
 from pixelid.model.options import changed
 from pixelid.model.shipped import find_model, shipped_models
-from pixelid.recordings.reading import check_readable, open_recordings
+from pixelid.outputs import RESULT_FILES
+from pixelid.recordings.reading import BINARY_SUFFIXES, check_readable, open_recordings
 from pixelid.recordings.recording import Recording
 from pixelid.recordings.session import agreed
 from pixelid.stimuli.files import load_stimulus
 from pixelid.stimuli.pixel_lights import Light, PixelLights
 from pixelid.stimuli.shapes import SHAPES
 from pixelid.stimuli.stimulus import Stimulus
+
+MADE_BY = {"posterior": "fit --sample", "static_noise": "inspect", "reconstruction": "reconstruct"}  # file → command
 
 ModelLike: TypeAlias = Model | str | Path
 RecordingsLike: TypeAlias = Recording | str | Path | Iterable[Recording | str | Path]
@@ -58,7 +61,9 @@ def check_given(
     Raises:
         InputError: a file is missing, empty or of no known format; a model, effect or parameter is unknown.
     """
-    check_readable(recordings)
+    for path in recordings:
+        _refuse_result(Path(path))
+        check_readable([path])
     for model in models:
         changed(find_model(model), **changes)
 
@@ -79,6 +84,7 @@ def as_recordings(recordings: RecordingsLike) -> list[Recording]:
         if isinstance(entry, Recording):
             opened.append(entry)
         elif isinstance(entry, str | Path):
+            _refuse_result(Path(entry))
             try:
                 read = open_recordings([entry])
             except InputError as error:
@@ -132,6 +138,14 @@ def _swapped(value: object) -> str:
     else:
         return ""
     return f" (this is {found}: are two arguments swapped?)"
+
+
+def _refuse_result(path: Path) -> None:
+    """Raise InputError for the folder of a result in a recording's place, whose tables are no events."""
+    made_by = [name.removesuffix(".json") for name in RESULT_FILES if (path / name).is_file()]
+    if made_by and not any(file.suffix.lower() in {*BINARY_SUFFIXES} - {".npz"} for file in path.iterdir()):
+        command = MADE_BY.get(made_by[0], made_by[0])
+        raise InputError(f"{path}: is a result of `pixelid {command}`, not recordings")
 
 
 def _holds_recordings(path: Path) -> bool:

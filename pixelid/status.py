@@ -12,7 +12,7 @@ class Status(StrEnum):
     >>> Status("converged").exit_code
     0
     >>> Status.not_converged.advice
-    'The search stopped before its maximum: start again with another --seed, or from a model closer to the recording.'
+    'The optimiser stopped early: start again with another --seed, or from a model closer to the recording.'
     """
 
     converged = "converged"
@@ -49,18 +49,18 @@ class Status(StrEnum):
 
 
 # Among what a result leaves open, where its search is not at rest.
-STOPPED = "every parameter: the optimiser stopped early; values are those of where it stopped"
+STOPPED = "no parameter is reliable: the optimiser stopped early; values are those of where it stopped"
 _ADVICE = {
     Status.converged: "",
     Status.misfit: "The model does not describe the data: look at the residuals, then search for what it lacks with "
     "`pixelid gap`.",
     Status.at_bound: "A parameter sits on its bound: check the units of the stimulus, fix the parameter, or widen its "
     "bounds in the model file.",
-    Status.not_identified: "The data leave open what was asked for: fix it from elsewhere, or record what "
+    Status.not_identified: "The data do not identify what was asked for: fix it from elsewhere, or record what "
     "`pixelid design` recommends.",
-    Status.not_converged: "The search stopped before its maximum: start again with another --seed, or from a model "
-    "closer to the recording.",
-    Status.diverged: "The numbers ran away: check units, thresholds and dead time of the input, and start closer.",
+    Status.not_converged: "The optimiser stopped early: start again with another --seed, or from a model closer to the "
+    "recording.",
+    Status.diverged: "The numbers ran away: check units, thresholds and dead time of the input, and start nearer.",
     Status.interrupted: "The computation was stopped before its end: run it again; what has been kept is continued.",
 }
 # From harmless to useless.  A result that stands on a bound or leaves something open can still be read; one that does

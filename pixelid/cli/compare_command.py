@@ -34,9 +34,11 @@ def command(recordings, models, out, folds, sample, overwrite, seed, quiet):
     from pixelid.outputs import claimed, whole_folder
 
     with claimed(out, overwrite, [*recordings, *models]):
+        from pixelid.inputs import check_given
         from pixelid.model.shipped import find_model
         from pixelid.recordings import open_recordings
 
+        check_given(recordings)
         circuits, opened = [find_model(name) for name in models], open_recordings(recordings)
         from pixelid.compare import compare
         from pixelid.compare.figures import draw_held_out

@@ -30,11 +30,13 @@ def command(recordings, model, out, with_, without, alpha, crop, where, overwrit
     from pixelid.outputs import claimed, whole_folder
 
     with claimed(out, overwrite, [*recordings, model]):
+        from pixelid.inputs import check_given
         from pixelid.model.options import changed
         from pixelid.model.shipped import find_model
         from pixelid.recordings import open_recordings
 
         base, remarks = changed(find_model(model), with_, without, ())
+        check_given(recordings)
         opened = open_recordings(recordings, crop, seed)
         from pixelid.conform.conform import conform
         from pixelid.conform.figures import write_figures

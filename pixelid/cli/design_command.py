@@ -25,7 +25,9 @@ Example:
 @click.command("design", epilog=EXAMPLE)
 @click.argument("model")
 @options.out()
-@click.option("--criterion", default="D", show_default=True, metavar="D|A|PARAMETER", help="What is to shrink.")
+@click.option(
+    "--criterion", default="D", show_default=True, metavar="D|A|PARAMETER", help="Which uncertainty to reduce."
+)
 @click.option("--recorded", multiple=True, metavar="REC", type=options.PATH,
               help="A recording (or folder) there is already; repeatable.")  # fmt: skip
 @click.option("--menu", type=options.PATH, metavar="FILE", help="TOML of [[stimulus]] tables.")
@@ -34,14 +36,14 @@ Example:
     "--draws", type=click.IntRange(1, 10_000), default=4, show_default=True, help="Parameter values averaged over."
 )
 @click.option("--spread", type=options.Number(0.0, 10.0), help="Their standard deviation in ln, without a fit [0.2].")
-@click.option("--per-second", is_flag=True, help="Rank by score per second of light.")
+@click.option("--per-second", is_flag=True, help="Rank by information per second of light.")
 @click.option(
     "--biases", is_flag=True, help="MODEL is a folder of `rates --bias-law`: recommend a setting of its bias."
 )
 @click.option("--bias", metavar="NAME", help="Which bias, with --biases [the fitted one].")
-@click.option("--bandwidth", type=POSITIVE, metavar="HZ", help="At least so much cutoff, with --biases.")
-@click.option("--noise", type=POSITIVE, metavar="HZ", help="At most so many noise events per pixel and second.")
-@click.option("--rate", type=POSITIVE, metavar="HZ", help="At most so many events per pixel and second.")
+@click.option("--bandwidth", type=POSITIVE, metavar="HZ", help="Minimum cutoff, with --biases.")
+@click.option("--noise", type=POSITIVE, metavar="HZ", help="Maximum rate of noise events per pixel.")
+@click.option("--rate", type=POSITIVE, metavar="HZ", help="Maximum rate of events per pixel.")
 @click.option("--frequency", type=POSITIVE, metavar="HZ", help="Of the light that --rate is of [--bandwidth].")
 @options.reading
 @options.overwrite

@@ -30,7 +30,7 @@ Example:
 @options.without
 @options.set_value
 @options.overwrite
-@options.seed("Written into the result; nothing here is random.")
+@options.seed("Written into the result; no other effect.")
 @options.quiet
 def command(model, to, out, white, level, with_, without, set_, overwrite, seed, quiet):
     """Write the parameters of another simulator that come nearest to MODEL (shipped, .toml file or fit folder).

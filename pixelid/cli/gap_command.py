@@ -33,11 +33,13 @@ def command(
     from pixelid.outputs import claimed, whole_folder
 
     with claimed(out, overwrite, [*recordings, model]):
+        from pixelid.inputs import check_given
         from pixelid.model.options import changed
         from pixelid.model.shipped import find_model
         from pixelid.recordings import open_recordings
 
         base, remarks = changed(find_model(model), with_, without, ())
+        check_given(recordings)
         opened = open_recordings(recordings, crop, seed)
         from pixelid.gap.figures import write_figures
         from pixelid.gap.gap import gap

@@ -80,7 +80,7 @@ def command(tables, out, model, predict, camera, sample, overwrite, seed, quiet)
             for statistic, e in errors.items():
                 clean = "–" if e["rms_without_spoiled"] is None else f"{100 * e['rms_without_spoiled']:.1f} %"
                 say(f"{name:10s} {statistic:8s} {e['rows']:5d} rows, rms {100 * e['rms']:5.1f} %, {clean} without the "
-                    f"{e['spoiled']} spoiled")  # fmt: skip
+                    f"{e['spoiled']} excluded rows")  # fmt: skip
         say_sentences(written["limiting_stages"])
         say_page(out)
     return written["status"].exit_code

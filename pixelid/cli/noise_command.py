@@ -22,7 +22,7 @@ Example:
 @click.option("--predict", is_flag=True, help="Evaluate --model on the rates instead of fitting.")
 @options.reading
 @options.overwrite
-@options.seed("Accepted everywhere; nothing here is random.")
+@options.seed("No effect on this command.")
 @options.quiet
 def command(sources, out, model, predict, overwrite, seed, quiet):
     """Fit noise rates of SOURCES: tables (CSV: light, ON and OFF events per pixel and second) or still recordings.

@@ -88,7 +88,7 @@ fix = click.option("--fix", multiple=True, metavar="NAME=VALUE", help="Hold a pa
 set_value = click.option("--set", "set_", multiple=True, metavar="name=value", help="Set a parameter.")
 gauge = click.option("--gauge", multiple=True, metavar="NAME=VALUE", help='E.g. q_in=0.875 or "A_loop=0.7 A_amp".')
 pixel_levels = click.option("--pixel-levels", metavar="gain|background|both", default="",
-                            help="Levels of every pixel that are not known; of known spread: gain=0.2.")  # fmt: skip
+                            help="Fit a gain and/or background per pixel; of known spread: gain=0.2.")  # fmt: skip
 alpha = click.option("--alpha", type=Number(0.0, 0.5, open_low=True), default=0.01, show_default=True,
                      help="Chance of a false alarm.")  # fmt: skip
 as_json = click.option("--json", "as_json", is_flag=True, help="Print JSON instead of a table.")
@@ -110,7 +110,7 @@ def seed(help: str | None = None, **settings: Any) -> Decorator:
     return click.option("--seed", **{"default": 0, "show_default": True, **settings}, type=SEED, help=help)
 
 
-no_seed = seed("Accepted everywhere; nothing here is random.")
+no_seed = seed("No effect on this command.")
 
 
 def _region(context: click.Context, parameter: click.Parameter, text: str | None) -> tuple[int, int, int, int] | None:
@@ -152,7 +152,7 @@ def crop(command: Decorated) -> Decorated:
         return command(*arguments, crop=Crop(roi, span, pixels, without_hot_pixels, from_first), **others)
 
     for option in (
-        click.option("--without-hot-pixels", is_flag=True, help="Leave out pixels that fire whatever the others do."),
+        click.option("--without-hot-pixels", is_flag=True, help="Exclude hot pixels."),
         click.option("--pixels", type=PIXELS, metavar="N", help="Only N pixels, chosen by --seed."),
         click.option(
             "--time",
@@ -162,7 +162,7 @@ def crop(command: Decorated) -> Decorated:
             help="Only these seconds; +FROM:+TO: since the first event.",
         ),
         click.option(
-            "--roi", metavar="X0,Y0,X1,Y1", callback=_region, help="Only these columns and rows (X1, Y1 out)."
+            "--roi", metavar="X0,Y0,X1,Y1", callback=_region, help="Only these columns and rows (X1, Y1 excluded)."
         ),
     ):
         gathered = option(gathered)

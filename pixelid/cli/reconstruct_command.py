@@ -41,7 +41,7 @@ class StepsOrAuto(click.IntRange):
 @click.option("--sensor", type=options.PATH, help="Folder of `pixelid sensor`: thresholds and bandwidth of each pixel.")
 @click.option("--bandwidth", type=click.Choice(["on", "off", "joint"]), default="on", show_default=True,
               help="The pixel's filter: known, ignored, or trained with the scene.")  # fmt: skip
-@click.option("--samples", type=click.IntRange(1, 1000), default=30, show_default=True, help="S, of the pixel's past.")
+@click.option("--samples", type=click.IntRange(1, 1000), default=30, show_default=True, help="Past samples per event.")
 @click.option("--train", "trained", multiple=True, type=click.Choice(TRAINABLE),
               help="Of the pixel, trained with the scene: mean threshold, ON/OFF ratio, dead time (refractory), or an "
                    "effect.")  # fmt: skip
@@ -64,7 +64,7 @@ class StepsOrAuto(click.IntRange):
     "--batch", type=click.IntRange(1, 10_000_000), help="Chains of events per step; 320, or what --steps auto chooses."
 )
 @click.option("--regularisation", type=click.Choice(["usual", "auto"]), default="usual", show_default=True,
-              help="How smooth the field is held; auto: a third, once or thrice that, by held-out events.")  # fmt: skip
+              help="Smoothing; auto: ⅓, 1 or 3 × usual, chosen on held-out events.")  # fmt: skip
 @click.option("--background", type=options.Number(0.0, open_low=True),
               help="Radiance behind the scene; by default what the views show.")  # fmt: skip
 @click.option("--scale", type=click.Choice(["auto", "level", "free"]), default="auto", show_default=True,

@@ -57,14 +57,14 @@ def command(
 
     keep = out.with_name(out.name + ".tiles")
     with claimed(out, overwrite, [*recordings, model]):
+        from pixelid.inputs import check_given
         from pixelid.model.shipped import find_model
         from pixelid.recordings import open_recordings
-        from pixelid.recordings.reading import check_readable
 
         circuit = find_model(model)
         if bandwidth not in circuit.parameters and not options.is_given(context, "bandwidth"):
             bandwidth = "none"
-        check_readable(recordings)  # before anything slow is imported
+        check_given(recordings)  # before anything slow is imported
         opened = open_recordings(recordings, crop, seed)
         from pixelid.report.html import write_report
         from pixelid.sensors import fit_sensor

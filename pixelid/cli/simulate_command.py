@@ -24,7 +24,7 @@ Example:
 @options.with_effect
 @options.without
 @options.set_value
-@click.option("--synchronous", is_flag=True, help="Every pixel takes its first reference at t = 0; no random start.")
+@click.option("--synchronous", is_flag=True, help="Start all pixels in phase.")
 @click.option("--condition", default="", help="Label of the recording; default: the stimulus.")
 @click.option("--threads", type=click.IntRange(1, 1024), help="Default: one per core; results do not depend on it.")
 @click.option("--overwrite", is_flag=True, help="Replace the recording --out.")

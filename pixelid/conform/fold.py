@@ -95,19 +95,19 @@ def _in_base(effect: str, beside: Beside, criteria: Criteria) -> Row:
     free = next((p for p in own.parameters if p.free), own.parameters[0])
     limits = beside.intervals.get(free.name)
     if removal is not None and removal.needed:
-        return Row(effect, own.stage, PRESENT, "the base model has it, and fits worse without it", strengths, *said)
+        return Row(effect, own.stage, PRESENT, "in the base model, and fits worse without it", strengths, *said)
     if limits is None:
-        why = "the base model has it; it was not taken out" if removal is None else "the base model has it, not fitted"
+        why = "in the base model; it was not taken out" if removal is None else "in the base model, not fitted"
         return Row(effect, own.stage, NOT_TESTED, why, strengths, *said)
     weakest, strongest = _relative(effect, limits, free.value)
     if removal is None and weakest > criteria.min_relative_strength:
-        return Row(effect, own.stage, PRESENT, "the base model has it; its interval excludes none", strengths)
+        return Row(effect, own.stage, PRESENT, "in the base model; its interval excludes none", strengths)
     if strongest < 1.0:
         limit = (free.name, limits[0] if effect in INVERSE else max(abs(limits[0]), abs(limits[1])))
-        why = "the base model has it, fits as well without it, and its interval ends below the typical strength"
+        why = "in the base model, fits as well without it, and its interval ends below the typical strength"
         return Row(effect, own.stage, ABSENT, why, {}, *said, limit=limit)
     without = "it could not be taken out" if removal is None else "fits as well without it"
-    return Row(effect, own.stage, NOT_DECIDABLE, f"the base model has it, {without}, and it may be strong", strengths,
+    return Row(effect, own.stage, NOT_DECIDABLE, f"in the base model, {without}, and it may be strong", strengths,
                *said)  # fmt: skip
 
 
@@ -118,7 +118,7 @@ def _readout_in_base(effect: str, beside: Beside) -> Row:
         strength = {signature.parameter: (signature.value, signature.interval)}
         return Row(effect, stage, PRESENT, signature.where, strength, signature.p)
     row = _in_readout(effect, beside)
-    return replace(row, why=f"the base model has it; {row.why}")
+    return replace(row, why=f"in the base model; {row.why}")
 
 
 def _relative(effect: str, limits: tuple[float, float], typical: float) -> tuple[float, float]:
@@ -167,14 +167,14 @@ def _lacking(effect: str, report: GapReport, beside: Beside, criteria: Criteria)
         if not beside.pixels:
             why = "tried, and gains too little; from what strength on pooled counts would show it is not known"
             return Row(effect, stage, NOT_DECIDABLE, why, {}, *said)
-        return Row(effect, stage, NOT_DECIDABLE, "it moves nothing in these recordings", {}, *said)
+        return Row(effect, stage, NOT_DECIDABLE, "no visible influence here", {}, *said)
     split = {**details["pixels"], "apart": details["held_out"]}
     others = max(len(last.get("screened_nats", {})), len(details["shows_at_typical_strength_nats"]))
     needed = nats_needed(effect, report.alpha / 2, others, split, criteria)
     if shows < needed:
         why = f"at its typical strength it would show by {shows:.2g} nats, less than the {needed:.2g} that a name needs"
         return Row(effect, stage, NOT_DECIDABLE, why, {}, *said, shows_nats=shows)
-    why = "it would have been seen, and was not"
+    why = "detectable here; not found"
     if report.remainder:
         why += "; something else is left unexplained"
     return Row(effect, stage, ABSENT, why, {}, *said, shows_nats=shows, limit=_limit(effect, shows, needed))
@@ -215,7 +215,7 @@ def _threshold(name: str, beside: Beside) -> Row:
     """A threshold as fitted, or what kept it from being: every pixel has one, but no event may have told it."""
     strength = beside.strength(name)
     limits = strength[1]
-    has_it = "every event-camera pixel has it"
+    has_it = "always present"
     if not beside.pixels:
         why = f"{has_it}; pooled counts show only its ratio to the number of pixels"
         return Row(name, "comparator", PRESENT, why, {name: strength})
@@ -223,7 +223,6 @@ def _threshold(name: str, beside: Beside) -> Row:
         return Row(name, "comparator", NOT_TESTED, f"{has_it}; held at the model's value, not fitted", {name: strength})
     known = precision_in_words(limits, beside.model.parameters[name])
     if None in limits:
-        shown = {} if known == "open" else {name: strength}
-        why = f"{has_it}; the recordings leave it {known}" if known == "open" else f"{has_it}; {known} of it is told"
-        return Row(name, "comparator", NOT_DECIDABLE, why, shown)
-    return Row(name, "comparator", PRESENT, f"{has_it}; as fitted", {name: strength})
+        shown = {} if known == "not identified" else {name: strength}
+        return Row(name, "comparator", NOT_DECIDABLE, f"{has_it}; {known}", shown)
+    return Row(name, "comparator", PRESENT, f"{has_it}; fitted value", {name: strength})

@@ -11,7 +11,7 @@ from pixelid.gap.result import GapReport
 from pixelid.results import Result, Table, number
 from pixelid.status import Status
 
-WORDS = {PRESENT: "has it", ABSENT: "lacks it", NOT_DECIDABLE: "not decidable", NOT_TESTED: "not tested"}
+WORDS = {PRESENT: "present", ABSENT: "absent", NOT_DECIDABLE: "not decidable", NOT_TESTED: "not tested"}
 
 
 @dataclass(frozen=True, repr=False)

@@ -33,7 +33,7 @@ def draw_ranking(result: dict, axis: Any = None) -> Any:
     )
     axis.grid(False, axis="y")
     axis.margins(y=0.02)
-    axis.set_xlabel(f"score by {result['criterion']} (nats)")
+    axis.set_xlabel(f"expected information, {result['criterion']} (nats)")
     return axis
 
 

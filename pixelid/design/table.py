@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pixelid.fit.table import number
 
-RANKING_HEADINGS = ("stimulus", "score [nats]", "±", "per second", "seconds", "events")
+RANKING_HEADINGS = ("stimulus", "expected information [nats]", "±", "per second", "seconds", "events")
 WIDTHS_HEADINGS = ("parameter", "value", "95 % before", "95 % after", "narrower by", "unit")
 
 

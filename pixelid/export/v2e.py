@@ -50,7 +50,7 @@ def export(model: Model, light: Light) -> Exported:
         Entry("sigma_thres", circuit.mismatch * math.sqrt((on * on + off * off) / 2), "ln",
               "threshold_mismatch.sigma × rms of the two thresholds"),
         Entry("cutoff_hz", cutoff_hz(model, light), "Hz",
-              "corner of the one pole that is as late as all stages together at the level (0: no limit)"),
+              "single-pole cutoff with the same delay as all stages together, at the level (0: no limit)"),
         Entry("leak_rate_hz", leak_rate(model, light.level), "Hz", "leak, and parasitic photocurrent at the level"),
         Entry("leak_jitter_fraction", 0.0, "", "the leak is a steady drift"),
         Entry("noise_rate_cov_decades", 0.0, "", "and the same in all pixels"),

@@ -170,21 +170,21 @@ def status_of(
         statuses.append(Status.not_converged)
     background, share = details.get("background_events", 0), details.get("background_fraction", 0.0)
     if share > LARGEST_BACKGROUND_FRACTION and background >= MIN_BACKGROUND_EVENTS:
-        advice.append(f"{background} events ({100 * share:.2g} %) do not fit the model at all: it misses an effect")
+        advice.append(f"{background} events ({100 * share:.2g} %) have no cause in the model: it lacks an effect")
         statuses.append(Status.misfit)
     dispersion = details.get("dispersion", 1.0)
     if dispersion > LARGEST_DISPERSION:
         advice.append(
             f"counts vary {dispersion:.1f} times more about the model than Poisson counts would: "
-            "errors are scaled for it, but the model misses an effect"
+            "errors are scaled for it, but the model lacks an effect"
         )
         statuses.append(Status.misfit)
     alarms = significant([ResidualTest(**test) for test in details.get("residual_tests", ())])
     if alarms:
         worst = alarms[0]
         advice.append(
-            f"{worst.covariate} is not what the model says (p = {worst.p_value:.1g}, {100 * worst.share:.2g} % of the "
-            "residuals' variance): it misses an effect, look for it with `pixelid gap`"
+            f"residuals depart from the model in {worst.covariate} ({100 * worst.share:.2g} % of their variance, "
+            f"p = {worst.p_value:.1g}): an effect is missing, find it with `pixelid gap`"
         )
         statuses.append(Status.misfit)
     if statuses and isinstance(objective, EventTimesObjective):
@@ -231,9 +231,9 @@ def open_sides(
         )
         if below and above:
             if parameter.transform == "log":
-                sentences.append(f"{parameter.name} is open over {np.log10(high / low):.0f} decades")
+                sentences.append(f"{parameter.name} is not identified over {np.log10(high / low):.0f} decades")
             else:
-                sentences.append(f"{parameter.name} is open: any value between its bounds fits")
+                sentences.append(f"{parameter.name} is not identified: any value between its bounds fits")
         elif below:
             sentences.append(f"{parameter.name}: only an upper limit, {high:.3g} {parameter.unit}")
         else:

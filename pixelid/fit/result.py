@@ -167,7 +167,7 @@ class FitResult(Result):
         number_of = f"{len(self.recordings)} recording{'s' * (len(self.recordings) != 1)}"
         return (
             f"fit of {self.model.name}: {self.status}; {self.events} events, {self.pixels} pixels, {number_of}, "
-            f"{self.observation}, {self.engine}, {self.seconds:.1f} s"
+            f"{self.seconds:.1f} s"
         )
 
     def tables(self) -> list[Table]:
@@ -175,16 +175,24 @@ class FitResult(Result):
         rows = tuple(
             (e.name, number(e.value), interval(e.interval_95), e.unit, self._known(e)) for e in self.estimates.values()
         )
-        headings = ("parameter", "value", "95 % interval", "unit", "known?")
-        tables = [Table("", headings, rows, frozenset({"parameter", "unit", "known?"}))]
+        headings = ("parameter", "value", "95 % interval", "unit", "identified?")
+        tables = [Table("", headings, rows, frozenset({"parameter", "unit", "identified?"}))]
         if self.physical:
-            ends = self.physical_intervals()
+            ends, unknown = self.physical_intervals(), dict.fromkeys(self.model.gauge.fixed, "assumed")
+            assumed = ", ".join(f"{name} = {value}" for name, value in self.model.gauge.statements().items())
             physical = tuple(
-                (name, number(value), interval(ends[name]) if ends[name] else "assumed or open", PHYSICAL_UNITS[name])
+                (
+                    name,
+                    number(value),
+                    interval(ends[name]) if ends[name] else unknown.get(name, "not identified"),
+                    PHYSICAL_UNITS[name],
+                )
                 for name, value in self.physical.items()
             )
             headings = ("circuit", "value", "95 % interval", "unit")
-            tables.append(Table("under the gauge", headings, physical, frozenset({"circuit", "unit"})))
+            tables.append(
+                Table(f"circuit values, assuming {assumed}", headings, physical, frozenset({"circuit", "unit"}))
+            )
         if self.pixel_levels is not None:
             spread = tuple(
                 (f"{kind} over pixels", number(scale["value"]), interval(scale["interval_95"]), scale["unit"])

@@ -38,7 +38,7 @@ def rows_of_result(result: dict[str, Any]) -> list[tuple[str, str]]:
     if rate["mean"] is not None and rate["peak"] is not None:
         window = rate["peak_window_s"] * 1e3
         rows.append(
-            ("rate", f"{in_hertz(rate['mean'])} on average, {in_hertz(rate['peak'])} in the fastest {window:g} ms")
+            ("rate", f"{in_events(rate['mean'])} on average, {in_events(rate['peak'])} in the fastest {window:g} ms")
         )
     if result["on_fraction"] is not None:
         rows.append(("ON / OFF", f"{result['on_fraction']:.1%} / {1 - result['on_fraction']:.1%}"))
@@ -84,10 +84,10 @@ def _dead_time(dead: dict[str, Any]) -> str:
 def _tick(tick: dict[str, Any]) -> str:
     if tick["clock_s"] is None:
         return "too few events to tell"
-    clock = f"clock of {_seconds(tick['clock_s'])}"
+    clock = _seconds(tick["clock_s"])
     if tick["scan_s"] is None:
         return clock
-    return f"scan of {_seconds(tick['scan_s'])} (jitter {_seconds(tick['scan_jitter_s'] or 0.0)}), {clock}"
+    return f"scan of {_seconds(tick['scan_s'])} (jitter {_seconds(tick['scan_jitter_s'] or 0.0)}), clock {clock}"
 
 
 def _lines(lines: list[dict[str, Any]]) -> str:
@@ -101,7 +101,7 @@ def _lines(lines: list[dict[str, Any]]) -> str:
 
 
 def _hot_pixels(pixels: list[dict[str, Any]], count: int) -> str:
-    shown = [f"({pixel['x']}, {pixel['y']}) at {in_hertz(pixel['rate_hz'])}" for pixel in pixels[:PIXELS_SHOWN]]
+    shown = [f"({pixel['x']}, {pixel['y']}) at {in_events(pixel['rate_hz'])}" for pixel in pixels[:PIXELS_SHOWN]]
     return f"{count}: {', '.join(shown)}" if shown else "none"
 
 
@@ -110,17 +110,17 @@ def _ceiling(ceiling: dict[str, Any] | None) -> str:
         return "too few events to tell"
     if not ceiling["saturated"]:
         return "not reached"
-    words = "" if ceiling["grouping"] == "event" else f" ({in_hertz(ceiling['groups_hz'])} {ceiling['grouping']} words)"
-    return f"saturated {ceiling['time_fraction']:.0%} of the time at {in_hertz(ceiling['rate_hz'])}{words}"
+    words = "" if ceiling["grouping"] == "event" else f" ({ceiling['groups_hz']:.3g} {ceiling['grouping']} words/s)"
+    return f"saturated {ceiling['time_fraction']:.0%} of the time at {in_events(ceiling['rate_hz'])}{words}"
 
 
-def in_hertz(value: float) -> str:
-    """A rate in Hz, kHz or MHz.
+def in_events(value: float) -> str:
+    """A rate of events.
 
-    >>> in_hertz(2.49e7), in_hertz(12.0)
-    ('24.9 MHz', '12 Hz')
+    >>> in_events(2.49e7), in_events(12.0)
+    ('24.9 Mev/s', '12 ev/s')
     """
-    for scale, unit in ((1e6, "MHz"), (1e3, "kHz")):
+    for scale, unit in ((1e6, "Mev/s"), (1e3, "kev/s")):
         if value >= scale:
             return f"{value / scale:.3g} {unit}"
-    return f"{value:.3g} Hz"
+    return f"{value:.3g} ev/s"

@@ -96,7 +96,7 @@ def sentences(content: dict) -> list[str]:
     low, high = map_["critical"] or (math.inf, math.inf)
     said = ["With this dark current no light is dim enough for one pole alone."]
     if map_["epsilon_one"] is not None and low > 0:
-        said = [f"One pole is the limit far below {map_['epsilon_one']:.3g} {unit} (ε = αL/β² = 1 there)."]
+        said = [f"One pole is the low-light limit: ε = αL/β² reaches 1 at {map_['epsilon_one']:.3g} {unit}."]
     if map_["critical"]:
         said.append(
             f"Between {low:.3g} and {high:.3g} {unit} the two photoreceptor poles are a complex pair (damping down to "
@@ -107,12 +107,12 @@ def sentences(content: dict) -> list[str]:
     else:
         said.append("The two photoreceptor poles are real at every radiance.")
     first = content["errors"]["one_pole"]["dominant_pole"]["photoreceptor"]["levels"]
-    radii_said = [f"{level} from {entry['first']:.3g} {unit}" for level, entry in first.items() if entry["first"]]
+    accurate = [f"to {level} below {entry['first']:.3g} {unit}" for level, entry in first.items() if entry["first"]]
     dark = [level for level, entry in first.items() if entry["first"] == 0.0]
+    if accurate:
+        said.append(f"One pole, ωc = (α/β) L, is accurate {', '.join(accurate)}.")
     if dark:
-        radii_said.insert(0, f"{', '.join(dark)} already in the dark")
-    if radii_said:
-        said.append(f"ωc = (α/β) L misses the slowest pole by {', '.join(radii_said)}.")
+        said.append(f"Already in the dark ωc = (α/β) L is off by {', '.join(dark)}.")
     return said
 
 

@@ -52,7 +52,7 @@ class LowlightReport(ContentResult):
         content = dict(self.content)
         radii = tuple(tuple(row) for row in radii_rows(content))
         tables = [
-            Table(f"radiance [{unit}] from which approximations err by 1, 10, 50 %", RADII_HEADINGS, radii,
+            Table(f"radiance [{unit}] above which an approximation is off by 1, 10, 50 %", RADII_HEADINGS, radii,
                   frozenset(RADII_HEADINGS[:2]))
         ]  # fmt: skip
         if self.content["measured"]:

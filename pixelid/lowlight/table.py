@@ -77,7 +77,7 @@ def latency_rows(latency: dict) -> list[list[str]]:
             one["lens"],
             number(one["irradiance_W_m2"]),
             number(one["light_W_m2"]),
-            number(one["pole_rad_s"]) if one["identified"] else "open",
+            number(one["pole_rad_s"]) if one["identified"] else "not identified",
             _limits(one["interval_95"]),
             number(one["model"]["pole_rad_s"]),
             _limits(one["model"]["interval_95"]),
@@ -94,6 +94,6 @@ def _limits(interval: Sequence[float | None] | None) -> str:
     return f"{number(low)} …" if high is None else f"{number(low)} … {number(high)}"
 
 
-RADII_HEADINGS = ("approx.", "quantity", "1 %", "10 %", "50 %", "under", "over")
+RADII_HEADINGS = ("approx.", "quantity", "1 %", "10 %", "50 %", "worst underestimate", "worst overestimate")
 LATENCY_HEADINGS = ("light", "lens", "lit [W/m²]", "after [W/m²]", "measured", "95 %", "model", "95 % ", "one law")
 MEASURED_HEADINGS = ("recording", "radiance", "quantity", "measured", "95 %", "model", "one pole", "small signal")

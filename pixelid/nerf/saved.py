@@ -83,8 +83,8 @@ class SavedReconstruction(Result):
             else "no views to compare with"
         )
         return (
-            f"reconstruction: {self.status}; {scored}, {_digits(self.content['held_out_residual'], 2)} of held-out "
-            f"changes unexplained, {self.content['seconds']:.0f} s"
+            f"reconstruction: {self.status}; {scored}, {_percent(self.content['held_out_residual'])} "
+            f"unexplained on held-out pixels, {self.content['seconds']:.0f} s"
         )
 
     @property
@@ -274,6 +274,10 @@ def _check_scene(arrays: Mapping[str, np.ndarray]) -> None:
         raise ValueError(f"low, high: expected corners of a box, found {shown(low.tolist())}, {shown(high.tolist())}")
     if arrays["grid"].shape[0] < 2 or background.size not in (1, 3) or not (background > 0).all():
         raise ValueError(f"background: expected one or three positive numbers, found {shown(background.tolist())}")
+
+
+def _percent(share: float | None) -> str:
+    return "–" if share is None else f"{100 * share:.0f} %"
 
 
 def _digits(value: float | None, places: int) -> str:

@@ -174,7 +174,7 @@ def precision_in_words(interval_95: tuple[float | None, float | None], parameter
     low = None if low is not None and low <= parameter.lower else low
     high = None if high is not None and high >= parameter.upper else high
     if low is None and high is None:
-        return "open"
+        return "not identified"
     if low is None:
         return "only an upper limit"
     if high is None:

@@ -31,7 +31,9 @@ def with_fine_light(recording: Recording, between: str) -> Recording:
         InputError: without a stimulus.
     """
     if recording.stimulus is None:
-        raise InputError(f"{recording.name}: no stimulus; this needs to know what the light did")
+        raise InputError(
+            f"{recording.name}: no stimulus; attach it: `pixelid convert FILE OUT.h5 --stimulus light.csv`"
+        )
     grouped = _grouped(recording, recording.events.pixel)
     if is_measured(recording):  # no straighter or smoother than its samples: `likelihood.light_between_samples`
         return grouped

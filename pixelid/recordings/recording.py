@@ -89,7 +89,7 @@ class Recording:
         readout empties its queue after the stimulus has ended, at its service rate, the fastest of the recording.
         """
         if self.stimulus is None:
-            raise InputError(f"{self.name}: no stimulus; this needs to know what the light did")
+            raise InputError(f"{self.name}: no stimulus; attach it: `pixelid convert FILE OUT.h5 --stimulus light.csv`")
         size = (self.events.width, self.events.height)
         if self.stimulus.size not in (None, size) and not self.pooled:
             raise InputError(

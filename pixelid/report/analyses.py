@@ -73,7 +73,7 @@ def summarise_design(result: Result, folder: Path) -> Summary:
         (
             Number("stimulus", best["kind"]),
             Number("light", seconds(best["duration_s"])),
-            Number(f"score by {result['criterion']}", number(best["score"], 3), "nats"),
+            Number(f"expected information ({result['criterion']})", number(best["score"], 3), "nats"),
             Number("events expected", number(best["events"], 2)),
             Number("stimuli compared", str(len(result["ranking"]))),
         ),

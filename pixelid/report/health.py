@@ -10,7 +10,7 @@ from pixelid.report.page import Number, Result, Summary, command_line
 
 
 def summarise_inspect(result: Result, folder: Path) -> Summary:
-    from pixelid.inspection.table import in_hertz
+    from pixelid.inspection.table import in_events
 
     dead, rate, lines = result["dead_time_s"], result["rate_hz"], result["lines"]
     if dead.get("kind") == "upper_bound":
@@ -27,13 +27,13 @@ def summarise_inspect(result: Result, folder: Path) -> Summary:
         "What the events of the recording show by themselves, without knowing the light.",
         (
             Number("events", count(result["events"]), f"in {seconds(result['duration_s'])}"),
-            Number("mean rate", *("–" if rate["mean"] is None else in_hertz(rate["mean"])).split()),
+            Number("mean rate", *("–" if rate["mean"] is None else in_events(rate["mean"])).split()),
             dead_time,
             Number("strongest line", number(lines[0]["frequency_hz"]) if lines else "none", "Hz" if lines else ""),
             Number("hot pixels", str(result["hot_pixel_count"])),
         ),
         command_line("inspect", result, out=folder, seed=False),
-        "Nothing in these events stands out" if not worries else f"Look at this first: {', '.join(worries)}",
+        "No problems found" if not worries else f"Look at this first: {', '.join(worries)}",
         healthy=not worries,
     )
 

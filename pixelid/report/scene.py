@@ -30,7 +30,7 @@ def summarise(result: Result, folder: Path) -> Summary:
         (
             Number("PSNR, mean", _places(views["psnr"], 2), "dB"),
             Number("SSIM, mean", _places(views["ssim"], 3)),
-            Number("changes unexplained", number(result["held_out_residual"], 3), "rms, held-out pixels"),
+            Number("unexplained", number(result["held_out_residual"], 3), "rms of changes, held-out pixels"),
             Number("bandwidth", result["bandwidth"]),
             Number("time taken", seconds(result["seconds"]), f"{result['iterations']} steps on {result['device']}"),
         ),

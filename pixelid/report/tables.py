@@ -19,7 +19,7 @@ def summarise_rates(result: Result, folder: Path) -> Summary:
         (
             Number("cells", str(result["cells_fitted"])),
             Number("relative scatter", percent(result["relative_scatter"])),
-            Number("cells disbelieved", str(suspects)),
+            Number("outliers", str(suspects)),
             identified(result),
             Number("log-likelihood", number(result["log_likelihood"]), "nats"),
         ),
@@ -38,7 +38,7 @@ def summarise_latency(result: Result, folder: Path) -> Summary:
         (
             Number("rows", str(len(result["rows"]))),
             Number("medians missed by", percent(max(missed)) if missed else "–", "rms, worst camera"),
-            Number("rows spoiled", str(sum(row["spoiled"] for row in result["rows"]))),
+            Number("rows excluded", str(sum(row["spoiled"] for row in result["rows"]))),
             identified(result),
             Number("time taken", seconds(result.get("seconds"))),
         ),

@@ -41,7 +41,7 @@ def open_sentences(parameters: Mapping[str, dict[str, Any]], *, at_rest: bool = 
     if not at_rest:
         return [STOPPED]
     return [
-        f"{name}: the table leaves it between {v['interval_95'][0]:.3g} and {v['interval_95'][1]:.3g} {v['unit']}"
+        f"{name}: not identified, 95 % interval {v['interval_95'][0]:.3g} to {v['interval_95'][1]:.3g} {v['unit']}"
         for name, v in parameters.items()
         if not v["identified"]
     ]

@@ -54,7 +54,7 @@ def folder(tmp_path_factory) -> Path:
 def test_the_prior_fixes_what_the_events_cannot_tell(folder):
     without, told = (json.loads((folder / name / "fit.json").read_text()) for name in ("without", "with"))
     assert "bias_priors" not in without
-    assert without["details"]["precision"]["refractory_s"] in ("open", "only an upper limit")
+    assert without["details"]["precision"]["refractory_s"] in ("not identified", "only an upper limit")
     prior, dead = told["bias_priors"]["priors"]["refractory_s"], told["parameters"]["refractory_s"]
     assert prior["sd"] == pytest.approx(0.55, abs=0.005)  # √(0.25² + 0.2² + 0.4² + 0.2²)
     assert dead["value"] == pytest.approx(3.369e-6, rel=0.05)

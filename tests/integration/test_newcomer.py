@@ -128,7 +128,7 @@ def test_low_light_and_design_come_back(session):
         assert again.status is px.Status.converged
         assert len(again.to_dataframe()) > 0
     assert again.stimulus.duration_s > 0
-    assert type(again).load(folder).plot_ranking().get_xlabel().startswith("score")
+    assert type(again).load(folder).plot_ranking().get_xlabel().startswith("expected information")
     lowlight = px.lowlight("dvs128")
     assert lowlight.plot_poles().shape == (1, 3)
     plt.close("all")

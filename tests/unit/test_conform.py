@@ -164,15 +164,15 @@ def test_a_threshold_that_no_event_tells_is_not_decidable():
     """Of recordings without an OFF event, off_threshold was "present, as fitted", of whatever value it began at."""
     off, noise = (find_model("dvs128").parameters[name] for name in ("off_threshold", "threshold_sigma"))
     verdicts = {
-        (off.lower, off.upper): ("not_decidable", "open"),
+        (off.lower, off.upper): ("not_decidable", "not identified"),
         (0.2, off.upper): ("not_decidable", "only a lower limit"),
-        (0.24, 0.26): ("present", "as fitted"),
+        (0.24, 0.26): ("present", "fitted value"),
     }
     for interval, (verdict, said) in verdicts.items():
         row = rows(report(), intervals={"off_threshold": interval})["off_threshold"]
         assert row.verdict == verdict
         assert said in row.why
-        assert bool(row.parameters) is (said != "open")
+        assert bool(row.parameters) is (said != "not identified")
     held = rows(report())["off_threshold"]
     assert held.verdict == "not_tested"
     assert rows(report(), pixels=False)["off_threshold"].verdict == "present"

@@ -319,3 +319,16 @@ def test_progress_shows_itself_on_a_terminal_only(monkeypatch):
     assert not shown
     px.simulate("ideal", "sine", pixels=4)
     assert shown
+
+
+def test_a_result_in_the_place_of_recordings_is_said(tmp_path, capsys):
+    from pixelid.cli.main import main
+
+    px.lowlight("dvs128").save(tmp_path / "low")
+    (tmp_path / "low" / "command.txt").write_text("pixelid lowlight dvs128\n")
+    with pytest.raises(InputError, match="low: is a result of `pixelid lowlight`, not recordings"):
+        px.fit(tmp_path / "low", "dvs128")
+    for command in ("compare", "gap", "fit"):
+        words = [command, str(tmp_path / "low"), "--model", "dvs128", "--out", str(tmp_path / "out")]
+        assert main([*words, "--model", "ideal"] if command == "compare" else words) == 2
+        assert "low: is a result of `pixelid lowlight`, not recordings" in capsys.readouterr().err

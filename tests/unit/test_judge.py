@@ -76,7 +76,7 @@ def test_nothing_is_identified_before_the_maximum():
         assert after["gamma"].identified is at_rest
         assert after["held"].identified
         assert bool(said) is not at_rest
-        assert precision(before["gamma"], GAMMA, status).startswith("open") is not at_rest
+        assert precision(before["gamma"], GAMMA, status).startswith("not reliable") is not at_rest
 
 
 def test_a_plateau_counts_as_arrived():
@@ -92,7 +92,7 @@ def test_structure_must_be_significant_and_matter():
 @pytest.mark.parametrize(
     ("interval", "expected", "words"),
     [
-        ((1e-9, 1e9), (None, None), "gamma is open over 18 decades"),
+        ((1e-9, 1e9), (None, None), "gamma is not identified over 18 decades"),
         ((1e-9, 2.0), (None, 2.0), "only an upper limit, 2 1/s"),
         ((0.5, 1e9), (0.5, None), "only a lower limit, 0.5 1/s"),
     ],
@@ -116,8 +116,8 @@ def test_an_interval_inside_the_bounds_stays():
         ((1 / 3, 3.0), "known to a factor of 3"),
         ((0.5, None), "only a lower limit"),
         ((None, 2.0), "only an upper limit"),
-        ((None, None), "open"),
-        (None, "open"),
+        ((None, None), "not identified"),
+        (None, "not identified"),
     ],
 )
 def test_precision_in_words(interval, words):

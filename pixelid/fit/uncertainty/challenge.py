@@ -43,7 +43,7 @@ def challenged(
             moved[i] = np.clip(x[i] + sign * DISTANCE, lower[i], upper[i])
             if top - at_fixed(objective, moved, i, top - DROP_NATS)[0] < DROP_NATS:
                 identified[i] = False
-                sentences.append(f"{name}: a factor {np.exp(sign * DISTANCE):.2g} fits as well once the rest follows")
+                sentences.append(f"{name} × {np.exp(sign * DISTANCE):.2g} fits equally well after refitting the others")
                 break
     if design.one_level:
         names = ("alpha", "beta", "gamma", "sf_cutoff_hz")

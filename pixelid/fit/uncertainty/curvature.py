@@ -97,5 +97,5 @@ def combination(names: Sequence[str], vector: np.ndarray, least: float = 0.15, m
 
 def _in_words(names: list[str], vector: np.ndarray, width: float) -> str:
     lead = np.abs(vector).max()
-    known = f"k is known only within a factor {np.exp(min(Z95 * width * lead, 50.0)):.2g}"
+    known = f"this combination is known within a factor {np.exp(min(Z95 * width * lead, 50.0)):.2g}"
     return f"scaling {combination(names, vector)}: {known} (95 %)"

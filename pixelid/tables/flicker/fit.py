@@ -94,7 +94,7 @@ class FlickerFit:
         typical = float(np.median([g.fit.dispersion for g in self.groups]))
         if typical > MAX_DISPERSION:
             verdicts[Status.misfit] = (
-                f"Counts scatter {typical:.1f} times more than Poisson about the fit: no light of one frequency alone; "
+                f"Poor fit: scatter {typical:.1f} × Poisson; the light is not of one frequency alone: "
                 "check --frequency, and that nothing moves."
             )
         stuck = [

@@ -81,20 +81,25 @@ def identified_sentences(fit: FlickerFit) -> list[str]:
     lag = _lags(known)
     ms = 1e3 / fit.frequency_hz
     return [
-        f"amplitude / ON threshold at {fit.frequency_hz:.2f} Hz, per group: {a.min():.2g} to "
-        f"{a.max():.2g} in {len(known)} groups",
-        f"OFF / ON threshold: {np.median(ratio):.2f} (median over groups; {ratio.min():.2g} to {ratio.max():.2g})",
+        f"amplitude / ON threshold at {fit.frequency_hz:.2f} Hz, per group: {_range(a)}",
+        f"OFF / ON threshold: {np.median(ratio):.2f} (median; {_range(ratio)})",
         f"phase of each group relative to the others: they lag by 0 to {np.ptp(lag):.2f} cycles "
         f"({ms * np.ptp(lag):.2f} ms)",
         "noise / ON threshold of each group, as far as the shape of the noise is right",
     ]
 
 
+def _range(values: np.ndarray) -> str:
+    """Smallest to largest of the groups' values, or the one."""
+    low, high = f"{values.min():.2g}", f"{values.max():.2g}"
+    return low if len(values) == 1 else f"{low} to {high} in {len(values)} groups"
+
+
 def open_sentences(fit: FlickerFit) -> list[str]:
     return [
-        f"alpha, beta, gamma, sf_cutoff_hz, diff_cutoff_hz: {fit.free.blind} directions of "
-        f"{fit.free.blind + fit.free.fixed} unknowns stay blind; one frequency gives one amplitude and "
-        f"one phase per group",
+        f"alpha, beta, gamma, sf_cutoff_hz, diff_cutoff_hz: {fit.free.blind} of "
+        f"{fit.free.blind + fit.free.fixed} parameter combinations cannot be determined; one frequency gives "
+        "one amplitude and one phase per group",
         "contrast × bandwidth / threshold: only their product is the amplitude, so thresholds and "
         "contrasts stay unknown",
         "absolute phase lag: the lamp's own phase is unknown, only differences between groups are seen",

@@ -319,7 +319,7 @@ def _disagreements(rows: Sequence[Mapping[str, Any]]) -> list[str]:
         for row in spoiled[:MOST_SAID]
     ]
     if len(spoiled) > MOST_SAID:
-        said.append(f"and {len(spoiled) - MOST_SAID} more rows, marked `spoiled`")
+        said.append(f"and {len(spoiled) - MOST_SAID} more outliers, marked `spoiled`")
     lost = [row["lost_edges"] for row in rows if row["lost_edges"] > 0]
     if lost:
         said.append(

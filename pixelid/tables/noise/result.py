@@ -155,7 +155,8 @@ def disagreements(table: NoiseTable, rows: Sequence[dict[str, Any]]) -> list[str
     for _, k in sorted(measured, reverse=True)[:MOST_NAMED]:
         sentences.append(
             f"{rows[k].get('file', '')} {'ON' if table.on[k] else 'OFF'} at {table.light[k]:.3g} {table.unit}: "
-            f"measured {rows[k]['measured']:.3g} Hz, predicted {rows[k]['predicted']:.3g} Hz ({ratios[k]:.2f} times)"
+            f"measured {rows[k]['measured']:.3g} events/s, predicted {rows[k]['predicted']:.3g} events/s "
+            f"({ratios[k]:.2f} times)"
         )
     if len(measured) > MOST_NAMED:
         sentences.append(f"and {len(measured) - MOST_NAMED} more rows off by more than {NAMED:.0%}")
@@ -167,10 +168,11 @@ def disagreements(table: NoiseTable, rows: Sequence[dict[str, Any]]) -> list[str
             peaks = [
                 table.light[here[np.argmax([rows[int(k)][key] for k in here])]] for key in ("measured", "predicted")
             ]
-            sentences.append(
-                f"{rows[int(here[0])].get('file', '')} {'ON' if on else 'OFF'}: the rate is largest at {peaks[0]:.3g} "
-                f"{table.unit}, predicted at {peaks[1]:.3g} {table.unit}"
-            )
+            if peaks[0] != peaks[1]:
+                sentences.append(
+                    f"{rows[int(here[0])].get('file', '')} {'ON' if on else 'OFF'}: the rate is largest at "
+                    f"{peaks[0]:.3g} {table.unit}, predicted at {peaks[1]:.3g} {table.unit}"
+                )
     return sentences
 
 

@@ -58,7 +58,9 @@ def _head(r: TableFit, model: str, frequency_hz: np.ndarray) -> dict:
         if "cutoff_hz" in name and not 0.3 * frequency_hz.min() < entry["value"] < 3.0 * frequency_hz.max():
             entry |= {"identified": False, "std": None}  # an extrapolation beyond every frequency measured
     precision = {
-        name: words if result["parameters"][name]["identified"] or not words.startswith("known") else f"open: {words}"
+        name: words
+        if result["parameters"][name]["identified"] or not words.startswith("known")
+        else f"not identified: {words}"
         for name, words in r.precision().items()
     }
     return result | {"precision": precision, "unidentified": open_sentences(result["parameters"], at_rest=r.converged)}
@@ -70,8 +72,8 @@ def _pixel_sentences(fit: PixelFit, together: TableFit, cells: list[dict]) -> li
         if c["suspect"]:
             sentences.append(
                 f"{c['column']} at {c['frequency_hz']:g} Hz: measured {c['measured_hz']:.4g} events/s, the fit says "
-                f"{c['fitted_hz']:.4g} ({c['ratio']:.3g} times, {c['residual']:+.0f} scales; kept, at weight "
-                f"{c['weight']:.2g})"
+                f"{c['fitted_hz']:.4g} ({c['ratio']:.3g} times, {c['residual']:+.0f} σ off; down-weighted "
+                f"to {100 * c['weight']:.2g} %)"
             )
             if 8 < c["ratio"] < 12.5 or 0.08 < c["ratio"] < 0.125:
                 sentences[-1] += "; a factor near 10: a decimal point may have slipped"
@@ -85,11 +87,11 @@ def _pixel_sentences(fit: PixelFit, together: TableFit, cells: list[dict]) -> li
                 f"dead time should not depend on the setting, but comes out as {text}: the largest and smallest absorb "
                 "something else that the model lacks"
             )
+    fewer = len(fit.regression.x) - len(together.x)
     apart = fit.regression.log_likelihood - together.log_likelihood
     sentences.append(
-        f"one dead time for all settings costs {apart:.1f} nats for "
-        f"{len(fit.regression.x) - len(together.x)} parameters "
-        f"fewer (it would be {1e6 * together.as_dict()['dead_time_s']['value']:.2g} µs)"
+        f"one dead time for all settings ({1e6 * together.as_dict()['dead_time_s']['value']:.2g} µs) is worse by "
+        f"{apart:.1f} nats with {fewer} parameter{'s' * (fewer != 1)} fewer"
     )
     return sentences
 
