@@ -29,6 +29,7 @@ from pixelid.fit.refine import BETWEEN, refine
 from pixelid.fit.result import FitResult, Stopwatch, estimates_of
 from pixelid.fit.shot_noise import EFFECT, fit_under_shot_noise, without_density, without_filter
 from pixelid.fit.starts import feasible, narrower, random_starts
+from pixelid.fit.trace_errors import trace_errors
 from pixelid.fit.uncertainty.challenge import challenged
 from pixelid.fit.uncertainty.curvature import read_curvature
 from pixelid.fit.uncertainty.ridge import profile_of_ridge, widened
@@ -170,6 +171,10 @@ def fit(
         added = line_errors(objective, optimum.x)
         reading = _wider(reading, added)
         details["added_by_light_between_samples"] = dict(zip(coordinates.names, added.tolist(), strict=True))
+    if isinstance(objective, EventTimesObjective):
+        between_samples = details.get("stimulus_between_samples", "linear")
+        added = trace_errors(objective, optimum.x, reading.covariance, recordings, between_samples, seed)
+        reading = _wider(reading, added) if added.any() else reading
     added_sd = details.pop("added_sd", {})
     if added_sd:
         reading = _wider(reading, np.array([added_sd.get(name, 0.0) for name in coordinates.names]))

@@ -17,6 +17,7 @@ import numpy as np
 from pixelid.recordings.recording import Recording
 from pixelid.stimuli.stimulus import Stimulus
 
+ATTRIBUTE = "trace_noise"  # of a recording: sd of the noise on ln L that was filtered out
 FOURTH, SECOND = np.array([1.0, -4.0, 6.0, -4.0, 1.0]), np.array([1.0, -2.0, 1.0])
 BLOCK = 256  # samples whose scatter is read at once: light that moves fast in some of them does not matter
 QUANTILE, EXPECTED = 0.25, 0.93  # of the blocks' estimates, and what a quarter of 256 white samples have of their sd
@@ -60,11 +61,16 @@ def without_noise(light: Stimulus) -> Stimulus:
 
 
 def without_trace_noise(recordings: Sequence[Recording]) -> list[Recording]:
-    """The recordings, each with its light as `without_noise` has it."""
-    lights = [r.stimulus if not isinstance(r.stimulus, Stimulus) else without_noise(r.stimulus) for r in recordings]
-    return [
-        r if light is r.stimulus else replace(r, stimulus=light) for r, light in zip(recordings, lights, strict=True)
-    ]
+    """The recordings, each with its light as `without_noise` has it, and with the noise's sd among its attributes."""
+    filtered = []
+    for recording in recordings:
+        light = recording.stimulus
+        sd = noise_sd(light) if isinstance(light, Stimulus) else 0.0
+        if sd > 0.0 and isinstance(light, Stimulus):
+            attributes = {**recording.attributes, ATTRIBUTE: sd}
+            recording = replace(recording, stimulus=without_noise(light), attributes=attributes)
+        filtered.append(recording)
+    return filtered
 
 
 def _scatter(logs: np.ndarray, kernel: np.ndarray) -> float:
