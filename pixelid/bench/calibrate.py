@@ -124,6 +124,8 @@ def calibrate(
         recordings=tuple(recordings),
         seconds=watch.seconds(),
         seed=seed,
+        start=base.in_light(first.model.light_scale / base.light_scale).values,
+        alignments=checked.alignments,
         versions=versions(),
         inputs_sha256=checked.inputs_sha256,
     )

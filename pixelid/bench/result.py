@@ -14,6 +14,7 @@ from pixelid.gap.result import GapReport
 from pixelid.model.files import save_model
 from pixelid.model.model import Model
 from pixelid.recordings.recording import Recording
+from pixelid.recordings.session_alignment import RecordingAlignment
 from pixelid.results import Result, Table
 from pixelid.status import Status
 
@@ -28,6 +29,8 @@ class Calibration(Result):
     unidentified: sentences;  held_out: how the fitted model describes pixels that no fit has seen, None without any
     recordings: on the camera's clock, with the pixels that were fitted
     unit: what one unit of the light is in the base model's own, in words
+    start: the base model's values where the fit started, in the unit of the light
+    alignments: of every recording that was read, for figures; the JSON holds what `rows` have of them
 
     Example:
         >>> import pixelid as px
@@ -52,6 +55,8 @@ class Calibration(Result):
     recordings: tuple[Recording, ...]
     seconds: float
     seed: int
+    start: Mapping[str, float] = field(default_factory=dict)
+    alignments: tuple[RecordingAlignment, ...] = ()
     versions: Mapping[str, str] = field(default_factory=dict)
     inputs_sha256: Mapping[str, str] = field(default_factory=dict)
 
@@ -81,6 +86,7 @@ class Calibration(Result):
             "unidentified": list(self.fit.unidentified),
             "model": "model.toml",
             "base": self.first.model.name,
+            "start": dict(self.start),
             "unit": self.unit,
             "bench": [statement.as_dict() for statement in self.statements],
             "recordings": [row.as_dict() for row in self.rows],

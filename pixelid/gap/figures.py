@@ -99,13 +99,16 @@ def draw_map(report: Searched, axes: Any = None) -> Any:
         cells = report.details[key][::-1]
         axis.barh(range(len(cells)), [c["score"] for c in cells], color=colour, height=0.7)
         axis.set_yticks(range(len(cells)), [c["where"] if pooled else f"{c['response']}: {c['where']}" for c in cells])
-        axis.axvspan(-4, 4, color=MUTED, alpha=0.15, linewidth=0)
+        axis.axvspan(-4, 4, color=MUTED, alpha=0.15, linewidth=0, zorder=0)
         axis.axvline(0, color=INK, linewidth=0.6)
         axis.grid(False, axis="y")
         axis.set_title(title)
         axis.set_xlabel(
             "events beyond the model's expectation (standard deviations)" if pooled else "score (standard deviations)"
         )
+    left, right = zip(*(axis.get_xlim() for axis in np.ravel(axes)[: len(shown)]), strict=True)
+    for axis in np.ravel(axes)[: len(shown)]:  # models are compared: one scale
+        axis.set_xlim(min(left), max(right))
     return axes
 
 

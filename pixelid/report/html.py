@@ -7,9 +7,12 @@ Text of the result is escaped, and control characters (also those that turn the 
 from __future__ import annotations
 
 import itertools
+import re
 import tomllib
 from pathlib import Path
 from typing import Any
+
+from markupsafe import Markup, escape
 
 from pixelid import provenance
 from pixelid.documents import interpreting, read_json
@@ -96,7 +99,7 @@ def _rendered(page: Page, result: dict[str, Any], folder: Path) -> str:
         "interval": formats.interval,
         "percent": formats.percent,
         "chance": formats.chance,
-        "sentence": formats.sentence,
+        "sentence": lambda text, capital=True: with_code(formats.sentence(text, capital)),
         "with_powers": lambda cell: formats.with_powers(str(cell)),
         "in_its_unit": formats.in_its_unit,
         "words": _in_words,
@@ -120,6 +123,15 @@ def _rendered(page: Page, result: dict[str, Any], folder: Path) -> str:
     pictures.update(every)
     ids = itertools.count(1)
     return without_control_characters(template.render(others=left))
+
+
+def with_code(text: str) -> Markup:
+    """A text as HTML, with what stands in backticks as code.
+
+    >>> str(with_code("see `pixelid gap` & <more>"))
+    'see <code>pixelid gap</code> &amp; &lt;more&gt;'
+    """
+    return Markup(re.sub(r"`([^`]+)`", r"<code>\1</code>", str(escape(text))))
 
 
 def _in_words(name: str) -> str:

@@ -107,10 +107,13 @@ def command_line(name: str, result: Result, *words: str, out: Path, inputs: bool
         return recorded
     files = [f for f in result.get("inputs_sha256", {}) if not f.endswith((".toml", "fit.json"))] if inputs else []
     parts = ["pixelid", name, *files, *words, *(["--seed", str(result["seed"])] if seed and "seed" in result else [])]
+    return shlex.join([*parts, "--out", folder_name(out)])
+
+
+def folder_name(out: Path) -> str:
+    """The name of a result's folder, also while it is written under a temporary one, `.NAME.random`."""
     name = out.resolve().name
-    if name.startswith("."):  # still being written, beside its place: .NAME.random
-        name = name[1:].rpartition(".")[0]
-    return shlex.join([*parts, "--out", name or "out"])
+    return (name[1:].rpartition(".")[0] if name.startswith(".") else name) or "out"
 
 
 def identified(result: Result) -> Number:

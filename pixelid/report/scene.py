@@ -2,22 +2,14 @@
 
 from __future__ import annotations
 
-import base64
-import hashlib
 from pathlib import Path
 from typing import Any
-
-from markupsafe import Markup
 
 from pixelid.documents import is_number
 from pixelid.nerf.limits import LEAST_SHARE
 from pixelid.report.format import number, seconds
 from pixelid.report.page import Number, Result, Summary, command_line
-
-# The one script of any page: it moves the edge between two pictures.  The policy of the page names its hash, and lets
-# no other run.
-SLIDER = (Path(__file__).parent / "templates" / "slider.js").read_text(encoding="utf-8")
-SLIDER_HASH = "sha256-" + base64.b64encode(hashlib.sha256(SLIDER.encode()).digest()).decode()
+from pixelid.report.scripts import script
 
 
 def summarise(result: Result, folder: Path) -> Summary:
@@ -61,8 +53,7 @@ def prepare(result: Result, folder: Path) -> dict[str, Any]:
     other = f"bandwidth {beside['bandwidth']}, {_places(beside['psnr'], 1)} dB" if beside else ""
     return {
         "slid": (folder / "slider_reference.png").is_file(),
-        "slider_script": Markup(SLIDER),
-        "slider_hash": SLIDER_HASH,
+        "slider": script("slider"),
         "beside": other,
         "views": [row("mean", result["views"]), *views] if views else [],
         "pixel": [[name, cell(v)] for name, v in result["pixel"].items()],
