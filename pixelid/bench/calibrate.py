@@ -37,7 +37,8 @@ from pixelid.status import Status
 Progress = Callable[[str, float], None]
 MODEL = "dvs128"  # where a fit starts when nothing else is stated; the unit of its light does not matter
 # Shares of the whole time, for the progress that is shown.
-CHECKED, FITTED, SEARCHED, REFITTED = 0.05, 0.25, 0.8, 0.98
+CHECKED, SEARCHED, REFITTED = 0.05, 0.75, 0.98
+STARTS = 2  # random ones of a fit without a search before it
 
 
 def calibrate(
@@ -80,29 +81,28 @@ def calibrate(
     session = checked.session
     recordings = only(checked.recordings, session.pixels)
     stages = Stages(resume, _inputs(checked, base, roi, pixels, search, seed))
-    first = stages.run(
-        "fit",
-        lambda: fit(recordings, base, seed=seed, progress=_part(report, CHECKED, FITTED)),
-        lambda made, folder: made.write(folder),
-        FitResult.load,
-    )
     searched: GapReport | None = None
-    if search:
+    begin, starts = base, STARTS
+    if search:  # fits the base on its way, so that what follows begins at an optimum
         searched = stages.run(
             "gap",
-            lambda: gap(recordings, base, seed=seed, progress=_part(report, FITTED, SEARCHED)),
+            lambda: gap(recordings, base, seed=seed, progress=_part(report, CHECKED, SEARCHED)),
             lambda made, folder: made.write(folder),
             GapReport.load,
         )
-    last = first
-    if searched is not None and (searched.effects or searched.described):
-        grown = without_nuisances(searched.model)
-        last = stages.run(
-            "refit",
-            lambda: fit(recordings, grown, starts=0, seed=seed, progress=_part(report, SEARCHED, REFITTED)),
+        begin, starts = without_nuisances(searched.base), 0
+
+    def fitted(name: str, start: Model, share: float) -> FitResult:
+        return stages.run(
+            name,
+            lambda: fit(recordings, start, starts=starts, seed=seed, progress=_part(report, share, REFITTED)),
             lambda made, folder: made.write(folder),
             FitResult.load,
         )
+
+    grown = searched is not None and bool(searched.effects or searched.described)
+    last = fitted("fit", without_nuisances(searched.model) if searched is not None and grown else begin, SEARCHED)
+    first = fitted("base", begin, SEARCHED) if grown else last
     report("checking on other pixels", REFITTED)
     held_out = on_other_pixels(last, only(checked.recordings, session.checking)) if len(session.checking) else None
     statements = (*checked.statements, *_new(of_fit(last), checked.statements))

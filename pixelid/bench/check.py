@@ -21,11 +21,12 @@ from pixelid.recordings.recording import Recording
 from pixelid.recordings.session_alignment import RecordingAlignment, align_session
 from pixelid.results import Result, Table
 from pixelid.status import Status
-from pixelid.stimuli.pixel_lights import Light
+from pixelid.stimuli.pixel_lights import Light, lights_in
 from pixelid.stimuli.stimulus import Stimulus
 from pixelid.stimuli.trace_noise import noise_sd, without_noise
 
 Progress = Callable[[str, float], None]
+NEGLIGIBLE = 3e-3  # of the dimmest light: a zero known so well moves a corner by a tenth of what its level may
 OFFSET_STEPS = 2.0  # of a trace's converter: how well its zero is known
 
 
@@ -202,7 +203,9 @@ def _row(
 
 def _exact(recording: Recording, light: Light, bench: Bench) -> Recording:
     """The recording, which says how well its light is known."""
-    return on_bench(recording, Exactness(bench.level_sd, OFFSET_STEPS * converter_step(light)))
+    offset_sd = OFFSET_STEPS * converter_step(light)
+    dimmest = min(float(one.radiance.min()) for one in lights_in(light))
+    return on_bench(recording, Exactness(bench.level_sd, offset_sd if offset_sd > NEGLIGIBLE * dimmest else 0.0))
 
 
 def converter_step(light: Light) -> float:
