@@ -22,6 +22,26 @@ def shared() -> Path:
     return path
 
 
+@pytest.fixture(scope="session")
+def calibration(tmp_path_factory):
+    """(the calibration of a small session of a camera with a leak, its folder as `pixelid calibrate` writes it)."""
+    from pixelid.bench.calibrate import calibrate
+    from pixelid.bench.figures import write_figures
+    from pixelid.report.html import write_report
+    from tests.oracles.bench_sessions import make_session
+
+    folder = tmp_path_factory.mktemp("calibration")
+    make_session(
+        folder / "bench", 3, side=4, levels=(24.0, 400.0), durations=(("steps", 0.4), ("chirp", 0.4)),
+        effects={"leak": 4.0}, form="csv", fault="", unit="radiance_fA", gain_sd=0.0, trace_noise=0.0, trace_bits=0,
+    )  # fmt: skip
+    result = calibrate(folder / "bench", pixels=9)
+    result.save(folder / "camera")
+    write_figures(result, result.recordings, folder / "camera")
+    write_report(folder / "camera", command="pixelid calibrate bench --out camera")
+    return result, folder / "camera"
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Slow tests may take an hour before they count as hanging."""
     for item in items:

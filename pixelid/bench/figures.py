@@ -36,8 +36,9 @@ def write_figures(result: Calibration, recordings: Sequence[Recording], folder: 
     used = {recording.name: recording for recording in recordings}
     drawn = {}
     for k, row in enumerate(result.rows):
-        axes = draw_recording(result, used.get(row.name), aligned.get(row.name))
-        if axes is not None:
+        recording, alignment = used.get(row.name), aligned.get(row.name)
+        if recording is not None or _has_evidence(alignment):
+            axes = draw_recording(result, recording, alignment)
             drawn[f"recording_{k:03d}"] = save_figure(axes, folder / f"recording_{k:03d}.svg")
     drawn["residuals"] = save_figure(draw_before_after(result, recordings), folder / "residuals.svg")
     if result.gap is not None and "seen_before" in result.gap.details:
@@ -55,22 +56,23 @@ def draw_recording(result: Calibration, recording: Recording | None, alignment: 
         alignment: of the recording; None where there was nothing to align.
 
     Returns:
-        The axes, one below the other; None where there is nothing to draw.
+        The axes, one below the other, of what there is of the three.
     """
-    evidence = None if alignment is None else alignment.evidence
-    if evidence is not None and len(evidence.lags_s) < 2:
-        evidence = None
-    heights = ([1.0, 1.7] if recording is not None else []) + ([1.1] if evidence is not None else [])
-    if not heights:
-        return None
+    evidence = _has_evidence(alignment)
+    heights = ([1.0, 1.7] if recording is not None else []) + ([1.1] if evidence else [])
     axes = new_axes(len(heights), 1, 3.0, 0.62 * sum(heights) / len(heights) + 0.35, height_ratios=heights)
     if recording is not None:
         _draw_light(axes[0, 0], recording)
         _draw_events(axes[1, 0], result.fit, recording)
         axes[0, 0].sharex(axes[1, 0])
-    if evidence is not None and alignment is not None:
+    if evidence and alignment is not None:
         _draw_evidence(axes[-1, 0], alignment)
     return axes
+
+
+def _has_evidence(alignment: RecordingAlignment | None) -> bool:
+    """Whether the events were compared with the light at several offsets."""
+    return alignment is not None and alignment.evidence is not None and len(alignment.evidence.lags_s) > 1
 
 
 def _draw_light(axis: Any, recording: Recording) -> None:

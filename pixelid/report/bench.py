@@ -40,6 +40,7 @@ METHODS = {
     "trigger": "by trigger edges", "auto": "by the events", "given": "as given", "first-event": "by the first event",
     "inherited": "by the other recordings",
 }  # fmt: skip
+SHOWN_OF_A_KIND = 3  # of contradicted statements: more of a kind have one cause, which the first show
 MOST_LINKED = 512 << 10  # bytes of a file that is put into the page; a page is to stay below 3 MB
 LINKED = {"model.toml": "text/plain", "calibration.json": "application/json"}
 
@@ -79,11 +80,12 @@ def prepare(result: Result, folder: Path) -> dict[str, Any]:
         "forest": forest(result["parameters"], start, truth, added),
         "untracked": [q for q in estimated if not _has_logarithm(result["parameters"][q.parameter])],
         "added": added,
-        "statements": [(s["sentence"], WHAT_TO_DO.get(s["statement"], "")) for s in result["bench"]],
+        "statements": _by_kind(result["bench"]),
+        "any_open": any(not q.identified for q in estimated),
         "recordings": [_recording(k, row, result["bench"]) for k, row in enumerate(result["recordings"])],
         "bench_parameters": {n: p for n, p in result["parameters"].items() if n not in {q.parameter for q in shown}},
         "refitted": bool(result["effects"] or result["described"]),
-        "next_sentence": _next(result["recommended_next"]),
+        "next_sentence": _next(result["recommended_next"], _light_unit(result)),
         "commands": _commands(folder_name(folder)),
         "downloads": _downloads(folder),
         "methods": methods(result, estimated, [name.replace("_", " ") for name in added]),
@@ -112,6 +114,12 @@ def read_truth(folder: Path, result: Result) -> dict[str, float]:
     return truth
 
 
+def _light_unit(result: Result) -> str:
+    """The unit of the light, as that of γ or of the corner has it; "" where neither is there."""
+    entry = result["parameters"].get("gamma") or result["parameters"].get("alpha_over_beta") or {}
+    return str(entry.get("unit", "")).rpartition("/s/")[2]
+
+
 def _circuit_alone(result: Result) -> Result:
     """The result with the pixel's parameters only: its title counts no others."""
     own = {q.parameter for q in quantities(result["parameters"])}
@@ -129,6 +137,16 @@ def _has_logarithm(entry: dict[str, Any]) -> bool:
     return bool(entry["value"]) and entry["value"] > 0
 
 
+def _by_kind(bench: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Contradicted statements of one kind together: sentences that are shown, the others, and what to do about all."""
+    kinds = dict.fromkeys(s["statement"] for s in bench)
+    sentences = {kind: [s["sentence"] for s in bench if s["statement"] == kind] for kind in kinds}
+    return [
+        {"shown": own[:SHOWN_OF_A_KIND], "more": own[SHOWN_OF_A_KIND:], "todo": WHAT_TO_DO.get(kind, "")}
+        for kind, own in sentences.items()
+    ]
+
+
 def _recording(k: int, row: dict[str, Any], bench: list[dict[str, Any]]) -> dict[str, Any]:
     """What the card of a recording says."""
     doubted = any(s["recording"] == row["name"] for s in bench)
@@ -140,7 +158,7 @@ def _recording(k: int, row: dict[str, Any], bench: list[dict[str, Any]]) -> dict
         "name": row["name"],
         "light": light,
         "verdict": verdict,
-        "events": f"{counted(row['events'], 'event')} of {counted(row['pixels'], 'pixel')}",
+        "events": f"{counted(row['events'], 'event')} of {counted(row['pixels'], 'pixel')}." if row["events"] else "",
         "aligned": _alignment(row["aligned"]),
         "why": row["why"] if not row["used"] else "",
         "remarks": [s["sentence"].removeprefix(f"{row['name']}: ") for s in bench if s["recording"] == row["name"]],
@@ -160,16 +178,28 @@ def _alignment(aligned: dict[str, Any] | None) -> str:
     return f"The light starts at {start} s of the camera's clock{known}, {how}."
 
 
-def _next(recommended: dict[str, Any]) -> str:
+def _next(recommended: dict[str, Any], unit: str) -> str:
     """What to record next, in a sentence."""
-    why, stimulus = recommended.get("why", ""), recommended.get("stimulus")
+    why, stimulus = recommended.get("why", "").replace("_", " "), recommended.get("stimulus")
     if not stimulus:
         return f"Recommended next: {why}." if why else ""
-    values = ", ".join(f"{name.replace('_', ' ')} {number(v, 3)}" for name, v in stimulus["parameters"].items())
-    return (
-        f"Record {stimulus['name'].replace('_', ' ')} ({stimulus['kind']}{': ' if values else ''}{values}) for "
-        f"{words.seconds(stimulus['duration_s'])}, {why}."
-    )
+    values = [_with_unit(name, v, unit) for name, v in stimulus["parameters"].items() if name != "duration_s"]
+    details = f" ({', '.join(values)})" if values else ""
+    return f"Record next: {stimulus['kind']}{details} for {words.seconds(stimulus['duration_s'])}, {why}."
+
+
+def _with_unit(name: str, value: float, light: str) -> str:
+    """A stimulus' parameter in words; its name ends in its unit.
+
+    >>> _with_unit("stop_hz", 794.0, "fA"), _with_unit("level", 210.0, "fA"), _with_unit("rise_s", 2e-3, "fA")
+    ('stop 794 Hz', 'level 210 fA', 'rise 2 ms')
+    """
+    if name.endswith("_hz"):
+        return f"{name.removesuffix('_hz').replace('_', ' ')} {number(value, 3)} Hz"
+    if name.endswith("_s"):
+        return f"{name.removesuffix('_s').replace('_', ' ')} {words.seconds(value)}"
+    unit = f" {light}" if name == "level" and light else ""
+    return f"{name.replace('_', ' ')} {number(value, 3)}{unit}"
 
 
 def _commands(folder: str) -> list[tuple[str, str]]:

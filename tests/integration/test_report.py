@@ -3,11 +3,11 @@
 import json
 import re
 import shutil
-from html.parser import HTMLParser
 from pathlib import Path
 
 import numpy as np
 import pytest
+from outline import outline
 
 from pixelid.cli.main import main
 from pixelid.figures.style import INK, ON, new_axis, save_figure, styled, without_control_characters
@@ -16,42 +16,6 @@ from pixelid.report import format as formats
 from pixelid.report.html import write_report
 from pixelid.report.pages import PAGES
 from pixelid.report.pictures import read_picture
-
-VOID = {"meta", "input", "img", "br", "link", "hr"}
-
-
-class Outline(HTMLParser):
-    """Tags that do not close, references to anything outside of the page, and drawings without a description."""
-
-    def __init__(self):
-        super().__init__()
-        self.open, self.outside, self.mute, self.headings = [], [], [], []
-
-    def handle_starttag(self, tag, attrs):
-        names = dict(attrs)
-        self.outside += [
-            v for k, v in attrs if k in ("src", "href", "xlink:href") and re.match(r"(https?:)?//", v or "")
-        ]
-        if (tag == "svg" and not names.get("aria-label")) or (tag == "img" and not names.get("alt")):
-            self.mute.append(tag)
-        if tag not in VOID:
-            self.open.append(tag)
-
-    def handle_endtag(self, tag):
-        while self.open and self.open[-1] != tag and self.open[-1] in ("path", "use", "image", "rect", "line", "stop"):
-            self.open.pop()
-        assert self.open.pop() == tag
-
-    def handle_startendtag(self, tag, attrs):
-        self.handle_starttag(tag, attrs)
-        if tag not in VOID:
-            self.open.pop()
-
-
-def outline(page: str) -> Outline:
-    parser = Outline()
-    parser.feed(page)
-    return parser
 
 
 def flicker_like(folder: Path, name: str = "r") -> Path:

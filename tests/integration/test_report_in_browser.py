@@ -90,6 +90,28 @@ def test_a_page_reads_everywhere(window, tmp_path, kind):
     look(window, page)
 
 
+SMALLEST_TEXT_PX = 9.0
+# the texts of drawings as large as they are on the screen: [pixels, text] of the smallest
+SMALLEST_TEXT = """(() => {
+  const shown = t => t.getClientRects().length && t.textContent.trim();
+  const size = t => parseFloat(getComputedStyle(t).fontSize) * Math.hypot(t.getScreenCTM().a, t.getScreenCTM().b);
+  const texts = [...document.querySelectorAll('svg text')].filter(shown).map(t => [size(t), t.textContent]);
+  return texts.sort((a, b) => a[0] - b[0])[0];
+})()"""
+
+
+def test_the_page_of_a_calibration_reads_everywhere(window, calibration):
+    page = calibration[1] / "report.html"
+    look(window, page)
+    window.visit(page, 1200)
+    size, text = window.evaluate(SMALLEST_TEXT)
+    assert size >= SMALLEST_TEXT_PX, text
+    assert window.evaluate("document.querySelectorAll('button.copy:not([hidden])').length") == 5
+    window.evaluate("document.querySelector('button.copy').click()")
+    window.visit(page, 390)
+    assert window.evaluate("getComputedStyle(document.querySelector('svg.pixel.wide')).display") == "none"
+
+
 def test_what_is_wrong_is_seen(window, tmp_path):
     """The looker itself: an element too wide, a request, and an error are found."""
     page = tmp_path / "report.html"

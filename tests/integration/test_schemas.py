@@ -88,6 +88,14 @@ def test_fit(fitted):
     check("model", written(fitted / "model.toml"))
 
 
+def test_calibrate_and_check(calibration, capsys):
+    _, folder = calibration
+    check("calibration", written(folder / "calibration.json"))
+    check("model", written(folder / "model.toml"))
+    run("check", folder.parent / "bench", "--pixels", 4, "--json")
+    check("check", json.loads(capsys.readouterr().out))
+
+
 def test_inspect(session, tmp_path, capsys):
     run("inspect", session / "chirp.h5", "--out", tmp_path / "out", "--quiet")
     check("inspect", written(tmp_path / "out" / "inspect.json"))
