@@ -17,7 +17,8 @@ from pixelid.inputs import as_model, as_recordings, as_stimulus
 from pixelid.recordings import Events, Recording, write_recording
 
 NAMES = {
-    "open", "find_model", "simulate", "fit", "sample", "gap", "lowlight", "design", "reconstruct", "load_field",
+    "check", "calibrate", "open", "find_model", "simulate", "fit", "sample", "gap", "lowlight", "design",
+    "reconstruct", "load_field",
     "Model", "Recording", "Stimulus", "Status",
 }  # fmt: skip
 SUBPACKAGES = ("fit", "sample", "gap", "lowlight", "design", "simulate")
