@@ -11,11 +11,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pixelid.recordings.recording import Recording
 from pixelid.stimuli.stimulus import Stimulus
+
+if TYPE_CHECKING:
+    from pixelid.recordings.recording import Recording
 
 FOURTH, SECOND = np.array([1.0, -4.0, 6.0, -4.0, 1.0]), np.array([1.0, -2.0, 1.0])
 BLOCK = 256  # samples whose scatter is read at once: light that moves fast in some of them does not matter
