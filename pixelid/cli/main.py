@@ -40,7 +40,7 @@ COMMANDS = {
     "reconstruct": "A sharp scene from motion-blurred events.",
     "render": "Views, videos, depth, meshes and splats of a reconstruction.",
     "report": "A one-page report.html for any result folder.",
-    "demo": "Calibrate a session that comes with pixelid, and compare with the truth.",
+    "demo": "Calibrate a shipped bench session, compare with the truth.",
 }
 
 
