@@ -20,7 +20,7 @@ SEED ?= 0
 .DEFAULT_GOAL := help
 
 help:
-	@echo "make demo       the whole story on embedded data, written to demo-out/"
+	@echo "make demo       calibrate a bench session that comes with pixelid, and say what was hidden and found: demo-out/"
 	@echo "make test       every test that is not slow"
 	@echo "make test-all   every test"
 	@echo "make ablations  train scenes under other pixels, samples, batches, speeds and lights, into docs/reconstruction.json (hours)"

@@ -24,7 +24,7 @@ DEMO = {
     "effects": {"leak": 2.0},
     "clock_ppm": 40.0,
     "fault": "",
-    "form": "csv",
+    "form": "raw",
     "light_form": "npz",
     "unit": "radiance_fA",
     "trace_noise": 0.003,

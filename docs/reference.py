@@ -14,11 +14,14 @@ from docutils.core import publish_doctree
 from sphinx.ext.napoleon import GoogleDocstring
 
 NAMES = (
-    "open", "find_model", "simulate", "fit", "sample", "gap", "lowlight", "design", "reconstruct", "load_field",
-    "stimulus", "Model", "Recording", "Stimulus", "Status",
+    "check", "calibrate", "open", "find_model", "simulate", "fit", "sample", "gap", "lowlight", "design",
+    "reconstruct", "load_field", "stimulus",
+    "Model", "Recording", "Stimulus", "Status",
 )  # fmt: skip
 RESULTS = (
     "pixelid.results.Result",
+    "pixelid.bench.check.CheckReport",
+    "pixelid.bench.result.Calibration",
     "pixelid.fit.result.FitResult",
     "pixelid.sample.posterior.Posterior",
     "pixelid.gap.result.GapReport",

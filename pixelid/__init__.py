@@ -2,9 +2,9 @@
 
     import pixelid as px
 
-    recordings = px.open("session/")
-    result = px.fit(recordings, "dvs128")
+    result = px.calibrate("bench/")          # raw recordings and light traces → a checked model
     print(result.summary())
+    px.fit(px.open("session/"), "dvs128")    # one step of it
 
 A model is a `Model`, a shipped name, a .toml file or a fit folder; recordings are paths, `Recording`s, or a list of
 either; a stimulus is a `Stimulus`, a built-in name, or a file.  Everything else is an `InputError` in plain words.
@@ -22,6 +22,8 @@ __all__ = [
     "Recording",
     "Status",
     "Stimulus",
+    "calibrate",
+    "check",
     "convert",
     "crop",
     "design",
@@ -39,7 +41,7 @@ __all__ = [
 ]
 
 if TYPE_CHECKING:
-    from pixelid.api import find_model, fit, gap, sample, simulate
+    from pixelid.api import calibrate, check, find_model, fit, gap, sample, simulate
     from pixelid.api_analyses import design, load_field, lowlight, reconstruct, stimulus
     from pixelid.api_recordings import convert, crop, inspect, open
     from pixelid.model.model import Model

@@ -16,6 +16,8 @@ from pixelid.errors import InputError
 from pixelid.public import public
 
 if TYPE_CHECKING:
+    from pixelid.bench.check import CheckReport
+    from pixelid.bench.result import Calibration
     from pixelid.fit.levels.pixel_levels import PixelLevelsLike
     from pixelid.fit.result import FitResult
     from pixelid.gap.result import GapReport
@@ -245,3 +247,76 @@ def gap(
         as_recordings(recordings), as_model(model), alpha=alpha, seed=seed, leave_out=leave_out, progress=progress,
         resume=file, recommend=recommend, pixel_levels=pixel_levels,
     )  # fmt: skip
+
+
+def check(
+    bench: str | Path,
+    *,
+    roi: tuple[int, int, int, int] | None = None,
+    pixels: int | None = None,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> CheckReport:
+    """Read the recordings of a bench session and bring each onto its light's clock.
+
+    Args:
+        bench: a folder of recordings and light traces (NAME.raw with NAME_light.csv), or a bench.toml.
+        roi: (x0, y0, x1, y1) of the sensor to look at.
+        pixels: how many a fit will look at.
+        seed: chooses them.
+        progress: called with what is done and the fraction.
+
+    Returns:
+        One row per recording, what was inferred, and what is wrong.
+
+    Raises:
+        InputError: nothing that can be read as a bench.
+
+    Example:
+        >>> import pixelid as px
+        >>> px.check("bench/").rows  # doctest: +SKIP
+    """
+    from pixelid.bench.check import check as run
+
+    return run(bench, roi=roi, pixels=pixels, seed=seed, progress=progress)
+
+
+def calibrate(
+    bench: str | Path,
+    *,
+    model: ModelLike | None = None,
+    roi: tuple[int, int, int, int] | None = None,
+    pixels: int | None = None,
+    search: bool = True,
+    seed: int = 0,
+    resume: str | Path | None = None,
+    progress: Progress | None = None,
+) -> Calibration:
+    """Calibrate a camera's pixel from a bench session: align, fit, search for missing effects, fit all together.
+
+    Args:
+        bench: a folder of recordings and light traces (NAME.raw with NAME_light.csv), or a bench.toml.
+        model: where the fit starts; the bench's, or dvs128, by default.
+        roi: (x0, y0, x1, y1) of the sensor to look at.
+        pixels: how many are fitted.
+        search: whether to search for what the model lacks.
+        seed: of every choice and draw.
+        resume: a folder that keeps finished stages, for a calibration that is interrupted and called again.
+        progress: called with what is done and the fraction.
+
+    Returns:
+        The calibrated model with intervals, what the events contradict of the bench, and what to record next.
+
+    Raises:
+        InputError: nothing that can be read as a bench, recordings that cannot be fitted together.
+
+    Example:
+        >>> import pixelid as px
+        >>> px.calibrate("bench/").save("camera")  # doctest: +SKIP
+    """
+    from pixelid.bench.calibrate import calibrate as run
+    from pixelid.inputs import as_model
+
+    start = None if model is None else as_model(model)
+    kept = None if resume is None else Path(resume)
+    return run(bench, model=start, roi=roi, pixels=pixels, search=search, seed=seed, resume=kept, progress=progress)

@@ -41,7 +41,7 @@ COMMANDS = {
     "reconstruct": "A sharp scene from motion-blurred events.",
     "render": "Views, videos, depth, meshes and splats of a reconstruction.",
     "report": "A one-page report.html for any result folder.",
-    "demo": "The whole story on embedded data, minutes on a laptop.",
+    "demo": "Calibrate a shipped bench session, compare with the truth.",
 }
 
 

@@ -1,1 +1,1 @@
-"""The whole story on embedded data."""
+"""A bench session that comes with the package, and how its calibration compares with what was hidden in it."""

@@ -144,7 +144,8 @@ def _pictures(page: Page, folder: Path) -> dict[str, Picture]:
     # a link would put a file of this computer into a page that is handed on
     found = [path for path in sorted(folder.iterdir()) if path.is_file() and not path.is_symlink()]
     files = {path.stem: path for suffix in (".png", ".svg") for path in found if path.suffix == suffix}
-    captions = tomllib.loads(CAPTIONS.read_text(encoding="utf-8")).get(Path(page.file).stem, {})
+    every = tomllib.loads(CAPTIONS.read_text(encoding="utf-8"))
+    captions = every.get(page.like, {}) | every.get(Path(page.file).stem, {})
     pictures = {}
     for name, path in files.items():
         shown = printable(name)

@@ -82,6 +82,7 @@ class Page:
         template: in `templates/`.
         summarise: (result, folder) → what the card says.
         prepare: (result, folder) → further names for the template.
+        like: a kind of result whose figures it shows too, by the name of its JSON.
 
     The captions of its figures are in `captions.toml`, under the name of the JSON.
     """
@@ -90,6 +91,7 @@ class Page:
     template: str
     summarise: Callable[[Result, Path], Summary]
     prepare: Callable[[Result, Path], dict[str, Any]] = lambda result, folder: {}
+    like: str = ""
 
 
 def recorded_command(folder: Path) -> str:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from pixelid.report import analyses, bench, conform, fits, gap, health, scene, tables
+from pixelid.report import analyses, bench, conform, demo, fits, gap, health, scene, tables
 from pixelid.report.page import Page
 
 PAGES = (
+    Page("demo.json", "demo.html", demo.summarise, demo.prepare, like="calibration"),  # before calibration.json
     Page("calibration.json", "calibration.html", bench.summarise, bench.prepare),
     Page("conform.json", "conform.html", conform.summarise, conform.prepare),  # before gap.json, which lies beside it
     Page("gap.json", "gap.html", gap.summarise, gap.prepare),

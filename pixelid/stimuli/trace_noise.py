@@ -11,11 +11,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pixelid.recordings.recording import Recording
 from pixelid.stimuli.stimulus import Stimulus
+
+if TYPE_CHECKING:
+    from pixelid.recordings.recording import Recording
 
 ATTRIBUTE = "trace_noise"  # of a recording: sd of the noise on ln L that was filtered out
 FOURTH, SECOND = np.array([1.0, -4.0, 6.0, -4.0, 1.0]), np.array([1.0, -2.0, 1.0])

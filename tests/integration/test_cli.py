@@ -70,7 +70,7 @@ def test_every_listed_command_is_there(capsys):
 @pytest.mark.parametrize(
     ("words", "says"),
     [
-        (["develop"], "no command 'develop'; known: models, inspect, convert"),
+        (["develop"], "no command 'develop'; known: check, calibrate, models"),
         (["models", "--colour"], "--colour"),
         (["models", "dvs128", "ideal"], "unexpected extra argument"),
         (["convert", "one.h5"], "Missing argument"),

@@ -1,7 +1,8 @@
 """Every code block of README and docs runs, page by page, in a folder of its own.
 
 Blocks in `sh` and `python` are executed in order; a `toml` block whose first line is `# NAME.toml` becomes that file.
-A page with a comment `<!-- slow -->` is part of `make test-all` only.
+A page with a comment `<!-- slow -->` is part of `make test-all` only.  `<!-- needs the command NAME -->` before a block
+leaves it out where there is no such command.
 """
 
 from __future__ import annotations
@@ -16,6 +17,8 @@ from pathlib import Path
 
 import pytest
 
+from pixelid.cli.main import COMMANDS
+
 sybil = pytest.importorskip("sybil")
 from sybil.parsers.myst import CodeBlockParser  # noqa: E402
 
@@ -24,6 +27,7 @@ SOURCES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs")
 PAGES = [path for path in SOURCES if path.exists() and not {"_build", "_generated"} & set(path.parts)]
 SHOWN_ONLY = {"text", "json"}  # output, layouts, equations
 NEEDS_PUBLIC_NAMES = "<!-- needs the public names -->"
+NEEDS_COMMAND = re.compile(r"<!-- needs the command (\w+) -->")
 PUBLIC_NAMES = hasattr(importlib.import_module("pixelid"), "find_model")
 
 pytestmark = pytest.mark.skipif(not (ROOT / "docs" / "index.md").exists(), reason="needs a checkout")
@@ -31,6 +35,9 @@ pytestmark = pytest.mark.skipif(not (ROOT / "docs" / "index.md").exists(), reaso
 
 def run_shell(example) -> None:
     """Run a block as one script; its output is shown when it fails."""
+    needed = NEEDS_COMMAND.fullmatch(comment_before(example))
+    if needed and needed[1] not in COMMANDS:
+        return
     path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
     environment = os.environ | {
         "PATH": path,

@@ -27,6 +27,8 @@ GOOD = {  # command → words that run; {out} is free
     "inspect": "good.h5 --out {out}",
     "convert": "good.h5 {out}.h5",
     "simulate": "dvs128 --stimulus good.h5 --out {out}.h5 --pixels 1",
+    "check": "bench",
+    "calibrate": "bench --out {out}",
     "fit": "good.h5 --model dvs128 --out {out}",
     "compare": "good.h5 --model dvs128 --model dvs128_low_light --out {out}",
     "sensor": "good.h5 --model dvs128 --out {out} --bootstrap 0",
@@ -93,6 +95,8 @@ def place(tmp_path_factory):
     (folder / "latency.csv").write_text(f"camera,lens,polarity,irradiance_W_m2,bias_config,median,stdev,pixels\n{rows}")
     list(fuzz_targets._scenes(folder))
     write_sequence(folder / "eds")
+    (folder / "bench").mkdir()
+    shutil.copy(folder / "good.h5", folder / "bench")
     (folder / "result").mkdir()
     shutil.copy(DATA / "results" / "reconstruction.json", folder / "result")
     shutil.copy(folder / "field.npz", folder / "result")

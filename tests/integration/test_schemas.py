@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from pixelid.cli.main import main
+from pixelid.demo.demo import BENCH
 
 jsonschema = pytest.importorskip("jsonschema")
 referencing = pytest.importorskip("referencing")
@@ -94,6 +95,26 @@ def test_calibrate_and_check(calibration, capsys):
     check("model", written(folder / "model.toml"))
     run("check", folder.parent / "bench", "--pixels", 4, "--json")
     check("check", json.loads(capsys.readouterr().out))
+
+
+def test_check(capsys):
+    run("check", BENCH, "--json")
+    check("check", json.loads(capsys.readouterr().out))
+
+
+@pytest.mark.slow
+def test_demo_and_calibration(tmp_path):
+    run("demo", "--out", tmp_path / "out", "--quiet")
+    for name in ("calibration", "demo"):
+        check(name, written(tmp_path / "out" / f"{name}.json"))
+    check("model", written(tmp_path / "out" / "model.toml"))
+    document = written(tmp_path / "out" / "demo.json")
+    assert document["effects_named"] == document["effects_hidden"] == ["leak"]
+    inside = [value["inside"] for value in document["hidden_and_found"]]
+    assert sum(x is True for x in inside) >= len(inside) - 1  # of a dozen at 95 %, two outside in one of eight sessions
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert document["sentence"] in page
+    assert "What was hidden, and what was found" in page
 
 
 def test_inspect(session, tmp_path, capsys):

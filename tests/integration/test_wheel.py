@@ -35,9 +35,16 @@ def shipped() -> set[str]:
     return {f"{kind}/{path.name}" for kind in ("models", "fits") for path in (ROOT / kind).glob("*.toml")}
 
 
-def test_the_wheel_carries_models_and_fits(built):
+def bench() -> set[str]:
+    """The files of the demo's session: raw events, light traces, the truth."""
+    names = {str(path.relative_to(ROOT)) for path in (ROOT / "pixelid" / "demo" / "bench").iterdir()}
+    assert "pixelid/demo/bench/truth.json" in names
+    return names
+
+
+def test_the_wheel_carries_models_fits_and_the_demo(built):
     names = set(zipfile.ZipFile(only(built, "*.whl")).namelist())
-    assert {f"pixelid/_data/{name}" for name in shipped()} <= names
+    assert {f"pixelid/_data/{name}" for name in shipped()} | bench() <= names
     assert any(name.endswith("licenses/LICENSE") for name in names)
     assert not [name for name in names if name.startswith(("tests/", "benchmarks/")) or "__pycache__" in name]
 
@@ -46,7 +53,10 @@ def test_the_source_archive_is_complete(built):
     with tarfile.open(only(built, "*.tar.gz")) as archive:
         names = {name.partition("/")[2] for name in archive.getnames()}
     modules = {str(path.relative_to(ROOT)) for path in (ROOT / "pixelid").rglob("*.py")}
-    assert shipped() | modules | {"LICENSE", "README.md", "pyproject.toml", "constraints.txt", "Makefile"} <= names
+    assert (
+        shipped() | bench() | modules | {"LICENSE", "README.md", "pyproject.toml", "constraints.txt", "Makefile"}
+        <= names
+    )
 
 
 def test_an_installed_wheel_runs_outside_the_checkout(built, tmp_path):

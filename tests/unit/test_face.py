@@ -21,8 +21,8 @@ from pixelid.outputs import refuse_existing
 from pixelid.recordings import Events, Recording, write_recording
 
 NAMES = {
-    "open", "find_model", "simulate", "fit", "sample", "gap", "lowlight", "design", "reconstruct", "load_field",
-    "convert", "crop", "inspect", "stimulus",
+    "check", "calibrate", "open", "find_model", "simulate", "fit", "sample", "gap", "lowlight", "design",
+    "reconstruct", "load_field", "convert", "crop", "inspect", "stimulus",
     "Model", "Recording", "Stimulus", "Status",
 }  # fmt: skip
 SUBPACKAGES = ("fit", "sample", "gap", "lowlight", "design", "simulate")

@@ -1,0 +1,86 @@
+"""The pictures of the tutorial, from the session of `pixelid demo`: a photodiode's trace, and residuals of two models.
+
+    python docs/tutorial_pictures.py --out docs/tutorial
+
+`bench.svg` is drawn by hand.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+
+from pixelid.bench.calibrate import calibrate
+from pixelid.bench.result import Calibration
+from pixelid.demo.demo import BENCH
+from pixelid.figures.style import INK, MUTED, OFF, ON, new_axes, save_figure, styled
+from pixelid.fit.figures import standardised
+from pixelid.fit.result import FitResult
+from pixelid.stimuli.files import load_stimulus
+
+RECORDING = "chirp_400"
+MOST_POINTS = 2000  # of a curve
+BINS = 14
+
+
+@styled
+def draw_trace():
+    """A chirp as the photodiode saw it: whole, and its last milliseconds."""
+    light = load_stimulus(BENCH / f"{RECORDING}_light.npz")
+    t = light.t - light.t[0]
+    axes = new_axes(1, 2, 4.4, 2.3)
+    step = max(len(t) // MOST_POINTS, 1)
+    axes.flat[0].plot(t[::step], light.radiance[::step], color=MUTED, linewidth=0.8)
+    late = t > t[-1] - 0.01
+    axes.flat[1].plot(1e3 * t[late], light.radiance[late], ".-", color=MUTED, markersize=3, linewidth=0.8)
+    axes.flat[0].set(title="whole trace", xlabel="time (s)", ylabel=f"light ({light.unit})", ylim=(0, None))
+    axes.flat[1].set(title="its last 10 ms", xlabel="time (ms)", ylim=(0, None))
+    return axes
+
+
+@styled
+def draw_residuals(result: Calibration):
+    """Mean residual against the time since the pixel's previous event, of the start model and of the calibrated one."""
+    axes = new_axes(1, 2, 4.4, 2.5)
+    for axis, fit, title in zip(
+        axes.flat, (result.first, result.fit), ("bad: dvs128 without a leak", "good: with the leak"), strict=True
+    ):
+        _residuals(axis, fit, result)
+        axis.set(title=title, xlabel="time since the pixel's previous event (s)", xscale="log")
+    low = min(axis.get_ylim()[0] for axis in axes.flat)
+    high = max(axis.get_ylim()[1] for axis in axes.flat)
+    for axis in axes.flat:
+        axis.set_ylim(low, high)
+    axes.flat[0].set_ylabel("mean residual\n(standard deviations)")
+    axes.flat[0].legend()
+    return axes
+
+
+def _residuals(axis, fit: FitResult, result: Calibration) -> None:
+    likelihood, residual, kept = standardised(fit, result.recordings)
+    since = np.concatenate([each.time_s - each.previous_s for each in likelihood.intervals])
+    bins = np.geomspace(since[kept].min(), 1.001 * since[kept].max(), BINS + 1)
+    centre = np.sqrt(bins[1:] * bins[:-1])
+    for sign, colour, name in ((1, ON, "ON"), (-1, OFF, "OFF")):
+        chosen = kept & (likelihood.sign == sign)
+        index = np.digitize(since[chosen], bins) - 1
+        count = np.bincount(index, minlength=BINS)[:BINS]
+        full = count > 9
+        mean = np.bincount(index, residual[chosen], BINS)[:BINS][full] / count[full]
+        axis.errorbar(centre[full], mean, 2 / np.sqrt(count[full]), fmt="o", color=colour, label=name, markersize=3)
+    axis.axhline(0.0, color=INK, linewidth=0.6)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--out", type=Path, default=Path("docs/tutorial"))
+    parser.add_argument("--stages", type=Path, help="folder that keeps the calibration's stages")
+    options = parser.parse_args()
+    save_figure(draw_trace(), options.out / "photodiode.svg")
+    save_figure(draw_residuals(calibrate(BENCH, resume=options.stages)), options.out / "residuals.svg")
+
+
+if __name__ == "__main__":
+    main()
