@@ -223,6 +223,7 @@ def _parts(head: Recording, columns: Iterator[Block], raw: RawEvents) -> Iterato
     for t, x, y, p, triggers in columns:
         if len(t):
             _refuse_fall(t, last_ns, before, where)
+            _refuse_outside(x, y, size, before, where)
         events = Events.from_columns(
             t, x, y, p, *size, tick_ns=tick_ns, where=where, before=before, not_before_ns=last_ns
         )
@@ -248,6 +249,17 @@ def _refuse_fall(t: np.ndarray, last_ns: int, before: int, where: str) -> None:
             f"{where}/t: timestamps must not decrease, event {k} is earlier than event {k - 1} by "
             f"{-float(steps[fallen[0]]) * 1e-9:g} s; sort them, or read one stretch: {OPTION['clock']}"
         )
+
+
+def _refuse_outside(x: np.ndarray, y: np.ndarray, size: tuple[int, int], before: int, where: str) -> None:
+    """Raise InputError for a pixel outside the sensor, and say what may be stated otherwise."""
+    for name, column, limit in (("x", x, size[0]), ("y", y, size[1])):
+        if column.dtype.kind in "iu" and len(outside := np.flatnonzero((column < 0) | (column >= limit))):
+            k = int(outside[0])
+            raise InputError(
+                f"{where}/{name}: event {before + k} has {name} = {int(column[k])}, expected 0..{limit - 1}; another "
+                f"size or order of columns may be stated: {OPTION['size']}, {OPTION['columns']}"
+            )
 
 
 def _one(parts: list[Events]) -> Events | None:

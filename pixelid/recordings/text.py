@@ -105,6 +105,9 @@ def _header(path: Path) -> _Header:
                 cells, mark = cells_of(text)
                 if not any(NUMBER.fullmatch(cell) for cell in cells):
                     header.names = cells
+                    sides = {cell[0]: int(cell[2:]) for cell in cells if re.fullmatch(r"[xy]@\d{1,5}", cell)}
+                    if len(sides) == 2:
+                        header.size = sides["x"], sides["y"]
                 elif len(cells) == 2 and mark == SPACES and header.names is None and all(map(str.isdecimal, cells)):
                     header.size = int(cells[0]), int(cells[1])
                 else:

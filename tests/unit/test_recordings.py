@@ -207,7 +207,7 @@ def test_microseconds_beyond_64_bits(tmp_path):
 @pytest.mark.parametrize(
     ("attribute", "value", "message"),
     [
-        ("stimulus:unit", "candela", "unit must be one of relative, lux, W/m2, fA, shape, found 'candela'"),
+        ("stimulus:unit", "candela", "unit must be one of relative, lux, .*, found 'candela'"),
         ("stimulus:interpolation", "cubic", "interpolation must be one of"),
         ("events:width", 0, "attribute width: expected a positive integer, found 0"),
         ("events/t:unit", "days", "expected unit 'ns' or 'us', found 'days'"),
@@ -252,7 +252,7 @@ def test_bad_files_are_named(tmp_path):
         with pytest.raises(InputError, match=message) as error:
             open_recording(tmp_path / name)
         assert name in str(error.value)
-    for name, message in (("without.h5", "columns t, x, y, p"), ("bag.db3", "ROS bag"), ("other.npz", "found a")):
+    for name, message in (("without.h5", "columns t, x, y, p"), ("bag.db3", "ROS bag"), ("other.npz", "found 'a'")):
         with pytest.raises(InputError, match=message):
             open_recording(tmp_path / name)
     (tmp_path / "none").mkdir()
