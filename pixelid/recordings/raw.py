@@ -6,7 +6,7 @@ polarity and clock, reading the columns once before where that takes a look at a
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -22,7 +22,6 @@ from pixelid.recordings.source import OPTION, ReadingOptions, Source, size_of_ch
 from pixelid.recordings.triggers import Triggers
 
 MOST_STRETCHES = 100
-NO_EVENTS = tuple(np.empty(0, kind) for kind in (np.int64, np.uint16, np.uint16, np.uint8))
 
 
 class Block(NamedTuple):
@@ -33,6 +32,12 @@ class Block(NamedTuple):
     y: np.ndarray
     p: np.ndarray
     triggers: Triggers | None = None
+
+    @classmethod
+    def of(cls, columns: Iterable[np.ndarray], triggers: Triggers | None = None) -> Block:
+        """Of the four columns together."""
+        t, x, y, p = columns
+        return cls(t, x, y, p, triggers)
 
 
 @dataclass(frozen=True)
@@ -114,7 +119,7 @@ def interpreted(raw: RawEvents, options: ReadingOptions) -> tuple[Recording, Ite
         exposures = _one([part.events for part in parts])
     head = replace(
         raw.head,
-        events=Events.from_columns(*NO_EVENTS, *settled.size, tick_ns=tick_ns, where=raw.where),
+        events=_no_events(settled.size, tick_ns, raw.where),
         attributes=attributes,
         exposures=exposures,
     )
@@ -125,11 +130,17 @@ def interpreted(raw: RawEvents, options: ReadingOptions) -> tuple[Recording, Ite
     return replace(head, triggers=None), _parts(head, columns, raw)
 
 
+def _no_events(size: tuple[int, int], tick_ns: int, where: str) -> Events:
+    nothing = np.empty(0, np.int64)
+    return Events.from_columns(nothing, nothing, nothing, nothing, *size, tick_ns=tick_ns, where=where)
+
+
 def _looked_at(raw: RawEvents) -> tuple[Statistics, Callable[[], Iterator[Block]]]:
     """The statistics of all events, and the columns: from memory, where they are few enough."""
     statistics, kept = Statistics(), []
     for block in raw.blocks():
-        statistics.add(*(np.asarray(column) for column in block[:4]), raw.where)
+        t, x, y, p = (np.asarray(column) for column in block[:4])
+        statistics.add(t, x, y, p, raw.where)
         if kept is not None:
             kept = [*kept, block] if statistics.events <= WHOLE_EVENTS else None
     return statistics, raw.blocks if kept is None else lambda: iter(kept)
@@ -202,18 +213,18 @@ def _of_stretch(settled: _Settled, blocks, stretch: tuple[int, int] | None) -> I
             part = slice(max(stretch[0] - seen, 0), max(stretch[1] - seen, 0))
             columns = tuple(column[part] for column in columns)
         seen += len(block.t)
-        yield Block(*columns, block.triggers)
+        yield Block.of(columns, block.triggers)
 
 
 def _sorted(settled: _Settled, blocks) -> Iterator[Block]:
     """Columns of the whole file in the order of their times."""
-    every = [Block(*settled.columns(block), block.triggers) for block in blocks()]
-    columns = [np.concatenate([block[k] for block in every]) for k in range(4)]
+    every = [Block.of(settled.columns(block), block.triggers) for block in blocks()]
+    columns = [np.concatenate([getattr(block, name) for block in every]) for name in "txyp"]
     order = np.argsort(columns[0], kind="stable")
     columns = [column[order] for column in columns]
     edges = Triggers.joined(block.triggers for block in every)
     for k in range(0, len(order), PART_EVENTS):
-        yield Block(*(column[k : k + PART_EVENTS] for column in columns), edges if k == 0 else None)
+        yield Block.of((column[k : k + PART_EVENTS] for column in columns), edges if k == 0 else None)
 
 
 def _parts(head: Recording, columns: Iterator[Block], raw: RawEvents) -> Iterator[Recording]:
