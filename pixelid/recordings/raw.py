@@ -18,7 +18,7 @@ from pixelid.recordings.events import NS_PER_UNIT, Events
 from pixelid.recordings.parts import WHOLE_EVENTS
 from pixelid.recordings.recording import Recording
 from pixelid.recordings.rules import Statistics, decoded_polarity, infer_polarity, infer_unit
-from pixelid.recordings.source import OPTION, ReadingOptions, Source, size_of_chip
+from pixelid.recordings.source import EMPTY, LARGEST, OPTION, ReadingOptions, Source, size_of_chip
 from pixelid.recordings.triggers import Triggers
 
 MOST_STRETCHES = 100
@@ -98,7 +98,7 @@ def interpreted(raw: RawEvents, options: ReadingOptions) -> tuple[Recording, Ite
         size = _settled_size(size, widest, raw, inferred)
     if unit is None:
         unit, why = infer_unit(statistics, raw.where)
-        inferred["time_unit"] = (unit, why)
+        inferred |= {"time_unit": (unit, why)} if statistics.events else {}
     if code is None:
         code = infer_polarity(statistics.codes, raw.where)
         if code == "pm1":
@@ -155,8 +155,7 @@ def _settled_size(
             inferred["size"] = (likely, why)
             return likely
     settled = (size[0] or max(widest[0], 1), size[1] or max(widest[1], 1))
-    if widest != (0, 0):
-        inferred["size"] = (settled, " from the largest address")
+    inferred["size"] = (settled, LARGEST if widest != (0, 0) else EMPTY)
     return settled
 
 

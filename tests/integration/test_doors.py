@@ -164,3 +164,37 @@ def test_traces_of_reports(name):
     assert light.unit == ("lux" if "light" in name else "V")
     assert light.end_s == pytest.approx(0.5, rel=0.01)
     assert light.radiance[0] * (0.01 if "light" in name else 1.0) == pytest.approx(1.0)
+
+
+def test_recordings_without_events_take_the_session_s_size(tmp_path):
+    (tmp_path / "a.csv").write_text("t,x,y,p\n0.0010005,4,3,1\n0.0020005,1,0,0\n")
+    (tmp_path / "b.csv").write_text("t,x,y,p\n")
+    (tmp_path / "c.csv").write_text("")
+    sizes = {(r.events.width, r.events.height) for r in open_recordings([tmp_path])}
+    assert sizes == {(5, 4)}
+
+
+def test_a_session_that_disagrees_is_refused(tmp_path):
+    def session(**texts):
+        for name, text in texts.items():
+            (tmp_path / f"{name}.csv").write_text(text)
+        return open_recordings([tmp_path])
+
+    with pytest.raises(InputError, match="unit of time was inferred differently.*--time-unit"):
+        session(a="t,x,y,p\n0.0010005,4,3,1\n0.0020005,1,0,0\n", b="t,x,y,p\n1000,4,3,1\n2001,1,0,0\n")
+    with pytest.raises(InputError, match="polarities are coded differently"):
+        session(a="t,x,y,p\n1000,4,3,1\n2001,1,0,-1\n")
+    with pytest.raises(InputError, match="different sensors"):
+        session(a="# width=5\n# height: 9\nt,x,y,p\n1000,4,3,1\n2001,1,0,0\n", c="%geometry:64,48\nt,x,y,p\n10,1,1,0\n")
+
+
+def test_what_a_file_beside_states_holds_for_it(tmp_path):
+    (tmp_path / "a.csv").write_text("t,x,y,p\n1000,4,3,1\n2000,1,0,0\n")
+    (tmp_path / "a.source.toml").write_text('size = "304x240"\ntime_unit = "ns"\npolarity = "swapped"\n')
+    recording = open_recording(tmp_path / "a.csv")
+    e = recording.events
+    assert (e.t.tolist(), e.p.tolist(), e.width, e.height) == ([1000, 2000], [0, 1], 304, 240)
+    assert open_recording(tmp_path / "a.csv", ReadingOptions(time_unit="us")).events.t[0] == 1_000_000
+    (tmp_path / "a.source.toml").write_text('sice = "304x240"\n')
+    with pytest.raises(InputError, match="did you mean 'size'"):
+        open_recording(tmp_path / "a.csv")

@@ -18,7 +18,7 @@ from pixelid.model.files import save_model
 from pixelid.model.shipped import find_model
 from pixelid.recordings import Events, Recording, open_recording, write_recording
 from pixelid.recordings.pictures import read_picture
-from pixelid.stimuli import sampled
+from pixelid.stimuli import frames as sampled
 from pixelid.stimuli.files import load_stimulus
 from pixelid.stimuli.shapes import steps
 
