@@ -25,6 +25,7 @@ BLOCK = 1 << 22  # events looked at together, where a copy of all would be in th
 MOST_NS = 1 << 62  # 146 years: sums and differences of times still fit 64 bits
 MOST_AWAY = 1e9  # of the scene's unit: rays are single precision, which is a hundred units there
 SLACK = 1000  # ns by which rounded clocks may disagree
+MOST_POSES_PER_EVENTS = 500  # how much longer poses may be: a thousand times is another unit
 EVENTS, POSES = "raw_events.npz", "camera_poses.npz"
 FILES = (EVENTS, POSES, CALIBRATION, RENDERER)
 
@@ -75,6 +76,11 @@ def read_dataset(path: Path) -> Dataset:
         raise InputError(
             f"{path / POSES}: T_wc_timestamp: poses cover {begin} … {end} ns, "
             f"but timestamp of {EVENTS} runs {t[0]} … {t[-1]} ns"
+        )
+    if (t[-1] - t[0]) * MOST_POSES_PER_EVENTS < end - begin:
+        raise InputError(
+            f"{path / EVENTS}: timestamp: events cover {t[0]} … {t[-1]}, poses {begin} … {end} ns: expected ns, found "
+            "what looks like µs; if it is ns, cut the poses to the events"
         )
     views = read_views(path, calibration.channels)
     return Dataset(path, (t - zero) * 1e-9, x, y, on, trajectory, calibration, views)

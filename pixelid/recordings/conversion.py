@@ -48,18 +48,21 @@ def converted(
         return open_cropped(source, crop, seed), ""
     light = load_stimulus(stimulus, (SENSOR, FRAMES)) if isinstance(stimulus, str | Path) else stimulus
     if align is None:  # light ends where the cut does
-        recording = open_cropped(source, Crop()).with_stimulus(light)
-        long = isinstance(recording, LongRecording)
-        recording = crop.applied_to_parts(recording, seed) if long else crop.applied(recording, seed)
+        whole = open_cropped(source, Crop()).with_stimulus(light)
+        if isinstance(whole, LongRecording):
+            recording = crop.applied_to_parts(whole, seed)
+        else:
+            recording = crop.applied(whole, seed)
         _refuse_other_clock(recording)
         return recording, ""
-    recording = open_cropped(source, crop, seed)
-    long = isinstance(recording, LongRecording)
-    alignment = find_alignment(sample_to_align(recording, seed) if long else recording, light, align)
+    part = open_cropped(source, crop, seed)
+    alignment = find_alignment(sample_to_align(part, seed) if isinstance(part, LongRecording) else part, light, align)
     light = _until(light, alignment, crop, source)
-    recording = aligned_parts(recording, light, alignment) if long else aligned(recording, light, alignment)
-    recording.check_stimulus_covers_events()
-    return recording, alignment.sentence()
+    together = (
+        aligned_parts(part, light, alignment) if isinstance(part, LongRecording) else aligned(part, light, alignment)
+    )
+    together.check_stimulus_covers_events()
+    return together, alignment.sentence()
 
 
 def own_light(stimulus: str | Path | Light | None) -> tuple[str, float]:

@@ -57,8 +57,11 @@ def opened(path: Path, options: ReadingOptions) -> RawEvents:
         return replace(raw, blocks=lambda: decode_evt(path, header, path), size=size, likely_sizes=likely)
     if kind == "dat" and header.get("Version") == "2":
         start = _header_bytes(path)
-        return replace(raw, blocks=lambda: (Block(*c) for c in dat.decode(path, start)), size=size, likely_sizes=likely)
-    return _others(path, kind, raw, size if None not in size else None)
+        return replace(
+            raw, blocks=lambda: (Block.of(c) for c in dat.decode(path, start)), size=size, likely_sizes=likely
+        )
+    wide, high = size
+    return _others(path, kind, raw, None if wide is None or high is None else (wide, high))
 
 
 def decode_evt(path: Path, header: dict[str, str], named: Path) -> Iterator[Block]:
@@ -72,14 +75,14 @@ def decode_evt(path: Path, header: dict[str, str], named: Path) -> Iterator[Bloc
     if version == "evt2.1":
         said = re.search(r"endianness=(\w+)", header.get("format", ""))
         legacy = said.group(1) == "legacy" if said else None
-        yield from (Block(*columns, edges) for columns, edges in evt21.decode(path, _header_bytes(path), legacy))
+        yield from (Block.of(columns, edges) for columns, edges in evt21.decode(path, _header_bytes(path), legacy))
         return
 
     if version is None:
         found = header.get("evt") or stated or "none"
         raise InputError(f"{named}: expected EVT 2.0, 2.1 or 3.0 in the header, found {found[:40]}")
     for columns, edges in evt.decode(path, _header_bytes(path), int(version[3]), named):
-        yield Block(*columns, edges)
+        yield Block.of(columns, edges)
 
 
 def _aedat(path: Path, raw: RawEvents, options: ReadingOptions) -> RawEvents:
@@ -123,7 +126,7 @@ def _aedat(path: Path, raw: RawEvents, options: ReadingOptions) -> RawEvents:
                 triggers = Triggers.from_columns(
                     nanoseconds, rising, np.zeros(len(every), np.uint8), where=f"{path}: triggers"
                 )
-            yield Block(*_columns([packet for packet in map(mine, batch) if packet is not None]), triggers)
+            yield Block.of(_columns([packet for packet in map(mine, batch) if packet is not None]), triggers)
 
     names = tuple(streams) if len(streams) > 1 else ()
     return replace(raw, blocks=blocks, size=streams[name].dimensions, streams=names)
@@ -157,7 +160,7 @@ def _others(path: Path, kind, raw: RawEvents, size: tuple[int, int] | None) -> R
             yield packet.copy()  # the decoder's own memory is overwritten
 
     def blocks() -> Iterator[Block]:
-        return (Block(*_columns(batch)) for batch in _batches(checked_packets(packets, path), lambda packet: packet))
+        return (Block.of(_columns(batch)) for batch in _batches(checked_packets(packets, path), lambda packet: packet))
 
     next(blocks(), None)
     return replace(raw, blocks=blocks, size=sizes[0] if sizes and sizes[0] != NO_SIZE else (None, None))

@@ -63,11 +63,11 @@ class Stream:
         """Its columns, piece by piece."""
         for piece in arrays.pieces(self.paths):
             if not self.fields:
-                yield Block(*(column.reshape(-1) for column in piece))
+                yield Block.of(column.reshape(-1) for column in piece)
             elif isinstance(self.fields[0], str):
-                yield Block(*(piece[0][name] for name in self.fields))
+                yield Block.of(piece[0][name] for name in self.fields)
             else:
-                yield Block(*(piece[0][:, k] for k in self.fields))
+                yield Block.of(piece[0][:, k] for k in self.fields)
 
 
 def chosen_stream(

@@ -6,7 +6,7 @@ polarity and clock, reading the columns once before where that takes a look at a
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -18,11 +18,10 @@ from pixelid.recordings.events import NS_PER_UNIT, Events
 from pixelid.recordings.parts import WHOLE_EVENTS
 from pixelid.recordings.recording import Recording
 from pixelid.recordings.rules import Statistics, decoded_polarity, infer_polarity, infer_unit
-from pixelid.recordings.source import OPTION, ReadingOptions, Source, size_of_chip
+from pixelid.recordings.source import EMPTY, LARGEST, OPTION, ReadingOptions, Source, size_of_chip
 from pixelid.recordings.triggers import Triggers
 
 MOST_STRETCHES = 100
-NO_EVENTS = tuple(np.empty(0, kind) for kind in (np.int64, np.uint16, np.uint16, np.uint8))
 
 
 class Block(NamedTuple):
@@ -33,6 +32,12 @@ class Block(NamedTuple):
     y: np.ndarray
     p: np.ndarray
     triggers: Triggers | None = None
+
+    @classmethod
+    def of(cls, columns: Iterable[np.ndarray], triggers: Triggers | None = None) -> Block:
+        """Of the four columns together."""
+        t, x, y, p = columns
+        return cls(t, x, y, p, triggers)
 
 
 @dataclass(frozen=True)
@@ -93,7 +98,7 @@ def interpreted(raw: RawEvents, options: ReadingOptions) -> tuple[Recording, Ite
         size = _settled_size(size, widest, raw, inferred)
     if unit is None:
         unit, why = infer_unit(statistics, raw.where)
-        inferred["time_unit"] = (unit, why)
+        inferred |= {"time_unit": (unit, why)} if statistics.events else {}
     if code is None:
         code = infer_polarity(statistics.codes, raw.where)
         if code == "pm1":
@@ -114,7 +119,7 @@ def interpreted(raw: RawEvents, options: ReadingOptions) -> tuple[Recording, Ite
         exposures = _one([part.events for part in parts])
     head = replace(
         raw.head,
-        events=Events.from_columns(*NO_EVENTS, *settled.size, tick_ns=tick_ns, where=raw.where),
+        events=_no_events(settled.size, tick_ns, raw.where),
         attributes=attributes,
         exposures=exposures,
     )
@@ -125,11 +130,17 @@ def interpreted(raw: RawEvents, options: ReadingOptions) -> tuple[Recording, Ite
     return replace(head, triggers=None), _parts(head, columns, raw)
 
 
+def _no_events(size: tuple[int, int], tick_ns: int, where: str) -> Events:
+    nothing = np.empty(0, np.int64)
+    return Events.from_columns(nothing, nothing, nothing, nothing, *size, tick_ns=tick_ns, where=where)
+
+
 def _looked_at(raw: RawEvents) -> tuple[Statistics, Callable[[], Iterator[Block]]]:
     """The statistics of all events, and the columns: from memory, where they are few enough."""
     statistics, kept = Statistics(), []
     for block in raw.blocks():
-        statistics.add(*(np.asarray(column) for column in block[:4]), raw.where)
+        t, x, y, p = (np.asarray(column) for column in block[:4])
+        statistics.add(t, x, y, p, raw.where)
         if kept is not None:
             kept = [*kept, block] if statistics.events <= WHOLE_EVENTS else None
     return statistics, raw.blocks if kept is None else lambda: iter(kept)
@@ -144,8 +155,7 @@ def _settled_size(
             inferred["size"] = (likely, why)
             return likely
     settled = (size[0] or max(widest[0], 1), size[1] or max(widest[1], 1))
-    if widest != (0, 0):
-        inferred["size"] = (settled, " from the largest address")
+    inferred["size"] = (settled, LARGEST if widest != (0, 0) else EMPTY)
     return settled
 
 
@@ -202,18 +212,18 @@ def _of_stretch(settled: _Settled, blocks, stretch: tuple[int, int] | None) -> I
             part = slice(max(stretch[0] - seen, 0), max(stretch[1] - seen, 0))
             columns = tuple(column[part] for column in columns)
         seen += len(block.t)
-        yield Block(*columns, block.triggers)
+        yield Block.of(columns, block.triggers)
 
 
 def _sorted(settled: _Settled, blocks) -> Iterator[Block]:
     """Columns of the whole file in the order of their times."""
-    every = [Block(*settled.columns(block), block.triggers) for block in blocks()]
-    columns = [np.concatenate([block[k] for block in every]) for k in range(4)]
+    every = [Block.of(settled.columns(block), block.triggers) for block in blocks()]
+    columns = [np.concatenate([getattr(block, name) for block in every]) for name in "txyp"]
     order = np.argsort(columns[0], kind="stable")
     columns = [column[order] for column in columns]
     edges = Triggers.joined(block.triggers for block in every)
     for k in range(0, len(order), PART_EVENTS):
-        yield Block(*(column[k : k + PART_EVENTS] for column in columns), edges if k == 0 else None)
+        yield Block.of((column[k : k + PART_EVENTS] for column in columns), edges if k == 0 else None)
 
 
 def _parts(head: Recording, columns: Iterator[Block], raw: RawEvents) -> Iterator[Recording]:
@@ -223,6 +233,7 @@ def _parts(head: Recording, columns: Iterator[Block], raw: RawEvents) -> Iterato
     for t, x, y, p, triggers in columns:
         if len(t):
             _refuse_fall(t, last_ns, before, where)
+            _refuse_outside(x, y, size, before, where)
         events = Events.from_columns(
             t, x, y, p, *size, tick_ns=tick_ns, where=where, before=before, not_before_ns=last_ns
         )
@@ -248,6 +259,17 @@ def _refuse_fall(t: np.ndarray, last_ns: int, before: int, where: str) -> None:
             f"{where}/t: timestamps must not decrease, event {k} is earlier than event {k - 1} by "
             f"{-float(steps[fallen[0]]) * 1e-9:g} s; sort them, or read one stretch: {OPTION['clock']}"
         )
+
+
+def _refuse_outside(x: np.ndarray, y: np.ndarray, size: tuple[int, int], before: int, where: str) -> None:
+    """Raise InputError for a pixel outside the sensor, and say what may be stated otherwise."""
+    for name, column, limit in (("x", x, size[0]), ("y", y, size[1])):
+        if column.dtype.kind in "iu" and len(outside := np.flatnonzero((column < 0) | (column >= limit))):
+            k = int(outside[0])
+            raise InputError(
+                f"{where}/{name}: event {before + k} has {name} = {int(column[k])}, expected 0..{limit - 1}; another "
+                f"size or order of columns may be stated: {OPTION['size']}, {OPTION['columns']}"
+            )
 
 
 def _one(parts: list[Events]) -> Events | None:

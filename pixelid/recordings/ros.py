@@ -155,7 +155,7 @@ def _packets(path: Path, messages: list[bytes], cdr: bool, raw: RawEvents) -> Ra
 
     def blocks() -> Iterator[Block]:
         if encoding == "libcaer":
-            yield Block(*_libcaer(payload, raw.where))
+            yield Block.of(_libcaer(payload, raw.where))
             return
         with tempfile.TemporaryDirectory() as folder:
             copy = Path(folder) / "payload.raw"

@@ -42,7 +42,7 @@ FALLS_KEPT = 1000
 
 def column_name(name: str) -> tuple[str, str | None]:
     """A column's plain name, and the unit that it states: `t [µs]` → t, us."""
-    name = name.strip().strip("'\"").strip().lower()
+    name = name.strip().strip("'\"").partition("@")[0].strip().lower()  # faery writes x@346
     parts = IN_UNIT.fullmatch(name)
     if parts and parts[1] in NAMES["t"]:
         return parts[1], {"µs": "us", "μs": "us", "sec": "s", "seconds": "s"}.get(parts[2], parts[2])

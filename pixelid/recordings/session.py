@@ -10,9 +10,9 @@ from dataclasses import replace
 
 from pixelid.errors import InputError
 from pixelid.recordings.recording import Recording
-from pixelid.recordings.source import ATTRIBUTE, OPTION, Source
+from pixelid.recordings.source import ATTRIBUTE, EMPTY, LARGEST, OPTION, Source
 
-LARGEST, OF_SESSION = " from the largest address", " from the largest address of the session"
+OF_SESSION = f"{LARGEST} of the session"
 
 
 def agreed(recordings: Sequence[Recording]) -> list[Recording]:
@@ -71,8 +71,7 @@ def _of_one_size(recordings: Sequence[Recording], sources: Sequence[Source]) -> 
 def _is_free(recording: Recording, source: Source) -> bool:
     """Whether a recording's size is only that of its largest address, and no light is of that size."""
     light = recording.stimulus
-    nothing = not len(recording.events) and recording.events.width * recording.events.height == 1  # no address at all
-    inferred = nothing or source.inferred.get("size", (None, ""))[1] in (LARGEST, OF_SESSION)
+    inferred = source.inferred.get("size", (None, ""))[1] in (LARGEST, EMPTY, OF_SESSION)
     return inferred and not recording.pooled and (light is None or light.full_field)
 
 

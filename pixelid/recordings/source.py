@@ -25,6 +25,7 @@ OPTION = {"time_unit": "--time-unit s|ms|us|ns", "size": "--size WxH", "columns"
 SUBJECT = {"time_unit": "t taken as", "size": "size", "columns": "columns taken as", "polarity": "polarity",
            "stream": "stream", "clock": "clock goes back: stretch"}  # fmt: skip
 MOST_SIDE = 1 << 16
+LARGEST, EMPTY = " from the largest address", ", as there are no events"  # sizes that another recording may extend
 
 # (width, height) of sensors by the beginning of their names: makers' data sheets
 SENSOR_SIZES = {

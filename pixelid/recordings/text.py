@@ -68,7 +68,7 @@ def opened(path: Path, options: ReadingOptions) -> RawEvents:
     def blocks() -> Iterator[Block]:
         with _text(path):
             for columns in _frames(path, header, where, LINES_AT_ONCE):
-                yield Block(*(columns[k] for k in order))
+                yield Block.of(columns[k] for k in order)
 
     head = metadata.assemble(header.meta, Events.empty(1, 1), header.light, path, str(path))
     return RawEvents(head, blocks, where, unit, tick_ns, size=header.size, inferred=inferred,
@@ -105,6 +105,9 @@ def _header(path: Path) -> _Header:
                 cells, mark = cells_of(text)
                 if not any(NUMBER.fullmatch(cell) for cell in cells):
                     header.names = cells
+                    sides = {cell[0]: int(cell[2:]) for cell in cells if re.fullmatch(r"[xy]@\d{1,5}", cell)}
+                    if len(sides) == 2:
+                        header.size = sides["x"], sides["y"]
                 elif len(cells) == 2 and mark == SPACES and header.names is None and all(map(str.isdecimal, cells)):
                     header.size = int(cells[0]), int(cells[1])
                 else:
@@ -158,8 +161,9 @@ def _frames(path: Path, header: _Header, where: str, rows: int) -> Iterator[list
     try:
         with path.open(encoding=header.encoding) as file:
             lines = (line for line in islice(file, header.lines, None) if not line.lstrip().startswith(COMMENTS))
+            source: Any = _Lines(lines)
             with pandas.read_csv(
-                _Lines(lines), sep=header.mark, header=None, decimal=header.decimal, chunksize=rows,
+                source, sep=header.mark, header=None, decimal=header.decimal, chunksize=rows,
                 float_precision="round_trip", skipinitialspace=True, na_filter=False, low_memory=False,
             ) as frames:  # fmt: skip
                 for frame in frames:

@@ -164,3 +164,124 @@ def test_traces_of_reports(name):
     assert light.unit == ("lux" if "light" in name else "V")
     assert light.end_s == pytest.approx(0.5, rel=0.01)
     assert light.radiance[0] * (0.01 if "light" in name else 1.0) == pytest.approx(1.0)
+
+
+def test_recordings_without_events_take_the_session_s_size(tmp_path):
+    (tmp_path / "a.csv").write_text("t,x,y,p\n0.0010005,4,3,1\n0.0020005,1,0,0\n")
+    (tmp_path / "b.csv").write_text("t,x,y,p\n")
+    (tmp_path / "c.csv").write_text("")
+    sizes = {(r.events.width, r.events.height) for r in open_recordings([tmp_path])}
+    assert sizes == {(5, 4)}
+
+
+def test_a_session_that_disagrees_is_refused(tmp_path):
+    def session(**texts):
+        for name, text in texts.items():
+            (tmp_path / f"{name}.csv").write_text(text)
+        return open_recordings([tmp_path])
+
+    with pytest.raises(InputError, match=r"unit of time was inferred differently.*--time-unit"):
+        session(a="t,x,y,p\n0.0010005,4,3,1\n0.0020005,1,0,0\n", b="t,x,y,p\n1000,4,3,1\n2001,1,0,0\n")
+    with pytest.raises(InputError, match="polarities are coded differently"):
+        session(a="t,x,y,p\n1000,4,3,1\n2001,1,0,-1\n")
+    with pytest.raises(InputError, match="different sensors"):
+        session(a="# width=5\n# height: 9\nt,x,y,p\n1000,4,3,1\n2001,1,0,0\n", c="%geometry:64,48\nt,x,y,p\n10,1,1,0\n")
+
+
+def test_what_a_file_beside_states_holds_for_it(tmp_path):
+    (tmp_path / "a.csv").write_text("t,x,y,p\n1000,4,3,1\n2000,1,0,0\n")
+    (tmp_path / "a.source.toml").write_text('size = "304x240"\ntime_unit = "ns"\npolarity = "swapped"\n')
+    recording = open_recording(tmp_path / "a.csv")
+    e = recording.events
+    assert (e.t.tolist(), e.p.tolist(), e.width, e.height) == ([1000, 2000], [0, 1], 304, 240)
+    assert open_recording(tmp_path / "a.csv", ReadingOptions(time_unit="us")).events.t[0] == 1_000_000
+    (tmp_path / "a.source.toml").write_text('sice = "304x240"\n')
+    with pytest.raises(InputError, match="did you mean 'size'"):
+        open_recording(tmp_path / "a.csv")
+
+
+# --- published layouts, made by their descriptions -----------------------------------------------------------------
+
+
+def _events(n: int = 300):
+    rng = np.random.default_rng(4)
+    t = np.sort(rng.choice(400_000, n, replace=False)) + 1
+    x, y = rng.integers(0, 640, n), rng.integers(0, 480, n)
+    x[0], y[0] = 639, 479
+    return t, x, y, rng.integers(0, 2, n)
+
+
+def _layout(name: str, file) -> None:
+    t, x, y, p = _events()
+    one = {"t": t.astype(np.uint32), "x": x.astype(np.uint16), "y": y.astype(np.uint16), "p": p.astype(np.uint8)}
+    if name == "MVSEC":
+        file["davis/left/events"] = np.stack([x, y, t * 1e-6, 2 * p - 1], axis=1)
+        file["davis/right/events"] = np.empty((0, 4))
+        file["davis/left/imu"] = np.zeros((5, 6))
+    elif name == "M3ED":
+        for letter, column in one.items():
+            file[f"prophesee/left/{letter}"] = column
+        file["prophesee/left/ms_map_idx"] = np.arange(400)
+        file["prophesee/left/calib/resolution"] = np.array([1280, 720])
+    elif name == "EDS":
+        file.update(one)
+        file["ms_to_idx"] = np.arange(400)
+    elif name == "TUM-VIE":
+        for letter, column in one.items():
+            file[f"events/{letter}"] = column
+        file["events/ms_to_idx"] = np.arange(400)
+    elif name == "VECtor":
+        for letter, column in one.items():
+            file[f"events/{letter}"] = column
+        file["t_offset"] = np.int64(7)
+        file["ms_to_idx"] = np.arange(400)
+    else:  # Prophesee's HDF5
+        file["CD/events"] = np.rec.fromarrays(
+            [x, y, p, t], dtype=[("x", "<u2"), ("y", "<u2"), ("p", "<i2"), ("t", "<i8")]
+        )
+        file["CD/indexes"] = np.zeros(3)
+
+
+@pytest.mark.parametrize(
+    ("name", "size", "offset"),
+    [("MVSEC", (640, 480), 0), ("M3ED", (1280, 720), 0), ("EDS", (640, 480), 0), ("TUM-VIE", (640, 480), 0),
+     ("VECtor", (640, 480), 7), ("Prophesee", (640, 480), 0)],
+)  # fmt: skip
+def test_published_layouts(tmp_path, name, size, offset):
+    import h5py
+
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        _layout(name, file)
+    e, (t, x, y, p) = open_recording(tmp_path / "a.h5").events, _events()
+    np.testing.assert_array_equal(e.t, (t + offset) * 1000)
+    for found, true in ((e.x, x), (e.y, y), (e.p, p)):
+        np.testing.assert_array_equal(found, true)
+    assert (e.width, e.height) == size
+
+
+def test_one_of_two_cameras_is_chosen_by_name(tmp_path):
+    import h5py
+
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        for side in ("left", "right"):
+            for letter, column in zip("txyp", _events(), strict=True):
+                file[f"prophesee/{side}/{letter}"] = column[: 100 if side == "right" else 300]
+    with pytest.raises(InputError, match="prophesee/left, prophesee/right; --stream"):
+        open_recording(tmp_path / "a.h5")
+    assert len(open_recording(tmp_path / "a.h5", ReadingOptions(stream="right")).events) == 100
+
+
+def test_a_filter_that_is_missing_is_named(tmp_path, monkeypatch):
+    import h5py
+
+    from pixelid.recordings import hdf5
+
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        _layout("Prophesee", file)
+        records = file["CD/events"][:]
+        del file["CD/events"]
+        file.create_dataset("CD/events", data=records, compression="gzip")
+    monkeypatch.setattr(h5py.h5z, "filter_avail", lambda code: False)
+    monkeypatch.setattr(hdf5, "FILTERS", {1: "ECF (Prophesee's plugin)"})
+    with pytest.raises(InputError, match="compressed by ECF"):
+        hdf5.opened(tmp_path / "a.h5", ReadingOptions())

@@ -18,7 +18,7 @@ from pixelid.model.files import save_model
 from pixelid.model.shipped import find_model
 from pixelid.recordings import Events, Recording, open_recording, write_recording
 from pixelid.recordings.pictures import read_picture
-from pixelid.stimuli import sampled
+from pixelid.stimuli import frames as sampled
 from pixelid.stimuli.files import load_stimulus
 from pixelid.stimuli.shapes import steps
 
@@ -231,7 +231,7 @@ def test_frames_that_do_not_fit_into_memory(tmp_path, monkeypatch):
     for k in range(3):
         (tmp_path / "frames" / f"{k}.png").write_bytes(declared_png(30, 20, bytes(31 * 20)))
     (tmp_path / "frames" / "timestamps.txt").write_text("0\n1\n2\n")
-    assert load_stimulus(tmp_path / "frames").radiance.shape == (3, 20, 30)
+    assert load_stimulus(tmp_path / "frames").radiance.shape == (4, 20, 30)
     monkeypatch.setattr(sampled, "memory_bytes", lambda: 2 * 2 * 3 * 30 * 20 * 4 - 1)
     with pytest.raises(InputError, match="fit into memory"):
         load_stimulus(tmp_path / "frames")

@@ -228,7 +228,7 @@ def test_the_unit_that_an_npz_states_counts(tmp_path, times, unit, tick_ns):
 
 
 def test_text_in_seconds_may_begin_at_a_whole_one(tmp_path):
-    (tmp_path / "a.csv").write_text("0,0,0,1\n0.25,1,0,1\n1,1,1,0\n")
+    (tmp_path / "a.csv").write_text("0,10,7,1\n0.25,11,7,1\n1,11,9,0\n")
     np.testing.assert_array_equal(open_recording(tmp_path / "a.csv").events.t, [0, 250_000_000, 1_000_000_000])
     (tmp_path / "b.csv").write_text("x,y,p,t\n1,2\n")
     with pytest.raises(InputError, match="expected 4 numbers a line at least, found 2 in event 0"):

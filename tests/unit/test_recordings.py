@@ -253,7 +253,7 @@ def test_bad_files_are_named(tmp_path):
         with pytest.raises(InputError, match=message) as error:
             open_recording(tmp_path / name)
         assert name in str(error.value)
-    for name, message in (("without.h5", "columns t, x, y, p"), ("bag.db3", "ROS bag"), ("other.npz", "found a")):
+    for name, message in (("without.h5", "columns t, x, y, p"), ("bag.db3", "ROS bag"), ("other.npz", "found 'a'")):
         with pytest.raises(InputError, match=message):
             open_recording(tmp_path / name)
     (tmp_path / "none").mkdir()
