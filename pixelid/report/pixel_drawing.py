@@ -5,6 +5,7 @@ One drawing is as wide as a page, another as a phone; both are SVG in the page's
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Collection, Sequence
 
 from markupsafe import Markup, escape
@@ -15,10 +16,11 @@ from pixelid.report.quantities import STAGES, Quantity
 WIDE, NARROW = 960, 360  # widths of the two drawings
 COLUMNS = dict(zip(STAGES, (144, 162, 150, 184, 160, 160), strict=True))  # widths, as titles and numbers need them
 TEXT = 132  # where the text of the narrow one begins
-BOX = 148  # width of the frame of an added effect
+BOX = 138  # width of the frame of an added effect
 GLYPH = 104, 60  # of a stage's symbol
 TITLE, LINE, GAP = 26, 16, 9  # heights: of a stage's title, of a line of text, between two parameters
-LETTERS = 22  # of a value with its unit that a column holds at full size
+LETTERS, NAME = 22, 20  # of a value with its unit, and of a name, that a column holds at full size
+ADDED = "added:"
 # What each stage does to a signal, drawn in its box: the log of a step that is smoothed, delayed, amplified, compared.
 _GLYPHS = {
     "photocurrent": '<circle cx="30" cy="30" r="9"/><path d="M30 13v-6M30 53v-6M13 30h-6M53 30h-6M42 18l4-4M18 42l-4 4'
@@ -105,29 +107,36 @@ def _parameter(q: Quantity, is_added: bool, x: float, y: float) -> Markup:
     state = "fixed" if q.fixed else "" if q.identified else "not identified"
     letter, index = q.symbol
     symbol = Markup("{}{} = ").format(letter, _index(index)) if letter else Markup("")
-    name = "" if q.name == letter else q.name
-    heading = Markup('<tspan class="mark">added:</tspan> {}').format(name) if is_added else escape(name)
     small = " long" if len(f"{letter}{index} = {q.value} {q.unit}") > LETTERS else ""
     value = Markup('<tspan class="value{}">{}{}</tspan> <tspan class="unit">{}</tspan>').format(
         small, symbol, q.value, q.unit
     )
-    lines = [(heading, "name"), (value, ""), (escape(state or q.interval), "interval")]
-    kind = "added" if is_added else "open" if state == "not identified" else ""
-    box = Markup('<rect class="box" x="{:g}" y="{:g}" width="{:g}" height="{:g}" rx="4"/>').format(
-        x - 6, y - 2, BOX, _height(q, (q.effect,) if is_added else ()) - 4
+    heading = [escape(line) for line in _heading(q, is_added)]
+    if is_added:
+        heading[0] = Markup('<tspan class="mark">{}</tspan>{}').format(ADDED, heading[0].removeprefix(ADDED))
+    lines = [*((line, "name") for line in heading), (value, ""), (escape(state or q.interval), "interval")]
+    box = Markup('<rect class="box" x="{:g}" y="{:g}" width="{}" height="{:g}" rx="4"/>').format(
+        x - 6, y - 2, BOX, LINE * len(lines) + 5
     )
     texts = Markup("").join(
         Markup('<text class="{}" x="{:g}" y="{:g}">{}</text>').format(style, x, y + 12 + LINE * i, line)
-        for i, (line, style) in enumerate((line, style) for line, style in lines if line)
+        for i, (line, style) in enumerate(lines)
     )
+    kind = "added" if is_added else "open" if state == "not identified" else ""
     return Markup('<g class="parameter {}"><title>{}</title>{}{}</g>').format(
         kind, _in_words(q), box if is_added else "", texts
     )
 
 
+def _heading(q: Quantity, is_added: bool) -> list[str]:
+    """The lines of a parameter's name; none where its symbol says it all."""
+    if q.name == q.symbol[0] and not is_added:
+        return []
+    return textwrap.wrap(f"{ADDED} {q.name}" if is_added else q.name, NAME)
+
+
 def _height(q: Quantity, added: Collection[str]) -> float:
-    lines = 2 if q.name == q.symbol[0] and q.effect not in added else 3
-    return LINE * lines + GAP
+    return LINE * (len(_heading(q, q.effect in added)) + 2) + GAP
 
 
 def _index(index: str) -> Markup:

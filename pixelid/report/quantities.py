@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -10,6 +11,7 @@ from pixelid.errors import InputError
 from pixelid.figures.words import in_words
 from pixelid.report.format import Shown, in_its_unit, interval, value
 from pixelid.stages import LIBRARY, comparator, effect, photoreceptor
+from pixelid.stages.described import Described
 
 STAGES = {
     "photocurrent": "Light",
@@ -96,13 +98,21 @@ def name_of(parameter: str) -> str:
 
     >>> name_of("leak.rate_hz"), name_of("on_threshold"), name_of("slew_limit.rise_per_s")
     ('leak', 'ON threshold', 'slew limit, rise per s')
+    >>> name_of("described.rate.time_in_recording.linear.strength")
+    'rate by time in recording'
     """
     if parameter in NAMES:
         return NAMES[parameter]
     own = _effect_of(parameter)
-    if own and len([p for p in effect(own).parameters if p.free]) == 1:
-        return own.replace("_", " ")
-    return in_words(parameter)
+    if not own:
+        return in_words(parameter)
+    known = effect(own)
+    several = len([p for p in known.parameters if p.free]) > 1
+    if isinstance(known, Described):
+        depends = "" if known.covariate == "none" else f" by {known.covariate}"
+        words = f"{known.quantity}{depends}" + (f", {parameter.rpartition('.')[2]}" if several else "")
+        return words.replace("_", " ")
+    return in_words(re.sub(r"(?<!per)_(hz|rad|s)$", "", parameter)) if several else own.replace("_", " ")
 
 
 def stage_of(parameter: str) -> str:
