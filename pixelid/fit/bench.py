@@ -118,6 +118,13 @@ def has_bench(model: Model) -> bool:
     return any(is_of_bench(name) for name in model.nuisances)
 
 
+def clocks_of(model: Model) -> dict[str, Parameter]:
+    """The nuisances of a model that are of clocks: a base that lacks an effect may shift levels to cover for it."""
+    return {
+        name: p for name, p in model.nuisances.items() if name.split("[", 1)[0] in (CLOCK_DELAY.name, CLOCK_RATE.name)
+    }
+
+
 def is_of_bench(name: str) -> bool:
     """Whether a nuisance is a statement about the bench."""
     return name == CLOCK_RATE.name or name.split("[", 1)[0] in ONLY_OWN

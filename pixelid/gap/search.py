@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from pixelid.fit.bench import with_bench
+from pixelid.fit.bench import clocks_of, with_bench
 from pixelid.fit.light_unit import in_recorded_unit
 from pixelid.fit.measured_light import as_light_tells
 from pixelid.gap.detect.diagnostics import diagnose
@@ -67,7 +67,7 @@ def begin(recordings: Sequence[Recording], model: Model, context: Context) -> St
         evidence, base = fit_base(timely, split, model, criteria, options.seed, context.cache, context.work)
     allowed = criteria.max_unexplained_fraction
     first = diagnose(evidence.training, base, criteria, options.seed, background_fraction=allowed)
-    start = replace(evidence.nominal, nuisances=base.model.nuisances)
+    start = replace(evidence.nominal, nuisances=evidence.nominal.nuisances | clocks_of(base.model))
     hypothesis = Hypothesis(timely, evidence, base, first, start)
     return State(Phase.UNDO_READOUT, tuple(recordings), model, split, base, first, hypothesis, signatures)
 

@@ -161,7 +161,9 @@ class Model:
         for name in self.effects:
             circuit = stages.effect(name).apply(circuit, values)
         offset = own[LIGHT_OFFSET.name]
-        return circuit if isinstance(offset, float) and offset == 0.0 else circuit.with_(dark=circuit.dark + offset)
+        if isinstance(offset, float) and offset == 0.0:
+            return circuit
+        return circuit.with_(dark=circuit.dark + own[LIGHT_GAIN.name] * offset)  # of the trace, as its gain is
 
     def set(self, values: Mapping[str, float] | None = None, **named: float) -> Model:
         """The model at other values: `set({"leak.rate_hz": 2})`, `set(on_threshold=0.3)`.
