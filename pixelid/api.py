@@ -249,6 +249,7 @@ def gap(
     )  # fmt: skip
 
 
+@public
 def check(
     bench: str | Path,
     *,
@@ -264,7 +265,7 @@ def check(
         roi: (x0, y0, x1, y1) of the sensor to look at.
         pixels: how many a fit will look at.
         seed: chooses them.
-        progress: called with what is done and the fraction.
+        progress: called with what is done and the fraction; by default a bar where a terminal or notebook shows it.
 
     Returns:
         One row per recording, what was inferred, and what is wrong.
@@ -281,6 +282,7 @@ def check(
     return run(bench, roi=roi, pixels=pixels, seed=seed, progress=progress)
 
 
+@public
 def calibrate(
     bench: str | Path,
     *,
@@ -302,7 +304,7 @@ def calibrate(
         search: whether to search for what the model lacks.
         seed: of every choice and draw.
         resume: a folder that keeps finished stages, for a calibration that is interrupted and called again.
-        progress: called with what is done and the fraction.
+        progress: called with what is done and the fraction; by default a bar where a terminal or notebook shows it.
 
     Returns:
         The calibrated model with intervals, what the events contradict of the bench, and what to record next.

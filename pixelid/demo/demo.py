@@ -21,7 +21,6 @@ from pixelid.bench.result import Calibration
 from pixelid.demo.hidden import HiddenValue, hidden_and_found, sentence
 from pixelid.documents import read_json
 from pixelid.figures.style import IMPROVED, INK, MUTED, new_axis, save_figure, styled
-from pixelid.model.shipped import find_model
 from pixelid.outputs import write_json
 from pixelid.report.html import write_report
 from pixelid.results import Table
@@ -97,7 +96,7 @@ def run_demo(folder: Path, seed: int, progress: Callable[[str, float], None], re
 def draw_truth(demo: Demo, axis: Any = None) -> Any:
     """Estimate and 95 % interval of every hidden value, relative to the truth, and where the fit started."""
     shown = [value for value in demo.values if value.found is not None and value.interval_95]
-    start = find_model(demo.result.first.model.name).values
+    start = demo.result.start
     axis = axis if axis is not None else new_axis(7.5, 0.3 * len(shown) + 0.8)
     for row, value in enumerate(reversed(shown)):
         low, high = (np.nan if end is None else end / value.hidden for end in value.interval_95 or (None, None))
