@@ -129,7 +129,6 @@ class Statistics:
     """
 
     events: int = 0
-    first: float = 0.0
     low: float = np.inf
     high: float = -np.inf
     last: Any = None
