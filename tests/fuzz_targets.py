@@ -73,7 +73,7 @@ def _documents(folder: Path) -> Iterator[Target]:
     samples = b'[stimulus]\nkind = "samples"\nt = [0.0, 0.1, 0.2]\nradiance = [1.0, 2.0, 3]\nunit = "lux"\n'
     light = b"time_ms,radiance_lux\n# unit: lux\n0,10\n1,11.5\n2,12\n3,11\n"
     (folder / "light.csv").write_bytes(light)
-    file = b'[stimulus]\nkind = "file"\npath = "light.csv"\nunit = "lux"\nfps = 30.0\ngamma = "linear"\n'
+    file = b'[stimulus]\nkind = "file"\npath = "light.csv"\nunit = "lux"\ntime_unit = "s"\n'
     steps = b'[stimulus]\nkind = "steps"\nhold_s = 0.02\nedge_s = 0.0002\nduration_s = 0.1\ndt = 0.00005\nseed = 1\n'
     yield Target("stimulus", ".toml", (*(b"[stimulus]\n" + e for e in entries), samples, file, steps), load_stimulus)
     yield Target("light table", ".csv", (light, b"t;light [fA]\n0;1\n.1;2\n.2;3\n"), load_stimulus)

@@ -129,7 +129,6 @@ class Statistics:
     """
 
     events: int = 0
-    first: float = 0.0
     low: float = np.inf
     high: float = -np.inf
     last: Any = None
@@ -147,8 +146,11 @@ class Statistics:
         """Take in a block that follows those before."""
         if not len(t) == len(x) == len(y) == len(p):
             raise InputError(f"{where}: t, x, y, p must have one length, found {len(t)}, {len(x)}, {len(y)}, {len(p)}")
-        if not len(t) or any(column.dtype.kind not in "iufb" for column in (t, x, y, p)):
-            return  # what is no number is refused where it is read
+        if not len(t):
+            return
+        for name, column in zip("txyp", (t, x, y, p), strict=True):
+            if column.dtype.kind not in "iufb":
+                raise InputError(f"{where}/{name}: expected integers, found {shown(str(column[0]), 30)}")
         if t.dtype.kind == "u":  # differences of unsigned numbers do not fall
             t = t.astype(np.int64 if t.max() < 1 << 63 else np.float64)
         steps = np.diff(t, prepend=t[0] if self.last is None else self.last)

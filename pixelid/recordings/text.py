@@ -104,7 +104,7 @@ def _header(path: Path) -> _Header:
             elif text:
                 cells, mark = cells_of(text)
                 if not any(NUMBER.fullmatch(cell) for cell in cells):
-                    header.names = cells
+                    header.names = cells if cells[-1] else cells[:-1]
                     sides = {cell[0]: int(cell[2:]) for cell in cells if re.fullmatch(r"[xy]@\d{1,5}", cell)}
                     if len(sides) == 2:
                         header.size = sides["x"], sides["y"]
@@ -171,6 +171,8 @@ def _frames(path: Path, header: _Header, where: str, rows: int) -> Iterator[list
                     for k, column in enumerate(columns):
                         if column.dtype.kind not in "iufb":
                             columns[k] = _numbers(column, f"{where}: column {k}", done)
+                    if columns[-1].dtype.kind == "U" and not np.any(columns[-1] != ""):
+                        columns.pop()  # behind a mark that ends every line
                     yield columns
                     done += len(frame)
     except (ValueError, OverflowError, pandas.errors.ParserError) as error:

@@ -199,3 +199,52 @@ def test_light_until_a_time_ends_there(interpolation):
     assert len(light.until(-1.0).t) == 2
     frames = Stimulus.from_arrays([0.0, 1.0], np.stack([np.ones((2, 2)), np.full((2, 2), 3.0)]), "lux", interpolation)
     assert frames.until(0.5).radiance.shape == (2, 2, 2)
+
+
+TRACES = {  # what oscilloscopes and spreadsheets write → unit
+    "pico.csv": ("Time,Channel A\n(ms),(V)\n\n0.0,1.0\n500,1.5\n1500,1.2\n", "V"),
+    "keysight.csv": ("x-axis,1\nsecond,Volt\n0.0,1.0\n0.5,1.5\n1.5,1.2\n", "V"),
+    "rigol.csv": ("X,CH1,Start,Increment,\nSequence,Volt,0.0,5e-1\n0,1.0,\n1,1.5,\n3,1.2,\n", "V"),
+    "german.csv": ("t_s;radiance_lux\n0,0;1,0\n0,5;1,5\n1,5;1,2\n", "lux"),
+    "dates.csv": (
+        "timestamp,lux\n2024-01-01 12:00:00,1\n2024-01-01 12:00:00.5,1.5\n2024-01-01 12:00:01.5,1.2\n",
+        "lux",
+    ),
+    "volts.csv": ("t_s,radiance_V\n0,1.0\n0.5,1.5\n1.5,1.2\n", "V"),
+    "counts.csv": ("t [s],light [counts]\n0,1.0\n0.5,1.5\n1.5,1.2\n", "counts"),
+}
+
+
+@pytest.mark.parametrize("name", list(TRACES))
+def test_traces_of_oscilloscopes_and_spreadsheets(tmp_path, name):
+    text, unit = TRACES[name]
+    (tmp_path / name).write_text(text, encoding="utf-8")
+    light = load_stimulus(tmp_path / name)
+    np.testing.assert_allclose(light.t, [0, 0.5, 1.5])
+    np.testing.assert_allclose(light.radiance, [1.0, 1.5, 1.2])
+    assert light.unit == unit
+
+
+def test_columns_of_light_are_stated_where_two_may_be_meant(tmp_path):
+    (tmp_path / "a.csv").write_text("t_s,photodiode_V,light_set\n0,1,2\n1,2,3\n2,1,1\n")
+    with pytest.raises(InputError, match=r"NAME\.source\.toml"):
+        load_stimulus(tmp_path / "a.csv")
+    (tmp_path / "a.source.toml").write_text('columns = ["t_s", 3]\nunit = "lux"\ntime_unit = "ms"\n')
+    light = load_stimulus(tmp_path / "a.csv")
+    assert (light.radiance.tolist(), light.unit, light.end_s) == ([2.0, 3.0, 1.0], "lux", 0.002)
+    (tmp_path / "b.csv").write_text("t_s,radiance_furlongs\n0,1\n1,2\n2,1\n")
+    with pytest.raises(InputError, match="unit of the light: 'furlongs'"):
+        load_stimulus(tmp_path / "b.csv")
+
+
+@pytest.mark.parametrize(("kind", "top"), [(np.uint8, 255), (np.uint16, 65535), (np.float32, 1.0)])
+def test_pictures_are_scaled_by_their_type(tmp_path, kind, top):
+    from tifffile import imwrite
+
+    levels = (np.array([10, 60, 200]) / 255 * top).astype(kind)
+    for k, level in enumerate(levels):
+        imwrite(tmp_path / f"frame_{8 + k}.tif", np.full((4, 5, 3), level, kind), photometric="rgb")
+    (tmp_path / "timestamps.txt").write_text("0\n0.5\n1\n")
+    light = load_stimulus(tmp_path)
+    np.testing.assert_allclose(light.radiance[:3, 0, 0], levels / top, rtol=1e-5)  # frame_8, _9, _10
+    assert light.t.tolist() == [0, 0.5, 1.0, 1.5]
