@@ -5,6 +5,7 @@ Each stage takes plain values and gives plain values, kept in a folder of its ow
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -18,8 +19,9 @@ from pixelid.bench.result import Calibration
 from pixelid.bench.stages import Stages
 from pixelid.bench.statements import Statement, of_fit
 from pixelid.errors import InputError
-from pixelid.fit.data import as_fitted
+from pixelid.fit.data import as_fitted, event_times_of
 from pixelid.fit.event_times import EventTimesObjective
+from pixelid.fit.field import field_of
 from pixelid.fit.fit import fit
 from pixelid.fit.judge import LARGEST_BACKGROUND_FRACTION, residual_tests, significant
 from pixelid.fit.light_unit import unit_sentence
@@ -28,16 +30,21 @@ from pixelid.gap.gap import gap
 from pixelid.gap.result import GapReport
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.model.model import Model
+from pixelid.outputs import write_json
 from pixelid.provenance import versions
+from pixelid.recordings.bench import FIELD as GAINS
+from pixelid.recordings.bench import pixel_gains, with_pixel_gains
 from pixelid.recordings.own_light import with_fine_light
 from pixelid.recordings.recording import Recording
-from pixelid.recordings.selection import only
+from pixelid.recordings.selection import few, only
 from pixelid.status import Status
 
 Progress = Callable[[str, float], None]
 MODEL = "dvs128"  # where a fit starts when nothing else is stated; the unit of its light does not matter
 # Shares of the whole time, for the progress that is shown.
-CHECKED, SEARCHED, REFITTED = 0.05, 0.75, 0.98
+CHECKED, EVENED, SEARCHED, REFITTED = 0.05, 0.15, 0.75, 0.98
+FIELD = "field.json"  # of the stage that keeps the gains of pixels
+ROUGH_EVENTS = 10_000  # of the pixels that a first fit looks at: every parameter to a few percent
 STARTS = 2  # random ones of a fit without a search before it
 
 
@@ -81,12 +88,18 @@ def calibrate(
     session = checked.session
     recordings = only(checked.recordings, session.pixels)
     stages = Stages(resume, _inputs(checked, base, roi, pixels, search, seed))
+    recordings = stages.run(
+        "field",
+        lambda: with_even_field(recordings, base, seed, _part(report, CHECKED, EVENED)),
+        lambda made, folder: write_json(folder / FIELD, [r.attributes.get(GAINS) for r in made]),
+        lambda folder: _with_gains(recordings, json.loads((folder / FIELD).read_text())),
+    )
     searched: GapReport | None = None
     begin, starts = base, STARTS
     if search:  # fits the base on its way, so that what follows begins at an optimum
         searched = stages.run(
             "gap",
-            lambda: gap(recordings, base, seed=seed, progress=_part(report, CHECKED, SEARCHED)),
+            lambda: gap(recordings, base, seed=seed, progress=_part(report, EVENED, SEARCHED)),
             lambda made, folder: made.write(folder),
             GapReport.load,
         )
@@ -117,7 +130,7 @@ def calibrate(
         gap=searched,
         statements=statements,
         rows=checked.rows,
-        notes=checked.notes,
+        notes=(*checked.notes, *field_note(recordings)),
         held_out=held_out,
         unit=unit_sentence(last.model, base),
         recommended_next={} if searched is None else searched.recommended_next,
@@ -129,6 +142,36 @@ def calibrate(
         versions=versions(),
         inputs_sha256=checked.inputs_sha256,
     )
+
+
+def with_even_field(recordings: Sequence[Recording], base: Model, seed: int, report: Progress) -> list[Recording]:
+    """The recordings, which know how the field differs from pixel to pixel, where it shows.
+
+    A fit of few pixels says how all of them respond; where it lacks an effect, pixels still differ by their light.
+    """
+    if not all(r.stimulus is not None and r.stimulus.full_field for r in recordings):
+        return list(recordings)
+    some = few(recordings, ROUGH_EVENTS, np.random.default_rng(seed))
+    rough = fit(some, base, starts=0, seed=seed, progress=report)
+    field = field_of(event_times_of(rough, recordings), rough.x)
+    return list(recordings) if field is None else field.on(recordings)
+
+
+def _with_gains(recordings: Sequence[Recording], gains: Sequence[Any]) -> list[Recording]:
+    """Recordings with the gains of pixels that a stage has kept."""
+    return [
+        r if own is None else with_pixel_gains(r, np.asarray(own["pixel"]), np.asarray(own["ln_gain"]))
+        for r, own in zip(recordings, gains, strict=True)
+    ]
+
+
+def field_note(recordings: Sequence[Recording]) -> list[str]:
+    """What is said of an uneven field."""
+    _, gains = pixel_gains(recordings[0])
+    if not len(gains):
+        return []
+    spread, most = float(np.std(gains)), float(np.abs(gains).max())
+    return [f"the field is uneven: what pixels see differs by {100 * spread:.2g} % (at most {100 * most:.2g} %)"]
 
 
 def without_nuisances(model: Model) -> Model:

@@ -12,6 +12,7 @@ from pixelid.likelihood.clocks import light_on_clock
 from pixelid.likelihood.light_drawn import light_in_a_row
 from pixelid.model.model import Model
 from pixelid.parallel import map_threads
+from pixelid.recordings.bench import gains_of_pixels, with_pixel_gains
 from pixelid.recordings.own_light import with_fine_light
 from pixelid.recordings.recording import Recording
 from pixelid.recordings.sensor_light import is_measured
@@ -41,6 +42,8 @@ def simulate_again(
         seen = light_in_a_row(r, light_on_clock(r, light, here.circuit()), pixels, seed + 101 * i)
         run = simulate(here, seen, width=len(pixels), height=1, seed=seed + 101 * i, sensor_seed=seed)
         as_came = in_a_row(light if r.stimulus is None else r.stimulus, pixels)
+        gains = gains_of_pixels(r, pixels)
+        r = with_pixel_gains(r, np.arange(len(pixels)), gains) if gains.any() else r
         made = replace(r, events=replace(run.events, tick_ns=r.events.tick_ns), stimulus=as_came)
         late = is_measured(r) or here.circuit().delay != 0.0  # a delay that is free carries events past the end
         return made.within_stimulus() if late else made

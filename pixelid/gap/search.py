@@ -67,7 +67,7 @@ def begin(recordings: Sequence[Recording], model: Model, context: Context) -> St
         evidence, base = fit_base(timely, split, model, criteria, options.seed, context.cache, context.work)
     allowed = criteria.max_unexplained_fraction
     first = diagnose(evidence.training, base, criteria, options.seed, background_fraction=allowed)
-    start = replace(evidence.nominal, nuisances=evidence.nominal.nuisances | clocks_of(base.model))
+    start = replace(evidence.nominal, nuisances={**evidence.nominal.nuisances, **clocks_of(base.model)})
     hypothesis = Hypothesis(timely, evidence, base, first, start)
     return State(Phase.UNDO_READOUT, tuple(recordings), model, split, base, first, hypothesis, signatures)
 

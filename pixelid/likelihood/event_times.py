@@ -20,11 +20,13 @@ from pixelid.likelihood.layout import Layout, Shift, StackedChanges, flat_index,
 from pixelid.likelihood.light_between_samples import unknown_light
 from pixelid.likelihood.sections import sections_of
 from pixelid.parallel import map_threads
+from pixelid.recordings.bench import gains_of_pixels
 from pixelid.recordings.events import COARSE_UNIT_SHARE, SHORT_QUANTILE
 from pixelid.recordings.recording import Recording
 from pixelid.stages.circuit import Circuit
 from pixelid.stimuli.stimulus import Stimulus
 
+BRIGHTER = 1e-3  # of ln light, to find how levels go with a pixel's gain: to first order, 0.1 % of a gain of 3 %
 NUDGE_S = 1e-7  # of the release, to find how a level depends on it: 1e-3 of a dead time, 1e7 times a float's rounding
 MOST_CLOCK_SHARE = 100.0  # a level that falls ten times as fast by its reset as it rises: the light has all but turned
 MOST_REMEMBERED = 4_000_000  # samples of light in sections whose trajectories are remembered: 0.3 GB
@@ -69,6 +71,9 @@ class EventTimes:
         self.unknown_light = unknown_light(self.recordings, [some for _, some in divided])
         if self.unknown_light is not None:
             self.layout = self.unknown_light.added(self.layout)
+        self._uneven = _uneven(self.recordings, self.intervals)
+        # the same sections once more, so that trajectories under brighter light have a memory of their own
+        self._brighter = () if self._uneven is None else tuple(ChangeEvaluator(s, remember) for s in sections)
         self.clock_share = read_only(np.ones(self.events))
         self.threshold_factor: np.ndarray | None = None
         self.shift: Shift | None = None
@@ -119,6 +124,11 @@ class EventTimes:
         """(n,) index of its recording."""
         return self.layout.recording
 
+    @property
+    def is_uneven(self) -> bool:
+        """Whether pixels see more or less than the light says."""
+        return self._uneven is not None
+
     @cached_property
     def has_coarse_stamps(self) -> bool:
         """Whether stamps are as wide as `COARSE_UNIT_SHARE` of the shortest intervals: their rounding shows."""
@@ -162,6 +172,7 @@ class EventTimes:
         parts = list(zip(circuits, self.evaluators, where, self.layout.per_section(vector), by, strict=True))
 
         located = self._filled(parts)
+        self._add_gains(vector, circuits, by, located)
         changes = self.layout.stacked(vector, tuple(located))
         if self.unknown_light is not None:
             self.unknown_light.apply(changes, self.sign)
@@ -181,6 +192,7 @@ class EventTimes:
             strict=True,
         )  # fmt: skip
         self._filled([tuple(section) for of, *section in sections if of == recording])
+        self._add_gains(vector, circuits, by, here.extremes, recording)
         changes = self.layout.stacked(vector)
         if self.unknown_light is not None:
             self.unknown_light.apply(changes, self.sign, self.layout.recording == recording)
@@ -191,6 +203,33 @@ class EventTimes:
             for row in changes.events.of_level:
                 row[mine] /= self.threshold_factor[mine]
         return changes
+
+    def _add_gains(
+        self,
+        vector: np.ndarray,
+        circuits: Sequence[Circuit],
+        clocks: Sequence[Clock | None],
+        extremes: Sequence[Extremes],
+        recording: int | None = None,
+    ) -> None:
+        """Move changes by what each pixel sees more or less than the light says, to first order; of one recording or
+        all."""
+        if self._uneven is None:
+            return
+        there = vector.copy()
+        rows, mine = self.layout.per_section(there), self.layout.per_section(vector)
+        which = [k for k, of in enumerate(self._recording_of_section) if recording is None or of == recording]
+        brighter = [c.with_(light_gain=c.light_gain * (1.0 + BRIGHTER)) for c in circuits]
+        self._filled([(brighter[k], self._brighter[k], extremes[k], rows[k], clocks[k]) for k in which])
+        events, ends = self._uneven
+        of_event, of_end = (
+            np.split(*pair) for pair in ((events, self.layout.event_ends), (ends, self.layout.end_ends))
+        )
+        for k in which:
+            for here, moved, gain in zip(mine[k], rows[k], (of_event[k], of_end[k]), strict=True):
+                with np.errstate(over="ignore", invalid="ignore"):
+                    slope = (moved - here) / BRIGHTER
+                here += gain * np.nan_to_num(slope, copy=False, posinf=0.0, neginf=0.0)
 
     def _circuits(self, circuit: Circuit) -> tuple[list[Circuit], list[Clock | None]]:
         """Of every section: the circuit as it was in its recording, and the clock."""
@@ -250,6 +289,9 @@ class EventTimes:
         """The same likelihood under other lights, those of each section, sampled at the same times."""
         other = copy(self)
         other.evaluators = tuple(e.with_lights(some) for e, some in zip(self.evaluators, lights, strict=True))
+        other._brighter = tuple(
+            e.with_lights(some) for e, some in zip(self._brighter, lights, strict=bool(self._brighter))
+        )
         return other
 
     def with_shift(self, shift: Shift, layout: Layout) -> EventTimes:
@@ -263,3 +305,11 @@ class EventTimes:
         other = copy(self)
         other.threshold_factor = None if factor is None else read_only(factor)
         return other
+
+
+def _uneven(recordings: Sequence[Recording], intervals: Sequence) -> tuple[np.ndarray, np.ndarray] | None:
+    """(n,) of the intervals and (m,) of the unfinished ones: ln of their pixel's gain; None where the field is even."""
+    events = [gains_of_pixels(r, iv.pixel) for r, iv in zip(recordings, intervals, strict=True)]
+    ends = [gains_of_pixels(r, iv.last_pixel) for r, iv in zip(recordings, intervals, strict=True)]
+    uneven = any(gain.any() for gain in (*events, *ends))
+    return (np.concatenate(events), np.concatenate(ends)) if uneven else None

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from pixelid.likelihood.light_between_samples import told
+from pixelid.recordings.bench import gains_of_pixels
 from pixelid.recordings.recording import Recording
 from pixelid.stimuli.pixel_lights import Light, PixelLights, in_a_row
 from pixelid.stimuli.stimulus import Stimulus
@@ -20,13 +21,23 @@ def light_in_a_row(recording: Recording, light: Light, pixels: np.ndarray, seed:
     Between the samples of a light that the sensor measured itself every pixel has a path of its own: a Brownian bridge
     of the variance that the recording tells (`light_between_samples.told`).
     """
-    row, found = in_a_row(light, pixels), told(recording)
+    row, found = _uneven(recording, in_a_row(light, pixels), pixels), told(recording)
     if found is None or not isinstance(row, PixelLights):
         return row
     rng = np.random.default_rng([seed, 14])
     of_pixel = row.of_pixel.ravel()
     paths = [_path(row.lights[k], found.variance, rng) for k in of_pixel]
     return replace(row, lights=tuple(paths), of_pixel=np.arange(len(paths), dtype=np.int32).reshape(row.of_pixel.shape))
+
+
+def _uneven(recording: Recording, row: Light, pixels: np.ndarray) -> Light:
+    """Light in a row with what each pixel sees more or less of it."""
+    gains = gains_of_pixels(recording, pixels)
+    if not gains.any() or not isinstance(row, Stimulus):
+        return row
+    values, which = np.unique(gains, return_inverse=True)
+    lights = tuple(replace(row, radiance=row.radiance * np.exp(gain)) for gain in values)
+    return PixelLights(lights, which.astype(np.int32).reshape(1, -1))
 
 
 def _path(light: Stimulus, variance: float, rng: np.random.Generator) -> Stimulus:

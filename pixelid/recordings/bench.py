@@ -16,6 +16,7 @@ from pixelid.errors import InputError
 from pixelid.recordings.recording import Recording
 
 ATTRIBUTE = "bench"
+FIELD = "pixel_gain"  # attribute: how the field differs from pixel to pixel
 LEVEL_SD = 0.03  # of ln light: filters, distances and meters keep their level to about 3 %
 
 
@@ -47,6 +48,42 @@ def bench_of(recording: Recording) -> Bench:
             raise InputError(f"{where}.{name}: expected a number of at least 0, found {str(value)[:40]!r}")
         numbers[name] = float(value)
     return Bench(**numbers)
+
+
+def pixel_gains(recording: Recording) -> tuple[np.ndarray, np.ndarray]:
+    """(k,) flat indices of pixels, and (k,) the logarithm of what each sees over what the light says; none: empty.
+
+    Raises:
+        InputError: No lists of as many numbers in its attribute.
+    """
+    stated = recording.attributes.get(FIELD)
+    if not isinstance(stated, Mapping):
+        return np.empty(0, np.int64), np.empty(0)
+    try:
+        pixels, gains = np.asarray(stated["pixel"], np.int64), np.asarray(stated["ln_gain"], float)
+        if pixels.ndim != 1 or pixels.shape != gains.shape or not np.isfinite(gains).all():
+            raise ValueError
+    except (KeyError, TypeError, ValueError, OverflowError):
+        raise InputError(
+            f"{recording.source or recording.name}: {FIELD}: expected lists pixel and ln_gain of as many numbers"
+        ) from None
+    return pixels, gains
+
+
+def with_pixel_gains(recording: Recording, pixels: np.ndarray, gains: np.ndarray) -> Recording:
+    """The recording whose pixels see so much more or less than its light says; (k,) indices and logarithms."""
+    stated = {"pixel": [int(k) for k in pixels], "ln_gain": [float(g) for g in gains]}
+    return replace(recording, attributes={**recording.attributes, FIELD: stated})
+
+
+def gains_of_pixels(recording: Recording, pixels: np.ndarray) -> np.ndarray:
+    """(n,) the logarithm of the gain of each flat pixel index (n,); 0 where none is known."""
+    known, gains = pixel_gains(recording)
+    if not len(known):
+        return np.zeros(len(pixels))
+    order = np.argsort(known)
+    place = np.clip(np.searchsorted(known[order], pixels), 0, len(known) - 1)
+    return np.where(known[order][place] == pixels, gains[order][place], 0.0)
 
 
 def on_bench(recording: Recording, bench: Bench) -> Recording:

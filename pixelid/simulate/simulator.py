@@ -10,7 +10,6 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
 
 import numpy as np
 
@@ -131,9 +130,9 @@ def _chunks(
     """(time up to which all is done, sorted events) after each block of work."""
     circuit = model.circuit() if isinstance(model, Model) else model
     if circuit.light_gain != 1.0:
-        if not isinstance(stimulus, Stimulus):
-            raise InputError("light_gain of a recording: needs one light for all pixels, or a video in memory")
-        stimulus = replace(stimulus, radiance=stimulus.radiance * circuit.light_gain)
+        if not isinstance(stimulus, Stimulus | PixelLights):
+            raise InputError("light_gain of a recording: needs light in memory")
+        stimulus = stimulus.brighter_by(circuit.light_gain)
         circuit = circuit.with_(light_gain=1.0)
     if circuit.light_spread > 0:
         stimulus = spread_light(stimulus, circuit.light_spread, (width or 1, height or 1), seed)

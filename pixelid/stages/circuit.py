@@ -90,6 +90,14 @@ class Circuit:
         )
         return self.with_(delay=self.delay + seconds, of_recordings=own)
 
+    def brighter_by(self, factor: float) -> Circuit:
+        """The circuit under a light `factor` times what it is, in every recording."""
+        own = tuple(
+            (name, tuple((key, number * factor if key == "light_gain" else number) for key, number in numbers))
+            for name, numbers in self.of_recordings
+        )
+        return self.with_(light_gain=self.light_gain * factor, of_recordings=own)
+
     def in_recording(self, name: str) -> Circuit:
         """The circuit as it was in the recording of that name, with the numbers that are the recording's own."""
         if not self.of_recordings:

@@ -104,6 +104,10 @@ class PixelLights:
     def _flat(self) -> np.ndarray:
         return self.of_pixel.ravel()
 
+    def brighter_by(self, factor: float) -> PixelLights:
+        """Every light, `factor` times as bright."""
+        return replace(self, lights=tuple(light.brighter_by(factor) for light in self.lights))
+
     def of_pixels(self, pixels: np.ndarray) -> np.ndarray:
         """(n,) index of the light of each flat pixel index (n,).
 

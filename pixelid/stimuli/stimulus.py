@@ -96,6 +96,10 @@ class Stimulus:
         """The mean over pixels, as a full-field light to look at; full-field light as it is."""
         return self if self.full_field else replace(self, radiance=self.radiance.mean(axis=(1, 2)))
 
+    def brighter_by(self, factor: float) -> Stimulus:
+        """The light, `factor` times as bright."""
+        return replace(self, radiance=self.radiance * factor)
+
     def until(self, end_s: float) -> Stimulus:
         """The light up to `end_s`, with a sample there; all of a light that ends before, and two samples at least.
 

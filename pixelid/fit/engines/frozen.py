@@ -98,6 +98,8 @@ def freeze(objective: EventTimesObjective, x: np.ndarray) -> Frozen:
             raise InputError(f"{name}: not in the symbolic form of the likelihood; use its compiled form")
     if not all(r.stimulus is not None and r.stimulus.full_field for r in likelihood.recordings):
         raise InputError("light of each pixel's own: not in the symbolic form of the likelihood; use its compiled form")
+    if likelihood.is_uneven:
+        raise InputError("an uneven field: not in the symbolic form of the likelihood; use its compiled form")
     own = {name for _, numbers in circuit.of_recordings for name, _ in numbers}
     if own - {"delay"}:
         raise InputError("numbers of one recording: not in the symbolic form of the likelihood; use its compiled form")
