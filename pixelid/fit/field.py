@@ -17,7 +17,7 @@ from pixelid.fit.event_times import EventTimesObjective
 from pixelid.recordings.bench import gains_of_pixels, with_pixel_gains
 from pixelid.recordings.recording import Recording
 
-STEP = 0.01  # of ln light: log-likelihoods of pixels are parabolas over a few times their width, 0.2 to 1 %
+STEP, FARTHEST = 0.01, 0.2  # of ln light: gains that are tried; a pixel's log-likelihood is a parabola about its best
 SCALES = np.concatenate([[0.0], np.geomspace(1e-3, 0.5, 200)])  # of s, in which the best is looked for
 # Nats that unevenness must be worth.  Twice that is 9.5, which a χ² with half a degree of freedom exceeds in one of
 # 1000 even fields; a fit that describes its data badly makes pixels differ more, and its field is estimated again.
@@ -45,20 +45,21 @@ def field_of(objective: EventTimesObjective, x: np.ndarray) -> Field | None:
         x: (d,) its optimum.
     """
     likelihood, circuit = objective.likelihood, objective.circuit(x)
-    dimmer, here, brighter = (
-        likelihood.terms(circuit.brighter_by(float(np.exp(step)))).per_pixel for step in (-STEP, 0.0, STEP)
-    )
+    trials = STEP * np.arange(-round(FARTHEST / STEP), round(FARTHEST / STEP) + 1)
+    values = np.array([likelihood.terms(circuit.brighter_by(float(np.exp(trial)))).per_pixel for trial in trials])
+    best = np.clip(np.argmax(np.where(np.isfinite(values), values, -np.inf), axis=0), 1, len(trials) - 2)
+    dimmer, here, brighter = (values[best + k, np.arange(values.shape[1])] for k in (-1, 0, 1))
     information = (2.0 * here - dimmer - brighter) / STEP**2
     known = np.isfinite(information) & (information > 0.0)
     if known.sum() < 2:
         return None
     information = information[known]
-    own = (brighter - dimmer)[known] / (2.0 * STEP) / information
+    own = trials[best][known] + (brighter - dimmer)[known] / (2.0 * STEP) / information
     own -= np.sum(own * information) / np.sum(information)
     variance = SCALES[:, None] ** 2 + 1.0 / information
     nats = -0.5 * np.sum(np.log(variance) + own**2 / variance, axis=1)
-    best = int(np.argmax(nats))
-    if nats[best] - nats[0] < LEAST_NATS:
+    k = int(np.argmax(nats))
+    if nats[k] - nats[0] < LEAST_NATS:
         return None
-    shrunk = own * SCALES[best] ** 2 / (SCALES[best] ** 2 + 1.0 / information)
-    return Field(likelihood.flat_pixels[known], shrunk - shrunk.mean(), float(SCALES[best]))
+    shrunk = own * SCALES[k] ** 2 / (SCALES[k] ** 2 + 1.0 / information)
+    return Field(likelihood.flat_pixels[known], shrunk - shrunk.mean(), float(SCALES[k]))
