@@ -50,14 +50,16 @@ def open(
         >>> import pixelid as px
         >>> px.open("session/chirp.h5")  # doctest: +SKIP
     """
-    from pixelid.inputs import as_recordings
+    from pixelid.inputs import as_recordings, warn_of_empty
     from pixelid.recordings.reading import open_recording
     from pixelid.recordings.source import stating
 
     with stating(_options(size=size, time_unit=time_unit, columns=columns, stream=stream, chip=chip,
                           polarity=polarity, clock=clock)):  # fmt: skip
         if isinstance(source, str | Path) and not Path(source).is_dir():
-            return open_recording(source)
+            recording = open_recording(source)
+            warn_of_empty([recording])
+            return recording
         return tuple(as_recordings(source))
 
 

@@ -89,7 +89,7 @@ def as_recordings(recordings: RecordingsLike) -> list[Recording]:
                 read = open_recordings([entry])
             except InputError as error:
                 raise InputError(f"{error}{_swapped(entry)}") from None
-            _warn_of_empty(read)
+            warn_of_empty(read)
             opened += read
         else:
             expected = "expected a Recording, a path, or a list of either"
@@ -115,7 +115,7 @@ def as_stimulus(stimulus: StimulusLike) -> Light:
     )
 
 
-def _warn_of_empty(recordings: Iterable[Recording]) -> None:
+def warn_of_empty(recordings: Iterable[Recording]) -> None:
     """Say which recordings hold no events: nothing is wrong with their files, and hardly anyone means to use them."""
     empty = [str(r.source or r.name) for r in recordings if len(r.events) == 0]
     if empty:

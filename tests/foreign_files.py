@@ -13,7 +13,7 @@ import h5py
 import numpy as np
 from scipy.io import savemat
 
-from pixelid.errors import InputError
+from pixelid.errors import InputError, on_command_line
 from pixelid.recordings import Recording, open_recording
 from pixelid.recordings.source import Source
 
@@ -188,9 +188,11 @@ def is_true(recording: Recording, spec: Spec) -> bool:
 def judged(spec: Spec, path: Path, options=None) -> str:
     """How a file was answered: "true", "refused: OPTION", or "wrong: WHY"."""
     try:
-        recording = open_recording(path, options)
+        with on_command_line():
+            recording = open_recording(path, options)
     except InputError as error:
-        ways = [way for way in WAYS if way in str(error)]
+        with on_command_line():
+            ways = [way for way in WAYS if way in str(error)]
         return f"refused: {ways[0]}" if ways else f"wrong: refused without a way out: {error}"
     if is_true(recording, spec):
         size = (recording.events.width, recording.events.height)

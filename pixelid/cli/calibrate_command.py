@@ -36,7 +36,7 @@ def command(
     """
     from pixelid.bench.files import find_bench
     from pixelid.cli.progress import bar
-    from pixelid.cli.terminal import say
+    from pixelid.cli.terminal import say_result
     from pixelid.model.shipped import find_model
     from pixelid.outputs import claimed, whole_folder
 
@@ -63,5 +63,5 @@ def command(
             write_report(folder)
         shutil.rmtree(kept, ignore_errors=True)
     if not quiet:
-        say(result.summary(), str(out / "report.html"))
+        say_result(result, out)
     return result.status.exit_code

@@ -143,7 +143,7 @@ def _recognised(path: Path) -> str:
             head = file.read(16)
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror})") from error
-    if not head and path.suffix.lower() not in TEXT_SUFFIXES:  # of text, no line is no event
+    if not head:
         raise InputError(f"{path}: expected a recording, found an empty file")
     return _reader(path, head)
 

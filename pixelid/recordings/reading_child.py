@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from pixelid.errors import InputError
+from pixelid.errors import InputError, on_command_line
 from pixelid.recordings.answers import send, taken_apart
 from pixelid.recordings.parts import cut, joined
 from pixelid.recordings.raw import interpreted
@@ -76,7 +76,8 @@ def _answers(request: dict[str, Any]) -> Iterator[tuple[dict[str, Any], list[np.
         if request.get("stream"):
             yield {}, []
     except InputError as error:
-        yield {"error": str(error)}, []
+        with on_command_line():  # as it was raised: whoever reads it spells it
+            yield {"error": str(error)}, []
     except MemoryError:
         yield {"error": f"{path}: damaged: it declares more than memory holds"}, []
     except Exception as error:

@@ -127,7 +127,8 @@ class Recording:
             raise InputError(f"stimulus: expected a Stimulus, a name or a file, found {shown(stimulus)}")
         size = (self.events.width, self.events.height)
         if light.size not in (None, size) and not self.pooled:
-            raise InputError(f"stimulus: expected light for {size[0]} x {size[1]} pixels, found {light.size}")
+            found = f"{light.size[0]} x {light.size[1]}"
+            raise InputError(f"stimulus: expected light for {size[0]} x {size[1]} pixels, found {found}")
         return replace(self, stimulus=light)
 
 

@@ -138,7 +138,8 @@ def test_advice_names_the_model_that_is_not_to_be_trusted():
         assert "loser" not in outcome.advice
     assert "loser" not in Comparison({"a": best, "b": ended(Status.misfit, np.full(20, 20.0))}, "b", "").advice
     assert Comparison({"a": best}, "a", "").advice == ""
-    assert Comparison({"a": with_loo(0.3, Status.not_converged)}, "a", "").advice.startswith("a, posterior: The search")
+    advice = Comparison({"a": with_loo(0.3, Status.not_converged)}, "a", "").advice
+    assert advice.startswith("a, posterior: The optimiser")
 
 
 @pytest.mark.parametrize("status", ["at_bound", "converged"])

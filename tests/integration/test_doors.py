@@ -11,7 +11,7 @@ from foreign_files import FORMATS, Spec, is_true, judged, write
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from pixelid.errors import InputError
+from pixelid.errors import InputError, on_command_line
 from pixelid.recordings import open_recording, open_recordings
 from pixelid.recordings.source import ReadingOptions, Source
 
@@ -30,6 +30,13 @@ SPECS = st.builds(
     seconds=st.sampled_from([0.02, 0.5, 20.0]), seed=st.integers(0, 1000),
 )  # fmt: skip
 COUNTS: Counter = Counter()
+
+
+@pytest.fixture(autouse=True)
+def words_of_the_command_line():
+    with on_command_line():
+        yield
+
 
 
 def possible(spec: Spec) -> Spec:
@@ -169,7 +176,6 @@ def test_traces_of_reports(name):
 def test_recordings_without_events_take_the_session_s_size(tmp_path):
     (tmp_path / "a.csv").write_text("t,x,y,p\n0.0010005,4,3,1\n0.0020005,1,0,0\n")
     (tmp_path / "b.csv").write_text("t,x,y,p\n")
-    (tmp_path / "c.csv").write_text("")
     sizes = {(r.events.width, r.events.height) for r in open_recordings([tmp_path])}
     assert sizes == {(5, 4)}
 

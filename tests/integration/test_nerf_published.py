@@ -492,7 +492,7 @@ def never_read(begin: int, end: int):
     ("wrong", "views", "says"),
     [
         ("nothing", 2, "events were read"),
-        ("nothing", 1, "--views 1"),
+        ("nothing", 1, "views 1"),
         ("lens", 2, "no pinhole view fits"),
         ("size", 2, "pictures of 5 × 4 pixels, but the calibration says 8 × 8"),
         ("posed", 2, "gone: no such picture"),

@@ -207,7 +207,7 @@ def test_recordings_of_one_setting_only():
             r"two.*other biases.*OnBn: 3\.87e-07 A and 1\.52e-07 A",
         ),
         (recording(davis({**ALL, "OnBn": (2, 255)}), "DAVIS346B", "two"), "DAVIS240C and DAVIS346B"),
-        (recording(None, name="two"), "two.*--bias-priors: expected the bias settings of a jAER header"),
+        (recording(None, name="two"), "two.*bias.priors: expected the bias settings of a jAER header"),
         (recording({"bias_diff": 299}, "EVK4", "two"), "found none"),
     ):
         with pytest.raises(InputError, match=words):

@@ -200,7 +200,7 @@ def test_bad_columns_are_named(tmp_path, columns, message):
 
 def test_microseconds_beyond_64_bits(tmp_path):
     np.savez(tmp_path / "r.npz", t=np.array([2**60]), x=[0], y=[0], p=[1])
-    with pytest.raises(InputError, match=r"found numbers up to 1.15292e.18: no µs that fit 64 bits .* --time-unit"):
+    with pytest.raises(InputError, match=r"found numbers up to 1.15292e.18: no µs that fit 64 bits .* time.unit"):
         open_recording(tmp_path / "r.npz")
 
 
