@@ -38,7 +38,6 @@ def words_of_the_command_line():
         yield
 
 
-
 def possible(spec: Spec) -> Spec:
     """The nearest file that a program could write."""
     if spec.format != "text" or spec.mark == "," or spec.floats == "none":
