@@ -12,6 +12,8 @@ from pixelid.recordings.recording import Recording
 from pixelid.stimuli.pixel_lights import Light, PixelLights, in_a_row
 from pixelid.stimuli.stimulus import Stimulus
 
+# Of all pixels of a row together, where noise asks for the light of each: 0.4 GB.  Beyond, the field counts as even.
+MOST_SAMPLES = 100_000_000
 PARTS = 16  # of every gap: events come within a twentieth of it
 
 
@@ -33,7 +35,7 @@ def light_in_a_row(recording: Recording, light: Light, pixels: np.ndarray, seed:
 def _uneven(recording: Recording, row: Light, pixels: np.ndarray) -> Light:
     """Light in a row with what each pixel sees more or less of it."""
     gains = gains_of_pixels(recording, pixels)
-    if not gains.any() or not isinstance(row, Stimulus):
+    if not gains.any() or not isinstance(row, Stimulus) or len(pixels) * len(row.t) > MOST_SAMPLES:
         return row
     values, which = np.unique(gains, return_inverse=True)
     lights = tuple(replace(row, radiance=row.radiance * np.exp(gain)) for gain in values)
