@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import click
@@ -21,13 +22,23 @@ Example:
 @click.argument("bench", metavar="BENCH", type=options.PATH)
 @options.out()
 @options.model(required=False)
+@options.stated
 @options.bench
 @click.option("--sample", is_flag=True, help="Also draw from the posterior of the final fit: posterior.nc and plots.")
 @options.overwrite
 @options.seed()
 @options.quiet
 def command(
-    bench: Path, out: Path, model: Path | None, roi, pixels, sample: bool, overwrite: bool, seed: int, quiet: bool
+    bench: Path,
+    stated,
+    out: Path,
+    model: Path | None,
+    roi,
+    pixels,
+    sample: bool,
+    overwrite: bool,
+    seed: int,
+    quiet: bool,
 ) -> int:
     """Calibrate the pixel from BENCH: a folder of recordings and light traces, or a bench.toml.
 
@@ -41,6 +52,7 @@ def command(
     from pixelid.outputs import claimed, whole_folder
 
     found = find_bench(bench)
+    found = replace(found, source=stated.over(found.source))
     start = None if model is None else find_model(model)
     with claimed(out, overwrite, [*found.paths, *([model] if model else [])]):
         from pixelid.bench.calibrate import calibrate

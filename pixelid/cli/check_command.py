@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import click
@@ -18,12 +19,13 @@ Example:
 
 @click.command("check", epilog=EXAMPLE)
 @click.argument("bench", metavar="BENCH", type=options.PATH)
+@options.stated
 @options.bench
 @click.option("--init", is_flag=True, help="Write BENCH/bench.toml with what the folder was taken for.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON instead of a table.")
 @options.seed("Of the pixels that are chosen.")
 @options.quiet
-def command(bench: Path, roi, pixels, init: bool, as_json: bool, seed: int, quiet: bool) -> int:
+def command(bench: Path, stated, roi, pixels, init: bool, as_json: bool, seed: int, quiet: bool) -> int:
     """Read BENCH (a folder, or a bench.toml) and bring every recording onto its light's clock.
 
     One line per recording: what is inferred, what is wrong.  NAME_light.csv with NAME.raw is its light.
@@ -38,6 +40,7 @@ def command(bench: Path, roi, pixels, init: bool, as_json: bool, seed: int, quie
     from pixelid.outputs import plain
 
     found = find_bench(bench)
+    found = replace(found, source=stated.over(found.source))
     if init:
         target = found.folder / TOML
         if target.exists():

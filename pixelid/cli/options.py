@@ -197,7 +197,23 @@ def said(command: Decorated) -> Decorated:
 
 def reading(command: Decorated) -> Decorated:
     """Options that state what a recording's file does not, for every file that the command opens."""
-    command = said(command)
+    return _stating(said(command))
+
+
+def stated(command: Decorated) -> Decorated:
+    """The same options, handed on together as `stated`: over what a bench.toml states."""
+
+    @functools.wraps(command)
+    def gathered(*arguments: Any, **others: Any) -> Any:
+        from pixelid.recordings.source import ReadingOptions
+
+        options = ReadingOptions.of({name: others.pop(name, None) for name in STATED}, "--")
+        return command(*arguments, stated=options, **others)
+
+    return _stating(cast(Decorated, gathered))
+
+
+def _stating(command: Decorated) -> Decorated:
     for name, metavar, help in reversed(list(zip(STATED, *STATED_AS, strict=True))):
         command = click.option(f"--{name.replace('_', '-')}", name, metavar=metavar, help=help)(command)
     return command
