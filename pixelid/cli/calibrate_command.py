@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -60,7 +62,7 @@ def command(
         from pixelid.report.html import write_report
 
         kept = out.with_name(f".{out.name}.stages")  # interrupted and called again, finished stages are read back
-        with bar(quiet, compiles=True) as report:
+        with bar(quiet, compiles=True) as report, _without_leftovers(kept):
             result = calibrate(found, model=start, roi=roi, pixels=pixels, seed=seed, resume=kept, progress=report)
             recordings = result.recordings
             if sample:
@@ -77,3 +79,13 @@ def command(
     if not quiet:
         say_result(result, out)
     return result.status.exit_code
+
+
+@contextmanager
+def _without_leftovers(kept: Path) -> Iterator[None]:
+    """Remove the stages that are kept where a run fails: only an interrupted one is continued."""
+    try:
+        yield
+    except Exception:
+        shutil.rmtree(kept, ignore_errors=True)
+        raise

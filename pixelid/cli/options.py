@@ -207,8 +207,11 @@ def stated(command: Decorated) -> Decorated:
     def gathered(*arguments: Any, **others: Any) -> Any:
         from pixelid.recordings.source import ReadingOptions
 
-        options = ReadingOptions.of({name: others.pop(name, None) for name in STATED}, "--")
-        return command(*arguments, stated=options, **others)
+        values = {name: others.pop(name, None) for name in STATED}
+        if "" in values.values():
+            name = next(name for name, value in values.items() if value == "")
+            raise click.BadParameter(f"--{name.replace('_', '-')}: expected a value, found nothing")
+        return command(*arguments, stated=ReadingOptions.of(values, "--"), **others)
 
     return _stating(cast(Decorated, gathered))
 
