@@ -22,7 +22,7 @@ from pixelid.errors import InputError
 from pixelid.fit.data import as_fitted, event_times_of
 from pixelid.fit.event_times import EventTimesObjective
 from pixelid.fit.field import field_of
-from pixelid.fit.fit import fit
+from pixelid.fit.fit import STARTS, fit
 from pixelid.fit.judge import LARGEST_BACKGROUND_FRACTION, residual_tests, significant
 from pixelid.fit.light_unit import unit_sentence
 from pixelid.fit.result import FitResult, Stopwatch
@@ -45,7 +45,6 @@ MODEL = "dvs128"  # where a fit starts when nothing else is stated; the unit of 
 CHECKED, EVENED, SEARCHED, REFITTED = 0.05, 0.15, 0.75, 0.98
 FIELD = "field.json"  # of the stage that keeps the gains of pixels
 ROUGH_EVENTS = 10_000  # of the pixels that a first fit looks at: every parameter to a few percent
-STARTS = 2  # random ones of a fit without a search before it
 
 
 def calibrate(
@@ -166,7 +165,7 @@ def _with_gains(recordings: Sequence[Recording], gains: Sequence[Any]) -> list[R
 
 
 def field_note(recordings: Sequence[Recording]) -> list[str]:
-    """What is said of an uneven field."""
+    """A sentence on an uneven field; none where it is even."""
     _, gains = pixel_gains(recordings[0])
     if not len(gains):
         return []
@@ -218,7 +217,7 @@ def sentence_of(status: Status, last: FitResult, searched: GapReport | None) -> 
     """The answer in one sentence."""
     circuit = [last.estimates[name] for name in last.model.parameters if not last.estimates[name].fixed]
     share = f"{sum(e.identified for e in circuit)} of {len(circuit)} parameters identified"
-    usable = "Usable" if status is Status.converged else "Not usable as it is" if status.exit_code else "Usable"
+    usable = "Usable" if status is Status.converged else "Not usable as it is"
     missing = "" if searched is None else _missing(searched, last)
     return f"{usable}: {share}.{missing}"
 
@@ -244,7 +243,7 @@ def _fails(held_out: Mapping[str, Any]) -> bool:
 
 
 def _new(statements: Sequence[Statement], known: Sequence[Statement]) -> list[Statement]:
-    """Statements that nothing has said yet."""
+    """Statements that are not among the known ones."""
     there = {(s.statement, s.recording) for s in known}
     return [s for s in statements if (s.statement, s.recording) not in there]
 

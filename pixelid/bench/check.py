@@ -13,6 +13,7 @@ from pixelid.bench.files import Bench, find_bench
 from pixelid.bench.session import Session, read_session
 from pixelid.bench.statements import Statement, of_alignment
 from pixelid.errors import InputError
+from pixelid.fit.bench import dimmest_light
 from pixelid.provenance import input_hashes, versions
 from pixelid.recordings.alignment import aligned
 from pixelid.recordings.bench import Bench as Exactness
@@ -21,7 +22,7 @@ from pixelid.recordings.recording import Recording
 from pixelid.recordings.session_alignment import RecordingAlignment, align_session
 from pixelid.results import Result, Table
 from pixelid.status import Status
-from pixelid.stimuli.pixel_lights import Light, lights_in
+from pixelid.stimuli.pixel_lights import Light
 from pixelid.stimuli.stimulus import Stimulus
 from pixelid.stimuli.trace_noise import noise_sd, without_noise
 
@@ -179,33 +180,33 @@ def _row(
     if shared:
         on_clock = replace(recording, stimulus=light).within_stimulus()
         return _exact(on_clock, light, bench), Row(name, events, pixels, None, True, "one clock, as stated")
-    told = {
+    summary = {
         "method": alignment.method,
         "offset_s": alignment.offset_s,
         "interval_95": alignment.interval_95,
         "clock_rate_error": alignment.clock_rate_error,
     }
     if alignment.alignment is None:
-        return None, Row(name, events, pixels, told, False, alignment.sentence)
+        return None, Row(name, events, pixels, summary, False, alignment.sentence)
     if alignment.polarity < 0:
         recording = replace(recording, events=replace(recording.events, p=1 - recording.events.p))
     try:
         on_clock = aligned(recording, light, alignment.alignment)
     except InputError as error:
-        return None, Row(name, events, pixels, told, False, str(error))
+        return None, Row(name, events, pixels, summary, False, str(error))
     inside = len(on_clock.events)
     if len(np.unique(on_clock.events.pixel)) == inside:
         why = "no pixel has two events within the light" if events else "no events"
-        return None, Row(name, events, pixels, told, False, why)
+        return None, Row(name, events, pixels, summary, False, why)
     outside = f"; {events - inside} events outside the light" if inside < events else ""
-    return _exact(on_clock, light, bench), Row(name, events, pixels, told, True, alignment.sentence + outside)
+    return _exact(on_clock, light, bench), Row(name, events, pixels, summary, True, alignment.sentence + outside)
 
 
 def _exact(recording: Recording, light: Light, bench: Bench) -> Recording:
     """The recording, which says how well its light is known."""
     offset_sd = OFFSET_STEPS * converter_step(light)
-    dimmest = min(float(one.radiance.min()) for one in lights_in(light))
-    return on_bench(recording, Exactness(bench.level_sd, offset_sd if offset_sd > NEGLIGIBLE * dimmest else 0.0))
+    matters = offset_sd > NEGLIGIBLE * dimmest_light(recording)
+    return on_bench(recording, Exactness(bench.level_sd, offset_sd if matters else 0.0))
 
 
 def converter_step(light: Light) -> float:

@@ -1,7 +1,7 @@
 """What is stated about a bench, as parameters of a fit: priors of clocks and of light levels, and what they came to.
 
 A laboratory's statements are never exact.  Each is a nuisance of the model with a prior about what was stated
-(DESIGN: Student's t with four degrees of freedom), fitted with the circuit, and reported where the data contradict it:
+(Student's t with `DF` degrees of freedom), fitted with the circuit, and reported where the data contradict it:
 
     alignment.delay_s[NAME]   what the alignment of a recording has left of a delay
     alignment.clock_rate      what the camera counts per second of the light, less one, in the whole session
@@ -111,11 +111,6 @@ def held(model: Model, fixed: Mapping[str, float]) -> Model:
             raise InputError(f"model {model.name} has no parameter {name!r} to hold{meant}")
         nuisances[name] = nuisances[name].at(value).fixed()
     return replace(model, nuisances=nuisances)
-
-
-def has_bench(model: Model) -> bool:
-    """Whether a model has nuisances of a bench."""
-    return any(is_of_bench(name) for name in model.nuisances)
 
 
 def clocks_of(model: Model) -> dict[str, Parameter]:

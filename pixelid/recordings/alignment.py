@@ -26,7 +26,7 @@ from pixelid.stimuli.pixel_lights import Light, pixel_lights
 from pixelid.stimuli.stimulus import Stimulus
 
 METHODS = ("trigger", "first-event", "auto")
-GIVEN_SD_S = 1e-3  # of an offset stated without its error (DESIGN §9)
+GIVEN_SD_S = 1e-3  # of an offset stated without its error: read off a clock by hand
 EDGE_S = 1e-6  # cameras stamp trigger edges in microseconds, whatever unit a file has them in
 
 

@@ -25,7 +25,7 @@ from pixelid.documents import is_number
 from pixelid.errors import InputError
 from pixelid.recordings.recording import Recording
 
-# Standard deviation of two clocks' rate difference (DESIGN §9): each crystal is within ± 100 ppm over make, temperature
+# Standard deviation of two clocks' rate difference: each crystal is within ± 100 ppm over make, temperature
 # and age, evenly: 100 √2/√3 = 82 ppm, and a few are worse.
 CRYSTAL = 1e-4
 ONE_CLOCK = 1e-7  # the same of two devices on one clock: rounding of their ticks
