@@ -27,6 +27,7 @@ from pixelid.likelihood.event_times import EventTimes
 from pixelid.model.files import to_document
 from pixelid.model.model import Model
 from pixelid.outputs import set_aside
+from pixelid.recordings.bench import pixel_gains
 from pixelid.recordings.recording import Recording
 
 DIGEST_BYTES = 16  # 2⁻⁶⁴ for two of a search's few thousand fits to share a key
@@ -189,6 +190,8 @@ def _digest(likelihood: EventTimes) -> bytes:
         hashed.update(b"factor" + np.ascontiguousarray(likelihood.threshold_factor).tobytes())
     if likelihood.shift is not None:
         hashed.update(b"shift" + likelihood.shift.change.tobytes() + likelihood.shift.slope.tobytes())
+    if likelihood.by_gain is not None:
+        hashed.update(b"gains" + likelihood.by_gain.tobytes())
     return hashed.digest()
 
 
@@ -198,6 +201,6 @@ def _content(recording: Recording) -> bytes:
     assert stimulus is not None
     hashed.update(repr((recording.name, recording.sensor, events.width, events.height, events.tick_ns)).encode())
     hashed.update(stimulus.interpolation.encode())
-    for part in (events.t, events.x, events.y, events.p, *stimulus.arrays.values()):
+    for part in (events.t, events.x, events.y, events.p, *stimulus.arrays.values(), *pixel_gains(recording)):
         hashed.update(np.ascontiguousarray(part).tobytes())
     return hashed.digest()

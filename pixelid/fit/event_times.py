@@ -144,7 +144,7 @@ class EventTimesObjective(Objective):
             return Tangent(None, numbers)
         here, likelihood = self.terms(x).changes, self.at(x)
         if moved is None:
-            difference = likelihood.changes(there, here.extremes)
+            difference = likelihood.changes(there, here)
         else:
             difference = likelihood.changes_of_one(there, here, moved)
         slope = difference.vector

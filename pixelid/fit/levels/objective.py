@@ -235,7 +235,7 @@ class LevelledObjective(EventTimesObjective):
         circuit, changes, out = self.coordinates.circuit(x), here.terms(x).changes, []
         for k in range(u.shape[1]):
             moved = self._under(u + STEP * np.eye(u.shape[1])[k])
-            difference = moved.changes(circuit, changes.extremes)
+            difference = moved.changes(circuit, changes)
             with np.errstate(over="ignore", invalid="ignore"):
                 difference.vector[:] = (difference.vector - changes.vector) / STEP
             np.nan_to_num(difference.vector, copy=False, posinf=0.0, neginf=0.0)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.stats import norm
@@ -21,6 +21,7 @@ from pixelid.fit.maximise import Maximum, maximise
 from pixelid.gap.attribute.attribute import Candidate
 from pixelid.gap.criteria import Criteria
 from pixelid.gap.detect.pixels import PixelEvidence
+from pixelid.gap.options import Options
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.likelihood.shot_noise import under_shot_noise
 from pixelid.model.model import Model
@@ -48,6 +49,21 @@ def gains_without(
     gains = _GainsWithout(evidence.fitting, truth, tuple(candidate.end.model for candidate in candidates))
     seeds = [seed + SEED_OFFSET + 31 * k for k in range(REPLICATES)]
     return np.array(map_fits(work, gains, seeds, cache)).T
+
+
+def beyond_sessions_without(
+    evidence: PixelEvidence, truth: Model, able: Sequence[Candidate[Maximum]], tried: int, options: Options,
+    cache: FitCache | None, work: Work,
+) -> list[Candidate[Maximum]]:  # fmt: skip
+    """Candidates whose p is the chance of what each gains beyond its gain in sessions without it.
+
+    evidence, truth: as of `gains_without`;  tried: number of effects
+    """
+    without = gains_without(evidence, truth, able, options.seed, cache, work)
+    return [
+        replace(c, p=chance_of_excess(c.gain, gains, tried, options.criteria))
+        for c, gains in zip(able, without, strict=True)
+    ]
 
 
 @dataclass(frozen=True)
