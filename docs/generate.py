@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -16,6 +17,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import measured
+import notebook_pages
 import reference
 from page_parts import ROOT, percent, table
 
@@ -69,7 +71,8 @@ def lowlight() -> str:
         command = [sys.executable, "-m", "pixelid", "lowlight", "dvs128", "--out", str(out), "--quiet"]
         subprocess.run(command, check=True, env=environment)
         result = json.loads((out / "lowlight.json").read_text())
-    lines = []
+        shutil.copy(out / "poles.svg", GENERATED / "lowlight_poles.svg")
+    lines = ["![Poles, bandwidth and step time over radiance](../_generated/lowlight_poles.svg)\n"]
     for approximation, quantities in result["errors"].items():
         if approximation == "at_dark" and result["dark_radiance"] == 0:
             continue  # the same as one_pole
@@ -145,8 +148,8 @@ def _meaning(entry: dict) -> str:
         kind = " or ".join(
             filter(None, (_meaning({k: v for k, v in one.items() if k != "description"}) for one in entry["anyOf"]))
         )
-    said = entry.get("description", "")
-    return f"{kind}: {said}" if kind and said else kind or said or "any"
+    description = entry.get("description", "")
+    return f"{kind}: {description}" if kind and description else kind or description or "any"
 
 
 def sensors() -> str:
@@ -206,7 +209,6 @@ PAGES: dict[str, Callable[[], str]] = {
     "conform_results": measured.conform_results,
     "combinations": measured.combinations,
     "independent": measured.independent,
-    "single_sessions": measured.single_sessions,
     "coverage": measured.coverage,
     "faults": measured.faults,
     "fuzzing": measured.fuzzing,
@@ -218,6 +220,7 @@ PAGES: dict[str, Callable[[], str]] = {
     "moving_plane": measured.moving_plane,
     "schemas": schemas,
     "api": reference.page,
+    **notebook_pages.PAGES,
 }
 
 
