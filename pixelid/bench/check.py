@@ -229,7 +229,7 @@ def _judged(rows: Sequence[Row], statements: Sequence[Statement]) -> tuple[Statu
             "State them in a bench.toml (`pixelid check BENCH --init`)"
         )
     if any(s.statement == "polarity" for s in statements):
-        return Status.misfit, "ON and OFF are exchanged: state `--polarity swapped`, or mend what writes the files"
+        return Status.misfit, "ON and OFF are exchanged: state `--polarity swapped`, or correct what writes the files"
     return Status.converged, ""
 
 

@@ -110,7 +110,7 @@ def _opened(entry: Entry, bench: Bench) -> tuple[Recording, Light]:
     elif recording.stimulus is not None:
         light = recording.stimulus
     else:
-        raise _Unusable("no light: neither in the file nor beside it")
+        raise _Unusable("no light: neither in the file nor in its folder")
     if isinstance(light, Stimulus):
         unit = bench.unit if bench.unit is not None and light.unit in WITHOUT_SCALE else light.unit
         light = replace(light, radiance=light.radiance * entry.level, unit=unit)

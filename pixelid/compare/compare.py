@@ -292,6 +292,6 @@ def _sentence(contenders: Mapping[str, Contender], best: str) -> str:
         nearest = min(gains, key=lambda name: float(gains[name].sum()))
         return f"the data support {best}: held-out pixels are {said[nearest]} likelier than under {nearest}"
     simpler = min((best, *open_), key=lambda name: len(contenders[name].result.coordinates))
-    few = "" if pixels >= FEW_PIXELS else f"; {pixels} pixels are few to tell by"
+    few = "" if pixels >= FEW_PIXELS else f"; {pixels} pixels are few to decide by"
     others = " and ".join(f"{name} ({said[name]})" for name in open_)
     return f"the data do not decide between {best} and {others}: take the simplest, {simpler}{few}"

@@ -77,7 +77,7 @@ def _row(effect: str, report: GapReport, beside: Beside, criteria: Criteria) -> 
     if report.base.has(effect):
         return _in_base(effect, beside, criteria)
     if effect in report.details.get("withdrawn", ()):
-        return Row(effect, stage, NOT_DECIDABLE, "named, and taken back: on pixels kept back it closes next to nothing",
+        return Row(effect, stage, NOT_DECIDABLE, "named, then removed: on held-out pixels it closes next to nothing",
                    {}, *_gains(effect, report.rounds))  # fmt: skip
     if report.verdict == "ambiguous" and effect in report.sentence:
         return Row(effect, stage, NOT_DECIDABLE, report.sentence)
@@ -139,7 +139,7 @@ def _in_readout(effect: str, beside: Beside) -> Row:
     why = beside.readout[effect]
     if why is None:
         return Row(
-            effect, stage, NOT_DECIDABLE, "too few events, pixels or quiet seconds, or too coarse a file, to tell"
+            effect, stage, NOT_DECIDABLE, "too few events, pixels or quiet seconds, or too coarse a file, to decide"
         )
     return Row(effect, stage, ABSENT, why)
 

@@ -161,7 +161,7 @@ def fit(
     levels = details.pop("levels", None)
     if levels is not None:
         levels = levels_of(levels, reading.covariance, optimum.on_bound, recordings[0].events.width)
-    report("testing what the stimuli can tell", 0.95)
+    report("testing what the stimuli can identify", 0.95)
     identified, limits = challenged(objective, optimum.x, reading.identified, recordings)
     details["condition_number"] = reading.condition
     details["directions_best_to_least_known"] = list(reading.directions)
@@ -258,7 +258,7 @@ def _fit_event_times(recordings, model, fixed, starts, between, maximiser: Engin
     model = in_recorded_unit(model, scout)
     noisy = EFFECT in model.effects
     if noisy and wanted is not None:
-        raise InputError(f"{EFFECT}: is not told beside levels of pixels; leave one of them out")
+        raise InputError(f"{EFFECT}: not identified together with levels of pixels; leave one of them out")
     if noisy and form != "discrete":
         raise InputError(f"form: {EFFECT} is fitted in the discrete form only")
     model = with_bench(model, recordings)

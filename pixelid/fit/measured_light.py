@@ -21,7 +21,7 @@ from pixelid.stages import LIBRARY
 from pixelid.stages.photoreceptor import parameters as of_photoreceptor
 from pixelid.stimuli.pixel_lights import pixel_lights
 
-NO_PHYSICAL = "the photoreceptor is held, not fitted: samples of the light cannot tell it"
+NO_PHYSICAL = "the photoreceptor is held, not fitted: samples of the light cannot identify it"
 BLOCKS = 10  # of events by their interval
 UNRESOLVED_STAGES = "photoreceptor", "source_follower"  # act faster than the samples
 UNRESOLVED = {"diff_cutoff_hz", "refractory_s", "dead_time_without_reset.s"}
@@ -99,4 +99,4 @@ def held_in_words(names: Sequence[str], recordings: Sequence[Recording]) -> list
     if not names:
         return []
     gap = f"{1e3 * typical_gap_s(recordings):.2g} ms"
-    return [f"{', '.join(names)}: held as the model has them; samples of the light {gap} apart cannot tell them"]
+    return [f"{', '.join(names)}: held as the model has them; samples of the light {gap} apart cannot identify them"]

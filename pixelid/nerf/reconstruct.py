@@ -237,7 +237,7 @@ def reconstruct(
     if device == "cuda" and not torch.cuda.is_available():
         raise InputError("--device cuda: no CUDA device is available")
     if radiance_scale is not None and fit is None:
-        raise InputError("--radiance-scale: says how the unit of --fit is that of the views; expected --fit beside it")
+        raise InputError("--radiance-scale: relates the unit of --fit to that of the views; needs --fit")
     if calibration is None:
         calibration = of_fit(dataset.calibration, fit, radiance_scale) if fit else dataset.calibration
     if bandwidth.mode != "off" and not calibration.known:
@@ -375,19 +375,19 @@ def _verdict(
         )
     if held_out > LEARNED:
         return Status.misfit, (
-            f"what events of held-out pixels tell is missed by {held_out:.2f} of its size (1 would be no scene): "
+            f"{held_out:.2f} of what events of held-out pixels show is unexplained (1 would be no scene): "
             "check poses, polarity, thresholds and --box, or train longer"
         )
     gone = {name: z for name, z in far.items() if abs(z) > MOST_FAR}
     if gone:
         went = ", ".join(f"{name} {z:+.0f}" for name, z in gone.items())
         return Status.misfit, (
-            f"trained thresholds contradict the fit: {went} of its standard deviations away, for events hardly tell "
+            f"trained thresholds contradict the fit: {went} of its standard deviations away: events hardly separate "
             "them from the scene's contrast; leave --train threshold and ratio out, or check --fit"
         )
     if unidentified:
         return Status.not_identified, (
-            "the events do not tell all that was trained (see unidentified): leave it out; an offset between clocks "
+            "the events do not identify all that was trained (see unidentified): leave it out; an offset between clocks "
             "needs a camera whose speed changes, a mean threshold a fit"
         )
     return Status.converged, ""
@@ -406,7 +406,7 @@ def _left_open(problem: Problem, state: State) -> list[str]:
     pixel = state.pixel
     if pixel.trains("threshold") and "threshold" not in (pixel.bandwidth.prior_sd or {}):
         open_.append(
-            f"mean threshold: {float(pixel.growth.detach()):.3g} times what was told; a larger one, with a scene of as "
+            f"mean threshold: {float(pixel.growth.detach()):.3g} times the stated one; a larger one, with a scene of as "
             "much more contrast, makes the same events, so the scene holds up to an exponent"
         )
     return open_

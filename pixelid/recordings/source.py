@@ -184,7 +184,7 @@ def _words(value: Any) -> str:
 
 NOTHING = ReadingOptions()
 _STATED: ContextVar[ReadingOptions] = ContextVar("reading options", default=NOTHING)
-_SAY: ContextVar[Callable[[str], object] | None] = ContextVar("told of what is inferred", default=None)
+_SAY: ContextVar[Callable[[str], object] | None] = ContextVar("hears what is inferred", default=None)
 
 
 @contextmanager

@@ -90,11 +90,11 @@ def notes(scales: Scales, camera: Mapping[str, Mapping[str, float]], variance: n
             text += f"; these {pixels} may be {share:.2g} % off it, which the errors of {', '.join(carried)} hold"
         said.append(text)
     if scales.background is not None:
-        said.append("a background common to all pixels cannot be told from a dark current: it holds both")
+        said.append("a background common to all pixels cannot be distinguished from a dark current: it is the sum of both")
     for kind, left in zip(scales.kinds, np.median(variance, axis=0), strict=True):
         if left > UNTOLD:
             said.append(
-                f"the {kind} of single pixels is hardly told by their events: it is known little better than its spread"
+                f"the {kind} of single pixels is hardly identified by their events: little better than its spread"
             )
     return tuple(said)
 

@@ -137,7 +137,7 @@ class Wanted:
         if GAIN in self.kinds and pixels < 2:
             raise InputError("pixel_levels: the gain of a single pixel is the radiance's scale; expected two or more")
         if pixels < FEWEST and set(self.kinds) - set(self.given):
-            raise InputError(f"pixel_levels: {pixels} pixels do not tell how far levels spread; give it (gain=0.2)")
+            raise InputError(f"pixel_levels: {pixels} pixels do not identify how far levels spread; give it (gain=0.2)")
         samples = sum(_mean_samples(light) for light in lights) * pixels
         if samples > MOST_SAMPLES:
             raise InputError(

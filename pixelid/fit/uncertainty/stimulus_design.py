@@ -117,14 +117,14 @@ def caveats(design: Design, values: Mapping[str, float], free: Collection[str]) 
         how = "gently modulated, " if design.stretch < STRETCH else ""
         sentences.append(
             f"one radiance level ({level:.3g}, {how}mean of every recording): the data see alpha·L and beta + gamma·L, "
-            "and tell alpha, beta and gamma apart only by how the response bends with the modulation; record a second "
+            "and separate alpha, beta and gamma only by how the response bends with the modulation; record a second "
             "level, a factor 10 away"
         )
         if "sf_cutoff_hz" in free:
             sentences.append(_exchange(values, level))
     if design.one_frequency:
         sentences.append(
-            f"one frequency ({design.frequency_hz:.3g} Hz): gain and phase at one frequency cannot tell several poles "
+            f"one frequency ({design.frequency_hz:.3g} Hz): gain and phase at one frequency cannot separate several poles "
             "apart, and lower gain with lower thresholds gives the same events (contrast × threshold); record a chirp "
             "or steps"
         )

@@ -226,5 +226,5 @@ def wanted(folder: Path, *patterns: str) -> Path:
     """
     path = found(folder, *patterns)
     if path is None:
-        raise InputError(f"{folder}: {' or '.join(patterns)}: no such file there, two levels below or beside it")
+        raise InputError(f"{folder}: {' or '.join(patterns)}: no such file there, two levels below, or in its parent")
     return path
