@@ -174,7 +174,7 @@ def _few_events(session: Session) -> list[Recording]:
 def _row(
     recording: Recording, light: Light, alignment: RecordingAlignment, bench: Bench, shared: bool
 ) -> tuple[Recording | None, Row]:
-    """(the recording aligned, None where it cannot be used; what is said of it)."""
+    """(the recording aligned, None where it cannot be used; what is stated of it)."""
     events, pixels = len(recording.events), len(np.unique(recording.events.pixel))
     name = recording.name
     if shared:

@@ -57,7 +57,7 @@ def read_session(
         roi: (x0, y0, x1, y1) of the sensor to look at; the bench's by default.
         pixels: How many are fitted; `FITTED_PIXELS` by default.
         seed: Chooses them.
-        progress: Told the file that is read.
+        progress: Called with the file that is read.
 
     Raises:
         InputError: No recording with a light, recordings of several sensors, lights in several units.

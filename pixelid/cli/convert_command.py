@@ -1,4 +1,4 @@
-"""`pixelid convert`: any readable recording to .h5 with its light beside it, cut as asked, and back to text or npz."""
+"""`pixelid convert`: any readable recording to .h5 with its light with it, cut as asked, and back to text or npz."""
 
 from __future__ import annotations
 

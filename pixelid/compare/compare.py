@@ -276,7 +276,7 @@ def _about_loo(contenders: Mapping[str, Contender]) -> str:
 
 
 def _undecided(contenders: Mapping[str, Contender], best: str) -> list[str]:
-    """Models that held-out pixels do not tell from the best, nearest first; the others have clearly lost."""
+    """Models that held-out pixels do not distinguish from the best, nearest first; the others have clearly lost."""
     gains = {name: contenders[best].held_out - c.held_out for name, c in contenders.items() if name != best}
     needed = float(student.ppf(DECISIVE, len(contenders[best].held_out) - 1))
     order = sorted(gains, key=lambda name: float(gains[name].sum()))

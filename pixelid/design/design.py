@@ -145,7 +145,7 @@ def _of_fit(known: Known, names: tuple[str, ...]) -> np.ndarray:
 
 
 def known_from(names: Sequence[str], covariance: np.ndarray) -> Known:
-    """`Known` of a fit's covariance (n, n); parameters without variance (on a bound) tell nothing."""
+    """`Known` of a fit's covariance (n, n); parameters without variance (on a bound) add nothing."""
     covariance = np.asarray(covariance, dtype=float)
     seen = np.diag(covariance) > 0
     inverse = criteria.covariance(covariance[np.ix_(seen, seen)])  # inversion, well scaled

@@ -2,7 +2,8 @@ r"""IEBCS (Joubert et al., Frontiers in Neuroscience 2021): arguments of `DvsSen
 
 Read from github.com/neuromorphicsystems/IEBCS at 8fdab5c.  Images V of radiometric values; ln(V + 1); a first-order
 response of time constant 1000 tau/(V + 1) µs; every event late by lat ± jit µs; the reference taken ref µs after the
-event's stamp; thresholds drawn anew for every event; background events of fixed periods that take the reference too.
+event's stamp; thresholds drawn independently for every event; background events of fixed periods that take the
+reference too.
 
 An interval on a ramp of slope m is C/m + lat + ref there, and C/m + 1/ωd + refractory_s here, where what delays the
 light (follower, constant part of the photoreceptor) delays the reference as well.  So the first event's delay and the

@@ -1,4 +1,4 @@
-"""Figures of a fit: measured beside simulated per condition, and what is left over."""
+"""Figures of a fit: measured and simulated per condition, and what is left over."""
 
 from __future__ import annotations
 

@@ -72,7 +72,7 @@ def fit(
     Recordings with pixel addresses use the event-time likelihood, pooled ones the pooled-rate likelihood (all or
     none).  The search starts from the model's values and `starts` random points around them, and from a few more while
     the best has not converged.  Recordings whose light was brought onto the camera's clock by a trigger or by their
-    events carry a delay and a drift of their clock as nuisances (`likelihood.clocks`).  What starts anew in each
+    events carry a delay and a drift of their clock as nuisances (`likelihood.clocks`).  What has its own value in each
     recording (a lamp's phase), where it is free, is fitted in each (`fit.own_values`).
 
     Args:
@@ -82,7 +82,7 @@ def fit(
             over-determined.
         fixed: nuisances of the recordings to hold ("stimulus.gain", "pooled.pixels", "alignment.delay_s[NAME]",
             "mains_flicker.phase_rad[NAME]").
-        starts: random starts beside the model's own.
+        starts: random starts in addition to the model's own.
         between: how recorded stimuli run between their samples, "linear", "smooth", or "auto": whichever explains the
             events better.
         engine: what maximises the event-time likelihood (`fit.engines`); all engines find the same optimum.  Pooled

@@ -209,9 +209,9 @@ def reconstruct(
         box: corners of the scene, x0 y0 z0 x1 y1 z1; by default a cube where the camera looks.
         near: distance from the camera before which nothing is, in the unit of the poses.
         radiance_scale: the fit's radiance units per unit of the views.
-        protocol: of the scores: "strict", or "paper" for those of the reference implementation beside them.
+        protocol: of the scores: "strict", or "paper" for those of the reference implementation with them.
         gap: look in the events for effects that the pixel lacks, and train with those found (`search`).
-        beside: folder of another reconstruction of the dataset, shown beside this one.
+        beside: folder of another reconstruction of the dataset, shown with this one.
         resume: a checkpoint, continued when it exists and written as training goes on.
         preview: a PNG of the scene, replaced as training goes on.
         overwrite: whether the preview may replace another picture.
@@ -387,14 +387,14 @@ def _verdict(
         )
     if unidentified:
         return Status.not_identified, (
-            "the events do not identify all that was trained (see unidentified): leave it out; an offset between clocks "
-            "needs a camera whose speed changes, a mean threshold a fit"
+            "the events do not identify all that was trained (see unidentified): leave it out; an offset between "
+            "clocks needs a camera whose speed changes, a mean threshold a fit"
         )
     return Status.converged, ""
 
 
 def _left_open(problem: Problem, state: State) -> list[str]:
-    """What was trained and the events do not tell, in words: what hides in the scene."""
+    """What was trained and the events do not identify, in words: what hides in the scene."""
     told_s, shows_s = state.poses.refinement.time_sd, problem.time_resolution_s
     open_ = []
     if state.poses.offset.requires_grad and shows_s >= told_s:
@@ -406,8 +406,8 @@ def _left_open(problem: Problem, state: State) -> list[str]:
     pixel = state.pixel
     if pixel.trains("threshold") and "threshold" not in (pixel.bandwidth.prior_sd or {}):
         open_.append(
-            f"mean threshold: {float(pixel.growth.detach()):.3g} times the stated one; a larger one, with a scene of as "
-            "much more contrast, makes the same events, so the scene holds up to an exponent"
+            f"mean threshold: {float(pixel.growth.detach()):.3g} times the stated one; a larger one, with a scene of "
+            "as much more contrast, makes the same events, so the scene holds up to an exponent"
         )
     return open_
 

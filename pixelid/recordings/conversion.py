@@ -21,7 +21,7 @@ SENSOR, FRAMES = "sensor", "frames"  # the light as the sensor itself measured i
 def converted(
     source: Path, stimulus: str | Path | Light | None, align: str | None, crop: Crop, seed: int
 ) -> tuple[Recording | LongRecording, str]:
-    """The recording of a file beside its light, and what to say of either.
+    """The recording of a file with its light, and what to say of either.
 
     Args:
         source: the file.

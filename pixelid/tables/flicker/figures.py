@@ -1,4 +1,4 @@
-"""Figures of a flicker fit: phase histograms beside the fit, and maps of amplitude and phase."""
+"""Figures of a flicker fit: phase histograms and the fit, and maps of amplitude and phase."""
 
 from __future__ import annotations
 
