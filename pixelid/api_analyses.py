@@ -1,4 +1,4 @@
-"""What `import pixelid` shows beside fits and searches: low light, the next stimulus, and reconstructions."""
+"""What `import pixelid` shows with fits and searches: low light, the next stimulus, and reconstructions."""
 # pyright: reportUnnecessaryIsInstance=false
 # what users give is checked, whatever the annotations promise
 
@@ -40,7 +40,7 @@ def lowlight(
 
     Args:
         model: the circuit; a fit folder brings its uncertainty, drawn as bands.
-        recordings: of chirps or steps, whose bandwidth or step time is put beside the model's; none by default.
+        recordings: of chirps or steps, whose bandwidth or step time is compared with the model's; none by default.
         latency: tables of the sensor's latencies, a recipe, or the folder of a finished fit; none by default.
         camera: which of the tables' cameras the model is.
         seed: of draws and simulations.
@@ -216,7 +216,7 @@ def reconstruct(
         refine_time: train an offset between the clocks of poses and events, known to so many seconds.
         refine_poses: train smooth corrections of the poses, known to so much of the scene's unit and so many degrees.
         gap: look in the events for effects that the pixel lacks, and train with those found.
-        beside: folder of another reconstruction of the dataset, shown beside this one.
+        beside: folder of another reconstruction of the dataset, shown next to this one.
         cells: of the field per side, 8 to 512; by default one per pixel, 32 to 512.
         harmonics: degree of the harmonics by which colours depend on the direction, 0 to 2.
         iterations: training steps, 1200 by default; "auto" for steps and batch by the number of events.
@@ -228,7 +228,7 @@ def reconstruct(
         near: distance from the camera before which nothing is, in the unit of the poses.
         unbounded: the scene goes on beyond the box; all of space is part of the field, the coarser the further.
         radiance_scale: the fit's radiance units per unit of the views.
-        protocol: of the scores: "strict", or "paper" for those of the reference implementation beside them.
+        protocol: of the scores: "strict", or "paper" for those of the reference implementation with them.
         resume: a checkpoint, continued when it exists and written as training goes on.
         preview: a PNG of the scene, replaced as training goes on; another picture of that name is refused.
         device: "cpu", "cuda" or "auto".

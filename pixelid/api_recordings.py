@@ -135,7 +135,7 @@ def convert(
     overwrite: bool = False,
     **options: Any,
 ) -> Recording:
-    """Put a recording beside its light, on one clock, and write it.
+    """Put a recording with its light, on one clock, and write it.
 
     Args:
         source: a file of any readable format.

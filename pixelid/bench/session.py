@@ -57,7 +57,7 @@ def read_session(
         roi: (x0, y0, x1, y1) of the sensor to look at; the bench's by default.
         pixels: How many are fitted; `FITTED_PIXELS` by default.
         seed: Chooses them.
-        progress: Told the file that is read.
+        progress: Called with the file that is read.
 
     Raises:
         InputError: No recording with a light, recordings of several sensors, lights in several units.
@@ -110,7 +110,7 @@ def _opened(entry: Entry, bench: Bench) -> tuple[Recording, Light]:
     elif recording.stimulus is not None:
         light = recording.stimulus
     else:
-        raise _Unusable("no light: neither in the file nor beside it")
+        raise _Unusable("no light: neither in the file nor in its folder")
     if isinstance(light, Stimulus):
         unit = bench.unit if bench.unit is not None and light.unit in WITHOUT_SCALE else light.unit
         light = replace(light, radiance=light.radiance * entry.level, unit=unit)

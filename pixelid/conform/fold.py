@@ -1,4 +1,4 @@
-"""The table's lines, each folded from what a search has said; nothing here fits or decides anew."""
+"""The table's lines, each folded from what a search has said; nothing here fits or decides again."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Beside:
         intervals: 95 %, of its free parameters.
         removals: Of effects that came with the base model.
         doubted: Named effect → others that explain as well what it does.
-        readout: Effect read off timestamps or single pixels → why it is absent, or None where nothing can tell.
+        readout: Effect read off timestamps or single pixels → why it is absent, or None where nothing can decide.
         signatures: Effect that timestamps or single pixels show → how.
         pixels: Whether events have pixels.
     """
@@ -77,7 +77,7 @@ def _row(effect: str, report: GapReport, beside: Beside, criteria: Criteria) -> 
     if report.base.has(effect):
         return _in_base(effect, beside, criteria)
     if effect in report.details.get("withdrawn", ()):
-        return Row(effect, stage, NOT_DECIDABLE, "named, and taken back: on pixels kept back it closes next to nothing",
+        return Row(effect, stage, NOT_DECIDABLE, "named, then removed: on held-out pixels it closes next to nothing",
                    {}, *_gains(effect, report.rounds))  # fmt: skip
     if report.verdict == "ambiguous" and effect in report.sentence:
         return Row(effect, stage, NOT_DECIDABLE, report.sentence)
@@ -139,7 +139,7 @@ def _in_readout(effect: str, beside: Beside) -> Row:
     why = beside.readout[effect]
     if why is None:
         return Row(
-            effect, stage, NOT_DECIDABLE, "too few events, pixels or quiet seconds, or too coarse a file, to tell"
+            effect, stage, NOT_DECIDABLE, "too few events, pixels or quiet seconds, or too coarse a file, to decide"
         )
     return Row(effect, stage, ABSENT, why)
 
@@ -212,7 +212,7 @@ def _bandwidth(rows: Sequence[Row], beside: Beside) -> Row:
 
 
 def _threshold(name: str, beside: Beside) -> Row:
-    """A threshold as fitted, or what kept it from being: every pixel has one, but no event may have told it."""
+    """A threshold as fitted, or what kept it from being: every pixel has one, but perhaps no event identifies it."""
     strength = beside.strength(name)
     limits = strength[1]
     has_it = "always present"

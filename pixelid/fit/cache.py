@@ -2,8 +2,8 @@
 
 Whatever is decided from fits follows from them, and a fit follows from its events and stimuli, from the model it starts
 at and from its settings.  A hash of those is the key.  The file holds one JSON line per fit, each with a checksum, and
-only grows.  A line cut off by an interruption is dropped; a file that is damaged otherwise is set aside beside itself
-(`….damaged`) and that is said, its sound lines are kept, and what they lack is computed again.
+only grows.  A line cut off by an interruption is dropped; a file that is damaged otherwise is set aside next to itself
+(`….damaged`) and that is stated, its sound lines are kept, and what they lack is computed again.
 """
 
 from __future__ import annotations
@@ -124,7 +124,7 @@ def map_fits(
     cache: FitCache | None,
     begun: Callable[[Item], None] = lambda item: None,
 ) -> list[Made]:
-    """Apply a function that fits to every item, and keep the fits that it makes, whoever makes them.
+    """Apply a function that fits to every item, and keep the fits that it makes, whichever process makes them.
 
     Args:
         work: Who does it.
@@ -148,7 +148,7 @@ def map_fits(
 
 @dataclass(frozen=True)
 class _Apart(Generic[Item, Made]):
-    """A function that fits, in a process that cannot write the cache: what it adds comes back beside the result."""
+    """A function that fits, in a process that cannot write the cache: what it adds comes back next to the result."""
 
     function: Callable[[Item, FitCache | None], Made]
     entries: Mapping[str, dict] | None

@@ -72,7 +72,7 @@ def fit(
     Recordings with pixel addresses use the event-time likelihood, pooled ones the pooled-rate likelihood (all or
     none).  The search starts from the model's values and `starts` random points around them, and from a few more while
     the best has not converged.  Recordings whose light was brought onto the camera's clock by a trigger or by their
-    events carry a delay and a drift of their clock as nuisances (`likelihood.clocks`).  What starts anew in each
+    events carry a delay and a drift of their clock as nuisances (`likelihood.clocks`).  What has its own value in each
     recording (a lamp's phase), where it is free, is fitted in each (`fit.own_values`).
 
     Args:
@@ -82,7 +82,7 @@ def fit(
             over-determined.
         fixed: nuisances of the recordings to hold ("stimulus.gain", "pooled.pixels", "alignment.delay_s[NAME]",
             "mains_flicker.phase_rad[NAME]").
-        starts: random starts beside the model's own.
+        starts: random starts in addition to the model's own.
         between: how recorded stimuli run between their samples, "linear", "smooth", or "auto": whichever explains the
             events better.
         engine: what maximises the event-time likelihood (`fit.engines`); all engines find the same optimum.  Pooled
@@ -161,7 +161,7 @@ def fit(
     levels = details.pop("levels", None)
     if levels is not None:
         levels = levels_of(levels, reading.covariance, optimum.on_bound, recordings[0].events.width)
-    report("testing what the stimuli can tell", 0.95)
+    report("testing what the stimuli can identify", 0.95)
     identified, limits = challenged(objective, optimum.x, reading.identified, recordings)
     details["condition_number"] = reading.condition
     details["directions_best_to_least_known"] = list(reading.directions)
@@ -258,7 +258,7 @@ def _fit_event_times(recordings, model, fixed, starts, between, maximiser: Engin
     model = in_recorded_unit(model, scout)
     noisy = EFFECT in model.effects
     if noisy and wanted is not None:
-        raise InputError(f"{EFFECT}: is not told beside levels of pixels; leave one of them out")
+        raise InputError(f"{EFFECT}: not identified together with levels of pixels; leave one of them out")
     if noisy and form != "discrete":
         raise InputError(f"form: {EFFECT} is fitted in the discrete form only")
     model = with_bench(model, recordings)

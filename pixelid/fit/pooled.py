@@ -81,7 +81,7 @@ def fit_pooled(
     ]
     if exchange:
         caveats.append(
-            "source follower and differencing pole: pooled counts do not show the reset that tells them apart, so they "
+            "source follower and differencing pole: pooled counts do not show the reset that separates them, so they "
             "can change places; diff_cutoff_hz is held where it was"
         )
     if "stimulus.offset" in nuisances:

@@ -161,7 +161,7 @@ class Recipe:
 
 
 def chain_beside(out: Path) -> Path:
-    """Where the chains of an unfinished sampling wait to be continued: beside the result folder, hidden."""
+    """Where the chains of an unfinished sampling wait to be continued: next to the result folder, hidden."""
     return out.with_name(f".{out.name}.chain.npz")
 
 

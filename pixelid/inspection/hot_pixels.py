@@ -2,8 +2,8 @@
 
 Two kinds of evidence, by what is known of the light.  Over a whole recording a pixel must stand out from the population
 *and* from its neighbours, since edges and lamps of a scene fire much too (`find_hot_pixels`).  Under full-field light
-all pixels see the same, so whoever fires ON in stretches where the others are silent is hot, however rarely it fires
-(`find_hot_pixels_in_silence`): a few events per second that drown in the response to a chirp show there.
+all pixels see the same, so a pixel that fires ON in stretches where the others are silent is hot, however rarely it
+fires (`find_hot_pixels_in_silence`): a few events per second that drown in the response to a chirp show there.
 """
 
 from __future__ import annotations

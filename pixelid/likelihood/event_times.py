@@ -45,7 +45,8 @@ class EventTimes:
     Attributes:
         layout: Which pixel and recording each of the n intervals belongs to.
         clock_share: (n,) how often timestamp noise counts, 1 until `weighed`.
-        threshold_factor: (n,) what each event's threshold is multiplied by beside all that the circuit says, or None.
+        threshold_factor: (n,) what each event's threshold is multiplied by in addition to all that the circuit says,
+            or None.
         shift: What noise has added to the changes at events, or None.
         by_gain: What the gains of pixels add to changes where that is held, else None.
         unknown_light: What is not known of light that sensors measured themselves, None where there is none.

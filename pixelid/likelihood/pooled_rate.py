@@ -10,8 +10,8 @@ Gauss–Hermite quadrature.
 
 Counts in bins are Poisson about ∫ λ dt.  Within a bin ∫ẏ⁺ is the rise of the output between the bin's edges.
 
-C/N alone is visible without dead time: N is a gauge, `pooled.pixels`, fixed unless told.  Real pools are more
-variable than Poisson; `dispersion` measures by how much, and errors are scaled by it (quasi-Poisson; McCullagh &
+C/N alone is visible without dead time: N is a gauge, `pooled.pixels`, fixed unless stated otherwise.  Real pools are
+more variable than Poisson; `dispersion` measures by how much, and errors are scaled by it (quasi-Poisson; McCullagh &
 Nelder 1989, section 9.2).
 """
 

@@ -22,7 +22,7 @@ def shipped_models() -> dict[str, Path]:
 
 
 def model_files(spec: str | Path) -> list[Path]:
-    """The files that `find_model(spec)` may have read, besides shipped ones."""
+    """The files that `find_model(spec)` may have read, in addition to shipped ones."""
     return [Path(spec), Path(spec) / "fit.json", Path(spec) / "model.toml"]
 
 

@@ -115,10 +115,10 @@ def _by_angle(file: Path, stated: dict, width: int, height: int) -> Camera:
 
 
 def _lens_of_angle(file: Path, stated: dict) -> None:
-    """Raise InputError for a lens beside a bare angle: without a focal length its coefficients mean nothing certain."""
+    """Raise InputError for a lens with a bare angle: without a focal length its coefficients mean nothing certain."""
     used = [key for key in (*LENS, "cx", "cy") if stated.get(key)]
     if used or stated.get("is_fisheye"):
-        raise InputError(f"{file}: {(used or ['is_fisheye'])[0]}: is read beside fl_x only; add fl_x, fl_y, w and h")
+        raise InputError(f"{file}: {(used or ['is_fisheye'])[0]}: is read with fl_x only; add fl_x, fl_y, w and h")
 
 
 def _refuse_other_angle(file: Path, stated: dict, width: int, focal: float) -> None:

@@ -81,7 +81,7 @@ class ViewsFile:
     """Views of one `transforms_*.json`, as `read_views` has them, read one at a time: memory does not grow with them.
 
     file: of the poses;  document: its content;  channels: colours;  log_eps: of `Views`;  first: a picture of the size
-    and type that all have;  usual: mean exposure over all stages beside the file;  peak, span: of `Views`, of all
+    and type that all have;  usual: mean exposure over all stages next to the file;  peak, span: of `Views`, of all
     pictures of the file
     """
 
@@ -102,7 +102,7 @@ class ViewsFile:
             file: of the poses.
             channels: colours, 1 or 3.
             dataset: folder that they are of; by default the one that holds the folder of the file, if it is one.
-            log_eps: what is added to pictures where no data set says it: beside views that several data sets share
+            log_eps: what is added to pictures where no data set says it: with views that several data sets share
                 there is none.
 
         Returns:

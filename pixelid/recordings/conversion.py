@@ -21,7 +21,7 @@ SENSOR, FRAMES = "sensor", "frames"  # the light as the sensor itself measured i
 def converted(
     source: Path, stimulus: str | Path | Light | None, align: str | None, crop: Crop, seed: int
 ) -> tuple[Recording | LongRecording, str]:
-    """The recording of a file beside its light, and what to say of either.
+    """The recording of a file with its light, and what to say of either.
 
     Args:
         source: the file.
@@ -35,7 +35,7 @@ def converted(
         InputError: as `open_cropped`, `load_stimulus` and `find_alignment`; light that does not cover the events.
     """
     if align is not None and stimulus is None:
-        raise InputError("--align: expected --stimulus beside it, the light to align")
+        raise InputError("--align: needs --stimulus, the light to align")
     own, dark = own_light(stimulus)
     if align is not None and own:
         raise InputError(f"--align: --stimulus {own} is on the camera's clock already")

@@ -203,7 +203,7 @@ def _columns(parts: list) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarra
 
 
 def _bias_file(path: Path) -> dict[str, int | str]:
-    """Prophesee's `.bias` file beside a RAW file: lines `value % name [% kind]`; others are its header."""
+    """Prophesee's `.bias` file next to a RAW file: lines `value % name [% kind]`; others are its header."""
     biases: dict[str, int | str] = {}
     for line in path.read_text("latin1").splitlines()[:200]:
         value, name = (*(part.strip() for part in line.split("%")), "")[:2]

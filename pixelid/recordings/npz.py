@@ -105,13 +105,13 @@ def write(
 ) -> None:
     """Write `recording` to a compressed .npz with t in nanoseconds and everything else in `metadata`.
 
-    Columns are packed one after the other, piece by piece: those of a long recording wait in raw files beside `path`
+    Columns are packed one after the other, piece by piece: those of a long recording wait in raw files next to `path`
     (13 bytes an event) until all its parts have been read, since a column's length stands before its first number.
 
     Args:
         recording: Of any length; memory does not grow with it.
         path: To be written.
-        progress: Told which column is being packed, and the share of all columns that is done.
+        progress: Called with which column is being packed, and the share of all columns that is done.
     """
     head = recording.head if isinstance(recording, LongRecording) else recording
     with ExitStack() as stack:

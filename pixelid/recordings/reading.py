@@ -30,7 +30,7 @@ def open_recording(path: str | Path, options: ReadingOptions | None = None) -> R
     ES, bags, MATLAB files and text.  Times become int64 nanoseconds; `events.tick_ns` remembers the unit of the source.
 
     Args:
-        path: the file; `NAME.source.toml` beside it may state what it does not.
+        path: the file; `NAME.source.toml` next to it may state what it does not.
         options: what the caller states, over that.
 
     Returns:
@@ -112,7 +112,7 @@ def open_recordings(
 
 
 def check_readable(paths: Iterable[str | Path]) -> None:
-    """Look for the files before anything slow begins.  Raises InputError as `open_recordings`, where a look tells."""
+    """Look for the files before anything slow begins.  Raises InputError as `open_recordings`, where a look shows."""
     for path in paths:
         for file in _files(Path(path)):
             _recognised(file)

@@ -40,7 +40,7 @@ class SharedRate:
 
 @dataclass(frozen=True)
 class Case:
-    """A recording beside the light that its events follow; `events` None where they cannot be held against it.
+    """A recording with the light that its events follow; `events` None where they cannot be held against it.
 
     edges_s: trigger edges at the light's moments `moments_s`, first and perhaps last;  stamp_s: their standard error
     """

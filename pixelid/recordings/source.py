@@ -1,7 +1,7 @@
 """What a recording's file states, what was inferred of it by which rule, and what its user states instead.
 
 A file leaves things out: the order of its columns, the unit of its times, the size of the sensor, which of several
-streams is meant.  `ReadingOptions` states them: in Python, on the command line, or in `NAME.source.toml` beside the
+streams is meant.  `ReadingOptions` states them: in Python, on the command line, or in `NAME.source.toml` next to the
 file.  `Source` is the record of how each was settled; it stays with the recording (`attributes["source"]`).
 """
 
@@ -184,7 +184,7 @@ def _words(value: Any) -> str:
 
 NOTHING = ReadingOptions()
 _STATED: ContextVar[ReadingOptions] = ContextVar("reading options", default=NOTHING)
-_SAY: ContextVar[Callable[[str], object] | None] = ContextVar("told of what is inferred", default=None)
+_SAY: ContextVar[Callable[[str], object] | None] = ContextVar("hears what is inferred", default=None)
 
 
 @contextmanager

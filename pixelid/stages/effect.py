@@ -17,7 +17,7 @@ class Effect(ABC):
     sentence: one line for the report;  equation, source: what it does and who says so;
     parameters: with shipped value, unit, bounds and transform;
     photoreceptors: kinds of photoreceptor that it can be added to;
-    starts_anew: names of those parameters that every recording has anew, as recordings are made minutes apart.
+    starts_anew: names of those parameters that every recording has of its own, as recordings are made minutes apart.
     """
 
     name: str

@@ -7,7 +7,7 @@
     start_s = 0.2            when it begins (0 if left out)
 
 or `kind = "samples"` with lists `t` (seconds) and `radiance`, or `kind = "file"` with the `path` of a table, array,
-video or folder of frames beside the description.  Both take `unit`; frames also `fps`, `gamma`, `interpolation`,
+video or folder of frames next to the description.  Both take `unit`; frames also `fps`, `gamma`, `interpolation`,
 `full_scale`, `background` (`frames.py`), tables `columns` (`light_tables.py`), both `time_unit`.
 """
 

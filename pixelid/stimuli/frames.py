@@ -136,7 +136,7 @@ def _order(file: Path) -> tuple:
 
 
 def _times(stamps: Path, files: list[Path]) -> np.ndarray:
-    """(n,) times of pictures, one a line, alone or beside the picture's name or number."""
+    """(n,) times of pictures, one a line, alone or next to the picture's name or number."""
     rows = [cells_of(line.strip())[0] for line in stamps.read_text("utf-8-sig", "replace").splitlines()]
     rows = [row for row in rows if row and row[0] and not row[0].startswith("#")]
     if rows and not any(is_number(cell) for cell in rows[0]):

@@ -5,8 +5,8 @@ above it).  The unit of each column is in its name, in brackets, or in a comment
 
     t_s,radiance_lux          time [ms];irradiance [W/m²]          # unit: fA
 
-`NAME.source.toml` beside the file states what it does not: `columns` (two names or numbers from 1: time, light), `unit`
-of the light, `time_unit`.
+`NAME.source.toml` next to the file states what it does not: `columns` (two names or numbers from 1: time, light),
+`unit` of the light, `time_unit`.
 """
 
 from __future__ import annotations
@@ -311,7 +311,7 @@ def _sequence(table: _Table, k: int) -> tuple[float, float] | None:
 
 
 def _unit(table: _Table, k: int, path: Path) -> str:
-    """The unit of a column of light: in its name, else in a comment; `relative` where none is said."""
+    """The unit of a column of light: in its name, else in a comment; `relative` where none is stated."""
     name = table.names[k].strip() if k < len(table.names) else ""
     bracket, suffix = IN_BRACKETS.search(name), SUFFIX.search(name)
     for found in (bracket, suffix):

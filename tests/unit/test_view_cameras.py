@@ -58,5 +58,5 @@ def test_what_is_not_read_is_refused_by_name(changes, says):
 
 
 def test_a_lens_without_a_focal_length():
-    with pytest.raises(InputError, match="k1: is read beside fl_x only"):
+    with pytest.raises(InputError, match="k1: is read with fl_x only"):
         camera_of_document(FILE, {"camera_angle_x": 0.7, "k1": 0.1, "frames": [POSE]}, 64, 48)

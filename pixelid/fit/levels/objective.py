@@ -12,7 +12,7 @@ Schur complement
     H = H_θθ + Σ_i H_θi B_i⁻¹ H_iθ,        du_i/dθ = B_i⁻¹ H_iθ,
 
 whose negated inverse is the covariance of θ with the levels integrated out (Laplace's approximation).  What is left of
-that, −Σ ½ ln det B_i, moves slowly with θ: its slope is a tilt of the value, told where the search last ended
+that, −Σ ½ ln det B_i, moves slowly with θ: its slope is a tilt of the value, estimated where the search last ended
 (`scales.py`).  Without it levels would take up scatter that is noise's and mismatch's, as a mean does in a
 variance.
 """
@@ -65,7 +65,7 @@ class LevelledObjective(EventTimesObjective):
         coordinates: of the camera.
         scales: how far levels spread.
         start: (p, k) levels to begin at; None: 0.
-        tilt: by parameter, (slope, coordinate where it was told).
+        tilt: by parameter, (slope, coordinate where it was estimated).
         tolerance, most_steps: nats that all levels together may still promise; steps after which they are left there.
     """
 

@@ -34,7 +34,7 @@ SPIRAL_TURNS = 2.0
 
 
 class Listed(NamedTuple):
-    """Where poses are listed beside their pictures: a `transforms_*.json`, which of its frames, of which data set."""
+    """Where poses are listed next to their pictures: a `transforms_*.json`, which of its frames, of which data set."""
 
     file: Path
     which: list[int]
@@ -103,7 +103,7 @@ def way_of_file(path: Path, size: tuple[int, int] | None, fov: float | None = No
     Args:
         path: a `transforms_*.json`, a dataset folder (its test views, else val, else train), or a `camera_poses.npz`.
         size: width and height in pixels, of the whole view; by default those of the first picture, of the event sensor
-            where poses lie beside its calibration, or 400 × 400.
+            where poses lie next to its calibration, or 400 × 400.
         fov: horizontal field of view [rad] where no camera is stated; by default `FIELD_OF_VIEW`.
         most: poses; more are thinned out evenly.
 
@@ -111,7 +111,7 @@ def way_of_file(path: Path, size: tuple[int, int] | None, fov: float | None = No
         The way.
 
     Raises:
-        InputError: naming what the file lacks; a field of view beside a camera that is stated.
+        InputError: naming what the file lacks; a field of view with a camera that is stated.
     """
     dataset = path if path.is_dir() else None
     path = path if dataset is None else _inside(dataset)
@@ -153,7 +153,7 @@ def _thinned(number: int, most: int) -> list[int]:
 
 
 def _camera_beside(poses: Path, size: tuple[int, int] | None, fov: float | None) -> Camera:
-    """The event camera whose calibration lies beside its poses, in `size` pixels; an ideal one where there is none."""
+    """The event camera whose calibration lies next to its poses, in `size` pixels; an ideal one where there is none."""
     file = poses.with_name(CALIBRATION)
     if not file.is_file():
         return pinhole(*(size or DEFAULT_SIZE), fov or FIELD_OF_VIEW)
