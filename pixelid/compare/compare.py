@@ -19,7 +19,7 @@ from pixelid.documents import interpreting
 from pixelid.errors import InputError
 from pixelid.fit import FitResult, fit
 from pixelid.fit.data import as_fitted, event_times_of
-from pixelid.fit.fit import check_event_times
+from pixelid.fit.search import check_event_times
 from pixelid.model.files import save_model
 from pixelid.model.model import Model
 from pixelid.outputs import file_name

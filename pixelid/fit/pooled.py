@@ -9,9 +9,10 @@ import numpy as np
 from pixelid.errors import InputError
 from pixelid.fit.bench import held, with_bench
 from pixelid.fit.coordinates import Coordinates
-from pixelid.fit.newton import Optimum, maximise
+from pixelid.fit.newton import maximise
 from pixelid.fit.own_values import with_own_values
 from pixelid.fit.pooled_rate import PooledRateObjective
+from pixelid.fit.search import Found
 from pixelid.fit.starts import align, match_counts
 from pixelid.likelihood.pooled_rate import PooledRate
 from pixelid.model.model import Model
@@ -22,8 +23,8 @@ SCOUT_S = 1.0  # seconds of each recording that the search from afar looks at
 
 def fit_pooled(
     recordings: Sequence[Recording], model: Model, fixed: Mapping[str, float], report: Callable[[str, float], None]
-) -> tuple[PooledRateObjective, Optimum, dict, int]:
-    """(objective, optimum, details, 1) of the model fitted to pooled counts.
+) -> Found:
+    """The optimum of pooled counts.
 
     fixed: nuisances of the recordings to hold.  Raises InputError for a name in it that is none.
     """
@@ -93,6 +94,5 @@ def fit_pooled(
         "dispersion": dispersion,
         "bin_s": float(np.diff(likelihood.counts[0].edges[:2])[0]),
         "steps": optimum.steps,
-        "caveats": caveats,
     }
-    return objective, optimum, details, 1
+    return Found(objective, optimum, 1, details, caveats=caveats, dispersion=dispersion)

@@ -111,8 +111,9 @@ def _begin(recordings: Sequence[Recording], model: Model, context: Context) -> P
     shortened = tuple(_shortened(r) for r in recordings)
     options, report = context.options, context.report
     report("base model", 0.02)
-    objective, optimum, details, _ = fit_pooled(shortened, model, {}, lambda what, share: report(what, 0.3 * share))
-    stretches = cut_into_stretches(objective.likelihood, details["dispersion"], options.seed)
+    found = fit_pooled(shortened, model, {}, lambda what, share: report(what, 0.3 * share))
+    objective, optimum = found.objective, found.optimum
+    stretches = cut_into_stretches(objective.likelihood, found.dispersion, options.seed)
     nuisances = objective.coordinates.nuisances_at(optimum.x)
     fitted = objective.coordinates.model_at(optimum.x)
     base = stretches.fit(fitted, nuisances, stretches.part(*TRAINING), STEPS)
