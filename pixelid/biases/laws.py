@@ -156,7 +156,7 @@ class Law:
         low, high: (codes,) ends of the measured codes.
         sign: +1 where the current grows with the first code, −1 where it falls.
         x: (parameters,) coordinates;  covariance: theirs.
-        scatter: relative scatter of settings about the law, the scale of Student's t.
+        scatter: relative scatter of settings about the law, the scale of Student's t;  freedom: rows that it rests on.
         weight: of this form among its rivals.
     """
 
@@ -168,6 +168,7 @@ class Law:
     x: np.ndarray
     covariance: np.ndarray
     scatter: float = 0.0
+    freedom: float = 1.0
     weight: float = 1.0
 
     @property
@@ -215,16 +216,22 @@ class Law:
         units = {"slope": f"{unit}/code", ZERO: "code", "scale": scale, "exponent": "1"}
         return units.get(name.partition(".")[0], "1/code" if name.partition(".")[0] in LINEAR else unit)
 
-    def draw(self, count: int, rng: np.random.Generator) -> np.ndarray:
-        """(count, parameters) coordinates from the normal approximation."""
-        return rng.multivariate_normal(self.x, self.covariance, count, check_valid="ignore")
+    def distances(self, codes: np.ndarray, settings: np.ndarray) -> np.ndarray:
+        """(n,) from codes (n, codes) to the nearest of settings (m, codes), in halves of each code's measured range."""
+        return 2.0 * np.linalg.norm((codes[:, None] - settings) / (self.high - self.low), axis=-1).min(1)
+
+    def draw(self, count: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+        """((count, parameters) coordinates, (count,) scatters): normal ones, of a scatter that few rows fix loosely."""
+        wider = np.sqrt(self.freedom / rng.chisquare(self.freedom, count))
+        away = rng.multivariate_normal(np.zeros(len(self.x)), self.covariance, count, check_valid="ignore")
+        return self.x + wider[:, None] * away, self.scatter * wider
 
     def as_dict(self) -> dict[str, Any]:
         """What brings it back (`Law.of`)."""
         return {
             "form": self.form.name, "codes": list(self.codes), "low": self.low.tolist(), "high": self.high.tolist(),
             "sign": self.sign, "x": self.x.tolist(), "covariance": self.covariance.tolist(), "scatter": self.scatter,
-            "weight": self.weight,
+            "freedom": self.freedom,             "weight": self.weight,
         }  # fmt: skip
 
     @staticmethod
@@ -238,7 +245,7 @@ class Law:
             raise ValueError(f"law {form.name!r}: expected {n} coordinates of {k} codes")
         low, high, x, covariance = numbers
         return Law(form, tuple(map(str, content["codes"])), low, high, int(content["sign"]), x, covariance,
-                   float(content["scatter"]), float(content["weight"]))  # fmt: skip
+                   float(content["scatter"]), float(content["freedom"]), float(content["weight"]))  # fmt: skip
 
 
 def stated_codes(words: Sequence[str], known: Sequence[str], option: str) -> dict[str, float]:

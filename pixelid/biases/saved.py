@@ -74,12 +74,12 @@ class Quantity:
         codes = np.atleast_2d(np.asarray(codes, float))
         rng = np.random.default_rng(seed)
         drawn = []
-        depart = np.sqrt(self.departure * distances(codes, self.settings, self.laws[0].half))
+        depart = np.sqrt(self.departure * self.laws[0].distances(codes, self.settings))
         for law in self.laws:
             count = round(DRAWS * law.weight)
-            noise = law.scatter * rng.standard_t(FREEDOM, (count, len(codes)))
-            noise += depart * rng.standard_normal((count, len(codes)))
-            drawn.append(law.log_value(codes, law.draw(count, rng)) + noise)
+            x, scatter = law.draw(count, rng)
+            noise = scatter[:, None] * rng.standard_t(FREEDOM, (count, len(codes)))
+            drawn.append(law.log_value(codes, x) + noise + depart * rng.standard_normal((count, len(codes))))
         every = np.concatenate(drawn)
         low, high = np.nanpercentile(np.where(np.isnan(every).all(0), 0.0, every), [2.5, 97.5], axis=0)
         lost = np.isnan(every).mean(0) > MOST_LOST
@@ -122,11 +122,6 @@ class Quantity:
             return "the law leaves it open there"
         mean = float(np.log(found["value"]))
         return mean, float(max(np.log(high) - mean, mean - np.log(low))) / Z95
-
-
-def distances(codes: np.ndarray, settings: np.ndarray, half: np.ndarray) -> np.ndarray:
-    """(n,) from codes (n, codes) to the nearest of settings (m, codes), in half-ranges (codes,)."""
-    return np.linalg.norm((codes[:, None] - settings) / half, axis=-1).min(1)
 
 
 def read_laws(folder: Path) -> dict[str, Quantity]:

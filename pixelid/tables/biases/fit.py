@@ -15,7 +15,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from pixelid.biases.laws import FORMS, Form, Law
-from pixelid.biases.saved import DRAWS, distances
+from pixelid.biases.saved import DRAWS
 from pixelid.errors import InputError
 from pixelid.parameters.parameter import Parameter
 from pixelid.tables.biases.reading import BiasTable
@@ -115,7 +115,7 @@ def fit_laws(table: BiasTable, report: Callable[[float], None] = lambda done: No
     weight /= weight.sum()
     found = []
     for k, (one, w) in enumerate(zip(fitted, weight, strict=True)):
-        heldout = leave_out(table, one.law.form) if k < 3 else None
+        heldout = leave_out(table, one.law) if k < 3 else None
         found.append(replace(one, law=replace(one.law, weight=float(w)), heldout=heldout))
         report(min((len(forms) + k + 1) / (len(forms) + 3), 1.0))
     return found
@@ -124,16 +124,22 @@ def fit_laws(table: BiasTable, report: Callable[[float], None] = lambda done: No
 def fit_form(table: BiasTable, form: Form) -> FittedLaw:
     """The likeliest law of a form."""
     low, high = table.code.min(0), table.code.max(0)
-    signs = (1, -1) if form.signed else (1,)
-    fits = []
-    for sign in signs:
-        empty = Law(form, table.codes, low, high, sign, np.zeros(len(form.kinds)), np.eye(len(form.kinds)))
-        start = min((replace(empty, x=x) for x in _starts(table, empty)), key=lambda law: _misses(table, law))
-        model = LawModel(table, start)
-        fits.append((sign, fit_table(model)))
-    sign, best = max(fits, key=lambda pair: pair[1].log_likelihood)
+    width = len(form.parameters)
+    empty = [
+        Law(form, table.codes, low, high, sign, np.zeros(width), np.eye(width)) for sign in (1, -1)[: 1 + form.signed]
+    ]
+    starts = [replace(law, x=x) for law in empty for x in _starts(table, law)]
+    return _fit_from(table, min(starts, key=lambda law: _misses(table, law)))
+
+
+def _fit_from(table: BiasTable, start: Law) -> FittedLaw:
+    """The optimum that is reached from a law."""
+    best = fit_table(LawModel(table, start))
     covariance = covariance_at(best) * _correlation(table, best.residual)
-    law = Law(form, table.codes, low, high, sign, best.x, 0.5 * (covariance + covariance.T), best.scale)
+    law = replace(
+        start, x=best.x, covariance=0.5 * (covariance + covariance.T), scatter=best.scale,
+        freedom=max(len(best.residual) - len(best.x) - 1.0, 1.0),
+    )  # fmt: skip
     bic = (len(best.x) + 1) * np.log(len(best.residual)) - 2.0 * best.log_likelihood
     sd = np.where(np.isfinite(best.sd), np.sqrt(np.diag(law.covariance)), np.inf)
     return FittedLaw(law, replace(best, sd=sd), float(bic))
@@ -206,13 +212,13 @@ def folds(table: BiasTable) -> list[np.ndarray]:
     return [np.isin(code, group) for group in groups]
 
 
-def leave_out(table: BiasTable, form: Form) -> np.ndarray:
-    """(rows,) ln predicted over measured, each from rows of other settings; NaN where they are too few."""
+def leave_out(table: BiasTable, law: Law) -> np.ndarray:
+    """(rows,) ln predicted over measured, each by the law's form from rows of other settings; NaN where too few."""
     found = np.full(len(table.measured), np.nan)
     for out in folds(table):
         rest = table.select(~out)
-        if len(np.unique(rest.code, axis=0)) > len(form.kinds) and (np.ptp(rest.code, axis=0) > 0).all():
-            found[out] = fit_form(rest, form).law.log_value(table.code[out]) - np.log(table.measured[out])
+        if len(np.unique(rest.code, axis=0)) > len(law.x) and (np.ptp(rest.code, axis=0) > 0).all():
+            found[out] = _fit_from(rest, law).law.log_value(table.code[out]) - np.log(table.measured[out])
     return found
 
 
@@ -223,7 +229,7 @@ def departure_variance(table: BiasTable, fitted: FittedLaw) -> float:
     known = fitted.law.scatter**2 + fitted.regression.model.rows.known_variance
     distance = np.full(len(table.measured), np.nan)
     for out in folds(table):
-        distance[out] = distances(table.code[out], table.code[~out], fitted.law.half)
+        distance[out] = fitted.law.distances(table.code[out], table.code[~out])
     square = (fitted.heldout**2 - known) / distance
     square = square[np.isfinite(square)]
     return max(float(np.median(square)), 0.0) / MEDIAN_SQUARE if len(square) else 0.0
@@ -232,7 +238,7 @@ def departure_variance(table: BiasTable, fitted: FittedLaw) -> float:
 def natural_values(law: Law, seed: int) -> dict[str, tuple[float, float, list[float]]]:
     """Parameter of the equation → (value, standard deviation, 95 % interval), from draws of the coordinates."""
     with np.errstate(over="ignore"):
-        drawn = law.natural(law.draw(DRAWS, np.random.default_rng(seed)))
+        drawn = law.natural(law.draw(DRAWS, np.random.default_rng(seed))[0])
     found = {}
     for name, value in law.natural(law.x).items():
         low, below, above, high = np.percentile(drawn[name], [2.5, 15.87, 84.13, 97.5])
