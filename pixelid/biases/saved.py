@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from pixelid.biases.laws import Law
-from pixelid.documents import interpreting, read_json
+from pixelid.documents import interpreting, read_json, read_toml
 from pixelid.errors import InputError
 from pixelid.statistics import Z95
 
@@ -50,7 +50,8 @@ class Quantity:
         laws = tuple(Law.of(rival["fit"]) for rival in entry["rivals"] if "fit" in rival)
         if not laws or len({law.codes for law in laws}) > 1:
             raise ValueError(f"{name}: expected laws of the same codes")
-        settings = np.unique([[float(row[code]) for code in laws[0].codes] for row in entry["rows"]], axis=0)
+        settings = entry.get("settings") or [[row[code] for code in laws[0].codes] for row in entry["rows"]]
+        settings = np.unique(np.array(settings, float), axis=0)
         return Quantity(
             name, str(entry["unit"]), str(entry["parameter"]), laws, settings, float(entry["departure_variance"])
         )
@@ -125,15 +126,15 @@ class Quantity:
 
 
 def read_laws(folder: Path) -> dict[str, Quantity]:
-    """Quantity → its laws, of a folder of `pixelid biases` or its biases.json.
+    """Quantity → its laws, of a folder of `pixelid biases`, its biases.json, or a shipped .toml.
 
     Raises:
         InputError: no such file, a damaged one, or one without laws.
     """
-    path = Path(folder) if Path(folder).suffix == ".json" else Path(folder) / FILE
+    path = Path(folder) if Path(folder).suffix in (".json", ".toml") else Path(folder) / FILE
     if not path.is_file():
         raise InputError(f"{path}: expected the folder of a `pixelid biases` result, found no such file")
-    content = read_json(path)
+    content = read_toml(path) if path.suffix == ".toml" else read_json(path)
     with interpreting(path, "the laws of a `pixelid biases` result"):
         found = {name: Quantity.of(name, entry) for name, entry in content["quantities"].items() if "rivals" in entry}
     if not found:

@@ -18,7 +18,7 @@ Example:
 @click.command("biases", epilog=EXAMPLE)
 @click.argument("tables", nargs=-1, required=True, type=options.PATH)
 @options.out()
-@options.model(False, "Folder of laws that --predict evaluates.", type=options.PATH)
+@options.model(False, "What --predict evaluates: a folder of laws, or a shipped circuit.", type=options.PATH)
 @click.option("--predict", is_flag=True, help="Evaluate --model on the tables instead of fitting.")
 @click.option("--at", multiple=True, metavar="BIAS=CODE,…", help="Predict a setting; may be repeated.")
 @click.option("--quantity", multiple=True, metavar="COLUMN", help="What was measured [the column named as one].")

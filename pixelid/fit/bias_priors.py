@@ -20,10 +20,11 @@ import numpy as np
 
 from pixelid.biases import Implied, Value, currents_of, has_jaer_biases, implied_by
 from pixelid.biases.currents import CHIPS
-from pixelid.biases.saved import read_laws
+from pixelid.biases.saved import Quantity, read_laws
 from pixelid.documents import is_number
 from pixelid.errors import InputError
 from pixelid.model.model import Model
+from pixelid.model.shipped import shipped_bias_laws
 from pixelid.parameters.parameter import Prior
 from pixelid.recordings.recording import Recording
 from pixelid.results import Table, number
@@ -109,7 +110,7 @@ def values_of_laws(folder: Path, recordings: Sequence[Recording]) -> tuple[dict[
     Raises:
         InputError: no laws, a recording that states none of their codes, or recordings of different codes.
     """
-    laws = {q.parameter: q for q in read_laws(folder).values() if q.parameter}
+    laws = {q.parameter: q for q in read_laws(shipped_bias_laws(folder) or folder).values() if q.parameter}
     known = {code for quantity in laws.values() for code in quantity.codes}
     settings = []
     for recording in recordings:
@@ -138,6 +139,35 @@ def values_of_laws(folder: Path, recordings: Sequence[Recording]) -> tuple[dict[
         "values": {name: value.as_dict() for name, value in values.items()},
     }  # fmt: skip
     return values, told
+
+
+def model_at(model: Model, laws: Mapping[str, Quantity], codes: Mapping[str, float]) -> Model:
+    """The circuit at a setting of its biases: values and priors of what the laws are of; others stay.
+
+    Args:
+        model: whose own values are of some other setting; it gets the dead time if it lacks one.
+        laws: of `read_laws`.
+        codes: of biases; those not stated are 0, the default of drivers.
+
+    Raises:
+        InputError: a code at which a law has no value.
+    """
+    for quantity in laws.values():
+        at = {code: codes.get(code, 0.0) for code in quantity.codes}
+        prior = quantity.prior(at)
+        words = ", ".join(f"{code} {value:g}" for code, value in at.items())
+        if isinstance(prior, str):
+            raise InputError(f"{quantity.name} at {words}: expected a code where its law has a value: {prior}")
+        if quantity.parameter == "refractory_s" and "refractory_s" not in model.parameters:
+            model = model.with_effect("refractory_period")
+        if quantity.parameter not in model.parameters:
+            continue
+        low, high = quantity.at(at)["interval_95"]
+        own = model.parameters[quantity.parameter]
+        source = f"law of bias codes at {words}: 95 % {low:.4g} to {high:.4g}"
+        changed = replace(own, value=own.within(math.exp(prior[0])), prior=Prior(*prior), source=source)
+        model = replace(model, parameters={**model.parameters, quantity.parameter: changed})
+    return model
 
 
 def independent(values: Mapping[str, Value]) -> dict[str, Prior]:

@@ -171,6 +171,23 @@ def test_a_fit_takes_priors_from_laws_at_the_codes_of_its_recording(folder, tmp_
     assert main([*map(str, words), "--out", str(tmp_path / "no"), "--quiet"]) == 2
 
 
+def test_a_shipped_circuit_at_a_setting_of_its_biases(capsys):
+    values = {}
+    for setting in ("refr=0", "refr=20,diff_on=-20"):
+        assert main(["models", "imx636", "--bias", setting, "--quiet"]) == 0
+        lines = capsys.readouterr().out.split("\n")
+        values[setting] = {name: float(value) for name, _, value in (line.partition(" = ") for line in lines if line)}
+    default, other = values.values()
+    assert default["refractory_s"] == pytest.approx(52e-6, rel=0.03)  # as measured
+    assert other["refractory_s"] == pytest.approx(29e-6, rel=0.03)
+    assert default["on_threshold"] == pytest.approx(0.2525, rel=0.02)
+    assert other["on_threshold"] == pytest.approx(0.1783, rel=0.02)
+    assert other["off_threshold"] == default["off_threshold"]
+    assert main(["models", "imx636", "--bias", "refr=-40"]) == 2  # no current
+    assert main(["models", "dvs128", "--bias", "refr=0"]) == 2
+    assert "--bias" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("header", "rows", "options", "says"),
     [

@@ -15,6 +15,7 @@ from pixelid.biases.laws import stated_codes
 from pixelid.biases.saved import FILE, Quantity, read_laws
 from pixelid.errors import InputError
 from pixelid.figures.style import save_figure
+from pixelid.model.shipped import shipped_bias_laws
 from pixelid.outputs import file_name
 from pixelid.parameters.parameter import OPEN_SD
 from pixelid.provenance import provenance
@@ -105,7 +106,7 @@ def bias_laws(
 
     Args:
         tables: CSV files, and .npz files of threshold maps.
-        laws: folder of an earlier result that is evaluated instead of a fit.
+        laws: folder of an earlier result that is evaluated instead of a fit, or a shipped circuit's name.
         at: settings to predict, "NAME=CODE,…" each.
         stated: columns and unit that the tables do not name.
         seed: of the draws behind intervals.
@@ -128,6 +129,7 @@ def bias_laws(
             entries[table.name] = fitted_entry(table, fit_laws(table, report), seed)
         found = {name: Quantity.of(name, entry) for name, entry in entries.items()}
     else:
+        laws = shipped_bias_laws(laws) or laws
         found = read_laws(laws)
         for table in read:
             for name in _asked(table, found):
