@@ -199,16 +199,16 @@ class Law:
         """Parameter of the equation → its value per code, of coordinates (…, parameters)."""
         value, reach = np.exp(x[..., 0]), (1.0 + np.exp(x[..., 1])) * self.half[0]
         power = x[..., 2] if self.form.power is None and self.form.signed else self.form.power
-        found = {}
+        values = {}
         for k, name in enumerate(self.form.parameters):
             kind, _, code = name.partition(".")
             half = self.half[int(code == "d")]
-            found[name] = {
+            values[name] = {
                 "slope": value * x[..., k] / half, "log_slope": x[..., k] / half, "log_gain": x[..., k] / half,
                 "step": x[..., k] / half, "exponent": x[..., k], ZERO: self.centre[0] - self.sign * reach,
                 "scale": value / reach ** (power or 0.0),
             }.get(kind, np.exp(x[..., k]))  # fmt: skip
-        return found
+        return values
 
     def unit_of(self, name: str, unit: str) -> str:
         """Of a parameter of the equation, for a quantity of this unit."""
@@ -244,8 +244,11 @@ class Law:
         if [a.shape for a in numbers] != shapes or len(content["codes"]) != k or not np.isfinite(numbers[2]).all():
             raise ValueError(f"law {form.name!r}: expected {n} coordinates of {k} codes")
         low, high, x, covariance = numbers
-        return Law(form, tuple(map(str, content["codes"])), low, high, int(content["sign"]), x, covariance,
-                   float(content["scatter"]), float(content["freedom"]), float(content["weight"]))  # fmt: skip
+        rest = {key: float(content[key]) for key in ("scatter", "freedom", "weight")}
+        positive = rest["scatter"] >= 0.0 < rest["freedom"] and 0.0 < rest["weight"] <= 1.0
+        if not (positive and (high > low).all() and np.isfinite(covariance).all() and content["sign"] in (1, -1)):
+            raise ValueError(f"law {form.name!r}: expected ranges, a covariance, and a weight up to 1")
+        return Law(form, tuple(map(str, content["codes"])), low, high, int(content["sign"]), x, covariance, **rest)
 
 
 def stated_codes(words: Sequence[str], known: Sequence[str], option: str) -> dict[str, float]:
@@ -258,7 +261,7 @@ def stated_codes(words: Sequence[str], known: Sequence[str], option: str) -> dic
         >>> stated_codes(["refr=10"], ["bias_refr"], "--at")
         {'bias_refr': 10.0}
     """
-    found: dict[str, float] = {}
+    values: dict[str, float] = {}
     for word in ",".join(words).split(","):
         name, _, text = (part.strip() for part in word.partition("="))
         full = name if name in known else f"bias_{name}"
@@ -267,9 +270,9 @@ def stated_codes(words: Sequence[str], known: Sequence[str], option: str) -> dic
                 f"{option}: no law of {name or 'nothing'!r}; known: {', '.join(known)}{did_you_mean(full, known)}"
             )
         try:
-            found[full] = float(text)
+            values[full] = float(text)
         except ValueError:
-            found[full] = np.nan
-        if not abs(found[full]) < 1e9:
+            values[full] = np.nan
+        if not abs(values[full]) < 1e9:
             raise InputError(f"{option}: {full}: expected a number, found {shown(text)}")
-    return found
+    return values

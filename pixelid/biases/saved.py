@@ -95,14 +95,14 @@ class Quantity:
 
     def at(self, setting: Mapping[str, float], seed: int = 0) -> dict[str, Any]:
         """The entry of a prediction in JSON at one setting of all its codes."""
-        found = {
+        prediction = {
             key: float(a[0]) for key, a in self.predict(np.array([[setting[c] for c in self.codes]]), seed).items()
         }
-        finite = {key: value if np.isfinite(value) else None for key, value in found.items()}
+        finite = {key: value if np.isfinite(value) else None for key, value in prediction.items()}
         return {
             "quantity": self.name, "codes": {c: setting[c] for c in self.codes}, "value": finite["value"],
             "interval_95": [finite["low"], finite["high"]], "unit": self.unit, "law": self.laws[0].form.name,
-            "extrapolated": found["beyond"] > 0.0, "note": self._note(finite["value"], found["beyond"]),
+            "extrapolated": prediction["beyond"] > 0.0, "note": self._note(finite["value"], prediction["beyond"]),
         }  # fmt: skip
 
     def _note(self, value: float | None, beyond: float) -> str:
@@ -117,11 +117,11 @@ class Quantity:
         missing = [code for code in self.codes if code not in setting]
         if missing:
             return f"{', '.join(missing)} not stated"
-        found = self.at(setting)
-        low, high = found["interval_95"]
-        if low is None or high is None or found["value"] is None:
+        prediction = self.at(setting)
+        low, high = prediction["interval_95"]
+        if low is None or high is None or prediction["value"] is None:
             return "the law leaves it open there"
-        mean = float(np.log(found["value"]))
+        mean = float(np.log(prediction["value"]))
         return mean, float(max(np.log(high) - mean, mean - np.log(low))) / Z95
 
 
@@ -136,7 +136,7 @@ def read_laws(folder: Path) -> dict[str, Quantity]:
         raise InputError(f"{path}: expected the folder of a `pixelid biases` result, found no such file")
     content = read_toml(path) if path.suffix == ".toml" else read_json(path)
     with interpreting(path, "the laws of a `pixelid biases` result"):
-        found = {name: Quantity.of(name, entry) for name, entry in content["quantities"].items() if "rivals" in entry}
-    if not found:
+        laws = {name: Quantity.of(name, entry) for name, entry in content["quantities"].items() if "rivals" in entry}
+    if not laws:
         raise InputError(f"{path}: expected fitted laws, found none (a prediction?)")
-    return found
+    return laws

@@ -210,6 +210,18 @@ def test_what_is_ambiguous_is_refused_with_the_option_that_states_it(header, row
         px.biases(path, **options)
 
 
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [("form", "cubic"), ("x", [1.0]), ("weight", 0), ("freedom", -1), ("covariance", None), ("high", [-30.0])],
+)
+def test_damaged_laws_are_refused(key, value, folder, tmp_path):
+    content = written(folder / "laws")
+    content["quantities"]["refractory_s"]["rivals"][0]["fit"][key] = value
+    (tmp_path / "biases.json").write_text(json.dumps(content))
+    with pytest.raises(InputError, match=r"biases\.json"):
+        px.biases(folder / "dead.csv", laws=tmp_path)
+
+
 def test_columns_and_unit_can_be_stated(tmp_path):
     rows = [(c, dead_time_us(c), 1) for c in CODES]
     path = write(tmp_path / "t.csv", "register,reset,other", rows)

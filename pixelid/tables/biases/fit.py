@@ -108,17 +108,17 @@ def fit_laws(table: BiasTable, report: Callable[[float], None] = lambda done: No
         fitted.append(fit_form(table, form))
         report((k + 1) / (len(forms) + 3))
     fitted.sort(key=lambda one: (not one.usable, one.bic))
-    weight = np.exp(-0.5 * np.array([one.bic - fitted[0].bic for one in fitted]))
-    weight[[not one.usable for one in fitted]] = 0.0
-    weight = weight if weight.any() else np.eye(len(fitted))[0]
+    usable = np.array([one.usable for one in fitted])
+    weight = np.exp(-0.5 * np.maximum([one.bic - fitted[0].bic for one in fitted], 0.0)) * usable
+    weight = weight if usable.any() else np.eye(len(fitted))[0]
     weight = np.where(weight / weight.sum() < LEAST_WEIGHT, 0.0, weight)
     weight /= weight.sum()
-    found = []
+    values = []
     for k, (one, w) in enumerate(zip(fitted, weight, strict=True)):
         heldout = leave_out(table, one.law) if k < 3 else None
-        found.append(replace(one, law=replace(one.law, weight=float(w)), heldout=heldout))
+        values.append(replace(one, law=replace(one.law, weight=float(w)), heldout=heldout))
         report(min((len(forms) + k + 1) / (len(forms) + 3), 1.0))
-    return found
+    return values
 
 
 def fit_form(table: BiasTable, form: Form) -> FittedLaw:
@@ -184,12 +184,12 @@ def _starts(table: BiasTable, law: Law) -> list[np.ndarray]:
 def _absolute_fit(X: np.ndarray, y: np.ndarray, weight: np.ndarray | float = 1.0) -> np.ndarray:
     """Coefficients of least absolute deviations, by reweighting: single rows do not move them."""
     w = np.broadcast_to(np.asarray(weight, float), y.shape).copy()
-    own, found = w.copy(), np.zeros(X.shape[1])
+    own, values = w.copy(), np.zeros(X.shape[1])
     for _ in range(12):
-        found = np.linalg.lstsq(X * w[:, None], y * w, rcond=None)[0]
-        rest = own * np.abs(y - X @ found)
+        values = np.linalg.lstsq(X * w[:, None], y * w, rcond=None)[0]
+        rest = own * np.abs(y - X @ values)
         w = own / np.sqrt(np.maximum(rest, 1e-6 + 1e-3 * rest.max()))
-    return found
+    return values
 
 
 def _correlation(table: BiasTable, residual: np.ndarray) -> float:
@@ -214,12 +214,12 @@ def folds(table: BiasTable) -> list[np.ndarray]:
 
 def leave_out(table: BiasTable, law: Law) -> np.ndarray:
     """(rows,) ln predicted over measured, each by the law's form from rows of other settings; NaN where too few."""
-    found = np.full(len(table.measured), np.nan)
+    values = np.full(len(table.measured), np.nan)
     for out in folds(table):
         rest = table.select(~out)
         if len(np.unique(rest.code, axis=0)) > len(law.x) and (np.ptp(rest.code, axis=0) > 0).all():
-            found[out] = _fit_from(rest, law).law.log_value(table.code[out]) - np.log(table.measured[out])
-    return found
+            values[out] = _fit_from(rest, law).law.log_value(table.code[out]) - np.log(table.measured[out])
+    return values
 
 
 def departure_variance(table: BiasTable, fitted: FittedLaw) -> float:
@@ -239,8 +239,8 @@ def natural_values(law: Law, seed: int) -> dict[str, tuple[float, float, list[fl
     """Parameter of the equation → (value, standard deviation, 95 % interval), from draws of the coordinates."""
     with np.errstate(over="ignore"):
         drawn = law.natural(law.draw(DRAWS, np.random.default_rng(seed))[0])
-    found = {}
+    values = {}
     for name, value in law.natural(law.x).items():
         low, below, above, high = np.percentile(drawn[name], [2.5, 15.87, 84.13, 97.5])
-        found[name] = (float(value), 0.5 * float(above - below), [float(low), float(high)])
-    return found
+        values[name] = (float(value), 0.5 * float(above - below), [float(low), float(high)])
+    return values

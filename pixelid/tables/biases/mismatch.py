@@ -117,12 +117,12 @@ def _parts(squares: np.ndarray, errors: np.ndarray, theta: float, unit: str) -> 
 
 def mismatch_sentences(entries: Iterable[Mapping[str, Any]]) -> list[str]:
     """What the spreads support, in words."""
-    said = []
+    sentences = []
     for one in entries:
         a, r = one["additive"], one["relative"]
-        said.append(
+        sentences.append(
             f"{one['quantity']}: mismatch between pixels from {one['from']}: {one['kind']}; additive {a['value']:.3g} "
             f"({a['interval_95'][0]:.3g} to {a['interval_95'][1]:.3g}) {a['unit']}, relative {100 * r['value']:.2g} % "
             f"({100 * r['interval_95'][0]:.2g} to {100 * r['interval_95'][1]:.2g})"
         )
-    return said
+    return sentences

@@ -86,15 +86,15 @@ def read_bias_tables(
     Raises:
         InputError: naming the file and what is missing or ambiguous, with the option that states it.
     """
-    found: dict[str, BiasTable] = {}
-    said = []
+    quantities: dict[str, BiasTable] = {}
+    lines = []
     for path in paths:
         tables, line = _read(Path(path), stated, measured)
-        said.append(line)
+        lines.append(line)
         for table in tables:
-            other = found.get(table.name)
-            found[table.name] = table if other is None else _joined(other, table)
-    return list(found.values()), said
+            other = quantities.get(table.name)
+            quantities[table.name] = table if other is None else _joined(other, table)
+    return list(quantities.values()), lines
 
 
 def _read(path: Path, stated: Stated, measured: bool) -> tuple[list[BiasTable], str]:
@@ -113,7 +113,7 @@ def _read(path: Path, stated: Stated, measured: bool) -> tuple[list[BiasTable], 
     for name, column in values.items():
         text.check(name, np.isfinite(column), "a code")
     varied = [name for name in biases if np.ptp(values[name]) > 0.0] if measured else biases
-    if not 1 <= len(varied) <= 2:
+    if measured and not 1 <= len(varied) <= 2:
         raise InputError(
             f"{path}: expected one or two biases of several codes, found {', '.join(varied) or 'none'}: choose by "
             "--bias"
@@ -140,8 +140,8 @@ def _quantities(text: TextTable, others: list[str], stated: Stated, measured: bo
     plain = [name for name in others if not SPREAD.search(name.lower()) and not ERROR.search(name.lower())]
     known = [name for name in plain if _kind(name)] or [name for name in plain if _unit(name)] or plain
     if len(known) > 1 or (measured and not known):
-        found = ", ".join(known or text.names)
-        raise InputError(f"{text.path}: expected one column of a quantity, found {found}: choose by --quantity")
+        columns = ", ".join(known or text.names)
+        raise InputError(f"{text.path}: expected one column of a quantity, found {columns}: choose by --quantity")
     return known
 
 

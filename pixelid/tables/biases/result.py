@@ -117,32 +117,32 @@ def bias_laws(
     """
     began = time.perf_counter()
     files, maps = ([p for p in tables if (p.suffix.lower() == ".npz") == is_map] for is_map in (False, True))
-    read, inferred = read_bias_tables(files, stated, measured=laws is None)
-    found, entries = {}, {}
+    measured, inferred = read_bias_tables(files, stated, measured=laws is None)
+    quantities, entries = {}, {}
     if laws is None:
-        for k, table in enumerate(read):
+        for k, table in enumerate(measured):
 
             def report(done: float, k: int = k, name: str = table.name) -> None:
                 if progress is not None:
-                    progress(name, (k + done) / len(read))
+                    progress(name, (k + done) / len(measured))
 
             entries[table.name] = fitted_entry(table, fit_laws(table, report), seed)
-        found = {name: Quantity.of(name, entry) for name, entry in entries.items()}
+        quantities = {name: Quantity.of(name, entry) for name, entry in entries.items()}
     else:
         laws = shipped_bias_laws(laws) or laws
-        found = read_laws(laws)
-        for table in read:
-            for name in _asked(table, found):
-                entries[name] = predicted_entry(table, found[name], seed)
-    mismatch = [one for table in read if (one := of_spreads(table)) is not None]
+        quantities = read_laws(laws)
+        for table in measured:
+            for name in _asked(table, quantities):
+                entries[name] = predicted_entry(table, quantities[name], seed)
+    mismatch = [one for table in measured if (one := of_spreads(table)) is not None]
     mismatch += [one for path in maps for one in of_maps(path)]
-    known = list(dict.fromkeys(code for each in found.values() for code in each.codes))
+    known = list(dict.fromkeys(code for each in quantities.values() for code in each.codes))
     settings = [stated_codes([words], known, "--at") for words in at]
-    predictions = [each.at(setting, seed) for setting in settings for each in found.values()
+    predictions = [each.at(setting, seed) for setting in settings for each in quantities.values()
                    if set(each.codes) <= set(setting)]  # fmt: skip
-    predictions += [found[name].at(dict(zip(found[name].codes, row, strict=True)), seed)
+    predictions += [quantities[name].at(dict(zip(quantities[name].codes, row, strict=True)), seed)
                     for name, entry in entries.items() if laws is not None
-                    for row in _unmeasured(entry, found[name].codes)]  # fmt: skip
+                    for row in _unmeasured(entry, quantities[name].codes)]  # fmt: skip
     status = Status.worst(Status(entry["status"]) for entry in entries.values())
     advice = "; ".join(f"{name}: {e['advice']}" for name, e in entries.items() if e["advice"])
     origin = [] if laws is None else [Path(laws) / FILE if Path(laws).is_dir() else Path(laws)]
@@ -154,11 +154,11 @@ def bias_laws(
     })  # fmt: skip
 
 
-def _asked(table: BiasTable, found: Mapping[str, Quantity]) -> list[str]:
+def _asked(table: BiasTable, quantities: Mapping[str, Quantity]) -> list[str]:
     """Names of the laws that a table asks for: its quantity, or where it holds codes alone, all of these codes."""
-    names = [n for n, q in found.items() if set(q.codes) <= set(table.codes) and table.name in ("", n)]
+    names = [n for n, q in quantities.items() if set(q.codes) <= set(table.codes) and table.name in ("", n)]
     if not names:
-        laws = "; ".join(f"{n} of {', '.join(q.codes)}" for n, q in found.items())
+        laws = "; ".join(f"{n} of {', '.join(q.codes)}" for n, q in quantities.items())
         raise InputError(
             f"{table.sources[0]}: no law of {table.name or 'a quantity'} of {', '.join(table.codes)}: {laws}"
         )
@@ -217,25 +217,27 @@ def _heldout(one: FittedLaw) -> dict[str, Any]:
 
 def _sentences(table: BiasTable, fitted: Sequence[FittedLaw]) -> list[str]:
     """The law, its rivals, the rows that it disbelieves, and where it ends, in words."""
-    best, said = fitted[0], []
+    best, sentences = fitted[0], []
     low, high = best.law.low, best.law.high
     ranges = ", ".join(f"{c} {a:g} to {b:g}" for c, a, b in zip(table.codes, low, high, strict=True))
-    said.append(
+    sentences.append(
         f"{table.name}: {best.law.form.name} ({best.law.form.why}), scatter {100 * best.law.scatter:.2g} %, measured "
         f"at {ranges}; outside, intervals rest on the form"
     )
     close = [one.law.form.name for one in fitted[1:] if one.law.weight > UNDECIDED]
     if close:
-        said.append(f"{table.name}: {', '.join(close)} describes the rows about as well, and is part of the intervals")
+        sentences.append(
+            f"{table.name}: {', '.join(close)} describes the rows about as well, and is part of the intervals"
+        )
     r = best.regression
     for k in np.argsort(-np.abs(r.residual)):
         if abs(r.residual[k]) > SUSPECT_SCALES:
             at = ", ".join(f"{c} {v:g}" for c, v in zip(table.codes, table.code[k], strict=True))
-            said.append(
+            sentences.append(
                 f"{table.name} at {at}: measured {table.measured[k]:.4g}, the law has {r.predicted[k]:.4g} "
                 f"{table.unit}: {r.residual[k]:+.0f} scales; down-weighted to {100 * r.weight[k]:.1g} %"
             )
-    return said
+    return sentences
 
 
 def predicted_entry(table: BiasTable, quantity: Quantity, seed: int) -> dict[str, Any]:
@@ -244,26 +246,26 @@ def predicted_entry(table: BiasTable, quantity: Quantity, seed: int) -> dict[str
     code, measured = table.code[:, order], table.measured
     if table.unit and table.unit != quantity.unit:
         raise InputError(f"{table.sources[0]}: {table.name}: expected {quantity.unit}, found {table.unit}")
-    found = quantity.predict(code, seed)
-    found["low"] = np.maximum(found["low"] - 0.5 * table.last_digit, 0.0)  # what is written is rounded
-    found["high"] = found["high"] + 0.5 * table.last_digit
-    with np.errstate(invalid="ignore"):
-        ratio = np.log(measured / found["value"])
-        half = np.maximum(np.log(found["high"] / found["value"]), np.log(found["value"] / found["low"])) / Z95
+    prediction = quantity.predict(code, seed)
+    value, rounding = prediction["value"], 0.5 * table.last_digit
+    low, high = np.maximum(prediction["low"] - rounding, 0.0), prediction["high"] + rounding
+    with np.errstate(invalid="ignore", divide="ignore"):
+        ratio = np.log(measured / value)
+        sd = np.maximum(np.log(high / value), np.log(value / low)) / Z95
     known = np.isfinite(ratio)
-    wrong = misses(-ratio[known], (ratio / half)[known]) if known.any() else ""
+    wrong = misses(-ratio[known], (ratio / sd)[known]) if known.any() else ""
     rows = [
         {**dict(zip(quantity.codes, map(float, code[k]), strict=True)), "measured": float(measured[k]),
-         "predicted": float(found["value"][k]), "interval_95": [float(found["low"][k]), float(found["high"][k])],
-         "standardised": float(ratio[k] / half[k]), "extrapolated": bool(found["beyond"][k] > 0.0)}
+         "predicted": float(value[k]), "interval_95": [_finite(float(low[k])), _finite(float(high[k]))],
+         "standardised": float(ratio[k] / sd[k]), "extrapolated": bool(prediction["beyond"][k] > 0.0)}
         for k in range(len(code))
     ]  # fmt: skip
-    inside = (measured >= found["low"]) & (measured <= found["high"])
+    inside = (measured >= low) & (measured <= high)
     sentences = [] if not known.any() else [
         f"{quantity.name}: {known.sum()} rows predicted within {100 * np.sqrt((ratio[known] ** 2).mean()):.2g} % rms "
         f"(largest {100 * np.abs(ratio[known]).max():.2g} %); {inside[known].mean():.0%} inside their 95 % intervals"
     ]  # fmt: skip
-    nowhere = int((~np.isfinite(found["value"])).sum())
+    nowhere = int((~np.isfinite(value)).sum())
     if nowhere:
         sentences.append(f"{quantity.name}: the law has no value in {nowhere} rows")
     return {
