@@ -33,7 +33,7 @@ def command(tables, out, model, predict, at, quantity, bias, unit, overwrite, se
 
     Forms that follow from what a bias does are compared; predictions have intervals, also at codes that were not
     measured. A column `polarity` parts ON and OFF; maps of thresholds (.npz: on_SETTING, off_SETTING) give the kind of
-    mismatch. Writes biases.json, a figure per quantity and report.html.
+    mismatch; folders of `pixelid rates` are tables of cutoffs. Writes biases.json, a figure per quantity, report.html.
     """
     from pixelid.cli.progress import bar
     from pixelid.cli.terminal import say_result

@@ -258,3 +258,18 @@ def test_public_thresholds_of_a_setting_are_predicted_from_the_other_two(amplifi
         )
         law = px.biases(kept, laws=tmp_path / "laws").content["quantities"][f"{edge}_threshold"]
         assert law["rms"] < 0.05
+
+
+def test_cutoffs_of_a_finished_fit_of_rates_are_a_table(tmp_path):
+    entries = {
+        f"cutoff_hz[fo{code}]": {"value": 300.0 * np.exp(-(code - 1350) / 40.0), "unit": "Hz", "std": std,
+                                 "identified": std is not None, "interval_95": [1.0, 2.0]}
+        for code, std in ((1250, 30.0), (1300, 10.0), (1350, 3.0), (1400, 1.0), (1450, None))
+    }  # fmt: skip
+    (tmp_path / "rates.json").write_text(json.dumps({"parameters": entries | {"dead_time_s": entries.copy()}}))
+    content = px.biases(tmp_path, at="fo=1450").content
+    law = content["quantities"]["sf_cutoff_hz"]
+    assert law["law"] == "exponential"
+    assert law["parameters"]["log_slope.x"]["value"] == pytest.approx(-1 / 40.0, rel=0.01)
+    assert content["predictions"][0]["value"] == pytest.approx(300.0 * np.exp(-100.0 / 40.0), rel=0.05)
+    assert "without fo1450" in content["inferred"][0]

@@ -28,6 +28,7 @@ BLOCKS = 5  # of neighbouring codes, left out in turn
 MOST_LEVELS = 12  # of a code, left out in turn one by one
 LEAST_KNOWN = 1.0  # standard error of a coordinate: a factor 7 either way; wider, its interval is no longer normal
 MEDIAN_SQUARE = 0.455  # of a standard normal
+MOST_FREEDOM = 1e6  # as good as normal
 TWO_SIDED = 1.96  # standard errors 1/√n of a correlation that is none
 
 
@@ -136,9 +137,11 @@ def _fit_from(table: BiasTable, start: Law) -> FittedLaw:
     """The optimum that is reached from a law."""
     best = fit_table(LawModel(table, start))
     covariance = covariance_at(best) * _correlation(table, best.residual)
+    # of errors that are stated nothing is estimated from the spare rows (Satterthwaite 1946, Biometrics Bull. 2, 110)
+    share = float((best.scale**2 / (best.scale**2 + best.model.rows.known_variance)).mean())
+    freedom = min(max(len(best.residual) - len(best.x) - 1.0, 1.0) / share**2, MOST_FREEDOM)
     law = replace(
-        start, x=best.x, covariance=0.5 * (covariance + covariance.T), scatter=best.scale,
-        freedom=max(len(best.residual) - len(best.x) - 1.0, 1.0),
+        start, x=best.x, covariance=0.5 * (covariance + covariance.T), scatter=best.scale, freedom=freedom
     )  # fmt: skip
     bic = (len(best.x) + 1) * np.log(len(best.residual)) - 2.0 * best.log_likelihood
     sd = np.where(np.isfinite(best.sd), np.sqrt(np.diag(law.covariance)), np.inf)

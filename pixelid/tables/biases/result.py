@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
+from scipy.stats import t as student
 
 from pixelid.biases.laws import stated_codes
 from pixelid.biases.saved import FILE, Quantity, read_laws
@@ -22,6 +23,7 @@ from pixelid.provenance import provenance
 from pixelid.results import ContentResult, Table, interval, number
 from pixelid.statistics import Z95
 from pixelid.status import Status
+from pixelid.tables.biases.cutoffs import is_rates, read_cutoffs
 from pixelid.tables.biases.figures import draw_law
 from pixelid.tables.biases.fit import FittedLaw, departure_variance, fit_laws, natural_values
 from pixelid.tables.biases.mismatch import mismatch_sentences, of_maps, of_spreads
@@ -105,7 +107,7 @@ def bias_laws(
     """Fit laws to tables, or evaluate saved ones on them.
 
     Args:
-        tables: CSV files, and .npz files of threshold maps.
+        tables: CSV files, folders of `pixelid rates`, and .npz files of threshold maps.
         laws: folder of an earlier result that is evaluated instead of a fit, or a shipped circuit's name.
         at: settings to predict, "NAME=CODE,…" each.
         stated: columns and unit that the tables do not name.
@@ -116,8 +118,12 @@ def bias_laws(
         InputError: tables that are ambiguous or too small, or codes that no law is of.
     """
     began = time.perf_counter()
-    files, maps = ([p for p in tables if (p.suffix.lower() == ".npz") == is_map] for is_map in (False, True))
+    maps, rates = [p for p in tables if p.suffix.lower() == ".npz"], [p for p in tables if is_rates(p)]
+    files = [p for p in tables if p not in maps and p not in rates]
     measured, inferred = read_bias_tables(files, stated, measured=laws is None)
+    for table, line in map(read_cutoffs, rates):
+        measured.append(table)
+        inferred.append(line)
     quantities, entries = {}, {}
     if laws is None:
         for k, table in enumerate(measured):
@@ -143,6 +149,7 @@ def bias_laws(
     predictions += [quantities[name].at(dict(zip(quantities[name].codes, row, strict=True)), seed)
                     for name, entry in entries.items() if laws is not None
                     for row in _unmeasured(entry, quantities[name].codes)]  # fmt: skip
+    inputs = list(dict.fromkeys([*maps, *(source for table in measured for source in table.sources)]))
     status = Status.worst(Status(entry["status"]) for entry in entries.values())
     advice = "; ".join(f"{name}: {e['advice']}" for name, e in entries.items() if e["advice"])
     origin = [] if laws is None else [Path(laws) / FILE if Path(laws).is_dir() else Path(laws)]
@@ -150,7 +157,7 @@ def bias_laws(
         "status": status, "advice": advice, "inferred": inferred, "quantities": entries, "mismatch": mismatch,
         "mismatch_sentences": mismatch_sentences(mismatch), "predictions": predictions,
         "unidentified": [f"{name}: {s}" for name, e in entries.items() for s in e.get("unidentified", [])],
-        "seed": seed, "seconds": time.perf_counter() - began, **provenance(*tables, *origin),
+        "seed": seed, "seconds": time.perf_counter() - began, **provenance(*inputs, *origin),
     })  # fmt: skip
 
 
@@ -176,11 +183,10 @@ def fitted_entry(table: BiasTable, fitted: Sequence[FittedLaw], seed: int) -> di
     status, advice = best.regression.judge()
     if not best.usable and status == Status.converged:
         status, advice = Status.not_identified, "the rows fix no law's parameters: measure at more codes"
-    entries = {}
+    entries, wider = {}, float(student.ppf(0.975, best.law.freedom)) / Z95
     for k, (name, (value, sd, ends)) in enumerate(natural_values(best.law, seed).items()):
-        known = best.regression.converged and bool(
-            sd < OPEN_SD * abs(value) if name == "scale" else best.regression.sd[k] < OPEN_SD
-        )
+        relative = sd / abs(value) if name == "scale" else wider * best.regression.sd[k]
+        known = bool(best.regression.converged and relative < OPEN_SD)
         entries[name] = {
             "value": value, "unit": best.law.unit_of(name, table.unit), "std": sd if known else None,
             "interval_95": ends, "identified": known,
