@@ -179,7 +179,7 @@ OUTS = {  # command that reads {file} → the file
     "gap {file} --model dvs128 --out {out}": "four.h5", "conform {file} --model dvs128 --out {out}": "four.h5",
     "sensor {file} --model dvs128 --out {out}": "four.h5", "flicker {file} --out {out}": "four.h5",
     "noise {file} --out {out}": "noise.csv", "latency {file} --out {out}": "latency.csv",
-    "rates {file} --out {out}": "rates.csv", "lowlight {file} --out {out}": "dvs128.toml",
+    "rates {file} --out {out}": "rates.csv", "biases {file} --out {out}": "rates.csv", "lowlight {file} --out {out}": "dvs128.toml",
     "lowlight gen31 --latency {file} --out {out}": "latency.csv", "design {file} --out {out}": "dvs128.toml",
     "design dvs128 --menu {file} --out {out}": "menu.toml", "design dvs128 --recorded {file} --out {out}": "four.h5",
     "export {file} --to v2e --out {out}": "dvs128.toml", "reconstruct {file} --out {out}": "scene",

@@ -29,6 +29,7 @@ MOST_LEVELS = 12  # of a code, left out in turn one by one
 LEAST_KNOWN = 1.0  # standard error of a coordinate: a factor 7 either way; wider, its interval is no longer normal
 MEDIAN_SQUARE = 0.455  # of a standard normal
 MOST_FREEDOM = 1e6  # as good as normal
+OPEN = 1e100  # limits of intervals that are open
 TWO_SIDED = 1.96  # standard errors 1/√n of a correlation that is none
 
 
@@ -240,10 +241,11 @@ def departure_variance(table: BiasTable, fitted: FittedLaw) -> float:
 
 def natural_values(law: Law, seed: int) -> dict[str, tuple[float, float, list[float]]]:
     """Parameter of the equation → (value, standard deviation, 95 % interval), from draws of the coordinates."""
-    with np.errstate(over="ignore"):
+    with np.errstate(over="ignore", invalid="ignore"):
         drawn = law.natural(law.draw(DRAWS, np.random.default_rng(seed))[0])
     values = {}
     for name, value in law.natural(law.x).items():
-        low, below, above, high = np.percentile(drawn[name], [2.5, 15.87, 84.13, 97.5])
+        finite = np.nan_to_num(drawn[name], posinf=OPEN, neginf=-OPEN)
+        low, below, above, high = np.percentile(np.clip(finite, -OPEN, OPEN), [2.5, 15.87, 84.13, 97.5])
         values[name] = (float(value), 0.5 * float(above - below), [float(low), float(high)])
     return values

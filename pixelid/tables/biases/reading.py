@@ -27,6 +27,8 @@ PARAMETERS = {"refractory_s", "on_threshold", "off_threshold", "sf_cutoff_hz", "
 EDGES = {"on": "on", "1": "on", "off": "off", "0": "off", "-1": "off"}
 ERROR = re.compile(r"(^|_)(sd|std|se|sem|err|error)(_|$)")
 SPREAD = re.compile(r"mismatch|spread")
+MOST_CODE = 1e9
+LEAST = 1e-18  # of a quantity in SI units
 EXPECTED = "as bias_refr,dead_time_us"
 
 
@@ -111,7 +113,7 @@ def _read(path: Path, stated: Stated, measured: bool) -> tuple[list[BiasTable], 
             raise InputError(f"{path}: {name}: expected one value in all rows, found several: keep the rows of one")
     values = {name: text.numbers(name) for name in biases}
     for name, column in values.items():
-        text.check(name, np.isfinite(column), "a code")
+        text.check(name, np.abs(column) < MOST_CODE, f"a code, less than {MOST_CODE:g} either way")
     varied = [name for name in biases if np.ptp(values[name]) > 0.0] if measured else biases
     if measured and not 1 <= len(varied) <= 2:
         raise InputError(
@@ -157,10 +159,12 @@ def _tables(
         )
     si, factor = UNITS[unit]
     value = text.numbers(column) * factor
-    text.check(column, ~(value <= 0.0), "a number above 0")
+    text.check(column, np.isnan(value) | ((value > LEAST) & (value < 1.0 / LEAST)), "a number above 0")
     error = next((name for name in others if ERROR.search(name.lower()) and name.lower().startswith(
         column.lower().removesuffix(f"_{unit}"))), None)  # fmt: skip
     spread = next((name for name in others if kind == "threshold" and SPREAD.search(name.lower())), None)
+    if error is not None:
+        text.check(error, ~(text.numbers(error) < 0.0), "an error of 0 or more")
     relative = np.zeros(len(value)) if error is None else np.nan_to_num(text.numbers(error) * factor / value)
     spreads = np.empty(0) if spread is None else text.numbers(spread) * factor
     edges = [""] * len(value) if edge is None else [EDGES.get(cell.lower(), "?") for cell in text.text(edge)]
