@@ -15,7 +15,7 @@ from sphinx.ext.napoleon import GoogleDocstring
 
 NAMES = (
     "check", "calibrate", "open", "find_model", "simulate", "fit", "sample", "gap", "lowlight", "design",
-    "reconstruct", "load_field", "stimulus",
+    "reconstruct", "load_field", "stimulus", "biases",
     "Model", "Recording", "Stimulus", "Status",
 )  # fmt: skip
 RESULTS = (
@@ -28,6 +28,7 @@ RESULTS = (
     "pixelid.lowlight.result.LowlightReport",
     "pixelid.design.result.DesignReport",
     "pixelid.design.waveform.Waveform",
+    "pixelid.tables.biases.result.BiasLaws",
     "pixelid.compare.compare.Comparison",
     "pixelid.sensors.sensor.SensorFit",
     "pixelid.nerf.reconstruct.Reconstruction",

@@ -22,6 +22,7 @@ __all__ = [
     "Recording",
     "Status",
     "Stimulus",
+    "biases",
     "calibrate",
     "check",
     "convert",
@@ -42,7 +43,7 @@ __all__ = [
 
 if TYPE_CHECKING:
     from pixelid.api import calibrate, check, find_model, fit, gap, sample, simulate
-    from pixelid.api_analyses import design, load_field, lowlight, reconstruct, stimulus
+    from pixelid.api_analyses import biases, design, load_field, lowlight, reconstruct, stimulus
     from pixelid.api_recordings import convert, crop, inspect, open
     from pixelid.model.model import Model
     from pixelid.recordings.recording import Recording
@@ -51,6 +52,7 @@ if TYPE_CHECKING:
 
 _ELSEWHERE = {
     **dict.fromkeys(("convert", "crop", "inspect", "open"), "pixelid.api_recordings"),
+    "biases": "pixelid.api_analyses",
     "design": "pixelid.api_analyses",
     "load_field": "pixelid.api_analyses",
     "lowlight": "pixelid.api_analyses",

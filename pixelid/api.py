@@ -108,7 +108,7 @@ def fit(
     engine: str = "casadi",
     form: str = "discrete",
     pixel_levels: PixelLevelsLike = None,
-    bias_priors: bool = False,
+    bias_priors: bool | str = False,
     seed: int = 0,
     progress: Progress | None = None,
 ) -> FitResult:
@@ -125,7 +125,8 @@ def fit(
         form: "discrete", linearised once per stimulus step, or "continuous" in time, which takes longer.
         pixel_levels: "gain", "background" or "both": each pixel sees gain · light + background, both unknown; with the
             spread over pixels where it is known, {"gain": 0.2, "background": None}.
-        bias_priors: priors of thresholds, dead time and the follower's cutoff from the bias settings of jAER's headers.
+        bias_priors: priors of thresholds, dead time and the follower's cutoff from the bias settings of jAER's headers;
+            a folder of `pixelid biases`: from its laws at the codes of the recordings' .bias files.
         seed: of the starts.
         progress: called with what is done and the fraction; by default a bar where a terminal or notebook shows it.
 

@@ -24,6 +24,53 @@ if TYPE_CHECKING:
     from pixelid.nerf.field import Field
     from pixelid.nerf.reconstruct import Reconstruction
     from pixelid.recordings.recording import Recording
+    from pixelid.tables.biases.result import BiasLaws
+
+
+@public
+def biases(
+    tables: str | Path | Sequence[str | Path],
+    *,
+    laws: str | Path | None = None,
+    at: str | Sequence[str] = (),
+    quantity: str | Sequence[str] = (),
+    bias: str | Sequence[str] = (),
+    unit: str | None = None,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> BiasLaws:
+    """Fit laws of bias codes to tables of dead times, thresholds, cutoffs or latencies, or evaluate saved laws on them.
+
+    Args:
+        tables: CSV files with columns bias_… and a quantity, and .npz files of threshold maps.
+        laws: folder of an earlier result, evaluated instead of a fit.
+        at: settings to predict, "bias_refr=10" each.
+        quantity: columns that were measured; by default the one that is named as a quantity.
+        bias: columns of codes; by default those named bias_….
+        unit: of the quantity (s, ms, us, ns, hz, khz, mhz, log); by default as its column's name ends.
+        seed: of the draws behind intervals.
+        progress: called with what is done and the fraction.
+
+    Returns:
+        A law per quantity with its rivals, parameters, rows and predictions.
+
+    Raises:
+        InputError: tables that are ambiguous or too small, or codes that no law is of.
+
+    Example:
+        >>> import pixelid as px
+        >>> px.biases("dead_time_vs_refr.csv", at="bias_refr=10").content["predictions"]  # doctest: +SKIP
+    """
+    from pixelid.tables.biases.reading import Stated
+    from pixelid.tables.biases.result import bias_laws
+
+    def each(given: str | Path | Sequence[str | Path]) -> tuple[str, ...]:
+        return (str(given),) if isinstance(given, str | Path) else tuple(map(str, given))
+
+    return bias_laws(
+        [Path(path) for path in each(tables)], laws=None if laws is None else Path(laws), at=each(at),
+        stated=Stated(each(quantity), each(bias), unit), seed=seed, progress=progress,
+    )  # fmt: skip
 
 
 @public

@@ -32,7 +32,7 @@ from pixelid.errors import InputError, OutputError, SetAside
 RESULT_FILES = (
     "calibration.json", "fit.json", "gap.json", "posterior.json", "lowlight.json", "design.json", "rates.json",
     "flicker.json", "latency.json", "noise.json", "sensor.json", "compare.json", "inspect.json", "static_noise.json",
-    "reconstruction.json", "conform.json", "render.json", "dataset.json",
+    "reconstruction.json", "conform.json", "render.json", "dataset.json", "biases.json",
 )  # fmt: skip
 _AT_FDCWD, _RENAME_EXCHANGE = -100, 2  # linux/fcntl.h, linux/fs.h
 MOST_CHARACTERS = 60  # of a file's name made from a label: of four bytes each, with an ending, they are less than 255

@@ -38,7 +38,7 @@ def fit(
     engine: str = "casadi",
     form: str = "discrete",
     pixel_levels: PixelLevelsLike = None,
-    bias_priors: bool = False,
+    bias_priors: bool | str = False,
     seed: int = 0,
     progress: Progress | None = None,
 ) -> FitResult:
@@ -69,7 +69,7 @@ def fit(
         pixel_levels: "gain", "background" or "both" of every pixel are nuisances, and the light is not taken as exact
             (`fit.levels.pixel_levels`); with scales that are known, "gain=0.2,background=3" or {"gain": 0.2}.
         bias_priors: thresholds, dead time and the source follower's cutoff have priors from the bias settings in the
-            recordings' headers (`fit.bias_priors`).
+            recordings' headers, or by the laws in a folder of `pixelid biases` (`fit.bias_priors`).
         seed: of the random starts.
         progress: progress(what, fraction) is called as the fit goes on.
 

@@ -48,7 +48,7 @@ def prepared(
     gauge: Gauge | None,
     levels: Wanted | None,
     form: str,
-    bias_priors: bool,
+    bias_priors: bool | str,
 ) -> Prepared:
     """What a fit begins with; arguments as of `fit`.
 
@@ -78,5 +78,7 @@ def prepared(
         why = "light that the sensor measured itself is" if sampled else "pooled counts are"
         raise InputError(f"form: {why} followed in the discrete form only")
     held, model = unresolved(model) if sampled else [], as_light_tells(model, fitted)
-    model, of_biases = with_bias_priors(model, fitted) if bias_priors else (model, None)
+    of_biases = None
+    if bias_priors:
+        model, of_biases = with_bias_priors(model, fitted, None if bias_priors is True else bias_priors)
     return Prepared(fitted, model, all(pooled), sampled, held, levels, of_biases)

@@ -37,7 +37,7 @@ MAY_IMPORT["inputs"] = BASE | {"model", "recordings", "stimuli"}
 MAY_IMPORT["compilation"] = set()  # everything else is imported when a function is called
 for face in ("api", "api_analyses", "api_recordings"):
     MAY_IMPORT[face] = BASE | {"public"}  # everything else is imported when a function is called
-MAY_IMPORT["biases"] = {"errors", "statistics"}
+MAY_IMPORT["biases"] = {"documents", "errors", "statistics"}
 MAY_IMPORT["inspection"] = BASE | {"biases", "recordings", "stimuli"}
 MAY_IMPORT["simulate"] = MAY_IMPORT["likelihood"] = set(MAY_IMPORT) - {"inspection"}
 MAY_IMPORT["fit"] = MAY_IMPORT["sensors"] = MAY_IMPORT["simulate"] | {"simulate", "likelihood"}
