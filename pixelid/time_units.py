@@ -23,7 +23,8 @@ TIMES = ("t", "ts", "time", "times", "timestamp", "timestamps", "time_stamp", "t
 _UNIT = "|".join(sorted(map(re.escape, UNIT_OF), key=len, reverse=True))
 _IN_NAME = re.compile(rf"(.*?)\s*(?:[\[({{<]\s*({_UNIT})\s*[\])}}>]|(?:[_/.\s]|\s+in\s+)({_UNIT}))")
 _IN_COMMENT = re.compile(
-    rf"(?:\btime\s?stamps?|\btimes?|\bt|\bclock)\b[^\w\[(]*(?:units?\b\W*|is\b|are\b|in\b|[\[(=:]|\s)+({_UNIT})(?![-\w])"
+    rf"(?:^|[#%;,.:|/])\s*(?:units? of )?(?:time\s?stamps?|times?|t|clock)\b[^\w\[(]*"
+    rf"(?:units?\b\W*|is\b|are\b|in\b|[\[(=:]|\s)+({_UNIT})(?![-\w])"
 )
 
 

@@ -179,11 +179,11 @@ def _first_address(s: Statistics, size: tuple[int | None, int | None], by_format
     """1 where addresses count from one: none is zero, and the format does so or the last is as large as the sensor."""
     if min(s.least) < 1 or not s.events:
         return 0
-    sizes = [size] if None not in size else SENSOR_SIZES.values() if s.least == (1, 1) else ()
-    last = s.side[0] - 1, s.side[1] - 1
-    known = None in size
-    return int(by_format or any(last == one if known else (last[0] == one[0] or last[1] == one[1]) and
-                                last[0] <= one[0] and last[1] <= one[1] for one in sizes))  # fmt: skip
+    last, (width, height) = (s.side[0] - 1, s.side[1] - 1), size
+    if width is None or height is None:
+        return int(by_format or (s.least == (1, 1) and last in SENSOR_SIZES.values()))
+    reaches = last[0] == width or last[1] == height
+    return int(by_format or (reaches and last[0] <= width and last[1] <= height))
 
 
 def _stretch(s: Statistics, clock: str, where: str) -> tuple[tuple[int, int], tuple[str, str]]:
