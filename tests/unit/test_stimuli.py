@@ -183,7 +183,7 @@ def test_the_unit_of_times_is_read_however_it_is_spelt(tmp_path, header, last_s)
     """A unit that was not known counted as seconds, and a light that is too long covers all events."""
     (tmp_path / "a.csv").write_text(f"{header}\n0,1\n100,2\n200,1\n", encoding="utf-8")
     if last_s is None:
-        with pytest.raises(InputError, match="unit of the times not stated, found whole numbers.*time_unit"):
+        with pytest.raises(InputError, match=r"unit of the times not stated, found whole numbers.*time_unit"):
             load_stimulus(str(tmp_path / "a.csv"))
         return
     assert load_stimulus(str(tmp_path / "a.csv")).end_s == pytest.approx(last_s)
