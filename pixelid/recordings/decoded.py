@@ -13,6 +13,7 @@ import numpy as np
 
 from pixelid.errors import InputError, first_line
 from pixelid.recordings import dat, evt, evt21
+from pixelid.recordings.bias_files import biases_beside
 from pixelid.recordings.columns import PART_EVENTS, to_nanoseconds
 from pixelid.recordings.events import Events
 from pixelid.recordings.raw import Block, RawEvents
@@ -45,9 +46,8 @@ def opened(path: Path, options: ReadingOptions) -> RawEvents:
     header = _header(path)
     kind = TYPES.get(path.suffix.lower()) or ("aedat" if "source" in header else "evt")
     attributes: dict = {"header": header} if header else {}
-    biases = path.with_suffix(".bias")
-    if biases.is_file():
-        attributes["biases"] = _bias_file(biases)
+    if found := biases_beside(path):
+        attributes["biases"] = found
     sensor = header.get("plugin_name", "") or header.get("source", "")
     head = Recording(Events.empty(1, 1), sensor=sensor, source=path, attributes=attributes)
     raw = RawEvents(head, lambda: iter(()), f"{path}: events", "us", 1000, polarity="01")
@@ -186,16 +186,6 @@ def _columns(parts: list) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarra
         return np.empty(0, np.int64), np.empty(0, np.uint16), np.empty(0, np.uint16), np.empty(0, np.uint8)
     t, x, y, p = (np.concatenate([part[name] for part in parts]) for name in ("t", "x", "y", "on"))
     return t, x, y, p.astype(np.uint8)
-
-
-def _bias_file(path: Path) -> dict[str, int | str]:
-    """Prophesee's `.bias` file beside a RAW file: lines `value % name [% kind]`; others are its header."""
-    biases: dict[str, int | str] = {}
-    for line in path.read_text("latin1").splitlines()[:200]:
-        value, name = (*(part.strip() for part in line.split("%")), "")[:2]
-        if name and value:
-            biases[name] = int(value) if re.fullmatch(r"-?\d{1,9}", value) else value[:80]
-    return biases
 
 
 def _header(path: Path) -> dict[str, str]:

@@ -27,6 +27,7 @@ from typing import Any
 import numpy as np
 
 from pixelid.errors import InputError, first_line, shown
+from pixelid.recordings.bias_files import biases_beside
 from pixelid.recordings.columns import to_nanoseconds
 from pixelid.recordings.events import Events
 from pixelid.recordings.layouts import Arrays, Stream, chosen_stream
@@ -141,8 +142,10 @@ def _foreign(file, path: Path, attributes: dict, options: ReadingOptions) -> Raw
     size, likely = stated_size(holders, where)
     if any("ms_to_idx" in one for one in groups):
         likely += tuple((one, " of a sensor whose data sets have this layout") for one in MILLISECOND_SIZES)
-    kept = {name: value for name, value in attributes.items()
+    kept: dict[str, Any] = {name: value for name, value in attributes.items()
             if name not in NAMED and isinstance(value, str | int | float)}  # fmt: skip
+    if biases := biases_beside(path):
+        kept["biases"] = biases
     triggers = _prophesee_triggers(file, path) if "EXT_TRIGGER" in file else None
     head = Recording(Events.empty(1, 1), sensor=str(attributes.get("plugin_name", "")), source=path,
                      attributes=kept, triggers=triggers)  # fmt: skip
