@@ -137,7 +137,9 @@ def _way(t: np.ndarray, light_s: float) -> str:
     """What to do about events outside their light."""
     if float(t[-1] - t[0]) * 1e-9 > MUCH_LONGER * light_s:
         return "is the unit of either's times right (--time-unit)?"
-    return "bring them onto one clock: pixelid convert --align auto"
+    return (
+        "if the light has its own clock, say where it starts: pixelid convert --align trigger|first-event|auto|SECONDS"
+    )
 
 
 def _kind_of(recording: Recording) -> str:
