@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 import struct
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +30,7 @@ MODELS = {  # by COLMAP's number: name, parameters
 PLACES = (".", "sparse/0", "sparse", "colmap/sparse/0", "dense/sparse")
 OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
 POINT_BYTES = 24  # of what an image saw
-MOST_BYTES = 1 << 30
+MOST_BYTES, MOST_NAME = 1 << 30, 200
 
 
 def colmap_images(folder: Path) -> Path | None:
@@ -54,10 +54,8 @@ def colmap_document(images: Path) -> dict[str, Any]:
     file = next((file for file in named if file.is_file()), None)
     if file is None:
         raise InputError(f"{images}: expected {CAMERAS}{images.suffix} beside it, found none")
-    with interpreting(file, "COLMAP's cameras"):
-        cameras = dict(_cameras(_content(file), file.suffix == ".bin"))
-    with interpreting(images, "COLMAP's images"):
-        poses = list(_poses(_content(images), images.suffix == ".bin"))
+    cameras = dict(_entries(file, "cameras", _cameras))
+    poses = _entries(images, "images", _poses)
     frames = []
     for number, quaternion, translation, name in poses:
         if number not in cameras:
@@ -69,6 +67,15 @@ def colmap_document(images: Path) -> dict[str, Any]:
         matrix = (pose @ OPENGL).tolist()
         frames.append({**cameras[number], "file_path": _picture(images, name), "transform_matrix": matrix})
     return {"frames": frames}
+
+
+def _entries(file: Path, kind: str, read: Callable[[bytes, bool], Iterator[Any]]) -> list[Any]:
+    """What a file of COLMAP's lists.  Raises InputError for a damaged one."""
+    try:
+        with interpreting(file, f"COLMAP's {kind}"):
+            return list(read(_content(file), file.suffix == ".bin"))
+    except struct.error:
+        raise InputError(f"{file}: expected COLMAP's {kind}, found a file that is cut short") from None
 
 
 def _content(file: Path) -> bytes:
@@ -115,8 +122,7 @@ def _poses(content: bytes, binary: bool) -> Iterator[tuple[int, list[float], lis
     if not binary:
         for line in _lines(content, blank=True)[::2]:
             _, *numbers, camera, name = line.split(maxsplit=9)
-            values = [float(number) for number in numbers]
-            yield int(camera), values[:4], values[4:7], name.strip()
+            yield _pose([float(number) for number in numbers], int(camera), name.strip())
         return
     (count,), at = struct.unpack_from("<Q", content), 8
     for _ in range(count):
@@ -124,7 +130,15 @@ def _poses(content: bytes, binary: bool) -> Iterator[tuple[int, list[float], lis
         end = content.index(b"\0", at + 64)
         name = content[at + 64 : end].decode()
         at = end + 9 + POINT_BYTES * struct.unpack_from("<Q", content, end + 1)[0]
-        yield camera, values[:4], values[4:7], name
+        yield _pose(values, camera, name)
+
+
+def _pose(values: list[float], camera: int, name: str) -> tuple[int, list[float], list[float], str]:
+    if len(values) != 7 or not np.isfinite(values).all() or not any(values[:4]):
+        raise ValueError(f"{shown(name, 60)}: no quaternion and translation")
+    if not name or len(name.encode()) > MOST_NAME or "\0" in name:
+        raise ValueError(f"{shown(name, 60)}: no name of a picture")
+    return camera, values[:4], values[4:], name
 
 
 def _lines(content: bytes, blank: bool = False) -> list[str]:

@@ -104,7 +104,7 @@ def interpreted(raw: RawEvents, options: ReadingOptions) -> tuple[Recording, Ite
         if raw.exposures is not None:
             other = _looked_at(raw.exposures)[0].side
             widest = max(widest[0], other[0]), max(widest[1], other[1])
-    first = _first_address(statistics, size, raw.from_one)
+    first = _first_address(statistics, size, raw)
     widest = widest[0] - first, widest[1] - first
     if None in size:
         size = _settled_size(size, widest, raw, inferred)
@@ -175,15 +175,16 @@ def _settled_size(
     return settled
 
 
-def _first_address(s: Statistics, size: tuple[int | None, int | None], by_format: bool) -> int:
+def _first_address(s: Statistics, size: tuple[int | None, int | None], raw: RawEvents) -> int:
     """1 where addresses count from one: none is zero, and the format does so or the last is as large as the sensor."""
     if min(s.least) < 1 or not s.events:
         return 0
     last, (width, height) = (s.side[0] - 1, s.side[1] - 1), size
     if width is None or height is None:
-        return int(by_format or (s.least == (1, 1) and last in SENSOR_SIZES.values()))
+        sizes = {*(SENSOR_SIZES.values() if s.least == (1, 1) else ()), *(likely for likely, _ in raw.likely_sizes)}
+        return int(raw.from_one or last in sizes)
     reaches = last[0] == width or last[1] == height
-    return int(by_format or (reaches and last[0] <= width and last[1] <= height))
+    return int(raw.from_one or (reaches and last[0] <= width and last[1] <= height))
 
 
 def _stretch(s: Statistics, clock: str, where: str) -> tuple[tuple[int, int], tuple[str, str]]:
