@@ -30,6 +30,11 @@ from pixelid.recordings.source import (
 from pixelid.recordings.triggers import Triggers
 
 MOST_STRETCHES = 100
+WAYS = {
+    "negative": "; add so much to the times of events and light alike",
+    "fall": f"; sort them, or read one stretch: {OPTION['clock']}",
+    "outside": f"; another size or order of columns may be stated: {OPTION['size']}, {OPTION['columns']}",
+}
 
 
 class Block(NamedTuple):
@@ -261,12 +266,8 @@ def _parts(head: Recording, columns: Iterator[Block], raw: RawEvents) -> Iterato
     before, last_ns, repeats, counter, edges = 0, 0, 0, RepeatCounter(), head.triggers
     size, tick_ns, where = (head.events.width, head.events.height), head.events.tick_ns, raw.where
     for t, x, y, p, triggers in columns:
-        if len(t):
-            _refuse_negative(t, where)
-            _refuse_fall(t, last_ns, before, where)
-            _refuse_outside(x, y, size, before, where)
         events = Events.from_columns(
-            t, x, y, p, *size, tick_ns=tick_ns, where=where, before=before, not_before_ns=last_ns
+            t, x, y, p, *size, tick_ns=tick_ns, where=where, before=before, not_before_ns=last_ns, ways=WAYS
         )
         before += len(events)
         last_ns = int(events.t[-1]) if len(events) else last_ns
@@ -279,37 +280,6 @@ def _parts(head: Recording, columns: Iterator[Block], raw: RawEvents) -> Iterato
         edges = None
     if edges is not None:
         yield replace(head, triggers=edges)
-
-
-def _refuse_negative(t: np.ndarray, where: str) -> None:
-    """Raise InputError for times before zero, and say what may be done."""
-    if t[0] < 0:
-        raise InputError(
-            f"{where}/t: times must not be negative, the first is {int(t[0])} ns; add so much to the times of events "
-            "and light alike"
-        )
-
-
-def _refuse_fall(t: np.ndarray, last_ns: int, before: int, where: str) -> None:
-    """Raise InputError for a time before the one before it, and say what may be done."""
-    steps = np.diff(t, prepend=last_ns if before else t[0])
-    if len(fallen := np.flatnonzero(steps < 0)):
-        k = before + int(fallen[0])
-        raise InputError(
-            f"{where}/t: timestamps must not decrease, event {k} is earlier than event {k - 1} by "
-            f"{-float(steps[fallen[0]]) * 1e-9:g} s; sort them, or read one stretch: {OPTION['clock']}"
-        )
-
-
-def _refuse_outside(x: np.ndarray, y: np.ndarray, size: tuple[int, int], before: int, where: str) -> None:
-    """Raise InputError for a pixel outside the sensor, and say what may be stated otherwise."""
-    for name, column, limit in (("x", x, size[0]), ("y", y, size[1])):
-        if column.dtype.kind in "iu" and len(outside := np.flatnonzero((column < 0) | (column >= limit))):
-            k = int(outside[0])
-            raise InputError(
-                f"{where}/{name}: event {before + k} has {name} = {int(column[k])}, expected 0..{limit - 1}; another "
-                f"size or order of columns may be stated: {OPTION['size']}, {OPTION['columns']}"
-            )
 
 
 def _one(parts: list[Events]) -> Events | None:

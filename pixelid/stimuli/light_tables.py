@@ -100,28 +100,22 @@ def is_text(path: Path) -> bool:
     """Whether a file begins as text, whatever its name."""
     with path.open("rb") as file:
         head = file.read(HEAD_BYTES)
-    return CONTROL.search(head) is None or encoding_of(head) == "utf-16"
+    return len(head) > 0 and (CONTROL.search(head) is None or encoding_of(head) == "utf-16")
 
 
 def is_light_table(path: Path) -> bool:
-    """Whether a text file holds light over time, not events: by the names of its columns and by how many there are."""
+    """Whether a table of text is no table of events, which names t, x, y, p or has four columns of numbers."""
+    from pixelid.recordings.rules import named_columns
+
     with path.open("rb") as file:
         head = file.read(HEAD_BYTES)
-    text = head.decode(encoding_of(head), "replace")
-    lines = [line for line in text.splitlines()[:HEAD_ROWS] if line.strip() and not line.lstrip().startswith("#")]
-    file = path.with_suffix(".source.toml")
-    if file.is_file() and len(read_toml(file).get("columns", ())) == 2:
-        return True
-    cells = cells_of(lines[-2 if len(lines) > 1 else -1].strip())[0] if lines else []
-    if len(cells) in (2, 3) or (len(cells) > 3 and sum(map(is_number, cells)) in (2, 3)):
-        return True  # events have four columns of numbers
-    try:
-        names = [re.split(r"[^a-z0-9µ]+", name.lower()) for name in _parsed(lines[:-1] or lines, path).names]
-    except InputError:
+    lines = [line.strip() for line in head.decode(encoding_of(head), "replace").splitlines()[:HEAD_ROWS]]
+    rows = [cells_of(line.lstrip("#%/ "))[0] for line in lines if line]
+    if any(named_columns(row)[0] is not None for row in rows):
         return False
-    light = any(word in LIGHT_WORDS for name in names for word in name)
-    channel = any(name[0] in TIME_WORDS for name in names) and not any(name[0] in ("y", "p") for name in names)
-    return len(names) >= 2 and (light or (channel and any(CHANNEL.fullmatch(word) for n in names for word in n)))
+    numbers = sum(map(is_number, rows[-2 if len(rows) > 1 else -1])) if rows else 0
+    return numbers != 4 or not all(is_number(cell) for line in lines if line[:1] not in ("", "#", "%", "/")
+                                   for cell in cells_of(line)[0])  # fmt: skip
 
 
 def read_table(path: Path, stated: Stated, say: Callable[[str], object]) -> tuple[np.ndarray, np.ndarray, str]:
