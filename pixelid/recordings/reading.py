@@ -182,5 +182,5 @@ def _is_table(head: bytes) -> bool:
     coding = encoding_of(head)
     if CONTROL.search(head) and coding != "utf-16":
         return False
-    lines = head.decode(coding, "replace").splitlines()[:-1]
-    return any(len(cells_of(line)[0]) >= 4 and is_number(cells_of(line)[0][0]) for line in lines if line.strip())
+    rows = [cells_of(line.strip("[]() \t"))[0] for line in head.decode(coding, "replace").splitlines()[:-1]]
+    return any(len(row) >= 4 and is_number(row[0]) for row in rows)
