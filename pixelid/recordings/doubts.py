@@ -18,7 +18,8 @@ MIN_TELLING, MAX_SHARE_AGREEING = 100, 1 / 3
 SETTLED_S = 5e-3  # light that has run one way for so long is what a pixel sees, whatever its bandwidth above 30 Hz
 STEPS, MOST_LOOKED_AT = 5, 100_000
 LEAST_COVERED = 0.01  # of a light that changes, by the events
-MANY_PER_TIME = 20  # events per time and per pixel: of a µs clock, not even a saturated readout gives both
+# Events per time and per pixel, of times so far apart: no readout waits as long while all pixels fire.
+MANY_PER_TIME, COARSE_NS = 20, 900_000
 MAX_OUTSIDE = 0.01  # of events, that a latency carries past the light's end
 
 
@@ -52,8 +53,10 @@ def _times_doubt(events: Events) -> str:
         return ""
     if events.t[0] == events.t[-1]:
         return f"all events have one time, {int(events.t[0])} ns: is the column of the times right?"
-    times, pixels = 1 + int(np.count_nonzero(np.diff(events.t))), len(np.unique(events.pixel))
-    if times * MANY_PER_TIME > len(events) or pixels * MANY_PER_TIME > len(events):
+    steps = np.diff(events.t)
+    steps = steps[steps > 0]
+    times, pixels = 1 + len(steps), len(np.unique(events.pixel))
+    if steps.min() < COARSE_NS or max(times, pixels) * MANY_PER_TIME > len(events):
         return ""
     return f"{len(events)} events of {pixels} pixels at {times} times only: are the times cut to whole ms or s?"
 

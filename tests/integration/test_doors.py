@@ -300,3 +300,11 @@ def test_a_filter_that_is_missing_is_named(tmp_path, monkeypatch):
     monkeypatch.setattr(hdf5, "FILTERS", {1: "ECF (Prophesee's plugin)"})
     with pytest.raises(InputError, match="compressed by ECF"):
         hdf5.opened(tmp_path / "a.h5", ReadingOptions())
+
+
+def test_a_gap_where_the_last_pixel_has_no_scored_event(tmp_path):
+    from pixelid.gap.gap import gap
+    from pixelid.model.shipped import find_model
+
+    report = gap([open_recording(door("gap_crash_last_pixel.h5"))], find_model("dvs128"))
+    assert report.verdict == "none"
