@@ -10,6 +10,7 @@ import numpy as np
 from pixelid.bench.files import Bench, Entry
 from pixelid.errors import InputError
 from pixelid.recordings.crop import crop
+from pixelid.recordings.doubts import doubts_of_events
 from pixelid.recordings.reading import open_recording
 from pixelid.recordings.recording import Recording
 from pixelid.recordings.session import agreed
@@ -118,12 +119,13 @@ def _opened(entry: Entry, bench: Bench) -> tuple[Recording, Light]:
 
 
 def _inferences(recordings: Sequence[Recording]) -> list[str]:
-    """What was inferred of the files, each rule once with the recordings that it is about."""
+    """What was inferred of the files and what speaks against them, each once with the recordings that it is about."""
     lines: dict[str, list[str]] = {}
     for recording in recordings:
         line = Source.from_dict(recording.attributes.get(ATTRIBUTE)).line()
-        if line:
-            lines.setdefault(line, []).append(recording.name)
+        for one in (line, *doubts_of_events(recording.events)):
+            if one:
+                lines.setdefault(one, []).append(recording.name)
     everyone = len(recordings)
     return [line if len(names) == everyone else f"{', '.join(names)}: {line}" for line, names in lines.items()]
 

@@ -19,6 +19,7 @@ from pixelid.documents import interpreting, read_json
 from pixelid.errors import InputError, shown
 from pixelid.nerf.arrays import read_arrays, rotations, scalar
 from pixelid.nerf.camera import Camera
+from pixelid.nerf.colmap import read_transforms
 from pixelid.nerf.view_cameras import camera_of_document, refuse_several_cameras
 from pixelid.recordings.pictures import read_picture
 
@@ -112,7 +113,7 @@ class ViewsFile:
             InputError: the first picture, or one whose value is asked for, is missing or cannot be read.
         """
         file = Path(file)
-        document = read_json(file)
+        document = read_transforms(file)
         renderer = (file.resolve().parent.parent if dataset is None else Path(dataset)) / RENDERER
         if dataset is not None or renderer.is_file():
             log_eps = _log_eps(renderer)

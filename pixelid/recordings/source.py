@@ -31,7 +31,8 @@ LARGEST, EMPTY = " from the largest address", ", as there are no events"  # size
 SENSOR_SIZES = {
     "DAVIS240": (240, 180), "DAVIS346": (346, 260), "DAVIS640": (640, 480), "DVS128": (128, 128),
     "DVXPLORERLITE": (320, 240), "DVXPLORERMICRO": (640, 480), "DVXPLORER": (640, 480), "ATIS": (304, 240),
-    "GEN1": (304, 240), "GEN3": (640, 480), "GEN4": (1280, 720), "IMX636": (1280, 720), "IMX637": (640, 512),
+    "GEN1": (304, 240), "GEN3": (640, 480), "GEN4": (1280, 720), "IMX636": (1280, 720), "IMX646": (1280, 720),
+    "IMX637": (640, 512), "IMX647": (640, 512),
     "GENX320": (320, 320), "EVK4": (1280, 720), "CELEX4": (768, 640), "CELEX5": (1280, 800),
 }  # fmt: skip
 

@@ -22,7 +22,7 @@ import numpy as np
 from pixelid.documents import interpreting, is_number, read_toml
 from pixelid.errors import InputError, did_you_mean, shown
 from pixelid.stimuli.frames import VIDEOS, FrameOptions, holds_pictures
-from pixelid.stimuli.light_tables import Stated, is_light_table
+from pixelid.stimuli.light_tables import Stated, is_light_table, is_text
 from pixelid.stimuli.pixel_lights import Light
 from pixelid.stimuli.sampled import TABLES, read_light
 from pixelid.stimuli.shapes import SHAPES
@@ -54,7 +54,7 @@ def load_stimulus(spec: str | Path, also: Sequence[str] = ()) -> Light:
         raise InputError(f"no stimulus {text!r}: expected a file, or a folder of pictures")
     if path.is_dir() or suffix == ".npy" or suffix in VIDEOS:
         return read_light(path)
-    if (suffix in TABLES and is_light_table(path)) or (suffix == ".npz" and _holds_light(path)):
+    if ((suffix in TABLES or is_text(path)) and is_light_table(path)) or (suffix == ".npz" and _holds_light(path)):
         return read_light(path)
     from pixelid.recordings import open_recording
 

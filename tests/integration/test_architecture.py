@@ -9,7 +9,7 @@ import pytest
 PACKAGE = Path(__file__).resolve().parents[2] / "pixelid"
 BASE = {
     "arrays", "cluster", "delimited", "documents", "errors", "figures", "interruption", "outputs", "parallel",
-    "provenance", "results", "statistics", "status",
+    "provenance", "results", "statistics", "status", "time_units",
 }  # fmt: skip
 MAY_IMPORT = {
     "errors": set(),
@@ -23,6 +23,7 @@ MAY_IMPORT = {
     "provenance": set(),
     "statistics": set(),
     "status": set(),
+    "time_units": set(),
     "results": {"documents", "errors", "outputs", "status"},
     "public": {"errors"},
     "parallel": {"errors"},
