@@ -22,7 +22,7 @@ from pixelid.recordings import Events, Recording, write_recording
 
 NAMES = {
     "check", "calibrate", "open", "find_model", "simulate", "fit", "sample", "gap", "lowlight", "design",
-    "reconstruct", "load_field", "convert", "crop", "inspect", "stimulus",
+    "reconstruct", "load_field", "convert", "crop", "inspect", "stimulus", "view",
     "Model", "Recording", "Stimulus", "Status",
 }  # fmt: skip
 SUBPACKAGES = ("fit", "sample", "gap", "lowlight", "design", "simulate")
