@@ -15,7 +15,7 @@ from sphinx.ext.napoleon import GoogleDocstring
 
 NAMES = (
     "check", "calibrate", "open", "find_model", "simulate", "fit", "sample", "gap", "lowlight", "design",
-    "reconstruct", "load_field", "stimulus", "biases",
+    "reconstruct", "load_field", "stimulus", "biases", "view",
     "Model", "Recording", "Stimulus", "Status",
 )  # fmt: skip
 RESULTS = (

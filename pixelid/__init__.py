@@ -40,11 +40,12 @@ __all__ = [
     "sample",
     "simulate",
     "stimulus",
+    "view",
 ]
 
 if TYPE_CHECKING:
     from pixelid.api import calibrate, check, find_model, fit, gap, sample, simulate
-    from pixelid.api_analyses import biases, design, load_field, lowlight, reconstruct, stimulus
+    from pixelid.api_analyses import biases, design, load_field, lowlight, reconstruct, stimulus, view
     from pixelid.api_recordings import align, convert, crop, inspect, open
     from pixelid.model.model import Model
     from pixelid.recordings.recording import Recording
@@ -59,6 +60,7 @@ _ELSEWHERE = {
     "lowlight": "pixelid.api_analyses",
     "reconstruct": "pixelid.api_analyses",
     "stimulus": "pixelid.api_analyses",
+    "view": "pixelid.api_analyses",
     "Model": "pixelid.model.model",
     "Recording": "pixelid.recordings.recording",
     "Status": "pixelid.status",

@@ -317,6 +317,39 @@ def reconstruct(
         )  # fmt: skip
 
 
+@public
+def view(model: ModelLike, out: str | Path, *, open: bool = False, overwrite: bool = False) -> Path:
+    """Write a page with a pixel to play with: drag light, thresholds or bandwidth, and its events move.
+
+    Args:
+        model: the circuit that the page begins with; it has the shipped ones as well.
+        out: the page to write; it needs no server.
+        open: show it in the browser.
+        overwrite: replace a page that is there.
+
+    Returns:
+        The path of the page.
+
+    Raises:
+        InputError: an unknown model, a folder that holds a scene and no pixel, a page that is there already.
+
+    Example:
+        >>> import pixelid as px
+        >>> px.view("dvs128", "pixel.html", open=True)  # doctest: +SKIP
+    """
+    from pixelid.inputs import as_model
+    from pixelid.report.pixel_view import refuse_scene, write_view
+
+    if isinstance(model, str | Path):
+        refuse_scene(model)
+    write_view(as_model(model), Path(out), overwrite=overwrite)
+    if open:
+        import webbrowser
+
+        webbrowser.open(Path(out).resolve().as_uri())
+    return Path(out)
+
+
 def load_field(folder: str | Path) -> Field:
     """The scene of a reconstruction's folder, to render or to look at.
 
