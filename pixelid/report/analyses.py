@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 from typing import Any
 
+from pixelid.report.circuit import uses_of
 from pixelid.report.format import interval, number, seconds, sentence
-from pixelid.report.page import Number, Result, Summary, command_line
+from pixelid.report.page import Number, Result, Summary, command_line, folder_name, inputs_of
 
 
 def summarise_lowlight(result: Result, folder: Path) -> Summary:
@@ -15,7 +17,7 @@ def summarise_lowlight(result: Result, folder: Path) -> Summary:
     unit = result["radiance_unit"]
     return Summary(
         "lowlight",
-        f"{result['model']} in low light",
+        _answer_lowlight(result),
         result["status"],
         result.get("advice", ""),
         (
@@ -26,7 +28,20 @@ def summarise_lowlight(result: Result, folder: Path) -> Summary:
             Number("recordings compared", str(len(result["measured"]))),
         ),
         command_line("lowlight", result, str(result["model"]), out=folder, inputs=False),
+        f"{result['model']} in low light",
+        next=uses_of(shlex.quote(folder_name(folder)))[:2],
     )
+
+
+def _answer_lowlight(result: Result) -> str:
+    """Below which light one pole is right within 10 %, in everything that it is compared in."""
+    scopes = [entry for by_scope in result["errors"]["one_pole"].values() for entry in by_scope.values()]
+    firsts = [first for entry in scopes if (first := entry["levels"]["10%"]["first"]) is not None]
+    if not firsts:
+        return "One pole is accurate to 10 % at every level of light"
+    if not min(firsts):
+        return "One pole is off by 10 % even in the dark"
+    return f"One pole is accurate to 10 % below {number(min(firsts), 3)} {result['radiance_unit']}"
 
 
 def prepare_lowlight(result: Result, folder: Path) -> dict[str, Any]:
@@ -49,7 +64,16 @@ def prepare_lowlight(result: Result, folder: Path) -> dict[str, Any]:
         )
         for x in result["regimes"]["levels"]
     ]  # fmt: skip
+    drawn = [
+        "Exact and approximate poles, −3 dB frequency and step time over radiance.",
+        "Grey: 95 % band of the fit." if result.get("bands") else "",
+        "Green: measured, with 95 % bars; ×: the model's own events under the same light."
+        if result["measured"]
+        else "",
+        "Shaded: the pair of poles is complex." if result["regimes"]["critical"] else "",
+    ]
     return {
+        "poles_caption": " ".join(filter(None, drawn)),
         "radii_headings": RADII_HEADINGS,
         "radii": radii_rows(result),
         "measured_headings": MEASURED_HEADINGS,
@@ -67,7 +91,7 @@ def summarise_design(result: Result, folder: Path) -> Summary:
     best = result["recommended"]
     return Summary(
         "design",
-        f"Record next: {best['name']}",
+        f"Record next: {best['name'].replace('_', ' ')}, {seconds(best['duration_s'])}",
         result["status"],
         " ".join(sentence(x) for x in (result["why"], result.get("advice", "")) if x),
         (
@@ -79,7 +103,18 @@ def summarise_design(result: Result, folder: Path) -> Summary:
         ),
         command_line("design", result, str(result["model"]), "--criterion", result["criterion"], out=folder,
                      inputs=False),
+        f"For {result['model']}",
+        next=_play(result, folder),
     )  # fmt: skip
+
+
+def _play(result: Result, folder: Path) -> tuple[tuple[str, str], ...]:
+    """Commands that write and try the recommended light."""
+    own, model = shlex.quote(folder_name(folder)), inputs_of(result, folder) or shlex.quote(str(result["model"]))
+    return (
+        ("Its waveform, for a generator or a sound card", f"pixelid stimulus {own} --out {own}.wav"),
+        ("What the model does with it", f"pixelid simulate {model} --stimulus {own}/next.toml --out {own}.h5"),
+    )
 
 
 def _summarise_biases(result: Result, folder: Path) -> Summary:

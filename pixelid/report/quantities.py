@@ -36,6 +36,7 @@ NAMES = {
 SHARES = ("threshold_sigma", "threshold_mismatch.sigma", "lost_events.fraction", "mains_flicker.modulation")
 # Events per second are no frequency.
 RATES = ("leak.rate_hz", "hot_pixels.rate_hz", "parasitic_photocurrent.rate_hz_per_radiance")
+_UNIT = re.compile(r"(?<!per)_(hz|rad|s)$")  # at the end of a parameter's name
 KILOHERTZ = 1e4  # from which on a frequency is written in kHz: four digits suffice below
 
 
@@ -81,7 +82,7 @@ def quantity(parameter: str, entry: Mapping[str, Any]) -> Quantity:
     own = _effect_of(parameter)
     return Quantity(
         parameter,
-        SYMBOLS.get(parameter, ("", "")),
+        SYMBOLS.get(parameter.partition("[")[0], ("", "")),
         name_of(parameter),
         shown.value,
         shown.interval,
@@ -98,21 +99,24 @@ def name_of(parameter: str) -> str:
 
     >>> name_of("leak.rate_hz"), name_of("on_threshold"), name_of("slew_limit.rise_per_s")
     ('leak', 'ON threshold', 'slew limit, rise per s')
-    >>> name_of("described.rate.time_in_recording.linear.strength")
-    'rate by time in recording'
+    >>> name_of("described.rate.time_in_recording.linear.strength"), name_of("cutoff_hz[fo 1477]")
+    ('rate by time in recording', 'cutoff, fo 1477')
     """
+    parameter, _, of = parameter.removesuffix("]").partition("[")
+    if of:
+        return f"{name_of(parameter)}, {of}"
     if parameter in NAMES:
         return NAMES[parameter]
     own = _effect_of(parameter)
     if not own:
-        return in_words(parameter)
+        return in_words(_UNIT.sub("", parameter))
     known = effect(own)
     several = len([p for p in known.parameters if p.free]) > 1
     if isinstance(known, Described):
         depends = "" if known.covariate == "none" else f" by {known.covariate}"
         words = f"{known.quantity}{depends}" + (f", {parameter.rpartition('.')[2]}" if several else "")
         return words.replace("_", " ")
-    return in_words(re.sub(r"(?<!per)_(hz|rad|s)$", "", parameter)) if several else own.replace("_", " ")
+    return in_words(_UNIT.sub("", parameter)) if several else own.replace("_", " ")
 
 
 def stage_of(parameter: str) -> str:
