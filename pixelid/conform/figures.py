@@ -11,6 +11,7 @@ import numpy as np
 from pixelid.conform.result import ConformReport
 from pixelid.conform.row import ABSENT, NOT_DECIDABLE, NOT_TESTED, PRESENT, Row
 from pixelid.figures.style import IMPROVED, MUTED, SERIES, UNEXPLAINED, legend_above, new_axes, save_figure, styled
+from pixelid.figures.words import in_words
 from pixelid.gap.figures import write_figures as write_figures_of_search
 from pixelid.recordings.recording import Recording
 
@@ -27,26 +28,23 @@ def write_figures(report: ConformReport, recordings: Sequence[Recording], folder
 @styled
 def draw_effects(rows: Sequence[Row], axes: Any = None) -> Any:
     """Every effect in signal order: left, nats gained by those present; right, nats by which the others would show."""
+    drawn = [
+        (row, nats) for row in reversed(rows)
+        if (nats := row.heldout_gain_nats if row.verdict == PRESENT else row.shows_nats) is not None
+    ]  # fmt: skip
     if axes is None:
-        axes = new_axes(1, 2, 4.3, 1.2 + 0.26 * len(rows))
-    gained, would_show = np.ravel(axes)
-    last = len(rows) - 1
-    for verdict, colour in COLOURS.items():
-        chosen = [(last - i, row) for i, row in enumerate(rows) if row.verdict == verdict]
-        for axis, values in (
-            (gained, [(i, row.heldout_gain_nats) for i, row in chosen if verdict == PRESENT]),
-            (would_show, [(i, row.shows_nats) for i, row in chosen if verdict != PRESENT]),
-        ):
-            some = [(max(nats, 0.0), i) for i, nats in values if nats is not None]
-            axis.plot(*(np.array(some).T if some else ((), ())), MARKS[verdict], color=colour, clip_on=False,
-                      label=verdict.replace("_", " ") if values else None)  # fmt: skip
-    names = [f"{row.stage}: {row.effect}".replace("_", " ") for row in reversed(rows)]
-    gained.set_yticks(range(len(rows)), names)
-    would_show.set_yticks(range(len(rows)), [])
-    gained.set_xlabel("present: nats gained on held-out pixels")
-    would_show.set_xlabel("others: nats by which they would show")
-    for axis in (gained, would_show):
-        axis.set(xscale="symlog", ylim=(-0.6, last + 0.6))
+        axes = new_axes(1, 2, 4.3, 1.2 + 0.26 * len(drawn))
+    others = ABSENT, NOT_DECIDABLE, NOT_TESTED
+    panels = ((PRESENT,), "nats gained"), (others, "nats it would show")
+    for axis, (shown, label) in zip(np.ravel(axes), panels, strict=True):
+        for verdict in shown:
+            some = [(max(nats, 0.0), i) for i, (row, nats) in enumerate(drawn) if row.verdict == verdict]
+            if some:
+                words = verdict.replace("_", " ")
+                axis.plot(*zip(*some, strict=True), MARKS[verdict], color=COLOURS[verdict], clip_on=False, label=words)
+        axis.set(xscale="symlog", ylim=(-0.6, max(len(drawn), 1) - 0.4), xlabel=label)
         axis.set_xlim(0.0, max(axis.get_xlim()[1], 10.0))
+        axis.set_yticks(range(len(drawn)), [])
+    np.ravel(axes)[0].set_yticks(range(len(drawn)), [in_words(row.effect) for row, _ in drawn])
     legend_above(axes)
     return axes

@@ -9,6 +9,7 @@ from typing import Any
 from pixelid.report.circuit import uses_of
 from pixelid.report.format import interval, number, seconds, sentence
 from pixelid.report.page import Number, Result, Summary, command_line, folder_name, inputs_of
+from pixelid.report.quantities import quantity
 
 
 def summarise_lowlight(result: Result, folder: Path) -> Summary:
@@ -149,11 +150,18 @@ def prepare_design(result: Result, folder: Path) -> dict[str, Any]:
             "measured_headings": bias_result.MEASURED_HEADINGS,
             "measured": bias_result.measured_rows(result),
         }
-    from pixelid.design.table import RANKING_HEADINGS, WIDTHS_HEADINGS, ranking_rows, widths_rows
+    from pixelid.design.table import RANKING_HEADINGS, WIDTHS_HEADINGS, ranking_rows
 
     return {
         "ranking_headings": RANKING_HEADINGS,
-        "ranking": ranking_rows(result),
+        "ranking": [[row[0].replace("_", " "), *row[1:]] for row in ranking_rows(result)],
         "widths_headings": WIDTHS_HEADINGS,
-        "widths": widths_rows(result),
+        "widths": [_width(name, one, result["widths_after"][name]) for name, one in result["widths_before"].items()],
     }
+
+
+def _width(name: str, before: dict[str, Any], after: dict[str, Any]) -> list[str]:
+    """A parameter, its value, its intervals before and after, how much narrower, and its unit."""
+    first, last = quantity(name, before), quantity(name, {**after, "value": before["value"], "unit": before["unit"]})
+    ratio = f"{before['std_coordinate'] / after['std_coordinate']:.3g} ×"
+    return [first.label, first.value, first.interval, last.interval, ratio, first.unit]

@@ -6,8 +6,9 @@ import shlex
 from pathlib import Path
 from typing import Any
 
-from pixelid.conform.row import strengths_in_words
+from pixelid.figures.words import in_words
 from pixelid.report.format import chance, counted, number, seconds
+from pixelid.report.gap import grown_parameters, strengths
 from pixelid.report.page import Number, Result, Summary, command_line, folder_name, inputs_of
 
 
@@ -39,12 +40,13 @@ def summarise(result: Result, folder: Path) -> Summary:
 
 def prepare(result: Result, folder: Path) -> dict[str, Any]:
     """The table, and the cells of the maps before and after."""
+    parameters = grown_parameters(result, folder)
     rows = [
         [
             row["stage"].replace("_", " "),
-            row["effect"].replace("_", " "),
+            in_words(row["effect"]),
             row["verdict"].replace("_", " "),
-            strengths_in_words(row) if row["verdict"] == "present" else row["evidence"]["why"],
+            strengths(row, parameters) if row["verdict"] == "present" else row["evidence"]["why"],
             chance(row["evidence"]["p_value"]),
             number(row["evidence"]["heldout_gain_nats"], 3),
         ]

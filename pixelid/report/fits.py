@@ -104,7 +104,7 @@ def _physical(result: Result) -> list[list[str]]:
 def summarise_compare(result: Result, folder: Path) -> Summary:
     models = result["models"]
     order = sorted(models, key=lambda name: -models[name]["behind_best_nats"])
-    second = models[order[1]]
+    second, sure = models[order[1]], result["status"] == "converged"
     return Summary(
         "compare",
         f"{result['best']} describes unseen pixels best",
@@ -118,7 +118,8 @@ def summarise_compare(result: Result, folder: Path) -> Summary:
             Number("models", str(len(models))),
         ),
         command_line("compare", result, *(w for name in models for w in ("--model", name)), out=folder),
-        " or ".join(models) + "?",
+        f"{counted(len(models), 'model')} compared" + ("" if sure else "; not every fit is reliable"),
+        healthy=sure,
         next=(
             (
                 "Find what the best of them lacks",
@@ -130,7 +131,7 @@ def summarise_compare(result: Result, folder: Path) -> Summary:
 
 def _caution(result: Result) -> str:
     """Why the status is not good although a model is ahead."""
-    return "" if result["status"] == "converged" else f" But even the best is not the whole truth: {result['advice']}"
+    return "" if result["status"] == "converged" else f" None of them is the whole truth: {result['advice']}"
 
 
 def prepare_compare(result: Result, folder: Path) -> dict[str, Any]:

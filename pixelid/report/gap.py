@@ -52,7 +52,7 @@ def summarise(result: Result, folder: Path) -> Summary:
 
 def _answer(result: Result, folder: Path) -> str:
     """What is missing, in one line."""
-    strengths = _strengths_named(result, _parameters(result, folder))
+    strengths = _strengths_named(result, grown_parameters(result, folder))
     if strengths:
         return f"Missing effect{'s' if len(result['effects']) > 1 else ''}: {'; '.join(strengths)}"
     if result.get("described"):
@@ -71,13 +71,13 @@ def _strengths_named(result: Result, parameters: dict[str, Any]) -> list[str]:
     return texts
 
 
-def _parameters(result: Result, folder: Path) -> dict[str, Any]:
+def grown_parameters(result: Result, folder: Path) -> dict[str, Any]:
     """The grown model's parameters as fits have them, with the intervals of what was added; empty without a model."""
     try:
         model = load_model(folder / "model.toml")
     except InputError:
         return {}
-    ends = {name: v.get("interval_95") for e in result["effects"] for name, v in e["parameters"].items()}
+    ends = {name: v.get("interval_95") for e in result.get("effects", ()) for name, v in e["parameters"].items()}
     return {
         name: {
             "value": model.values[name], "unit": p.unit, "interval_95": ends.get(name), "identified": True,
@@ -151,7 +151,7 @@ def _departure(row: Result) -> float:
     return abs(row["measured"] - row["base"]) / math.sqrt(max(row["base"], 1.0))
 
 
-def _strengths(entry: dict[str, Any], parameters: dict[str, Any]) -> str:
+def strengths(entry: dict[str, Any], parameters: dict[str, Any]) -> str:
     """The parameters of an effect, with intervals where they are known."""
     shown = [quantity(name, {"unit": "", **parameters.get(name, {}), **v}) for name, v in entry["parameters"].items()]
     return "; ".join(
@@ -161,11 +161,11 @@ def _strengths(entry: dict[str, Any], parameters: dict[str, Any]) -> str:
 
 def prepare(result: Result, folder: Path) -> dict[str, Any]:
     """The tables of the page, and which of its figures show counts."""
-    details, base, parameters = result.get("details", {}), _base_name(folder), _parameters(result, folder)
+    details, base, parameters = result.get("details", {}), _base_name(folder), grown_parameters(result, folder)
     effects = [
         [
             e["name"].replace("_", " "),
-            _strengths(e, parameters),
+            strengths(e, parameters),
             chance(e["p_value"]),
             number(e["heldout_gain_nats"], 3),
             f"{e['runner_up'].replace('_', ' ')}, {number(e['runner_up_gain_nats'], 3)}" if e.get("runner_up") else "–",
@@ -193,7 +193,7 @@ def prepare(result: Result, folder: Path) -> dict[str, Any]:
         [
             words_of_entry(e),
             e["equation"],
-            _strengths(e, {}),
+            strengths(e, {}),
             number(e["heldout_gain_nats"], 3),
         ]
         for e in result.get("described", ())

@@ -107,7 +107,6 @@ def _rendered(page: Page, result: dict[str, Any], folder: Path) -> str:
         "chance": formats.chance,
         "sentence": lambda text, capital=True: with_code(formats.sentence(text, capital)),
         "with_powers": lambda cell: cell if isinstance(cell, Markup) else formats.with_powers(str(cell)),
-        "in_its_unit": formats.in_its_unit,
         "quantity": quantity,
         "counted": formats.counted,
         "unique": lambda: f"rows-{next(ids)}",

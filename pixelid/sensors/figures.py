@@ -32,6 +32,8 @@ def draw_map(m: Map, axes: Any = None) -> Any:
     error = axes[2].imshow(100.0 * m.sd, vmin=0.0, cmap=SEQUENTIAL)
     axes[2].set(title="error of the shrunk map", xlabel="column (pixels)", ylabel="row (pixels)")
     axes[2].grid(False)
+    for side in (axes[2].xaxis, axes[2].yaxis):
+        side.get_major_locator().set_params(integer=True)
     axes[2].figure.colorbar(error, ax=axes[2], label="standard error (%)")
     bins = int(np.clip(2 * np.sqrt(m.value.size), 8, 50))
     edges = np.linspace(low - 0.3 * (high - low), high + 0.3 * (high - low) + 1e-12, bins + 1)

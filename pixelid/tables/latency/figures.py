@@ -38,6 +38,8 @@ def draw_latency(rows: Sequence[Mapping[str, Any]], axes: Any = None) -> Any:
         axis.set_title(f"{camera}, light {'on' if edge == -1 else 'off'}")
         axis.set_ylabel("median latency (µs)")
         axis.set_xlabel("irradiance (W/m²)")
+    for axis in axes[len(panels) :]:
+        axis.set_axis_off()
     legend_above(axes, 6, "setting")
     return axes
 
@@ -56,5 +58,7 @@ def draw_limits(limits: Sequence[Mapping[str, Any]], axes: Any = None) -> Any:
         axis.set_title(f"{panel[0]}, light {panel[1]}")
         axis.set_xlabel("irradiance (W/m²)")
         axis.set_ylabel("share of latency (%)")
+    for axis in axes[len(panels) :]:
+        axis.set_axis_off()
     legend_above(axes, 4)
     return axes
