@@ -54,6 +54,7 @@ def draw_views(result: Reconstruction, axes: Any = None) -> Any:
         axis.set_xticks([])
         axis.set_yticks([])
         axis.grid(False)
+        axis.spines[:].set_visible(False)
     axes[2, 0].figure.colorbar(error_map, ax=axes[2].tolist(), shrink=0.8, label="radiance (units of the views)")
     return axes
 

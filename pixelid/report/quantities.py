@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 from pixelid.errors import InputError
-from pixelid.figures.words import in_words
+from pixelid.figures.words import SYMBOLS, UNIT, in_words
 from pixelid.report.format import Shown, in_its_unit, interval, value
 from pixelid.stages import LIBRARY, comparator, effect, photoreceptor
 from pixelid.stages.described import Described
@@ -21,12 +20,6 @@ STAGES = {
     "comparator": "Comparator",
     "readout": "Readout",
 }
-SYMBOLS = {  # (letter, index)
-    "alpha": ("α", ""), "beta": ("β", ""), "gamma": ("γ", ""), "alpha_over_beta": ("α/β", ""),
-    "sf_cutoff_hz": ("f", "sf"), "diff_cutoff_hz": ("f", "diff"),
-    "on_threshold": ("C", "on"), "off_threshold": ("C", "off"),
-    "threshold_sigma": ("σ", "C"), "threshold_mismatch.sigma": ("σ", "pixel"), "refractory_s": ("τ", "dead"),
-}  # fmt: skip
 NAMES = {
     "alpha": "α", "beta": "β", "gamma": "γ", "alpha_over_beta": "corner per light",
     "sf_cutoff_hz": "cutoff frequency", "diff_cutoff_hz": "cutoff frequency", "on_threshold": "ON threshold",
@@ -36,7 +29,6 @@ NAMES = {
 SHARES = ("threshold_sigma", "threshold_mismatch.sigma", "lost_events.fraction", "mains_flicker.modulation")
 # Events per second are no frequency.
 RATES = ("leak.rate_hz", "hot_pixels.rate_hz", "parasitic_photocurrent.rate_hz_per_radiance")
-_UNIT = re.compile(r"(?<!per)_(hz|rad|s)$")  # at the end of a parameter's name
 KILOHERTZ = 1e4  # from which on a frequency is written in kHz: four digits suffice below
 
 
@@ -109,14 +101,14 @@ def name_of(parameter: str) -> str:
         return NAMES[parameter]
     own = _effect_of(parameter)
     if not own:
-        return in_words(_UNIT.sub("", parameter))
+        return in_words(UNIT.sub("", parameter))
     known = effect(own)
     several = len([p for p in known.parameters if p.free]) > 1
     if isinstance(known, Described):
         depends = "" if known.covariate == "none" else f" by {known.covariate}"
         words = f"{known.quantity}{depends}" + (f", {parameter.rpartition('.')[2]}" if several else "")
         return words.replace("_", " ")
-    return in_words(_UNIT.sub("", parameter)) if several else own.replace("_", " ")
+    return in_words(UNIT.sub("", parameter)) if several else own.replace("_", " ")
 
 
 def stage_of(parameter: str) -> str:

@@ -9,7 +9,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from pixelid.figures.style import MOST_WIDTH, SERIES, new_axes, save_figure, series_colours, styled
-from pixelid.figures.words import in_words, with_unit
+from pixelid.figures.words import symbol, with_unit
 from pixelid.fit.coordinates import Coordinates
 from pixelid.sample.convergence import Convergence
 
@@ -52,13 +52,14 @@ def draw_corner(posterior: Draws) -> Any:
     # a parameter whose draws all agree to rounding has no range of its own
     ranges = [np.quantile(column, [0.001, 0.999]) for column in draws.T]
     ranges = [(low, high) if high > low else (low - 0.5, high + 0.5) for low, high in ranges]
+    # contours alone: a density of every pair makes a page of megabytes
     figure = corner.corner(
-        draws, fig=plt.figure(figsize=(MOST_WIDTH, MOST_WIDTH)), labels=[in_words(name) for name in values],
-        range=ranges, bins=30, levels=LEVELS, color=SERIES[0], plot_datapoints=False, quantiles=(0.025, 0.5, 0.975),
-        max_n_ticks=2, labelpad=0.25, smooth=SMOOTHING, quiet=True,
-        hist_kwargs={"linewidth": HISTOGRAM_LINE},  # which the style's patches, being filled, do not have
+        draws, fig=plt.figure(figsize=(MOST_WIDTH, MOST_WIDTH)), labels=[symbol(name) for name in values],
+        range=ranges, bins=30, levels=LEVELS, color=SERIES[0], plot_datapoints=False, plot_density=False,
+        no_fill_contours=True, quantiles=(0.025, 0.5, 0.975), max_n_ticks=2, labelpad=0.75, smooth=SMOOTHING,
+        quiet=True, hist_kwargs={"linewidth": HISTOGRAM_LINE},  # which the style's patches, being filled, do not have
     )  # fmt: skip
-    figure.subplots_adjust(left=0.13, bottom=0.13, right=0.99, top=0.99)
+    figure.subplots_adjust(left=0.16, bottom=0.16, right=0.99, top=0.99)
     d = draws.shape[1]
     return np.array(figure.axes).reshape(d, d)
 
