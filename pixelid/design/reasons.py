@@ -21,7 +21,7 @@ def why(names: tuple[str, ...], before: np.ndarray, after: np.ndarray, criterion
     direction, factor = criteria.most_improved(before, after)
     said = [f"It shrinks the standard error of {'; '.join(parts)}."]
     said.append(
-        f"The direction that gains most is {combination(names, direction, 0.2, 4)}: {factor:.3g} times better known."
+        f"The direction that gains most is {combination([in_words(name) for name in names], direction, 0.2, 4)}: {factor:.3g} times better known."
     )
     if len(ranking) > 1:
         best, second = ranking[0], ranking[1]

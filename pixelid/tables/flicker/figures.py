@@ -77,6 +77,6 @@ def draw_maps(fit: FlickerFit, axes: Any = None) -> Any:
         axis.figure.colorbar(axis.imshow(values, cmap=colours, vmin=ends[0], vmax=ends[1]), ax=axis, label=label)
         axis.set(xlabel="group, across", ylabel="group, down")
         for side in (axis.xaxis, axis.yaxis):
-            side.get_major_locator().set_params(integer=True)
+            side.get_major_locator().set_params(integer=True, min_n_ticks=1)
         axis.grid(False)
     return axes
