@@ -20,9 +20,8 @@ def why(names: tuple[str, ...], before: np.ndarray, after: np.ndarray, criterion
     parts = [_shrinks(name, old[names.index(name)], new[names.index(name)]) for name in shown]
     direction, factor = criteria.most_improved(before, after)
     said = [f"It shrinks the standard error of {'; '.join(parts)}."]
-    said.append(
-        f"The direction that gains most is {combination([in_words(name) for name in names], direction, 0.2, 4)}: {factor:.3g} times better known."
-    )
+    most = combination([in_words(name) for name in names], direction, 0.2, 4)
+    said.append(f"The direction that gains most is {most}: {factor:.3g} times better known.")
     if len(ranking) > 1:
         best, second = ranking[0], ranking[1]
         other = second["name"].replace("_", " ")

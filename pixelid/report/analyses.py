@@ -55,6 +55,7 @@ def prepare_lowlight(result: Result, folder: Path) -> dict[str, Any]:
         not_measurable,
         radii_rows,
     )
+    from pixelid.tables.noise.model import FA_PER_LUX
 
     levels = [
         [number(x["radiance"], 3)]
@@ -74,6 +75,7 @@ def prepare_lowlight(result: Result, folder: Path) -> dict[str, Any]:
         "Shaded: the pair of poles is complex." if result["regimes"]["critical"] else "",
     ]
     return {
+        "fa_per_lux": FA_PER_LUX if result["radiance_unit"] == "fA" else None,
         "poles_caption": " ".join(filter(None, drawn)),
         "radii_headings": RADII_HEADINGS,
         "radii": radii_rows(result),
