@@ -179,6 +179,23 @@ class Layout:
         parts = np.split(events, self.event_ends, axis=1), np.split(ends, self.end_ends, axis=1)
         return list(zip(*parts, strict=True))
 
+    def of_section(self, vector: np.ndarray, k: int) -> tuple[np.ndarray, np.ndarray]:
+        """Views (7, n_s), (4, m_s) of one section's columns."""
+        events, ends = self._blocks(vector)
+        return events[:, self.events_of(k)], ends[:, self.ends_of(k)]
+
+    def events_of(self, k: int) -> slice:
+        """Columns of the events of section k."""
+        return _part(self.event_ends, k)
+
+    def ends_of(self, k: int) -> slice:
+        """Columns of the unfinished intervals of section k."""
+        return _part(self.end_ends, k)
+
+
+def _part(ends: np.ndarray, k: int) -> slice:
+    return slice(None if k == 0 else ends[k - 1], None if k == len(ends) else ends[k])
+
 
 def layout_of(recordings: Sequence[Recording], intervals: Sequence[Sequences], sections: Sequence[Section]) -> Layout:
     """The layout of recordings' intervals, which are those of the sections, one after the other.
