@@ -86,6 +86,8 @@ def judged(ready: Prepared, found: Found, seed: int, report: Callable[[str, floa
     reading = _wider(reading, np.array([found.added_sd.get(name, 0.0) for name in coordinates.names]))
     limits_95 = intervals(coordinates.names, optimum.x, reading.sd, found.pixels)
     bends = clocks_free or (reading.bends and not ready.sampled and not ready.pooled)
+    if isinstance(objective, EventTimesObjective) and objective.likelihood.shift is not None:
+        bends = False  # what shot noise adds is held as at the optimum: the likelihood is not known far from it
     # Levels are held along the ridge: fast poles and dead time, which make it, owe next to nothing to them.
     ridge = objective.held(optimum.x) if isinstance(objective, LevelledObjective) else objective
     along = profile_of_ridge(ridge, optimum.x, reading) if bends else None
