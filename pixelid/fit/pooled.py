@@ -12,7 +12,7 @@ from pixelid.fit.coordinates import Coordinates
 from pixelid.fit.newton import maximise
 from pixelid.fit.own_values import with_own_values
 from pixelid.fit.pooled_rate import PooledRateObjective
-from pixelid.fit.search import Found
+from pixelid.fit.search import SearchResult
 from pixelid.fit.starts import align, match_counts
 from pixelid.likelihood.pooled_rate import PooledRate
 from pixelid.model.model import Model
@@ -23,7 +23,7 @@ SCOUT_S = 1.0  # seconds of each recording that the search from afar looks at
 
 def fit_pooled(
     recordings: Sequence[Recording], model: Model, fixed: Mapping[str, float], report: Callable[[str, float], None]
-) -> Found:
+) -> SearchResult:
     """The optimum of pooled counts.
 
     fixed: nuisances of the recordings to hold.  Raises InputError for a name in it that is none.
@@ -95,4 +95,4 @@ def fit_pooled(
         "bin_s": float(np.diff(likelihood.counts[0].edges[:2])[0]),
         "steps": optimum.steps,
     }
-    return Found(objective, optimum, 1, details, caveats=caveats, dispersion=dispersion)
+    return SearchResult(objective, optimum, 1, details, caveats=caveats, dispersion=dispersion)

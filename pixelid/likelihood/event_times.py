@@ -193,9 +193,9 @@ class EventTimes:
             (circuits[k], self.evaluators[k], here.extremes[k], self.layout.of_section(vector, k), clocks[k])
             for k in mine
         ])  # fmt: skip
-        for k in mine:
+        for k in mine if self.is_uneven else ():
             by_gain = self._gain_of(k, vector, circuits[k], clocks[k], here.extremes[k])
-            for row, by in zip(self.layout.of_section(vector, k), by_gain, strict=False):
+            for row, by in zip(self.layout.of_section(vector, k), by_gain, strict=True):
                 row += by
         changes = self.layout.stacked(vector)
         if self.unknown_light is not None:
@@ -221,11 +221,13 @@ class EventTimes:
             return None
         added = self.by_gain
         if added is None:
+            parts = zip(range(len(circuits)), circuits, clocks, extremes, strict=True)
+            gains = map_threads(
+                lambda part: self._gain_of(part[0], vector, *part[1:]), list(parts), threads=None if self._large else 1
+            )
             added = np.empty_like(vector)
-            sections = zip(range(len(circuits)), circuits, clocks, extremes, strict=True)
-            for k, circuit, clock, at in sections:
-                for row, by in zip(self.layout.of_section(added, k), self._gain_of(k, vector, circuit, clock, at),
-                                   strict=True):  # fmt: skip
+            for section, gain in zip(self.layout.per_section(added), gains, strict=True):
+                for row, by in zip(section, gain, strict=True):
                     row[:] = by
         vector += added
         return added
@@ -234,8 +236,7 @@ class EventTimes:
         self, k: int, vector: np.ndarray, circuit: Circuit, clock: Clock | None, extremes: Extremes
     ) -> tuple[np.ndarray, ...]:
         """What gains of pixels add to the rows of section k, to first order: as held, or under a circuit."""
-        if self._uneven is None:
-            return ()
+        assert self._uneven is not None
         if self.by_gain is not None:
             return self.layout.of_section(self.by_gain, k)
         mine = self.layout.of_section(vector, k)

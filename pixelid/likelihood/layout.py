@@ -175,9 +175,7 @@ class Layout:
 
     def per_section(self, vector: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
         """Views (7, n_s), (4, m_s) of each section's columns, to be filled."""
-        events, ends = self._blocks(vector)
-        parts = np.split(events, self.event_ends, axis=1), np.split(ends, self.end_ends, axis=1)
-        return list(zip(*parts, strict=True))
+        return [self.of_section(vector, k) for k in range(len(self.event_ends) + 1)]
 
     def of_section(self, vector: np.ndarray, k: int) -> tuple[np.ndarray, np.ndarray]:
         """Views (7, n_s), (4, m_s) of one section's columns."""
