@@ -17,7 +17,7 @@ from pixelid.gap.attribute.candidates import (
     missing,
     remove_effect,
 )
-from pixelid.gap.attribute.coarse_jitter import coarse_jitter
+from pixelid.gap.attribute.coarse_jitter import coarse_jitter, is_fine_jitter
 from pixelid.gap.attribute.pixels import candidates_of, slewing_both_ways
 from pixelid.gap.attribute.significance import leads
 from pixelid.gap.describe.describe import describes_better
@@ -115,7 +115,7 @@ def _named_one_more(state: State, context: Context) -> State:
     if winner.effect == LOST and _is_misplaced(state, winner.end.model, hypothesis.fit.model, context):
         return _without_lost(with_refused(state, winner, ONLY_WHERE_DRAWN))
     accepted = with_accepted(state, winner, attribution, standing.firm)
-    if winner.effect == JITTER:
+    if winner.effect == JITTER and not is_fine_jitter(winner, evidence.training):
         coarse = _behind_coarse_jitter(state, attribution, context) if is_astray(state, context) else None
         if coarse is not None:
             return coarse
