@@ -23,8 +23,8 @@ from typing import Any
 import numpy as np
 
 from pixelid.dynamics.linear import has_pole
-from pixelid.fit.bench import is_of_bench
 from pixelid.fit.again import can_be_simulated, simulate_again
+from pixelid.fit.bench import is_of_bench
 from pixelid.fit.coordinates import Coordinates
 from pixelid.fit.event_times import LEVELS_TAKEN_AT, EventTimesObjective
 from pixelid.fit.judge import residual_tests

@@ -26,8 +26,8 @@ from pixelid.recordings.events import SHORT_QUANTILE
 from pixelid.recordings.recording import Recording
 from pixelid.recordings.selection import few, only
 
-# Of the shortest intervals, that a jitter may be for the density of stamps, which takes it to first order, to do: events
-# keep their order.  Larger ones have times drawn behind them.
+# Of the shortest intervals, that a jitter may be for the density of stamps, which takes it to first order: events keep
+# their order.  Larger ones have times drawn behind them.
 MAX_SHARE_IN_DENSITY = 0.1
 WIDER = 2.0  # one standard deviation tried to the next, from the finest of a path until stamps are less likely
 EVENTS = 2_000  # of the pixels asked, of either pool: about a second for a standard deviation

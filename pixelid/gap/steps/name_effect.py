@@ -66,7 +66,9 @@ def name_what_settles(state: State, context: Context) -> State | None:
     evidence = before.evidence.weighed(before.fit.model.circuit())
     attribution = _attribute(state, evidence, None, context)
     winner = attribution.winner
-    if winner is None or winner.effect == JITTER or attribution.runners_up:
+    if winner is None or attribution.runners_up:
+        return None
+    if winner.effect == JITTER and not is_fine_jitter(winner, evidence.training):
         return None
     if not stands(evidence, before.fit, before.seen, winner, options, context.cache).firm:
         return None
