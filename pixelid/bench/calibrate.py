@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +18,7 @@ from pixelid.bench.result import Calibration
 from pixelid.bench.stages import Stages
 from pixelid.bench.statements import Statement, of_fit
 from pixelid.errors import InputError
+from pixelid.fit.bench import with_stated_only
 from pixelid.fit.data import as_fitted
 from pixelid.fit.engines import engine as engine_named
 from pixelid.fit.event_times import EventTimesObjective
@@ -106,7 +106,7 @@ def calibrate(
             lambda made, folder: made.write(folder),
             GapReport.load,
         )
-        begin, starts = without_nuisances(searched.base), 0
+        begin, starts = with_stated_only(searched.base), 0
 
     def fitted(name: str, start: Model, share: float) -> FitResult:
         return stages.run(
@@ -117,7 +117,7 @@ def calibrate(
         )
 
     grown = searched is not None and bool(searched.effects or searched.described)
-    last = fitted("fit", without_nuisances(searched.model) if searched is not None and grown else begin, SEARCHED)
+    last = fitted("fit", with_stated_only(searched.model) if searched is not None and grown else begin, SEARCHED)
     first = fitted("base", begin, SEARCHED) if grown else last
     report("checking on other pixels", REFITTED)
     held_out = on_other_pixels(last, only(checked.recordings, session.checking)) if len(session.checking) else None
@@ -178,11 +178,6 @@ def field_note(recordings: Sequence[Recording]) -> list[str]:
         return []
     spread, most = float(np.std(gains)), float(np.abs(gains).max())
     return [f"the field is uneven: what pixels see differs by {100 * spread:.2g} % (at most {100 * most:.2g} %)"]
-
-
-def without_nuisances(model: Model) -> Model:
-    """The circuit alone, to be fitted again with the bench's nuisances where they were stated."""
-    return replace(model, nuisances={})
 
 
 def on_other_pixels(result: FitResult, recordings: Sequence[Recording]) -> dict[str, Any]:

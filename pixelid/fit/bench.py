@@ -37,14 +37,23 @@ def with_bench(model: Model, recordings: Sequence[Recording], delays: bool = Tru
     """The model with the nuisances of the recordings' bench, free; itself where every statement is exact.
 
     Args:
-        model: Without them.
+        model: Without them, or with values of them to begin at.
         recordings: With names of their own.
         delays: False: where the likelihood has delays of its own.
     """
     parameters = [p for recording in recordings for p in of_recording(recording, delays)]
     rate = common_rate(recordings)
     nuisances = {p.name: p for p in (*parameters, *([] if rate is None else [rate]))}
-    return replace(model, nuisances={**model.nuisances, **nuisances}) if nuisances else model
+    known = {name: p.within(model.nuisances[name].value) for name, p in nuisances.items() if name in model.nuisances}
+    at = {name: p.at(known[name]) if name in known else p for name, p in nuisances.items()}
+    return replace(model, nuisances={**model.nuisances, **at}) if nuisances else model
+
+
+def with_stated_only(model: Model) -> Model:
+    """The model without nuisances of recordings but those that `with_bench` gives it."""
+    clocks = clocks_of(model)
+    stated = {n: p for n, p in model.nuisances.items() if n in clocks or (is_of_bench(n) and p.prior is not None)}
+    return replace(model, nuisances=stated)
 
 
 def of_recording(recording: Recording, delays: bool = True) -> list[Parameter]:

@@ -29,7 +29,7 @@ WORTH_A_PART = 4  # times as many events, from which the part costs less than th
 # Nats.  The log ratio of two likelihoods close to each other varies by twice its mean: 20 are three standard deviations
 # away from the other sign, and all events, of which the part is at most a quarter, say the same with more.
 DECIDED_NATS = 20.0
-PART_TOLERANCE = 1e-2  # nats
+ROUGHLY = 1e-2  # nats, of optima that decide how light runs
 
 
 @dataclass(frozen=True)
@@ -73,19 +73,22 @@ def refine(
     part = few(recordings, PART_EVENTS, rng) if events > WORTH_A_PART * PART_EVENTS else list(recordings)
     some = sum(len(recording.events) for recording in part)
     if WORTH_A_PART * some <= events:
-        ends = _ends(part, coordinates, x, kinds, maximiser, {"tolerance": PART_TOLERANCE}, lambda: report(0.2))
+        ends = _ends(part, coordinates, x, kinds, maximiser, {"tolerance": ROUGHLY}, lambda: report(0.2))
         between = _likeliest(ends)
         x = ends[between][1].x
         if len(ends) == len(BETWEEN) and abs(nats := _smooth_minus_linear(ends)) > DECIDED_NATS:
             kinds = (between,)
             details = {"smooth_minus_linear_nats": nats, "smooth_or_linear_events": some}
         del ends
-    done = iter(np.linspace(0.2, 1.0, len(kinds) + 1)[1:])
-    ends = _ends(recordings, coordinates, x, kinds, maximiser, {}, lambda: report(float(next(done))))
+    done = iter(np.linspace(0.2, 0.8, len(kinds) + 1)[1:])
+    ends = _ends(recordings, coordinates, x, kinds, maximiser, {"tolerance": ROUGHLY}, lambda: report(next(done)))
     between = _likeliest(ends)
     if len(ends) == len(BETWEEN):
         details = {"smooth_minus_linear_nats": _smooth_minus_linear(ends)}
-    return Refined(*ends[between], between, details)
+    objective, near = ends[between]
+    if objective.likelihood.is_uneven:
+        objective = objective.holding_gains(near.x)
+    return Refined(objective, maximiser.maximise(objective, near.x, max_steps=60), between, details)
 
 
 Ends = dict[str, tuple[EventTimesObjective, Optimum]]
@@ -98,8 +101,6 @@ def _ends(recordings, coordinates: Coordinates, x, kinds, maximiser: Engine, set
         likelihood = EventTimes([with_fine_light(recording, kind) for recording in recordings])
         objective = stamps_weighed(EventTimesObjective(likelihood, coordinates), x)
         if likelihood.is_uneven:  # what gains add is held near the optimum, and once more at it
-            roughly = objective.holding_gains(x)
-            x = maximiser.maximise(roughly, x, max_steps=60, **settings).x
             objective = objective.holding_gains(x)
         ends[kind] = objective, maximiser.maximise(objective, x, max_steps=60, **settings)
         x = ends[kind][1].x

@@ -25,6 +25,7 @@ from pixelid.fit.shot_noise import EFFECT, HeldBench, fit_under_shot_noise, with
 from pixelid.fit.starts import feasible, narrower, random_starts
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.model.model import Model
+from pixelid.recordings.bench import without_pixel_gains
 from pixelid.recordings.recording import Recording
 from pixelid.recordings.selection import few
 from pixelid.recordings.sensor_light import is_measured, light_caveats
@@ -110,7 +111,8 @@ def search_event_times(
         raise InputError(f"{EFFECT}: not identified together with levels of pixels; leave one of them out")
     if EFFECT in model.effects and settings.form != "discrete":
         raise InputError(f"form: {EFFECT} is fitted in the discrete form only")
-    scout = EventTimes(few(recordings, SCOUT_EVENTS, rng))
+    # from afar a field that is uneven by percents is even, and gains cost as much as all else
+    scout = EventTimes([without_pixel_gains(recording) for recording in few(recordings, SCOUT_EVENTS, rng)])
     if common_delay(recordings):
         model = model.fix({"delay_s": None})
     report("unit of the light", 0.02)

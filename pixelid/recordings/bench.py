@@ -76,6 +76,11 @@ def with_pixel_gains(recording: Recording, pixels: np.ndarray, gains: np.ndarray
     return replace(recording, attributes={**recording.attributes, FIELD: stated})
 
 
+def without_pixel_gains(recording: Recording) -> Recording:
+    """The recording as if its field were even."""
+    return replace(recording, attributes={k: v for k, v in recording.attributes.items() if k != FIELD})
+
+
 def gains_of_pixels(recording: Recording, pixels: np.ndarray) -> np.ndarray:
     """(n,) the logarithm of the gain of each flat pixel index (n,); 0 where none is known."""
     known, gains = pixel_gains(recording)
