@@ -16,10 +16,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from pixelid.recordings.alignment import GIVEN_SD_S, find_alignment, known_alignment
-from pixelid.recordings.alignment_from_events import LEAST_CHANGES, EventAlignment, alignment_of
+from pixelid.recordings.alignment_from_events import LEAST_CHANGES, NEAR_S, EventAlignment, alignment_of
 from pixelid.recordings.clocks import CRYSTAL, Alignment, ClockPrior
 from pixelid.recordings.recording import Recording
-from pixelid.recordings.session_cases import Case, SharedRate, case_of, is_constant, shared_rate
+from pixelid.recordings.session_cases import Case, SharedRate, cases_of, is_constant, shared_rate
 from pixelid.statistics import Z95
 from pixelid.stimuli.pixel_lights import Light
 
@@ -97,10 +97,7 @@ def align_session(
         InputError: statements that do not fit a recording, and lights of other sizes.
     """
     stated = stated or {}
-    cases = [
-        case_of(recording, light, recordings, lights, stated.get(recording.name, ""))
-        for recording, light in zip(recordings, lights, strict=True)
-    ]
+    cases = cases_of(recordings, lights, stated)
     terms = [case.rate_terms() for case in cases]
     rate = shared_rate([term for mine in terms for term in mine])
     others = [shared_rate([t for k, mine in enumerate(terms) if k != i for t in mine]) for i in range(len(cases))]
@@ -169,7 +166,7 @@ def _with_rate(given: Alignment, case: Case, rate: SharedRate) -> Alignment:
 
 def _hypothesis_doubts(case: Case) -> list[BenchDoubt]:
     name, doubts = case.recording.name, []
-    if case.of != name:
+    if case.of != name and case.events is not None and case.events.follows:
         doubts.append(
             BenchDoubt("light", name, case.of, None, f"{name}: the events follow the light of {case.of}, not their own")
         )
@@ -216,7 +213,9 @@ def _by_edges(
                 if events is not None and events.sd_at(case.moments_s[0]) < abs(stretched):
                     return None, doubts
                 edge = -1
-    if late and edge >= 0 and abs(late[edge][0]) > CONTRADICTED * late[edge][1]:
+    # two edges that agree outweigh events, unless these put the light elsewhere altogether
+    least = NEAR_S if len(case.edges_s) == 2 and not doubts else 0.0
+    if late and edge >= 0 and abs(late[edge][0]) > max(CONTRADICTED * late[edge][1], least):
         which = "the trigger edge" if len(late) == 1 else f"the {('first', 'last')[edge]} trigger edge"
         return None, [*doubts, _delay(case, *late[edge], which)]
     stamp = case.stamp_s if edge >= 0 else float(np.hypot(case.stamp_s, np.ptp(case.edges_s - case.moments_s) + 1e-6))

@@ -7,13 +7,14 @@ say together.  Edges may be misplaced: their likelihood is Student's t with 4 de
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from pixelid.errors import InputError
 from pixelid.recordings.alignment import trigger_edges
+from pixelid.recordings.alignment_filter import soft_loss
 from pixelid.recordings.alignment_from_events import LARGEST_LOSS, LEAST_CHANGES, EventAlignment, align_events
 from pixelid.recordings.alignment_search import correlation
 from pixelid.recordings.clocks import CRYSTAL
@@ -22,6 +23,8 @@ from pixelid.statistics import Z95
 from pixelid.stimuli.pixel_lights import Light, lights_in
 
 DEGREES = 4.0  # of Student's t: statements may be wrong
+UNEXPLAINED = float(soft_loss(np.ones(1))[0])  # mean loss of changes that follow no light
+AS_STATED = 1e-3  # of a loss, that the light stated may be worse: half of what a right one leaves
 OTHER_LIGHTS = 3  # that are tried where events do not follow their own, by correlation
 CONSTANT_SPAN, CONSTANT_RANGE = 0.05, 0.2  # of ln L, 1 to 99 % and all: below any threshold, above a trace's noise
 
@@ -66,21 +69,68 @@ class Case:
         return terms
 
 
-def case_of(
-    recording: Recording, light: Light, recordings: Sequence[Recording], lights: Sequence[Light], how: str
-) -> Case:
+@dataclass(frozen=True)
+class _Hypothesis:
+    """That events follow light number `light`, with this polarity."""
+
+    events: EventAlignment | None
+    light: int
+    polarity: int = 1
+
+    @property
+    def loss(self) -> float:
+        """Mean loss of the changes; as if nothing were explained where they do not follow."""
+        return self.events.loss_of_all if self.events is not None and self.events.follows else UNEXPLAINED
+
+
+def cases_of(recordings: Sequence[Recording], lights: Sequence[Light], stated: Mapping[str, str]) -> list[Case]:
+    """One case per recording, each with a light of its own.
+
+    Lights may have been exchanged, not shared: of all ways to give every recording one light, the one counts under
+    which the events are explained best (Kuhn 1955, Naval Res. Logist. 2, 83).
+
+    Args:
+        recordings, lights: in the order that is stated.
+        stated: of a recording's name, how it is aligned.
+    """
+    from scipy.optimize import linear_sum_assignment
+
+    tried = [_hypotheses(i, recordings, lights) for i in range(len(recordings))]
+    loss = np.full((len(recordings), len(lights)), UNEXPLAINED)
+    for i, hypotheses in enumerate(tried):
+        if not hypotheses:  # no events that could tell: its own, unless another takes that
+            loss[i] = 0.5 * UNEXPLAINED
+            loss[i, i] = 0.0
+        for one in hypotheses:
+            loss[i, one.light] = min(loss[i, one.light], one.loss)
+        loss[i, i] -= AS_STATED
+    _, chosen = linear_sum_assignment(loss)
+    cases = []
+    for i, k in enumerate(chosen):
+        options = [one for one in tried[i] if one.light == k] or [
+            _Hypothesis(_events(recordings[i], lights[k]), int(k))
+        ]
+        best = min(options, key=lambda one: one.loss)
+        cases.append(_case(recordings[i], lights[k], recordings[k].name, best, stated.get(recordings[i].name, "")))
+    return cases
+
+
+def _case(recording: Recording, light: Light, of: str, best: _Hypothesis, how: str) -> Case:
     how = how or ("trigger" if recording.triggers is not None and len(recording.triggers) else "auto")
-    name, polarity = recording.name, 1
-    events = _events(recording, light)
-    if not _explains(events) and len(recording.events) > LEAST_CHANGES:
-        own = [] if events is None or not events.follows else [(events, light, name, 1)]
-        hypotheses = [*own, *_other_hypotheses(recording, light, recordings, lights)]
-        if hypotheses:
-            events, light, name, polarity = min(hypotheses, key=lambda entry: entry[0].loss_of_all)
     edges, moments, stamp = np.empty(0), np.empty(0), 0.0
     if how.startswith("trigger"):
         edges, moments, stamp = trigger_edges(recording, light, how)
-    return Case(recording, light, name, how, events, polarity, edges, moments, stamp)
+    return Case(recording, light, of, how, best.events, best.polarity, edges, moments, stamp)
+
+
+def _hypotheses(i: int, recordings: Sequence[Recording], lights: Sequence[Light]) -> list[_Hypothesis]:
+    """What recording i may follow: its own light alone where that explains it, else whatever it follows; none where
+    its events cannot tell."""
+    recording = recordings[i]
+    if len(recording.events) <= LEAST_CHANGES:
+        return []
+    own = _Hypothesis(_events(recording, lights[i]), i)
+    return [own] if _explains(own.events) else [own, *_others(i, recordings, lights)]
 
 
 def _events(recording: Recording, light: Light, polarity: int = 1) -> EventAlignment | None:
@@ -105,23 +155,17 @@ def _explains(events: EventAlignment | None) -> bool:
     return events is not None and events.follows and events.loss_of_all <= LARGEST_LOSS
 
 
-def _other_hypotheses(
-    recording: Recording, own: Light, recordings: Sequence[Recording], lights: Sequence[Light]
-) -> list[tuple[EventAlignment, Light, str, int]]:
-    """(events, light, its recording's name, polarity) that are followed; exchanged polarity alone where it explains."""
-    both = 0 < np.count_nonzero(recording.events.p) < len(recording.events)
-    exchanged = _events(recording, own, -1) if both else None  # events of one polarity follow an edge of either kind
-    if exchanged is not None and _explains(exchanged):
-        return [(exchanged, own, recording.name, -1)]
-    others = [(correlation(recording, light), k) for k, light in enumerate(lights) if light is not own]
-    tried: list[tuple[EventAlignment | None, Light, str, int]] = [(exchanged, own, recording.name, -1)]
-    for _, k in sorted(others, reverse=True)[:OTHER_LIGHTS]:
-        tried.append((_events(recording, lights[k]), lights[k], recordings[k].name, 1))
-    return [
-        (events, light, name, polarity)
-        for events, light, name, polarity in tried
-        if events is not None and events.follows
-    ]
+def _others(i: int, recordings: Sequence[Recording], lights: Sequence[Light]) -> list[_Hypothesis]:
+    """The own light with polarity exchanged, and other lights, that are followed; polarity alone where it explains."""
+    recording, tried = recordings[i], []
+    if 0 < np.count_nonzero(recording.events.p) < len(recording.events):  # of one polarity they follow either kind
+        exchanged = _Hypothesis(_events(recording, lights[i], -1), i, -1)
+        if _explains(exchanged.events):
+            return [exchanged]
+        tried.append(exchanged)
+    others = sorted(((correlation(recording, light), k) for k, light in enumerate(lights) if k != i), reverse=True)
+    tried += [_Hypothesis(_events(recording, lights[k]), k) for _, k in others[:OTHER_LIGHTS]]
+    return [one for one in tried if one.events is not None and one.events.follows]
 
 
 def shared_rate(terms: Sequence[tuple[float, float, bool]]) -> SharedRate:

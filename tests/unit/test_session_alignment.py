@@ -1,11 +1,13 @@
 """Sessions aligned at once, made by a pixel of ten lines: log light behind one pole, thresholds, dead time."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from pixelid.errors import InputError
+from pixelid.recordings import session_cases
 from pixelid.recordings.alignment import aligned, find_alignment
 from pixelid.recordings.alignment_evidence import ENOUGH_NATS, evidence_nats
 from pixelid.recordings.clocks import CRYSTAL, clock_of
@@ -236,3 +238,22 @@ def test_evidence_counts_independent_blocks_not_events():
     assert evidence_nats(t, everywhere, mine) < 0.0
     shared = 0.3 * rng.normal(size=12)[(12 * t).astype(int)]  # all events of a stretch are off together
     assert evidence_nats(t, shared, shared + 0.2) < 0.1 * evidence_nats(t, mine, mine + 0.2)
+
+
+def test_lights_are_exchanged_and_not_shared(monkeypatch):
+    """Of lights of one shape each recording follows one: the one that is nobody else's; noise under constant light, which
+    seems to follow another's, keeps its own."""
+    follows = {"a": {2: 0.003, 1: 0.004}, "b": {0: 0.003}, "c": {2: 0.003}, "constant": {2: 0.07}, "none": {}}
+    names = list(follows)
+    recordings = [SimpleNamespace(name=name, triggers=None, events=()) for name in names]
+
+    def hypotheses(i, recordings, lights):
+        def events(loss):
+            return SimpleNamespace(follows=True, loss_of_all=loss)
+
+        return [session_cases._Hypothesis(events(loss), k) for k, loss in follows[names[i]].items()]
+
+    monkeypatch.setattr(session_cases, "_hypotheses", hypotheses)
+    monkeypatch.setattr(session_cases, "_events", lambda recording, light, polarity=1: None)
+    cases = session_cases.cases_of(recordings, names, {})  # pyright: ignore[reportArgumentType]
+    assert [case.of for case in cases] == ["b", "a", "c", "constant", "none"]
