@@ -1,7 +1,7 @@
 """The search as a fold: each step takes the state and gives the next one, until the last gives the report.
 
-undo_readout → named_in_noise (where the base looks like shot noise) → name_effect (again and again, shot noise tried in
-between, stamps asked where events lack a cause) → ask_stamps → ask_again → ask_recordings → bootstrap_remainder →
+undo_readout → name_effect (again and again; try_in_noise before each where what is left looks like shot noise, stamps
+asked where events lack a cause) → ask_stamps → ask_again → ask_recordings → bootstrap_remainder →
 try_shot_noise → name_beside_shot_noise (again and again) → discount_imputation_noise → withdraw → confirm
 """
 
@@ -29,11 +29,7 @@ from pixelid.gap.steps.ask_stamps import ask_stamps
 from pixelid.gap.steps.bootstrap_remainder import bootstrap_remainder
 from pixelid.gap.steps.confirm import confirm
 from pixelid.gap.steps.discount_imputation_noise import discount_imputation_noise
-from pixelid.gap.steps.explain_by_shot_noise import (
-    try_before_first_effect,
-    try_before_next_effect,
-    try_shot_noise,
-)
+from pixelid.gap.steps.explain_by_shot_noise import try_in_noise, try_shot_noise
 from pixelid.gap.steps.name_beside_shot_noise import name_beside_shot_noise
 from pixelid.gap.steps.name_effect import is_astray, name_effect, name_what_settles, restart
 from pixelid.gap.steps.recordings_differ import ask_recordings
@@ -77,10 +73,8 @@ def begin(recordings: Sequence[Recording], model: Model, context: Context) -> St
 
 
 def name_next(state: State, context: Context) -> State:
-    """One round, before which shot noise has its chance unless an effect leaves nothing; after the last the stamps are
-    asked."""
-    if state.turn == 0:
-        state = try_before_first_effect(state, context)
+    """One round, before which shot noise has its chance; after the last the stamps are asked."""
+    state = try_in_noise(state, context)
     if state.phase is Phase.NAME:
         settled = name_what_settles(state, context)
         state = _one_round(state, context) if settled is None else settled
@@ -96,9 +90,7 @@ def _one_round(state: State, context: Context) -> State:
             return state
     if is_astray(state, context):  # a limit of the slew, before what stands in for it
         state = ask_stamps(state, context)
-    if state.steps:
-        state = try_before_next_effect(state, context)
-    return name_effect(state, context) if state.phase is Phase.NAME else state
+    return name_effect(state, context)
 
 
 def explain_by_simulation(state: State, context: Context) -> State:

@@ -1,14 +1,14 @@
 """What is known of each recording of a session before it is aligned: its events against lights, its edges, the rate.
 
-Where the events do not follow their own light, they are held against it with ON and OFF exchanged, and against the
-other recordings' lights.  The clock rate is one of the whole session: what events, pairs of trigger edges and the prior
+Where the events do not follow their own light, they are held against the other recordings' lights, and all of them with
+ON and OFF exchanged.  The clock rate is one of the whole session: what events, pairs of trigger edges and the prior
 say together.  Edges may be misplaced: their likelihood is Student's t with 4 degrees of freedom, as is the prior.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -71,11 +71,18 @@ class Case:
 
 @dataclass(frozen=True)
 class _Hypothesis:
-    """That events follow light number `light`, with this polarity."""
+    """That events follow light number `light`, with this polarity;  as_stated: whether nothing speaks against what was
+    stated."""
 
     events: EventAlignment | None
     light: int
     polarity: int = 1
+    as_stated: bool = False
+
+    @property
+    def follows(self) -> bool:
+        """Whether they follow it at all."""
+        return self.events is not None and self.events.follows
 
     @property
     def loss(self) -> float:
@@ -86,16 +93,37 @@ class _Hypothesis:
 def cases_of(recordings: Sequence[Recording], lights: Sequence[Light], stated: Mapping[str, str]) -> list[Case]:
     """One case per recording, each with a light of its own.
 
-    Lights may have been exchanged, not shared: of all ways to give every recording one light, the one counts under
-    which the events are explained best (Kuhn 1955, Naval Res. Logist. 2, 83).
+    A camera has one polarity: where not all events follow the lights stated, they are held against them with ON and OFF
+    exchanged in all recordings, too.  Lights may have been exchanged, not shared: of all ways to give every recording
+    one light, the one counts under which the events are explained best (Kuhn 1955, Naval Res. Logist. 2, 83).
 
     Args:
         recordings, lights: in the order that is stated.
         stated: of a recording's name, how it is aligned.
     """
+    found = _assigned(recordings, lights, 1)
+    if not all(one.as_stated for one in found.chosen):
+        exchanged = _assigned(recordings, lights, -1)
+        found = exchanged if exchanged.loss < found.loss - AS_STATED else found
+    return [
+        _case(recording, lights[one.light], recordings[one.light].name, one, stated.get(recording.name, ""))
+        for recording, one in zip(recordings, found.chosen, strict=True)
+    ]
+
+
+@dataclass(frozen=True)
+class _Assigned:
+    """One hypothesis for each recording, and the loss of all."""
+
+    chosen: list[_Hypothesis]
+    loss: float
+
+
+def _assigned(recordings: Sequence[Recording], lights: Sequence[Light], polarity: int) -> _Assigned:
+    """The best way to give every recording one light, with a polarity of the session."""
     from scipy.optimize import linear_sum_assignment
 
-    tried = [_hypotheses(i, recordings, lights) for i in range(len(recordings))]
+    tried = [_hypotheses(i, recordings, lights, polarity) for i in range(len(recordings))]
     loss = np.full((len(recordings), len(lights)), UNEXPLAINED)
     for i, hypotheses in enumerate(tried):
         if not hypotheses:  # no events that could tell: its own, unless another takes that
@@ -104,15 +132,14 @@ def cases_of(recordings: Sequence[Recording], lights: Sequence[Light], stated: M
         for one in hypotheses:
             loss[i, one.light] = min(loss[i, one.light], one.loss)
         loss[i, i] -= AS_STATED
-    _, chosen = linear_sum_assignment(loss)
-    cases = []
-    for i, k in enumerate(chosen):
-        options = [one for one in tried[i] if one.light == k] or [
-            _Hypothesis(_events(recordings[i], lights[k]), int(k))
-        ]
-        best = min(options, key=lambda one: one.loss)
-        cases.append(_case(recordings[i], lights[k], recordings[k].name, best, stated.get(recordings[i].name, "")))
-    return cases
+    rows, columns = linear_sum_assignment(loss)
+    chosen = []
+    for i, k in zip(rows, columns, strict=True):
+        able = [one for one in tried[i] if one.light == k]
+        events = _events(recordings[i], lights[k], polarity) if k != i and not tried[i] else None
+        there = _Hypothesis(events, int(k), polarity, as_stated=k == i)
+        chosen.append(min(able, key=lambda one: one.loss, default=there))
+    return _Assigned(chosen, float(loss[rows, columns].sum()))
 
 
 def _case(recording: Recording, light: Light, of: str, best: _Hypothesis, how: str) -> Case:
@@ -123,14 +150,25 @@ def _case(recording: Recording, light: Light, of: str, best: _Hypothesis, how: s
     return Case(recording, light, of, how, best.events, best.polarity, edges, moments, stamp)
 
 
-def _hypotheses(i: int, recordings: Sequence[Recording], lights: Sequence[Light]) -> list[_Hypothesis]:
-    """What recording i may follow: its own light alone where that explains it, else whatever it follows; none where
-    its events cannot tell."""
+def _hypotheses(i: int, recordings: Sequence[Recording], lights: Sequence[Light], polarity: int) -> list[_Hypothesis]:
+    """What recording i may follow with the session's polarity; none where its events cannot tell.
+
+    Its own light alone, where that explains it.
+    """
     recording = recordings[i]
     if len(recording.events) <= LEAST_CHANGES:
         return []
-    own = _Hypothesis(_events(recording, lights[i]), i)
-    return [own] if _explains(own.events) else [own, *_others(i, recordings, lights)]
+    constant = is_constant(lights[i])
+    own = _Hypothesis(_events(recording, lights[i], polarity), i, polarity)
+    if _explains(own.events):
+        return [replace(own, as_stated=polarity > 0)]
+    tried = [replace(own, as_stated=constant)]
+    if 0 < np.count_nonzero(recording.events.p) < len(recording.events):  # of one polarity they follow either kind
+        exchanged = _Hypothesis(_events(recording, lights[i], -polarity), i, -polarity)
+        tried += [exchanged] if exchanged.follows else []
+    others = sorted(((correlation(recording, light), k) for k, light in enumerate(lights) if k != i), reverse=True)
+    rest = [_Hypothesis(_events(recording, lights[k], polarity), k, polarity) for _, k in others[:OTHER_LIGHTS]]
+    return [*tried, *(one for one in rest if one.follows)]
 
 
 def _events(recording: Recording, light: Light, polarity: int = 1) -> EventAlignment | None:
@@ -153,19 +191,6 @@ def is_constant(light: Light) -> bool:
 def _explains(events: EventAlignment | None) -> bool:
     """Whether nearly all events follow: another light may share a few edges."""
     return events is not None and events.follows and events.loss_of_all <= LARGEST_LOSS
-
-
-def _others(i: int, recordings: Sequence[Recording], lights: Sequence[Light]) -> list[_Hypothesis]:
-    """The own light with polarity exchanged, and other lights, that are followed; polarity alone where it explains."""
-    recording, tried = recordings[i], []
-    if 0 < np.count_nonzero(recording.events.p) < len(recording.events):  # of one polarity they follow either kind
-        exchanged = _Hypothesis(_events(recording, lights[i], -1), i, -1)
-        if _explains(exchanged.events):
-            return [exchanged]
-        tried.append(exchanged)
-    others = sorted(((correlation(recording, light), k) for k, light in enumerate(lights) if k != i), reverse=True)
-    tried += [_Hypothesis(_events(recording, lights[k]), k) for _, k in others[:OTHER_LIGHTS]]
-    return [one for one in tried if one.events is not None and one.events.follows]
 
 
 def shared_rate(terms: Sequence[tuple[float, float, bool]]) -> SharedRate:

@@ -407,8 +407,13 @@ def beside_shot_noise(complete, monkeypatch, left_alone, left_beside, p_beside):
     bare = replace(left, seen=replace(left.seen, p=1e-9))
     monkeypatch.setattr(by_noise, "find_shot_noise", found)
     monkeypatch.setattr(by_noise, "_bare", lambda state, context: bare)
-    monkeypatch.setattr(by_noise, "is_noisy", lambda model, shipped: True)
-    return by_noise.try_before_next_effect(state, CONTEXT)
+    return looked_for_both_ways(state)
+
+
+def looked_for_both_ways(state):
+    """Shot noise in place of the effects that were named, and beside them."""
+    trials = by_noise.Trial(None, 0), by_noise.Trial(state.hypothesis, len(state.steps))
+    return by_noise.explain_by_shot_noise(state, trials, CONTEXT)
 
 
 @pytest.mark.parametrize(("left_alone", "named"), [(None, True), (50.0, True), (10.0, False)])
@@ -432,7 +437,7 @@ def test_shot_noise_that_the_base_looks_like_is_tried_before_any_effect(complete
     monkeypatch.setattr(by_noise, "find_shot_noise", lambda *given: noise)
     monkeypatch.setattr(by_noise, "looks_like_shot_noise", lambda seen, criteria: alike)
     monkeypatch.setattr(by_noise, "named_in_noise", lambda state, context: state)
-    state = by_noise.try_before_first_effect(replace(complete, hypothesis=left), CONTEXT)
+    state = by_noise.try_in_noise(replace(complete, hypothesis=left), CONTEXT)
     assert state.shot_noise is (noise if alike else None)
     assert state.global_p == (2e-9 if alike else 1.0)  # that of the base, not of what the noise leaves
 
@@ -449,7 +454,7 @@ def test_shot_noise_that_may_not_be_named_is_not_tried_before_effects(complete, 
     left_out = ("shot_noise",) if why == "left out" else ()
     context = replace(CONTEXT, options=replace(CONTEXT.options, leave_out=left_out))
     state = replace(complete, hypothesis=hypothesis)
-    assert by_noise.try_before_first_effect(state, context) is state
+    assert by_noise.try_in_noise(state, context) is state
 
 
 @pytest.mark.parametrize("explained", [True, False])
@@ -467,7 +472,7 @@ def test_where_shot_noise_leaves_something_it_counts_with_what_explains_that(com
     assert asked[0].left == 10.0
     assert (state.shot_noise is asked[0]) == explained
     assert state.phase is (Phase.DISCOUNT if explained else complete.phase)
-    again = by_noise.try_before_next_effect(replace(state, shot_noise=None, phase=Phase.NAME), CONTEXT)
+    again = looked_for_both_ways(replace(state, shot_noise=None, phase=Phase.NAME))
     assert again.shot_noise is None
     assert len(asked) == 1  # not beside the same hypothesis again
 
@@ -621,7 +626,6 @@ def test_an_effect_that_leaves_nothing_is_named_before_anything_dearer(monkeypat
     def dear(*_):
         raise AssertionError("asked for more than the plain round")
 
-    monkeypatch.setattr(search, "try_before_next_effect", dear)
     monkeypatch.setattr(search, "name_effect", dear)
     assert [step.effect for step in search.name_next(state, CONTEXT).steps] == ["lower_cutoff"]
 

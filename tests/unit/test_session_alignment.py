@@ -241,13 +241,15 @@ def test_evidence_counts_independent_blocks_not_events():
 
 
 def test_lights_are_exchanged_and_not_shared(monkeypatch):
-    """Of lights of one shape each recording follows one: the one that is nobody else's; noise under constant light, which
-    seems to follow another's, keeps its own."""
+    """Of lights of one shape each recording follows one, which is nobody else's.
+
+    Noise under constant light, which seems to follow another's, keeps its own.
+    """
     follows = {"a": {2: 0.003, 1: 0.004}, "b": {0: 0.003}, "c": {2: 0.003}, "constant": {2: 0.07}, "none": {}}
     names = list(follows)
     recordings = [SimpleNamespace(name=name, triggers=None, events=()) for name in names]
 
-    def hypotheses(i, recordings, lights):
+    def hypotheses(i, recordings, lights, polarity):
         def events(loss):
             return SimpleNamespace(follows=True, loss_of_all=loss)
 

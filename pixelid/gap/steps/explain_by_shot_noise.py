@@ -12,7 +12,6 @@ from pixelid.fit.maximise import maximise
 from pixelid.fit.shot_noise import EFFECT
 from pixelid.gap.attribute.candidates import remove_effect
 from pixelid.gap.detect.diagnostics import diagnose
-from pixelid.gap.detect.pixels import is_noisy
 from pixelid.gap.options import Context
 from pixelid.gap.phases import Phase
 from pixelid.gap.rounds import amended, entry, withdrawn
@@ -41,14 +40,15 @@ class _Found:
     index: int
 
 
-def try_before_first_effect(state: State, context: Context) -> State:
+def try_in_noise(state: State, context: Context) -> State:
     """The state with what shows under the noise that the filter finds named, and shot noise where replicates bear all
-    of that out; as it is where the base does not look like shot noise, or they do not."""
+    of that out; as it is where what is left does not look like shot noise, or they do not."""
     options, hypothesis = context.options, state.hypothesis
-    asked = EFFECT not in options.leave_out and not hypothesis.fit.model.has(EFFECT) and not state.imputed
-    if not (asked and state.remainder(options.alpha_each) and looks_like_shot_noise(hypothesis.seen, options.criteria)):
+    able = not (state.imputed or hypothesis.jitter is not None or hypothesis.fit.model.has(EFFECT))
+    asked = EFFECT not in options.leave_out and able and state.remainder(options.alpha_each)
+    if not (asked and looks_like_shot_noise(hypothesis.seen, options.criteria)):
         return state
-    more = named_in_noise(state.with_global_p(), context)
+    more = named_in_noise(state if state.turn else state.with_global_p(), context)
     if more is None:
         return state
     if not more.remainder(options.alpha_each):
@@ -57,19 +57,6 @@ def try_before_first_effect(state: State, context: Context) -> State:
     if noise is None or noise.corrected.seen.p < options.alpha_each:
         return replace(state, shot_noise_tried=more.shot_noise_tried)
     return _named(more, _Found(noise, more.hypothesis, len(more.steps), len(more.rounds) - 1)).then(Phase.DISCOUNT)
-
-
-def try_before_next_effect(state: State, context: Context) -> State:
-    """Shot noise tried after an effect, where the base looked like it, or what is left scatters more than thresholds of
-    such pixels do."""
-    hypothesis, criteria = state.hypothesis, context.options.criteria
-    first = state.steps[0].before
-    trials = (Trial(None, 0), Trial(hypothesis, len(state.steps)))
-    if state.turn == 1 and looks_like_shot_noise(first.seen, criteria):
-        trials = (Trial(first, 0), *trials)
-    elif state.imputed or not is_noisy(hypothesis.fit.model, state.model):
-        return state
-    return explain_by_shot_noise(state, trials, context)
 
 
 def try_shot_noise(state: State, context: Context) -> State:
