@@ -5,6 +5,7 @@ The formulas are those of `density.py`; here recordings become intervals, and ci
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from copy import copy
 from functools import cached_property
@@ -27,6 +28,7 @@ from pixelid.stages.circuit import Circuit
 from pixelid.stimuli.stimulus import Stimulus
 
 BRIGHTER = 1e-3  # of ln light, to find how levels go with a pixel's gain: to first order, 0.1 % of a gain of 3 %
+UNEVEN = 0.03  # ln light, about what a field differs by: where the changes of a parabola are taken
 NUDGE_S = 1e-7  # of the release, to find how a level depends on it: 1e-3 of a dead time, 1e7 times a float's rounding
 MOST_CLOCK_SHARE = 100.0  # a level that falls ten times as fast by its reset as it rises: the light has all but turned
 MOST_REMEMBERED = 4_000_000  # samples of light in sections whose trajectories are remembered: 0.3 GB
@@ -309,15 +311,40 @@ class EventTimes:
         return other
 
     def with_gains_held(self, circuit: Circuit) -> EventTimes:
-        """The same likelihood with what the gains of pixels add to changes as it is under a circuit.
+        """The same likelihood with what the gains of pixels add to changes as it is under a circuit, to second order.
 
-        Under circuits close by it differs to second order, and takes half of the time of each evaluation.
+        Under circuits close by it hardly differs, and takes half of the time of each evaluation.
         """
         other = copy(self)
-        other.by_gain = None
-        if self.is_uneven:
-            other.by_gain = other.changes(circuit).by_gain
+        other.by_gain = self._by_gains(circuit) if self.is_uneven else None
         return other
+
+    def _by_gains(self, circuit: Circuit) -> np.ndarray:
+        """What the gains of pixels add to the changes: of the parabola through those in light e^±`UNEVEN` as bright."""
+        assert self._uneven is not None
+        middle, extremes = self._in_even_field(circuit, self.evaluators, [True] * len(self.evaluators))
+        up, down = (self._in_even_field(circuit, self._brighter, extremes, math.exp(by))[0] for by in (UNEVEN, -UNEVEN))
+        gains = np.empty_like(middle)
+        for k, rows in enumerate(self.layout.per_section(gains)):
+            own = self._uneven[0][self.layout.events_of(k)], self._uneven[1][self.layout.ends_of(k)]
+            for row, gain in zip(rows, own, strict=True):
+                row[:] = gain / UNEVEN
+        with np.errstate(over="ignore", invalid="ignore"):
+            added = 0.5 * gains * (up - down + gains * (up - 2.0 * middle + down))
+        return np.nan_to_num(added, copy=False, posinf=0.0, neginf=0.0)
+
+    def _in_even_field(
+        self, circuit: Circuit, evaluators: Sequence[ChangeEvaluator], where: Sequence, brighter: float = 1.0
+    ) -> tuple[np.ndarray, list[Extremes]]:
+        """(all changes where every pixel sees the light that is stated, times a factor; where their extremes are).
+
+        where: of every section its extremes, or True where they are to be found
+        """
+        vector = np.empty(self.layout.size)
+        circuits, clocks = self._circuits(circuit)
+        lit = [own.with_(light_gain=own.light_gain * brighter) for own in circuits]
+        parts = list(zip(lit, evaluators, where, self.layout.per_section(vector), clocks, strict=True))
+        return vector, self._filled(parts)
 
     def with_lights(self, lights: Sequence[Sequence[Stimulus]]) -> EventTimes:
         """The same likelihood under other lights, those of each section, sampled at the same times."""
