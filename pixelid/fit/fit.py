@@ -136,7 +136,7 @@ def fit(
     if all(pooled):
         if form != "discrete":
             raise InputError("form: the continuous form is for event times, these recordings are pooled")
-        objective, optimum, details, pixels = fit_pooled(recordings, model, fixed or {}, report)
+        objective, optimum, details, pixels = fit_pooled(recordings, model, fixed or {}, report, seed)
         dispersion = details["dispersion"]
     else:
         objective, optimum, details, pixels = _fit_event_times(
@@ -148,9 +148,12 @@ def fit(
     # A clock moves every event across samples of the light, where the density has corners, and is nearly exchangeable
     # for the fastest poles: along that ridge differences of the gradient are noise, and the information matrix is not.
     clocks_free = not all(pooled) and any(name.startswith(CLOCKS) for name in coordinates.names)
-    information = optimum.local.information / dispersion
-    curvature = information if clocks_free else -objective.hessian(optimum.x, optimum.local) / dispersion
-    if clocks_free:
+    information = details.pop("information", optimum.local.information) / max(dispersion, 1.0)
+    direct = clocks_free or all(pooled)
+    curvature = information if direct else -objective.hessian(optimum.x, optimum.local)
+    if all(pooled):
+        details["curvature"] = "information matrix and the scatter of the score over pixels"
+    elif clocks_free:
         details["curvature"] = "information matrix (the clocks' delays are free)"
     elif not _positive(curvature):
         curvature = information

@@ -17,23 +17,24 @@ from pixelid.likelihood.pooled_rate import PooledRate
 from pixelid.model.model import Model
 from pixelid.recordings.recording import Recording
 
-SCOUT_S = 1.0  # seconds of each recording that the search from afar looks at
+SCOUT_S, SCOUT_KINDS = 0.3, 8  # seconds of each recording, and kinds of pixel, that the search from afar looks at
+ROUNDS = 4  # of a search with the variances of counts of where the last one ended; they settle in two
+SETTLED = 0.3  # standard errors that a round may move
 
 
 def fit_pooled(
-    recordings: Sequence[Recording], model: Model, fixed: Mapping[str, float], report: Callable[[str, float], None]
+    recordings: Sequence[Recording],
+    model: Model,
+    fixed: Mapping[str, float],
+    report: Callable[[str, float], None],
+    seed: int = 0,
 ) -> tuple[PooledRateObjective, Optimum, dict, int]:
     """(objective, optimum, details, 1) of the model fitted to pooled counts.
 
     fixed: nuisances of the recordings to hold.  Raises InputError for a name in it that is none.
     """
-    for effect in ("threshold_noise", "threshold_mismatch", "refractory_period"):
-        model = model.without_effect(effect)
     model = model.release(["delay_s"])
-    exchange = {"sf_cutoff_hz", "diff_cutoff_hz"} <= set(model.free)
-    if exchange:
-        model = model.fix({"diff_cutoff_hz": None})
-    scout = PooledRate(recordings, first_s=SCOUT_S)
+    scout = PooledRate(recordings, first_s=SCOUT_S, kinds=SCOUT_KINDS)
     nuisances = {p.name: p for p in scout.nuisances()}
     model = with_bench(model, recordings, delays=False)
     owned = {f"{parameter}[{recording.name}]" for parameter in model.starts_anew for recording in recordings}
@@ -56,34 +57,15 @@ def fit_pooled(
     model = held(model, {name: value for name, value in fixed.items() if name in owned})
     coordinates = Coordinates.of(model, tuple(p.at(start[name]) for name, p in nuisances.items()))
     report("searching", 0.1)
-    scouted = maximise(
-        PooledRateObjective(scout, coordinates),
-        coordinates.start,
-        tolerance=1.0,
-        max_steps=60,
-        progress=lambda step, value: report("searching", 0.1 + 0.4 * step / 60),
-    )
-    noisy = scout.dispersion(PooledRateObjective(scout, coordinates).expected(scouted.x))
-    likelihood = PooledRate(recordings)
-    objective = PooledRateObjective(likelihood, coordinates)
-    optimum = maximise(
-        objective,
-        scouted.x,
-        tolerance=0.1 * max(noisy, 1.0),  # a tenth of a nat, for counts this noisy
-        max_steps=80,
-        progress=lambda step, value: report("fitting", 0.5 + 0.4 * step / 80),
-    )
-    dispersion = likelihood.dispersion(objective.expected(optimum.x))
-    caveats = [
-        "number of pooled pixels × thresholds: only their ratio is visible (pooled.pixels is a gauge, chosen so that "
-        f"on_threshold started at {model.values['on_threshold']:g})",
-        "threshold noise, mismatch and dead time: pooled counts do not show them (left out of the model)",
-    ]
-    if exchange:
-        caveats.append(
-            "source follower and differencing pole: pooled counts do not show the reset that tells them apart, so they "
-            "can change places; diff_cutoff_hz is held where it was"
-        )
+    x, steps = coordinates.start, 0
+    for likelihood, share, tolerance in ((scout, 0.4, 1.0), (PooledRate(recordings), 0.4, 0.1)):
+        objective, optimum = _maximised(
+            PooledRateObjective(likelihood, coordinates), x, tolerance,
+            lambda part, share=share: report("searching" if share else "fitting", 0.1 + share * part),
+        )  # fmt: skip
+        x, steps = optimum.x, steps + optimum.steps
+    dispersion = objective.likelihood.dispersion(objective.expected(optimum.x))
+    caveats = []
     if "stimulus.offset" in nuisances:
         caveats.append(
             "light levels: radiance is in units of the light that is on all the time (stimulus.offset = 1 is a gauge), "
@@ -92,7 +74,25 @@ def fit_pooled(
     details = {
         "dispersion": dispersion,
         "bin_s": float(np.diff(likelihood.counts[0].edges[:2])[0]),
-        "steps": optimum.steps,
+        "steps": steps,
         "caveats": caveats,
+        "information": objective.information(optimum.x, optimum.local, seed),
     }
     return objective, optimum, details, 1
+
+
+def _maximised(
+    objective: PooledRateObjective, x: np.ndarray, tolerance: float, report: Callable[[float], None]
+) -> tuple[PooledRateObjective, Optimum]:
+    """(the objective near its optimum, the optimum): variances of counts follow the search, round by round."""
+    for turn in range(ROUNDS):
+        objective = objective.near(x)
+        noisy = max(objective.likelihood.dispersion(objective.expected(x)), 1.0)
+        optimum = maximise(
+            objective, x, tolerance=tolerance * noisy, max_steps=40,
+            progress=lambda step, value, turn=turn: report((turn + step / 40) / ROUNDS),
+        )  # fmt: skip
+        move, x = optimum.x - x, optimum.x
+        if move @ optimum.local.information @ move < SETTLED**2 * noisy:
+            break
+    return objective, optimum
