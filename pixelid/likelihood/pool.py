@@ -28,12 +28,12 @@ import numpy as np
 from numba import njit
 
 SHORT, LONG = 32, 1024  # steps: of the blocks whose extremes let a cohort skip what cannot make it fire
-REACH = 4.0  # standard deviations of a threshold: the 3e-5 of the pixels beyond fire there
+REACH = 5.0  # standard deviations of a threshold: the 3e-7 of the pixels beyond fire there
 EDGE = 1e-9  # of them, for rounding
-LEAST_SHARE = 1e-4  # of the pool: smaller cohorts join the next
+LEAST_SHARE = 1e-5  # of the pool: smaller cohorts join the next
 LEAST_SPREAD = 1e-3  # of a threshold: a noise of zero has no density
 FIRST = 24  # references of pixels whose last event is long ago, evenly between the thresholds
-STEP_SD = 3.0  # standard deviations of a threshold that the signals move in a step
+STEP_SD = 2.0  # standard deviations of a threshold that the signals move in a step
 RESET_SD = 0.6  # of them: most that the rest of a reset departs from a straight line in a step
 FADED = 1e-3  # of them: less of a reset's rest is none
 MOST_STEPS = 256  # of a bin
@@ -185,11 +185,12 @@ def _flow(shared, comparator, events, twice):
     chains = 1 if comparator.memory == 0.0 else 2
     # by the polarity before: share, and moments of the release time within the step; then events so far in its bin
     waiting = np.zeros((chains, n + 1, 5))
+    last = len(shared.first) - 1 - 1e-9
     for i in range(FIRST):
         z = -comparator.off + (comparator.on + comparator.off) * (i + 0.5) / FIRST
         width = (comparator.on + comparator.off) / FIRST
         _cohort(
-            shared, comparator, events, twice, waiting, 0, 0.0, 1.0 / FIRST, width * width / 12.0, 0.0,
+            shared, comparator, events, twice, waiting, 0, 0, 0.0, 1.0 / FIRST, width * width / 12.0, 0.0,
             0.0, shared.output[0] - z, 0.0, z, True,
         )  # fmt: skip
     for j in range(n):
@@ -206,20 +207,22 @@ def _flow(shared, comparator, events, twice):
                 on_before, off_before = waiting[chain, j, 3] / share, waiting[chain, j, 4] / share
                 for m in range(5):
                     waiting[chain, j, m] = 0.0
-                mean = min(max(mean, 0.0), 1.0)
-                slope = shared.level[j + 1] - shared.level[j]
-                level = shared.level[j] + mean * slope
-                gap = shared.output[j] + mean * (shared.output[j + 1] - shared.output[j]) - level
-                width = shared.place[j + 1] - shared.place[j]
+                release = shared.place[j] + mean * (shared.place[j + 1] - shared.place[j])
+                release = min(max(release, 0.0), last)
+                k, x = _step_of(shared.first, release)
+                slope = (shared.level[k + 1] - shared.level[k]) / (shared.place[k + 1] - shared.place[k])
+                variance *= (slope * (shared.place[j + 1] - shared.place[j])) ** 2
+                level = shared.level[k] + x * (shared.level[k + 1] - shared.level[k])
+                gap = shared.output[k] + x * (shared.output[k + 1] - shared.output[k]) - level
                 _cohort(
-                    shared, comparator, events, twice, waiting, chain, shared.place[j] + mean * width, share,
-                    slope * slope * variance, on_before, off_before, level, gap, 0.0, False,
+                    shared, comparator, events, twice, waiting, chain, j, release, share, variance, on_before, off_before,
+                    level, gap, 0.0, False,
                 )  # fmt: skip
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _cohort(
-    shared, comparator, events, twice, waiting, chain, release, share, variance, on_before, off_before,
+    shared, comparator, events, twice, waiting, chain, j, release, share, variance, on_before, off_before,
     level, gap, begin, first,
 ):  # fmt: skip
     """Follow the pixels released at `release` (bins) until all have fired or the signals end."""
@@ -254,7 +257,7 @@ def _cohort(
             at_once, before = (1.0 - on_left, on_before) if polarity == 0 else (1.0 - off_left, off_before)
             if at_once > 0.0:
                 _fire(
-                    shared, comparator, events, twice, waiting, polarity, k, share * at_once, x, 0.0, own_bin, before,
+                    shared, comparator, events, twice, waiting, polarity, j, k, share * at_once, x, 0.0, own_bin, before,
                     on_before, off_before,
                 )  # fmt: skip
     while k < n:
@@ -293,7 +296,7 @@ def _cohort(
             survivors, density = _above(z)
             if survivors < on_left:
                 _crossed(
-                    shared, comparator, events, twice, waiting, 0, k, x, now, after, share * off_left,
+                    shared, comparator, events, twice, waiting, 0, j, k, x, now, after, share * off_left,
                     on_left - survivors, on, on_sd, on_z, z, on_density, density, own_bin, on_before, on_before,
                     off_before,
                 )  # fmt: skip
@@ -303,7 +306,7 @@ def _cohort(
             survivors, density = _above(z)
             if survivors < off_left:
                 _crossed(
-                    shared, comparator, events, twice, waiting, 1, k, x, -now, -after, share * on_left,
+                    shared, comparator, events, twice, waiting, 1, j, k, x, -now, -after, share * on_left,
                     off_left - survivors, off, off_sd, off_z, z, off_density, density, own_bin, off_before, on_before,
                     off_before,
                 )  # fmt: skip
@@ -315,7 +318,7 @@ def _cohort(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _crossed(
-    shared, comparator, events, twice, waiting, polarity, k, x, now, after, share, mass, threshold, sd, a, b, pa, pb,
+    shared, comparator, events, twice, waiting, polarity, j, k, x, now, after, share, mass, threshold, sd, a, b, pa, pb,
     own_bin, before, on_before, off_before,
 ):  # fmt: skip
     """Events of the `mass` of thresholds a to b standard deviations off, with densities pa and pb there.
@@ -330,17 +333,17 @@ def _crossed(
     speed = (after - now) / (1.0 - x)
     at = min(max(x + (threshold + sd * mean - now) / speed, x), 1.0)
     _fire(
-        shared, comparator, events, twice, waiting, polarity, k, share * mass, at, spread * (sd / speed) ** 2, own_bin,
+        shared, comparator, events, twice, waiting, polarity, j, k, share * mass, at, spread * (sd / speed) ** 2, own_bin,
         before, on_before, off_before,
     )  # fmt: skip
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _fire(
-    shared, comparator, events, twice, waiting, polarity, k, fired, at, variance, own_bin, before, on_before,
+    shared, comparator, events, twice, waiting, polarity, j, k, fired, at, variance, own_bin, before, on_before,
     off_before,
 ):  # fmt: skip
-    """Count `fired` pixels at the place `at` of step k, and let them go again after the dead time."""
+    """Count `fired` pixels at the place `at` of step k, and let them go again after the dead time, not before step j."""
     events[polarity, k] += fired
     width = shared.place[k + 1] - shared.place[k]
     time = shared.place[k] + at * width
@@ -351,12 +354,22 @@ def _fire(
     release = time + comparator.dead
     if release >= len(shared.first) - 1:
         return
-    j, x = _step_of(shared.first, release)
-    scale = width / (shared.place[j + 1] - shared.place[j])
-    variance *= scale * scale
-    cell = waiting[polarity if waiting.shape[0] == 2 else 0, j]
-    cell[0] += fired
-    cell[1] += fired * x
-    cell[2] += fired * (x * x + variance)
-    cell[3] += fired * ((on_before if same else 0.0) + (1.0 if polarity == 0 else 0.0))
-    cell[4] += fired * ((off_before if same else 0.0) + (1.0 if polarity == 1 else 0.0))
+    m, x = _step_of(shared.first, release)
+    # Shared between the two steps whose middles are nearest, so that expectations are smooth in every parameter.
+    other = m + 1 if x > 0.5 else m - 1
+    part = abs(x - 0.5)
+    on_before = (on_before if same else 0.0) + (1.0 if polarity == 0 else 0.0)
+    off_before = (off_before if same else 0.0) + (1.0 if polarity == 1 else 0.0)
+    chain = polarity if waiting.shape[0] == 2 else 0
+    for step, weight in ((m, 1.0 - part), (other, part)):
+        step = max(step, j)
+        if step >= waiting.shape[1] - 1:
+            continue
+        own = shared.place[step + 1] - shared.place[step]
+        x = (release - shared.place[step]) / own
+        cell, mass = waiting[chain, step], weight * fired
+        cell[0] += mass
+        cell[1] += mass * x
+        cell[2] += mass * (x * x + variance * (width / own) ** 2)
+        cell[3] += mass * on_before
+        cell[4] += mass * off_before

@@ -46,6 +46,7 @@ MOST_BINS = 2_000_000  # a few hundred MB with their derivatives
 # A count that the chain calls nearly certain still depends on what moves all pixels alike: a twentieth of Poisson's
 # variance is a clock or a step that is off by 5 % of a bin in a burst.
 LEAST_RATIO = 0.05
+LEAST_VARIANCE = 1e-4  # of a bin, per pixel: no threshold is normal so far out in its tail
 LEAST_EVENTS = 100  # fewer tell a rate to no better than 10 %
 
 
@@ -138,7 +139,8 @@ class PooledRate:
         part = copy(self)
         part.steps = tuple(self._steps(i, circuit, values) for i in range(len(self.recordings)))
         mean, variance = part.moments(circuit, values)
-        part.ratio = np.maximum(variance / mean, LEAST_RATIO)
+        least = LEAST_VARIANCE * values["pooled.pixels"]
+        part.ratio = np.maximum(np.maximum(variance, least) / mean, LEAST_RATIO)
         return part
 
     def nuisances(self) -> tuple[Parameter, ...]:
