@@ -13,12 +13,16 @@ from pixelid.fit.newton import Optimum, maximise
 from pixelid.fit.own_values import with_own_values
 from pixelid.fit.pooled_rate import PooledRateObjective
 from pixelid.fit.starts import align, match_counts
+from pixelid.inspection.bursts import BurstCounter, Bursts
 from pixelid.likelihood.pooled_rate import PooledRate
 from pixelid.model.model import Model
 from pixelid.recordings.recording import Recording
 
-SCOUT_S, SCOUT_KINDS = 0.3, 8  # seconds of each recording, and kinds of pixel, that the search from afar looks at
+SCOUT_EVENTS, SCOUT_KINDS = 10_000, 6  # per recording, and kinds of pixel, that the search from afar looks at
+LEAST_SCOUT_S = 0.1  # of each recording
+FROM_AFAR = (0.3, 0.1, 0.05, 0.0, 0.0)  # noise added to thresholds in the rounds of that search
 ROUNDS = 4  # of a search with the variances of counts of where the last one ended; they settle in two
+DEAD_TIMES_S = (1e-5, 3e-5, 1e-4, 3e-4, 1e-3)
 SETTLED = 0.3  # standard errors that a round may move
 
 
@@ -34,7 +38,7 @@ def fit_pooled(
     fixed: nuisances of the recordings to hold.  Raises InputError for a name in it that is none.
     """
     model = model.release(["delay_s"])
-    scout = PooledRate(recordings, first_s=SCOUT_S, kinds=SCOUT_KINDS)
+    scout = PooledRate(recordings, first_s=_scouted_s(recordings), kinds=SCOUT_KINDS)
     nuisances = {p.name: p for p in scout.nuisances()}
     model = with_bench(model, recordings, delays=False)
     owned = {f"{parameter}[{recording.name}]" for parameter in model.starts_anew for recording in recordings}
@@ -48,7 +52,11 @@ def fit_pooled(
     start = {**model.values, **{name: p.value for name, p in nuisances.items()}}
     report("aligning clocks", 0.05)
     start |= align(scout, model, start)
-    start |= {name: value for name, value in match_counts(scout, model, start).items() if name not in fixed}
+    bursts = {b.pixels for b in map(_bursts, recordings) if b.pixels is not None}
+    pixels = fixed.get("pooled.pixels", float(bursts.pop()) if len(bursts) == 1 else None)
+    start |= {name: value for name, value in _counted(scout, model, start, pixels).items() if name not in fixed}
+    if pixels is not None:
+        nuisances["pooled.pixels"] = nuisances["pooled.pixels"].at(pixels).fixed()
     model = model.set({name: value for name, value in start.items() if name in model.parameters})
     names = [recording.name for recording in recordings]
     model = with_own_values(
@@ -58,14 +66,17 @@ def fit_pooled(
     coordinates = Coordinates.of(model, tuple(p.at(start[name]) for name, p in nuisances.items()))
     report("searching", 0.1)
     x, steps = coordinates.start, 0
-    for likelihood, share, tolerance in ((scout, 0.4, 1.0), (PooledRate(recordings), 0.4, 0.1)):
+    whole = PooledRate(recordings)
+    for k, (likelihood, blurs, tolerance) in enumerate(
+        ((scout, FROM_AFAR, 1.0), (whole, (0.0,) * ROUNDS, 0.1))
+    ):
         objective, optimum = _maximised(
-            PooledRateObjective(likelihood, coordinates), x, tolerance,
-            lambda part, share=share: report("searching" if share else "fitting", 0.1 + share * part),
+            PooledRateObjective(likelihood, coordinates), x, tolerance, blurs,
+            lambda part, k=k: report("fitting" if k else "searching", 0.1 + 0.4 * (k + part)),
         )  # fmt: skip
         x, steps = optimum.x, steps + optimum.steps
     dispersion = objective.likelihood.dispersion(objective.expected(optimum.x))
-    caveats = []
+    caveats = [] if pixels is None else [f"pooled.pixels = {pixels:g} is held: the events come in bursts of so many"]
     if "stimulus.offset" in nuisances:
         caveats.append(
             "light levels: radiance is in units of the light that is on all the time (stimulus.offset = 1 is a gauge), "
@@ -81,18 +92,50 @@ def fit_pooled(
     return objective, optimum, details, 1
 
 
+def _scouted_s(recordings: Sequence[Recording]) -> float:
+    """Seconds of every recording that hold events enough for a search from afar."""
+    rates = [len(r.events) / max(float(np.ptp(r.events.t)) * 1e-9, 1e-9) for r in recordings if len(r.events) > 1]
+    return max(SCOUT_EVENTS / min(rates), LEAST_SCOUT_S) if rates else LEAST_SCOUT_S
+
+
+def _bursts(recording: Recording) -> Bursts:
+    counter = BurstCounter()
+    counter.add(recording.events)
+    return counter.bursts()
+
+
+def _counted(scout: PooledRate, model: Model, start: dict[str, float], pixels: float | None) -> dict[str, float]:
+    """Pixels, thresholds and dead time to start from: of several dead times, the one that suits the counts best.
+
+    A dead time that is off by a factor of ten changes which events follow which, so it has no useful gradient.
+    """
+    times = [None] if "refractory_s" not in model.free else [model.values["refractory_s"], *DEAD_TIMES_S]
+    best: tuple[float, dict[str, float]] = (-np.inf, {})
+    for dead_s in times:
+        trial = start if dead_s is None else {**start, "refractory_s": model.parameter("refractory_s").within(dead_s)}
+        trial = {**trial, **match_counts(scout, model, trial, pixels)}
+        circuit = model.circuit(trial)
+        value = scout.log_likelihood(scout.near(circuit, trial, False, FROM_AFAR[0]).expected(circuit, trial))
+        best = max(best, (value, trial), key=lambda pair: pair[0])
+    return best[1]
+
+
 def _maximised(
-    objective: PooledRateObjective, x: np.ndarray, tolerance: float, report: Callable[[float], None]
+    objective: PooledRateObjective,
+    x: np.ndarray,
+    tolerance: float,
+    blurs: Sequence[float],
+    report: Callable[[float], None],
 ) -> tuple[PooledRateObjective, Optimum]:
-    """(the objective near its optimum, the optimum): variances of counts follow the search, round by round."""
-    for turn in range(ROUNDS):
-        objective = objective.near(x)
+    """(the objective near its optimum, the optimum): variances of counts and blur follow the search, round by round."""
+    for turn, blur in enumerate(blurs):
+        objective = objective.near(x, scatter=blur == 0, blur=blur)
         noisy = max(objective.likelihood.dispersion(objective.expected(x)), 1.0)
         optimum = maximise(
             objective, x, tolerance=tolerance * noisy, max_steps=40,
-            progress=lambda step, value, turn=turn: report((turn + step / 40) / ROUNDS),
+            progress=lambda step, value, turn=turn: report((turn + step / 40) / len(blurs)),
         )  # fmt: skip
         move, x = optimum.x - x, optimum.x
-        if move @ optimum.local.information @ move < SETTLED**2 * noisy:
+        if blur == 0 and move @ optimum.local.information @ move < SETTLED**2 * noisy:
             break
     return objective, optimum

@@ -26,9 +26,9 @@ class PooledRateObjective(Objective):
         self.likelihood = likelihood
         self.coordinates = coordinates
 
-    def near(self, x: np.ndarray) -> PooledRateObjective:
-        """The same with the steps and the variances of counts of the model at x."""
-        likelihood = self.likelihood.near(self.coordinates.circuit(x), self.coordinates.values(x))
+    def near(self, x: np.ndarray, scatter: bool = True, blur: float = 0.0) -> PooledRateObjective:
+        """The same with the steps of the model at x, its variances of counts or Poisson's, and thresholds blurred."""
+        likelihood = self.likelihood.near(self.coordinates.circuit(x), self.coordinates.values(x), scatter, blur)
         return PooledRateObjective(likelihood, self.coordinates)
 
     def expected(self, x: np.ndarray) -> np.ndarray:
@@ -51,7 +51,14 @@ class PooledRateObjective(Objective):
         )
 
     def jacobian(self, x: np.ndarray, at_x: np.ndarray) -> np.ndarray:
-        """(bins, d) derivatives of the expected counts, which are `at_x` at x; one-sided differences."""
+        """(bins, d) derivatives of the expected counts, which are `at_x` at x; one-sided differences.
+
+        Taken roughly where there is a rough likelihood: Σ J (n − λ)/v is 0 at the true λ whatever J is, so errors of J
+        cost precision by their square and bias nothing.
+        """
+        rough = self.likelihood.rough
+        taken = self if rough is None else PooledRateObjective(rough, self.coordinates)
+        begin = at_x if rough is None else taken.expected(x)
         values, upper = self.coordinates.values(x), self.coordinates.bounds()[1]
         linear = self.likelihood.linear_parts(at_x, values)
         queued = values.get("readout_latency.service_s", 0.0) > 0
@@ -64,7 +71,7 @@ class PooledRateObjective(Objective):
             step = -step if x[i] + step > upper[i] else step
             moved = x.copy()
             moved[i] += step
-            columns.append((self.expected(moved) - at_x) / step)
+            columns.append((taken.expected(moved) - begin) / step)
         return np.stack(columns, axis=1)
 
     def information(self, x: np.ndarray, local: Local, seed: int) -> np.ndarray:

@@ -27,14 +27,15 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-SHORT, LONG = 32, 1024  # steps: of the blocks whose extremes let a cohort skip what cannot make it fire
+SHORT, LONG = 16, 256  # steps: of the blocks whose extremes let a cohort skip what cannot make it fire
 REACH = 5.0  # standard deviations of a threshold: the 3e-7 of the pixels beyond fire there
 EDGE = 1e-9  # of them, for rounding
-LEAST_SHARE = 1e-5  # of the pool: smaller cohorts join the next
+LEAST_SHARE = 3e-5  # of the pool: smaller cohorts join the next
 LEAST_SPREAD = 1e-3  # of a threshold: a noise of zero has no density
 FIRST = 24  # references of pixels whose last event is long ago, evenly between the thresholds
 STEP_SD = 2.0  # standard deviations of a threshold that the signals move in a step
 RESET_SD = 0.6  # of them: most that the rest of a reset departs from a straight line in a step
+MOST_AGAIN = 16  # events of a pixel within a step; a model with more has longer steps than suit it
 FADED = 1e-3  # of them: less of a reset's rest is none
 MOST_STEPS = 256  # of a bin
 INVERSE_SQRT_2, INVERSE_SQRT_2PI = 1.0 / math.sqrt(2.0), 1.0 / math.sqrt(2.0 * math.pi)
@@ -45,6 +46,7 @@ class Signals(NamedTuple):
 
     first: (bins + 1,) step at which each bin begins;  place: (n + 1,) time at the ends of steps
     level, output: (n + 1,) log radiance, what the amplifier is reset to and its output when never reset, with what leaks
+    level_slope, output_slope: (n + 1,) per bin
     high, low: (blocks,) extremes of `output` over blocks of SHORT steps;  higher, lower: of LONG steps
     """
 
@@ -52,6 +54,8 @@ class Signals(NamedTuple):
     place: np.ndarray
     level: np.ndarray
     output: np.ndarray
+    level_slope: np.ndarray
+    output_slope: np.ndarray
     high: np.ndarray
     low: np.ndarray
     higher: np.ndarray
@@ -109,7 +113,9 @@ def signals(steps: np.ndarray, level: np.ndarray, output: np.ndarray) -> Signals
         for extreme in (np.maximum, np.minimum):
             extremes.append(extreme(extreme.reduceat(output[:-1], first), output[last]))
     first = np.concatenate([[0], np.cumsum(steps)])
-    return Signals(first, places(steps), np.ascontiguousarray(level), np.ascontiguousarray(output), *extremes)
+    place = places(steps)
+    slopes = np.gradient(level, place), np.gradient(output, place)
+    return Signals(first, place, np.ascontiguousarray(level), np.ascontiguousarray(output), *slopes, *extremes)
 
 
 def flow(shared: Signals, comparator: Comparator) -> tuple[np.ndarray, np.ndarray]:
@@ -170,6 +176,14 @@ def _step_of(first, time):
 
 
 @njit(inline="always")
+def _between(x, k, place, values, slopes):
+    """Hermite's cubic at the place x of step k."""
+    width = place[k + 1] - place[k]
+    rise, a, b = values[k + 1] - values[k], width * slopes[k], width * slopes[k + 1]
+    return values[k] + x * (a + x * (3.0 * rise - 2.0 * a - b + x * (a + b - 2.0 * rise)))
+
+
+@njit(inline="always")
 def _above(z):
     """(1 − Φ(z), φ(z)) of a standard normal that ends at ±REACH."""
     if z <= EDGE - REACH:
@@ -195,9 +209,9 @@ def _flow(shared, comparator, events, twice):
         )  # fmt: skip
     for j in range(n):
         for chain in range(chains):
-            for _ in range(1000):  # events within the step of their release come back to it
+            for again in range(MOST_AGAIN + 1):  # events within the step of their release come back to it
                 share = waiting[chain, j, 0]
-                if share < LEAST_SHARE:
+                if share < LEAST_SHARE or again == MOST_AGAIN:
                     if share > 0.0:  # nothing is lost: they join those released a step later
                         waiting[chain, j + 1, 0] += share
                         waiting[chain, j, 0] = 0.0
@@ -212,8 +226,8 @@ def _flow(shared, comparator, events, twice):
                 k, x = _step_of(shared.first, release)
                 slope = (shared.level[k + 1] - shared.level[k]) / (shared.place[k + 1] - shared.place[k])
                 variance *= (slope * (shared.place[j + 1] - shared.place[j])) ** 2
-                level = shared.level[k] + x * (shared.level[k + 1] - shared.level[k])
-                gap = shared.output[k] + x * (shared.output[k + 1] - shared.output[k]) - level
+                level = _between(x, k, shared.place, shared.level, shared.level_slope)
+                gap = _between(x, k, shared.place, shared.output, shared.output_slope) - level
                 _cohort(
                     shared, comparator, events, twice, waiting, chain, j, release, share, variance, on_before, off_before,
                     level, gap, 0.0, False,
@@ -245,9 +259,8 @@ def _cohort(
     on_z, off_z = (highest - on) / on_sd, (lowest - off) / off_sd
     on_left, on_density = _above(on_z)
     off_left, off_density = _above(off_z)
-    if first:
-        share /= max(on_left * off_left, 1e-3)
-    elif comparator.blind > 0.0:  # what has been crossed meanwhile fires at once
+    share /= max(on_left * off_left, 1e-3)  # no threshold is below where the change begins
+    if not first and comparator.blind > 0.0:  # what has been crossed meanwhile fires at once
         now = output[k] + x * (output[k + 1] - output[k]) - level - left
         on_z, off_z = (now - on) / on_sd, (-now - off) / off_sd
         on_left, on_density = _above(on_z)

@@ -46,6 +46,7 @@ MOST_BINS = 2_000_000  # a few hundred MB with their derivatives
 # A count that the chain calls nearly certain still depends on what moves all pixels alike: a twentieth of Poisson's
 # variance is a clock or a step that is off by 5 % of a bin in a burst.
 LEAST_RATIO = 0.05
+ROUGH, ROUGH_KINDS = 3.0, 6  # steps so much longer, and kinds of pixel, where derivatives are taken
 LEAST_VARIANCE = 1e-4  # of a bin, per pixel: no threshold is normal so far out in its tail
 LEAST_EVENTS = 100  # fewer tell a rate to no better than 10 %
 
@@ -95,6 +96,7 @@ class PooledRate:
         observed: (bins,) counts, per recording ON then OFF.
         kept: (bins,) bool, those that count: all, but of `of_bins`.
         ratio: (bins,) variance over mean of counts: 1, but of `near`.
+        rough: The same with longer steps and fewer kinds of pixel, for derivatives; None, but of `near`.
         steps: Per recording (bins,) steps of the forward pass, but for a new likelihood: then they suit each model.
 
     Raises:
@@ -104,7 +106,8 @@ class PooledRate:
     def __init__(
         self, recordings: Sequence[Recording], bin_s: float = BIN_S, first_s: float = math.inf, kinds: int = KINDS
     ) -> None:
-        self._kinds = kinds
+        self._kinds, self._coarse, self._blur = kinds, 1.0, 0.0
+        self.rough: PooledRate | None = None
         self.recordings = tuple(recordings)
         for recording in self.recordings:
             if recording.stimulus is None:
@@ -134,10 +137,27 @@ class PooledRate:
         part.kept = kept
         return part
 
-    def near(self, circuit: Circuit, values: Mapping[str, float]) -> PooledRate:
-        """The same likelihood with the steps and the variances of counts that suit models near this one."""
+    def near(
+        self, circuit: Circuit, values: Mapping[str, float], scatter: bool = True, blur: float = 0.0
+    ) -> PooledRate:
+        """The same likelihood with the steps and the variances of counts that suit models near this one.
+
+        Args:
+            circuit, values: The model.
+            scatter: False: Poisson's variances, for a model that may be far from the truth and certain of what is wrong.
+            blur: Noise of thresholds added, relative.  Pixels in step make a comb of events that fits a threshold at
+                every tooth; a blurred pool shows their rate, whose optimum is near the right tooth.
+        """
         part = copy(self)
+        part._blur = blur
+        rough = copy(part)
         part.steps = tuple(self._steps(i, circuit, values) for i in range(len(self.recordings)))
+        rough._kinds, rough._coarse = min(ROUGH_KINDS, self._kinds), ROUGH
+        rough.steps = tuple(rough._steps(i, circuit, values) for i in range(len(self.recordings)))
+        part.rough = rough
+        part.ratio = np.ones(len(self.observed))
+        if not scatter:
+            return part
         mean, variance = part.moments(circuit, values)
         least = LEAST_VARIANCE * values["pooled.pixels"]
         part.ratio = np.maximum(np.maximum(variance, least) / mean, LEAST_RATIO)
@@ -147,8 +167,8 @@ class PooledRate:
         """The recordings' own parameters, with starting values."""
         rate = self.observed.mean() / self._width
         parameters = [
-            Parameter("pooled.background_on_hz", 0.1 * rate, "Hz", 1e-6 * rate, 1e3 * rate, "log"),
-            Parameter("pooled.background_off_hz", 0.1 * rate, "Hz", 1e-6 * rate, 1e3 * rate, "log"),
+            Parameter("pooled.background_on_hz", 0.01 * rate, "Hz", 1e-6 * rate, 1e3 * rate, "log"),
+            Parameter("pooled.background_off_hz", 0.01 * rate, "Hz", 1e-6 * rate, 1e3 * rate, "log"),
             Parameter("pooled.pixels", 1.0, "pixels", 0.1, 1e9, "log"),
         ]
         parameters += [
@@ -203,7 +223,8 @@ class PooledRate:
     def _comparator(self, circuit: Circuit, kind: Kind) -> Comparator:
         width = self._width
         return Comparator(
-            float(circuit.on_threshold * kind.on), float(circuit.off_threshold * kind.off), float(circuit.noise),
+            float(circuit.on_threshold * kind.on), float(circuit.off_threshold * kind.off),
+            math.hypot(circuit.noise, self._blur),
             float(circuit.polarity_memory), float(circuit.threshold_drift * width), float(circuit.refractory / width),
             float(max(circuit.silent - circuit.refractory, 0.0) / width), float(min(circuit.differencing * width, 1e9)),
         )  # fmt: skip
@@ -220,8 +241,8 @@ class PooledRate:
         n = self._warm_up(i) + len(self.counts[i].on)
         edges = self.counts[i].edges[-1] + self._width * np.arange(-n, 1)
         level, output = self._at(i, self._trajectory(i, circuit, values), edges, circuit, values)
-        noise = min(circuit.on_threshold, circuit.off_threshold) * max(math.hypot(circuit.noise, circuit.mismatch), 1e-2)
-        return divide(level, output, noise, min(circuit.differencing * self._width, 1e9))
+        noise = min(circuit.on_threshold, circuit.off_threshold) * max(math.hypot(circuit.noise, circuit.mismatch, self._blur), 1e-2)
+        return divide(level, output, self._coarse * noise, min(circuit.differencing * self._width, 1e9))
 
     def _trajectory(
         self, i: int, circuit: Circuit, values: Mapping[str, float], brighter: float = 1.0

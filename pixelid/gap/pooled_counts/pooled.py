@@ -1,7 +1,6 @@
 """The gap of pooled recordings: events without pixels, counted in bins, explained by the pooled rate.
 
-What pooled counts cannot show is not tried: thresholds of single pixels, dead time, leaks (a background per polarity is
-always fitted).  `stretches.py` holds the counts, their cells and their maps.
+What pooled counts cannot show is not tried (`NOT_IN_COUNTS`).  `stretches.py` holds the counts, their cells and their maps.
 """
 
 from __future__ import annotations
@@ -43,10 +42,10 @@ from pixelid.recordings.recording import Recording
 from pixelid.statistics import Z95
 from pixelid.stimuli.stimulus import Stimulus
 
-MAX_SECONDS = 3.0  # of each recording that the search looks at: bins of 50 µs are many
+MAX_EVENTS = 60_000  # of each recording that the search looks at: a pool's counts scatter little
+LEAST_SECONDS = 0.25  # of each, enough for stretches much longer than the pixels' memory
 MAX_ROUNDS = 3
 TRAINING = (0, 1)  # roles of stretches: to fit and to select
-FLUID = "Part of it may be the pooled rate itself, a limit of many small thresholds that forgets the last one crossed."
 
 
 @dataclass(frozen=True)
@@ -112,8 +111,9 @@ def _begin(recordings: Sequence[Recording], model: Model, context: Context) -> P
     options, report = context.options, context.report
     report("base model", 0.02)
     objective, optimum, details, _ = fit_pooled(shortened, model, {}, lambda what, share: report(what, 0.3 * share))
-    stretches = cut_into_stretches(objective.likelihood, details["dispersion"], options.seed)
     nuisances = objective.coordinates.nuisances_at(optimum.x)
+    parameters = [p for name, p in objective.coordinates.nuisances.items() if not objective.coordinates.model.knows(name)]
+    stretches = cut_into_stretches(objective.likelihood, details["dispersion"], parameters, options.seed)
     fitted = objective.coordinates.model_at(optimum.x)
     base = stretches.fit(fitted, nuisances, stretches.part(*TRAINING), STEPS)
     cells = tuple(sort_bins(stretches, base))
@@ -179,7 +179,7 @@ def _confirm(state: PooledState, context: Context) -> GapReport:
         model=replace(state.fit.model, name=f"{state.name}_grown") if effects else state.base.model,
         term=None,
         recommended_next={
-            "why": "events with pixel addresses, under known light: pooled counts show neither thresholds nor resets",
+            "why": "events with pixel addresses, under known light: pooled counts show the pixels of a pool together",
             "stimulus": None,
         },
         seconds=context.watch.seconds(),
@@ -196,7 +196,7 @@ STEPS_OF_POOLED: Mapping[Phase, Step[PooledState]] = {Phase.NAME: _name_effect, 
 def _details(state: PooledState, withdrawn: Sequence[str], min_events: int) -> dict:
     return {
         "dispersion": state.stretches.dispersion,
-        "seconds_used": MAX_SECONDS,
+        "seconds_used": max(float(np.ptp(r.events.t)) * 1e-9 for r in state.recordings),
         "stimulus_between_samples": "as recorded",
         "held_out": True,
         "withdrawn": list(withdrawn),
@@ -219,13 +219,15 @@ def _entry(turn: int, state: PooledState, attribution: Attribution[Fitted]) -> d
 
 
 def _shortened(recording: Recording) -> Recording:
-    """The first `MAX_SECONDS` of a recording."""
+    """The first of a recording, up to some `MAX_EVENTS` events."""
     stimulus = recording.stimulus
     if stimulus is None:
         raise InputError(f"{recording.name}: no stimulus; the gap is between a model's events and the measured ones")
     if not isinstance(stimulus, Stimulus) or not stimulus.full_field:
         raise InputError(f"{recording.name}: pooled events need full-field light, found light of each pixel's own")
-    shown = stimulus.until(stimulus.start_s + MAX_SECONDS)
+    t = recording.events.t
+    last_s = float(t[MAX_EVENTS]) * 1e-9 if len(t) > MAX_EVENTS else stimulus.end_s
+    shown = stimulus.until(max(last_s, stimulus.start_s + LEAST_SECONDS))
     if shown is stimulus:
         return recording
     events = recording.events.select(recording.events.t * 1e-9 <= shown.end_s)
@@ -267,7 +269,6 @@ def _describe(
         text = f"Something is missing that no effect of the library explains: {seen.words}."
         if term[0] and term[1] > TELLING_NATS:
             text += f" Rates that depend on {term[0]} gain {term[1]:.3g} nats on stretches not used to find them."
-        text += f" {FLUID}"
         listed = "; ".join(e.name for e in effects)
         return (f"Found on the way: {listed}. " if listed else "") + text
     if said == "ambiguous":  # rounds end with the first doubt: the last one named is in doubt
