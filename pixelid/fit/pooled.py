@@ -20,9 +20,11 @@ from pixelid.recordings.recording import Recording
 
 SCOUT_EVENTS, SCOUT_KINDS = 10_000, 6  # per recording, and kinds of pixel, that the search from afar looks at
 LEAST_SCOUT_S = 0.1  # of each recording
-FROM_AFAR = (0.3, 0.1, 0.05, 0.0, 0.0)  # noise added to thresholds in the rounds of that search
+FROM_AFAR = (0.1, 0.05)  # noise added to thresholds in the rounds of that search
+SCATTER = ("threshold_sigma", "threshold_mismatch.sigma")
+SCALES = (0.6, 0.75, 0.9, 1.1)  # of thresholds, where the search of a blurred pool starts
 ROUNDS = 4  # of a search with the variances of counts of where the last one ended; they settle in two
-DEAD_TIMES_S = (1e-5, 3e-5, 1e-4, 3e-4, 1e-3)
+DEAD_TIMES_S = (1e-5, 1e-4, 1e-3)
 SETTLED = 0.3  # standard errors that a round may move
 
 
@@ -51,10 +53,11 @@ def fit_pooled(
         nuisances[name] = nuisances[name].at(value).fixed()
     start = {**model.values, **{name: p.value for name, p in nuisances.items()}}
     report("aligning clocks", 0.05)
-    start |= align(scout, model, start)
+    afar = PooledRate(recordings, first_s=3.0 * _scouted_s(recordings)).fluid()
+    start |= align(afar, model, start)
     bursts = {b.pixels for b in map(_bursts, recordings) if b.pixels is not None}
     pixels = fixed.get("pooled.pixels", float(bursts.pop()) if len(bursts) == 1 else None)
-    start |= {name: value for name, value in _counted(scout, model, start, pixels).items() if name not in fixed}
+    start |= {name: value for name, value in _counted(afar, model, start, pixels).items() if name not in fixed}
     if pixels is not None:
         nuisances["pooled.pixels"] = nuisances["pooled.pixels"].at(pixels).fixed()
     model = model.set({name: value for name, value in start.items() if name in model.parameters})
@@ -65,14 +68,22 @@ def fit_pooled(
     model = held(model, {name: value for name, value in fixed.items() if name in owned})
     coordinates = Coordinates.of(model, tuple(p.at(start[name]) for name, p in nuisances.items()))
     report("searching", 0.1)
-    x, steps = coordinates.start, 0
-    whole = PooledRate(recordings)
-    for k, (likelihood, blurs, tolerance) in enumerate(
-        ((scout, FROM_AFAR, 1.0), (whole, (0.0,) * ROUNDS, 0.1))
+    # First the fluid limit, then blurred pools, then the pool.  Blurred ones are searched with the thresholds' own scatter held: it would take the place of what is not yet found.
+    own = tuple(p.at(start[name]) for name, p in nuisances.items())
+    # So is the amplifier's pole, which changes places with the follower's where nothing shows the reset.
+    poles = ("diff_cutoff_hz",) if {"sf_cutoff_hz", "diff_cutoff_hz"} <= set(model.free) else ()
+    narrow = Coordinates.of(model.fix({name: None for name in (*SCATTER, *poles) if name in model.free}), own)
+    x, steps = narrow.start, 0
+    for likelihood, searched, blurs, tolerance in (
+        (afar, narrow, (1.0,), 1.0), (scout, narrow, FROM_AFAR, 1.0), (scout, coordinates, (0.0, 0.0), 1.0), (PooledRate(recordings), coordinates, (0.0,) * ROUNDS, 0.1)
     ):
+        if searched is coordinates and len(x) < len(coordinates):
+            x = _wider(narrow, x, coordinates)
+        if likelihood is scout and searched is narrow:
+            x = _best_teeth(PooledRateObjective(scout, narrow), x)
         objective, optimum = _maximised(
-            PooledRateObjective(likelihood, coordinates), x, tolerance, blurs,
-            lambda part, k=k: report("fitting" if k else "searching", 0.1 + 0.4 * (k + part)),
+            PooledRateObjective(likelihood, searched), x, tolerance, blurs,
+            lambda part, likelihood=likelihood: report("searching" if likelihood is scout else "fitting", 0.1 + 0.7 * part),
         )  # fmt: skip
         x, steps = optimum.x, steps + optimum.steps
     dispersion = objective.likelihood.dispersion(objective.expected(optimum.x))
@@ -92,6 +103,28 @@ def fit_pooled(
     return objective, optimum, details, 1
 
 
+def _best_teeth(objective: PooledRateObjective, x: np.ndarray) -> np.ndarray:
+    """Of several scales of both thresholds, each searched a few steps, the point that suits the counts best.
+
+    Pixels in step fire at the same phases of a ramp with n and with n + 1 events on it: optima of their own.
+    """
+    names = objective.coordinates.names
+    which = [names.index(name) for name in ("on_threshold", "off_threshold") if name in names]
+    ends = []
+    for scale in SCALES if which else (1.0,):
+        begin = x.copy()
+        begin[which] += np.log(scale)
+        part = objective.near(begin, scatter=False, blur=FROM_AFAR[0])
+        ends.append(maximise(part, begin, tolerance=10.0, max_steps=8))
+    return max(ends, key=lambda end: end.local.value).x
+
+
+def _wider(narrow: Coordinates, x: np.ndarray, coordinates: Coordinates) -> np.ndarray:
+    """The point x of `narrow` in coordinates that have more."""
+    at = dict(zip(narrow.names, x, strict=True))
+    return np.array([at.get(name, begin) for name, begin in zip(coordinates.names, coordinates.start, strict=True)])
+
+
 def _scouted_s(recordings: Sequence[Recording]) -> float:
     """Seconds of every recording that hold events enough for a search from afar."""
     rates = [len(r.events) / max(float(np.ptp(r.events.t)) * 1e-9, 1e-9) for r in recordings if len(r.events) > 1]
@@ -104,7 +137,7 @@ def _bursts(recording: Recording) -> Bursts:
     return counter.bursts()
 
 
-def _counted(scout: PooledRate, model: Model, start: dict[str, float], pixels: float | None) -> dict[str, float]:
+def _counted(afar: PooledRate, model: Model, start: dict[str, float], pixels: float | None) -> dict[str, float]:
     """Pixels, thresholds and dead time to start from: of several dead times, the one that suits the counts best.
 
     A dead time that is off by a factor of ten changes which events follow which, so it has no useful gradient.
@@ -113,9 +146,8 @@ def _counted(scout: PooledRate, model: Model, start: dict[str, float], pixels: f
     best: tuple[float, dict[str, float]] = (-np.inf, {})
     for dead_s in times:
         trial = start if dead_s is None else {**start, "refractory_s": model.parameter("refractory_s").within(dead_s)}
-        trial = {**trial, **match_counts(scout, model, trial, pixels)}
-        circuit = model.circuit(trial)
-        value = scout.log_likelihood(scout.near(circuit, trial, False, FROM_AFAR[0]).expected(circuit, trial))
+        trial = {**trial, **match_counts(afar, model, trial, pixels)}
+        value = afar.log_likelihood(afar.expected(model.circuit(trial), trial))
         best = max(best, (value, trial), key=lambda pair: pair[0])
     return best[1]
 

@@ -106,7 +106,7 @@ class PooledRate:
     def __init__(
         self, recordings: Sequence[Recording], bin_s: float = BIN_S, first_s: float = math.inf, kinds: int = KINDS
     ) -> None:
-        self._kinds, self._coarse, self._blur = kinds, 1.0, 0.0
+        self._kinds, self._coarse, self._blur, self._fluid = kinds, 1.0, 0.0, False
         self.rough: PooledRate | None = None
         self.recordings = tuple(recordings)
         for recording in self.recordings:
@@ -137,6 +137,12 @@ class PooledRate:
         part.kept = kept
         return part
 
+    def fluid(self) -> PooledRate:
+        """The limit of many small thresholds: no pixel remembers its last event, so optima are few and wide."""
+        part = copy(self)
+        part._fluid = True
+        return part
+
     def near(
         self, circuit: Circuit, values: Mapping[str, float], scatter: bool = True, blur: float = 0.0
     ) -> PooledRate:
@@ -148,10 +154,12 @@ class PooledRate:
             blur: Noise of thresholds added, relative.  Pixels in step make a comb of events that fits a threshold at
                 every tooth; a blurred pool shows their rate, whose optimum is near the right tooth.
         """
+        if self._fluid:
+            return self
         part = copy(self)
         part._blur = blur
         rough = copy(part)
-        part.steps = tuple(self._steps(i, circuit, values) for i in range(len(self.recordings)))
+        part.steps = tuple(part._steps(i, circuit, values) for i in range(len(self.recordings)))
         rough._kinds, rough._coarse = min(ROUGH_KINDS, self._kinds), ROUGH
         rough.steps = tuple(rough._steps(i, circuit, values) for i in range(len(self.recordings)))
         part.rough = rough
@@ -200,6 +208,8 @@ class PooledRate:
 
     def _moments(self, i: int, circuit: Circuit, values: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
         """(mean, variance), (2, n) each, of recording i."""
+        if self._fluid:
+            return self._fluid_moments(i, circuit, values)
         steps = self._steps(i, circuit, values) if self.steps is None else self.steps[i]
         circuit = circuit.in_recording(self.recordings[i].name)
         pixels, warm_up = values["pooled.pixels"], self._warm_up(i)
@@ -219,6 +229,14 @@ class PooledRate:
         variance = np.maximum(twice[:, warm_up:] + mean - mean**2, 0.0)
         background = self.background(i, values).reshape(2, -1)
         return pixels * mean + background, pixels * variance + background
+
+    def _fluid_moments(self, i: int, circuit: Circuit, values: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
+        """As `_moments`: changes in thresholds, thinned by the dead time of those in the same bin."""
+        change = np.diff(self.output(i, circuit, values))
+        on, off = np.maximum(change, 0.0) / circuit.on_threshold, np.maximum(-change, 0.0) / circuit.off_threshold
+        thinned = values["pooled.pixels"] / (1.0 + circuit.refractory * (on + off) / self._width)
+        mean = np.stack([thinned * on, thinned * off]) + self.background(i, values).reshape(2, -1)
+        return mean, mean
 
     def _comparator(self, circuit: Circuit, kind: Kind) -> Comparator:
         width = self._width
