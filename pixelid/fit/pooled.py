@@ -21,11 +21,16 @@ from pixelid.recordings.recording import Recording
 SCOUT_EVENTS, SCOUT_KINDS = 10_000, 6  # per recording, and kinds of pixel, that the search from afar looks at
 LEAST_SCOUT_S = 0.1  # of each recording
 FROM_AFAR = (0.1, 0.05)  # noise added to thresholds in the rounds of that search
+# Held in a blurred pool: it would take the place of what is not yet right.
 SCATTER = ("threshold_sigma", "threshold_mismatch.sigma")
 SCALES = (0.6, 0.75, 0.9, 1.1)  # of thresholds, where the search of a blurred pool starts
 ROUNDS = 4  # of a search with the variances of counts of where the last one ended; they settle in two
 DEAD_TIMES_S = (1e-5, 1e-4, 1e-3)
 SETTLED = 0.3  # standard errors that a round may move
+FLUID = (
+    "number of pooled pixels × thresholds: without threshold_noise counts are those of many small thresholds, and show "
+    "only their ratio (pooled.pixels is a gauge)"
+)
 
 
 def fit_pooled(
@@ -36,6 +41,9 @@ def fit_pooled(
     seed: int = 0,
 ) -> tuple[PooledRateObjective, Optimum, dict, int]:
     """(objective, optimum, details, 1) of the model fitted to pooled counts.
+
+    The search goes from wide optima to narrow ones: the fluid limit, a blurred pool from several thresholds, the pool
+    on a part of the events, the pool on all.  A model without threshold_noise is fitted in the fluid limit.
 
     fixed: nuisances of the recordings to hold.  Raises InputError for a name in it that is none.
     """
@@ -55,11 +63,12 @@ def fit_pooled(
     report("aligning clocks", 0.05)
     afar = PooledRate(recordings, first_s=3.0 * _scouted_s(recordings)).fluid()
     start |= align(afar, model, start)
+    fluid = "threshold_noise" not in model.effects
     bursts = {b.pixels for b in map(_bursts, recordings) if b.pixels is not None}
     pixels = fixed.get("pooled.pixels", float(bursts.pop()) if len(bursts) == 1 else None)
     start |= {name: value for name, value in _counted(afar, model, start, pixels).items() if name not in fixed}
-    if pixels is not None:
-        nuisances["pooled.pixels"] = nuisances["pooled.pixels"].at(pixels).fixed()
+    if pixels is not None or fluid:
+        nuisances["pooled.pixels"] = nuisances["pooled.pixels"].at(start["pooled.pixels"]).fixed()
     model = model.set({name: value for name, value in start.items() if name in model.parameters})
     names = [recording.name for recording in recordings]
     model = with_own_values(
@@ -68,26 +77,28 @@ def fit_pooled(
     model = held(model, {name: value for name, value in fixed.items() if name in owned})
     coordinates = Coordinates.of(model, tuple(p.at(start[name]) for name, p in nuisances.items()))
     report("searching", 0.1)
-    # First the fluid limit, then blurred pools, then the pool.  Blurred ones are searched with the thresholds' own scatter held: it would take the place of what is not yet found.
     own = tuple(p.at(start[name]) for name, p in nuisances.items())
-    # So is the amplifier's pole, which changes places with the follower's where nothing shows the reset.
-    poles = ("diff_cutoff_hz",) if {"sf_cutoff_hz", "diff_cutoff_hz"} <= set(model.free) else ()
-    narrow = Coordinates.of(model.fix({name: None for name in (*SCATTER, *poles) if name in model.free}), own)
-    x, steps = narrow.start, 0
-    for likelihood, searched, blurs, tolerance in (
-        (afar, narrow, (1.0,), 1.0), (scout, narrow, FROM_AFAR, 1.0), (scout, coordinates, (0.0, 0.0), 1.0), (PooledRate(recordings), coordinates, (0.0,) * ROUNDS, 0.1)
-    ):
-        if searched is coordinates and len(x) < len(coordinates):
-            x = _wider(narrow, x, coordinates)
-        if likelihood is scout and searched is narrow:
-            x = _best_teeth(PooledRateObjective(scout, narrow), x)
+    narrow = Coordinates.of(model.fix({name: None for name in (*SCATTER, *_poles(model)) if name in model.free}), own)
+    searches = [(afar, narrow, (1.0,), 1.0)]
+    if fluid:
+        searches = [(PooledRate(recordings).fluid(), narrow, (1.0,), 0.1)]
+    else:
+        searches += [(scout, narrow, FROM_AFAR, 1.0), (scout, coordinates, (0.0, 0.0), 1.0)]
+        searches += [(PooledRate(recordings), coordinates, (0.0,) * ROUNDS, 0.1)]
+    x, steps, searched = narrow.start, 0, narrow
+    for k, (likelihood, wanted, blurs, tolerance) in enumerate(searches):
+        x, searched = (x if wanted is searched else _wider(searched, x, wanted)), wanted
+        objective = PooledRateObjective(likelihood, searched)
+        x = _best_teeth(objective, x) if blurs is FROM_AFAR else x
         objective, optimum = _maximised(
-            PooledRateObjective(likelihood, searched), x, tolerance, blurs,
-            lambda part, likelihood=likelihood: report("searching" if likelihood is scout else "fitting", 0.1 + 0.7 * part),
+            objective, x, tolerance, blurs,
+            lambda part, k=k: report("fitting", 0.1 + 0.8 * (k + part) / len(searches)),
         )  # fmt: skip
         x, steps = optimum.x, steps + optimum.steps
     dispersion = objective.likelihood.dispersion(objective.expected(optimum.x))
-    caveats = [] if pixels is None else [f"pooled.pixels = {pixels:g} is held: the events come in bursts of so many"]
+    caveats = [FLUID] if fluid else []
+    if pixels is not None:
+        caveats.append(f"pooled.pixels = {pixels:g} is held: as stated, or the events come in bursts of so many")
     if "stimulus.offset" in nuisances:
         caveats.append(
             "light levels: radiance is in units of the light that is on all the time (stimulus.offset = 1 is a gauge), "
@@ -98,9 +109,14 @@ def fit_pooled(
         "bin_s": float(np.diff(likelihood.counts[0].edges[:2])[0]),
         "steps": steps,
         "caveats": caveats,
-        "information": objective.information(optimum.x, optimum.local, seed),
+        "information": optimum.local.information if fluid else objective.information(optimum.x, optimum.local, seed),
     }
     return objective, optimum, details, 1
+
+
+def _poles(model: Model) -> tuple[str, ...]:
+    """The amplifier's pole, which changes places with the follower's where nothing shows the reset."""
+    return ("diff_cutoff_hz",) if {"sf_cutoff_hz", "diff_cutoff_hz"} <= set(model.free) else ()
 
 
 def _best_teeth(objective: PooledRateObjective, x: np.ndarray) -> np.ndarray:

@@ -102,9 +102,7 @@ class PooledRateObjective(Objective):
         return A @ inverse @ A
 
 
-def _scores(
-    likelihood: PooledRate, i: int, model: Model, values: dict, per_count: np.ndarray, seed: int
-) -> np.ndarray:
+def _scores(likelihood: PooledRate, i: int, model: Model, values: dict, per_count: np.ndarray, seed: int) -> np.ndarray:
     """(d, pixels) what each simulated pixel adds to the score through recording i."""
     counts, recording = likelihood.counts[i], likelihood.recordings[i]
     stimulus = recording.stimulus

@@ -1,9 +1,9 @@
 """Bursts of pooled events: how many pixels are in the pool, their dead time, and the rows of the readout.
 
-Where the light steps far enough, every pixel fires once within microseconds: a burst of exactly N events, N the number of
-pixels, and then none for the dead time.  Events of one polarity are cut where nothing comes for a while.  Sizes of bursts
-then end at N: those of N events hold more events than any other size, and larger ones are few.  The wait that cuts is
-not known beforehand, so several are tried and the one under which most events lie in full bursts is kept.
+Where the light steps far enough, every pixel fires once within microseconds: a burst of exactly N events, N the number
+of pixels, and then none for the dead time.  Events of one polarity are cut where nothing comes for a while.  Sizes of
+bursts then end at N: those of N events hold more events than any other size, and larger ones are few.  The wait that
+cuts is not known beforehand, so several are tried and the one under which most events lie in full bursts is kept.
 
 Full bursts that follow one another are a dead time apart, plus the time to the next threshold: their shortest spacing
 bounds the dead time from above, and is it where the light moves fast.  Rows that a readout scans share a time stamp:

@@ -76,7 +76,9 @@ def _biases(biases: dict[str, Any]) -> str:
 def _bursts(bursts: dict[str, Any]) -> str:
     if bursts["pixels"] is None:
         return bursts["reason"]
-    text = f"{bursts['full_bursts']} of exactly {bursts['pixels']} events in {_seconds(bursts['burst_s'])}: so many pixels"
+    text = (
+        f"{bursts['full_bursts']} of exactly {bursts['pixels']} events in {_seconds(bursts['burst_s'])}: so many pixels"
+    )
     if bursts["row_pixels"] is not None:
         text += f", read out in rows of {bursts['row_pixels']}"
     if bursts["dead_time_at_most_s"] is not None:

@@ -10,10 +10,11 @@ waiting at t with the probability
 
     S = Φ((C_on − max change)/(σ C_on)) Φ((C_off − max −change)/(σ C_off))
 
-and what S loses in a step is the expected number of events of the polarity whose maximum has moved.  `flow` carries this
-forward: the pixels released in one step are a cohort (share, mean and variance of the release time), whose events in
-later steps are releases ρ later.  Every cohort is followed until nothing of it waits, so the cost is the number of steps
-times the steps that a crossing takes, whatever the number of pixels.  Quantities are exact to second order in the step.
+and what S loses in a step is the expected number of events of the polarity whose maximum has moved.  `flow` carries
+this forward: the pixels released in one step are a cohort (share, mean and variance of the release time), whose
+events in later steps are releases ρ later.  Every cohort is followed until nothing of it waits, so the cost is the
+number of steps times the steps that a crossing takes, whatever the number of pixels.  Quantities are exact to second
+order in the step.
 
 The number of events of one pixel in a bin has the second factorial moment Σ 2 E[events before in the same bin], which
 the cohorts carry along; with the mean it gives the variance of counts.
@@ -45,7 +46,8 @@ class Signals(NamedTuple):
     """What all pixels share.  The unit of time is a bin; a bin has equal steps, n in all.
 
     first: (bins + 1,) step at which each bin begins;  place: (n + 1,) time at the ends of steps
-    level, output: (n + 1,) log radiance, what the amplifier is reset to and its output when never reset, with what leaks
+    level, output: (n + 1,) log radiance, what the amplifier is reset to and its output when never reset, with what
+        leaks
     level_slope, output_slope: (n + 1,) per bin
     high, low: (blocks,) extremes of `output` over blocks of SHORT steps;  higher, lower: of LONG steps
     """
@@ -66,8 +68,8 @@ class Comparator(NamedTuple):
     """A pixel's comparator; times in bins.
 
     on, off: its thresholds, log radiance;  noise: relative, from event to event;  memory: relative, of the polarity
-    before;  drift: relative, per bin;  dead: reset after an event;  blind: silence beyond it;  rate: at which the rest of
-    the reset fades, per bin
+    before;  drift: relative, per bin;  dead: reset after an event;  blind: silence beyond it;  rate: at which the
+    rest of the reset fades, per bin
     """
 
     on: float
@@ -134,9 +136,9 @@ def flow(shared: Signals, comparator: Comparator) -> tuple[np.ndarray, np.ndarra
 
 
 def queued(events: np.ndarray, times: np.ndarray, service_s: float) -> np.ndarray:
-    """Expected events (2, n) of the pool per step as one arbiter lets them go, `service_s` each, first come first served.
+    """Expected events (2, n) of the pool per step as one arbiter lets them go, `service_s` each.
 
-    The expected queue: what arrives in a step waits for those before it and for half of its own.
+    First come, first served, of the expected queue: what arrives in a step waits for those before it and for half of its own.
 
     times: (n + 1,) s, ends of the steps
     """
@@ -229,8 +231,8 @@ def _flow(shared, comparator, events, twice):
                 level = _between(x, k, shared.place, shared.level, shared.level_slope)
                 gap = _between(x, k, shared.place, shared.output, shared.output_slope) - level
                 _cohort(
-                    shared, comparator, events, twice, waiting, chain, j, release, share, variance, on_before, off_before,
-                    level, gap, 0.0, False,
+                    shared, comparator, events, twice, waiting, chain, j, release, share, variance, on_before,
+                    off_before, level, gap, 0.0, False,
                 )  # fmt: skip
 
 
@@ -270,8 +272,8 @@ def _cohort(
             at_once, before = (1.0 - on_left, on_before) if polarity == 0 else (1.0 - off_left, off_before)
             if at_once > 0.0:
                 _fire(
-                    shared, comparator, events, twice, waiting, polarity, j, k, share * at_once, x, 0.0, own_bin, before,
-                    on_before, off_before,
+                    shared, comparator, events, twice, waiting, polarity, j, k, share * at_once, x, 0.0, own_bin,
+                    before, on_before, off_before,
                 )  # fmt: skip
     while k < n:
         if x == 0.0:
@@ -346,8 +348,8 @@ def _crossed(
     speed = (after - now) / (1.0 - x)
     at = min(max(x + (threshold + sd * mean - now) / speed, x), 1.0)
     _fire(
-        shared, comparator, events, twice, waiting, polarity, j, k, share * mass, at, spread * (sd / speed) ** 2, own_bin,
-        before, on_before, off_before,
+        shared, comparator, events, twice, waiting, polarity, j, k, share * mass, at, spread * (sd / speed) ** 2,
+        own_bin, before, on_before, off_before,
     )  # fmt: skip
 
 
@@ -356,7 +358,7 @@ def _fire(
     shared, comparator, events, twice, waiting, polarity, j, k, fired, at, variance, own_bin, before, on_before,
     off_before,
 ):  # fmt: skip
-    """Count `fired` pixels at the place `at` of step k, and let them go again after the dead time, not before step j."""
+    """Count `fired` pixels at the place `at` of step k; release them a dead time later, not before step j."""
     events[polarity, k] += fired
     width = shared.place[k + 1] - shared.place[k]
     time = shared.place[k] + at * width

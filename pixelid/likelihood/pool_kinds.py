@@ -1,8 +1,9 @@
 """The kinds of pixel that stand for a pool: thresholds that differ, and light that differs.
 
-A lattice of points, evenly spread in every direction (the generalised golden ratio; Roberts 2018, extremelearning.com.au,
-"The unreasonable effectiveness of quasirandom sequences"), through the inverse normal distribution, scaled to mean 0 and
-variance 1.  Expected counts are smooth in a threshold over the noise that events have, so few kinds suffice.
+A lattice of points, evenly spread in every direction (the generalised golden ratio; Roberts 2018,
+extremelearning.com.au, "The unreasonable effectiveness of quasirandom sequences"), through the inverse normal
+distribution, scaled to mean 0 and variance 1.  Expected counts are smooth in a threshold over the noise that events
+have, so few kinds suffice.
 """
 
 from __future__ import annotations

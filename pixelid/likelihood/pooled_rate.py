@@ -1,17 +1,18 @@
 """Pooled-rate likelihood: event counts of N pixels whose addresses are not known.
 
 The expected count of a bin is N times that of one pixel (`likelihood/pool.py`: dead time, thresholds and their noise),
-averaged over the kinds of pixel in the pool (`kinds_of`: mismatch, spread of light), queued where one arbiter serves them
-all, plus a background b per polarity.  In the limit of many small thresholds and no dead time that is the fluid rate
+averaged over the kinds of pixel in the pool (`kinds_of`: mismatch, spread of light), queued where one arbiter serves
+them all, plus a background b per polarity.  In the limit of many small thresholds and no dead time that is the fluid
+rate
 
     λ_on = N max(ẏ, 0)/C_on        λ_off = N max(−ẏ, 0)/C_off
 
 in which only N/C shows.  N shows in bursts, in the dead time's ceiling N/ρ, and in the phase of the next event.
 
-Counts scatter less than Poisson's where few events make a ramp: every pixel fires once, sooner or later.  Their variance
-v comes from the same chain, and the likelihood of a bin is Poisson's to the power μ/v (quasi-likelihood; McCullagh &
-Nelder 1989, chapter 9), with v at a model nearby (`PooledRate.near`), so that two models are compared by the same
-measure.
+Counts scatter less than Poisson's where few events make a ramp: every pixel fires once, sooner or later.  Their
+variance v comes from the same chain, and the likelihood of a bin is Poisson's to the power μ/v (quasi-likelihood;
+McCullagh & Nelder 1989, chapter 9), with v at a model nearby (`PooledRate.near`), so that two models are compared by
+the same measure.
 """
 
 from __future__ import annotations
@@ -150,7 +151,8 @@ class PooledRate:
 
         Args:
             circuit, values: The model.
-            scatter: False: Poisson's variances, for a model that may be far from the truth and certain of what is wrong.
+            scatter: False: Poisson's variances, for a model that may be far from the truth and certain of what is
+                wrong.
             blur: Noise of thresholds added, relative.  Pixels in step make a comb of events that fits a threshold at
                 every tooth; a blurred pool shows their rate, whose optimum is near the right tooth.
         """
@@ -221,7 +223,9 @@ class PooledRate:
         }
         flows = map_threads(lambda kind: flow(shared[kind.light], self._comparator(circuit, kind)), kinds)
         events = sum(kind.share * events for kind, (events, _) in zip(kinds, flows, strict=True)) * (1.0 - circuit.lost)
-        twice = sum(kind.share * twice for kind, (_, twice) in zip(kinds, flows, strict=True)) * (1.0 - circuit.lost) ** 2
+        twice = (
+            sum(kind.share * twice for kind, (_, twice) in zip(kinds, flows, strict=True)) * (1.0 - circuit.lost) ** 2
+        )
         if circuit.service > 0:
             events = queued(events * pixels, times, circuit.service) / pixels
         first = np.cumsum(steps) - steps
@@ -259,12 +263,12 @@ class PooledRate:
         n = self._warm_up(i) + len(self.counts[i].on)
         edges = self.counts[i].edges[-1] + self._width * np.arange(-n, 1)
         level, output = self._at(i, self._trajectory(i, circuit, values), edges, circuit, values)
-        noise = min(circuit.on_threshold, circuit.off_threshold) * max(math.hypot(circuit.noise, circuit.mismatch, self._blur), 1e-2)
+        noise = min(circuit.on_threshold, circuit.off_threshold) * max(
+            math.hypot(circuit.noise, circuit.mismatch, self._blur), 1e-2
+        )
         return divide(level, output, self._coarse * noise, min(circuit.differencing * self._width, 1e9))
 
-    def _trajectory(
-        self, i: int, circuit: Circuit, values: Mapping[str, float], brighter: float = 1.0
-    ) -> Trajectory:
+    def _trajectory(self, i: int, circuit: Circuit, values: Mapping[str, float], brighter: float = 1.0) -> Trajectory:
         """The signals of recording i under a light so many times as bright."""
         recording, counts = self.recordings[i], self.counts[i]
         circuit = circuit.in_recording(recording.name)

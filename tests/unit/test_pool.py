@@ -21,7 +21,7 @@ def light(t):
 
 
 def chain(of, follower, amplifier):
-    """(events per step, factorial moments per bin, first steps of bins) of a pixel with signals on the oracle's grid."""
+    """(2, bins) expected ON and OFF counts, and their factorial moments, from signals on the oracle's grid."""
     bins = round(DURATION_S / BIN_S)
     grid = np.arange(len(follower)) * oracle.STEP_S
     edges = BIN_S * np.arange(bins + 1)
@@ -57,7 +57,9 @@ def test_many_small_thresholds_are_the_fluid_rate():
     of = pixel(on=0.02, dead_s=1e-9, sigma=0.1)
     seen = oracle.signals(of, light, DURATION_S)
     mean, _ = chain(of, seen.follower, seen.amplifier)
-    output = np.interp(BIN_S * np.arange(mean.shape[1] + 1), np.arange(len(seen.amplifier)) * oracle.STEP_S, seen.amplifier)
+    output = np.interp(
+        BIN_S * np.arange(mean.shape[1] + 1), np.arange(len(seen.amplifier)) * oracle.STEP_S, seen.amplifier
+    )
     fluid = np.maximum(np.diff(output), 0.0).sum() / of.on
     assert mean[0].sum() == pytest.approx(fluid, rel=0.04)
 
@@ -80,7 +82,7 @@ def test_points_of_kinds_are_centred_and_distinct():
 
 
 def test_bursts_show_pixels_rows_and_dead_time():
-    """49 pixels in rows of 7, 2 µs apart, every 120 µs; now and then a row is missing, and single events come between."""
+    """49 pixels in rows of 7, 2 µs apart, every 120 µs; some rows are missing, and single events come between."""
     rng = np.random.default_rng(3)
     begin = np.cumsum(120_000 + rng.integers(0, 20_000, 400))
     rows = (begin[:, None] + 2_000 * np.arange(7)).ravel()

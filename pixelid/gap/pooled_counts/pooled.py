@@ -1,6 +1,6 @@
 """The gap of pooled recordings: events without pixels, counted in bins, explained by the pooled rate.
 
-What pooled counts cannot show is not tried (`NOT_IN_COUNTS`).  `stretches.py` holds the counts, their cells and their maps.
+What pooled counts cannot show is not tried (`NOT_IN_COUNTS`).  `stretches.py` holds counts, cells and maps.
 """
 
 from __future__ import annotations
@@ -112,7 +112,9 @@ def _begin(recordings: Sequence[Recording], model: Model, context: Context) -> P
     report("base model", 0.02)
     objective, optimum, details, _ = fit_pooled(shortened, model, {}, lambda what, share: report(what, 0.3 * share))
     nuisances = objective.coordinates.nuisances_at(optimum.x)
-    parameters = [p for name, p in objective.coordinates.nuisances.items() if not objective.coordinates.model.knows(name)]
+    parameters = [
+        p for name, p in objective.coordinates.nuisances.items() if not objective.coordinates.model.knows(name)
+    ]
     stretches = cut_into_stretches(objective.likelihood, details["dispersion"], parameters, options.seed)
     fitted = objective.coordinates.model_at(optimum.x)
     base = stretches.fit(fitted, nuisances, stretches.part(*TRAINING), STEPS)

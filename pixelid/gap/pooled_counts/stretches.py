@@ -113,9 +113,7 @@ class Stretches:
         return np.bincount(np.unique(self.stretch[inside], return_inverse=True)[1], gain[inside])
 
 
-def cut_into_stretches(
-    whole: PooledRate, dispersion: float, nuisances: Iterable[Parameter], seed: int
-) -> Stretches:
+def cut_into_stretches(whole: PooledRate, dispersion: float, nuisances: Iterable[Parameter], seed: int) -> Stretches:
     """The counts cut, roles drawn by the seed."""
     rng = np.random.default_rng(seed)
     stretch, role, first = [], [], 0
