@@ -111,7 +111,8 @@ def find_bursts(t: np.ndarray, p: np.ndarray) -> Bursts:
 def _cut(times: np.ndarray, wait_ns: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(first, last, size) of bursts, indices into times (n,) ns of one polarity."""
     if len(times) == 0:
-        return (np.zeros(0, np.int64),) * 3
+        none = np.zeros(0, np.int64)
+        return none, none, none
     ends = np.flatnonzero(np.diff(times) > wait_ns)
     first, last = np.concatenate([[0], ends + 1]), np.concatenate([ends, [len(times) - 1]])
     return first, last, last - first + 1

@@ -138,7 +138,8 @@ def flow(shared: Signals, comparator: Comparator) -> tuple[np.ndarray, np.ndarra
 def queued(events: np.ndarray, times: np.ndarray, service_s: float) -> np.ndarray:
     """Expected events (2, n) of the pool per step as one arbiter lets them go, `service_s` each.
 
-    First come, first served, of the expected queue: what arrives in a step waits for those before it and for half of its own.
+    First come, first served, by the expected queue: what arrives in a step waits for those before it and for half of
+    its own.
 
     times: (n + 1,) s, ends of the steps
     """

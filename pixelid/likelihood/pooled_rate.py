@@ -222,10 +222,9 @@ class PooledRate:
             for light in {kind.light for kind in kinds}
         }
         flows = map_threads(lambda kind: flow(shared[kind.light], self._comparator(circuit, kind)), kinds)
-        events = sum(kind.share * events for kind, (events, _) in zip(kinds, flows, strict=True)) * (1.0 - circuit.lost)
-        twice = (
-            sum(kind.share * twice for kind, (_, twice) in zip(kinds, flows, strict=True)) * (1.0 - circuit.lost) ** 2
-        )
+        shares, kept = np.array([kind.share for kind in kinds]), 1.0 - circuit.lost
+        events = kept * np.tensordot(shares, np.stack([events for events, _ in flows]), axes=1)
+        twice = kept**2 * np.tensordot(shares, np.stack([twice for _, twice in flows]), axes=1)
         if circuit.service > 0:
             events = queued(events * pixels, times, circuit.service) / pixels
         first = np.cumsum(steps) - steps
