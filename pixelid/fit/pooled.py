@@ -20,10 +20,11 @@ from pixelid.recordings.recording import Recording
 
 SCOUT_EVENTS, SCOUT_KINDS = 10_000, 6  # per recording, and kinds of pixel, that the search from afar looks at
 LEAST_SCOUT_S = 0.1  # of each recording
+AFAR = 20.0  # times as long for the fluid limit, which costs little and on a short stretch has wrong optima
 FROM_AFAR = (0.1, 0.05)  # noise added to thresholds in the rounds of that search
 # Held in a blurred pool: it would take the place of what is not yet right.
 SCATTER = ("threshold_sigma", "threshold_mismatch.sigma")
-SCALES = (0.6, 0.75, 0.9, 1.1)  # of thresholds, where the search of a blurred pool starts
+SCALES = (0.6, 0.75, 0.9, 1.1, 1.3)  # of thresholds, where the search of a blurred pool starts
 ROUNDS = 4  # of a search with the variances of counts of where the last one ended; they settle in two
 DEAD_TIMES_S = (1e-5, 1e-4, 1e-3)
 SETTLED = 0.3  # standard errors that a round may move
@@ -61,7 +62,7 @@ def fit_pooled(
         nuisances[name] = nuisances[name].at(value).fixed()
     start = {**model.values, **{name: p.value for name, p in nuisances.items()}}
     report("aligning clocks", 0.05)
-    afar = PooledRate(recordings, first_s=3.0 * _scouted_s(recordings)).fluid()
+    afar = PooledRate(recordings, first_s=AFAR * _scouted_s(recordings)).fluid()
     start |= align(afar, model, start)
     fluid = "threshold_noise" not in model.effects
     bursts = {b.pixels for b in map(_bursts, recordings) if b.pixels is not None}
