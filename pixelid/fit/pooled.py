@@ -25,6 +25,8 @@ FROM_AFAR = (0.1, 0.05)  # noise added to thresholds in the rounds of that searc
 # Held in a blurred pool: it would take the place of what is not yet right.
 SCATTER = ("threshold_sigma", "threshold_mismatch.sigma")
 SCALES = (0.6, 0.75, 0.9, 1.1, 1.3)  # of thresholds, where the search of a blurred pool starts
+LAST_NATS = 0.5  # promised by a step: one standard error; rough derivatives leave the root off by a part of that
+MAX_STEPS = 20  # of a round
 ROUNDS = 4  # of a search with the variances of counts of where the last one ended; they settle in two
 DEAD_TIMES_S = (1e-5, 1e-4, 1e-3)
 SETTLED = 0.3  # standard errors that a round may move
@@ -85,7 +87,7 @@ def fit_pooled(
         searches = [(PooledRate(recordings).fluid(), narrow, (1.0,), 0.1)]
     else:
         searches += [(scout, narrow, FROM_AFAR, 1.0), (scout, coordinates, (0.0, 0.0), 1.0)]
-        searches += [(PooledRate(recordings), coordinates, (0.0,) * ROUNDS, 0.1)]
+        searches += [(PooledRate(recordings), coordinates, (0.0,) * ROUNDS, LAST_NATS)]
     x, steps, searched = narrow.start, 0, narrow
     for k, (likelihood, wanted, blurs, tolerance) in enumerate(searches):
         x, searched = (x if wanted is searched else _wider(searched, x, wanted)), wanted
@@ -181,8 +183,8 @@ def _maximised(
         objective = objective.near(x, scatter=blur == 0, blur=blur)
         noisy = max(objective.likelihood.dispersion(objective.expected(x)), 1.0)
         optimum = maximise(
-            objective, x, tolerance=tolerance * noisy, max_steps=40,
-            progress=lambda step, value, turn=turn: report((turn + step / 40) / len(blurs)),
+            objective, x, tolerance=tolerance * noisy, max_steps=MAX_STEPS,
+            progress=lambda step, value, turn=turn: report((turn + step / MAX_STEPS) / len(blurs)),
         )  # fmt: skip
         move, x = optimum.x - x, optimum.x
         if blur == 0 and move @ optimum.local.information @ move < SETTLED**2 * noisy:
