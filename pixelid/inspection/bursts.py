@@ -24,6 +24,7 @@ MOST_EVENTS = 4_000_000  # looked at
 LEAST_PIXELS, LEAST_BURSTS = 4, 20
 LARGEST_REST = 0.2  # bursts of N + 1 to 1.5 N events, per burst of N: chance unions of two, and noise
 SHORTEST = 0.01  # of the spacings are taken as chance: bursts of N that are parts of others
+NESTED = 0.5  # of the events in full bursts of any size: bursts of fewer are chance
 ROW_SHARE = 0.5  # of the events of full bursts in groups of one size
 
 
@@ -73,16 +74,18 @@ class BurstCounter:
 
 def find_bursts(t: np.ndarray, p: np.ndarray) -> Bursts:
     """The full bursts among times t (n,) ns, in order, of polarities p (n,) 0 or 1."""
-    best: tuple[int, int, list[tuple[np.ndarray, np.ndarray, np.ndarray]]] | None = None
+    found = []
     for wait in WAITS_NS:
         parts = [_cut(t[p == polarity], wait) for polarity in (0, 1)]
         sizes = np.concatenate([size for _, _, size in parts])
         pixels = _last_size(sizes)
-        if pixels is not None and (best is None or pixels * np.sum(sizes == pixels) > best[0]):
-            best = int(pixels * np.sum(sizes == pixels)), pixels, parts
-    if best is None:
+        if pixels is not None:
+            found.append((pixels, pixels * int(np.sum(sizes == pixels)), parts))
+    if not found:
         return Bursts(None, "no size of bursts stands out: the light never makes all pixels fire at once")
-    _, pixels, parts = best
+    # Rows are bursts too, and parts of the whole pool's.
+    enough = NESTED * max(events for _, events, _ in found)
+    pixels, _, parts = max((one for one in found if one[1] >= enough), key=lambda one: one[:2])
     full = 0
     spacings, lengths, grouped = [], [], np.zeros(pixels + 1)
     for polarity, (first, last, size) in enumerate(parts):

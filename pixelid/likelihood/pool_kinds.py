@@ -2,8 +2,8 @@
 
 A lattice of points, evenly spread in every direction (the generalised golden ratio; Roberts 2018,
 extremelearning.com.au, "The unreasonable effectiveness of quasirandom sequences"), through the inverse normal
-distribution, scaled to mean 0 and variance 1.  Expected counts are smooth in a threshold over the noise that events
-have, so few kinds suffice.
+distribution, made uncorrelated, of mean 0 and variance 1.  Expected counts are smooth in a threshold over the noise
+that events have, so few kinds suffice.
 """
 
 from __future__ import annotations
@@ -55,4 +55,5 @@ def normal_points(count: int, dimensions: int) -> np.ndarray:
     points = (0.5 + np.arange(1, count + 1)[:, None] * root ** -np.arange(1.0, dimensions + 1)) % 1.0
     rank = points.argsort(axis=0).argsort(axis=0)
     normal = ndtri((rank + 0.5) / count)  # no two alike
-    return (normal - normal.mean(axis=0)) / normal.std(axis=0)
+    normal -= normal.mean(axis=0)
+    return np.linalg.solve(np.linalg.cholesky(normal.T @ normal / count), normal.T).T
