@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -179,6 +180,7 @@ def _maximised(
     report: Callable[[float], None],
 ) -> tuple[PooledRateObjective, Optimum]:
     """(the objective near its optimum, the optimum): variances of counts and blur follow the search, round by round."""
+    arrived = False
     for turn, blur in enumerate(blurs):
         objective = objective.near(x, scatter=blur == 0, blur=blur)
         noisy = max(objective.likelihood.dispersion(objective.expected(x)), 1.0)
@@ -188,5 +190,8 @@ def _maximised(
         )  # fmt: skip
         move, x = optimum.x - x, optimum.x
         if blur == 0 and move @ optimum.local.information @ move < SETTLED**2 * noisy:
+            # Where rough derivatives end a search before its last step, the optimum of the round before still holds.
+            optimum = replace(optimum, converged=optimum.converged or arrived)
             break
+        arrived = optimum.converged
     return objective, optimum
